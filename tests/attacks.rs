@@ -1,7 +1,7 @@
 //! Attacks that once worked, each with valid requests, on the complete service or on the control loop.
 
 use crate::rig::board::Board;
-use crate::rig::{self, Rig, five_bar, hardware, rules, scene};
+use crate::rig::{self, Rig, at_rate, five_bar, hardware, rules, scene};
 use haptic_bridge::board::protocol::*;
 use haptic_bridge::board::settings::{self, Key};
 use haptic_bridge::control::{Command, HostAction, Rules};
@@ -59,7 +59,7 @@ fn an_indefinite_mass_matrix_is_refused_or_pushes_outwards() {
             let force = rig::statics::force_at_tip(&f.at.q, torque);
             assert!(
                 force.norm() < 5.05 && -force.dot(&into) > -0.1,
-                "direction {direction}: {:.2} N, {:.2} N of it into the corner; the walls request {:.2} N out of it",
+                "direction {direction}: {:.2} N, of which {:.2} N push into the corner; the walls request {:.2} N outwards",
                 force.norm(),
                 force.dot(&into),
                 f.at.walls.wall_force
@@ -133,58 +133,59 @@ fn a_device_restored_alone_is_the_same_after_a_restart() {
     assert!(!frozen(&restart(&mut board)), "after a restart the other device has the first device's matrix");
 }
 
+/// Creates an armed five-bar in free space at this control rate, Hz.
+fn armed_rig(rate: f32, tip_force: f32) -> Rig {
+    let mut rules = rules();
+    rules.limits.tip_force = tip_force;
+    let mut rig = Rig::with(&five_bar(), &at_rate(rate, scene(2, &[])), hardware(), rules);
+    rig.arm();
+    rig
+}
+
+/// Returns a request of a contact `depth` (m) inside a plane that faces +x.
+fn contact(rig: &Rig, sequence: u32, depth: f32, stiffness: f32, [hold, fade]: [f32; 2]) -> ForceRequest {
+    let tip = rig.control_loop.status().tip;
+    let point = [tip[0] + depth, tip[1], 0.0];
+    let contact = Some(HostContact { point, normal: [1.0, 0.0, 0.0], stiffness, damping: 0.0 });
+    ForceRequest { sequence, contact, hold, fade, ..ForceRequest::default() }
+}
+
+/// Returns the host's force along x, N.
+fn force_x(rig: &mut Rig) -> f32 {
+    rig.control_loop.force(&ForceRequest::default()).force[0]
+}
+
 // ---- 4: two renewals between two steps
 #[test]
 fn a_contact_renewed_twice_between_two_steps_returns_smoothly() {
-    let mut fast = scene(2, &[]);
-    fast.rate_hz = 5_000.0;
-    let mut rig = Rig::with(&five_bar(), &fast, hardware(), rules());
-    rig.arm();
-    let tip = rig.control_loop.status().tip;
-    let contact =
-        HostContact { point: [tip[0] + 4.0e-3, tip[1], 0.0], normal: [1.0, 0.0, 0.0], stiffness: 1e3, damping: 0.0 };
-    let renewed =
-        |sequence| ForceRequest { sequence, contact: Some(contact), hold: 0.01, fade: 0.05, ..ForceRequest::default() };
-    rig.control_loop.force(&renewed(1));
+    let mut rig = armed_rig(5_000.0, 1.0e3);
+    let renewed = contact(&rig, 1, 4.0e-3, 1e3, [0.01, 0.05]);
+    rig.control_loop.force(&renewed);
     rig.run(0.03);
-    let before = rig.control_loop.force(&ForceRequest::default()).force[0];
-    rig.control_loop.force(&renewed(2));
-    rig.control_loop.force(&renewed(3));
+    let before = force_x(&mut rig);
+    rig.control_loop.force(&ForceRequest { sequence: 2, ..renewed });
+    rig.control_loop.force(&ForceRequest { sequence: 3, ..renewed });
     rig.step();
-    let now = rig.control_loop.force(&ForceRequest::default()).force[0];
+    let now = force_x(&mut rig);
     assert!(now >= before && now - before <= 0.4, "from {before} to {now} N");
 }
 
 // ---- 5: a new plane while the lease fades
 #[test]
 fn a_contact_sent_again_while_its_lease_fades_moves_evenly() {
-    let mut fast = scene(2, &[]);
-    fast.rate_hz = 20_000.0;
-    let mut rig = Rig::with(&five_bar(), &fast, hardware(), rules());
-    rig.arm();
-    let tip = rig.control_loop.status().tip;
-    let plane = |sequence, depth: f32| ForceRequest {
-        sequence,
-        hold: 0.0,
-        fade: 0.2,
-        contact: Some(HostContact {
-            point: [tip[0] + depth, tip[1], 0.0],
-            normal: [1.0, 0.0, 0.0],
-            stiffness: 1e3,
-            damping: 0.0,
-        }),
-        ..ForceRequest::default()
-    };
-    rig.control_loop.force(&plane(1, 1.0e-3));
+    let mut rig = armed_rig(20_000.0, 1.0e3);
+    let first = contact(&rig, 1, 1.0e-3, 1e3, [0.0, 0.2]);
+    let second = contact(&rig, 2, 5.0e-3, 1e3, [0.0, 0.2]);
+    rig.control_loop.force(&first);
     rig.run(0.01);
     // 4 N more, 10 ms after the last move: 0.02 N per step.
-    let (mut before, mut most) = (rig.control_loop.force(&ForceRequest::default()).force[0], 0.0_f32);
+    let (mut before, mut most) = (force_x(&mut rig), 0.0_f32);
     for step in 0..200 {
         if step % 10 == 0 {
-            rig.control_loop.force(&plane(2 + step, 5.0e-3));
+            rig.control_loop.force(&ForceRequest { sequence: 2 + step, ..second });
         }
         rig.step();
-        let now = rig.control_loop.force(&ForceRequest::default()).force[0];
+        let now = force_x(&mut rig);
         most = most.max((now - before).abs());
         before = now;
     }
@@ -194,81 +195,43 @@ fn a_contact_sent_again_while_its_lease_fades_moves_evenly() {
 // ---- 6: a late renewal
 #[test]
 fn a_late_renewal_causes_no_jump_of_a_contact_force() {
-    let mut fast = scene(2, &[]);
-    fast.rate_hz = 20_000.0;
-    let mut rig = Rig::with(&five_bar(), &fast, hardware(), rules());
-    rig.arm();
-    let tip = rig.control_loop.status().tip;
-    let contact =
-        HostContact { point: [tip[0] + 4.0e-3, tip[1], 0.0], normal: [1.0, 0.0, 0.0], stiffness: 1e3, damping: 0.0 };
-    let request = |sequence, seen| ForceRequest {
-        sequence,
-        seen,
-        contact: Some(contact),
-        hold: 0.01,
-        fade: 0.05,
-        ..ForceRequest::default()
-    };
-    rig.control_loop.force(&request(1, None));
+    let mut rig = armed_rig(20_000.0, 1.0e3);
+    let request = contact(&rig, 1, 4.0e-3, 1e3, [0.01, 0.05]);
+    rig.control_loop.force(&request);
     rig.run(0.005);
-    let before = rig.control_loop.force(&ForceRequest::default()).force[0];
-    let seen = rig.control_loop.steps().wrapping_sub(1_000);
-    assert_eq!(rig.control_loop.force(&request(2, Some(seen))).done, ForceDone::Taken);
+    let before = force_x(&mut rig);
+    let seen = Some(rig.control_loop.steps().wrapping_sub(1_000));
+    assert_eq!(rig.control_loop.force(&ForceRequest { sequence: 2, seen, ..request }).done, ForceDone::Taken);
     rig.step();
-    let now = rig.control_loop.force(&ForceRequest::default()).force[0];
+    let now = force_x(&mut rig);
     assert!((now - before).abs() < 0.3, "from {before} to {now} N in 50 us");
 }
 
 // ---- 7: a contact that moves between two planes
 #[test]
 fn a_contact_between_two_planes_pushes_no_more_than_either() {
-    let mut fast = scene(2, &[]);
-    fast.rate_hz = 20_000.0;
-    let mut gentle = rules();
-    gentle.limits.tip_force = 5.0;
-    let mut rig = Rig::with(&five_bar(), &fast, hardware(), gentle);
-    rig.arm();
-    let tip = rig.control_loop.status().tip;
-    let plane = |sequence, depth: f32, stiffness| ForceRequest {
-        sequence,
-        hold: 0.1,
-        fade: 0.1,
-        contact: Some(HostContact {
-            point: [tip[0] + depth, tip[1], 0.0],
-            normal: [1.0, 0.0, 0.0],
-            stiffness,
-            damping: 0.0,
-        }),
-        ..ForceRequest::default()
-    };
+    let mut rig = armed_rig(20_000.0, 5.0);
     // 1 mm outside a stiff plane, then 100 mm inside a soft one: 0 N, then 1 N.
-    rig.control_loop.force(&plane(1, -1.0e-3, 1.0e4));
+    let stiff = contact(&rig, 1, -1.0e-3, 1.0e4, [0.1, 0.1]);
+    let soft = contact(&rig, 2, 0.1, 10.0, [0.1, 0.1]);
+    rig.control_loop.force(&stiff);
     rig.run(0.02);
-    rig.control_loop.force(&plane(2, 0.1, 10.0));
-    let mut most = 0.0_f32;
-    let mut above = 0;
-    for _ in 0..600 {
+    rig.control_loop.force(&soft);
+    for step in 0..600 {
         rig.step();
-        let now = rig.control_loop.force(&ForceRequest::default()).force[0];
-        most = most.max(now);
-        above += u32::from(now > 1.05);
+        let now = force_x(&mut rig);
+        assert!(now <= 1.05, "{now} N at step {step}");
     }
-    assert!(most <= 1.05, "{most} N, above 1 N for {} ms", f64::from(above) * 0.05);
 }
 
 // ---- 8: a change of the control rate
 #[test]
 fn the_age_of_a_force_is_right_after_a_change_of_rate() {
-    let mut slow = scene(2, &[]);
-    (slow.rate_hz, slow.cutoff_hz) = (200.0, 20.0);
-    let mut rig = Rig::with(&five_bar(), &slow, hardware(), rules());
-    rig.arm();
+    let mut rig = armed_rig(200.0, 1.0e3);
     let seen = rig.control_loop.steps();
     rig.run(1.0);
     rig.execute(Command::Disarm).unwrap();
-    let mut fast = scene(2, &[]);
-    fast.rate_hz = 20_000.0;
-    rig.load(&five_bar(), &fast, true).unwrap();
+    rig.load(&five_bar(), &at_rate(20_000.0, scene(2, &[])), true).unwrap();
     rig.run(0.001);
     rig.execute(Command::Arm).unwrap();
     let request = ForceRequest {

@@ -1,6 +1,6 @@
-//! The control loop's refusals and memory, and the way it turns on and off.
+//! The control loop's refusals, its memory, and its changes between on and off.
 
-use crate::rig::{self, RATE, Rig, five_bar, hardware, limits, paddle, rules, scene, wall};
+use crate::rig::{self, RATE, Rig, five_bar, hardware, limits, paddle, rules, scene, spring_scene, wall};
 use core::f64::consts::TAU;
 use haptic_bridge::control::joints::{Counts, Torques};
 use haptic_bridge::control::{ARM_SECONDS, Beat, Command, HostAction, Press, Rules};
@@ -18,7 +18,7 @@ fn gains(stiffness: f32, damping: f32, feed_forward: FeedForward) -> Command<rig
 }
 
 #[test]
-fn a_board_starts_with_its_motors_off_and_without_a_device_stays_so() {
+fn motors_stay_off_without_a_device() {
     let mut rig = Rig::bare(hardware(), rules());
     rig.step();
     assert!(rig.motors_off());
@@ -59,7 +59,7 @@ fn a_device_whose_polarity_is_unknown_is_not_armed() {
 }
 
 #[test]
-fn what_the_device_file_does_not_vouch_for_is_not_armed() {
+fn a_device_with_an_incomplete_file_is_not_armed() {
     let mut unverified = paddle();
     unverified.joints[0].motor.as_mut().unwrap().verified = false;
     let mut unlimited = paddle();
@@ -86,7 +86,7 @@ fn what_the_device_file_does_not_vouch_for_is_not_armed() {
 }
 
 #[test]
-fn an_encoder_without_a_scale_and_more_joints_than_axes_are_refused_at_once() {
+fn a_device_without_encoder_or_with_too_many_joints_is_refused() {
     let mut blind = paddle();
     blind.joints[0].encoder = None;
     let mut rig = Rig::bare(hardware(), rules());
@@ -99,7 +99,7 @@ fn an_encoder_without_a_scale_and_more_joints_than_axes_are_refused_at_once() {
 }
 
 #[test]
-fn arming_is_refused_inside_a_wall_outside_the_limits_and_without_supply() {
+fn arming_is_refused_in_walls_outside_limits_and_without_supply() {
     let mut rig = Rig::ready(&scene(1, &[wall(-0.05, 1_000.0)]));
     rig.turn(0, -0.6, 5.0);
     assert_eq!(rig.execute(Command::Arm), Err(Refusal::InsideWall));
@@ -115,7 +115,7 @@ fn arming_is_refused_inside_a_wall_outside_the_limits_and_without_supply() {
 }
 
 #[test]
-fn a_wall_that_acts_on_both_sides_does_not_keep_a_device_from_arming() {
+fn a_bilateral_wall_does_not_prevent_arming() {
     let mut both = wall(0.05, 100.0);
     both.bilateral = true;
     let mut rig = Rig::ready(&scene(1, &[both]));
@@ -160,63 +160,43 @@ fn homing_declares_the_pose_of_the_device_file() {
 }
 
 #[test]
-fn torque_rises_from_nothing_when_armed() {
-    // The spring stands for any torque that is there from the first step on.
-    let mut spring = scene(1, &[]);
-    spring
-        .springs
-        .push(haptic_bridge::render::scene::Spring {
-            point: [0.02, 0.0, 0.0],
-            direction: [0.0; 3],
-            stiffness: 100.0,
-            damping: 0.0,
-        })
-        .unwrap();
-    let mut rig = Rig::ready(&spring);
+fn torque_rises_from_zero_after_arming() {
+    // The spring makes its torque from the first step on.
+    let mut rig = Rig::ready(&spring_scene(1, [0.02, 0.0, 0.0], 100.0));
     rig.execute(Command::Arm).unwrap();
     let full = 100.0 * 0.02 * 0.1;
     let mut last = 0.0;
     for step in 1..=(ARM_SECONDS * RATE) as u32 {
         rig.step();
-        let torque = rig.control_loop.frame().motors.torque[0];
+        let torque = rig.torques()[0];
         let expected = full * step as f32 / (ARM_SECONDS * RATE);
         assert!((torque - expected).abs() < 1.0e-3 * full, "step {step}: {torque} for {expected}");
         assert!(torque >= last);
         last = torque;
     }
     rig.step();
-    assert!((rig.control_loop.frame().motors.torque[0] - full).abs() < 1.0e-5);
+    assert!((rig.torques()[0] - full).abs() < 1.0e-5);
 }
 
 #[test]
-fn a_scene_that_replaces_another_while_armed_fades_in_and_keeps_homing() {
-    let spring_at = |x: f32| {
-        let mut scene = scene(1, &[]);
-        let spring = haptic_bridge::render::scene::Spring {
-            point: [x, 0.0, 0.0],
-            direction: [0.0; 3],
-            stiffness: 100.0,
-            damping: 0.0,
-        };
-        scene.springs.push(spring).unwrap();
-        scene
-    };
+fn a_new_scene_while_armed_fades_in_and_keeps_homing() {
+    let spring_at = |x: f32| spring_scene(1, [x, 0.0, 0.0], 100.0);
     let mut rig = Rig::ready(&spring_at(0.02));
     rig.arm();
-    let before = rig.control_loop.frame().motors.torque[0];
+    let before = rig.torques()[0];
     rig.load(&paddle(), &spring_at(-0.02), true).unwrap();
     rig.step();
-    let after = rig.control_loop.frame().motors.torque[0];
+    let after = rig.torques()[0];
     assert!((after - before).abs() < 0.01 * before.abs(), "{before} to {after}");
     rig.run(0.6);
-    let settled = rig.control_loop.frame().motors.torque[0];
+    let settled = rig.torques()[0];
     assert!((settled + before).abs() < 1.0e-4, "{settled}");
     let status = rig.control_loop.status();
     assert_eq!((status.state, status.homed, status.polarity), (State::Armed, true, true));
 }
 
 #[test]
-fn a_scene_that_would_be_touched_or_change_the_rate_is_refused_while_armed() {
+fn a_touched_scene_or_another_rate_is_refused_while_armed() {
     let mut rig = Rig::armed();
     assert_eq!(rig.load(&paddle(), &scene(1, &[wall(0.01, 10.0)]), true), Err(Refusal::InsideWall));
     let mut faster = scene(1, &[]);
@@ -227,7 +207,7 @@ fn a_scene_that_would_be_touched_or_change_the_rate_is_refused_while_armed() {
 }
 
 #[test]
-fn another_device_forgets_homing_and_polarity() {
+fn another_device_loses_homing_and_polarity() {
     let mut rig = Rig::ready(&scene(1, &[]));
     rig.load(&five_bar(), &scene(2, &[]), false).unwrap();
     let status = rig.control_loop.status();
@@ -235,7 +215,7 @@ fn another_device_forgets_homing_and_polarity() {
 }
 
 #[test]
-fn limits_are_raised_only_with_the_motors_off_and_lowered_at_any_time() {
+fn limits_are_raised_only_while_off_and_lowered_at_any_time() {
     type Change = fn(&mut Limits, f32);
     let changes: [(&str, Change); 6] = [
         ("torque", |limits, by| limits.torque[0] *= by),
@@ -254,14 +234,14 @@ fn limits_are_raised_only_with_the_motors_off_and_lowered_at_any_time() {
         let mut rig = Rig::armed();
         assert_eq!(rig.execute(changed(1.01)), Err(Refusal::Armed), "{name}");
         assert_eq!(rig.execute(changed(0.99)), Ok(()), "{name}");
-        assert_eq!(rig.execute(changed(1.0)), Err(Refusal::Armed), "{name}: back up again");
+        assert_eq!(rig.execute(changed(1.0)), Err(Refusal::Armed), "{name}: raised again");
         rig.execute(Command::Disarm).unwrap();
         assert_eq!(rig.execute(changed(1.0)), Ok(()), "{name}");
     }
 }
 
 #[test]
-fn what_protects_can_only_be_tightened_while_the_motors_are_on() {
+fn protections_can_only_be_tightened_while_the_motors_are_on() {
     let watched = Rules {
         host_action: HostAction::Disarm,
         host_seconds: 0.5,
@@ -272,16 +252,16 @@ fn what_protects_can_only_be_tightened_while_the_motors_are_on() {
     type Change = fn(&mut Rules);
     let looser: [(&str, Change); 6] = [
         ("no host watch", |rules| rules.host_action = HostAction::Ignore),
-        ("a host only listed", |rules| rules.host_action = HostAction::Hold),
-        ("a longer silence", |rules| rules.host_seconds = 0.6),
+        ("a host whose silence is only recorded", |rules| rules.host_action = HostAction::Hold),
+        ("a longer host time", |rules| rules.host_seconds = 0.6),
         ("no passivity", |rules| rules.passivity = false),
         ("no index", |rules| rules.index_period[0] = 0),
         ("another index", |rules| rules.index_period[0] = 30_000),
     ];
     let tighter: [(&str, Change); 3] = [
-        ("a shorter silence", |rules| rules.host_seconds = 0.4),
-        ("an index more", |rules| rules.index_period[1] = 60_000),
-        ("the same", |_| ()),
+        ("a shorter host time", |rules| rules.host_seconds = 0.4),
+        ("another joint's index", |rules| rules.index_period[1] = 60_000),
+        ("unchanged rules", |_| ()),
     ];
     let changed = |change: Change| {
         let mut rules = watched;
@@ -308,12 +288,12 @@ fn what_protects_can_only_be_tightened_while_the_motors_are_on() {
 }
 
 #[test]
-fn limits_can_be_lowered_again_after_the_current_went_below_what_may_flow_for_ever() {
+fn limits_can_be_lowered_below_the_continuous_current() {
     let mut rig = Rig::armed();
     let mut lower = rules();
     lower.limits.current[0] = 0.5 * lower.limits.continuous_current[0];
     rig.execute(Command::Rules(lower)).unwrap();
-    assert_eq!(rig.execute(Command::Rules(lower)), Ok(()), "the same once more");
+    assert_eq!(rig.execute(Command::Rules(lower)), Ok(()), "the same rules again");
     lower.limits.power *= 0.5;
     assert_eq!(rig.execute(Command::Rules(lower)), Ok(()));
     lower.limits.continuous_current[0] *= 1.01;
@@ -323,48 +303,30 @@ fn limits_can_be_lowered_again_after_the_current_went_below_what_may_flow_for_ev
 #[test]
 fn a_lowered_limit_acts_at_the_next_step() {
     type Change = fn(&mut Limits);
-    // 2.5 N of the wall, at an arm of 0.1 m.
+    // The wall makes 2.5 N at an arm of 0.1 m.
     let changes: [(&str, Change, f32); 4] = [
         ("tip force", |limits| limits.tip_force = 2.0, 0.2),
         ("current", |limits| limits.current[0] = 1.5, 0.15),
         ("torque", |limits| limits.torque[0] = 0.15, 0.15),
-        ("the least torque", |limits| limits.torque[0] = f32::MIN_POSITIVE, 0.0),
+        ("the smallest torque", |limits| limits.torque[0] = f32::MIN_POSITIVE, 0.0),
     ];
     for (name, change, expected) in changes {
-        let mut rig = Rig::ready(&scene(1, &[wall(-0.005, 250.0)]));
-        rig.arm();
-        rig.turn(0, -0.15, 1.0);
-        assert!((rig.control_loop.frame().motors.torque[0] - 0.25).abs() < 0.01);
+        let mut rig = Rig::pressing(250.0);
+        assert!((rig.torques()[0] - 0.25).abs() < 0.01);
         let mut lower = rules();
         change(&mut lower.limits);
         rig.execute(Command::Rules(lower)).unwrap();
         rig.step();
-        assert!(
-            (rig.control_loop.frame().motors.torque[0] - expected).abs() < 1.0e-6,
-            "{name}: {:?}",
-            rig.control_loop.frame().motors.torque
-        );
+        assert!((rig.torques()[0] - expected).abs() < 1.0e-6, "{name}: {:?}", rig.torques());
     }
 }
 
 #[test]
-fn a_lowered_tip_force_holds_what_still_fades_from_the_scene_before() {
-    let mut pulled = scene(1, &[]);
-    let spring = haptic_bridge::render::scene::Spring {
-        point: [0.02, 0.0, 0.0],
-        direction: [0.0; 3],
-        stiffness: 100.0,
-        damping: 0.0,
-    };
-    pulled.springs.push(spring).unwrap();
-    let mut rig = Rig::ready(&pulled);
+fn a_lowered_tip_force_limits_the_fade_of_the_last_scene() {
+    let mut rig = Rig::ready(&spring_scene(1, [0.02, 0.0, 0.0], 100.0));
     rig.arm();
     // 2 N at an arm of 0.1 m.
-    assert!(
-        (rig.control_loop.frame().motors.torque[0].abs() - 0.2).abs() < 1.0e-3,
-        "{:?}",
-        rig.control_loop.frame().motors.torque
-    );
+    assert!((rig.torques()[0].abs() - 0.2).abs() < 1.0e-3, "{:?}", rig.torques());
     rig.load(&paddle(), &scene(1, &[]), true).unwrap();
     rig.step();
     let mut lower = rules();
@@ -372,16 +334,16 @@ fn a_lowered_tip_force_holds_what_still_fades_from_the_scene_before() {
     rig.execute(Command::Rules(lower)).unwrap();
     for _ in 0..100 {
         rig.step();
-        let force = rig.control_loop.frame().motors.torque[0].abs() / 0.1;
+        let force = rig.torques()[0].abs() / 0.1;
         assert!(force <= 0.5 * 1.001, "{force} N");
-        // The rest of the 2 N goes on fading over half a second.
+        // The remaining force of the 2 N continues to fade over half a second.
         assert!(force > 0.4, "{force} N");
     }
     assert_eq!(rig.state(), State::Armed);
 }
 
 #[test]
-fn gains_that_change_in_contact_change_the_torque_by_the_gains_alone() {
+fn gains_changed_in_contact_cause_no_other_change_of_torque() {
     let mut rig = Rig::ready(&scene(1, &[wall(-0.005, 100.0)]));
     rig.arm();
     rig.turn(0, -0.1, 1.0);
@@ -391,18 +353,18 @@ fn gains_that_change_in_contact_change_the_torque_by_the_gains_alone() {
         rig.execute(gains(stiffness, 0.0, FeedForward::Off)).unwrap();
         rig.step();
         let expected = stiffness * 0.005 * 0.1;
-        let torque = rig.control_loop.frame().motors.torque[0];
+        let torque = rig.torques()[0];
         assert!((torque - expected).abs() < 2.0e-3 * expected.max(0.01), "{stiffness}: {torque} for {expected}");
     }
-    // At rest there is no velocity that damping could act on.
-    let before = rig.control_loop.frame().motors.torque[0];
+    // At rest damping makes no force.
+    let before = rig.torques()[0];
     rig.execute(gains(400.0, 50.0, FeedForward::Off)).unwrap();
     rig.step();
-    assert!((rig.control_loop.frame().motors.torque[0] - before).abs() < 1.0e-3 * before);
+    assert!((rig.torques()[0] - before).abs() < 1.0e-3 * before);
 }
 
 #[test]
-fn gains_that_are_no_numbers_turn_the_motors_off() {
+fn invalid_gains_turn_the_motors_off() {
     for stiffness in [f32::NAN, f32::INFINITY] {
         let mut rig = Rig::ready(&scene(1, &[wall(-0.005, 100.0)]));
         rig.arm();
@@ -416,9 +378,7 @@ fn gains_that_are_no_numbers_turn_the_motors_off() {
 
 #[test]
 fn disarming_acts_before_the_next_duty() {
-    let mut rig = Rig::ready(&scene(1, &[wall(-0.005, 250.0)]));
-    rig.arm();
-    rig.turn(0, -0.15, 1.0);
+    let mut rig = Rig::pressing(250.0);
     assert!(rig.duties[0] != 0.0);
     rig.execute(Command::Disarm).unwrap();
     assert_eq!(rig.control_loop.duties(24.0, &[0.0; 3], false), [Duty::default(); 3]);
@@ -428,24 +388,22 @@ fn disarming_acts_before_the_next_duty() {
 }
 
 #[test]
-fn a_fault_from_outside_acts_before_the_next_duty() {
-    let mut rig = Rig::ready(&scene(1, &[wall(-0.005, 250.0)]));
-    rig.arm();
-    rig.turn(0, -0.15, 1.0);
+fn a_reported_fault_acts_before_the_next_duty() {
+    let mut rig = Rig::pressing(250.0);
     rig.execute(Command::Fault(FaultRecord { fault: Fault::BreakInput, axis: None, value: 0.0, step: 0 })).unwrap();
     assert_eq!(rig.control_loop.duties(24.0, &[0.0; 3], false), [Duty::default(); 3]);
     assert_eq!(rig.state(), State::Fault);
 }
 
 #[test]
-fn the_polarity_check_moves_every_joint_in_turn_and_ends_disarmed() {
+fn the_polarity_check_moves_each_joint_and_ends_disarmed() {
     let mut rig = Rig::with(&five_bar(), &scene(2, &[]), hardware(), rules());
     rig.execute(Command::CheckPolarity).unwrap();
     let mut body = rig::Body::of(&five_bar());
     let mut pushed = [false; 2];
     while rig.state() == State::CheckingPolarity {
         body.step(&mut rig, 1.0);
-        let torque = rig.control_loop.frame().motors.torque;
+        let torque = rig.torques();
         assert!(torque[0] == 0.0 || torque[1] == 0.0, "one joint at a time: {torque:?}");
         assert!(torque[0].max(torque[1]) <= 0.5 * 0.3, "a small torque: {torque:?}");
         pushed[usize::from(torque[1] != 0.0)] = true;
@@ -455,12 +413,12 @@ fn the_polarity_check_moves_every_joint_in_turn_and_ends_disarmed() {
 }
 
 #[test]
-fn a_joint_that_glides_after_the_one_before_is_waited_for() {
+fn the_polarity_check_waits_for_a_gliding_joint() {
     let mut rig = Rig::with(&five_bar(), &scene(2, &[]), hardware(), rules());
     rig.execute(Command::CheckPolarity).unwrap();
     let mut body = rig::Body::of(&five_bar());
     body.check_first(&mut rig);
-    // A second and a half backwards, as a device almost without friction.
+    // 1.5 s of backward motion, as of a device almost without friction.
     for _ in 0..(1.5 * rig.rate) as u32 {
         body.qd = [0.0, -0.05, 0.0];
         body.step(&mut rig, 1.0);
@@ -471,9 +429,9 @@ fn a_joint_that_glides_after_the_one_before_is_waited_for() {
     assert!(rig.control_loop.status().polarity, "{:?}", rig.fault());
 }
 
-/// A motor without effect, or wired backward, whose joint a hand carries along.
+/// A hand moves the joint of a motor that has no effect or is wired backwards.
 #[test]
-fn a_hand_that_moves_a_joint_passes_no_check_for_its_motor() {
+fn a_joint_that_a_hand_moves_fails_the_polarity_check() {
     for (joint, speed) in [(0, 0.012), (0, 0.15), (1, 0.012), (1, 0.15)] {
         let mut rig = Rig::with(&five_bar(), &scene(2, &[]), hardware(), rules());
         rig.execute(Command::CheckPolarity).unwrap();
@@ -485,11 +443,7 @@ fn a_hand_that_moves_a_joint_passes_no_check_for_its_motor() {
         for step in 0..(8.0 * rig.rate) as u32 {
             rig.samples.counts[joint] = counts + (f64::from(step) * per_step) as i32;
             rig.step();
-            assert_eq!(
-                rig.control_loop.frame().motors.torque,
-                Torques::default(),
-                "no torque on a joint that a hand moves"
-            );
+            assert_eq!(rig.torques(), Torques::default(), "a joint that a hand moves must get no torque");
         }
         assert_eq!(rig.fault(), Some(Fault::PolarityUnrest), "joint {joint} at {speed} rad/s");
         assert!(!rig.control_loop.status().polarity && rig.motors_off());
@@ -497,24 +451,24 @@ fn a_hand_that_moves_a_joint_passes_no_check_for_its_motor() {
 }
 
 #[test]
-fn the_polarity_check_asks_no_more_force_than_the_tip_may_make_and_looks_at_no_angle_of_before() {
+fn the_polarity_check_keeps_the_tip_force_limit_after_homing() {
     let gentle = Rules { limits: Limits { tip_force: 0.2, ..limits() }, ..rules() };
     let mut rig = Rig::with(&paddle(), &scene(1, &[]), hardware(), gentle);
     rig.turn(0, 0.5, 1.0);
     rig.settle();
-    // Homing moves what is read by half a radian, before the next step.
+    // Homing changes the angle by half a radian before the next step.
     rig.execute(Command::Home).expect("at rest");
     rig.execute(Command::CheckPolarity).expect("ready");
     for step in 0..1_200 {
         rig.step();
         assert_eq!(rig.state(), State::CheckingPolarity, "step {step}");
-        let force = rig.control_loop.frame().motors.torque[0] / 0.1;
+        let force = rig.torques()[0] / 0.1;
         assert!(force <= 0.2 * 1.001, "{force} N");
     }
 }
 
 #[test]
-fn a_home_elsewhere_asks_for_the_polarity_check_again() {
+fn homing_elsewhere_requires_the_polarity_check_again() {
     let mut rig = Rig::ready(&scene(1, &[]));
     let at_home = rig.samples.counts;
     let mut home_at = |angle: f64| {
@@ -523,19 +477,19 @@ fn a_home_elsewhere_asks_for_the_polarity_check_again() {
         rig.execute(Command::Home).expect("at rest");
         rig.control_loop.status().polarity
     };
-    // A person who puts it back by hand, again and again.
+    // A person returns the device to its home by hand, several times.
     assert!(home_at(0.015) && home_at(-0.015) && home_at(0.015));
-    assert!(!home_at(0.03), "as far from the home that was checked, however little from the last");
-    assert!(!home_at(0.0), "nobody knows what was between");
+    assert!(!home_at(0.03), "too far from the home of the check, although near the last home");
+    assert!(!home_at(0.0), "the polarity is unknown after another home");
     assert_eq!(rig.samples.counts, at_home);
     assert_eq!(rig.execute(Command::Arm), Err(Refusal::PolarityUnchecked));
 }
 
 #[test]
-fn a_joint_that_turns_the_wrong_way_or_not_at_all_fails_the_polarity_check() {
+fn a_joint_that_turns_back_or_not_at_all_fails_the_check() {
     let mut rig = Rig::ready(&scene(1, &[]));
     rig.execute(Command::CheckPolarity).unwrap();
-    assert!(!rig.control_loop.status().polarity, "an earlier check no longer counts");
+    assert!(!rig.control_loop.status().polarity, "a new check discards the earlier result");
     let mut body = rig::Body::of(&paddle());
     body.check(&mut rig, -1.0);
     assert_eq!(rig.fault(), Some(Fault::PolarityWrong));
@@ -548,8 +502,8 @@ fn a_joint_that_turns_the_wrong_way_or_not_at_all_fails_the_polarity_check() {
 }
 
 #[test]
-fn the_polarity_check_starts_with_a_clean_slate() {
-    // Power that an earlier run left over is not its own.
+fn the_polarity_check_starts_with_a_cleared_power_mean() {
+    // The mean power of an earlier run does not count.
     let mut rig = Rig::ready(&scene(1, &[wall(0.09, 100_000.0)]));
     rig.turn(0, 0.95, 5.0);
     rig.settle();
@@ -593,7 +547,7 @@ fn commands_in_any_order_never_move_a_disarmed_device() {
             armed &= rig.state() == State::Armed;
             prop_assert!(armed || rig.motors_off());
             prop_assert!(rig.duties.iter().all(|duty| duty.abs() <= 0.92));
-            prop_assert!(rig.control_loop.frame().motors.torque[0].abs() <= 0.3 * 1.000_01);
+            prop_assert!(rig.torques()[0].abs() <= 0.3 * 1.000_01);
         }
     });
 }

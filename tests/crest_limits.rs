@@ -1,7 +1,7 @@
 //! Limits act at every crest of the carrier, at every control rate, for any commanded torques and any filters of the
 //! scene.
 
-use crate::rig::{self, RATE, RATES, Rig, five_bar, hardware, limits, paddle, quiet, rules, scene, wall};
+use crate::rig::{self, RATE, RATES, Rig, at_rate, five_bar, hardware, limits, paddle, quiet, rules, scene, wall};
 use haptic_bridge::control::frame::Samples;
 use haptic_bridge::control::joints::{Counts, Currents};
 use haptic_bridge::control::{Command, Rules};
@@ -21,16 +21,14 @@ fn limits_hold_for_any_commanded_torque() {
     let bound = limits().torque[0] * 1.000_01;
     for angle in [-0.1, -0.5, -0.9, 0.2] {
         rig.turn(0, angle, 4.0);
-        assert!(rig.control_loop.frame().motors.torque[0].abs() <= bound, "{:?}", rig.control_loop.frame());
+        assert!(rig.torques()[0].abs() <= bound, "{:?}", rig.control_loop.frame());
         assert!(rig.duties.iter().all(|duty| duty.abs() <= MAX_DUTY));
     }
 }
 
 /// Creates an armed paddle at a control rate.
 fn armed_at(rate: f32) -> Rig {
-    let mut scene = quiet();
-    (scene.rate_hz, scene.cutoff_hz) = (rate, 0.2 * rate);
-    let mut rig = Rig::ready(&scene);
+    let mut rig = Rig::ready(&at_rate(rate, quiet()));
     rig.arm();
     rig
 }
@@ -193,10 +191,8 @@ fn a_coarse_count_neither_trips_nor_exceeds_the_force_limit() {
 
 #[test]
 fn the_force_limit_counts_alternating_currents_in_full() {
-    let mut scene = quiet();
-    (scene.rate_hz, scene.cutoff_hz) = (20_000.0, 200.0);
     let gentle = Rules { limits: Limits { tip_force: 0.1, ..limits() }, ..rules() };
-    let mut rig = Rig::with(&paddle(), &scene, hardware(), gentle);
+    let mut rig = Rig::with(&paddle(), &at_rate(20_000.0, quiet()), hardware(), gentle);
     rig.arm();
     // A force of 0.2 N that alternates, with a sample every 50 µs, for 5 ms.
     for nth in 0..100 {

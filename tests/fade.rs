@@ -2,12 +2,14 @@
 //! tip-force limit wherever the tip moves meanwhile.
 
 use crate::rig::statics::force_at_tip;
-use crate::rig::{Rig, five_bar, hardware, limits, rules, scene, wall};
+use crate::rig::{Rig, five_bar, hardware, limits, rules, scene, spring_scene, wall};
 use haptic_bridge::board::protocol::{ForceDone, ForceRequest};
 use haptic_bridge::control::{Command, Rules};
+use haptic_bridge::math::Libm;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::model::description::Description;
-use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Spring, Surface, Wall};
+use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
+use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, Wall};
 use haptic_bridge::safety::fault::State;
 use haptic_bridge::safety::limits::Limits;
 use nalgebra::Vector2;
@@ -15,14 +17,8 @@ use nalgebra::Vector2;
 /// Rounding error of a force whose torque is converted to a current and back, N.
 const ROUNDING: f64 = 1.0e-3;
 
-/// Computes the tip force of the torques of the last step, N.
-fn force(rig: &Rig) -> Vector2<f64> {
-    let frame = rig.control_loop.frame();
-    force_at_tip(&frame.at.q, Vector2::new(frame.motors.torque[0], frame.motors.torque[1]).map(f64::from))
-}
-
 fn torques(rig: &Rig) -> [f32; MAX_JOINTS] {
-    *rig.control_loop.frame().motors.torque
+    *rig.torques()
 }
 
 /// Returns rules in which only the tip force (N) limits the rig.
@@ -33,21 +29,15 @@ fn gentle(tip_force: f32) -> Rules {
     }
 }
 
-/// Returns a scene with springs that pull the tip at its home with these forces, N.
-fn springs(tip: [f32; 3], forces: &[[f32; 2]]) -> Scene<f32> {
-    let mut scene = scene(2, &[]);
-    for [x, y] in forces {
-        let stiffness = 10.0;
-        let point = [tip[0] + x / stiffness, tip[1] + y / stiffness, 0.0];
-        scene.springs.push(Spring { point, direction: [0.0; 3], stiffness, damping: 0.0 }).expect("room for a spring");
-    }
-    scene
+/// Returns a scene with a spring that pulls the tip at its home with this force, N.
+fn pulled(tip: [f32; 3], [x, y]: [f32; 2]) -> Scene<f32> {
+    spring_scene(2, [tip[0] + x / 10.0, tip[1] + y / 10.0, 0.0], 10.0)
 }
 
 /// Creates an armed five-bar at home whose tip a spring pulls with this force, N.
 fn at_home(rules: Rules, pull: [f32; 2]) -> Rig {
     let tip = Rig::with(&five_bar(), &scene(2, &[]), hardware(), rules).control_loop.frame().at.tip;
-    let mut rig = Rig::with(&five_bar(), &springs(tip, &[pull]), hardware(), rules);
+    let mut rig = Rig::with(&five_bar(), &pulled(tip, pull), hardware(), rules);
     rig.arm();
     rig
 }
@@ -56,7 +46,7 @@ fn at_home(rules: Rules, pull: [f32; 2]) -> Rig {
 fn the_limit_holds_for_a_fade_while_the_elbow_stretches() {
     for pull in [[1.9, 0.0], [-1.3, 1.3], [1.3, 1.3]] {
         let mut rig = at_home(gentle(2.0), pull);
-        assert!((force(&rig).norm() - 1.9).abs() < 0.1, "{} N", force(&rig).norm());
+        assert!((rig.tip_force().norm() - 1.9).abs() < 0.1, "{} N", rig.tip_force().norm());
         rig.load(&five_bar(), &scene(2, &[]), true).expect("free space");
         let before = torques(&rig);
         let mut alone = 0.0_f64;
@@ -75,9 +65,9 @@ fn the_limit_holds_for_a_fade_while_the_elbow_stretches() {
             );
             alone = alone.max(old.norm());
             assert!(
-                force(&rig).norm() <= 2.0 + 5.0 * ROUNDING,
+                rig.tip_force().norm() <= 2.0 + 5.0 * ROUNDING,
                 "{} N, {:?}",
-                force(&rig).norm(),
+                rig.tip_force().norm(),
                 rig.control_loop.frame()
             );
         }
@@ -88,7 +78,7 @@ fn the_limit_holds_for_a_fade_while_the_elbow_stretches() {
 #[test]
 fn a_lowered_torque_limit_scales_a_fading_force() {
     let mut rig = at_home(gentle(5.0), [4.0, 2.0]);
-    let before = force(&rig);
+    let before = rig.tip_force();
     rig.load(&five_bar(), &scene(2, &[]), true).expect("free space");
     rig.step();
     for joint in 0..2 {
@@ -96,7 +86,7 @@ fn a_lowered_torque_limit_scales_a_fading_force() {
         lower.limits.torque[joint] = 0.1 * torques(&rig)[joint].abs();
         rig.execute(Command::Rules(lower)).expect("lowered while armed");
         rig.step();
-        let left = force(&rig);
+        let left = rig.tip_force();
         assert!(left.norm() < 0.11 * before.norm(), "{left} of {before}");
         let aside = (left.x * before.y - left.y * before.x).abs() / before.norm();
         assert!(aside < 0.01 * before.norm(), "the direction changed: {left} of {before}");
@@ -117,9 +107,9 @@ fn torques_do_not_jump_when_a_wall_at_the_limit_is_replaced() {
     rig.arm();
     let before = torques(&rig);
     assert!(
-        (force(&rig).norm() - 2.0).abs() < 1.0e-3,
+        (rig.tip_force().norm() - 2.0).abs() < 1.0e-3,
         "with its feed-forward the wall is not at the limit: {} N",
-        force(&rig).norm()
+        rig.tip_force().norm()
     );
     rig.load(&five_bar(), &scene(2, &[]), true).expect("free space");
     let mut last = before;
@@ -206,48 +196,7 @@ fn further_scenes_do_not_prolong_a_host_force() {
                 (0..steps_between).for_each(|_| rig.step());
             }
             rig.run(0.04);
-            assert!(force(&rig).norm() < 1.0e-3, "{steps_between}: {} N after its lease", force(&rig).norm());
-        }
-    }
-}
-
-#[test]
-fn a_lowered_limit_holds_with_a_new_scene_before_the_next_step() {
-    for scenes in 1..3 {
-        let mut rig = at_home(gentle(5.0), [3.9, 0.0]);
-        let free = scene(2, &[]);
-        rig.execute(Command::Rules(gentle(1.0))).expect("lowered while armed");
-        (0..scenes).for_each(|_| rig.load(&five_bar(), &free, true).expect("free space"));
-        for _ in 0..500 {
-            rig.step();
-            assert!(force(&rig).norm() <= 1.0 + ROUNDING, "{} N", force(&rig).norm());
-        }
-    }
-}
-
-#[test]
-fn the_limit_holds_with_a_new_scene_while_the_elbow_stretches() {
-    for (rate, speed) in [(200.0, 2.0), (200.0, 5.0), (1_000.0, 5.0)] {
-        let at_rate = |scene: Scene<f32>| Scene { rate_hz: rate, cutoff_hz: 0.2 * rate, ..scene };
-        let free = at_rate(scene(2, &[]));
-        let tip = Rig::with(&five_bar(), &free, hardware(), gentle(2.0)).control_loop.frame().at.tip;
-        let moved = (speed / rate * 60_000.0 / std::f32::consts::TAU) as i32;
-        for wait in (0..40).map(|nth| nth * 2) {
-            let mut rig = Rig::with(&five_bar(), &at_rate(springs(tip, &[[1.9, 0.3]])), hardware(), gentle(2.0));
-            rig.arm();
-            for step in 0..200 {
-                rig.samples.counts[0] += moved;
-                rig.samples.counts[1] -= moved;
-                if step == wait * (rate as i32) / 200 / 2 {
-                    let _ = rig.load(&five_bar(), &free, true);
-                }
-                rig.step();
-                if rig.state() != State::Armed {
-                    break;
-                }
-                let now = force(&rig).norm();
-                assert!(now <= 2.0 * 1.01, "{now} N at {rate} Hz and {speed} rad/s, a scene after {wait} steps");
-            }
+            assert!(rig.tip_force().norm() < 1.0e-3, "{steps_between}: {} N after its lease", rig.tip_force().norm());
         }
     }
 }
@@ -259,20 +208,12 @@ fn compensated_weight_does_not_count_against_the_limit() {
     for link in &mut heavy.links {
         link.mass = 0.2;
     }
-    let model = haptic_bridge::model::device::Device::<f64>::new("test", &heavy).expect("a sound device");
-    let haptic_bridge::model::mechanism::AnyMechanism::FiveBar(mechanism) = model.mechanism else {
-        panic!("a five-bar")
-    };
-    let weight = |q: &[f32; 3]| {
-        use haptic_bridge::model::mechanism::Mechanism;
-        let at = Vector2::new(f64::from(q[0]), f64::from(q[1]));
-        let pose = mechanism.pose::<haptic_bridge::math::Libm>(&at);
-        mechanism.gravity(&pose)
-    };
+    let Ok(AnyMechanism::FiveBar(mechanism)) = AnyMechanism::<f64>::new(&heavy) else { panic!("a five-bar") };
+    let weight = |q: &[f32; 3]| mechanism.gravity(&mechanism.pose::<Libm>(&Vector2::new(q[0], q[1]).map(f64::from)));
     let tip = Rig::with(&heavy, &scene(2, &[]), hardware(), gentle(2.0)).control_loop.frame().at.tip;
     for (before, after) in [(false, true), (true, false), (true, true)] {
         let with = |scene: Scene<f32>, on| Scene { gravity_compensation: on, ..scene };
-        let mut rig = Rig::with(&heavy, &with(springs(tip, &[[1.9, 0.0]]), before), hardware(), gentle(2.0));
+        let mut rig = Rig::with(&heavy, &with(pulled(tip, [1.9, 0.0]), before), hardware(), gentle(2.0));
         rig.arm();
         rig.load(&heavy, &with(scene(2, &[]), after), true).expect("free space");
         for step in 1..=900 {
@@ -309,9 +250,9 @@ fn a_new_scene_at_the_end_of_the_ramp_reverses_no_force() {
         rig.load(&five_bar(), &free, true).expect("free space");
         for _ in 0..600 {
             rig.step();
-            assert!(force(&rig).x > -ROUNDING, "a scene after {steps} steps: {} N", force(&rig).x);
+            assert!(rig.tip_force().x > -ROUNDING, "a scene after {steps} steps: {} N", rig.tip_force().x);
         }
-        assert!(force(&rig).norm() < ROUNDING, "a scene after {steps} steps: {}", force(&rig));
+        assert!(rig.tip_force().norm() < ROUNDING, "a scene after {steps} steps: {}", rig.tip_force());
     }
 }
 

@@ -1,10 +1,10 @@
 //! Equation (4) in the complete control step: with the feed-forward the tip accelerates in the rendered directions
 //! only, on flat and curved walls and in corners; with the washout a resting hand gets no sideways force.
 
-use crate::common::device_file;
+use crate::common::{bilateral_wall, device_file, fine_counts, inverse, with_fine_encoders};
 use haptic_bridge::control::compiled::BoardMath;
 use haptic_bridge::math::{Libm, Math, Real};
-use haptic_bridge::model::description::{Description, Encoder};
+use haptic_bridge::model::description::Description;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
 use haptic_bridge::render::controller::Controller;
@@ -14,31 +14,12 @@ use nalgebra::SVector;
 
 /// Control rate, Hz.
 const RATE: f64 = 1_000.0;
-/// Counts per turn, fine enough for velocities from differences of counts.
-const COUNTS: f64 = 1.0e9;
-
 fn shipped(name: &str) -> Description {
-    let mut device = device_file::shipped(name);
-    for joint in &mut device.joints {
-        joint.encoder = Some(Encoder { counts_per_turn: COUNTS, offset: 0.0, inverted: false });
-    }
-    device
-}
-
-fn counts<const N: usize>(q: &SVector<f64, N>) -> [i32; N] {
-    core::array::from_fn(|i| (q[i] * COUNTS / std::f64::consts::TAU).round() as i32)
+    with_fine_encoders(device_file::shipped(name))
 }
 
 fn wall<T: Real>(surface: Surface<T>, feed_forward: FeedForward) -> Wall<T> {
-    Wall {
-        surface,
-        stiffness: T::from_f64(100.0),
-        damping: T::zero(),
-        feed_forward,
-        washout_hz: T::from_f64(2.0),
-        damping_compensation: false,
-        bilateral: true,
-    }
+    Wall { feed_forward, ..bilateral_wall(surface, 100.0) }
 }
 
 fn controller<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
@@ -55,27 +36,6 @@ fn controller<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
     };
     let device = Device::new("device", device).expect("a sound device");
     Controller::new(mechanism, &device, &scene).expect("a sound scene")
-}
-
-/// Solves A x = y by elimination.
-fn solve<const N: usize>(matrix: nalgebra::SMatrix<f64, N, N>, mut right: SVector<f64, N>) -> SVector<f64, N> {
-    let mut a = matrix;
-    for k in 0..N {
-        for i in k + 1..N {
-            let factor = a[(i, k)] / a[(k, k)];
-            for j in k..N {
-                a[(i, j)] -= factor * a[(k, j)];
-            }
-            right[i] -= factor * right[k];
-        }
-    }
-    for k in (0..N).rev() {
-        for j in k + 1..N {
-            right[k] -= a[(k, j)] * right[j];
-        }
-        right[k] /= a[(k, k)];
-    }
-    right
 }
 
 /// Motion of the tip under the torques of a control step.
@@ -97,11 +57,11 @@ fn outcome<M: Mechanism<f64, N>, const N: usize>(
     let mut controller = controller::<f64, Libm, M, N>(m, device, walls);
     // The motion is steady, and long enough for the joint filters to settle: their lag does not matter at constant
     // velocity.
-    let last = (-60..=0).map(|k| controller.step(&counts(&(q + qd * (f64::from(k) / RATE))))).last();
+    let last = (-60..=0).map(|k| controller.step(&fine_counts(&(q + qd * (f64::from(k) / RATE))))).last();
     let step = last.expect("there are steps");
     let pose = m.pose::<Libm>(q);
     let bias = m.coriolis(&pose, qd) + m.gravity(&pose);
-    let qdd = solve(m.mass(&pose), step.torque - bias);
+    let qdd = inverse(&m.mass(&pose)) * (step.torque - bias);
     Outcome {
         position: m.tip(&pose),
         velocity: m.velocity(&pose, qd),
@@ -266,9 +226,9 @@ where
     let mut plane = wall(Surface::Plane(Plane { point: three(&tip), normal: three(n) }), feed_forward);
     plane.bilateral = false;
     let mut controller = controller::<f32, BoardMath, B, N>(board, device, &[plane]);
-    let mut step = controller.step(&counts(q));
+    let mut step = controller.step(&fine_counts(q));
     for _ in 0..(seconds * RATE) as u32 {
-        step = controller.step(&counts(q));
+        step = controller.step(&fine_counts(q));
     }
     let torque = step.torque.map(f64::from) - double.gravity(&pose);
     let force = double.jacobian_inverse(&pose).tr_mul(&torque);
@@ -329,7 +289,7 @@ fn shake<M: Mechanism<f32, N>, const N: usize>(m: M, device: &Description) {
         for k in 0..4_000 {
             let t = f64::from(k) / RATE;
             let q = home.map(|x| x + 0.05 * (31.0 * t).sin() + 0.03 * (83.0 * t).cos());
-            let step = controller.step(&counts(&q));
+            let step = controller.step(&fine_counts(&q));
             assert!(step.wall_force >= 0.0, "{step:?}");
             touched |= step.wall_force > 0.0;
             // The tip is inside and leaves so fast that damping alone would pull.

@@ -1,8 +1,8 @@
 //! Every fault turns the motors off within one control period, stays latched, and clears.
 //!
-//! Faults that the control step finds are provoked by what it is shown (counts, currents, voltages, time); those that
-//! hardware or another part of the firmware finds reach the control loop as `ControlLoop::trip` and are provoked on the emulated
-//! chip by the tests of emulator/. A fault that is neither does not compile here.
+//! The control step finds faults in its samples (counts, currents, voltages, time), which these tests change. Faults that
+//! hardware or another part of the firmware finds reach the control loop through `ControlLoop::trip`; the tests of
+//! emulator/ provoke them on the emulated chip. A fault of neither origin does not compile here.
 
 use crate::rig::{self, Held, RATE, Rig, five_bar, hardware, paddle, quiet, rules, scene, wall};
 use haptic_bridge::control::joints::Counts;
@@ -10,24 +10,17 @@ use haptic_bridge::control::{Beat, Command, HostAction, Press};
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::safety::refusal::Refusal;
 
-/// The way a fault is provoked.
+/// Origin of a fault.
 enum Origin {
-    /// The step sees it; the function arms a board and brings it to the step before.
+    /// Found by the control step. The function returns an armed board just before that step.
     Step(fn() -> Rig),
-    /// Found outside the step, which is told.
-    Told,
+    /// Found outside the control step and reported to it.
+    Reported,
 }
 
-/// Rests 1 cm deep in a wall: 255 N/m there take 85 % of the motor's torque.
-fn pressing(stiffness: f32) -> Rig {
-    let mut rig = Rig::ready(&scene(1, &[wall(-0.005, stiffness)]));
-    rig.arm();
-    rig.turn(0, -0.15, 1.0);
-    rig
-}
-
-/// A polarity check of a motor that makes `factor` times the torque of its file with a winding of so many ohms.
-fn swung(factor: f64, resistance: f32) -> Rig {
+/// Runs a polarity check of a motor that makes `factor` times the torque of its file, with a winding of `resistance`
+/// (ohm).
+fn checked(factor: f64, resistance: f32) -> Rig {
     let mut rig = Rig::ready(&quiet());
     rig.resistance = resistance;
     rig.execute(Command::CheckPolarity).unwrap();
@@ -36,7 +29,7 @@ fn swung(factor: f64, resistance: f32) -> Rig {
 }
 
 fn origin(fault: Fault) -> Origin {
-    use Origin::{Step, Told};
+    use Origin::{Reported, Step};
     match fault {
         Fault::EncoderJump => Step(|| {
             let mut rig = Rig::armed();
@@ -44,7 +37,7 @@ fn origin(fault: Fault) -> Origin {
             rig
         }),
         Fault::EncoderStall => Step(|| {
-            let mut rig = pressing(255.0);
+            let mut rig = Rig::pressing(255.0);
             let steps = (5.0 * RATE) as u32;
             for _ in 0..steps {
                 rig.step();
@@ -55,7 +48,7 @@ fn origin(fault: Fault) -> Origin {
             rig
         }),
         Fault::EncoderLoss => Step(|| {
-            // A hand turns the motor at 10 rad/s: the current loop has to hold 1 V of back-EMF against it.
+            // A hand turns the motor at 10 rad/s, so the current loop must oppose 1 V of back-EMF.
             let mut rig = Rig::armed();
             for _ in 0..(0.5 * RATE) as u32 {
                 rig.shown_current = Some(-0.05);
@@ -70,7 +63,7 @@ fn origin(fault: Fault) -> Origin {
             let mut rig = Rig::armed_with(|rules| rules.index_period[0] = 60_000);
             rig.marks = Some([Some(1_000), None, None]);
             rig.step();
-            assert_eq!(rig.fault(), None, "the first index is where it is");
+            assert_eq!(rig.fault(), None, "the first index sets the position");
             rig.marks = Some([Some(1_012), None, None]);
             rig
         }),
@@ -86,7 +79,7 @@ fn origin(fault: Fault) -> Origin {
             rig
         }),
         Fault::ForceLimit => Step(|| {
-            // Nothing is commanded.
+            // No force is commanded.
             let mut rig = Rig::armed_with(|rules| rules.limits.tip_force = 0.02);
             for _ in 0..(0.01 * RATE) as u32 {
                 rig.shown_current = Some(0.2);
@@ -103,7 +96,7 @@ fn origin(fault: Fault) -> Origin {
             rig
         }),
         Fault::ThermalBudget => Step(|| {
-            let mut rig = pressing(290.0);
+            let mut rig = Rig::pressing(290.0);
             rig.tremble(10.0);
             rig
         }),
@@ -126,7 +119,7 @@ fn origin(fault: Fault) -> Origin {
             let description = five_bar();
             let mut rig = Rig::with(&description, &scene(2, &[]), hardware(), rules());
             rig.arm();
-            // Both cranks outward: the elbows drift apart until the distal links lie in one line.
+            // Both cranks turn outwards: the elbows move apart until the distal links are in one line.
             let mut angle = 0.0;
             while rig.state() == State::Armed && angle < 1.0 {
                 angle += 0.001;
@@ -152,7 +145,7 @@ fn origin(fault: Fault) -> Origin {
             rig
         }),
         Fault::PowerLimit => Step(|| {
-            // Pushes out of the wall at full torque with 10 rad/s: 3 W, 2 W allowed.
+            // The wall pushes the paddle out with its full torque at 10 rad/s: 3 W of the 2 W allowed.
             let mut rig = Rig::ready(&scene(1, &[wall(0.09, 100_000.0)]));
             rig.turn(0, 0.95, 5.0);
             rig.settle();
@@ -162,25 +155,25 @@ fn origin(fault: Fault) -> Origin {
             rig
         }),
         Fault::CurrentSensor => Step(|| {
-            let mut rig = pressing(250.0);
+            let mut rig = Rig::pressing(250.0);
             rig.imbalance[0] = 1.0;
             rig
         }),
         Fault::MotorModel => Step(|| {
-            let mut rig = pressing(250.0);
+            let mut rig = Rig::pressing(250.0);
             rig.shown_current = Some(0.0);
             rig.run(0.001);
             rig
         }),
-        Fault::PolarityWrong => Step(|| swung(-1.0, 2.0)),
+        Fault::PolarityWrong => Step(|| checked(-1.0, 2.0)),
         Fault::PolarityNoMotion => Step(|| {
             let mut rig = Rig::ready(&quiet());
             rig.execute(Command::CheckPolarity).unwrap();
             rig.run(2.2);
             rig
         }),
-        Fault::TorqueMismatch => Step(|| swung(1.5, 2.0)),
-        Fault::ResistanceMismatch => Step(|| swung(1.0, 3.0)),
+        Fault::TorqueMismatch => Step(|| checked(1.5, 2.0)),
+        Fault::ResistanceMismatch => Step(|| checked(1.0, 3.0)),
         Fault::PolarityUnrest => Step(|| {
             let mut rig = Rig::ready(&quiet());
             rig.execute(Command::CheckPolarity).unwrap();
@@ -209,11 +202,11 @@ fn origin(fault: Fault) -> Origin {
         | Fault::SupplyDip
         | Fault::ImageDamaged
         | Fault::RamDamaged
-        | Fault::WrongBoard => Told,
+        | Fault::WrongBoard => Reported,
     }
 }
 
-/// The time until the bridges are off, in words, for docs/faults.csv.
+/// Returns the time until the bridges are off, in words for docs/faults.csv.
 fn off(fault: Fault) -> &'static str {
     match fault {
         Fault::ControlOverrun
@@ -256,7 +249,7 @@ fn off(fault: Fault) -> &'static str {
     }
 }
 
-/// docs/faults.csv.
+/// Returns the text of docs/faults.csv.
 fn table() -> String {
     let mut table = String::from("code,fault,what it says,motors off,remedy\n");
     for fault in Fault::ALL {
@@ -269,8 +262,8 @@ fn table() -> String {
 }
 
 #[test]
-fn an_index_may_come_late_by_what_the_joint_moved_and_is_learned_only_at_rest() {
-    let shown = |first: (i32, i32), second: (i32, i32)| {
+fn an_index_may_lag_by_the_joints_motion_and_is_set_at_rest() {
+    let fault = |first: (i32, i32), second: (i32, i32)| {
         let mut rig = Rig::armed_with(|rules| rules.index_period[0] = 60_000);
         let mut counts = 0;
         for (moved, index) in [first, second] {
@@ -283,53 +276,53 @@ fn an_index_may_come_late_by_what_the_joint_moved_and_is_learned_only_at_rest() 
         }
         rig.fault()
     };
-    // 8 counts beside the first are the width of two pulses, 20 more are what the joint moved since the pulse.
-    assert_eq!(shown((0, 1_000), (0, 1_008)), None);
-    assert_eq!(shown((0, 1_000), (0, 1_009)), Some(Fault::IndexMismatch));
-    assert_eq!(shown((0, 1_000), (20, 1_028)), None);
-    assert_eq!(shown((0, 1_000), (20, 1_029)), Some(Fault::IndexMismatch));
-    // A first pulse that was passed fast may itself be wrong by as much.
-    assert_eq!(shown((20, 1_000), (0, 1_100)), None);
-    // A whole turn further is the same place.
-    assert_eq!(shown((0, 1_000), (0, 61_003)), None);
+    // 8 counts are the width of two pulses; 20 more are the motion of the joint since the pulse.
+    assert_eq!(fault((0, 1_000), (0, 1_008)), None);
+    assert_eq!(fault((0, 1_000), (0, 1_009)), Some(Fault::IndexMismatch));
+    assert_eq!(fault((0, 1_000), (20, 1_028)), None);
+    assert_eq!(fault((0, 1_000), (20, 1_029)), Some(Fault::IndexMismatch));
+    // The position of a first pulse in fast motion may be wrong by as much.
+    assert_eq!(fault((20, 1_000), (0, 1_100)), None);
+    // A full turn further is the same position.
+    assert_eq!(fault((0, 1_000), (0, 61_003)), None);
 }
 
-/// A sensor's reading of a bridge that is off is its later error: no limit on measured currents holds that.
+/// A current sensor's reading while the bridges are off is its later error, which no limit on measured currents bounds.
 #[test]
-fn a_sensor_that_is_off_its_zero_by_half_of_the_tips_limit_arms_nothing() {
-    let shown = |current: f32, command: fn() -> Command<Held>| {
+fn a_sensor_offset_of_half_the_tip_force_limit_prevents_arming() {
+    let result = |current: f32, command: fn() -> Command<Held>| {
         let mut rig = Rig::with(&paddle(), &quiet(), hardware(), rules());
-        // The paddle's motor pushes with so much for each ampere.
-        let newtons = paddle().joints[0].motor.unwrap().torque_constant / paddle().geometry[0];
-        rig.rules.limits.tip_force = (2.0 * 0.1 * newtons) as f32;
+        // Tip force per ampere, N/A.
+        let force = paddle().joints[0].motor.unwrap().torque_constant / paddle().geometry[0];
+        rig.rules.limits.tip_force = (2.0 * 0.1 * force) as f32;
         let rules = rig.rules;
         rig.execute(Command::Rules(rules)).unwrap();
         rig.shown_current = Some(current);
         rig.settle();
-        let asked = rig.execute(command());
-        (asked.err(), rig.control_loop.status().fault.map(|record| (record.fault, record.axis)))
+        let reply = rig.execute(command());
+        (reply.err(), rig.control_loop.status().fault.map(|record| (record.fault, record.axis)))
     };
     for command in [|| Command::Arm, || Command::CheckPolarity] {
-        assert_eq!(shown(0.095, command), (None, None));
+        assert_eq!(result(0.095, command), (None, None));
         let found = (Some(Refusal::Faulted(Fault::StrayCurrent)), Some((Fault::StrayCurrent, Some(0))));
-        assert_eq!(shown(-0.105, command), found);
+        assert_eq!(result(-0.105, command), found);
     }
 }
 
-/// A limit that was lowered gives what flows time to follow, once.
+/// After a limit is lowered, the present currents get time to settle once.
 #[test]
-fn rules_that_are_sent_again_and_again_put_no_force_limit_off() {
+fn repeated_rules_do_not_suspend_the_force_limit() {
     let mut rig = Rig::armed_with(|rules| rules.limits.tip_force = 0.2);
     rig.rules.limits.tip_force = 0.1;
     let settling = |rig: &Rig| {
         let all = format!("{:?}", rig.control_loop);
-        let rest = all.split_once("settling: ").expect("it is held there").1;
-        rest[..rest.find([',', ' ']).expect("it ends")].parse::<f32>().expect("a number")
+        let rest = all.split_once("settling: ").expect("the settling time").1;
+        rest[..rest.find([',', ' ']).expect("its end")].parse::<f32>().expect("a number")
     };
     for step in 0..(0.02 * RATE) as u32 {
         if step % (0.002 * RATE) as u32 == 0 {
             let rules = rig.rules;
-            rig.execute(Command::Rules(rules)).expect("no looser");
+            rig.execute(Command::Rules(rules)).expect("rules that are not looser");
             assert!(step > 0 || settling(&rig) > 0.0);
         }
         rig.step();
@@ -339,22 +332,22 @@ fn rules_that_are_sent_again_and_again_put_no_force_limit_off() {
 
 /// `UPDATE_DOCS=1 cargo test guard` rewrites it.
 #[test]
-fn the_table_in_the_documentation_is_the_table_of_the_code() {
+fn the_documented_table_of_faults_agrees_with_the_code() {
     let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/faults.csv");
     if std::env::var_os("UPDATE_DOCS").is_some() {
         std::fs::write(&path, table()).expect("docs/faults.csv can be written");
     } else {
-        let committed = std::fs::read_to_string(&path).expect("docs/faults.csv is there");
+        let committed = std::fs::read_to_string(&path).expect("docs/faults.csv exists");
         assert_eq!(committed, table(), "run UPDATE_DOCS=1 cargo test guard");
     }
 }
 
-/// A board with this fault, a few steps after its cause.
+/// Returns a board with this fault, a few steps after its cause.
 fn provoked(fault: Fault) -> Rig {
     match origin(fault) {
         Origin::Step(prepare) => {
             let mut rig = prepare();
-            // A step of the polarity check is taken at the crest after the one that asked for it.
+            // A step of the polarity check acts one crest after its request.
             for _ in 0..3 {
                 if rig.state() != State::Fault {
                     rig.step();
@@ -362,7 +355,7 @@ fn provoked(fault: Fault) -> Rig {
             }
             rig
         }
-        Origin::Told => {
+        Origin::Reported => {
             let mut rig = Rig::armed();
             rig.told = Some((fault, None, 1.0));
             rig.step();
@@ -372,7 +365,7 @@ fn provoked(fault: Fault) -> Rig {
 }
 
 #[test]
-fn every_fault_can_be_provoked_and_is_named_as_itself() {
+fn every_fault_can_be_provoked_and_is_reported_as_itself() {
     for fault in Fault::ALL {
         let rig = provoked(*fault);
         assert_eq!(rig.fault(), Some(*fault), "{}", fault.name());
@@ -380,7 +373,7 @@ fn every_fault_can_be_provoked_and_is_named_as_itself() {
 }
 
 #[test]
-fn motors_are_off_in_the_very_period_of_any_fault() {
+fn motors_are_off_in_the_control_period_of_any_fault() {
     for fault in Fault::ALL {
         let rig = provoked(*fault);
         assert!(rig.motors_off(), "{}: {:?} {:?}", fault.name(), rig.outputs, rig.duties);
@@ -388,7 +381,7 @@ fn motors_are_off_in_the_very_period_of_any_fault() {
 }
 
 #[test]
-fn a_sudden_cause_needs_one_step_and_no_more() {
+fn a_sudden_cause_turns_the_motors_off_in_one_step() {
     let sudden = [
         Fault::EncoderJump,
         Fault::OverCurrent,
@@ -399,16 +392,16 @@ fn a_sudden_cause_needs_one_step_and_no_more() {
         Fault::JointLimit,
     ];
     for fault in sudden {
-        let Origin::Step(prepare) = origin(fault) else { panic!("{} is found by the step", fault.name()) };
+        let Origin::Step(prepare) = origin(fault) else { panic!("the step must find {}", fault.name()) };
         let mut rig = prepare();
-        assert!(rig.outputs.bridges, "{}: armed before", fault.name());
+        assert!(rig.outputs.bridges, "{}: must be armed before", fault.name());
         rig.step();
         assert!(rig.motors_off() && rig.state() == State::Fault, "{}", fault.name());
     }
 }
 
 #[test]
-fn a_fault_stays_when_its_cause_is_gone_and_the_first_one_is_told() {
+fn a_fault_outlasts_its_cause_and_the_first_one_is_reported() {
     for fault in Fault::ALL {
         let mut rig = provoked(*fault);
         let record = rig.control_loop.status().fault;
@@ -418,9 +411,9 @@ fn a_fault_stays_when_its_cause_is_gone_and_the_first_one_is_told() {
         rig.told = Some((Fault::SensorStale, None, 7.0));
         rig.step();
         assert!(rig.motors_off() && rig.state() == State::Fault, "{}", fault.name());
-        let told = rig.control_loop.status().fault;
+        let reported = rig.control_loop.status().fault;
         assert_eq!(
-            told.map(|r| (r.fault, r.axis, r.step)),
+            reported.map(|r| (r.fault, r.axis, r.step)),
             record.map(|r| (r.fault, r.axis, r.step)),
             "{}",
             fault.name()
@@ -443,7 +436,7 @@ fn clearing_ends_every_fault_and_leaves_the_motors_off() {
 }
 
 #[test]
-fn what_loses_counts_loses_homing_too() {
+fn faults_that_lose_counts_lose_homing_too() {
     for fault in
         [Fault::EncoderJump, Fault::EncoderLoss, Fault::EncoderIllegal, Fault::EncoderStall, Fault::IndexMismatch]
     {
@@ -452,31 +445,35 @@ fn what_loses_counts_loses_homing_too() {
     assert!(provoked(Fault::OverCurrent).control_loop.status().homed);
 }
 
-/// `cargo xtask faults` writes the injection of each fault in the image; a fault without an injector does not build
-/// there (emulator/src/inject.rs).
+/// `cargo xtask faults` writes the result of each injection into the image; a fault without an injector does not compile
+/// in emulator/src/inject.rs.
 #[test]
-fn every_fault_was_brought_about_in_the_image_or_it_says_why_it_cannot_be() {
+fn every_fault_was_injected_or_its_row_has_a_reason() {
     let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/results/faults.csv");
-    let text = std::fs::read_to_string(&path).expect("docs/results/faults.csv is there");
+    let text = std::fs::read_to_string(&path).expect("docs/results/faults.csv exists");
     for fault in Fault::ALL {
         let begin = format!("{},{},", fault.code(), fault.name());
         let mut rows = text.lines().filter_map(|line| line.strip_prefix(&begin));
-        let (Some(row), None) = (rows.next(), rows.next()) else { panic!("not one row of {}", fault.name()) };
-        // Commas stand in the first of the three cells alone.
+        let (Some(row), None) = (rows.next(), rows.next()) else { panic!("{} must have one row", fault.name()) };
+        // Only the first of the three cells contains commas.
         let mut cells = row.rsplitn(3, ',').map(str::trim);
         let [seen, cause, how] = std::array::from_fn(|_| cells.next().unwrap_or_default());
-        let told = match how.strip_prefix("not possible:") {
+        let complete = match how.strip_prefix("not possible:") {
             Some(why) => !why.trim().is_empty(),
             None => !how.is_empty() && !cause.is_empty() && !seen.is_empty(),
         };
-        assert!(told, "{row}");
+        assert!(complete, "incomplete row: {row}");
     }
-    assert_eq!(text.lines().count(), Fault::ALL.len() + 1, "a head, and a row each");
-    assert_eq!(text.lines().filter(|line| line.contains("not possible:")).count(), 1, "one more than EncoderIllegal");
+    assert_eq!(text.lines().count(), Fault::ALL.len() + 1, "a header and one row per fault");
+    assert_eq!(
+        text.lines().filter(|line| line.contains("not possible:")).count(),
+        1,
+        "only EncoderIllegal cannot be injected"
+    );
 }
 
 #[test]
-fn codes_and_names_are_unique_and_every_remedy_says_something() {
+fn codes_and_names_are_unique_and_every_fault_has_a_remedy() {
     for (i, fault) in Fault::ALL.iter().enumerate() {
         assert!(!fault.what().is_empty() && !fault.remedy().is_empty(), "{}", fault.name());
         for other in &Fault::ALL[..i] {

@@ -275,9 +275,7 @@ proptest! {
 
 /// Presses a paddle into a wall at 2.9 A of 3 A until it trips; 1 A may flow continuously.
 fn tripped_rig() -> Rig {
-    let mut rig = Rig::ready(&scene(1, &[wall(-0.005, 290.0)]));
-    rig.arm();
-    rig.turn(0, -0.15, 1.0);
+    let mut rig = Rig::pressing(290.0);
     rig.tremble(10.0);
     assert_eq!(rig.fault(), Some(Fault::ThermalBudget));
     rig
@@ -327,8 +325,7 @@ fn a_tighter_continuous_current_while_armed_prolongs_no_peak() {
         let mut rules = rules();
         rules.limits.continuous_current = [2.7; 3];
         let mut rig = Rig::with(&paddle(), &scene(1, &[wall(-0.005, 290.0)]), hardware(), rules);
-        rig.arm();
-        rig.turn(0, -0.15, 1.0);
+        rig.press_wall();
         let began = rig.control_loop.steps();
         while rig.fault().is_none() {
             rig.tremble(0.05);
@@ -369,14 +366,9 @@ fn a_hot_motor_cools_while_off_and_stays_hot_through_a_load() {
     let mut rig = tripped_rig();
     rig.execute(Command::Clear).unwrap();
     rig.turn(0, 0.0, 1.0);
-    rig.load(&paddle(), &scene(1, &[wall(-0.005, 290.0)]), false).unwrap();
-    rig.settle();
-    rig.execute(Command::Home).unwrap();
-    rig.settle();
-    rig.execute(Command::PolarityKnown).unwrap();
+    rig.prepare(&paddle(), &scene(1, &[wall(-0.005, 290.0)]));
     let press = |rig: &mut Rig, seconds: f32| {
-        rig.arm();
-        rig.turn(0, -0.15, 1.0);
+        rig.press_wall();
         rig.tremble(seconds);
     };
     press(&mut rig, 0.5);
@@ -395,13 +387,8 @@ fn a_hot_motor_cools_while_off_and_stays_hot_through_a_load() {
 fn pressing_time(heat: Heat) -> f32 {
     let mut rig = Rig::bare(hardware(), rules());
     rig.control_loop.start_heat([heat; 3]);
-    rig.load(&paddle(), &scene(1, &[wall(-0.005, 290.0)]), false).unwrap();
-    rig.settle();
-    rig.execute(Command::Home).unwrap();
-    rig.settle();
-    rig.execute(Command::PolarityKnown).unwrap();
-    rig.arm();
-    rig.turn(0, -0.15, 1.0);
+    rig.prepare(&paddle(), &scene(1, &[wall(-0.005, 290.0)]));
+    rig.press_wall();
     let began = rig.control_loop.frame().step;
     rig.tremble(10.0);
     assert_eq!(rig.fault(), Some(Fault::ThermalBudget));

@@ -9,7 +9,9 @@ use haptic_bridge::control::host_force::{
 };
 use haptic_bridge::control::joints::Torques;
 use haptic_bridge::control::{Command, HostAction, Rules};
+use haptic_bridge::render::scene::Wall;
 use haptic_bridge::safety::fault::{Fault, State};
+use haptic_bridge::safety::limits::Limits;
 use nalgebra::Vector2;
 
 /// Rounding error of a torque that is converted to a current and back, N m.
@@ -41,11 +43,10 @@ fn poll(rig: &mut Rig) -> ForceAnswer {
 
 #[test]
 fn a_host_force_is_scaled_to_the_tip_force_limit() {
-    let gentle =
-        Rules { limits: haptic_bridge::safety::limits::Limits { tip_force: 1.0, ..rules().limits }, ..rules() };
+    let gentle = Rules { limits: Limits { tip_force: 1.0, ..rules().limits }, ..rules() };
     let tip = poll(&mut armed_rig()).tip;
     // A wall 1 mm deep at the tip that pushes with 0.6 N along x.
-    let bilateral = haptic_bridge::render::scene::Wall { bilateral: true, ..wall(tip[0] + 1.0e-3, 600.0) };
+    let bilateral = Wall { bilateral: true, ..wall(tip[0] + 1.0e-3, 600.0) };
     for (walls, push, size) in
         [(&[][..], 0.0, 0.25), (&[], 0.0, 0.02), (&[], 0.7, 0.2), (&[bilateral], 0.0, 0.2), (&[bilateral], 0.5, 0.1)]
     {
@@ -75,10 +76,7 @@ fn a_lowered_tip_force_limit_acts_at_the_next_step_and_in_fades() {
     let mut rig = armed_rig();
     let request = ForceRequest { hold: 0.02, fade: 0.02, torque: [0.2, -0.1, 0.0], ..request(1) };
     assert_eq!(rig.control_loop.force(&request).done, ForceDone::Taken);
-    let force = |rig: &Rig| {
-        let frame = rig.control_loop.frame();
-        force_at_tip(&frame.at.q, Vector2::new(frame.motors.torque[0], frame.motors.torque[1]).map(f64::from)).norm()
-    };
+    let force = |rig: &Rig| rig.tip_force().norm();
     rig.step();
     assert!(force(&rig) > 2.0, "{} N", force(&rig));
     for (nth, limit) in [1.5_f32, 0.5].into_iter().enumerate() {
@@ -107,7 +105,7 @@ fn a_request_is_held_then_fades_evenly_and_ends() {
         rig.step();
         let age = step as f32 * period;
         let share = ((0.03 - age) / 0.02).clamp(0.0, 1.0);
-        let now = rig.control_loop.frame().motors.torque[0];
+        let now = rig.torques()[0];
         // The period of a step is rounded, and ages are sums of periods.
         assert!((now - 0.2 * share).abs() < 0.2 * 1.0e-3, "{now} at {age} s");
         let most = 0.2 * period / 0.02 * 1.001;
@@ -119,7 +117,7 @@ fn a_request_is_held_then_fades_evenly_and_ends() {
         let ending = (age - 0.03).abs() < 0.5 * period;
         assert!(ending || answer.age.is_some() == (age < 0.03), "{age} s: {answer:?}");
     }
-    assert_eq!(rig.control_loop.frame().motors.torque, Torques::default());
+    assert_eq!(rig.torques(), Torques::default());
     assert_eq!(rig.state(), State::Armed);
 }
 
@@ -132,14 +130,14 @@ fn a_late_request_has_only_the_rest_of_its_lease() {
     let half = ForceRequest { seen: Some(seen), ..torque(1, 0.2) };
     assert_eq!(rig.control_loop.force(&half).done, ForceDone::Taken);
     rig.step();
-    let now = rig.control_loop.frame().motors.torque[0];
+    let now = rig.torques()[0];
     let share = (0.03 - 0.02 - 1.0 / RATE) / 0.02;
     assert!((now - 0.2 * share).abs() < 1.0e-4, "{now}");
     rig.run(0.02);
     let answer = rig.control_loop.force(&ForceRequest { sequence: 2, ..half });
     assert_eq!((answer.done, answer.age), (ForceDone::TooOld, None));
     rig.step();
-    assert_eq!(rig.control_loop.frame().motors.torque, Torques::default());
+    assert_eq!(rig.torques(), Torques::default());
     let future = ForceRequest { seen: Some(answer.step + 10), ..torque(3, 0.2) };
     assert_eq!(rig.control_loop.force(&future).done, ForceDone::Bad(BadForce::Seen));
 }
@@ -152,12 +150,12 @@ fn repeated_and_reordered_requests_change_nothing() {
         let answer = rig.control_loop.force(&torque(old, 0.2));
         assert_eq!((answer.sequence, answer.done), (old, ForceDone::NotNewer));
         rig.step();
-        assert!((rig.control_loop.frame().motors.torque[0] - 0.1).abs() < ROUNDING);
+        assert!((rig.torques()[0] - 0.1).abs() < ROUNDING);
     }
     // The sequence number wraps.
     assert_eq!(rig.control_loop.force(&torque(0, 0.2)).done, ForceDone::Taken);
     rig.step();
-    assert!((rig.control_loop.frame().motors.torque[0] - 0.2).abs() < ROUNDING);
+    assert!((rig.torques()[0] - 0.2).abs() < ROUNDING);
     // Another host program may use any sequence number once the last lease has ended.
     rig.run(0.05);
     assert_eq!(rig.control_loop.force(&torque(u32::MAX - 7, 0.1)).done, ForceDone::Taken);
@@ -175,7 +173,7 @@ fn lost_requests_are_bridged_while_the_last_one_is_held() {
         }
         rig.step();
         rig.step();
-        let now = rig.control_loop.frame().motors.torque[0];
+        let now = rig.torques()[0];
         assert!((now - 0.1).abs() < ROUNDING, "{now} after {millisecond} ms");
     }
 }
@@ -221,7 +219,7 @@ fn invalid_numbers_are_refused_and_leave_the_present_force() {
         assert_eq!(answer.done, ForceDone::Bad(reason), "{request:?}");
         assert!(answer.done.to_string().contains("not taken"), "{}", answer.done);
         rig.step();
-        assert!((rig.control_loop.frame().motors.torque[0] - 0.1).abs() < ROUNDING, "{request:?}");
+        assert!((rig.torques()[0] - 0.1).abs() < ROUNDING, "{request:?}");
     }
 }
 
@@ -241,7 +239,7 @@ fn the_largest_accepted_numbers_are_harmless() {
     assert_eq!(answer.done, ForceDone::Taken);
     for _ in 0..100 {
         rig.step();
-        assert!(rig.control_loop.frame().motors.torque.iter().all(|torque| torque.abs() <= 0.3 * (1.0 + ROUNDING)));
+        assert!(rig.torques().iter().all(|torque| torque.abs() <= 0.3 * (1.0 + ROUNDING)));
     }
     assert_eq!(rig.state(), State::Armed);
 }
@@ -257,7 +255,7 @@ fn only_armed_motors_take_force_and_turning_them_off_ends_it() {
         rig.arm();
         assert_eq!(rig.control_loop.force(&force(1, 1.0, 0.0)).done, ForceDone::Taken);
         rig.step();
-        assert_ne!(rig.control_loop.frame().motors.torque, Torques::default());
+        assert_ne!(rig.torques(), Torques::default());
         if by_fault {
             rig.control_loop.trip(Fault::GateDriver, None, 0.0);
         } else {
@@ -272,7 +270,7 @@ fn only_armed_motors_take_force_and_turning_them_off_ends_it() {
         rig.execute(Command::Arm).unwrap();
         for _ in 0..20 {
             rig.step();
-            assert_eq!(rig.control_loop.frame().motors.torque, Torques::default());
+            assert_eq!(rig.torques(), Torques::default());
         }
         rig.execute(Command::Disarm).unwrap();
     }
@@ -310,7 +308,7 @@ fn walls_and_host_are_scaled_by_the_same_share_at_a_limit() {
     // A bilateral wall facing +x pushes the tip, 1 mm deep, with 2 N. The host requests 12 N across.
     let mut rig = armed_rig();
     let tip = poll(&mut rig).tip;
-    let bilateral = haptic_bridge::render::scene::Wall { bilateral: true, ..wall(tip[0] + 1.0e-3, 2_000.0) };
+    let bilateral = Wall { bilateral: true, ..wall(tip[0] + 1.0e-3, 2_000.0) };
     let mut rig = Rig::with(&five_bar(), &scene(2, &[bilateral]), hardware(), rules());
     rig.arm();
     rig.control_loop.force(&force(1, 0.0, 12.0));

@@ -1,7 +1,7 @@
 //! The model of a motor finds faults (wrong current sensors, open windings) and accepts sound motors: warm windings,
 //! missing sensors, encoders at rest.
 
-use crate::rig::{RATES, Rig, hardware, paddle, quiet, rules, scene, wall};
+use crate::rig::{RATES, Rig, at_rate, hardware, paddle, quiet, rules, scene, wall};
 use haptic_bridge::control::Command;
 use haptic_bridge::safety::fault::{Fault, State};
 
@@ -23,11 +23,7 @@ fn worst_current(rig: &mut Rig) -> (f32, Option<Fault>) {
 fn a_wrong_current_sensor_does_not_let_the_motor_pass_its_limit() {
     for rate in RATES {
         for shown in [0.0_f32, 1.0, -2.0] {
-            let mut scene = scene(1, &[wall(-0.005, 250.0)]);
-            (scene.rate_hz, scene.cutoff_hz) = (rate, 0.2 * rate);
-            let mut rig = Rig::ready(&scene);
-            rig.arm();
-            rig.turn(0, -0.15, 1.0);
+            let mut rig = Rig::pressing_in(&at_rate(rate, scene(1, &[wall(-0.005, 250.0)])));
             rig.shown_current = Some(shown);
             let (most, fault) = worst_current(&mut rig);
             assert_eq!(fault, Some(Fault::MotorModel), "{shown} A at {rate} Hz");
@@ -40,11 +36,7 @@ fn a_wrong_current_sensor_does_not_let_the_motor_pass_its_limit() {
 #[test]
 fn an_open_winding_is_found_when_it_should_carry_current() {
     for rate in RATES {
-        let mut scene = scene(1, &[wall(-0.005, 250.0)]);
-        (scene.rate_hz, scene.cutoff_hz) = (rate, 0.2 * rate);
-        let mut rig = Rig::ready(&scene);
-        rig.arm();
-        rig.turn(0, -0.15, 1.0);
+        let mut rig = Rig::pressing_in(&at_rate(rate, scene(1, &[wall(-0.005, 250.0)])));
         rig.resistance = f32::INFINITY;
         let (_, fault) = worst_current(&mut rig);
         assert_eq!(fault, Some(Fault::MotorModel), "{rate} Hz");
@@ -56,9 +48,7 @@ fn a_sound_motor_never_trips() {
     // Hot and cold windings that hit and leave walls at speed, at every rate.
     for rate in RATES {
         for resistance in [1.7, 2.0, 2.8] {
-            let mut scene = scene(1, &[wall(-0.005, 250.0)]);
-            (scene.rate_hz, scene.cutoff_hz) = (rate, 0.2 * rate);
-            let mut rig = Rig::ready(&scene);
+            let mut rig = Rig::ready(&at_rate(rate, scene(1, &[wall(-0.005, 250.0)])));
             rig.resistance = resistance;
             rig.arm();
             for (angle, speed) in [(-0.15, 8.0), (0.5, 8.0), (-0.12, 15.0), (-0.14, 0.5), (0.2, 15.0)] {

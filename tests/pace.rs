@@ -9,8 +9,7 @@ const RATES: [u32; 4] = [200, 1_000, 5_000, 20_000];
 const CHECK_US: u64 = 20_000;
 
 /// Returns the first verdict against a loop that runs at `share` of its rate, and the number of checks until then,
-/// within
-/// 500 checks (10 s).
+/// within 500 checks (10 s).
 fn verdict(rate: u32, share: f64, excused: bool, jitter: impl Fn(u64) -> u64) -> Option<(Verdict, u64)> {
     let mut pace = Pace::new(rate);
     let (mut before, mut time) = (0, 0);

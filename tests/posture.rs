@@ -2,28 +2,21 @@
 //!
 //! The oracle solves M q̈ + c + g = τ with the controller's torque by elimination.
 
-use crate::common::{device_file, inverse};
-use core::f64::consts::TAU;
+use crate::common::{bilateral_wall, device_file, fine_counts, inverse, with_fine_encoders};
 use haptic_bridge::math::Libm;
-use haptic_bridge::model::description::{Description, Encoder};
+use haptic_bridge::model::description::Description;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism, Serial3r};
 use haptic_bridge::render::controller::Controller;
 use haptic_bridge::render::scene::{FeedForward, Plane, Posture, Scene, SceneError, Surface, Wall};
 use nalgebra::Vector3;
 
-const COUNTS_PER_TURN: f64 = 1.0e9;
 const RATE: f64 = 20_000.0;
 
 type Steps = Controller<f64, Serial3r<f64>, Libm, 3>;
 
 fn shipped(name: &str) -> Description {
-    let mut description = device_file::shipped(name);
-    description.gravity = [0.0; 3];
-    for joint in &mut description.joints {
-        joint.encoder = Some(Encoder { counts_per_turn: COUNTS_PER_TURN, offset: 0.0, inverted: false });
-    }
-    description
+    Description { gravity: [0.0; 3], ..with_fine_encoders(device_file::shipped(name)) }
 }
 
 fn arm() -> (Serial3r<f64>, Device<f64>) {
@@ -36,15 +29,11 @@ fn scene(posture: Option<Posture<f64>>) -> Scene<f64> {
     Scene { task: 2, rate_hz: RATE, cutoff_hz: 2_000.0, posture, ..Scene::default() }
 }
 
-fn counts(q: &Vector3<f64>) -> [i32; 3] {
-    core::array::from_fn(|i| (q[i] / TAU * COUNTS_PER_TURN).round() as i32)
-}
-
 /// Returns the torques after a steady motion through `q` at `qd`.
 fn torque(scene: &Scene<f64>, q: &Vector3<f64>, qd: &Vector3<f64>) -> Vector3<f64> {
     let (arm, device) = arm();
     let mut steps = Steps::new(arm, &device, scene).expect("a sound scene");
-    (-80..=0).map(|k| steps.step(&counts(&(q + qd * (f64::from(k) / RATE)))).torque).last().expect("steps")
+    (-80..=0).map(|k| steps.step(&fine_counts(&(q + qd * (f64::from(k) / RATE)))).torque).last().expect("steps")
 }
 
 /// By virtual work with φ = q₀ + q₁ + q₂, a moment f on the last link is the torque f at every joint, in any pose.
@@ -71,7 +60,7 @@ fn a_free_arm_comes_to_rest() {
         let (mut q, mut qd) = (Vector3::new(0.3, 1.2, 0.6), Vector3::new(0.3, -0.2, 0.0));
         let viscous = Vector3::from(device.joints.map(|joint| joint.viscous));
         for _ in 0..(20.0 * RATE) as usize {
-            let step = steps.step(&counts(&q));
+            let step = steps.step(&fine_counts(&q));
             let pose = arm.pose::<Libm>(&q);
             let moving = step.torque - viscous.component_mul(&qd) - arm.coriolis(&pose, &qd);
             qd += inverse(&arm.mass(&pose)) * moving / RATE;
@@ -88,13 +77,10 @@ fn an_arm_that_presses_a_wall_reaches_and_keeps_its_posture() {
     let pose = arm.pose::<Libm>(&start);
     let (tip, normal) = (arm.tip(&pose), [0.6, 0.8, 0.0]);
     let wall = |feed_forward| Wall {
-        surface: Surface::Plane(Plane { point: [tip[0], tip[1], 0.0], normal }),
-        stiffness: 3_000.0,
         damping: 30.0,
         feed_forward,
-        washout_hz: 2.0,
-        damping_compensation: false,
         bilateral: false,
+        ..bilateral_wall(Surface::Plane(Plane { point: [tip[0], tip[1], 0.0], normal }), 3_000.0)
     };
     // The full feed-forward is left out, because (4) itself pushes a resting arm along its null motion.
     for feed_forward in [FeedForward::Off, FeedForward::Washout] {
@@ -105,7 +91,7 @@ fn an_arm_that_presses_a_wall_reaches_and_keeps_its_posture() {
         // A hand presses with 6 N, prevents sliding along the wall, and damps the tip.
         let hand = Vector3::new(-0.6, -0.8, 0.0) * 6.0;
         for _ in 0..(3.0 * RATE) as usize {
-            let step = steps.step(&counts(&q));
+            let step = steps.step(&fine_counts(&q));
             let pose = arm.pose::<Libm>(&q);
             let jacobian = arm.jacobian(&pose);
             let (away, rate) = (arm.tip(&pose) - tip, jacobian * qd);

@@ -470,8 +470,7 @@ fn after_the_start_a_read_needs_no_search_and_no_write() {
 }
 
 /// A read does not repair damage after the start: neither entries, nor sectors that have an end mark without a start
-/// mark,
-/// which a start would erase.
+/// mark, which a start would erase.
 #[test]
 fn a_read_does_not_repair_damage_after_the_start() {
     let mut buffer = [0; LONGEST_STORED];

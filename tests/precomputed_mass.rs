@@ -17,8 +17,7 @@ fn mechanism(name: &str) -> AnyMechanism<f64> {
 }
 
 /// Returns the largest difference of M E between a table and the closed form, relative to the largest entry, on a grid
-/// of
-/// 63 x 63 poses around home. The grid includes the centres of all cells of 4 x 4 and of 8 x 8 cells.
+/// of 63 x 63 poses around home. The grid includes the centres of all cells of 4 x 4 and of 8 x 8 cells.
 fn worst_error<M: Mechanism<f64, N>, const N: usize>(
     mechanism: &M,
     home: &[f64; 3],

@@ -1,5 +1,6 @@
 //! The record contains the requested wall force, the rendered force, and the motors that saturated.
 
+use crate::rig::statics::{force_at_tip, tip};
 use crate::rig::{COUNTS, RATE, Rig, five_bar, hardware, rules, scene, wall};
 use haptic_bridge::control::frame::{Motors, StepRecord};
 use haptic_bridge::control::{Command, Rules};
@@ -7,6 +8,7 @@ use haptic_bridge::render::controller::Gains;
 use haptic_bridge::render::scene::{FeedForward, Plane, Surface};
 use haptic_bridge::render::velocity::Washout;
 use haptic_bridge::safety::limits::Limits;
+use nalgebra::Vector2;
 
 /// Presses a paddle of 0.1 m `depth` (m) into a wall of 1 kN/m at -0.05 m. Its motor may make 0.3 N m, which is 3 N.
 fn pressed_paddle(depth: f64) -> Rig {
@@ -61,37 +63,6 @@ fn the_rendered_force_is_zero_when_off_and_reduced_in_the_ramp() {
     assert!(ramp.motors.rendered_force < 0.2 * ramp.at.walls.wall_force, "{ramp:?}");
 }
 
-/// Computes the tip (m) of `five_bar` at two joint angles (rad) from the circles around its elbows.
-fn tip(q: [f64; 2]) -> [f64; 2] {
-    let c = [-0.025 + 0.07 * q[0].cos(), 0.07 * q[0].sin()];
-    let d = [0.025 + 0.07 * q[1].cos(), 0.07 * q[1].sin()];
-    let (dx, dy) = (d[0] - c[0], d[1] - c[1]);
-    let half = 0.5 * dx.hypot(dy);
-    let height = (0.09_f64.powi(2) - half * half).sqrt() / (2.0 * half);
-    [0.5 * (c[0] + d[0]) - dy * height, 0.5 * (c[1] + d[1]) + dx * height]
-}
-
-/// Computes the force (N) along `n` of joint torques (N m) on a fixed tip: n·F with τ = Jᵀ F.
-fn static_force(q: [f64; 2], n: [f64; 2], torque: [f64; 2]) -> f64 {
-    let h = 1e-6;
-    let mut j = [[0.0; 2]; 2];
-    for k in 0..2 {
-        let (mut high, mut low) = (q, q);
-        high[k] += h;
-        low[k] -= h;
-        let (high, low) = (tip(high), tip(low));
-        for i in 0..2 {
-            j[i][k] = (high[i] - low[i]) / (2.0 * h);
-        }
-    }
-    let determinant = j[0][0] * j[1][1] - j[0][1] * j[1][0];
-    let force = [
-        (j[1][1] * torque[0] - j[1][0] * torque[1]) / determinant,
-        (j[0][0] * torque[1] - j[0][1] * torque[0]) / determinant,
-    ];
-    n[0] * force[0] + n[1] * force[1]
-}
-
 #[test]
 fn with_two_joints_it_is_the_static_force_of_the_torques() {
     for feed_forward in [FeedForward::Off, FeedForward::Full] {
@@ -113,8 +84,8 @@ fn with_two_joints_it_is_the_static_force_of_the_torques() {
             let frame = rig.control_loop.frame();
             // Angles from the counts: 2.4 and 0.7 rad at home.
             let angle = |i: usize| f64::from(frame.counts[i]) / COUNTS * core::f64::consts::TAU + [2.4, 0.7][i];
-            let torque = [f64::from(frame.motors.torque[0]), f64::from(frame.motors.torque[1])];
-            let expected = static_force([angle(0), angle(1)], n, torque);
+            let torque = Vector2::new(frame.motors.torque[0], frame.motors.torque[1]).map(f64::from);
+            let expected = force_at_tip(&[angle(0) as f32, angle(1) as f32, 0.0], torque).dot(&Vector2::from(n));
             let got = f64::from(frame.motors.rendered_force);
             if frame.motors.rendered_force < 0.999 * frame.at.walls.wall_force {
                 assert_eq!((frame.saturation(0), frame.saturation(1)), (1, 1), "one factor reduces both: {frame:?}");

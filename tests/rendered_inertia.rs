@@ -4,31 +4,17 @@
 //! The oracle solves M q̈ + c + g = τ with the controller's torque, and computes inertias from J and M by elimination.
 //! It does not use the library's inertia module.
 
-use crate::common::{device_file, inverse};
+use crate::common::{bilateral_wall, device_file, fine_counts, inverse, with_fine_encoders};
 use haptic_bridge::math::Libm;
-use haptic_bridge::model::description::{Description, Encoder};
+use haptic_bridge::model::description::Description;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
 use haptic_bridge::render::controller::Controller;
-use haptic_bridge::render::scene::{
-    Admissible, FeedForward, Plane, Scene, SceneError, Sphere, Surface, VelocityTerms, Wall,
-};
+use haptic_bridge::render::scene::{Admissible, Plane, Scene, SceneError, Sphere, Surface, VelocityTerms};
 use haptic_bridge::with_mechanism;
 use nalgebra::SVector;
 
-/// Counts per turn, fine enough that quantisation does not matter.
-const COUNTS_PER_TURN: f64 = 1.0e9;
 const RATE: f64 = 50_000.0;
-
-/// Reads a shipped device and removes gravity, so that only the walls' forces act.
-fn shipped(name: &str) -> Description {
-    let mut description = device_file::shipped(name);
-    description.gravity = [0.0; 3];
-    for joint in &mut description.joints {
-        joint.encoder = Some(Encoder { counts_per_turn: COUNTS_PER_TURN, offset: 0.0, inverted: false });
-    }
-    description
-}
 
 /// A shipped device, its pose (rad), joint velocities (rad/s), and the normal of a wall.
 type Case = (&'static str, [f64; 3], [f64; 3], [f64; 3]);
@@ -39,19 +25,6 @@ const CASES: [Case; 4] = [
     ("phantom-premium-1.5", [0.3, 0.9, -0.3], [1.5, -0.7, 1.2], [0.36, 0.48, 0.8]),
     ("serial-3r", [0.5, 0.8, 0.7], [1.0, -0.8, 1.3], [0.6, 0.8, 0.0]),
 ];
-
-/// Returns a bilateral wall with this surface.
-fn wall(surface: Surface<f64>) -> Wall<f64> {
-    Wall {
-        surface,
-        stiffness: 300.0,
-        damping: 0.0,
-        feed_forward: FeedForward::Full,
-        washout_hz: 2.0,
-        damping_compensation: false,
-        bilateral: true,
-    }
-}
 
 /// The effect of one controller step on the device.
 struct Outcome {
@@ -91,14 +64,12 @@ fn outcome(
         let tip = m.tip(&pose);
         let surface = surface(core::array::from_fn(|i| if i < task { tip[i] } else { 0.0 }), task);
         let mut scene = Scene { task: task as u8, rate_hz: RATE, cutoff_hz: 5_000.0, ..Scene::default() };
-        scene.walls.push(wall(surface)).expect("room");
+        scene.walls.push(bilateral_wall(surface, 300.0)).expect("room");
         with(&mut scene);
         let mut controller = Controller::<f64, M, Libm, N>::new(m, device, &scene).expect("a sound scene");
         // A steady motion through the pose, long enough for the joint filters to settle.
-        let counts = |k: i32| {
-            (q + qd * (f64::from(k) / RATE)).map(|a| (a / core::f64::consts::TAU * COUNTS_PER_TURN).round() as i32)
-        };
-        let step = (-60..=0).map(|k| controller.step(&core::array::from_fn(|i| counts(k)[i]))).last().expect("steps");
+        let last = (-60..=0).map(|k| controller.step(&fine_counts(&(q + qd * (f64::from(k) / RATE))))).last();
+        let step = last.expect("steps");
 
         let (jacobian, rate, mass) = (m.jacobian(&pose), m.jacobian_rate(&pose, &qd), m.mass(&pose));
         let bias = m.coriolis(&pose, &qd);
@@ -128,7 +99,8 @@ fn outcome(
             null_torque: null.dot(&step.torque),
         }
     }
-    let description = shipped(name);
+    // Without gravity only the walls' forces act.
+    let description = Description { gravity: [0.0; 3], ..with_fine_encoders(device_file::shipped(name)) };
     let device = Device::<f64>::new("test", &description).expect("a sound device");
     let mechanism = AnyMechanism::<f64>::new(&description).expect("a sound device");
     with_mechanism!(&mechanism, m => run(*m, &device, q, qd, &surface, &with))
@@ -211,7 +183,7 @@ fn a_gain_beyond_its_limits_is_refused() {
     let scene = |gain, walls: usize| {
         let mut scene = Scene::<f64> { task: 2, feed_forward_gain: gain, ..Scene::default() };
         for _ in 0..walls {
-            scene.walls.push(wall(flat([0.6, 0.8, 0.0])([0.0; 3], 2))).expect("room");
+            scene.walls.push(bilateral_wall(flat([0.6, 0.8, 0.0])([0.0; 3], 2), 300.0)).expect("room");
         }
         scene.check(2)
     };

@@ -1,8 +1,8 @@
-//! Every request of the protocol in every state of a board, through the dispatcher as the link calls it: what is
-//! answered, what is refused and with which words, and that a refused request changes nothing.
+//! Every request of the protocol in every state of a board, through the dispatcher as the link calls it: its reply or its
+//! refusal with the reason. A refused request changes nothing.
 //!
-//! The board of tests/rig/board.rs checks after each of them what no request may change: no torque but when armed,
-//! limits kept, none raised while the motors are on, no flash written and no timer set while they are.
+//! After each request the board of tests/rig/board.rs asserts the safety invariants: no torque unless the motors are on,
+//! and no limit raised, no flash written and no timer set while they are on.
 
 use crate::rig::board::{Board, frame};
 use crate::rig::{self, device, five_bar};
@@ -23,10 +23,10 @@ use postcard_rpc::Endpoint;
 use postcard_rpc::header::VarHeader;
 use postcard_rpc::standard_icd::WireError;
 
-/// The states a board can be in, as a tool meets them.
+/// State of a board.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Now {
-    /// Fresh from the factory.
+    /// New, without settings.
     Bare,
     /// Device and scene, motors that are not real.
     Ready,
@@ -60,7 +60,7 @@ fn board(now: Now) -> Board {
     board
 }
 
-/// Rules with every limit at this share of the board's own.
+/// Returns rules with every limit at this share of the board's own limit.
 fn rules(share: f32) -> Rules {
     let most = Limits::default();
     let limits = Limits {
@@ -80,7 +80,7 @@ fn gains(wall: u8, stiffness: f32) -> GainsRequest {
     GainsRequest { wall: Some(gains), estimator: None }
 }
 
-/// A request as the board is asked it.
+/// A function that sends a request to the board.
 type Ask = fn(&mut Board) -> Result<(), Refusal>;
 
 macro_rules! ask {
@@ -88,14 +88,14 @@ macro_rules! ask {
         ask!($Endpoint, ())
     };
     ($Endpoint:ident, $request:expr) => {
-        |board| board.ask::<$Endpoint>(&$request).expect("understood")
+        |board| board.ask::<$Endpoint>(&$request).expect("a reply")
     };
 }
 
-/// A request by name, and its answer in each of [`STATES`].
+/// A request by name, and its reply in each of [`STATES`].
 type RequestCase = (&'static str, Ask, [Result<(), Refusal>; 6]);
 
-/// The tool that changes settings here.
+/// Session of the tool that changes settings here.
 const SESSION: u32 = 4;
 
 fn commit(keys: &[Key]) -> Commit {
@@ -103,26 +103,26 @@ fn commit(keys: &[Key]) -> Commit {
 }
 
 fn staged<S: settings::Setting>(board: &mut Board, value: &S) -> Result<(), Refusal> {
-    let entry = settings::encode(value).expect("it fits");
-    board.ask::<StageEntry>(&WriteEntry { session: SESSION, key: S::KEY, entry }).expect("understood")
+    let entry = settings::encode(value).expect("the value fits an entry");
+    board.ask::<StageEntry>(&WriteEntry { session: SESSION, key: S::KEY, entry }).expect("a reply")
 }
 
 fn restore_rules(board: &mut Board) -> Result<(), Refusal> {
     staged(board, &rules(0.5))?;
-    board.ask::<CommitEntries>(&commit(&[Key::Rules])).expect("understood")
+    board.ask::<CommitEntries>(&commit(&[Key::Rules])).expect("a reply")
 }
 
-/// A tool's message of its key that is down now.
+/// Returns the message of a tool whose key is pressed now.
 fn press(board: &mut Board) -> Press {
-    Press { holder: SESSION, seen: board.ask::<Heartbeat>(&Beat::Here).expect("understood") }
+    Press { holder: SESSION, seen: board.ask::<Heartbeat>(&Beat::Here).expect("a reply") }
 }
 
 fn arm_held(board: &mut Board) -> Result<(), Refusal> {
     let press = press(board);
-    board.ask::<ArmHeld>(&press).expect("understood")
+    board.ask::<ArmHeld>(&press).expect("a reply")
 }
 
-/// The board's refusal of [`rules`] with a share above 1: the first number of the first limit.
+/// Returns the board's refusal of [`rules`] with a share above 1, which names the first entry of the first limit.
 fn too_high(share: f32) -> Refusal {
     let value = share * Limits::default().torque[0];
     Refusal::BadLimit(BadLimit { limit: Limit::Torque, joint: Some(0), value, least: 0.0, most: 5.0 })
@@ -151,12 +151,12 @@ fn table() -> Vec<RequestCase> {
         ("mass model", ask!(SetMassModel, MassModelData::Exact), while_off),
         ("table", ask!(SendTable, TableChunk { offset: 0, values: [1.0].into_iter().collect() }), while_off),
         (
-            "table that does not go on from here",
+            "table with a gap",
             ask!(SendTable, TableChunk { offset: 1, values: [1.0].into_iter().collect() }),
             [Err(BadTable), Err(BadTable), Err(BadTable), Err(On), Err(On), Err(BadTable)],
         ),
         ("gains", ask!(SetGains, gains(0, 300.0)), [Err(NoDevice), ok, ok, ok, ok, ok]),
-        ("rules as they are", ask!(SetRules, rules(1.0)), always),
+        ("unchanged rules", ask!(SetRules, rules(1.0)), always),
         ("lower limits", ask!(SetRules, rules(0.5)), always),
         ("limits above the board's", ask!(SetRules, rules(1.01)), [Err(too_high(1.01)); 6]),
         ("save", ask!(Save), while_off),
@@ -169,13 +169,13 @@ fn table() -> Vec<RequestCase> {
             while_off,
         ),
         (
-            "stage what is damaged",
+            "stage a damaged setting",
             ask!(StageEntry, WriteEntry { session: SESSION, key: Key::Rules, entry: [1, 2, 3].into_iter().collect() }),
             [Refusal::BadEntry, Refusal::BadEntry, Refusal::BadEntry, On, On, Refusal::BadEntry].map(Err),
         ),
         ("restore", restore_rules, while_off),
         (
-            "restore what was not staged",
+            "restore a setting that was not staged",
             ask!(CommitEntries, Commit { session: SESSION + 1, ..commit(&[Key::Rules]) }),
             [Refusal::BadEntry, Refusal::BadEntry, Refusal::BadEntry, On, On, Refusal::BadEntry].map(Err),
         ),
@@ -186,7 +186,7 @@ fn table() -> Vec<RequestCase> {
     ]
 }
 
-/// Everything that a tool can read back.
+/// Returns all settings that a tool can read.
 fn configuration(board: &mut Board) -> (Option<DeviceData>, Option<SceneData>, Rules, Vec<MaybeEntry>) {
     let entries = Key::ALL.map(|key| board.ask::<ReadEntry>(&key).unwrap()).to_vec();
     let device = board.ask::<GetDevice>(&()).unwrap();
@@ -194,7 +194,7 @@ fn configuration(board: &mut Board) -> (Option<DeviceData>, Option<SceneData>, R
 }
 
 #[test]
-fn every_request_in_every_state_is_done_or_refused_for_the_right_reason() {
+fn every_request_in_every_state_has_the_right_reply() {
     for (name, ask, answers) in table() {
         for (now, expected) in STATES.into_iter().zip(answers) {
             let mut board = board(now);
@@ -212,7 +212,7 @@ fn every_request_in_every_state_is_done_or_refused_for_the_right_reason() {
 }
 
 #[test]
-fn what_only_asks_is_answered_in_every_state_and_changes_none() {
+fn reading_requests_change_no_state() {
     for now in STATES {
         let mut board = board(now);
         let before = (configuration(&mut board), board.state());
@@ -220,16 +220,16 @@ fn what_only_asks_is_answered_in_every_state_and_changes_none() {
         board.ask::<GetDetails>(&()).unwrap();
         board.ask::<GetFaults>(&()).unwrap();
         board.ask::<Heartbeat>(&Beat::Here).unwrap();
-        // Of no force, with no time to live.
+        // No force, and a lease of no time.
         board.ask::<Force>(&ForceRequest::default()).unwrap();
         assert_eq!(board.ask::<GetStatus>(&()).unwrap().state, before.1);
         assert_eq!((configuration(&mut board), board.state()), before, "{now:?}");
     }
 }
 
-/// A board readies its gate drivers only for what the control loop will not refuse, so it asks before.
+/// A board prepares its gate drivers only if the control loop will not refuse to arm, so it asks first.
 #[test]
-fn whether_it_may_be_armed_is_answered_as_arming_is_and_changes_nothing() {
+fn asking_to_arm_has_the_reply_of_arming_and_changes_nothing() {
     fn not_yet(press: Press) -> Press {
         Press { seen: press.seen + 1, ..press }
     }
@@ -250,19 +250,19 @@ fn whether_it_may_be_armed_is_answered_as_arming_is_and_changes_nothing() {
     }
 }
 
-/// The endpoints of this board; the list also holds those that postcard-rpc brings and this board does not serve.
+/// Returns the endpoints of this board, without those of postcard-rpc, which the board does not serve.
 fn own_endpoints() -> impl Iterator<Item = (&'static str, postcard_rpc::Key)> {
     ENDPOINTS.endpoints.iter().map(|(path, key, _)| (*path, *key)).filter(|(path, _)| path.starts_with("haptic/"))
 }
 
 #[test]
-fn the_table_above_leaves_no_endpoint_out() {
-    // Those of the two tests before: 19 that change something, 10 that ask.
+fn the_tests_of_requests_cover_every_endpoint() {
+    // The two tests before have 19 endpoints that change something and 10 that read.
     assert_eq!(own_endpoints().count(), 29, "an endpoint was added: add it to the tests of this file");
 }
 
 #[test]
-fn no_limit_beyond_the_boards_own_and_no_wild_number_passes() {
+fn limits_beyond_the_boards_own_and_invalid_numbers_are_refused() {
     type Set = fn(&mut Limits, usize, f32);
     let sets: [(Limit, f32, Set); 6] = [
         (Limit::Torque, 5.0, |limits, axis, to| limits.torque[axis] = to),
@@ -272,7 +272,7 @@ fn no_limit_beyond_the_boards_own_and_no_wild_number_passes() {
         (Limit::Power, 20.0, |limits, _, to| limits.power = to),
         (Limit::TipForce, 1_000.0, |limits, _, to| limits.tip_force = to),
     ];
-    /// The limit that was refused, if nothing else was.
+    /// Returns the refused limit.
     fn refused(answer: Result<(), Refusal>) -> BadLimit {
         match answer {
             Err(Refusal::BadLimit(bad)) => bad,
@@ -283,41 +283,41 @@ fn no_limit_beyond_the_boards_own_and_no_wild_number_passes() {
     for (name, most, set) in sets {
         for axis in 0..3 {
             for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, f32::MAX, 0.0, -0.0, -1.0, 1.000_001 * most] {
-                let mut wild = rules(0.5);
-                set(&mut wild.limits, axis, bad);
-                let said = refused(board.ask::<SetRules>(&wild).unwrap());
+                let mut invalid = rules(0.5);
+                set(&mut invalid.limits, axis, bad);
+                let bad_limit = refused(board.ask::<SetRules>(&invalid).unwrap());
                 let joint = (name != Limit::Power && name != Limit::TipForce).then_some(axis as u8);
-                assert_eq!((said.limit, said.joint, said.most), (name, joint, most), "{bad}");
-                assert_eq!(said.value.to_bits(), bad.to_bits(), "the number itself comes back");
+                assert_eq!((bad_limit.limit, bad_limit.joint, bad_limit.most), (name, joint, most), "{bad}");
+                assert_eq!(bad_limit.value.to_bits(), bad.to_bits(), "the refusal has the number");
                 let (words, unit) = name.words();
-                let text = Refusal::BadLimit(said).to_string();
+                let text = Refusal::BadLimit(bad_limit).to_string();
                 assert!(text.contains(words) && text.contains(&format!("at most {most}{unit}")), "{text}");
             }
             let mut edge = rules(0.5);
             set(&mut edge.limits, axis, most);
-            assert_eq!(board.ask::<SetRules>(&edge).unwrap(), Ok(()), "{name:?} at the board's own");
+            assert_eq!(board.ask::<SetRules>(&edge).unwrap(), Ok(()), "{name:?} at the board's own limit");
         }
     }
     for (low, high) in [(7.9, 24.0), (10.0, 28.1), (20.0, 20.0), (f32::NAN, 24.0), (10.0, f32::NAN)] {
-        let mut wild = rules(0.5);
-        (wild.limits.bus_min, wild.limits.bus_max) = (low, high);
-        let said = refused(board.ask::<SetRules>(&wild).unwrap());
-        assert!(matches!(said.limit, Limit::BusMin | Limit::BusMax), "{low} to {high} V: {said}");
+        let mut invalid = rules(0.5);
+        (invalid.limits.bus_min, invalid.limits.bus_max) = (low, high);
+        let bad_limit = refused(board.ask::<SetRules>(&invalid).unwrap());
+        assert!(matches!(bad_limit.limit, Limit::BusMin | Limit::BusMax), "{low} to {high} V: {bad_limit}");
     }
     for host_seconds in [f32::NAN, f32::INFINITY, 0.0, -1.0, 0.009, 60.1] {
-        let wild = Rules { host_seconds, ..rules(0.5) };
-        assert_eq!(refused(board.ask::<SetRules>(&wild).unwrap()).limit, Limit::HostSeconds, "{host_seconds} s");
+        let invalid = Rules { host_seconds, ..rules(0.5) };
+        assert_eq!(refused(board.ask::<SetRules>(&invalid).unwrap()).limit, Limit::HostSeconds, "{host_seconds} s");
     }
 }
 
-/// Values that a sender should never send.
+/// Invalid or extreme values.
 const POISON: [f32; 7] =
     [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, f32::MAX, f32::MIN_POSITIVE / 8.0, -1.0e-45, -0.0];
 
-/// Sends a message to a ready board and to an armed one with each number in turn made wild, at every place of its
-/// bytes, arms where that is not refused, and pushes through the wall. The board checks itself. How often it was
-/// accepted and refused.
-fn spoilt<E: Endpoint>(message: &E::Request) -> (usize, usize)
+/// Sends a message with one of [`POISON`] at every place of its bytes to a ready board and to an armed board, arms if the
+/// board accepts that, and pushes through the wall. The board asserts its invariants. Returns how often it accepted and
+/// refused.
+fn poisoned<E: Endpoint>(message: &E::Request) -> (usize, usize)
 where
     E::Request: serde::Serialize + Sized,
 {
@@ -349,18 +349,18 @@ where
 }
 
 #[test]
-fn a_message_with_any_number_spoilt_is_refused_or_harmless() {
-    let scene = spoilt::<SetScene>(&quiet());
-    let gains = spoilt::<SetGains>(&gains(0, 300.0));
-    let rules = spoilt::<SetRules>(&rules(0.5));
-    let mass = spoilt::<SetMassModel>(&MassModelData::Frozen([1e-3; 6]));
+fn a_message_with_an_invalid_number_is_refused_or_harmless() {
+    let scene = poisoned::<SetScene>(&quiet());
+    let gains = poisoned::<SetGains>(&gains(0, 300.0));
+    let rules = poisoned::<SetRules>(&rules(0.5));
+    let mass = poisoned::<SetMassModel>(&MassModelData::Frozen([1e-3; 6]));
     for (accepted, refused) in [scene, gains, rules, mass] {
         assert!(accepted > 10 && refused > 10, "{accepted} accepted, {refused} refused");
     }
 }
 
 #[test]
-fn a_force_with_any_number_spoilt_is_refused_or_harmless() {
+fn a_force_with_an_invalid_number_is_refused_or_harmless() {
     let contact = HostContact { point: [0.01, 0.0, 0.0], normal: [1.0, 0.0, 0.0], stiffness: 500.0, damping: 1.0 };
     let request = ForceRequest {
         sequence: 1,
@@ -381,21 +381,21 @@ fn a_force_with_any_number_spoilt_is_refused_or_harmless() {
             let answer = board.answer(&frame(Force::REQ_KEY, &bytes)).unwrap();
             let (_, body) = VarHeader::take_from_slice(&answer).unwrap();
             seen.push(postcard::from_bytes::<ForceAnswer>(body).map(|answer| answer.done).ok());
-            // The board checks its torques itself.
+            // The board asserts its own torques.
             (0..60).for_each(|_| board.tick());
             assert_eq!(board.state(), State::Armed, "{poison} at byte {place}");
         }
     }
     for done in [ForceDone::Taken, ForceDone::Bad(BadForce::Lease), ForceDone::Bad(BadForce::Gains)] {
-        assert!(seen.contains(&Some(done)), "{done:?} came of none of them");
+        assert!(seen.contains(&Some(done)), "no request was {done:?}");
     }
 }
 
 #[test]
-fn what_is_no_request_is_answered_with_the_reason_or_not_at_all() {
+fn a_frame_without_a_request_gets_an_error_or_no_reply() {
     let mut board = board(Now::Ready);
     let error = |answer: Option<Vec<u8>>| {
-        let answer = answer.expect("an answer");
+        let answer = answer.expect("a reply");
         let (_, body) = VarHeader::take_from_slice(&answer).unwrap();
         postcard::from_bytes::<WireError>(body).unwrap()
     };
@@ -403,18 +403,18 @@ fn what_is_no_request_is_answered_with_the_reason_or_not_at_all() {
     assert_eq!(board.answer(&[0xFF]), None);
     let unknown = postcard_rpc::Key::for_path::<()>("haptic/unheard-of");
     assert_eq!(error(board.answer(&frame(unknown, &[]))), WireError::UnknownKey);
-    // Too much for a request without a body, nonsense for the others.
+    // Too long for a request without a body, and invalid for the others.
     for (path, key) in own_endpoints() {
         let before = board.state();
         assert_eq!(error(board.answer(&frame(key, &[0xFF; 700]))), WireError::DeserFailed, "{path}");
         assert_eq!(board.state(), before);
     }
-    // A header with a key of one byte: understood, and told that this is not enough.
+    // A header with a key of one byte is readable, but the key is too short.
     assert_eq!(error(board.answer(&[0x00, 0x12, 0x01])), WireError::KeyTooSmall);
 }
 
 #[test]
-fn a_flash_that_fails_is_reported_and_leaves_what_is_in_force() {
+fn a_flash_failure_is_reported_and_changes_no_setting() {
     let mut board = board(Now::Ready);
     let before = configuration(&mut board);
     board.machine.flash.broken = true;
@@ -426,7 +426,7 @@ fn a_flash_that_fails_is_reported_and_leaves_what_is_in_force() {
 }
 
 #[test]
-fn what_is_saved_is_in_force_after_a_restart_with_the_motors_off() {
+fn saved_settings_are_in_force_after_a_restart_with_motors_off() {
     let mut board = board(Now::Ready);
     board.ask::<SetName>(&"left hand".chars().collect::<Name>()).unwrap().unwrap();
     board.ask::<SetRules>(&rules(0.25)).unwrap().unwrap();
@@ -440,14 +440,14 @@ fn what_is_saved_is_in_force_after_a_restart_with_the_motors_off() {
     assert_eq!(settings::decode::<BoardName>(before.3[5].as_ref().unwrap()).unwrap().0.as_str(), "left hand");
 }
 
-/// A paddle whose motor makes no back-EMF: on this board currents flow as they are asked for, whatever turns.
-fn deaf_paddle() -> Description {
+/// Returns a paddle whose motor makes no back-EMF, because on this board the commanded currents flow at any speed.
+fn paddle_without_back_emf() -> Description {
     let mut paddle = rig::paddle();
     paddle.joints[0].motor.as_mut().unwrap().back_emf = 0.0;
     paddle
 }
 
-/// Real motors, homed, and a paddle that turns the one `way` or the other under its torque, with some friction.
+/// Homes and checks the polarity of a paddle with some friction that turns with its torque (`way` 1) or against it (-1).
 fn polarity_check(board: &mut Board, way: f64) {
     board.ask::<Home>(&()).unwrap().unwrap();
     board.ask::<CheckPolarity>(&()).unwrap().unwrap();
@@ -470,9 +470,9 @@ fn polarity_check(board: &mut Board, way: f64) {
 }
 
 #[test]
-fn a_polarity_check_counts_for_the_device_that_it_was_made_on_and_for_no_other() {
-    let device = rig::device(&deaf_paddle());
-    let mut inverted = deaf_paddle();
+fn a_polarity_check_counts_for_the_checked_device_only() {
+    let device = rig::device(&paddle_without_back_emf());
+    let mut inverted = paddle_without_back_emf();
     if let Some(encoder) = &mut inverted.joints[0].encoder {
         encoder.inverted = true;
     }
@@ -486,13 +486,13 @@ fn a_polarity_check_counts_for_the_device_that_it_was_made_on_and_for_no_other()
     }
 }
 
-/// The checksum at the end of a device's entry.
+/// Returns the checksum at the end of a device's entry.
 fn sum(device: &DeviceData) -> u32 {
     u32::from_le_bytes(*settings::encode(device).unwrap().last_chunk().unwrap())
 }
 
-/// The device under a name that gives its entry this checksum. A CRC is linear: letters of five free bits each are
-/// chosen so that what they change adds up to what is missing.
+/// Returns the device with a name that gives its entry this checksum. A CRC is linear, so letters with five free bits
+/// each are chosen whose changes sum to the missing difference.
 fn forged(device: &DeviceData, wanted: u32) -> DeviceData {
     let mut free = vec![];
     let named = |letters: &[u8; 10]| DeviceData { name: letters.map(char::from).iter().collect(), ..device.clone() };
@@ -520,9 +520,9 @@ fn forged(device: &DeviceData, wanted: u32) -> DeviceData {
 }
 
 #[test]
-fn a_device_with_the_checksum_of_the_checked_one_is_not_taken_for_it() {
-    let device = rig::device(&deaf_paddle());
-    let mut inverted = deaf_paddle();
+fn a_device_with_a_forged_checksum_does_not_count_as_checked() {
+    let device = rig::device(&paddle_without_back_emf());
+    let mut inverted = paddle_without_back_emf();
     if let Some(encoder) = &mut inverted.joints[0].encoder {
         encoder.inverted = true;
     }
@@ -549,18 +549,18 @@ fn a_device_with_the_checksum_of_the_checked_one_is_not_taken_for_it() {
 }
 
 #[test]
-fn a_polarity_check_that_failed_is_not_undone_by_an_older_one_that_passed() {
-    let device = rig::device(&deaf_paddle());
+fn an_older_polarity_check_does_not_undo_a_failed_one() {
+    let device = rig::device(&paddle_without_back_emf());
     let mut board = Board::ready(true, &device, &quiet());
     polarity_check(&mut board, 1.0);
     assert_eq!((board.state(), board.ask::<GetStatus>(&()).unwrap().polarity), (State::Disarmed, true));
-    // Someone swaps the motor's wires, and the next check finds it.
+    // The motor's wires are swapped; the next check finds it.
     (0..200).for_each(|_| board.tick());
     polarity_check(&mut board, -1.0);
     let fault = board.ask::<GetStatus>(&()).unwrap().fault.map(|record| record.fault);
     assert_eq!(fault, Some(Fault::PolarityWrong));
     board.ask::<Clear>(&()).unwrap().unwrap();
-    // The same device again: what was known of it is not true any more, now or after a restart.
+    // The polarity stays unknown if the same device is loaded, now and after a restart.
     board.ask::<SetDevice>(&device).unwrap().unwrap();
     board.ask::<SetScene>(&quiet()).unwrap().unwrap();
     (0..200).for_each(|_| board.tick());
@@ -574,29 +574,29 @@ fn a_polarity_check_that_failed_is_not_undone_by_an_older_one_that_passed() {
 }
 
 #[test]
-fn a_fault_is_news_once_even_if_its_value_is_no_number() {
+fn a_fault_with_an_invalid_value_is_published_once() {
     let mut board = board(Now::Ready);
     board.told = Some((Fault::NotFinite, None, f32::NAN));
     board.tick();
-    let news = (0..5).filter(|_| board.service.poll(&mut board.machine).is_some()).count();
-    assert_eq!((news, board.service.faults().len()), (1, 1));
+    let published = (0..5).filter(|_| board.service.poll(&mut board.machine).is_some()).count();
+    assert_eq!((published, board.service.faults().len()), (1, 1));
 }
 
-/// The board's device with another mass: what a backup of another board holds.
+/// Returns the board's device with another mass, as from the backup of another board.
 fn heavier() -> DeviceData {
-    let mut description = deaf_paddle();
+    let mut description = paddle_without_back_emf();
     description.joints[0].inertia *= 2.0;
     rig::device(&description)
 }
 
 #[test]
-fn a_restore_is_one_change_or_none() {
-    let (calm, wild) = (rules(0.2), rules(0.9));
+fn a_restore_changes_all_settings_or_none() {
+    let (low, high) = (rules(0.2), rules(0.9));
     let board = |broken: bool| {
         let mut board = board(Now::Ready);
-        board.ask::<SetRules>(&calm).unwrap().unwrap();
+        board.ask::<SetRules>(&low).unwrap().unwrap();
         board.ask::<Save>(&()).unwrap().unwrap();
-        staged(&mut board, &wild).unwrap();
+        staged(&mut board, &high).unwrap();
         staged(&mut board, &heavier()).unwrap();
         board.machine.flash.broken = broken;
         board
@@ -604,37 +604,37 @@ fn a_restore_is_one_change_or_none() {
     let both = commit(&[Key::Rules, Key::Device]);
     let now = |board: &mut Board| (board.ask::<GetRules>(&()).unwrap(), board.ask::<GetDevice>(&()).unwrap());
 
-    // The tool dies before it decides: nothing of it counts, not now and not after a restart.
+    // If the tool ends before its commit, nothing changes, now and after a restart.
     let mut untouched = board(false);
     let before = now(&mut untouched);
-    assert_eq!(before.0, calm);
+    assert_eq!(before.0, low);
     untouched.ask::<Restart>(&()).unwrap().unwrap();
     assert_eq!(now(&mut untouched), before);
     assert_eq!(untouched.ask::<CommitEntries>(&both).unwrap(), Err(Refusal::BadEntry), "staged in another run");
 
-    // The flash fails: neither RAM nor flash has any of it.
+    // If the flash fails, neither RAM nor flash changes.
     let mut failed = board(true);
     assert_eq!(failed.ask::<CommitEntries>(&both).unwrap(), Err(Refusal::Flash));
     assert_eq!(now(&mut failed), before);
 
-    // One of the settings cannot be: none is.
+    // If one setting is refused, none changes.
     let mut refused = board(false);
     staged(&mut refused, &rules(1.5)).unwrap();
     assert_eq!(refused.ask::<CommitEntries>(&both).unwrap(), Err(too_high(1.5)));
     assert_eq!(now(&mut refused), before);
 
-    // All settings fit and are taken together.
+    // All settings fit and change together.
     let mut done = board(false);
     done.ask::<CommitEntries>(&both).unwrap().unwrap();
-    assert_eq!(now(&mut done), (wild, Some(heavier())));
-    assert!(!done.ask::<GetStatus>(&()).unwrap().homed, "another device has to be homed");
+    assert_eq!(now(&mut done), (high, Some(heavier())));
+    assert!(!done.ask::<GetStatus>(&()).unwrap().homed, "another device must be homed");
     done.ask::<Restart>(&()).unwrap().unwrap();
-    assert_eq!(now(&mut done), (wild, Some(heavier())), "and so after a restart");
+    assert_eq!(now(&mut done), (high, Some(heavier())), "after a restart");
 }
 
-/// A tool dies after it has put settings aside; the next one commits, or puts others aside and commits.
+/// A tool ends after it staged settings. The next tool commits them, or stages others and commits.
 #[test]
-fn what_one_tool_has_put_aside_is_not_for_another_to_commit() {
+fn a_tool_cannot_commit_the_settings_of_another_tool() {
     let mut board = board(Now::Ready);
     let before = board.ask::<GetRules>(&()).unwrap();
     staged(&mut board, &rules(0.9)).unwrap();
@@ -645,27 +645,27 @@ fn what_one_tool_has_put_aside_is_not_for_another_to_commit() {
     let both = another(&[Key::Rules, Key::Device]);
     assert_eq!(board.ask::<CommitEntries>(&both).unwrap(), Err(Refusal::BadEntry));
     assert_eq!(board.ask::<GetRules>(&()).unwrap(), before);
-    // Nor is it for the first one once another has begun.
+    // The first tool cannot commit either, after another tool has begun.
     assert_eq!(board.ask::<CommitEntries>(&commit(&[Key::Rules])).unwrap(), Err(Refusal::BadEntry));
     board.ask::<CommitEntries>(&another(&[Key::Device])).unwrap().unwrap();
     assert_eq!(board.ask::<GetDevice>(&()).unwrap(), Some(heavier()));
 }
 
-/// A tool of any version stops a board of any version: these bytes never change.
+/// A tool of any version can stop a board of any version, so these bytes must never change.
 #[test]
-fn the_request_that_stops_a_board_is_the_same_in_every_version() {
+fn the_request_to_disarm_is_the_same_in_every_version() {
     use postcard_rpc::Endpoint as _;
     assert_eq!(Disarm::REQ_KEY.to_bytes(), [50, 74, 208, 115, 197, 110, 140, 138]);
     assert_eq!(GetInfo::REQ_KEY.to_bytes(), [116, 138, 31, 26, 121, 84, 162, 73]);
-    assert_eq!(postcard::to_stdvec(&Outcome::Ok(())).unwrap(), [0], "the body of its answer");
+    assert_eq!(postcard::to_stdvec(&Outcome::Ok(())).unwrap(), [0], "the body of its reply");
 }
 
 #[test]
-fn a_board_with_real_motors_that_nothing_was_said_to_pushes_with_5_newtons_at_the_tip() {
+fn a_board_with_real_motors_starts_with_a_limit_of_5_newtons() {
     let limits = |real| Board::new(real).ask::<GetRules>(&()).unwrap().limits;
     assert_eq!(limits(true), Limits { tip_force: 5.0, ..Limits::default() });
-    assert_eq!(limits(false), Limits::default(), "where nothing moves there is nothing to hold back");
-    // And it can be told otherwise, up to what the board allows.
+    assert_eq!(limits(false), Limits::default(), "without motors no limit is needed");
+    // The rules can raise the limit, up to the board's own.
     let mut board = Board::new(true);
     let stronger = Limits { tip_force: 9.0, ..limits(true) };
     let rules = Rules { limits: stronger, ..board.ask::<GetRules>(&()).unwrap() };
@@ -674,41 +674,37 @@ fn a_board_with_real_motors_that_nothing_was_said_to_pushes_with_5_newtons_at_th
 }
 
 #[test]
-fn a_refusal_for_a_fault_says_once_that_it_is_to_be_cleared() {
+fn a_refusal_for_a_fault_names_its_remedy_once() {
     for fault in Fault::ALL {
-        let said = Refusal::Faulted(*fault).to_string();
-        assert_eq!((said.matches("haptic faults --clear").count(), said.matches("clear").count()), (1, 1), "{said}");
+        let text = Refusal::Faulted(*fault).to_string();
+        assert_eq!((text.matches("haptic faults --clear").count(), text.matches("clear").count()), (1, 1), "{text}");
     }
 }
 
 #[test]
-fn a_refused_piece_of_a_table_leaves_the_table_in_force() {
+fn a_refused_chunk_leaves_the_table_in_force() {
     let Board { mut machine, mut service, .. } = Board::new(false);
     service.set_device(&mut machine, device(&five_bar())).unwrap();
     let values = [[1.0e-3_f32, 1.0e-4, 1.0e-3]; 4].concat();
-    let piece = |offset, values: &[f32]| TableChunk { offset, values: values.iter().copied().collect() };
-    service.receive_table(&mut machine, &piece(0, &values)).unwrap();
+    let chunk = |offset, values: &[f32]| TableChunk { offset, values: values.iter().copied().collect() };
+    service.receive_table(&mut machine, &chunk(0, &values)).unwrap();
     let grid = Grid { interpolation: Interpolation::Bilinear, points: [2, 2], low: [0.0; 2], spacing: [0.5; 2] };
     let table = MassModelData::Table(grid, checksum(&values));
     service.set_mass_model(&mut machine, table.clone()).unwrap();
-    // Every program tells the machine its carrier.
+    // Every new program sets the carrier.
     let installed = machine.retimed;
-    for bad in [piece(7, &[1.0]), piece(0, &[f32::NAN]), piece(0, &[f32::INFINITY; 12])] {
+    for bad in [chunk(7, &[1.0]), chunk(0, &[f32::NAN]), chunk(0, &[f32::INFINITY; 12])] {
         let refused = service.receive_table(&mut machine, &bad);
         assert_eq!(refused, Err(Refusal::BadTable), "{bad:?}");
         assert_eq!(machine.retimed, installed, "{bad:?} put another mass model in force");
-        assert_eq!(
-            service.set_mass_model(&mut machine, table.clone()),
-            Ok(()),
-            "{bad:?} made what came before incomplete"
-        );
+        assert_eq!(service.set_mass_model(&mut machine, table.clone()), Ok(()), "{bad:?} made the table incomplete");
         machine.retimed = installed;
     }
 }
 
-/// A table is of one device's mass matrix: what was sent before another device came is nothing to it.
+/// A table belongs to one device's mass matrix, so another device does not accept it.
 #[test]
-fn a_table_that_was_sent_before_a_device_is_not_accepted_for_it() {
+fn a_table_sent_before_a_device_is_not_accepted_for_it() {
     let values = [[1.0e-3_f32, 1.0e-4, 1.0e-3]; 4].concat();
     let chunk = TableChunk { offset: 0, values: values.iter().copied().collect() };
     let grid = Grid { interpolation: Interpolation::Bilinear, points: [2, 2], low: [0.0; 2], spacing: [0.5; 2] };
@@ -725,15 +721,15 @@ fn a_table_that_was_sent_before_a_device_is_not_accepted_for_it() {
         board.ask::<SendTable>(&chunk).unwrap().unwrap();
         another(&mut board);
         assert_eq!(board.ask::<SetMassModel>(&table).unwrap(), Err(Refusal::BadTable));
-        // Sent again, for this device, it is.
+        // The device accepts the table if it is sent again.
         board.ask::<SendTable>(&chunk).unwrap().unwrap();
         assert_eq!(board.ask::<SetMassModel>(&table).unwrap(), Ok(()));
     }
 }
 
-/// A saved mass model was made for the saved scene: the start puts both in force.
+/// A saved mass model belongs to the saved scene, so a start puts both in force.
 #[test]
-fn a_frozen_mass_matrix_comes_back_with_its_scene() {
+fn a_start_restores_a_frozen_mass_matrix_with_its_scene() {
     let mut board = board(Now::Ready);
     let frozen = MassModelData::Frozen([1.0e-3; 6]);
     assert_eq!(board.ask::<SetMassModel>(&frozen).unwrap(), Ok(()));

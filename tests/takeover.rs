@@ -1,7 +1,7 @@
 //! A program that replaces another keeps the values that do not change with a scene. They are the same as if the
 //! program had been the first.
 
-use crate::rig::{COUNTS, Rig, five_bar, hardware, limits, paddle, quiet, rules, scene, wall};
+use crate::rig::{COUNTS, Rig, at_rate, five_bar, hardware, limits, paddle, quiet, rules, scene, wall};
 use haptic_bridge::control::frame::Samples;
 use haptic_bridge::control::joints::Counts;
 use haptic_bridge::control::{Command, Rules};
@@ -25,10 +25,6 @@ fn prepared_values(rig: &Rig) -> String {
         + &part(", joints: [", ", hardware")
         + &part(", period: ", ", rate_since")
         + &part("heat: [", ", first_index")
-}
-
-fn at_rate(rate_hz: f32, scene: Scene<f32>) -> Scene<f32> {
-    Scene { rate_hz, cutoff_hz: 0.1 * rate_hz, ..scene }
 }
 
 fn load_scenes(first: Option<&Scene<f32>>, then: &Scene<f32>, change: impl Fn(&mut Rig)) -> Rig {

@@ -5,9 +5,9 @@
 //! rest is f γ along the wall with γ = tᵀΛn/(nᵀΛn). A loop that presses to the depth d, slides, releases and returns
 //! gains f(d) ∫ γ ds.
 
-use crate::common::{device_file, inverse};
+use crate::common::{bilateral_wall, device_file, fine_counts, inverse, with_fine_encoders};
 use haptic_bridge::math::Libm;
-use haptic_bridge::model::description::{Description, Encoder};
+use haptic_bridge::model::description::Description;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
 use haptic_bridge::render::controller::Controller;
@@ -15,8 +15,6 @@ use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, VelocityT
 use haptic_bridge::with_mechanism;
 use nalgebra::SVector;
 
-/// Counts per turn, fine enough that quantisation does not matter.
-const COUNTS_PER_TURN: f64 = 1.0e9;
 const RATE: f64 = 1_000.0;
 /// Steps of each leg of a loop.
 const STEPS: u32 = 1_000;
@@ -71,17 +69,9 @@ struct Loops {
 }
 
 impl Case {
-    fn description(&self) -> Description {
-        let mut description = device_file::shipped(self.device);
-        description.gravity = [0.0; 3];
-        for joint in &mut description.joints {
-            joint.encoder = Some(Encoder { counts_per_turn: COUNTS_PER_TURN, offset: 0.0, inverted: false });
-        }
-        description
-    }
-
     fn loops(&self, feed_forward: FeedForward, passivity: bool, times: usize) -> Loops {
-        let description = self.description();
+        let shipped = device_file::shipped(self.device);
+        let description = Description { gravity: [0.0; 3], ..with_fine_encoders(shipped) };
         let mechanism = AnyMechanism::<f64>::new(&description).expect("a sound device");
         with_mechanism!(&mechanism, m => self.run(*m, &description, feed_forward, passivity, times))
     }
@@ -116,15 +106,8 @@ impl Case {
             ..Scene::default()
         };
         let padded = |v: &SVector<f64, N>| core::array::from_fn(|i| v.get(i).copied().unwrap_or(0.0));
-        let wall = Wall {
-            surface: Surface::Plane(Plane { point: padded(&start), normal: padded(&n) }),
-            stiffness: self.stiffness,
-            damping: 0.0,
-            feed_forward,
-            washout_hz: 2.0,
-            damping_compensation: false,
-            bilateral: false,
-        };
+        let surface = Surface::Plane(Plane { point: padded(&start), normal: padded(&n) });
+        let wall = Wall { feed_forward, bilateral: false, ..bilateral_wall(surface, self.stiffness) };
         scene.walls.push(wall).expect("room");
         let device = Device::<f64>::new("loop", description).expect("a sound device");
         let mut controller = Controller::<f64, M, Libm, N>::new(m, &device, &scene).expect("a sound scene");
@@ -147,8 +130,7 @@ impl Case {
                         q += m.inverse(&pose, &(target - m.tip(&pose)));
                     }
                     done += torque.dot(&(q - before));
-                    let count = |i: usize| (q[i] / core::f64::consts::TAU * COUNTS_PER_TURN).round() as i32;
-                    let step = controller.step(&core::array::from_fn(count));
+                    let step = controller.step(&fine_counts(&q));
                     torque = step.torque;
                     if step.contacts > 0 {
                         reported = step.energy;

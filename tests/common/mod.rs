@@ -3,10 +3,11 @@
 pub mod bodies;
 pub mod device_file;
 
-use haptic_bridge::model::catalogue::Kind;
-use haptic_bridge::model::catalogue::{MAX_GEOMETRY, MAX_JOINTS, MAX_LINKS};
-use haptic_bridge::model::description::{Description, Joint, Link};
-use nalgebra::SMatrix;
+use haptic_bridge::math::Real;
+use haptic_bridge::model::catalogue::{Kind, MAX_GEOMETRY, MAX_JOINTS, MAX_LINKS};
+use haptic_bridge::model::description::{Description, Encoder, Joint, Link};
+use haptic_bridge::render::scene::{FeedForward, Surface, Wall};
+use nalgebra::{DMatrix, SMatrix, SVector};
 use proptest::test_runner::{Config, RngSeed};
 use std::hash::{BuildHasher, RandomState};
 
@@ -103,39 +104,46 @@ pub fn device(kind: Kind, draw: &mut Draw<'_>) -> Description {
     Description { kind, gravity, geometry, links, joints, handle_mass: draw.within_log(1.0e-3, 0.3), home: None }
 }
 
-/// Computes the inverse and the determinant by Gauss-Jordan elimination with pivoting.
-fn eliminate<const N: usize>(matrix: &SMatrix<f64, N, N>) -> (SMatrix<f64, N, N>, f64) {
-    let (mut a, mut inverse, mut determinant) = (*matrix, SMatrix::<f64, N, N>::identity(), 1.0);
-    for k in 0..N {
-        let pivot = (k..N).fold(k, |best, i| if a[(i, k)].abs() > a[(best, k)].abs() { i } else { best });
-        if pivot != k {
-            a.swap_rows(k, pivot);
-            inverse.swap_rows(k, pivot);
-            determinant = -determinant;
-        }
-        let d = a[(k, k)];
-        determinant *= d;
-        for j in 0..N {
-            a[(k, j)] /= d;
-            inverse[(k, j)] /= d;
-        }
-        for i in (0..N).filter(|i| *i != k) {
-            let factor = a[(i, k)];
-            for j in 0..N {
-                a[(i, j)] -= factor * a[(k, j)];
-                inverse[(i, j)] -= factor * inverse[(k, j)];
-            }
-        }
-    }
-    (inverse, determinant)
-}
-
-/// Returns the inverse of a regular matrix.
+/// Returns the inverse of a regular matrix, by nalgebra's decomposition.
 pub fn inverse<const N: usize>(matrix: &SMatrix<f64, N, N>) -> SMatrix<f64, N, N> {
-    eliminate(matrix).0
+    let inverse = dynamic(matrix).try_inverse().expect("a regular matrix");
+    SMatrix::from_fn(|i, j| inverse[(i, j)])
 }
 
-/// Returns the determinant of a regular matrix.
+/// Returns the determinant of a matrix, by nalgebra's decomposition.
 pub fn determinant<const N: usize>(matrix: &SMatrix<f64, N, N>) -> f64 {
-    eliminate(matrix).1
+    dynamic(matrix).determinant()
+}
+
+fn dynamic<const N: usize>(matrix: &SMatrix<f64, N, N>) -> DMatrix<f64> {
+    DMatrix::from_fn(N, N, |i, j| matrix[(i, j)])
+}
+
+/// Counts per turn of fine encoders: quantisation does not matter.
+pub const FINE_COUNTS: f64 = 1.0e9;
+
+/// Gives every joint of a device a fine encoder.
+pub fn with_fine_encoders(mut device: Description) -> Description {
+    for joint in &mut device.joints {
+        joint.encoder = Some(Encoder { counts_per_turn: FINE_COUNTS, offset: 0.0, inverted: false });
+    }
+    device
+}
+
+/// Returns the counts of fine encoders at joint angles, rad.
+pub fn fine_counts<const N: usize>(q: &SVector<f64, N>) -> [i32; N] {
+    q.map(|angle| (angle / std::f64::consts::TAU * FINE_COUNTS).round() as i32).into()
+}
+
+/// Returns a wall that acts on both sides, with the full feed-forward and without damping. The stiffness is in N/m.
+pub fn bilateral_wall<T: Real>(surface: Surface<T>, stiffness: f64) -> Wall<T> {
+    Wall {
+        surface,
+        stiffness: T::from_f64(stiffness),
+        damping: T::zero(),
+        feed_forward: FeedForward::Full,
+        washout_hz: T::from_f64(2.0),
+        damping_compensation: false,
+        bilateral: true,
+    }
 }

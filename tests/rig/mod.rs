@@ -1,21 +1,20 @@
 //! A control loop with a device and a scene for the tests of the safety logic: no hardware, one call per control step.
 #![allow(dead_code, reason = "every test file uses a part")]
 
+use crate::common::bilateral_wall;
 use haptic_bridge::control::compiled::BoardMath;
 use haptic_bridge::control::frame::{Outputs, Samples};
 use haptic_bridge::control::joints::{Counts, Currents, Torques};
-use haptic_bridge::control::program::Hardware;
-use haptic_bridge::control::program::Program;
+use haptic_bridge::control::program::{Hardware, Program};
 use haptic_bridge::control::{Beat, Command, ControlLoop, HostAction, Rules};
 use haptic_bridge::drive::stage::Bridge;
 use haptic_bridge::math::Libm;
-use haptic_bridge::model::catalogue::Kind;
-use haptic_bridge::model::catalogue::{MAX_GEOMETRY, MAX_JOINTS, MAX_LINKS};
-use haptic_bridge::model::description::{Description, Encoder, Joint};
+use haptic_bridge::model::catalogue::{Kind, MAX_GEOMETRY, MAX_JOINTS, MAX_LINKS};
+use haptic_bridge::model::description::{Description, Encoder, Joint, Link};
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::mechanism::AnyMechanism;
 use haptic_bridge::model::motor::Motor;
-use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, Wall};
+use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Spring, Surface, Wall};
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::safety::limits::Limits;
 use haptic_bridge::safety::refusal::Refusal;
@@ -86,7 +85,7 @@ pub fn paddle() -> Description {
         kind: Kind::Paddle,
         gravity: [0.0; 3],
         geometry,
-        links: [haptic_bridge::model::description::Link::default(); MAX_LINKS],
+        links: [Link::default(); MAX_LINKS],
         joints: [joint(), Joint::default(), Joint::default()],
         handle_mass: 0.0,
         home: Some([0.0; MAX_JOINTS]),
@@ -95,7 +94,7 @@ pub fn paddle() -> Description {
 
 /// Returns a five-bar whose elbows stretch at joint angles well within its limits.
 pub fn five_bar() -> Description {
-    let link = haptic_bridge::model::description::Link { mass: 0.02, com: 0.03, inertia: 1.0e-5, ..Default::default() };
+    let link = Link { mass: 0.02, com: 0.03, inertia: 1.0e-5, ..Default::default() };
     let joint = Joint { limits: Some((-3.2, 3.2)), ..joint() };
     Description {
         kind: Kind::FiveBar,
@@ -150,7 +149,7 @@ impl Body {
         let (mut pushed, mut waits) = (false, 0);
         while waits < 50 {
             self.step(rig, 1.0);
-            let idle = rig.control_loop.frame().motors.torque == Torques::default();
+            let idle = rig.torques() == Torques::default();
             pushed |= !idle;
             waits = if pushed && idle { waits + 1 } else { 0 };
             assert_eq!(rig.state(), State::CheckingPolarity, "{:?}", rig.fault());
@@ -171,20 +170,24 @@ impl Body {
 
 /// Returns a plane wall facing +x with its surface at `x` (m).
 pub fn wall(x: f32, stiffness: f32) -> Wall<f32> {
-    Wall {
-        surface: Surface::Plane(Plane { point: [x, 0.0, 0.0], normal: [1.0, 0.0, 0.0] }),
-        stiffness,
-        damping: 0.0,
-        feed_forward: FeedForward::Off,
-        washout_hz: 2.0,
-        damping_compensation: false,
-        bilateral: false,
-    }
+    let plane = Surface::Plane(Plane { point: [x, 0.0, 0.0], normal: [1.0, 0.0, 0.0] });
+    Wall { feed_forward: FeedForward::Off, bilateral: false, ..bilateral_wall(plane, stiffness.into()) }
 }
 
 /// Returns a scene for task dimension `task` with these walls.
 pub fn scene(task: u8, walls: &[Wall<f32>]) -> Scene<f32> {
     Scene { task, rate_hz: RATE, cutoff_hz: 200.0, walls: walls.iter().copied().collect(), ..Scene::default() }
+}
+
+/// Returns a scene for task dimension `task` with a spring to a point, m.
+pub fn spring_scene(task: u8, point: [f32; 3], stiffness: f32) -> Scene<f32> {
+    let spring = Spring { point, direction: [0.0; 3], stiffness, damping: 0.0 };
+    Scene { springs: [spring].into_iter().collect(), ..scene(task, &[]) }
+}
+
+/// Returns the scene at another control rate, Hz.
+pub fn at_rate(rate_hz: f32, scene: Scene<f32>) -> Scene<f32> {
+    Scene { rate_hz, cutoff_hz: 0.2 * rate_hz, ..scene }
 }
 
 /// Returns a scene with a stiff wall at -0.05 m, far from the paddle's home.
@@ -253,12 +256,35 @@ impl Rig {
     /// Like [`Rig::ready`], for any device, board and rules.
     pub fn with(description: &Description, scene: &Scene<f32>, hardware: Hardware, rules: Rules) -> Self {
         let mut rig = Self::bare(hardware, rules);
-        rig.load(description, scene, false).expect("a program that fits");
-        rig.settle();
-        rig.execute(Command::Home).expect("homes at rest");
-        rig.settle();
-        rig.execute(Command::PolarityKnown).expect("cannot be refused");
+        rig.prepare(description, scene);
         rig
+    }
+
+    /// Loads a device and a scene, homes, and sets the polarity as known.
+    pub fn prepare(&mut self, description: &Description, scene: &Scene<f32>) {
+        self.load(description, scene, false).expect("a program that fits");
+        self.settle();
+        self.execute(Command::Home).expect("homes at rest");
+        self.settle();
+        self.execute(Command::PolarityKnown).expect("cannot be refused");
+    }
+
+    /// Creates an armed paddle that presses 1 cm deep into a wall: 2.5 A of 3 A at 250 N/m.
+    pub fn pressing(stiffness: f32) -> Self {
+        Self::pressing_in(&scene(1, &[wall(-0.005, stiffness)]))
+    }
+
+    /// Like [`Rig::pressing`], in a scene with such a wall.
+    pub fn pressing_in(scene: &Scene<f32>) -> Self {
+        let mut rig = Self::ready(scene);
+        rig.press_wall();
+        rig
+    }
+
+    /// Arms and turns the paddle 1 cm deep into that wall.
+    pub fn press_wall(&mut self) {
+        self.arm();
+        self.turn(0, -0.15, 1.0);
     }
 
     /// Creates an armed paddle in free space, far from a stiff wall at -0.05 m, after the ramp.
@@ -378,14 +404,17 @@ impl Rig {
         self.control_loop.status().state
     }
 
+    /// Returns the torques of the last step, N m.
+    pub fn torques(&self) -> Torques {
+        self.control_loop.frame().motors.torque
+    }
+
     pub fn fault(&self) -> Option<Fault> {
         self.control_loop.status().fault.map(|record| record.fault)
     }
 
     /// Returns true if the bridges are off and all duties and torques are zero.
     pub fn motors_off(&self) -> bool {
-        !self.outputs.bridges
-            && self.duties == [0.0; MAX_JOINTS]
-            && self.control_loop.frame().motors.torque == Torques::default()
+        !self.outputs.bridges && self.duties == [0.0; MAX_JOINTS] && self.torques() == Torques::default()
     }
 }

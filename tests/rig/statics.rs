@@ -1,27 +1,39 @@
-//! Oracle for the joint torques and tip forces of the rig's five-bar, independent of the library's Jacobian.
+//! Oracle for the joint torques and tip forces of the rig's five-bar, without the library's geometry and Jacobian.
 
-use super::five_bar;
-use haptic_bridge::math::Libm;
-use haptic_bridge::model::device::Device;
-use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
+use super::Rig;
 use nalgebra::{Matrix2, Vector2};
 
-/// Computes Jᵀ f of the rig's five-bar by differences of the tip position in f64, without the library's J.
+/// Computes the tip (m) of the rig's five-bar at two joint angles (rad) from the circles around its elbows.
+pub fn tip(q: [f64; 2]) -> Vector2<f64> {
+    let [left, right] =
+        [(-0.025, q[0]), (0.025, q[1])].map(|(x, angle)| Vector2::new(x + 0.07 * angle.cos(), 0.07 * angle.sin()));
+    let apart = right - left;
+    let half = 0.5 * apart.norm();
+    let height = (0.09_f64.powi(2) - half * half).sqrt() / (2.0 * half);
+    (left + right) * 0.5 + Vector2::new(-apart.y, apart.x) * height
+}
+
+/// Computes Jᵀ f of the rig's five-bar by differences of the tip position.
 pub fn torques(q: &[f32; 3], f: [f64; 2]) -> Vector2<f64> {
-    let device = Device::<f64>::new("test", &five_bar()).expect("a sound device");
-    let AnyMechanism::FiveBar(mechanism) = device.mechanism else { panic!("a five-bar") };
-    let tip = |i: usize, by: f64| {
-        let mut at = Vector2::new(f64::from(q[0]), f64::from(q[1]));
+    let moved = |i: usize, by: f64| {
+        let mut at = [0, 1].map(|i| f64::from(q[i]));
         at[i] += by;
-        let pose = mechanism.pose::<Libm>(&at);
-        mechanism.tip(&pose)
+        tip(at)
     };
     let h = 1.0e-6;
-    Vector2::from_fn(|i, _| (tip(i, h) - tip(i, -h)).dot(&Vector2::from(f)) / (2.0 * h))
+    Vector2::from_fn(|i, _| (moved(i, h) - moved(i, -h)).dot(&Vector2::from(f)) / (2.0 * h))
 }
 
 /// Computes the tip force of joint torques, J⁻ᵀ τ.
 pub fn force_at_tip(q: &[f32; 3], torque: Vector2<f64>) -> Vector2<f64> {
     let transposed = Matrix2::from_columns(&[torques(q, [1.0, 0.0]), torques(q, [0.0, 1.0])]);
     transposed.try_inverse().expect("not a singular pose") * torque
+}
+
+impl Rig {
+    /// Computes the tip force of a five-bar's torques in the last step, N.
+    pub fn tip_force(&self) -> Vector2<f64> {
+        let torque = self.torques();
+        force_at_tip(&self.control_loop.frame().at.q, Vector2::new(torque[0], torque[1]).map(f64::from))
+    }
 }

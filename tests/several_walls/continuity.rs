@@ -1,15 +1,13 @@
 //! Torques never jump: their slopes over the angle between walls, over the stiffness ratio and over the penetration
 //! stay below bounds that do not depend on the sampling.
 
-use super::{Precision, Shipped, device, normalized, torque, torque_with_flags, unit_vector};
+use super::{Precision, Shipped, device, first_step, normalized, three, torque, torque_with_flags, unit_vector};
+use crate::common::{bilateral_wall, fine_counts, with_fine_encoders};
 use haptic_bridge::control::compiled::BoardMath;
-use haptic_bridge::math::Libm;
-use haptic_bridge::model::description::Encoder;
 use haptic_bridge::model::device::Device;
-use haptic_bridge::model::mechanism::{AnyMechanism, FiveBar, Mechanism};
+use haptic_bridge::model::mechanism::{AnyMechanism, FiveBar};
 use haptic_bridge::render::controller::{Controller, TOUCH_DEPTH};
 use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, Wall};
-use haptic_bridge::with_mechanism;
 use nalgebra::SVector;
 
 fn distance(a: &[f64], b: &[f64]) -> f64 {
@@ -122,14 +120,19 @@ fn torque_is_continuous_in_the_ratio_of_stiffness() {
     }
 }
 
-/// Computes the torques of a scene's first step at a fixed pose for walls (normal, stiffness, penetration in m).
-fn step<M: Mechanism<f64, N>, const N: usize>(
-    m: M,
-    file: &Shipped,
-    q: &[f64],
-    walls: &[(Vec<f64>, f64, f64)],
-) -> Vec<f64> {
-    step_with_flags(m, file, q, walls, &vec![true; walls.len()])
+/// Computes the torques of the board's first step at a pose for walls (normal, stiffness, penetration in m), with the
+/// feed-forward for the walls whose entry in `with` is true.
+fn step(file: &Shipped, q: &[f64], walls: &[(Vec<f64>, f64, f64)], with: &[bool]) -> Vec<f64> {
+    first_step(file, q, &|tip| {
+        let walls = walls.iter().zip(with).map(|((normal, stiffness, depth), with)| {
+            let normal = three(normal);
+            let point = core::array::from_fn(|i| tip[i] + depth * normal[i]);
+            let feed_forward = if *with { FeedForward::Full } else { FeedForward::Off };
+            let plane = Surface::Plane(Plane { point, normal });
+            Wall { feed_forward, bilateral: false, ..bilateral_wall(plane, *stiffness) }
+        });
+        (Scene { walls: walls.collect(), ..Scene::default() }, None)
+    })
 }
 
 /// Computes the torque per newton of wall `pushing`, m, from the board's steps at penetrations of 1 and 1.1 mm, where
@@ -144,46 +147,10 @@ pub fn lever_of_the_board(
     let at = |pushed: f64| {
         let depth = |i: usize| if i == pushing { pushed } else { 1.0e-3 };
         let walls: Vec<_> = walls.iter().enumerate().map(|(i, (n, k))| (n.clone(), *k, depth(i))).collect();
-        with_mechanism!(AnyMechanism::<f64>::new(&file.description).unwrap(), m => step_with_flags(m, file, q, &walls, with))
+        step(file, q, &walls, with)
     };
     let newtons = walls[pushing].1 * 1.0e-4;
     at(1.1e-3).iter().zip(at(1.0e-3)).map(|(far, near)| (far - near) / newtons).collect()
-}
-
-/// Like [`step`], with the feed-forward for the walls whose entry in `with` is true.
-fn step_with_flags<M: Mechanism<f64, N>, const N: usize>(
-    m: M,
-    file: &Shipped,
-    q: &[f64],
-    walls: &[(Vec<f64>, f64, f64)],
-    with: &[bool],
-) -> Vec<f64> {
-    let mut description = file.description;
-    for joint in &mut description.joints {
-        joint.encoder = Some(Encoder { counts_per_turn: 1.0e9, offset: 0.0, inverted: false });
-    }
-    let counts: [i32; N] = core::array::from_fn(|i| (q[i] * 1.0e9 / std::f64::consts::TAU).round() as i32);
-    let tip = m.tip(&m.pose::<Libm>(&SVector::from_fn(|i, _| f64::from(counts[i]) * std::f64::consts::TAU / 1.0e9)));
-    let walls = walls.iter().zip(with).map(|((normal, stiffness, depth), with)| {
-        let three = |f: &dyn Fn(usize) -> f64| core::array::from_fn(|i| if i < M::SPEC.task { f(i) } else { 0.0 });
-        Wall {
-            surface: Surface::Plane(Plane {
-                point: three(&|i| tip[i] + depth * normal[i]),
-                normal: three(&|i| normal[i]),
-            }),
-            stiffness: *stiffness,
-            damping: 0.0,
-            feed_forward: if *with { FeedForward::Full } else { FeedForward::Off },
-            washout_hz: 2.0,
-            damping_compensation: false,
-            bilateral: false,
-        }
-    });
-    let scene =
-        Scene { task: M::SPEC.task as u8, walls: walls.collect(), gravity_compensation: false, ..Scene::default() };
-    let device = Device::new("device", &description).expect("a sound device");
-    let mut controller = Controller::<f64, M, Libm, N>::new(m, &device, &scene).expect("a sound scene");
-    controller.step(&counts).torque.iter().copied().collect()
 }
 
 #[test]
@@ -202,7 +169,7 @@ fn torque_is_continuous_in_depth() {
                         if third {
                             walls.push((turned_normal(task, 0.7, -0.3), 0.3 * stiff, depth - 1.0e-4));
                         }
-                        with_mechanism!(AnyMechanism::<f64>::new(&file.description).unwrap(), m => step_with_flags(m, &file, &q, &walls, &with))
+                        step(&file, &q, &walls, &with)
                     };
                     // Each wall's own force contributes its stiffness times a lever. The shaping of the first wall
                     // changes over the depth in which the weight of the second grows: ∂w/∂x ≤ 2 · 1.5 k₂/k₁ over
@@ -248,7 +215,7 @@ fn board_and_model_agree_on_walls_with_and_without_feed_forward() {
 fn touching_a_second_wall_causes_no_jump_of_torque() {
     for (file, q) in device_poses() {
         let task = file.spec().task;
-        let with = |walls: &[(Vec<f64>, f64, f64)]| with_mechanism!(AnyMechanism::<f64>::new(&file.description).unwrap(), m => step(m, &file, &q, walls));
+        let with = |walls: &[(Vec<f64>, f64, f64)]| step(&file, &q, walls, &[true; 2]);
         let first = (turned_normal(task, 0.0, 0.4), 5_000.0, 2.0e-3);
         let alone = with(std::slice::from_ref(&first));
         for angle in [0.05, 0.8, std::f64::consts::FRAC_PI_2] {
@@ -314,27 +281,18 @@ fn the_feed_forward_of_several_walls_fades_near_a_singularity() {
     // Near a stretched elbow the share is below one, and the torque is between Jᵀ F and the shaped torque.
     let file = device("coupled-five-bar");
     let Ok(AnyMechanism::FiveBar(m)) = AnyMechanism::<f32>::new(&file.description) else { panic!("a five-bar") };
-    let mut description = file.description;
-    for joint in &mut description.joints {
-        joint.encoder = Some(Encoder { counts_per_turn: 1_048_576.0, offset: 0.0, inverted: false });
-    }
-    let device = Device::<f32>::new("device", &description).expect("a sound device");
+    let device = Device::<f32>::new("device", &with_fine_encoders(file.description)).expect("a sound device");
     let walls = |feed_forward| {
-        [[0.6, 0.8, 0.0], [-0.8, 0.6, 0.0]].map(|normal| Wall {
-            surface: Surface::Plane(Plane { point: [0.0, 0.4, 0.0], normal }),
-            stiffness: if normal[0] > 0.0 { 50.0 } else { 20.0 },
-            damping: 0.0,
-            feed_forward,
-            washout_hz: 2.0,
-            damping_compensation: false,
-            bilateral: true,
+        [([0.6, 0.8, 0.0], 50.0), ([-0.8, 0.6, 0.0], 20.0)].map(|(normal, stiffness)| {
+            let plane = Surface::Plane(Plane { point: [0.0, 0.4, 0.0], normal });
+            Wall { feed_forward, ..bilateral_wall(plane, stiffness) }
         })
     };
     let step = |q: [f64; 2], feed_forward| {
         let scene = Scene { task: 2, walls: walls(feed_forward).into_iter().collect(), ..Scene::default() };
         let mut controller =
             Controller::<f32, FiveBar<f32>, BoardMath, 2>::new(m, &device, &scene).expect("a sound scene");
-        controller.step(&q.map(|q| (q / std::f64::consts::TAU * 1_048_576.0).round() as i32))
+        controller.step(&fine_counts(&q.into()))
     };
     let (mut last, mut shares, mut changed) = (None::<SVector<f32, 2>>, Vec::new(), 0.0_f32);
     // The right arm turns until its elbow stretches.

@@ -1,7 +1,7 @@
 //! Stability of sampled loops with several walls: built from M and J alone, and checked by eigenvalues.
 
 use super::continuity::lever_of_the_board;
-use super::{Precision, Random, Shipped, device, normalized, torque_with_flags, unit_vector};
+use super::{Precision, Random, Shipped, device, largest, normalized, torque_with_flags, unit_vector};
 use haptic_bridge::math::Libm;
 use haptic_bridge::model::mechanism::Mechanism;
 use haptic_bridge::with_mechanism;
@@ -140,8 +140,7 @@ fn critical_stiffness() -> f64 {
 /// Returns the largest stable total stiffness, N/m, from the modes, and checks it against the sampled loop on both
 /// sides.
 pub fn limit(case: &Case, critical: f64) -> f64 {
-    let largest = case.modes().iter().map(|mode| mode.norm()).fold(0.0, f64::max);
-    let found = critical / largest;
+    let found = critical / largest(&case.modes());
     assert!(
         case.radius(found * 0.995) < 1.0 + 1.0e-9 && case.radius(found * 1.005) > 1.0,
         "the sampled loop has another limit"
@@ -183,23 +182,17 @@ fn the_feed_forward_makes_no_set_of_walls_less_stable() {
         let task = device.spec().task;
         for set in 0..60 {
             let q = pose(&device, &mut random);
-            let base = random.direction(task);
-            let walls: Vec<(Vec<f64>, f64)> = (0..2 + set % 3)
-                .map(|_| {
-                    let normal = if set % 2 == 0 { random.direction(task) } else { random.near(&base, 0.5) };
-                    (normal, 10_f64.powf(random.between(0.0, 4.0)))
-                })
-                .collect();
+            let walls = random.walls(task, set, 4.0);
             let plain = Case::new(&device, &q, &walls, false).expect("a regular pose");
             let shaped = Case::new(&device, &q, &walls, true).expect("a regular pose");
-            let largest = plain.modes().iter().map(|mode| mode.norm()).fold(0.0, f64::max);
+            let bound = largest(&plain.modes());
             for mode in shaped.modes() {
                 assert!(
-                    mode.im.abs() <= 1.0e-7 * largest,
+                    mode.im.abs() <= 1.0e-7 * bound,
                     "{} {q:?} {walls:?}: {mode} is not the inverse of a mass",
                     device.name
                 );
-                assert!(mode.re <= largest * (1.0 + 1.0e-9), "{} {q:?} {walls:?}: {mode}, {largest}", device.name);
+                assert!(mode.re <= bound * (1.0 + 1.0e-9), "{} {q:?} {walls:?}: {mode}, {bound}", device.name);
             }
             let (without, with) = (limit(&plain, critical), limit(&shaped, critical));
             assert!(with >= without * (1.0 - 1.0e-9), "{} {q:?} {walls:?}: {without} to {with}", device.name);
@@ -218,27 +211,20 @@ fn the_feed_forward_of_some_walls_makes_no_set_less_stable() {
         let task = device.spec().task;
         for set in 0..120 {
             let q = pose(&device, &mut random);
-            let base = random.direction(task);
-            let walls: Vec<(Vec<f64>, f64)> = (0..2 + set % 3)
-                .map(|_| {
-                    let normal = if set % 2 == 0 { random.direction(task) } else { random.near(&base, 0.5) };
-                    (normal, 10_f64.powf(random.between(0.0, if set % 4 < 2 { 1.0 } else { 4.0 })))
-                })
-                .collect();
+            let walls = random.walls(task, set, if set % 4 < 2 { 1.0 } else { 4.0 });
             // At least one wall with the feed-forward and at least one without.
             let mut with: Vec<bool> = walls.iter().map(|_| random.between(0.0, 1.0) < 0.5).collect();
             with[0] = !with[1];
             let plain = Case::new(&device, &q, &walls, false).expect("a regular pose");
             let some = Case::with_flags(&device, &q, &walls, &with).expect("a regular pose");
-            let largest = |case: &Case| case.modes().iter().map(|mode| mode.norm()).fold(0.0, f64::max);
-            let (without, heaviest) = (largest(&plain), largest(&some));
+            let (without, with_some) = (largest(&plain.modes()), largest(&some.modes()));
             for mode in some.modes() {
                 let real = mode.im.abs() <= 1.0e-7 * without && mode.re >= -1.0e-9 * without;
                 assert!(real, "{} {q:?} {walls:?} {with:?}: {mode} is not the inverse of a mass", device.name);
             }
             let name = &device.name;
-            assert!(heaviest <= without * (1.0 + 1.0e-9), "{name} {q:?} {walls:?} {with:?}: {without}, {heaviest}");
-            most = most.max(without / heaviest);
+            assert!(with_some <= without * (1.0 + 1.0e-9), "{name} {q:?} {walls:?} {with:?}: {without}, {with_some}");
+            most = most.max(without / with_some);
             cases += 1;
         }
     }
@@ -292,36 +278,26 @@ fn facets_two_degrees_apart_have_the_range_of_one_wall() {
 fn one_wall_with_feed_forward_does_not_destabilise_the_other() {
     let (device, q) = (device("coupled-five-bar"), [2.6, 1.75]);
     let walls = [(normalized(&[-0.194_558, -0.980_891]), 5_967.2), (normalized(&[0.706_391, -0.707_822]), 10_000.0)];
-    let largest = |case: &Case| case.modes().iter().map(|mode| mode.norm()).fold(0.0, f64::max);
     let plain = Case::new(&device, &q, &walls, false).expect("a regular pose");
+    let ratio = |case: &Case| largest(&case.modes()) / largest(&plain.modes());
     let mut previous = f64::INFINITY;
     for with in [[false, false], [true, false], [true, true]] {
-        let mut board = Case::new(&device, &q, &walls, false).expect("a regular pose");
+        let mut board = plain.clone();
         for pushing in 0..2 {
-            board
-                .levers
-                .set_column(pushing, &DVector::from_vec(lever_of_the_board(&device, &q, &walls, &with, pushing)));
+            let lever = lever_of_the_board(&device, &q, &walls, &with, pushing);
+            board.levers.set_column(pushing, &DVector::from_vec(lever));
         }
-        let mode = largest(&board);
-        assert!(mode <= largest(&plain) * (1.0 + 1.0e-6), "{with:?}: {}", mode / largest(&plain));
+        let mode = ratio(&board);
+        assert!(mode <= 1.0 + 1.0e-6, "{with:?}: {mode}");
         // Every further wall with the feed-forward adds mass.
         assert!(mode <= previous * (1.0 + 1.0e-6), "{with:?}: {mode}, {previous} before");
         previous = mode;
     }
-    assert!(
-        previous < 0.9995 * largest(&plain),
-        "the feed-forward has too little effect: {}",
-        previous / largest(&plain)
-    );
+    assert!(previous < 0.9995, "the feed-forward has too little effect: {previous}");
     let mut through_jacobian = plain.clone();
-    through_jacobian
-        .levers
-        .set_column(0, &Case::new(&device, &q, &walls[..1], true).expect("a regular pose").levers.column(0));
-    assert!(
-        (largest(&through_jacobian) / largest(&plain) - 1.0566).abs() < 1.0e-3,
-        "{}",
-        largest(&through_jacobian) / largest(&plain)
-    );
+    let first = Case::new(&device, &q, &walls[..1], true).expect("a regular pose");
+    through_jacobian.levers.set_column(0, &first.levers.column(0));
+    assert!((ratio(&through_jacobian) - 1.0566).abs() < 1.0e-3, "{}", ratio(&through_jacobian));
 }
 
 /// Checks a statement of docs/model.md about a second wall, in the plane, that acts with its full stiffness and has the
@@ -345,11 +321,8 @@ fn share_of_less_stable_pairs(w: f64) -> (f64, f64) {
         let along = &e * e.transpose();
         let inertia_along = (e.transpose() * &inertia * &e)[(0, 0)];
         let shaped = &mobility - &mobility * &along * share + &along * (share / inertia_along);
-        let largest = |map: &DMatrix<f64>| {
-            let modes = (map * (&first + &second)).complex_eigenvalues();
-            modes.iter().map(|mode| mode.norm()).fold(0.0, f64::max)
-        };
-        let ratio = largest(&shaped) / largest(&mobility);
+        let size = |map: &DMatrix<f64>| largest((map * (&first + &second)).complex_eigenvalues().as_slice());
+        let ratio = size(&shaped) / size(&mobility);
         worse += u32::from(ratio > 1.01);
         worst = worst.max(ratio);
     }

@@ -6,16 +6,19 @@ mod continuity;
 mod linear;
 mod springs;
 
-use crate::common::device_file;
+use crate::common::{FINE_COUNTS, device_file, fine_counts, with_fine_encoders};
 use haptic_bridge::control::compiled::BoardMath;
-use haptic_bridge::math::{FineTable, Math, Real};
+use haptic_bridge::math::{FineTable, Libm, Math, Real};
 use haptic_bridge::model::catalogue::Spec;
 use haptic_bridge::model::description::Description;
+use haptic_bridge::model::device::Device;
 use haptic_bridge::model::inertia::Inertia;
 use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
 use haptic_bridge::model::principal::Pull;
+use haptic_bridge::render::controller::{Controller, Push};
+use haptic_bridge::render::scene::Scene;
 use haptic_bridge::with_mechanism;
-use nalgebra::SVector;
+use nalgebra::{Complex, SVector};
 
 /// A shipped device.
 struct Shipped {
@@ -95,6 +98,35 @@ fn torque_with_flags(
     }
 }
 
+/// Pads a vector of the task space with zeros.
+fn three(v: &[f64]) -> [f64; 3] {
+    core::array::from_fn(|i| v.get(i).copied().unwrap_or(0.0))
+}
+
+/// Returns the largest size of a mode.
+fn largest(modes: &[Complex<f64>]) -> f64 {
+    modes.iter().map(|mode| mode.norm()).fold(0.0, f64::max)
+}
+
+/// Walls and springs of the device, and forces of the host.
+type SceneAt<'a> = &'a dyn Fn([f64; 3]) -> (Scene<f64>, Option<Push<f64>>);
+
+/// Computes the torques of the board's first step in the scene for its tip position.
+fn first_step(file: &Shipped, q: &[f64], scene: SceneAt<'_>) -> Vec<f64> {
+    fn run<M: Mechanism<f64, N>, const N: usize>(m: M, file: &Shipped, q: &[f64], scene: SceneAt<'_>) -> Vec<f64> {
+        let counts = fine_counts(&SVector::<f64, N>::from_column_slice(q));
+        let q = SVector::from_fn(|i, _| f64::from(counts[i]) * std::f64::consts::TAU / FINE_COUNTS);
+        let tip = m.tip(&m.pose::<Libm>(&q));
+        let (scene, push) = scene(core::array::from_fn(|i| if i < M::SPEC.task { tip[i] } else { 0.0 }));
+        let scene = Scene { task: M::SPEC.task as u8, gravity_compensation: false, ..scene };
+        let device = Device::new("device", &with_fine_encoders(file.description)).expect("a sound device");
+        let mut controller = Controller::<f64, M, Libm, N>::new(m, &device, &scene).expect("a sound scene");
+        controller.set_push(push.as_ref());
+        controller.step(&counts).torque.iter().copied().collect()
+    }
+    with_mechanism!(file.mechanism, m => run(m, file, q, scene))
+}
+
 /// A generator of pseudo-random numbers, the same on every machine.
 struct Random(u64);
 
@@ -112,6 +144,17 @@ impl Random {
                 return normalized(&v);
             }
         }
+    }
+
+    /// Draws 2 to 4 walls (normal, stiffness), for every second `set` near one normal. Stiffnesses are spread over
+    /// `decades`.
+    fn walls(&mut self, task: usize, set: usize, decades: f64) -> Vec<(Vec<f64>, f64)> {
+        let base = self.direction(task);
+        let wall = |_| {
+            let normal = if set % 2 == 0 { self.direction(task) } else { self.near(&base, 0.5) };
+            (normal, 10_f64.powf(self.between(0.0, decades)))
+        };
+        (0..2 + set % 3).map(wall).collect()
     }
 
     /// Draws a unit vector within `angle` (rad) of `n`.

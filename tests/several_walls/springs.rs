@@ -2,15 +2,11 @@
 //! of the board's step.
 
 use super::linear::{devices, matrices, pose};
-use super::{Random, Shipped, device, normalized, unit_vector};
-use haptic_bridge::math::Libm;
-use haptic_bridge::model::description::Encoder;
-use haptic_bridge::model::device::Device;
-use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism};
-use haptic_bridge::render::controller::{Controller, Push, PushedPlane};
+use super::{Random, Shipped, device, first_step, largest, normalized, three, unit_vector};
+use crate::common::bilateral_wall;
+use haptic_bridge::render::controller::{Push, PushedPlane};
 use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Spring, Surface, Wall};
-use haptic_bridge::with_mechanism;
-use nalgebra::{Complex, DMatrix, DVector, SVector};
+use nalgebra::{Complex, DMatrix, DVector};
 
 /// Forces at the tip: bilateral walls, springs, and a plane of the host.
 #[derive(Clone, Debug, Default)]
@@ -23,36 +19,14 @@ struct Set {
     plane: Option<(Vec<f64>, f64)>,
 }
 
-fn three(v: &[f64]) -> [f64; 3] {
-    core::array::from_fn(|i| v.get(i).copied().unwrap_or(0.0))
-}
-
 /// Computes the torques of the board's first step with the set at `shift` (m) from the tip, and the plane 1 cm further
 /// along its normal.
 fn torque(file: &Shipped, q: &[f64], set: &Set, shift: &[f64]) -> DVector<f64> {
-    fn compute<M: Mechanism<f64, N>, const N: usize>(
-        m: M,
-        file: &Shipped,
-        q: &[f64],
-        set: &Set,
-        shift: &[f64],
-    ) -> DVector<f64> {
-        let mut description = file.description;
-        for joint in &mut description.joints {
-            joint.encoder = Some(Encoder { counts_per_turn: 1.0e9, offset: 0.0, inverted: false });
-        }
-        let counts: [i32; N] = core::array::from_fn(|i| (q[i] * 1.0e9 / std::f64::consts::TAU).round() as i32);
-        let q = SVector::from_fn(|i, _| f64::from(counts[i]) * std::f64::consts::TAU / 1.0e9);
-        let tip = m.tip(&m.pose::<Libm>(&q));
-        let point: [f64; 3] = core::array::from_fn(|i| if i < M::SPEC.task { tip[i] + three(shift)[i] } else { 0.0 });
+    let torque = first_step(file, q, &|tip| {
+        let point: [f64; 3] = core::array::from_fn(|i| tip[i] + three(shift)[i]);
         let walls = set.walls.iter().map(|(normal, stiffness, with)| Wall {
-            surface: Surface::Plane(Plane { point, normal: three(normal) }),
-            stiffness: *stiffness,
-            damping: 0.0,
             feed_forward: if *with { FeedForward::Full } else { FeedForward::Off },
-            washout_hz: 2.0,
-            damping_compensation: false,
-            bilateral: true,
+            ..bilateral_wall(Surface::Plane(Plane { point, normal: three(normal) }), *stiffness)
         });
         let springs = set.springs.iter().map(|(line, stiffness)| Spring {
             point,
@@ -60,24 +34,14 @@ fn torque(file: &Shipped, q: &[f64], set: &Set, shift: &[f64]) -> DVector<f64> {
             stiffness: *stiffness,
             damping: 0.0,
         });
-        let scene = Scene {
-            task: M::SPEC.task as u8,
-            walls: walls.collect(),
-            springs: springs.collect(),
-            gravity_compensation: false,
-            ..Scene::default()
-        };
-        let device = Device::new("device", &description).expect("a sound device");
-        let mut controller = Controller::<f64, M, Libm, N>::new(m, &device, &scene).expect("a sound scene");
-        if let Some((normal, stiffness)) = &set.plane {
-            let n = three(normal);
-            let offset = n.iter().zip(&point).map(|(n, p)| n * p).sum::<f64>() + 0.01;
-            let plane = PushedPlane { normal: n, offset, stiffness: *stiffness, damping: 0.0 };
-            controller.set_push(Some(&Push { force: [0.0; 3], plane }));
-        }
-        DVector::from_iterator(N, controller.step(&counts).torque.iter().copied())
-    }
-    with_mechanism!(AnyMechanism::<f64>::new(&file.description).unwrap(), m => compute(m, file, q, set, shift))
+        let push = set.plane.as_ref().map(|(normal, stiffness)| {
+            let normal = three(normal);
+            let offset = normal.iter().zip(&point).map(|(n, p)| n * p).sum::<f64>() + 0.01;
+            Push { force: [0.0; 3], plane: PushedPlane { normal, offset, stiffness: *stiffness, damping: 0.0 } }
+        });
+        (Scene { walls: walls.collect(), springs: springs.collect(), ..Scene::default() }, push)
+    });
+    DVector::from_vec(torque)
 }
 
 /// Computes K of the set, N/m.
@@ -114,10 +78,6 @@ fn modes(file: &Shipped, q: &[f64], set: &Set) -> [Vec<Complex<f64>>; 2] {
     let plain = jacobian.transpose() * stiffness(set, task);
     [DMatrix::from_columns(&columns), plain]
         .map(|torques| (&jacobian * &inverse * torques).complex_eigenvalues().iter().copied().collect())
-}
-
-fn largest(modes: &[Complex<f64>]) -> f64 {
-    modes.iter().map(|mode| mode.norm()).fold(0.0, f64::max)
 }
 
 /// Asserts that the modes are those of real masses, and not lighter than without the feed-forward. Returns the ratio of

@@ -76,10 +76,7 @@ where
         row.poses += 1;
         let q: SVector<f32, N> = cast(&q);
         for _ in 0..NORMALS {
-            let mut n: SVector<f32, N> = cast(&random.vector::<N>(1.0));
-            for i in A::SPEC.task..N {
-                n[i] = 0.0;
-            }
+            let n: SVector<f32, N> = cast(&random.normal::<N>(A::SPEC.task));
             let qd: SVector<f32, N> = cast(&at_hand_speed(double, &cast(&q), random.vector(1.0)));
             let exact = routes::<_, ExactMath, _, N>(reference, &cast(&q), &cast(&qd), &cast(&n));
             row.board.grow(&Errors::new(&routes::<_, BoardMath, _, N>(board, &q, &qd, &n), &exact));

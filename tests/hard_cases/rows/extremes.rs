@@ -1,9 +1,8 @@
 //! Inertia ratios up to a million, links of a millimetre and of ten metres, masses of a milligram and of 100 kg.
 
 use super::routes::{Errors, Routes, routes};
-use super::shipped;
 use super::singular::{Random, cast};
-use super::{Exact, ExactMath};
+use super::{DEVICES, Exact, ExactMath, shipped};
 use haptic_bridge::control::compiled::BoardMath;
 use haptic_bridge::math::{Libm, Real};
 use haptic_bridge::model::description::Description;
@@ -35,21 +34,12 @@ where
 {
     let mut random = Random(11);
     let mut row = Row { device, case, ratio: 0.0, board: Errors::default(), double: Errors::default() };
-    let mut poses = 0;
-    while poses < POSES {
-        let q: SVector<f32, N> = cast(&random.vector::<N>(3.1));
-        let r = double.regularity(&double.pose::<Libm>(&cast(&q)));
-        if r.serial.min(r.parallel) < 0.2 {
-            continue;
-        }
-        poses += 1;
+    for _ in 0..POSES {
+        let q: SVector<f32, N> = cast(&random.regular_pose(double));
         let qd: SVector<f32, N> = cast(&random.vector::<N>(1.0));
         let mut worst: Option<(f64, SVector<f32, N>, Routes<Exact, N>)> = None;
         for _ in 0..NORMALS {
-            let mut n: SVector<f32, N> = cast(&random.vector::<N>(1.0));
-            for i in A::SPEC.task..N {
-                n[i] = 0.0;
-            }
+            let n: SVector<f32, N> = cast(&random.normal::<N>(A::SPEC.task));
             let exact = routes::<_, ExactMath, _, N>(reference, &cast(&q), &cast(&qd), &cast(&n));
             let ratio = (exact.w_rr_kernel / exact.w_eff_joint).to_f64();
             if worst.as_ref().is_none_or(|(most, ..)| ratio > *most) {
@@ -105,14 +95,6 @@ fn resize_device(device: &Description, length: f64, mass: f64) -> Description {
     let heaviest = if heaviest > 0.0 { heaviest } else { device.joints[0].inertia / (longest * longest) };
     scale_device(device, length / longest, mass / heaviest)
 }
-
-const DEVICES: [(&str, &str); 5] = [
-    ("paddle", "hapkit-paddle"),
-    ("five-bar", "haply-2diy"),
-    ("five-bar-turret", "fictive-five-bar-turret"),
-    ("parallelogram", "phantom-premium-1.5"),
-    ("serial-3r", "serial-3r"),
-];
 
 /// Target ratios, reached with a heavier joint 0.
 const RATIOS: [f64; 3] = [1e2, 1e4, 1e6];

@@ -23,7 +23,15 @@ pub mod several;
 pub mod singular;
 pub mod steps;
 pub mod turns;
-pub mod whole;
+
+/// A shipped device of every mechanism.
+const DEVICES: [(&str, &str); 5] = [
+    ("paddle", "hapkit-paddle"),
+    ("five-bar", "haply-2diy"),
+    ("five-bar-turret", "fictive-five-bar-turret"),
+    ("parallelogram", "phantom-premium-1.5"),
+    ("serial-3r", "serial-3r"),
+];
 
 pub static SINGULAR: LazyLock<Vec<singular::Row>> = LazyLock::new(singular::all);
 pub static EXTREMES: LazyLock<Vec<extremes::Row>> = LazyLock::new(extremes::all);

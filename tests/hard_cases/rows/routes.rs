@@ -3,8 +3,9 @@
 //! In exact arithmetic all are equal (docs/model.md section 2). In f32 they lose different digits.
 
 use haptic_bridge::math::{Math, Real};
-use haptic_bridge::model::inertia::Split;
+use haptic_bridge::model::inertia::{Inertia, Split};
 use haptic_bridge::model::mechanism::Mechanism;
+use haptic_bridge::model::principal::Pull;
 use haptic_bridge::model::solve::solve_symmetric;
 use nalgebra::{SMatrix, SVector};
 
@@ -99,28 +100,41 @@ pub fn routes<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
     }
 }
 
-/// Relative errors of each route against a reference.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Errors {
-    pub w_rr_joint: f64,
-    pub w_rr_task: f64,
-    pub w_rr_kernel: f64,
-    pub w_eff_schur: f64,
-    pub w_eff_joint: f64,
-    pub w_eff_task: f64,
-    pub plain: f64,
-    pub torque: f64,
-    pub torque_moving: f64,
+/// Defines a struct of errors, in the order of the table's columns.
+macro_rules! errors {
+    ($doc:literal $Name:ident: $($field:ident)*) => {
+        #[doc = $doc]
+        #[derive(Clone, Copy, Debug, Default)]
+        pub struct $Name {
+            $(pub $field: f64,)*
+        }
+
+        impl $Name {
+            /// Returns all errors in the order of the table's columns.
+            pub fn all(&self) -> impl Iterator<Item = f64> {
+                [$(self.$field),*].into_iter()
+            }
+
+            /// Keeps the larger error of each entry.
+            pub fn grow(&mut self, other: &Self) {
+                $(self.$field = self.$field.max(other.$field);)*
+            }
+        }
+    };
+}
+errors! {
+    "Relative errors of each route against a reference."
+    Errors: w_eff_schur w_eff_joint w_eff_task w_rr_joint w_rr_task w_rr_kernel plain torque torque_moving
+}
+errors! {
+    "Errors of the analysis as shares of the largest entry of each quantity."
+    WholeErrors: w w_eff z f_a torque
 }
 
 impl Errors {
     /// Computes the errors of `found` against `exact`, for torques as a share of the largest entry.
     pub fn new<A: Real, B: Real, const N: usize>(found: &Routes<A, N>, exact: &Routes<B, N>) -> Self {
-        let relative = |a: A, b: B| worst((a.to_f64() - b.to_f64()).abs() / b.to_f64().abs());
-        let share = |a: &SVector<A, N>, b: &SVector<B, N>| {
-            let (a, b) = (a.map(|x| x.to_f64()), b.map(|x| x.to_f64()));
-            worst((a - b).amax() / b.amax())
-        };
+        let relative = |a: A, b: B| share(&SVector::from([a]), &SVector::from([b]));
         Self {
             w_rr_joint: relative(found.w_rr_joint, exact.w_rr_kernel),
             w_rr_task: relative(found.w_rr_task, exact.w_rr_kernel),
@@ -133,38 +147,37 @@ impl Errors {
             torque_moving: share(&found.torque_moving, &exact.torque_moving),
         }
     }
+}
 
-    /// Returns all errors in the order of the table's columns.
-    pub fn all(&self) -> [f64; 9] {
-        [
-            self.w_eff_schur,
-            self.w_eff_joint,
-            self.w_eff_task,
-            self.w_rr_joint,
-            self.w_rr_task,
-            self.w_rr_kernel,
-            self.plain,
-            self.torque,
-            self.torque_moving,
-        ]
-    }
-
-    /// Keeps the larger error of each entry.
-    pub fn grow(&mut self, other: &Self) {
-        let larger = |a: &mut f64, b: f64| *a = a.max(b);
-        larger(&mut self.w_rr_joint, other.w_rr_joint);
-        larger(&mut self.w_rr_task, other.w_rr_task);
-        larger(&mut self.w_rr_kernel, other.w_rr_kernel);
-        larger(&mut self.w_eff_schur, other.w_eff_schur);
-        larger(&mut self.w_eff_joint, other.w_eff_joint);
-        larger(&mut self.w_eff_task, other.w_eff_task);
-        larger(&mut self.plain, other.plain);
-        larger(&mut self.torque, other.torque);
-        larger(&mut self.torque_moving, other.torque_moving);
+impl WholeErrors {
+    /// Computes the errors of `found` against `exact`.
+    pub fn new<A: Real, B: Real, const N: usize>(found: &Inertia<A, N>, exact: &Inertia<B, N>) -> Self {
+        Self {
+            w: share(&found.w, &exact.w),
+            w_eff: share(&found.w_eff, &exact.w_eff),
+            z: share(&found.z, &exact.z),
+            f_a: share(&found.f_a, &exact.f_a),
+            torque: share(&found.torque, &exact.torque),
+        }
     }
 }
 
-/// Replaces NaN with an infinite error.
-fn worst(error: f64) -> f64 {
+/// Computes all quantities of equation (4) as the analysis does, for one wall with the unit normal `n` and a force of
+/// 1 N, at the pose `q` and the joint velocities `qd` (rad/s).
+pub fn whole<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
+    m: &M,
+    q: &SVector<T, N>,
+    qd: &SVector<T, N>,
+    n: &SVector<T, N>,
+) -> Inertia<T, N> {
+    let n = n / K::sqrt(n.dot(n));
+    let wall = Pull { normal: n, across: false, stiffness: T::one(), feed_forward: true };
+    Inertia::new::<K, M>(m, &m.pose::<K>(q), qd, &[wall], &n)
+}
+
+/// Computes the largest error as a share of the largest entry; infinity instead of NaN.
+fn share<A: Real, B: Real, const R: usize, const C: usize>(a: &SMatrix<A, R, C>, b: &SMatrix<B, R, C>) -> f64 {
+    let (a, b) = (a.map(|x| x.to_f64()), b.map(|x| x.to_f64()));
+    let error = (a - b).amax() / b.amax();
     if error.is_nan() { f64::INFINITY } else { error }
 }

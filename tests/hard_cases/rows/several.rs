@@ -3,10 +3,9 @@
 //! reference's numbers.
 
 use super::routes::inverse;
-use super::shipped;
 use super::singular::{Random, cast};
-use super::steps::{controller, counts, encoded, three};
-use super::{Exact, ExactMath};
+use super::steps::{controller, counts, encoded, scene, three};
+use super::{DEVICES, Exact, ExactMath, shipped};
 use haptic_bridge::control::compiled::BoardMath;
 use haptic_bridge::math::{Libm, Math, Real};
 use haptic_bridge::model::description::Description;
@@ -93,11 +92,8 @@ where
                 let q: SVector<f64, N> = random.vector(3.1);
                 let pose = double.pose::<Libm>(&q);
                 let r = double.regularity(&pose);
-                let mut n: SVector<f64, N> = random.vector(1.0);
-                let mut t: SVector<f64, N> = random.vector(1.0);
-                for i in task..N {
-                    (n[i], t[i]) = (0.0, 0.0);
-                }
+                let mut n: SVector<f64, N> = random.normal(task);
+                let mut t: SVector<f64, N> = random.normal(task);
                 if r.serial.min(r.parallel) < 0.2 || n.norm() < 0.1 {
                     continue;
                 }
@@ -111,39 +107,27 @@ where
                 let tip = double.tip(&pose);
                 for (index, ratio) in RATIOS.into_iter().enumerate() {
                     let stiffness = [1.0, (1.0 / ratio) as f32];
-                    let wall = |i: usize| {
-                        let normal = cast::<f32, f64, N>(&normals[i]);
-                        let point = three(&(tip + normal), task).map(|x| x as f32);
-                        Wall {
-                            surface: Surface::Plane(Plane { point, normal: three(&normal, task).map(|x| x as f32) }),
-                            stiffness: stiffness[i],
-                            damping: 0.0,
-                            feed_forward: FeedForward::Full,
-                            washout_hz: 2.0,
-                            damping_compensation: false,
-                            bilateral: true,
-                        }
-                    };
-                    let walls = [wall(0), wall(1)];
-                    let scene = Scene {
-                        task: task as u8,
-                        rate_hz: 1_000.0,
-                        cutoff_hz: 100.0,
-                        velocity_terms: VelocityTerms::Off,
-                        gravity_compensation: false,
-                        walls: walls.into_iter().collect(),
-                        ..Scene::default()
-                    };
+                    let mut scene: Scene<f32> = scene(task, [0.0; 3], [1.0, 0.0, 0.0], 0.0, 0.0, FeedForward::Full);
+                    (scene.rate_hz, scene.cutoff_hz) = (1_000.0, 100.0);
+                    (scene.velocity_terms, scene.gravity_compensation) = (VelocityTerms::Off, false);
+                    let planes = normals.map(|n| {
+                        let n = cast::<f32, f64, N>(&n);
+                        let [point, normal] = [tip + n, n].map(|v| three(&v, task).map(|x| x as f32));
+                        Plane { point, normal }
+                    });
+                    let first = Wall { damping_compensation: false, bilateral: true, ..scene.walls[0] };
+                    let walls =
+                        [0, 1].map(|i| Wall { surface: Surface::Plane(planes[i]), stiffness: stiffness[i], ..first });
+                    scene.walls = walls.into_iter().collect();
                     let step = controller::<f32, BoardMath, _, N>(board, device, &scene).step(&counts(&q));
                     // The oracle uses the same rounded angles and planes as the board.
                     let angles: SVector<Exact, N> = cast(&step.q);
                     let tip = reference.tip(&reference.pose::<ExactMath>(&angles));
                     let given = [0, 1].map(|i| {
-                        let Surface::Plane(plane) = walls[i].surface else { unreachable!("a plane") };
                         let normal: SVector<Exact, N> = cast(&normals[i]);
                         let mut distance = Exact::from_f64(0.0);
                         for k in 0..task {
-                            distance += normal[k] * (tip[k] - Exact::from_f64(f64::from(plane.point[k])));
+                            distance += normal[k] * (tip[k] - Exact::from_f64(f64::from(planes[i].point[k])));
                         }
                         let stiffness = Exact::from_f64(f64::from(stiffness[i]));
                         (normal, stiffness, -(stiffness * distance))
@@ -162,16 +146,12 @@ where
 
 /// Returns the rows of every mechanism with more than one direction.
 pub fn all() -> Vec<Row> {
-    [
-        ("five-bar", "haply-2diy"),
-        ("five-bar-turret", "fictive-five-bar-turret"),
-        ("parallelogram", "phantom-premium-1.5"),
-        ("serial-3r", "serial-3r"),
-    ]
-    .into_iter()
-    .flat_map(|(name, file)| {
-        let device = encoded(&shipped(file));
-        in_three_precisions!(&device, (a, b, c) => row(a, b, c, name, &device))
-    })
-    .collect()
+    DEVICES
+        .into_iter()
+        .skip(1)
+        .flat_map(|(name, file)| {
+            let device = encoded(&shipped(file));
+            in_three_precisions!(&device, (a, b, c) => row(a, b, c, name, &device))
+        })
+        .collect()
 }

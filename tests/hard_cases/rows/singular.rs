@@ -1,8 +1,7 @@
 //! Poses with a chosen condition number of J near each kind of singularity, and the errors of the routes there.
 
-use super::routes::{Errors, routes};
+use super::routes::{Errors, WholeErrors, routes, whole};
 use super::shipped;
-use super::whole::{WholeErrors, whole};
 use super::{Exact, ExactMath};
 use haptic_bridge::control::compiled::BoardMath;
 use haptic_bridge::math::{FineTable, Libm, Real};
@@ -88,6 +87,23 @@ impl Random {
     /// Draws every entry from `-bound..bound`.
     pub fn vector<const N: usize>(&mut self, bound: f64) -> SVector<f64, N> {
         SVector::from_fn(|_, _| self.within(-bound, bound))
+    }
+
+    /// Draws a vector of the task space, at most 1 long in every direction.
+    pub fn normal<const N: usize>(&mut self, task: usize) -> SVector<f64, N> {
+        let n = self.vector::<N>(1.0);
+        SVector::from_fn(|i, _| if i < task { n[i] } else { 0.0 })
+    }
+
+    /// Draws a pose far from every singularity.
+    pub fn regular_pose<M: Mechanism<f64, N>, const N: usize>(&mut self, m: &M) -> SVector<f64, N> {
+        loop {
+            let q = self.vector(3.1);
+            let r = m.regularity(&m.pose::<Libm>(&q));
+            if r.serial.min(r.parallel) >= 0.2 {
+                return q;
+            }
+        }
     }
 }
 
@@ -236,17 +252,15 @@ where
         let r = double.regularity(&double.pose::<Libm>(&cast(&q)));
         row.regularity = row.regularity.min(r.serial).min(r.parallel);
         for _ in 0..NORMALS {
-            let mut n: SVector<f32, N> = cast(&random.vector::<N>(1.0));
-            for i in A::SPEC.task..N {
-                n[i] = 0.0;
-            }
+            let n: SVector<f32, N> = cast(&random.normal::<N>(A::SPEC.task));
             let qd: SVector<f32, N> = cast(&at_hand_speed(double, &cast(&q), random.vector(1.0)));
             let exact = routes::<_, ExactMath, _, N>(reference, &cast(&q), &cast(&qd), &cast(&n));
             row.board.grow(&Errors::new(&routes::<_, BoardMath, _, N>(board, &q, &qd, &n), &exact));
             row.double.grow(&Errors::new(&routes::<_, Libm, _, N>(double, &cast(&q), &cast(&qd), &cast(&n)), &exact));
             let found = whole::<_, FineTable, _, N>(double, &cast(&q), &cast(&qd), &cast(&n));
-            row.whole.grow(&found, &whole::<_, ExactMath, _, N>(reference, &cast(&q), &cast(&qd), &cast(&n)));
-            row.reference = Errors::new(&exact, &exact).all().into_iter().fold(row.reference, f64::max);
+            let right = whole::<_, ExactMath, _, N>(reference, &cast(&q), &cast(&qd), &cast(&n));
+            row.whole.grow(&WholeErrors::new(&found, &right));
+            row.reference = Errors::new(&exact, &exact).all().fold(row.reference, f64::max);
         }
     }
     row

@@ -1,7 +1,7 @@
 //! The complete control step in hard cases: a hit at 10 m/s on a wall of 1e6 N/m, and a press into such a wall.
 
-use super::shipped;
 use super::singular::Random;
+use super::{DEVICES, shipped};
 use haptic_bridge::control::compiled::BoardMath;
 use haptic_bridge::math::{Libm, Math, Real};
 use haptic_bridge::model::description::{Description, Encoder};
@@ -133,11 +133,8 @@ where
     let mut row = Row { device: name, hit: 0.0, force: 0.0, speed: 0.0, least: f64::INFINITY, press: 0.0 };
     let mut runs = 0;
     while runs < 10 {
-        let (start, mut n): (SVector<f64, N>, SVector<f64, N>) = (random.vector(3.1), random.vector(1.0));
-        for i in task..N {
-            n[i] = 0.0;
-        }
-        n /= n.dot(&n).sqrt();
+        let (start, n): (SVector<f64, N>, SVector<f64, N>) = (random.vector(3.1), random.normal(task));
+        let n = n / n.dot(&n).sqrt();
         if !is_usable(&double, &start) {
             continue;
         }
@@ -179,28 +176,11 @@ where
 
 /// Returns the rows of every mechanism.
 pub fn all() -> Vec<Row> {
-    [
-        ("paddle", "hapkit-paddle"),
-        ("five-bar", "haply-2diy"),
-        ("five-bar-turret", "fictive-five-bar-turret"),
-        ("parallelogram", "phantom-premium-1.5"),
-        ("serial-3r", "serial-3r"),
-    ]
-    .into_iter()
-    .map(|(name, file)| {
-        let device = encoded(&shipped(file));
-        let sound = "a shipped device is sound";
-        let double = AnyMechanism::<f64>::new(&device).expect(sound);
-        let board = AnyMechanism::<f32>::new(&device).expect(sound);
-        macro_rules! each {
-            ($($Variant:ident)*) => {
-                match (double, board) {
-                    $((AnyMechanism::$Variant(a), AnyMechanism::$Variant(b)) => row(a, b, name, &device),)*
-                    _ => unreachable!("both precisions have the same mechanism"),
-                }
-            };
-        }
-        each!(Paddle FiveBar FiveBarTurret Parallelogram Serial3r)
-    })
-    .collect()
+    DEVICES
+        .map(|(name, file)| {
+            let device = encoded(&shipped(file));
+            let mechanism = AnyMechanism::<f64>::new(&device).expect("a sound device");
+            haptic_bridge::with_mechanism!(mechanism, m => row(m, m.cast::<f32>(), name, &device))
+        })
+        .to_vec()
 }

@@ -6,7 +6,7 @@ use super::singular::{Random, cast};
 use super::steps::{controller, encoded, scene, three};
 use super::{Exact, ExactMath};
 use haptic_bridge::control::compiled::BoardMath;
-use haptic_bridge::math::{Libm, Real};
+use haptic_bridge::math::Real;
 use haptic_bridge::model::description::Description;
 use haptic_bridge::model::mechanism::Mechanism;
 use haptic_bridge::render::scene::FeedForward;
@@ -54,15 +54,9 @@ where
             let mut row = Row { device: name, counts_per_turn, tip: [0.0; 4] };
             for (index, turns) in TURNS.into_iter().enumerate() {
                 let mut random = Random(13);
-                let mut poses = 0;
-                while poses < 60 {
-                    let q: SVector<f64, N> = random.vector(3.1);
-                    let r = double.regularity(&double.pose::<Libm>(&q));
-                    if r.serial.min(r.parallel) < 0.2 {
-                        continue;
-                    }
-                    poses += 1;
-                    let sign = if poses % 2 == 0 { 1 } else { -1 };
+                for pose in 0..60 {
+                    let q: SVector<f64, N> = random.regular_pose(&double);
+                    let sign = if pose % 2 == 0 { -1 } else { 1 };
                     let share = q / std::f64::consts::TAU;
                     let counts = share.map(|x| ((x + f64::from(sign * turns)) * counts_per_turn).round() as i32);
                     let angles =

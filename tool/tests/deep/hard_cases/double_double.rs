@@ -1,7 +1,7 @@
 //! Numbers of 106 bits: the reference where double precision may be too coarse.
 //!
 //! A double-double is the unevaluated sum of two doubles (Dekker 1971; the algorithms of Hida, Li and Bailey 2000). The
-//! library is generic over its scalar, so the very same equations run in it; sine and cosine are Taylor series after a
+//! library is generic over its scalar, so the same equations run in these numbers; sine and cosine are Taylor series after a
 //! reduction by π/2, square roots one Newton step. Relative error of the operations is about 1e-31.
 
 use haptic_bridge::math::{Math, Real};
@@ -17,20 +17,20 @@ pub struct DoubleDouble {
     pub low: f64,
 }
 
-/// a + b exactly, for |a| ≥ |b|.
+/// Computes a + b exactly, for |a| ≥ |b|.
 fn fast_two_sum(a: f64, b: f64) -> DoubleDouble {
     let high = a + b;
     DoubleDouble { high, low: b - (high - a) }
 }
 
-/// a + b exactly.
+/// Computes a + b exactly.
 fn two_sum(a: f64, b: f64) -> DoubleDouble {
     let high = a + b;
     let part = high - a;
     DoubleDouble { high, low: (a - (high - part)) + (b - part) }
 }
 
-/// a b exactly.
+/// Computes a b exactly.
 fn two_product(a: f64, b: f64) -> DoubleDouble {
     let high = a * b;
     DoubleDouble { high, low: a.mul_add(b, -high) }

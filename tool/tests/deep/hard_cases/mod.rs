@@ -21,14 +21,13 @@ use haptic_bridge::render::scene::VelocityTerms;
 use nalgebra::SMatrix;
 use rows::routes::inverse;
 use rows::singular::{Random, Target};
-use rows::whole::WholeErrors;
 use rows::{FILTERS, SINGULAR};
 use std::sync::LazyLock;
 
 static SLIDING: LazyLock<Vec<sliding::Row>> = LazyLock::new(sliding::all);
 static SATURATED: LazyLock<Vec<saturated::Row>> = LazyLock::new(saturated::all);
 
-/// All mechanisms with more than one direction, each with a shipped device.
+/// A shipped device of every mechanism with more than one direction.
 const MECHANISMS: [(&str, &str); 4] = [
     ("five-bar", "coupled-five-bar"),
     ("five-bar-turret", "fictive-five-bar-turret"),
@@ -36,12 +35,12 @@ const MECHANISMS: [(&str, &str); 4] = [
     ("serial-3r", "serial-3r"),
 ];
 
-/// A shipped device.
+/// Reads the shipped device of this name.
 fn shipped(name: &str) -> Description {
     crate::common::shipped(name).description
 }
 
-/// The reference relies on matrix inverses in 106 bits.
+/// The reference uses matrix inverses in 106 bits.
 #[test]
 fn the_reference_inverts_to_thirty_digits() {
     let mut random = Random(5);
@@ -63,14 +62,13 @@ fn double_precision_keeps_five_digits_everywhere() {
 #[test]
 fn the_analysis_of_equation_4_keeps_five_digits_everywhere() {
     for row in &*SINGULAR {
-        let WholeErrors { w, w_eff, z, f_a, torque } = row.whole;
         // Ten digits wherever the feed-forward acts.
         let most = if matches!(row.target, Target::Sine(_)) { 1e-10 } else { 1e-5 };
-        for error in [w, w_eff, z, f_a, torque] {
+        for error in row.whole.all() {
             assert!(error < most, "{row:?}");
         }
         // A serial singularity does not affect Weff.
-        assert!(!serial(&row) || w_eff < 1e-12, "{row:?}");
+        assert!(!serial(&row) || row.whole.w_eff < 1e-12, "{row:?}");
     }
 }
 

@@ -1,5 +1,5 @@
-//! Motors that cannot make what a wall asks for: what is left along the normal and across it, of the control loop's f32
-//! torques.
+//! Motors that cannot make the requested wall force: the force along the normal and across it that remains of the
+//! control loop's f32 torques.
 
 use super::rows::singular::Random;
 use super::shipped;
@@ -10,7 +10,7 @@ use haptic_sim::{Press, PressedBoard, WIDE_LIMITS};
 use nalgebra::SVector;
 
 const POSES: usize = 12;
-/// N/m
+/// Stiffness of the wall, N/m.
 const STIFFNESS: f64 = 20_000.0;
 
 /// One row of the table.
@@ -19,64 +19,61 @@ pub struct Row {
     pub device: &'static str,
     /// Sines of the poses.
     pub sines: [f64; 2],
-    /// Largest force asked for over the largest that the motors can make.
+    /// Largest ratio of the requested force to the largest force of the motors.
     pub beyond: f64,
-    /// Largest error of the force along the normal as a share of what can be made, without and with the feed-forward.
+    /// Largest error of the force along the normal as a share of the largest force, without and with the feed-forward.
     pub along: [f64; 2],
-    /// Largest force across the normal, as the same share, without the feed-forward: none was asked for.
+    /// Largest force across the normal, as the same share, without the feed-forward. No such force is requested.
     pub across: f64,
 }
 
 fn row<M: Mechanism<f64, N>, const N: usize>(m: M, name: &'static str, device: &Description, sines: [f64; 2]) -> Row {
-    let task = M::SPEC.task;
     let mut random = Random(23);
     let mut row = Row { device: name, sines, beyond: 0.0, along: [0.0; 2], across: 0.0 };
     let mut poses = 0;
     while poses < POSES {
         let q: SVector<f64, N> = random.vector(3.1);
-        let mut n: SVector<f64, N> = random.vector(1.0);
-        for i in task..N {
-            n[i] = 0.0;
-        }
+        let mut n: SVector<f64, N> = random.normal(M::SPEC.task);
         let pose = m.pose::<Libm>(&q);
         let r = m.regularity(&pose);
         if !(sines[0]..sines[1]).contains(&r.serial) || r.parallel < 0.3 || n.norm() < 0.1 {
             continue;
         }
-        // As the board has it.
+        // Rounded as on the board.
         n = (n / n.norm()).map(|x| f64::from(x as f32));
         poses += 1;
         let three = |v: &SVector<f64, N>| core::array::from_fn(|i| if i < N { v[i] } else { 0.0 });
-        // Room for the device's own weight and for 5 N.
+        // Torque for the device's own weight and for 5 N.
         let lever = m.transpose(&pose, &n).amax();
         let torque = (m.gravity(&pose).amax() + 5.0 * lever) as f32;
         for (index, feed_forward) in [FeedForward::Off, FeedForward::Full].into_iter().enumerate() {
             let limits = Limits { torque: [torque; MAX_JOINTS], ..WIDE_LIMITS };
             let press = Press { device, q: three(&q), normal: three(&n), stiffness: STIFFNESS, feed_forward, limits };
-            let mut held = PressedBoard::new(&press).expect("nothing is in the way");
+            let mut board = PressedBoard::new(&press).expect("a pressed board");
             for step in 1..=20 {
                 let depth = 1.0e-4 * f64::from(step);
-                let inside = held.pose(depth);
+                let inside = board.pose(depth);
                 let pose = m.pose::<Libm>(&SVector::from_fn(|i, _| inside[i]));
                 if m.regularity(&pose).serial < 0.8 * sines[0] {
                     break;
                 }
-                let felt = held.forces_at(depth, 100);
-                assert_eq!(felt.state, State::Armed, "{felt:?}");
-                let asked = felt.asked;
+                let forces = board.forces_at(depth, 100);
+                assert_eq!(forces.state, State::Armed, "{forces:?}");
+                let requested = forces.asked;
                 let gravity = m.gravity(&pose);
-                // Computed here: the largest share of Jᵀ n f that fits every joint together with the weight.
-                let rendered = m.transpose(&pose, &n) * asked;
+                // The largest share of Jᵀ n f that every joint can make in addition to the weight.
+                let rendered = m.transpose(&pose, &n) * requested;
                 let room = |i: usize, most: f64| (most - gravity[i] * rendered[i].signum()) / rendered[i].abs();
-                let fits = |most: f64| asked * (0..N).map(|i| room(i, most)).fold(1.0, f64::min);
+                let fits = |most: f64| requested * (0..N).map(|i| room(i, most)).fold(1.0, f64::min);
                 let right = fits(torque.into());
                 // The feed-forward may need a 64th of a motor's torque.
                 let least =
                     if feed_forward == FeedForward::Off { right } else { fits(f64::from(torque) * 63.0 / 64.0) };
-                row.beyond = row.beyond.max(asked / right);
-                row.along[index] = row.along[index].max((felt.along - felt.along.clamp(least, right)).abs() / right);
+                row.beyond = row.beyond.max(requested / right);
+                row.along[index] =
+                    row.along[index].max((forces.along - forces.along.clamp(least, right)).abs() / right);
                 if feed_forward == FeedForward::Off {
-                    row.across = row.across.max(felt.across / right);
+                    row.across = row.across.max(forces.across / right);
                 }
             }
         }
@@ -84,7 +81,8 @@ fn row<M: Mechanism<f64, N>, const N: usize>(m: M, name: &'static str, device: &
     row
 }
 
-/// Every mechanism that has more than one direction: in the open, and where an elbow's feed-forward begins to fade.
+/// Returns the rows of every mechanism with more than one direction: far from singularities, and near an elbow's
+/// singularity, where the feed-forward begins to fade.
 pub fn all() -> Vec<Row> {
     super::MECHANISMS
     .into_iter()
@@ -92,7 +90,7 @@ pub fn all() -> Vec<Row> {
         let mut device = shipped(file);
         for joint in &mut device.joints {
             if let Some(motor) = &mut joint.motor {
-                // The torque limit alone decides.
+                // Only the torque limit acts.
                 motor.max_current = 1.0e3;
             }
         }

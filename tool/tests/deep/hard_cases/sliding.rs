@@ -1,7 +1,7 @@
-//! Velocity terms from estimated velocities: a tip slides along a wall, and the f32 step knows counts alone.
+//! Velocity terms from estimated velocities: a tip slides along a wall, and the f32 step receives only counts.
 //!
-//! The reference knows the joints' true velocities, and has the velocity terms from M and J by central differences in
-//! 106 bits (Lagrange's equations), so it shares nothing with the closed forms.
+//! The reference uses the true joint velocities. It computes the velocity terms from M and J by central differences in
+//! 106 bits (Lagrange's equations), independently of the closed forms.
 
 use super::double_double::{DoubleDouble, Series};
 use super::rows::routes::inverse;
@@ -12,13 +12,15 @@ use crate::common::prelude::*;
 use haptic_bridge::control::compiled::BoardMath;
 use nalgebra::{SMatrix, SVector};
 
-/// Counts per turn: what ships on many devices, and as fine as the other tables.
+/// Counts per turn: as on many shipped devices, and as in the other tables.
 pub const COUNTS: [f64; 2] = [20_000.0, 1_048_576.0];
-/// Of the tip along the wall, m/s.
+/// Speed of the tip along the wall, m/s.
 const SPEED: f64 = 0.5;
+/// Runs per row.
 const RUNS: usize = 10;
-/// Steps of a run: the estimator settles, then 20 ms are looked at.
+/// Control steps until the estimator has settled.
 const SETTLED: u32 = 600;
+/// Control steps of a run. The last 20 ms are compared.
 const STEPS: u32 = 1_000;
 
 /// One row of the table.
@@ -28,14 +30,14 @@ pub struct Row {
     pub terms: VelocityTerms,
     /// Largest torque of the terms, as a share of the largest torque; the errors are shares too.
     pub size: f64,
-    /// f32 against f64 fed the same counts.
+    /// Error of f32 against f64 with the same counts.
     pub rounding: f64,
-    /// f32 against true angles and velocities, for each of [`COUNTS`].
+    /// Error of f32 against true angles and velocities, for each of [`COUNTS`].
     pub estimated: [f64; 2],
 }
 
-/// Torques for the wall force f along n with true velocities, and without the velocity terms.
-fn truth<M: Mechanism<DoubleDouble, N>, const N: usize>(
+/// Computes the torques for the wall force f along n with true velocities, and without the velocity terms.
+fn exact_torques<M: Mechanism<DoubleDouble, N>, const N: usize>(
     m: &M,
     q: &SVector<DoubleDouble, N>,
     qd: &SVector<DoubleDouble, N>,
@@ -86,10 +88,7 @@ where
     let mut runs = 0;
     while runs < RUNS {
         let start: SVector<f64, N> = random.vector(3.1);
-        let (mut n, mut t): (SVector<f64, N>, SVector<f64, N>) = (random.vector(1.0), random.vector(1.0));
-        for i in task..N {
-            (n[i], t[i]) = (0.0, 0.0);
-        }
+        let (n, mut t): (SVector<f64, N>, SVector<f64, N>) = (random.normal(task), random.normal(task));
         let pose = double.pose::<Libm>(&start);
         let r = double.regularity(&pose);
         if r.serial.min(r.parallel) < 0.4 || n.norm() < 0.1 {
@@ -98,7 +97,7 @@ where
         let n: SVector<f64, N> = cast(&cast::<f64, f32, N>(&(n / n.norm())));
         t -= n * n.dot(&t);
         let qd = double.inverse(&pose, &(t / t.norm() * SPEED));
-        // The feed-forward acts in full all the way.
+        // The feed-forward acts in full along the complete path.
         let regular = |k: u32| {
             let q = start + qd * (f64::from(STEPS) / RATE * f64::from(k) / 10.0);
             let r = double.regularity(&double.pose::<Libm>(&q));
@@ -108,12 +107,12 @@ where
             continue;
         }
         runs += 1;
-        // A metre deep in 5 N/m: the force hardly changes, and the depth is known to all its digits.
+        // 1 m deep in a wall of 5 N/m: the force hardly changes, and rounding hardly changes the depth.
         let surface = double.tip(&pose) + n;
         for (index, counts_per_turn) in COUNTS.into_iter().enumerate() {
             let mut device = encoded(device);
             for joint in &mut device.joints {
-                joint.encoder.as_mut().expect("every joint has one").counts_per_turn = counts_per_turn;
+                joint.encoder.as_mut().expect("every joint has an encoder").counts_per_turn = counts_per_turn;
                 joint.viscous = 0.0;
             }
             device.gravity = [0.0; 3];
@@ -135,7 +134,7 @@ where
                 }
                 let place = double.tip(&double.pose::<Libm>(&q));
                 let force = (0..task).map(|i| n[i] * (surface[i] - place[i])).sum::<f64>() * 5.0;
-                let right = truth(&reference, &cast(&q), &cast(&qd), &cast(&n), force.into(), terms);
+                let right = exact_torques(&reference, &cast(&q), &cast(&qd), &cast(&n), force.into(), terms);
                 let [right, without]: [SVector<f64, N>; 2] = right.map(|torque| cast(&torque));
                 largest = largest.max(right.amax());
                 size = size.max((right - without).amax());
@@ -150,12 +149,12 @@ where
     row
 }
 
-/// Every mechanism that has more than one direction, under every law.
+/// Returns the rows of every mechanism with more than one direction, for every choice of velocity terms.
 pub fn all() -> Vec<Row> {
     super::MECHANISMS
     .into_iter()
     .flat_map(|(name, file)| {
-        // Its weight would only add the same on both sides.
+        // The weight would add the same torque on both sides.
         let mut device = encoded(&shipped(file));
         device.gravity = [0.0; 3];
         in_three_precisions!(&device, (a, b, c) => VelocityTerms::ALL.map(|(_, terms)| row((a, b, c), name, &device, terms)))

@@ -1,13 +1,12 @@
 //! The tables of docs/hard-cases/, from the same rows that the tests check.
 
 use super::rows::singular::{Row, Singularity, Target};
-use super::rows::whole::WholeErrors;
 use super::rows::{DOUBLE, EXTREMES, FILTERS, SEVERAL, SINGULAR, STEPS, TURNS};
 use super::{SATURATED, SLIDING};
 use crate::common::csv;
 use haptic_bridge::render::scene::VelocityTerms;
 
-/// Errors in one significant digit, separated by ` | `; errors of 1 and more are "lost".
+/// Returns errors in one significant digit, separated by ` | `; errors of 1 and more are "lost".
 fn digits(errors: impl IntoIterator<Item = f64>) -> String {
     let digits = errors.into_iter().map(|error| match error {
         0.0 => "0".into(),
@@ -17,7 +16,7 @@ fn digits(errors: impl IntoIterator<Item = f64>) -> String {
     digits.collect::<Vec<String>>().join(" | ")
 }
 
-/// The device, its singularity, and the distance from it.
+/// Returns the device, its singularity, and the distance from it.
 fn place(row: &Row) -> String {
     let what = match row.singularity {
         Singularity::Elbow => "elbow",
@@ -42,13 +41,12 @@ pub fn all() -> [(&'static str, String); 10] {
          moving, board | f64: Schur | f64: moving",
         &SINGULAR,
         |row| {
-            let board = row.board.all().into_iter().chain([row.double.w_eff_schur, row.double.torque_moving]);
+            let board = row.board.all().chain([row.double.w_eff_schur, row.double.torque_moving]);
             format!("{} | {} | {}", place(row), row.poses, digits([row.regularity].into_iter().chain(board)))
         },
     );
     let whole = table("device | singularity | at | W | Weff | z | f_a | torque", &SINGULAR, |row| {
-        let WholeErrors { w, w_eff, z, f_a, torque } = row.whole;
-        format!("{} | {}", place(row), digits([w, w_eff, z, f_a, torque]))
+        format!("{} | {}", place(row), digits(row.whole.all()))
     });
     let extremes = table(
         "device | case | Wrr/Weff | Weff, Schur form | Weff, 1/(Jr M⁻¹ Jrᵀ) | Wrr, board | torque, board | \
