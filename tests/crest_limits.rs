@@ -47,7 +47,7 @@ fn crests_until_off(rig: &mut Rig, speed: f64, most: u32, shown: [f32; 3]) -> Op
 }
 
 #[test]
-fn a_current_above_its_limit_is_seen_at_the_next_crest_at_every_rate() {
+fn an_over_current_is_found_at_the_next_crest_at_every_rate() {
     for rate in RATES {
         let mut rig = armed_at(rate);
         assert_eq!(crests_until_off(&mut rig, 0.0, 10, [6.0, 0.0, 0.0]), Some(1), "{rate} Hz");
@@ -57,7 +57,7 @@ fn a_current_above_its_limit_is_seen_at_the_next_crest_at_every_rate() {
 }
 
 #[test]
-fn speed_and_joint_limits_act_within_a_control_period_at_every_rate() {
+fn speed_and_joint_limits_act_in_time_at_every_rate() {
     for rate in RATES {
         // 40 rad/s is twice the limit: a first-order filter of 200 Hz takes ln 2 of its 0.8 ms, 11 periods.
         let mut rig = armed_at(rate);
