@@ -11,8 +11,6 @@
 
 use nalgebra::Complex;
 
-use super::domain::StableIntervals;
-use super::oscillation::Oscillation;
 use super::sampled::{AnalysisError, OpenLoop};
 use super::spectrum::Resolvent;
 
@@ -251,23 +249,24 @@ impl<'a> Circle<'a> {
         }
         Vec::new()
     }
-}
 
-impl StableIntervals for Circle<'_> {
-    fn stiffness_intervals(&mut self, kd: f64) -> Result<Vec<Interval>, AnalysisError> {
+    /// Returns the stable intervals of the stiffness from [`SMALLEST_STIFFNESS`] up, at one damping; sample units.
+    pub fn stiffness_intervals(&mut self, kd: f64) -> Result<Vec<Interval>, AnalysisError> {
         let crossings = self.crossings(SearchedGain::Stiffness, kd);
         let open = self.open;
         stable_between(SMALLEST_STIFFNESS, &crossings, |kp| open.is_stable(kp, kd))
     }
 
-    fn damping_intervals(&mut self) -> Result<Vec<Interval>, AnalysisError> {
+    /// Returns the stable intervals of the damping from zero up, at the smallest stiffness; sample units.
+    pub fn damping_intervals(&mut self) -> Result<Vec<Interval>, AnalysisError> {
         let crossings = self.crossings(SearchedGain::Damping, SMALLEST_STIFFNESS);
         let open = self.open;
         stable_between(0.0, &crossings, |kd| open.is_stable(SMALLEST_STIFFNESS, kd))
     }
 
-    fn oscillation(&self, kp: f64, kd: f64) -> Option<Oscillation> {
-        self.open.oscillation(kp, kd)
+    /// The loop of these responses.
+    pub fn open(&self) -> &OpenLoop {
+        self.open
     }
 }
 
@@ -308,7 +307,6 @@ mod tests {
     use crate::analysis::flexible::Flexible;
     use crate::analysis::plant::{Drive, Linearised, MotorElectrics};
     use crate::analysis::sampled::{LinearEstimator, Loop, Mode};
-    use crate::analysis::several::open_loop;
     use haptic_sim::Random;
     use nalgebra::{DMatrix, DVector};
 
@@ -365,7 +363,7 @@ mod tests {
             let device = random_device(&mut random, joints);
             let around = random_loop(&mut random, joints);
             let mode = [Mode::Off, Mode::Full, Mode::Washout(2.0)][(case / 3) % 3];
-            let open = open_loop(&device, &device, &around, mode).unwrap();
+            let open = OpenLoop::believing(&device, &device, &around, mode).unwrap();
             let mut circle = Circle::new(&open, around.delay_samples);
             let support = circle.damping_intervals().unwrap();
             for interval in &support {

@@ -215,7 +215,7 @@ impl Cut {
         for (corner, next) in corners.iter().zip(corners.iter().cycle().skip(1)) {
             match (corner.node, next.node) {
                 (Some(here), None) => outline.extend([Some(here), self.last_reachable(here, next.swept)]),
-                (None, Some(there)) => outline.push(self.last_reachable(there, corner.swept)),
+                (None, Some(is_wanted)) => outline.push(self.last_reachable(is_wanted, corner.swept)),
                 (here, _) => outline.push(here),
             }
         }
@@ -239,7 +239,7 @@ impl Cut {
     }
 }
 
-/// A corner of a cell: swept angles, and the pose there if the device can reach it.
+/// A corner of a cell: swept angles, and the pose is_wanted if the device can reach it.
 #[derive(Clone, Copy, Debug)]
 struct Corner {
     swept: [f64; 2],

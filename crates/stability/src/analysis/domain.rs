@@ -8,7 +8,7 @@
 
 use serde::Serialize;
 
-use super::boundary::{Circle, Interval, SMALLEST_STIFFNESS};
+use super::boundary::{Circle, Interval};
 use super::control_loop::{Loop, Mode};
 use super::error::AnalysisError;
 use super::flexible::felt;
@@ -112,12 +112,33 @@ pub fn domain_of_several(
 
 /// Stable intervals of one gain with the other held, in sample units.
 pub(super) trait StableIntervals {
-    /// Returns the stable intervals of the stiffness from [`SMALLEST_STIFFNESS`] up, at one damping.
     fn stiffness_intervals(&mut self, kd: f64) -> Result<Vec<Interval>, AnalysisError>;
-    /// Returns the stable intervals of the damping from zero up, at the smallest stiffness.
     fn damping_intervals(&mut self) -> Result<Vec<Interval>, AnalysisError>;
-    /// Returns the least damped oscillation.
     fn oscillation(&self, kp: f64, kd: f64) -> Option<Oscillation>;
+}
+
+impl StableIntervals for Circle<'_> {
+    fn stiffness_intervals(&mut self, kd: f64) -> Result<Vec<Interval>, AnalysisError> {
+        Circle::stiffness_intervals(self, kd)
+    }
+    fn damping_intervals(&mut self) -> Result<Vec<Interval>, AnalysisError> {
+        Circle::damping_intervals(self)
+    }
+    fn oscillation(&self, kp: f64, kd: f64) -> Option<Oscillation> {
+        self.open().oscillation(kp, kd)
+    }
+}
+
+impl StableIntervals for WallLoops {
+    fn stiffness_intervals(&mut self, kd: f64) -> Result<Vec<Interval>, AnalysisError> {
+        WallLoops::stiffness_intervals(self, kd)
+    }
+    fn damping_intervals(&mut self) -> Result<Vec<Interval>, AnalysisError> {
+        WallLoops::damping_intervals(self)
+    }
+    fn oscillation(&self, kp: f64, kd: f64) -> Option<Oscillation> {
+        WallLoops::oscillation(self, kp, kd)
+    }
 }
 
 pub(super) fn domain_from_intervals(
@@ -214,12 +235,17 @@ fn in_sample_units(kp: f64, kd: f64, mass: f64, sample_s: f64) -> Result<(f64, f
 /// Returns the largest stiffness (N/m) that is stable with damping `kd` (N s/m), zero if none is, and the largest
 /// damping with which any stiffness is stable.
 pub fn stiffness_at(device: &Linearised, around: &Loop, mode: Mode, kd: f64) -> Result<(f64, f64), AnalysisError> {
-    let mut kd_max = 0.0;
-    let points = boundary_of(device, device, around, mode, |end| {
-        kd_max = end;
-        vec![kd]
-    })?;
-    Ok((points[0].kp, kd_max))
+    let open = open_loop(device, device, around, mode)?;
+    let damping_unit = open.mass / open.sample_s;
+    let mut circle = Circle::new(&open, around.delay_samples);
+    let support = support(&mut circle)?;
+    let kd_max = support.last().map_or(0.0, |last| last.high);
+    let kd_hat = kd / damping_unit;
+    let kp = match is_supported(&support, kd_hat) {
+        true => supported_stiffness(&support, kd_hat, &circle.stiffness_intervals(kd_hat)?),
+        false => 0.0,
+    };
+    Ok((kp * damping_unit / open.sample_s, kd_max * damping_unit))
 }
 
 /// Returns the largest stiffness (N/m) that is stable at each damping of `kd` (N s/m), zero if none is, on a device
@@ -276,7 +302,7 @@ fn is_supported(support: &[Interval], kd_hat: f64) -> bool {
 /// support.
 fn supported_stiffness(support: &[Interval], kd_hat: f64, stable: &[Interval]) -> f64 {
     match stable.first() {
-        Some(first) if is_supported(support, kd_hat) && first.low <= SMALLEST_STIFFNESS => first.high,
+        Some(first) if is_supported(support, kd_hat) && first.low <= super::boundary::SMALLEST_STIFFNESS => first.high,
         _ => 0.0,
     }
 }
@@ -326,7 +352,7 @@ fn area(end: f64, mut value: impl FnMut(f64) -> Result<f64, AnalysisError>) -> R
 }
 
 fn push_islands(into: &mut Vec<Island>, kd_hat: f64, stable: &[Interval], damping: f64, stiffness: f64) {
-    let above = stable.iter().filter(|s| s.low > SMALLEST_STIFFNESS);
+    let above = stable.iter().filter(|s| s.low > super::boundary::SMALLEST_STIFFNESS);
     into.extend(above.map(|s| Island { kd: kd_hat * damping, kp_low: s.low * stiffness, kp_high: s.high * stiffness }));
 }
 

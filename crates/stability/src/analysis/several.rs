@@ -19,7 +19,6 @@ use haptic_bridge::model::principal::{Principal, Pull};
 use haptic_bridge::with_mechanism;
 
 use super::boundary::{Interval, SMALLEST_STIFFNESS};
-use super::domain::StableIntervals;
 use super::flexible::{Flexible, Hand, Posture};
 use super::flexible_reduction::{ObservedDevice, ReducedDevice, reduce_observed};
 use super::oscillation::Oscillation;
@@ -457,15 +456,15 @@ impl WallLoops {
     fn is_stable(&self, kp: f64, kd: f64) -> bool {
         growth(self.closed(kp, kd)) < ROUNDING
     }
-}
 
-impl StableIntervals for WallLoops {
-    fn oscillation(&self, kp: f64, kd: f64) -> Option<Oscillation> {
+    /// Returns the least damped oscillation at these totals; sample units.
+    pub fn oscillation(&self, kp: f64, kd: f64) -> Option<Oscillation> {
         Oscillation::least_damped(self.closed(kp, kd), self.sample_s)
     }
 
-    /// An interval that begins at the smallest analysed stiffness is taken to begin at [`SMALLEST_STIFFNESS`].
-    fn stiffness_intervals(&mut self, kd: f64) -> Result<Vec<Interval>, AnalysisError> {
+    /// Returns the stable intervals of the total stiffness at one damping; sample units. An interval that begins at the
+    /// smallest analysed stiffness is taken to begin at [`SMALLEST_STIFFNESS`].
+    pub fn stiffness_intervals(&self, kd: f64) -> Result<Vec<Interval>, AnalysisError> {
         let mut result = intervals(|kp| self.is_stable(kp, kd))?;
         if let Some(first) = result.first_mut().filter(|first| first.low <= SMALLEST) {
             first.low = SMALLEST_STIFFNESS;
@@ -473,7 +472,8 @@ impl StableIntervals for WallLoops {
         Ok(result)
     }
 
-    fn damping_intervals(&mut self) -> Result<Vec<Interval>, AnalysisError> {
+    /// Returns the stable intervals of the total damping at the smallest stiffness; sample units.
+    pub fn damping_intervals(&self) -> Result<Vec<Interval>, AnalysisError> {
         let mut result = intervals(|kd| self.is_stable(SMALLEST, kd))?;
         if let Some(first) = result.first_mut().filter(|first| first.low <= SMALLEST)
             && self.is_stable(SMALLEST, 0.0)
