@@ -323,8 +323,8 @@ impl InterruptState {
         }
     }
 
-    /// Counts an extreme at which the bridges could not be connected, because the interrupt was late. Too many trip, so
-    /// that arming does not wait forever.
+    /// Counts an extreme at which the bridges could not be connected, because the interrupt was late. After too many of
+    /// them a fault trips, so that arming does not wait forever.
     fn count_unconnected(&mut self) {
         self.unconnected = self.unconnected.saturating_add(1);
         if self.unconnected > LATE_CRESTS {

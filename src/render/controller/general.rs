@@ -251,10 +251,10 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         }
     }
 
-    /// Returns b without gravity: c - M J⁻¹(J̇ q̇ + κ), plus B q̇ if a wall requests it; and the part of b that the
-    /// walls meet: all of it by the paper's (4), B q̇ alone if the force is rendered in every motion. The velocity
-    /// terms are zero if the scene has none, if no joint moves by more than single counts, and if the estimate lags too
-    /// far behind, see [`KNOWN_TURN`].
+    /// Returns b without gravity: c - M J⁻¹(J̇ q̇ + κ), plus B q̇ if a wall requests it; and the part of b that is
+    /// subtracted from the walls' force: all of b by the paper's (4), B q̇ alone if the force is rendered in every
+    /// motion. The velocity terms are zero if the scene has none, if no joint moves by more than single counts, and if
+    /// the estimate lags too far behind, see [`KNOWN_TURN`].
     #[inline(never)]
     pub(super) fn bias(
         &self,
