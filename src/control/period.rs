@@ -43,7 +43,7 @@ where
         self.act(samples)
     }
 
-    /// Checks the counts, currents and supply of this crest, and returns the outputs: whether the bridges may drive.
+    /// Checks the counts, currents and supply of this crest. `bridges` of the result is true if the bridges may drive.
     /// Call at every crest, before [`ControlLoop::act`] (if a step is due) and before [`ControlLoop::duties`].
     pub fn guard(&mut self, seen: &Samples) -> Outputs {
         self.look(&self.known(seen));

@@ -40,7 +40,7 @@ where
         self.finish_bounds();
     }
 
-    /// Sets the bounds after rules have changed: at once for the whole device, and joint by joint, each with a
+    /// Sets the bounds after rules have changed: those of the device at once, those of each joint with a
     /// [`ControlLoop::settle_next`].
     pub(super) fn begin_bounds(&mut self) {
         self.expect_host();

@@ -19,10 +19,10 @@ use crate::model::motor::Motor;
 /// [`MAX_DUTY`] less the largest rounding error.
 const USABLE_DUTY: f32 = MAX_DUTY * (1.0 - 2.0 * f32::EPSILON);
 
-/// Share of the loop's bandwidth that is used if the device file gives the inductance as 0. The real winding may have
-/// inductance: the full voltage of the target applies at once, the current rises with L/R, and it overshoots by the
-/// error that the loop has integrated meanwhile: with the boards' 1 kHz by 7 % at L/R = 0.3 ms, 14 % at 0.8 ms and 16 %
-/// at 1 ms (tests/drive.rs).
+/// Share of the loop's bandwidth that is used if the device file gives the inductance as 0. If the real winding has
+/// inductance, the full voltage of the target applies at once, the current rises with L/R, and it overshoots by the
+/// error that the loop integrates during the rise: with the boards' 1 kHz by 7 % at L/R = 0.3 ms, 14 % at 0.8 ms and 16
+/// % at 1 ms (tests/drive.rs).
 pub const UNKNOWN_INDUCTANCE_SHARE: f32 = 0.05;
 
 /// Largest overshoot of a current: a multiple of its limit plus an absolute amount, A.

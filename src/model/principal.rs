@@ -179,8 +179,8 @@ impl<T: Real, const N: usize> Principal<T, N> {
                 right[i] = along.dot(force) * left[i] * share;
                 left[i] *= T::one() - share;
                 plain -= along * right[i];
-                if let Some((_, met)) = &bias {
-                    right[i] -= shapings[i].e.dot(met) * b_share;
+                if let Some((_, subtracted)) = &bias {
+                    right[i] -= shapings[i].e.dot(subtracted) * b_share;
                 }
                 w_rr[(i, i)] = shapings[i].w_rr;
                 for j in 0..i {

@@ -227,8 +227,8 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         }
         if more.is_empty() && !shared.acts {
             let shaping = self.hold_coordinate(self.mass.shaping(&self.mechanism, q, pose, &first.normal), pose);
-            let (b, met) = self.bias(pose, place, qd, &BiasScope::One(first));
-            (shaping.torque(first.shaped, &b, &met) * share, force * (T::one() - share))
+            let (b, subtracted) = self.bias(pose, place, qd, &BiasScope::One(first));
+            (shaping.torque(first.shaped, &b, &subtracted) * share, force * (T::one() - share))
         } else {
             let mut pulls = Vec::new();
             let group = ContactGroup::new::<K>(first, more, &self.guidance, shared, place, M::SPEC.task, &mut pulls);
@@ -280,8 +280,8 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         }
         let share = self.walls.damping_share(scope);
         let damping = if share > T::zero() { self.viscous.component_mul(qd) * share } else { SVector::zeros() };
-        let met = if self.velocity_terms == VelocityTerms::Rendered { damping } else { b + damping };
-        (b + damping, met)
+        let subtracted = if self.velocity_terms == VelocityTerms::Rendered { damping } else { b + damping };
+        (b + damping, subtracted)
     }
 
     /// Returns the share of the velocity terms that acts with estimated velocities, see [`KNOWN_TURN`].

@@ -146,8 +146,8 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
     ) -> Shaped<T, N> {
         let contact = ShapedContact::along(normal, force, wall);
         let shaping = self.mechanism.shaping(pose, normal);
-        let (b, met) = self.bias(pose, place, qd, &BiasScope::One(&contact));
-        Shaped { e: shaping.e, torque: shaping.torque(force, &b, &met) }
+        let (b, subtracted) = self.bias(pose, place, qd, &BiasScope::One(&contact));
+        Shaped { e: shaping.e, torque: shaping.torque(force, &b, &subtracted) }
     }
 }
 
