@@ -115,7 +115,7 @@ impl<T: Real, const N: usize> Shaping<T, N> {
     }
 
     /// Returns the joint torques (N m) that render the force `force` (N) along n by equation (4):
-    /// τ = M E Wrr⁻¹ (f - Eᵀ subtracted) + b. `subtracted` is the part of b (N m) that reduces the force: all of b by the
+    /// τ = M E Wrr⁻¹ (f - Eᵀ subtracted) + b. `subtracted` is the part of b (N m) that reduces f: all of b by the
     /// paper, zero if the force is rendered in every motion.
     #[inline(always)]
     pub fn torque(&self, force: T, b: &SVector<T, N>, subtracted: &SVector<T, N>) -> SVector<T, N> {

@@ -12,7 +12,7 @@ use nalgebra::SVector;
 pub const FULL_REGULARITY: f64 = 0.05;
 /// Sine at and below which the feed-forward is off. Up to [`FULL_REGULARITY`] it fades, so the force is continuous.
 pub const NO_REGULARITY: f64 = 0.02;
-/// Divisor of the sine of a parallel singularity, so that it counts as nearer: the feed-forward acts in full from a sine
+/// Divisor of the sine of a parallel singularity, which then counts as nearer: the feed-forward acts in full from a sine
 /// of 0.15 (rods 9° from one line) and is off at 0.06. Precision sets this limit: Jᵀ itself loses digits as 1/sin², and
 /// down to 0.15 f32 keeps the torque of a moving tip within 1e-4 (docs/hard-cases.md).
 pub const PARALLEL_REGULARITY: f64 = 3.0;
@@ -23,7 +23,7 @@ pub const PARALLEL_REGULARITY: f64 = 3.0;
 /// here, and by 30 % at [`UNKNOWN_TURN`]. Beyond that, b mostly reflects the past motion, and pushes a tip that slides
 /// towards a stretched arm further into it (docs/model.md).
 pub const KNOWN_TURN: f64 = 0.05;
-/// Share like [`KNOWN_TURN`], at and above which velocity terms are off. Between the two they fade, so force is continuous.
+/// Share like [`KNOWN_TURN`], at and above which velocity terms are off. Between the two they fade, so no force jumps.
 pub const UNKNOWN_TURN: f64 = 0.1;
 
 /// Returns the active share of the velocity terms at `qd` (rad/s) with a lag of `lag` (s), see [`KNOWN_TURN`].
