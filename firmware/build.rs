@@ -12,7 +12,7 @@ fn main() {
     for argument in ["--nmagic", "-Tlink.x", "-Tdefmt.x"] {
         println!("cargo::rustc-link-arg-bin=haptic-firmware={argument}");
     }
-    // Its entry points are kept; everything they do not reach is dropped.
+    // The linker keeps the entry points of `no-panic` and drops everything that they do not reach.
     for name in ["render", "crest", "generally", "notes", "sums"] {
         println!("cargo::rustc-link-arg-bin=no-panic=--undefined=carrier_{name}");
     }

@@ -1,5 +1,5 @@
-//! The control loop of one device, without hardware: takes samples, returns the state of the bridges and the currents
-//! and, once per carrier period, the duties.
+//! The control loop of one device, without hardware: it takes samples and returns the state of the bridges, the
+//! currents and, once per carrier period, the duties.
 //!
 //! The firmware's interrupt, the simulated board and the tests all run this code. Configuration arrives complete,
 //! between two steps: a [`Program`] is built elsewhere and moved in; small changes are [`Command`]s. Nothing here
@@ -40,7 +40,7 @@ pub use requests::{Beat, Command, Press, REST_SPEED, Reply, Status};
 pub use rules::{HostAction, Rules};
 pub use watch::{KEY_SECONDS, TRIPPING_SINE};
 
-/// Seconds over which torque ramps up after arming.
+/// Time over which torque ramps up after arming, s.
 pub const ARM_SECONDS: f32 = 0.5;
 
 /// The board's control loop. The order in memory keeps everything that each crest needs within the 1 KB that FPU loads
@@ -66,7 +66,7 @@ pub struct ControlLoop<P, S = Axis> {
     supplied: f32,
     /// Last step at which the host may still be silent.
     host_expected: u32,
-    /// Joint torque that needs no clamp, N m; then the force limit at the tip, N, and its square.
+    /// Joint torque that needs no clamp, N m. The next two fields: the force limit at the tip, N, and its square.
     fitting: [f32; MAX_JOINTS],
     max_tip_force: f32,
     max_tip_force_squared: f32,
@@ -79,8 +79,8 @@ pub struct ControlLoop<P, S = Axis> {
     max_joint_torque: Torques,
     hardware: Hardware,
     period: f32,
-    /// Step from which `period` has applied: the first step or, if that is long ago, a step that no pending request
-    /// refers to.
+    /// Step from which `period` has applied. If that step is long ago, a later one that is still before all steps in
+    /// pending requests.
     rate_since: u32,
     /// Step at which the host last sent a sign of life.
     host_seen_at: u32,
@@ -183,7 +183,7 @@ where
         self.now.step
     }
 
-    /// Advances the step count as if control steps had passed, at most 2^30 between two real steps. For tests of days.
+    /// Advances the step count as if control steps had passed, at most 2^30 between real steps. For tests of long runs.
     #[doc(hidden)]
     pub fn skip_steps(&mut self, steps: u32) {
         self.now.step = self.now.step.wrapping_add(steps);
@@ -205,7 +205,7 @@ where
         }
     }
 
-    /// Renders the scene alone.
+    /// Renders the scene without the host's push.
     #[inline(always)]
     fn render_scene(&mut self, counts: &Counts) {
         if let Some(program) = self.program.as_mut() {
@@ -213,8 +213,8 @@ where
         }
     }
 
-    /// Records index pulses seen since the last step: the counts of these encoders, late by at most the motion of the
-    /// joint in this step. Call before [`ControlLoop::act`] or [`compiled::crest`].
+    /// Records index pulses since the last step. `marks` holds the counts of these encoders, which are late by at most
+    /// the motion of the joint in this step. Call before [`ControlLoop::act`] or [`compiled::crest`].
     pub fn mark(&mut self, marks: [Option<i32>; MAX_JOINTS]) {
         self.marks = Some(marks);
         self.in_force = false;
@@ -262,7 +262,7 @@ where
     #[cold]
     #[inline(never)]
     pub fn trip(&mut self, fault: Fault, axis: Option<u8>, value: f32) {
-        // A silent host may be listed while the motors stay on; a later fault that turns the motors off replaces it.
+        // A silent host may be a listed fault while the motors stay on; a fault that turns them off replaces it.
         if self.fault.is_none() || self.state != State::Fault {
             self.fault = Some(FaultRecord { fault, axis, value, step: self.now.step });
         }

@@ -180,7 +180,7 @@ impl Math<f64> for Libm {
 }
 
 /// One pair of minimax polynomials after a quadrant reduction; absolute error below 1.2e-7 for |angle| ≤ 2π. The square
-/// root is the FPU's, correctly rounded. It needs no table in flash, and PC and chip agree bit for bit.
+/// root is the FPU's, correctly rounded. No table in flash is needed, and PC and chip agree bit for bit.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Minimax;
 

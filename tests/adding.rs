@@ -10,7 +10,7 @@ const ROWS: [(&str, Option<(&str, &str)>); 11] = [
     ("wall shape", Some(("tests/shape.rs", "a_toy_shape_is_one_impl"))),
     ("telemetry signal", Some(("src/board/telemetry.rs", "a_field_needs_only_one_line"))),
     ("signal of the walls", Some(("src/board/telemetry.rs", "a_field_needs_only_one_line"))),
-    ("fault", Some(("src/safety/fault.rs", "a_toy_fault_is_one_line"))),
+    ("fault", Some(("src/safety/fault.rs", "a_fault_needs_only_one_line"))),
     ("velocity estimator", Some(("tests/estimators.rs", "a_toy_estimator_is_one_impl"))),
     ("request", Some(("src/board/dispatch.rs", "an_endpoint_needs_one_line_and_one_arm"))),
     ("command", Some(("tool/src/commands/mod.rs", "a_toy_command_is_a_file_and_a_line"))),

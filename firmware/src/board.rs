@@ -66,7 +66,7 @@ const PULL_US: u64 = 500;
 const PORTS: [Gpio; 4] = [pac::GPIOA, pac::GPIOB, pac::GPIOC, pac::GPIOD];
 
 impl Pin {
-    /// Pin `number` of `port`.
+    /// Returns pin `number` of `port`.
     pub const fn new(port: char, number: u8) -> Self {
         Self((port as u8 - b'A') << 4 | number)
     }

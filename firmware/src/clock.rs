@@ -62,9 +62,10 @@ fn enable_monitors(level: u8) {
 
 /// Starts the clocks and takes the chip's peripherals.
 pub fn start(level: u8) -> Peripherals {
-    // embassy's clock counts half turns of TIM5 by interrupt. The update event that loads the timer compares count 0 with
-    // a compare value that is still 0, and sets the flag of a half turn. Counted, it would put the clock half a turn ahead,
-    // and 65 ms early between a half turn and its interrupt. The flag is cleared here, before a real half turn can pass.
+    // embassy's clock counts half turns of TIM5 by interrupt. The update event that loads the timer compares count 0
+    // with a compare value that is still 0, and sets the flag of a half turn. If this flag were counted, the clock
+    // would be half a turn ahead and, between a half turn and its interrupt, 65 ms early. It is cleared here, before a
+    // real half turn can pass.
     critical_section::with(|_| {
         let chip = embassy_stm32::init(config());
         pac::TIM5.sr().write(|w| w.0 = 0);

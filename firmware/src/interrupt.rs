@@ -62,7 +62,7 @@ struct InterruptState {
     ticks: Ticks,
     /// Number of crests before the next control step, with flags for work that the last step left, see [`OVERRAN`].
     before_step: u32,
-    /// Value of `before_step` right after a step.
+    /// Value that `before_step` gets at the end of a step.
     after_step: u32,
     /// The core's cycle count at the last valley.
     valley_at: u32,
@@ -166,7 +166,7 @@ impl InterruptState {
         if passed_an_extreme() {
             self.check_missed_crest();
         }
-        // The conversions have finished in the meantime.
+        // The conversions have finished while the scene was rendered.
         self.sample();
         if self.is_late() {
             self.crest_late();
@@ -323,8 +323,8 @@ impl InterruptState {
         }
     }
 
-    /// Counts an extreme at which the bridges could not be connected, because the interrupt was late. Too many trip, so
-    /// that arming does not wait forever.
+    /// Counts an extreme at which the bridges could not be connected, because the interrupt was late. After too many of
+    /// them a fault trips, so that arming does not wait forever.
     fn count_unconnected(&mut self) {
         self.unconnected = self.unconnected.saturating_add(1);
         if self.unconnected > LATE_CRESTS {
@@ -408,7 +408,7 @@ const OVERRAN: u32 = 1 << 30;
 /// The last step is not recorded yet.
 const UNRECORDED: u32 = 1 << 31;
 
-/// Returns the value of `before_step` right after a step.
+/// Returns the value that `before_step` gets at the end of a step.
 fn after_step(carrier: &Carrier) -> u32 {
     UNRECORDED | (u32::from(carrier.divider) - 1)
 }

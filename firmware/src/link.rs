@@ -27,7 +27,7 @@ bind_interrupts!(struct Irqs {
     OTG_FS => usb::InterruptHandler<USB_OTG_FS>, HandOver;
 });
 
-// The tool looks for these (host/src/link/ports.rs); a test on the emulated chip holds the two together.
+// The tool searches for these (host/src/link/ports.rs); a test on the emulated chip checks that both agree.
 /// USB vendor identifier: pid.codes, for open hardware and firmware.
 const USB_VENDOR: u16 = 0x1209;
 /// USB product identifier: pid.codes' shared test id. A maker who sells boards needs an own identifier.

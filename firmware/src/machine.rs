@@ -99,7 +99,7 @@ impl BoardMachine {
         match raised {
             Ok(()) => Ok(()),
             Err(error) => {
-                defmt::error!("the gate drivers cannot be readied: {}", error);
+                defmt::error!("the gate drivers cannot be enabled: {}", error);
                 let record = FaultRecord { fault: error.fault(), axis: None, value: error.value(), step: 0 };
                 let _ = self.requests.send(Request::Command(Command::Fault(record)));
                 Err(Refusal::Faulted(error.fault()))
@@ -119,7 +119,7 @@ impl BoardMachine {
         let Some(Err(error)) = self.gate.as_mut().map(Gate::check) else { return };
         // A fault during the check disables the gate drivers, which resets their registers. That is no driver fault.
         if interrupt::shared().gate_ready.load(Ordering::Relaxed) {
-            defmt::error!("a gate driver is no longer as it was set: {}", error);
+            defmt::error!("a gate driver lost its configuration: {}", error);
             let record = FaultRecord { fault: Fault::DriverReset, axis: None, value: error.value(), step: 0 };
             let _ = self.requests.send(Request::Command(Command::Fault(record)));
         }
@@ -140,8 +140,8 @@ impl Machine for BoardMachine {
         };
         let powers_up = question.is_some();
         if let Some(question) = question {
-            // The question comes first: a request that will be refused must not power the gate drivers, nor latch a fault
-            // if they have no supply.
+            // Ask first whether the request will be refused: a refused request must not power the gate drivers, nor
+            // latch a fault if they have no supply.
             let refused = self.requests.send(Request::Command(question)).reply.0;
             // Refused while the motors are on, and also if a polarity check has ended meanwhile, because the gate drivers
             // are about to be disabled.

@@ -94,9 +94,9 @@ pub async fn supervise(mut watchdog: Watchdog) -> ! {
             .find(|task| now.wrapping_sub(LAST_REPORT_MS[*task as usize].load(Ordering::Relaxed)) > SILENCE_MAX_MS);
         match (steps != before, verdict, silent) {
             (true, Verdict::Kept, None) => watchdog.feed(),
-            (false, ..) => defmt::error!("the control step stands still"),
+            (false, ..) => defmt::error!("the control step has stopped"),
             (true, Verdict::TooFast, _) => defmt::error!("the control step runs too often"),
-            (true, Verdict::TooSlow, _) => defmt::error!("the control step runs too seldom"),
+            (true, Verdict::TooSlow, _) => defmt::error!("the control step runs too rarely"),
             (true, Verdict::Kept, Some(task)) => defmt::error!("task {} is silent", task),
         }
     }

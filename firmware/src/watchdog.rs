@@ -36,9 +36,9 @@ static LEFT: AtomicU32 = AtomicU32::new(0);
 /// True while the registers are being set. A feeding in between would lock them.
 static BUSY: AtomicBool = AtomicBool::new(false);
 
-/// Feeds the watchdog while credit is left and the control interrupt is served. That interrupt has the higher priority: a
-/// step that does not end keeps this handler from running, and if the interrupt is no longer served, the carrier's flag
-/// stays set. A flag that was set just now costs one feeding of several.
+/// Feeds the watchdog while credit is left and the control interrupt is served. The control interrupt has the higher
+/// priority: a step that does not end keeps this handler from running. If the control interrupt is no longer served,
+/// the carrier's flag stays set. A flag that was set just now costs one feeding of several.
 #[cortex_m_rt::exception]
 fn SysTick() {
     let left = LEFT.load(Ordering::Relaxed);

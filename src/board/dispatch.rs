@@ -94,7 +94,7 @@ impl Request<'_> {
         }
     }
 
-    /// Does the same for a host's force requests, of which thousands arrive per second.
+    /// Like [`Request::serve`], for a host's force requests, which arrive thousands of times per second.
     fn serve_force(&self, out: &mut [u8], work: impl FnOnce(&ForceRequest) -> ForceAnswer) -> Option<usize> {
         let Some(request) = &read_force(self.body) else { return self.fail(WireError::DeserFailed, out) };
         let header = VarHeader { key: VarKey::Key8(Force::RESP_KEY), seq_no: self.header.seq_no };
@@ -106,8 +106,8 @@ impl Request<'_> {
     }
 }
 
-// Generic code is compiled in the crate that uses it, on a board for size. These functions are compiled here, for
-// speed.
+// Generic code is compiled in the crate that uses it, and the firmware is optimized for size. These functions are
+// compiled here, for speed.
 
 #[inline(never)]
 fn read_force(body: &[u8]) -> Option<ForceRequest> {

@@ -17,7 +17,7 @@ pub(super) fn commit_configuration(
 ) -> Result<(), Refusal> {
     let mut all = KeyList::new();
     stage_all(machine, next, &mut all)?;
-    // A scene that no longer applies must not come back.
+    // A scene that no longer applies must not return after a restart.
     if let (Some(device), None) = (&next.device, &next.scene)
         && machine.load(Key::Scene).is_some()
     {

@@ -43,8 +43,8 @@ pub struct Service {
 }
 
 impl Service {
-    /// Returns a board without device. Limits can never exceed `max_limits`. These are also the defaults, except for
-    /// the force at the tip of real motors: [`GENTLE_FORCE`].
+    /// Returns a board without device. Limits can never exceed `max_limits`, which are also the default limits, except
+    /// for the force at the tip of real motors: [`GENTLE_FORCE`].
     pub fn new(hardware: Hardware, max_limits: Limits) -> Self {
         // Simulated motors cannot hurt anyone: the force limit stays that of the board, and a silent host is ignored.
         let (tip_force, host_action) = match hardware.real {
@@ -176,7 +176,7 @@ impl Service {
         self.finish_device_change(machine)
     }
 
-    /// Drops a partly received table of the previous device. If this device's polarity was found correct before, tells
+    /// Drops a partly received table of the previous device. If this device passed the polarity check before, informs
     /// the control loop. A device that contains a NaN equals no device, so it counts as unchecked.
     fn finish_device_change(&mut self, machine: &mut impl Machine) -> Result<(), Refusal> {
         self.receiving = TableReceiver::default();
@@ -187,8 +187,8 @@ impl Service {
     }
 
     /// Loads a scene for the device, with the closed form of the mass matrix, because a prepared matrix is valid only
-    /// for its walls. While the motors are on, the scene must have the present control rate and the tip must not touch
-    /// its walls.
+    /// for the walls for which it was made. While the motors are on, the scene must have the present control rate and
+    /// the tip must not touch the scene's walls.
     pub fn set_scene(&mut self, machine: &mut impl Machine, scene: Scene<f32>) -> Result<(), Refusal> {
         self.set_scene_and_mass(machine, scene, MassModelData::Exact)
     }
@@ -393,8 +393,8 @@ impl Service {
         machine.execute(Command::Clear).0
     }
 
-    /// Receives the host's sign of life with the state of its user's key. Returns the control step, with which the host
-    /// can tell the time of the key's next press.
+    /// Receives the host's sign of life with the state of its user's key. Returns the control step, which the host
+    /// sends with the next press of the key.
     pub fn heartbeat(&mut self, machine: &mut impl Machine, beat: Beat) -> Step {
         let _ = machine.execute(Command::Beat(beat));
         machine.status().step

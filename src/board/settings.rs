@@ -86,7 +86,7 @@ impl Setting for Device<f32> {
 }
 impl Setting for Scene<f32> {
     const KEY: Key = Key::Scene;
-    /// 2: feed-forward gain and controlled quantity of a redundant device; `velocity_terms` is no longer a flag. 3:
+    /// 2: feed-forward gain and held coordinate of a redundant device; `velocity_terms` is no longer a flag. 3:
     /// joint-space estimators with their options. 4: posture.
     const VERSION: u8 = 4;
     /// Defaults: a gain of 1, the orientation, no posture. Earlier estimators are unchanged.

@@ -384,7 +384,7 @@ impl<'b, F: NorFlash> Storage<'b, F> {
             }
         }
         self.staged = [0; SETTINGS];
-        // From here on, a decision that is not carried out must come before any other read or write.
+        // From here on, a pending decision must be carried out before any other read or write.
         self.recovered = false;
         if let Err(error) = self.store(DECISION, &StampedEntry(COUNTED, &decision)) {
             // The decision may be stored despite the error.

@@ -123,11 +123,11 @@ fields! {
     WallForce = 8, "force", "N", false, |frame, _i| frame.at.walls.wall_force => f32,
         "Force of the walls, summed over the touched walls, before ramp and limits";
     RenderedForce = 15, "rendered", "N", false, |frame, _i| frame.motors.rendered_force => f32,
-        "That force after limits: force less the part along the normal of the deepest wall that ramp and the limits of tip force, torque and current removed; 0 unless armed";
+        "The value of `force` after ramp and limits: less the part along the normal of the deepest wall that the ramp and the limits of tip force, torque and current removed; 0 unless armed";
     Saturated = 16, "saturated", "", true, |frame, i| frame.saturation(i) => u8,
         "Saturation of each motor: 0 none, 1 a limit of torque, current or tip force changed the requested torque, 2 the duty is at its maximum, 3 both";
     Shaping = 9, "shaping", "", false, |frame, _i| frame.at.walls.shaping => f32,
-        "Share of the feed-forward that acts, 1 away from singular poses";
+        "Active share of the feed-forward; it fades from 1 to 0 near singular poses";
     Energy = 10, "energy", "J", false, |frame, _i| frame.at.walls.energy => f32,
         "Energy that the walls, the feed-forward included, have absorbed since contact or the stream began; negative if they generated energy";
     PassivityDamping = 11, "passivity", "N s/m", false, |frame, _i| frame.at.walls.passivity_damping => f32,

@@ -1,7 +1,7 @@
 //! The control loop as the board runs it: with the board's precision and trigonometry, compiled once, here.
 //!
 //! The firmware's image is optimized for size and this crate for speed, but generic code is compiled in the crate that
-//! uses it. The control interrupt calls the functions of this module; no others of the control loop are time-critical.
+//! uses it. The control interrupt calls this module's functions; no others of the control loop are time-critical.
 
 use crate::control::ControlLoop;
 use crate::control::frame::{Outputs, Samples, StepRecord};
@@ -61,7 +61,7 @@ fn crest_of_three(control_loop: &mut BoardControlLoop, seen: &Samples, ticks: &T
     control_loop.crest_of::<3, _>(seen, &seen.currents, &|duty| ticks.legs(duty), legs)
 }
 
-/// Does the same at any crest, with a control step if `due`.
+/// Like [`crest`], but for any crest, with a control step if `due`.
 #[cold]
 #[inline(never)]
 pub fn crest_generally(
@@ -81,8 +81,8 @@ pub fn check_slow_faults(control_loop: &mut BoardControlLoop, seen: &Samples) ->
     control_loop.outputs()
 }
 
-/// Records the samples of the last crest's step, and writes its frame to `frame` when streaming. Call at the valley
-/// after the step, before [`check_slow_faults`] and any command.
+/// Records the samples of the last crest's step, and writes its frame to `frame` if telemetry streams. Call at the
+/// valley after the step, before [`check_slow_faults`] and any command.
 #[inline(never)]
 pub fn note(control_loop: &mut BoardControlLoop, seen: &Samples, frame: Option<&mut MaybeUninit<StepRecord>>) {
     control_loop.note_late(seen);

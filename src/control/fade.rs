@@ -58,7 +58,7 @@ pub(super) struct Fade {
     /// True if torques acted before the fade.
     from_something: bool,
     /// Share of the device's weight that was carried. The weight torques are computed for the present pose, because
-    /// those of another pose would push beyond all limits.
+    /// torques for another pose could exceed all limits.
     carried: f32,
     /// Torques that rendered the previous scene.
     scene: Torques,
@@ -108,7 +108,7 @@ where
         let (torque, life) = self.host_torque();
         let mut host = Lease { torque, life, remaining: life };
         if self.fade.host.remaining > 0.0 {
-            // Torques of an earlier scene: both end with the earlier end.
+            // Host torques of an earlier scene still fade: both fades end at the earlier of their ends.
             host.life = if torque == Torques::default() {
                 self.fade.host.remaining
             } else {

@@ -5,7 +5,7 @@ use crate::drive::stage::MAX_DUTY;
 use crate::render::step_result::{DeviceState, StepResult};
 use crate::safety::fault::State;
 
-/// A duty of this size counts as the largest: the drive's maximum, less rounding.
+/// Duty from which a drive counts as being at its maximum: the maximum less rounding.
 const DUTY_END: f32 = MAX_DUTY * (1.0 - 8.0 * f32::EPSILON);
 
 /// Samples of the hardware at one crest of the carrier.
@@ -83,8 +83,8 @@ impl StepRecord {
         Self { step: now.step, state, counts: now.counts, at: now.found.at, motors: now.motors }
     }
 
-    /// Returns how joint `i` falls short: 0 not at all, 1 a limit changed its torque ([`Motors::limited`]), 2 its duty
-    /// is at the maximum, 3 both.
+    /// Returns the saturation of joint `i`: 0 none, 1 a limit changed its torque ([`Motors::limited`]), 2 its duty is
+    /// at the maximum, 3 both.
     pub fn saturation(&self, i: usize) -> u8 {
         let end = self.motors.duty.get(i).is_some_and(|duty| duty.abs() >= DUTY_END);
         (self.motors.limited >> i & 1) | u8::from(end) << 1

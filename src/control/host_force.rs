@@ -114,29 +114,29 @@ impl core::fmt::Display for ForceDone {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         match self {
             Self::Taken => f.write_str("taken"),
-            Self::Looked => f.write_str("not taken: hold and fade are 0, so it only reads the device's state"),
+            Self::Looked => f.write_str("not taken: hold and fade are 0, so the request only reads the device's state"),
             Self::NotArmed => f.write_str("not taken: the motors are off; arm them first"),
-            Self::NotNewer => f.write_str("not taken: a request with this sequence number or a later one acts"),
-            Self::TooOld => f.write_str("not taken: it came later than its hold and fade allow"),
+            Self::NotNewer => f.write_str("not taken: a request with this or a later sequence number acts; send a later one"),
+            Self::TooOld => f.write_str("not taken: it arrived after its hold and fade had ended; send it earlier"),
             Self::Bad(BadForce::Lease) => write!(f, "not taken: hold and fade must be from 0 to {MAX_LEASE} s"),
-            Self::Bad(BadForce::Seen) => f.write_str("not taken: it was computed from a step in the future"),
+            Self::Bad(BadForce::Seen) => f.write_str("not taken: `seen` is a future step; send the step of an earlier reply"),
             Self::Bad(BadForce::Force) => write!(
                 f,
-                "not taken: each entry of the force must be at most {MAX_HELD_FORCE} N, and 0 where the device has no direction"
+                "not taken: each entry of the force must be at most {MAX_HELD_FORCE} N in size, and 0 in a direction that the device does not have"
             ),
             Self::Bad(BadForce::Torque) => write!(
                 f,
-                "not taken: each torque must be at most {MAX_HELD_TORQUE} N m, and 0 where the device has no joint"
+                "not taken: each torque must be at most {MAX_HELD_TORQUE} N m in size, and 0 for a joint that the device does not have"
             ),
             Self::Bad(BadForce::Point) => {
                 write!(f, "not taken: the contact's point must be within {MAX_CONTACT_DISTANCE} m of the origin")
             }
             Self::Bad(BadForce::Normal) => f.write_str(
-                "not taken: the contact's normal must have length 1, and 0 where the device has no direction",
+                "not taken: the contact's normal must have length 1, and an entry of 0 in a direction that the device does not have",
             ),
             Self::Bad(BadForce::Gains) => write!(
                 f,
-                "not taken: the contact's stiffness must be from 0 to {MAX_CONTACT_STIFFNESS} N/m, its damping to {MAX_CONTACT_DAMPING} N s/m"
+                "not taken: the contact's stiffness must be from 0 to {MAX_CONTACT_STIFFNESS} N/m, its damping from 0 to {MAX_CONTACT_DAMPING} N s/m"
             ),
         }
     }
@@ -285,8 +285,8 @@ pub(super) struct HostForce {
     /// Share that ramp and limits left in a step that was cut.
     pub granted: f32,
     contact: Blend,
-    /// Share of the contact that acted in the last step; its difference from the lease of the present request, which
-    /// replaced another; and the rate at which the difference shrinks, 1/s.
+    /// Share of the contact that acted in the last step. The next two fields: its difference from the lease of the
+    /// present request, which replaced another, and the rate at which the difference shrinks, 1/s.
     contact_lease: f32,
     beside: f32,
     closing: f32,

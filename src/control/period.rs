@@ -43,8 +43,8 @@ where
         self.act(samples)
     }
 
-    /// Checks the counts, currents and supply of this crest, and returns whether the bridges may drive. Call at every
-    /// crest, before [`ControlLoop::act`] (if a step is due) and before [`ControlLoop::duties`].
+    /// Checks the counts, currents and supply of this crest. `bridges` of the result is true if the bridges may drive.
+    /// Call at every crest, before [`ControlLoop::act`] (if a step is due) and before [`ControlLoop::duties`].
     pub fn guard(&mut self, seen: &Samples) -> Outputs {
         self.look(&self.known(seen));
         self.check_at_free_crest();
@@ -76,8 +76,8 @@ where
         drives
     }
 
-    /// Completes the samples of a board that lacks sensors: uses the commanded currents, and a bus voltage without
-    /// limits.
+    /// Completes the samples of a board that lacks sensors: uses the commanded currents, and a bus voltage of 0, for
+    /// which no limit applies.
     pub(super) fn known(&self, seen: &Samples) -> Samples {
         let mut seen = *seen;
         if !self.hardware.bridge.current_sensed {

@@ -199,7 +199,7 @@ impl<K: Math<f32>, S: Stage> Program<K, S> {
             match &joint.motor {
                 None => arming_refused = arming_refused.or(Some(Refusal::NoMotor(index))),
                 Some(motor) => {
-                    // Without an inductance neither the current loop nor what watches it is good for a hand.
+                    // Without an inductance the current loop and the motor's checks are not safe for a hand.
                     if hardware.real && !(motor.verified && motor.inductance > 0.0) {
                         arming_refused = arming_refused.or(Some(Refusal::MotorNotVerified(index)));
                     }

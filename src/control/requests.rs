@@ -56,7 +56,7 @@ pub enum Command<P> {
     ShowEnergy(bool),
 }
 
-/// A press of a dead man's key, seen at an unknown time after `seen`. Motors that the key keeps on go off
+/// A press of a dead man's key, made at an unknown time after step `seen`. Motors that the key keeps on go off
 /// [`KEY_SECONDS`](super::KEY_SECONDS) after `seen`, even if the press arrives late.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct Press {
@@ -134,7 +134,7 @@ where
     }
 
     /// Carries out a [`Command::Program`]: [`ControlLoop::accepts`], then [`ControlLoop::install`]. While the motors
-    /// are on, the control interrupt has no time for both in one carrier period and installs in the next one.
+    /// are on, the control interrupt has no time for both in one carrier period, so it installs in the next one.
     pub fn replace(&mut self, mut program: P) -> Reply<P> {
         match self.accepts(&mut program) {
             Ok(()) => (Ok(()), self.install(program)),
@@ -178,7 +178,8 @@ where
                 if self.state == State::Fault {
                     self.state = State::Disarmed;
                 }
-                // Resets only the host's silence. Other sums of the armed time stay, or clearing would lift a limit.
+                // Resets only the host's silence: the other sums of the armed time hold limits, which clearing must
+                // keep.
                 self.record_host();
                 Ok(())
             }
@@ -210,7 +211,7 @@ where
     }
 
     /// Returns an error if a program may not be installed. While armed it must have the same device and rate, and the
-    /// tip must not touch its walls.
+    /// tip must not touch a wall of its scene.
     pub fn accepts(&self, program: &mut P) -> Result<(), Refusal> {
         if !self.state.drives() {
             return Ok(());
@@ -229,14 +230,14 @@ where
         Ok(())
     }
 
-    /// Installs an accepted program and returns the previous one. Another device or rate has its own bounds and stages,
-    /// which take long to prepare; neither changes while the motors are on.
+    /// Installs an accepted program and returns the previous one. For another device or rate, bounds and stages are
+    /// prepared again, which takes long; neither changes while the motors are on.
     pub fn install(&mut self, mut program: P) -> Option<P> {
         let period = 1.0 / program.rate_hz.max(1.0);
         // Rates that differ by a rounding error may have the same period but different carriers.
         let same_carrier = self.program.as_ref().is_some_and(|old| old.carrier_hz == program.carrier_hz);
         let same_rate = period == self.period && same_carrier;
-        // The time without a program is unknown, and had no step at which a host could have read the device.
+        // Without a program, no time was counted, and there was no step that a host could have read.
         if period != self.period || self.program.is_none() {
             (self.period, self.rate_since) = (period, self.now.step);
         }
@@ -248,7 +249,7 @@ where
                 self.homed = false;
                 self.polarity_known = false;
                 (self.first_index, self.marks) = ([None; MAX_JOINTS], None);
-                // Results of a device with more joints would not all be overwritten.
+                // A device with fewer joints would not overwrite all results of the previous device.
                 self.now.found = StepResult::default();
                 self.now.found.parallel = 1.0;
             }

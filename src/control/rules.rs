@@ -51,8 +51,8 @@ impl Default for Rules {
 }
 
 impl Rules {
-    /// Shortest and longest permitted value of `host_seconds`. Silence is summed up in single steps, which an f32 sum
-    /// beyond a minute would round away.
+    /// Shortest and longest permitted value of `host_seconds`. Silence is the sum of single steps, which an f32 sum
+    /// beyond a minute would lose to rounding.
     pub const HOST_SECONDS: (f32, f32) = (0.01, 60.0);
 
     /// Returns true if every protective setting is at least as strict as in `other`: such a change is safe at any time.

@@ -44,8 +44,8 @@ where
     K: Math<f32>,
     S: Stage,
 {
-    /// Returns a value that is not negative if the demand of the step on the J joints is within the limits by some
-    /// rounding errors, in each stage of the order above, and its forces are within theirs. Returns a negative value
+    /// Returns a value that is not negative if the step's demand on the J joints is within the limits by some rounding
+    /// errors: the torques after each stage of the order above, and the forces at the tip. Returns a negative value
     /// otherwise, and for NaN.
     #[inline(always)]
     pub(super) fn fits<const J: usize>(&self) -> i32 {
@@ -114,7 +114,7 @@ impl TorqueDemand<f32> {
         let (base, part) = (limited(self.gravity[i], limit), self.rendered[i]);
         let along = if part > 0.0 { self.rest(i) } else { -self.rest(i) };
         if along > 0.0 {
-            // Full force and feed-forward, or the force up to the feed-forward's room.
+            // Either force and feed-forward both fit, or the force leaves the feed-forward its room.
             let both = room(base, part + self.rest(i), limit, most);
             let alone = room(base, part, limit - ROOM * limit, most);
             if both > alone { both } else { alone }
@@ -227,10 +227,10 @@ mod tests {
         assert_eq!(
             *asked.within::<3>(&Torques([50.0; 3]), 10.0, &Leverage::default()).torque,
             asked.total,
-            "10 N are within 10 N"
+            "a force of 10 N is within a limit of 10 N"
         );
         let less = asked.within::<3>(&Torques([50.0, 50.0, 2.0]), 5.0, &Leverage::default()).torque;
-        // 2 N m less a 64th for that joint's feed-forward, of 8 N m.
+        // The limit of 2 N m, less a 64th for that joint's feed-forward, over the demand of 8 N m.
         let share = (2.0 - 2.0 / 64.0) / 8.0;
         assert_eq!(
             less[..2],

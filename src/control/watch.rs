@@ -16,15 +16,15 @@ pub const TRIPPING_SINE: f32 = 2.0e-3;
 /// Width of an index pulse, counts. The first pulse is used only if the joint moved by at most this in the step.
 pub const INDEX_WIDTH: u32 = 4;
 
-/// Largest age of the last press of a dead man's key that keeps the motors on, s, whatever the rules say of a silent
+/// Largest age of the last press of a dead man's key that keeps the motors on, s, even if the rules ignore a silent
 /// host; `host_seconds` if that is shorter. A page takes up to 0.17 s of this without network delays: it receives a
 /// step every 50 ms, shows it every 17 ms, and reports the key every 80 ms and at every picture.
 pub const KEY_SECONDS: f32 = 0.5;
-/// Share of a real motor's maximum current that may flow forever if its rules give no continuous current: a quarter of
-/// the heat.
+/// Share of a real motor's maximum current that may flow continuously if its rules set no continuous current: it makes
+/// a quarter of the heat.
 pub const STEADY_SHARE: f32 = 0.5;
 
-/// Most steps until the silence of a host is checked again: the step counter wraps at four times as many.
+/// Maximum number of steps until the silence of a host is checked again: the step counter wraps at four times as many.
 const CHECK_AGAIN: u32 = 1 << 30;
 
 impl<P, K, S> ControlLoop<P, S>
@@ -40,12 +40,12 @@ where
         self.finish_bounds();
     }
 
-    /// Sets the bounds after rules have changed: at once for the whole device, and joint by joint, each with a
+    /// Sets the bounds after rules have changed: those of the device at once, those of each joint with a
     /// [`ControlLoop::settle_next`].
     pub(super) fn begin_bounds(&mut self) {
         self.expect_host();
         let tip_force = self.rules.limits.tip_force;
-        // Setting the same limit again does not extend the time that present currents have.
+        // Setting the same limit again must not restart the time that the present currents have to fall.
         if tip_force * tip_force < self.max_tip_force_squared || !self.state.drives() {
             self.flow.settle(self.period);
         }
@@ -70,7 +70,7 @@ where
         if let (Some(joint), Some(heat)) = (self.joints.get_mut(i), self.heat.get_mut(i)) {
             joint.stage.limit(limits.current[i]);
             let (steady, motor) = (limits.continuous_current[i], joint.stage.motor_current());
-            // Rules that allow more than the motor's maximum do not give its continuous current.
+            // A rule above the motor's maximum sets no continuous current: use the default share.
             let steady = if self.hardware.real && steady > motor { STEADY_SHARE * motor } else { steady };
             heat.limit(joint.stage.max_current(), steady);
             let largest = joint.stage.max_torque();
@@ -87,7 +87,7 @@ where
         while self.settle_next() {}
     }
 
-    /// Records that the host was heard.
+    /// Records a sign of life of the host.
     pub(super) fn record_host(&mut self) {
         self.host_seen_at = self.now.step;
         self.expect_host();
@@ -98,7 +98,7 @@ where
         self.now.step.wrapping_sub(self.host_seen_at) as f32 * self.period
     }
 
-    /// Records a press of the dead man's key, which counts from when it was seen and not from when it was received.
+    /// Records a press of the dead man's key. Its age counts from when it was seen, not from when it was received.
     pub(super) fn record_key(&mut self, press: Press) {
         let steps = |key: Press| self.now.step.wrapping_sub(key.seen);
         let newer = match self.key {
@@ -129,7 +129,7 @@ where
         known && age <= allowed
     }
 
-    /// Sets the step after which the host or its key has been silent for too long, or is checked again.
+    /// Sets the step after which the host or its key counts as silent for too long, or the silence is checked again.
     fn expect_host(&mut self) {
         let key = match self.key_age() {
             Some((age, allowed)) => ((allowed - age) / self.period) as u32,
@@ -147,8 +147,8 @@ where
         self.forget_old_rates();
     }
 
-    /// Moves `rate_since` along, half of the step counter's range behind, so that the counter never reaches it again:
-    /// nothing that a host has seen is older. The host is checked four times in that range.
+    /// Keeps `rate_since` at most half of the step counter's range behind, so that the counter never reaches it again:
+    /// no step that a host has seen is older. The host is checked four times in that range.
     fn forget_old_rates(&mut self) {
         const HALF: u32 = 1 << 31;
         if self.now.step.wrapping_sub(self.rate_since) > HALF {
@@ -214,7 +214,7 @@ where
             match *first {
                 Some(first) => {
                     let off = index_error(at, first, *period);
-                    note(off > index_doubt(moved), Fault::IndexMismatch, Some(i), off as f32);
+                    note(off > index_tolerance(moved), Fault::IndexMismatch, Some(i), off as f32);
                 }
                 None if moved <= INDEX_WIDTH => *first = Some(at),
                 None => {}
@@ -227,7 +227,7 @@ where
             let silent = seconds > self.rules.host_seconds;
             match self.rules.host_action {
                 HostAction::Disarm => note(silent, Fault::HostLost, None, seconds),
-                // One entry is enough.
+                // One entry in the fault's record is enough.
                 HostAction::Hold if silent && self.fault.is_none() => {
                     self.fault =
                         Some(FaultRecord { fault: Fault::HostLost, axis: None, value: seconds, step: self.now.step });
@@ -257,14 +257,14 @@ fn beyond(parallel: f32) -> i32 {
     margin_bits_between(parallel, (TRIPPING_SINE, f32::MAX))
 }
 
-/// Returns the counts between an index pulse at `count` and its nearest expected place, whole turns of `period` from
-/// the `first` pulse.
+/// Returns the counts between an index pulse at `count` and its nearest expected place, a whole number of times
+/// `period` from the `first` pulse.
 fn index_error(count: i32, first: i32, period: i32) -> u32 {
     let off = count.wrapping_sub(first).checked_rem(period).unwrap_or(0).unsigned_abs();
     off.min(period.unsigned_abs().saturating_sub(off))
 }
 
-/// Returns the allowed error, counts: the first pulse may be late by its width, this one also by the joint's motion.
-fn index_doubt(moved: u32) -> u32 {
+/// Returns the allowed error, counts: the first pulse may be late by its width, this pulse also by the joint's motion.
+fn index_tolerance(moved: u32) -> u32 {
     moved.saturating_add(2 * INDEX_WIDTH)
 }

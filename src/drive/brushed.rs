@@ -19,10 +19,10 @@ use crate::model::motor::Motor;
 /// [`MAX_DUTY`] less the largest rounding error.
 const USABLE_DUTY: f32 = MAX_DUTY * (1.0 - 2.0 * f32::EPSILON);
 
-/// Share of the loop's bandwidth that is used if the device file gives the inductance as 0. The real winding may have
-/// inductance: the full voltage of the target applies at once, the current rises with L/R, and it overshoots by the
-/// error that the loop has integrated meanwhile: with the boards' 1 kHz by 7 % at L/R = 0.3 ms, 14 % at 0.8 ms and 16 %
-/// at 1 ms (tests/drive.rs).
+/// Share of the loop's bandwidth that is used if the device file gives the inductance as 0. If the real winding has
+/// inductance, the full voltage of the target applies at once, the current rises with L/R, and it overshoots by the
+/// error that the loop integrates during the rise: with the boards' 1 kHz by 7 % at L/R = 0.3 ms, 14 % at 0.8 ms and 16
+/// % at 1 ms (tests/drive.rs).
 pub const UNKNOWN_INDUCTANCE_SHARE: f32 = 0.05;
 
 /// Largest overshoot of a current: a multiple of its limit plus an absolute amount, A.
@@ -34,10 +34,10 @@ const ROUNDED_SHARE: f32 = 1.0 - 8.0 * f32::EPSILON;
 /// Current below which dead-time compensation fades, A: near zero the sign of the current is noise.
 const DEAD_TIME_KNEE: f32 = 0.1;
 
-/// Share by which a winding's resistance may exceed the device file's: copper gains 40 % per 100 K.
+/// Share by which a winding's resistance may exceed the device file's: copper's rises by 40 % per 100 K.
 const RESISTANCE_TOLERANCE: f32 = 0.5;
 
-/// Voltage that the model of a sound motor does not explain, V: brushes, ripple, zero errors.
+/// Voltage that the model of a sound motor does not explain, V: brushes, ripple, errors of the sensors' zeros.
 const VOLTAGE_TOLERANCE: f32 = 1.0;
 /// Share by which the back-EMF may differ from the data sheet's.
 const EMF_TOLERANCE: f32 = 0.2;
@@ -52,7 +52,7 @@ const SWING_DECAY: f32 = 255.0 / 256.0;
 /// Largest error by a lagging current during a reversal, as a share of the voltage at the largest current.
 const LAG_TOLERANCE: f32 = 1.3;
 
-/// When a duty acts, as shares of the current change that the duty makes in a full carrier period.
+/// Effect of a duty, as shares of the current change that the duty makes in a full carrier period.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 struct Timing {
     /// Shares of the change at the next sample and at the next valley.
@@ -119,7 +119,7 @@ pub struct Axis {
     tolerance_resistance: f32,
 }
 
-/// The current (A) that a joint's speed of 1 rad/s may hide: the motor's volts are its back-EMF as well.
+/// Returns the current (A) that a joint speed of 1 rad/s may hide, because its back-EMF is part of the motor's voltage.
 pub fn hidden_by_speed(motor: &Motor<f64>) -> f64 {
     f64::from(EMF_TOLERANCE) * motor.back_emf / motor.resistance
 }
@@ -352,8 +352,8 @@ impl Stage for Axis {
         self.at_valley + if self.resistance > 0.0 { beyond / self.resistance } else { 0.0 }
     }
 
-    /// Takes the smaller of the file's and the measured resistance. A larger measured resistance may be the brushes', and
-    /// taking too much for the winding's would hide a current.
+    /// Uses the smaller of the file's and the measured resistance. A larger measured resistance may be that of the
+    /// brushes, and an overestimated winding resistance would hide a current.
     fn set_measured_resistance(&mut self, ohms: f32) {
         self.resistance = self.resistance.min(ohms);
     }

@@ -161,10 +161,10 @@ pub trait Stage: Copy + Debug + Default {
         (0.0, f32::INFINITY, f32::INFINITY)
     }
 
-    /// Inspects the motor if its voltage shows this torque (N m) more than its current does.
+    /// Sets the difference between the torques that voltage and current show, N m, above which the motor is inspected.
     fn inspect_above(&mut self, _torque: f32) {}
 
-    /// Returns the current that the motor's voltage shows, whatever its sensor reads, A.
+    /// Returns the current that the motor's voltage shows, independent of the current sensor, A.
     fn current_from_voltage(&self) -> f32 {
         0.0
     }

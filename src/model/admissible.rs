@@ -1,9 +1,9 @@
-//! The third task coordinate of a redundant device: what it holds in addition to its tip while a wall pushes.
+//! The third task coordinate of a redundant device, which stays constant with the tip while a wall pushes.
 //!
-//! The device has one joint more than task dimensions, so one joint motion does not move the tip: the null motion. (4)
-//! holds *every* admissible coordinate. The choice of the third coordinate decides how much inertia the wall meets: Wrr
-//! depends on the choice, Weff does not (docs/model.md section 2). The mechanisms compute with the orientation φ. This
-//! module converts to the other choices by adding null motion to a unit motion E.
+//! The device has one joint more than task dimensions, so one joint motion does not move the tip: the null motion.
+//! Equation (4) keeps *every* admissible coordinate constant, so the choice of the third coordinate decides how much
+//! inertia the wall meets: Wrr depends on it, Weff does not (docs/model.md section 2). Mechanisms compute with the
+//! orientation φ. This module converts to the other choices by adding null motion to a unit motion E.
 
 use crate::math::Real;
 use crate::model::mechanism::Shaping;
@@ -11,8 +11,8 @@ use nalgebra::SVector;
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
-/// The coordinate that a redundant device holds in addition to its tip while the wall pushes. It determines Wrr
-/// (docs/model.md section 2). It has no effect on a device with as many joints as task dimensions.
+/// The coordinate that a redundant device keeps constant in addition to its tip while the wall pushes. It determines
+/// Wrr (docs/model.md section 2). It has no effect on a device with as many joints as task dimensions.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Admissible {
@@ -42,14 +42,14 @@ impl Admissible {
         ("consistent", Self::Consistent),
     ];
 
-    /// Returns its name.
+    /// Returns the name of this choice.
     pub fn name(self) -> &'static str {
         Self::ALL[self as usize].0
     }
 }
 
-/// Range of the squared share of the null motion that moves the held joint. At and above the upper value the joint is
-/// held. At and below the lower value it is free, because no finite null motion could hold it.
+/// Range of the square of a joint's share in the null motion. At and above the upper value the joint can be held. At
+/// and below the lower value it is free, because no finite null motion could hold it.
 const HELD_SHARE: [f64; 2] = [0.02 * 0.02, 0.05 * 0.05];
 
 impl Admissible {
@@ -63,20 +63,20 @@ impl Admissible {
         }
     }
 
-    /// Converts the `shaping` of a tip direction from a held φ to this coordinate; `null` shapes φ alone.
+    /// Converts the `shaping` of a tip direction from a held φ to this coordinate; `null` is the shaping of φ alone.
     pub fn hold<T: Real, const N: usize>(self, shaping: &Shaping<T, N>, null: &Shaping<T, N>) -> Shaping<T, N> {
         let added = self.added(shaping, null);
         let (e, me) = (shaping.e + null.e * added, shaping.me + null.me * added);
         Shaping { e, me, w_rr: e.dot(&me) }
     }
 
-    /// Returns the null motion that [`Admissible::hold`] adds to `shaping`, rad/m of φ.
+    /// Returns the null motion that [`Admissible::hold`] adds to `shaping`, in rad of φ per metre of tip motion.
     pub fn added<T: Real, const N: usize>(self, shaping: &Shaping<T, N>, null: &Shaping<T, N>) -> T {
         self.null_motion(null, &shaping.e, shaping.e.dot(&null.me))
     }
 
     /// Converts the velocity torques `b` (N m) from a held φ to this coordinate. `qdd_bias` = J⁻¹ J̇ q̇ is the joint
-    /// acceleration, rad/s², that a straight tip motion subtracts.
+    /// acceleration (rad/s²) that must be subtracted to keep the tip on a straight line.
     pub fn hold_bias<T: Real, const N: usize>(
         self,
         b: &SVector<T, N>,

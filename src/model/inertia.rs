@@ -15,8 +15,8 @@ use crate::model::principal::{Principal, Pull};
 use crate::model::solve::solve_symmetric;
 use nalgebra::{SMatrix, SVector};
 
-/// A direction does not count as rendered in an [`Inertia`] if the walls' stiffness along it is less than this share of
-/// the largest: a hundred times the square of the angle by which rounding in f32 separates two equal normals.
+/// Share of the largest stiffness of the walls below which an [`Inertia`] does not count a direction as rendered: a
+/// hundred times the square of the angle by which rounding in f32 separates two equal normals.
 pub const MIN_STIFFNESS_SHARE: f64 = 1.0e-12;
 
 /// An orthonormal basis of the task space whose first columns span the rendered directions.
@@ -42,7 +42,7 @@ impl<T: Real, const N: usize> Split<T, N> {
             basis[(0, 1)] = -n[1];
             basis[(1, 1)] = n[0];
         } else if task == 3 && N >= 3 {
-            // e_k less its part along n, over its length s = √(n_i² + n_j²), and n x it; (k, i, j) is cyclic.
+            // The part of e_k across n over its length s = √(n_i² + n_j²), and n x that part; (k, i, j) is cyclic.
             let mut complete = |k: usize, i: usize, j: usize| {
                 let s = K::sqrt(n[i] * n[i] + n[j] * n[j]);
                 let inverse = T::one() / s;
@@ -218,8 +218,8 @@ impl<T: Real, const N: usize> Inertia<T, N> {
     }
 }
 
-/// Returns the quantities without feed-forward along the first `rank` columns of `tip`: Weff (kg) in its leading block,
-/// and Jrᵀ fr (N m) for the force `in_span` (N) along the columns.
+/// Returns the quantities without feed-forward along the first `rank` columns of `tip`: the matrix with Weff (kg) in
+/// its leading block, and Jrᵀ fr (N m) for the force `in_span` (N) along the columns.
 #[inline(always)]
 fn without_feed_forward<T: Real, M: Mechanism<T, N>, const N: usize>(
     mechanism: &M,

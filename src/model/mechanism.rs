@@ -79,7 +79,7 @@ fn effective<T: Real, const N: usize>(mass: &SMatrix<T, N, N>, y: &SVector<T, N>
     below / above
 }
 
-/// Like [`effective`], for inertias of arms and of the turret that carries them; y consists of `lever` and `y`.
+/// Like [`effective`], for a turret's inertia and the mass matrix of the arms on it; the direction is (`lever`, `y`).
 #[inline(always)]
 fn effective_turned<T: Real>(turret: T, lever: T, arms: &Matrix2<T>, y: &Vector2<T>) -> T {
     // For a wall across the arms' plane y is zero, and the effective inertia is the turret's alone.
@@ -115,11 +115,11 @@ impl<T: Real, const N: usize> Shaping<T, N> {
     }
 
     /// Returns the joint torques (N m) that render the force `force` (N) along n by equation (4):
-    /// τ = M E Wrr⁻¹ (f - Eᵀ met) + b. `met` is the part of b (N m) that the wall meets: all of b by the paper, zero if
-    /// the force is rendered in every motion.
+    /// τ = M E Wrr⁻¹ (f - Eᵀ subtracted) + b. `subtracted` is the part of b (N m) that reduces f: all of b by the
+    /// paper, zero if the force is rendered in every motion.
     #[inline(always)]
-    pub fn torque(&self, force: T, b: &SVector<T, N>, met: &SVector<T, N>) -> SVector<T, N> {
-        self.me * ((force - self.e.dot(met)) / self.w_rr) + b
+    pub fn torque(&self, force: T, b: &SVector<T, N>, subtracted: &SVector<T, N>) -> SVector<T, N> {
+        self.me * ((force - self.e.dot(subtracted)) / self.w_rr) + b
     }
 }
 
@@ -317,8 +317,8 @@ macro_rules! define {
 
 crate::mechanisms!(define);
 
-/// Poses are treated as singular if the sine of the angle between the rods, or at an elbow, is below this value. Beyond
-/// it the reciprocals are clamped, so that every number stays finite.
+/// If the sine of the angle between the rods, or at an elbow, is below this value, the pose counts as singular and
+/// reciprocals are clamped, so that every number stays finite.
 const SINE_FLOOR: f64 = 1.0e-6;
 
 /// Returns `1 / x` with |x| clamped to at least `floor`, so that the result is finite for any finite `x`.

@@ -19,7 +19,7 @@ use nalgebra::{SMatrix, SVector};
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
-/// Maximum number of values in a table: 2 800 bytes. 15 x 15 points of a five-bar, 13 x 13 with a turret, 10 x 10 of a
+/// Maximum number of values in a table (2 800 bytes): 15 x 15 points of a five-bar, 13 x 13 with a turret, 10 x 10 of a
 /// redundant arm.
 pub const TABLE_VALUES: usize = 700;
 
@@ -330,7 +330,7 @@ pub struct TableReceiver {
 
 impl TableReceiver {
     /// Appends a chunk that begins at value `offset`: 0 restarts the transfer, any other offset must continue it.
-    /// Returns false if it does not, if the table would be too long, or if a value is not finite.
+    /// Returns false if the offset does not continue it, if the table would be too long, or if a value is not finite.
     pub fn take(&mut self, offset: usize, chunk: &[f32]) -> bool {
         if !self.fits(offset, chunk) {
             return false;

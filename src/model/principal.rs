@@ -8,9 +8,9 @@
 //! stiffness along e₁ … e_R. If two eigenvalues are equal, their eigenvectors are arbitrary and the level between them
 //! has no share, so torques are continuous.
 //!
-//! No set of walls, with the feed-forward on any of them, is less stable than without feed-forward if the device is
-//! undamped, the feed-forward acts in full and all walls have the same damping ratio. Proof: split Λ⁻¹ = [a b; bᵀ d]
-//! and K = [K_a 0; 0 K_d] into the first R directions and the rest. With the share s of level R the map is
+//! The feed-forward, on any of the walls, makes no set of walls less stable if the device is undamped, the feed-forward
+//! acts in full and all walls have the same damping ratio. Proof: split Λ⁻¹ = [a b; bᵀ d] and K = [K_a 0; 0 K_d] into
+//! the first R directions and the rest. With the share s of level R the map is
 //! B = [a - s b d⁻¹ bᵀ, b; (1 - s) bᵀ, d]. Scaling the second block by σ = √(1 - s) makes BK similar to B_s K with
 //! B_s = [a - s b d⁻¹ bᵀ, σ b; σ bᵀ, d], which is symmetric and positive definite, because its Schur complement
 //! a - b d⁻¹ bᵀ does not depend on s: all eigenvalues of the loop are real and positive, like those of masses. If μ
@@ -32,8 +32,8 @@ use nalgebra::{SMatrix, SVector};
 /// exact to rounding after four.
 const MAX_SWEEPS: usize = 6;
 
-/// Largest error of a normal's squared length that is not corrected by a root: normals of a scene are unit vectors to
-/// within this. The normal of the host's plane is shorter while the plane moves from one place to another.
+/// Largest error of a normal's squared length that is ignored, which saves a root: the normals of a scene are within
+/// it. The normal of the host's plane is shorter while the plane moves from one place to another.
 const UNIT_TOLERANCE: f64 = 1.0e-5;
 
 /// The stiffness of one wall or spring, as used to select the rendered directions.
@@ -42,7 +42,7 @@ pub struct Pull<T: Real, const N: usize> {
     /// Normal of a wall (unit length), normal of the host's plane (may be shorter), or line of a spring. Zeros beyond
     /// the task dimension.
     pub normal: SVector<T, N>,
-    /// True if it is stiff in all directions across `normal` (every direction if it is zero) instead of along it.
+    /// True if the stiffness acts across `normal` (in every direction if `normal` is zero) instead of along it.
     pub across: bool,
     /// Stiffness, N/m or in any other common unit; not negative.
     pub stiffness: T,
@@ -72,14 +72,14 @@ impl<T: Real, const N: usize> Pull<T, N> {
 pub struct Principal<T: Real, const N: usize> {
     /// Orthonormal columns: e₁ … e_d, then the coordinates beyond the task.
     pub basis: SMatrix<T, N, N>,
-    /// k₁ ≥ k₂ ≥ … over the stiffness of the stiffest wall; zero beyond the task.
+    /// k₁ ≥ k₂ ≥ …, divided by the stiffness of the stiffest wall; zero beyond the task.
     pub stiffness: SVector<T, N>,
     /// The part of `stiffness` from springs and from walls without the feed-forward.
     pub plain: SVector<T, N>,
 }
 
 impl<T: Real, const N: usize> Principal<T, N> {
-    /// Computes the principal directions of walls in a task of `task` dimensions; walls without stiffness count
+    /// Computes the principal directions of walls in a task of `task` dimensions. If no wall has stiffness, all count
     /// equally.
     ///
     /// Uses Jacobi rotations of K in a frame that begins with the stiffest wall's normal: in this frame the stiffest
@@ -153,9 +153,9 @@ impl<T: Real, const N: usize> Principal<T, N> {
 
     /// Computes the feed-forward for the walls' resultant `force` (N); every level takes only `part` of its share.
     ///
-    /// `shapings` holds the shaping of each column of the basis. `bias` returns b of a level and the part of b that the
-    /// walls meet (N m, see [`Shaping::torque`]). Returns the joint torques of all levels (N m) and the force that is
-    /// left for Jᵀ (N).
+    /// `shapings` holds the shaping of each column of the basis. `bias` returns b of a level, and the part of b that is
+    /// subtracted from the walls' force (N m, see [`Shaping::torque`]). Returns the joint torques of all levels (N m)
+    /// and the force that is left for Jᵀ (N).
     #[inline(always)]
     pub fn shaped(
         &self,
@@ -179,8 +179,8 @@ impl<T: Real, const N: usize> Principal<T, N> {
                 right[i] = along.dot(force) * left[i] * share;
                 left[i] *= T::one() - share;
                 plain -= along * right[i];
-                if let Some((_, met)) = &bias {
-                    right[i] -= shapings[i].e.dot(met) * b_share;
+                if let Some((_, subtracted)) = &bias {
+                    right[i] -= shapings[i].e.dot(subtracted) * b_share;
                 }
                 w_rr[(i, i)] = shapings[i].w_rr;
                 for j in 0..i {
@@ -292,7 +292,7 @@ fn rotate<T: Real, K: Math<T>, const N: usize>(
     if hypotenuse <= T::zero() {
         return false;
     }
-    // Half of the angle whose cosine is difference/hypotenuse, from its larger part.
+    // Cosine and sine of half the angle whose cosine is difference/hypotenuse, the larger of them first.
     let larger = K::sqrt(half + half * difference.abs() / hypotenuse);
     let smaller = ab.abs() / (hypotenuse * larger);
     let (cosine, sine) = if difference >= T::zero() { (larger, smaller) } else { (smaller, larger) };

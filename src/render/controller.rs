@@ -109,7 +109,7 @@ pub struct Controller<T: Real, M, K, const N: usize> {
     gravity: bool,
     /// True if b of the shaped torque can be nonzero.
     has_bias: bool,
-    /// True if b is c - M J⁻¹ J̇ q̇ only, and no wall meets any part of it.
+    /// True if b is c - M J⁻¹ J̇ q̇ only, and no part of b is subtracted from a wall's force.
     usual_terms: bool,
     /// True if b also contains the rotation of normals.
     turning_terms: bool,
@@ -123,13 +123,13 @@ pub struct Controller<T: Real, M, K, const N: usize> {
     walls: Walls<T>,
     observers: Observers<T, N>,
     viscous: SVector<T, N>,
-    /// α of the feed-forward if it is above 1, so that the inertia's pole could be reached.
+    /// α of the feed-forward; `None` up to 1, because only a larger α could reach the pole of the inertia.
     gain: Option<T>,
     admissible: Admissible,
     posture: Option<Posture<T>>,
     guidance: Guidance<T>,
     mass: MassModel<T, N>,
-    /// WallPlace beyond the reach of these loads, because it needs an address of its own and would displace other fields.
+    /// Placed beyond the reach of these loads, because it needs an address of its own and would displace other fields.
     passivity: Passivity<T, N>,
     math: PhantomData<K>,
 }
@@ -167,7 +167,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
             return Err(SceneError::Posture);
         }
         let has_bias = scene.velocity_terms != VelocityTerms::Off || walls.damped;
-        // True if b is rendered in every motion. On a line no normal turns.
+        // True if no part of b is subtracted from a wall's force. On a line no normal turns.
         let rendered = scene.velocity_terms == VelocityTerms::Rendered && !walls.damped;
         let turns = walls.curved && M::SPEC.task > 1;
         let moving = has_bias || guidance.is_active || scene.posture.is_some();
@@ -271,7 +271,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         }
     }
 
-    /// Sets the walls' joint torques (N m) until the next step.
+    /// Records the walls' joint torques (N m), which act until the next step.
     #[inline(always)]
     fn hold(&mut self, torque: &SVector<T, N>, result: &mut StepResult<T>) {
         if self.is_counting_energy {
@@ -280,7 +280,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         }
     }
 
-    /// Reports that no wall is touched.
+    /// Records that no wall is touched.
     #[inline(always)]
     fn leave(&mut self) {
         if self.is_counting_energy {

@@ -66,9 +66,9 @@ impl FeedForward {
 pub enum VelocityTerms {
     /// No velocity terms: τ = M E Wrr⁻¹ fr.
     Off,
-    /// The paper's (4): in the admissible motion only, so that the wall meets Wrr u̇r = fr - zr.
+    /// The paper's (4): b acts in the admissible motion only, so that the wall meets Wrr u̇r = fr - zr.
     Paper,
-    /// In every motion, τ = M E Wrr⁻¹ fr + b: the wall meets Wrr u̇r = fr, the force that is rendered.
+    /// b acts in every motion, τ = M E Wrr⁻¹ fr + b: the wall meets Wrr u̇r = fr, the force that is rendered.
     #[default]
     Rendered,
 }
@@ -229,7 +229,7 @@ pub enum SceneError {
     Shape(u8),
     /// The feed-forward gain is not from 0 to 3, or above 1 with several shaped walls.
     FeedForwardGain,
-    /// The velocity estimator's own value is outside its range.
+    /// The estimator's additional value (such as `difference_over`) is outside its range.
     Estimator,
     /// The posture's numbers are not finite or negative, or the device is not redundant.
     Posture,
@@ -252,10 +252,12 @@ impl core::fmt::Display for SceneError {
                 write!(f, "wall {i}: its point must be finite, its normal or axis not zero, its radius positive")
             }
             Self::Shape(i) => write!(f, "wall {i}: this shape needs a three-dimensional device"),
-            Self::FeedForwardGain => f.write_str(
-                "feed_forward_gain must be from 0 to 3, and at limit 1 if several walls have a feed-forward",
-            ),
-            Self::Estimator => f.write_str("the velocity estimator's own value is outside its range"),
+            Self::FeedForwardGain => {
+                f.write_str("feed_forward_gain must be from 0 to 3, and at most 1 if several walls have a feed-forward")
+            }
+            Self::Estimator => {
+                f.write_str("the velocity estimator's additional value (such as difference_over) is outside its range")
+            }
             Self::Posture => f.write_str(
                 "posture: it needs a device with more joints than its tip has directions, a finite orientation, and \
                  stiffness and damping that are finite and not negative",

@@ -244,8 +244,8 @@ pub struct Coefficients<T: Real> {
     /// Control rate, Hz.
     rate: T,
     kind: Estimator,
-    /// Share of the low-pass's band-pass state that half a step loses, 1 - a₁: small if the cutoff is low, so it is
-    /// stored without rounding against 1. Zero for a first-order low-pass.
+    /// 1 - a₁: the share of the low-pass's band-pass state that is lost in half a step. It is small if the cutoff is
+    /// low, and storing a₁ instead would round it away. Zero for a first-order low-pass.
     loss: T,
     a2: T,
     a3: T,

@@ -1,6 +1,6 @@
 //! The states of the control loop, and the faults that turn the motors off, each with a remedy.
 //!
-//! Motors are off unless armed; every fault turns them off within the step that sees it and stays until cleared.
+//! Motors are off unless armed; every fault turns them off in the step that detects it, and stays until it is cleared.
 
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
@@ -13,14 +13,14 @@ pub enum State {
     Disarmed,
     /// The scene is rendered.
     Armed,
-    /// One joint at a time is moved by a small torque, to see that motor and encoder agree.
+    /// One joint at a time is moved by a small torque, to check that motor and encoder agree.
     CheckingPolarity,
     /// Bridges float until the fault is cleared.
     Fault,
 }
 
 impl State {
-    /// Every state, in the order of the numbers that telemetry gives them.
+    /// Every state, in the order of its number in telemetry.
     pub const ALL: [Self; 4] = [Self::Disarmed, Self::Armed, Self::CheckingPolarity, Self::Fault];
 
     /// Returns true if the bridges drive the motors.
@@ -32,7 +32,7 @@ impl State {
     }
 }
 
-/// The words after `haptic` that clear a fault, as remedies tell them to a person; other programs' have their own.
+/// The command (after `haptic`) that clears a fault, as in remedies; other programs replace it by their own command.
 pub const CLEARING: &str = "faults --clear";
 
 macro_rules! faults {
@@ -46,22 +46,22 @@ macro_rules! faults {
             /// Every fault, in the order of their codes.
             pub const ALL: &'static [Fault] = &[$(Fault::$Name),*];
 
-            /// Its number in logs.
+            /// Returns the number in logs.
             pub const fn code(self) -> u8 {
                 self as u8
             }
 
-            /// The event, in plain words.
+            /// Returns the event, in plain words.
             pub const fn what(self) -> &'static str {
                 match self { $(Fault::$Name => $what,)* }
             }
 
-            /// The remedy that a person can apply.
+            /// Returns the remedy that a person can apply.
             pub const fn remedy(self) -> &'static str {
                 match self { $(Fault::$Name => $remedy,)* }
             }
 
-            /// The name in logs and documents.
+            /// Returns the name in logs and documents.
             pub const fn name(self) -> &'static str {
                 match self { $(Fault::$Name => stringify!($Name),)* }
             }
@@ -70,22 +70,22 @@ macro_rules! faults {
 }
 
 faults! {
-    /// The control step did not finish in its period; value: periods missed.
+    /// The control step did not finish in its period; value: number of missed periods.
     ControlOverrun = 1, "the control step did not finish within its period",
         "lower the scene's rate_hz, or give it fewer walls with feed-forward";
     /// An encoder moved further in one step than the speed limit allows; value: counts.
     EncoderJump = 2, "an encoder jumped further in one step than the device can move",
-        "check the encoder's cable, shield and supply; keep it short and away from wires that carry motor current";
+        "check the encoder's cable, shield and supply; keep the cable short and away from wires that carry motor current";
     /// Torque near its limit without any motion; value: seconds.
     EncoderStall = 3, "a motor pushed hard for seconds and its encoder did not move at all",
-        "check that the encoder is connected and the joint not blocked, then home again";
-    /// The measured back-EMF says the joint turns and the encoder does not; value: rad/s.
+        "check that the encoder is connected and the joint is not blocked, then home again";
+    /// The measured back-EMF shows that the joint turns, but the encoder does not; value: rad/s.
     EncoderLoss = 4, "the motor turns but its encoder does not",
         "check the encoder's cable and coupling, then home again";
-    /// Both encoder lines changed at once; value: errors seen.
+    /// Both encoder lines changed at once; value: number of errors.
     EncoderIllegal = 5, "both lines of an encoder changed at once",
         "check the encoder's cable; a line may be broken or picking up noise";
-    /// The index came at another count than before; value: counts off.
+    /// An index pulse came at another count than before; value: difference, counts.
     IndexMismatch = 6, "the encoder's index came at the wrong count: counts were lost",
         "check the encoder's cable, then home again";
     /// A joint left its limits; value: rad.
@@ -97,97 +97,99 @@ faults! {
     /// A motor's current exceeded its limit by far; value: A.
     OverCurrent = 9, "a motor's current exceeded its limit",
         "check the motor for a short, and resistance and inductance in the device file";
-    /// A motor has been working too hard for too long; value: fraction of the budget.
+    /// A motor has spent its thermal budget; value: share of the budget.
     ThermalBudget = 10, "a motor has spent its thermal budget (I²t)",
-        "let it cool for a minute; lower the stiffness, or the current limit";
+        "let the motor cool for a minute; lower the stiffness, or the current limit";
     /// The bus voltage is too low; value: V.
     BusUnderVoltage = 11, "the supply voltage is too low", "check the supply and its current limit";
     /// The bus voltage is too high; value: V.
     BusOverVoltage = 12, "the supply voltage is too high",
-        "braking motors feed the supply: use one that can sink, or a brake resistor";
+        "braking motors feed current into the supply: use a supply that can sink current, or a brake resistor";
     /// The gate driver pulled its fault pin; value: its status register.
     GateDriver = 13, "the gate driver reports a fault", "check for shorts at the motor terminals, then `haptic faults --clear`";
     /// A number in the control step was infinite or not a number.
     NotFinite = 14, "a number in the control step was not finite",
-        "reload the device and the scene; report it with both files if it returns";
-    /// The linkage reached a pose where its tip force is not defined; value: sine of the angle left.
+        "reload the device and the scene; if the fault returns, report it with both files";
+    /// The linkage reached a pose where its tip force is not defined; value: sine of the remaining angle.
     Singularity = 15, "the linkage is stretched to a singular pose",
         "move the device back by hand; set joint limits that exclude the pose";
-    /// No message from the host for too long; value: seconds.
-    HostLost = 16, "the host has not been heard for too long",
-        "check the cable and the program that sends heartbeats; `haptic rules --host-seconds` allows a longer silence, `haptic rules --host ignore` any";
+    /// The host has sent no sign of life for too long; value: seconds.
+    HostLost = 16, "the host has sent no sign of life for too long",
+        "check the cable and the program that sends heartbeats; `haptic rules --host-seconds` allows a longer silence, `haptic rules --host ignore` any silence";
     /// The independent watchdog reset the board.
     Watchdog = 17, "the watchdog reset the board: the control loop or a task had stopped",
-        "lower the scene's rate_hz if it is above 30000; if not, note what was done before, save the log, and report it";
+        "lower the scene's rate_hz if it is above 30000; otherwise note the last actions, save the log, and report the fault";
     /// The stack reached its guard.
-    StackOverflow = 18, "the stack overflowed", "report it with device and scene files";
-    /// Settings in flash were damaged and replaced by defaults; value: how many.
+    StackOverflow = 18, "the stack overflowed", "report the fault with device and scene files";
+    /// Settings in flash were damaged and replaced by defaults; value: number of settings.
     SettingsDamaged = 19, "some settings in flash were damaged and are at their defaults",
         "restore a backup with `haptic board restore`, or load device and scene again";
     /// The processor took a hard fault; value: the address.
-    HardFault = 20, "the processor stopped at a hard fault", "report it with device and scene files";
+    HardFault = 20, "the processor stopped at a hard fault", "report the fault with device and scene files";
     /// The firmware panicked; value: the line.
-    Panic = 21, "the firmware stopped at a panic", "report it with device and scene files";
+    Panic = 21, "the firmware stopped at a panic", "report the fault with device and scene files";
     /// The break input cut the bridges in hardware.
     BreakInput = 22, "the break input cut the bridges", "release the emergency stop, then `haptic faults --clear`";
     /// Mean power into the hand exceeded its limit; value: W.
     PowerLimit = 23, "more power went into the hand than its limit allows",
         "lower the stiffness or raise the damping; the wall is unstable or the limit too tight";
-    /// Motor and encoder disagree about which way is positive; value: rad moved.
+    /// Motor and encoder disagree about the positive direction; value: motion, rad.
     PolarityWrong = 24, "a motor turned its joint the wrong way",
         "swap the motor's two wires, or set `inverted` of that joint's encoder in the device file";
-    /// No motion under more torque than the joint's inertia and friction need by the file.
+    /// A joint did not move under more torque than its inertia and friction need according to the device file.
     PolarityNoMotion = 25, "a joint did not move under the test torque",
-        "free the joint, check motor wires and encoder; give friction that takes more than half a newton at the tip as `coulomb` in the device file, and see that the tip's limit is more; then check again";
-    /// The control interrupt's inputs went stale (ADC or SPI stopped); value: periods.
-    SensorStale = 26, "a measurement of the board stopped arriving", "power-cycle the board; report it if it returns";
+        "free the joint, check motor wires and encoder; if friction takes more than half a newton at the tip, set it as `coulomb` in the device file, and set the force limit at the tip above it; then check again";
+    /// The inputs of the control interrupt stopped arriving (ADC or SPI); value: number of periods.
+    SensorStale = 26, "a measurement of the board stopped arriving", "power-cycle the board; report the fault if it returns";
     /// Two sensors of one motor's current disagree; value: A.
     CurrentSensor = 27, "the two current sensors of a motor disagree",
         "power-cycle the board; if it returns, a shunt, its amplifier or a third phase's wire is at fault";
-    /// Voltage, current and speed of a motor do not belong together; value: V unaccounted for.
+    /// Voltage, current and speed of a motor contradict each other; value: unexplained voltage, V.
     MotorModel = 28, "a motor's voltage, current and speed contradict each other",
         "check the motor's wires, its encoder's direction and coupling, the current sensor, and resistance, inductance and back-EMF in the device file";
-    /// A gate driver forgot its settings while the motors were on; value: the register as it was read.
+    /// A gate driver lost its settings while the motors were on; value: the register as read.
     DriverReset = 29, "a gate driver lost its settings while the motors were on",
         "check the supply for dips and the driver's soldering, then `haptic faults --clear`";
-    /// Current flows though the bridges are off; value: A.
+    /// Current flows although the bridges are off; value: A.
     StrayCurrent = 30, "current flows through a motor though the bridges are off",
-        "switch the supply off: a switch of the bridge is broken, or a motor wire touches another; or a current sensor is off its zero";
-    /// The clock security system found the crystal dead.
+        "switch the supply off: a switch of the bridge is broken, a motor wire touches another, or a current sensor's zero is wrong";
+    /// The clock security system detected that the crystal stopped.
     ClockFailure = 31, "the crystal that clocks the processor stopped",
         "power-cycle the board; if it returns, the crystal or its soldering is at fault";
-    /// The supply monitor saw the processor's own supply fall.
+    /// The supply monitor detected a dip of the processor's own supply.
     SupplyDip = 32, "the processor's own supply dipped",
-        "check the supply of the board's 3.3 V, and what else it feeds";
-    /// The image in flash is not as it was built.
+        "check the supply of the board's 3.3 V, and everything else that it feeds";
+    /// The image in flash differs from the image as built.
     ImageDamaged = 33, "the firmware in flash is not as it was built",
         "flash the board again, with an image made by `cargo fw`";
-    /// A word of RAM did not keep what was written; value: its address.
+    /// A word of RAM did not keep its value; value: its address.
     RamDamaged = 34, "the processor's RAM does not keep what is written",
         "power-cycle the board; if it returns, replace the board";
-    /// A joint kept moving when the polarity check was to begin with it; value: rad from where it stood last.
+    /// A joint kept moving when the polarity check was about to start with it; value: motion since its last position,
+    /// rad.
     PolarityUnrest = 35, "a joint did not come to rest for the polarity check",
-        "let the device stand still by itself, or hold it still for a moment, hands off while a motor pushes; then check again";
-    /// A dead man's key that was held is no longer told of; value: seconds since it was seen down.
-    KeyReleased = 36, "nobody was heard to hold the dead man's key any more",
-        "`haptic faults --clear`, then press the key anew; if it comes while the key is down, the page, the network or the computer between key and board is too slow";
-    /// The image is for another board than the chip is on; value: the pin that told, 16 times its port (0 for A) and its number.
+        "let the device come to rest, or hold it still for a moment; take your hands off while a motor pushes; then check again";
+    /// A held dead man's key is no longer reported as held; value: time since it was last seen down, s.
+    KeyReleased = 36, "the dead man's key is no longer reported as held",
+        "`haptic faults --clear`, then press the key again; if the fault comes while the key is down, the page, the network or the computer between key and board is too slow";
+    /// The image is for another board than the one with this chip; value: the pin that differs, 16 times its port (0
+    /// for A) plus its number.
     WrongBoard = 37, "the firmware is for another board than this",
-        "flash this board's own image; if it is this board's, look at the wire of its bus divider";
-    /// The currents that are measured push harder at the tip than they may; value: N.
+        "flash the image of this board; if the image is right, check the wire of the bus divider";
+    /// The measured currents make more force at the tip than the limit allows; value: N.
     ForceLimit = 38, "the measured currents push harder at the tip than its limit allows",
-        "lower the damping or the stiffness; if it returns at rest, check the current sensors and the motor data in the device file";
-    /// A joint is not driven by its motor's current as the device file says; value: the torque that acted over the file's, or how many
-    /// times as far as planned a joint was swung.
+        "lower the damping or the stiffness; if the fault returns at rest, check the current sensors and the motor data in the device file";
+    /// A motor's current does not drive its joint as the device file says; value: actual torque over the torque of the
+    /// file, or actual swing of the joint over the planned swing.
     TorqueMismatch = 39, "a joint's motion does not fit its motor's current",
-        "the value is the torque that acted over the file's: check torque_constant with its gear ratio, the motors' order, counts_per_turn, the inertias and the current sensor, hands off; then check again";
-    /// A winding's resistance is not the device file's; value: Ω.
+        "the value is the actual torque over the torque of the device file: check torque_constant with its gear ratio, the motors' order, counts_per_turn, the inertias and the current sensor; take your hands off, then check again";
+    /// A winding's resistance differs from the resistance in the device file; value: Ω.
     ResistanceMismatch = 40, "a motor's resistance is not the one in its device file",
-        "measure the winding at the motor's terminals: write that into the file, or the current sensor or a contact is at fault";
+        "measure the winding at the motor's terminals: correct the device file if it is wrong; otherwise the current sensor or a contact is at fault";
 }
 
 impl Fault {
-    /// Returns true if the joint angles can no longer be trusted: the device has to be homed again.
+    /// Returns true if the joint angles may be wrong afterwards: the device must be homed again.
     pub const fn loses_counts(self) -> bool {
         matches!(
             self,
@@ -202,14 +204,14 @@ impl core::fmt::Display for Fault {
     }
 }
 
-/// A fault as it happened.
+/// An occurrence of a fault.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct FaultRecord {
     /// The fault.
     pub fault: Fault,
-    /// Which axis, where one is meant.
+    /// Axis of the fault; `None` if it has no axis.
     pub axis: Option<u8>,
-    /// The number that was wrong, in the unit its fault names.
+    /// Value at the fault, in the unit that the documentation of [`Fault`] gives.
     pub value: f32,
     /// Control steps since boot.
     pub step: u32,
@@ -221,20 +223,20 @@ mod tests {
     use serde::{Deserialize, Serialize};
 
     faults! {
-        /// The handle was let go of; value: seconds.
-        LetGo = 3, "the handle was let go of", "hold it, then `haptic faults --clear`";
+        /// The handle was released; value: seconds.
+        Released = 3, "the handle was released", "hold it, then `haptic faults --clear`";
         /// The handle is hot; value: kelvin.
         HotHandle = 7, "the handle is hot", "let it cool";
     }
 
-    /// Everything that is told of a fault follows from its line.
+    /// All properties of a fault come from its line in the table.
     #[test]
-    fn a_toy_fault_is_one_line() {
-        let told = |fault: &Fault| (fault.code(), fault.name(), fault.what(), fault.remedy());
-        let told_of_all = [
-            (3, "LetGo", "the handle was let go of", "hold it, then `haptic faults --clear`"),
+    fn a_fault_needs_only_one_line() {
+        let properties = |fault: &Fault| (fault.code(), fault.name(), fault.what(), fault.remedy());
+        let expected = [
+            (3, "Released", "the handle was released", "hold it, then `haptic faults --clear`"),
             (7, "HotHandle", "the handle is hot", "let it cool"),
         ];
-        assert!(Fault::ALL.iter().map(told).eq(told_of_all));
+        assert!(Fault::ALL.iter().map(properties).eq(expected));
     }
 }

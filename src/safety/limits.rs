@@ -4,40 +4,40 @@ use crate::model::catalogue::MAX_JOINTS;
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
-/// Limits that the board enforces, whatever a tool asks for. Raising them needs the disarmed state.
+/// Limits that the board enforces, whatever a tool requests. They can be raised only while the motors are off.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct Limits {
-    /// Joint torque, N m; the motor's current limit counts as well.
+    /// Joint torque, N m; the motor's current limit applies as well.
     pub torque: [f32; MAX_JOINTS],
     /// Motor current, A.
     pub current: [f32; MAX_JOINTS],
-    /// Motor current that may flow for ever, A.
+    /// Motor current that may flow continuously, A.
     pub continuous_current: [f32; MAX_JOINTS],
     /// Joint speed, rad/s.
     pub speed: [f32; MAX_JOINTS],
-    /// Mean mechanical power given to the hand over [`POWER_SECONDS`], W.
+    /// Mean mechanical power into the hand over [`POWER_SECONDS`], W.
     pub power: f32,
     /// Lowest bus voltage, V.
     pub bus_min: f32,
     /// Highest bus voltage, V.
     pub bus_max: f32,
-    /// Force that walls, springs and fields may render at the tip together, N: |f| of τ = Jᵀ f, in every pose.
+    /// Total force of walls, springs and fields at the tip, N: |f| of τ = Jᵀ f, in every pose.
     #[serde(default = "gentle")]
     pub tip_force: f32,
 }
 
-/// Tip force, N, that a board with real motors allows until somebody says otherwise: a push that a wrist withstands
-/// and that a hand can hold.
+/// Default force limit at the tip of a board with real motors, N: a push that a wrist withstands and that a hand can
+/// hold.
 pub const GENTLE_FORCE: f32 = 5.0;
 
-/// Tip force, N, above which the limit of a board with real motors cannot be raised: each board names it.
+/// Highest force limit at the tip that a board with real motors may allow, N; the boards' limits use it.
 pub const MOST_TIP_FORCE: f32 = 100.0;
 
-/// By what factor the currents that the motors' volts tell may push harder than the tip force: a sensor that lies hides no
-/// more.
+/// Largest force of the currents that the motors' voltages show, as a multiple of the force limit at the tip. It bounds
+/// the force that a wrong current sensor can hide.
 pub const VOLTS_MARGIN: f32 = 1.5;
 
-/// The tip force that a backup meant whose limits name none.
+/// Returns the force limit at the tip for a backup whose limits contain none.
 fn gentle() -> f32 {
     GENTLE_FORCE
 }
@@ -60,14 +60,14 @@ impl Default for Limits {
     }
 }
 
-/// The quantity that a number was meant to limit.
+/// The quantity that a number limits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub enum Limit {
     /// Joint torque, N m.
     Torque,
     /// Motor current, A.
     Current,
-    /// Motor current that may flow for ever, A.
+    /// Motor current that may flow continuously, A.
     ContinuousCurrent,
     /// Joint speed, rad/s.
     Speed,
@@ -79,14 +79,14 @@ pub enum Limit {
     BusMax,
     /// Force at the tip, N.
     TipForce,
-    /// The time that a host may be silent, s.
+    /// Time for which a host may be silent, s.
     HostSeconds,
     /// Counts between two index pulses.
     IndexPeriod,
 }
 
 impl Limit {
-    /// Its name and its unit.
+    /// Returns the name and the unit.
     pub const fn words(self) -> (&'static str, &'static str) {
         match self {
             Self::Torque => ("torque", " N m"),
@@ -103,18 +103,18 @@ impl Limit {
     }
 }
 
-/// A number that a board does not take for a limit.
+/// A number that a board does not accept as a limit.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct BadLimit {
-    /// Of what.
+    /// Limited quantity.
     pub limit: Limit,
-    /// Of which joint, from 0, where it is a joint's.
+    /// Joint, from 0; `None` if the limit is not one of a joint.
     pub joint: Option<u8>,
-    /// The number.
+    /// Rejected number.
     pub value: f32,
-    /// The least it may be; torque, current, speed, power and force must be above that.
+    /// Smallest accepted number; torque, current, speed, power and force must be above it.
     pub least: f32,
-    /// The most it may be.
+    /// Largest accepted number.
     pub most: f32,
 }
 
@@ -125,7 +125,7 @@ impl core::fmt::Display for BadLimit {
         if let Some(joint) = self.joint {
             write!(f, " of joint {joint}")?;
         }
-        write!(f, " cannot be {}{unit}: this board takes ", self.value)?;
+        write!(f, " cannot be {}{unit}: this board accepts ", self.value)?;
         match (self.least, self.most) {
             (0.0, f32::INFINITY) => f.write_str("0 or more"),
             (0.0, most) => write!(f, "more than 0 and at most {most}{unit}"),
@@ -135,12 +135,12 @@ impl core::fmt::Display for BadLimit {
 }
 
 impl Limits {
-    /// Returns true if every number is finite, positive and no larger than what `most` allows.
+    /// Returns true if every number is finite, positive and not larger than in `most`.
     pub fn within(&self, most: &Self) -> bool {
         self.wrong(most).is_none()
     }
 
-    /// The first number that is not positive, or larger than what `most` allows.
+    /// Returns the first number that is not positive, or larger than in `most`.
     pub fn wrong(&self, most: &Self) -> Option<BadLimit> {
         let each = [
             (Limit::Torque, &self.torque, &most.torque),
@@ -174,7 +174,7 @@ impl Limits {
     /// Returns true if no limit is higher than in `other`: such a change is safe at any time.
     pub fn no_higher_than(&self, other: &Self) -> bool {
         let mut steady = self.continuous_current.iter().zip(&other.continuous_current);
-        // Held against itself alone: it may stand above a current limit that was lowered below it.
+        // Compared only with its own bound, because the current limit may have been lowered below it.
         let rest = Self { continuous_current: self.current, ..*self };
         steady.all(|(value, bound)| *value > 0.0 && value <= bound) && rest.within(other)
     }

@@ -116,7 +116,7 @@ impl core::fmt::Display for Refusal {
                 "the flash failed in the middle of a change: the old settings apply until the next start, which \
                  shows if the old or the new settings were kept",
             ),
-            Self::NotSupported => f.write_str("this board cannot do that"),
+            Self::NotSupported => f.write_str("this board does not support the request"),
             Self::KeyTooOld => f.write_str(
                 "the press of the key arrived too late: press it again; if that happens again, the page, the network or \
                  the computer between key and board is too slow",

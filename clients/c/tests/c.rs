@@ -110,7 +110,7 @@ fn a_program_starts_a_strict_board_and_clears_its_fault() {
         let fault = read_state();
         assert_eq!((fault.state, fault.fault), (HB_FAULT, 16));
         assert_eq!(error(), words(hb_fault_text(16)));
-        assert!(error().starts_with("HostLost (16): the host has not been heard"), "{}", error());
+        assert!(error().starts_with("HostLost (16): the host has sent no sign of life"), "{}", error());
         assert_eq!(words(hb_fault_text(0)), "");
         assert!(words(hb_fault_text(7)).contains("then hb_clear() and arm again"), "{}", words(hb_fault_text(7)));
         assert_eq!((hb_clear(board), read_state().state, read_state().fault), (HB_OK, HB_DISARMED, 0));

@@ -1,23 +1,23 @@
 //! The square root of the Cortex-M4F's floating-point unit (`vsqrt.f32`, 14 cycles, correctly rounded).
 //!
-//! `core` offers none on this target, so it takes assembly, and the library that holds the control step has no `unsafe`
-//! code: it is here, in one function that any number may be given to.
+//! `core` has no square root for this target, so it needs assembly, and the library with the control step forbids
+//! `unsafe` code. This crate therefore contains it, in one safe function that accepts any number.
 
 #![no_std]
 #![cfg(target_arch = "arm")]
 
 use core::arch::asm;
 
-/// Square root; NaN for a negative number.
+/// Returns the square root; NaN for a negative number.
 ///
-/// The compiler hands a single-precision number to assembly in no register of an FPU without doubles, so it passes through
-/// a core register: five instructions in all.
+/// For an FPU without doubles, the compiler passes no single-precision number to assembly in an FPU register. The
+/// number goes through a core register instead: five instructions in total.
 #[inline(always)]
 #[must_use]
 pub fn sqrt(value: f32) -> f32 {
     let root: u32;
-    // SAFETY: moves and one instruction of the FPU, which is on before `main` on this target. What it says of an inexact or
-    // invalid number stays in the FPU's status: flags are not preserved.
+    // SAFETY: moves and one instruction of the FPU, which is on before `main` on this target. Only the FPU's status
+    // flags change (inexact, invalid); the compiler does not expect assembly to preserve flags.
     unsafe {
         asm!(
             "vmov s0, {value}",

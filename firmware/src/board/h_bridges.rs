@@ -99,7 +99,7 @@ impl<W: Wires> Board for HBridges<W> {
     const IDENTITY: IdentityPins = W::IDENTITY;
     const SUPPLY_LEVEL: u8 = W::SUPPLY_LEVEL;
     const AXES: usize = AXES;
-    /// Data of the bridges. The dead time distorts nothing (see [`DEAD_TIME_TICKS`]), so the drive compensates none.
+    /// Data of the bridges. The dead time distorts nothing (see [`DEAD_TIME_TICKS`]) and is not compensated.
     const BRIDGE: Bridge =
         Bridge { carrier_hz: CARRIER_MIN_HZ as f32, dead_time: 0.0, bandwidth_hz: 1000.0, current_sensed: true };
     /// Limits that cannot be raised over USB: the ranges of the current sensors and of the bus divider.

@@ -10,7 +10,7 @@ use haptic_bridge::drive::carrier::Carrier;
 
 /// A request of a task to the control interrupt.
 pub enum Request {
-    /// A command to the control_loop.
+    /// A command to the control loop.
     Command(Command<BoardProgram>),
     /// A request for the status alone.
     Status,

@@ -39,7 +39,7 @@ impl Service {
             Key::Polarity => decoded::<Polarity>(entry).map(drop)?,
             Key::Name => decoded::<BoardName>(entry).map(drop)?,
         }
-        // A tool must not commit settings that another tool staged before it ended early.
+        // A tool must not commit settings that were staged by another tool, which has ended.
         if self.staged.0 != write.session {
             self.staged = (write.session, KeyList::new());
         }

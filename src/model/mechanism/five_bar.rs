@@ -97,7 +97,7 @@ impl<T: Real> FiveBar<T> {
         if assembly != 1.0 && assembly != -1.0 {
             return Err(DescriptionError::Assembly);
         }
-        // The elbows' distance takes every value between these two. The linkage closes if the rods' range overlaps it.
+        // The elbows' distance is between these two. The linkage closes if this range overlaps the rods' range.
         let farthest = base + l1 + l2;
         let nearest = (base - l1 - l2).max(0.0).max(l1 - base - l2).max(l2 - base - l1);
         if nearest >= r1 + r2 || farthest <= (r1 - r2).abs() {
@@ -148,8 +148,8 @@ impl<T: Real> FiveBar<T> {
         })
     }
 
-    /// Computes the pose at these angles. `inverse` inverts its first argument and may clamp its magnitude to the
-    /// second; `positive` may clamp the argument of a root to zero.
+    /// Computes the pose at these angles. `inverse` inverts its first argument and may first clamp its magnitude to at
+    /// least the second; `positive` may clamp the argument of a root to zero.
     #[inline(always)]
     fn close<K: Math<T>>(&self, q: &[Angle<T>; 2], inverse: impl Fn(T, T) -> T, positive: impl Fn(T) -> T) -> Pose<T> {
         let half = T::from_f64(0.5);

@@ -302,7 +302,7 @@ impl<T: Real> Mechanism<T, 3> for Serial3r<T> {
         let (nn, nt, tt) = (product(&pn, along), product(&pn, across), product(&pt, across));
         let (nf, tf, ff) = (product(&pn, about) + pn[2], product(&pt, about) + pt[2], product(&pf, about) + pf[2]);
         let e = |rates: [T; 2], third| relative(&Vector3::new(rates[0], rates[1], third));
-        // Weff in absolute rates, in which the mass matrix is shortest.
+        // Weff in absolute rates, in which the mass matrix has the fewest terms.
         let moment = |i: usize| self.lengths[i] * (pose.link[i][0] * n[1] - pose.link[i][1] * n[0]);
         let moments = Vector3::new(moment(0), moment(1), moment(2));
         let ([m11, m22, m33], [m12, m23, m13]) = (self.inertia, self.off_diagonal(pose));

@@ -17,7 +17,7 @@ struct Encoding<T> {
     /// Counts after which the angle repeats, and the number of turns in them.
     period: i32,
     turns: i32,
-    /// Joint angle per count and turn of the period, rad: one turn is `period` of these parts.
+    /// Joint angle of one part, rad. A turn has `period` parts, and a count as many parts as the period has turns.
     radians_per_part: T,
     /// Largest count, either way from zero, that is within the first turn.
     counts_unturned: u32,
@@ -35,7 +35,7 @@ struct Binary {
 }
 
 impl Binary {
-    /// Makes the conversion for `period` counts in `turns` turns, or of one count of `radians`. `offset` in rad.
+    /// Makes the conversion for `period` counts in `turns` turns or, if 0, for a count of `radians`. `offset` in rad.
     fn new(period: i32, turns: i32, radians: f64, offset: f64) -> Self {
         // In units of 2⁻³² of a binary angle unit.
         let per_count = match (u64::try_from(period), u64::try_from(turns)) {
@@ -51,7 +51,7 @@ impl Binary {
         Self { whole, rest, offset: BinaryAngle::from_radians(offset) }
     }
 
-    /// Returns the angle of `counts` counts with two multiplications and no division; complete turns vanish.
+    /// Returns the angle of `counts` counts, without complete turns: two multiplications and no division.
     #[inline(always)]
     fn of(&self, counts: i32) -> BinaryAngle {
         let rest = (i64::from(counts) * i64::from(self.rest)) >> 32;

@@ -227,8 +227,8 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         }
         if more.is_empty() && !shared.acts {
             let shaping = self.hold_coordinate(self.mass.shaping(&self.mechanism, q, pose, &first.normal), pose);
-            let (b, met) = self.bias(pose, place, qd, &BiasScope::One(first));
-            (shaping.torque(first.shaped, &b, &met) * share, force * (T::one() - share))
+            let (b, subtracted) = self.bias(pose, place, qd, &BiasScope::One(first));
+            (shaping.torque(first.shaped, &b, &subtracted) * share, force * (T::one() - share))
         } else {
             let mut pulls = Vec::new();
             let group = ContactGroup::new::<K>(first, more, &self.guidance, shared, place, M::SPEC.task, &mut pulls);
@@ -251,10 +251,10 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         }
     }
 
-    /// Returns b without gravity: c - M J⁻¹(J̇ q̇ + κ), plus B q̇ if a wall requests it; and the part of b that the
-    /// walls meet: all of it by the paper's (4), B q̇ alone if the force is rendered in every motion. The velocity
-    /// terms are zero if the scene has none, if no joint moves by more than single counts, and if the estimate lags too
-    /// far behind, see [`KNOWN_TURN`].
+    /// Returns b without gravity: c - M J⁻¹(J̇ q̇ + κ), plus B q̇ if a wall requests it; and the part of b that is
+    /// subtracted from the walls' force: all of b by the paper's (4), B q̇ alone if the force is rendered in every
+    /// motion. The velocity terms are zero if the scene has none, if no joint moves by more than single counts, and if
+    /// the estimate lags too far behind, see [`KNOWN_TURN`].
     #[inline(never)]
     pub(super) fn bias(
         &self,
@@ -280,8 +280,8 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         }
         let share = self.walls.damping_share(scope);
         let damping = if share > T::zero() { self.viscous.component_mul(qd) * share } else { SVector::zeros() };
-        let met = if self.velocity_terms == VelocityTerms::Rendered { damping } else { b + damping };
-        (b + damping, met)
+        let subtracted = if self.velocity_terms == VelocityTerms::Rendered { damping } else { b + damping };
+        (b + damping, subtracted)
     }
 
     /// Returns the share of the velocity terms that acts with estimated velocities, see [`KNOWN_TURN`].

@@ -1,6 +1,6 @@
 //! Springs, fields, and the host's force and plane.
 //!
-//! Their force goes straight through Jᵀ, except for stiff parts that act together with walls with the feed-forward:
+//! Their forces go straight through Jᵀ, except for stiff parts that act together with walls with the feed-forward:
 //! springs and the host's plane then go through the levels of [`crate::model::principal`] together with these walls,
 //! like walls without the feed-forward (docs/model.md section 2).
 
@@ -72,13 +72,13 @@ impl<T: Real> Guidance<T> {
         for Spring { direction: [x, y, _], stiffness, .. } in &scene.springs {
             guidance.in_plane.add_across(*x, *y, *stiffness);
         }
-        guidance.is_active = guidance.computes_active();
+        guidance.is_active = guidance.has_any_force();
         guidance.adds_force = guidance.is_active;
         guidance
     }
 
-    /// Computes [`Guidance::is_active`].
-    fn computes_active(&self) -> bool {
+    /// Returns true if there is a spring, a field or a plane of the host.
+    fn has_any_force(&self) -> bool {
         let plane = self.push.as_ref().is_some_and(|push| !push.plane.is_absent());
         !self.springs.is_empty() || self.field_damping > T::zero() || plane
     }
@@ -86,7 +86,7 @@ impl<T: Real> Guidance<T> {
     /// Sets the host's force and plane from the next step on.
     pub fn set_push(&mut self, push: Option<&Push<T>>) {
         self.push = push.copied();
-        self.is_active = self.computes_active();
+        self.is_active = self.has_any_force();
         self.is_pushed = push.is_some();
         self.adds_force = self.is_active || self.is_pushed;
         if push.is_none_or(|push| push.plane.is_absent()) {

@@ -4,7 +4,7 @@
 //! feed-forward and the torques that move with the linkage. The count is exact, because a torque is constant between
 //! two samples. It does not include weight, springs, fields, the host's force and a posture.
 //!
-//! A hand gains the work of the sideways push if it slides with the push while it presses, and back without pressing.
+//! A hand gains energy if it slides along with the sideways push while it presses, and back without pressing.
 //! No damping along the normal compensates that (docs/model.md section 3). The controller therefore acts in two ways.
 //! The feed-forward fades while the walls owe energy, like the tank of Ferraguti, Secchi and Fantuzzi (ICRA 2013),
 //! which lets a change of impedance do no more work than the tank holds. Damping along the normal absorbs the rest.
@@ -56,13 +56,13 @@ impl<T: Real, const N: usize> Passivity<T, N> {
         self.energy -= self.held.dot(speed) * self.period;
     }
 
-    /// Sets the walls' joint torques (N m) until the next step.
+    /// Records the walls' joint torques (N m), which act until the next step.
     #[inline(always)]
     pub fn hold(&mut self, torque: &SVector<T, N>) {
         self.held = *torque;
     }
 
-    /// Reports that no wall is touched: a debt remains for the next contact.
+    /// Records that no wall is touched: a debt remains for the next contact.
     #[inline(always)]
     pub fn leave(&mut self) {
         self.energy = self.energy.lesser(T::zero());

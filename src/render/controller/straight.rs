@@ -132,8 +132,8 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         Shaped { e: e.map(|e| e), torque: torque.map(|torque| torque) }
     }
 
-    /// Like [`Controller::shaped`], for any velocity terms or a share of them: the wall may meet them, its normal may
-    /// turn, and joint damping may be compensated.
+    /// Like [`Controller::shaped`], for any velocity terms or a share of them: a part may be subtracted from the wall's
+    /// force, the normal may turn, and joint damping may be compensated.
     #[inline(never)]
     fn shaped_in_general(
         &self,
@@ -146,8 +146,8 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
     ) -> Shaped<T, N> {
         let contact = ShapedContact::along(normal, force, wall);
         let shaping = self.mechanism.shaping(pose, normal);
-        let (b, met) = self.bias(pose, place, qd, &BiasScope::One(&contact));
-        Shaped { e: shaping.e, torque: shaping.torque(force, &b, &met) }
+        let (b, subtracted) = self.bias(pose, place, qd, &BiasScope::One(&contact));
+        Shaped { e: shaping.e, torque: shaping.torque(force, &b, &subtracted) }
     }
 }
 

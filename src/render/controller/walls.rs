@@ -278,8 +278,8 @@ impl<T: Real> Walls<T> {
         Ok(walls)
     }
 
-    /// Returns the shaping of walls without the feed-forward, and of springs, that act together with walls with it:
-    /// through a washout if any of these has one, because such walls do not push sideways at rest either.
+    /// Returns the feed-forward of springs and of walls without their own, for acting together with walls that have
+    /// one. It has a washout if any of those walls has, because a wall with a washout does not push sideways at rest.
     pub fn shared_feed_forward(&self) -> (FeedForward, Option<Washout<T>>) {
         let with = |feed_forward| self.running.iter().find(move |other| other.wall.feed_forward == feed_forward);
         match with(FeedForward::Washout).map(|other| other.washout) {
@@ -351,15 +351,15 @@ impl<T: Real> Walls<T> {
             }
         }
         if touch.first.is_none() && !more.is_empty() {
-            // There are only walls without the feed-forward.
+            // No wall has a feed-forward of its own.
             touch.plain += more.iter().fold(SVector::zeros(), |sum, a| sum + a.normal * a.shaped);
             more.clear();
         }
         touch
     }
 
-    /// Returns the share of joint damping that is compensated. Of several walls with the feed-forward, it is the share
-    /// in their stiffness of the walls that request it.
+    /// Returns the share of joint damping that is compensated. For several walls with the feed-forward, it is the
+    /// stiffness of the walls that request it over the stiffness of all.
     pub fn damping_share<const N: usize>(&self, scope: &BiasScope<'_, T, N>) -> T {
         let compensates =
             |a: &ShapedContact<T, N>| self.running.get(a.wall).is_some_and(|r| r.wall.damping_compensation);

@@ -87,7 +87,7 @@ impl<T: Real> Surface<T> {
                 (distance, normal.map(|n| n))
             }
             curved => {
-                // Copy, because arguments of another function are kept in memory and the plane's numbers need not be.
+                // Copy `p`: an argument passed to another function is kept in memory, and the plane's case needs none.
                 let p = *p;
                 let Contact { distance, normal } = curved.curved_contact::<K, N>(&p);
                 (distance, normal.map(|n| n))

@@ -1,8 +1,9 @@
 //! Difference over several samples: (x[n] - x[n-k])/(k T).
 //!
-//! The encoder steps have 1/k of their weight in the backward difference, and the velocity is k/2 samples late: the
-//! same as sampling position fast and velocity slowly (Koul, Khosa and Ahmad 2024, Int. J. of Mechanical System
-//! Dynamics 4(2):171), without its jumps. Linear; zeros at every multiple of rate/k.
+//! An encoder step changes the velocity by 1/k of its change in the backward difference, and the velocity is k/2
+//! samples late: the same as sampling position fast and velocity slowly (Koul, Khosa and Ahmad 2024, Int. J. of
+//! Mechanical System Dynamics 4(2):171), without the jumps. The filter is linear, with zeros at every multiple of
+//! rate/k.
 
 use super::{Chosen, CutoffMeaning, EstimatorKey, EstimatorSpec, JointEstimator, MAX_WINDOW, Seen};
 use crate::math::{Math, Real};

@@ -388,8 +388,8 @@ fn the_tip_force_limit_has_the_documented_maximum() {
     for (options, most) in [(&["--fast", "--strict"][..], "100"), (&["--fast"], "1000")] {
         Sim::start(options).type_lines(&format!(
             "rules --tip-force {most} => force at the tip    {most} N
-            1: rules --tip-force 1001 => 1001 N: this board takes more than 0 and at most {most} N
-            1: device {DEVICE} --tip-force 1001 => 1001 N: this board takes more than 0 and at most {most} N"
+            1: rules --tip-force 1001 => 1001 N: this board accepts more than 0 and at most {most} N
+            1: device {DEVICE} --tip-force 1001 => 1001 N: this board accepts more than 0 and at most {most} N"
         ));
     }
 }

@@ -11,7 +11,8 @@ use nalgebra::SVector;
 impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K, N> {
     /// Implements [`Controller::render`] for one wall, by the closed form and with α = 1, or for no wall.
     ///
-    /// Known values are written at once, and equation (4) comes last, so that few values are live on the way.
+    /// Values are written as soon as they are known, and equation (4) comes last, so that few values are live at a
+    /// time.
     #[inline(never)]
     pub(in super::super) fn render_wall(&mut self, counts: &[i32; N], result: &mut StepResult<T>) {
         self.render_single::<false>(counts, result);
