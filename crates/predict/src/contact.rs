@@ -1,8 +1,8 @@
 //! Simulates a device in a hand against a rendered wall, with encoder steps.
 //!
 //! The device moves by its complete equations with friction, cogging, transmissions and modes ([`Plant`]). The delay
-//! and the drives are those of a control loop. A `Law` renders the wall: that of a prediction ([`crate::ripple`]), or
-//! the board's own step ([`crate::bench::wall`]). All simulations of encoder steps use this module.
+//! and the drives are those of a control loop. A `Law` renders the wall: the loop of a prediction ([`crate::ripple`]),
+//! or the board's own step ([`crate::bench::wall`]). All simulations of encoder steps use this module.
 
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_sim::{Load, Plant};
@@ -95,7 +95,7 @@ impl<'a> Contact<'a> {
         true
     }
 
-    /// Simulates `time` (s) under commanded torques, N m; `torque` is the state of the drives.
+    /// Simulates `time` (s) under commanded torques, N m; `torque` is the state of the drives and is updated.
     fn advance(
         &mut self,
         torques: &[f64; MAX_JOINTS],

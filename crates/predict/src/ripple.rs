@@ -201,9 +201,9 @@ impl Pressed<'_> {
         tip_stays.then(|| [rms, 0.5 * force, deviation_from_line(&tips).1])
     }
 
-    /// Returns the force of a hand that keeps the tip in place, per newton of wall, d entries: along the normal, and
-    /// against the feed-forward's steady push sideways, Λ J M⁻¹ of its torques. A tip that is pushed aside would press
-    /// another wall: the hand's stiffness gives way by millimetres, too far for the linearised loop.
+    /// Returns the hand's force that keeps the tip in place, per newton of the wall's force, d entries: along the
+    /// normal, and against the sideways push of the feed-forward, Λ J M⁻¹ of its torques. Without that part the hand's
+    /// spring would give way by millimetres, too far for the linearised loop.
     fn holding_force(&self, mode: Mode, mobility: &DMatrix<f64>, shaped: &DVector<f64>) -> Option<DVector<f64>> {
         let normal = DVector::from_column_slice(&self.normal);
         // A washout has no steady push.

@@ -46,7 +46,7 @@ impl Tip {
         shares.iter().map(|share| share * newtons / force).collect()
     }
 
-    /// The same plus the torques that hold the device up.
+    /// Returns [`Tip::torques_for`] plus the torques that hold the device up, N m.
     pub fn limits_for(&self, newtons: f64) -> Vec<f64> {
         self.torques_for(newtons).iter().zip(&self.weight).map(|(torque, weight)| torque + weight.abs()).collect()
     }
@@ -73,7 +73,7 @@ pub fn motor_torques(description: &Description) -> Vec<f64> {
     description.joints.iter().map(|joint| joint.motor.map_or(0.0, |motor| torque_at_rest(&motor, joints))).collect()
 }
 
-/// The torque that a wrong current sensor may hide for each rad/s of its joint, in addition to that at rest, N m s/rad.
+/// Returns the torque per speed that a wrong current sensor may hide in addition to that at rest, N m s/rad.
 pub fn torques_hidden_by_speed(description: &Description) -> Vec<f64> {
     let torque = |motor: Motor<f64>| (motor.torque_constant * hidden_by_speed(&motor)).abs();
     description.joints.iter().map(|joint| joint.motor.map_or(0.0, torque)).collect()
@@ -146,7 +146,7 @@ mod tests {
             let inverse = &tip.pose.inverse;
             assert_eq!(limits.len(), file.spec().joints);
             let mut most = 0.0_f64;
-            // Torques throughout the box, not only at its corners.
+            // Check torques throughout the box, not only at its corners.
             for nth in 0..1000_u32 {
                 let share = |i: u32| f64::from((nth / 10_u32.pow(i)) % 10) / 4.5 - 1.0;
                 let torque = DVector::from_fn(limits.len(), |i, _| share(i as u32) * limits[i]);

@@ -217,7 +217,7 @@ pub fn estimators() -> Vec<Estimator> {
 /// Rejects requests beyond every board.
 fn check(question: &Question<'_>) -> Result<(), Failure> {
     if let Some(rate) = question.rates_hz.iter().find(|rate| !(200.0..=FASTEST_HZ).contains(*rate)) {
-        return Err(Failure::wrong(format!("no board was seen to hold {rate} Hz in contact"))
+        return Err(Failure::wrong(format!("no board has kept up with {rate} Hz in contact"))
             .remedy(format!("write rates from 200 to {FASTEST_HZ} Hz")));
     }
     let sizes = [question.ripple_n, question.counts, question.speed];
@@ -234,7 +234,7 @@ pub fn tune(question: &Question<'_>, sweep: &Sweep) -> Result<TuneResult, Failur
     all.iter_mut().for_each(|candidate| candidate.felt = context.felt(&candidate.settings));
     let Some((best, passed_over)) = choose(&all) else {
         return Err(Failure::impossible(format!(
-            "no wall here keeps a ripple of {} N within the margins",
+            "no wall here is stable within the margins and ripples by at most {} N",
             question.ripple_n
         ))
         .remedy("choose another pose or normal (`haptic design`), or allow more ripple")

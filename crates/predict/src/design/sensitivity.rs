@@ -73,7 +73,7 @@ fn counterweight(description: &mut Description, link: usize) {
     (link.mass, link.com) = (mass, com);
 }
 
-/// Scales the inertia on the motor's side: all of the joint's, unless the transmission states its motor inertia.
+/// Scales the inertia on the motor's side: the joint's complete inertia unless the transmission states `motor_inertia`.
 fn scale_motor(joint: &mut Joint, factor: f64) {
     let motor = joint.transmission.map_or(joint.inertia, |transmission| transmission.motor_inertia);
     joint.inertia += (factor - 1.0) * motor;
@@ -168,7 +168,7 @@ fn changes(description: &Description) -> Vec<(String, Change, bool)> {
     all
 }
 
-/// Number of dampings on the boundary, at even shares of its end: the same shares before and after a change.
+/// Number of dampings on the boundary, as even shares of the damping at which it ends, before and after a change.
 const DAMPINGS: usize = 40;
 
 /// Computes the results at a pose of a device, absolute.

@@ -9,7 +9,7 @@ use super::swing::ENCODER_STEPS;
 use haptic_host::device_file::DeviceFile;
 use haptic_stability::analysis::plant::Linearised;
 
-/// Share of the motors' force that the tested wall needs at a pull. A swing may then grow to six times its size before
+/// Share of the motors' force that the tested wall needs for a pull. A swing may then grow to six times its size before
 /// the motors saturate.
 const GENTLE: f64 = 0.15;
 /// The same share if friction requires more force.

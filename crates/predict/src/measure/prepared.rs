@@ -24,33 +24,34 @@ use haptic_stability::analysis::several::WallSet;
 /// Time after which the board turns the motors off without this tool, s.
 const HOST_SECONDS: f32 = 1.0;
 
-/// Smallest and largest share of a pull at which the tip may rest, and maximum number of corrections of the pull.
+/// Smallest and largest share of a pull at which the tip may come to rest, and maximum number of corrections of the
+/// pull.
 const PULLED: (f64, f64) = (0.9, 1.15);
 const CORRECTIONS: usize = 16;
 
 /// Distance by which friction may hold the tip away from its position, m. If it is longer, the hold is made firmer.
 const FRICTION_OFFSET: f64 = 5e-4;
 
-/// Frequency of the hold as a share of the rate, rad/s for each Hz; and its maximum with friction: half of the 0.4 at
-/// which the stiffest wall of the paper's setting swings.
+/// Frequency of the hold per control rate, rad/s per Hz, and its maximum with friction. The maximum is half of the 0.4
+/// at which the stiffest wall of the paper's setting swings.
 const SOFT: f64 = 0.05;
 const FIRM: f64 = 0.2;
 
-/// Angle by which a joint may differ from its first angle in addition to the angle that the tip explains, rad, because
-/// friction holds joints. Another pose with the same tip is farther away, unless that pose is nearly singular.
+/// Largest deviation of a joint from its first angle beyond the part that the tip's motion explains, rad: friction
+/// holds joints. Another pose with the same tip is farther away, unless that pose is nearly singular.
 const SAME_POSE: f64 = 0.03;
 /// Singular values of a Jacobian below this count as zero, m.
 const SINGULAR: f64 = 1e-9;
-/// Factor on the joint angle of the Jacobian up to a tip that is [`ASIDE`].
+/// Factor on the joint angle that the Jacobian predicts for a tip that is up to [`ASIDE`] away.
 const BENT: f64 = 1.5;
-/// Motion after which the tip swings, m.
+/// Motion of the tip after which it counts as swinging, m.
 const EDGE: f64 = 2e-5;
-/// Motion along the walls after which the tip has left its pose, m: in a long pull it slides by up to four times the
-/// pull if friction brakes the joints unevenly.
+/// Motion of the tip along the walls after which the device has left its pose, m. In a long pull the tip slides by up
+/// to four times the pull if friction brakes the joints unevenly.
 const ASIDE: f64 = 0.03;
-/// Number of repeats of a trial in which the device left its pose.
+/// Maximum number of repeats of a trial in which the device left its pose.
 const AGAIN: usize = 2;
-/// Time in which the user of a simulated device brings it back, s.
+/// Time that the user of a simulated device needs to bring it back, s.
 const CARRY_SECONDS: f64 = 3.0;
 
 /// Largest distance of the held tip, as a share of [`APART`].
@@ -61,8 +62,8 @@ const MAX_ASIDE: f64 = 0.9;
 const SOFTER: f64 = 0.5;
 const SOFTEST: usize = 5;
 
-/// A board prepared for a measurement. If the tool is killed or unplugged, the board turns the motors off. Dropping it
-/// disarms the board and restores the settings from before.
+/// A board prepared for a measurement. If the tool is killed or unplugged, the board turns the motors off. Dropping
+/// this value disarms the board and restores the settings from before.
 pub struct PreparedBoard<'a> {
     board: &'a mut Board,
     setup: MeasurementSetup,
@@ -78,7 +79,7 @@ pub struct PreparedBoard<'a> {
     along: f64,
     /// Effective inertia along the pull, then along each direction across it, kg.
     inertia: Vec<f64>,
-    /// Largest inertia that the tested walls meet, kg.
+    /// Largest effective inertia at the tested walls, kg.
     heaviest: f64,
     /// Natural frequency of the hold, rad/s, and number of reductions.
     hold_frequency: f64,
@@ -87,7 +88,7 @@ pub struct PreparedBoard<'a> {
     turns: DMatrix<f64>,
     excitation: Excitation,
     divider: u32,
-    /// Columns of the tip in a row, and column of the state.
+    /// Columns of the tip's position in a telemetry row, and column of the board's state.
     tip_columns: Vec<usize>,
     state_column: usize,
     before: Before,
@@ -190,8 +191,8 @@ impl<'a> PreparedBoard<'a> {
         }
     }
 
-    /// Returns an error if a joint is not at its first angle, apart from the angle that a motion of the tip by at most
-    /// `apart` (m) along each axis explains.
+    /// Returns an error if a joint has left its first angle by more than a motion of the tip by at most `apart` (m)
+    /// along each axis explains.
     fn check_pose(&mut self, apart: f64) -> Result<(), MeasureError> {
         let now = self.board.status()?;
         let off = DVector::from_fn(self.tip.len(), |i, _| (f64::from(now.tip[i]) - self.tip[i]).abs().min(apart));
@@ -283,7 +284,7 @@ impl<'a> PreparedBoard<'a> {
                     self.bring_back()?;
                     continue;
                 }
-                // The device was still ringing from an earlier oscillation, which tripped a limit. It has stopped now.
+                // A limit tripped because the device was still ringing from an earlier oscillation. It has stopped now.
                 Err(MeasureError::Fault(fault)) if violent(fault) && trips < 3 => {
                     trips += 1;
                     self.arm_again()?;
@@ -292,12 +293,12 @@ impl<'a> PreparedBoard<'a> {
                 other => other?,
             }
             let verdict = self.watch(feed_forward, kp, kd, pull);
-            // Only a growing motion may leave the pose.
+            // Only a motion that grows may leave the pose.
             let there = match &verdict {
                 Ok(Verdict::Decays | Verdict::Vibrates(_)) => self.check_pose(ASIDE),
                 _ => Ok(()),
             };
-            // Back off at once, with any result.
+            // Return to the hold at once, whatever the verdict.
             self.hold(0.0)?;
             match (verdict, there) {
                 (Ok(_), Err(MeasureError::Away { .. })) | (Err(MeasureError::Away { .. }), _) if left < AGAIN => {
@@ -334,8 +335,8 @@ impl<'a> PreparedBoard<'a> {
         Err(self.stuck(pull))
     }
 
-    /// Brings the device back to its pose by the hold. If that brings back only the tip, the user of a simulated device
-    /// does it, and the user of a real device gets an error.
+    /// Brings the device back to its pose with the hold. If only the tip returns, the user of a simulated device moves
+    /// the joints back, and the user of a real device gets an error.
     fn bring_back(&mut self) -> Result<(), MeasureError> {
         if self.rest(0.0).and_then(|_| self.check_pose(APART)).is_ok() {
             return Ok(());
@@ -370,7 +371,7 @@ impl<'a> PreparedBoard<'a> {
             self.pass(CARRY_SECONDS)?;
         }
         self.board.arm()?;
-        // Earlier rows still have the state of a fault or of motors that are off.
+        // Rows that are already on their way still have the state of a fault or of motors that are off.
         self.pass(0.3)
     }
 
@@ -410,7 +411,7 @@ impl<'a> PreparedBoard<'a> {
         Ok(())
     }
 
-    /// Holds the tip `pull` metres along the pull from its position: the wall there and a wall aside share the stiffness.
+    /// Holds the tip at `pull` metres along the pull: the wall at its position and a wall aside share the stiffness.
     fn hold(&mut self, pull: f64) -> Result<(), MeasureError> {
         let (kp, kd) = self.holding();
         let share = (pull / APART).clamp(-MAX_ASIDE, MAX_ASIDE);
@@ -460,12 +461,12 @@ impl<'a> PreparedBoard<'a> {
     fn held_still(&mut self, pull: f64) -> Result<f64, MeasureError> {
         self.hold(pull)?;
         let period = TAU / self.hold_frequency;
-        // Encoder steps may keep the tip moving, which counts as rest.
+        // A motion by encoder steps only counts as rest.
         let steps = self.excitation.smallest();
         let tolerance = steps.max(0.1 * pull.abs()).max(self.setup.largest_pull * 1e-3);
         let mut quiet = Vec::new();
         let started = self.board.now();
-        // Friction may hold the tip away from its position; then it rests nevertheless.
+        // Friction may hold the tip away from its target; there it rests as well.
         while (self.board.now() - started).as_secs_f64() < (60.0 * period).max(0.5) {
             for at in self.places(period / 4.0)? {
                 quiet.push(at);
@@ -475,7 +476,7 @@ impl<'a> PreparedBoard<'a> {
                 let recent = &quiet[quiet.len() - window..];
                 let (low, high) = span(recent.iter().map(|at| at.place));
                 let (near, far) = span(recent.iter().map(|at| at.aside));
-                // A tip that slides across would continue to slide in the trial.
+                // A tip that slides across the pull would go on sliding in the trial.
                 if high - low <= tolerance && far - near <= tolerance {
                     return Ok((high + low) / 2.0);
                 }
@@ -484,8 +485,8 @@ impl<'a> PreparedBoard<'a> {
         Err(MeasureError::Restless)
     }
 
-    /// Pulls the tip back by the tested walls, as softly as the hold, and returns as soon as it moves. If friction stops
-    /// it before, it does not swing, and its motion cannot be judged.
+    /// Pulls the tip back with the tested walls, as softly as the hold, and returns as soon as the tip moves. If
+    /// friction stops the tip before, it does not swing, and its motion cannot be judged.
     ///
     /// The tested feed-forward acts already, because without it the pull would move the admissible directions, and the
     /// feed-forward would not stop them.
@@ -501,7 +502,8 @@ impl<'a> PreparedBoard<'a> {
         self.test(kp / self.along, 0.0, feed_forward)?;
         let started = self.board.now();
         let quarter = 0.5 * PI / self.hold_frequency;
-        // Friction takes much of the force of the soft pull, so a stiffer wall pulls by itself from almost the beginning.
+        // Friction takes much of the soft pull's force. So a stiffer wall takes over almost at once and pulls the tip
+        // itself.
         let aim = if stiffer && self.excitation.friction > 0.0 {
             rested - EDGE.min(0.1 * pull.abs()).copysign(pull)
         } else {
@@ -514,7 +516,7 @@ impl<'a> PreparedBoard<'a> {
                 return Ok(());
             }
         }
-        // A fast swing may end before its rows arrive, and little friction does not hold the tip.
+        // A fast swing may be over before its rows arrive; friction this small does not hold the tip.
         if self.excitation.friction < 0.05 * kp * rested.abs() { Ok(()) } else { Err(self.stuck(pull)) }
     }
 
@@ -567,7 +569,7 @@ impl<'a> PreparedBoard<'a> {
                 return Err(MeasureError::Disarmed);
             }
             if state == f64::from(State::Fault as u8) {
-                // Without a fault record the numbers of the row were not finite.
+                // A fault without a record means that numbers of the row were not finite.
                 let fault = self.board.status()?.fault.map_or(Fault::NotFinite, |record| record.fault);
                 return Err(MeasureError::Fault(fault));
             }
@@ -601,7 +603,7 @@ impl Drop for PreparedBoard<'_> {
     }
 }
 
-/// Position of the tip at a step, along the pull, and its distance across it, m.
+/// Position of the tip at a control step: along the pull, and distance across it, m.
 struct Place {
     step: u32,
     place: f64,
@@ -618,7 +620,7 @@ fn span(values: impl Iterator<Item = f64>) -> (f64, f64) {
     values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), value| (low.min(value), high.max(value)))
 }
 
-/// Returns true for a fault that an oscillation trips and that ends with it.
+/// Returns true for a fault that an oscillation causes and that can be cleared once it has stopped.
 fn violent(fault: Fault) -> bool {
     matches!(fault, Fault::SpeedLimit | Fault::OverCurrent | Fault::PowerLimit | Fault::ForceLimit)
 }

@@ -26,7 +26,7 @@ pub struct Point {
     pub open: Option<Open>,
 }
 
-/// A search that found no boundary.
+/// A search that ended without a boundary.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Open {
     /// Largest stiffness that was stable, N/m.
@@ -75,7 +75,7 @@ pub struct Progress {
     /// Dampings at which the range ends, N s/m, for the modes whose end was measured.
     #[serde(default)]
     pub ends: Vec<(FeedForward, f64)>,
-    /// Modes whose range ends at a larger damping that was not found, and the reason.
+    /// Modes whose range extends to a larger damping that was not found, and the reason.
     #[serde(default)]
     pub open_ends: Vec<(FeedForward, String)>,
     /// Joint angles of the measurement, rad.
@@ -151,7 +151,7 @@ impl Progress {
         }
     }
 
-    /// Reads the file at `path`, or begins without results if it does not exist.
+    /// Reads the file at `path`, or starts without results if the file does not exist.
     pub fn open(path: &Path, what: &str) -> Result<Self, ProgressError> {
         match Self::read(path)? {
             None => Ok(Self::new(what)),

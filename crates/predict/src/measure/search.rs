@@ -17,7 +17,7 @@ const RAISES: usize = 60;
 pub struct Boundary {
     /// The largest gain that is stable, N/m or N s/m.
     pub gain: f64,
-    /// Motion of the tip just beyond: it builds up, or continues as a vibration.
+    /// Motion of the tip just beyond the boundary: it builds up, or continues as a vibration.
     pub beyond: Verdict,
 }
 

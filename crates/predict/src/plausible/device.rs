@@ -84,9 +84,8 @@ fn missing_transmission(description: &Description) -> Option<FileWarning> {
         .map(|(index, _)| index.to_string())
         .collect();
     let text = format!(
-        "nothing says what lies between motor and link of joint {}: predictions take it for rigid, and a cable or a belt \
-         decides how stiff a wall can be; write [joint.transmission], or transmission = \"rigid\" where the motor sits on \
-         the joint",
+        "the file does not describe the transmission of joint {}: predictions take it for rigid, but a cable or a belt limits \
+         the stiffness of a wall; write [joint.transmission], or transmission = \"rigid\" if the motor sits on the joint",
         listed(&unspecified)
     );
     Some(FileWarning::new(key("joint", Some(first), "", "transmission"), text))
@@ -275,8 +274,8 @@ fn motor_warnings(joint: &Joint, index: usize, joints: usize, carries_body: bool
     if seconds > MOTOR_SECONDS && !carries_body {
         let text = format!(
             "`torque_constant` of joint {index}, {} N m/A, takes {seconds:.1} s to speed up its own rotor (resistance times \
-             inertia over its square), and motors take hundredths: at the joint it is the motor's times the ratio, as the \
-             inertia is the rotor's times the ratio squared",
+             inertia over its square), and motors take hundredths: write the motor's constant times the gear ratio, and as \
+             inertia the rotor's times the ratio squared",
             motor.torque_constant
         );
         warning("motor", "torque_constant", text);
@@ -284,7 +283,7 @@ fn motor_warnings(joint: &Joint, index: usize, joints: usize, carries_body: bool
     if let Some(wound) = joint.transmission.map(|between| torque / between.stiffness).filter(|wound| *wound > WOUND_UP)
     {
         let text = format!(
-            "the transmission of joint {index} gives by {:.0} degrees where its motor pushes with all that it has ({}): \
+            "the transmission of joint {index} winds up by {:.0} degrees at the largest torque of its motor ({}): \
              stiffness is in N m/rad at the joint, and a cable of c N/m on a sector of radius r has c r²",
             wound.to_degrees(),
             with_unit(torque, "N m")
@@ -293,7 +292,7 @@ fn motor_warnings(joint: &Joint, index: usize, joints: usize, carries_body: bool
     }
     if joint.coulomb > torque {
         let text = format!(
-            "the friction of joint {index} ({} N m) holds against its motor ({}): it cannot move itself",
+            "the friction of joint {index} ({} N m) exceeds the torque of its motor ({}): the joint cannot move",
             joint.coulomb,
             with_unit(torque, "N m")
         );

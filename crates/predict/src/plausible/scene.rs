@@ -51,7 +51,7 @@ pub struct Contact {
     pub normal: Vec<f64>,
     /// Stiffness of the wall, N/m.
     pub stiffness: f64,
-    /// Largest stiffness that is predicted stable with this wall's damping and feed-forward, N/m.
+    /// Largest stiffness that is predicted stable with the damping and feed-forward of this wall, N/m.
     pub stable_to: f64,
     /// The same without the feed-forward, N/m; `None` if the wall has none.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -59,7 +59,7 @@ pub struct Contact {
     /// Stiffness that a hand at the tip feels at rest at `stable_to`, N/m; `None` if no transmission is compliant.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub felt_to: Option<f64>,
-    /// The same at the wall's own stiffness, N/m.
+    /// The same for the stiffness of this wall, N/m.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub felt: Option<f64>,
     /// Largest damping with which any stiffness is stable, N s/m.
@@ -394,7 +394,7 @@ pub fn beyond(wall: &Wall<f64>, contact: &Contact, in_file: bool) -> Vec<FileWar
     let per_count = wall.stiffness * contact.count;
     if per_count > force {
         let text = format!(
-            "one encoder count into wall {index} ({}) asks for {}, and the motors have {} there: it can only be on or off",
+            "one encoder count into wall {index} ({}) needs {}, but the motors have {} there: the wall can only be on or off",
             with_unit(contact.count, "m"),
             with_unit(per_count, "N"),
             with_unit(force, "N")
@@ -403,7 +403,7 @@ pub fn beyond(wall: &Wall<f64>, contact: &Contact, in_file: bool) -> Vec<FileWar
     }
     if wall.damping * SLOW_HAND > force {
         let text = format!(
-            "the damping of wall {index} asks for {} at {SLOW_HAND} m/s, and the motors have {} there",
+            "the damping of wall {index} needs {} at {SLOW_HAND} m/s, but the motors have {} there",
             with_unit(wall.damping * SLOW_HAND, "N"),
             with_unit(force, "N")
         );
@@ -496,7 +496,7 @@ pub fn simulate_ripple(description: &Description, scene: &Scene<f64>, contact: &
          stiffness, a lower cutoff or a slower velocity help, and `haptic tune DEVICE --scene SCENE` finds the stiffest \
          wall that does not",
         contact.wall,
-        ripple_n.map_or("all that it has".into(), |ripple| with_unit(ripple, "N")),
+        ripple_n.map_or("its full size".into(), |ripple| with_unit(ripple, "N")),
         with_unit(allowed_n, "N"),
         if allowed_n > USUAL_RIPPLE_N { "is the least that the encoders allow" } else { "is hardly felt" },
     );
@@ -581,19 +581,19 @@ fn distances(device: &Device<f64>, surface: &Surface<f64>) -> Option<(f64, f64)>
     Some(distances.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), d| (l.min(d), h.max(d))))
 }
 
-/// Warns of a wall that reaches a gentle force, or the largest of the motors, only at a depth beyond the whole range of
-/// the tip along its normal. A wall without stiffness is meant to damp and gets no warning.
+/// Warns of a wall so soft that it reaches its force only deeper than the tip can move along the normal. The force is
+/// [`GENTLE_FORCE`] or, if smaller, the motors' largest. A wall without stiffness only damps and gets no warning.
 fn soft_wall_warning(device: &Device<f64>, wall: &Wall<f64>, contact: &Contact) -> Option<FileWarning> {
     let force = contact.force.unwrap_or(f64::INFINITY).min(GENTLE_FORCE.into());
     let depth = force / wall.stiffness;
-    // Reach is not computed if every device has enough.
+    // Skip the search for the tip's range at depths that every device reaches.
     if !(wall.stiffness > 0.0 && depth > 0.01) {
         return None;
     }
     let (low, high) = distances(device, &wall.surface).filter(|(low, high)| low < high)?;
     let text = format!(
-        "wall {} is so soft that it pushes with {} only {} deep, and the tip moves {} towards it at most: stiffness is \
-         in N/m, and {} N/mm are {} N/m",
+        "wall {} is so soft that it pushes with {} only at a depth of {}, and the tip moves by at most {} along its normal: \
+         stiffness is in N/m, and {} N/mm are {} N/m",
         contact.wall,
         with_unit(force, "N"),
         with_unit(depth, "m"),

@@ -1,4 +1,4 @@
-//! Limits of the wall that was found: the gains that each limit alone would allow, and the neighbouring walls.
+//! Limits of the resulting wall: the gains that each limit alone would allow, and the neighbouring walls.
 
 use super::criteria::SearchContext;
 use super::{STIFFNESS_RATIO, Settings, TunedWall, ripple, three_digits};
@@ -11,7 +11,7 @@ use serde::Serialize;
 /// Factor by which gains are raised and lowered to find the limits.
 pub(super) const MORE: f64 = 1.15;
 
-/// Names of the limits that are found by simulation or bind the result.
+/// Names of the simulated limits and of those that can bind the result.
 const RIPPLE: &str = "ripple";
 const ON_BOARD: &str = "ripple on the simulated board";
 const REBOUNDS: &str = "rebounds after a tap";
@@ -21,7 +21,7 @@ const MOTORS: &str = "motors and encoder counts";
 /// takes longest.
 const TRIED: [f64; 7] = [STIFFNESS_RATIO, 1.06, MORE, 1.25, 1.5, 2.0, 4.0];
 const TRIED_ON_BOARD: [f64; 2] = [STIFFNESS_RATIO, MORE];
-/// Name of a reference value that limits nothing.
+/// Name of a value that is listed for reference and limits nothing.
 pub const RULE_OF_THUMB: &str = "rule of thumb, encoder steps";
 
 /// The gains that one limit alone would allow at the damping of the wall.
@@ -112,7 +112,7 @@ fn first_limit(limits: &[Limit], settings: &Settings, damped: f64) -> &'static s
         stiffness(a).total_cmp(&stiffness(b))
     });
     let limit = least.map_or("", |limit| limit.limit);
-    // More damping would allow a stiffer wall, but the motors lack the torque.
+    // More damping would allow a stiffer wall, but the motors lack the torque for it.
     if limit == MARGINS && settings.damping * STIFFNESS_RATIO > damped { "motors and damping" } else { limit }
 }
 

@@ -66,7 +66,7 @@ pub struct Domain {
     pub area: f64,
     /// Damping at which kp_max reaches zero, N s/m.
     pub kd_max: f64,
-    /// The point of largest stiffness; with requested dampings, among them.
+    /// Point of the largest stiffness; if dampings were requested, among these dampings.
     #[serde(skip)]
     pub top: BoundaryPoint,
     /// kp_max over damping.
@@ -132,7 +132,7 @@ pub(super) fn domain_from_intervals(
     let support = support(circle)?;
     let kd_max = support.last().map_or(0.0, |last| last.high);
     let mut stable_at = |kd: f64| match circle.stiffness_intervals(kd) {
-        // At exactly the largest damping the stiffness may be unbounded; no gain counts there.
+        // At exactly the largest damping the stiffness may be unbounded, so no stiffness counts there.
         Err(AnalysisError::Unbounded) if !is_supported(&support, kd) => Ok(Vec::new()),
         result => result,
     };
@@ -235,8 +235,8 @@ pub fn stiffnesses(
     Ok(points.into_iter().map(|point| point.kp).collect())
 }
 
-/// Returns the boundary of such a device at the dampings (N s/m) that `kd` chooses, given the largest damping with
-/// which any stiffness is stable.
+/// Returns the boundary of a device whose controller uses the model `believed`, at the dampings (N s/m) that `kd`
+/// chooses from the largest damping with which any stiffness is stable.
 pub fn boundary_of(
     device: &Linearised,
     believed: &Linearised,
@@ -390,11 +390,11 @@ mod tests {
         let (kp, kd) = (result.top.kp * 1e-6, result.top.kd * 1e-3);
         assert!((kp / (12.0 - 8.0 * 2.0_f64.sqrt()) - 1.0).abs() < 1e-8, "{kp}");
         assert!((kd - 2.0 * (2.0_f64.sqrt() - 1.0)).abs() < 1e-4, "{kd}");
-        // The two neighbouring points of the grid are 3e-6 lower; with a kink, as soft transmissions make, they would
+        // The two neighbouring points of the grid are 3e-6 lower. At a kink, which soft transmissions cause, they would
         // be up to 3e-3 lower.
         let grid = result.boundary.iter().map(|point| point.kp).fold(0.0, f64::max) * 1e-6;
         assert!(grid < kp - 1e-7, "{grid}");
-        // With requested dampings the top is the largest of theirs.
+        // If dampings are requested, the top is the largest stiffness at these.
         let requested = domain(&mass(1.0, 0.0), &around, Mode::Off, Some(&[300.0, 700.0])).unwrap();
         assert_eq!(requested.top, requested.boundary[1]);
     }
@@ -429,7 +429,8 @@ mod tests {
             if stable(middle) { low = middle } else { high = middle }
         }
         assert!((result.boundary[0].kp * 1e-6 / low - 1.0).abs() < 1e-9);
-        // At k = 0 the double root at one leaves 1: kd_max T/m of the rate loop (z² - (1 - d/2) z + d/2) is 2.
+        // At k = 0 the polynomial is (z - 1)(z² - (1 - d/2) z + d/2), and the second factor is stable up to d = kd_max
+        // T/m = 2.
         assert!((result.kd_max * 1e-3 - 2.0).abs() < 1e-6, "{}", result.kd_max);
     }
 

@@ -50,8 +50,8 @@ pub struct Flexible {
     pub normal: DVector<f64>,
 }
 
-/// Returns the stiffness that a hand feels at rest of a wall of `stiffness` (N/m) behind parts of this compliance
-/// (m/N): both in series. `None` if the wall cannot hold a hand at rest, because the torques of its feed-forward move
+/// Returns the stiffness that a hand feels at rest, N/m: that of a wall of `stiffness` (N/m) in series with parts of
+/// this `compliance` (m/N). `None` if the wall cannot hold a hand at rest, because the torques of its feed-forward move
 /// the tip into it.
 #[must_use]
 pub fn felt(stiffness: f64, compliance: f64) -> Option<f64> {

@@ -1,5 +1,5 @@
-//! The same wall rendered by a program on a computer instead of the board: sampled at the program's rate, with its
-//! force held by the board in between.
+//! A wall rendered by a program on a computer instead of the board: sampled at the program's rate, while the board
+//! holds the last force.
 //!
 //! The program reads position and velocity (as the board estimates it) in the reply to its last request, and sends the
 //! force with the next request. The board does not shape this force: τ = Jᵀ f. So the loop is the board's own, cut at
@@ -21,8 +21,8 @@ pub const SLOWEST_HZ: f64 = 1.0;
 pub struct Host {
     /// Request rate, Hz.
     pub rate_hz: f64,
-    /// Age of a force, s: from the state that the program received to the board accepting the force.
-    /// `haptic board latency` measures it.
+    /// Age of a force when the board accepts it, s, counted from the state that the program received. `haptic board
+    /// latency` measures it.
     pub delay_s: f64,
 }
 

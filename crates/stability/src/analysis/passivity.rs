@@ -28,13 +28,13 @@ use nalgebra::{Complex, DVector};
 use super::control_loop::Loop;
 use super::plant::{Drive, Linearised};
 
-/// Number of slow angles, up to the even ones, and of even angles for a loop without delay: each sample of delay turns
-/// the response once more. Still slower motions have a limit of their own.
+/// Number of slow angles below `EVEN_FROM`, and of even angles above for a loop without delay: each sample of delay
+/// turns the response once more and adds as many. Motions slower than `SLOWEST` follow their limit (`lateness`).
 const SLOW_ANGLES: usize = 200;
 const EVEN_ANGLES: usize = 400;
 const SLOWEST: f64 = 1e-3;
 const EVEN_FROM: f64 = 0.1;
-/// Aliases with exact lag; those beyond count as without lag, which makes r larger.
+/// Number of aliases on each side with exact lag. Those beyond count as without lag, which makes r larger.
 const ALIASES: i32 = 60;
 
 /// Dissipation of the device along the rendered direction, and the condition for a passive wall.
@@ -51,7 +51,7 @@ pub struct Passivity {
     angles: Vec<Angle>,
 }
 
-/// Condition at one angle.
+/// Terms of the condition at one angle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Angle {
     /// C, m/N.
@@ -174,7 +174,8 @@ fn angles(b: f64, lag_s: f64, around: &Loop) -> Vec<Angle> {
 fn integrator_response(theta: f64, rate: f64, delay_samples: f64) -> Complex<f64> {
     let turn = Complex::from_polar(1.0, theta);
     let (whole, late) = (delay_samples.floor(), delay_samples.fract());
-    // Over part of a sample: the remaining difference between force and command, and the motion that it causes.
+    // Over a part of a sample: the share of the difference between force and command that remains, and the motion by
+    // it.
     let over = |part: f64| match part > 0.0 {
         true => ((-rate * part).exp(), -(-rate * part).exp_m1() / rate),
         false => (1.0, 0.0),
