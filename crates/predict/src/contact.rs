@@ -15,7 +15,7 @@ use std::collections::VecDeque;
 /// Longest integration times, s: of a rigid device, and of a compliant one.
 const STEP_S: (f64, f64) = (50e-6, 25e-6);
 /// Distance from the start along the normal beyond which the tip counts as lost, m.
-const FAR_M: f64 = 0.02;
+const LOST_DISTANCE_M: f64 = 0.02;
 
 /// A control law that renders a wall.
 pub(crate) trait Law {
@@ -85,7 +85,7 @@ impl<'a> Contact<'a> {
             acting = next;
             let tip = self.plant.tip();
             let along: f64 = self.normal.iter().enumerate().map(|(i, n)| n * (tip[i] - tip0[i])).sum();
-            if along.is_nan() || along.abs() >= FAR_M {
+            if along.is_nan() || along.abs() >= LOST_DISTANCE_M {
                 return false;
             }
             if !seen(force, along) {

@@ -29,12 +29,12 @@ pub const LIGHT_HAND: Hand = Hand { mass: 0.05, damping: 3.0, stiffness: 200.0 }
 /// Force with which the hand presses, N.
 pub const PUSH_N: f64 = 3.0;
 /// Rate at which the hand presses harder, N/s: friction that holds only a resting tip does not make a wall quiet.
-pub(crate) const RISE: f64 = 1.0;
+pub(crate) const PUSH_RISE: f64 = 1.0;
 /// Time for the motion to settle, and time of recording, s.
 pub(crate) const SETTLE_S: f64 = 0.5;
-pub(crate) const LOOK_S: f64 = 0.3;
+pub(crate) const RECORD_S: f64 = 0.3;
 /// Number of count offsets that are tried.
-pub(crate) const OFFSETS: usize = 4;
+pub(crate) const COUNT_OFFSETS: usize = 4;
 /// Walls along a line: number of decades below the stiffest, and walls per decade.
 const DECADES: usize = 4;
 const PER_DECADE: usize = 5;
@@ -118,8 +118,8 @@ impl Pressed<'_> {
         let steps = self.resolutions()?;
         let lost = Ripple { kp, kd, rms_n: None, peak_n: None, motion_m: None };
         let mut worst = Ripple { rms_n: Some(0.0), peak_n: Some(0.0), motion_m: Some(0.0), ..lost };
-        for offset in 0..OFFSETS {
-            let Some(result) = self.run(&steps, mode, kp, kd, offset as f64 / OFFSETS as f64) else {
+        for offset in 0..COUNT_OFFSETS {
+            let Some(result) = self.run(&steps, mode, kp, kd, offset as f64 / COUNT_OFFSETS as f64) else {
                 return Some(lost);
             };
             let most = |a: Option<f64>, b: f64| a.map(|a| a.max(b));
@@ -186,8 +186,8 @@ impl Pressed<'_> {
         let (mut forces, mut tips, mut n) = (Vec::new(), Vec::new(), 0);
         let tip_stays = contact.run(
             &mut law,
-            SETTLE_S + LOOK_S,
-            |time| Some(Grip { goal: tip, push: holding.map(|share| -(share * (self.push_n + RISE * time))) }),
+            SETTLE_S + RECORD_S,
+            |time| Some(Grip { goal: tip, push: holding.map(|share| -(share * (self.push_n + PUSH_RISE * time))) }),
             |force, along| {
                 if n >= settle {
                     forces.push(force);

@@ -87,7 +87,7 @@ mod tests {
     use haptic_host::device_file::DeviceFile;
 
     /// Returns the shipped devices that have a home pose, by the name of their file.
-    fn shipped() -> Vec<(String, DeviceFile, Tip)> {
+    fn shipped_devices() -> Vec<(String, DeviceFile, Tip)> {
         let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../devices");
         let files = std::fs::read_dir(folder).expect("devices ship").map(|entry| entry.expect("a file").path());
         let mut paths: Vec<_> = files.filter(|path| path.extension().is_some_and(|ending| ending == "toml")).collect();
@@ -108,7 +108,7 @@ mod tests {
             "device,rendered (N),torque limits (N m),any torque within them (N),motors alone (N),\
              an ampere in every motor (N),energy (J)\n",
         );
-        for (name, file, tip) in shipped() {
+        for (name, file, tip) in shipped_devices() {
             let limits = tip.torques_for(gentle);
             let listed: Vec<String> = limits.iter().map(|torque| format!("{torque:.3}")).collect();
             let motors = match motor_torques(&file.description) {
@@ -141,7 +141,7 @@ mod tests {
     #[test]
     fn torque_limits_for_a_force_bound_the_tip_force() {
         let mut checked = 0;
-        for (name, file, tip) in shipped() {
+        for (name, file, tip) in shipped_devices() {
             let limits = tip.torques_for(5.0);
             let inverse = &tip.pose.inverse;
             assert_eq!(limits.len(), file.spec().joints);

@@ -14,7 +14,7 @@ use haptic_stability::analysis::prediction::{Prediction, Subject};
 use haptic_stability::analysis::sampled::Mode;
 
 /// Distance of the wall from the tip, m.
-const AHEAD: f64 = 0.006;
+const WALL_DISTANCE: f64 = 0.006;
 
 /// Penetration at which a first wall may need all of the motors' torque, m: a hand then feels a wall and not a switch.
 const FULL_FORCE_DEPTH: f64 = 1e-3;
@@ -120,7 +120,7 @@ fn stable_wall(file: &DeviceFile, side: f64) -> Result<Scene<f32>, Failure> {
     let mut normal = vec![0.0; task];
     normal[usize::from(task > 1)] = side;
     let point = core::array::from_fn(|i| match (pose.position.get(i), normal.get(i)) {
-        (Some(place), Some(n)) => (place - AHEAD * n) as f32,
+        (Some(place), Some(n)) => (place - WALL_DISTANCE * n) as f32,
         _ => 0.0,
     });
     let normal_f32 = core::array::from_fn(|i| normal.get(i).map_or(0.0, |n| *n as f32));

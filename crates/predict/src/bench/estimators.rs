@@ -23,7 +23,7 @@ use serde::{Deserialize, Serialize};
 const SETTLE_S: f64 = 0.3;
 const RECORD_S: f64 = 0.3;
 /// Speed (m/s) and duration (s) of the slow motion for the noise of the velocity estimate.
-const SLOW: f64 = 0.01;
+const SLOW_SPEED: f64 = 0.01;
 const SLOW_S: f64 = 0.2;
 /// Number of dampings at which the largest quiet stiffness is searched.
 const DAMPINGS: usize = 8;
@@ -309,12 +309,12 @@ impl<'a> Trials<'a> {
     fn press(&self, wall: &Rendered, feed_forward: FeedForward) -> Result<Option<f64>, Failure> {
         let wall = Rendered { feed_forward, ..*wall };
         let mut most: f64 = 0.0;
-        for offset in 0..ripple::OFFSETS {
+        for offset in 0..ripple::COUNT_OFFSETS {
             let moved = self
                 .simulation
-                .with_count_offsets(|j| (offset as f64 / ripple::OFFSETS as f64 + 0.37 * j as f64).fract());
-            let seconds = ripple::SETTLE_S + ripple::LOOK_S;
-            let late = self.last_forces(&moved, &wall, Trial::PressedHarder, seconds, ripple::LOOK_S)?;
+                .with_count_offsets(|j| (offset as f64 / ripple::COUNT_OFFSETS as f64 + 0.37 * j as f64).fract());
+            let seconds = ripple::SETTLE_S + ripple::RECORD_S;
+            let late = self.last_forces(&moved, &wall, Trial::PressedHarder, seconds, ripple::RECORD_S)?;
             let Some(late) = late else { return Ok(None) };
             most = most.max(deviation_from_line(&late).0);
         }
@@ -324,8 +324,8 @@ impl<'a> Trials<'a> {
     /// Returns the root mean square of the velocity's error while the joints turn slowly and steadily, m/s.
     fn noise(&self, wall: &Rendered) -> Result<f64, Failure> {
         let still = Rendered { stiffness: 0.0, damping: 0.0, ..*wall };
-        let velocities = self.simulation.velocities(&still, SLOW, SLOW_S)?;
+        let velocities = self.simulation.velocities(&still, SLOW_SPEED, SLOW_S)?;
         let late = &velocities[velocities.len() / 2 + 1..];
-        Ok((late.iter().map(|velocity| (velocity - SLOW).powi(2)).sum::<f64>() / late.len() as f64).sqrt())
+        Ok((late.iter().map(|velocity| (velocity - SLOW_SPEED).powi(2)).sum::<f64>() / late.len() as f64).sqrt())
     }
 }

@@ -7,7 +7,7 @@
 
 use crate::contact::{Contact, Grip, Law, LawOutput, RippleFilter};
 use crate::measure::complement;
-use crate::ripple::{LIGHT_HAND, PUSH_N, RISE};
+use crate::ripple::{LIGHT_HAND, PUSH_N, PUSH_RISE};
 use haptic_bridge::control::compiled::BoardMath;
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
@@ -188,7 +188,7 @@ impl WallSimulation {
             return Ok(Pressed { ripple_n: None, holds: false });
         }
         // A soft wall gives way, so the hand's own stiffness carries a part of the push.
-        let pushes = (settle..all).map(|n| push(Trial::SlidAlong, n as f64 / rate_hz));
+        let pushes = (settle..all).map(|n| hand_push(Trial::SlidAlong, n as f64 / rate_hz));
         let expected = pushes.sum::<f64>() / recorded * wall.stiffness / (wall.stiffness + LIGHT_HAND.stiffness);
         Ok(Pressed {
             ripple_n: Some((square / recorded).sqrt()),
@@ -228,7 +228,7 @@ impl WallSimulation {
             (!alone).then(|| Grip {
                 goal: core::array::from_fn(|i| self.tip[i] + along * self.across[i]),
                 // A hand carries its own weight.
-                push: core::array::from_fn(|i| -push(trial, time) * self.normal[i] - mass * self.alone.gravity[i]),
+                push: core::array::from_fn(|i| -hand_push(trial, time) * self.normal[i] - mass * self.alone.gravity[i]),
             })
         };
         let contact = Contact::new(plant, self.normal, &self.around, LIGHT_HAND);
@@ -279,9 +279,9 @@ impl WallSimulation {
 }
 
 /// Returns the force of the hand's push, N.
-fn push(trial: Trial, time: f64) -> f64 {
+fn hand_push(trial: Trial, time: f64) -> f64 {
     match trial {
-        Trial::PressedHarder => PUSH_N + RISE * time,
+        Trial::PressedHarder => PUSH_N + PUSH_RISE * time,
         Trial::SlidAlong => {
             let (share, hz) = SWINGS;
             PUSH_N * (1.0 + share * (std::f64::consts::TAU * hz * time).sin())

@@ -127,10 +127,10 @@ type PoseRating<'a> = &'a (dyn Fn(&[f64]) -> Option<(f64, WallPlace)> + Sync);
 /// The rating is steep along the edge of the allowed poses, so a pose with a poor rating on a coarse grid may be next
 /// to the best pose: with 6 starts a grid of 300 poses found 1.67 kg on coupled-five-bar, and a grid of 1000 found 1.96
 /// kg.
-const APART: f64 = 0.4;
-const STARTS: usize = 60;
+const START_SPACING: f64 = 0.4;
+const MAX_STARTS: usize = 60;
 /// Number of end poses of the coarse search from which the fine search continues.
-const ENDS: usize = 4;
+const REFINED_ENDS: usize = 4;
 
 /// Returns the poses with the highest ratings that are not near each other.
 fn search_starts(poses: &[Vec<f64>], rating: PoseRating<'_>) -> Vec<Vec<f64>> {
@@ -139,8 +139,8 @@ fn search_starts(poses: &[Vec<f64>], rating: PoseRating<'_>) -> Vec<Vec<f64>> {
     valued.sort_by(|a, b| b.0.total_cmp(&a.0));
     let mut result: Vec<Vec<f64>> = Vec::new();
     for (_, q) in valued {
-        let is_far = |other: &Vec<f64>| q.iter().zip(other).any(|(a, b)| (a - b).abs() > APART);
-        if result.len() < STARTS && result.iter().all(is_far) {
+        let is_far = |other: &Vec<f64>| q.iter().zip(other).any(|(a, b)| (a - b).abs() > START_SPACING);
+        if result.len() < MAX_STARTS && result.iter().all(is_far) {
             result.push(q.clone());
         }
     }
@@ -154,7 +154,7 @@ fn best(starts: &[Vec<f64>], allowed: &dyn Fn(&[f64]) -> bool, rating: PoseRatin
         starts.iter().filter_map(|start| climb(start, COARSE, allowed, rating)).collect();
     // The sort is stable: equals keep their order.
     ends.sort_by(|a, b| b.0.total_cmp(&a.0));
-    let result = ends.iter().take(ENDS).filter_map(|(_, end)| climb(&end.q, FINE, allowed, rating));
+    let result = ends.iter().take(REFINED_ENDS).filter_map(|(_, end)| climb(&end.q, FINE, allowed, rating));
     result.reduce(|best, other| if other.0 > best.0 { other } else { best })
 }
 

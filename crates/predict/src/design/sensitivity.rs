@@ -62,7 +62,7 @@ fn links_of(kind: Kind, entry: usize) -> &'static [usize] {
 }
 
 /// Adds a counterweight of a tenth of the link's mass, as far behind its joint as the centre of mass is in front of it.
-fn counterweight(description: &mut Description, link: usize) {
+fn add_counterweight(description: &mut Description, link: usize) {
     let link = &mut description.links[link];
     let (added, place) = (CHANGE * link.mass, -link.com);
     let mass = link.mass + added;
@@ -130,7 +130,7 @@ fn changes(description: &Description) -> Vec<(String, Change, bool)> {
             }),
         );
         if link.mass > 0.0 && link.com != 0.0 {
-            all.push((format!("counterweight on {name}"), Box::new(move |d, _| counterweight(d, i)), false));
+            all.push((format!("counterweight on {name}"), Box::new(move |d, _| add_counterweight(d, i)), false));
         }
     }
     for joint in 0..spec.joints {

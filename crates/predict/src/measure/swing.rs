@@ -150,7 +150,7 @@ struct Trace {
     silent: f64,
     /// The extreme since the last turning point, and true if the signal rises.
     extreme: Option<(f64, bool)>,
-    turned: Option<f64>,
+    last_turn: Option<f64>,
     swings: Vec<f64>,
     /// The row in which each swing ended.
     ends: Vec<usize>,
@@ -176,7 +176,7 @@ impl Trace {
             pull,
             silent,
             extreme: None,
-            turned: None,
+            last_turn: None,
             swings: Vec::new(),
             ends: Vec::new(),
             span: EMPTY,
@@ -201,8 +201,8 @@ impl Trace {
         let fast = fast - *second;
         self.span = (self.span.0.min(position), self.span.1.max(position));
         self.extent = (self.extent.0.min(fast), self.extent.1.max(fast));
-        if self.turns(fast)
-            && let Some(verdict) = self.at_turn()
+        if self.record_turn(fast)
+            && let Some(verdict) = self.verdict_at_turn()
         {
             return Some(verdict);
         }
@@ -212,7 +212,7 @@ impl Trace {
 
     /// Notes a turning point if the motion has returned from its extreme by more than noise. Returns true if there are
     /// enough swings for a verdict.
-    fn turns(&mut self, fast: f64) -> bool {
+    fn record_turn(&mut self, fast: f64) -> bool {
         let Some((extreme, rising)) = self.extreme else {
             self.extreme = Some((fast, true));
             return false;
@@ -224,7 +224,7 @@ impl Trace {
         if (fast - extreme).abs() <= self.noise.max(0.2 * DIED_OUT_SHARE * largest(&self.swings)).max(self.ripple()) {
             return false;
         }
-        if let Some(before) = self.turned.replace(extreme) {
+        if let Some(before) = self.last_turn.replace(extreme) {
             self.swings.push((extreme - before).abs());
             self.ends.push(self.rows);
             self.spans.push(std::mem::replace(&mut self.span, EMPTY));
@@ -247,7 +247,7 @@ impl Trace {
         (self.rows - self.since_turn) as f64 / (self.swings.len() + 1) as f64
     }
 
-    fn at_turn(&self) -> Option<Verdict> {
+    fn verdict_at_turn(&self) -> Option<Verdict> {
         let count = self.swings.len();
         let latest = self.swings[count - 1];
         // The first swings may be only the ripple of a fast mode while a slow mode has not turned yet.
@@ -368,15 +368,15 @@ mod tests {
     const DT: f64 = 1e-3;
     const CUTOFF: f64 = 20.0;
 
-    fn judged(quantum: f64, motion: impl Fn(f64) -> f64) -> Verdict {
-        judged_below(CUTOFF, quantum, motion)
+    fn verdict_on(quantum: f64, motion: impl Fn(f64) -> f64) -> Verdict {
+        verdict_at_cutoff(CUTOFF, quantum, motion)
     }
 
-    fn judged_below(cutoff: f64, quantum: f64, motion: impl Fn(f64) -> f64) -> Verdict {
-        judged_every(DT, cutoff, 0.0, quantum, motion)
+    fn verdict_at_cutoff(cutoff: f64, quantum: f64, motion: impl Fn(f64) -> f64) -> Verdict {
+        verdict_of_samples(DT, cutoff, 0.0, quantum, motion)
     }
 
-    fn judged_every(dt: f64, cutoff: f64, period: f64, quantum: f64, motion: impl Fn(f64) -> f64) -> Verdict {
+    fn verdict_of_samples(dt: f64, cutoff: f64, period: f64, quantum: f64, motion: impl Fn(f64) -> f64) -> Verdict {
         let mut swing = Swing::new(dt, cutoff, (period, true), quantum, 1e-3);
         for k in 0..60_000 {
             let x = motion(f64::from(k) * dt);
@@ -401,7 +401,7 @@ mod tests {
             [[(2.0, 46.0), (3.8, 164.2)], [(5.3, 48.5), (8.2, 165.0)], [(18.0, 58.0), (32.0, 170.0)]]
         {
             for share in [0.2, 0.35, 0.5, 0.65] {
-                let found = judged_every(
+                let found = verdict_of_samples(
                     DT,
                     100.0,
                     1.0 / slow_hz,
@@ -409,7 +409,7 @@ mod tests {
                     modes(&[(1.0 - share, slow, slow_hz), (share, fast, fast_hz)]),
                 );
                 assert_eq!(found, Verdict::Grows, "{slow_hz} and {fast_hz} Hz, {share} of it fast");
-                let found = judged_every(
+                let found = verdict_of_samples(
                     DT,
                     100.0,
                     1.0 / slow_hz,
@@ -422,12 +422,13 @@ mod tests {
     }
 
     #[test]
-    fn a_growing_fast_mode_is_found_beside_a_decaying_slow_one() {
+    fn a_growing_fast_mode_is_found_despite_a_decaying_slow_mode() {
         for (slow, fast) in [(-0.5, 1.0), (-4.0, 1.0), (-2.0, 5.0)] {
-            let found = judged_every(DT, 100.0, 1.0 / 44.0, 1e-7, modes(&[(0.95, slow, 44.0), (0.05, fast, 163.0)]));
+            let found =
+                verdict_of_samples(DT, 100.0, 1.0 / 44.0, 1e-7, modes(&[(0.95, slow, 44.0), (0.05, fast, 163.0)]));
             assert_ne!(found, Verdict::Decays, "{slow} {fast}");
         }
-        let found = judged_every(DT, 100.0, 1.0 / 44.0, 1e-7, modes(&[(0.95, -0.5, 44.0), (0.05, -1.0, 163.0)]));
+        let found = verdict_of_samples(DT, 100.0, 1.0 / 44.0, 1e-7, modes(&[(0.95, -0.5, 44.0), (0.05, -1.0, 163.0)]));
         assert_eq!(found, Verdict::Decays);
     }
 
@@ -440,7 +441,7 @@ mod tests {
                 let ripple = share * (fast * t).exp() * (TAU * (472.0 * t + phase)).cos();
                 1e-3 * ((slow * t).exp() * (TAU * 57.0 * t).cos() + ripple)
             };
-            judged_every(1e-4, 500.0, 1.0 / 57.0, quantum, motion)
+            verdict_of_samples(1e-4, 500.0, 1.0 / 57.0, quantum, motion)
         };
         for eighths in 0..8 {
             let phase = f64::from(eighths) / 8.0;
@@ -472,7 +473,7 @@ mod tests {
     #[test]
     fn the_beat_of_two_fast_modes_is_not_growth() {
         for (a, b) in [(-3.0, -4.0), (-10.0, -20.0), (-20.0, -70.0)] {
-            let found = judged_every(
+            let found = verdict_of_samples(
                 DT,
                 100.0,
                 1.0 / 40.0,
@@ -487,29 +488,29 @@ mod tests {
     fn a_mode_far_below_the_cutoff_is_judged() {
         // Such a mode comes from a washout of 2 Hz with a cutoff of 100 Hz.
         for (grows, verdict) in [(-2.0, Verdict::Decays), (-0.5, Verdict::Decays), (0.3, Verdict::Grows)] {
-            assert_eq!(judged_below(100.0, 1e-7, modes(&[(1.0, grows, 6.0)])), verdict, "{grows}");
+            assert_eq!(verdict_at_cutoff(100.0, 1e-7, modes(&[(1.0, grows, 6.0)])), verdict, "{grows}");
         }
     }
 
     /// Returns a swing that grows, with a slow return to the wall.
-    fn growing(per_second: f64, drift: f64) -> impl Fn(f64) -> f64 {
+    fn growing_swing(per_second: f64, drift: f64) -> impl Fn(f64) -> f64 {
         move |t| 1e-3 * (per_second * t).exp() * (70.0 * t).sin() + drift * (-2.0 * t).exp()
     }
 
     #[test]
-    fn slow_growth_differs_from_slow_decay() {
+    fn slow_growth_and_slow_decay_are_distinguished() {
         for drift in [0.0, 2e-3] {
-            assert_eq!(judged(0.0, growing(0.1, drift)), Verdict::Grows);
-            assert_eq!(judged(0.0, growing(-0.1, drift)), Verdict::Decays);
+            assert_eq!(verdict_on(0.0, growing_swing(0.1, drift)), Verdict::Grows);
+            assert_eq!(verdict_on(0.0, growing_swing(-0.1, drift)), Verdict::Decays);
         }
     }
 
     #[test]
     fn quantisation_does_not_change_the_verdict() {
         for quantum in [1e-6, 3e-5] {
-            assert_eq!(judged(quantum, growing(0.5, 0.0)), Verdict::Grows);
-            assert_eq!(judged(quantum, growing(-0.5, 0.0)), Verdict::Decays);
-            assert_eq!(judged(quantum, growing(-40.0, 0.0)), Verdict::Decays);
+            assert_eq!(verdict_on(quantum, growing_swing(0.5, 0.0)), Verdict::Grows);
+            assert_eq!(verdict_on(quantum, growing_swing(-0.5, 0.0)), Verdict::Decays);
+            assert_eq!(verdict_on(quantum, growing_swing(-40.0, 0.0)), Verdict::Decays);
         }
     }
 
@@ -517,7 +518,7 @@ mod tests {
     fn a_swing_of_constant_size_is_a_vibration() {
         // The size is constant from the start, falls from three times, or rises from nine tenths of its final value.
         for begin in [0.0, 2.0, -0.1] {
-            let verdict = judged(2e-5, |t| 3e-4 * (1.0 + begin * (-6.0 * t).exp()) * (70.0 * t).sin());
+            let verdict = verdict_on(2e-5, |t| 3e-4 * (1.0 + begin * (-6.0 * t).exp()) * (70.0 * t).sin());
             let Verdict::Vibrates(size) = verdict else { panic!("{begin}: {verdict:?}") };
             assert!((size - 6e-4).abs() < 4e-5, "{begin}: {size} m from peak to peak");
         }
@@ -526,9 +527,9 @@ mod tests {
     #[test]
     fn a_swing_that_encoder_steps_explain_is_no_vibration() {
         let chatter = |steps: f64| move |t: f64| (1e-3 * (-6.0 * t).exp() + 0.5 * steps * 1e-4) * (70.0 * t).sin();
-        assert_eq!(judged(1e-4, chatter(4.0)), Verdict::Decays);
+        assert_eq!(verdict_on(1e-4, chatter(4.0)), Verdict::Decays);
         for steps in [8.0, 9.0, 10.0, 12.0] {
-            let verdict = judged(1e-4, chatter(steps));
+            let verdict = verdict_on(1e-4, chatter(steps));
             assert!(matches!(verdict, Verdict::Vibrates(_)), "{steps} steps: {verdict:?}");
         }
     }

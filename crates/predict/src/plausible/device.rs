@@ -21,7 +21,7 @@ const STEEL_DENSITY: f64 = 7850.0;
 /// Lengths of links of desktop devices and exoskeletons, m.
 const LINK_LENGTHS_M: (f64, f64) = (1e-3, 3.0);
 /// Inertia of 20 kg at 10 cm, kg m²: a larger rotor and gear belong to a machine tool.
-const JOINT_INERTIA: f64 = 0.2;
+const IMPLAUSIBLE_JOINT_INERTIA: f64 = 0.2;
 /// Fewest plausible counts per turn at the joint. A smaller number is probably lines, before x4 decoding and the ratio:
 /// encoders of devices that render a wall have at least 700 counts.
 const LEAST_COUNTS: f64 = 600.0;
@@ -30,11 +30,11 @@ const LEAST_COUNTS: f64 = 600.0;
 /// squared.
 const MOTOR_SECONDS: f64 = 0.25;
 /// Largest plausible angle by which a motor winds up its transmission, rad: cables and belts wind up by hundredths.
-const WOUND_UP: f64 = 0.1;
+const LARGEST_WIND_UP: f64 = 0.1;
 /// Largest plausible voltage of resistance times largest current, V; the boards take up to 56 V.
 const LARGEST_SUPPLY_V: f64 = 120.0;
 /// Smallest implausible inductance, H: windings of desktop motors have 0.01 to 10 mH.
-const INDUCTANCE: f64 = 0.1;
+const IMPLAUSIBLE_INDUCTANCE: f64 = 0.1;
 /// Force that exceeds what a hand can hold, N.
 const LARGEST_FORCE_N: f64 = 500.0;
 /// Sine of the singular angle at home below which a device can hardly work there.
@@ -189,7 +189,7 @@ fn joint_warnings(joint: &Joint, index: usize, kind: Kind) -> Vec<FileWarning> {
     let mut warnings = Vec::new();
     let mut warning =
         |part, name, text: String| warnings.push(FileWarning::new(key("joint", Some(index), part, name), text));
-    if joint.inertia > JOINT_INERTIA {
+    if joint.inertia > IMPLAUSIBLE_JOINT_INERTIA {
         let text = format!(
             "`inertia` of joint {index} is {} kg m², as much as {:.0} kg at 10 cm: 1 g cm² is 1e-7 kg m²",
             digits(joint.inertia),
@@ -266,7 +266,7 @@ fn motor_warnings(joint: &Joint, index: usize, joints: usize, carries_body: bool
         );
         warning("motor", "back_emf", text);
     }
-    if motor.inductance >= INDUCTANCE {
+    if motor.inductance >= IMPLAUSIBLE_INDUCTANCE {
         let text = format!("`inductance` of joint {index} is {} H: 1 mH is 0.001", motor.inductance);
         warning("motor", "inductance", text);
     }
@@ -280,7 +280,8 @@ fn motor_warnings(joint: &Joint, index: usize, joints: usize, carries_body: bool
         );
         warning("motor", "torque_constant", text);
     }
-    if let Some(wound) = joint.transmission.map(|between| torque / between.stiffness).filter(|wound| *wound > WOUND_UP)
+    if let Some(wound) =
+        joint.transmission.map(|between| torque / between.stiffness).filter(|wound| *wound > LARGEST_WIND_UP)
     {
         let text = format!(
             "the transmission of joint {index} winds up by {:.0} degrees at the largest torque of its motor ({}): \

@@ -37,7 +37,7 @@ const SLOW_HAND: f64 = 0.1;
 /// square (docs/encoder-steps.md).
 const BUZZ_N: f64 = 1.0;
 /// Stiffness too small to be felt, N/m.
-const NO_WALL: f64 = 1.0;
+const IMPERCEPTIBLE_STIFFNESS: f64 = 1.0;
 /// Grid poses per joint, by number of joints.
 const PER_JOINT: [usize; 3] = [400, 60, 16];
 /// Limits of a wall where the tip touches it.
@@ -307,7 +307,7 @@ pub struct LargestGains {
 }
 
 /// Speed of a hand that hardly moves, m/s.
-const CREEPING: f64 = 0.01;
+const CREEP_SPEED: f64 = 0.01;
 
 /// Returns the largest useful gains of a wall that is touched at joint angles `q` (rad). `None` at a singularity, or if
 /// a joint has no motor.
@@ -324,7 +324,7 @@ pub fn largest_gains(device: &Device<f64>, surface: &Surface<f64>, q: &[f64], li
     }
     let force = force_along(&limited, &pose, normal)?.min(limits.tip_force.into());
     let stiffness = force / count_along(device, &pose, normal).max(f64::MIN_POSITIVE);
-    Some(LargestGains { stiffness, damping: force / CREEPING, force })
+    Some(LargestGains { stiffness, damping: force / CREEP_SPEED, force })
 }
 
 /// Returns the limits of wall `index` of a scene as if it were touched at this pose.
@@ -355,7 +355,7 @@ pub fn beyond(wall: &Wall<f64>, contact: &Contact, in_file: bool) -> Vec<FileWar
             contact.options
         );
         warnings.push(warning("damping", text));
-    } else if wall.stiffness > contact.stable_to && contact.stable_to < NO_WALL {
+    } else if wall.stiffness > contact.stable_to && contact.stable_to < IMPERCEPTIBLE_STIFFNESS {
         let text = format!(
             "no stiffness of wall {index} is predicted stable with {} of damping, nor is its {}; write a damping of up to \
              {} (`haptic range DEVICE {}`)",

@@ -8,7 +8,7 @@
 //! until they pass there as well. Finally the best wall is made stiffer in steps until no step meets all criteria.
 
 use super::criteria::{Curve, SearchContext};
-use super::limits::MORE;
+use super::limits::RAISE_FACTOR;
 use super::{STIFFNESS_RATIO, Settings, TunedWall, choose, stiffest, three_digits};
 use haptic_bridge::render::scene::FeedForward;
 use haptic_bridge::render::velocity::{Chosen, CutoffMeaning, Estimator};
@@ -32,7 +32,7 @@ const FIRST_SHARE: f64 = 0.1;
 const STEP: f64 = 1.5;
 /// The best wall is made stiffer by these factors until none meets all criteria: friction or a limit cycle may make a
 /// stiffer wall quieter.
-const STIFFER_FACTORS: [f64; 5] = [1.5, 1.25, MORE, 1.06, STIFFNESS_RATIO];
+const STIFFER_FACTORS: [f64; 5] = [1.5, 1.25, RAISE_FACTOR, 1.06, STIFFNESS_RATIO];
 /// The search continues around the best of at most this many estimators, for at most this many rounds, with these
 /// factors of the cutoff or window and of the damping.
 const REFINED_ESTIMATORS: usize = 4;
@@ -43,8 +43,8 @@ const DAMPINGS: [f64; 7] = [1.0, 0.87, 1.15, 0.74, 1.35, 0.55, 1.8];
 /// Number of walls that are pressed on the board at once, their maximum number, and the ratio of stiffness from one
 /// press to the next.
 const PRESSED_AT_ONCE: usize = 4;
-const MOST_PRESSED: usize = 12;
-const SOFTER: f64 = 1.12;
+const MAX_PRESSED: usize = 12;
+const SOFTEN_FACTOR: f64 = 1.12;
 /// Corners of the washout, Hz, and the share of the stiffness that the chosen corner must keep. The highest such corner
 /// is chosen.
 const WASHOUTS_HZ: [f64; 5] = [20.0, 10.0, 5.0, 2.0, 1.0];
@@ -108,13 +108,13 @@ impl SearchContext<'_> {
         waiting.sort_by(|a, b| b.settings.stiffness.total_cmp(&a.settings.stiffness));
         let mut seen = BTreeSet::new();
         waiting.retain(|tuned| seen.insert((tuned.settings.estimator, tuned.settings.feed_forward.name())));
-        waiting.truncate(MOST_PRESSED);
+        waiting.truncate(MAX_PRESSED);
         for (round, some) in waiting.chunks(PRESSED_AT_ONCE).enumerate() {
             // A result well below the stiffest one so far need not be exact.
             let floor = COMPARED_SHARE * stiffest(&done).map_or(0.0, |tuned| tuned.settings.stiffness);
             let results = self.sweep.map(&format!("on the board, round {}", round + 1), some, |tuned| {
                 let top = tuned.settings.stiffness;
-                let softer = (0..24).map(|i| three_digits(top / SOFTER.powi(i), true));
+                let softer = (0..24).map(|i| three_digits(top / SOFTEN_FACTOR.powi(i), true));
                 for stiffness in softer.take_while(|stiffness| *stiffness > floor) {
                     if let Some(kept) = self.check_all(&Settings { stiffness, ..tuned.settings })? {
                         return Ok(Some(gains(kept)));

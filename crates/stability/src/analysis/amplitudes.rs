@@ -134,8 +134,7 @@ mod tests {
         assert_eq!(spectrum(&[&[0.0; 63]], 1.0), None);
     }
 
-    /// Pieces that only follow each other from the start would leave out nearly half of 1000 samples, and a third of
-    /// 767.
+    /// Pieces that follow each other from the start would leave out nearly half of 1000 samples, and a third of 767.
     #[test]
     fn every_sample_of_a_stretch_counts() {
         let rate = 1000.0;

@@ -62,8 +62,7 @@ impl Response {
         turned(self.position, other.position) || turned(self.velocity, other.velocity)
     }
 
-    /// Returns the complex gain that puts a mode at this angle while the other gain is `held`; if it is real, it is a
-    /// crossing.
+    /// Returns the complex gain that puts a mode at this angle while the other gain is `held`; a crossing if real.
     fn gain(&self, searched: SearchedGain, held: f64) -> Complex<f64> {
         let (own, other) = match searched {
             SearchedGain::Stiffness => (self.position, self.velocity),
@@ -72,8 +71,7 @@ impl Response {
         -(other * held + 1.0) / own
     }
 
-    /// Returns the imaginary part of [`Response::gain`] times a positive factor; it is finite even where that gain is
-    /// not.
+    /// Returns the imaginary part of [`Response::gain`] times a positive factor; finite even where the gain is not.
     fn mismatch(&self, searched: SearchedGain, held: f64) -> f64 {
         let (own, other) = match searched {
             SearchedGain::Stiffness => (self.position, self.velocity),

@@ -350,7 +350,7 @@ mod tests {
         }
     }
 
-    fn around(rate: f64, cutoff: f64, delay: f64) -> Loop {
+    fn control_loop(rate: f64, cutoff: f64, delay: f64) -> Loop {
         Loop {
             rate_hz: rate,
             delay_samples: delay,
@@ -362,7 +362,7 @@ mod tests {
 
     fn in_sample_units_of_a_mass(rate: f64, cutoff: f64, delay: f64) -> (f64, f64, f64) {
         let m = 0.2;
-        let d = domain(&mass(m, 0.0), &around(rate, cutoff, delay), Mode::Off, None).unwrap();
+        let d = domain(&mass(m, 0.0), &control_loop(rate, cutoff, delay), Mode::Off, None).unwrap();
         let t = 1.0 / rate;
         let top = d.boundary.iter().map(|p| p.kp).fold(0.0, f64::max);
         (top * t * t / m, d.kd_max * t / m, d.area * t.powi(3) / (m * m))
@@ -383,9 +383,9 @@ mod tests {
     }
 
     #[test]
-    fn the_top_is_refined_between_the_dampings_of_the_grid() {
+    fn the_largest_stiffness_is_refined_between_grid_dampings() {
         // Without filter and delay the boundary is 2β(2 - β)/(2 + β), with its maximum 12 - 8√2 at β = 2(√2 - 1).
-        let around = Loop { estimator: LinearEstimator::BackwardDifference, ..around(1000.0, 1.0, 0.0) };
+        let around = Loop { estimator: LinearEstimator::BackwardDifference, ..control_loop(1000.0, 1.0, 0.0) };
         let result = domain(&mass(1.0, 0.0), &around, Mode::Off, None).unwrap();
         let (kp, kd) = (result.top.kp * 1e-6, result.top.kd * 1e-3);
         assert!((kp / (12.0 - 8.0 * 2.0_f64.sqrt()) - 1.0).abs() < 1e-8, "{kp}");
@@ -412,7 +412,7 @@ mod tests {
         // Backward difference, double integrator: 1 + K (z+1)/(2(z-1)²) + D (z+1)/(2z(z-1)), by Jury with the
         // polynomial
         // z(z-1)² + (k/2) z (z+1) + (d/2)(z+1)(z-1) = z³ + (k/2 + d/2 - 2) z² + (1 + k/2) z - d/2.
-        let around = Loop { estimator: LinearEstimator::BackwardDifference, ..around(1000.0, 1.0, 0.0) };
+        let around = Loop { estimator: LinearEstimator::BackwardDifference, ..control_loop(1000.0, 1.0, 0.0) };
         let result = domain(&mass(1.0, 0.0), &around, Mode::Off, Some(&[200.0])).unwrap();
         // Jury for a cubic with a0 = -d/2: |a0² - 1| > |a0 a2 - a1| gives the limit at d = 0.2.
         let d = 0.2;
@@ -429,8 +429,7 @@ mod tests {
             if stable(middle) { low = middle } else { high = middle }
         }
         assert!((result.boundary[0].kp * 1e-6 / low - 1.0).abs() < 1e-9);
-        // At k = 0 the polynomial is (z - 1)(z² - (1 - d/2) z + d/2), and the second factor is stable up to d = kd_max
-        // T/m = 2.
+        // At k = 0 the polynomial is (z - 1)(z² - (1 - d/2) z + d/2), with a second factor that is stable up to d = 2.
         assert!((result.kd_max * 1e-3 - 2.0).abs() < 1e-6, "{}", result.kd_max);
     }
 

@@ -199,8 +199,7 @@ pub(crate) fn reduce_observed(
     let size = position + integrated.len();
     let (mut a, mut b) = (DMatrix::zeros(size, size), DMatrix::zeros(size, inputs.ncols()));
     let lower = bodies.mass.cholesky()?.l();
-    // L⁻¹ maps generalised forces to changes of the scaled velocities; its transpose maps scaled velocities to
-    // velocities.
+    // L⁻¹ maps forces to changes of the scaled velocities; its transpose maps scaled velocities to velocities.
     let inverse = lower.solve_lower_triangular(&DMatrix::identity(moving, moving))?;
     let velocities = inverse.transpose();
     let roots = bodies.stiffness.map(f64::sqrt);

@@ -22,9 +22,8 @@ use haptic_host::error::Failure;
 
 /// Smallest sine of the singular angle at which a pose counts as regular when flooding.
 const WALKABLE_SINE: f64 = 0.08;
-/// Longest step while flooding, rad. The excluded band around a singularity ([`WALKABLE_SINE`] on either side) is wider
-/// than a step, so no step crosses a singularity; not even where two meet and J's determinant has the same sign behind
-/// both.
+/// Longest step while flooding, rad. The excluded band around a singularity ([`WALKABLE_SINE`] on either side) is wider,
+/// so no step crosses one, not even where two meet and J's determinant has the same sign behind both.
 const STEP: f64 = 0.1;
 
 /// A normal and its effect on the inertia.
@@ -229,8 +228,7 @@ pub fn climb(
     Ok(best)
 }
 
-/// Returns the side of the singularities on which a pose lies; `None` if it is nearer to one than `sine` or beyond the
-/// limits.
+/// Returns the side of the singularities on which a pose lies; `None` nearer to one than `sine` or beyond the limits.
 fn side(device: &Device<f64>, q: &[f64], sine: f64) -> Result<Option<bool>, PoseError> {
     // A grid angle on a limit may be rounded to just beyond it.
     let allowed = |(angle, joint): (&f64, &Joint<f64>)| {
@@ -487,7 +485,7 @@ mod tests {
     }
 
     #[test]
-    fn the_worst_normals_are_the_worst() {
+    fn worst_normals_exceed_all_other_normals() {
         for (name, q) in [
             ("coupled-five-bar", vec![2.6, 1.75]),
             ("phantom-premium-1.5", vec![0.3, 0.9, -0.3]),
