@@ -61,10 +61,10 @@ pub enum MeasureError {
     #[error("the board tripped a fault: {0}")]
     Fault(Fault),
     /// Another program has turned the motors off.
-    #[error("the motors were turned off during the measurement by another program")]
+    #[error("another program turned the motors off during the measurement")]
     Disarmed,
     /// The device is in another pose than at the beginning.
-    #[error("the device is not in the pose in which this measurement began")]
+    #[error("the device has left the pose in which this measurement began")]
     Moved,
     /// A joint has moved since the beginning; the tip may be at its position nevertheless.
     #[error("joint {joint} is {by:.3} rad from its angle at the beginning of the measurement: this is another pose")]
@@ -79,7 +79,7 @@ pub enum MeasureError {
     Restless,
     /// The tip could not be pulled aside.
     #[error(
-        "friction holds the tip: a pull of {} mm takes {force:.3} N, and friction {friction:.3} N",
+        "friction holds the tip: a pull of {} mm makes {force:.3} N, but friction is {friction:.3} N",
         crate::measure::excitation::millimetres(*.pull)
     )]
     Stuck {

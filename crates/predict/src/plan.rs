@@ -55,10 +55,10 @@ pub struct Candidate {
     pub instructions: u32,
     /// Error, including the part that fades in every variant.
     pub errors: Errors,
-    /// Part of the error that depends on the choice.
+    /// Part of the error that depends on the choice of the variant.
     #[serde(skip)]
     pub given: Errors,
-    /// That part as a share of the budget.
+    /// `given` as a share of the budget.
     pub used: f64,
 }
 
@@ -67,7 +67,7 @@ pub struct Candidate {
 pub struct Plan {
     /// The scene with the chosen feed-forward and velocity terms.
     pub scene: Scene<f64>,
-    /// The mass model.
+    /// The chosen mass model.
     pub mass: Precomputed,
     /// The terms of the walls' feed-forward.
     pub terms: Terms,
@@ -91,7 +91,7 @@ impl Plan {
     }
 }
 
-/// Returns the angles per joint of the grid.
+/// Returns the number of grid angles per joint.
 fn density(joints: usize) -> usize {
     match joints {
         1 => 41,
@@ -246,7 +246,7 @@ fn explain(
             Budget::Percent(_) => format!("{} of the motors' torque", percent(share.max)),
             Budget::OneDutyStep => format!("{:.1} duty steps", duty.max),
         };
-        format!("up to {} at the tip nearly everywhere, at worst {most}", newtons(force.most))
+        format!("up to {} at the tip in 99 % of the situations, at worst {most}", newtons(force.most))
     };
     let mut reasons = Vec::new();
     if let Some(without) = find("exact", Terms::FeedForward) {

@@ -251,7 +251,7 @@ struct EstimatedMotion {
 }
 
 impl EstimatedMotion {
-    /// Starts at rest at these angles, rad.
+    /// Creates the motion at rest at these angles, rad.
     fn new(row: DVector<f64>, estimator: &DMatrix<f64>, angles: &DVector<f64>) -> Self {
         Self { before: row.dot(angles), row, memory: DVector::zeros(estimator.nrows() + 1) }
     }

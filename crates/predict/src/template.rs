@@ -197,7 +197,7 @@ pub fn device_file(kind: Kind, name: &str) -> String {
         line(
             "verified",
             "false".into(),
-            note("true once you have verified these numbers: a real board does not arm before"),
+            note("true once you have verified these numbers; otherwise a real board does not arm"),
         );
         if first {
             line(

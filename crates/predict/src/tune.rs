@@ -47,7 +47,7 @@ pub const RATES_HZ: [f64; 4] = [1_000.0, 5_000.0, 10_000.0, 20_000.0];
 /// Precision of the stiffness, as a ratio. Of walls that differ by less, the one without feed-forward is chosen.
 const STIFFNESS_RATIO: f64 = 1.03;
 
-/// The request for a search.
+/// Request for a search.
 #[derive(Clone, Debug)]
 pub struct Question<'a> {
     /// The device.
@@ -79,7 +79,7 @@ pub struct Question<'a> {
     pub known: Option<Settings>,
 }
 
-/// Everything about a wall except its place.
+/// All settings of a wall except its position.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Settings {
     /// Control rate, Hz.

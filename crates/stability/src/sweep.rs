@@ -30,7 +30,7 @@ struct Checkpoint {
     version: String,
     /// The command.
     command: String,
-    /// All inputs that decide the results.
+    /// All inputs that determine the results.
     question: String,
     stages: BTreeMap<String, Stage>,
 }
@@ -357,10 +357,10 @@ mod tests {
             "{failure}"
         );
         let before = case.worked.load(Ordering::SeqCst);
-        assert!(before < 60, "{before} were begun after the interruption");
+        assert!(before < 60, "{before} items were started despite the interruption");
         let again = case.sweep("question", usize::MAX).unwrap();
         let kept = again.lock().kept.stages["stage"].done.len();
-        assert!(kept > 40, "{kept} were kept");
+        assert!(kept > 40, "{kept} results were stored");
         assert_eq!(bits(&run(&again).unwrap()), bits(&whole));
         assert_eq!(case.worked.load(Ordering::SeqCst), before + 200 - kept, "stored results were computed again");
         assert!(case.file().exists());

@@ -57,7 +57,7 @@ pub struct Variant {
     pub error_max: f64,
     /// Root mean square of the torque error, N m.
     pub error_rms: f64,
-    /// All errors.
+    /// Errors of torque, force, share and duty.
     pub errors: Errors,
     /// Errors without the part that fades in every variant.
     #[serde(skip)]
@@ -69,7 +69,7 @@ pub struct Variant {
     pub pareto: bool,
 }
 
-/// Returns the angles per joint of the grid over the workspace.
+/// Returns the number of angles per joint of the grid over the workspace.
 fn density(joints: usize) -> usize {
     match joints {
         1 => 41,

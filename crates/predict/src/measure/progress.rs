@@ -18,7 +18,7 @@ pub struct Point {
     pub kd: f64,
     /// Largest stable stiffness of each repeat, N/m; the repeats take the pulls in turn.
     pub repeats: Vec<f64>,
-    /// Largest vibration just beyond the boundary, m from peak to peak; `None` if the motion built up instead.
+    /// Largest vibration just beyond the boundary, m from peak to peak; `None` if the motion built up.
     #[serde(default)]
     pub vibration_m: Option<f64>,
     /// Reason why there are no more repeats, if the search ended early.
@@ -70,7 +70,7 @@ pub fn bounds(repeats: &[f64]) -> (f64, f64) {
 /// A measurement, finished or not.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Progress {
-    /// Description of the measurement: device, pose, loop. Another measurement does not continue the file.
+    /// Description of the measurement: device, pose, loop. The file is continued only by the same measurement.
     pub what: String,
     /// Dampings at which the range ends, N s/m, for the modes whose end was measured.
     #[serde(default)]

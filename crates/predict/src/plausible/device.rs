@@ -300,7 +300,7 @@ fn motor_warnings(joint: &Joint, index: usize, joints: usize, carries_body: bool
         warning("", "coulomb", text);
     } else if joint.viscous * TAU > torque {
         let text = format!(
-            "viscous friction of joint {index} takes {} at one turn a second, more than its motor has ({})",
+            "viscous friction of joint {index} needs {} at one turn per second, more than its motor has ({})",
             with_unit(joint.viscous * TAU, "N m"),
             with_unit(torque, "N m")
         );
@@ -323,7 +323,7 @@ fn home_warnings(description: &Description) -> Vec<FileWarning> {
     let Ok(device) = Device::<f64>::new("", description) else { return warnings };
     let Ok(pose) = TaskPose::of(&device.mechanism, home) else { return warnings };
     if warnings.is_empty() && pose.regularity.serial.min(pose.regularity.parallel) < HOME_SINE {
-        let text = "home is a singular pose: the device can hardly push there; home it elsewhere".into();
+        let text = "home is a singular pose, where the device can hardly push: choose another home".into();
         warnings.push(FileWarning::new(at, text));
     }
     if arms_cross(description, home) {
@@ -337,7 +337,7 @@ fn home_warnings(description: &Description) -> Vec<FileWarning> {
         let torque = torque_at_rest(&motor, joints);
         if weight.abs() > torque {
             let text = format!(
-                "the device's weight takes {} at joint {joint} at home, and its motor has {}: it falls when armed",
+                "the device's weight needs {} at joint {joint} at home, but its motor has {}: the device falls when armed",
                 with_unit(weight.abs(), "N m"),
                 with_unit(torque, "N m")
             );
@@ -346,7 +346,7 @@ fn home_warnings(description: &Description) -> Vec<FileWarning> {
     }
     if let Some((weakest, _)) = force_at(&device, &pose).filter(|(weakest, _)| *weakest > LARGEST_FORCE_N) {
         let text = format!(
-            "the motors push {} at the tip at home, more than a hand holds: torque constants are in N m/A (a data sheet's \
+            "the motors push with {} at the tip at home, more than a hand can hold: torque constants are in N m/A (a data sheet's \
              mN m/A are thousandths), currents in A",
             with_unit(weakest, "N")
         );

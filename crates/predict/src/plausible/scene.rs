@@ -96,9 +96,9 @@ pub struct Contact {
 pub struct InHand {
     /// Mass (kg), damping (N s/m) and stiffness (N/m) of the hand.
     pub hand: [f64; 3],
-    /// As [`Contact::stable_to`].
+    /// Largest stable stiffness in that hand, as [`Contact::stable_to`], N/m.
     pub stable_to: f64,
-    /// As [`Contact::damping_to`].
+    /// Largest damping in that hand, as [`Contact::damping_to`], N s/m.
     pub damping_to: f64,
 }
 
@@ -339,7 +339,7 @@ pub fn at(subject: &Subject, scene: &Scene<f64>, index: usize, q: &[f64], path: 
 /// scene file.
 pub fn beyond(wall: &Wall<f64>, contact: &Contact, in_file: bool) -> Vec<FileWarning> {
     let index = contact.wall;
-    let rigid = if contact.taken_for_rigid { ", if nothing in the device gives" } else { "" };
+    let rigid = if contact.taken_for_rigid { ", if the device is rigid" } else { "" };
     let warning = |name: &'static str, text: String| FileWarning {
         key: in_file.then_some(Key { table: "wall", index: Some(index), part: "", name }),
         text,
@@ -378,7 +378,7 @@ pub fn beyond(wall: &Wall<f64>, contact: &Contact, in_file: bool) -> Vec<FileWar
         warnings.push(warning("stiffness", text));
     } else if contact.buzz.is_some() {
         let text = format!(
-            "the stiffness of wall {index}, {}, is predicted stable{rigid} only where nothing holds the tip: {} (`haptic \
+            "the stiffness of wall {index}, {}, is predicted stable{rigid} only without a hand on the tip: {} (`haptic \
              range DEVICE {}{}`)",
             with_unit(wall.stiffness, "N/m"),
             instability_text(wall, contact),
@@ -424,7 +424,7 @@ fn instability_text(wall: &Wall<f64>, contact: &Contact) -> String {
             "in {held}, where {end} ends at {limit}, it will vibrate at about {:.0} Hz unless friction damps it",
             buzz.hz
         ),
-        None => format!("it will vibrate unless friction or a hand damps it: {held} does, up to {limit}"),
+        None => format!("it will vibrate unless friction or a hand damps it: {held} damps it up to {limit}"),
     }
 }
 

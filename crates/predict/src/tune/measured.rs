@@ -36,7 +36,7 @@ const HOLD_HZ: f64 = 40.0;
 pub struct Measured {
     /// Largest stiffness at this damping that came to rest after the tip was pulled aside and released, N/m.
     pub stiffness: f64,
-    /// Reason why the boundary may be higher, if it was not found.
+    /// Reason why the boundary was not found and may be higher; `None` if it was found.
     pub open: Option<String>,
     /// Root mean square of the force above 20 Hz under a hand that presses with about 3 N and slides, at the stiffness
     /// of the settings, N; `None` if the wall does not hold the hand.

@@ -65,7 +65,7 @@ pub struct WallSet {
     stiffness: DVector<f64>,
     /// Torques of a unit force along each direction with the feed-forward, N x R, m.
     shaped: DMatrix<f64>,
-    /// Torques that the feed-forward commands for the joint torques b, N x N, including those for the part of b at the
+    /// Torques that the feed-forward commands for the joint torques b, N x N, including the part of b that acts at the
     /// walls.
     bias: DMatrix<f64>,
     /// Compliant parts of the device, and the hand that holds it.
