@@ -106,7 +106,7 @@ def test_invalid_arguments_are_refused(five_bar, normal, more, words):
 
 
 def test_impossible_measurements_and_other_devices_are_reported(five_bar, devices):
-    with pytest.raises(hb.ImpossibleError, match="the motors saturate before the encoders can tell"):
+    with pytest.raises(hb.ImpossibleError, match="the motors are too weak for these encoders"):
         hb.measure_range(five_bar, [0.0, 1.0], rate_hz=20000, cutoff_hz=500)
     with hb.Simulation(hb.Device(devices / "haply-2diy.toml")).board() as board:
         with pytest.raises(hb.ImpossibleError, match="the board holds haply-2diy, the file is coupled-five-bar"):

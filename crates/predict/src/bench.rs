@@ -7,10 +7,10 @@
 //!   on a wall
 //! - [`report`]: every variant of every mechanism with cost and error, the Pareto front, and the tables
 //! - [`error`]: the torque of a variant in the board's precision, compared with f64 and the closed form
-//! - [`wall`]: one wall rendered by the board's own step, pressed, slid along, struck or tapped
+//! - [`wall`]: one wall that the board's own step renders while a hand presses it, slides along it or taps it
 //!
-//! Error is always relative to the complete equation (4) with its velocity terms, so terms that a variant leaves out
-//! count.
+//! Errors are always relative to the complete equation (4) with its velocity terms, so the terms that a variant leaves
+//! out count as error.
 
 pub mod counts;
 pub mod error;

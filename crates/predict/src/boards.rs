@@ -34,7 +34,7 @@ impl BoardKind {
     /// All boards, the one with the fewest axes first.
     pub const ALL: [Self; 3] = [Self::OdriveV3, Self::HBridgeF405, Self::HBridgeF407Disc1];
 
-    /// Name that the board reports, and of its firmware image.
+    /// Name that the board reports and that its firmware image has.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {

@@ -1,8 +1,8 @@
 //! Simulates a device in a hand against a rendered wall, with encoder steps.
 //!
 //! The device moves by its complete equations with friction, cogging, transmissions and modes ([`Plant`]). The delay
-//! and the drives are those of a control loop. A `Law` renders the wall: that of a prediction ([`crate::ripple`]), or
-//! the board's own step ([`crate::bench::wall`]). All simulations of encoder steps use this module.
+//! and the drives are those of a control loop. A `Law` renders the wall: the loop of a prediction ([`crate::ripple`]),
+//! or the board's own step ([`crate::bench::wall`]). All simulations of encoder steps use this module.
 
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_sim::{Load, Plant};
@@ -15,7 +15,7 @@ use std::collections::VecDeque;
 /// Longest integration times, s: of a rigid device, and of a compliant one.
 const STEP_S: (f64, f64) = (50e-6, 25e-6);
 /// Distance from the start along the normal beyond which the tip counts as lost, m.
-const FAR_M: f64 = 0.02;
+const LOST_DISTANCE_M: f64 = 0.02;
 
 /// A control law that renders a wall.
 pub(crate) trait Law {
@@ -85,7 +85,7 @@ impl<'a> Contact<'a> {
             acting = next;
             let tip = self.plant.tip();
             let along: f64 = self.normal.iter().enumerate().map(|(i, n)| n * (tip[i] - tip0[i])).sum();
-            if along.is_nan() || along.abs() >= FAR_M {
+            if along.is_nan() || along.abs() >= LOST_DISTANCE_M {
                 return false;
             }
             if !seen(force, along) {
@@ -95,7 +95,7 @@ impl<'a> Contact<'a> {
         true
     }
 
-    /// Simulates `time` (s) under commanded torques, N m; `torque` is the state of the drives.
+    /// Simulates `time` (s) under commanded torques, N m; `torque` is the state of the drives and is updated.
     fn advance(
         &mut self,
         torques: &[f64; MAX_JOINTS],

@@ -13,13 +13,13 @@
 //! let device = DeviceFile::load("../../devices/coupled-five-bar.toml")?;
 //! // At these joint angles (rad).
 //! let found = directions(&device.description, &[2.6, 1.75], Admissible::default())?;
-//! Without the feed-forward the stiffest wall is along the direction in which the tip is heaviest, kg.
+//! // Without the feed-forward the stiffest wall is along the direction in which the tip is heaviest, kg.
 //! assert!(found.stiffest.w_eff > found.softest.w_eff);
 //! # Ok(())
 //! # }
 //! ```
 //!
-//! | to | begin at |
+//! | to | start at |
 //! |---|---|
 //! | measure stable walls on a board | [`measure`] |
 //! | warn of implausible values in a device or a scene | [`plausible`] |

@@ -61,10 +61,10 @@ pub enum MeasureError {
     #[error("the board tripped a fault: {0}")]
     Fault(Fault),
     /// Another program has turned the motors off.
-    #[error("the motors were turned off during the measurement by another program")]
+    #[error("another program turned the motors off during the measurement")]
     Disarmed,
     /// The device is in another pose than at the beginning.
-    #[error("the device is not in the pose in which this measurement began")]
+    #[error("the device has left the pose in which this measurement began")]
     Moved,
     /// A joint has moved since the beginning; the tip may be at its position nevertheless.
     #[error("joint {joint} is {by:.3} rad from its angle at the beginning of the measurement: this is another pose")]
@@ -79,7 +79,7 @@ pub enum MeasureError {
     Restless,
     /// The tip could not be pulled aside.
     #[error(
-        "friction holds the tip: a pull of {} mm takes {force:.3} N, and friction {friction:.3} N",
+        "friction holds the tip: a pull of {} mm makes {force:.3} N, but friction is {friction:.3} N",
         crate::measure::excitation::millimetres(*.pull)
     )]
     Stuck {
@@ -112,8 +112,8 @@ pub enum MeasureError {
     },
     /// The motors are too weak, or the encoders too coarse, to measure.
     #[error(
-        "the motors saturate before the encoders can tell: at {stiffness:.0} N/m, {of}, the shortest pull, {} mm, takes \
-         {:.3} N, and the motors make {force:.3} N",
+        "the motors are too weak for these encoders: at {stiffness:.0} N/m, {of}, the shortest measurable pull, {} mm, \
+         needs {:.3} N, and the motors make at most {force:.3} N",
         crate::measure::excitation::millimetres(*.pull), .stiffness * .pull
     )]
     Saturates {
@@ -172,7 +172,7 @@ pub struct Law {
     pub hold_hz: f64,
     /// Posture that holds the last link of a redundant device.
     pub posture: Option<Posture>,
-    /// True if friction may lengthen the pull beyond the longest one, up to [`walls::LONGEST_PULL`].
+    /// True if friction may lengthen a pull beyond `largest_pull`, up to [`walls::LONGEST_PULL`].
     pub farther: bool,
 }
 
@@ -190,8 +190,8 @@ impl Default for Law {
 }
 
 impl MeasurementSetup {
-    /// Returns the frequency of the hold and of the judged motion, Hz: the cutoff of the low-pass. For an estimator that
-    /// uses joints, the cutoff does not tell how fast the loop is, so a high frequency is returned.
+    /// Returns the frequency of the hold and of the judged motion, Hz: the low-pass cutoff. An estimator that works on
+    /// joints is not limited by the cutoff, so a tenth of the rate, but at most 500 Hz, is returned.
     #[must_use]
     pub fn tempo_hz(&self) -> f64 {
         let own = if self.law.estimator.spec().is_some() { (0.1 * self.rate_hz).min(500.0) } else { self.cutoff_hz };

@@ -27,10 +27,10 @@ const SHIPPED: &str = "table";
 /// Error that a plan may leave.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Budget {
-    /// Percentage of the motors' torque at the worst joint of the same pose, which equals that of the largest force at
-    /// the tip in the direction of the error.
+    /// Percentage of the motors' torque at the worst joint of the same pose. The error's share of the motors' largest
+    /// tip force in its own direction is equal.
     Percent(f64),
-    /// An error that is hidden by the resolution of the duty.
+    /// One duty step, which the resolution of the duty hides.
     OneDutyStep,
 }
 
@@ -55,10 +55,10 @@ pub struct Candidate {
     pub instructions: u32,
     /// Error, including the part that fades in every variant.
     pub errors: Errors,
-    /// Part of the error that depends on the choice.
+    /// Part of the error that depends on the choice of the variant.
     #[serde(skip)]
     pub given: Errors,
-    /// That part as a share of the budget.
+    /// `given` as a share of the budget.
     pub used: f64,
 }
 
@@ -67,7 +67,7 @@ pub struct Candidate {
 pub struct Plan {
     /// The scene with the chosen feed-forward and velocity terms.
     pub scene: Scene<f64>,
-    /// The mass model.
+    /// The chosen mass model.
     pub mass: Precomputed,
     /// The terms of the walls' feed-forward.
     pub terms: Terms,
@@ -91,7 +91,7 @@ impl Plan {
     }
 }
 
-/// Returns the angles per joint of the grid.
+/// Returns the number of grid angles per joint.
 fn density(joints: usize) -> usize {
     match joints {
         1 => 41,
@@ -173,7 +173,7 @@ fn plan_on(
             Budget::OneDutyStep => (1.0, "duty steps"),
         };
         return Err(Failure::impossible(format!(
-            "no model stays below {wanted} {unit} over the reachable walls; the best leaves {least:.3} {unit}"
+            "no mass model keeps the error on the reachable walls below {wanted} {unit}; the best one needs {least:.3} {unit}"
         ))
         .remedy(format!("allow an error of {:.2}", least * 1.1)));
     };
@@ -239,20 +239,20 @@ fn explain(
     fading: Option<(f64, f64)>,
 ) -> Vec<String> {
     let find = |model: &str, terms: Terms| candidates.iter().find(|c| c.model == model && c.terms == terms.name());
-    // As a person feels it: in 99 % of the situations, because the rest are next to singularities.
+    // State the force that 99 % of the situations stay below, because the others are next to singularities.
     let size = |errors: &Errors| {
         let Errors { force, share, duty, .. } = errors;
         let most = match budget {
-            Budget::Percent(_) => format!("{} of what the motors give", percent(share.max)),
-            Budget::OneDutyStep => format!("{:.1} steps of the duty", duty.max),
+            Budget::Percent(_) => format!("{} of the motors' torque", percent(share.max)),
+            Budget::OneDutyStep => format!("{:.1} duty steps", duty.max),
         };
-        format!("up to {} at the tip nearly everywhere, at worst {most}", newtons(force.most))
+        format!("up to {} at the tip in 99 % of the situations, at worst {most}", newtons(force.most))
     };
     let mut reasons = Vec::new();
     if let Some(without) = find("exact", Terms::FeedForward) {
         let verdict = match terms {
-            Terms::FeedForward if budget.used(&without.errors) <= MARGIN => "too small to compute",
-            Terms::FeedForward => "too small to compute where they do not fade anyway",
+            Terms::FeedForward if budget.used(&without.errors) <= MARGIN => "too small to be compensated",
+            Terms::FeedForward => "too small to be compensated where they do not fade",
             _ if fading.is_some() => "they are compensated, except where they fade",
             _ => "they are compensated",
         };
@@ -285,7 +285,7 @@ fn explain(
     reasons
 }
 
-/// Formats a force with the significant digits.
+/// Formats a force with its significant digits.
 pub fn newtons(force: f64) -> String {
     match force {
         f if f >= 10.0 => format!("{f:.0} N"),

@@ -1,5 +1,5 @@
-//! Warns of values that a file may contain but that are hardly meant. Lengths in millimetres, masses in grams, angles
-//! in degrees and walls outside the stable range all parse; each gets a warning with the number that shows the mistake.
+//! Warns of values that parse but are hardly intended, such as lengths in millimetres, masses in grams, angles in
+//! degrees and walls outside the stable range. Each warning states the number that shows the mistake.
 //!
 //! A warning rejects nothing: a device may be stranger than these rules. The bounds come from solid steel, from two
 //! statements of one file that disagree, and from the prediction of `haptic range`.
@@ -29,7 +29,7 @@ pub struct Key {
     pub name: &'static str,
 }
 
-/// A warning about a value that parses but is hardly meant; its line is not yet known.
+/// A warning about a value that parses but is hardly intended; its line is not yet known.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct FileWarning {
     /// The place in a file.
@@ -121,7 +121,7 @@ pub fn pose_limit_warnings(q: &[f64], description: &Description) -> Vec<FileWarn
     let outside = |(joint, angle): (usize, &f64)| {
         let (low, high) = description.joints[joint].limits?;
         let text = format!(
-            "the pose puts joint {joint} at {angle} rad, outside its limits [{low}, {high}], so the device never takes it"
+            "the pose puts joint {joint} at {angle} rad, outside its limits [{low}, {high}], so the device cannot reach it"
         );
         (!(low..=high).contains(angle)).then_some(FileWarning { key: None, text })
     };

@@ -29,12 +29,12 @@ pub const LIGHT_HAND: Hand = Hand { mass: 0.05, damping: 3.0, stiffness: 200.0 }
 /// Force with which the hand presses, N.
 pub const PUSH_N: f64 = 3.0;
 /// Rate at which the hand presses harder, N/s: friction that holds only a resting tip does not make a wall quiet.
-pub(crate) const RISE: f64 = 1.0;
+pub(crate) const PUSH_RISE: f64 = 1.0;
 /// Time for the motion to settle, and time of recording, s.
 pub(crate) const SETTLE_S: f64 = 0.5;
-pub(crate) const LOOK_S: f64 = 0.3;
+pub(crate) const RECORD_S: f64 = 0.3;
 /// Number of count offsets that are tried.
-pub(crate) const OFFSETS: usize = 4;
+pub(crate) const COUNT_OFFSETS: usize = 4;
 /// Walls along a line: number of decades below the stiffest, and walls per decade.
 const DECADES: usize = 4;
 const PER_DECADE: usize = 5;
@@ -118,8 +118,8 @@ impl Pressed<'_> {
         let steps = self.resolutions()?;
         let lost = Ripple { kp, kd, rms_n: None, peak_n: None, motion_m: None };
         let mut worst = Ripple { rms_n: Some(0.0), peak_n: Some(0.0), motion_m: Some(0.0), ..lost };
-        for offset in 0..OFFSETS {
-            let Some(result) = self.run(&steps, mode, kp, kd, offset as f64 / OFFSETS as f64) else {
+        for offset in 0..COUNT_OFFSETS {
+            let Some(result) = self.run(&steps, mode, kp, kd, offset as f64 / COUNT_OFFSETS as f64) else {
                 return Some(lost);
             };
             let most = |a: Option<f64>, b: f64| a.map(|a| a.max(b));
@@ -186,8 +186,8 @@ impl Pressed<'_> {
         let (mut forces, mut tips, mut n) = (Vec::new(), Vec::new(), 0);
         let tip_stays = contact.run(
             &mut law,
-            SETTLE_S + LOOK_S,
-            |time| Some(Grip { goal: tip, push: holding.map(|share| -(share * (self.push_n + RISE * time))) }),
+            SETTLE_S + RECORD_S,
+            |time| Some(Grip { goal: tip, push: holding.map(|share| -(share * (self.push_n + PUSH_RISE * time))) }),
             |force, along| {
                 if n >= settle {
                     forces.push(force);
@@ -201,9 +201,9 @@ impl Pressed<'_> {
         tip_stays.then(|| [rms, 0.5 * force, deviation_from_line(&tips).1])
     }
 
-    /// Returns the force of a hand that keeps the tip in place, per newton of wall, d entries: along the normal, and
-    /// against the feed-forward's steady push sideways, Λ J M⁻¹ of its torques. A tip that is pushed aside would press
-    /// another wall: the hand's stiffness gives way by millimetres, too far for the linearised loop.
+    /// Returns the hand's force that keeps the tip in place, per newton of the wall's force, d entries: along the
+    /// normal, and against the sideways push of the feed-forward, Λ J M⁻¹ of its torques. Without that part the hand's
+    /// spring would give way by millimetres, too far for the linearised loop.
     fn holding_force(&self, mode: Mode, mobility: &DMatrix<f64>, shaped: &DVector<f64>) -> Option<DVector<f64>> {
         let normal = DVector::from_column_slice(&self.normal);
         // A washout has no steady push.
@@ -251,7 +251,7 @@ struct EstimatedMotion {
 }
 
 impl EstimatedMotion {
-    /// Starts at rest at these angles, rad.
+    /// Creates the motion at rest at these angles, rad.
     fn new(row: DVector<f64>, estimator: &DMatrix<f64>, angles: &DVector<f64>) -> Self {
         Self { before: row.dot(angles), row, memory: DVector::zeros(estimator.nrows() + 1) }
     }

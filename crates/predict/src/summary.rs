@@ -1,5 +1,5 @@
-//! Summary of a device file, in terms that show a person if it describes another device: the reach of the tip, its
-//! place at home, its force, its mass.
+//! Summary of a device file with which a person recognises a file of another device: the reach of the tip, its position
+//! at home, its force, its mass.
 
 use crate::plausible::device::force_at;
 use haptic_bridge::model::device::Device;
@@ -11,7 +11,7 @@ use serde::Serialize;
 
 /// Grid poses for the reach and the inertia.
 const POSES: usize = 3000;
-/// First step from the grid's pose towards the reach, rad.
+/// First step of the search from the grid's farthest pose to the end of the reach, rad.
 const STEP: f64 = 0.1;
 
 /// Range of a quantity.

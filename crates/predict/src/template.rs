@@ -101,7 +101,7 @@ fn example(kind: Kind) -> Example {
             home: "[0.0, 1.2, -0.2]",
         },
         Kind::Serial3r => Example {
-            about: "A planar arm of three links, of which the tip needs two. Each angle counts from the link before, joint 0\n\
+            about: "A planar arm with three links, one more than the tip needs. Each angle counts from the link before, joint 0\n\
                     # from +x; all grow counter-clockwise.",
             gravity: "[0.0, 0.0]             # x, y; zero for an arm that lies flat",
             geometry: &[("lengths", "[0.15, 0.12, 0.08]", "of link 1, 2 and 3, joint to joint and joint to tip")],
@@ -197,7 +197,7 @@ pub fn device_file(kind: Kind, name: &str) -> String {
         line(
             "verified",
             "false".into(),
-            note("true once you have verified these numbers: a real board does not arm before"),
+            note("true once you have verified these numbers; otherwise a real board does not arm"),
         );
         if first {
             line(
@@ -283,7 +283,7 @@ pub fn scene_file(device: &DeviceFile) -> Result<String, Failure> {
             &law,
             "default \"washout\"; \"full\": the paper's, which pushes sideways at rest; \"off\"",
         );
-        line("# washout_hz", "2.0", "Hz, below which a washed-out feed-forward fades");
+        line("# washout_hz", "2.0", "Hz, corner below which a washed-out feed-forward fades");
         line("# bilateral", "false", "true: the wall acts on both sides and may pull");
     }
     line("\n# [[spring]]                        # up to four; a pull to a point\n# point", &list(&[0.0; 3]), "m");

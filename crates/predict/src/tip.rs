@@ -46,7 +46,7 @@ impl Tip {
         shares.iter().map(|share| share * newtons / force).collect()
     }
 
-    /// The same plus the torques that hold the device up.
+    /// Returns [`Tip::torques_for`] plus the torques that hold the device up, N m.
     pub fn limits_for(&self, newtons: f64) -> Vec<f64> {
         self.torques_for(newtons).iter().zip(&self.weight).map(|(torque, weight)| torque + weight.abs()).collect()
     }
@@ -73,7 +73,7 @@ pub fn motor_torques(description: &Description) -> Vec<f64> {
     description.joints.iter().map(|joint| joint.motor.map_or(0.0, |motor| torque_at_rest(&motor, joints))).collect()
 }
 
-/// The torque that a wrong current sensor may hide for each rad/s of its joint, in addition to that at rest, N m s/rad.
+/// Returns the torque per speed that a wrong current sensor may hide in addition to that at rest, N m s/rad.
 pub fn torques_hidden_by_speed(description: &Description) -> Vec<f64> {
     let torque = |motor: Motor<f64>| (motor.torque_constant * hidden_by_speed(&motor)).abs();
     description.joints.iter().map(|joint| joint.motor.map_or(0.0, torque)).collect()
@@ -87,7 +87,7 @@ mod tests {
     use haptic_host::device_file::DeviceFile;
 
     /// Returns the shipped devices that have a home pose, by the name of their file.
-    fn shipped() -> Vec<(String, DeviceFile, Tip)> {
+    fn shipped_devices() -> Vec<(String, DeviceFile, Tip)> {
         let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../devices");
         let files = std::fs::read_dir(folder).expect("devices ship").map(|entry| entry.expect("a file").path());
         let mut paths: Vec<_> = files.filter(|path| path.extension().is_some_and(|ending| ending == "toml")).collect();
@@ -108,7 +108,7 @@ mod tests {
             "device,rendered (N),torque limits (N m),any torque within them (N),motors alone (N),\
              an ampere in every motor (N),energy (J)\n",
         );
-        for (name, file, tip) in shipped() {
+        for (name, file, tip) in shipped_devices() {
             let limits = tip.torques_for(gentle);
             let listed: Vec<String> = limits.iter().map(|torque| format!("{torque:.3}")).collect();
             let motors = match motor_torques(&file.description) {
@@ -141,12 +141,12 @@ mod tests {
     #[test]
     fn torque_limits_for_a_force_bound_the_tip_force() {
         let mut checked = 0;
-        for (name, file, tip) in shipped() {
+        for (name, file, tip) in shipped_devices() {
             let limits = tip.torques_for(5.0);
             let inverse = &tip.pose.inverse;
             assert_eq!(limits.len(), file.spec().joints);
             let mut most = 0.0_f64;
-            // Torques throughout the box, not only at its corners.
+            // Check torques throughout the box, not only at its corners.
             for nth in 0..1000_u32 {
                 let share = |i: u32| f64::from((nth / 10_u32.pow(i)) % 10) / 4.5 - 1.0;
                 let torque = DVector::from_fn(limits.len(), |i, _| share(i as u32) * limits[i]);

@@ -47,7 +47,7 @@ pub const RATES_HZ: [f64; 4] = [1_000.0, 5_000.0, 10_000.0, 20_000.0];
 /// Precision of the stiffness, as a ratio. Of walls that differ by less, the one without feed-forward is chosen.
 const STIFFNESS_RATIO: f64 = 1.03;
 
-/// The request for a search.
+/// Request for a search.
 #[derive(Clone, Debug)]
 pub struct Question<'a> {
     /// The device.
@@ -79,7 +79,7 @@ pub struct Question<'a> {
     pub known: Option<Settings>,
 }
 
-/// Everything about a wall except its place.
+/// All settings of a wall except its position.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Settings {
     /// Control rate, Hz.
@@ -217,7 +217,7 @@ pub fn estimators() -> Vec<Estimator> {
 /// Rejects requests beyond every board.
 fn check(question: &Question<'_>) -> Result<(), Failure> {
     if let Some(rate) = question.rates_hz.iter().find(|rate| !(200.0..=FASTEST_HZ).contains(*rate)) {
-        return Err(Failure::wrong(format!("no board was seen to hold {rate} Hz in contact"))
+        return Err(Failure::wrong(format!("no board has kept up with {rate} Hz in contact"))
             .remedy(format!("write rates from 200 to {FASTEST_HZ} Hz")));
     }
     let sizes = [question.ripple_n, question.counts, question.speed];
@@ -234,7 +234,7 @@ pub fn tune(question: &Question<'_>, sweep: &Sweep) -> Result<TuneResult, Failur
     all.iter_mut().for_each(|candidate| candidate.felt = context.felt(&candidate.settings));
     let Some((best, passed_over)) = choose(&all) else {
         return Err(Failure::impossible(format!(
-            "no wall here keeps a ripple of {} N within the margins",
+            "no wall here is stable within the margins and ripples by at most {} N",
             question.ripple_n
         ))
         .remedy("choose another pose or normal (`haptic design`), or allow more ripple")

@@ -14,7 +14,7 @@ use haptic_stability::analysis::prediction::{Prediction, Subject};
 use haptic_stability::analysis::sampled::Mode;
 
 /// Distance of the wall from the tip, m.
-const AHEAD: f64 = 0.006;
+const WALL_DISTANCE: f64 = 0.006;
 
 /// Penetration at which a first wall may need all of the motors' torque, m: a hand then feels a wall and not a switch.
 const FULL_FORCE_DEPTH: f64 = 1e-3;
@@ -56,11 +56,11 @@ fn is_touched(file: &DeviceFile, scene: &Scene<f32>) -> bool {
     pose.is_ok_and(|pose| HandLoop::find(file, Some(&scene.cast()), padded(&pose.position)).on_a_wall)
 }
 
-/// `side`: 1 for a wall below the tip, -1 for one above it.
+/// Returns the wall on one side. `side`: 1 for a wall below the tip, -1 for one above it.
 fn first_wall_on(file: &DeviceFile, side: f64) -> Result<FirstWall, Failure> {
     let stable = stable_wall(file, side)?;
     let subject = Subject::new(&file.description).map_err(Failure::wrong)?;
-    // On a redundant arm almost no stiffness may be stable with a washout.
+    // On a redundant arm hardly any stiffness may be stable with a washout.
     for feed_forward in [FeedForward::Washout, FeedForward::Off] {
         let mut scene = stable.clone();
         scene.walls.iter_mut().for_each(|wall| wall.feed_forward = feed_forward);
@@ -89,8 +89,8 @@ fn without_rattle(file: &DeviceFile, mut scene: Scene<f32>, contact: &Contact) -
         if over <= 1.0 {
             break;
         }
-        // Ripple grows roughly in proportion to the gains. Only damping is reduced once a wall has the smallest
-        // stiffness.
+        // Ripple grows roughly in proportion to the gains. Once a wall has the smallest stiffness, only its damping is
+        // reduced.
         let factor = (0.95 / over).clamp(0.25, 0.85);
         let softer = factor.max(SOFTEST_WALL / stiffness(&scene)).min(1.0);
         weaken(&mut scene, softer, factor);
@@ -120,7 +120,7 @@ fn stable_wall(file: &DeviceFile, side: f64) -> Result<Scene<f32>, Failure> {
     let mut normal = vec![0.0; task];
     normal[usize::from(task > 1)] = side;
     let point = core::array::from_fn(|i| match (pose.position.get(i), normal.get(i)) {
-        (Some(place), Some(n)) => (place - AHEAD * n) as f32,
+        (Some(place), Some(n)) => (place - WALL_DISTANCE * n) as f32,
         _ => 0.0,
     });
     let normal_f32 = core::array::from_fn(|i| normal.get(i).map_or(0.0, |n| *n as f32));

@@ -9,8 +9,8 @@
 //!   device
 //! - [`cut`]: the plane of the inertia map that is drawn, in tiles
 //! - [`estimator`]: the velocity estimators as linear filters
-//! - [`flexible`]: compliant parts and what holds the device: transmissions, a hand on the tip, a posture
-//! - [`host`]: the same wall rendered by a program on a computer
+//! - [`flexible`]: compliant transmissions and modes, a hand on the tip, and a posture that holds the device
+//! - [`host`]: a wall rendered by a program on a computer
 //! - [`mod@line`]: walls along a line with a rule for their damping, and their largest stable stiffness
 //! - [`map`]: inertia over the workspace, the output of `haptic map`
 //! - [`oscillation`]: frequency and growth of a wall's oscillation at given gains
@@ -25,8 +25,8 @@
 //! - [`domain`]: boundary, area and islands of one device with one feed-forward
 //! - [`prediction`]: a device in a control loop, the prediction that every command uses
 //! - [`range`]: the domains of every feed-forward side by side, the output of `haptic range`
-//! - [`several`]: the same loop with walls that act together
-//! - [`why`]: the share of the boundary that each effect takes
+//! - [`several`]: the sampled loop with several walls that act together
+//! - [`why`]: the share of each effect in the boundary
 //!
 //! Source: "Inertia Properties and Their Role in Haptic Rendering", the stable domain of virtual walls; sampled-data
 //! theory as in Åström and Wittenmark, *Computer-Controlled Systems*, chapters 2 and 3.

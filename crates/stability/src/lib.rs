@@ -1,6 +1,6 @@
 //! Predicts which walls a device renders stably, by theory alone: the exact sampled loop of device, drives, velocity
 //! estimator and delay, linearised at a pose, in double precision. The crate also evaluates and maps the device's
-//! inertia, on request in the board's own precision. It uses no board, simulates nothing and draws nothing.
+//! inertia, optionally in the board's own precision. It uses no board, simulates nothing and draws nothing.
 //!
 //! ```
 //! use haptic_host::device_file::DeviceFile;
@@ -26,7 +26,7 @@
 //! # }
 //! ```
 //!
-//! | to | begin at |
+//! | to | start at |
 //! |---|---|
 //! | evaluate the inertia of a pose | [`model`], [`perception`] |
 //! | predict which walls are stable | [`analysis`] |

@@ -40,7 +40,7 @@ pub struct WallForce {
     pub normal: Vec<f64>,
     /// Force along the normal, N.
     pub force: f64,
-    /// Stiffness in any unit that all walls share: with several walls it decides what is rendered.
+    /// Stiffness in any unit that all walls share; for several walls it determines the rendered directions.
     pub stiffness: f64,
     /// True if the wall has the feed-forward; one of several walls may be without.
     pub feed_forward: bool,
@@ -51,20 +51,20 @@ pub struct WallForce {
 pub struct Direction {
     /// Unit vector, d entries.
     pub along: Vec<f64>,
-    /// Stiffness along it, as a ratio to that of the stiffest wall.
+    /// Stiffness along the unit vector, as a ratio to that of the stiffest wall.
     pub stiffness: f64,
     /// Share of the level that renders this direction and the stiffer ones; `None` for the last direction, because
     /// nothing remains to shape.
     pub share: Option<f64>,
 }
 
-/// All quantities of equation (4). R rendered directions, N joints, d task dimensions. The rendered basis is the normal
-/// itself for one wall, and the principal directions of their stiffness for several, the stiffest first.
+/// All quantities of equation (4), for R rendered directions, N joints and d task dimensions; sizes are in parentheses.
+/// One wall renders its normal, several walls the principal directions of their stiffness, the stiffest first.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Report {
-    /// Tip, m (d).
+    /// Position of the tip, m (d).
     pub position: Vec<f64>,
-    /// Tip Jacobian, m/rad (d x N).
+    /// Jacobian of the tip, m/rad (d x N).
     pub jacobian: Rows,
     /// M, kg m² (N x N).
     pub mass: Rows,
@@ -108,7 +108,7 @@ pub struct Condition {
     pub mass: f64,
 }
 
-/// Reason why a configuration has no numbers.
+/// Reason why the quantities cannot be computed at a configuration.
 #[derive(Clone, Debug, PartialEq)]
 pub enum ModelError {
     /// J loses rank: joint velocities along `joints` do not move the tip (on a redundant arm, nor turn it).
@@ -125,7 +125,7 @@ pub enum ModelError {
         /// The task direction that the joints do not hold, a unit vector (N).
         free: Vec<f64>,
     },
-    /// The links do not reach each other at these angles, or only touch in one line.
+    /// At these angles the closing links do not reach each other, or meet only when they are in one line.
     CannotClose,
     /// A result is infinite or not a number.
     NotFinite,
@@ -184,8 +184,8 @@ fn moving_joints(direction: &[f64]) -> String {
     }
 }
 
-/// Sine of the angle to a singularity below which a pose counts as singular. The library clamps its reciprocals below
-/// it.
+/// Sine of the angle to a singularity below which a pose counts as singular. Below it the library clamps its
+/// reciprocals.
 pub const SINGULAR: f64 = 1.0e-6;
 
 /// Evaluates equation (4) at joint angles `q` (rad) and velocities `qd` (rad/s) against `walls`.

@@ -1,8 +1,9 @@
 //! Inertia that a hand feels at the tip: in free motion, and along a wall that holds it (docs/model.md section 2).
 //!
 //! A hand pushes the tip along a wall with F_t while the wall prevents motion along n. Without the feed-forward Λ p̈ =
-//! F_t + f n, so the hand feels the block of Λ along the wall: the paper's Waa. With (4) the wall's force moves nothing
-//! along the wall, and the hand feels the inertia of free motion, the inverse of the block of Λ⁻¹: Waa - War Wrr⁻¹ Wra.
+//! F_t + f n, so the hand feels the block of Λ along the wall: the paper's Waa. With (4) the wall's force does not
+//! accelerate the tip along the wall, and the hand feels the inertia of free motion, the inverse of the block of Λ⁻¹:
+//! Waa - War Wrr⁻¹ Wra.
 
 use nalgebra::{DMatrix, DVector};
 use serde::Serialize;

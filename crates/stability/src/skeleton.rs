@@ -46,7 +46,7 @@ pub enum Turret {
 }
 
 impl Turret {
-    /// The turret of a mechanism.
+    /// Returns the turret of a mechanism; `None` if it has none.
     pub fn of(kind: Kind) -> Option<Self> {
         match kind {
             Kind::FiveBarTurret => Some(Self::AboutX),

@@ -1,5 +1,5 @@
-//! Long work on many items, on all cores: it shows progress, ends properly at Ctrl-C, and resumes. On a terminal
-//! progress is one line that changes; elsewhere, work of minutes prints a line per stage.
+//! Long work on many items, on all cores: it shows progress, can be interrupted with Ctrl-C, and resumes. On a terminal
+//! one line shows the progress; elsewhere each stage of long work prints lines.
 //!
 //! Results are in the order of the items, and stored results are equal to recomputed ones to the bit. So the result
 //! does not depend on the number of cores, on the order of the work or on interruptions.
@@ -20,7 +20,7 @@ const WRITE_INTERVAL: Duration = Duration::from_secs(2);
 /// Smallest pause after a write, as a multiple of the time that the write took.
 const LEAST_PAUSE: u32 = 20;
 
-/// Number of items from which progress lines come at every quarter.
+/// Number of items from which a stage prints a line at every quarter.
 const LONG_STAGE: usize = 16;
 
 /// State that is stored between runs.
@@ -30,7 +30,7 @@ struct Checkpoint {
     version: String,
     /// The command.
     command: String,
-    /// All inputs that decide the results.
+    /// All inputs that determine the results.
     question: String,
     stages: BTreeMap<String, Stage>,
 }
@@ -131,7 +131,7 @@ impl Sweep {
         self
     }
 
-    /// Returns an error once the user has interrupted the work: for work that takes longer than a moment.
+    /// Returns an error if the user has interrupted the work. Long computations call it repeatedly.
     pub fn go_on(&self) -> Result<(), Failure> {
         if (self.interrupted)() { Err(self.interrupted_failure("interrupted".into())) } else { Ok(()) }
     }
@@ -153,8 +153,8 @@ impl Sweep {
     fn interrupted_failure(&self, how: String) -> Failure {
         let failure = Failure::impossible(how);
         match &self.file {
-            Some(file) => failure.remedy(format!("the same command goes on from there, out of {}", file.display())),
-            None => failure.remedy("with a file that keeps results the same command would go on from there"),
+            Some(file) => failure.remedy(format!("the same command continues with the results in {}", file.display())),
+            None => failure.remedy("keep results in a file, and the same command continues"),
         }
         .choose(Choice::Kept)
     }
@@ -184,7 +184,8 @@ impl Sweep {
         let missing: Vec<usize> = (0..items.len()).filter(|index| !results.contains_key(index)).collect();
         let before = results.len();
         let progress = |done: usize, _: usize| {
-            // Skipped items count as done after an interruption, which clears the line.
+            // After an interruption skipped items count as done, which clears the line in place; separate lines are not
+            // printed.
             if self.display == Display::InPlace || !(self.interrupted)() {
                 self.show(stage, before + done, items.len());
             }
@@ -195,7 +196,7 @@ impl Sweep {
                 return None;
             }
             let result = work(&items[index]);
-            // A result that was cut short is not valid.
+            // The result of an interrupted item is not valid.
             if (self.interrupted)() {
                 return None;
             }
@@ -239,7 +240,7 @@ impl Sweep {
         let results: Option<BTreeMap<usize, R>> = kept.done.iter().map(read).collect();
         results
             .filter(|_| kept.of == of)
-            .ok_or_else(|| damaged_file(file, &format!("its part \"{stage}\" is of another kind")))
+            .ok_or_else(|| damaged_file(file, &format!("its results of stage \"{stage}\" do not fit")))
     }
 
     fn lock(&self) -> std::sync::MutexGuard<'_, State> {
@@ -249,12 +250,12 @@ impl Sweep {
     fn keep<R: Serialize + DeserializeOwned>(&self, stage: &str, index: usize, result: &R) -> Result<(), Failure> {
         let Some(file) = &self.file else { return Ok(()) };
         let bytes = postcard::to_allocvec(result).map_err(Failure::impossible)?;
-        // Reject a type that leaves out fields or reads back differently, because it would be restored as something
-        // else.
+        // Reject a type that does not read back equal, for example because it leaves out fields: a resumed run would
+        // use other values.
         let back = postcard::take_from_bytes::<R>(&bytes).ok().filter(|(_, rest)| rest.is_empty());
         if back.and_then(|(back, _)| postcard::to_allocvec(&back).ok()).as_ref() != Some(&bytes) {
-            return Err(Failure::impossible(format!("a result of \"{stage}\" cannot be kept as it is"))
-                .remedy("keep no results, and report this")
+            return Err(Failure::impossible(format!("a result of stage \"{stage}\" changes when it is stored"))
+                .remedy("do not store results, and report this error")
                 .choose(Choice::Kept));
         }
         let text = bytes.iter().map(|byte| format!("{byte:02x}")).collect();
@@ -288,7 +289,7 @@ fn read_checkpoint(file: &Path) -> Result<Option<Checkpoint>, Failure> {
 }
 
 fn damaged_file(file: &Path, why: &dyn std::fmt::Display) -> Failure {
-    Failure::wrong(format!("{} is not what a search keeps: {why}", file.display()))
+    Failure::wrong(format!("{} is not a results file: {why}", file.display()))
         .remedy("name another file")
         .choose(Choice::Kept)
 }
@@ -351,14 +352,17 @@ mod tests {
             })
         };
         let failure = run(&case.sweep("question", 50).unwrap()).unwrap_err().to_string();
-        assert!(failure.contains("of 200 done (stage)") && failure.contains("out of "), "{failure}");
+        assert!(
+            failure.contains("of 200 done (stage)") && failure.contains("continues with the results in "),
+            "{failure}"
+        );
         let before = case.worked.load(Ordering::SeqCst);
-        assert!(before < 60, "{before} were begun after the interruption");
+        assert!(before < 60, "{before} items were started despite the interruption");
         let again = case.sweep("question", usize::MAX).unwrap();
         let kept = again.lock().kept.stages["stage"].done.len();
-        assert!(kept > 40, "{kept} were kept");
+        assert!(kept > 40, "{kept} results were stored");
         assert_eq!(bits(&run(&again).unwrap()), bits(&whole));
-        assert_eq!(case.worked.load(Ordering::SeqCst), before + 200 - kept, "what was there was done again");
+        assert_eq!(case.worked.load(Ordering::SeqCst), before + 200 - kept, "stored results were computed again");
         assert!(case.file().exists());
         again.finish();
         assert!(!case.file().exists());
@@ -381,12 +385,12 @@ mod tests {
         let text = std::fs::read_to_string(case.file()).unwrap();
         let others = |of: usize| case.sweep("two", usize::MAX).unwrap().map("stage", &items()[..of], |x| Ok(work(x)));
         assert_eq!(others(200).unwrap().len(), 200);
-        assert!(others(100).unwrap_err().to_string().contains("is of another kind"));
+        assert!(others(100).unwrap_err().to_string().contains("do not fit"));
         let hex = text.find("\":\"06").unwrap();
         std::fs::write(case.file(), format!("{}07{}", &text[..hex + 3], &text[hex + 5..])).unwrap();
-        assert!(others(200).unwrap_err().to_string().contains("is of another kind"));
+        assert!(others(200).unwrap_err().to_string().contains("do not fit"));
         std::fs::write(case.file(), &text[..text.len() / 2]).unwrap();
-        assert!(case.sweep("two", usize::MAX).err().unwrap().to_string().contains("is not what a search keeps"));
+        assert!(case.sweep("two", usize::MAX).err().unwrap().to_string().contains("is not a results file"));
         let nowhere = case.folder.path().join("no/kept.json");
         let refused = Sweep::new("tune", "", Some(&nowhere), || false).err().unwrap().to_string();
         assert!(refused.contains("make the folder first"), "{refused}");
@@ -418,6 +422,6 @@ mod tests {
         let case = Case::new();
         let sweep = case.sweep("question", usize::MAX).unwrap();
         let failure = sweep.map("stage", &[None, Some(1_u8)], |out| Ok(Leaves { out: *out })).unwrap_err();
-        assert!(failure.to_string().contains("cannot be kept as it is"), "{failure}");
+        assert!(failure.to_string().contains("changes when it is stored"), "{failure}");
     }
 }

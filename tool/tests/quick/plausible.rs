@@ -46,10 +46,10 @@ fn wrong_units_cause_a_warning_at_their_line() {
         (&[("max_current = 3.0", "max_current = 3000.0")], "max_current", "current in A"),
         (&[("inductance = 0.001", "inductance = 1.0")], "inductance", "1 mH is 0.001"),
         (&[("counts_per_turn = 10752", "counts_per_turn = 48")], "counts_per_turn = 48", "gear ratio"),
-        (&[("coulomb = 0.002", "coulomb = 0.2")], "coulomb = 0.2", "cannot move itself"),
+        (&[("coulomb = 0.002", "coulomb = 0.2")], "coulomb = 0.2", "the joint cannot move"),
         (&[("counts_per_turn = 10752", "counts_per_turn = 500")], "counts_per_turn = 500", "500 lines are 2000 counts"),
-        (&without_gear, "torque_constant = 0.0022", "the motor's times the ratio"),
-        (&[soft], "stiffness = 0.1", "gives by 57 degrees where its motor pushes with all that it has"),
+        (&without_gear, "torque_constant = 0.0022", "the motor's constant times the gear ratio"),
+        (&[soft], "stiffness = 0.1", "winds up by 57 degrees at the largest torque of its motor"),
     ] {
         let (json, err) = checked(changes, None);
         let found = warning(&json, said).unwrap_or_else(|| panic!("{changes:?}: {err}"));
@@ -183,7 +183,7 @@ fn shipped_files_cause_no_warnings() {
         // The stiffness of these cables is not published, so the files leave it out.
         if ["capstan-pantograph", "hapkit-paddle", "phantom-premium-1.5", "woodenhaptics"].contains(&name) {
             let [line] = said[..] else { panic!("{err}") };
-            assert!(line.contains("nothing says what lies between motor and link"), "{err}");
+            assert!(line.contains("the file does not describe the transmission of joint"), "{err}");
         } else {
             assert_eq!(said, [""; 0], "{out}");
         }
@@ -229,7 +229,7 @@ fn a_new_file_passes_check_and_is_never_overwritten_unasked() {
         type_lines(&format!("new {kind} -o {path}"), &[]);
         let (code, out, err) = run(&["check", &path, "--svg", &drawing]);
         assert_eq!((code, err.lines().count()), (0, 1), "{out} {err}");
-        assert!(err.contains("nothing says what lies between motor and link"), "{err}");
+        assert!(err.contains("the file does not describe the transmission of joint"), "{err}");
         assert!(std::fs::read_to_string(&drawing).unwrap().contains("joint "), "{kind}");
         std::fs::write(&path, "mine").unwrap();
         type_lines(&format!("1: new {kind} -o {path}"), &[]);

@@ -18,7 +18,7 @@ struct Variant {
     instructions: u32,
 }
 
-/// Returns instructions by name, `mechanism/trigonometry/mass model/terms`.
+/// Returns the instruction counts by name, `mechanism/trigonometry/mass model/terms`.
 fn counts_by_name() -> &'static BTreeMap<String, u32> {
     static COUNTS: OnceLock<BTreeMap<String, u32>> = OnceLock::new();
     COUNTS.get_or_init(|| {

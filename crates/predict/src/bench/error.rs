@@ -55,7 +55,7 @@ impl Terms {
 /// Law of the velocity terms, and the properties of the velocity estimates that they are computed from.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Law {
-    /// Choice of terms; the reference of `Off` is `Rendered`, so the terms left out count.
+    /// Velocity terms of the scene. The reference of `Off` is `Rendered`, so the terms left out count as error.
     pub terms: VelocityTerms,
     /// Lag of the estimates, s.
     pub lag: f64,
@@ -76,7 +76,7 @@ impl Law {
         Self { lag: 0.0, one_count: [0.0; MAX_JOINTS], ..self }
     }
 
-    /// Returns the joint velocities of `probe` that the velocity terms use, rad/s.
+    /// Returns the joint velocities of `probe` with which the velocity terms are computed, rad/s.
     fn velocities<T: Real, const N: usize>(self, probe: &Probe) -> SVector<T, N> {
         SVector::from_fn(|i, _| beyond(T::from_f64(probe.qd[i]), T::from_f64(self.one_count[i])))
     }
@@ -161,10 +161,10 @@ pub struct Errors {
 /// Errors of a variant against two references.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct VariantErrors {
-    /// Against the complete law: the error of the force.
+    /// Errors relative to the complete law.
     pub whole: Errors,
-    /// Against a board that computes without error but fades its velocity terms: the part that depends on the choice of
-    /// a variant.
+    /// Errors relative to a board that computes exactly but fades its velocity terms: the part of the error that
+    /// depends on the choice of a variant.
     pub given: Errors,
 }
 
@@ -194,7 +194,7 @@ pub fn torque<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
             b = mechanism.velocity_torque(&pose, &qd) + mechanism.shaping(&pose, &turning).me;
             b *= velocity_term_share(&mechanism.regularity(&pose), &qd, T::from_f64(law.lag));
         }
-        // The paper leaves the rendered part of b to the wall; the rendered law leaves nothing.
+        // With the paper's law the wall absorbs b along the normal; with the rendered law it absorbs nothing.
         let met = if law.terms == VelocityTerms::Paper { b } else { SVector::zeros() };
         shaping.torque(force, &b, &met)
     };
@@ -291,28 +291,28 @@ fn largest(values: [f64; MAX_JOINTS]) -> f64 {
     values.into_iter().fold(0.0, |most, value| most.max(value.abs()))
 }
 
-/// Returns the force at the tip of these joint torques, N.
+/// Returns the tip force that corresponds to these joint torques, N.
 fn force_at_tip<E: Mechanism<f64, N>, const N: usize>(exact: &E, probe: &Probe, torque: [f64; MAX_JOINTS]) -> f64 {
     let pose = exact.pose::<Libm>(&SVector::from_fn(|i, _| probe.q[i]));
     let force = exact.jacobian_inverse(&pose).tr_mul(&SVector::from_fn(|i, _| torque[i]));
     force.iter().take(E::SPEC.task).map(|entry| entry * entry).sum::<f64>().sqrt()
 }
 
-/// Stiffness that turns an error of the tip's position into one of force, N/m.
+/// Stiffness that converts a position error of the tip into a force error, N/m.
 pub const STIFFNESS: f64 = 20_000.0;
 
-/// Sources of a variant's error, each by itself and the largest over the situations.
+/// Sources of a variant's error. Each is computed without the others and is the largest over the situations.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Parts {
     /// Terms left out or faded, computed exactly, N at the tip.
     pub dropped: f64,
     /// The 90th percentile of `dropped` over the situations.
     pub dropped_mostly: f64,
-    /// Mass model instead of the closed form, N at the tip.
+    /// Error of the mass model relative to the closed form, N at the tip.
     pub model: f64,
-    /// Rounding in f32 and the trigonometry, in the torque of a given force, N at the tip.
+    /// Torque error by f32 rounding and trigonometry for a given force, N at the tip.
     pub rounding: f64,
-    /// The same in the tip's position, times [`STIFFNESS`], N.
+    /// Position error of the tip by f32 rounding and trigonometry, times [`STIFFNESS`], N.
     pub tip: f64,
     /// Smallest remaining share of the exact feed-forward's stable area: (effective inertia / Wrr)².
     pub area: f64,
@@ -340,12 +340,12 @@ fn parts_of<K: Math<f32>, E: Mechanism<f64, N>, B: Mechanism<f32, N>, const N: u
         let (q, q32) = (SVector::<f64, N>::from_fn(|i, _| probe.q[i]), SVector::from_fn(|i, _| probe.q[i] as f32));
         let pose = exact.pose::<Libm>(&q);
         let seen = board.tip(&board.pose::<K>(&q32));
-        // Both use the angles as rounded to f32.
+        // Both tip positions use the angles as rounded to f32, so that only the computation differs.
         let expected = exact.tip(&exact.pose::<Libm>(&q32.map(f64::from)));
         let off = (0..E::SPEC.task).map(|i| (f64::from(seen[i]) - expected[i]).powi(2)).sum::<f64>().sqrt();
         more(&mut parts.tip, STIFFNESS * off);
 
-        // Effective inertia at rest: the torque of one newton on the real mobility.
+        // Effective inertia at rest: from the acceleration by the torque for a force of 1 N.
         let resting = Probe { qd: [0.0; MAX_JOINTS], force: 1.0, ..*probe };
         let without = if terms == Terms::None { Terms::None } else { Terms::FeedForward };
         let newton = torque::<f32, K, B, N>(board, &mass, without, law, &resting);

@@ -23,7 +23,7 @@ use serde::{Deserialize, Serialize};
 const SETTLE_S: f64 = 0.3;
 const RECORD_S: f64 = 0.3;
 /// Speed (m/s) and duration (s) of the slow motion for the noise of the velocity estimate.
-const SLOW: f64 = 0.01;
+const SLOW_SPEED: f64 = 0.01;
 const SLOW_S: f64 = 0.2;
 /// Number of dampings at which the largest quiet stiffness is searched.
 const DAMPINGS: usize = 8;
@@ -35,7 +35,7 @@ const QUIET_COUNTS: f64 = 6.0;
 /// Time within which a struck wall must come to rest, s.
 const REST_S: f64 = 0.25;
 
-/// Device and wall on which the estimators are compared.
+/// Device and wall for which the estimators are compared.
 pub struct Comparison<'a> {
     /// The device.
     pub file: &'a DeviceFile,
@@ -79,13 +79,13 @@ pub struct Row {
     /// ∫ largest quiet stiffness over damping, N²s/m²: simulated, with encoder steps and friction. The search ends at
     /// 1e7 N/m and at five times the damping that is predicted stable with the Butterworth, so the area may be larger.
     pub area: f64,
-    /// Root mean square of the wall's force under a hand that presses ever harder, about its fitted line, N: without
-    /// feed-forward and with the full one; `None` if the tip flies off.
+    /// Root mean square of the wall's force about its fitted line, N, under a hand that presses ever harder: without
+    /// and with the full feed-forward. `None` if the tip flies off.
     pub press_n: [Option<f64>; 2],
-    /// The same under a hand at rest, about its mean, without feed-forward: friction may hold the tip between two
-    /// counts.
+    /// Root mean square of the wall's force about its mean, N, under a hand with a steady push, without feed-forward.
+    /// Friction may hold the tip between two counts.
     pub ripple_n: Option<f64>,
-    /// True if the mean force of the pressed wall equals the hand's within a tenth.
+    /// True if the mean force of the pressed wall differs from the hand's by at most a tenth.
     pub holds: bool,
     /// Delay of the velocity, s.
     pub delay_s: f64,
@@ -96,8 +96,8 @@ pub struct Row {
 /// Press ripples below this count as equal, because a board's arithmetic and a hand vary more, N.
 pub const RESOLUTION_N: f64 = 1e-3;
 
-/// Returns every estimator with its default parameter and its longest window. If the cutoff is the bandwidth, a
-/// quarter, a sixteenth and a thirty-second of it are added; the low-pass is left out where it is optional.
+/// Returns every estimator with its default parameter and its longest window. If the cutoff is the estimator's
+/// bandwidth, a quarter, a sixteenth and a thirty-second of it are candidates too. An optional low-pass is left out.
 fn candidates(comparison: &Comparison<'_>) -> Vec<Rendered> {
     let mut results = Vec::new();
     let mut add = |kind, share| results.push(comparison.rendered(kind, share * comparison.cutoff_hz));
@@ -234,7 +234,7 @@ impl<'a> Trials<'a> {
 
     /// Returns the largest stiffness (N/m) up to which every wall with this damping comes to rest; 0 if none does.
     fn stiffest(&self, wall: &Rendered) -> Result<f64, Failure> {
-        // The smallest stiffness swings back within the time that a wall has.
+        // At the smallest stiffness the tip still swings back within the time allowed.
         let comes_to_rest = |stiffness: f64| self.is_quiet_when_struck(&Rendered { stiffness, ..*wall });
         let (mut low, mut high) = (100.0, 100.0);
         if !comes_to_rest(low)? {
@@ -309,12 +309,12 @@ impl<'a> Trials<'a> {
     fn press(&self, wall: &Rendered, feed_forward: FeedForward) -> Result<Option<f64>, Failure> {
         let wall = Rendered { feed_forward, ..*wall };
         let mut most: f64 = 0.0;
-        for offset in 0..ripple::OFFSETS {
+        for offset in 0..ripple::COUNT_OFFSETS {
             let moved = self
                 .simulation
-                .with_count_offsets(|j| (offset as f64 / ripple::OFFSETS as f64 + 0.37 * j as f64).fract());
-            let seconds = ripple::SETTLE_S + ripple::LOOK_S;
-            let late = self.last_forces(&moved, &wall, Trial::PressedHarder, seconds, ripple::LOOK_S)?;
+                .with_count_offsets(|j| (offset as f64 / ripple::COUNT_OFFSETS as f64 + 0.37 * j as f64).fract());
+            let seconds = ripple::SETTLE_S + ripple::RECORD_S;
+            let late = self.last_forces(&moved, &wall, Trial::PressedHarder, seconds, ripple::RECORD_S)?;
             let Some(late) = late else { return Ok(None) };
             most = most.max(deviation_from_line(&late).0);
         }
@@ -324,8 +324,8 @@ impl<'a> Trials<'a> {
     /// Returns the root mean square of the velocity's error while the joints turn slowly and steadily, m/s.
     fn noise(&self, wall: &Rendered) -> Result<f64, Failure> {
         let still = Rendered { stiffness: 0.0, damping: 0.0, ..*wall };
-        let velocities = self.simulation.velocities(&still, SLOW, SLOW_S)?;
+        let velocities = self.simulation.velocities(&still, SLOW_SPEED, SLOW_S)?;
         let late = &velocities[velocities.len() / 2 + 1..];
-        Ok((late.iter().map(|velocity| (velocity - SLOW).powi(2)).sum::<f64>() / late.len() as f64).sqrt())
+        Ok((late.iter().map(|velocity| (velocity - SLOW_SPEED).powi(2)).sum::<f64>() / late.len() as f64).sqrt())
     }
 }

@@ -9,7 +9,7 @@ use haptic_bridge::model::precomputed::{Grid, Interpolation, MassModelData, TABL
 use haptic_bridge::with_mechanism;
 use nalgebra::SVector;
 
-/// A mass model ready to send, with the values of its table.
+/// A mass model as it is sent to a board, with the values of its table.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Precomputed {
     /// The model as it is sent to the board.

@@ -17,7 +17,7 @@ use nalgebra::SVector;
 
 /// Force if a device file has no motors, N.
 const FORCE_WITHOUT_MOTORS: f64 = 5.0;
-/// Default speed of a hand, m/s.
+/// Default speed of the hand, m/s.
 pub const HAND_SPEED: f64 = 0.5;
 /// Turning rate of the redundant arm's last link per speed of the hand, rad/m.
 const TURNING: f64 = 4.0;
@@ -127,21 +127,22 @@ fn push_situations<M: Mechanism<f64, N>, const N: usize>(
     let n = SVector::<f64, N>::from_fn(|i, _| normal[i]);
     let pose = m.pose::<Libm>(&joints);
     let regularity = m.regularity(&pose);
-    // Nearer to a singularity the step fades the feed-forward out in every variant.
+    // Nearer to a singularity the control step fades the feed-forward out, whatever the variant.
     if regularity.serial < FULL_REGULARITY || regularity.parallel < FULL_REGULARITY * PARALLEL_REGULARITY {
         return;
     }
     let weight = m.gravity(&pose);
     let (plain, shaping) = (m.transpose(&pose, &n), m.shaping(&pose, &n));
     let per_newton = SVector::<f64, N>::from_fn(|i, _| plain[i].abs().max((shaping.me[i] / shaping.w_rr).abs()));
-    // Force that the motors have left after weight and motion; not positive if these need all of the torque.
+    // Force that the motors have left after weight and motion; not positive if weight and motion need all of the
+    // torque.
     let remaining_force = |b: &SVector<f64, N>| {
         let joints = (0..N).filter_map(|i| device.joints[i].motor.map(|motor| (i, torque_at_rest(&motor, N))));
         let share = joints.map(|(i, most)| (most - weight[i].abs() - b[i].abs()) / per_newton[i].max(1.0e-9));
         share.fold(f64::INFINITY, f64::min)
     };
     let here = task_part::<M, N>(&m.tip(&pose));
-    // Faster joints trip the guard, and no torque is rendered.
+    // At higher joint speeds the guard trips and the board renders no torque.
     let fastest = f64::from(Limits::default().speed[0]);
     for velocity in motions::<M, N>(normal) {
         let velocity = SVector::<f64, N>::from_fn(|i, _| speed * velocity[i]);

@@ -23,7 +23,7 @@ use serde::Serialize;
 use std::hint::black_box;
 use std::time::Instant;
 
-/// Returns the device file of each mechanism for the figures; the counting image steps the same devices.
+/// Returns the example device of a mechanism for the figures. The image that counts instructions has the same devices.
 fn example_of(kind: Kind) -> &'static str {
     match kind {
         Kind::Paddle => shipped::HAPKIT_PADDLE,
@@ -34,7 +34,7 @@ fn example_of(kind: Kind) -> &'static str {
     }
 }
 
-/// The devices of the report.
+/// Returns the devices of the report.
 pub fn devices() -> Result<Vec<Device<f64>>, Failure> {
     let read = |text| DeviceFile::parse(text, "a shipped device")?.device().map_err(Failure::wrong);
     Kind::ALL.iter().map(|kind| read(example_of(*kind))).collect()
@@ -57,7 +57,7 @@ pub struct Variant {
     pub error_max: f64,
     /// Root mean square of the torque error, N m.
     pub error_rms: f64,
-    /// All errors.
+    /// Errors of torque, force, share and duty.
     pub errors: Errors,
     /// Errors without the part that fades in every variant.
     #[serde(skip)]
@@ -69,7 +69,7 @@ pub struct Variant {
     pub pareto: bool,
 }
 
-/// Returns the angles per joint of the grid over the workspace.
+/// Returns the number of angles per joint of the grid over the workspace.
 fn density(joints: usize) -> usize {
     match joints {
         1 => 41,
@@ -131,8 +131,8 @@ pub fn variants(device: &Device<f64>, timed: bool) -> Result<Vec<Variant>, Failu
 }
 
 impl Variant {
-    /// Error of the force at the tip, N: from the torque, without the part that fades in every variant, and from the
-    /// wall's position at 20 kN/m.
+    /// Error of the force at the tip, N: the torque's error without the part that fades in every variant, plus the
+    /// wall's position error at 20 kN/m.
     pub fn felt(&self) -> f64 {
         self.given.force.max + self.parts.tip
     }
@@ -213,7 +213,7 @@ pub fn by_variant(every: &[(Device<f64>, Vec<Variant>)]) -> String {
 
 /// Writes the numbers of a mechanism that do not depend on the variant: the motion of the tip by one encoder count, the
 /// share of situations in which the velocity terms fade and are off, and the instructions of the step with a wall and
-/// its feed-forward by velocity estimator, windows at their longest: docs/results/speed-by-mechanism.csv.
+/// its feed-forward for each velocity estimator with its longest window: docs/results/speed-by-mechanism.csv.
 pub fn by_mechanism(every: &[(Device<f64>, Vec<Variant>)]) -> Result<String, Failure> {
     let head = ["mechanism", "device", "encoder step (µm)", "encoder step (N)", "terms fade (%)", "terms off (%)"];
     let mut text = csv_line(head.into_iter().chain(Estimator::ALL.iter().map(|(name, _)| *name)));

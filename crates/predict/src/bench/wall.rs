@@ -7,7 +7,7 @@
 
 use crate::contact::{Contact, Grip, Law, LawOutput, RippleFilter};
 use crate::measure::complement;
-use crate::ripple::{LIGHT_HAND, PUSH_N, RISE};
+use crate::ripple::{LIGHT_HAND, PUSH_N, PUSH_RISE};
 use haptic_bridge::control::compiled::BoardMath;
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
@@ -30,7 +30,7 @@ use haptic_stability::analysis::sampled::LinearEstimator;
 /// Time to settle before a slide is recorded, and time of the slide, s.
 const SETTLE_S: f64 = 0.3;
 const SLIDE_S: f64 = 0.5;
-/// Speed along the wall, m/s, and swing of a sliding hand's push: share of the push, and frequency, Hz.
+/// Speed along the wall, m/s, and variation of a sliding hand's push: share of the push, and frequency, Hz.
 const SLIDE: f64 = 0.03;
 const SWINGS: (f64, f64) = (0.5, 1.0);
 /// Speed of a tap, m/s, and time in which its rebounds are counted, s.
@@ -79,7 +79,7 @@ pub(super) enum Trial {
 pub struct Pressed {
     /// Root mean square of the force above 20 Hz, N; `None` if the tip flies off.
     pub ripple_n: Option<f64>,
-    /// True if the mean force equals the expected push of the hand within a tenth and friction.
+    /// True if the mean force differs from the hand's expected push by at most a tenth of the push plus friction.
     pub holds: bool,
 }
 
@@ -122,7 +122,7 @@ impl WallSimulation {
                     .remedy("add the encoders: walls are simulated with their steps")
             })?;
         let pose = TaskPose::at(believed, q)?.regular()?;
-        // Home of the device may not be at count 0; here counts begin at the encoders' offset.
+        // The device's home may not be at count 0; in this simulation counts start at the encoders' offset.
         let board = Device::<f32>::new("tried", &Description { home: None, ..*believed }).map_err(Failure::wrong)?;
         let alone = *moving;
         let mut held = alone;
@@ -139,7 +139,7 @@ impl WallSimulation {
             alone,
             board,
             encoders,
-            // The board's step has its own estimator.
+            // The loop has no estimator of its own, because the board's step estimates velocities.
             around: Loop::through(
                 &TorquePath { drive: Drive::Ideal, ..TorquePath::usual(rate_hz) },
                 rate_hz,
@@ -154,7 +154,7 @@ impl WallSimulation {
         })
     }
 
-    /// Returns the same with each encoder's counts shifted by a share of one count.
+    /// Returns the same simulation with each encoder's counts shifted by a share of one count.
     pub(super) fn with_count_offsets(&self, share: impl Fn(usize) -> f64) -> Self {
         let moved = self.encoders.iter().enumerate().map(|(j, encoder)| encoder.moved(share(j))).collect();
         Self { encoders: moved, ..self.clone() }
@@ -166,8 +166,8 @@ impl WallSimulation {
         joints.iter().zip(self.motion).map(|(joint, motion)| joint.dry_friction(0.0) * motion.abs()).sum()
     }
 
-    /// Slides along a wall. Stops early once the ripple exceeds `bound_n` (N) in any case; the returned ripple then
-    /// exceeds it, too.
+    /// Slides along a wall. Stops as soon as the ripple of the complete slide must exceed `bound_n` (N); the returned
+    /// ripple then exceeds `bound_n` as well.
     pub fn slid_along(&self, wall: &Rendered, bound_n: f64) -> Result<Pressed, Failure> {
         let rate_hz = self.around.rate_hz;
         let (settle, all) = ((SETTLE_S * rate_hz) as usize, ((SETTLE_S + SLIDE_S) * rate_hz).round() as usize);
@@ -187,8 +187,8 @@ impl WallSimulation {
         if !tip_stays {
             return Ok(Pressed { ripple_n: None, holds: false });
         }
-        // A soft wall gives way, and the hand's own stiffness carries a part.
-        let pushes = (settle..all).map(|n| push(Trial::SlidAlong, n as f64 / rate_hz));
+        // A soft wall gives way, so the hand's own stiffness carries a part of the push.
+        let pushes = (settle..all).map(|n| hand_push(Trial::SlidAlong, n as f64 / rate_hz));
         let expected = pushes.sum::<f64>() / recorded * wall.stiffness / (wall.stiffness + LIGHT_HAND.stiffness);
         Ok(Pressed {
             ripple_n: Some((square / recorded).sqrt()),
@@ -228,7 +228,7 @@ impl WallSimulation {
             (!alone).then(|| Grip {
                 goal: core::array::from_fn(|i| self.tip[i] + along * self.across[i]),
                 // A hand carries its own weight.
-                push: core::array::from_fn(|i| -push(trial, time) * self.normal[i] - mass * self.alone.gravity[i]),
+                push: core::array::from_fn(|i| -hand_push(trial, time) * self.normal[i] - mass * self.alone.gravity[i]),
             })
         };
         let contact = Contact::new(plant, self.normal, &self.around, LIGHT_HAND);
@@ -279,9 +279,9 @@ impl WallSimulation {
 }
 
 /// Returns the force of the hand's push, N.
-fn push(trial: Trial, time: f64) -> f64 {
+fn hand_push(trial: Trial, time: f64) -> f64 {
     match trial {
-        Trial::PressedHarder => PUSH_N + RISE * time,
+        Trial::PressedHarder => PUSH_N + PUSH_RISE * time,
         Trial::SlidAlong => {
             let (share, hz) = SWINGS;
             PUSH_N * (1.0 + share * (std::f64::consts::TAU * hz * time).sin())

@@ -123,13 +123,14 @@ pub fn directions(description: &Description, q: &[f64], admissible: Admissible) 
 /// Rating of a pose, which the search maximises, and the wall that has it.
 type PoseRating<'a> = &'a (dyn Fn(&[f64]) -> Option<(f64, WallPlace)> + Sync);
 
-/// Smallest distance (rad) between the poses of the grid from which the search continues, and their largest number. The
-/// rating is steep along the edge of the allowed poses, so a pose with a poor rating on a coarse grid may be next to
-/// the best one: with 6 starts a grid of 300 poses found 1.67 kg on coupled-five-bar, and one of 1000 found 1.96 kg.
-const APART: f64 = 0.4;
-const STARTS: usize = 60;
-/// Number of ends of the coarse search that are refined with fine steps.
-const ENDS: usize = 4;
+/// Smallest distance (rad) between the grid poses from which the search continues, and largest number of such poses.
+/// The rating is steep along the edge of the allowed poses, so a pose with a poor rating on a coarse grid may be next
+/// to the best pose: with 6 starts a grid of 300 poses found 1.67 kg on coupled-five-bar, and a grid of 1000 found 1.96
+/// kg.
+const START_SPACING: f64 = 0.4;
+const MAX_STARTS: usize = 60;
+/// Number of end poses of the coarse search from which the fine search continues.
+const REFINED_ENDS: usize = 4;
 
 /// Returns the poses with the highest ratings that are not near each other.
 fn search_starts(poses: &[Vec<f64>], rating: PoseRating<'_>) -> Vec<Vec<f64>> {
@@ -138,33 +139,33 @@ fn search_starts(poses: &[Vec<f64>], rating: PoseRating<'_>) -> Vec<Vec<f64>> {
     valued.sort_by(|a, b| b.0.total_cmp(&a.0));
     let mut result: Vec<Vec<f64>> = Vec::new();
     for (_, q) in valued {
-        let is_far = |other: &Vec<f64>| q.iter().zip(other).any(|(a, b)| (a - b).abs() > APART);
-        if result.len() < STARTS && result.iter().all(is_far) {
+        let is_far = |other: &Vec<f64>| q.iter().zip(other).any(|(a, b)| (a - b).abs() > START_SPACING);
+        if result.len() < MAX_STARTS && result.iter().all(is_far) {
             result.push(q.clone());
         }
     }
     result
 }
 
-/// Searches from some poses: in coarse steps from all of them, in fine steps from the best ends. Returns the best
-/// result.
+/// Searches from some poses: in coarse steps from all of them, then in fine steps from the best end poses. Returns the
+/// best result.
 fn best(starts: &[Vec<f64>], allowed: &dyn Fn(&[f64]) -> bool, rating: PoseRating<'_>) -> Option<(f64, WallPlace)> {
     let mut ends: Vec<(f64, WallPlace)> =
         starts.iter().filter_map(|start| climb(start, COARSE, allowed, rating)).collect();
     // The sort is stable: equals keep their order.
     ends.sort_by(|a, b| b.0.total_cmp(&a.0));
-    let result = ends.iter().take(ENDS).filter_map(|(_, end)| climb(&end.q, FINE, allowed, rating));
+    let result = ends.iter().take(REFINED_ENDS).filter_map(|(_, end)| climb(&end.q, FINE, allowed, rating));
     result.reduce(|best, other| if other.0 > best.0 { other } else { best })
 }
 
 /// Step sizes of a search between the poses of a grid.
 #[derive(Clone, Copy)]
 struct Steps {
-    /// First step, rad; the next field is the last.
+    /// First and last step, rad.
     from: f64,
     to: f64,
-    /// Number of random directions in addition to the compass: the best pose often lies on the edge of the allowed
-    /// ones, and a compass does not slide along it.
+    /// Number of random directions in addition to the compass directions. The best pose often lies on the edge of the
+    /// allowed poses, and a compass search does not follow an edge.
     random_directions: usize,
 }
 
@@ -253,8 +254,8 @@ pub fn places(
     let allowed = |q: &[f64]| is_clear(q) && reachable.walkable(q);
     let poses: Vec<Vec<f64>> = all.into_iter().filter(|q| is_clear(q)).collect();
     if poses.is_empty() {
-        return Err(Failure::impossible(format!("no pose is as clear of singularities as a sine of {clear}"))
-            .remedy("ask for less")
+        return Err(Failure::impossible(format!("every pose is nearer to a singularity than a sine of {clear}"))
+            .remedy("choose a smaller sine")
             .choose(Choice::Clearance));
     }
     let point = |q: &[f64]| {
@@ -307,11 +308,11 @@ pub fn places(
         jobs.extend([&off as PoseRating<'_>, &full, &worst]);
     }
     let indices: Vec<usize> = (0..jobs.len()).collect();
-    // Only the pose is stored; the numbers are computed from it.
+    // The sweep stores only the pose, because the other numbers follow from it.
     let first = sweep.map("places", &indices, |job| {
         Ok(best(&search_starts(&poses, jobs[*job]), &allowed, jobs[*job]).map(|(_, placed)| placed.q))
     })?;
-    // A search that begins at the end of another one may find more than from its own start.
+    // The end pose of another job may lead to a better result than this job's own start.
     let ends: Vec<Vec<f64>> = first.into_iter().flatten().collect();
     let refined = sweep.map("between them", &indices, |job| {
         let rating = jobs[*job];
@@ -320,7 +321,8 @@ pub fn places(
         Ok(start.and_then(|(_, start)| climb(start, FINE, &allowed, rating)).map(|(_, placed)| placed.q))
     })?;
     let final_place = |index: usize| -> Result<WallPlace, Failure> {
-        let nowhere = || Failure::impossible("the wall fits nowhere").remedy("make it smaller").choose(Choice::Patch);
+        let nowhere =
+            || Failure::impossible("the wall fits nowhere").remedy("choose a smaller wall").choose(Choice::Patch);
         let q = refined[index].clone().ok_or_else(nowhere)?;
         jobs[index](&q).map(|(_, placed)| placed).ok_or_else(nowhere)
     };

@@ -62,7 +62,7 @@ fn links_of(kind: Kind, entry: usize) -> &'static [usize] {
 }
 
 /// Adds a counterweight of a tenth of the link's mass, as far behind its joint as the centre of mass is in front of it.
-fn counterweight(description: &mut Description, link: usize) {
+fn add_counterweight(description: &mut Description, link: usize) {
     let link = &mut description.links[link];
     let (added, place) = (CHANGE * link.mass, -link.com);
     let mass = link.mass + added;
@@ -73,7 +73,7 @@ fn counterweight(description: &mut Description, link: usize) {
     (link.mass, link.com) = (mass, com);
 }
 
-/// Scales the inertia on the motor's side: all of the joint's, unless the transmission states its motor inertia.
+/// Scales the inertia on the motor's side: the joint's complete inertia unless the transmission states `motor_inertia`.
 fn scale_motor(joint: &mut Joint, factor: f64) {
     let motor = joint.transmission.map_or(joint.inertia, |transmission| transmission.motor_inertia);
     joint.inertia += (factor - 1.0) * motor;
@@ -130,7 +130,7 @@ fn changes(description: &Description) -> Vec<(String, Change, bool)> {
             }),
         );
         if link.mass > 0.0 && link.com != 0.0 {
-            all.push((format!("counterweight on {name}"), Box::new(move |d, _| counterweight(d, i)), false));
+            all.push((format!("counterweight on {name}"), Box::new(move |d, _| add_counterweight(d, i)), false));
         }
     }
     for joint in 0..spec.joints {
@@ -168,7 +168,7 @@ fn changes(description: &Description) -> Vec<(String, Change, bool)> {
     all
 }
 
-/// Number of dampings on the boundary, at even shares of its end: the same shares before and after a change.
+/// Number of dampings on the boundary, as even shares of the damping at which it ends, before and after a change.
 const DAMPINGS: usize = 40;
 
 /// Computes the results at a pose of a device, absolute.

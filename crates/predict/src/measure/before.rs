@@ -24,7 +24,7 @@ pub struct RestorePoint {
     pub serial: String,
     scene: Option<backup::SavedSetting>,
     rules: backup::SavedSetting,
-    /// The rules that the measurement sets. If the board still has them, no user has changed them since.
+    /// The rules that the measurement sets. If the board still has these rules, no user has changed them since.
     #[serde(default)]
     measuring: Option<backup::SavedSetting>,
 }
@@ -58,8 +58,9 @@ impl Before {
         Some(RestorePoint { serial: serial.into(), scene, rules, measuring })
     }
 
-    /// Returns the settings before an interrupted measurement. Its rules replace those that the measurement set; other
-    /// rules stay, because a user has set them since. Also returns true if the rules are those of before.
+    /// Returns the settings from before an interrupted measurement. Rules that the measurement set are replaced by
+    /// those kept in the file; other rules stay, because a user has set them since. The flag is true if the rules equal
+    /// the kept ones.
     pub fn from_kept(&self, kept: &RestorePoint) -> Result<(Self, bool), BackupError> {
         let scene = kept.scene.as_ref().map(backup::SavedSetting::read::<Scene<f32>>).transpose()?;
         let then = kept.rules.read::<Rules>()?;
@@ -67,8 +68,8 @@ impl Before {
         Ok((Self { scene, rules, ..self.clone() }, rules == then))
     }
 
-    /// Returns the same with the rules of before an interrupted measurement, if the board still has the rules that it
-    /// set.
+    /// Returns these settings with the rules from before an interrupted measurement; `None` if the board no longer has
+    /// the rules that the measurement set.
     pub fn without_its_rules(&self, kept: &RestorePoint) -> Result<Option<Self>, BackupError> {
         let then = kept.rules.read::<Rules>()?;
         let measuring = kept.measuring.as_ref().map(backup::SavedSetting::read::<Rules>).transpose()?;
@@ -102,7 +103,7 @@ impl Before {
         off.and(rules).and(device).and(scene)
     }
 
-    /// Returns the names of the settings that differ from before.
+    /// Returns the names of the board's settings that differ from these.
     pub fn missing(&self, board: &mut Board) -> Result<Vec<&'static str>, LinkError> {
         let now = Self::of(board)?;
         let empty = now.scene.as_ref().is_none_or(|scene| scene.walls.is_empty());

@@ -6,7 +6,7 @@ use super::progress::{Open, Point, Progress, median, same_damping};
 use super::swing::Verdict;
 use super::{MeasureError, PreparedBoard};
 
-/// The repeats of a measurement.
+/// The repeats that a measurement consists of.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Plan {
     /// Kinds of feed-forward.
@@ -17,7 +17,7 @@ pub struct Plan {
     pub points: usize,
     /// Repeats of each pull at each damping.
     pub repeats: usize,
-    /// The pulls, relative to the longest one, with sign; repeats take them in turn.
+    /// Pulls relative to the longest one, with sign; consecutive repeats use them in turn.
     pub pulls: Vec<f64>,
 }
 
@@ -36,8 +36,8 @@ impl Plan {
         self.modes.len() * self.kd.as_ref().map_or(self.points, Vec::len) * self.searches()
     }
 
-    /// Returns the repeats of a point by pull, because only repeats of one pull repeat the same experiment. Leaves out
-    /// pulls without repeats.
+    /// Returns the repeats of a point by pull, because only repeats with the same pull are the same experiment. Leaves
+    /// out pulls without repeats.
     #[must_use]
     pub fn by_pull(&self, point: &Point) -> Vec<(f64, Vec<f64>)> {
         let of = |nth: usize| point.repeats.iter().copied().skip(nth).step_by(self.pulls.len()).collect::<Vec<_>>();
@@ -51,7 +51,7 @@ impl Plan {
         self.by_pull(point).iter().map(|(_, repeats)| median(repeats)).reduce(f64::min).unwrap_or(0.0)
     }
 
-    /// Returns the `points` of this plan: those of its modes and, if it names dampings, of these.
+    /// Returns those of `points` that have a mode of this plan and, if the plan lists dampings, one of these.
     #[must_use]
     pub fn asked<'a>(&self, points: impl IntoIterator<Item = &'a Point>) -> Vec<&'a Point> {
         let named = |kd: f64| self.kd.as_ref().is_none_or(|kds| kds.iter().any(|other| same_damping(kd, *other)));
@@ -92,7 +92,7 @@ pub fn run(
                         end
                     }
                 };
-                // Inside the range, not at its ends.
+                // Dampings inside the range, without its ends.
                 (0..plan.points).map(|i| end * (i as f64 + 0.5) / plan.points as f64).collect()
             }
         };

@@ -9,14 +9,14 @@ use super::swing::ENCODER_STEPS;
 use haptic_host::device_file::DeviceFile;
 use haptic_stability::analysis::plant::Linearised;
 
-/// Share of the motors' force that the tested wall needs at a pull. A swing may then grow to six times its size before
+/// Share of the motors' force that the tested wall needs for a pull. A swing may then grow to six times its size before
 /// the motors saturate.
-const GENTLE: f64 = 0.15;
+const GENTLE_SHARE: f64 = 0.15;
 /// The same share if friction requires more force.
-const HARD: f64 = 0.6;
+const LARGEST_SHARE: f64 = 0.6;
 /// Smallest ratio of a pull's force to friction. Coulomb friction F damps a swing of amplitude A and frequency w like
 /// 4 F / (pi A w): at forty times F this is a thirtieth of the spring's force.
-const OVER_FRICTION: f64 = 40.0;
+const LEAST_FRICTION_RATIO: f64 = 40.0;
 
 /// The bounds of a pull.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -74,7 +74,7 @@ impl Excitation {
         if smallest * stiffness > self.force {
             return Err(MeasureError::Saturates { stiffness, of, pull: smallest, force: self.force });
         }
-        let force = (OVER_FRICTION * self.friction).clamp(GENTLE * self.force, HARD * self.force);
+        let force = (LEAST_FRICTION_RATIO * self.friction).clamp(GENTLE_SHARE * self.force, LARGEST_SHARE * self.force);
         Ok(self.largest.min(force / stiffness).max(smallest))
     }
 }

@@ -28,7 +28,7 @@ pub struct Occasion<'a> {
     pub before: Before,
     /// The results so far.
     pub progress: &'a mut Progress,
-    /// The file that keeps them.
+    /// The file that keeps the results.
     pub path: Option<&'a Path>,
     /// True if the file also keeps the settings to restore, so that the next measurement can restore them if this one is
     /// killed.
@@ -52,7 +52,7 @@ impl Occasion<'_> {
             save(self.progress, self.path)?;
         }
         let mut prepared = PreparedBoard::new(self.board, self.file, setup, stop)?;
-        // Rounded as it is printed, so that the theory uses exactly the printed pose.
+        // Round as in the printed output, so that the theory uses exactly the printed pose.
         let q: Vec<f64> = prepared.pose().iter().map(|angle| (angle * 1e6).round() / 1e6).collect();
         if self.progress.q.is_empty() {
             self.progress.q.clone_from(&q);
@@ -73,7 +73,10 @@ impl Occasion<'_> {
         let back = self.before.put_back(self.board);
         let missing = self.before.missing(self.board).unwrap_or_else(|_| vec!["device", "scene", "rules"]);
         if back.is_err() || !missing.is_empty() {
-            haptic_host::tell!("not restored on the board: {}; load again what is missing", missing.join(", "));
+            haptic_host::tell!(
+                "these settings could not be restored on the board, so load them again: {}",
+                missing.join(", ")
+            );
             return Ok(());
         }
         match (self.progress.before.take(), self.path) {
@@ -90,17 +93,17 @@ fn save(progress: &Progress, path: Option<&Path>) -> Result<(), ProgressError> {
     path.map_or(Ok(()), |path| progress.save(path))
 }
 
-/// Returns the settings to restore after a measurement: the present ones or, if an earlier measurement was killed, those
-/// before it. If an earlier measurement left traces, standard error reports which settings were taken.
+/// Returns the settings to restore after a measurement: the present settings or, if an earlier measurement was killed,
+/// those from before it. If an earlier measurement left traces, reports on standard error which settings are restored.
 pub fn before(board: &mut Board, progress: &Progress) -> Result<Before, BoardError> {
     let now = Before::of(board)?;
     let serial = board.info().serial.clone();
     let kept = progress.before.as_ref().filter(|kept| kept.serial == serial.as_str());
     if !now.is_left_over() {
-        // A measurement that ended before it set its scene has left only its rules.
+        // A measurement that ended before it set its scene leaves only its rules on the board.
         let Some(Ok(Some(before))) = kept.map(|kept| now.without_its_rules(kept)) else { return Ok(now) };
         haptic_host::tell!(
-            "the rules on the board were left by a measurement that was cut short: those before it are put back"
+            "the rules on the board were left by an interrupted measurement: the earlier rules are restored"
         );
         board.disarm()?;
         board.set_rules(before.rules())?;
@@ -108,16 +111,14 @@ pub fn before(board: &mut Board, progress: &Progress) -> Result<Before, BoardErr
     }
     let Some(Ok((before, as_before))) = kept.map(|kept| now.from_kept(kept)) else {
         haptic_host::tell!(
-            "the scene on the board was left by a measurement that was cut short: load yours again with `haptic scene`, \
+            "the scene on the board was left by an interrupted measurement: load your scene again with `haptic scene`, \
              and check `haptic rules`"
         );
         return Ok(now);
     };
-    haptic_host::tell!(
-        "the scene on the board was left by a measurement that was cut short: the one before it is put back"
-    );
+    haptic_host::tell!("the scene on the board was left by an interrupted measurement: the earlier scene is restored");
     if !as_before {
-        haptic_host::tell!("the rules were changed since that measurement, so they stay: check `haptic rules`");
+        haptic_host::tell!("the rules were changed after that measurement and are not restored: check `haptic rules`");
     } else if before.rules() != now.rules() {
         board.disarm()?;
         board.set_rules(before.rules())?;
@@ -141,7 +142,7 @@ pub fn around(setup: &MeasurementSetup, info: &Info, details: &Details) -> Loop 
     Loop::through(&torque_path(info, details), setup.rate_hz, LinearEstimator::Butterworth(setup.cutoff_hz))
 }
 
-/// Describes the measurement in words. A progress file is continued only by a measurement with the same words.
+/// Describes the measurement. Only a measurement with the same description continues a progress file.
 #[must_use]
 pub fn what(name: &str, setup: &MeasurementSetup, pulls: &[f64], world: &World) -> String {
     let listed = |values: &[f64]| {

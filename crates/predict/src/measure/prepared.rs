@@ -24,33 +24,34 @@ use haptic_stability::analysis::several::WallSet;
 /// Time after which the board turns the motors off without this tool, s.
 const HOST_SECONDS: f32 = 1.0;
 
-/// Smallest and largest share of a pull at which the tip may rest, and maximum number of corrections of the pull.
-const PULLED: (f64, f64) = (0.9, 1.15);
+/// Smallest and largest share of a pull at which the tip may come to rest, and maximum number of corrections of the
+/// pull.
+const PULL_RANGE: (f64, f64) = (0.9, 1.15);
 const CORRECTIONS: usize = 16;
 
 /// Distance by which friction may hold the tip away from its position, m. If it is longer, the hold is made firmer.
 const FRICTION_OFFSET: f64 = 5e-4;
 
-/// Frequency of the hold as a share of the rate, rad/s for each Hz; and its maximum with friction: half of the 0.4 at
-/// which the stiffest wall of the paper's setting swings.
-const SOFT: f64 = 0.05;
-const FIRM: f64 = 0.2;
+/// Frequency of the hold per control rate, rad/s per Hz, and its maximum with friction. The maximum is half of the 0.4
+/// at which the stiffest wall of the paper's setting swings.
+const SOFT_HOLD: f64 = 0.05;
+const FIRM_HOLD: f64 = 0.2;
 
-/// Angle by which a joint may differ from its first angle in addition to the angle that the tip explains, rad, because
-/// friction holds joints. Another pose with the same tip is farther away, unless that pose is nearly singular.
+/// Largest deviation of a joint from its first angle beyond the part that the tip's motion explains, rad: friction
+/// holds joints. Another pose with the same tip is farther away, unless that pose is nearly singular.
 const SAME_POSE: f64 = 0.03;
 /// Singular values of a Jacobian below this count as zero, m.
 const SINGULAR: f64 = 1e-9;
-/// Factor on the joint angle of the Jacobian up to a tip that is [`ASIDE`].
-const BENT: f64 = 1.5;
-/// Motion after which the tip swings, m.
-const EDGE: f64 = 2e-5;
-/// Motion along the walls after which the tip has left its pose, m: in a long pull it slides by up to four times the
-/// pull if friction brakes the joints unevenly.
-const ASIDE: f64 = 0.03;
-/// Number of repeats of a trial in which the device left its pose.
-const AGAIN: usize = 2;
-/// Time in which the user of a simulated device brings it back, s.
+/// Factor on the joint angle that the Jacobian predicts for a tip that is up to [`LEFT_POSE_DISTANCE`] away.
+const JACOBIAN_FACTOR: f64 = 1.5;
+/// Motion of the tip after which it counts as swinging, m.
+const SWING_START: f64 = 2e-5;
+/// Motion of the tip along the walls after which the device has left its pose, m. In a long pull the tip slides by up
+/// to four times the pull if friction brakes the joints unevenly.
+const LEFT_POSE_DISTANCE: f64 = 0.03;
+/// Maximum number of repeats of a trial in which the device left its pose.
+const MAX_RETRIES: usize = 2;
+/// Time that the user of a simulated device needs to bring it back, s.
 const CARRY_SECONDS: f64 = 3.0;
 
 /// Largest distance of the held tip, as a share of [`APART`].
@@ -58,11 +59,11 @@ const MAX_ASIDE: f64 = 0.9;
 
 /// Factor on the frequency of the hold if the tip does not come to rest, and maximum number of reductions: down to a
 /// 32nd.
-const SOFTER: f64 = 0.5;
-const SOFTEST: usize = 5;
+const SOFTEN_FACTOR: f64 = 0.5;
+const MAX_SOFTENINGS: usize = 5;
 
-/// A board prepared for a measurement. If the tool is killed or unplugged, the board turns the motors off. Dropping it
-/// disarms the board and restores the settings from before.
+/// A board prepared for a measurement. If the tool is killed or unplugged, the board turns the motors off. Dropping
+/// this value disarms the board and restores the settings from before.
 pub struct PreparedBoard<'a> {
     board: &'a mut Board,
     setup: MeasurementSetup,
@@ -78,7 +79,7 @@ pub struct PreparedBoard<'a> {
     along: f64,
     /// Effective inertia along the pull, then along each direction across it, kg.
     inertia: Vec<f64>,
-    /// Largest inertia that the tested walls meet, kg.
+    /// Largest effective inertia at the tested walls, kg.
     heaviest: f64,
     /// Natural frequency of the hold, rad/s, and number of reductions.
     hold_frequency: f64,
@@ -87,7 +88,7 @@ pub struct PreparedBoard<'a> {
     turns: DMatrix<f64>,
     excitation: Excitation,
     divider: u32,
-    /// Columns of the tip in a row, and column of the state.
+    /// Columns of the tip's position in a telemetry row, and column of the board's state.
     tip_columns: Vec<usize>,
     state_column: usize,
     before: Before,
@@ -113,7 +114,7 @@ impl<'a> PreparedBoard<'a> {
 
         // The natural frequency of the hold is well below the filter and the rate.
         let at_most = |share: f64| (share * setup.rate_hz).min(0.3 * TAU * setup.tempo_hz());
-        let mut hold_frequency = at_most(SOFT);
+        let mut hold_frequency = at_most(SOFT_HOLD);
         let mut inertia = Vec::new();
         for direction in std::iter::once(&direction).chain(&across) {
             let seen = Linearised::at(&file.description, &q, direction.as_slice())?;
@@ -129,7 +130,7 @@ impl<'a> PreparedBoard<'a> {
         let offset = excitation.friction / gains_of(inertia[0], hold_frequency).0;
         if offset > FRICTION_OFFSET {
             let firmer = hold_frequency * (offset / FRICTION_OFFSET).sqrt();
-            hold_frequency = firmer.min(at_most(FIRM)).max(hold_frequency);
+            hold_frequency = firmer.min(at_most(FIRM_HOLD)).max(hold_frequency);
         }
         if setup.law.farther {
             excitation.largest = excitation.largest.max(offset).min(LONGEST_PULL);
@@ -181,7 +182,7 @@ impl<'a> PreparedBoard<'a> {
         loop {
             // Torque ramps up over half a second after arming.
             match self.wait(0.6).and_then(|()| self.rest(0.0)) {
-                Err(MeasureError::Fault(fault)) if violent(fault) && self.soften() => {
+                Err(MeasureError::Fault(fault)) if is_caused_by_oscillation(fault) && self.soften() => {
                     self.hold(0.0)?;
                     self.arm_again()?;
                 }
@@ -190,14 +191,14 @@ impl<'a> PreparedBoard<'a> {
         }
     }
 
-    /// Returns an error if a joint is not at its first angle, apart from the angle that a motion of the tip by at most
-    /// `apart` (m) along each axis explains.
+    /// Returns an error if a joint has left its first angle by more than a motion of the tip by at most `apart` (m)
+    /// along each axis explains.
     fn check_pose(&mut self, apart: f64) -> Result<(), MeasureError> {
         let now = self.board.status()?;
         let off = DVector::from_fn(self.tip.len(), |i, _| (f64::from(now.tip[i]) - self.tip[i]).abs().min(apart));
         for (joint, (began, turned)) in self.q.iter().zip(&(&self.turns * off)).enumerate() {
             let by = f64::from(now.q[joint]) - began;
-            if by.abs() > SAME_POSE + BENT * turned {
+            if by.abs() > SAME_POSE + JACOBIAN_FACTOR * turned {
                 return Err(MeasureError::Away { joint, by });
             }
         }
@@ -206,11 +207,11 @@ impl<'a> PreparedBoard<'a> {
 
     /// Lowers the frequency of the hold. Returns false if it is the lowest.
     fn soften(&mut self) -> bool {
-        if self.softened == SOFTEST {
+        if self.softened == MAX_SOFTENINGS {
             return false;
         }
         self.softened += 1;
-        self.hold_frequency *= SOFTER;
+        self.hold_frequency *= SOFTEN_FACTOR;
         true
     }
 
@@ -278,35 +279,35 @@ impl<'a> PreparedBoard<'a> {
         loop {
             match self.swing_from_rest(feed_forward, pull, kp > gentle) {
                 // An earlier oscillation may have left the device in a pose in which it cannot be pulled.
-                Err(error) if error.is_local() && left < AGAIN && self.check_pose(APART).is_err() => {
+                Err(error) if error.is_local() && left < MAX_RETRIES && self.check_pose(APART).is_err() => {
                     left += 1;
                     self.bring_back()?;
                     continue;
                 }
-                // The device was still ringing from an earlier oscillation, which tripped a limit. It has stopped now.
-                Err(MeasureError::Fault(fault)) if violent(fault) && trips < 3 => {
+                // A limit tripped because the device was still ringing from an earlier oscillation. It has stopped now.
+                Err(MeasureError::Fault(fault)) if is_caused_by_oscillation(fault) && trips < 3 => {
                     trips += 1;
                     self.arm_again()?;
                     continue;
                 }
                 other => other?,
             }
-            let verdict = self.watch(feed_forward, kp, kd, pull);
-            // Only a growing motion may leave the pose.
+            let verdict = self.follow(feed_forward, kp, kd, pull);
+            // Only a motion that grows may leave the pose.
             let there = match &verdict {
-                Ok(Verdict::Decays | Verdict::Vibrates(_)) => self.check_pose(ASIDE),
+                Ok(Verdict::Decays | Verdict::Vibrates(_)) => self.check_pose(LEFT_POSE_DISTANCE),
                 _ => Ok(()),
             };
-            // Back off at once, with any result.
+            // Return to the hold at once, whatever the verdict.
             self.hold(0.0)?;
             match (verdict, there) {
-                (Ok(_), Err(MeasureError::Away { .. })) | (Err(MeasureError::Away { .. }), _) if left < AGAIN => {
+                (Ok(_), Err(MeasureError::Away { .. })) | (Err(MeasureError::Away { .. }), _) if left < MAX_RETRIES => {
                     left += 1;
                     self.bring_back()?;
                 }
                 (Ok(_), Err(error)) => return Err(error),
                 // The limit tripped before the telemetry showed the oscillation.
-                (Err(MeasureError::Fault(fault)), _) if violent(fault) => {
+                (Err(MeasureError::Fault(fault)), _) if is_caused_by_oscillation(fault) => {
                     self.arm_again()?;
                     return Ok(Verdict::Grows);
                 }
@@ -321,21 +322,21 @@ impl<'a> PreparedBoard<'a> {
     fn swing_from_rest(&mut self, feed_forward: FeedForward, pull: f64, stiffer: bool) -> Result<(), MeasureError> {
         let friction = self.excitation.friction / self.holding().0;
         let mut aim = pull + friction * pull.signum();
-        let enough = (PULLED.0 * pull.abs()).min(pull.abs() - 2.0 * self.excitation.quantum);
+        let enough = (PULL_RANGE.0 * pull.abs()).min(pull.abs() - 2.0 * self.excitation.quantum);
         for _ in 0..CORRECTIONS {
             let rested = self.rest(aim.clamp(-MAX_ASIDE * APART, MAX_ASIDE * APART))?;
             let along = rested * pull.signum();
-            if along >= enough && along <= PULLED.1 * pull.abs() + 2.0 * self.excitation.quantum {
+            if along >= enough && along <= PULL_RANGE.1 * pull.abs() + 2.0 * self.excitation.quantum {
                 self.check_pose(APART)?;
                 return self.swing_back(feed_forward, pull, rested, stiffer);
             }
             aim += pull - rested;
         }
-        Err(self.stuck(pull))
+        Err(self.friction_error(pull))
     }
 
-    /// Brings the device back to its pose by the hold. If that brings back only the tip, the user of a simulated device
-    /// does it, and the user of a real device gets an error.
+    /// Brings the device back to its pose with the hold. If only the tip returns, the user of a simulated device moves
+    /// the joints back, and the user of a real device gets an error.
     fn bring_back(&mut self) -> Result<(), MeasureError> {
         if self.rest(0.0).and_then(|_| self.check_pose(APART)).is_ok() {
             return Ok(());
@@ -348,7 +349,7 @@ impl<'a> PreparedBoard<'a> {
         self.settle()
     }
 
-    fn stuck(&self, pull: f64) -> MeasureError {
+    fn friction_error(&self, pull: f64) -> MeasureError {
         let (pull, friction) = (pull.abs(), self.excitation.friction);
         MeasureError::Stuck { pull, force: pull * self.holding().0, friction }
     }
@@ -367,15 +368,15 @@ impl<'a> PreparedBoard<'a> {
     /// Arms after the user of a simulated device has brought it back.
     fn arm(&mut self) -> Result<(), MeasureError> {
         if !self.board.details()?.real {
-            self.pass(CARRY_SECONDS)?;
+            self.wait_in_any_state(CARRY_SECONDS)?;
         }
         self.board.arm()?;
-        // Earlier rows still have the state of a fault or of motors that are off.
-        self.pass(0.3)
+        // Rows that are already on their way still have the state of a fault or of motors that are off.
+        self.wait_in_any_state(0.3)
     }
 
     /// Waits (s) in any state of the board.
-    fn pass(&mut self, seconds: f64) -> Result<(), MeasureError> {
+    fn wait_in_any_state(&mut self, seconds: f64) -> Result<(), MeasureError> {
         let until = self.board.now() + Duration::from_secs_f64(seconds);
         while self.board.now() < until {
             self.board.rows(Duration::from_millis(20))?;
@@ -390,7 +391,7 @@ impl<'a> PreparedBoard<'a> {
         Ok(())
     }
 
-    fn gains(&mut self, wall: u8, kp: f64, kd: f64, feed_forward: FeedForward) -> Result<(), MeasureError> {
+    fn set_wall_gains(&mut self, wall: u8, kp: f64, kd: f64, feed_forward: FeedForward) -> Result<(), MeasureError> {
         let gains = Gains {
             wall,
             stiffness: kp as f32,
@@ -402,30 +403,30 @@ impl<'a> PreparedBoard<'a> {
     }
 
     /// Sets the gains of the tested walls to their shares of these gains.
-    fn test(&mut self, kp: f64, kd: f64, feed_forward: FeedForward) -> Result<(), MeasureError> {
+    fn set_tested_gains(&mut self, kp: f64, kd: f64, feed_forward: FeedForward) -> Result<(), MeasureError> {
         for (wall, (share, with)) in self.shares.clone().into_iter().enumerate() {
             let feed_forward = if with { feed_forward } else { FeedForward::Off };
-            self.gains(wall as u8, kp * share, kd * share, feed_forward)?;
+            self.set_wall_gains(wall as u8, kp * share, kd * share, feed_forward)?;
         }
         Ok(())
     }
 
-    /// Holds the tip `pull` metres along the pull from its position: the wall there and a wall aside share the stiffness.
+    /// Holds the tip at `pull` metres along the pull: the wall at its position and a wall aside share the stiffness.
     fn hold(&mut self, pull: f64) -> Result<(), MeasureError> {
         let (kp, kd) = self.holding();
         let share = (pull / APART).clamp(-MAX_ASIDE, MAX_ASIDE);
         let Layout { hold, aside, across } = self.layout;
-        self.gains(hold, kp * (1.0 - share.abs()), kd, FeedForward::Off)?;
+        self.set_wall_gains(hold, kp * (1.0 - share.abs()), kd, FeedForward::Off)?;
         if hold > 0 {
-            self.test(0.0, 0.0, FeedForward::Off)?;
+            self.set_tested_gains(0.0, 0.0, FeedForward::Off)?;
         }
         // Of the walls at +APART and -APART only one is used, by the sign of the pull.
         let [used, unused] = if pull >= 0.0 { aside } else { [aside[1], aside[0]] };
-        self.gains(unused, 0.0, 0.0, FeedForward::Off)?;
-        self.gains(used, kp * share.abs(), 0.0, FeedForward::Off)?;
+        self.set_wall_gains(unused, 0.0, 0.0, FeedForward::Off)?;
+        self.set_wall_gains(used, kp * share.abs(), 0.0, FeedForward::Off)?;
         for (index, inertia) in self.inertia.clone().into_iter().skip(1).enumerate() {
             let (kp, kd) = gains_of(inertia, self.hold_frequency);
-            self.gains(across + index as u8, kp, kd, FeedForward::Off)?;
+            self.set_wall_gains(across + index as u8, kp, kd, FeedForward::Off)?;
         }
         Ok(())
     }
@@ -434,13 +435,13 @@ impl<'a> PreparedBoard<'a> {
     fn release(&mut self) -> Result<(), MeasureError> {
         let Layout { hold, aside, across } = self.layout;
         for wall in aside {
-            self.gains(wall, 0.0, 0.0, FeedForward::Off)?;
+            self.set_wall_gains(wall, 0.0, 0.0, FeedForward::Off)?;
         }
         for index in 0..self.inertia.len() - 1 {
-            self.gains(across + index as u8, 0.0, 0.0, FeedForward::Off)?;
+            self.set_wall_gains(across + index as u8, 0.0, 0.0, FeedForward::Off)?;
         }
         if hold > 0 {
-            self.gains(hold, 0.0, 0.0, FeedForward::Off)?;
+            self.set_wall_gains(hold, 0.0, 0.0, FeedForward::Off)?;
         }
         Ok(())
     }
@@ -449,7 +450,7 @@ impl<'a> PreparedBoard<'a> {
     /// pull, m.
     fn rest(&mut self, pull: f64) -> Result<f64, MeasureError> {
         loop {
-            match self.held_still(pull) {
+            match self.hold_until_still(pull) {
                 Err(MeasureError::Restless) if self.soften() => {}
                 other => return other,
             }
@@ -457,17 +458,17 @@ impl<'a> PreparedBoard<'a> {
     }
 
     /// Holds the tip near `pull` until it rests along the pull and across it. Returns its position along the pull, m.
-    fn held_still(&mut self, pull: f64) -> Result<f64, MeasureError> {
+    fn hold_until_still(&mut self, pull: f64) -> Result<f64, MeasureError> {
         self.hold(pull)?;
         let period = TAU / self.hold_frequency;
-        // Encoder steps may keep the tip moving, which counts as rest.
+        // A motion by encoder steps only counts as rest.
         let steps = self.excitation.smallest();
         let tolerance = steps.max(0.1 * pull.abs()).max(self.setup.largest_pull * 1e-3);
         let mut quiet = Vec::new();
         let started = self.board.now();
-        // Friction may hold the tip away from its position; then it rests nevertheless.
+        // Friction may hold the tip away from its target; there it rests as well.
         while (self.board.now() - started).as_secs_f64() < (60.0 * period).max(0.5) {
-            for at in self.places(period / 4.0)? {
+            for at in self.tip_positions(period / 4.0)? {
                 quiet.push(at);
             }
             let window = self.samples_in(0.5 * period);
@@ -475,7 +476,7 @@ impl<'a> PreparedBoard<'a> {
                 let recent = &quiet[quiet.len() - window..];
                 let (low, high) = span(recent.iter().map(|at| at.place));
                 let (near, far) = span(recent.iter().map(|at| at.aside));
-                // A tip that slides across would continue to slide in the trial.
+                // A tip that slides across the pull would go on sliding in the trial.
                 if high - low <= tolerance && far - near <= tolerance {
                     return Ok((high + low) / 2.0);
                 }
@@ -484,8 +485,8 @@ impl<'a> PreparedBoard<'a> {
         Err(MeasureError::Restless)
     }
 
-    /// Pulls the tip back by the tested walls, as softly as the hold, and returns as soon as it moves. If friction stops
-    /// it before, it does not swing, and its motion cannot be judged.
+    /// Pulls the tip back with the tested walls, as softly as the hold, and returns as soon as the tip moves. If
+    /// friction stops the tip before, it does not swing, and its motion cannot be judged.
     ///
     /// The tested feed-forward acts already, because without it the pull would move the admissible directions, and the
     /// feed-forward would not stop them.
@@ -498,35 +499,36 @@ impl<'a> PreparedBoard<'a> {
     ) -> Result<(), MeasureError> {
         let (kp, _) = self.holding();
         self.release()?;
-        self.test(kp / self.along, 0.0, feed_forward)?;
+        self.set_tested_gains(kp / self.along, 0.0, feed_forward)?;
         let started = self.board.now();
         let quarter = 0.5 * PI / self.hold_frequency;
-        // Friction takes much of the force of the soft pull, so a stiffer wall pulls by itself from almost the beginning.
+        // Friction takes much of the soft pull's force. So a stiffer wall takes over almost at once and pulls the tip
+        // itself.
         let aim = if stiffer && self.excitation.friction > 0.0 {
-            rested - EDGE.min(0.1 * pull.abs()).copysign(pull)
+            rested - SWING_START.min(0.1 * pull.abs()).copysign(pull)
         } else {
             0.5 * rested
         };
         // Without friction the tip is half way after two thirds of a quarter period.
         while (self.board.now() - started).as_secs_f64() < 2.0 * quarter {
-            let latest = self.places(quarter / 8.0)?;
+            let latest = self.tip_positions(quarter / 8.0)?;
             if latest.iter().any(|at| (at.place - aim) * pull.signum() < 0.0) {
                 return Ok(());
             }
         }
-        // A fast swing may end before its rows arrive, and little friction does not hold the tip.
-        if self.excitation.friction < 0.05 * kp * rested.abs() { Ok(()) } else { Err(self.stuck(pull)) }
+        // A fast swing may be over before its rows arrive; friction this small does not hold the tip.
+        if self.excitation.friction < 0.05 * kp * rested.abs() { Ok(()) } else { Err(self.friction_error(pull)) }
     }
 
     /// Hands the moving tip over to the tested gains and follows it until the verdict.
-    fn watch(&mut self, feed_forward: FeedForward, kp: f64, kd: f64, pull: f64) -> Result<Verdict, MeasureError> {
-        self.test(kp, kd, feed_forward)?;
+    fn follow(&mut self, feed_forward: FeedForward, kp: f64, kd: f64, pull: f64) -> Result<Verdict, MeasureError> {
+        self.set_tested_gains(kp, kd, feed_forward)?;
         let row_seconds = f64::from(self.divider) / self.setup.rate_hz;
         let slowest = (TAU * (self.heaviest / kp).sqrt(), kd < 2.0 * (kp * self.heaviest).sqrt());
         let mut swing = Swing::new(row_seconds, self.setup.tempo_hz(), slowest, self.excitation.quantum, pull.abs());
         let first = self.board.status()?.step;
         loop {
-            for at in self.places(0.02)? {
+            for at in self.tip_positions(0.02)? {
                 // Rows from before the hand-over may arrive late.
                 if at.step.wrapping_sub(first) > u32::MAX / 2 {
                     continue;
@@ -534,7 +536,7 @@ impl<'a> PreparedBoard<'a> {
                 if let Some(verdict) = swing.take(at.place) {
                     return Ok(verdict);
                 }
-                if at.aside > ASIDE {
+                if at.aside > LEFT_POSE_DISTANCE {
                     let lost = self.check_pose(APART).err().unwrap_or(MeasureError::Restless);
                     return if swing.continues() { Ok(Verdict::Grows) } else { Err(lost) };
                 }
@@ -549,13 +551,13 @@ impl<'a> PreparedBoard<'a> {
     fn wait(&mut self, seconds: f64) -> Result<(), MeasureError> {
         let until = self.board.now() + Duration::from_secs_f64(seconds);
         while self.board.now() < until {
-            self.places(0.05)?;
+            self.tip_positions(0.05)?;
         }
         Ok(())
     }
 
     /// Returns the positions of the tip from the rows that have arrived, after waiting at most `seconds` for the first.
-    fn places(&mut self, seconds: f64) -> Result<Vec<Place>, MeasureError> {
+    fn tip_positions(&mut self, seconds: f64) -> Result<Vec<TipPosition>, MeasureError> {
         if (self.interrupted)() {
             return Err(MeasureError::Interrupted);
         }
@@ -567,13 +569,13 @@ impl<'a> PreparedBoard<'a> {
                 return Err(MeasureError::Disarmed);
             }
             if state == f64::from(State::Fault as u8) {
-                // Without a fault record the numbers of the row were not finite.
+                // A fault without a record means that numbers of the row were not finite.
                 let fault = self.board.status()?.fault.map_or(Fault::NotFinite, |record| record.fault);
                 return Err(MeasureError::Fault(fault));
             }
             let off = DVector::from_fn(self.tip.len(), |i, _| row.values[self.tip_columns[i]] - self.tip[i]);
             let place = off.dot(&self.direction);
-            places.push(Place { step: row.step, place, aside: (off - &self.direction * place).norm() });
+            places.push(TipPosition { step: row.step, place, aside: (off - &self.direction * place).norm() });
         }
         Ok(places)
     }
@@ -601,8 +603,8 @@ impl Drop for PreparedBoard<'_> {
     }
 }
 
-/// Position of the tip at a step, along the pull, and its distance across it, m.
-struct Place {
+/// Position of the tip at a control step: along the pull, and distance across it, m.
+struct TipPosition {
     step: u32,
     place: f64,
     aside: f64,
@@ -618,7 +620,7 @@ fn span(values: impl Iterator<Item = f64>) -> (f64, f64) {
     values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), value| (low.min(value), high.max(value)))
 }
 
-/// Returns true for a fault that an oscillation trips and that ends with it.
-fn violent(fault: Fault) -> bool {
+/// Returns true for a fault that an oscillation causes and that can be cleared once it has stopped.
+fn is_caused_by_oscillation(fault: Fault) -> bool {
     matches!(fault, Fault::SpeedLimit | Fault::OverCurrent | Fault::PowerLimit | Fault::ForceLimit)
 }

@@ -18,7 +18,7 @@ pub struct Point {
     pub kd: f64,
     /// Largest stable stiffness of each repeat, N/m; the repeats take the pulls in turn.
     pub repeats: Vec<f64>,
-    /// Largest vibration just beyond the boundary, m from peak to peak; `None` if the motion built up instead.
+    /// Largest vibration just beyond the boundary, m from peak to peak; `None` if the motion built up.
     #[serde(default)]
     pub vibration_m: Option<f64>,
     /// Reason why there are no more repeats, if the search ended early.
@@ -26,7 +26,7 @@ pub struct Point {
     pub open: Option<Open>,
 }
 
-/// A search that found no boundary.
+/// A search that ended without a boundary.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Open {
     /// Largest stiffness that was stable, N/m.
@@ -70,12 +70,12 @@ pub fn bounds(repeats: &[f64]) -> (f64, f64) {
 /// A measurement, finished or not.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Progress {
-    /// Description of the measurement: device, pose, loop. Another measurement does not continue the file.
+    /// Description of the measurement: device, pose, loop. The file is continued only by the same measurement.
     pub what: String,
     /// Dampings at which the range ends, N s/m, for the modes whose end was measured.
     #[serde(default)]
     pub ends: Vec<(FeedForward, f64)>,
-    /// Modes whose range ends at a larger damping that was not found, and the reason.
+    /// Modes whose range extends to a larger damping that was not found, and the reason.
     #[serde(default)]
     pub open_ends: Vec<(FeedForward, String)>,
     /// Joint angles of the measurement, rad.
@@ -151,7 +151,7 @@ impl Progress {
         }
     }
 
-    /// Reads the file at `path`, or begins without results if it does not exist.
+    /// Reads the file at `path`, or starts without results if the file does not exist.
     pub fn open(path: &Path, what: &str) -> Result<Self, ProgressError> {
         match Self::read(path)? {
             None => Ok(Self::new(what)),

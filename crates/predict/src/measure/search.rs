@@ -8,16 +8,16 @@ use super::{MeasureError, PreparedBoard};
 /// Ratio of the unstable to the stable gain at which the search ends.
 pub const RESOLUTION: f64 = 1.005;
 /// Factor by which gains are raised.
-const RAISE: f64 = 1.3;
+const RAISE_FACTOR: f64 = 1.3;
 /// Maximum number of raises.
-const RAISES: usize = 60;
+const MAX_RAISES: usize = 60;
 
 /// The end of the stable walls.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Boundary {
     /// The largest gain that is stable, N/m or N s/m.
     pub gain: f64,
-    /// Motion of the tip just beyond: it builds up, or continues as a vibration.
+    /// Motion of the tip just beyond the boundary: it builds up, or continues as a vibration.
     pub beyond: Verdict,
 }
 
@@ -25,7 +25,7 @@ pub struct Boundary {
 /// already oscillates. Returns [`MeasureError::Open`] if a gain cannot be judged.
 ///
 /// `guess`, the result of an earlier repeat, only shortens the search.
-fn climb(
+fn find_boundary(
     start: f64,
     guess: Option<f64>,
     mut judge: impl FnMut(f64) -> Result<Verdict, MeasureError>,
@@ -43,7 +43,7 @@ fn climb(
         Err(why) if why.is_local() => Err(MeasureError::Open { stable, why: Box::new(why) }),
         Err(error) => Err(error),
     };
-    let raise = if guess.is_some() { 1.08 } else { RAISE };
+    let raise = if guess.is_some() { 1.08 } else { RAISE_FACTOR };
     let mut low = guess.map_or(start, |g| g / 1.05);
     let mut step: f64 = raise;
     while oscillates(low)? {
@@ -59,7 +59,7 @@ fn climb(
         low = high;
         high *= raise;
         raises += 1;
-        if raises > RAISES {
+        if raises > MAX_RAISES {
             return Err(MeasureError::Open { stable: low, why: Box::new(MeasureError::Unbounded) });
         }
     }
@@ -80,13 +80,13 @@ impl PreparedBoard<'_> {
         guess: Option<f64>,
     ) -> Result<Boundary, MeasureError> {
         let start = self.gentle_stiffness();
-        climb(start, guess.filter(|g| *g > 0.0), |kp| self.judge(feed_forward, kp, kd, strength))
+        find_boundary(start, guess.filter(|g| *g > 0.0), |kp| self.judge(feed_forward, kp, kd, strength))
     }
 
     /// Measures the damping (N s/m) at which the range ends, because even a soft wall oscillates.
     pub fn damping_end(&mut self, feed_forward: FeedForward) -> Result<Boundary, MeasureError> {
         let (kp, start) = (0.02 * self.gentle_stiffness(), self.gentle_damping());
-        climb(start, None, |kd| self.judge(feed_forward, kp, kd, 1.0))
+        find_boundary(start, None, |kd| self.judge(feed_forward, kp, kd, 1.0))
     }
 }
 
@@ -100,26 +100,26 @@ mod tests {
     }
 
     #[test]
-    fn the_climb_ends_within_its_resolution() {
+    fn the_search_ends_within_its_resolution() {
         for edge in [0.4, 1.0, 7.3, 900.0] {
             for guess in [None, Some(edge * 1.2), Some(edge * 0.9)] {
-                let found = climb(1.0, guess, vibrating(edge)).unwrap();
+                let found = find_boundary(1.0, guess, vibrating(edge)).unwrap();
                 assert!((found.gain / edge - 1.0).abs() < RESOLUTION - 1.0, "{edge}: {found:?}");
                 assert_eq!(found.beyond, Verdict::Vibrates(1e-4));
             }
         }
-        assert_eq!(climb(1.0, None, |_| Ok(Verdict::Grows)).unwrap().gain, 0.0);
+        assert_eq!(find_boundary(1.0, None, |_| Ok(Verdict::Grows)).unwrap().gain, 0.0);
     }
 
     #[test]
     fn a_search_that_ends_early_reports_the_largest_stable_gain() {
-        let unbounded = climb(1.0, None, |_| Ok(Verdict::Decays)).unwrap_err();
+        let unbounded = find_boundary(1.0, None, |_| Ok(Verdict::Decays)).unwrap_err();
         assert!(matches!(&unbounded, MeasureError::Open { stable, why } if *stable > 1e6 && why.is_local()));
-        let saturates = climb(1.0, None, |gain| match gain {
+        let saturates = find_boundary(1.0, None, |gain| match gain {
             gain if gain < 10.0 => Ok(Verdict::Decays),
             stiffness => Err(MeasureError::Saturates { stiffness, of: "a wall", pull: 1e-4, force: 1.0 }),
         });
         let Err(MeasureError::Open { stable, .. }) = saturates else { panic!("{saturates:?}") };
-        assert!(stable < 10.0 && stable * RAISE >= 10.0, "{stable}");
+        assert!(stable < 10.0 && stable * RAISE_FACTOR >= 10.0, "{stable}");
     }
 }

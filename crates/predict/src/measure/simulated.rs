@@ -7,7 +7,7 @@ use haptic_sim::{
     ready_board,
 };
 
-/// Part of the device file's friction that acts.
+/// Part of the friction in the device file that is simulated.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Friction {
     /// All friction.
@@ -26,7 +26,7 @@ pub enum Friction {
 pub struct World {
     /// Pose of the device, rad; `None` for its home.
     pub q: Option<[f64; 3]>,
-    /// Friction that acts.
+    /// Friction that is simulated.
     pub friction: Friction,
     /// True if commanded torques act at once, without bridges, windings and current loops.
     pub ideal_drive: bool,

@@ -3,8 +3,8 @@
 //!
 //! The position is high-passed below the velocity filter's cutoff, because a slow return to the wall would hide a small
 //! fast oscillation. An oscillation of a rigid device is below that cutoff and seldom far below it. The swing between
-//! two turning points grows or shrinks by a constant factor per half cycle of the dominant mode. The slope of a straight
-//! line through its logarithm, relative to the uncertainty of the slope, is the verdict.
+//! two turning points grows or shrinks by a constant factor per half cycle of the dominant mode. The verdict follows
+//! from the slope of a straight line through the swing's logarithm, relative to the uncertainty of the slope.
 //!
 //! **Several modes.** A device with compliant transmissions has modes on both sides of the cutoff, and a washout has one
 //! far below it. Two modes of similar size occasionally make a tiny swing, so a motion has died out only when several
@@ -42,17 +42,17 @@ const PERIODS: f64 = 3.0;
 const STRETCHES: usize = 8;
 /// Factor on the number of checks before a motion whose trend bends is a vibration.
 const PATIENCE: usize = 16;
-/// Share of the earlier swings below which a swing is the ripple of a faster mode.
+/// Share of the recent swings below which a swing is the ripple of a faster mode.
 const RIPPLE_SHARE: f64 = 0.4;
-/// Number of standard errors by which a slope must differ from zero. It is large because encoder steps disturb
+/// Number of standard errors by which a slope must differ from zero. The number is large because encoder steps disturb
 /// neighbouring swings alike, which the standard error does not include.
 const SIGNIFICANT: f64 = 4.0;
 /// Slope per swing below which the size of a motion is constant: 0.4 % over one check.
 const FLAT_SLOPE: f64 = 2e-4;
-/// Growth relative to the first swings and the pull at which the verdict does not wait for the trend.
+/// Growth, relative to the first swings and to the pull, at which a motion counts as building up without a trend.
 const RUNAWAY_GROWTH: f64 = 4.0;
-/// Distance from the wall at which a motion counts as building up, in pulls; for long pulls two pulls plus a distance,
-/// m.
+/// Distance from the wall at which a motion counts as building up: a number of pulls, or for long pulls two pulls plus
+/// a distance, m.
 const FARTHEST_PULLS: f64 = 12.0;
 const FARTHEST: f64 = 0.005;
 /// Share of the largest swing below which a motion has died out.
@@ -72,7 +72,7 @@ pub enum Verdict {
     Vibrates(f64),
 }
 
-/// A motion that is followed.
+/// Follows a motion until its verdict.
 #[derive(Clone, Debug)]
 pub struct Swing {
     position: Trace,
@@ -95,7 +95,7 @@ impl Swing {
         let slowest = if oscillates { slowest } else { 0.0 };
         Self {
             position: Trace::new(rows_a_period, (slowest, silent), quantum, pull, CHECKS.0),
-            // The errors of three positions, one of them twice, add up. The initial size is unknown.
+            // A second difference adds up the errors of four positions. Its initial size is unknown.
             acceleration: Trace::new(rows_a_period, (slowest, silent), 4.0 * quantum, f64::INFINITY, CHECKS.1),
             previous: [None; 2],
             verdicts: [None; 2],
@@ -115,15 +115,15 @@ impl Swing {
         if self.verdicts[0].is_none() {
             self.verdicts[0] = self.position.take(position);
         }
-        // A mode that dies out in the acceleration may have hidden one that builds up, so follow the acceleration as long
-        // as the position.
+        // A mode that dies out in the acceleration may have hidden another that builds up, so follow the acceleration
+        // as long as the position.
         if let [Some(first), Some(second)] = self.previous {
             self.verdicts[1] = self.acceleration.take(position - 2.0 * second + first).or(self.verdicts[1]);
         }
         self.previous = [self.previous[1], Some(position)];
         match self.verdicts {
             [Some(Verdict::Grows), _] | [_, Some(Verdict::Grows)] => Some(Verdict::Grows),
-            // The size of a vibration is that of the position.
+            // A vibration has the size of the position, not of the acceleration.
             [Some(verdict), Some(_)] => Some(verdict),
             _ => None,
         }
@@ -133,10 +133,10 @@ impl Swing {
 /// The swings of a signal.
 #[derive(Clone, Debug)]
 struct Trace {
-    /// Gain of the high-pass's low-pass per row.
+    /// Coefficient per row of the two low-passes that the high-pass subtracts.
     share: f64,
     slow: Option<[f64; 2]>,
-    /// Size below which a swing is encoder steps, m.
+    /// Reversal that encoder steps can cause, m: a smaller one is no turning point.
     noise: f64,
     /// Size below which encoder steps explain a lasting motion, m from peak to peak.
     explained: f64,
@@ -148,16 +148,16 @@ struct Trace {
     slowest: f64,
     /// Number of rows without a turning point after which the motion has ended.
     silent: f64,
-    /// The extreme since the last turning point, and true if the motion rises.
+    /// The extreme since the last turning point, and true if the signal rises.
     extreme: Option<(f64, bool)>,
-    turned: Option<f64>,
+    last_turn: Option<f64>,
     swings: Vec<f64>,
     /// The row in which each swing ended.
     ends: Vec<usize>,
-    /// Lowest and highest position since the last turning point, and of each swing, m.
+    /// Lowest and highest position since the last turning point, and during each swing, m.
     span: (f64, f64),
     spans: Vec<(f64, f64)>,
-    /// The same of the high-passed position.
+    /// Lowest and highest high-passed position since the last turning point, and during each swing, m.
     extent: (f64, f64),
     extents: Vec<(f64, f64)>,
     rows: usize,
@@ -176,7 +176,7 @@ impl Trace {
             pull,
             silent,
             extreme: None,
-            turned: None,
+            last_turn: None,
             swings: Vec::new(),
             ends: Vec::new(),
             span: EMPTY,
@@ -201,18 +201,18 @@ impl Trace {
         let fast = fast - *second;
         self.span = (self.span.0.min(position), self.span.1.max(position));
         self.extent = (self.extent.0.min(fast), self.extent.1.max(fast));
-        if self.turns(fast)
-            && let Some(verdict) = self.at_turn()
+        if self.record_turn(fast)
+            && let Some(verdict) = self.verdict_at_turn()
         {
             return Some(verdict);
         }
-        // Much longer than the average time between turning points.
+        // The motion has ended if it has not turned for much longer than the average time between turning points.
         (self.since_turn as f64 > self.silent.max(6.0 * self.rows_per_turn())).then_some(Verdict::Decays)
     }
 
     /// Notes a turning point if the motion has returned from its extreme by more than noise. Returns true if there are
     /// enough swings for a verdict.
-    fn turns(&mut self, fast: f64) -> bool {
+    fn record_turn(&mut self, fast: f64) -> bool {
         let Some((extreme, rising)) = self.extreme else {
             self.extreme = Some((fast, true));
             return false;
@@ -224,7 +224,7 @@ impl Trace {
         if (fast - extreme).abs() <= self.noise.max(0.2 * DIED_OUT_SHARE * largest(&self.swings)).max(self.ripple()) {
             return false;
         }
-        if let Some(before) = self.turned.replace(extreme) {
+        if let Some(before) = self.last_turn.replace(extreme) {
             self.swings.push((extreme - before).abs());
             self.ends.push(self.rows);
             self.spans.push(std::mem::replace(&mut self.span, EMPTY));
@@ -247,10 +247,10 @@ impl Trace {
         (self.rows - self.since_turn) as f64 / (self.swings.len() + 1) as f64
     }
 
-    fn at_turn(&self) -> Option<Verdict> {
+    fn verdict_at_turn(&self) -> Option<Verdict> {
         let count = self.swings.len();
         let latest = self.swings[count - 1];
-        // The first swings may be only the ripple of a fast mode, on a slow one without a turning point so far.
+        // The first swings may be only the ripple of a fast mode while a slow mode has not turned yet.
         if latest > RUNAWAY_GROWTH * largest(&self.swings[1..4]).max(self.explained).max(self.pull) {
             return Some(Verdict::Grows);
         }
@@ -263,7 +263,7 @@ impl Trace {
         if !seen.is_multiple_of(CHECK / 2) {
             return None;
         }
-        // Compare extents, because swings also become larger when a ripple no longer divides them.
+        // Compare extents, because swings also grow when a ripple no longer divides them.
         let (earlier, later) = self.extents[SETTLING..].split_at(seen + CHECK / 2);
         let larger = size_of(later) > size_of(earlier);
         let lasted = (self.ends[count - 1] - self.ends[count - 1 - CHECK]) as f64;
@@ -283,7 +283,7 @@ impl Trace {
             return None;
         }
         let larger = largest(&latest[latest.len() / 2..]) >= largest(&stretches);
-        // A trend that still bends, or the rise of a beat, is no constant size.
+        // A motion whose trend still bends, or that rises in a beat, has no constant size.
         self.verdict_of_trend(latest, larger)
             .or_else(|| (!patient || !is_sure(trend(latest))).then(|| self.verdict_of_size()))
     }
@@ -368,15 +368,15 @@ mod tests {
     const DT: f64 = 1e-3;
     const CUTOFF: f64 = 20.0;
 
-    fn judged(quantum: f64, motion: impl Fn(f64) -> f64) -> Verdict {
-        judged_below(CUTOFF, quantum, motion)
+    fn verdict_on(quantum: f64, motion: impl Fn(f64) -> f64) -> Verdict {
+        verdict_at_cutoff(CUTOFF, quantum, motion)
     }
 
-    fn judged_below(cutoff: f64, quantum: f64, motion: impl Fn(f64) -> f64) -> Verdict {
-        judged_every(DT, cutoff, 0.0, quantum, motion)
+    fn verdict_at_cutoff(cutoff: f64, quantum: f64, motion: impl Fn(f64) -> f64) -> Verdict {
+        verdict_of_samples(DT, cutoff, 0.0, quantum, motion)
     }
 
-    fn judged_every(dt: f64, cutoff: f64, period: f64, quantum: f64, motion: impl Fn(f64) -> f64) -> Verdict {
+    fn verdict_of_samples(dt: f64, cutoff: f64, period: f64, quantum: f64, motion: impl Fn(f64) -> f64) -> Verdict {
         let mut swing = Swing::new(dt, cutoff, (period, true), quantum, 1e-3);
         for k in 0..60_000 {
             let x = motion(f64::from(k) * dt);
@@ -388,7 +388,7 @@ mod tests {
         panic!("no verdict");
     }
 
-    /// Returns the sum of modes (share, growth in 1/s, frequency in Hz) after a pull of 1 mm.
+    /// Returns the sum of modes, each (share, growth in 1/s, frequency in Hz), after a pull of 1 mm.
     fn modes(all: &[(f64, f64, f64)]) -> impl Fn(f64) -> f64 {
         let all = all.to_vec();
         move |t| all.iter().map(|(share, grows, hz)| 1e-3 * share * (grows * t).exp() * (TAU * hz * t).cos()).sum()
@@ -396,12 +396,12 @@ mod tests {
 
     #[test]
     fn one_small_swing_of_two_modes_is_no_decay() {
-        // Modes of a wall on a cable of 120 Hz at 1 kHz: a seventh, a third and twice beyond its boundary.
+        // Modes of a wall at 1 kHz on a cable of 120 Hz, a seventh, a third and a factor of two beyond its boundary.
         for [(slow, slow_hz), (fast, fast_hz)] in
             [[(2.0, 46.0), (3.8, 164.2)], [(5.3, 48.5), (8.2, 165.0)], [(18.0, 58.0), (32.0, 170.0)]]
         {
             for share in [0.2, 0.35, 0.5, 0.65] {
-                let found = judged_every(
+                let found = verdict_of_samples(
                     DT,
                     100.0,
                     1.0 / slow_hz,
@@ -409,7 +409,7 @@ mod tests {
                     modes(&[(1.0 - share, slow, slow_hz), (share, fast, fast_hz)]),
                 );
                 assert_eq!(found, Verdict::Grows, "{slow_hz} and {fast_hz} Hz, {share} of it fast");
-                let found = judged_every(
+                let found = verdict_of_samples(
                     DT,
                     100.0,
                     1.0 / slow_hz,
@@ -422,12 +422,13 @@ mod tests {
     }
 
     #[test]
-    fn a_growing_fast_mode_is_found_beside_a_decaying_slow_one() {
+    fn a_growing_fast_mode_is_found_despite_a_decaying_slow_mode() {
         for (slow, fast) in [(-0.5, 1.0), (-4.0, 1.0), (-2.0, 5.0)] {
-            let found = judged_every(DT, 100.0, 1.0 / 44.0, 1e-7, modes(&[(0.95, slow, 44.0), (0.05, fast, 163.0)]));
+            let found =
+                verdict_of_samples(DT, 100.0, 1.0 / 44.0, 1e-7, modes(&[(0.95, slow, 44.0), (0.05, fast, 163.0)]));
             assert_ne!(found, Verdict::Decays, "{slow} {fast}");
         }
-        let found = judged_every(DT, 100.0, 1.0 / 44.0, 1e-7, modes(&[(0.95, -0.5, 44.0), (0.05, -1.0, 163.0)]));
+        let found = verdict_of_samples(DT, 100.0, 1.0 / 44.0, 1e-7, modes(&[(0.95, -0.5, 44.0), (0.05, -1.0, 163.0)]));
         assert_eq!(found, Verdict::Decays);
     }
 
@@ -440,7 +441,7 @@ mod tests {
                 let ripple = share * (fast * t).exp() * (TAU * (472.0 * t + phase)).cos();
                 1e-3 * ((slow * t).exp() * (TAU * 57.0 * t).cos() + ripple)
             };
-            judged_every(1e-4, 500.0, 1.0 / 57.0, quantum, motion)
+            verdict_of_samples(1e-4, 500.0, 1.0 / 57.0, quantum, motion)
         };
         for eighths in 0..8 {
             let phase = f64::from(eighths) / 8.0;
@@ -472,7 +473,7 @@ mod tests {
     #[test]
     fn the_beat_of_two_fast_modes_is_not_growth() {
         for (a, b) in [(-3.0, -4.0), (-10.0, -20.0), (-20.0, -70.0)] {
-            let found = judged_every(
+            let found = verdict_of_samples(
                 DT,
                 100.0,
                 1.0 / 40.0,
@@ -487,37 +488,37 @@ mod tests {
     fn a_mode_far_below_the_cutoff_is_judged() {
         // Such a mode comes from a washout of 2 Hz with a cutoff of 100 Hz.
         for (grows, verdict) in [(-2.0, Verdict::Decays), (-0.5, Verdict::Decays), (0.3, Verdict::Grows)] {
-            assert_eq!(judged_below(100.0, 1e-7, modes(&[(1.0, grows, 6.0)])), verdict, "{grows}");
+            assert_eq!(verdict_at_cutoff(100.0, 1e-7, modes(&[(1.0, grows, 6.0)])), verdict, "{grows}");
         }
     }
 
     /// Returns a swing that grows, with a slow return to the wall.
-    fn growing(per_second: f64, drift: f64) -> impl Fn(f64) -> f64 {
+    fn growing_swing(per_second: f64, drift: f64) -> impl Fn(f64) -> f64 {
         move |t| 1e-3 * (per_second * t).exp() * (70.0 * t).sin() + drift * (-2.0 * t).exp()
     }
 
     #[test]
-    fn slow_growth_differs_from_slow_decay() {
+    fn slow_growth_and_slow_decay_are_distinguished() {
         for drift in [0.0, 2e-3] {
-            assert_eq!(judged(0.0, growing(0.1, drift)), Verdict::Grows);
-            assert_eq!(judged(0.0, growing(-0.1, drift)), Verdict::Decays);
+            assert_eq!(verdict_on(0.0, growing_swing(0.1, drift)), Verdict::Grows);
+            assert_eq!(verdict_on(0.0, growing_swing(-0.1, drift)), Verdict::Decays);
         }
     }
 
     #[test]
     fn quantisation_does_not_change_the_verdict() {
         for quantum in [1e-6, 3e-5] {
-            assert_eq!(judged(quantum, growing(0.5, 0.0)), Verdict::Grows);
-            assert_eq!(judged(quantum, growing(-0.5, 0.0)), Verdict::Decays);
-            assert_eq!(judged(quantum, growing(-40.0, 0.0)), Verdict::Decays);
+            assert_eq!(verdict_on(quantum, growing_swing(0.5, 0.0)), Verdict::Grows);
+            assert_eq!(verdict_on(quantum, growing_swing(-0.5, 0.0)), Verdict::Decays);
+            assert_eq!(verdict_on(quantum, growing_swing(-40.0, 0.0)), Verdict::Decays);
         }
     }
 
     #[test]
     fn a_swing_of_constant_size_is_a_vibration() {
-        // From the start, after three times its size, and after nine tenths of it.
+        // The size is constant from the start, falls from three times, or rises from nine tenths of its final value.
         for begin in [0.0, 2.0, -0.1] {
-            let verdict = judged(2e-5, |t| 3e-4 * (1.0 + begin * (-6.0 * t).exp()) * (70.0 * t).sin());
+            let verdict = verdict_on(2e-5, |t| 3e-4 * (1.0 + begin * (-6.0 * t).exp()) * (70.0 * t).sin());
             let Verdict::Vibrates(size) = verdict else { panic!("{begin}: {verdict:?}") };
             assert!((size - 6e-4).abs() < 4e-5, "{begin}: {size} m from peak to peak");
         }
@@ -526,9 +527,9 @@ mod tests {
     #[test]
     fn a_swing_that_encoder_steps_explain_is_no_vibration() {
         let chatter = |steps: f64| move |t: f64| (1e-3 * (-6.0 * t).exp() + 0.5 * steps * 1e-4) * (70.0 * t).sin();
-        assert_eq!(judged(1e-4, chatter(4.0)), Verdict::Decays);
+        assert_eq!(verdict_on(1e-4, chatter(4.0)), Verdict::Decays);
         for steps in [8.0, 9.0, 10.0, 12.0] {
-            let verdict = judged(1e-4, chatter(steps));
+            let verdict = verdict_on(1e-4, chatter(steps));
             assert!(matches!(verdict, Verdict::Vibrates(_)), "{steps} steps: {verdict:?}");
         }
     }
@@ -545,7 +546,7 @@ mod tests {
 
     #[test]
     fn encoder_steps_follow_from_the_describing_function() {
-        // A quantised sine of n steps spans more than n - 1 steps before quantisation.
+        // A quantised sine of n steps has an amplitude of more than (n - 1)/2 steps before quantisation.
         let largest =
             |from: f64| (0..4000).map(|i| describing_function(0.5 * from + f64::from(i) * 1e-3)).fold(0.0, f64::max);
         assert!((largest(ENCODER_STEPS - 1.0) - 1.0365).abs() < 1e-3);

@@ -1,6 +1,6 @@
 //! The walls of a measurement's scene: the tested walls, two walls that pull the tip aside, and one wall for every
-//! direction across the pull. A single tested wall also holds the tip between trials; several tested walls leave that to
-//! one more wall.
+//! direction across the pull. Between trials a single tested wall also holds the tip; for several tested walls the
+//! scene has one more wall that does.
 
 use haptic_bridge::render::scene::{FeedForward, MAX_WALLS, Plane, Posture, Scene, Surface, VelocityTerms, Wall};
 use nalgebra::DVector;
@@ -14,7 +14,7 @@ pub const APART: f64 = 0.01;
 /// Longest pull, m.
 pub const LONGEST_PULL: f64 = 0.5 * APART;
 
-/// Indices in the scene of the walls that hold the tip. The tested walls come first; a single one also holds.
+/// Indices of the walls that hold the tip. The tested walls come first in the scene; a single one also holds the tip.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Layout {
     /// The wall at the position of the tip, normal to the pulls.
@@ -124,7 +124,10 @@ pub fn scene(
         };
         scene.walls.push(wall).map_err(|_| {
             let most = most_tested(tip.len());
-            MeasureError::Scene(format!("{} walls at once: at most {most} on this device", setup.walls.len()))
+            MeasureError::Scene(format!(
+                "{} walls cannot be measured at once: this device allows at most {most}",
+                setup.walls.len()
+            ))
         })?;
     }
     Ok((layout, scene))

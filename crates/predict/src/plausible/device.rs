@@ -21,7 +21,7 @@ const STEEL_DENSITY: f64 = 7850.0;
 /// Lengths of links of desktop devices and exoskeletons, m.
 const LINK_LENGTHS_M: (f64, f64) = (1e-3, 3.0);
 /// Inertia of 20 kg at 10 cm, kg m²: a larger rotor and gear belong to a machine tool.
-const JOINT_INERTIA: f64 = 0.2;
+const IMPLAUSIBLE_JOINT_INERTIA: f64 = 0.2;
 /// Fewest plausible counts per turn at the joint. A smaller number is probably lines, before x4 decoding and the ratio:
 /// encoders of devices that render a wall have at least 700 counts.
 const LEAST_COUNTS: f64 = 600.0;
@@ -30,11 +30,11 @@ const LEAST_COUNTS: f64 = 600.0;
 /// squared.
 const MOTOR_SECONDS: f64 = 0.25;
 /// Largest plausible angle by which a motor winds up its transmission, rad: cables and belts wind up by hundredths.
-const WOUND_UP: f64 = 0.1;
+const LARGEST_WIND_UP: f64 = 0.1;
 /// Largest plausible voltage of resistance times largest current, V; the boards take up to 56 V.
 const LARGEST_SUPPLY_V: f64 = 120.0;
 /// Smallest implausible inductance, H: windings of desktop motors have 0.01 to 10 mH.
-const INDUCTANCE: f64 = 0.1;
+const IMPLAUSIBLE_INDUCTANCE: f64 = 0.1;
 /// Force that exceeds what a hand can hold, N.
 const LARGEST_FORCE_N: f64 = 500.0;
 /// Sine of the singular angle at home below which a device can hardly work there.
@@ -84,9 +84,8 @@ fn missing_transmission(description: &Description) -> Option<FileWarning> {
         .map(|(index, _)| index.to_string())
         .collect();
     let text = format!(
-        "nothing says what lies between motor and link of joint {}: predictions take it for rigid, and a cable or a belt \
-         decides how stiff a wall can be; write [joint.transmission], or transmission = \"rigid\" where the motor sits on \
-         the joint",
+        "the file does not describe the transmission of joint {}: predictions take it for rigid, but a cable or a belt limits \
+         the stiffness of a wall; write [joint.transmission], or transmission = \"rigid\" if the motor sits on the joint",
         listed(&unspecified)
     );
     Some(FileWarning::new(key("joint", Some(first), "", "transmission"), text))
@@ -190,7 +189,7 @@ fn joint_warnings(joint: &Joint, index: usize, kind: Kind) -> Vec<FileWarning> {
     let mut warnings = Vec::new();
     let mut warning =
         |part, name, text: String| warnings.push(FileWarning::new(key("joint", Some(index), part, name), text));
-    if joint.inertia > JOINT_INERTIA {
+    if joint.inertia > IMPLAUSIBLE_JOINT_INERTIA {
         let text = format!(
             "`inertia` of joint {index} is {} kg m², as much as {:.0} kg at 10 cm: 1 g cm² is 1e-7 kg m²",
             digits(joint.inertia),
@@ -267,7 +266,7 @@ fn motor_warnings(joint: &Joint, index: usize, joints: usize, carries_body: bool
         );
         warning("motor", "back_emf", text);
     }
-    if motor.inductance >= INDUCTANCE {
+    if motor.inductance >= IMPLAUSIBLE_INDUCTANCE {
         let text = format!("`inductance` of joint {index} is {} H: 1 mH is 0.001", motor.inductance);
         warning("motor", "inductance", text);
     }
@@ -275,16 +274,17 @@ fn motor_warnings(joint: &Joint, index: usize, joints: usize, carries_body: bool
     if seconds > MOTOR_SECONDS && !carries_body {
         let text = format!(
             "`torque_constant` of joint {index}, {} N m/A, takes {seconds:.1} s to speed up its own rotor (resistance times \
-             inertia over its square), and motors take hundredths: at the joint it is the motor's times the ratio, as the \
-             inertia is the rotor's times the ratio squared",
+             inertia over its square), and motors take hundredths: write the motor's constant times the gear ratio, and as \
+             inertia the rotor's times the ratio squared",
             motor.torque_constant
         );
         warning("motor", "torque_constant", text);
     }
-    if let Some(wound) = joint.transmission.map(|between| torque / between.stiffness).filter(|wound| *wound > WOUND_UP)
+    if let Some(wound) =
+        joint.transmission.map(|between| torque / between.stiffness).filter(|wound| *wound > LARGEST_WIND_UP)
     {
         let text = format!(
-            "the transmission of joint {index} gives by {:.0} degrees where its motor pushes with all that it has ({}): \
+            "the transmission of joint {index} winds up by {:.0} degrees at the largest torque of its motor ({}): \
              stiffness is in N m/rad at the joint, and a cable of c N/m on a sector of radius r has c r²",
             wound.to_degrees(),
             with_unit(torque, "N m")
@@ -293,14 +293,14 @@ fn motor_warnings(joint: &Joint, index: usize, joints: usize, carries_body: bool
     }
     if joint.coulomb > torque {
         let text = format!(
-            "the friction of joint {index} ({} N m) holds against its motor ({}): it cannot move itself",
+            "the friction of joint {index} ({} N m) exceeds the torque of its motor ({}): the joint cannot move",
             joint.coulomb,
             with_unit(torque, "N m")
         );
         warning("", "coulomb", text);
     } else if joint.viscous * TAU > torque {
         let text = format!(
-            "viscous friction of joint {index} takes {} at one turn a second, more than its motor has ({})",
+            "viscous friction of joint {index} needs {} at one turn per second, more than its motor has ({})",
             with_unit(joint.viscous * TAU, "N m"),
             with_unit(torque, "N m")
         );
@@ -323,7 +323,7 @@ fn home_warnings(description: &Description) -> Vec<FileWarning> {
     let Ok(device) = Device::<f64>::new("", description) else { return warnings };
     let Ok(pose) = TaskPose::of(&device.mechanism, home) else { return warnings };
     if warnings.is_empty() && pose.regularity.serial.min(pose.regularity.parallel) < HOME_SINE {
-        let text = "home is a singular pose: the device can hardly push there; home it elsewhere".into();
+        let text = "home is a singular pose, where the device can hardly push: choose another home".into();
         warnings.push(FileWarning::new(at, text));
     }
     if arms_cross(description, home) {
@@ -337,7 +337,7 @@ fn home_warnings(description: &Description) -> Vec<FileWarning> {
         let torque = torque_at_rest(&motor, joints);
         if weight.abs() > torque {
             let text = format!(
-                "the device's weight takes {} at joint {joint} at home, and its motor has {}: it falls when armed",
+                "the device's weight needs {} at joint {joint} at home, but its motor has {}: the device falls when armed",
                 with_unit(weight.abs(), "N m"),
                 with_unit(torque, "N m")
             );
@@ -346,7 +346,7 @@ fn home_warnings(description: &Description) -> Vec<FileWarning> {
     }
     if let Some((weakest, _)) = force_at(&device, &pose).filter(|(weakest, _)| *weakest > LARGEST_FORCE_N) {
         let text = format!(
-            "the motors push {} at the tip at home, more than a hand holds: torque constants are in N m/A (a data sheet's \
+            "the motors push with {} at the tip at home, more than a hand can hold: torque constants are in N m/A (a data sheet's \
              mN m/A are thousandths), currents in A",
             with_unit(weakest, "N")
         );

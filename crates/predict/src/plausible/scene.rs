@@ -37,7 +37,7 @@ const SLOW_HAND: f64 = 0.1;
 /// square (docs/encoder-steps.md).
 const BUZZ_N: f64 = 1.0;
 /// Stiffness too small to be felt, N/m.
-const NO_WALL: f64 = 1.0;
+const IMPERCEPTIBLE_STIFFNESS: f64 = 1.0;
 /// Grid poses per joint, by number of joints.
 const PER_JOINT: [usize; 3] = [400, 60, 16];
 /// Limits of a wall where the tip touches it.
@@ -51,7 +51,7 @@ pub struct Contact {
     pub normal: Vec<f64>,
     /// Stiffness of the wall, N/m.
     pub stiffness: f64,
-    /// Largest stiffness that is predicted stable with this wall's damping and feed-forward, N/m.
+    /// Largest stiffness that is predicted stable with the damping and feed-forward of this wall, N/m.
     pub stable_to: f64,
     /// The same without the feed-forward, N/m; `None` if the wall has none.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -59,7 +59,7 @@ pub struct Contact {
     /// Stiffness that a hand at the tip feels at rest at `stable_to`, N/m; `None` if no transmission is compliant.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub felt_to: Option<f64>,
-    /// The same at the wall's own stiffness, N/m.
+    /// The same for the stiffness of this wall, N/m.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub felt: Option<f64>,
     /// Largest damping with which any stiffness is stable, N s/m.
@@ -96,9 +96,9 @@ pub struct Contact {
 pub struct InHand {
     /// Mass (kg), damping (N s/m) and stiffness (N/m) of the hand.
     pub hand: [f64; 3],
-    /// As [`Contact::stable_to`].
+    /// Largest stable stiffness in that hand, as [`Contact::stable_to`], N/m.
     pub stable_to: f64,
-    /// As [`Contact::damping_to`].
+    /// Largest damping in that hand, as [`Contact::damping_to`], N s/m.
     pub damping_to: f64,
 }
 
@@ -307,7 +307,7 @@ pub struct LargestGains {
 }
 
 /// Speed of a hand that hardly moves, m/s.
-const CREEPING: f64 = 0.01;
+const CREEP_SPEED: f64 = 0.01;
 
 /// Returns the largest useful gains of a wall that is touched at joint angles `q` (rad). `None` at a singularity, or if
 /// a joint has no motor.
@@ -324,7 +324,7 @@ pub fn largest_gains(device: &Device<f64>, surface: &Surface<f64>, q: &[f64], li
     }
     let force = force_along(&limited, &pose, normal)?.min(limits.tip_force.into());
     let stiffness = force / count_along(device, &pose, normal).max(f64::MIN_POSITIVE);
-    Some(LargestGains { stiffness, damping: force / CREEPING, force })
+    Some(LargestGains { stiffness, damping: force / CREEP_SPEED, force })
 }
 
 /// Returns the limits of wall `index` of a scene as if it were touched at this pose.
@@ -339,7 +339,7 @@ pub fn at(subject: &Subject, scene: &Scene<f64>, index: usize, q: &[f64], path: 
 /// scene file.
 pub fn beyond(wall: &Wall<f64>, contact: &Contact, in_file: bool) -> Vec<FileWarning> {
     let index = contact.wall;
-    let rigid = if contact.taken_for_rigid { ", if nothing in the device gives" } else { "" };
+    let rigid = if contact.taken_for_rigid { ", if the device is rigid" } else { "" };
     let warning = |name: &'static str, text: String| FileWarning {
         key: in_file.then_some(Key { table: "wall", index: Some(index), part: "", name }),
         text,
@@ -355,7 +355,7 @@ pub fn beyond(wall: &Wall<f64>, contact: &Contact, in_file: bool) -> Vec<FileWar
             contact.options
         );
         warnings.push(warning("damping", text));
-    } else if wall.stiffness > contact.stable_to && contact.stable_to < NO_WALL {
+    } else if wall.stiffness > contact.stable_to && contact.stable_to < IMPERCEPTIBLE_STIFFNESS {
         let text = format!(
             "no stiffness of wall {index} is predicted stable with {} of damping, nor is its {}; write a damping of up to \
              {} (`haptic range DEVICE {}`)",
@@ -378,7 +378,7 @@ pub fn beyond(wall: &Wall<f64>, contact: &Contact, in_file: bool) -> Vec<FileWar
         warnings.push(warning("stiffness", text));
     } else if contact.buzz.is_some() {
         let text = format!(
-            "the stiffness of wall {index}, {}, is predicted stable{rigid} only where nothing holds the tip: {} (`haptic \
+            "the stiffness of wall {index}, {}, is predicted stable{rigid} only without a hand on the tip: {} (`haptic \
              range DEVICE {}{}`)",
             with_unit(wall.stiffness, "N/m"),
             instability_text(wall, contact),
@@ -394,7 +394,7 @@ pub fn beyond(wall: &Wall<f64>, contact: &Contact, in_file: bool) -> Vec<FileWar
     let per_count = wall.stiffness * contact.count;
     if per_count > force {
         let text = format!(
-            "one encoder count into wall {index} ({}) asks for {}, and the motors have {} there: it can only be on or off",
+            "one encoder count into wall {index} ({}) needs {}, but the motors have {} there: the wall can only be on or off",
             with_unit(contact.count, "m"),
             with_unit(per_count, "N"),
             with_unit(force, "N")
@@ -403,7 +403,7 @@ pub fn beyond(wall: &Wall<f64>, contact: &Contact, in_file: bool) -> Vec<FileWar
     }
     if wall.damping * SLOW_HAND > force {
         let text = format!(
-            "the damping of wall {index} asks for {} at {SLOW_HAND} m/s, and the motors have {} there",
+            "the damping of wall {index} needs {} at {SLOW_HAND} m/s, but the motors have {} there",
             with_unit(wall.damping * SLOW_HAND, "N"),
             with_unit(force, "N")
         );
@@ -424,7 +424,7 @@ fn instability_text(wall: &Wall<f64>, contact: &Contact) -> String {
             "in {held}, where {end} ends at {limit}, it will vibrate at about {:.0} Hz unless friction damps it",
             buzz.hz
         ),
-        None => format!("it will vibrate unless friction or a hand damps it: {held} does, up to {limit}"),
+        None => format!("it will vibrate unless friction or a hand damps it: {held} damps it up to {limit}"),
     }
 }
 
@@ -496,7 +496,7 @@ pub fn simulate_ripple(description: &Description, scene: &Scene<f64>, contact: &
          stiffness, a lower cutoff or a slower velocity help, and `haptic tune DEVICE --scene SCENE` finds the stiffest \
          wall that does not",
         contact.wall,
-        ripple_n.map_or("all that it has".into(), |ripple| with_unit(ripple, "N")),
+        ripple_n.map_or("its full size".into(), |ripple| with_unit(ripple, "N")),
         with_unit(allowed_n, "N"),
         if allowed_n > USUAL_RIPPLE_N { "is the least that the encoders allow" } else { "is hardly felt" },
     );
@@ -581,19 +581,19 @@ fn distances(device: &Device<f64>, surface: &Surface<f64>) -> Option<(f64, f64)>
     Some(distances.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), d| (l.min(d), h.max(d))))
 }
 
-/// Warns of a wall that reaches a gentle force, or the largest of the motors, only at a depth beyond the whole range of
-/// the tip along its normal. A wall without stiffness is meant to damp and gets no warning.
+/// Warns of a wall so soft that it reaches its force only deeper than the tip can move along the normal. The force is
+/// [`GENTLE_FORCE`] or, if smaller, the motors' largest. A wall without stiffness only damps and gets no warning.
 fn soft_wall_warning(device: &Device<f64>, wall: &Wall<f64>, contact: &Contact) -> Option<FileWarning> {
     let force = contact.force.unwrap_or(f64::INFINITY).min(GENTLE_FORCE.into());
     let depth = force / wall.stiffness;
-    // Reach is not computed if every device has enough.
+    // Skip the search for the tip's range at depths that every device reaches.
     if !(wall.stiffness > 0.0 && depth > 0.01) {
         return None;
     }
     let (low, high) = distances(device, &wall.surface).filter(|(low, high)| low < high)?;
     let text = format!(
-        "wall {} is so soft that it pushes with {} only {} deep, and the tip moves {} towards it at most: stiffness is \
-         in N/m, and {} N/mm are {} N/m",
+        "wall {} is so soft that it pushes with {} only at a depth of {}, and the tip moves by at most {} along its normal: \
+         stiffness is in N/m, and {} N/mm are {} N/m",
         contact.wall,
         with_unit(force, "N"),
         with_unit(depth, "m"),

@@ -27,7 +27,7 @@ pub struct Baseline {
 /// Default limit of a wall's ripple, N: the estimators were designed to stay below it.
 pub const USUAL_RIPPLE_N: f64 = 0.1;
 
-/// Smallest ripple limit if a scene's wall has less, N.
+/// Smallest ripple limit, N, for a scene whose wall ripples less.
 pub const LEAST_RIPPLE_N: f64 = 0.002;
 
 /// Returns the ripple limits in the search and on the simulated board: the ripple of the wall as written, but at least

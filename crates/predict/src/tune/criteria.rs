@@ -18,13 +18,13 @@ use serde::{Deserialize, Serialize};
 /// hardness and more as rattling.
 pub const MOST_REBOUNDS: usize = 1;
 
-/// Number of dampings of a curve. The largest is the share `HIGHEST` of the damping limit. The smallest is the share
-/// `LOWEST` of the largest, but gives a wall a quarter as stiff as the encoders' rule of thumb at least a damping ratio
-/// of `LEAST_RATIO`, because with less damping it rebounds.
+/// Number of dampings of a curve. The largest damping is the share `HIGHEST_SHARE` of the damping limit. The smallest is the
+/// share `LOWEST_SHARE` of the largest, or more: a wall with a quarter of the stiffness of the encoders' rule of thumb needs
+/// a damping ratio of `LEAST_DAMPING_RATIO`, because with less damping the tip rebounds.
 const DAMPINGS: usize = 9;
-const HIGHEST: f64 = 0.9;
-const LOWEST: f64 = 0.003;
-const LEAST_RATIO: f64 = 0.04;
+const HIGHEST_SHARE: f64 = 0.9;
+const LOWEST_SHARE: f64 = 0.003;
+const LEAST_DAMPING_RATIO: f64 = 0.04;
 
 /// Simulates the ripple of a wall with these settings: the largest of the device in the file and the deviating ones.
 /// The hand counts as held if it is held on all of them.
@@ -32,7 +32,7 @@ pub fn ripple(question: &Question<'_>, settings: &Settings) -> Result<Pressed, F
     worst_ripple(question, settings, f64::INFINITY)
 }
 
-/// The same, but stops once the ripple exceeds `bound_n`, N.
+/// Like [`ripple`], but stops once the ripple exceeds `bound_n`, N.
 fn worst_ripple(question: &Question<'_>, settings: &Settings, bound_n: f64) -> Result<Pressed, Failure> {
     let Question { file, q, normal, margins, admissible, .. } = question;
     let mut worst = Pressed { ripple_n: Some(0.0), holds: true };
@@ -72,7 +72,7 @@ pub(super) struct SearchContext<'a> {
     pub steps: f64,
 }
 
-/// Largest gains of a candidate: kp within margins and motors over damping.
+/// Largest stiffness of a candidate within the margins and the motors' torque, as a function of damping.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct Curve {
     pub points: Vec<(f64, f64)>,
@@ -133,11 +133,11 @@ impl<'a> SearchContext<'a> {
             return Ok(None);
         };
         let stiffness = 0.25 * self.steps.min(self.motors.0);
-        let least_damping = 2.0 * LEAST_RATIO * (stiffness * self.nominal.w_eff().unwrap_or_default()).sqrt();
+        let least_damping = 2.0 * LEAST_DAMPING_RATIO * (stiffness * self.nominal.w_eff().unwrap_or_default()).sqrt();
         let points =
             boundary_of(&corner.device, &corner.believed, &corner.adjusted_loop(&around), settings.mode(), |end| {
-                let high = (HIGHEST * end).min(self.motors.1);
-                let low = least_damping.max(LOWEST * high).min(0.5 * high);
+                let high = (HIGHEST_SHARE * end).min(self.motors.1);
+                let low = least_damping.max(LOWEST_SHARE * high).min(0.5 * high);
                 let share = |i: usize| (high / low).powf(i as f64 / (DAMPINGS - 1) as f64);
                 let mut dampings: Vec<f64> = (0..DAMPINGS).map(|i| three_digits(low * share(i), true)).collect();
                 dampings.retain(|damping| *damping > 0.0);
@@ -203,7 +203,7 @@ impl<'a> SearchContext<'a> {
         }))
     }
 
-    /// The same, with the ripple on the simulated board: all criteria that are simulated.
+    /// Returns the wall if it also meets the ripple limit on the simulated board: all criteria that are simulated.
     pub fn check_all(&self, settings: &Settings) -> Result<Option<TunedWall>, Failure> {
         let Some(result) = self.check_ripple(settings)? else { return Ok(None) };
         let Some(bound) = self.question.board_ripple_n else { return Ok(Some(result)) };

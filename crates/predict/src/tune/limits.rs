@@ -1,4 +1,4 @@
-//! Limits of the wall that was found: the gains that each limit alone would allow, and the neighbouring walls.
+//! Limits of the resulting wall: the gains that each limit alone would allow, and the neighbouring walls.
 
 use super::criteria::SearchContext;
 use super::{STIFFNESS_RATIO, Settings, TunedWall, ripple, three_digits};
@@ -9,9 +9,9 @@ use haptic_stability::analysis::range::stiffnesses;
 use serde::Serialize;
 
 /// Factor by which gains are raised and lowered to find the limits.
-pub(super) const MORE: f64 = 1.15;
+pub(super) const RAISE_FACTOR: f64 = 1.15;
 
-/// Names of the limits that are found by simulation or bind the result.
+/// Names of the simulated limits and of those that can bind the result.
 const RIPPLE: &str = "ripple";
 const ON_BOARD: &str = "ripple on the simulated board";
 const REBOUNDS: &str = "rebounds after a tap";
@@ -19,9 +19,9 @@ const MARGINS: &str = "all margins together";
 const MOTORS: &str = "motors and encoder counts";
 /// Stiffnesses at which the simulated limits are checked, as ratios to the wall's. The last limit has fewer, because it
 /// takes longest.
-const TRIED: [f64; 7] = [STIFFNESS_RATIO, 1.06, MORE, 1.25, 1.5, 2.0, 4.0];
-const TRIED_ON_BOARD: [f64; 2] = [STIFFNESS_RATIO, MORE];
-/// Name of a reference value that limits nothing.
+const CHECKED_FACTORS: [f64; 7] = [STIFFNESS_RATIO, 1.06, RAISE_FACTOR, 1.25, 1.5, 2.0, 4.0];
+const CHECKED_ON_BOARD: [f64; 2] = [STIFFNESS_RATIO, RAISE_FACTOR];
+/// Name of a value that is listed for reference and limits nothing.
 pub const RULE_OF_THUMB: &str = "rule of thumb, encoder steps";
 
 /// The gains that one limit alone would allow at the damping of the wall.
@@ -81,18 +81,18 @@ pub(super) fn limits(
     }
     push(MOTORS, Some(context.motors.0));
     let passes_ripple = |wall: &Settings| Ok(context.slide_ripple(wall)?.is_some());
-    push(RIPPLE, largest_passing(settings, &TRIED, &passes_ripple)?);
+    push(RIPPLE, largest_passing(settings, &CHECKED_FACTORS, &passes_ripple)?);
     let passes_tap = |wall: &Settings| context.passes_tap(wall);
-    push(REBOUNDS, largest_passing(settings, &TRIED, &passes_tap)?);
+    push(REBOUNDS, largest_passing(settings, &CHECKED_FACTORS, &passes_tap)?);
     if let Some(bound) = question.board_ripple_n {
         let passes_on_board = |wall: &Settings| Ok(context.board_ripple(wall, bound)?.is_some());
-        push(ON_BOARD, largest_passing(settings, &TRIED_ON_BOARD, &passes_on_board)?);
+        push(ON_BOARD, largest_passing(settings, &CHECKED_ON_BOARD, &passes_on_board)?);
     }
     push(RULE_OF_THUMB, Some(context.steps));
     let active = first_limit(&limits, settings, context.motors.1);
 
     let mut beside = Vec::new();
-    for (stiffer, more) in [(MORE, 1.0), (1.0, MORE), (1.0, 1.0 / MORE)] {
+    for (stiffer, more) in [(RAISE_FACTOR, 1.0), (1.0, RAISE_FACTOR), (1.0, 1.0 / RAISE_FACTOR)] {
         let stiffness = three_digits(settings.stiffness * stiffer, false);
         let damping = three_digits(settings.damping * more, false);
         let wall = Settings { stiffness, damping, ..*settings };
@@ -112,7 +112,7 @@ fn first_limit(limits: &[Limit], settings: &Settings, damped: f64) -> &'static s
         stiffness(a).total_cmp(&stiffness(b))
     });
     let limit = least.map_or("", |limit| limit.limit);
-    // More damping would allow a stiffer wall, but the motors lack the torque.
+    // More damping would allow a stiffer wall, but the motors lack the torque for it.
     if limit == MARGINS && settings.damping * STIFFNESS_RATIO > damped { "motors and damping" } else { limit }
 }
 

@@ -43,9 +43,9 @@ pub struct Margins {
 }
 
 impl Default for Margins {
-    /// A torque constant from a data sheet (±10 %) that varies with the magnet's temperature (another ±10 %), half a
-    /// carrier period of delay, computed instead of weighed masses, friction that varies with temperature and grease,
-    /// and a cable's radius that was measured at the pulley.
+    /// Margins for a torque constant from a data sheet (±10 %) that varies with the magnet's temperature (another ±10
+    /// %), half a carrier period of delay, computed instead of weighed masses, friction that varies with temperature
+    /// and grease, and a cable radius that was measured at the pulley.
     fn default() -> Self {
         Self { gain: 1.25, delay_s: 25.0e-6, mass: 0.1, inertia: 0.1, friction: 0.25, counts: 0.03, hand: true }
     }

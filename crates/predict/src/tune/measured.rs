@@ -22,9 +22,9 @@ use std::time::Duration;
 const DEPTH: f64 = 0.012;
 const SLIDE: f64 = 0.02;
 const SETTLE: f64 = 1.5;
-const WATCH: f64 = 1.0;
+const RECORD: f64 = 1.0;
 /// Mean force below which the hand does not count as held by the wall, N.
-const HELD: f64 = 1.0;
+const LEAST_HELD_FORCE: f64 = 1.0;
 /// Limits of the measurement, N m and m: those of `haptic measure-range`.
 const TORQUE: f64 = 1.0;
 const PULL: f64 = 0.5e-3;
@@ -36,7 +36,7 @@ const HOLD_HZ: f64 = 40.0;
 pub struct Measured {
     /// Largest stiffness at this damping that came to rest after the tip was pulled aside and released, N/m.
     pub stiffness: f64,
-    /// Reason why the boundary may be higher, if it was not found.
+    /// Reason why the boundary was not found and may be higher; `None` if it was found.
     pub open: Option<String>,
     /// Root mean square of the force above 20 Hz under a hand that presses with about 3 N and slides, at the stiffness
     /// of the settings, N; `None` if the wall does not hold the hand.
@@ -124,7 +124,7 @@ pub fn ripple(question: &Question<'_>, settings: &Settings, sweep: &Sweep) -> Re
         Waypoint { time: 0.7, value: tip },
         Waypoint { time: 1.0, value: aim(DEPTH, 0.0) },
         Waypoint { time: SETTLE, value: aim(DEPTH, 0.0) },
-        Waypoint { time: SETTLE + WATCH, value: aim(DEPTH, SLIDE) },
+        Waypoint { time: SETTLE + RECORD, value: aim(DEPTH, SLIDE) },
     ]);
     simulated.device_mut().set_hand(Hand::new(HandSettings::default(), intent, tip, 0.0));
     let shared = SharedBoard::new(simulated);
@@ -142,7 +142,7 @@ pub fn ripple(question: &Question<'_>, settings: &Settings, sweep: &Sweep) -> Re
     }
     board.start_stream(wanted, divider)?;
     let mut forces = Vec::new();
-    let end = board.now() + Duration::from_secs_f64(WATCH);
+    let end = board.now() + Duration::from_secs_f64(RECORD);
     while board.now() < end {
         sweep.go_on()?;
         for row in board.rows(Duration::from_millis(20))? {
@@ -161,5 +161,5 @@ pub fn ripple(question: &Question<'_>, settings: &Settings, sweep: &Sweep) -> Re
     let mean = forces.iter().sum::<f64>() / forces.len() as f64;
     let mut fast = RippleFilter::new(row_hz);
     let square = forces.iter().map(|force| fast.filter(*force).powi(2)).skip(from).sum::<f64>();
-    Ok((mean > HELD && forces.len() > from).then(|| (square / (forces.len() - from) as f64).sqrt()))
+    Ok((mean > LEAST_HELD_FORCE && forces.len() > from).then(|| (square / (forces.len() - from) as f64).sqrt()))
 }

@@ -3,12 +3,12 @@
 //! For each estimator, rate and cutoff, the largest stable stiffness over damping is a curve. At each damping of a
 //! curve the search tries a wall near the best so far, and makes it stiffer if it meets the criteria. It does not
 //! simulate candidates whose curve lies below the best. Candidates are simulated in rounds of fixed size, so the result
-//! does not depend on the number of cores. Around the best of each estimator the search continues between the grid's
-//! values. Its results are pressed on the simulated board, which takes longest, and made softer until they pass there
-//! as well. Finally the best wall is made stiffer in steps until no step meets all criteria.
+//! does not depend on the number of cores. Around the best wall of each estimator the search continues between the
+//! grid's values. The results of that search are pressed on the simulated board, which takes longest, and made softer
+//! until they pass there as well. Finally the best wall is made stiffer in steps until no step meets all criteria.
 
 use super::criteria::{Curve, SearchContext};
-use super::limits::MORE;
+use super::limits::RAISE_FACTOR;
 use super::{STIFFNESS_RATIO, Settings, TunedWall, choose, stiffest, three_digits};
 use haptic_bridge::render::scene::FeedForward;
 use haptic_bridge::render::velocity::{Chosen, CutoffMeaning, Estimator};
@@ -32,7 +32,7 @@ const FIRST_SHARE: f64 = 0.1;
 const STEP: f64 = 1.5;
 /// The best wall is made stiffer by these factors until none meets all criteria: friction or a limit cycle may make a
 /// stiffer wall quieter.
-const STIFFER_FACTORS: [f64; 5] = [1.5, 1.25, MORE, 1.06, STIFFNESS_RATIO];
+const STIFFER_FACTORS: [f64; 5] = [1.5, 1.25, RAISE_FACTOR, 1.06, STIFFNESS_RATIO];
 /// The search continues around the best of at most this many estimators, for at most this many rounds, with these
 /// factors of the cutoff or window and of the damping.
 const REFINED_ESTIMATORS: usize = 4;
@@ -43,9 +43,9 @@ const DAMPINGS: [f64; 7] = [1.0, 0.87, 1.15, 0.74, 1.35, 0.55, 1.8];
 /// Number of walls that are pressed on the board at once, their maximum number, and the ratio of stiffness from one
 /// press to the next.
 const PRESSED_AT_ONCE: usize = 4;
-const MOST_PRESSED: usize = 12;
-const SOFTER: f64 = 1.12;
-/// Corners of the washout, Hz, and the share of the stiffness that the chosen corner must keep; the highest such corner
+const MAX_PRESSED: usize = 12;
+const SOFTEN_FACTOR: f64 = 1.12;
+/// Corners of the washout, Hz, and the share of the stiffness that the chosen corner must keep. The highest such corner
 /// is chosen.
 const WASHOUTS_HZ: [f64; 5] = [20.0, 10.0, 5.0, 2.0, 1.0];
 const KEPT_SHARE: f64 = 0.98;
@@ -62,8 +62,8 @@ fn restore(settings: &Settings, ([stiffness, damping, ripple_n], board_ripple_n)
 }
 
 impl SearchContext<'_> {
-    /// Searches for walls that meet all criteria. Returns them, with the best among them, and the numbers of
-    /// combinations and of simulated ones.
+    /// Searches for walls that meet all criteria. Returns these walls, the best among them, and two numbers:
+    /// combinations, and combinations that were simulated.
     pub fn all(&self) -> Result<(Vec<TunedWall>, (usize, usize)), Failure> {
         let mut all: Vec<TunedWall> = self.known_wall()?.into_iter().collect();
         let mut looked_at = (0, 0);
@@ -108,13 +108,13 @@ impl SearchContext<'_> {
         waiting.sort_by(|a, b| b.settings.stiffness.total_cmp(&a.settings.stiffness));
         let mut seen = BTreeSet::new();
         waiting.retain(|tuned| seen.insert((tuned.settings.estimator, tuned.settings.feed_forward.name())));
-        waiting.truncate(MOST_PRESSED);
+        waiting.truncate(MAX_PRESSED);
         for (round, some) in waiting.chunks(PRESSED_AT_ONCE).enumerate() {
-            // Results well below the stiffest so far need not be exact.
+            // A result well below the stiffest one so far need not be exact.
             let floor = COMPARED_SHARE * stiffest(&done).map_or(0.0, |tuned| tuned.settings.stiffness);
             let results = self.sweep.map(&format!("on the board, round {}", round + 1), some, |tuned| {
                 let top = tuned.settings.stiffness;
-                let softer = (0..24).map(|i| three_digits(top / SOFTER.powi(i), true));
+                let softer = (0..24).map(|i| three_digits(top / SOFTEN_FACTOR.powi(i), true));
                 for stiffness in softer.take_while(|stiffness| *stiffness > floor) {
                     if let Some(kept) = self.check_all(&Settings { stiffness, ..tuned.settings })? {
                         return Ok(Some(gains(kept)));
@@ -151,7 +151,7 @@ impl SearchContext<'_> {
     fn known_wall(&self) -> Result<Option<TunedWall>, Failure> {
         let Some(known) = self.question.known.filter(|known| known.stiffness > 0.0) else { return Ok(None) };
         self.sweep
-            .map("the wall that is there", &[known], |known| Ok(self.check_all(known)?.map(gains)))
+            .map("known wall", &[known], |known| Ok(self.check_all(known)?.map(gains)))
             .map(|tuned| tuned.into_iter().flatten().next().map(|tuned| restore(&known, tuned)))
     }
 

@@ -25,7 +25,7 @@ pub struct Spectrum {
     pub samples: usize,
 }
 
-/// Lowest frequency of ripple, Hz: below it a force is the hand's.
+/// Lowest frequency of ripple, Hz: slower changes of a force come from the hand.
 pub const RIPPLE_HZ: f64 = 20.0;
 /// Power of a sine under a Hann window, in lines: the window's equivalent noise bandwidth.
 const HANN_LINES: f64 = 1.5;
@@ -39,11 +39,11 @@ impl Spectrum {
     }
 }
 
-/// Computes the amplitudes of a signal's sines from evenly sampled `stretches` (Welch 1967). The pieces have the
-/// largest power of two of samples that the longest stretch holds, 16384 at most. Each has its mean removed and a Hann
-/// window, and their powers are averaged. The pieces of a stretch overlap by at least half, so that the first begins
-/// and the last ends with the stretch; stretches shorter than a piece are left out. `None` if the longest stretch has
-/// fewer than 64 samples.
+/// Computes the amplitudes of a signal's sines from evenly sampled `stretches` (Welch 1967), which it divides into
+/// pieces of equal length: the largest power of two of samples that fits the longest stretch, at most 16384. Each piece
+/// has its mean removed and a Hann window, and the powers of all pieces are averaged. The pieces of a stretch overlap
+/// by at least half, so that the first begins and the last ends with the stretch; stretches shorter than a piece are
+/// left out. `None` if the longest stretch has fewer than 64 samples.
 pub fn spectrum(stretches: &[&[f64]], rate_hz: f64) -> Option<Spectrum> {
     let longest = stretches.iter().map(|stretch| stretch.len()).max().filter(|longest| *longest >= SHORTEST)?;
     let size = (1 << longest.ilog2()).min(LONGEST);
@@ -134,7 +134,7 @@ mod tests {
         assert_eq!(spectrum(&[&[0.0; 63]], 1.0), None);
     }
 
-    /// A power of two leaves out nearly half of 1000 samples, and a third of 767, if pieces only follow from the start.
+    /// Pieces that follow each other from the start would leave out nearly half of 1000 samples, and a third of 767.
     #[test]
     fn every_sample_of_a_stretch_counts() {
         let rate = 1000.0;
@@ -148,7 +148,7 @@ mod tests {
                 assert_eq!(result.samples, count);
             }
         }
-        // With several stretches, all that hold a piece count.
+        // Every stretch that is long enough for a piece counts.
         let result = spectrum(&[&[1.0; 100], &[1.0; 63], &[1.0; 64]], rate).unwrap();
         assert_eq!((result.samples, result.lines.len()), (164, 33));
     }

@@ -1,10 +1,10 @@
 //! Gains at which modes leave the unit circle: the exact crossings of one gain with the other held, and the stable
 //! intervals between them.
 //!
-//! On the unit circle, z = e^{iθ}, the loop 1 + kp Gx(z) + kd Gv(z) = 0 fixes the gain as a function of θ. The gain
-//! must be real, which leaves the zeros of one real function of θ. Its two parts do not depend on the gains, so they
-//! are tabulated once per loop; for each gain the sign changes (and the near misses) are refined. Eigenvalues decide
-//! which intervals between crossings are stable.
+//! On the unit circle, z = e^{iθ}, the loop 1 + kp Gx(z) + kd Gv(z) = 0 determines the gain as a function of θ. The
+//! gain must be real, so the crossings are the zeros of one real function of θ. The responses Gx and Gv do not depend
+//! on the gains, so they are tabulated once per loop; for each gain the sign changes (and the near misses) are refined.
+//! Eigenvalues decide which intervals between crossings are stable.
 //!
 //! This is Neimark's D-decomposition; see Gryazina and Polyak, "Stability regions in the parameter space:
 //! D-decomposition revisited", Automatica 42 (2006) 13-26.
@@ -50,17 +50,17 @@ enum SearchedGain {
     Damping,
 }
 
-/// Largest phase difference between the responses of neighbours, rad.
+/// Largest phase difference between the responses of neighbouring samples, rad.
 const LARGEST_TURN: f64 = 0.25;
 
 impl Response {
-    /// Returns true if the response turns so far between the two that a crossing between them could be missed.
+    /// Returns true if the response turns so far between two samples that a crossing between them could be missed.
     fn is_far_from(&self, other: &Response) -> bool {
         let turned = |a: Complex<f64>, b: Complex<f64>| (b * a.conj()).arg().abs() > LARGEST_TURN;
         turned(self.position, other.position) || turned(self.velocity, other.velocity)
     }
 
-    /// Returns the complex gain that puts a mode at this angle with the other gain `held`; a real gain is a crossing.
+    /// Returns the complex gain that puts a mode at this angle while the other gain is `held`; a crossing if real.
     fn gain(&self, searched: SearchedGain, held: f64) -> Complex<f64> {
         let (own, other) = match searched {
             SearchedGain::Stiffness => (self.position, self.velocity),
@@ -69,7 +69,7 @@ impl Response {
         -(other * held + 1.0) / own
     }
 
-    /// Returns the imaginary part of that gain up to a positive factor; it is finite even if the own response vanishes.
+    /// Returns the imaginary part of [`Response::gain`] times a positive factor; finite even where the gain is not.
     fn mismatch(&self, searched: SearchedGain, held: f64) -> f64 {
         let (own, other) = match searched {
             SearchedGain::Stiffness => (self.position, self.velocity),
@@ -163,7 +163,7 @@ impl<'a> Circle<'a> {
             if (values[i] > 0.0) != (values[i - 1] > 0.0) {
                 gains.push(self.refine(searched, held, i - 1, i, values[i - 1]));
             }
-            // Two crossings between samples: an extremum near zero that does not reach zero on the grid.
+            // Two crossings may lie between samples where an extremum is near zero but does not reach zero on the grid.
             if i >= 2 {
                 let (a, b, c) = (values[i - 2], values[i - 1], values[i]);
                 let same_side = (a > 0.0) == (b > 0.0) && (b > 0.0) == (c > 0.0);
@@ -220,7 +220,7 @@ impl<'a> Circle<'a> {
         last.gain(searched, held).re
     }
 
-    /// Finds the extremum between two samples and, if it crosses zero, refines the crossings on both sides.
+    /// Searches the extremum between two samples and, if it crosses zero, refines the crossings on both sides.
     fn refine_pair(&mut self, searched: SearchedGain, held: f64, from: usize, to: usize, middle: f64) -> Vec<f64> {
         let sign = middle.signum();
         let (mut low, mut high) = (self.samples[from].angle, self.samples[to].angle);

@@ -11,7 +11,7 @@ use super::plant::{Drive, Linearised};
 pub const LONGEST_DELAY: f64 = 64.0;
 /// Default bandwidth (Hz) of the first-order lag that represents a board's current loop (docs/results.md).
 pub const CURRENT_LOOP_HZ: f64 = 6400.0;
-/// Carrier frequency of the boards, Hz: torque follows the encoders by half a carrier period.
+/// Carrier frequency of the boards, Hz: torque follows the encoders half a carrier period later.
 pub const CARRIER_HZ: f64 = 20_000.0;
 
 /// Torque that renders the wall force: a wall's feed-forward with its parameters.
@@ -113,8 +113,8 @@ pub fn usual_delay(rate_hz: f64) -> f64 {
 
 impl Linearised {
     /// Returns the additional displacement of the tip along the normal at rest that the wall does not measure, m/N: Σⱼ
-    /// Jrⱼ τⱼ/kⱼ with the joint torques τ per newton of wall. These are those of (4) with the full feed-forward, and
-    /// Jrᵀ without it or behind a washout. `None` if no transmission is compliant.
+    /// Jrⱼ τⱼ/kⱼ with the joint torques τ per newton of wall. These torques are those of equation (4) with the full
+    /// feed-forward, and Jrᵀ without feed-forward or behind a washout. `None` if no transmission is compliant.
     #[must_use]
     pub fn compliance(&self, mode: Mode) -> Option<f64> {
         match mode {

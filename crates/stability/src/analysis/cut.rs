@@ -1,11 +1,11 @@
-//! The plane of the workspace that a map shows, in tiles fine enough to see: the quantities of [`super::map`] between
-//! its grid poses.
+//! The plane of the workspace that a map shows, divided into tiles that are small enough for a drawing, with the
+//! quantities of [`super::map`] between its grid poses.
 //!
 //! Two joints sweep the plane from home, within their limits and up to the singularities, exactly like the map's grid.
 //! Every corner of a tile is an evaluated pose; nothing is interpolated between tiles.
 //!
-//! A device on a turret is cut at joint 0 = 0 (or, if its limits exclude that, at home's joint 0) and drawn in its
-//! linkage's plane. The redundant arm keeps its orientation at home.
+//! A device on a turret is cut at joint 0 = 0 (or, if its limits exclude 0, at the angle of joint 0 at home) and drawn
+//! in its linkage's plane. The redundant arm keeps its orientation at home.
 
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::description::Description;
@@ -21,7 +21,7 @@ const GRID: usize = 64;
 /// Largest number of times that a tile is halved; at the smallest size a tile on the edge is cut where the workspace
 /// ends.
 const DEPTH: usize = 4;
-/// The same for tiles on the edge: two halvings leave 1.4° of a full turn, which a straight cut follows.
+/// Maximum number of halvings of a tile on the edge. Two leave 1.4° of a full turn, where the edge is nearly straight.
 const EDGE_DEPTH: usize = 2;
 
 /// A pose of the plane.
@@ -58,7 +58,7 @@ impl Tile {
 pub struct Fineness {
     /// Largest side of a tile, m.
     pub side: f64,
-    /// Size below which tiles are not divided because of their shares, m.
+    /// Size below which a tile is not divided further because of its shares, m.
     pub least: f64,
     /// Largest difference of the share between a tile's corners, for shares below `top`.
     pub step: f64,
@@ -171,7 +171,7 @@ impl Cut {
             |axis: &Vec<f64>, joint: usize| if self.reachable.wraps[joint] { axis.len() } else { axis.len() - 1 };
         let angle = |axis: &Vec<f64>, i: usize| match axis.get(i) {
             Some(angle) => *angle,
-            // After a full turn: the first angle plus a turn.
+            // After a full turn the grid ends at the first angle plus a turn.
             None => axis[0] + std::f64::consts::TAU,
         };
         let corner = |i: usize, j: usize| {

@@ -66,7 +66,7 @@ pub struct Domain {
     pub area: f64,
     /// Damping at which kp_max reaches zero, N s/m.
     pub kd_max: f64,
-    /// The point of largest stiffness; with requested dampings, among them.
+    /// Point of the largest stiffness; if dampings were requested, among these dampings.
     #[serde(skip)]
     pub top: BoundaryPoint,
     /// kp_max over damping.
@@ -153,7 +153,7 @@ pub(super) fn domain_from_intervals(
     let support = support(circle)?;
     let kd_max = support.last().map_or(0.0, |last| last.high);
     let mut stable_at = |kd: f64| match circle.stiffness_intervals(kd) {
-        // At exactly the largest damping the stiffness may be unbounded; no gain counts there.
+        // At exactly the largest damping the stiffness may be unbounded, so no stiffness counts there.
         Err(AnalysisError::Unbounded) if !is_supported(&support, kd) => Ok(Vec::new()),
         result => result,
     };
@@ -261,8 +261,8 @@ pub fn stiffnesses(
     Ok(points.into_iter().map(|point| point.kp).collect())
 }
 
-/// Returns the boundary of such a device at the dampings (N s/m) that `kd` chooses, given the largest damping with
-/// which any stiffness is stable.
+/// Returns the boundary of a device whose controller uses the model `believed`, at the dampings (N s/m) that `kd`
+/// chooses from the largest damping with which any stiffness is stable.
 pub fn boundary_of(
     device: &Linearised,
     believed: &Linearised,
@@ -376,7 +376,7 @@ mod tests {
         }
     }
 
-    fn around(rate: f64, cutoff: f64, delay: f64) -> Loop {
+    fn control_loop(rate: f64, cutoff: f64, delay: f64) -> Loop {
         Loop {
             rate_hz: rate,
             delay_samples: delay,
@@ -388,7 +388,7 @@ mod tests {
 
     fn in_sample_units_of_a_mass(rate: f64, cutoff: f64, delay: f64) -> (f64, f64, f64) {
         let m = 0.2;
-        let d = domain(&mass(m, 0.0), &around(rate, cutoff, delay), Mode::Off, None).unwrap();
+        let d = domain(&mass(m, 0.0), &control_loop(rate, cutoff, delay), Mode::Off, None).unwrap();
         let t = 1.0 / rate;
         let top = d.boundary.iter().map(|p| p.kp).fold(0.0, f64::max);
         (top * t * t / m, d.kd_max * t / m, d.area * t.powi(3) / (m * m))
@@ -409,18 +409,18 @@ mod tests {
     }
 
     #[test]
-    fn the_top_is_refined_between_the_dampings_of_the_grid() {
+    fn the_largest_stiffness_is_refined_between_grid_dampings() {
         // Without filter and delay the boundary is 2β(2 - β)/(2 + β), with its maximum 12 - 8√2 at β = 2(√2 - 1).
-        let around = Loop { estimator: LinearEstimator::BackwardDifference, ..around(1000.0, 1.0, 0.0) };
+        let around = Loop { estimator: LinearEstimator::BackwardDifference, ..control_loop(1000.0, 1.0, 0.0) };
         let result = domain(&mass(1.0, 0.0), &around, Mode::Off, None).unwrap();
         let (kp, kd) = (result.top.kp * 1e-6, result.top.kd * 1e-3);
         assert!((kp / (12.0 - 8.0 * 2.0_f64.sqrt()) - 1.0).abs() < 1e-8, "{kp}");
         assert!((kd - 2.0 * (2.0_f64.sqrt() - 1.0)).abs() < 1e-4, "{kd}");
-        // The two neighbouring points of the grid are 3e-6 lower; with a kink, as soft transmissions make, they would
+        // The two neighbouring points of the grid are 3e-6 lower. At a kink, which soft transmissions cause, they would
         // be up to 3e-3 lower.
         let grid = result.boundary.iter().map(|point| point.kp).fold(0.0, f64::max) * 1e-6;
         assert!(grid < kp - 1e-7, "{grid}");
-        // With requested dampings the top is the largest of theirs.
+        // If dampings are requested, the top is the largest stiffness at these.
         let requested = domain(&mass(1.0, 0.0), &around, Mode::Off, Some(&[300.0, 700.0])).unwrap();
         assert_eq!(requested.top, requested.boundary[1]);
     }
@@ -438,7 +438,7 @@ mod tests {
         // Backward difference, double integrator: 1 + K (z+1)/(2(z-1)²) + D (z+1)/(2z(z-1)), by Jury with the
         // polynomial
         // z(z-1)² + (k/2) z (z+1) + (d/2)(z+1)(z-1) = z³ + (k/2 + d/2 - 2) z² + (1 + k/2) z - d/2.
-        let around = Loop { estimator: LinearEstimator::BackwardDifference, ..around(1000.0, 1.0, 0.0) };
+        let around = Loop { estimator: LinearEstimator::BackwardDifference, ..control_loop(1000.0, 1.0, 0.0) };
         let result = domain(&mass(1.0, 0.0), &around, Mode::Off, Some(&[200.0])).unwrap();
         // Jury for a cubic with a0 = -d/2: |a0² - 1| > |a0 a2 - a1| gives the limit at d = 0.2.
         let d = 0.2;
@@ -455,7 +455,7 @@ mod tests {
             if stable(middle) { low = middle } else { high = middle }
         }
         assert!((result.boundary[0].kp * 1e-6 / low - 1.0).abs() < 1e-9);
-        // At k = 0 the double root at one leaves 1: kd_max T/m of the rate loop (z² - (1 - d/2) z + d/2) is 2.
+        // At k = 0 the polynomial is (z - 1)(z² - (1 - d/2) z + d/2), with a second factor that is stable up to d = 2.
         assert!((result.kd_max * 1e-3 - 2.0).abs() < 1e-6, "{}", result.kd_max);
     }
 

@@ -1,19 +1,19 @@
 //! Motions without feedback: if the joints' damping is exactly compensated, a device drifts. The analysis of the loop
-//! removes these motions, because modes that rest on the unit circle cannot be told from unstable ones.
+//! removes these motions, because modes that rest on the unit circle cannot be distinguished from unstable ones.
 
 use nalgebra::{DMatrix, DVector};
 
 use super::control_loop::{Loop, Mode};
 use super::plant::{ContinuousPlant, Linearised};
 
-/// States at which the loop rests at any gains: one column of states per motion, and the force that the motion needs.
+/// Constant states of the loop at any gains: one column of states per motion, and the force that the motion needs.
 #[derive(Clone, Debug)]
 pub(super) struct Drift {
     /// States per unit of motion, without the rendered position.
     states: DMatrix<f64>,
     /// Wall force per unit of motion, in force units: the rendered position settles at -force/kp.
     force: DVector<f64>,
-    /// State of each motion that is one for this motion and zero for the others.
+    /// Index of each motion's own state, which is one for this motion and zero for the others.
     pivot: Vec<usize>,
     /// Index of the rendered position.
     position: usize,
@@ -38,11 +38,10 @@ impl Drift {
 /// One constant motion: (velocities of the damped joints, share of the undamped ones, lagging torques, wall force).
 pub(super) type ConstantMotion = (Vec<f64>, f64, Vec<f64>, f64);
 
-/// Finds the constant motions that damping compensation leaves without any restoring force.
+/// Finds the constant joint velocities that no torque changes if the joints' damping is exactly compensated.
 ///
-/// If the joints' damping is exactly compensated, every constant joint velocity without rendered part is at rest. With
-/// full feed-forward the wall holds EᵀB q̇ against it; with washout only motions with EᵀB q̇ = 0 rest. Drives that damp
-/// by themselves (back-EMF) leave no such motion.
+/// They have no part along the wall. With the full feed-forward the wall balances a force EᵀB q̇. Behind a washout no
+/// such force lasts, so only velocities with EᵀB q̇ = 0 remain. Drives that damp the joints (back-EMF) leave none.
 pub(super) fn find_drift(
     device: &Linearised,
     around: &Loop,
@@ -91,8 +90,8 @@ pub(super) fn find_drift(
     Some(Drift { states: states(&constants), force, pivot, position: plant.position })
 }
 
-/// Returns a basis of the vectors orthogonal to all conditions, by Gauss-Jordan elimination: each is one at its own
-/// pivot coordinate and zero at the others'.
+/// Returns a basis of the vectors orthogonal to all conditions, by Gauss-Jordan elimination, and the pivot of each: the
+/// coordinate at which this vector is one and the others are zero.
 fn null_space(dimension: usize, conditions: &[DVector<f64>]) -> (Vec<DVector<f64>>, Vec<usize>) {
     let mut rows: Vec<DVector<f64>> = Vec::new();
     let mut bound = Vec::new();

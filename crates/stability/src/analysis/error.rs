@@ -9,7 +9,7 @@ pub enum AnalysisError {
     #[error("the rate must be a positive number of hertz, not {0}")]
     Rate(f64),
     /// Low-pass or washout at or above the Nyquist frequency, or not positive.
-    #[error("a cutoff of {cutoff} Hz cannot be had at {rate} Hz: it must lie above 0 and below half the rate")]
+    #[error("a cutoff of {cutoff} Hz is impossible at {rate} Hz: it must lie above 0 and below half the rate")]
     Cutoff {
         /// Frequency, Hz.
         cutoff: f64,
@@ -46,7 +46,7 @@ pub enum AnalysisError {
     /// Motor data missing or without resistance.
     #[error("a voltage drive needs the resistance of every joint's motor ([joint.motor] in the device file)")]
     Motor,
-    /// Jr, M or B is not that of a device.
+    /// Jr, M or B that no device has.
     #[error("the device has no inertia in this direction here: its mass matrix or Jacobian is singular or not finite")]
     Singular,
     /// Damping value of the boundary.

@@ -126,7 +126,7 @@ impl LinearEstimator {
             Self::FirstOrder(_) => 1,
             Self::Butterworth(_) => 2,
             Self::Predicted(_) => 3,
-            Self::Over { samples, then } => samples - 1 + then.alone().states(),
+            Self::Over { samples, then } => samples - 1 + then.after_backward_difference().states(),
         }
     }
 
@@ -154,7 +154,7 @@ impl LinearEstimator {
             (Self::Over { samples, then }, states) => {
                 let (past, rest) = states.split_at(samples - 1);
                 let mean = (moved + past.iter().sum::<f64>()) / samples as f64;
-                let mut after = then.alone().filter_sample(rate_hz, rest, mean, 0.0);
+                let mut after = then.after_backward_difference().filter_sample(rate_hz, rest, mean, 0.0);
                 let mut change = Vec::with_capacity(states.len());
                 let mut newer = moved;
                 for states_part in past {
@@ -183,7 +183,7 @@ impl LinearEstimator {
     /// predicting estimator is evaluated without commands.
     pub(super) fn response(self, rate_hz: f64) -> impl Fn(f64) -> Complex<f64> {
         let (samples, filter) = match self {
-            Self::Over { samples, then } => (samples, then.alone()),
+            Self::Over { samples, then } => (samples, then.after_backward_difference()),
             alone => (1, alone),
         };
         let (matrix, states) = (filter.matrix(rate_hz), filter.states());
@@ -269,7 +269,7 @@ impl LinearEstimator {
 
 impl LowPass {
     /// Returns the low-pass after a backward difference.
-    fn alone(self) -> LinearEstimator {
+    fn after_backward_difference(self) -> LinearEstimator {
         match self {
             Self::None => LinearEstimator::BackwardDifference,
             Self::FirstOrder(hz) => LinearEstimator::FirstOrder(hz),

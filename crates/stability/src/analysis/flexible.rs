@@ -50,8 +50,8 @@ pub struct Flexible {
     pub normal: DVector<f64>,
 }
 
-/// Returns the stiffness that a hand feels at rest of a wall of `stiffness` (N/m) behind parts of this compliance
-/// (m/N): both in series. `None` if the wall cannot hold a hand at rest, because the torques of its feed-forward move
+/// Returns the stiffness that a hand feels at rest, N/m: that of a wall of `stiffness` (N/m) in series with parts of
+/// this `compliance` (m/N). `None` if the wall cannot hold a hand at rest, because the torques of its feed-forward move
 /// the tip into it.
 #[must_use]
 pub fn felt(stiffness: f64, compliance: f64) -> Option<f64> {
@@ -70,7 +70,7 @@ impl Flexible {
 
     /// Returns the displacement of the tip along a direction with Jacobian `row` (m/rad, N) by the transmissions, while
     /// the motors are held at their encoders and give `torque` (N m per newton of wall, N): Σⱼ rowⱼ torqueⱼ/kⱼ, m/N. A
-    /// joint with its encoder on the link's side does not count, because its wall measures that displacement. `None` if
+    /// joint with its encoder on the link's side is left out, because its wall measures that displacement. `None` if
     /// no such transmission is compliant.
     #[must_use]
     pub fn compliance_at_tip(&self, row: &DVector<f64>, torque: &DVector<f64>) -> Option<f64> {

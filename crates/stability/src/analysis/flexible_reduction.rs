@@ -33,7 +33,7 @@ pub(crate) struct ObservedDevice<'a> {
     pub viscous: &'a DVector<f64>,
     /// The parts that are not rigid.
     pub flexible: &'a Flexible,
-    /// Rendered directions as rows, R x N, m/rad, and those of the tip, which come first, as columns in the task.
+    /// Rendered directions as rows, R x N, m/rad, and the tip's directions, which come first, as columns in the task.
     pub rows: &'a DMatrix<f64>,
     pub directions: &'a DMatrix<f64>,
 }
@@ -58,7 +58,7 @@ struct Bodies {
     encoder: Vec<usize>,
     /// Spring of each joint's transmission.
     twist: Vec<Option<usize>>,
-    /// First spring of the hand, if it has one.
+    /// Index of the hand's first spring, if there is one.
     held: Option<usize>,
 }
 
@@ -178,7 +178,7 @@ pub(crate) fn reduce(
     Some(ContinuousPlant::of_flexible_device(a, b, seen.row(0).transpose()))
 }
 
-/// The same with walls along several directions.
+/// Like [`reduce`], for walls along several directions.
 pub(crate) fn reduce_observed(
     device: &ObservedDevice<'_>,
     lags: &Lags,
@@ -190,8 +190,8 @@ pub(crate) fn reduce_observed(
     let bodies = Bodies::new(device, lags, sample_s, reference_mass)?;
     let (moving, springs) = (bodies.mass.nrows(), bodies.stiffness.len());
     let lagging: Vec<usize> = (0..joints).filter(|&joint| lags.rate[joint].is_some()).collect();
-    // States: scaled velocities L' v, scaled deflections, torques of the lagging drives, and every x that no spring
-    // holds.
+    // States: scaled velocities L' v, scaled deflections, torques of the lagging drives, and every rendered position
+    // that the hand's springs do not hold.
     let (torques, position) = (moving + springs, moving + springs + lagging.len());
     // A hand's springs hold the tip, not its orientation.
     let held = |k: usize| bodies.held.filter(|_| k < device.directions.ncols());
@@ -199,7 +199,7 @@ pub(crate) fn reduce_observed(
     let size = position + integrated.len();
     let (mut a, mut b) = (DMatrix::zeros(size, size), DMatrix::zeros(size, inputs.ncols()));
     let lower = bodies.mass.cholesky()?.l();
-    // L⁻¹ maps generalised forces to the change of the scaled velocities; its transpose maps these to velocities.
+    // L⁻¹ maps forces to changes of the scaled velocities; its transpose maps scaled velocities to velocities.
     let inverse = lower.solve_lower_triangular(&DMatrix::identity(moving, moving))?;
     let velocities = inverse.transpose();
     let roots = bodies.stiffness.map(f64::sqrt);
@@ -224,7 +224,7 @@ pub(crate) fn reduce_observed(
             }
         }
     }
-    // Rendered positions as columns.
+    // Rendered positions, one per column.
     let mut seen = DMatrix::zeros(size, rendered);
     for k in 0..rendered {
         let Some(held) = held(k) else {
@@ -236,8 +236,8 @@ pub(crate) fn reduce_observed(
             seen[(state, k)] = 1.0;
             continue;
         };
-        // Jr q is the tip's own displacement, which the hand's springs hold; an encoder on a motor measures the twist
-        // as well.
+        // Jr q is the tip's own displacement, the deflection of the hand's springs; an encoder on a motor measures the
+        // twist as well.
         for (direction, along) in device.directions.column(k).iter().enumerate() {
             seen[(moving + held + direction, k)] += along / roots[held + direction];
         }

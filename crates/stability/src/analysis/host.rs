@@ -1,5 +1,5 @@
-//! The same wall rendered by a program on a computer instead of the board: sampled at the program's rate, with its
-//! force held by the board in between.
+//! A wall rendered by a program on a computer instead of the board: sampled at the program's rate, while the board
+//! holds the last force.
 //!
 //! The program reads position and velocity (as the board estimates it) in the reply to its last request, and sends the
 //! force with the next request. The board does not shape this force: τ = Jᵀ f. So the loop is the board's own, cut at
@@ -21,8 +21,8 @@ pub const SLOWEST_HZ: f64 = 1.0;
 pub struct Host {
     /// Request rate, Hz.
     pub rate_hz: f64,
-    /// Age of a force, s: from the state that the program received to the board accepting the force.
-    /// `haptic board latency` measures it.
+    /// Age of a force when the board accepts it, s, counted from the state that the program received. `haptic board
+    /// latency` measures it.
     pub delay_s: f64,
 }
 
@@ -144,7 +144,7 @@ mod tests {
         }
     }
 
-    fn around(rate: f64, delay: f64, drive: Drive) -> Loop {
+    fn control_loop(rate: f64, delay: f64, drive: Drive) -> Loop {
         Loop {
             rate_hz: rate,
             delay_samples: delay,
@@ -162,7 +162,7 @@ mod tests {
     fn host_at_the_board_rate_equals_a_board_with_more_delay() {
         let device = mass(0.2, 0.3);
         for (late, delay) in [(0.0, 0.5), (2.0, 0.5), (3.0, 0.0)] {
-            let around = around(2000.0, delay, Drive::Current { bandwidth_hz: 900.0 });
+            let around = control_loop(2000.0, delay, Drive::Current { bandwidth_hz: 900.0 });
             let host = Host { rate_hz: 2000.0, delay_s: late / 2000.0 }.domain(&device, &around, None).unwrap();
             let board = Loop { delay_samples: delay + late, ..around };
             let board = domain(&device, &board, Mode::Off, None).unwrap();
@@ -180,7 +180,7 @@ mod tests {
             (held, Drive::Ideal),
         ] {
             for (steps, late, delay) in [(20.0, 0.0, 0.0), (20.0, 20.0, 0.5), (20.0, 33.0, 0.5), (7.0, 24.0, 1.5)] {
-                let around = around(20_000.0, delay, drive.clone());
+                let around = control_loop(20_000.0, delay, drive.clone());
                 let host = Host { rate_hz: 20_000.0 / steps, delay_s: late / 20_000.0 };
                 let result = host.domain(&device, &around, Some(&[0.0])).unwrap().domain.boundary[0].kp;
                 let slow = Loop {
@@ -199,7 +199,8 @@ mod tests {
     fn damped_wall_has_the_closed_form_of_exact_velocity() {
         // x⁺ = x + v + f/2, v⁺ = v + f, f = -α x - β v: by Jury α < 2β and β < 2. The lag of a difference over one
         // board period is a five-hundredth of the host's period.
-        let around = Loop { estimator: LinearEstimator::BackwardDifference, ..around(50_000.0, 0.0, Drive::Ideal) };
+        let around =
+            Loop { estimator: LinearEstimator::BackwardDifference, ..control_loop(50_000.0, 0.0, Drive::Ideal) };
         let (m, t) = (0.2, 0.01);
         let host = Host { rate_hz: 1.0 / t, delay_s: 0.0 };
         for beta in [0.2, 0.8, 1.5] {
@@ -241,7 +242,7 @@ mod tests {
     #[test]
     fn simulation_of_a_free_mass_agrees_with_the_boundary() {
         let (m, rate) = (0.2, 4000.0);
-        let around = Loop { estimator: LinearEstimator::BackwardDifference, ..around(rate, 0.0, Drive::Ideal) };
+        let around = Loop { estimator: LinearEstimator::BackwardDifference, ..control_loop(rate, 0.0, Drive::Ideal) };
         for (steps, late, beta) in [(4, 0, 0.4), (4, 3, 0.4), (4, 4, 0.3), (4, 7, 0.2), (10, 25, 0.1)] {
             let host_s = steps as f64 / rate;
             let host = Host { rate_hz: 1.0 / host_s, delay_s: late as f64 / rate };
@@ -255,7 +256,7 @@ mod tests {
 
     #[test]
     fn wrong_host_rates_and_delays_are_rejected() {
-        let (device, around) = (mass(0.2, 0.0), around(1000.0, 0.0, Drive::Ideal));
+        let (device, around) = (mass(0.2, 0.0), control_loop(1000.0, 0.0, Drive::Ideal));
         for (rate_hz, delay_s) in [(0.0, 0.0), (1001.0, 0.0), (f64::NAN, 0.0), (100.0, -0.001), (100.0, 1.0)] {
             assert!(Host { rate_hz, delay_s }.domain(&device, &around, None).is_err(), "{rate_hz} {delay_s}");
         }

@@ -22,8 +22,8 @@ use haptic_host::error::Failure;
 
 /// Smallest sine of the singular angle at which a pose counts as regular when flooding.
 const WALKABLE_SINE: f64 = 0.08;
-/// Longest step while flooding, rad. A singularity is wider than that, by [`WALKABLE_SINE`] on either side, so no step
-/// crosses one; not even where two meet and the sign of J's determinant is the same behind both.
+/// Longest step while flooding, rad. The excluded band around a singularity ([`WALKABLE_SINE`] on either side) is wider,
+/// so no step crosses one, not even where two meet and J's determinant has the same sign behind both.
 const STEP: f64 = 0.1;
 
 /// A normal and its effect on the inertia.
@@ -81,7 +81,7 @@ pub struct Reachable {
     reached: Vec<bool>,
     held: Option<Held>,
     device: Device<f64>,
-    /// Side of the singularities of the reached poses.
+    /// Side of the singularities on which the reached poses lie.
     side: Option<bool>,
 }
 
@@ -198,7 +198,7 @@ pub fn climb(
     step: f64,
     value: impl Fn(&TaskPose) -> f64,
 ) -> Result<f64, PoseError> {
-    // A mechanism that is not periodic, such as a paddle's arc, ends where the grid does.
+    // The angles of a mechanism that is not periodic, such as a paddle on its arc, end where the grid ends.
     let periodic = device.mechanism.kind().spec().periodic;
     let at = |q: &[f64]| -> Result<Option<(bool, f64)>, PoseError> {
         if !periodic && q.iter().any(|angle| angle.abs() > std::f64::consts::PI) {
@@ -228,7 +228,7 @@ pub fn climb(
     Ok(best)
 }
 
-/// Returns the side of the singularities of a pose; `None` if it is nearer to one than `sine` or beyond the limits.
+/// Returns the side of the singularities on which a pose lies; `None` nearer to one than `sine` or beyond the limits.
 fn side(device: &Device<f64>, q: &[f64], sine: f64) -> Result<Option<bool>, PoseError> {
     // A grid angle on a limit may be rounded to just beyond it.
     let allowed = |(angle, joint): (&f64, &Joint<f64>)| {
@@ -485,7 +485,7 @@ mod tests {
     }
 
     #[test]
-    fn the_worst_normals_are_the_worst() {
+    fn worst_normals_exceed_all_other_normals() {
         for (name, q) in [
             ("coupled-five-bar", vec![2.6, 1.75]),
             ("phantom-premium-1.5", vec![0.3, 0.9, -0.3]),

@@ -2,9 +2,9 @@
 //!
 //! A mode z of the sampled loop oscillates at arg z/(2π T) and grows as exp(t ln|z|/T). Of all oscillating modes, a
 //! hand feels and hears the one with the largest growth: above the boundary the wall buzzes at its frequency. The
-//! prediction is linear. It leaves out that a wall only pushes, so that the tip flies free for a part of every period,
-//! that friction holds, and that motor torque is limited. The sustained buzz lies within 13 % of the predicted
-//! frequency on the demo's wall (tool/tests/quick/prediction.rs).
+//! prediction is linear and leaves out three effects: a wall only pushes, so the tip flies free for a part of every
+//! period; friction; and the limit of motor torque. The sustained buzz lies within 13 % of the predicted frequency on
+//! the demo's wall (tool/tests/quick/prediction.rs).
 
 use super::eigenvalues::eigenvalues;
 use nalgebra::DMatrix;

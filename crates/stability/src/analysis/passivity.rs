@@ -28,13 +28,13 @@ use nalgebra::{Complex, DVector};
 use super::control_loop::Loop;
 use super::plant::{Drive, Linearised};
 
-/// Number of slow angles, up to the even ones, and of even angles for a loop without delay: each sample of delay turns
-/// the response once more. Still slower motions have a limit of their own.
+/// Number of slow angles below `EVEN_FROM`, and of even angles above for a loop without delay: each sample of delay
+/// turns the response once more and adds as many. Motions slower than `SLOWEST` follow their limit (`lateness`).
 const SLOW_ANGLES: usize = 200;
 const EVEN_ANGLES: usize = 400;
 const SLOWEST: f64 = 1e-3;
 const EVEN_FROM: f64 = 0.1;
-/// Aliases with exact lag; those beyond count as without lag, which makes r larger.
+/// Number of aliases on each side with exact lag. Those beyond count as without lag, which makes r larger.
 const ALIASES: i32 = 60;
 
 /// Dissipation of the device along the rendered direction, and the condition for a passive wall.
@@ -51,7 +51,7 @@ pub struct Passivity {
     angles: Vec<Angle>,
 }
 
-/// Condition at one angle.
+/// Terms of the condition at one angle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Angle {
     /// C, m/N.
@@ -174,7 +174,7 @@ fn angles(b: f64, lag_s: f64, around: &Loop) -> Vec<Angle> {
 fn integrator_response(theta: f64, rate: f64, delay_samples: f64) -> Complex<f64> {
     let turn = Complex::from_polar(1.0, theta);
     let (whole, late) = (delay_samples.floor(), delay_samples.fract());
-    // Over part of a sample: the remaining difference between force and command, and the motion that it causes.
+    // Over a part of a sample: the remaining share of the difference between force and command, and its motion.
     let over = |part: f64| match part > 0.0 {
         true => ((-rate * part).exp(), -(-rate * part).exp_m1() / rate),
         false => (1.0, 0.0),
@@ -193,7 +193,7 @@ mod tests {
     use crate::analysis::estimator::LinearEstimator;
     use haptic_host::device_file::DeviceFile;
 
-    fn around(delay_samples: f64, drive: Drive) -> Loop {
+    fn control_loop(delay_samples: f64, drive: Drive) -> Loop {
         let estimator = LinearEstimator::BackwardDifference;
         Loop { rate_hz: 1e3, delay_samples, estimator, drive, damping_compensation: false }
     }
@@ -212,7 +212,7 @@ mod tests {
 
     #[test]
     fn a_paddle_has_the_textbook_bounds() {
-        let bounds = paddle(&around(0.0, Drive::Ideal));
+        let bounds = paddle(&control_loop(0.0, Drive::Ideal));
         // b = 2e-3/0.1² = 0.2 N s/m, fc = 0.05 N, Δ = 0.1 · 1e-4 m.
         assert!((bounds.sampled(0.05) - 300.0).abs() < 1e-6);
         assert_eq!(bounds.sampled(0.3), 0.0);
@@ -220,12 +220,12 @@ mod tests {
         // 2 fc/Δ = 1e4 N/m is above 2b/T = 400 N/m.
         assert!((bounds.quantised().unwrap() - 400.0).abs() < 1e-6);
         // A sample of delay triples T/2.
-        assert!((paddle(&around(1.0, Drive::Ideal)).sampled(0.0) - 400.0 / 3.0).abs() < 1e-5);
+        assert!((paddle(&control_loop(1.0, Drive::Ideal)).sampled(0.0) - 400.0 / 3.0).abs() < 1e-5);
     }
 
     #[test]
     fn lag_and_fractional_delay_cost_more_than_their_time() {
-        let limit = |delay: f64, drive: Drive| paddle(&around(delay, drive)).sampled(0.0);
+        let limit = |delay: f64, drive: Drive| paddle(&control_loop(delay, drive)).sampled(0.0);
         // b/(T (1/2 + d) + lag) is the limit of slow motions; aliases, to which a hand may react differently, take the
         // rest.
         let slow = |delay: f64, lag_s: f64| 0.2 / (1e-3 * (0.5 + delay) + lag_s);
@@ -242,7 +242,7 @@ mod tests {
 
     /// Returns true if a wall is passive by the condition of Colgate and Schenkel in its original form, over a fine
     /// grid of frequencies.
-    fn passive(b: f64, kp: f64, kd: f64, t: f64, delay: f64) -> bool {
+    fn is_passive(b: f64, kp: f64, kd: f64, t: f64, delay: f64) -> bool {
         (1..4000).all(|i| {
             let theta = std::f64::consts::PI * f64::from(i) / 4000.0;
             let turned = |steps: f64| Complex::from_polar(1.0, -steps * theta);
@@ -256,10 +256,13 @@ mod tests {
     fn the_bound_equals_the_full_condition_at_every_delay() {
         let (b, t) = (0.2, 1e-3);
         for delay in [0.0, 1.0, 2.0, 5.0] {
-            let bounds = paddle(&around(delay, Drive::Ideal));
+            let bounds = paddle(&control_loop(delay, Drive::Ideal));
             for kd in [0.0, 0.05, 0.1, 0.19] {
                 let limit = bounds.sampled(kd);
-                assert!(passive(b, 0.999 * limit, kd, t, delay) && !passive(b, 1.001 * limit, kd, t, delay), "{delay}");
+                assert!(
+                    is_passive(b, 0.999 * limit, kd, t, delay) && !is_passive(b, 1.001 * limit, kd, t, delay),
+                    "{delay}"
+                );
             }
         }
     }

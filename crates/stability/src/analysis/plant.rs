@@ -3,7 +3,7 @@
 //!
 //! A wall feeds back only the rendered position. So joint positions do not matter, and a joint without damping is an
 //! integrator without feedback: all such joints together appear only as their share of the rendered velocity. That
-//! share is one state; leaving out the rest changes nothing. So the analysis never has to distinguish a mode that rests
+//! share is one state; the other states have no effect and are left out. So the analysis never has to distinguish a mode that rests
 //! on the unit circle by construction from one that leaves it.
 //!
 //! Units are those of one sample: time in samples `T`, velocities in metres (radians) per sample, forces in units of

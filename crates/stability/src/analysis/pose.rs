@@ -109,7 +109,7 @@ impl TaskPose {
             let held = admissible.hold(&shaping(column(i)), &null);
             inverse.column_mut(i).copy_from(&held.e);
         }
-        // The row that matches these columns, in the scale of a joint's angle or of the null motion's own.
+        // Scales the last column so that the new coordinate is the held joint's angle.
         if let Some(joint) = admissible.joint() {
             let scaled = inverse.column(joints - 1) / inverse[(joint, joints - 1)];
             inverse.set_column(joints - 1, &scaled);

@@ -120,8 +120,8 @@ impl Prediction {
         Ok(stiffness_at(&self.seen(q, normal)?, &self.around, mode, kd)?)
     }
 
-    /// Returns the least damped oscillation of these walls at `q` (rad) with the totals `kp` (N/m) and `kd` (N s/m):
-    /// beyond the boundary it is the buzz. `None` if no mode oscillates.
+    /// Returns the least damped oscillation of these walls at `q` (rad) with the totals `kp` (N/m) and `kd` (N s/m);
+    /// beyond the boundary this is the buzz. `None` if no mode oscillates.
     pub fn buzz(
         &self,
         q: &[f64],

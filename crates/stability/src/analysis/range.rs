@@ -20,10 +20,10 @@ pub const WORTHWHILE_RATIO: f64 = 1.05;
 /// rounding.
 pub const COSTLY_RATIO: f64 = 0.99;
 
-/// Largest number of times that the search for a washout's corner halves it.
+/// Maximum number of halvings in the search for a washout's corner.
 const HALVINGS: i32 = 10;
 
-/// Returns the first corner that is `free`, by halving `corner` (Hz) repeatedly.
+/// Halves `corner` (Hz) repeatedly and returns the first result that is `free`.
 pub fn lower_corner<E>(corner: f64, free: impl Fn(f64) -> Result<bool, E>) -> Result<Option<f64>, E> {
     for lower in (1..=HALVINGS).map(|halvings| corner / 2.0_f64.powi(halvings)) {
         if free(lower)? {

@@ -33,10 +33,10 @@ pub(crate) struct OpenLoop {
     pub mass: f64,
     /// Sample period, s.
     pub sample_s: f64,
-    /// Motions without feedback by construction (only damping compensation has any).
+    /// Motions without feedback by construction, which only damping compensation causes.
     pub(super) drift: Option<Drift>,
     pub(super) resonances: Vec<(f64, f64)>,
-    /// Bound of |z|² - 1 below which it is rounding.
+    /// Largest |z|² - 1 that counts as rounding.
     pub(super) rounding: f64,
 }
 
@@ -200,7 +200,7 @@ impl OpenLoop {
     }
 }
 
-/// Bound of |z|² - 1 below which it is rounding: a mode this slow needs 10¹² samples to show.
+/// Largest |z|² - 1 that counts as rounding: a mode this slow needs 10¹² samples to show.
 const ROUNDING: f64 = 1e-12;
 
 /// Returns true if a joint's own damping acts within the time that [`reduce`] considers.

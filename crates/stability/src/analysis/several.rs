@@ -64,7 +64,7 @@ pub struct WallSet {
     stiffness: DVector<f64>,
     /// Torques of a unit force along each direction with the feed-forward, N x R, m.
     shaped: DMatrix<f64>,
-    /// Torques that the feed-forward commands for the joint torques b, N x N, including those for the part of b at the
+    /// Torques that the feed-forward commands for the joint torques b, N x N, including the part of b that acts at the
     /// walls.
     bias: DMatrix<f64>,
     /// Compliant parts of the device, and the hand that holds it.
@@ -138,8 +138,8 @@ impl WallSet {
         self
     }
 
-    /// Returns the effective inertia for the walls' total stiffness in the stiffest motion that they allow, with or
-    /// without the feed-forward, kg. For one wall it is Weff or Wrr.
+    /// Returns the effective inertia for the walls' total stiffness in their stiffest motion, with or without the
+    /// feed-forward, kg. For one wall it is Weff or Wrr.
     pub fn met(&self, feed_forward: bool) -> Option<f64> {
         let stiffest = self.acceleration(feed_forward)?.complex_eigenvalues();
         let largest = stiffest.iter().map(|value| value.norm()).fold(0.0, f64::max);
@@ -247,7 +247,7 @@ fn linearised<const N: usize, M: Mechanism<f64, N>>(
     })
 }
 
-/// WallLoops cut at the walls' forces, in sample units: the change per sample of every state is `f` s + `input` φ.
+/// Wall loops, cut at the walls' forces, in sample units: the change per sample of every state is `f` s + `input` φ.
 pub(crate) struct WallLoops {
     f: DMatrix<f64>,
     input: DMatrix<f64>,
@@ -259,7 +259,7 @@ pub(crate) struct WallLoops {
     pub sample_s: f64,
 }
 
-/// Bound of |z|² - 1 below which it is rounding. Constant motions that no wall measures rest on the unit circle by
+/// Largest |z|² - 1 that counts as rounding. Constant motions that no wall measures rest on the unit circle by
 /// construction, and eigenvalues are exact to 1e-15 of the fastest change.
 const ROUNDING: f64 = 1.0e-11;
 
@@ -308,7 +308,7 @@ impl WallLoops {
                 RenderedPlant { a, b, positions: seen, turning }
             }
         };
-        // In addition to the plant's states, the angles of the joints with compensated damping. Nothing else depends on
+        // The angles of the joints with compensated damping, in addition to the plant's states, which do not depend on
         // them.
         let (plant, sensed) = (seen.a.nrows(), seen.turning.nrows());
         let all = plant + sensed;

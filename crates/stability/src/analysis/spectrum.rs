@@ -120,7 +120,7 @@ mod tests {
     }
 
     #[test]
-    fn the_resolvent_inverts() {
+    fn the_resolvent_solves_a_companion_form() {
         let f = DMatrix::from_row_slice(2, 2, &[0.0, 1.0, -2.0, -0.5]);
         let gamma = Complex::new(0.1, 0.7);
         let s = Resolvent::new(f).solve(gamma, &DVector::from_vec(vec![0.0, 1.0])).to_vec();

@@ -9,7 +9,7 @@ use haptic_host::device_file::DeviceFile;
 /// A device for predictions.
 #[derive(Clone, Debug)]
 pub struct Subject {
-    /// The device as a board has it.
+    /// The device as it is loaded on a board.
     pub device: Device<f64>,
     /// Joints as the file describes them, with the transmissions and structural modes that a board's device lacks.
     /// `None` if only a board is known; then the device counts as rigid.

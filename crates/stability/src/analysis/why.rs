@@ -1,6 +1,6 @@
-//! Explains the boundary: the same loop with one effect removed, each in turn.
+//! Explains the boundary by removing one effect at a time from the loop.
 //!
-//! An effect's share is 1 - (limit with everything)/(limit without it); it is negative if the effect helps, as a hand
+//! An effect's share is 1 - (limit with all effects)/(limit without it); it is negative if the effect helps, as a hand
 //! does. Effects do not add up: without one of two lags that each take half, a quarter or nothing may remain.
 
 use serde::{Deserialize, Serialize};

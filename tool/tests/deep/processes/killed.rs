@@ -281,12 +281,12 @@ fn the_measurement_after_a_killed_one_restores_the_scene() {
     sim.run(&["faults", "--clear"]).success();
     // A measurement with another file cannot restore the scene.
     let (_, said) = wait(sim.spawn(&measurement(&device, "--kd=15", &other)));
-    assert!(said.contains("left by a measurement") && said.contains("load yours again"), "{said}");
+    assert!(said.contains("left by an interrupted measurement") && said.contains("load your scene again"), "{said}");
     wait_until_free(&sim);
     assert_ne!(held().0, before.0);
     // The same line continues, if the device has not moved, and restores the scene.
     let (_, said) = wait(sim.spawn(&first));
-    assert!(said.contains("the one before it is put back") && !said.contains("the rules are neither"), "{said}");
+    assert!(said.contains("the earlier scene is restored") && !said.contains("are not restored"), "{said}");
     assert!(said.contains("of 3 repeats are in"), "{said}");
     wait_until_free(&sim);
     assert_eq!(held(), before);
@@ -312,7 +312,7 @@ fn the_measurement_after_a_killed_one_restores_the_rules() {
     // The next measurement fails, because this board holds another device.
     let (device, note) = (file("haply-2diy.toml"), note.display().to_string());
     let next = ["measure-range", &device, "--normal=0.6,0.8", "--anew", "--progress", &note];
-    sim.run(&next).code(1).stderr(contains("the rules on the board were left by a measurement that was cut short"));
+    sim.run(&next).code(1).stderr(contains("the rules on the board were left by an interrupted measurement"));
     assert_eq!(sim.output(&["rules"]), before);
     sim.run(&next).code(1).stderr(contains("were left").not());
     // Rules that were set since then stay.

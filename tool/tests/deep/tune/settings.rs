@@ -229,7 +229,7 @@ fn settings_that_no_board_supports_are_refused() {
     let line = "2: tune devices/haply-2diy.toml --normal=0,1";
     type_lines(
         &format!(
-            "{line} --rates 45000 => no board was seen to hold
+            "{line} --rates 45000 => no board has kept up with
             {line} --ripple 0 => must be positive
             {line} --port sim => exists only during this command"
         ),
