@@ -30,7 +30,7 @@ pub enum UsbError {
     #[error("it left USB")]
     Gone,
     /// The device did not reply in time.
-    #[error("it does not answer")]
+    #[error("it does not reply")]
     Silent,
     /// The user has no permission to open the device.
     #[error("this user may not open it")]
@@ -156,7 +156,7 @@ pub struct Dfuse<T> {
 impl<T: Transport> Dfuse<T> {
     /// Begins a session in any state of the boot loader; `transfer` is its `wTransferSize`.
     pub fn begin(transport: T, transfer: u16) -> Result<Self, DfuError> {
-        // The chip's own boot loader has 2048. Its smallest transfer is two bytes.
+        // The chip's boot loader has 2048 bytes, and its smallest transfer is two bytes.
         let mut dfuse = Self { transport, transfer: transfer.max(4) & !3 };
         // Abort first: a status request would start the program if an earlier session had commanded it.
         match dfuse.transport.send(request::ABORT, 0, &[]) {
@@ -193,7 +193,7 @@ impl<T: Transport> Dfuse<T> {
                 continue;
             }
             self.set_address(address + from as u32)?;
-            // Memory can be read from idle, but not between two writes.
+            // Memory can be read in the idle state, but not between two writes.
             self.transport.send(request::ABORT, 0, &[])?;
             for (number, start) in (FIRST_BLOCK..=u16::MAX).zip((from..to).step_by(self.transfer())) {
                 let wanted = (to - start).min(self.transfer());
@@ -243,7 +243,7 @@ impl<T: Transport> Dfuse<T> {
 
     /// Sets the address of the next write, read or start.
     fn set_address(&mut self, address: u32) -> Result<(), DfuError> {
-        self.command(SET_ADDRESS, address, || format!("go to address {address:#010x}"))
+        self.command(SET_ADDRESS, address, || format!("set the address {address:#010x}"))
     }
 
     fn command(&mut self, command: u8, address: u32, doing: impl Fn() -> String) -> Result<(), DfuError> {
@@ -294,7 +294,7 @@ impl<T: Transport> Dfuse<T> {
         if error == UsbError::Stalled
             && let Ok(Status { state: state::ERROR, status, .. }) = self.status()
         {
-            return Err(failed(status, || "take a request".into()));
+            return Err(failed(status, || "accept a request".into()));
         }
         Err(error.into())
     }

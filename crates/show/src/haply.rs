@@ -1,8 +1,8 @@
 //! A board as a Haply device: the JSON over WebSocket of Haply's inverse service (`haptic serve --haply`,
 //! docs/haply.md).
 //!
-//! Lock-step, as in the service: the first frame has the full state, and then each message of the program gets one
-//! frame with the device's state as reply.
+//! Lock-step, as in Haply's service: the first frame has the full state. Then the server replies to each message of the
+//! program with one frame of the device's state.
 //!
 //! The frame is Haply's: x to the operator's right, y away from the operator, z up, the origin at the device's base.
 
@@ -36,12 +36,12 @@ const MAX_MESSAGE: usize = 256 * 1024;
 const MAX_HANDSHAKES: usize = 32;
 /// Time for which a connection is read before the server checks if it should stop.
 const READ_TIME: Duration = Duration::from_millis(20);
-/// Longest time for which a reply may remain unread, and for which a program waits for a silent one to leave.
+/// Maximum time for which a reply may stay unread, and for which a program waits until a silent program has left.
 const SEND_TIMEOUT: Duration = Duration::from_secs(2);
-/// Interval without an exchange after which the board is polled, because a silent connection to a simulated board gives
-/// way to another tool; also the interval between attempts to open a lost board, so that other tools can connect.
+/// Interval without an exchange after which the board is polled, because a simulated board closes a silent connection
+/// if another tool connects; also the interval between attempts to open a lost board, so that other tools can connect.
 const POLL_INTERVAL: Duration = Duration::from_millis(500);
-/// Time without a message after which a program gives way to another one.
+/// Time without a message after which a program loses the device to another program that requests it.
 const MAX_SILENCE: Duration = Duration::from_secs(3);
 /// Reply while the board is lost.
 const BOARD_LOST: &str = "the board is gone; it is opened again once it is back";
@@ -62,7 +62,7 @@ impl HaplyListener {
         Ok(Self { listener, token: crate::view::door::token()?, silence: MAX_SILENCE })
     }
 
-    /// Changes the time without a message after which a program gives way to another one.
+    /// Sets the time without a message after which a program loses the device to another program that requests it.
     pub fn give_way_after(self, silence: Duration) -> Self {
         Self { silence, ..self }
     }
@@ -95,7 +95,7 @@ impl HaplyListener {
                     let Some(place) = handshakes.enter(&stream) else { continue };
                     let shared = Arc::clone(&shared);
                     threads.push(thread::spawn(move || {
-                        // A failed connection concerns only its program.
+                        // A failed connection affects its own program only.
                         let _ = handle_connection(stream, place, &shared);
                     }));
                 }
@@ -194,7 +194,7 @@ impl DeviceSlot {
 struct DeviceUse<'s>(&'s Shared);
 
 impl<'s> DeviceUse<'s> {
-    /// Takes the device. A silent program gives way, even if it is suspended. The error is the reason for a refusal.
+    /// Takes the device, also from a program that is silent or suspended. The error is the reason for a refusal.
     fn take(shared: &'s Shared) -> Result<Self, &'static str> {
         let began = Instant::now();
         loop {
@@ -272,8 +272,8 @@ fn handle_connection(mut stream: TcpStream, place: Place, shared: &Shared) -> tu
     }
 }
 
-/// Returns true if a request names this computer and comes from a program, which sends no origin or this very port, or
-/// from a page of any server on this computer that sends the token.
+/// Returns true if a request is addressed to this computer and comes from a program, or from a page with the token. A
+/// program sends no origin, or this server as origin; a page comes from any server on this computer.
 fn is_allowed(request: &Request, token: &str) -> bool {
     let header = |name: &str| request.headers().get(name).and_then(|value| value.to_str().ok());
     let local = |authority: &str| {

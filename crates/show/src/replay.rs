@@ -163,8 +163,8 @@ pub fn replay(recording: &Recording) -> Result<ReplayResult, Failure> {
         let recorded = row[columns.state] as usize;
         if let Err(refusal) = enter_state(&mut control_loop, recorded) {
             replayed.stopped = Some(format!(
-                "at step {step} the recording is {}, and the simulated board refuses: {refusal}",
-                STATES.get(recorded).unwrap_or(&"in an unknown state")
+                "at step {step} the recorded state is {}, which the simulated board refuses: {refusal}",
+                STATES.get(recorded).unwrap_or(&"unknown")
             ));
             break;
         }

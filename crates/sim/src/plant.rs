@@ -98,12 +98,12 @@ struct SingularityStop {
 }
 
 impl SingularityStop {
-    /// The stop of every simulated linkage before a parallel singularity, where inertia is unbounded; it is closer than
-    /// where a board turns its motors off. The remaining distance takes at least a millisecond to shrink to a third, so a
-    /// step of 5 µs is short in comparison.
+    /// The stop of every simulated linkage before a parallel singularity, where inertia is unbounded. It is closer to the
+    /// singularity than the pose in which a board turns its motors off. The remaining distance takes at least a millisecond
+    /// to shrink to a third, so a step of 5 µs is short in comparison.
     const HARD: Self =
         Self { nearest: 0.5 * TRIPPING_SINE as f64 / PARALLEL_REGULARITY, softness: 1e-3, serial: false };
-    /// A stop that a hand may hit. A harder one would be a blow that no motor model explains, and the board would trip.
+    /// A stop that a hand may hit. A harder stop would be a blow that no motor model explains.
     const SOFT: Self = Self { nearest: FULL_REGULARITY, softness: 0.05, serial: true };
 
     /// Returns the distance from the nearest singularity, in the measure of a board's feed-forward.
@@ -113,8 +113,8 @@ impl SingularityStop {
     }
 }
 
-/// Step of the finite difference of that distance, rad: a tenth of the turn from [`SingularityStop::HARD`] into the
-/// singularity.
+/// Step of the finite difference of the distance from singularities, rad: a tenth of the turn from
+/// [`SingularityStop::HARD`] into the singularity.
 const TINY_TURN: f64 = 1e-7;
 
 fn vector<const N: usize>(values: &[f64; 3]) -> SVector<f64, N> {
@@ -373,7 +373,7 @@ impl Plant {
                 momentum[i] += extra;
             }
         }
-        // Not invertible only if the state is already not finite; zero is then as good as any value.
+        // The matrix is singular only if the state is already not finite; any value will do then.
         let inverse = damped.try_inverse().unwrap_or_else(SMatrix::zeros);
         let unconstrained = inverse * momentum;
         let bounds = core::array::from_fn(|i| bounds[i]);

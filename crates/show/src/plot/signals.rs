@@ -60,7 +60,7 @@ pub struct Quantity {
     pub unit: String,
 }
 
-/// A line of a panel, in pieces where rows are missing.
+/// A line of a panel, interrupted where rows are missing.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Curve {
     /// Name.
@@ -95,15 +95,15 @@ pub struct Analysis {
     pub seconds: f64,
     /// Rows missing between the drawn rows.
     pub missing: u64,
-    /// The strongest sine of the first signal from 10 Hz on.
+    /// The strongest sine of the first signal, of all frequencies from 10 Hz on.
     pub strongest: Option<SpectralLine>,
-    /// Root mean square of that signal from 20 Hz on, in its unit.
+    /// Root mean square of the first signal from 20 Hz on, in the signal's unit.
     pub ripple: Option<f64>,
     /// Stiffness of the line through force over penetration, from rows in contact whose force no limit cut, N/m.
     pub stiffness: Option<f64>,
     /// Rows in contact with the motors on, after the torque ramp.
     pub contact_rows: usize,
-    /// Number of these rows in which a limit cut the force; `None` if it is not recorded.
+    /// Number of these rows in which a limit cut the force; `None` if saturation is not recorded.
     pub saturated_rows: Option<usize>,
     /// Notes for the reader in addition to those of the panels.
     pub said: Vec<String>,
@@ -198,7 +198,7 @@ impl<'a> Rows<'a> {
         move |row: &[f64]| times.iter().any(|on| (0.0..f64::from(ARM_SECONDS)).contains(&(row[time] - on)))
     }
 
-    /// Returns a test for rows whose force was cut by a limit; `None` if it is not recorded.
+    /// Returns a test for rows whose force was cut by a limit; `None` if saturation is not recorded.
     fn limit_test(&self) -> Option<impl Fn(&[f64]) -> bool> {
         let names = (0..MAX_JOINTS).map(|joint| format!("saturated{joint}"));
         let columns: Vec<usize> = names.filter_map(|name| self.recording.column(&name)).collect();
@@ -219,7 +219,7 @@ pub(crate) fn quantity(label: &str) -> Quantity {
     let known = columns(Fields::ALL, MAX_JOINTS);
     let unit = known.iter().find(|column| column.label == label).map_or("", |column| column.field.unit());
     let unit = if label == "time_s" { "s" } else { unit };
-    // "rendered_n" is the quantity rendered: its unit is shown separately.
+    // The "n" in "rendered_n" is the unit, which is shown separately.
     let suffix = format!("_{}", unit.to_lowercase().replace([' ', '/'], "_"));
     let name = label.strip_suffix(&suffix).filter(|_| !unit.is_empty()).unwrap_or(label);
     Quantity { name: name.replace('_', " "), unit: unit.into() }
@@ -282,7 +282,7 @@ pub fn panels(recording: &Recording, request: &Request) -> Result<Analysis, Fail
         let panel = phase(&rows)?;
         if request.views.is_empty() && !is_motion(&smooth_panel(&panel, rows.together())) && !analysis.panels.is_empty()
         {
-            let why = "the velocity is noise, which changes as much within a millisecond as over the recording";
+            let why = "the velocity is mostly noise: it changes as much in a millisecond as over the recording";
             analysis.said.push(format!("velocity over distance is left out unless it is requested: {why}"));
         } else {
             analysis.panels.push(panel);

@@ -92,7 +92,7 @@ struct Page {
     outbox: Outbox,
     incoming: VecDeque<Result<FromPage, String>>,
     dropped: u64,
-    /// The page releases the key or turns the motors off; the latter wins.
+    /// Queued release of the key, or motors-off, which replaces a release.
     stop: Option<FromPage>,
     /// Newest message about the page's key, which replaces older ones.
     hold: Option<u32>,
@@ -135,7 +135,7 @@ struct Pages {
     open: BTreeMap<PageId, Page>,
     /// Disconnected pages that the stage knows.
     gone: BTreeSet<PageId>,
-    /// Page of the last event; the next page comes next.
+    /// Page of the last event; the page after it has the next turn.
     last: PageId,
 }
 

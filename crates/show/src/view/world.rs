@@ -74,7 +74,7 @@ impl World {
         Ok(world)
     }
 
-    /// Simulates a device in a scene, or in front of a stable wall that does not rattle.
+    /// Simulates a device in `scene`; without a scene, in front of a stable wall that does not rattle.
     pub fn simulate(file: DeviceFile, scene: Option<Scene<f32>>) -> Result<Self, Failure> {
         let scene = match scene {
             Some(scene) => scene,
@@ -85,8 +85,8 @@ impl World {
         Ok(world)
     }
 
-    /// Starts the device without its weight: with the motors off the simulated hand would not carry it, and with them
-    /// on the board does.
+    /// Starts the device without its weight, because with the motors off the simulated hand could not carry the weight.
+    /// With the motors on the board compensates for it.
     fn start(mut file: DeviceFile, start: Option<[f64; 3]>) -> Result<Self, Failure> {
         let weightless = file.description.gravity.iter().any(|g| *g != 0.0);
         file.description.gravity = [0.0; 3];
