@@ -31,7 +31,7 @@ pub struct Backup {
     pub board: String,
     /// Serial number of the board.
     pub serial: String,
-    /// The settings by name, without those that were never saved.
+    /// The settings by name. Settings that were never saved are missing.
     pub settings: BTreeMap<String, SavedSetting>,
 }
 
@@ -110,7 +110,7 @@ const RESTORE_ORDER: [Key; Key::ALL.len()] =
     [Key::Rules, Key::Device, Key::MassModel, Key::Scene, Key::Name, Key::Polarity];
 
 impl Backup {
-    /// Reads all settings in a board's flash. Skips a setting of which only a damaged copy exists.
+    /// Reads all settings in a board's flash. Skips a setting if its only copy is damaged.
     pub fn read(board: &mut Board) -> Result<Self, BoardError> {
         let mut settings = BTreeMap::new();
         for key in Key::ALL {

@@ -150,8 +150,9 @@ fn device(top: &Table<'_>) -> Result<(String, Description, AnyMechanism<f64>, Op
         return Err(top.error_here(impossible(reason, remedy)));
     }
     if let Some(joint) = joint_without_remaining_inertia(&description, &home.unwrap_or_default()) {
-        let reason = format!("the modes of joint {joint} swing with more inertia than the links have about it at home");
-        let remedy = "write the part of the inertia about the joint that swings, in kg m²";
+        let reason =
+            format!("the modes of joint {joint} swing with more inertia than the links have about this joint at home");
+        let remedy = "write the swinging part of the inertia about the joint, in kg m²";
         return Err(top.tables("joint")?[joint].error_at("mode", impossible(reason, remedy)));
     }
     let at = home.unwrap_or_default().map(|angle| angle as f32);
@@ -307,7 +308,7 @@ pub fn includes_body_inertia(spec: &Spec, joint: usize) -> bool {
     joint == 0 && (spec.links.is_empty() || spec.task == 3)
 }
 
-/// Reads a transmission. `inertia` is the joint's. The motor's part of it defaults to all, except if `includes_body`.
+/// Reads a transmission of a joint with this `inertia`. All of it is the motor's by default, except if `includes_body`.
 fn transmission_of(table: &Table<'_>, inertia: f64, includes_body: bool) -> Result<Transmission, FileError> {
     table.refuse_unknown_keys(&["stiffness", "damping", "motor_inertia", "encoder_at"]);
     let stiffness = table.needed("stiffness", Must::BePositive, "stiffness = 50.0");

@@ -1,5 +1,5 @@
 //! Places for unauthenticated connections. A new connection always gets a place: if all are taken, the oldest
-//! connection is closed. Strangers can therefore not block others, and they use a bounded number of threads and
+//! connection is closed. An unauthenticated client can therefore not block others, and all use a bounded number of threads and
 //! sockets.
 
 use std::net::{IpAddr, Ipv4Addr, Shutdown, TcpStream};

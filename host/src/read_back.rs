@@ -1,5 +1,5 @@
-//! Writes a board's scene as a file and its device as text (docs/files.md), and lists the differences between two of
-//! them.
+//! Writes a board's scene as a file and its device as text (docs/files.md), and lists the differences between two such
+//! files or texts.
 //!
 //! A board that reads such a scene file gets the same numbers to the bit. A device has no such file, because its links
 //! are lumped into the coefficients of the equations of motion; the text lists these.
@@ -174,7 +174,7 @@ pub fn scene(scene: &Scene<f32>) -> Vec<Entry> {
     if let (Some(key), Some(chosen)) = (spec.and_then(|spec| spec.key), chosen) {
         top.number(key.name, chosen.value.into(), key.unit);
     }
-    // In a file, the cutoff of such an estimator adds a low-pass.
+    // A file without a cutoff, because a cutoff would add a low-pass to such an estimator.
     let unfiltered = spec.is_some_and(|spec| spec.cutoff == CutoffMeaning::LowPassAfter)
         && chosen.is_some_and(|chosen| !chosen.filtered);
     if !unfiltered {
@@ -295,8 +295,8 @@ fn put_joint(entries: &mut Vec<Entry>, index: usize, joint: &Joint<f32>) {
     }
 }
 
-/// Returns the entries of all that a board stores of a device: for its mechanism, the coefficients of the equations of
-/// motion by their names in src/model/mechanism.
+/// Returns the entries of a device as a board stores it. The mechanism's entries are the coefficients of the equations
+/// of motion, by their names in src/model/mechanism.
 pub fn running(device: &Device<f32>) -> Vec<Entry> {
     let spec = device.mechanism.kind().spec();
     let mut entries = Vec::new();

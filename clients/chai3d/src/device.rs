@@ -34,7 +34,7 @@ pub struct HdDevice {
     open: OpenBoard,
     /// `None` while the board is gone.
     session: Option<Session>,
-    /// The board's device: a board with another device later is refused.
+    /// The board's device. A reopened board with another device is refused.
     device_data: DeviceData,
     axes: Axes,
     /// Tip position at CHAI3D's origin, m.
@@ -195,7 +195,7 @@ impl HdDevice {
         let now = Instant::now();
         match self.tick.checked_duration_since(now) {
             Some(left) => std::thread::sleep(left),
-            // A late tick is not made up for.
+            // The time of a late tick is not caught up.
             None => self.tick = now,
         }
         match self.session.as_mut().map(Session::read_state) {
@@ -209,12 +209,12 @@ impl HdDevice {
     }
 
     fn lost(&mut self, error: &LinkError) -> bool {
-        // After a lost frame the next force is independent.
+        // A lost frame does not affect the next force.
         if matches!(error, LinkError::Unanswered { .. }) {
             return false;
         }
         (self.session, self.gone, self.is_reported) = (None, 0, false);
-        self.report("the board is gone; once it is back it is opened again".into());
+        self.report("the board is lost: plug it in, and it is opened again".into());
         false
     }
 

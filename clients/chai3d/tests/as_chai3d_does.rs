@@ -67,12 +67,12 @@ fn a_sphere_pushes_the_tip_out_at_1000_ticks_per_second() {
         assert!(number(5) > 1.499, "{output_fields:?}");
         assert_eq!(output_fields[6], "0");
         if port != "sim" {
-            // No hand holds this device before its motors do.
+            // This device falls before its motors are on, because no hand holds it.
             continue;
         }
         // At the end 0.3 N press the tip into 300 N/m, less friction of up to 0.2 N.
         assert!((number(3) - 0.019).abs() < 0.7e-3, "{output_fields:?}");
-        // Radially away from the middle.
+        // The tip has moved radially away from the middle.
         let tip: Vec<f64> = output_fields[4].split(' ').map(|number| number.parse().unwrap()).collect();
         let (along, across) = (0.6 * tip[0] - 0.8 * tip[1], 0.8 * tip[0] + 0.6 * tip[1]);
         assert!((along - 0.009).abs() < 2e-3 && across.abs() < 4e-3 && tip[2].abs() < 4e-3, "{output_fields:?}");

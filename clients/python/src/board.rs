@@ -151,7 +151,7 @@ impl Board {
         })
     }
 
-    /// Runs `work` with the board; the stream ends.
+    /// Runs `work` with the board, and ends the stream first.
     pub fn with_board<T: Send>(
         &self,
         py: Python<'_>,
@@ -169,7 +169,7 @@ impl Board {
             Ok(State { reply, fault: open.session.fault() })
         })?;
         match state.reply.done {
-            // The board has restarted, so it does not know the step; the next request is independent.
+            // `Seen` is no error: a restarted board does not know the step, and the next request is independent.
             ForceDone::Bad(bad) if bad != BadForce::Seen => Err(RequestError::new_err(state.reply.done.to_string())),
             _ => Ok(state),
         }

@@ -97,7 +97,7 @@ impl Simulation {
     }
 
     /// Puts a hand on the tip that follows waypoints [(seconds from now, x, y, ..), ...], in m, in smooth strokes; with
-    /// push=True they are forces in N. An empty list lets go.
+    /// push=True they are forces in N. An empty list removes it.
     #[pyo3(signature = (waypoints, *, push = false))]
     fn hand(&self, waypoints: Vec<Vec<f64>>, push: bool) -> PyResult<()> {
         let point = |numbers: Vec<f64>| match numbers.split_first() {

@@ -68,7 +68,7 @@ impl From<PictureError> for Failure {
 pub struct Picture {
     svg: String,
     /// True if the picture has a size on paper, which determines its number of pixels.
-    #[cfg_attr(not(feature = "png"), allow(dead_code, reason = "pixels are PNG's"))]
+    #[cfg_attr(not(feature = "png"), allow(dead_code, reason = "only PNG uses it"))]
     printed: bool,
 }
 

@@ -12,7 +12,7 @@ use std::time::Duration;
 pub const USB_VENDOR: u16 = 0x1209;
 /// USB product identifier: the pid.codes identifier for tests; a manufacturer of boards gets its own.
 pub const USB_PRODUCT: u16 = 0x0001;
-/// The product string, which distinguishes these boards from others with the test identifier.
+/// The product string, which distinguishes these boards from other devices with the test identifier.
 pub const USB_PRODUCT_NAME: &str = "haptic-bridge";
 
 /// A port in the syntax of `--port`.
@@ -68,8 +68,8 @@ pub fn boards() -> (Vec<BoardPort>, Vec<String>) {
 /// The directory in which Linux lists its serial ports.
 const PORTS: &str = "/sys/class/tty";
 
-/// Lists the serial ports; empty if the system cannot list them. Checks `place` first, because the listing panics
-/// without it, as in a container that has no /sys.
+/// Lists the serial ports; empty if the system cannot list them. Checks `place` first, because the listing panics if
+/// `place` is missing, as in a container that has no /sys.
 fn serial_ports(place: &Path) -> Vec<serialport::SerialPortInfo> {
     if cfg!(target_os = "linux") && !place.is_dir() {
         return Vec::new();

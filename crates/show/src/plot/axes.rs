@@ -79,7 +79,7 @@ impl Axis {
         let power = 10f64.powf(raw.log10().floor());
         let first = |step: f64| (low / step - 1e-9).ceil() as i64;
         let last = |step: f64| (high / step + 1e-9).floor() as i64;
-        // Steps from coarse to fine; the first one is not finer than `count` requires.
+        // Steps from coarse to fine. The first step is not finer than `count` requires.
         let steps = [10.0, 5.0, 2.0, 1.0, 0.5].map(|s| s * power);
         let coarse = steps.into_iter().rposition(|step| step >= raw).unwrap_or(0);
         let step = steps[coarse..].iter().copied().find(|step| last(*step) - first(*step) >= 3).unwrap_or(steps[4]);

@@ -37,7 +37,7 @@ const COLOUR_NAME: &str = "coupling (Wrr - Weff)/Wrr";
 const SPACING: f64 = 56.0;
 const RADIUS: f64 = 0.36 * SPACING;
 
-/// A drawn map: the picture, and the data to read numbers off it again.
+/// A drawn map: the picture, and the data to read numbers off the picture.
 #[derive(Clone, Debug)]
 pub struct Chart {
     /// The picture.

@@ -105,7 +105,7 @@ pub fn hand_settings() -> HandSettings {
     HandSettings { tremor: TREMOR, ..HandSettings::default() }
 }
 
-/// Moves the simulated hand to `goal` (m) in the drawn plane, or lets go of the tip.
+/// Moves the simulated hand to `goal` (m) in the drawn plane, or removes it from the tip.
 pub fn lead(board: &SharedBoard, goal: Option<[f64; 2]>) {
     let mut board = board.lock();
     let now = board.time();
