@@ -143,7 +143,8 @@ fn device(top: &Table<'_>) -> Result<(String, Description, AnyMechanism<f64>, Op
     let geometry_table = geometry_table.unwrap_or_else(|| top.clone());
 
     let description = Description { kind, gravity: padded(&gravity), geometry, links, joints, handle_mass, home };
-    let mechanism = AnyMechanism::new(&description).map_err(|error| refusal(error, top, &geometry_table, &spec))?;
+    let mechanism =
+        AnyMechanism::new(&description).map_err(|error| description_error(error, top, &geometry_table, &spec))?;
     if description.is_flexible() && AnyMechanism::<f64>::new(&description.link_side()).is_err() {
         let reason = "without the motors' inertia a link has no inertia: a link behind a transmission needs its own";
         let remedy = "give the links masses, or a smaller motor_inertia in [joint.transmission]";
@@ -470,7 +471,7 @@ fn reachable(mechanism: &AnyMechanism<f64>, q: &[f64; MAX_JOINTS]) -> bool {
 }
 
 /// Converts an error of the mechanism to an error at the key that causes it.
-fn refusal(error: DescriptionError, top: &Table<'_>, geometry: &Table<'_>, spec: &Spec) -> FileError {
+fn description_error(error: DescriptionError, top: &Table<'_>, geometry: &Table<'_>, spec: &Spec) -> FileError {
     let problem = |remedy: &str| impossible(error.to_string(), remedy);
     match error {
         DescriptionError::GeometryNotPositive(index) => {

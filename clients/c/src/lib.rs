@@ -230,7 +230,7 @@ fn store_message(message: &str) {
 }
 
 /// Runs `work`; converts a failure or a panic to a code and stores its message.
-fn guarded<T>(work: impl FnOnce() -> Result<T, Failure>) -> Result<T, i32> {
+fn catch_failure<T>(work: impl FnOnce() -> Result<T, Failure>) -> Result<T, i32> {
     let done = catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|_| {
         Err(Failure(HB_BROKEN, "a defect of libhapticbridge: please report it with the call".into()))
     });
@@ -257,7 +257,7 @@ unsafe fn text<'a>(text: *const c_char, name: &'static str) -> Result<&'a str, F
 /// # Safety
 /// `board` is NULL or came from [`hb_open`] and has not been closed.
 unsafe fn with(board: *const Board, work: impl FnOnce(&mut Session) -> Result<(), Failure>) -> i32 {
-    let done = guarded(|| {
+    let done = catch_failure(|| {
         // SAFETY: as the caller promises.
         let board = unsafe { board.as_ref() }.ok_or_else(|| Failure::argument("the board", "NULL"))?;
         let mut session_slot = board.0.lock().unwrap_or_else(PoisonError::into_inner);
@@ -297,7 +297,7 @@ pub extern "C" fn hb_fault_text(fault: i32) -> *const c_char {
 /// connected board. Returns NULL if the board cannot be opened.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn hb_open(port: *const c_char) -> *mut Board {
-    let opened = guarded(|| {
+    let opened = catch_failure(|| {
         let spec = if port.is_null() {
             PortSpec::Find
         } else {
@@ -315,7 +315,7 @@ pub unsafe extern "C" fn hb_close(board: *mut Board) {
     if !board.is_null() {
         // SAFETY: as the caller promises.
         let board = unsafe { Box::from_raw(board) };
-        let _ = guarded(|| {
+        let _ = catch_failure(|| {
             drop(board);
             Ok(())
         });

@@ -128,7 +128,7 @@ impl HdDevice {
                 true
             }
             // It is unknown whether the motors are on.
-            Err(BoardError::Link(error)) => self.lost(&error),
+            Err(BoardError::Link(error)) => self.handle_link_error(&error),
             Err(refused) => {
                 self.report(format!("the motors stay off: {refused}"));
                 false
@@ -176,7 +176,7 @@ impl HdDevice {
         };
         let sent = match session.force(force.map(|newtons| newtons as f32)) {
             Ok(sent) => sent,
-            Err(error) => return self.lost(&error),
+            Err(error) => return self.handle_link_error(&error),
         };
         if sent.state == State::Fault {
             self.tripped |= std::mem::take(&mut self.armed);
@@ -189,7 +189,7 @@ impl HdDevice {
         if let Some(session) = self.session.as_mut().filter(|_| self.simulated)
             && let Err(error) = session.rows(TICK)
         {
-            return self.lost(&error);
+            return self.handle_link_error(&error);
         }
         self.tick += TICK;
         let now = Instant::now();
@@ -203,12 +203,12 @@ impl HdDevice {
                 self.last = state;
                 usable
             }
-            Some(Err(error)) => self.lost(&error),
+            Some(Err(error)) => self.handle_link_error(&error),
             None => false,
         }
     }
 
-    fn lost(&mut self, error: &LinkError) -> bool {
+    fn handle_link_error(&mut self, error: &LinkError) -> bool {
         // A lost frame does not affect the next force.
         if matches!(error, LinkError::Unanswered { .. }) {
             return false;

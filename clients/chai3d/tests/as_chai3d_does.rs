@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 /// Compiles the program and puts the library next to it, under both names.
-fn prepare(name: &str) -> (PathBuf, PathBuf) {
+fn compile_program(name: &str) -> (PathBuf, PathBuf) {
     // Refers to the crate, so that cargo builds it.
     assert_eq!(hdPhantom::hdPhantomGetButtons(0), 0);
     let built = std::env::current_exe().unwrap().parent().unwrap().to_path_buf();
@@ -43,7 +43,7 @@ fn output_fields(output: &Output) -> Vec<String> {
 
 #[test]
 fn a_sphere_pushes_the_tip_out_at_1000_ticks_per_second() {
-    let (program, folder) = prepare("sphere");
+    let (program, folder) = compile_program("sphere");
     let phantom = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../devices/phantom-premium-1.5.toml");
     let phantom = format!("sim:{}", phantom.display());
     let all = [
@@ -90,7 +90,7 @@ fn an_invalid_force_fails() {
 
 #[test]
 fn a_missing_board_is_no_device_and_reports_the_reason() {
-    let (program, folder) = prepare("none");
+    let (program, folder) = compile_program("none");
     for (port, axes, words) in [
         ("tcp:127.0.0.1:1", None, "cannot connect"),
         ("tcp:", None, "not tcp:HOST:PORT"),

@@ -389,7 +389,7 @@ impl Board {
             }
             py.check_signals()?;
         }
-        let rows: Vec<Vec<f64>> = rows.iter().map(with_step).collect();
+        let rows: Vec<Vec<f64>> = rows.iter().map(row_with_step).collect();
         array(py, rows.concat(), &[rows.len(), width])
     }
 
@@ -425,7 +425,7 @@ impl Board {
             }
             let wait = Duration::from_secs_f64(left.min(SIGNAL_INTERVAL.as_secs_f64()));
             let came = self.with(py, |open| Ok(open.session.rows(wait)?))?;
-            rows.extend(came.iter().map(with_step));
+            rows.extend(came.iter().map(row_with_step));
             py.check_signals()?;
         }
         self.stop_stream(py)?;
@@ -439,7 +439,7 @@ fn names(fields: Fields, axes: usize) -> Vec<String> {
     std::iter::once("step".to_owned()).chain(own).collect()
 }
 
-fn with_step(row: &Row) -> Vec<f64> {
+fn row_with_step(row: &Row) -> Vec<f64> {
     std::iter::once(f64::from(row.step)).chain(row.values.iter().copied()).collect()
 }
 

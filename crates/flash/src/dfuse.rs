@@ -179,7 +179,7 @@ impl<T: Transport> Dfuse<T> {
     /// Writes at most [`Dfuse::transfer`] bytes to erased flash.
     pub fn write(&mut self, address: u32, bytes: &[u8]) -> Result<(), DfuError> {
         self.set_address(address)?;
-        self.transport.send(request::DNLOAD, FIRST_BLOCK, bytes).or_else(|error| self.explain(error))?;
+        self.transport.send(request::DNLOAD, FIRST_BLOCK, bytes).or_else(|error| self.explain_refusal(error))?;
         self.wait_for_end(|| format!("write {} bytes at {address:#010x}", bytes.len()))
     }
 
@@ -198,7 +198,7 @@ impl<T: Transport> Dfuse<T> {
             for (number, start) in (FIRST_BLOCK..=u16::MAX).zip((from..to).step_by(self.transfer())) {
                 let wanted = (to - start).min(self.transfer());
                 let got = self.transport.receive(request::UPLOAD, number, wanted as u16);
-                let got = got.or_else(|error| self.explain(error))?;
+                let got = got.or_else(|error| self.explain_refusal(error))?;
                 if got.len() != wanted {
                     return Err(DfuError::Short { got: got.len(), wanted });
                 }
@@ -218,7 +218,7 @@ impl<T: Transport> Dfuse<T> {
             Ok(Status { state: state::MANIFEST | state::MANIFEST_SYNC, .. }) => Ok(()),
             // The boot loader has already left.
             Err(DfuError::Usb(UsbError::Gone | UsbError::Silent)) => Ok(()),
-            Ok(Status { state: state::ERROR, status, .. }) => Err(failed(status, doing)),
+            Ok(Status { state: state::ERROR, status, .. }) => Err(status_error(status, doing)),
             Ok(Status { state, .. }) => Err(DfuError::Lost { doing: doing(), state }),
             Err(error) => Err(error),
         }
@@ -249,7 +249,7 @@ impl<T: Transport> Dfuse<T> {
     fn command(&mut self, command: u8, address: u32, doing: impl Fn() -> String) -> Result<(), DfuError> {
         let mut data = vec![command];
         data.extend(address.to_le_bytes());
-        self.transport.send(request::DNLOAD, 0, &data).or_else(|error| self.explain(error))?;
+        self.transport.send(request::DNLOAD, 0, &data).or_else(|error| self.explain_refusal(error))?;
         self.wait_for_end(doing)
     }
 
@@ -261,7 +261,7 @@ impl<T: Transport> Dfuse<T> {
             match status.state {
                 state::DNLOAD_IDLE => return Ok(()),
                 state::DNBUSY | state::DNLOAD_SYNC => self.pause(status.pause, began, &doing)?,
-                state::ERROR => return Err(failed(status.status, doing)),
+                state::ERROR => return Err(status_error(status.status, doing)),
                 state => return Err(DfuError::Lost { doing: doing(), state }),
             }
         }
@@ -290,17 +290,17 @@ impl<T: Transport> Dfuse<T> {
     }
 
     /// Converts a refusal to the reason that the status gives, if the boot loader still replies.
-    fn explain<O>(&mut self, error: UsbError) -> Result<O, DfuError> {
+    fn explain_refusal<O>(&mut self, error: UsbError) -> Result<O, DfuError> {
         if error == UsbError::Stalled
             && let Ok(Status { state: state::ERROR, status, .. }) = self.status()
         {
-            return Err(failed(status, || "accept a request".into()));
+            return Err(status_error(status, || "accept a request".into()));
         }
         Err(error.into())
     }
 }
 
-fn failed(status: u8, doing: impl Fn() -> String) -> DfuError {
+fn status_error(status: u8, doing: impl Fn() -> String) -> DfuError {
     match status {
         VENDOR => DfuError::Protected,
         status => DfuError::Failed { doing: doing(), status },

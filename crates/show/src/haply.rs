@@ -82,7 +82,7 @@ impl HaplyListener {
     /// description. A lost board is reported, and `open` is called repeatedly until the board is back.
     pub fn serve<E: Display>(&self, device: Inverse3, open: impl Fn() -> Result<Inverse3, E>, stop: &AtomicBool) {
         let shared = Arc::new(Shared {
-            served: Mutex::new(DeviceSlot { device: Some(device), user: None }),
+            device_slot: Mutex::new(DeviceSlot { device: Some(device), user: None }),
             is_over: AtomicBool::new(false),
             token: self.token.clone(),
             silence: self.silence,
@@ -127,40 +127,40 @@ struct User {
 
 /// State that the connections share.
 struct Shared {
-    served: Mutex<DeviceSlot>,
+    device_slot: Mutex<DeviceSlot>,
     is_over: AtomicBool,
     token: String,
     silence: Duration,
 }
 
 impl Shared {
-    fn served(&self) -> MutexGuard<'_, DeviceSlot> {
-        self.served.lock().unwrap_or_else(PoisonError::into_inner)
+    fn device_slot(&self) -> MutexGuard<'_, DeviceSlot> {
+        self.device_slot.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Returns the device's state after `work`; `None` while its board is lost.
     fn frame(&self, full: bool, work: impl FnOnce(&mut Inverse3) -> Result<(), BoardError>) -> Option<Value> {
-        self.served().work(work).map(|device| device.frame(full))
+        self.device_slot().work(work).map(|device| device.frame(full))
     }
 
     /// Polls the board if no program has done so for a while, and reopens a lost board after its user has left, because
     /// a program must arm only the board that it has connected to.
     fn maintain<E: Display>(&self, open: impl Fn() -> Result<Inverse3, E>, failed: &mut Option<(Instant, String)>) {
-        let mut served = self.served();
-        if served.device.as_ref().is_some_and(|device| device.idle_time() >= POLL_INTERVAL) {
-            served.work(Inverse3::poll);
+        let mut device_slot = self.device_slot();
+        if device_slot.device.as_ref().is_some_and(|device| device.idle_time() >= POLL_INTERVAL) {
+            device_slot.work(Inverse3::poll);
         }
         let is_soon = failed.as_ref().is_some_and(|(when, _)| when.elapsed() < POLL_INTERVAL);
-        if served.device.is_some() || served.user.is_some() || is_soon {
+        if device_slot.device.is_some() || device_slot.user.is_some() || is_soon {
             return;
         }
-        drop(served);
+        drop(device_slot);
         let opened = open().map_err(|error| error.to_string());
         let previous = failed.take().map(|(_, why)| why);
         match opened {
             Ok(device) => {
                 haptic_host::tell!("{} is back", device.id());
-                self.served().device = Some(device);
+                self.device_slot().device = Some(device);
             }
             Err(why) => {
                 if previous.as_ref() != Some(&why) {
@@ -174,7 +174,7 @@ impl Shared {
     /// Returns the reason why the program that uses the device must leave; `None` if it may stay.
     fn ejection(&self) -> Option<&'static str> {
         let shutdown = self.is_over.load(Ordering::Relaxed).then_some("the server ends");
-        shutdown.or_else(|| self.served().user.as_ref()?.ejection)
+        shutdown.or_else(|| self.device_slot().user.as_ref()?.ejection)
     }
 }
 
@@ -198,8 +198,8 @@ impl<'s> DeviceUse<'s> {
     fn take(shared: &'s Shared) -> Result<Self, &'static str> {
         let began = Instant::now();
         loop {
-            let mut served = shared.served();
-            let DeviceSlot { device, user } = &mut *served;
+            let mut device_slot = shared.device_slot();
+            let DeviceSlot { device, user } = &mut *device_slot;
             match (device, &mut *user) {
                 (None, _) => return Err(BOARD_LOST),
                 (Some(device), None) => {
@@ -212,21 +212,21 @@ impl<'s> DeviceUse<'s> {
                 }
                 _ => return Err("another program uses the device"),
             }
-            drop(served);
+            drop(device_slot);
             thread::sleep(READ_TIME / 4);
         }
     }
 
     fn note_message(&self) {
-        self.0.served().user.iter_mut().for_each(|user| user.last_message = Instant::now());
+        self.0.device_slot().user.iter_mut().for_each(|user| user.last_message = Instant::now());
     }
 }
 
 impl Drop for DeviceUse<'_> {
     fn drop(&mut self) {
-        let mut served = self.0.served();
-        served.device.iter_mut().for_each(Inverse3::release);
-        served.user = None;
+        let mut device_slot = self.0.device_slot();
+        device_slot.device.iter_mut().for_each(Inverse3::release);
+        device_slot.user = None;
     }
 }
 
@@ -315,8 +315,8 @@ fn converse(stream: TcpStream, device_use: &DeviceUse<'_>) -> tungstenite::Resul
             // Python's orjson produces bytes, which become binary frames; the service replies to both with text.
             Ok(message @ (Message::Text(_) | Message::Binary(_))) => {
                 device_use.note_message();
-                let mut served = device_use.0.served();
-                let Some(device) = &mut served.device else { continue };
+                let mut device_slot = device_use.0.device_slot();
+                let Some(device) = &mut device_slot.device else { continue };
                 next = Some(ProgramRequest::parse(&message.into_data(), device.id()).unwrap_or_else(|error| {
                     device.notify(format!("invalid message: {error}"));
                     ProgramRequest::default()
@@ -341,7 +341,7 @@ mod tests {
         let session = Session::of(haptic_sim::open(&PortSpec::Sim(None)).unwrap());
         let device = Inverse3::new(session, None, true).unwrap();
         let shared = Shared {
-            served: Mutex::new(DeviceSlot { device: Some(device), user: None }),
+            device_slot: Mutex::new(DeviceSlot { device: Some(device), user: None }),
             is_over: AtomicBool::new(false),
             token: "abc".into(),
             silence: MAX_SILENCE,
@@ -356,7 +356,7 @@ mod tests {
         stream.shutdown(std::net::Shutdown::Write).unwrap();
         let place = Places::new(1, 1).enter(&stream).unwrap();
         assert!(handle_connection(stream, place, &shared).is_err());
-        assert!(shared.served().user.is_none());
+        assert!(shared.device_slot().user.is_none());
     }
 
     #[test]

@@ -240,7 +240,7 @@ impl SimulatedBoard {
         let counts = Counts(faults.counts(self.device.counts(), self.readings));
         self.readings += 1;
         let samples = Samples { counts, bus_voltage, currents, ..Samples::default() };
-        self.guard_between(&samples, carriers);
+        self.guard_skipped_crests(&samples, carriers);
         if due {
             self.countdown = self.machine.carrier.divider.into();
             let index = self.device.index();
@@ -359,7 +359,7 @@ impl SimulatedBoard {
     }
 
     /// Passes the samples at all but the last crest of `carriers` periods to the guard, with evenly turning joints.
-    fn guard_between(&mut self, samples: &Samples, carriers: u32) {
+    fn guard_skipped_crests(&mut self, samples: &Samples, carriers: u32) {
         let moved: [i64; 3] =
             core::array::from_fn(|axis| i64::from(samples.counts[axis].wrapping_sub(self.last_counts[axis])));
         for nth in 1..carriers {

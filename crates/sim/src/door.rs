@@ -137,7 +137,7 @@ pub fn tcp(address: SocketAddr, patience: Patience) -> io::Result<ToolListener> 
                     Admission::Refused => turn_away(&stream),
                 };
                 if let Some(request) = request {
-                    let _ = disarm_for(stream, request, &stop);
+                    let _ = disarm_and_reply(stream, request, &stop);
                 }
             });
         }
@@ -257,7 +257,7 @@ impl Holder {
 
 /// Forwards the bytes of the connection that holds the board, until it ends.
 fn forward(mut stream: TcpStream, send: &SyncSender<Event>, holder: &Holder, seat: u64) {
-    let outgoing = tcp_outgoing(&stream);
+    let outgoing = start_tcp_writer(&stream);
     let mut alive = outgoing.is_ok_and(|outgoing| send.send(Event::Connected(outgoing)).is_ok());
     let mut buffer = [0; BLOCK];
     while alive {
@@ -273,7 +273,7 @@ fn forward(mut stream: TcpStream, send: &SyncSender<Event>, holder: &Holder, sea
     holder.release(seat);
 }
 
-fn tcp_outgoing(stream: &TcpStream) -> io::Result<Outgoing> {
+fn start_tcp_writer(stream: &TcpStream) -> io::Result<Outgoing> {
     stream.set_nodelay(true)?;
     let writer = stream.try_clone()?;
     writer.set_write_timeout(Some(Duration::from_millis(100)))?;
@@ -310,8 +310,8 @@ pub fn turn_away(stream: &TcpStream) -> Option<Vec<u8>> {
 }
 
 /// Disarms the board for a tool that does not hold it, and sends it the reply.
-fn disarm_for(stream: TcpStream, request: Vec<u8>, stop: &SyncSender<Stop>) -> io::Result<()> {
-    let answers = tcp_outgoing(&stream)?;
+fn disarm_and_reply(stream: TcpStream, request: Vec<u8>, stop: &SyncSender<Stop>) -> io::Result<()> {
+    let answers = start_tcp_writer(&stream)?;
     let _ = stop.send((request, answers));
     stream.set_read_timeout(Some(DISARM_ANSWER))?;
     let mut reader = stream;

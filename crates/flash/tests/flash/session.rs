@@ -66,7 +66,7 @@ fn flash_reads_back_full_and_partial_blocks() {
 }
 
 #[test]
-fn a_session_begins_in_any_state_of_an_earlier_one() {
+fn a_session_begins_in_any_state_of_an_earlier_session() {
     let before: [&[(u8, u16, &[u8])]; 5] = [
         &[],
         &[(request::DNLOAD, 1, &[0; 4])],

@@ -111,7 +111,7 @@ pub struct Analysis {
     pub panels: Vec<Panel>,
     /// Number of rows that a phase portrait combines into one point.
     #[serde(skip)]
-    together: usize,
+    rows_per_point: usize,
 }
 
 /// The drawn part of a recording.
@@ -182,7 +182,7 @@ impl<'a> Rows<'a> {
 
     /// Returns the number of rows to combine into one drawn point, because single rows show encoder steps. Together
     /// they last at least a millisecond; at 1 kHz and below every row is drawn.
-    fn together(&self) -> usize {
+    fn rows_per_point(&self) -> usize {
         (self.rate_hz / MAX_PHASE_HZ).ceil().max(1.0) as usize
     }
 
@@ -261,7 +261,7 @@ pub fn panels(recording: &Recording, request: &Request) -> Result<Analysis, Fail
         saturated_rows: None,
         said: Vec::new(),
         panels: Vec::new(),
-        together: rows.together(),
+        rows_per_point: rows.rows_per_point(),
     };
     if is_drawn(View::Time) {
         analysis.panels.extend(over_time(&rows, &signals)?);
@@ -280,7 +280,9 @@ pub fn panels(recording: &Recording, request: &Request) -> Result<Analysis, Fail
     }
     if is_drawn(View::Phase) {
         let panel = phase(&rows)?;
-        if request.views.is_empty() && !is_motion(&smooth_panel(&panel, rows.together())) && !analysis.panels.is_empty()
+        if request.views.is_empty()
+            && !is_motion(&smooth_panel(&panel, rows.rows_per_point()))
+            && !analysis.panels.is_empty()
         {
             let why = "the velocity is mostly noise: it changes as much in a millisecond as over the recording";
             analysis.said.push(format!("velocity over distance is left out unless it is requested: {why}"));
@@ -407,17 +409,17 @@ fn phase(rows: &Rows<'_>) -> Result<Panel, Failure> {
     })
 }
 
-/// Replaces every `together` consecutive points by their mean; the last mean may have fewer.
-fn smooth_panel(panel: &Panel, together: usize) -> Panel {
+/// Replaces every `rows_per_point` consecutive points by their mean; the last mean may have fewer.
+fn smooth_panel(panel: &Panel, rows_per_point: usize) -> Panel {
     let mean = |points: &[(f64, f64)]| {
         let sum = points.iter().fold((0.0, 0.0), |sum, point| (sum.0 + point.0, sum.1 + point.1));
         (sum.0 / points.len() as f64, sum.1 / points.len() as f64)
     };
     let mut smooth = panel.clone();
     for piece in smooth.curves.iter_mut().flat_map(|curve| &mut curve.pieces) {
-        *piece = piece.chunks(together).map(mean).collect();
+        *piece = piece.chunks(rows_per_point).map(mean).collect();
     }
-    let drawn = format!("drawn: means over {}", counted(together, "row"));
+    let drawn = format!("drawn: means over {}", counted(rows_per_point, "row"));
     smooth.note = if panel.note.is_empty() { drawn } else { format!("{drawn}; {}", panel.note) };
     smooth
 }

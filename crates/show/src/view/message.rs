@@ -124,7 +124,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn messages_are_parsed_and_invalid_ones_are_refused() {
+    fn invalid_messages_are_refused() {
         assert_eq!(FromPage::parse(r#"{"do":"arm","seen":1}"#), Ok(FromPage::Arm { seen: 1 }));
         assert_eq!(FromPage::parse(r#"{"do":"hand","at":null}"#), Ok(FromPage::Hand { at: None }));
         assert_eq!(FromPage::parse(r#"{"do":"start-over"}"#), Ok(FromPage::StartOver { pose: None }));

@@ -10,7 +10,7 @@ use haptic_predict::wall_ahead::wall_ahead;
 use haptic_sim::{BoardOptions, Hand, HandSettings, Intent, Options, SharedBoard, ready_board};
 
 /// Distance of the wall of [`World::demo`] from the tip, m.
-const NEAR: f64 = 0.010;
+const WALL_DISTANCE: f64 = 0.010;
 /// Dry friction of the demo's joints and number of encoder counts, relative to the device file.
 const FRICTION_FACTOR: f64 = 0.1;
 const ENCODER_FACTOR: f64 = 5.0;
@@ -69,7 +69,7 @@ impl World {
         let mut world = Self::start(demo.file.clone(), Some(demo.pose))?;
         world.smooth = true;
         let tip = world.simulated.as_ref().map_or([0.0; 3], |board| board.lock().device().tip());
-        let surface = core::array::from_fn(|i| tip[i] - NEAR * demo.normal[i]);
+        let surface = core::array::from_fn(|i| tip[i] - WALL_DISTANCE * demo.normal[i]);
         world.board.set_scene(&demo.scene(surface, FeedForward::Washout))?;
         Ok(world)
     }
