@@ -267,8 +267,7 @@ impl<T: Transport> Dfuse<T> {
         }
     }
 
-    /// Waits before the next status request, or fails if the command has taken too long since it `began`, replies
-    /// included.
+    /// Waits before the next status request. Fails if the command and its replies have taken too long since `began`.
     fn pause(&mut self, requested: Duration, began: Duration, doing: impl Fn() -> String) -> Result<(), DfuError> {
         let pause = requested.max(PAUSE);
         if self.transport.now() - began + pause > MAX_COMMAND_TIME {

@@ -154,9 +154,9 @@ pub enum Cause {
 /// The contents of the flash.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Flash {
-    /// The old contents; the board runs or was found in its boot loader.
+    /// The old contents. The board is running, or is in the boot loader as before.
     Untouched,
-    /// The old contents; the board was put into its boot loader and waits there.
+    /// The old contents. The board has been restarted into its boot loader.
     Entered,
     /// No image that starts.
     Erased,

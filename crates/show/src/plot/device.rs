@@ -120,8 +120,8 @@ fn reach(description: &Description) -> Result<Vec<Vec<Point>>, PoseError> {
 fn notes(description: &Description) -> Vec<String> {
     let side = if description.geometry[5] < 0.0 { "right" } else { "left" };
     let assembly =
-        format!("assembly = {}: the tip P lies to the {side} of the way from C to D", description.geometry[5]);
-    let beside_axis = "no ground beside joint 0's axis: joint 0 does not move a tip that is on it, a singular pose";
+        format!("assembly = {}: the tip P lies to the {side} of the line from C to D", description.geometry[5]);
+    let beside_axis = "no pale area at joint 0's axis: on the axis joint 0 does not move the tip, a singular pose";
     let limited = description.joints[..description.kind.spec().joints].iter().any(|joint| joint.limits.is_some());
     let dotted = if limited { "; dotted arcs: limits" } else { "" };
     let angles = format!("angles count from the dashed line (zero) and grow counter-clockwise{dotted}");
@@ -136,14 +136,14 @@ fn notes(description: &Description) -> Vec<String> {
         ],
         Kind::Parallelogram => vec![
             angles,
-            "joints 1 and 2 both count from the horizontal".into(),
+            "joints 1 and 2: angles count from the horizontal".into(),
             "joint 2 turns the crank; its angle is the forearm's".into(),
             "joint 0 turns this plane about the y axis: (X, Y, Z) = (x cos q0, y, -x sin q0)".into(),
             beside_axis.into(),
         ],
         Kind::Serial3r => vec![
             angles,
-            "each joint counts from the link before".into(),
+            "each angle counts from the link before".into(),
             "pale area: for the last link's direction at home".into(),
         ],
     }

@@ -87,7 +87,7 @@ fn kind(column: &Column) -> Type {
     }
 }
 
-/// Converts an error of the writer; writing into memory fails only after a wrong use of the format.
+/// Converts an error of the writer. Writing into memory fails only if the format is used wrongly.
 fn to_error(error: McapError) -> RecordError {
     RecordError::Failed(Failure::impossible(error))
 }

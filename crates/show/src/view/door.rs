@@ -62,7 +62,7 @@ const MAX_CONNECTIONS: usize = 64;
 /// Clients that can use a printed address.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Reach {
-    /// The clients that reach the requested address.
+    /// All clients that can reach the requested address.
     Address,
     /// The server listens on all addresses, and the printed address is known to other computers.
     Others,
