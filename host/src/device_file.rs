@@ -424,7 +424,7 @@ fn home(top: &Table<'_>, spec: &Spec, joints: &[Joint]) -> Result<Option<[f64; M
                 true => format!("angles are in radians: {angle} degrees are {radians:.4} rad"),
                 false if low.abs().max(high.abs()) > TAU && (low.to_radians()..=high.to_radians()).contains(angle) => {
                     let [low, high] = [low, high].map(f64::to_radians);
-                    format!("angles are in radians: in degrees these limits are [{low:.4}, {high:.4}] rad")
+                    format!("angles are in radians: these limits, if meant in degrees, are [{low:.4}, {high:.4}] rad")
                 }
                 false => "move home or widen the limits".into(),
             };

@@ -122,7 +122,7 @@ pub fn unused(path: &Path) -> PathBuf {
 fn place(path: &Path, overwrite: Overwrite) -> Result<Place, Failure> {
     let shown = path.display();
     if path == Path::new("-") {
-        return Err(Failure::wrong("cannot write to -: here it names a file")
+        return Err(Failure::wrong("cannot write to `-`, which is a file name here")
             .remedy("use /dev/stdout for the standard output, or ./- for the file"));
     }
     match std::fs::metadata(path) {

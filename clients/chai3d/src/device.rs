@@ -93,7 +93,7 @@ impl HdDevice {
             Err(_) => Axes::of(device.mechanism.kind(), device.weight),
         };
         if let Some((index, _)) = axes.0.iter().flatten().find(|(index, _)| *index >= task) {
-            return Err(format!("HAPTIC_AXES names axis {index} (from 0), and the device has {task}"));
+            return Err(format!("HAPTIC_AXES names axis {index} (from 0), but the device has {task} axes"));
         }
         let (centre, radius) = workspace(&device, last.tip.map(f64::from));
         Ok(Self {

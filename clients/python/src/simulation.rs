@@ -102,7 +102,7 @@ impl Simulation {
     fn hand(&self, waypoints: Vec<Vec<f64>>, push: bool) -> PyResult<()> {
         let point = |numbers: Vec<f64>| match numbers.split_first() {
             Some((time, value)) if value.len() == self.task => Ok(Waypoint { time: *time, value: padded(value) }),
-            _ => Err(RequestError::new_err(format!("a waypoint is a time and {} numbers", self.task))),
+            _ => Err(RequestError::new_err(format!("a waypoint must be a time and {} numbers", self.task))),
         };
         let waypoints: Vec<Waypoint> = waypoints.into_iter().map(point).collect::<PyResult<_>>()?;
         let intent = match (waypoints.is_empty(), push) {

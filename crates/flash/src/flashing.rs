@@ -218,7 +218,7 @@ impl FlashError {
             Cause::Usb(UsbError::Forbidden) => {
                 "`haptic udev` writes the rule that lets you open it; on Windows, Zadig installs WinUSB for it".into()
             }
-            Cause::Usb(UsbError::Busy) => "close the other program (dfu-util, another haptic)".into(),
+            Cause::Usb(UsbError::Busy) => "close the other program (dfu-util, another `haptic`)".into(),
             Cause::Dfu(DfuError::Protected) => {
                 "lifting the protection erases the whole chip, settings as well: `dfu-util -a 0 -s \
                  0x08000000:unprotect:force`, then run this again"

@@ -216,7 +216,7 @@ fn enter_state(
     if now as usize == recorded || !now.drives() && !motors_are_on(recorded) {
         return Ok(());
     }
-    // A polarity check that ends turns the motors off by itself, in the step that shows the new state.
+    // At its end a polarity check turns the motors off by itself, in the step that shows the new state.
     if now == State::CheckingPolarity {
         return Ok(());
     }

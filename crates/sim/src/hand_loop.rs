@@ -170,7 +170,7 @@ mod tests {
     fn a_goal_outside_the_workspace_is_out_of_reach() {
         let file = DeviceFile::parse(super::super::SHIPPED_DEVICE, "coupled-five-bar.toml").unwrap();
         assert!(is_within_reach(&file, &Vector3::new(-0.1, 0.18, 0.0)));
-        // The arms are 23 cm long.
+        // Out of reach of the arms, which are 23 cm long.
         assert!(!is_within_reach(&file, &Vector3::new(-0.0962, 0.2144, 0.0)));
     }
 }

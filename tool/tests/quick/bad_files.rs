@@ -154,7 +154,7 @@ const DEVICE_MISTAKES: &str = r#"
     limits = [-1.0, 3.0] => limits = [1.0, 1.0] => :33:10: => the wrong way round
     limits = [-1.0, 3.0] => limits = [-1.0, 2.0] => :49:6: => home | outside its limits
     q = [2.4, 0.7] => q = [137, 40] => :49:6: => outside its limits | angles are in radians: 137 degrees are 2.3911 rad
-    limits = [-1.0, 3.0] => limits = [80, 172] => :49:6: => in degrees these limits are [1.3963, 3.0020] rad
+    limits = [-1.0, 3.0] => limits = [80, 172] => :49:6: => these limits, if meant in degrees, are [1.3963, 3.0020] rad
     resistance = 2.0 => resistance = 0.0 => :42:14: => `resistance` | more than zero
     resistance = 2.0 => resistance = 2.0⏎inductance = -1 => :43:14: => `inductance` | zero or more
     max_current = 3.0⏎ =>  => :40:1: => `max_current` | [joint.motor] of [[joint]] 0

@@ -46,7 +46,7 @@ impl ProgramRequest {
                         let vector = if command["vector"].is_null() { &command["values"] } else { &command["vector"] };
                         let entry = |axis: &str| vector[axis].as_f64().filter(|newtons| newtons.is_finite());
                         let (Some(x), Some(y), Some(z)) = (entry("x"), entry("y"), entry("z")) else {
-                            return Err("set_cursor_force without the numbers x, y and z in vector or values".into());
+                            return Err("set_cursor_force needs the numbers x, y and z in vector or values".into());
                         };
                         request.force = (command["execute"] != false).then_some([x, y, z]);
                     }
