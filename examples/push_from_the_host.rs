@@ -1,6 +1,6 @@
 //! A program on the host pushes the tip: `cargo run -p haptic --example push_from_the_host [PORT]`, by default on a
-//! simulated board. This program computes a spring between the tip and its first position. It sends a floor 5 mm below
-//! to the board, which renders it at its own rate.
+//! simulated board. This program computes a spring between the tip and its first position. It also sends a floor 5 mm
+//! below that position to the board, which renders the floor at its own rate.
 
 use haptic_host::device_file::DeviceFile;
 use haptic_host::haptic_bridge::board::protocol::HostContact;

@@ -31,7 +31,7 @@ pub struct Backup {
     pub board: String,
     /// Serial number of the board.
     pub serial: String,
-    /// The settings by name, without those that were never saved.
+    /// The settings by name. Settings that were never saved are missing.
     pub settings: BTreeMap<String, SavedSetting>,
 }
 
@@ -54,8 +54,8 @@ impl SavedSetting {
 
     /// Decodes the bytes if they are of this version, otherwise reads the JSON value.
     pub fn read<S: Setting>(&self) -> Result<S, BackupError> {
-        let (entry, _) = usable_as::<S>(self)?;
-        decode(&entry).map_err(|damage| damaged(S::KEY, damage))
+        let (entry, _) = usable_entry_as::<S>(self)?;
+        decode(&entry).map_err(|damage| damage_error(S::KEY, damage))
     }
 }
 
@@ -110,7 +110,7 @@ const RESTORE_ORDER: [Key; Key::ALL.len()] =
     [Key::Rules, Key::Device, Key::MassModel, Key::Scene, Key::Name, Key::Polarity];
 
 impl Backup {
-    /// Reads all settings in a board's flash. Skips a setting of which only a damaged copy exists.
+    /// Reads all settings in a board's flash. Skips a setting if its only copy is damaged.
     pub fn read(board: &mut Board) -> Result<Self, BoardError> {
         let mut settings = BTreeMap::new();
         for key in Key::ALL {
@@ -154,7 +154,7 @@ impl Backup {
         for key in RESTORE_ORDER {
             match self.settings.get(key.name()) {
                 Some(saved) => {
-                    let (entry, mut how) = usable(key, saved)?;
+                    let (entry, mut how) = usable_entry(key, saved)?;
                     if key == Key::Polarity {
                         how = Restored::NotRestored;
                     }
@@ -162,7 +162,7 @@ impl Backup {
                 }
                 // Prevents a restored device from using the mass model that the board keeps for another device.
                 None if key == Key::MassModel && self.settings.contains_key(Key::Device.name()) => {
-                    let entry = encode(&MassModelData::Exact).map_err(|error| damaged(key, error))?;
+                    let entry = encode(&MassModelData::Exact).map_err(|error| damage_error(key, error))?;
                     ready.push(Ready { key, entry, how: Restored::Unchanged });
                 }
                 None => {}
@@ -213,7 +213,7 @@ pub fn unsaved(board: &mut Board) -> Result<Vec<&'static str>, BoardError> {
     Ok(unsaved)
 }
 
-fn damaged(key: Key, damage: Damage) -> BackupError {
+fn damage_error(key: Key, damage: Damage) -> BackupError {
     let reason = match damage {
         Damage::Corrupt => "its checksum or encoding is wrong".to_string(),
         Damage::UnknownVersion(version) => format!("it is of version {version}, and its value is missing"),
@@ -239,36 +239,36 @@ fn saved_setting(key: Key, entry: &[u8]) -> SavedSetting {
     SavedSetting { version: entry.get(1).copied().unwrap_or(0), value, bytes }
 }
 
-fn usable(key: Key, saved: &SavedSetting) -> Result<(Entry, Restored), BackupError> {
+fn usable_entry(key: Key, saved: &SavedSetting) -> Result<(Entry, Restored), BackupError> {
     match key {
-        Key::Device => usable_as::<Device<f32>>(saved),
-        Key::Scene => usable_as::<Scene<f32>>(saved),
-        Key::Rules => usable_as::<Rules>(saved),
-        Key::MassModel => usable_as::<MassModelData>(saved),
-        Key::Polarity => usable_as::<Polarity>(saved),
-        Key::Name => usable_as::<BoardName>(saved),
+        Key::Device => usable_entry_as::<Device<f32>>(saved),
+        Key::Scene => usable_entry_as::<Scene<f32>>(saved),
+        Key::Rules => usable_entry_as::<Rules>(saved),
+        Key::MassModel => usable_entry_as::<MassModelData>(saved),
+        Key::Polarity => usable_entry_as::<Polarity>(saved),
+        Key::Name => usable_entry_as::<BoardName>(saved),
     }
 }
 
 /// Returns the bytes if this version can decode them, otherwise the value in this version's encoding.
-fn usable_as<S: Setting>(saved: &SavedSetting) -> Result<(Entry, Restored), BackupError> {
-    let bytes = from_hex(&saved.bytes).ok_or_else(|| damaged(S::KEY, Damage::Corrupt))?;
+fn usable_entry_as<S: Setting>(saved: &SavedSetting) -> Result<(Entry, Restored), BackupError> {
+    let bytes = from_hex(&saved.bytes).ok_or_else(|| damage_error(S::KEY, Damage::Corrupt))?;
     match decode::<S>(&bytes) {
         Ok(value) => {
             let decoded = serde_json::to_value(&value).ok().map(shortest);
             if saved.value.clone().is_some_and(|written| Some(shortest(written)) != decoded) {
                 return Err(BackupError::Disagree(S::KEY.name()));
             }
-            let entry = Entry::from_slice(&bytes).map_err(|_| damaged(S::KEY, Damage::TooLong))?;
+            let entry = Entry::from_slice(&bytes).map_err(|_| damage_error(S::KEY, Damage::TooLong))?;
             Ok((entry, Restored::Unchanged))
         }
         Err(Damage::UnknownVersion(version)) => {
-            let value = saved.value.clone().ok_or_else(|| damaged(S::KEY, Damage::UnknownVersion(version)))?;
+            let value = saved.value.clone().ok_or_else(|| damage_error(S::KEY, Damage::UnknownVersion(version)))?;
             let value: S = serde_json::from_value(value)
                 .map_err(|error| BackupError::Damaged(S::KEY.name(), error.to_string()))?;
-            Ok((encode(&value).map_err(|error| damaged(S::KEY, error))?, Restored::Translated))
+            Ok((encode(&value).map_err(|error| damage_error(S::KEY, error))?, Restored::Translated))
         }
-        Err(other) => Err(damaged(S::KEY, other)),
+        Err(other) => Err(damage_error(S::KEY, other)),
     }
 }
 

@@ -143,15 +143,17 @@ fn device(top: &Table<'_>) -> Result<(String, Description, AnyMechanism<f64>, Op
     let geometry_table = geometry_table.unwrap_or_else(|| top.clone());
 
     let description = Description { kind, gravity: padded(&gravity), geometry, links, joints, handle_mass, home };
-    let mechanism = AnyMechanism::new(&description).map_err(|error| refusal(error, top, &geometry_table, &spec))?;
+    let mechanism =
+        AnyMechanism::new(&description).map_err(|error| description_error(error, top, &geometry_table, &spec))?;
     if description.is_flexible() && AnyMechanism::<f64>::new(&description.link_side()).is_err() {
         let reason = "without the motors' inertia a link has no inertia: a link behind a transmission needs its own";
         let remedy = "give the links masses, or a smaller motor_inertia in [joint.transmission]";
         return Err(top.error_here(impossible(reason, remedy)));
     }
     if let Some(joint) = joint_without_remaining_inertia(&description, &home.unwrap_or_default()) {
-        let reason = format!("the modes of joint {joint} swing with more inertia than the links have about it at home");
-        let remedy = "write the part of the inertia about the joint that swings, in kg m²";
+        let reason =
+            format!("the modes of joint {joint} swing with more inertia than the links have about this joint at home");
+        let remedy = "write the swinging part of the inertia about the joint, in kg m²";
         return Err(top.tables("joint")?[joint].error_at("mode", impossible(reason, remedy)));
     }
     let at = home.unwrap_or_default().map(|angle| angle as f32);
@@ -307,7 +309,7 @@ pub fn includes_body_inertia(spec: &Spec, joint: usize) -> bool {
     joint == 0 && (spec.links.is_empty() || spec.task == 3)
 }
 
-/// Reads a transmission. `inertia` is the joint's. The motor's part of it defaults to all, except if `includes_body`.
+/// Reads a transmission of a joint with this `inertia`. All of it is the motor's by default, except if `includes_body`.
 fn transmission_of(table: &Table<'_>, inertia: f64, includes_body: bool) -> Result<Transmission, FileError> {
     table.refuse_unknown_keys(&["stiffness", "damping", "motor_inertia", "encoder_at"]);
     let stiffness = table.needed("stiffness", Must::BePositive, "stiffness = 50.0");
@@ -422,7 +424,7 @@ fn home(top: &Table<'_>, spec: &Spec, joints: &[Joint]) -> Result<Option<[f64; M
                 true => format!("angles are in radians: {angle} degrees are {radians:.4} rad"),
                 false if low.abs().max(high.abs()) > TAU && (low.to_radians()..=high.to_radians()).contains(angle) => {
                     let [low, high] = [low, high].map(f64::to_radians);
-                    format!("angles are in radians: in degrees these limits are [{low:.4}, {high:.4}] rad")
+                    format!("angles are in radians: these limits, if meant in degrees, are [{low:.4}, {high:.4}] rad")
                 }
                 false => "move home or widen the limits".into(),
             };
@@ -469,7 +471,7 @@ fn reachable(mechanism: &AnyMechanism<f64>, q: &[f64; MAX_JOINTS]) -> bool {
 }
 
 /// Converts an error of the mechanism to an error at the key that causes it.
-fn refusal(error: DescriptionError, top: &Table<'_>, geometry: &Table<'_>, spec: &Spec) -> FileError {
+fn description_error(error: DescriptionError, top: &Table<'_>, geometry: &Table<'_>, spec: &Spec) -> FileError {
     let problem = |remedy: &str| impossible(error.to_string(), remedy);
     match error {
         DescriptionError::GeometryNotPositive(index) => {

@@ -195,8 +195,8 @@ impl Problem {
     }
 }
 
-/// Words of data sheets and other projects, a part of the name of the tables where they have this meaning, and the
-/// remedy.
+/// Words of data sheets and other projects that are no keys, a part of the name of each table where they have this
+/// meaning, and the remedy.
 const SHEET_WORDS: &[(&[&str], &str, &str)] = &[
     (
         &[
@@ -212,7 +212,7 @@ const SHEET_WORDS: &[(&[&str], &str, &str)] = &[
         ],
         "",
         "multiply torque_constant, back_emf and counts_per_turn by the ratio and the rotor's inertia by its square: every \
-         number counts at the joint (docs/devices.md)",
+         number refers to the joint (docs/devices.md)",
     ),
     (&["efficiency"], "", "multiply torque_constant by the efficiency"),
     (
@@ -277,7 +277,7 @@ const SHEET_WORDS: &[(&[&str], &str, &str)] = &[
     (
         &["stall_current", "nominal_current", "continuous_current", "current_limit"],
         "",
-        "write max_current, in A: the current that motor, board and supply stand continuously",
+        "write max_current, in A: the current that motor, board and supply can carry continuously",
     ),
     (&["no_load_current"], "", "write the joint's coulomb = no-load current x torque_constant, in N m"),
 ];

@@ -19,7 +19,7 @@ pub fn read(path: &Path) -> Result<Vec<u8>, Error> {
     Ok(bytes)
 }
 
-/// Reads a recording of at most [`LARGEST_RECORDING`] bytes. Refuses a larger one before reading it.
+/// Reads a recording of at most [`LARGEST_RECORDING`] bytes. Refuses a larger file before reading it.
 pub fn read_recording(path: &Path) -> Result<Vec<u8>, Error> {
     if std::fs::metadata(path)?.len() > LARGEST_RECORDING {
         return Err(Error::other(

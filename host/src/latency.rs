@@ -16,7 +16,7 @@ pub struct Latency {
     /// Exchanges per second of the wire's clock.
     pub per_second: f64,
     /// Time from the first byte of a request to the last byte of its reply, on the computer's clock; for a board
-    /// simulated in this process, on that board's.
+    /// simulated in this process, on the clock of the board.
     pub round_trip: Spread,
     /// Age of a state when the board receives the request computed from it: time between two states, on the board's
     /// clock.

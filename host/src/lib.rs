@@ -1,7 +1,7 @@
 //! Talks to a haptic-bridge board: finds its port, sends the requests of its protocol, receives its telemetry, and
 //! reads and writes device and scene files. The bindings for C, Python and CHAI3D are built on this crate too, so it
 //! contains no code that draws, predicts or simulates. A [`link::Board`] has one method for every request; a program
-//! that pushes through a board uses a [`link::Session`].
+//! that sends forces to a board uses a [`link::Session`].
 //!
 //! ```no_run
 //! use haptic_host::{device_file::DeviceFile, link::Board, scene_file::SceneFile};
@@ -22,7 +22,7 @@
 //! | to | begin at |
 //! |---|---|
 //! | talk to a board | [`link`] |
-//! | push through a board, 1000 times a second | [`link::Session`] |
+//! | send forces to a board, 1000 times a second | [`link::Session`] |
 //! | read device and scene files | [`device_file`], [`scene_file`] |
 //! | back up a board's settings | [`backup`] |
 //! | write a board's scene as a file, list differences | [`read_back`] |

@@ -122,7 +122,7 @@ pub fn unused(path: &Path) -> PathBuf {
 fn place(path: &Path, overwrite: Overwrite) -> Result<Place, Failure> {
     let shown = path.display();
     if path == Path::new("-") {
-        return Err(Failure::wrong("cannot write to -: here it names a file")
+        return Err(Failure::wrong("cannot write to `-`, which is a file name here")
             .remedy("use /dev/stdout for the standard output, or ./- for the file"));
     }
     match std::fs::metadata(path) {
@@ -184,7 +184,7 @@ pub fn refused(path: &Path, error: &io::Error) -> Failure {
         io::ErrorKind::NotFound => "make the folder first, or choose another",
         _ => "check the path and its permissions",
     };
-    // An error that wraps another one contains the temporary name, which means nothing to the user.
+    // An error that wraps another error contains the temporary name, which means nothing to the user.
     let why = match error.raw_os_error() {
         _ if error.kind() == io::ErrorKind::NotFound => "there is no such folder".into(),
         None if error.kind() != io::ErrorKind::Other => error.kind().to_string(),

@@ -1,5 +1,5 @@
 //! Places for unauthenticated connections. A new connection always gets a place: if all are taken, the oldest
-//! connection is closed. Strangers can therefore not block others, and they use a bounded number of threads and
+//! connection is closed. An unauthenticated client can therefore not block others, and all use a bounded number of threads and
 //! sockets.
 
 use std::net::{IpAddr, Ipv4Addr, Shutdown, TcpStream};
@@ -101,7 +101,7 @@ mod tests {
     }
 
     #[test]
-    fn a_new_connection_replaces_the_longest_silent_one() {
+    fn a_new_connection_replaces_the_longest_silent_connection() {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let places = Places::new(3, 3);
         let connections: Vec<_> = (0..3).map(|_| connect(&listener)).collect();
@@ -125,7 +125,7 @@ mod tests {
     }
 
     #[test]
-    fn an_address_takes_only_its_share_of_the_places() {
+    fn an_address_gets_only_its_share_of_places() {
         let places = Places::new(4, 3);
         let [crowd, other] = ["127.0.0.1:0", "127.0.0.1:0"].map(|address| TcpListener::bind(address).unwrap());
         let many: Vec<_> = (0..10).map(|_| connect(&crowd)).collect();

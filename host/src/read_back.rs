@@ -1,5 +1,5 @@
-//! Writes a board's scene as a file and its device as text (docs/files.md), and lists the differences between two of
-//! them.
+//! Writes a board's scene as a file and its device as text (docs/files.md), and lists the differences between two such
+//! files or texts.
 //!
 //! A board that reads such a scene file gets the same numbers to the bit. A device has no such file, because its links
 //! are lumped into the coefficients of the equations of motion; the text lists these.
@@ -159,7 +159,7 @@ fn table<'a>(entries: &'a mut Vec<Entry>, table: &'static str, index: usize) -> 
     Writer { entries, table, index }
 }
 
-fn wide(values: &[f32]) -> Vec<f64> {
+fn widened(values: &[f32]) -> Vec<f64> {
     values.iter().map(|value| shorten(f64::from(*value))).collect()
 }
 
@@ -174,7 +174,7 @@ pub fn scene(scene: &Scene<f32>) -> Vec<Entry> {
     if let (Some(key), Some(chosen)) = (spec.and_then(|spec| spec.key), chosen) {
         top.number(key.name, chosen.value.into(), key.unit);
     }
-    // In a file, the cutoff of such an estimator adds a low-pass.
+    // A file without a cutoff, because a cutoff would add a low-pass to such an estimator.
     let unfiltered = spec.is_some_and(|spec| spec.cutoff == CutoffMeaning::LowPassAfter)
         && chosen.is_some_and(|chosen| !chosen.filtered);
     if !unfiltered {
@@ -189,7 +189,7 @@ pub fn scene(scene: &Scene<f32>) -> Vec<Entry> {
     }
     for (index, spring) in scene.springs.iter().enumerate() {
         let mut into = table(&mut entries, "[[spring]]", index);
-        into.numbers("point", &wide(&spring.point[..task]), "m");
+        into.numbers("point", &widened(&spring.point[..task]), "m");
         if spring.direction != [0.0; 3] {
             into.numbers("direction", &direction(&spring.direction, task), "");
         }
@@ -217,7 +217,7 @@ fn put_wall(into: &mut Writer, wall: &Wall<f32>, task: usize) {
         let Some((value, after)) = rest.split_at_checked(meaning.width()) else { return };
         rest = after;
         match (meaning, value) {
-            (Meaning::Point, point) => into.numbers(key, &wide(&point[..task]), "m"),
+            (Meaning::Point, point) => into.numbers(key, &widened(&point[..task]), "m"),
             (Meaning::Direction, [x, y, z]) => into.numbers(key, &direction(&[*x, *y, *z], task), ""),
             (Meaning::Length, [length]) => into.number(key, f64::from(*length), "m"),
             (Meaning::Flag, [flag]) => into.flag(key, *flag > 0.0),
@@ -242,7 +242,7 @@ fn rounds_to(number: f32) -> (f64, f64) {
 /// not exactly 1, so all entries move by the same share of their rounding intervals until the length is 1.
 fn direction(rounded: &[f32; 3], task: usize) -> Vec<f64> {
     let rounded = &rounded[..task];
-    let short = wide(rounded);
+    let short = widened(rounded);
     let rounds_back = |values: &[f64]| {
         crate::vectors::unit(values).is_some_and(|unit| unit.iter().zip(rounded).all(|(a, b)| *a as f32 == *b))
     };
@@ -273,7 +273,7 @@ fn put_joint(entries: &mut Vec<Entry>, index: usize, joint: &Joint<f32>) {
     into.number("viscous", joint.viscous.into(), "N m s/rad");
     into.number("coulomb", joint.coulomb.into(), "N m");
     if let Some((low, high)) = joint.limits {
-        into.numbers("limits", &wide(&[low, high]), "rad");
+        into.numbers("limits", &widened(&[low, high]), "rad");
     }
     let size = f64::from(joint.radians_per_count.abs());
     if size > 0.0 {
@@ -295,8 +295,8 @@ fn put_joint(entries: &mut Vec<Entry>, index: usize, joint: &Joint<f32>) {
     }
 }
 
-/// Returns the entries of all that a board stores of a device: for its mechanism, the coefficients of the equations of
-/// motion by their names in src/model/mechanism.
+/// Returns the entries of a device as a board stores it. The mechanism's entries are the coefficients of the equations
+/// of motion, by their names in src/model/mechanism.
 pub fn running(device: &Device<f32>) -> Vec<Entry> {
     let spec = device.mechanism.kind().spec();
     let mut entries = Vec::new();
@@ -308,7 +308,7 @@ pub fn running(device: &Device<f32>) -> Vec<Entry> {
         put_joint(&mut entries, index, joint);
     }
     if let Some(home) = device.home {
-        table(&mut entries, "[home]", 0).numbers("q", &wide(&home[..spec.joints]), "rad");
+        table(&mut entries, "[home]", 0).numbers("q", &widened(&home[..spec.joints]), "rad");
     }
     entries
 }

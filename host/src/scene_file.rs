@@ -124,7 +124,7 @@ fn scene(top: &Table<'_>, task: usize) -> Result<Scene<f64>, FileError> {
         task: task as u8,
         rate_hz,
         cutoff_hz,
-        estimator: top.keep(chosen(top, estimator), estimator),
+        estimator: top.keep(estimator_with_key(top, estimator), estimator),
         gravity_compensation: top.flag_or("gravity_compensation", true),
         velocity_terms: top.keep(top.word("velocity_terms", &VelocityTerms::ALL), None).unwrap_or_default(),
         feed_forward_gain: top.keep(feed_forward_gain(top), 1.0),
@@ -165,7 +165,7 @@ fn rate(top: &Table<'_>) -> Result<f64, FileError> {
 
 /// Reads the value of the estimator's own key and, for an estimator that a low-pass may follow, adds the low-pass if
 /// the file has a cutoff.
-fn chosen(top: &Table<'_>, estimator: Estimator) -> Result<Estimator, FileError> {
+fn estimator_with_key(top: &Table<'_>, estimator: Estimator) -> Result<Estimator, FileError> {
     let (Some(spec), Some(usual)) = (estimator.spec(), estimator.chosen()) else { return Ok(estimator) };
     let mut value = usual.value;
     if let Some(key) = spec.key

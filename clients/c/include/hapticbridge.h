@@ -32,7 +32,7 @@
 #define HB_BAD_ARGUMENT 2
 
 /*
- A defect of the library; it has disarmed the board.
+ A defect of the library, which has disarmed the board.
  */
 #define HB_BROKEN 3
 
@@ -47,7 +47,7 @@
 #define HB_LOST 5
 
 /*
- hb_state.done, the outcome of a request (docs/host-force.md): it acts.
+ hb_state.done, the outcome of a request (docs/host-force.md): the request acts.
  */
 #define HB_TAKEN 0
 
@@ -72,7 +72,7 @@
 #define HB_TOO_OLD 4
 
 /*
- An invalid number: hb_error() says which.
+ A number of the request is invalid: hb_error() names it.
  */
 #define HB_BAD 5
 
@@ -106,11 +106,11 @@ typedef struct hb_board hb_board;
  */
 typedef struct {
   /*
-   Time for which it acts in full, 0 to 0.2.
+   Time for which the request acts in full, 0 to 0.2.
    */
   float hold_s;
   /*
-   Time in which it then fades to zero, 0 to 0.2.
+   Time in which the request then fades to zero, 0 to 0.2.
    */
   float fade_s;
   /*
@@ -272,7 +272,7 @@ int32_t hb_clear(const hb_board *board);
 
 /*
  Sets the time for which hb_exchange() waits for its reply, s. By default it waits for 0.1 and retries for one second
- in total. A program with a faster loop sets a shorter time, which then is the most that a lost frame costs.
+ in total. A program with a faster loop sets a shorter time, which limits the delay by a lost frame.
  */
 int32_t hb_wait_for_forces(const hb_board *board, double seconds);
 

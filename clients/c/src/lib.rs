@@ -3,7 +3,7 @@
 //!
 //! No panic crosses the C interface: it becomes [`HB_BROKEN`], and dropping a session disarms its board.
 
-#![allow(clippy::missing_safety_doc, reason = "the header is the documentation: pointers are NULL or as it says")]
+#![allow(clippy::missing_safety_doc, reason = "the header documents the conditions for pointers")]
 
 use haptic_bridge::board::protocol::{ForceAnswer, ForceDone, ForceRequest, HostContact};
 use haptic_bridge::render::scene::Scene;
@@ -28,14 +28,14 @@ pub const HB_OK: i32 = 0;
 pub const HB_FAILED: i32 = 1;
 /// An argument is NULL, not UTF-8, not finite or out of range.
 pub const HB_BAD_ARGUMENT: i32 = 2;
-/// A defect of the library; it has disarmed the board.
+/// A defect of the library, which has disarmed the board.
 pub const HB_BROKEN: i32 = 3;
 /// No reply in time: the board or the computer was busy, or a frame was lost. The next call is independent.
 pub const HB_UNANSWERED: i32 = 4;
 /// The board was unplugged or the connection was lost: close the board, and open it again once it is back.
 pub const HB_LOST: i32 = 5;
 
-/// hb_state.done, the outcome of a request (docs/host-force.md): it acts.
+/// hb_state.done, the outcome of a request (docs/host-force.md): the request acts.
 pub const HB_TAKEN: i32 = 0;
 /// hold and fade are 0: the request only read the state.
 pub const HB_LOOKED: i32 = 1;
@@ -45,7 +45,7 @@ pub const HB_NOT_ARMED: i32 = 2;
 pub const HB_NOT_NEWER: i32 = 3;
 /// More time than hold and fade has passed since the last call.
 pub const HB_TOO_OLD: i32 = 4;
-/// An invalid number: hb_error() says which.
+/// A number of the request is invalid: hb_error() names it.
 pub const HB_BAD: i32 = 5;
 
 /// hb_state.state: the motors are off.
@@ -71,9 +71,9 @@ impl Board {
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Request {
-    /// Time for which it acts in full, 0 to 0.2.
+    /// Time for which the request acts in full, 0 to 0.2.
     pub hold_s: f32,
-    /// Time in which it then fades to zero, 0 to 0.2.
+    /// Time in which the request then fades to zero, 0 to 0.2.
     pub fade_s: f32,
     /// Force at the tip.
     pub force_n: [f32; 3],
@@ -230,7 +230,7 @@ fn store_message(message: &str) {
 }
 
 /// Runs `work`; converts a failure or a panic to a code and stores its message.
-fn guarded<T>(work: impl FnOnce() -> Result<T, Failure>) -> Result<T, i32> {
+fn catch_failure<T>(work: impl FnOnce() -> Result<T, Failure>) -> Result<T, i32> {
     let done = catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|_| {
         Err(Failure(HB_BROKEN, "a defect of libhapticbridge: please report it with the call".into()))
     });
@@ -257,7 +257,7 @@ unsafe fn text<'a>(text: *const c_char, name: &'static str) -> Result<&'a str, F
 /// # Safety
 /// `board` is NULL or came from [`hb_open`] and has not been closed.
 unsafe fn with(board: *const Board, work: impl FnOnce(&mut Session) -> Result<(), Failure>) -> i32 {
-    let done = guarded(|| {
+    let done = catch_failure(|| {
         // SAFETY: as the caller promises.
         let board = unsafe { board.as_ref() }.ok_or_else(|| Failure::argument("the board", "NULL"))?;
         let mut session_slot = board.0.lock().unwrap_or_else(PoisonError::into_inner);
@@ -297,7 +297,7 @@ pub extern "C" fn hb_fault_text(fault: i32) -> *const c_char {
 /// connected board. Returns NULL if the board cannot be opened.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn hb_open(port: *const c_char) -> *mut Board {
-    let opened = guarded(|| {
+    let opened = catch_failure(|| {
         let spec = if port.is_null() {
             PortSpec::Find
         } else {
@@ -315,7 +315,7 @@ pub unsafe extern "C" fn hb_close(board: *mut Board) {
     if !board.is_null() {
         // SAFETY: as the caller promises.
         let board = unsafe { Box::from_raw(board) };
-        let _ = guarded(|| {
+        let _ = catch_failure(|| {
             drop(board);
             Ok(())
         });
@@ -403,7 +403,7 @@ pub unsafe extern "C" fn hb_clear(board: *const Board) -> i32 {
 }
 
 /// Sets the time for which hb_exchange() waits for its reply, s. By default it waits for 0.1 and retries for one second
-/// in total. A program with a faster loop sets a shorter time, which then is the most that a lost frame costs.
+/// in total. A program with a faster loop sets a shorter time, which limits the delay by a lost frame.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn hb_wait_for_forces(board: *const Board, seconds: f64) -> i32 {
     // SAFETY: as the caller promises.

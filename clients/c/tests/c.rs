@@ -19,7 +19,7 @@ use std::process::Command;
 use std::ptr::null;
 use std::sync::atomic::AtomicBool;
 
-/// Returns the folder of the shared library: that of this test.
+/// Returns the folder of this test, which also has the shared library.
 fn libraries() -> std::path::PathBuf {
     std::env::current_exe().unwrap().parent().unwrap().to_path_buf()
 }
@@ -52,7 +52,7 @@ fn the_example_compiles_without_warnings_and_pushes_a_board() {
     assert!(ran.status.success(), "{output}{}", String::from_utf8_lossy(&ran.stderr));
     let lines: Vec<&str> = output.lines().collect();
     let numbers: Vec<f64> = lines[0].split(' ').filter_map(|word| word.parse().ok()).collect();
-    // 0.5 N against 100 N/m, less friction of the joints (0.005 N m on 0.1 m arms, twice); taken, armed.
+    // 0.5 N against 100 N/m, less friction of the joints (0.005 N m on 0.1 m arms, twice). State: taken, armed.
     assert!((numbers[0] - 0.005).abs() < 0.001 && numbers[1].abs() < 0.001, "{output}");
     assert_eq!(numbers[2..], [0.0, 1.0], "{output}");
     let sizes = [size_of::<Request>(), size_of::<State>()];
@@ -95,7 +95,7 @@ fn a_program_starts_a_strict_board_and_clears_its_fault() {
         };
         assert_eq!((hb_set_scene(board, null()), hb_home(board)), (HB_OK, HB_OK), "{}", error());
         assert_eq!(hb_check_polarity(board), HB_OK, "{}", error());
-        // Another scene keeps homing and polarity.
+        // Homing and polarity stay valid with another scene.
         assert_eq!((hb_set_scene(board, null()), hb_arm(board)), (HB_OK, HB_OK), "{}", error());
         for _ in 0..4 {
             shared.lock().run(0.4);
@@ -124,7 +124,7 @@ fn errors_name_functions_and_arguments() {
     let device = CString::new(device).unwrap();
     // SAFETY: every pointer is NULL or valid for its type, and no call uses the board after hb_close().
     unsafe {
-        // The same text in either order of evaluation.
+        // A pointer from an earlier call shows the latest message.
         let before = hb_error();
         assert_eq!((hb_arm(null()), words(before)), (HB_BAD_ARGUMENT, "the board is NULL".into()));
         let board = hb_open(c"sim".as_ptr());

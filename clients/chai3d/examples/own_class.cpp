@@ -1,4 +1,4 @@
-// CHAI3D's own class for these devices, from its unchanged sources, with a sphere: docs/chai3d.md says how to build it.
+// Uses CHAI3D's own class for these devices, from its unchanged sources, with a sphere (docs/chai3d.md: build).
 #include "system/CGlobals.h"
 
 #include "devices/CPhantomDevices.h"

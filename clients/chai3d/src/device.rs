@@ -34,7 +34,7 @@ pub struct HdDevice {
     open: OpenBoard,
     /// `None` while the board is gone.
     session: Option<Session>,
-    /// The board's device: a board with another device later is refused.
+    /// The board's device. A reopened board with another device is refused.
     device_data: DeviceData,
     axes: Axes,
     /// Tip position at CHAI3D's origin, m.
@@ -93,7 +93,7 @@ impl HdDevice {
             Err(_) => Axes::of(device.mechanism.kind(), device.weight),
         };
         if let Some((index, _)) = axes.0.iter().flatten().find(|(index, _)| *index >= task) {
-            return Err(format!("HAPTIC_AXES names axis {index} (from 0), and the device has {task}"));
+            return Err(format!("HAPTIC_AXES names axis {index} (from 0), but the device has {task} axes"));
         }
         let (centre, radius) = workspace(&device, last.tip.map(f64::from));
         Ok(Self {
@@ -128,7 +128,7 @@ impl HdDevice {
                 true
             }
             // It is unknown whether the motors are on.
-            Err(BoardError::Link(error)) => self.lost(&error),
+            Err(BoardError::Link(error)) => self.handle_link_error(&error),
             Err(refused) => {
                 self.report(format!("the motors stay off: {refused}"));
                 false
@@ -176,7 +176,7 @@ impl HdDevice {
         };
         let sent = match session.force(force.map(|newtons| newtons as f32)) {
             Ok(sent) => sent,
-            Err(error) => return self.lost(&error),
+            Err(error) => return self.handle_link_error(&error),
         };
         if sent.state == State::Fault {
             self.tripped |= std::mem::take(&mut self.armed);
@@ -189,13 +189,13 @@ impl HdDevice {
         if let Some(session) = self.session.as_mut().filter(|_| self.simulated)
             && let Err(error) = session.rows(TICK)
         {
-            return self.lost(&error);
+            return self.handle_link_error(&error);
         }
         self.tick += TICK;
         let now = Instant::now();
         match self.tick.checked_duration_since(now) {
             Some(left) => std::thread::sleep(left),
-            // A late tick is not made up for.
+            // The time of a late tick is not caught up.
             None => self.tick = now,
         }
         match self.session.as_mut().map(Session::read_state) {
@@ -203,18 +203,18 @@ impl HdDevice {
                 self.last = state;
                 usable
             }
-            Some(Err(error)) => self.lost(&error),
+            Some(Err(error)) => self.handle_link_error(&error),
             None => false,
         }
     }
 
-    fn lost(&mut self, error: &LinkError) -> bool {
-        // After a lost frame the next force is independent.
+    fn handle_link_error(&mut self, error: &LinkError) -> bool {
+        // A lost frame does not affect the next force.
         if matches!(error, LinkError::Unanswered { .. }) {
             return false;
         }
         (self.session, self.gone, self.is_reported) = (None, 0, false);
-        self.report("the board is gone; once it is back it is opened again".into());
+        self.report("the board is lost: plug it in, and it is opened again".into());
         false
     }
 

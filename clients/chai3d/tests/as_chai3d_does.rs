@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 /// Compiles the program and puts the library next to it, under both names.
-fn prepare(name: &str) -> (PathBuf, PathBuf) {
+fn compile_program(name: &str) -> (PathBuf, PathBuf) {
     // Refers to the crate, so that cargo builds it.
     assert_eq!(hdPhantom::hdPhantomGetButtons(0), 0);
     let built = std::env::current_exe().unwrap().parent().unwrap().to_path_buf();
@@ -43,7 +43,7 @@ fn output_fields(output: &Output) -> Vec<String> {
 
 #[test]
 fn a_sphere_pushes_the_tip_out_at_1000_ticks_per_second() {
-    let (program, folder) = prepare("sphere");
+    let (program, folder) = compile_program("sphere");
     let phantom = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../devices/phantom-premium-1.5.toml");
     let phantom = format!("sim:{}", phantom.display());
     let all = [
@@ -67,12 +67,12 @@ fn a_sphere_pushes_the_tip_out_at_1000_ticks_per_second() {
         assert!(number(5) > 1.499, "{output_fields:?}");
         assert_eq!(output_fields[6], "0");
         if port != "sim" {
-            // No hand holds this device before its motors do.
+            // This device falls before its motors are on, because no hand holds it.
             continue;
         }
         // At the end 0.3 N press the tip into 300 N/m, less friction of up to 0.2 N.
         assert!((number(3) - 0.019).abs() < 0.7e-3, "{output_fields:?}");
-        // Radially away from the middle.
+        // The tip has moved radially away from the middle.
         let tip: Vec<f64> = output_fields[4].split(' ').map(|number| number.parse().unwrap()).collect();
         let (along, across) = (0.6 * tip[0] - 0.8 * tip[1], 0.8 * tip[0] + 0.6 * tip[1]);
         assert!((along - 0.009).abs() < 2e-3 && across.abs() < 4e-3 && tip[2].abs() < 4e-3, "{output_fields:?}");
@@ -90,7 +90,7 @@ fn an_invalid_force_fails() {
 
 #[test]
 fn a_missing_board_is_no_device_and_reports_the_reason() {
-    let (program, folder) = prepare("none");
+    let (program, folder) = compile_program("none");
     for (port, axes, words) in [
         ("tcp:127.0.0.1:1", None, "cannot connect"),
         ("tcp:", None, "not tcp:HOST:PORT"),

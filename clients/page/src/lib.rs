@@ -11,10 +11,8 @@
 //! messages go to the hub meanwhile, as in the tool. A page that hangs carries no bytes either, so the stage waits as
 //! long as the page is silent and cannot detect the silence: [`said`] detects it by the page's own clock.
 //!
-//! Only numbers can be passed, so text and bytes are in one buffer: the caller of [`room`] writes it, every other
-//! function leaves its result there.
-
-mod port;
+//! Functions can pass only numbers, so text and bytes are in one buffer: the caller of [`room`] writes it, and every
+//! other function leaves its result in it.
 
 use haptic_host::device_file::DeviceFile;
 use haptic_host::error::Failure;
@@ -106,7 +104,7 @@ struct Page {
 }
 
 impl Page {
-    /// Queues a message that the page sent at a time of its own clock.
+    /// Queues a message of the page. `at`: time of sending, by the page's clock.
     fn receive(&mut self, at: Duration, mut message: Result<FromPage, String>) {
         let before = match message {
             Ok(FromPage::Arm { .. } | FromPage::Hold { .. }) => std::mem::replace(&mut self.key_time, at),
@@ -130,7 +128,7 @@ fn set_buffer(bytes: impl Into<Vec<u8>>) {
     BUFFER.replace(bytes.into());
 }
 
-/// Applies `what` to a cell's content, if it has any.
+/// Applies `apply` to a cell's content; `None` if the cell is empty.
 fn with<T, R>(cell: &'static LocalKey<RefCell<Option<T>>>, apply: impl FnOnce(&mut T) -> R) -> Option<R> {
     cell.with_borrow_mut(|content| content.as_mut().map(apply))
 }
@@ -190,7 +188,7 @@ pub extern "C" fn open_board() -> bool {
 #[unsafe(no_mangle)]
 pub extern "C" fn finish(lost: bool) {
     if let Some(mut stage) = STAGE.take() {
-        // A board that does not receive this receives no key either.
+        // A board that does not receive the disarm request receives no key messages either.
         let _ = stage.end(lost);
     }
 }
@@ -202,7 +200,7 @@ pub extern "C" fn said(milliseconds: f64) {
     with(&PAGE, |page| page.receive(duration(milliseconds), text.and_then(|text| FromPage::parse(&text))));
 }
 
-/// A time that is not finite counts as zero.
+/// Converts milliseconds; a time that is not finite becomes zero.
 fn duration(milliseconds: f64) -> Duration {
     Duration::try_from_secs_f64(1e-3 * milliseconds).unwrap_or_default()
 }
@@ -263,7 +261,7 @@ mod tests {
     fn play(from: u32, milliseconds: u32) -> (String, Vec<String>) {
         let (mut picture, mut refused) = (String::new(), Vec::new());
         for millisecond in 0..milliseconds {
-            // As the worker does: repeat until simulated time is up to date. A board has its own time.
+            // Like the worker, repeats until simulated time is up to date. A board has its own time.
             let mut turned = 1;
             while turned == 1 {
                 turned = turn(f64::from(from + millisecond));
@@ -347,7 +345,7 @@ mod tests {
         assert_eq!(other.scene().unwrap().unwrap().walls[0].stiffness, 123.0);
     }
 
-    /// The stage waits for bytes all the time and receives no step of the board: no turn is called in between.
+    /// While the page hangs, no turn is called, so the stage receives no step of the board.
     #[test]
     fn a_page_that_hung_has_released_its_key() {
         let board = plug_in();

@@ -10,7 +10,7 @@
   const worker = URL.createObjectURL(new Blob([$text("worker")], { type: "text/javascript" }));
   function $text(id) { const element = document.getElementById(id), text = element.textContent; element.remove(); return text; }
   const device = document.createElement("select"), lesson = document.createElement("select"), open = document.createElement("button");
-  // The list of devices shows the name.
+  // The list of devices already shows the device's name.
   document.getElementById("device").hidden = true;
   device.id = "choice"; lesson.id = "lesson"; open.id = "open"; open.textContent = "Open a board";
   device.setAttribute("aria-label", "Device"); lesson.setAttribute("aria-label", "Set-up of a lesson");
@@ -29,7 +29,7 @@
       if (before === 1) up();
       carrier.readyState = 3;
       if (!board) { close(); console.error(why); carrier.onclose(); }
-      // A board that was shown is not replaced by a simulation without a request.
+      // If a board was shown, a simulation replaces it only on request.
       else if (before === 1) {
         port = null;
         open.textContent = "Open a board";
@@ -112,7 +112,7 @@
     if (port) return begin(null);
     if (!navigator.serial || !WebAssembly.Suspending) return notice(CANNOT);
     let chosen;
-    // Closing the browser's list means no choice.
+    // The user closed the browser's list without a choice.
     try { chosen = await navigator.serial.requestPort(BOARDS); } catch { return; }
     try {
       await chosen.open({ baudRate: 115200, bufferSize: 1 << 18 });

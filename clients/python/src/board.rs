@@ -151,7 +151,7 @@ impl Board {
         })
     }
 
-    /// Runs `work` with the board; the stream ends.
+    /// Runs `work` with the board, and ends the stream first.
     pub fn with_board<T: Send>(
         &self,
         py: Python<'_>,
@@ -169,7 +169,7 @@ impl Board {
             Ok(State { reply, fault: open.session.fault() })
         })?;
         match state.reply.done {
-            // The board has restarted, so it does not know the step; the next request is independent.
+            // `Seen` is no error: a restarted board does not know the step, and the next request is independent.
             ForceDone::Bad(bad) if bad != BadForce::Seen => Err(RequestError::new_err(state.reply.done.to_string())),
             _ => Ok(state),
         }
@@ -389,7 +389,7 @@ impl Board {
             }
             py.check_signals()?;
         }
-        let rows: Vec<Vec<f64>> = rows.iter().map(with_step).collect();
+        let rows: Vec<Vec<f64>> = rows.iter().map(row_with_step).collect();
         array(py, rows.concat(), &[rows.len(), width])
     }
 
@@ -425,7 +425,7 @@ impl Board {
             }
             let wait = Duration::from_secs_f64(left.min(SIGNAL_INTERVAL.as_secs_f64()));
             let came = self.with(py, |open| Ok(open.session.rows(wait)?))?;
-            rows.extend(came.iter().map(with_step));
+            rows.extend(came.iter().map(row_with_step));
             py.check_signals()?;
         }
         self.stop_stream(py)?;
@@ -439,7 +439,7 @@ fn names(fields: Fields, axes: usize) -> Vec<String> {
     std::iter::once("step".to_owned()).chain(own).collect()
 }
 
-fn with_step(row: &Row) -> Vec<f64> {
+fn row_with_step(row: &Row) -> Vec<f64> {
     std::iter::once(f64::from(row.step)).chain(row.values.iter().copied()).collect()
 }
 

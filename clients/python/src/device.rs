@@ -60,7 +60,7 @@ fn unwrap_poses<T>(found: Vec<Result<T, Failure>>, keep: bool) -> PyResult<Vec<O
 }
 
 /// Maximum number of poses whose model is computed in the caller's thread, in microseconds each: starting two threads
-/// takes longer, and a controller asks for one pose at a time.
+/// takes longer, and a controller requests one pose at a time.
 const MAX_IN_CALLER: usize = 64;
 
 /// Computes the results of `count` poses with the interpreter's lock released: at most `alone` poses in this thread,
@@ -414,8 +414,8 @@ impl PyDevice {
         Ok(columns.into)
     }
 
-    /// Computes the inertia over the reachable workspace, like `haptic map`, on a grid of about `points` poses, M of
-    /// which are reachable.
+    /// Computes the inertia over the reachable workspace, like `haptic map`, on a grid of about `points` poses. M poses
+    /// are reachable.
     ///
     /// Returns a dict of arrays: q (M, N) rad, position (M, d) m, w_eff, w_rr, coupling (M,) kg along the normal (d,),
     /// condition_jacobian, condition_mass (M,), worst_ratio (M,), worst_ratio_normal (M, d), worst_coupling (M,) kg,

@@ -97,12 +97,12 @@ impl Simulation {
     }
 
     /// Puts a hand on the tip that follows waypoints [(seconds from now, x, y, ..), ...], in m, in smooth strokes; with
-    /// push=True they are forces in N. An empty list lets go.
+    /// push=True they are forces in N. An empty list removes it.
     #[pyo3(signature = (waypoints, *, push = false))]
     fn hand(&self, waypoints: Vec<Vec<f64>>, push: bool) -> PyResult<()> {
         let point = |numbers: Vec<f64>| match numbers.split_first() {
             Some((time, value)) if value.len() == self.task => Ok(Waypoint { time: *time, value: padded(value) }),
-            _ => Err(RequestError::new_err(format!("a waypoint is a time and {} numbers", self.task))),
+            _ => Err(RequestError::new_err(format!("a waypoint must be a time and {} numbers", self.task))),
         };
         let waypoints: Vec<Waypoint> = waypoints.into_iter().map(point).collect::<PyResult<_>>()?;
         let intent = match (waypoints.is_empty(), push) {

@@ -105,7 +105,7 @@ def test_invalid_numbers_and_missing_replies_raise(five_bar):
             with pytest.raises(hb.RequestError, match="each entry of the force must be at most 1000 N"):
                 board.force(force)
         board.wait_for_forces(0.0)
-        with pytest.raises(hb.UnansweredError, match="no answer to a force"):
+        with pytest.raises(hb.UnansweredError, match="no reply to a force"):
             board.look()
         board.wait_for_forces(0.1)
         assert board.look().state == "Armed"

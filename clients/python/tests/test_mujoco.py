@@ -21,7 +21,7 @@ def placed(path, q, **options):
 
 
 def reduced(model, data, joints):
-    """Returns (G, M): the motion of all hinges per motion of the actuated ones with a closed linkage, and its inertia."""
+    """Returns (G, M): the motion of all hinges per motion of the actuated hinges, linkage closed, and the inertia."""
     driven = [model.joint(f"q{joint}").dofadr[0] for joint in range(joints)]
     rest = [dof for dof in range(model.nv) if dof not in driven]
     g = np.zeros((model.nv, joints))

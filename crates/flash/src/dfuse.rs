@@ -30,7 +30,7 @@ pub enum UsbError {
     #[error("it left USB")]
     Gone,
     /// The device did not reply in time.
-    #[error("it does not answer")]
+    #[error("it does not reply")]
     Silent,
     /// The user has no permission to open the device.
     #[error("this user may not open it")]
@@ -156,7 +156,7 @@ pub struct Dfuse<T> {
 impl<T: Transport> Dfuse<T> {
     /// Begins a session in any state of the boot loader; `transfer` is its `wTransferSize`.
     pub fn begin(transport: T, transfer: u16) -> Result<Self, DfuError> {
-        // The chip's own boot loader has 2048. Its smallest transfer is two bytes.
+        // The chip's boot loader has 2048 bytes, and its smallest transfer is two bytes.
         let mut dfuse = Self { transport, transfer: transfer.max(4) & !3 };
         // Abort first: a status request would start the program if an earlier session had commanded it.
         match dfuse.transport.send(request::ABORT, 0, &[]) {
@@ -179,7 +179,7 @@ impl<T: Transport> Dfuse<T> {
     /// Writes at most [`Dfuse::transfer`] bytes to erased flash.
     pub fn write(&mut self, address: u32, bytes: &[u8]) -> Result<(), DfuError> {
         self.set_address(address)?;
-        self.transport.send(request::DNLOAD, FIRST_BLOCK, bytes).or_else(|error| self.explain(error))?;
+        self.transport.send(request::DNLOAD, FIRST_BLOCK, bytes).or_else(|error| self.explain_refusal(error))?;
         self.wait_for_end(|| format!("write {} bytes at {address:#010x}", bytes.len()))
     }
 
@@ -193,12 +193,12 @@ impl<T: Transport> Dfuse<T> {
                 continue;
             }
             self.set_address(address + from as u32)?;
-            // Memory can be read from idle, but not between two writes.
+            // Memory can be read in the idle state, but not between two writes.
             self.transport.send(request::ABORT, 0, &[])?;
             for (number, start) in (FIRST_BLOCK..=u16::MAX).zip((from..to).step_by(self.transfer())) {
                 let wanted = (to - start).min(self.transfer());
                 let got = self.transport.receive(request::UPLOAD, number, wanted as u16);
-                let got = got.or_else(|error| self.explain(error))?;
+                let got = got.or_else(|error| self.explain_refusal(error))?;
                 if got.len() != wanted {
                     return Err(DfuError::Short { got: got.len(), wanted });
                 }
@@ -218,7 +218,7 @@ impl<T: Transport> Dfuse<T> {
             Ok(Status { state: state::MANIFEST | state::MANIFEST_SYNC, .. }) => Ok(()),
             // The boot loader has already left.
             Err(DfuError::Usb(UsbError::Gone | UsbError::Silent)) => Ok(()),
-            Ok(Status { state: state::ERROR, status, .. }) => Err(failed(status, doing)),
+            Ok(Status { state: state::ERROR, status, .. }) => Err(status_error(status, doing)),
             Ok(Status { state, .. }) => Err(DfuError::Lost { doing: doing(), state }),
             Err(error) => Err(error),
         }
@@ -243,13 +243,13 @@ impl<T: Transport> Dfuse<T> {
 
     /// Sets the address of the next write, read or start.
     fn set_address(&mut self, address: u32) -> Result<(), DfuError> {
-        self.command(SET_ADDRESS, address, || format!("go to address {address:#010x}"))
+        self.command(SET_ADDRESS, address, || format!("set the address {address:#010x}"))
     }
 
     fn command(&mut self, command: u8, address: u32, doing: impl Fn() -> String) -> Result<(), DfuError> {
         let mut data = vec![command];
         data.extend(address.to_le_bytes());
-        self.transport.send(request::DNLOAD, 0, &data).or_else(|error| self.explain(error))?;
+        self.transport.send(request::DNLOAD, 0, &data).or_else(|error| self.explain_refusal(error))?;
         self.wait_for_end(doing)
     }
 
@@ -261,14 +261,13 @@ impl<T: Transport> Dfuse<T> {
             match status.state {
                 state::DNLOAD_IDLE => return Ok(()),
                 state::DNBUSY | state::DNLOAD_SYNC => self.pause(status.pause, began, &doing)?,
-                state::ERROR => return Err(failed(status.status, doing)),
+                state::ERROR => return Err(status_error(status.status, doing)),
                 state => return Err(DfuError::Lost { doing: doing(), state }),
             }
         }
     }
 
-    /// Waits before the next status request, or fails if the command has taken too long since it `began`, replies
-    /// included.
+    /// Waits before the next status request. Fails if the command and its replies have taken too long since `began`.
     fn pause(&mut self, requested: Duration, began: Duration, doing: impl Fn() -> String) -> Result<(), DfuError> {
         let pause = requested.max(PAUSE);
         if self.transport.now() - began + pause > MAX_COMMAND_TIME {
@@ -290,17 +289,17 @@ impl<T: Transport> Dfuse<T> {
     }
 
     /// Converts a refusal to the reason that the status gives, if the boot loader still replies.
-    fn explain<O>(&mut self, error: UsbError) -> Result<O, DfuError> {
+    fn explain_refusal<O>(&mut self, error: UsbError) -> Result<O, DfuError> {
         if error == UsbError::Stalled
             && let Ok(Status { state: state::ERROR, status, .. }) = self.status()
         {
-            return Err(failed(status, || "take a request".into()));
+            return Err(status_error(status, || "accept a request".into()));
         }
         Err(error.into())
     }
 }
 
-fn failed(status: u8, doing: impl Fn() -> String) -> DfuError {
+fn status_error(status: u8, doing: impl Fn() -> String) -> DfuError {
     match status {
         VENDOR => DfuError::Protected,
         status => DfuError::Failed { doing: doing(), status },

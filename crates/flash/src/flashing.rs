@@ -99,8 +99,8 @@ pub enum Phase {
 impl fmt::Display for Phase {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
-            Self::Find => "looking for a board",
-            Self::Identify => "asking the board what it is",
+            Self::Find => "finding a board",
+            Self::Identify => "identifying the board",
             Self::ReadSettings => "reading the board's settings",
             Self::Enter => "restarting the board into its boot loader",
             Self::Open => "opening the boot loader",
@@ -110,7 +110,7 @@ impl fmt::Display for Phase {
             Self::Leave => "leaving the boot loader",
             Self::Return => "waiting for the board",
             Self::Compare => "comparing versions",
-            Self::RestoreSettings => "putting settings back",
+            Self::RestoreSettings => "restoring settings",
         })
     }
 }
@@ -145,7 +145,7 @@ pub enum Cause {
     Differs { address: u32, holds: u8, wanted: u8 },
     #[error("the settings in flash have changed")]
     SettingsChanged,
-    #[error("the board did not come back")]
+    #[error("the board did not appear on USB after its restart")]
     NoReturn,
     #[error("the board now reports {identity}, but the image is {image}")]
     OtherVersion { identity: String, image: String },
@@ -154,9 +154,9 @@ pub enum Cause {
 /// The contents of the flash.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Flash {
-    /// The old contents; the board runs or was found in its boot loader.
+    /// The old contents. The board is running, or is in the boot loader as before.
     Untouched,
-    /// The old contents; the board was put into its boot loader and waits there.
+    /// The old contents. The board has been restarted into its boot loader.
     Entered,
     /// No image that starts.
     Erased,
@@ -205,26 +205,28 @@ impl FlashError {
                 "`haptic list` shows the running boards; a boot loader has the serial number of its board".into()
             }
             Cause::OtherBoard { board, .. } => format!("flash the image for it: haptic flash {board}"),
-            Cause::Image(_) | Cause::Misfit(_) | Cause::Layout(_) => "this image does not fit this chip".into(),
+            Cause::Image(_) | Cause::Misfit(_) | Cause::Layout(_) => {
+                "check that the image is complete and made for this kind of board".into()
+            }
             Cause::Board(_) if self.phase != Phase::RestoreSettings => {
                 format!("bring it into its boot loader {BY_HAND}")
             }
             Cause::NoBootLoader => format!(
                 "check the cable; on Linux, `haptic udev` writes the rule that lets a user open it; or \
-                 bring it there {BY_HAND}"
+                 enter the boot loader {BY_HAND}"
             ),
             Cause::Usb(UsbError::Forbidden) => {
-                "`haptic udev` writes the rule that lets you; on Windows, Zadig installs WinUSB for it".into()
+                "`haptic udev` writes the rule that lets you open it; on Windows, Zadig installs WinUSB for it".into()
             }
-            Cause::Usb(UsbError::Busy) => "close the other program (dfu-util, another haptic)".into(),
+            Cause::Usb(UsbError::Busy) => "close the other program (dfu-util, another `haptic`)".into(),
             Cause::Dfu(DfuError::Protected) => {
                 "lifting the protection erases the whole chip, settings as well: `dfu-util -a 0 -s \
-                 0x08000000:unprotect:force`, then this again"
+                 0x08000000:unprotect:force`, then run this again"
                     .into()
             }
             Cause::SettingsChanged => "restore them from a backup once the board runs".into(),
             Cause::OtherVersion { .. } => {
-                "another board may have answered: plug in this one alone and flash it again".into()
+                "another board may have replied: plug in only this board and flash it again".into()
             }
             _ => String::new(),
         };
@@ -405,7 +407,7 @@ pub fn flash<S: Surroundings>(
     tell(Progress::Begins(Phase::Compare));
     let comparing = at(Phase::Compare, Flash::Written);
     let mut identity = site.identify(&loader.serial);
-    // A board may appear before it replies.
+    // A board may appear on USB before it replies.
     for _ in 0..20 {
         if identity.is_err() {
             site.wait(POLL);

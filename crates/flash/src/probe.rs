@@ -20,8 +20,8 @@ pub enum ProbeError {
     NotInstalled,
     /// probe-rs failed.
     #[error(
-        "probe-rs {step} failed; its own message is above. A board with half an image does not arm: check the probe's \
-         cable and the board's power, and run this again"
+        "probe-rs {step} failed; its own message is above. A board with an incomplete image does not arm: check the \
+         probe's cable and the board's power, and run this again"
     )]
     Failed {
         /// Subcommand of probe-rs.

@@ -30,7 +30,7 @@ impl Bus {
 }
 
 /// Returns true if the motors of a running board are on, with the names of settings that a restart would lose. `None`
-/// if the board has another version of the protocol, in which it cannot be asked.
+/// if the board has another version of the protocol, so that it cannot report them.
 pub fn motors_and_unsaved(serial: &str) -> Result<Option<(bool, Vec<&'static str>)>, BoardError> {
     let Some(mut board) = open_same_protocol(serial)? else { return Ok(None) };
     let drives = board.status()?.state.drives();
@@ -92,7 +92,7 @@ impl Surroundings for Bus {
     }
 
     fn enter_boot_loader(&mut self, serial: &str) -> Result<(), String> {
-        // In another version of the protocol the request may differ; the board then does not know it.
+        // Another version of the protocol may have another request; the board then refuses this one as unknown.
         let outcome = client(serial)?.call::<EnterDfu>(&(), REPLY).map_err(to_text)?;
         outcome.map_err(|refusal| format!("the board refuses: {refusal}"))
     }
@@ -102,7 +102,7 @@ impl Surroundings for Bus {
             let file = output::unused(Path::new(&format!("haptic-backup-{serial}.json")));
             match output::write(&file, saved.to_text().as_bytes(), output::Overwrite::Never) {
                 Ok(()) => format!("{why}; the settings are in {}, a backup to restore", file.display()),
-                Err(error) => format!("{why}; nor could they be written to a file: {error}"),
+                Err(error) => format!("{why}; they could not be written to a file either: {error}"),
             }
         })
     }
@@ -121,7 +121,7 @@ fn restore_settings(serial: &str, saved: &Backup) -> Result<Vec<String>, String>
     board.map_or(Ok(Vec::new()), |mut board| restore_lost_settings(&mut board, saved))
 }
 
-/// Restores all settings if the board reports a damaged one or any of them differs. Returns their names.
+/// Restores all settings if the board reports a damaged setting or any setting differs. Returns their names.
 pub fn restore_lost_settings(board: &mut Board, saved: &Backup) -> Result<Vec<String>, String> {
     let damaged = board.details().map_err(to_text)?.damage;
     let has = Backup::read(board).map_err(to_text)?;

@@ -2,9 +2,9 @@
 
 /// USB vendor and product id of the boot loader in ST's chips (AN2606).
 pub const BOOT_LOADER: (u16, u16) = (0x0483, 0xDF11);
-/// USB vendor and product id of the boards, and the product name that separates them from others with the test id.
+/// USB vendor and product id of the boards, and the product name that distinguishes them in this test id.
 pub const BOARD: (u16, u16, &str) = (0x1209, 0x0001, "haptic-bridge");
-/// Path of the rule; its number must be lower than that of the rules that read its tag (73).
+/// Path of the rule; its number must be lower than 73, the number of the rules that read its tag.
 pub const PLACE: &str = "/etc/udev/rules.d/70-haptic-bridge.rules";
 
 /// Returns the contents of the rule file.
@@ -12,7 +12,7 @@ pub fn rule() -> String {
     let (vendor, product) = BOOT_LOADER;
     let (board_vendor, board_product, name) = BOARD;
     format!(
-        "# haptic-bridge boards, for whoever sits at this computer; ModemManager leaves them alone. {PLACE}\n\
+        "# haptic-bridge boards, for the local user of this computer; ModemManager ignores them. {PLACE}\n\
          # The boot loader in the chip:\n\
          SUBSYSTEM==\"usb\", ATTR{{idVendor}}==\"{vendor:04x}\", ATTR{{idProduct}}==\"{product:04x}\", \
          TAG+=\"uaccess\"\n\

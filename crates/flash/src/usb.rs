@@ -13,7 +13,7 @@ use crate::udev::BOOT_LOADER;
 /// The boot loader's only interface; alternate setting 0 is the internal flash.
 const INTERFACE: u8 = 0;
 const FLASH_SETTING: u8 = 0;
-/// Timeout of one request. The boot loader replies while it works; only its first reply to an erase is late in some
+/// Timeout of one request. The boot loader replies during a command; only the first reply to an erase is late in some
 /// versions.
 const TIMEOUT: Duration = Duration::from_secs(5);
 /// Type of the descriptor with the transfer size (DFU 1.1, section 4.1.3).

@@ -2,8 +2,7 @@
 //!
 //! A hand presses onto a wall and slides along it, once without and once with the feed-forward, with the same tremor.
 //! Then the stiffness is raised until the loop oscillates, also without and with the feed-forward, and compared with
-//! the prediction. Only the true state of the simulated device is hidden from the board; everything else goes through
-//! the link.
+//! the prediction. The demo uses the board through the link only, as it would use a real board.
 
 pub mod comparison;
 pub mod crossing;
@@ -51,7 +50,7 @@ pub enum DemoError {
     /// The device cannot be simulated.
     #[error(transparent)]
     Device(#[from] DeviceError),
-    /// The board could not be reached, or refused.
+    /// The board cannot be reached, or refuses a request.
     #[error(transparent)]
     Board(#[from] BoardError),
     /// The search for the stable stiffness failed.
@@ -87,11 +86,11 @@ pub struct Inertia {
 }
 
 impl Demo {
-    /// Returns the demo of this tool.
+    /// Returns the demo that `haptic demo` runs.
     ///
-    /// The pose is a good working pose of the device, and the normal is one of the worst there (`haptic map`). 1 kHz
-    /// and 100 Hz are typical of computer-controlled devices; at these rates the loop, not the motors, limits the
-    /// stiffness.
+    /// The pose is a good working pose of the device, and the normal is one of the normals with the strongest coupling
+    /// there (`haptic map`). 1 kHz and 100 Hz are typical of computer-controlled devices; at these rates the loop, not
+    /// the motors, limits the stiffness.
     pub fn shipped(seed: u64) -> Result<Self, Failure> {
         let (sine, cosine) = 75.0_f64.to_radians().sin_cos();
         Ok(Self {

@@ -1,8 +1,8 @@
 //! A board as a Haply device: the JSON over WebSocket of Haply's inverse service (`haptic serve --haply`,
 //! docs/haply.md).
 //!
-//! Lock-step, as in the service: the first frame has the full state, and then each message of the program gets one
-//! frame with the device's state as reply.
+//! Lock-step, as in Haply's service: the first frame has the full state. Then the server replies to each message of the
+//! program with one frame of the device's state.
 //!
 //! The frame is Haply's: x to the operator's right, y away from the operator, z up, the origin at the device's base.
 
@@ -36,12 +36,12 @@ const MAX_MESSAGE: usize = 256 * 1024;
 const MAX_HANDSHAKES: usize = 32;
 /// Time for which a connection is read before the server checks if it should stop.
 const READ_TIME: Duration = Duration::from_millis(20);
-/// Longest time for which a reply may remain unread, and for which a program waits for a silent one to leave.
+/// Maximum time for which a reply may stay unread, and for which a program waits until a silent program has left.
 const SEND_TIMEOUT: Duration = Duration::from_secs(2);
-/// Interval without an exchange after which the board is polled, because a silent connection to a simulated board gives
-/// way to another tool; also the interval between attempts to open a lost board, so that other tools can connect.
+/// Interval without an exchange after which the board is polled, because a simulated board closes a silent connection
+/// if another tool connects; also the interval between attempts to open a lost board, so that other tools can connect.
 const POLL_INTERVAL: Duration = Duration::from_millis(500);
-/// Time without a message after which a program gives way to another one.
+/// Time without a message after which a program loses the device to another program that requests it.
 const MAX_SILENCE: Duration = Duration::from_secs(3);
 /// Reply while the board is lost.
 const BOARD_LOST: &str = "the board is gone; it is opened again once it is back";
@@ -62,7 +62,7 @@ impl HaplyListener {
         Ok(Self { listener, token: crate::view::door::token()?, silence: MAX_SILENCE })
     }
 
-    /// Changes the time without a message after which a program gives way to another one.
+    /// Sets the time without a message after which a program loses the device to another program that requests it.
     pub fn give_way_after(self, silence: Duration) -> Self {
         Self { silence, ..self }
     }
@@ -82,7 +82,7 @@ impl HaplyListener {
     /// description. A lost board is reported, and `open` is called repeatedly until the board is back.
     pub fn serve<E: Display>(&self, device: Inverse3, open: impl Fn() -> Result<Inverse3, E>, stop: &AtomicBool) {
         let shared = Arc::new(Shared {
-            served: Mutex::new(DeviceSlot { device: Some(device), user: None }),
+            device_slot: Mutex::new(DeviceSlot { device: Some(device), user: None }),
             is_over: AtomicBool::new(false),
             token: self.token.clone(),
             silence: self.silence,
@@ -95,7 +95,7 @@ impl HaplyListener {
                     let Some(place) = handshakes.enter(&stream) else { continue };
                     let shared = Arc::clone(&shared);
                     threads.push(thread::spawn(move || {
-                        // A failed connection concerns only its program.
+                        // A failed connection affects its own program only.
                         let _ = handle_connection(stream, place, &shared);
                     }));
                 }
@@ -127,40 +127,40 @@ struct User {
 
 /// State that the connections share.
 struct Shared {
-    served: Mutex<DeviceSlot>,
+    device_slot: Mutex<DeviceSlot>,
     is_over: AtomicBool,
     token: String,
     silence: Duration,
 }
 
 impl Shared {
-    fn served(&self) -> MutexGuard<'_, DeviceSlot> {
-        self.served.lock().unwrap_or_else(PoisonError::into_inner)
+    fn device_slot(&self) -> MutexGuard<'_, DeviceSlot> {
+        self.device_slot.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Returns the device's state after `work`; `None` while its board is lost.
     fn frame(&self, full: bool, work: impl FnOnce(&mut Inverse3) -> Result<(), BoardError>) -> Option<Value> {
-        self.served().work(work).map(|device| device.frame(full))
+        self.device_slot().work(work).map(|device| device.frame(full))
     }
 
     /// Polls the board if no program has done so for a while, and reopens a lost board after its user has left, because
     /// a program must arm only the board that it has connected to.
     fn maintain<E: Display>(&self, open: impl Fn() -> Result<Inverse3, E>, failed: &mut Option<(Instant, String)>) {
-        let mut served = self.served();
-        if served.device.as_ref().is_some_and(|device| device.idle_time() >= POLL_INTERVAL) {
-            served.work(Inverse3::poll);
+        let mut device_slot = self.device_slot();
+        if device_slot.device.as_ref().is_some_and(|device| device.idle_time() >= POLL_INTERVAL) {
+            device_slot.work(Inverse3::poll);
         }
         let is_soon = failed.as_ref().is_some_and(|(when, _)| when.elapsed() < POLL_INTERVAL);
-        if served.device.is_some() || served.user.is_some() || is_soon {
+        if device_slot.device.is_some() || device_slot.user.is_some() || is_soon {
             return;
         }
-        drop(served);
+        drop(device_slot);
         let opened = open().map_err(|error| error.to_string());
         let previous = failed.take().map(|(_, why)| why);
         match opened {
             Ok(device) => {
                 haptic_host::tell!("{} is back", device.id());
-                self.served().device = Some(device);
+                self.device_slot().device = Some(device);
             }
             Err(why) => {
                 if previous.as_ref() != Some(&why) {
@@ -174,7 +174,7 @@ impl Shared {
     /// Returns the reason why the program that uses the device must leave; `None` if it may stay.
     fn ejection(&self) -> Option<&'static str> {
         let shutdown = self.is_over.load(Ordering::Relaxed).then_some("the server ends");
-        shutdown.or_else(|| self.served().user.as_ref()?.ejection)
+        shutdown.or_else(|| self.device_slot().user.as_ref()?.ejection)
     }
 }
 
@@ -194,12 +194,12 @@ impl DeviceSlot {
 struct DeviceUse<'s>(&'s Shared);
 
 impl<'s> DeviceUse<'s> {
-    /// Takes the device. A silent program gives way, even if it is suspended. The error is the reason for a refusal.
+    /// Takes the device, also from a program that is silent or suspended. The error is the reason for a refusal.
     fn take(shared: &'s Shared) -> Result<Self, &'static str> {
         let began = Instant::now();
         loop {
-            let mut served = shared.served();
-            let DeviceSlot { device, user } = &mut *served;
+            let mut device_slot = shared.device_slot();
+            let DeviceSlot { device, user } = &mut *device_slot;
             match (device, &mut *user) {
                 (None, _) => return Err(BOARD_LOST),
                 (Some(device), None) => {
@@ -212,21 +212,21 @@ impl<'s> DeviceUse<'s> {
                 }
                 _ => return Err("another program uses the device"),
             }
-            drop(served);
+            drop(device_slot);
             thread::sleep(READ_TIME / 4);
         }
     }
 
     fn note_message(&self) {
-        self.0.served().user.iter_mut().for_each(|user| user.last_message = Instant::now());
+        self.0.device_slot().user.iter_mut().for_each(|user| user.last_message = Instant::now());
     }
 }
 
 impl Drop for DeviceUse<'_> {
     fn drop(&mut self) {
-        let mut served = self.0.served();
-        served.device.iter_mut().for_each(Inverse3::release);
-        served.user = None;
+        let mut device_slot = self.0.device_slot();
+        device_slot.device.iter_mut().for_each(Inverse3::release);
+        device_slot.user = None;
     }
 }
 
@@ -272,8 +272,8 @@ fn handle_connection(mut stream: TcpStream, place: Place, shared: &Shared) -> tu
     }
 }
 
-/// Returns true if a request names this computer and comes from a program, which sends no origin or this very port, or
-/// from a page of any server on this computer that sends the token.
+/// Returns true if a request is addressed to this computer and comes from a program, or from a page with the token. A
+/// program sends no origin, or this server as origin; a page comes from any server on this computer.
 fn is_allowed(request: &Request, token: &str) -> bool {
     let header = |name: &str| request.headers().get(name).and_then(|value| value.to_str().ok());
     let local = |authority: &str| {
@@ -315,8 +315,8 @@ fn converse(stream: TcpStream, device_use: &DeviceUse<'_>) -> tungstenite::Resul
             // Python's orjson produces bytes, which become binary frames; the service replies to both with text.
             Ok(message @ (Message::Text(_) | Message::Binary(_))) => {
                 device_use.note_message();
-                let mut served = device_use.0.served();
-                let Some(device) = &mut served.device else { continue };
+                let mut device_slot = device_use.0.device_slot();
+                let Some(device) = &mut device_slot.device else { continue };
                 next = Some(ProgramRequest::parse(&message.into_data(), device.id()).unwrap_or_else(|error| {
                     device.notify(format!("invalid message: {error}"));
                     ProgramRequest::default()
@@ -341,7 +341,7 @@ mod tests {
         let session = Session::of(haptic_sim::open(&PortSpec::Sim(None)).unwrap());
         let device = Inverse3::new(session, None, true).unwrap();
         let shared = Shared {
-            served: Mutex::new(DeviceSlot { device: Some(device), user: None }),
+            device_slot: Mutex::new(DeviceSlot { device: Some(device), user: None }),
             is_over: AtomicBool::new(false),
             token: "abc".into(),
             silence: MAX_SILENCE,
@@ -356,7 +356,7 @@ mod tests {
         stream.shutdown(std::net::Shutdown::Write).unwrap();
         let place = Places::new(1, 1).enter(&stream).unwrap();
         assert!(handle_connection(stream, place, &shared).is_err());
-        assert!(shared.served().user.is_none());
+        assert!(shared.device_slot().user.is_none());
     }
 
     #[test]

@@ -30,7 +30,7 @@ pub enum Outline {
 }
 
 /// Returns the outline of a surface; `None` if the outline is neither a line nor a circle, for example of an oblique
-/// cylinder or of a plane parallel to the drawing. Callers must report `None`.
+/// cylinder or of a plane parallel to the drawing. Callers must report that no outline is drawn.
 pub fn outline(surface: &Surface<f64>) -> Option<Outline> {
     let flat = |point: [f64; 3]| [point[0], point[1]];
     match surface {

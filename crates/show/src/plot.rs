@@ -39,7 +39,7 @@ use thiserror::Error;
 /// Pixels of a PNG per unit of its SVG.
 #[cfg(feature = "png")]
 const PNG_SCALE: f32 = 2.0;
-/// The same for an SVG with a size on paper, whose units are 96 to the inch: 600 pixels to the inch.
+/// Pixels of a PNG per unit of an SVG with a size on paper: 600 pixels per inch, 96 units per inch.
 #[cfg(feature = "png")]
 const PRINTED_SCALE: f32 = 600.0 / 96.0;
 
@@ -68,7 +68,7 @@ impl From<PictureError> for Failure {
 pub struct Picture {
     svg: String,
     /// True if the picture has a size on paper, which determines its number of pixels.
-    #[cfg_attr(not(feature = "png"), allow(dead_code, reason = "pixels are PNG's"))]
+    #[cfg_attr(not(feature = "png"), allow(dead_code, reason = "only PNG uses it"))]
     printed: bool,
 }
 
@@ -78,14 +78,14 @@ impl Picture {
         &self.svg
     }
 
-    /// Writes the picture as SVG and replaces an existing file: callers check that before the work ([`output::check`]).
+    /// Writes the picture as SVG. Replaces an existing file: callers check for one before the work ([`output::check`]).
     pub fn save_svg(&self, path: &Path) -> Result<(), PictureError> {
         Ok(output::write(path, self.svg.as_bytes(), Overwrite::Replace)?)
     }
 
     #[cfg(feature = "png")]
-    /// Writes the picture as PNG, with two pixels per unit, or with 600 per inch if it has a size on paper; as
-    /// [`Picture::save_svg`].
+    /// Writes the picture as PNG, with two pixels per unit, or with 600 per inch if it has a size on paper. Replaces an
+    /// existing file, like [`Picture::save_svg`].
     pub fn save_png(&self, path: &Path) -> Result<(), PictureError> {
         Ok(output::write(path, &self.png()?, Overwrite::Replace)?)
     }

@@ -78,7 +78,7 @@ pub struct Recorder {
     path: PathBuf,
     block: String,
     columns: usize,
-    /// Rows in the file, and in the block.
+    /// Number of rows in the file, and number of rows in the block.
     rows: u64,
     gathered: u64,
     /// Written bytes.
@@ -118,7 +118,7 @@ impl Recorder {
         recorder.block.push('\n');
         match recorder.flush() {
             Err(RecordError::Failed(failure)) => {
-                // A file without its head is useless.
+                // Removes the file, which is useless without its head.
                 if let (Sink::File { complete: Some(_), .. }, Ok(file)) = (&recorder.sink, std::fs::canonicalize(path))
                 {
                     let _ = std::fs::remove_file(file);

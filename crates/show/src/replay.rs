@@ -126,7 +126,7 @@ pub fn replay(recording: &Recording) -> Result<ReplayResult, Failure> {
         .remedy("record at the control rate: haptic record does if the link carries it, with fewer fields")
         .choose(Choice::Fields));
     }
-    if drives(first[columns.state] as usize) {
+    if motors_are_on(first[columns.state] as usize) {
         return Err(Failure::wrong("the motors are on in the first row: the state of the controller is not known")
             .remedy("begin to record before arming; haptic record can arm by itself"));
     }
@@ -163,8 +163,8 @@ pub fn replay(recording: &Recording) -> Result<ReplayResult, Failure> {
         let recorded = row[columns.state] as usize;
         if let Err(refusal) = enter_state(&mut control_loop, recorded) {
             replayed.stopped = Some(format!(
-                "at step {step} the recording is {}, and the simulated board refuses: {refusal}",
-                STATES.get(recorded).unwrap_or(&"in an unknown state")
+                "at step {step} the recorded state is {}, which the simulated board refuses: {refusal}",
+                STATES.get(recorded).unwrap_or(&"unknown")
             ));
             break;
         }
@@ -175,7 +175,7 @@ pub fn replay(recording: &Recording) -> Result<ReplayResult, Failure> {
         control_loop.control(&Samples { counts, ..Samples::default() });
         let frame = control_loop.frame();
         replayed.rows += 1;
-        replayed.armed += u64::from(drives(recorded));
+        replayed.armed += u64::from(motors_are_on(recorded));
         let mut differs = false;
         for (joint, column) in columns.torque.iter().enumerate() {
             let (recorded, torque) = (row[*column] as f32, frame.motors.torque[joint]);
@@ -203,7 +203,7 @@ pub fn replay(recording: &Recording) -> Result<ReplayResult, Failure> {
 }
 
 /// Returns true if the motors are on in a recorded state.
-fn drives(recorded: usize) -> bool {
+fn motors_are_on(recorded: usize) -> bool {
     State::ALL.get(recorded).is_some_and(|state| state.drives())
 }
 
@@ -213,10 +213,10 @@ fn enter_state(
     recorded: usize,
 ) -> Result<(), haptic_bridge::safety::refusal::Refusal> {
     let now = control_loop.frame().state;
-    if now as usize == recorded || !now.drives() && !drives(recorded) {
+    if now as usize == recorded || !now.drives() && !motors_are_on(recorded) {
         return Ok(());
     }
-    // A polarity check that ends turns the motors off by itself, in the step that shows the new state.
+    // At its end a polarity check turns the motors off by itself, in the step that shows the new state.
     if now == State::CheckingPolarity {
         return Ok(());
     }

@@ -52,8 +52,8 @@ pub struct BoardOptions {
     /// True if the board requires the same steps as a real one: verified motors, limits, homing, polarity check. Its
     /// encoders then start at zero in any pose of the device; otherwise they know their angle.
     pub strict: bool,
-    /// Support by a user from power-on until the motors carry the device, as docs/bring-up.md asks: the user carries
-    /// its weight during a polarity check, then returns it, and holds it while the torque ramps up after arming.
+    /// Support by a user from power-on until the motors carry the device, as docs/bring-up.md requires: the user carries
+    /// the device's weight during a polarity check, then returns and holds it while the torque ramps up after arming.
     pub support: Support,
     /// Number of motor axes.
     pub axes: usize,
@@ -81,14 +81,14 @@ impl Default for BoardOptions {
     }
 }
 
-/// Speed of the joint with the longest way while a moved device is returned to where it is held, rad/s: so fast that the
+/// Speed of the fastest joint while a moved device is returned to the pose where it is held, rad/s: so fast that the
 /// board does not consider the device at rest.
 const BACK_SPEED: f64 = 1.0;
 
 /// Interval at which the service polls the control loop, s.
 const POLL_SECONDS: f64 = 0.02;
 
-/// The name of a board whose torque acts at once, because predictions of its range must know.
+/// Name of a board with an ideal drive, by which predictions of its range recognise the drive.
 pub const IDEAL_BOARD: &str = "simulated-ideal";
 
 /// Returns the identification of a board with these options.
@@ -106,11 +106,11 @@ fn info(options: &BoardOptions) -> Info {
     }
 }
 
-/// Returns the hard limits of a simulation with this supply (V), with a real board's tip force if its motors count as
-/// real.
+/// Returns the hard limits of a simulation with this supply (V). If its motors count as real, the tip force is limited as
+/// on a real board.
 fn hard_limits(hardware: Hardware, supply: f64) -> Limits {
     let limits = Limits::default();
-    // The same ratios to the supply as the usual limits have to the usual supply.
+    // The limits have the same ratio to the supply as the usual limits to the usual supply.
     let share = (supply / PowerStage::default().bus_voltage) as f32;
     let (bus_min, bus_max) = (limits.bus_min * share.min(1.0), limits.bus_max * share.max(1.0));
     let tip_force = if hardware.real { MOST_TIP_FORCE } else { limits.tip_force };
@@ -162,7 +162,7 @@ impl SimulatedBoard {
             bridge: Bridge {
                 carrier_hz: bridge.carrier_hz as f32,
                 dead_time: bridge.dead_time as f32,
-                // The drive is slower if it knows no inductance; a simulated winding then really has none.
+                // The drive is slower if the inductance is unknown; the simulated winding then has no inductance.
                 bandwidth_hz: if wound { 1_500.0 } else { 1_500.0 / UNKNOWN_INDUCTANCE_SHARE },
                 // An ideal drive has no voltage or winding to compare with a model.
                 current_sensed: options.drive == DriveModel::Electric,
@@ -240,7 +240,7 @@ impl SimulatedBoard {
         let counts = Counts(faults.counts(self.device.counts(), self.readings));
         self.readings += 1;
         let samples = Samples { counts, bus_voltage, currents, ..Samples::default() };
-        self.guard_between(&samples, carriers);
+        self.guard_skipped_crests(&samples, carriers);
         if due {
             self.countdown = self.machine.carrier.divider.into();
             let index = self.device.index();
@@ -289,8 +289,8 @@ impl SimulatedBoard {
         }
     }
 
-    /// Puts a hand on the tip that follows a loop whenever the motors are armed, from the loop's start. While they are
-    /// off, it waits outside the walls, because a board whose tip is inside a wall does not arm.
+    /// Puts a hand on the tip that follows a loop, from its start, whenever the motors are armed. While they are off, the
+    /// hand waits outside the walls, because a board whose tip is inside a wall does not arm.
     pub fn set_hand_loop(&mut self, settings: HandSettings, hand_loop: HandLoop) {
         let hand = Hand::new(settings, hand_loop.wait(), self.device.tip(), self.device.time());
         self.device.set_hand(hand);
@@ -326,7 +326,7 @@ impl SimulatedBoard {
         let time = self.device.time();
         self.armed_at = (state == State::Armed).then(|| self.armed_at.unwrap_or(time));
         let ramped = self.armed_at.is_some_and(|armed_at| time >= armed_at + f64::from(ARM_SECONDS));
-        // The user of a device that need not be homed also brings it back.
+        // The user returns the device also after a motion with the motors on, if the device need not be homed.
         let stays = self.options.support == Support::Held && !self.options.strict;
         let required = match (now, state) {
             (Support::None, _) if !stays => Support::None,
@@ -358,8 +358,8 @@ impl SimulatedBoard {
         }
     }
 
-    /// Shows the control loop all but the last crest of `carriers` periods, with evenly turning joints in between.
-    fn guard_between(&mut self, samples: &Samples, carriers: u32) {
+    /// Passes the samples at all but the last crest of `carriers` periods to the guard, with evenly turning joints.
+    fn guard_skipped_crests(&mut self, samples: &Samples, carriers: u32) {
         let moved: [i64; 3] =
             core::array::from_fn(|axis| i64::from(samples.counts[axis].wrapping_sub(self.last_counts[axis])));
         for nth in 1..carriers {

@@ -24,8 +24,8 @@ pub(super) enum Event {
     Gone,
 }
 
-/// A request to disarm from a tool that does not hold the board, and the way back. These requests have their own queue,
-/// which is polled first, so the holder's traffic delays them by one block at most.
+/// A request to disarm from a tool that does not hold the board, and the queue for the reply. These requests have their
+/// own queue, which is polled first, so the holder's traffic delays them by one block at most.
 pub(super) type Stop = (Vec<u8>, Outgoing);
 
 /// Bytes to the tool. A separate thread writes them, so that a tool that does not read blocks nothing else.
@@ -37,7 +37,7 @@ const MAX_BLOCKS: usize = 8;
 pub(super) const BLOCK: usize = 4096;
 /// Maximum number of blocks from a tool that wait for the board.
 const MAX_EVENTS: usize = 16;
-/// Maximum number of connections in addition to the holder; a further one closes another, see [`Places`].
+/// Maximum number of connections in addition to the holder; a further connection closes another, see [`Places`].
 const MAX_PENDING: usize = 16;
 /// Maximum number of disarm requests that wait for the board.
 pub(super) const MAX_STOPS: usize = MAX_PENDING;
@@ -79,7 +79,7 @@ pub fn pseudo_terminal() -> io::Result<ToolListener> {
     // Without an open slave of this process, reads fail while no tool is connected, which detects a hang-up.
     drop(slave);
     master.set_timeout(Duration::from_millis(100))?;
-    // One writer serves all tools, because a tool that follows another one at once may go unnoticed.
+    // One writer serves all tools, because an immediate change of tools may go unnoticed.
     let writer = outgoing(master.try_clone_native()?, LossPolicy::Block);
     let (send, events) = sync_channel(MAX_EVENTS);
     // No separate queue: a tool that disarms opens the same terminal, and its request comes among the holder's bytes.
@@ -137,7 +137,7 @@ pub fn tcp(address: SocketAddr, patience: Patience) -> io::Result<ToolListener> 
                     Admission::Refused => turn_away(&stream),
                 };
                 if let Some(request) = request {
-                    let _ = disarm_for(stream, request, &stop);
+                    let _ = disarm_and_reply(stream, request, &stop);
                 }
             });
         }
@@ -189,7 +189,7 @@ fn disarm_request(bytes: &[u8]) -> Option<Vec<u8>> {
 struct Holder(Arc<Mutex<Option<Connection>>>);
 
 struct Connection {
-    /// Number of this connection.
+    /// Number of this connection among all holders.
     seat: u64,
     stream: TcpStream,
     last_received: Instant,
@@ -199,7 +199,7 @@ struct Connection {
 enum Admission {
     /// The connection holds the board under this number.
     Holds(u64),
-    /// The connection only wants the motors off.
+    /// The connection only requests to disarm.
     Stops(Vec<u8>),
     /// The connection is refused.
     Refused,
@@ -257,7 +257,7 @@ impl Holder {
 
 /// Forwards the bytes of the connection that holds the board, until it ends.
 fn forward(mut stream: TcpStream, send: &SyncSender<Event>, holder: &Holder, seat: u64) {
-    let outgoing = tcp_outgoing(&stream);
+    let outgoing = start_tcp_writer(&stream);
     let mut alive = outgoing.is_ok_and(|outgoing| send.send(Event::Connected(outgoing)).is_ok());
     let mut buffer = [0; BLOCK];
     while alive {
@@ -273,7 +273,7 @@ fn forward(mut stream: TcpStream, send: &SyncSender<Event>, holder: &Holder, sea
     holder.release(seat);
 }
 
-fn tcp_outgoing(stream: &TcpStream) -> io::Result<Outgoing> {
+fn start_tcp_writer(stream: &TcpStream) -> io::Result<Outgoing> {
     stream.set_nodelay(true)?;
     let writer = stream.try_clone()?;
     writer.set_write_timeout(Some(Duration::from_millis(100)))?;
@@ -310,12 +310,12 @@ pub fn turn_away(stream: &TcpStream) -> Option<Vec<u8>> {
 }
 
 /// Disarms the board for a tool that does not hold it, and sends it the reply.
-fn disarm_for(stream: TcpStream, request: Vec<u8>, stop: &SyncSender<Stop>) -> io::Result<()> {
-    let answers = tcp_outgoing(&stream)?;
+fn disarm_and_reply(stream: TcpStream, request: Vec<u8>, stop: &SyncSender<Stop>) -> io::Result<()> {
+    let answers = start_tcp_writer(&stream)?;
     let _ = stop.send((request, answers));
     stream.set_read_timeout(Some(DISARM_ANSWER))?;
     let mut reader = stream;
-    // The request may still be unread: the frame after it is the end.
+    // `reader` starts with the unread request, so the tool is finished after a second frame.
     let (mut buffer, mut deframer, mut after) = ([0; BLOCK], Deframer::default(), 0);
     while after < 2 {
         let Ok(count @ 1..) = reader.read(&mut buffer) else { break };
@@ -324,7 +324,7 @@ fn disarm_for(stream: TcpStream, request: Vec<u8>, stop: &SyncSender<Stop>) -> i
     Ok(())
 }
 
-/// What is lost when a sink refuses a block: the block alone, or the sink for good.
+/// Loss when a sink refuses a block: the block alone, or the sink for good.
 #[derive(Clone, Copy, PartialEq)]
 enum LossPolicy {
     Block,

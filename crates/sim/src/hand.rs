@@ -9,7 +9,7 @@ use std::f64::consts::TAU;
 /// A value that the intent reaches at a time and keeps until the next segment: m when following, N when pushing.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Waypoint {
-    /// Time since the hand took hold, s.
+    /// Time since the hand gripped the tip, s.
     pub time: f64,
     /// Value, m or N; only the first d entries are used.
     pub value: [f64; 3],

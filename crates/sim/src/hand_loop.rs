@@ -14,7 +14,7 @@ const HALF_SIZE: f64 = 0.015;
 /// Largest condition number of the Jacobian on the path: closer to a singular pose, a board may trip.
 const MAX_CONDITION: f64 = 30.0;
 /// Largest distance of a path's end from its goal, m.
-const MAX_MISS: f64 = 1e-5;
+const MAX_GOAL_ERROR: f64 = 1e-5;
 
 /// An endless loop, 3 cm across, that takes 4 s per round.
 #[derive(Clone, Debug, PartialEq)]
@@ -103,7 +103,7 @@ fn is_within_reach(file: &DeviceFile, goal: &Vector3<f64>) -> bool {
                 return false;
             }
             let error = &target - tip;
-            if error.norm() < MAX_MISS {
+            if error.norm() < MAX_GOAL_ERROR {
                 let limits = file.description.joints.iter().map(|joint| joint.limits);
                 return q
                     .iter()
@@ -170,7 +170,7 @@ mod tests {
     fn a_goal_outside_the_workspace_is_out_of_reach() {
         let file = DeviceFile::parse(super::super::SHIPPED_DEVICE, "coupled-five-bar.toml").unwrap();
         assert!(is_within_reach(&file, &Vector3::new(-0.1, 0.18, 0.0)));
-        // The arms are 23 cm long.
+        // Out of reach of the arms, which are 23 cm long.
         assert!(!is_within_reach(&file, &Vector3::new(-0.0962, 0.2144, 0.0)));
     }
 }

@@ -1,9 +1,9 @@
 //! A brushed motor behind an H-bridge: duty to voltage, voltage to current, current to torque.
 //!
 //! V = R i + L di/dt + Kₑ ω, solved exactly over a step at the mean speed; torque = Kₜ i. The bridge is averaged over
-//! its carrier, but its dead time is simulated: in both half bridges it takes 2 · dead time · carrier of the bus
-//! voltage, against the current. The effect fades to zero for a current smaller than its ripple, which changes sign in
-//! every period.
+//! its carrier, but its dead time is simulated: in both half bridges together it reduces the voltage by the share 2 ·
+//! dead time · carrier of the bus voltage, against the current. The effect fades to zero for a current smaller than its
+//! ripple, because such a current changes sign in every period.
 
 use haptic_bridge::model::motor::Motor;
 
@@ -148,7 +148,7 @@ mod tests {
     }
 
     /// Returns the steady current of a motor at rest, A.
-    fn settled(duty: f64, bridge: &PowerStage) -> f64 {
+    fn steady_current(duty: f64, bridge: &PowerStage) -> f64 {
         let mut motor = MotorModel::new(MOTOR);
         for _ in 0..1000 {
             motor.step(MotorInput::Duty(duty), 0.0, bridge, 5e-5);
@@ -160,15 +160,15 @@ mod tests {
     fn dead_time_reduces_the_voltage_against_the_current() {
         let bridge = PowerStage { dead_time: 1e-6, ..IDEAL };
         // 2 x 1 us x 20 kHz x 24 V = 0.96 V of 6 V.
-        assert!((settled(0.25, &bridge) - (6.0 - 0.96) / 2.0).abs() < 1e-9);
+        assert!((steady_current(0.25, &bridge) - (6.0 - 0.96) / 2.0).abs() < 1e-9);
     }
 
     #[test]
     fn dead_time_acts_as_a_resistance_within_the_ripple() {
         let bridge = PowerStage { dead_time: 1e-6, ..IDEAL };
         // The ripple is 24 V / (4 x 1 mH x 20 kHz) = 0.3 A; the lost 0.96 V act like 0.96 V / 0.3 A = 3.2 ohm.
-        assert!((settled(0.01, &bridge) - 0.24 / (2.0 + 3.2)).abs() < 1e-9);
-        // Without inductance the current is 12 A one way and 12 A the other, and each loses 0.96 V of 24 V.
+        assert!((steady_current(0.01, &bridge) - 0.24 / (2.0 + 3.2)).abs() < 1e-9);
+        // Without inductance the ripple is 24 V / 2 ohm = 12 A; the lost 0.96 V act like 0.96 V / 12 A = 0.08 ohm.
         let mut motor = MotorModel::new(Motor { inductance: 0.0, ..MOTOR });
         motor.step(MotorInput::Duty(0.25), 0.0, &bridge, 5e-6);
         assert!((motor.current() - 6.0 / 2.08).abs() < 1e-9);

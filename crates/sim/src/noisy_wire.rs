@@ -13,7 +13,7 @@ use std::time::Duration;
 pub struct NoisyWire {
     wire: Box<dyn Wire>,
     random: Random,
-    /// Number of frames to pass unchanged first: a number changed in a request to arm, say, would not be detected.
+    /// Number of first frames that pass unchanged, because a changed number in a request would not be detected.
     unchanged: u32,
 }
 

@@ -98,12 +98,12 @@ struct SingularityStop {
 }
 
 impl SingularityStop {
-    /// The stop of every simulated linkage before a parallel singularity, where inertia is unbounded; it is closer than
-    /// where a board turns its motors off. The remaining distance takes at least a millisecond to shrink to a third, so a
-    /// step of 5 µs is short in comparison.
+    /// The stop of every simulated linkage before a parallel singularity, where inertia is unbounded. It is closer to the
+    /// singularity than the pose in which a board turns its motors off. The remaining distance takes at least a millisecond
+    /// to shrink to a third, so a step of 5 µs is short in comparison.
     const HARD: Self =
         Self { nearest: 0.5 * TRIPPING_SINE as f64 / PARALLEL_REGULARITY, softness: 1e-3, serial: false };
-    /// A stop that a hand may hit. A harder one would be a blow that no motor model explains, and the board would trip.
+    /// A stop that a hand may hit. A harder stop would be a blow that no motor model explains.
     const SOFT: Self = Self { nearest: FULL_REGULARITY, softness: 0.05, serial: true };
 
     /// Returns the distance from the nearest singularity, in the measure of a board's feed-forward.
@@ -113,9 +113,9 @@ impl SingularityStop {
     }
 }
 
-/// Step of the finite difference of that distance, rad: a tenth of the turn from [`SingularityStop::HARD`] into the
-/// singularity.
-const TINY_TURN: f64 = 1e-7;
+/// Step of the finite difference of the distance from singularities, rad: a tenth of the turn from
+/// [`SingularityStop::HARD`] into the singularity.
+const DIFFERENCE_STEP: f64 = 1e-7;
 
 fn vector<const N: usize>(values: &[f64; 3]) -> SVector<f64, N> {
     SVector::from_fn(|i, _| values[i])
@@ -159,17 +159,17 @@ impl Plant {
             tip: [0.0; 3],
             tip_velocity: [0.0; 3],
         };
-        plant.stop_at(SingularityStop::HARD);
+        plant.add_stop(SingularityStop::HARD);
         Ok(plant)
     }
 
     /// Adds a soft stop before every singularity: at the distance where a board's feed-forward just acts in full, or at
     /// the present distance if that is closer.
     pub fn add_soft_stop(&mut self) {
-        self.stop_at(SingularityStop::SOFT);
+        self.add_stop(SingularityStop::SOFT);
     }
 
-    fn stop_at(&mut self, stop: SingularityStop) {
+    fn add_stop(&mut self, stop: SingularityStop) {
         self.singularity_stop = stop;
         self.refresh();
         self.singularity_stop.nearest = stop.nearest.min(self.distance);
@@ -316,9 +316,9 @@ impl Plant {
         // The square is smooth even where the distance itself has a corner or an infinite slope.
         let away = SVector::<f64, N>::from_fn(|i, _| {
             let mut turned = q;
-            turned[i] += TINY_TURN;
+            turned[i] += DIFFERENCE_STEP;
             let there = self.singularity_stop.distance(&m.regularity(&m.pose::<Libm>(&turned)));
-            (there.powi(2) - self.distance.powi(2)) / (2.0 * self.distance * TINY_TURN)
+            (there.powi(2) - self.distance.powi(2)) / (2.0 * self.distance * DIFFERENCE_STEP)
         });
         let response = m.mass(&pose).try_inverse().unwrap_or_else(SMatrix::zeros) * away;
         let qd: SVector<f64, N> = vector(&self.qd);
@@ -373,14 +373,14 @@ impl Plant {
                 momentum[i] += extra;
             }
         }
-        // Not invertible only if the state is already not finite; zero is then as good as any value.
+        // The matrix is singular only if the state is already not finite; any value will do then.
         let inverse = damped.try_inverse().unwrap_or_else(SMatrix::zeros);
         let unconstrained = inverse * momentum;
         let bounds = core::array::from_fn(|i| bounds[i]);
         let beyond_stops = core::array::from_fn(|i| self.beyond_stops(i, middle[i]));
         let mut friction = vector(&self.friction);
-        let after =
-            unconstrained - inverse * reactions::<N>(&inverse, &unconstrained, &bounds, &beyond_stops, &mut friction);
+        let after = unconstrained
+            - inverse * reaction_impulses::<N>(&inverse, &unconstrained, &bounds, &beyond_stops, &mut friction);
         self.friction = array(&friction);
 
         self.advance_modes(&array(&after), h);
@@ -447,7 +447,7 @@ impl Plant {
             friction[turned(i)] = self.friction[i];
         }
         let after = unconstrained
-            - inverse * reactions::<BOTH>(&inverse, &unconstrained, &bounds, &beyond_stops, &mut friction);
+            - inverse * reaction_impulses::<BOTH>(&inverse, &unconstrained, &bounds, &beyond_stops, &mut friction);
         self.friction = core::array::from_fn(|i| if i < N { friction[turned(i)] } else { 0.0 });
         self.advance_modes(&core::array::from_fn(|i| after[i]), h);
         for i in 0..N {
@@ -481,7 +481,7 @@ impl Plant {
 /// Computes the impulses of dry friction and end stops, N m s, by projected Gauss-Seidel: friction of each coordinate
 /// opposes its velocity within ± `bounds`; a stop prevents motion further out. `friction` is the solver's initial value
 /// and its result.
-fn reactions<const S: usize>(
+fn reaction_impulses<const S: usize>(
     inverse: &SMatrix<f64, S, S>,
     unconstrained: &SVector<f64, S>,
     bounds: &[f64; S],

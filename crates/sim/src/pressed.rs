@@ -66,7 +66,7 @@ pub struct PressForces {
     pub asked: f64,
     /// Force within the board's limits, as the board reports it, N.
     pub rendered: f64,
-    /// Force at the tip of the torques less gravity's, along the normal, N.
+    /// Tip force of the joint torques minus the gravity torques, along the normal, N.
     pub along: f64,
     /// The same force across the normal, N.
     pub across: f64,
@@ -166,8 +166,8 @@ impl PressedBoard {
         }
     }
 
-    /// Returns the tip force of joint torques (N m) less gravity's, along the normal and across it, N. On a redundant
-    /// arm the torque about the handle is not included.
+    /// Returns the tip force of joint torques (N m) minus the gravity torques, along the normal and across it, N. On a
+    /// redundant arm the torque about the handle is not included.
     pub fn force(&self, q: &[f64; 3], torque: &[f64; 3]) -> (f64, f64) {
         with_mechanism!(&self.mechanism, m => tip_force(m, q, torque, &self.normal))
     }

@@ -26,7 +26,7 @@ const SLICE: f64 = 1e-3;
 /// Largest delay that a board in real time catches up after the computer was busy, s.
 const MAX_CATCH_UP: f64 = 0.1;
 
-/// Serves `board` on `door` until `disarm_for_guest` is set.
+/// Serves `board` on `door` until `stop` is set.
 pub fn serve(board: &mut SimulatedBoard, door: &ToolListener, pace: Pace, stop: &AtomicBool) {
     let slice = Duration::from_secs_f64(SLICE);
     let began = Instant::now();

@@ -23,7 +23,7 @@ impl SharedBoard {
 
     /// Locks the board until the guard is dropped.
     pub fn lock(&self) -> MutexGuard<'_, SimulatedBoard> {
-        // After a panic elsewhere the board is still valid: it is only numbers.
+        // After a panic in another thread the board is still valid, because it holds only numbers.
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 

@@ -28,12 +28,11 @@ const TABLE_CHUNK: usize = 64;
 const REPLY: Patience = (Duration::from_millis(100), Duration::from_secs(2));
 /// Patience for a flash write: two sector erases of 16 KB and the writing (STM32F405 data sheet).
 const FLASH_REPLY: Patience = (Duration::from_secs(3), Duration::from_secs(6));
-/// Patience for a disarm request: the user learns soon that the motors may still be on.
+/// Patience for a disarm request: short, because the user must know soon if the motors may still be on.
 const STOP_REPLY: Patience = (Duration::from_millis(100), Duration::from_secs(4));
 /// Number of consecutive unreadable batches after which a stream ends with an error; fewer may be corrupted frames.
 const MAX_UNREADABLE: u32 = 50;
-/// Default wait for the reply to a force. After this time the lease of the force has expired, as [`super::Session`]
-/// sets it.
+/// Default wait for the reply to a force. By then the lease that [`super::Session`] gives the force has expired.
 pub const FORCE_PATIENCE: Duration = Duration::from_millis(100);
 
 /// The result of a polarity check.
@@ -227,8 +226,8 @@ impl Board {
     pub fn home(&mut self) -> Result<(), BoardError> {
         self.change::<p::Home>(&())
     }
-    /// Homes as soon as the device is at rest; gives up after one second of the board's time. The user may still be
-    /// about to hold the device, and a simulated hand returns it after a polarity check.
+    /// Homes as soon as the device is at rest; gives up after one second of the board's time. The wait is for a user who
+    /// starts to hold the device, or for a simulated hand that returns it after a polarity check.
     pub fn home_at_rest(&mut self) -> Result<(), BoardError> {
         let until = self.now() + Duration::from_secs(1) + self.client.slack();
         while let Err(error) = self.home() {
@@ -307,7 +306,7 @@ impl Board {
     pub fn faults(&mut self) -> Result<p::FaultList, LinkError> {
         self.call::<p::GetFaults>(&(), REPLY)
     }
-    /// Returns the faults that the board has reported unasked since the last call.
+    /// Returns the faults that the board has reported by itself since the last call.
     pub fn take_reported_faults(&mut self) -> Vec<haptic_bridge::safety::fault::FaultRecord> {
         std::mem::take(&mut self.faults)
     }
@@ -321,7 +320,7 @@ impl Board {
         self.call::<p::ReadEntry>(&key, REPLY)
     }
     /// Stages a setting's bytes until [`Board::commit_entries`] names its key. Only this `Board` can commit them, and
-    /// only until another one stages an entry.
+    /// only until another `Board` stages an entry.
     pub fn stage_entry(&mut self, key: Key, entry: Entry) -> Result<(), BoardError> {
         Ok(self.call::<p::StageEntry>(&p::WriteEntry { session: self.session, key, entry }, FLASH_REPLY)??)
     }
@@ -385,7 +384,7 @@ impl Board {
 
     /// Starts a stream of every `divider`-th step's `fields`; losses count from here.
     pub fn start_stream(&mut self, fields: Fields, divider: u32) -> Result<(), BoardError> {
-        // A random number separates this stream from one that an earlier tool left on the link.
+        // A random number distinguishes this stream from a stream of an earlier tool.
         let stream = self.client.draw();
         self.rows = Rows::of(stream, fields, divider);
         self.garbled_before = self.client.garbled();

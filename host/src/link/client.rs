@@ -46,7 +46,7 @@ pub struct Client {
     pub(super) alive: bool,
     /// Number of retries of the last [`Client::call`]; an earlier copy may have been carried out.
     pub(super) repeats: u32,
-    /// Bodies of earlier replies, whose memory is used again: an exchange of forces allocates none.
+    /// Buffers of earlier replies for reuse, so that an exchange of forces allocates no memory.
     spare: Vec<Vec<u8>>,
 }
 
@@ -79,7 +79,7 @@ pub struct Sent(VarSeq);
 /// that version's refusals.
 const DISARMED: &[u8] = &[0];
 
-/// The message with which the server of a simulated board turns away a second tool.
+/// The message with which the server of a simulated board refuses a second tool.
 pub struct Occupied;
 
 impl Topic for Occupied {

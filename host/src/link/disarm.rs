@@ -13,7 +13,7 @@ use std::time::Duration;
 
 /// Retry interval, because another tool may read the reply, and longest wait.
 const PATIENCE: Patience = (Duration::from_millis(100), Duration::from_secs(4));
-/// Number of connection attempts: with many clients, a TCP server may close one of them early.
+/// Number of connection attempts, because a TCP server with many clients may close a connection early.
 const MAX_TRIES: usize = 25;
 
 /// Disarms the board at `port` while another tool holds it.

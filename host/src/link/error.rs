@@ -32,14 +32,15 @@ pub enum LinkError {
     },
     /// Another program has the port open.
     #[error(
-        "port {0} is in use by another program (another `haptic`, a serial monitor, ModemManager); close it first. `haptic view` turns gains and records at once"
+        "port {0} is in use by another program (another `haptic`, a serial monitor, ModemManager); close it first. To \
+         change gains while recording, use `haptic view` for both"
     )]
     PortBusy(String),
     /// No permission to open the port.
     #[error("no permission to open {0}; add yourself to its group: sudo usermod -aG dialout $USER, then log in again")]
     Forbidden(String),
     /// A TCP connection failed.
-    #[error("cannot connect to {address}: {error}; is a board served there?")]
+    #[error("cannot connect to {address}: {error}; check that `haptic sim --tcp` serves a board there")]
     NotListening {
         /// The address that was tried.
         address: String,
@@ -50,20 +51,22 @@ pub enum LinkError {
     #[error("the board was unplugged or the connection was lost ({0}); plug it in again")]
     Lost(io::Error),
     /// Another tool is connected to the simulated board.
-    #[error("another tool is connected to {0}; close it first. `haptic view` turns gains and records at once")]
+    #[error(
+        "another tool is connected to {0}; close it first. To change gains while recording, use `haptic view` for both"
+    )]
     HeldByAnother(String),
     /// The device of `sim:FILE` cannot be simulated.
     #[error("{0}")]
     CannotSimulate(String),
     /// The board does not reply.
-    #[error("the board does not answer ({what}); is this a haptic-bridge board? If it is, power-cycle it")]
+    #[error("the board does not reply ({what}); is this a haptic-bridge board? If it is, power-cycle it")]
     Silent {
         /// The request's path.
         what: &'static str,
     },
     /// No reply to a force: a frame was lost, or the computer was busy. The earlier force ends with its lease; the next
     /// request is independent.
-    #[error("no answer to a force within {} ms: it or its answer was lost; send the next one", waited.as_millis())]
+    #[error("no reply to a force within {} ms: the force or the reply was lost; send the next force", waited.as_millis())]
     Unanswered {
         /// Time waited.
         waited: std::time::Duration,

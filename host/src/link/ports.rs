@@ -12,7 +12,7 @@ use std::time::Duration;
 pub const USB_VENDOR: u16 = 0x1209;
 /// USB product identifier: the pid.codes identifier for tests; a manufacturer of boards gets its own.
 pub const USB_PRODUCT: u16 = 0x0001;
-/// The product string, which distinguishes these boards from others with the test identifier.
+/// The product string, which distinguishes these boards from other devices with the test identifier.
 pub const USB_PRODUCT_NAME: &str = "haptic-bridge";
 
 /// A port in the syntax of `--port`.
@@ -62,14 +62,14 @@ pub struct BoardPort {
 
 /// Returns the connected boards, and the paths of the other serial ports.
 pub fn boards() -> (Vec<BoardPort>, Vec<String>) {
-    sort(serial_ports(Path::new(PORTS)))
+    separate_boards(serial_ports(Path::new(PORTS)))
 }
 
 /// The directory in which Linux lists its serial ports.
 const PORTS: &str = "/sys/class/tty";
 
-/// Lists the serial ports; empty if the system cannot list them. Checks `place` first, because the listing panics
-/// without it, as in a container that has no /sys.
+/// Lists the serial ports; empty if the system cannot list them. Checks `place` first, because the listing panics if
+/// `place` is missing, as in a container that has no /sys.
 fn serial_ports(place: &Path) -> Vec<serialport::SerialPortInfo> {
     if cfg!(target_os = "linux") && !place.is_dir() {
         return Vec::new();
@@ -82,7 +82,7 @@ fn is_board_product(product: Option<&str>) -> bool {
     product.is_none_or(|name| name.to_lowercase().replace([' ', '_'], "-").contains(USB_PRODUCT_NAME))
 }
 
-fn sort(ports: Vec<serialport::SerialPortInfo>) -> (Vec<BoardPort>, Vec<String>) {
+fn separate_boards(ports: Vec<serialport::SerialPortInfo>) -> (Vec<BoardPort>, Vec<String>) {
     let (mut boards, mut others) = (Vec::new(), Vec::new());
     for port in ports {
         match port.port_type {
@@ -103,7 +103,7 @@ fn sort(ports: Vec<serialport::SerialPortInfo>) -> (Vec<BoardPort>, Vec<String>)
 }
 
 /// Returns the path of the port to open: the requested one, by path or serial number, or the only board.
-fn choose(requested: Option<&str>, boards: &[BoardPort], others: Vec<String>) -> Result<String, LinkError> {
+fn choose_port(requested: Option<&str>, boards: &[BoardPort], others: Vec<String>) -> Result<String, LinkError> {
     match (requested, boards) {
         (Some(name), _) => {
             Ok(boards.iter().find(|board| board.serial == name).map_or(name, |board| &board.path).into())
@@ -122,17 +122,17 @@ fn choose(requested: Option<&str>, boards: &[BoardPort], others: Vec<String>) ->
 /// Opens a serial port: `requested` by path or serial number, or the only board. Returns its path as well.
 pub(super) fn open_serial(requested: Option<&str>) -> Result<(Box<dyn Wire>, String), LinkError> {
     let (boards, others) = boards();
-    let path = choose(requested, &boards, others)?;
+    let path = choose_port(requested, &boards, others)?;
     match SerialWire::open(&path) {
         Ok(wire) => Ok((Box::new(wire), path)),
-        Err(error) => Err(refused(path, &error)),
+        Err(error) => Err(open_error(path, &error)),
     }
 }
 
 /// Opens a port that another tool holds, which only a pseudo-terminal allows.
 pub(super) fn open_shared(requested: Option<&str>) -> Result<Box<dyn Wire>, LinkError> {
     let (boards, others) = boards();
-    let path = choose(requested, &boards, others)?;
+    let path = choose_port(requested, &boards, others)?;
     #[cfg(unix)]
     if super::wire::is_pseudo_terminal(&path) {
         let opened = super::wire::SharedWire::open(&path);
@@ -144,7 +144,7 @@ pub(super) fn open_shared(requested: Option<&str>) -> Result<Box<dyn Wire>, Link
     Err(LinkError::PortBusy(path))
 }
 
-fn refused(path: String, error: &serialport::Error) -> LinkError {
+fn open_error(path: String, error: &serialport::Error) -> LinkError {
     let busy = ["busy", "exclusive lock", "Resource temporarily unavailable", "locked", "Access is denied"];
     match error.kind() {
         ErrorKind::Io(io::ErrorKind::PermissionDenied) => LinkError::Forbidden(path),
@@ -209,7 +209,7 @@ mod tests {
             usb("/dev/ttyACM1", USB_VENDOR, "Arduino", "B2"),
             usb("/dev/ttyUSB0", 0x1234, "FTDI", "C3"),
         ];
-        let (boards, others) = sort(ports);
+        let (boards, others) = separate_boards(ports);
         assert_eq!(boards.iter().map(|board| board.path.as_str()).collect::<Vec<_>>(), ["/dev/ttyACM0"]);
         assert_eq!(others, ["/dev/ttyACM1", "/dev/ttyUSB0"]);
     }
@@ -220,12 +220,12 @@ mod tests {
             |path: &str, serial: &str| BoardPort { path: path.into(), serial: serial.into(), kind: "odrive-v3".into() };
         let one = [board("/dev/ttyACM0", "A1")];
         let two = [board("/dev/ttyACM0", "A1"), board("/dev/ttyACM1", "B2")];
-        assert_eq!(choose(None, &one, vec![]).unwrap(), "/dev/ttyACM0");
-        assert_eq!(choose(Some("B2"), &two, vec![]).unwrap(), "/dev/ttyACM1");
-        assert_eq!(choose(Some("/dev/pts/7"), &two, vec![]).unwrap(), "/dev/pts/7");
-        let several = choose(None, &two, vec![]).unwrap_err().to_string();
+        assert_eq!(choose_port(None, &one, vec![]).unwrap(), "/dev/ttyACM0");
+        assert_eq!(choose_port(Some("B2"), &two, vec![]).unwrap(), "/dev/ttyACM1");
+        assert_eq!(choose_port(Some("/dev/pts/7"), &two, vec![]).unwrap(), "/dev/pts/7");
+        let several = choose_port(None, &two, vec![]).unwrap_err().to_string();
         assert!(several.contains("serial number A1") && several.contains("/dev/ttyACM1"), "{several}");
-        let none = choose(None, &[], vec!["/dev/ttyS0".into()]).unwrap_err().to_string();
+        let none = choose_port(None, &[], vec!["/dev/ttyS0".into()]).unwrap_err().to_string();
         assert!(none.contains("no board found") && none.contains("/dev/ttyS0") && none.contains("sim"), "{none}");
     }
 }

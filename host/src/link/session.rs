@@ -1,4 +1,4 @@
-//! A board that a program pushes through: requests are numbered and stamped, and the motors go off when the program
+//! A board to which a program sends forces: requests are numbered and stamped, and the motors go off when the program
 //! drops the session.
 
 use super::board::Board;
@@ -114,7 +114,7 @@ impl Session {
             }
         };
         if self.seen.replace(reply.step).is_none() && request.hold + request.fade == 0.0 {
-            // Only a state request that follows another one counts as a heartbeat.
+            // A state request counts as a heartbeat only after an earlier state request.
             return self.exchange(request);
         }
         self.fault = match (reply.state, self.fault) {

@@ -105,7 +105,7 @@ pub struct Losses {
     pub received: u64,
     /// Rows that did not arrive for any reason, counted from the missing steps.
     pub missing: u64,
-    /// Those of the missing rows that the board dropped because the link was too slow.
+    /// Missing rows that the board dropped because the link was too slow.
     pub dropped_by_board: u64,
     /// Batches that were sent but did not arrive.
     pub batches_lost: u64,
@@ -135,7 +135,7 @@ pub(super) struct Rows {
     losses: Losses,
     /// Step and number of the next batch, if none is lost.
     next: Option<(u32, u32)>,
-    /// Corrupted batches since the last valid one.
+    /// Corrupted batches since the last valid batch.
     corrupted: u32,
 }
 
@@ -143,12 +143,12 @@ pub(super) struct Rows {
 const ACCEPT_AFTER: u32 = 3;
 
 impl Rows {
-    /// Creates the account of a stream of these fields of every `divider`-th step.
+    /// Creates the unpacker of a stream of `fields` at every `divider`-th step.
     pub(super) fn of(stream: u32, fields: Fields, divider: u32) -> Self {
         Self { stream, fields, divider, losses: Losses::default(), next: None, corrupted: 0 }
     }
 
-    /// Counts a corrupted batch and returns the number of consecutive ones.
+    /// Counts a corrupted batch and returns the number of consecutive corrupted batches.
     pub(super) fn count_corrupted(&mut self) -> u32 {
         self.losses.garbled += 1;
         self.corrupted += 1;
@@ -159,9 +159,9 @@ impl Rows {
         self.losses
     }
 
-    /// Appends the rows of a batch. Rejects a batch that contradicts the previous ones: it was corrupted, and its rows
-    /// count as missing. Rows may only be missing because the board dropped them, or with lost batches of at least one
-    /// row.
+    /// Appends the rows of a batch. Rejects a batch that contradicts the previous batches: it was corrupted, and its rows
+    /// count as missing. Missing rows do not contradict if the board dropped them, or if batches of at least one row each
+    /// were lost.
     pub(super) fn take(&mut self, batch: &Batch, rows: &mut Vec<Row>) {
         let fields = Fields(batch.fields);
         let width = fields.bytes(usize::from(batch.axes));

@@ -4,8 +4,8 @@ use std::io::{self, Read, Write};
 use std::net::TcpStream;
 use std::time::{Duration, Instant};
 
-/// A byte stream with a clock. A real wire's clock is real time, and that of a simulated board in this process is
-/// simulated time, so a timeout means the same in both.
+/// A byte stream with a clock. A real wire has a real clock, and a simulated board in this process has the clock of the
+/// simulation, so a timeout means the same in both.
 pub trait Wire: Send {
     /// Sends all of `bytes`.
     fn send(&mut self, bytes: &[u8]) -> io::Result<()>;

@@ -128,7 +128,7 @@ const DEVICE_MISTAKES: &str = r#"
     limits = [-1.0, 3.0]⏎ => limits = [-1.0, 3.0]⏎coulomb = 0.02⏎[joint.friction]⏎static = 0.01⏎stribeck_speed = 0.1⏎ => :36:10: => static is 0.01 N m, less than the joint's coulomb (0.02) | at least as much
     max_current = 3.0⏎ => max_current = 3.0⏎[joint.cogging]⏎amplitude = -0.1⏎per_turn = 24⏎ => :45:13: => `amplitude` | [joint.cogging] of [[joint]] 0 | zero or more
     max_current = 3.0⏎ => max_current = 3.0⏎[[joint.mode]]⏎frequency = 100⏎ => :44:1: => `inertia` | [[joint.mode]] 0 of [[joint]] 0 | missing | add `inertia = 1.0e-5`
-    max_current = 3.0⏎ => max_current = 3.0⏎[[joint.mode]]⏎frequency = 100⏎inertia = 1.0⏎ => :44:1: => the modes of joint 0 swing with more inertia than the links have about it at home
+    max_current = 3.0⏎ => max_current = 3.0⏎[[joint.mode]]⏎frequency = 100⏎inertia = 1.0⏎ => :44:1: => the modes of joint 0 swing with more inertia than the links have about this joint at home
     max_current = 3.0⏎ => max_current = 3.0⏎[[joint.mode]]⏎frequency = 0⏎inertia = 1.0e-9⏎ => :45:13: => `frequency` | more than zero
     limits = [-1.0, 3.0]⏎ => limits = [-1.0, 3.0]⏎transmission = "stiff"⏎ => :34:16: => `transmission` | rigid
     base = 0.05 => base = 0.5 => :5:1: => cannot close | check the lengths
@@ -154,7 +154,7 @@ const DEVICE_MISTAKES: &str = r#"
     limits = [-1.0, 3.0] => limits = [1.0, 1.0] => :33:10: => the wrong way round
     limits = [-1.0, 3.0] => limits = [-1.0, 2.0] => :49:6: => home | outside its limits
     q = [2.4, 0.7] => q = [137, 40] => :49:6: => outside its limits | angles are in radians: 137 degrees are 2.3911 rad
-    limits = [-1.0, 3.0] => limits = [80, 172] => :49:6: => in degrees these limits are [1.3963, 3.0020] rad
+    limits = [-1.0, 3.0] => limits = [80, 172] => :49:6: => these limits, if meant in degrees, are [1.3963, 3.0020] rad
     resistance = 2.0 => resistance = 0.0 => :42:14: => `resistance` | more than zero
     resistance = 2.0 => resistance = 2.0⏎inductance = -1 => :43:14: => `inductance` | zero or more
     max_current = 3.0⏎ =>  => :40:1: => `max_current` | [joint.motor] of [[joint]] 0

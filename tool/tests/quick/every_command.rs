@@ -40,7 +40,7 @@ const ANALYSIS: [Line; 17] = [
     ("design devices/haply-2diy.toml --points 20", "haply-2diy: q = (2.300, 0.842) rad"),
     ("report devices/hapkit-paddle.toml --without estimators,tune,map,design", "report.html: 5 parts"),
     ("board list --json", "{\"boards\":["),
-    ("udev", "# haptic-bridge boards, for whoever sits at this computer"),
+    ("udev", "# haptic-bridge boards, for the local user of this computer"),
     ("completions bash", "_haptic() {"),
 ];
 
@@ -170,7 +170,7 @@ fn flash_without_a_board_or_an_image_is_refused() {
     match haptic_flash::embedded() {
         [] => refused("flash --port NOSUCHBOARD", 1, "this tool was built without images: in a checkout of its source"),
         _ => {
-            refused("flash --port NOSUCHBOARD", 1, "looking for a board: ");
+            refused("flash --port NOSUCHBOARD", 1, "finding a board: ");
             refused("flash toaster --port NOSUCHBOARD", 2, "this tool has no image for toaster");
         }
     }

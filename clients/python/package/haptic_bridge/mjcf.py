@@ -54,7 +54,7 @@ def joint_angles(path: str | os.PathLike[str], q: Any) -> dict[str, float]:
         angles["fore"] = q[2] - q[1]
         angles["coupler"] = q[1] - q[2] - math.pi
     if kind in ("five-bar", "five-bar-turret"):
-        # Distal angles by geometry: the tip is to the left of C to D, or to the right.
+        # Distal angles by geometry: the tip is left or right of the line from C to D.
         one, two = q[-2:]
         geometry = device["geometry"]
         half = geometry["base"] / 2

@@ -53,7 +53,7 @@ enum Pending {
 
 /// The result of a request.
 #[derive(Debug, PartialEq)]
-pub enum Answer {
+pub enum Reply {
     Bytes(Vec<u8>),
     Stall,
     /// The boot loader leaves USB and starts the program at this address.
@@ -100,7 +100,7 @@ impl BootLoader {
         }
     }
 
-    /// Carries out one class request. An erase or a write that begins in it is done to this share in `flash`.
+    /// Carries out one class request. An erase or write that it starts changes this share of its bytes in `flash`.
     pub fn request(
         &mut self,
         (request, value): (u8, u16),
@@ -109,7 +109,7 @@ impl BootLoader {
         flash: &mut [u8],
         now: Duration,
         share: f32,
-    ) -> Answer {
+    ) -> Reply {
         if self.state == State::Dnbusy && now < self.busy {
             return self.stall(Status::StalledPacket);
         }
@@ -117,7 +117,7 @@ impl BootLoader {
             (DNLOAD, State::Idle | State::DnloadIdle) => self.download(value, data),
             (UPLOAD, State::Idle | State::UploadIdle) => self.upload(value, length, flash),
             (GETSTATUS, _) => self.report_status(flash, now, share),
-            (GETSTATE, _) => Answer::Bytes(vec![self.state as u8]),
+            (GETSTATE, _) => Reply::Bytes(vec![self.state as u8]),
             (CLRSTATUS, State::Error) => self.idle(),
             (ABORT, State::Idle | State::DnloadIdle | State::DnloadSync | State::UploadIdle | State::ManifestSync) => {
                 self.idle()
@@ -126,21 +126,21 @@ impl BootLoader {
         }
     }
 
-    fn idle(&mut self) -> Answer {
+    fn idle(&mut self) -> Reply {
         (self.state, self.status, self.pending) = (State::Idle, Status::Ok, None);
-        Answer::Bytes(Vec::new())
+        Reply::Bytes(Vec::new())
     }
 
-    fn stall(&mut self, status: Status) -> Answer {
+    fn stall(&mut self, status: Status) -> Reply {
         (self.state, self.status, self.pending) = (State::Error, status, None);
-        Answer::Stall
+        Reply::Stall
     }
 
-    fn download(&mut self, value: u16, data: &[u8]) -> Answer {
+    fn download(&mut self, value: u16, data: &[u8]) -> Reply {
         let address = |data: &[u8]| u32::from_le_bytes([data[1], data[2], data[3], data[4]]);
         if data.is_empty() {
             self.state = State::ManifestSync;
-            return Answer::Bytes(Vec::new());
+            return Reply::Bytes(Vec::new());
         }
         let pending = match (value, data) {
             (0, [0x21, _, _, _, _]) => Pending::SetAddress(address(data)),
@@ -149,22 +149,22 @@ impl BootLoader {
             (0, [0x92]) => Pending::Unprotect,
             (0, _) => Pending::Unsupported,
             (1, _) => return self.stall(Status::StalledPacket),
-            // 2 to 2048 bytes for internal flash.
+            // Internal flash accepts 2 to 2048 bytes.
             (_, data) if !(2..=2048).contains(&data.len()) => return self.stall(Status::StalledPacket),
-            // The transfer size is the length of the data.
+            // The length of the data is the transfer size in the address of a block.
             (block, data) => Pending::Write {
                 address: self.pointer.wrapping_add(u32::from(block - 2) * data.len() as u32),
                 bytes: data.to_vec(),
             },
         };
         (self.state, self.pending) = (State::DnloadSync, Some(pending));
-        Answer::Bytes(Vec::new())
+        Reply::Bytes(Vec::new())
     }
 
-    fn upload(&mut self, value: u16, length: u16, flash: &[u8]) -> Answer {
+    fn upload(&mut self, value: u16, length: u16, flash: &[u8]) -> Reply {
         if value == 0 {
             self.state = State::UploadIdle;
-            return Answer::Bytes(vec![0x00, 0x21, 0x41, 0x92]);
+            return Reply::Bytes(vec![0x00, 0x21, 0x41, 0x92]);
         }
         if value == 1 || !(2..=2048).contains(&length) {
             return self.stall(Status::StalledPacket);
@@ -178,10 +178,10 @@ impl BootLoader {
             return self.stall(Status::Target);
         }
         self.state = State::UploadIdle;
-        Answer::Bytes(flash[(start - FLASH.start) as usize..][..usize::from(length)].to_vec())
+        Reply::Bytes(flash[(start - FLASH.start) as usize..][..usize::from(length)].to_vec())
     }
 
-    fn report_status(&mut self, flash: &mut [u8], now: Duration, share: f32) -> Answer {
+    fn report_status(&mut self, flash: &mut [u8], now: Duration, share: f32) -> Reply {
         let mut pause = 0;
         match self.state {
             State::DnloadSync => {
@@ -190,7 +190,7 @@ impl BootLoader {
                     // Erases everything, then the chip resets.
                     flash.fill(0xFF);
                     self.protected = false;
-                    return Answer::Resets;
+                    return Reply::Resets;
                 }
                 if matches!(pending, Pending::Unsupported) {
                     (self.state, self.status) = (State::Error, Status::StalledPacket);
@@ -213,11 +213,11 @@ impl BootLoader {
             State::Dnbusy => (self.state, self.status) = (State::Error, self.outcome),
             State::ManifestSync => {
                 self.state = State::Manifest;
-                return Answer::Leaves(self.status_bytes(0), self.pointer);
+                return Reply::Leaves(self.status_bytes(0), self.pointer);
             }
             _ => {}
         }
-        Answer::Bytes(self.status_bytes(pause))
+        Reply::Bytes(self.status_bytes(pause))
     }
 
     fn status_bytes(&self, pause: u32) -> Vec<u8> {

@@ -27,7 +27,7 @@ fn an_interrupted_board_only_runs_complete_images() {
                 let board = site.0.borrow();
                 assert_eq!(board.settings(), settings, "{case}");
                 assert!(!board.arms() || board.holds(&old.segments) || board.holds(&new.segments), "{case}");
-                // Even firmware that starts but does not arm is the code of one image.
+                // Firmware that starts has the complete code of one image, even if it does not arm.
                 let one_code = board.holds(&old.segments[1..]) || board.holds(&new.segments[1..]);
                 assert!(!board.starts() || one_code, "{case}");
                 (board.holds(&old.segments), board.holds(&new.segments), board.starts())
@@ -50,7 +50,7 @@ fn an_interrupted_board_only_runs_complete_images() {
                 }
             }
 
-            // Try again: from the boot loader if its power stayed on, otherwise after setting its switch.
+            // Flash again: in the boot loader if the power stayed on, otherwise after setting the DIP switch.
             site.change(|board| {
                 (board.cut, board.plugged) = (None, true);
                 board.now += std::time::Duration::from_secs(2);

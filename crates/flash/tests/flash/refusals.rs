@@ -28,7 +28,7 @@ fn an_image_for_another_board_is_refused() {
     let error = refused(&site, &image("h-bridge-f405", "0.2.0", 11));
     assert_eq!(
         error.to_string(),
-        "asking the board what it is: the image is for h-bridge-f405 and this board is odrive-v3; flash the image for \
+        "identifying the board: the image is for h-bridge-f405 and this board is odrive-v3; flash the image for \
          it: haptic flash odrive-v3; nothing was changed"
     );
     assert_eq!(site.0.borrow().requests, 0, "its boot loader is not entered");
@@ -98,7 +98,7 @@ fn a_board_that_stays_out_of_its_boot_loader_names_the_remedy() {
 }
 
 #[test]
-fn a_missing_board_and_a_wrong_number_are_distinguished() {
+fn a_missing_board_and_a_wrong_serial_are_distinguished() {
     let site = Site::running(&old());
     let error = attempt(&site, Some("ABC"), &new()).unwrap_err();
     assert_eq!(error.cause, Cause::NotThere("ABC".into()));

@@ -9,7 +9,7 @@ use haptic_flash::{
     BootLoader as BootLoaderOnUsb, Identity, Image, Opened, SETTINGS, Segment, Surroundings, Transport, UsbError,
 };
 
-use crate::boot_loader::{Answer, BootLoader, FLASH, MEMORY};
+use crate::boot_loader::{BootLoader, FLASH, MEMORY, Reply};
 
 pub const SERIAL: &str = "3852395C3038";
 /// Offset of the image's checksum, behind the vectors.
@@ -61,8 +61,8 @@ pub struct Board {
     pub now: Duration,
     /// Time from which the operating system sees the device.
     visible_from: Duration,
-    /// Reply time of the boot loader.
-    pub answers_after: Duration,
+    /// Time that the boot loader takes to reply.
+    pub reply_delay: Duration,
     pub plugged: bool,
     pub boot_pins: bool,
     pub protected: bool,
@@ -79,7 +79,7 @@ pub struct Board {
     /// An address that always holds this byte.
     pub stuck_byte: Option<(u32, u8)>,
     pub opening: Option<UsbError>,
-    /// Passed to every boot loader that starts.
+    /// [`BootLoader::late`] of every boot loader that starts.
     pub late: u32,
     pub fail: Option<usize>,
     /// Restored settings.
@@ -100,7 +100,7 @@ impl Site {
         }
         let settings = (SETTINGS.start - FLASH.start) as usize..(SETTINGS.end - FLASH.start) as usize;
         flash[settings].iter_mut().zip(0_u32..).for_each(|(byte, index)| *byte = (index % 251) as u8);
-        // The rest of a longer image.
+        // The rest of an earlier, longer image.
         flash[0x2_0000..0x2_0100].fill(0x33);
         Self(Rc::new(RefCell::new(Board {
             flash,
@@ -118,7 +118,7 @@ impl Site {
             reported_version: None,
             stuck_byte: None,
             opening: None,
-            answers_after: Duration::ZERO,
+            reply_delay: Duration::ZERO,
             late: 0,
             fail: None,
             restored_settings: None,
@@ -171,7 +171,7 @@ impl Board {
         (0x2000_0000..=0x2002_0000).contains(&stack) && FLASH.contains(&entry) && entry % 2 == 1
     }
 
-    /// Returns true if the started firmware would arm: it compares its own checksum.
+    /// Returns true if the started firmware would arm, because its own checksum is right.
     pub fn arms(&self) -> bool {
         let (code, length) = ((CODE - FLASH.start) as usize, self.word(CODE) as usize);
         let Some(code) = self.flash.get(code..code.saturating_add(length)) else { return false };
@@ -234,13 +234,13 @@ impl Board {
             return Err(UsbError::Gone);
         }
         match answer {
-            Answer::Bytes(bytes) => Ok(bytes),
-            Answer::Stall => Err(UsbError::Stalled),
-            Answer::Leaves(bytes, FLASH_START) => {
+            Reply::Bytes(bytes) => Ok(bytes),
+            Reply::Stall => Err(UsbError::Stalled),
+            Reply::Leaves(bytes, FLASH_START) => {
                 self.start();
                 Ok(bytes)
             }
-            Answer::Leaves(..) | Answer::Resets => {
+            Reply::Leaves(..) | Reply::Resets => {
                 self.power_cycle();
                 Err(UsbError::Gone)
             }
@@ -259,7 +259,7 @@ impl Transport for Cable {
 
     fn receive(&mut self, request: u8, value: u16, length: u16) -> Result<Vec<u8>, UsbError> {
         let mut board = self.0.borrow_mut();
-        let answered_after = board.answers_after;
+        let answered_after = board.reply_delay;
         board.now += answered_after;
         board.request((request, value), &[], length)
     }
@@ -298,7 +298,7 @@ impl Surroundings for Site {
     }
 
     fn identify(&mut self, _: &str) -> Result<Identity, String> {
-        self.0.borrow().identity().ok_or("the board does not answer".into())
+        self.0.borrow().identity().ok_or("the board does not reply".into())
     }
 
     fn read_settings(&mut self, _: &str) -> Result<Option<Vec<u8>>, String> {

@@ -66,7 +66,7 @@ fn flash_reads_back_full_and_partial_blocks() {
 }
 
 #[test]
-fn a_session_begins_in_any_state_of_an_earlier_one() {
+fn a_session_begins_in_any_state_of_an_earlier_session() {
     let before: [&[(u8, u16, &[u8])]; 5] = [
         &[],
         &[(request::DNLOAD, 1, &[0; 4])],
@@ -82,7 +82,7 @@ fn a_session_begins_in_any_state_of_an_earlier_one() {
                 _ => cable.receive(*request, *value, 6).map(|_| ()),
             };
         }
-        // The next session starts later, because its program must start first.
+        // The next session begins later, because the tool must start first.
         cable.wait(std::time::Duration::from_millis(50));
         let mut dfuse = Dfuse::begin(cable, 2048).unwrap_or_else(|error| panic!("{requests:?}: {error}"));
         dfuse.erase(0x0802_0000).unwrap();
@@ -91,7 +91,7 @@ fn a_session_begins_in_any_state_of_an_earlier_one() {
 
 #[test]
 fn a_busy_boot_loader_is_given_up_after_a_timeout() {
-    for answers_after in [0.0, 4.9].map(std::time::Duration::from_secs_f64) {
+    for reply_delay in [0.0, 4.9].map(std::time::Duration::from_secs_f64) {
         let (site, cable) = cable();
         let set_late = |rounds| {
             site.change(|board| match &mut board.chip {
@@ -103,11 +103,11 @@ fn a_busy_boot_loader_is_given_up_after_a_timeout() {
         let mut dfuse = Dfuse::begin(cable, 2048).unwrap();
         dfuse.erase(0x0802_0000).unwrap();
         set_late(u32::MAX);
-        site.change(|board| board.answers_after = answers_after);
+        site.change(|board| board.reply_delay = reply_delay);
         let began = site.0.borrow().now;
         let error = dfuse.erase(0x0802_0000).unwrap_err();
         assert_eq!(error, DfuError::Endless("erase the sector at 0x08020000".into()));
-        assert!((site.0.borrow().now - began).as_secs() <= 25, "answers after {answers_after:?}");
+        assert!((site.0.borrow().now - began).as_secs() <= 25, "reply after {reply_delay:?}");
     }
 }
 

@@ -6,7 +6,7 @@ use haptic_flash::{BadFile, BadImage, Image, parse};
 use crate::dfu;
 use crate::rig::image;
 
-fn written() -> (Image, Vec<u8>) {
+fn written_file() -> (Image, Vec<u8>) {
     let image = image("odrive-v3", "0.1.0", 10);
     let file = dfu::file(&image.segments, &image.board);
     (image, file)
@@ -22,13 +22,13 @@ fn with_checksum(mut file: Vec<u8>) -> Vec<u8> {
 
 #[test]
 fn update_files_of_the_build_are_parsed() {
-    let (image, file) = written();
+    let (image, file) = written_file();
     assert_eq!(parse(&file), Ok(Image { version: None, protocol: None, ..image }));
 }
 
 #[test]
 fn any_changed_byte_is_detected() {
-    let (_, file) = written();
+    let (_, file) = written_file();
     for at in (0..400).chain(file.len() - 40..file.len()) {
         let mut changed = file.clone();
         changed[at] ^= 0x10;
@@ -38,7 +38,7 @@ fn any_changed_byte_is_detected() {
 
 #[test]
 fn wrong_lengths_are_refused_without_a_panic() {
-    let (_, file) = written();
+    let (_, file) = written_file();
     for length in (0..400).chain([file.len() - 1]) {
         assert!(parse(&file[..length]).is_err());
         if length >= 20 {
@@ -64,7 +64,7 @@ fn wrong_lengths_are_refused_without_a_panic() {
 
 #[test]
 fn a_file_that_would_overwrite_settings_is_refused() {
-    let (mut image, _) = written();
+    let (mut image, _) = written_file();
     image.segments[0].bytes.resize(0x5000, 0);
     assert_eq!(parse(&dfu::file(&image.segments, "odrive-v3")), Err(BadFile::Image(BadImage::OverSettings)));
 }

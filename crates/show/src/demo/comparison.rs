@@ -33,7 +33,7 @@ impl Comparison {
         compare(without.penetration, with.penetration, "shallower penetration", "deeper penetration");
         compare(without.peak_force, with.peak_force, "lower peak force", "higher peak force");
         // Small counts are compared as numbers, not as percentages.
-        let losses = format!("the wall lets go {} times instead of {}", with.bounces, without.bounces);
+        let losses = format!("the hand loses contact {} times instead of {}", with.bounces, without.bounces);
         match with.bounces.cmp(&without.bounces) {
             Ordering::Less => comparison.better.push(losses),
             Ordering::Greater => comparison.worse.push(losses),
@@ -65,7 +65,7 @@ mod tests {
         assert_eq!(worse, "Worse with it: 20 % deeper penetration.");
         let bouncing = Crossing { bounces: 3, ..crossing(1e-3, 10.0, 2.0) };
         let [better, _] = Comparison::of(&bouncing, &crossing(1e-3, 10.0, 2.0)).sentences();
-        assert_eq!(better, "Better with it: the wall lets go 0 times instead of 3.");
+        assert_eq!(better, "Better with it: the hand loses contact 0 times instead of 3.");
         let same = crossing(1.0, 1.0, 1.0);
         assert_eq!(Comparison::of(&same, &same).sentences()[1], "Worse with it: nothing.");
     }

@@ -10,7 +10,7 @@ use std::time::Duration;
 
 /// Height above the wall at which the hand starts, m.
 const START_HEIGHT: f64 = 0.006;
-/// Target depth of the hand below the wall's surface, m: its arm of 250 N/m then presses with about 5 N.
+/// Target depth of the hand below the wall's surface, m. The hand's arm of 250 N/m then presses with about 5 N.
 const TARGET_DEPTH: f64 = 0.02;
 /// Distance of the slide, m: it ends before the device's distal links become collinear.
 pub const SLIDE: f64 = 0.02;
@@ -59,7 +59,7 @@ pub struct Crossing {
     pub fault: Option<String>,
 }
 
-/// Lets the hand cross the wall. Calls `progress` with the finished share.
+/// Lets the hand cross the wall. Calls `progress` with the completed share of the crossing.
 pub fn run(demo: &Demo, feed_forward: FeedForward, progress: &mut dyn FnMut(f64)) -> Result<Crossing, DemoError> {
     let device = Options { start: Some(demo.pose), ..Options::default() };
     let shared = SharedBoard::new(ready_board(&demo.file, BoardOptions { device, ..BoardOptions::default() })?);

@@ -85,7 +85,7 @@ pub fn draw(demo: &Demo, without: &Crossing, with: &Crossing) -> Picture {
             high: 1.08 * top(|moment| moment.force),
         },
         Row {
-            title: "a tenth of a second of that force, under the resting hand",
+            title: "the same force under the resting hand, for a tenth of a second",
             axis: "force",
             unit: "N",
             value: |moment| moment.force,

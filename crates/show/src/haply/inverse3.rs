@@ -15,9 +15,9 @@ use std::time::{Duration, Instant};
 const GRIP: &str = "HB00";
 /// `device_type` of an Inverse3 in Haply's service.
 const INVERSE3: u32 = 4;
-/// Maximum simulated time that passes at once.
+/// Maximum simulated time to catch up in one call.
 const MAX_ADVANCE: Duration = Duration::from_millis(100);
-/// Commands for a person, and what a program sends instead.
+/// Commands that messages recommend to a person, with the request that a program sends instead.
 const CALLS: [(&str, &str); 1] = [(CLEARING, "`clear_fault`")];
 
 /// A board that appears to programs as a Haply device.
@@ -36,11 +36,11 @@ pub struct Inverse3 {
     calibrated: bool,
     /// The board's reason not to turn the motors on for this program.
     refusal: Option<String>,
-    /// Step from which on a force arms, after a fault was cleared.
+    /// Control step from which a force may arm again after a fault was cleared.
     arms_from: Option<u32>,
     armed: bool,
-    /// True if the next force arms, which only the first force of a program does. Motors that go off later were turned
-    /// off on purpose.
+    /// True if the next force arms. Only the first force of a program arms, because motors that go off later were
+    /// turned off on purpose.
     may_arm: bool,
     /// Axes of the connected program.
     basis: Basis,
@@ -120,8 +120,8 @@ impl Inverse3 {
         let _ = self.session.disarm();
     }
 
-    /// Carries out a message and reads the device's state. A missing reply is reported, and the next message continues;
-    /// the error is a lost board.
+    /// Carries out a message and reads the device's state. A missing reply is reported, and the session continues.
+    /// Returns an error only if the board is lost.
     pub(super) fn execute(&mut self, request: &ProgramRequest) -> Result<(), BoardError> {
         for other in &request.others {
             self.notify(format!("`{other}` is ignored: a board accepts forces at the tip, and a basis for them"));
@@ -134,8 +134,8 @@ impl Inverse3 {
         self.report_failure(result)
     }
 
-    /// Reads the device's state for a client that does not use it: this does not count as activity of the program that
-    /// does.
+    /// Reads the device's state for a client that does not use the device. This does not count as activity of the
+    /// program that uses the device.
     pub(super) fn poll(&mut self) -> Result<(), BoardError> {
         let read = |device: &mut Self| {
             device.advance()?;
@@ -229,12 +229,12 @@ impl Inverse3 {
     }
 
     fn arm(&mut self) -> Result<(), BoardError> {
-        // A difference of half the counter's range would be hours ahead.
+        // The counter wraps around: the sign of the difference tells which step is later.
         if self.arms_from.is_some_and(|from| (self.last.step.wrapping_sub(from) as i32) < 0) {
             return Ok(());
         }
         self.arms_from = None;
-        // A program that connects loses a HostLost fault of an earlier program; any other fault needs a person.
+        // A new program clears a HostLost fault, which an earlier program caused; any other fault needs a person.
         if self.fault.is_some_and(|fault| fault.fault == Fault::HostLost) {
             self.session.clear()?;
             self.fault = None;

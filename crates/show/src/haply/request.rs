@@ -12,7 +12,7 @@ pub struct ProgramRequest {
     pub force: Option<[f64; 3]>,
     /// True if the program requests the full state once.
     pub full: bool,
-    /// Axes of the program's vectors, in both directions, from now on.
+    /// Axes of the program's vectors from now on, both sent and received; `None` to keep the present axes.
     pub basis: Option<Basis>,
     /// True if the program requests that a latched fault be cleared. Haply has no such command.
     pub clear_fault: bool,
@@ -46,7 +46,7 @@ impl ProgramRequest {
                         let vector = if command["vector"].is_null() { &command["values"] } else { &command["vector"] };
                         let entry = |axis: &str| vector[axis].as_f64().filter(|newtons| newtons.is_finite());
                         let (Some(x), Some(y), Some(z)) = (entry("x"), entry("y"), entry("z")) else {
-                            return Err("set_cursor_force without the numbers x, y and z in vector or values".into());
+                            return Err("set_cursor_force needs the numbers x, y and z in vector or values".into());
                         };
                         request.force = (command["execute"] != false).then_some([x, y, z]);
                     }
@@ -63,7 +63,7 @@ impl ProgramRequest {
         for (name, value) in entries(settings) {
             match name.as_str() {
                 "basis" => self.basis = Some(value["permutation"].as_str().unwrap_or_default().parse()?),
-                // The name of the program.
+                // The name of the program, which has no effect.
                 "profile" => {}
                 other => self.others.push(format!("configure.{other}")),
             }

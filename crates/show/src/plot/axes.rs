@@ -43,12 +43,12 @@ pub enum Mark<'a> {
     Circle(&'a str),
     /// A filled area.
     Area(&'a str),
-    /// No symbol: the text continues that of the previous entry.
+    /// No symbol: the text continues the text of the previous entry.
     Continued,
 }
 
 impl Axis {
-    /// Returns the factor from values to the prefixed unit, and that unit: 12000 N/m is 12 kN/m.
+    /// Returns the prefixed unit and the factor from values to it: 12000 N/m is 12 kN/m.
     fn with_prefix(&self) -> (f64, String) {
         let size = self.low.abs().max(self.high.abs());
         let prefixes = [(1e9, "G"), (1e6, "M"), (1e3, "k"), (1.0, ""), (1e-3, "m"), (1e-6, "µ")];
@@ -79,7 +79,7 @@ impl Axis {
         let power = 10f64.powf(raw.log10().floor());
         let first = |step: f64| (low / step - 1e-9).ceil() as i64;
         let last = |step: f64| (high / step + 1e-9).floor() as i64;
-        // Steps from coarse to fine; the first one is not finer than `count` requires.
+        // Steps from coarse to fine. The first step is not finer than `count` requires.
         let steps = [10.0, 5.0, 2.0, 1.0, 0.5].map(|s| s * power);
         let coarse = steps.into_iter().rposition(|step| step >= raw).unwrap_or(0);
         let step = steps[coarse..].iter().copied().find(|step| last(*step) - first(*step) >= 3).unwrap_or(steps[4]);
@@ -105,7 +105,7 @@ impl PlotArea {
         self.draw_along(canvas, title, &self.x.ticks(self.size.0 / 75.0), &self.x.label());
     }
 
-    /// Does the same for an x axis of logarithms: each even decade is labelled with its power of ten.
+    /// Draws the frame with an x axis of logarithms: each even decade is labelled with its power of ten.
     pub fn draw_decades(&self, canvas: &mut Canvas) {
         let superscript = |digit: char| match digit {
             '-' => '⁻',
@@ -146,7 +146,7 @@ impl PlotArea {
         canvas.text((left, top - 10.0), 13.5, Anchor::Start, false, title);
     }
 
-    /// Calls `draw` with drawing clipped to the frame.
+    /// Clips the shapes that `draw` adds to the frame.
     pub fn clipped(&self, canvas: &mut Canvas, draw: impl FnOnce(&mut Canvas)) {
         canvas.begin_clip(self.at, self.size);
         draw(canvas);
@@ -263,7 +263,7 @@ impl PlotArea {
 /// Returns true if the line through these points (or the single point) crosses the box between two corners.
 pub(super) fn crosses_box(line: &[(f64, f64)], low: (f64, f64), high: (f64, f64)) -> bool {
     let crosses = |from: (f64, f64), to: (f64, f64)| {
-        // Parameters, from 0 to 1, between which the line is inside the left and right edges and inside the other two.
+        // Parameters of the segment, 0 to 1, at which it enters and leaves the box.
         let (mut enters, mut leaves) = (0.0_f64, 1.0_f64);
         for (from, to, low, high) in [(from.0, to.0, low.0, high.0), (from.1, to.1, low.1, high.1)] {
             if from == to {
@@ -297,7 +297,7 @@ mod tests {
         let texts = |axis: Axis| axis.ticks(6.0).into_iter().map(|t| t.1).collect::<Vec<_>>();
         assert_eq!(texts(axis(0.0, 0.103, "m")), ["0", "20", "40", "60", "80", "100"]);
         assert_eq!(texts(axis(-0.5, 0.5, "")), ["-0.4", "-0.2", "0.0", "0.2", "0.4"]);
-        // A low panel still has a scale, because two ticks are not enough.
+        // Two ticks would not show the scale, so a low panel has more.
         let low = axis(0.0, 17.3, "N").ticks(3.2).into_iter().map(|t| t.1).collect::<Vec<_>>();
         assert_eq!(low, ["0", "5", "10", "15"]);
         assert_eq!(axis(0.0, 12_000.0, "N/m").label(), "x (kN/m)");

@@ -10,7 +10,7 @@ pub const FULL: &str = "#D55E00";
 pub const WASHOUT: &str = "#009E73";
 /// Walls rendered by a computer.
 pub const HOST: &str = "#CC79A7";
-/// Bounds that are not the boundary itself.
+/// Bounds such as passivity, in contrast to the stability boundary itself.
 pub const BOUND: &str = "#7A5195";
 /// Frames, ticks and text.
 pub const INK: &str = "#222222";

@@ -25,7 +25,7 @@ const USUAL: f64 = 2.0 * SIDE + 190.0;
 const UNDER: f64 = 165.0;
 /// Distance by which the drawn motion moves the tip, as a share of the drawing.
 const MOTION: f64 = 0.1;
-/// Directions around a half turn, and around a full turn, of a surface.
+/// Number of directions in which a surface is sampled, around a half turn and around a full turn.
 const DIRECTIONS: (usize, usize) = (24, 48);
 /// Viewing direction of a surface: turned about its vertical and then tilted, rad.
 const VIEW: (f64, f64) = (-0.6, 0.45);
@@ -55,7 +55,7 @@ pub fn draw(
     let mut page = paper.page(USUAL, 75.0);
     page.begin = page.begin.min(30.0);
     let heading = page.heading(&title, &[pose_line]);
-    // Next to each other, or on a narrow page one below the other.
+    // The drawings are side by side, or on a narrow page one below the other.
     let side = match (page.is_narrow(), paper.is_printed()) {
         (true, _) => page.wide - page.left - 24.0,
         (_, true) => (page.wide - (USUAL - 2.0 * SIDE)) / 2.0,
@@ -74,7 +74,7 @@ pub fn draw(
         match spec.task {
             1 => String::new(),
             _ => format!(
-                "Most at n = ({}): {:.3} times. Axes of the tip's inertia: {} kg.",
+                "Maximum at n = ({}): {:.3} times. Axes of the tip's inertia: {} kg.",
                 list(&point.worst_ratio.normal),
                 point.worst_ratio.value,
                 point.eigenvalues.iter().map(|v| format!("{v:.4}")).collect::<Vec<_>>().join(", ")
@@ -90,7 +90,7 @@ pub fn draw(
     match spec.task {
         1 => {
             let at = (second.0, second.1 + 40.0);
-            canvas.text(at, 12.0, Anchor::Start, false, "One direction: nothing couples.");
+            canvas.text(at, 12.0, Anchor::Start, false, "One task direction: there is no coupling.");
         }
         2 => curve(&mut canvas, place, &pose, &point, &n),
         _ => surface(&mut canvas, place, &pose, &point, &n),
@@ -156,8 +156,8 @@ fn motion(
     frame.draw(canvas, "");
     let entries = [
         (Mark::Line(Stroke::solid(FULL, 2.0)), "along n, with the feed-forward".to_string()),
-        (Mark::Line(Stroke::solid(OFF, 2.0)), "what a push along n does without".to_string()),
-        (Mark::Line(GHOST), "the linkage moved that way and back, with it".to_string()),
+        (Mark::Line(Stroke::solid(OFF, 2.0)), "push along n, without the feed-forward".to_string()),
+        (Mark::Line(GHOST), "the linkage moved along n, with feed-forward".to_string()),
     ];
     legend(canvas, Place { at, side }, &entries);
 }
@@ -232,7 +232,7 @@ fn draw_axis_names(canvas: &mut Canvas, pixel: &dyn Fn(&[f64]) -> Point, point: 
     }
 }
 
-/// Draws the coupling as a surface over all directions of space: its distance from the middle.
+/// Draws the coupling as a surface over all directions of space; its distance from the middle is the coupling.
 fn surface(canvas: &mut Canvas, Place { at, side }: Place, pose: &TaskPose, point: &MapPoint, n: &DVector<f64>) {
     let joints = pose.jacobian.nrows();
     let (halves, wholes) = DIRECTIONS;
@@ -248,7 +248,7 @@ fn surface(canvas: &mut Canvas, Place { at, side }: Place, pose: &TaskPose, poin
         (0..=halves).map(|i| (0..=wholes).map(|j| reach(i, j)).collect()).collect();
     let largest = grid.iter().flatten().map(|(_, coupling)| *coupling).fold(1e-12, f64::max);
     let ((turn_sine, turn_cosine), (tilt_sine, tilt_cosine)) = (VIEW.0.sin_cos(), VIEW.1.sin_cos());
-    // To the right, up, and towards the reader.
+    // Returns the coordinates to the right, up, and towards the reader.
     let viewed = |v: &Vector3<f64>| {
         let (x, z) = (turn_cosine * v.x + turn_sine * v.z, turn_cosine * v.z - turn_sine * v.x);
         Vector3::new(x, tilt_cosine * v.y - tilt_sine * z, tilt_sine * v.y + tilt_cosine * z)

@@ -15,7 +15,7 @@ use haptic_stability::analysis::cut::{Cut, Fineness};
 use haptic_stability::analysis::pose::PoseError;
 use haptic_stability::skeleton::{Angle, Bar, Point, Skeleton, Turret, skeleton};
 
-/// Longest side of the plane, pixels: for a single linkage, and for a reach that no limits keep near it.
+/// Longest side of the plane, pixels: for a linkage alone or with joint limits, and for a reach without joint limits.
 const LINKAGE_SIDE: f64 = 460.0;
 const REACH_SIDE: f64 = 760.0;
 /// Colour of the workspace.
@@ -56,7 +56,7 @@ pub fn draw(
     let title = if name == spec.name { name.to_string() } else { format!("{name}: a {}", spec.name) };
     let what =
         if description.home.is_some_and(|home| home[..spec.joints] == *q) { "at home" } else { "at the pose given" };
-    let ground = if reach.is_empty() { "" } else { "; pale ground: where the tip gets, clear of singular poses" };
+    let ground = if reach.is_empty() { "" } else { "; pale area: reach of the tip, clear of singular poses" };
     let heading = page.heading(&title, &[format!("{what}{ground}")]);
     let frame = PlotArea {
         at: (page.left, 62.0 + heading.beyond(1)),
@@ -120,8 +120,8 @@ fn reach(description: &Description) -> Result<Vec<Vec<Point>>, PoseError> {
 fn notes(description: &Description) -> Vec<String> {
     let side = if description.geometry[5] < 0.0 { "right" } else { "left" };
     let assembly =
-        format!("assembly = {}: the tip P lies to the {side} of the way from C to D", description.geometry[5]);
-    let beside_axis = "no ground beside joint 0's axis: joint 0 does not move a tip that is on it, a singular pose";
+        format!("assembly = {}: the tip P lies to the {side} of the line from C to D", description.geometry[5]);
+    let beside_axis = "no pale area at joint 0's axis: on the axis joint 0 does not move the tip, a singular pose";
     let limited = description.joints[..description.kind.spec().joints].iter().any(|joint| joint.limits.is_some());
     let dotted = if limited { "; dotted arcs: limits" } else { "" };
     let angles = format!("angles count from the dashed line (zero) and grow counter-clockwise{dotted}");
@@ -136,15 +136,15 @@ fn notes(description: &Description) -> Vec<String> {
         ],
         Kind::Parallelogram => vec![
             angles,
-            "joints 1 and 2 both count from the horizontal".into(),
+            "joints 1 and 2: angles count from the horizontal".into(),
             "joint 2 turns the crank; its angle is the forearm's".into(),
             "joint 0 turns this plane about the y axis: (X, Y, Z) = (x cos q0, y, -x sin q0)".into(),
             beside_axis.into(),
         ],
         Kind::Serial3r => vec![
             angles,
-            "each joint counts from the link before".into(),
-            "the ground is that of the last link's direction at home".into(),
+            "each angle counts from the link before".into(),
+            "pale area: for the last link's direction at home".into(),
         ],
     }
 }
@@ -181,8 +181,8 @@ fn links(canvas: &mut Canvas, frame: &PlotArea, skeleton: &Skeleton, names: &[St
         let middle = ((from.0 + to.0) / 2.0, (from.1 + to.1) / 2.0);
         let (nx, ny) = (dy / length, -dx / length);
         let outward = if (middle.0 - centre.0) * nx + (middle.1 - centre.1) * ny < 0.0 { -1.0 } else { 1.0 };
-        // Moves the label away from the arcs at the link's base; a label longer than its link begins at the link's
-        // begin.
+        // Moves the label away from the arcs at the link's base. A label longer than its link starts at the start of
+        // the link.
         let past = (3.1 * text.chars().count() as f64 + 6.0 - length / 2.0).max(0.06 * length);
         let half = (3.1 * text.chars().count() as f64, 6.0);
         let (sin, cos) = slope.to_radians().sin_cos();
@@ -205,7 +205,7 @@ fn links(canvas: &mut Canvas, frame: &PlotArea, skeleton: &Skeleton, names: &[St
         let places = [(past, outward), (past, -outward), (-past, outward), (-past, -outward)].map(|(p, s)| place(p, s));
         let has_label = |at: (f64, f64)| taken.iter().any(|other| overlap(&area(at), other));
         let has_link = |at: (f64, f64)| {
-            // Coordinates along the label, whose letters are above its baseline.
+            // Coordinates along the label and across it. The letters are above the baseline.
             let along = |p: Point| {
                 let p = frame.pixel(p.0, p.1);
                 let (x, y) = (p.0 - at.0, p.1 - at.1);
@@ -366,9 +366,9 @@ mod tests {
         value.split(['"', ' ', ')']).next().unwrap().parse().unwrap()
     }
 
-    /// The names of links and angles are not on links, if there is room.
+    /// Labels of links and angles do not cover links if there is room elsewhere.
     #[test]
-    fn labels_lie_on_no_link() {
+    fn labels_do_not_cover_links() {
         let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../../devices");
         let files = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
         let mut checked = 0;

@@ -26,7 +26,7 @@ const COVERED_SHARE: f64 = 0.95;
 const COLOURS: f64 = 50.0;
 /// Longest side of the plane, pixels.
 const PLANE_SIDE: f64 = 500.0;
-/// Room to the left of the plane, and to its right with the colour scale: with its name, and without.
+/// Room to the left of the plane, and to the right of it for the colour scale, with and without the scale's name.
 const LEFT: f64 = 86.0;
 const RIGHT: f64 = 130.0;
 const NARROW_RIGHT: f64 = 92.0;
@@ -37,7 +37,7 @@ const COLOUR_NAME: &str = "coupling (Wrr - Weff)/Wrr";
 const SPACING: f64 = 56.0;
 const RADIUS: f64 = 0.36 * SPACING;
 
-/// A drawn map: the picture, and the data to read numbers off it again.
+/// A drawn map: the picture, and the data to read numbers off the picture.
 #[derive(Clone, Debug)]
 pub struct Chart {
     /// The picture.
@@ -48,7 +48,7 @@ pub struct Chart {
     pub top: f64,
 }
 
-/// Draws the map of a device for one normal; a redundant device's feed-forward holds `admissible`.
+/// Draws the map of a device for one normal. `admissible`: motion that a redundant device's feed-forward allows.
 pub fn draw(
     description: &Description,
     name: &str,
@@ -177,7 +177,7 @@ fn paint(canvas: &mut Canvas, frame: &PlotArea, tiles: &[Tile], top: f64) {
     }
 }
 
-/// Draws ellipses on a regular lattice, all to one scale. Returns the mass (kg) with [`RADIUS`].
+/// Draws ellipses on a regular lattice, all to one scale. Returns the mass (kg) that has the radius [`RADIUS`].
 fn ellipses(canvas: &mut Canvas, frame: &PlotArea, cut: &Cut, pixels: f64) -> Result<Option<f64>, PoseError> {
     let spacing = SPACING / pixels;
     let off = |(x, y): Point| {

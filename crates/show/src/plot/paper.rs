@@ -12,7 +12,7 @@ const NARROW: f64 = 500.0;
 const NARROW_LEFT: f64 = 78.0;
 /// Margin at the edge of a page.
 pub const EDGE: f64 = 10.0;
-/// Letter sizes of a title and of the lines under it, and the height of a line of each.
+/// Letter size and line height of a title, and of the lines under the title.
 const TITLE: (f64, f64) = (15.0, 19.0);
 const UNDER: (f64, f64) = (12.0, 18.0);
 
@@ -86,7 +86,7 @@ pub struct Heading {
 }
 
 impl Heading {
-    /// Returns the height beyond that of a title of one line with `usual` lines under it.
+    /// Returns the additional height compared with a title of one line and `usual` lines under it.
     pub fn beyond(&self, usual: usize) -> f64 {
         let more = |lines: &[String], usual: usize| lines.len().saturating_sub(usual) as f64;
         TITLE.1 * more(&self.titles, 1) + UNDER.1 * more(&self.under, usual)

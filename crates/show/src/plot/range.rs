@@ -194,7 +194,7 @@ fn symbols(passivity: &Passivity, bounds: &[Bound]) -> Vec<String> {
     let drawn = |index: usize| bounds.get(index).is_some_and(|bound| bound.hidden.is_none());
     if drawn(0) {
         lines.push(format!(
-            "b = {:.3} N s/m: smallest viscous damping along n; with delay, drive and filter passive for kd < {:.3} N s/m",
+            "b = {:.3} N s/m: smallest viscous damping along n; passive with delay, drive and filter for kd < {:.3} N s/m",
             passivity.damping,
             passivity.largest_damping()
         ));

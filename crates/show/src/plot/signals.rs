@@ -60,7 +60,7 @@ pub struct Quantity {
     pub unit: String,
 }
 
-/// A line of a panel, in pieces where rows are missing.
+/// A line of a panel, interrupted where rows are missing.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Curve {
     /// Name.
@@ -95,15 +95,15 @@ pub struct Analysis {
     pub seconds: f64,
     /// Rows missing between the drawn rows.
     pub missing: u64,
-    /// The strongest sine of the first signal from 10 Hz on.
+    /// The strongest sine of the first signal, of all frequencies from 10 Hz on.
     pub strongest: Option<SpectralLine>,
-    /// Root mean square of that signal from 20 Hz on, in its unit.
+    /// Root mean square of the first signal from 20 Hz on, in the signal's unit.
     pub ripple: Option<f64>,
     /// Stiffness of the line through force over penetration, from rows in contact whose force no limit cut, N/m.
     pub stiffness: Option<f64>,
     /// Rows in contact with the motors on, after the torque ramp.
     pub contact_rows: usize,
-    /// Number of these rows in which a limit cut the force; `None` if it is not recorded.
+    /// Number of these rows in which a limit cut the force; `None` if saturation is not recorded.
     pub saturated_rows: Option<usize>,
     /// Notes for the reader in addition to those of the panels.
     pub said: Vec<String>,
@@ -111,7 +111,7 @@ pub struct Analysis {
     pub panels: Vec<Panel>,
     /// Number of rows that a phase portrait combines into one point.
     #[serde(skip)]
-    together: usize,
+    rows_per_point: usize,
 }
 
 /// The drawn part of a recording.
@@ -182,7 +182,7 @@ impl<'a> Rows<'a> {
 
     /// Returns the number of rows to combine into one drawn point, because single rows show encoder steps. Together
     /// they last at least a millisecond; at 1 kHz and below every row is drawn.
-    fn together(&self) -> usize {
+    fn rows_per_point(&self) -> usize {
         (self.rate_hz / MAX_PHASE_HZ).ceil().max(1.0) as usize
     }
 
@@ -198,7 +198,7 @@ impl<'a> Rows<'a> {
         move |row: &[f64]| times.iter().any(|on| (0.0..f64::from(ARM_SECONDS)).contains(&(row[time] - on)))
     }
 
-    /// Returns a test for rows whose force was cut by a limit; `None` if it is not recorded.
+    /// Returns a test for rows whose force was cut by a limit; `None` if saturation is not recorded.
     fn limit_test(&self) -> Option<impl Fn(&[f64]) -> bool> {
         let names = (0..MAX_JOINTS).map(|joint| format!("saturated{joint}"));
         let columns: Vec<usize> = names.filter_map(|name| self.recording.column(&name)).collect();
@@ -219,7 +219,7 @@ pub(crate) fn quantity(label: &str) -> Quantity {
     let known = columns(Fields::ALL, MAX_JOINTS);
     let unit = known.iter().find(|column| column.label == label).map_or("", |column| column.field.unit());
     let unit = if label == "time_s" { "s" } else { unit };
-    // "rendered_n" is the quantity rendered: its unit is shown separately.
+    // The "n" in "rendered_n" is the unit, which is shown separately.
     let suffix = format!("_{}", unit.to_lowercase().replace([' ', '/'], "_"));
     let name = label.strip_suffix(&suffix).filter(|_| !unit.is_empty()).unwrap_or(label);
     Quantity { name: name.replace('_', " "), unit: unit.into() }
@@ -261,7 +261,7 @@ pub fn panels(recording: &Recording, request: &Request) -> Result<Analysis, Fail
         saturated_rows: None,
         said: Vec::new(),
         panels: Vec::new(),
-        together: rows.together(),
+        rows_per_point: rows.rows_per_point(),
     };
     if is_drawn(View::Time) {
         analysis.panels.extend(over_time(&rows, &signals)?);
@@ -280,9 +280,11 @@ pub fn panels(recording: &Recording, request: &Request) -> Result<Analysis, Fail
     }
     if is_drawn(View::Phase) {
         let panel = phase(&rows)?;
-        if request.views.is_empty() && !is_motion(&smooth_panel(&panel, rows.together())) && !analysis.panels.is_empty()
+        if request.views.is_empty()
+            && !is_motion(&smooth_panel(&panel, rows.rows_per_point()))
+            && !analysis.panels.is_empty()
         {
-            let why = "the velocity is noise, which changes as much within a millisecond as over the recording";
+            let why = "the velocity is mostly noise: it changes as much in a millisecond as over the recording";
             analysis.said.push(format!("velocity over distance is left out unless it is requested: {why}"));
         } else {
             analysis.panels.push(panel);
@@ -407,17 +409,17 @@ fn phase(rows: &Rows<'_>) -> Result<Panel, Failure> {
     })
 }
 
-/// Replaces every `together` consecutive points by their mean; the last mean may have fewer.
-fn smooth_panel(panel: &Panel, together: usize) -> Panel {
+/// Replaces every `rows_per_point` consecutive points by their mean; the last mean may have fewer.
+fn smooth_panel(panel: &Panel, rows_per_point: usize) -> Panel {
     let mean = |points: &[(f64, f64)]| {
         let sum = points.iter().fold((0.0, 0.0), |sum, point| (sum.0 + point.0, sum.1 + point.1));
         (sum.0 / points.len() as f64, sum.1 / points.len() as f64)
     };
     let mut smooth = panel.clone();
     for piece in smooth.curves.iter_mut().flat_map(|curve| &mut curve.pieces) {
-        *piece = piece.chunks(together).map(mean).collect();
+        *piece = piece.chunks(rows_per_point).map(mean).collect();
     }
-    let drawn = format!("drawn: means over {}", counted(together, "row"));
+    let drawn = format!("drawn: means over {}", counted(rows_per_point, "row"));
     smooth.note = if panel.note.is_empty() { drawn } else { format!("{drawn}; {}", panel.note) };
     smooth
 }

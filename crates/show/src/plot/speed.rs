@@ -27,7 +27,7 @@ pub fn draw(every: &[(Device<f64>, Vec<Variant>)]) -> Picture {
     let frame = PlotArea {
         at: (80.0, 110.0),
         size: (660.0, 370.0),
-        x: Axis { name: "largest error of the force at the tip beside the fade".into(), unit: "N".into(), low, high },
+        x: Axis { name: "largest error of the force at the tip, without the fade".into(), unit: "N".into(), low, high },
         y: Axis { name: "instructions".into(), unit: String::new(), low: 0.0, high: 2100.0 },
     };
     let (mut entries, mut drawn) = (Vec::new(), Vec::new());
@@ -62,7 +62,7 @@ pub fn draw(every: &[(Device<f64>, Vec<Variant>)]) -> Picture {
     canvas.text((frame.at.0, 28.0), 15.0, Anchor::Start, false, title);
     for (line, text) in [
         "Instructions on the Cortex-M4F. Error: torque as a force at the tip, plus the tip's error times 20 kN/m;",
-        "below 10⁻⁶ N drawn there. What the velocity terms lack where they fade is the same in all, and left out here.",
+        "below 10⁻⁶ N drawn there. The loss of velocity terms where they fade is the same in all, and left out.",
     ]
     .into_iter()
     .enumerate()

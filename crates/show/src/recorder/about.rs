@@ -49,11 +49,11 @@ impl About {
         for (index, wall) in scene.iter().flat_map(|scene| scene.walls.iter().enumerate()) {
             text.push_str(&format!("wall {index}: {}\n", wall_in_words(wall)));
         }
-        // For programs: the same and the rest, as on the board at the start.
+        // For programs: the complete scene and rules, as on the board at the start.
         text.push_str(&format!("scene {}\n", json(&scene)?));
         let joints = device.as_ref().map_or(details.axes.into(), |device| device.axes());
         text.push_str(&format!("rules {}\n", json(&limit_to_joints(&rules, joints)?)?));
-        // Once more to the bit, as in a backup, because `haptic replay` computes with these values.
+        // The settings again, exact to the bit as in a backup, because `haptic replay` computes with them.
         let mut settings = BTreeMap::new();
         settings.extend(device.and_then(|device| Some(("device", without_value(SavedSetting::of(&device)?)))));
         settings.extend(scene.and_then(|scene| Some(("scene", without_value(SavedSetting::of(&scene)?)))));

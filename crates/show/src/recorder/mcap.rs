@@ -22,7 +22,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{SystemTime, UNIX_EPOCH};
 
-/// Bytes at the begin of an MCAP file.
+/// Bytes at the start of an MCAP file.
 pub const MAGIC: &[u8] = b"\x89MCAP0\r\n";
 /// Message bytes in a chunk; `flush` ends a chunk earlier.
 const CHUNK_BYTES: usize = 512 * 1024;
@@ -87,7 +87,7 @@ fn kind(column: &Column) -> Type {
     }
 }
 
-/// Converts an error of the writer; writing into memory fails only after a wrong use of the format.
+/// Converts an error of the writer. Writing into memory fails only if the format is used wrongly.
 fn to_error(error: McapError) -> RecordError {
     RecordError::Failed(Failure::impossible(error))
 }
@@ -140,7 +140,7 @@ impl McapRecorder {
         };
         recorder.write_pending().map_err(|error| {
             if let (true, Ok(file)) = (can_truncate, std::fs::canonicalize(path)) {
-                // A file without its head is useless.
+                // Removes the file, which is useless without its head.
                 let _ = std::fs::remove_file(file);
             }
             output::refused(path, &error)
@@ -201,7 +201,7 @@ impl McapRecorder {
             if self.can_truncate {
                 let _ = self.file.set_len(self.complete).and_then(|()| self.file.seek(SeekFrom::Start(self.complete)));
             }
-            // Nothing can follow, because the truncated part would be missing.
+            // Ends the file, because later records would need the truncated part.
             self.is_ended = true;
             return Err(error);
         }

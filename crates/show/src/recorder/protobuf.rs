@@ -47,7 +47,7 @@ pub fn describe(name: &str, fields: &[Field], states: &[&str]) -> Result<Message
             ..DescriptorProto::default()
         }],
         enum_type: if states.is_empty() { Vec::new() } else { vec![state] },
-        // A field that is set is written, also with -0, which proto3 leaves out.
+        // proto2 writes every field that is set, also 0 and -0; proto3 leaves them out.
         syntax: Some("proto2".into()),
         ..FileDescriptorProto::default()
     };

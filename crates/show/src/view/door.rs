@@ -1,7 +1,7 @@
 //! The page's server: HTTP and WebSocket on one port of this computer.
 //!
 //! An unauthenticated connection gets one of a few places for a short time and loses it to later connections; an
-//! authenticated one gets a place of another kind. A page uses bounded memory, and takes turns with the others.
+//! authenticated connection gets a place of another kind. A page uses bounded memory, and takes turns with other pages.
 //!
 //! `GET /` is the page, `GET /live` its WebSocket. Only this computer can connect unless the address allows others, who
 //! then need the token. Pages of other sites in the same browser are refused as well: the request must name this server
@@ -52,7 +52,7 @@ const MAX_MESSAGE: usize = 16 * 1024;
 const READ_TIME: Duration = Duration::from_millis(8);
 /// Maximum number of a page's messages in that time; further messages wait.
 const MAX_MESSAGES: usize = 32;
-/// Maximum number of bytes on their way to a page: some pictures with sweeps and sound.
+/// Maximum number of bytes that a page has not read: room for some pictures with sweeps and sound.
 const MAX_UNREAD: usize = 4 * 1024 * 1024;
 /// Longest time for which a page may leave data unread.
 const SEND_TIMEOUT: Duration = Duration::from_secs(2);
@@ -62,7 +62,7 @@ const MAX_CONNECTIONS: usize = 64;
 /// Clients that can use a printed address.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Reach {
-    /// The clients that reach the requested address.
+    /// All clients that can reach the requested address.
     Address,
     /// The server listens on all addresses, and the printed address is known to other computers.
     Others,
@@ -125,7 +125,7 @@ impl PageListener {
     }
 }
 
-/// Returns this computer's address for others: the source address for sending. Nothing is sent.
+/// Returns the address of this computer for other computers: the source address of a route. Sends nothing.
 fn outward_address(all: IpAddr) -> Option<IpAddr> {
     let target: IpAddr = match all {
         IpAddr::V4(_) => Ipv4Addr::new(192, 0, 2, 1).into(),
@@ -366,7 +366,7 @@ mod tests {
     #[test]
     fn feed_forward_has_the_same_colours_as_in_pictures() {
         use crate::plot::colour::{FULL, OFF, WASHOUT};
-        // On a dark background the same hues, lighter.
+        // On a dark background the hues are the same, but lighter.
         for [off, full, washout] in [[OFF, FULL, WASHOUT], ["#56B4E9", "#FF9155", "#3ECDA3"]] {
             assert!(PAGE.contains(&format!("--off: {off}; --full: {full}; --washout: {washout};")), "{off}");
         }

@@ -92,7 +92,7 @@ struct Page {
     outbox: Outbox,
     incoming: VecDeque<Result<FromPage, String>>,
     dropped: u64,
-    /// The page releases the key or turns the motors off; the latter wins.
+    /// Queued release of the key, or motors-off, which replaces a release.
     stop: Option<FromPage>,
     /// Newest message about the page's key, which replaces older ones.
     hold: Option<u32>,
@@ -135,7 +135,7 @@ struct Pages {
     open: BTreeMap<PageId, Page>,
     /// Disconnected pages that the stage knows.
     gone: BTreeSet<PageId>,
-    /// Page of the last event; the next page comes next.
+    /// Page of the last event; the page after it has the next turn.
     last: PageId,
 }
 
@@ -289,7 +289,7 @@ mod tests {
     }
 
     /// A hub with pages that the stage knows.
-    fn hub_with(pages: u64) -> Hub {
+    fn hub_with_pages(pages: u64) -> Hub {
         let hub = Hub::default();
         (0..pages).for_each(|_| assert!(hub.come().is_some()));
         (1..=pages).for_each(|id| assert_eq!(hub.next(), Some(Event::Connected(id))));
@@ -303,7 +303,7 @@ mod tests {
     #[test]
     fn motors_off_comes_first_and_drops_earlier_key_presses() {
         for (page, stop) in [(1, FromPage::Release {}), (1, FromPage::Disarm {}), (2, FromPage::Disarm {})] {
-            let hub = hub_with(3);
+            let hub = hub_with_pages(3);
             for message in [FromPage::Take {}, FromPage::Arm { seen: 1 }, FromPage::Hold { seen: 2 }] {
                 hub.said(1, Ok(message));
             }
@@ -322,7 +322,7 @@ mod tests {
 
     #[test]
     fn a_disconnect_comes_before_the_messages_of_other_pages() {
-        let hub = hub_with(2);
+        let hub = hub_with_pages(2);
         (0..10_000).for_each(|_| hub.said(2, Ok(FromPage::Here {})));
         hub.go(1);
         assert_eq!(hub.next(), Some(Event::Disconnected(1)));
@@ -337,7 +337,7 @@ mod tests {
 
     #[test]
     fn a_flooding_page_takes_turns_and_loses_its_oldest_messages() {
-        let hub = hub_with(2);
+        let hub = hub_with_pages(2);
         (0..100_000).for_each(|number| hub.said(1, Err(number.to_string())));
         hub.said(2, Ok(FromPage::Take {}));
         let events: Vec<Event> = std::iter::from_fn(|| hub.next()).collect();
@@ -350,7 +350,7 @@ mod tests {
 
     #[test]
     fn only_the_newest_hold_message_waits() {
-        let hub = hub_with(1);
+        let hub = hub_with_pages(1);
         (0..1_000).for_each(|seen| hub.said(1, Ok(FromPage::Hold { seen })));
         assert_eq!((hub.next(), hub.next()), (received(1, FromPage::Hold { seen: 999 }), None));
     }

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(tag = "do", rename_all = "kebab-case", deny_unknown_fields)]
 pub enum FromPage {
-    /// The page is still there.
+    /// Report that the page is open.
     Here {},
     /// Take command, if no page has it.
     Take {},
@@ -55,18 +55,18 @@ pub enum FromPage {
         #[serde(default)]
         normal: Option<[f32; 2]>,
     },
-    /// Move the simulated hand to a position, m; without a position it lets go.
+    /// Move the simulated hand to a position, m; without a position the hand releases the tip.
     Hand {
         /// Position in the drawn plane.
         at: Option<[f64; 2]>,
     },
     /// Reset a simulated device and its scene to the start, with the motors off.
     StartOver {
-        /// Pose to use instead of the first, rad.
+        /// Pose to use instead of the initial pose, rad.
         #[serde(default)]
         pose: Option<Vec<f64>>,
     },
-    /// Explain the limiting effects of the nearest wall, with the next boundary.
+    /// Send the limiting effects of the nearest wall with the next boundary.
     Explain {},
     /// Settings of this page's oscilloscope.
     Scope(ScopeRequest),
@@ -124,7 +124,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn messages_are_parsed_and_invalid_ones_are_refused() {
+    fn invalid_messages_are_refused() {
         assert_eq!(FromPage::parse(r#"{"do":"arm","seen":1}"#), Ok(FromPage::Arm { seen: 1 }));
         assert_eq!(FromPage::parse(r#"{"do":"hand","at":null}"#), Ok(FromPage::Hand { at: None }));
         assert_eq!(FromPage::parse(r#"{"do":"start-over"}"#), Ok(FromPage::StartOver { pose: None }));

@@ -346,7 +346,7 @@ mod tests {
         assert!((x + 2.0 * angle.sin()).abs() < 1e-5 && (y - 2.0 * angle.cos()).abs() < 1e-5, "{x} {y}");
     }
 
-    /// The torques Jᵀ n f of a force along the wall's normal push with f along it, and not sideways.
+    /// The torques Jᵀ n f of a force f along the wall's normal push the tip with f along the normal, and not sideways.
     #[test]
     fn a_force_along_the_normal_is_drawn_along_it() {
         let demo = Demo::shipped(1).unwrap();

@@ -242,7 +242,7 @@ mod tests {
         Some(Trigger { channel: "force_n".into(), level: 1.5, rising: true, before: 0.25, once })
     }
 
-    /// A force that is 0, and 2 in the first ten of every hundred rows.
+    /// Adds rows of a force that is 2 in the first ten of every hundred rows, and otherwise 0.
     fn feed(ring: &mut Ring, rows: std::ops::Range<u64>) {
         for row in rows {
             ring.push([if row % 100 < 10 && row >= 100 { 2.0 } else { 0.0 }, row as f32]);

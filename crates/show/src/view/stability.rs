@@ -227,7 +227,7 @@ fn assumptions(request: &PredictionRequest, prediction: &Prediction, model: &Lin
         .map(|compliance| 1.0 / compliance)
         .map(|at_tip| format!(", which leaves {} at the tip along this wall", with_unit(at_tip, "N/m")));
     sentences.push(match (subject.joints, compliant.is_empty()) {
-        (None, _) => "Transmissions: taken for rigid, for no file of this device is known here.".into(),
+        (None, _) => "Transmissions: assumed to be rigid, because no file of this device is known here.".into(),
         (_, true) => "Transmissions: rigid, as in the device file.".into(),
         (_, false) => format!(
             "Transmissions: {} give{} as in the device file{}.",
@@ -250,12 +250,12 @@ fn assumptions(request: &PredictionRequest, prediction: &Prediction, model: &Lin
         sentences.push(format!("Posture: the last link is held by {stiffness}, as in the scene."));
     }
     if model.gain != 1.0 {
-        sentences.push(format!("Feed-forward: {} of equation (4)'s, as in the scene.", digits(model.gain)));
+        sentences.push(format!("Feed-forward: {} times equation (4), as in the scene.", digits(model.gain)));
     }
     sentences.push(match prediction.hand.is_there() {
         true => "Hand: as given.".into(),
         false => {
-            "Hand: none, for neither device file nor scene has one. A light grip mostly quiets a wall.".to_string()
+            "Hand: none, because neither device file nor scene has one. A light grip mostly quiets a wall.".to_string()
         }
     });
     let list = |values: &[f64]| values.iter().map(|value| format!("{value:.2}")).collect::<Vec<_>>().join(", ");

@@ -48,13 +48,13 @@ use walls::check_scene;
 /// Maximum number of events in a turn; those that turn motors off come first ([`Hub::next`]).
 const MAX_EVENTS: usize = 64;
 /// Longest age of the key press, both by the board's steps and by the page's last message, before the motors go off. It
-/// is shorter than the board's own limit ([`haptic_bridge::control::KEY_SECONDS`]), whose end is a fault, by a
-/// heartbeat and a turn of this stage.
+/// is shorter than the board's own limit ([`haptic_bridge::control::KEY_SECONDS`]), which causes a fault; the margin is
+/// a heartbeat and a turn of this stage.
 pub const KEY_TIMEOUT: Duration = Duration::from_millis(400);
-/// Distance from a wall to which the simulated hand moves the tip out of it, m, and time limit of this movement.
+/// Distance out of a wall to which the simulated hand first moves a tip, m, and time limit of this movement.
 const EXIT_DISTANCE: f64 = 0.005;
 const EXIT_TIMEOUT: Duration = Duration::from_secs(2);
-/// How long the page in command may be silent before another page may take command.
+/// Longest silence of the page in command before another page may take command.
 const COMMAND_TIMEOUT: Duration = Duration::from_secs(5);
 /// Interval between pictures: 60 a second.
 const PICTURE_INTERVAL: Duration = Duration::from_micros(16_600);

@@ -10,7 +10,7 @@ use haptic_predict::wall_ahead::wall_ahead;
 use haptic_sim::{BoardOptions, Hand, HandSettings, Intent, Options, SharedBoard, ready_board};
 
 /// Distance of the wall of [`World::demo`] from the tip, m.
-const NEAR: f64 = 0.010;
+const WALL_DISTANCE: f64 = 0.010;
 /// Dry friction of the demo's joints and number of encoder counts, relative to the device file.
 const FRICTION_FACTOR: f64 = 0.1;
 const ENCODER_FACTOR: f64 = 5.0;
@@ -69,12 +69,12 @@ impl World {
         let mut world = Self::start(demo.file.clone(), Some(demo.pose))?;
         world.smooth = true;
         let tip = world.simulated.as_ref().map_or([0.0; 3], |board| board.lock().device().tip());
-        let surface = core::array::from_fn(|i| tip[i] - NEAR * demo.normal[i]);
+        let surface = core::array::from_fn(|i| tip[i] - WALL_DISTANCE * demo.normal[i]);
         world.board.set_scene(&demo.scene(surface, FeedForward::Washout))?;
         Ok(world)
     }
 
-    /// Simulates a device in a scene, or in front of a stable wall that does not rattle.
+    /// Simulates a device in `scene`; without a scene, in front of a stable wall that does not rattle.
     pub fn simulate(file: DeviceFile, scene: Option<Scene<f32>>) -> Result<Self, Failure> {
         let scene = match scene {
             Some(scene) => scene,
@@ -85,8 +85,8 @@ impl World {
         Ok(world)
     }
 
-    /// Starts the device without its weight: with the motors off the simulated hand would not carry it, and with them
-    /// on the board does.
+    /// Starts the device without its weight, because with the motors off the simulated hand could not carry the weight.
+    /// With the motors on the board compensates for it.
     fn start(mut file: DeviceFile, start: Option<[f64; 3]>) -> Result<Self, Failure> {
         let weightless = file.description.gravity.iter().any(|g| *g != 0.0);
         file.description.gravity = [0.0; 3];
@@ -105,7 +105,7 @@ pub fn hand_settings() -> HandSettings {
     HandSettings { tremor: TREMOR, ..HandSettings::default() }
 }
 
-/// Moves the simulated hand to `goal` (m) in the drawn plane, or lets go of the tip.
+/// Moves the simulated hand to `goal` (m) in the drawn plane, or removes it from the tip.
 pub fn lead(board: &SharedBoard, goal: Option<[f64; 2]>) {
     let mut board = board.lock();
     let now = board.time();

@@ -98,7 +98,7 @@ fn fit_line(points: &[(f64, f64)]) -> Result<Fit, NoLine> {
     let rest: f64 = points.iter().map(|p| (p.1 - y - slope * (p.0 - x)).powi(2)).sum();
     let error = (rest / ((count - 2.0) * spread)).sqrt();
     let (low, high) = points.iter().fold((x, x), |(low, high), p| (low.min(p.0), high.max(p.0)));
-    // Depths that differ only by rounding also have a line. The comparison also rejects NaN, the result without motion.
+    // Rejects depths that differ only by rounding errors, and NaN, the result without motion.
     if !(slope > 0.0 && error < MAX_SLOPE_ERROR * slope && high - low > MIN_DEPTH_RANGE * high.abs()) {
         return Err(NoLine::Scattered);
     }

@@ -18,21 +18,21 @@ const MANY_POINTS: usize = 1000;
 const COLOURS: [&str; 4] = [FULL, OFF, WASHOUT, BOUND];
 
 /// Draws the panels, one below the other.
-pub fn draw(title: &str, subtitle: &[String], found: &Analysis, paper: Paper) -> Picture {
+pub fn draw(title: &str, subtitle: &[String], analysis: &Analysis, paper: Paper) -> Picture {
     let page = paper.page(LEFT + SIZE.0 + RIGHT, LEFT);
     let size = (page.wide - page.left - RIGHT, SIZE.1);
     let heading = page.heading(title, subtitle);
     let mut canvas = page.canvas(HEAD + heading.beyond(1));
     heading.draw(&mut canvas);
-    for panel in &found.panels {
+    for panel in &analysis.panels {
         match panel.view {
-            View::Phase if found.together > 2 => {
-                draw_panel(&mut canvas, page.left, size, &smooth_panel(panel, found.together));
+            View::Phase if analysis.rows_per_point > 2 => {
+                draw_panel(&mut canvas, page.left, size, &smooth_panel(panel, analysis.rows_per_point));
             }
             _ => draw_panel(&mut canvas, page.left, size, panel),
         }
     }
-    let views: Vec<&str> = found.panels.iter().map(|panel| panel.y.name.as_str()).collect();
+    let views: Vec<&str> = analysis.panels.iter().map(|panel| panel.y.name.as_str()).collect();
     canvas.finish(title, &format!("A recording: {}.", views.join("; ")))
 }
 

@@ -7,7 +7,7 @@ window.view = view;
 const BUZZES = 0.5, LIMITED = 0.2, DASH = { off: [], full: [9, 4], washout: [2, 3.5] };
 
 // ---- the link -----------------------------------------------------------------------------------------------------
-// The tool, at the other end of a WebSocket; in the page as a file, the library in a worker (clients/page/).
+// Connects to the tool by a WebSocket; in the page as a file, to the library in a worker (clients/page/).
 const carrier = window.playground || (() => new WebSocket("ws://" + location.host + "/live" + location.search));
 let socket = null;
 function say(message) { if (socket && socket.readyState === 1) socket.send(JSON.stringify(message)); }
@@ -47,8 +47,8 @@ function hello(message) {
   askScope();
   if (view.of !== "link" && !$("notice").classList.contains("good")) notice("");
 }
-// A notice disappears with its cause: one about gains after other gains are set, one about the connection after it is
-// back, one about a link with the next link, and the following ones when a picture shows that the cause is over.
+// A notice disappears with its cause: a notice about gains after other gains are set, about the connection after a new
+// connection, about a link with the next link, and the following notices when a picture shows that their cause is over.
 const OVER = {
   inside: p => !(p.numbers.depth > 0), watching: p => p.command === null || p.command === view.you, nobody: p => p.command !== null,
   off: p => p.state === "Armed", fault: p => !p.fault,
@@ -84,7 +84,7 @@ function up(quietly) {
   if (!quietly || (view.last && view.last.held)) say({ do: "release" });
   $("key").classList.remove("down");
 }
-// Space is the key with any focus, except where it may be typed text; Enter ends typing.
+// Space is the key wherever the focus is, except where a space can be typed; Enter ends typing.
 const typing = target => target.matches?.("input[type=number], input[type=text], textarea");
 addEventListener("keydown", event => { if (event.key === "Enter" && typing(event.target)) event.target.blur(); });
 addEventListener("keydown", event => { if (event.code === "Space" && !typing(event.target)) { event.preventDefault(); if (!event.repeat) press(); } });
@@ -131,7 +131,7 @@ function unit(value, name) {
 }
 const inKilograms = value => value < 1 ? digits(value * 1e3) + " g" : digits(value) + " kg";
 function picture(p) {
-  // If pictures leave no time for timers, they replace them. This picture may have arrived after the key was released.
+  // Timers may get no time, so pictures also report a held key. This one may arrive after the key was released.
   hold();
   view.last = p; view.pictures++;
   view.trail.push(...p.trail);
@@ -151,7 +151,7 @@ function picture(p) {
   if (view.down && view.wasHeld && !p.held) up("quietly");
   view.wasHeld = view.down && p.held;
   document.body.dataset.role = mine ? "command" : "watch";
-  // A single page cannot give command to another.
+  // A single page has no other page to give command to.
   const alone = mine && p.pages < 2;
   $("role").textContent = alone ? "" : (mine ? "you command" : p.command ? "another page commands" : "no page commands") + (p.pages > 1 ? `, ${p.pages} pages` : "");
   $("take").textContent = mine ? "Give back" : "Take command"; $("take").hidden = alone;

@@ -37,14 +37,14 @@ function axisOf([low, high], start, end, log, most) {
   return { to: v => start + part(v) * (end - start), ticks,
     from: px => { const at = Math.max(0, (px - start) / (end - start)); return log ? low * (high / low) ** at : at * high; } };
 }
-// Returns the ends of an axis: of all curves, or of the range near the dot. They are round numbers, so that the picture
-// keeps still while the dot is moved.
+// Returns the ends of an axis, for all curves or for the range near the dot. The ends are round numbers, so that the
+// picture keeps still while the dot is moved.
 function ends(gain, top, scale) {
   const all = Math.max(top, gain * 1.3) || 1;
   if (scale === "near") return [0, Math.min(all, roundUp(1.3 * (gain || all / 100), [1, 1.5, 2, 3, 4, 5, 6, 8, 10]))];
   return [scale === "log" ? roundUp(Math.max(Math.min(gain || all / 100, all / 10) / 5, all / 1e5)) : 0, all];
 }
-// Logarithmic axes show a dot that would be in the corner of linear ones.
+// Chooses logarithmic axes if the dot would be in the corner of linear axes.
 let scaledFor = null;
 function chooseScale(wall, kdTop, kpTop) {
   if (scaledFor === view.hello) return;
@@ -57,8 +57,8 @@ function below(boundary, kd) {
 }
 
 // ---- the picture --------------------------------------------------------------------------------------------------
-// Places words where they cover least: `places` are the possible positions, the best first; `points` are those of the
-// curves.
+// Places words where they cover least: `places` are the possible positions, the best first; `points` are the points of
+// the curves.
 function place(c, size, words, places, taken, points, [left, top, right, foot]) {
   const high = 1.3 * size, wide = Math.max(...words.map(line => c.measureText(line).width)) + 4, tall = high * words.length;
   let best = null;
@@ -103,7 +103,7 @@ function drawPlane() {
   c.save(); c.beginPath(); c.rect(left, top, right - left, foot - top); c.clip();
   if (plane) for (const mode of MODES) {
     const mine = wall.feed_forward === mode, [first, second] = plane[mode], curve = [...plane[mode]];
-    // On logarithmic axes the first piece, which is straight, is curved.
+    // The first piece is straight and thus curved on logarithmic axes: adds points.
     if (second) for (let share = .5; share > 1e-3; share /= 2) curve.splice(1, 0, { kd: second.kd * share, kp: first.kp + (second.kp - first.kp) * share });
     const path = curve.map(p => [ax.to(p.kd), Math.min(ay.to(p.kp), foot + 9)]);
     c.strokeStyle = c.fillStyle = palette[mode]; c.lineWidth = mine ? 3 : 1.6; c.setLineDash(DASH[mode].map(long => long * c.lineWidth / 1.5));
@@ -134,7 +134,7 @@ function drawPlane() {
     c.fillStyle = palette[mode + "-name"]; c.font = `${mine ? 700 : 400} ${size}px system-ui, sans-serif`;
     place(c, size, [alike.map(name => NAMES[name]).join(", ")], near.flatMap(i => { const [x, y] = own[i]; return [[x, y, 0, -1], [x + 4, y, 1, -1], [x - 4, y, -1, 1], [x, y, 0, 1]]; }), taken, Object.values(points).flat(), room);
   }
-  // Announced again after a change of gains, not whenever the hand and thus the limit moves.
+  // Announced again after a change of gains, but not when the hand moves and thus the limit changes.
   const state = `${gains}, feed-forward ${NAMES[wall.feed_forward]}${verdict && ": " + verdict}${here ? here.buzzes ? ", tried: it buzzes" : ", tried: quiet" : ""}`;
   if (spoken !== state) { spoken = state; $("dot").textContent = state + (limit === null ? "" : `; limit ${unit(limit, "N/m")} at this damping`); }
   showLimits(plane, wall);
@@ -170,7 +170,7 @@ $("plane").onpointermove = event => {
 };
 $("plane").onpointerup = event => { if (turning) turn(event, true); turning = null; };
 $("plane").onpointercancel = () => { turning = null; };
-// Two percent a press, ten with Shift; from zero a thousandth of the visible range.
+// Each press moves the dot by two percent, with Shift by ten; from zero by a thousandth of the visible range.
 $("plane").onkeydown = event => {
   const [gain, end, up] = { ArrowUp: ["stiffness", 1, true], ArrowDown: ["stiffness", 1], ArrowRight: ["damping", 0, true], ArrowLeft: ["damping", 0] }[event.key] || [];
   const wall = view.walls[view.wall], step = event.shiftKey ? 1.1 : 1.02;

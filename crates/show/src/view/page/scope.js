@@ -43,8 +43,8 @@ function numbers(values) {
   if (values[1] === 2 && $("trigger").value === "hold") return;
   view.sweep = values; view.sweeps++; drawScope();
 }
-// The range of each signal's axis grows with the data and does not shrink, so that a quiet wall looks quiet after one
-// that buzzed.
+// The range of each signal's axis grows with the data and does not shrink, so that a quiet wall looks quiet after a
+// wall that buzzed.
 let axes = {};
 function fit() { axes = {}; view.ghost = null; drawScope(); }
 $("fit").onclick = fit;
@@ -108,7 +108,7 @@ function drawScope() {
 }
 
 // ---- before and after ---------------------------------------------------------------------------------------------
-// The ripple of the pressed wall, compared with that of the previous feed-forward.
+// The ripple of the pressed wall, compared with the ripple under the previous feed-forward.
 let now = null, before = null;
 function compareRipple(p) {
   const wall = view.walls[view.wall], n = p.numbers, pressed = p.state === "Armed" && n.depth > 0 && n.wall === view.wall;

@@ -38,7 +38,7 @@ function follow() {
   const not = why => notice(`Nothing was changed: ${why}`, { of: "link" });
   if (!view.hello.simulated) return not("links set up simulated devices only");
   if (device && ![shown(), view.hello.device].includes(device)) {
-    // Only a lesson's link is known to name shipped files; without a scene it is the demo.
+    // Only lessons are sure to name shipped files; a lesson without a scene uses the demo.
     const [name, scene] = device.split("/"), files = scene ? ` devices/${name}.toml --scene devices/scenes/${name}/${scene}.toml` : "";
     return not(`the link is for ${device}, and this page shows ${shown()}. ${task ? `Show it with: haptic view${files} --port sim` : "Open it where haptic view shows that device and scene."}`);
   }

@@ -40,7 +40,7 @@ const prefersDark = matchMedia("(prefers-color-scheme: dark)");
 prefersDark.onchange = event => theme(event.matches);
 let asked = false;
 function requestDraw() { if (!asked) { asked = true; requestAnimationFrame(() => { asked = false; drawStage(); drawPlane(); }); } }
-// Also if the window keeps its size: a stretched picture has stretched letters, and a single sweep is drawn only once.
+// Also if the window keeps its size: stretching distorts letters, and a single sweep is drawn only once.
 const resized = new ResizeObserver(() => { requestDraw(); drawScope(); });
 for (const id of ["stage", "plane", "scope"]) resized.observe($(id));
 // Returns a cleared canvas, its width, height and letter size in its own pixels; or the picture that is being saved.
@@ -65,7 +65,7 @@ function frame(w, h) {
   // During a drag the picture keeps still, because the position under the pointer would move away from it.
   if (grabbed && view.frame.w === w && view.frame.h === h) return view.frame;
   const g = view.last.geometry;
-  // A wall's point that is near belongs to the picture.
+  // The picture includes the points of walls near the tip.
   const near = view.walls.map(wall => fromTask([wall.values[0], wall.values[1]])).filter(at => Math.hypot(at[0] - g.tip[0], at[1] - g.tip[1]) < 0.12);
   const held = g.springs.map(fromTask).filter(at => Math.hypot(at[0] - g.tip[0], at[1] - g.tip[1]) < 0.12);
   const points = [g.tip, ...g.base, ...g.bars.flat(), ...near, ...held];
@@ -211,7 +211,7 @@ function drawGlow(c, f, g) {
   light.addColorStop(0, palette.force); light.addColorStop(1, "transparent");
   c.save(); c.globalAlpha = Math.min(1, .25 + .375 * Math.log10(power / GLOWS)); c.fillStyle = light; c.beginPath(); c.arc(x, y, 70, 0, 2 * Math.PI); c.fill(); c.restore();
 }
-// The tip's last moments about their mean, magnified: a buzz of a tenth of a millimetre is less than a pixel on the
+// The tip's last positions about their mean, magnified: a buzz of a tenth of a millimetre is less than a pixel on the
 // stage.
 const LENS = 1e-3;
 function drawLens(c, w, h, size) {

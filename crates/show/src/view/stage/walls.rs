@@ -48,7 +48,7 @@ impl Stage {
                 || f64::from(damping) > max.damping.max(TOLERANCE * present.damping))
         {
             let why = format!(
-                "wall {wall} cannot have {requested}: above {} one encoder count, and above {} a slow hand, requires the full \
+                "wall {wall} cannot have {requested}: above {} one encoder count, and above {} a slow hand, needs the full \
                  {} that motors and rules allow here",
                 with_unit(max.stiffness, "N/m"),
                 with_unit(max.damping, "N s/m"),
