@@ -25,7 +25,7 @@ use crate::trace::{Code, Run};
 /// Value of the state in a row of telemetry while armed.
 const ARMED: f64 = 1.0;
 /// Traced time of each case, ns: 500 periods at 20 kHz, with a request of the tasks every 20 ms.
-pub const SPAN: u64 = 25 * MILLISECOND;
+pub const TRACED_NS: u64 = 25 * MILLISECOND;
 
 /// Result of a measured case.
 #[derive(Clone, Debug, PartialEq)]
@@ -49,7 +49,7 @@ pub struct Timing {
 }
 
 impl Case {
-    /// Measures [`SPAN`] of the case at its rate.
+    /// Measures the case at its rate for [`TRACED_NS`].
     ///
     /// # Panics
     ///
@@ -59,7 +59,7 @@ impl Case {
         let mut rig = self.rig(self.rate_hz);
         rig.tool.start_stream(Fields::USUAL, 1).expect("a stream starts");
         rig.run(20 * MILLISECOND);
-        let runs = rig.trace_control(SPAN);
+        let runs = rig.trace_control(TRACED_NS);
         let rows = rig.tool.rows(std::time::Duration::from_millis(10)).expect("rows come");
         // The last two columns are the state and the number of touched walls.
         let in_contact =
