@@ -54,7 +54,8 @@ pub const CASES: &[Case] = &[
     },
     Case { name: "one of two shunts 4 A too high", cause: |board| add_to_shunts(board, 1, 4.0), detected: true },
     // The current of this contact is 0.4 A, which the loop doubles because it measures half. The difference of the two
-    // sensors is still below the tolerance for correct sensors. In a contact of 2.5 N the error is detected (src/inject.rs, CurrentSensor).
+    // sensors is still below the tolerance for correct sensors. In a contact of 2.5 N the error is detected
+    // (src/inject.rs, CurrentSensor).
     Case { name: "one of two shunts shows nothing", cause: |board| scale_shunts(board, 1, 0.0), detected: false },
     Case { name: "a winding open", cause: |board| board.broken.open[0] = true, detected: true },
     Case { name: "a bridge stuck at 40 %", cause: |board| board.broken.stuck_on[0] = Some(0.4), detected: true },

@@ -55,8 +55,8 @@ pub fn scene(head: &str, tip: [f64; 3], task: usize, walls: &[WallAt]) -> String
 }
 
 impl Rig {
-    /// Returns an armed board whose device is homed in front of `walls`. A hand has pushed the tip into the walls for half a
-    /// second with `newtons` along each normal.
+    /// Returns an armed board whose device is homed in front of `walls`. A hand has pushed the tip into the walls for
+    /// half a second with `newtons` along each normal.
     ///
     /// # Panics
     ///

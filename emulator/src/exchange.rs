@@ -1,8 +1,8 @@
 //! A host that sends force requests as fast as the board replies: the number of exchanges per second of the chip's
 //! time.
 //!
-//! The bus is modelled as in usb.rs: full speed, 13 bytes of overhead per packet, no frame boundaries, no other device; a
-//! packet begins as soon as the chip offers or accepts it. The simulated computer polls every [`POLL_INTERVAL`] and
+//! The bus is modelled as in usb.rs: full speed, 13 bytes of overhead per packet, no frame boundaries, no other device;
+//! a packet begins as soon as the chip offers or accepts it. The simulated computer polls every [`POLL_INTERVAL`] and
 //! replies at once; a real computer adds the delays of its USB and scheduler.
 
 use std::collections::VecDeque;

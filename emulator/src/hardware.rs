@@ -26,8 +26,8 @@ use crate::chip::trigger::{REFERENCE_UV, Span};
 use crate::drv8301::Drv8301;
 use crate::plant::{Dummy, Peaks, Plant};
 
-/// Instructions per second of virtual time: 168 MHz at two cycles per instruction. A cycle estimate of a control step on
-/// a Cortex-M4F with hidden flash wait states gives 1.9 to 2.3.
+/// Instructions per second of virtual time: 168 MHz at two cycles per instruction. A cycle estimate of a control step
+/// on a Cortex-M4F with hidden flash wait states gives 1.9 to 2.3.
 pub const INSTRUCTIONS_PER_SECOND: NonZeroU64 = NonZeroU64::new(84_000_000).expect("not zero");
 
 /// Time between two steps of the plant without a carrier, ns: half a period of the slowest carrier.

@@ -181,7 +181,7 @@ pub fn sustains_plane(case: &Case, rate_hz: u32) -> bool {
 ///
 /// If the link breaks.
 #[must_use]
-pub fn sustains_cuts(case: &Case, rate_hz: u32) -> bool {
+pub fn sustains_force_limit(case: &Case, rate_hz: u32) -> bool {
     let mut rig = case.rig(rate_hz);
     let mut rules = rig.tool.rules().expect("the board replies");
     rules.limits.tip_force = 0.2;

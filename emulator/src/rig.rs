@@ -158,8 +158,8 @@ impl Rig {
         rig
     }
 
-    /// Loosens the rules for tests, in which no person can be hurt: the board does not watch the host, because virtual time
-    /// passes without messages, and the force limit at the tip is the largest.
+    /// Loosens the rules for tests, in which no person can be hurt: the board does not watch the host, because virtual
+    /// time passes without messages, and the force limit at the tip is the largest.
     ///
     /// # Panics
     ///

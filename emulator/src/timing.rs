@@ -15,7 +15,7 @@ use crate::contact::{WallAt, scene};
 use crate::cycles::{Flash, estimate};
 use crate::image::CONTROL_INTERRUPT;
 use crate::load::{
-    highest_for, highest_rate, rows_without_loss, set_free_scene, sustains_cuts, sustains_plane, sustains_scenes,
+    highest_for, highest_rate, rows_without_loss, set_free_scene, sustains_force_limit, sustains_plane, sustains_scenes,
 };
 use crate::rig::{Rig, device_file, firmware};
 use crate::run::MILLISECOND;
@@ -286,7 +286,7 @@ pub fn rates() -> String {
         let cell = |found: Option<u32>| found.map_or("none".to_owned(), |found| found.to_string());
         let (highest, lossless) = (cell(highest_rate(case)), cell(rows_without_loss(case)));
         let (scenes, plane) = (cell(highest_for(case, sustains_scenes)), cell(highest_for(case, sustains_plane)));
-        let cuts = cell(highest_for(case, sustains_cuts));
+        let cuts = cell(highest_for(case, sustains_force_limit));
         text += &csv_line([&case.name(), &highest, rate, &scenes, &plane, &cuts, &lossless, rows]);
     }
     text

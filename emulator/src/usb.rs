@@ -25,8 +25,8 @@ const ADDRESS: u8 = 5;
 /// Maximum length of a full-speed bulk packet, bytes.
 const PACKET: usize = 64;
 
-/// Returns the duration of a packet of `bytes` on the bus at 12 Mbit/s, ns. Token, data and handshake packets with their
-/// gaps add about 13 bytes.
+/// Returns the duration of a packet of `bytes` on the bus at 12 Mbit/s, ns. Token, data and handshake packets with
+/// their gaps add about 13 bytes.
 fn bus_time(bytes: usize) -> u64 {
     (bytes as u64 + 13) * 8 * 1000 / 12
 }

@@ -18,7 +18,8 @@ pub struct Outcome {
     pub record: FaultRecord,
     /// Control periods from the cause until the bridges float.
     pub from_cause: u32,
-    /// Control periods from the step that detected the fault until the bridges float; `None` if the chip restarted, which resets the count.
+    /// Control periods from the step that detected the fault until the bridges float; `None` if the chip restarted,
+    /// which resets the count.
     pub from_seen: Option<u32>,
 }
 

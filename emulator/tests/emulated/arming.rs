@@ -11,7 +11,8 @@ use haptic_emulator::rig::Rig;
 use haptic_emulator::run::{MILLISECOND, SECOND};
 use haptic_sim::Support;
 
-/// Largest current before any torque is commanded, A: the interrupt switches the bridges on some ticks after the extreme.
+/// Largest current before any torque is commanded, A: the interrupt switches the bridges on some ticks after the
+/// extreme.
 const MAX_CURRENT: f64 = 0.2;
 
 #[test]

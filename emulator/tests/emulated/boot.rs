@@ -32,7 +32,7 @@ fn check_serial_port(rig: &Rig) {
 
 fn check_register_models(rig: &Rig) {
     let gaps = rig.with(|stopped| stopped.gaps());
-    // At boot the firmware writes to the bridges' registers before their clocks run, which a chip ignores. SYSCFG and
+    // At boot the firmware switches the bridges off before their clocks run; a chip ignores these writes. SYSCFG and
     // EXTI only store values that the hardware around the chip reads.
     let real: Vec<_> = gaps
         .into_iter()

@@ -67,8 +67,8 @@ fn torques_on_the_chip_equal_the_librarys_bit_for_bit() {
         while rows.len() < 5_000 {
             rows.extend(rig.tool.rows(Duration::from_millis(300)).expect("rows come"));
         }
-        // Arming needs 35 ms to make the gate drivers ready. Meanwhile the link is not served and the device is at rest,
-        // so only rows of this time may be lost.
+        // Arming needs 35 ms to make the gate drivers ready. Meanwhile the link is not served and the device is at
+        // rest, so only rows of this time may be lost.
         let arming = rows.iter().position(is_armed).expect("it arms");
         assert!(rows[arming..].windows(2).all(|pair| pair[1].step == pair[0].step + 1), "{name}: a step is missing");
 

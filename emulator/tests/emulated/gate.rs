@@ -1,5 +1,5 @@
-//! One session with each release image, from power-on to a fault. Of the tests on the chip, only these are part of every
-//! test run; the other modules test the same functions in detail.
+//! One session with each release image, from power-on to a fault. Of the tests on the chip, only these are part of
+//! every test run; the other modules test the same functions in detail.
 
 use std::time::Duration;
 

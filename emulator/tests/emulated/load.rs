@@ -3,7 +3,7 @@
 use haptic_bridge::board::telemetry::Fields;
 use haptic_bridge::safety::fault::Fault;
 use haptic_emulator::cases::{CASES, SCENES};
-use haptic_emulator::load::{run, sustains_cuts, sustains_scenes};
+use haptic_emulator::load::{run, sustains_force_limit, sustains_scenes};
 use haptic_emulator::run::{MICROSECOND, MILLISECOND};
 
 #[test]
@@ -58,7 +58,7 @@ fn three_joints_miss_no_period_when_rows_are_lost() {
 /// A new scene causes the longest work while the motors are on: checking that the tip touches no new wall, installing
 /// the scene, and half a second of fading torques.
 #[test]
-fn new_scenes_cost_an_armed_board_no_crest() {
+fn new_scenes_make_an_armed_board_miss_no_crest() {
     for (case, rate_hz) in [(&CASES[0], 30_000), (&CASES[2], 25_000), (&CASES[4], 25_000), (&CASES[4], 20_000)] {
         assert!(sustains_scenes(case, rate_hz), "{} at {rate_hz} Hz", case.name());
     }
@@ -66,9 +66,9 @@ fn new_scenes_cost_an_armed_board_no_crest() {
 
 /// A force limit that reduces the force needs about 300 additional instructions in every step, for as long as it acts.
 #[test]
-fn a_limit_that_cuts_every_step_costs_no_period() {
+fn a_force_limit_in_every_step_makes_a_board_miss_no_period() {
     for (case, rate_hz) in [(&CASES[0], 40_000), (&CASES[2], 30_000), (&CASES[4], 30_000)] {
-        assert!(sustains_cuts(case, rate_hz), "{} at {rate_hz} Hz", case.name());
+        assert!(sustains_force_limit(case, rate_hz), "{} at {rate_hz} Hz", case.name());
     }
 }
 

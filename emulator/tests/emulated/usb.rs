@@ -191,8 +191,8 @@ fn recorded(rig: &mut Rig, work: impl FnOnce(&mut Rig)) -> Vec<Vec<u8>> {
     sent.split_inclusive(|byte| *byte == 0).filter(|frame| frame.len() > 1).map(<[u8]>::to_vec).collect()
 }
 
-/// Returns a burst of one of five kinds: silence, noise, random frames, changed requests, or some changed requests among
-/// unchanged ones.
+/// Returns a burst of one of five kinds: silence, noise, random frames, changed requests, or some changed requests
+/// among unchanged ones.
 fn burst(random: &mut Random, requests: &[Vec<u8>]) -> Vec<u8> {
     let mut below = |end: usize| random.bits() as usize % end;
     // The longest burst is longer than the port can transfer until the next.

@@ -18,12 +18,12 @@ use haptic_sim::{BoardOptions, Options, SharedBoard, SimulatedBoard};
 use haptic_sim::{Hand, HandSettings, Intent, Waypoint};
 use haptic_stability::analysis::plant::Linearised;
 
-/// Returns a rig armed in front of a wall at the distance `inside` (m), and the wall's y coordinate (m). Friction is off,
+/// Returns a rig armed in front of a wall at `distance` (m), and the wall's y coordinate (m). Friction is off,
 /// so that only the wall holds the hand.
-fn armed_near_wall(feed_forward: &str, inside: f64) -> (Rig, f64) {
+fn armed_near_wall(feed_forward: &str, distance: f64) -> (Rig, f64) {
     let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |options| options.friction = false);
     let tip = rig.with_simulated(|device| device.tip());
-    let height = tip[1] + inside;
+    let height = tip[1] + distance;
     rig.load(&format!(
         "[[wall]]\npoint = [0.0, {height}]\nnormal = [0.0, -1.0]\nstiffness = 2000.0\ndamping = 6.0\nfeed_forward = \"{feed_forward}\"\n"
     ));
@@ -239,7 +239,8 @@ struct Sample {
     saturated: Vec<(f64, f64)>,
 }
 
-/// Measures samples while a firm hand slowly leads the tip 6 mm into a wall of 2 kN/m, with motors limited to `torque` (N m).
+/// Measures samples while a firm hand slowly leads the tip 6 mm into a wall of 2 kN/m, with motors limited to `torque`
+/// (N m).
 fn measure_pressed(
     kind: BoardKind,
     name: &str,

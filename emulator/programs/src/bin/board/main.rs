@@ -59,8 +59,8 @@ fn parse(mut words: impl Iterator<Item = String>) -> Option<Arguments> {
     Some(arguments)
 }
 
-/// Writes a copy of the device file at `path` that can be armed: with motor data marked as verified, and with joint limits
-/// where the file has none. This is safe because the board has no real motors.
+/// Writes a copy of the device file at `path` that can be armed: with motor data marked as verified, and with joint
+/// limits where the file has none. This is safe because the board has no real motors.
 fn ready_to_arm(path: &Path, file: &DeviceFile) -> std::io::Result<PathBuf> {
     let text = std::fs::read_to_string(path)?;
     let mut joints = file.description.joints.iter();
