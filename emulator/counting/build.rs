@@ -1,4 +1,4 @@
-//! Passes the linker's arguments, and its map of the chip: memory.x at the root of the repository.
+//! Passes arguments to the linker, and the chip's memory map: memory.x at the root of the repository.
 
 use std::{env, fs, path::PathBuf};
 

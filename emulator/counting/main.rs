@@ -91,7 +91,7 @@ const TERMS: &[(&str, Walls, FeedForward, VelocityTerms)] = &[
     ("spring beside, none", Walls::OneAndSpring, FeedForward::Off, VelocityTerms::Off),
     ("spring beside, washout", Walls::OneAndSpring, FeedForward::Washout, VelocityTerms::Off),
 ];
-/// Points of a table along each coordinate, and its reach from home, rad.
+/// Number of points of a table along each coordinate, and half the width of the table around home, rad.
 const POINTS: u8 = 10;
 const RANGE: f32 = 0.6;
 /// Steps before the counted step: the joints start a few counts away, so velocities are not zero. The longest run-up
@@ -101,7 +101,7 @@ const LONG_RUN_UP: i32 = MAX_WINDOW as i32 + RUN_UP;
 
 #[cortex_m_rt::entry]
 fn main() -> ! {
-    // The variants use much stack, with several controllers at once, so the stack starts at the free end of the memory.
+    // The variants use much stack (several controllers at once), so the stack starts at the end of the RAM.
     // SAFETY: nothing of this function is used afterwards, and nothing else is stored there (memory.x).
     unsafe { core::arch::asm!("mov sp, {top}", "b {run}", top = in(reg) 0x2002_0000, run = sym run, options(noreturn)) }
 }
@@ -156,8 +156,8 @@ fn variants<M: Mechanism<f32, N>, K: Math<f32>, const N: usize>(
             _ => MassModel::table::<M>(&grid, &values).unwrap_or_default(),
         };
         for (term, walls, feed_forward, velocity_terms) in TERMS {
-            // Other scenes are counted only with the board's own trigonometry, and all except the ball only with the
-            // closed form.
+            // Scenes other than one plane are counted only with the board's own trigonometry and, except the ball, only
+            // with the exact mass matrix.
             let shipped = K::NAME == Tabulated::NAME && (kind == "exact" || *walls == Walls::Ball);
             if *walls != Walls::One && !shipped {
                 continue;

@@ -1,5 +1,5 @@
-//! Injected errors of sensors and motors, at three control rates and ten instants of the control period each: the time
-//! until the bridges float, and the motion that a hand in the device would have felt until then.
+//! Injects errors of sensors and motors, at three control rates and at ten instants of the control period. Measures the
+//! time until the bridges float, and the motion that a hand on the device would feel until then.
 
 use std::collections::BTreeSet;
 
@@ -42,7 +42,7 @@ pub const CASES: &[Case] = &[
     Case { name: "current sensors 4 A too low", cause: |board| add_to_shunts(board, 2, -4.0), detected: true },
     Case { name: "current sensors stuck at 0 A", cause: |board| scale_shunts(board, 2, 0.0), detected: true },
     Case { name: "current sensors show a quarter", cause: |board| scale_shunts(board, 2, 0.25), detected: true },
-    // A current that stays at the requested value contradicts nothing as long as nothing changes.
+    // A frozen current equals the requested current until the request changes, so the board cannot detect it at rest.
     Case { name: "current sensors frozen, hand at rest", cause: freeze, detected: false },
     Case {
         name: "current sensors frozen, hand moves",
@@ -53,8 +53,9 @@ pub const CASES: &[Case] = &[
         detected: false,
     },
     Case { name: "one of two shunts 4 A too high", cause: |board| add_to_shunts(board, 1, 4.0), detected: true },
-    // The 0.4 A of this contact, doubled by a loop that sees half of it, are less than the permitted difference of two
-    // correct sensors. In a contact of 2.5 N the error is detected (src/inject.rs, CurrentSensor).
+    // The current of this contact is 0.4 A, which the loop doubles because it measures half. The difference of the two
+    // sensors is still below the tolerance for correct sensors. In a contact of 2.5 N the error is detected
+    // (src/inject.rs, CurrentSensor).
     Case { name: "one of two shunts shows nothing", cause: |board| scale_shunts(board, 1, 0.0), detected: false },
     Case { name: "a winding open", cause: |board| board.broken.open[0] = true, detected: true },
     Case { name: "a bridge stuck at 40 %", cause: |board| board.broken.stuck_on[0] = Some(0.4), detected: true },
@@ -108,7 +109,7 @@ pub const CASES: &[Case] = &[
     },
 ];
 
-/// Makes the first `count` shunts of the first motor show a share of its current.
+/// Makes the first `count` shunts of the first motor show `gain` times the motor's current.
 fn scale_shunts(board: &mut Hardware, count: usize, gain: f64) {
     board.broken.sensor_gain[..count].fill(gain);
 }
@@ -131,7 +132,7 @@ fn swap(board: &mut Hardware) {
     board.broken.swapped_at = Some([first, second]);
 }
 
-/// Starts a hand that moves the tip along the wall, with the force that it pushes with.
+/// Lets the hand also move the tip along the wall while it keeps pushing.
 fn drag(board: &mut Hardware) {
     if let Some(device) = board.plant.device() {
         push(device, [PUSH, PUSH, 0.0], 0.02);
@@ -192,7 +193,7 @@ impl Campaign {
         rig.tool.home().expect("the device is at rest");
         if !rig.tool.status().expect("the board replies").polarity {
             // Counts were lost, so the home pose has other counts now.
-            rig.check_hanging();
+            rig.check_polarity_suspended();
             rig.with_simulated(move |device| {
                 device.place(home);
                 hold(device);

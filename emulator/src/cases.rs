@@ -52,7 +52,7 @@ impl SceneKind {
             Self::Ball => vec![WallAt { radius: Some(0.03), ..one }],
             Self::Corner => {
                 let other = WallAt::facing([-1.0, 0.0, 0.0]);
-                // With equal stiffness there would be nothing to shape.
+                // Walls of equal stiffness need no shaping, so the stiffness differs.
                 vec![one, WallAt { stiffness: 0.5 * other.stiffness, ..other }]
             }
         }

@@ -1,4 +1,4 @@
-//! The microcontroller: rigless' STM32F427 turned into the STM32F405 of the boards.
+//! The microcontroller: rigless' model of the STM32F427, changed to the STM32F405 of the boards.
 //!
 //! Unchanged from rigless: the core, RCC, PWR, GPIO, timers, converters, SPI, DMA, watchdog. Replaced: the memory
 //! sizes, the contents of the flash array ([`flash`]), the USB core in device mode ([`otg`]), and the connections from

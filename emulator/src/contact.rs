@@ -7,7 +7,7 @@ use haptic_host::device_file::DeviceFile;
 use haptic_sim::Support;
 
 use crate::boards::Wiring;
-use crate::hands::{hang, hold, push};
+use crate::hands::{hold, push, suspend_device};
 use crate::rig::Rig;
 use crate::run::{MILLISECOND, SECOND};
 
@@ -55,8 +55,8 @@ pub fn scene(head: &str, tip: [f64; 3], task: usize, walls: &[WallAt]) -> String
 }
 
 impl Rig {
-    /// Returns a board whose device is homed, held and armed in front of `walls`, and was pushed into them for half a
-    /// second with `newtons` along each normal.
+    /// Returns an armed board whose device is homed in front of `walls`. A hand has pushed the tip into the walls for
+    /// half a second with `newtons` along each normal.
     ///
     /// # Panics
     ///
@@ -77,8 +77,8 @@ impl Rig {
         rig
     }
 
-    /// Loads the device with a scene without walls, homes it while it is held still, and checks its polarity; then a
-    /// firm hand holds it. Returns the counts at homing.
+    /// Loads the device with a scene without walls, homes the device at rest and checks its polarity. Then a
+    /// firm hand holds the device. Returns the counts at homing.
     ///
     /// # Panics
     ///
@@ -88,24 +88,24 @@ impl Rig {
         self.with_simulated(|device| device.set_support(Support::Held));
         let home = self.counts();
         self.tool.home().expect("the device can be homed");
-        self.check_hanging();
+        self.check_polarity_suspended();
         self.with_simulated(hold);
         self.run(300 * MILLISECOND);
         home
     }
 
-    /// Checks the polarity while the device hangs.
+    /// Checks the polarity while a rubber band carries the device.
     ///
     /// # Panics
     ///
     /// If the board refuses the request, or the check fails.
-    pub fn check_hanging(&mut self) {
-        self.with_simulated(hang);
+    pub fn check_polarity_suspended(&mut self) {
+        self.with_simulated(suspend_device);
         self.check_polarity();
         self.with_simulated(|device| device.set_support(Support::None));
     }
 
-    /// Returns the encoder counts of the board, which do not include turns before it started.
+    /// Returns the encoder counts of the board, which do not include motion before the board started.
     fn counts(&mut self) -> [i32; 3] {
         self.tool.start_stream(Fields(Field::Counts.bit()), 1).expect("a stream starts");
         let mut rows = Vec::new();

@@ -48,7 +48,7 @@ pub fn count(firmware: &Firmware, seconds: u64) -> Result<Vec<(String, u64)>, St
     };
     let emulator = |error: &dyn Display| format!("the emulator stopped: {error}");
     let hardware = Hardware::bare().map_err(|error| emulator(&error))?;
-    // Watches can be set only at a stop, so the first stop comes at once.
+    // Watches can be set only while the emulator is stopped, so it stops first after 1 ns.
     let session = Session::new(Box::new(hardware), 0, VirtualNanos(1)).map_err(|error| emulator(&error))?;
     let images = [firmware.image().map_err(|error| emulator(&error))?];
     let finished = emulator::run(session, &Start::new(&images), driver).map_err(|error| emulator(&error))?;

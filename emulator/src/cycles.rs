@@ -2,8 +2,8 @@
 //! STM32F405 at 168 MHz.
 //!
 //! The core follows the instruction timings of ARM's Cortex-M4 technical reference manual (r0p1, sections 3.3 and
-//! 7.2.3). A load after a load is pipelined; a taken branch refills the pipeline in two cycles, of the one to three in
-//! the manual; a skipped instruction counts as executed. The flash has five wait states per line of sixteen bytes, and
+//! 7.2.3). A load after a load is pipelined; a taken branch refills the pipeline in two cycles (one to three in
+//! the manual); a skipped instruction counts as executed. The flash has five wait states per line of sixteen bytes, and
 //! an accelerator that hides them (RM0090 sections 3.5.1 and 3.5.2): a cache of 64 instruction lines, a cache of 8
 //! lines of constants, and a prefetch of the line after the present line. A running fetch ends before the next begins.
 //! The caches are empty at the first instruction. SRAM and registers reply at once; the bus load of DMA and USB is not
@@ -65,8 +65,7 @@ impl Cost {
     }
 }
 
-/// Returns the address of the constant `words` words after the word that follows `at`'s, as PC-relative instructions
-/// address it.
+/// Returns the address from which a PC-relative load at `at` with an offset of `words` words reads.
 fn constant(at: u32, words: u16) -> Option<u32> {
     Some((at & !3).wrapping_add(4).wrapping_add(4 * u32::from(words)))
 }
@@ -95,7 +94,7 @@ fn wide(first: u16, second: u16, at: u32) -> Cost {
         _ if first & 0xFE40 == 0xE800 => Cost::of(4, 1 + u64::from(second.count_ones())),
         0xE8D0..=0xE8DF if second & 0xFFE0 == 0xF000 => Cost::of(4, 2),
         _ if first & 0xFE40 == 0xE840 => Cost::of(4, 3),
-        // VLDR, VSTR; VMOV of two; VLDM, VSTM.
+        // VLDR, VSTR; VMOV of two registers; VLDM, VSTM.
         _ if first & 0xFF20 == 0xED00 => match (loads, first & 0xF) {
             (true, 0xF) => Cost::load(4, constant(at, second & 0xFF)),
             (true, _) => Cost::load(4, None),
@@ -139,14 +138,14 @@ fn arithmetic(first: u16, second: u16) -> Cost {
 struct Lines(VecDeque<u32>);
 
 impl Lines {
-    /// Returns true if `line` is cached. Makes it the newest of at most `most` lines.
-    fn use_line(&mut self, line: u32, most: usize) -> bool {
+    /// Returns true if `line` is cached. Makes it the newest line; the cache holds at most `capacity` lines.
+    fn use_line(&mut self, line: u32, capacity: usize) -> bool {
         let place = self.0.iter().position(|&kept| kept == line);
         if let Some(place) = place {
             self.0.remove(place);
         }
         self.0.push_front(line);
-        self.0.truncate(most);
+        self.0.truncate(capacity);
         place.is_some()
     }
 }

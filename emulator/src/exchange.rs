@@ -1,8 +1,8 @@
 //! A host that sends force requests as fast as the board replies: the number of exchanges per second of the chip's
 //! time.
 //!
-//! The bus is that of usb.rs: full speed, 13 bytes of overhead per packet, no frame boundaries, no other device; a
-//! packet begins as soon as the chip offers or accepts it. The simulated computer polls every [`POLL_INTERVAL`] and
+//! The bus is modelled as in usb.rs: full speed, 13 bytes of overhead per packet, no frame boundaries, no other device;
+//! a packet begins as soon as the chip offers or accepts it. The simulated computer polls every [`POLL_INTERVAL`] and
 //! replies at once; a real computer adds the delays of its USB and scheduler.
 
 use std::collections::VecDeque;
@@ -42,9 +42,9 @@ pub struct Exchanges {
     pub armed: bool,
 }
 
-/// Sends for `milliseconds` a small force that changes with every exchange, and `contact`, while every `divider`th
-/// step's `fields` are streamed (no stream if 0). `ahead` is the maximum number of requests without a reply, 1 for lock
-/// step.
+/// Sends a small force, different in every exchange, together with `contact` for `milliseconds`. Meanwhile the board
+/// streams `fields` of every `divider`th step (no stream if 0). `ahead` is the maximum number of requests without a
+/// reply; 1 waits for each reply.
 ///
 /// # Panics
 ///

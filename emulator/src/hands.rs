@@ -20,9 +20,9 @@ pub fn hold(device: &mut SimulatedDevice) {
     device.set_hand(Hand::new(firm(), Intent::Follow(path), device.tip(), device.time()));
 }
 
-/// Hangs a device for the polarity check: carried without inertia, and held lightly by a rubber band, because a free
-/// device drifts if a sensor has a zero offset.
-pub fn hang(device: &mut SimulatedDevice) {
+/// Suspends a device for the polarity check: its weight is carried without inertia, and a rubber band holds it lightly,
+/// because a free device drifts if a sensor has a zero offset.
+pub fn suspend_device(device: &mut SimulatedDevice) {
     let band = HandSettings { grip_stiffness: 5.0, grip_damping: 0.5, ..firm() };
     let path = vec![Waypoint { time: 0.0, value: device.tip() }];
     device.set_support(Support::Carried);

@@ -26,8 +26,8 @@ use crate::chip::trigger::{REFERENCE_UV, Span};
 use crate::drv8301::Drv8301;
 use crate::plant::{Dummy, Peaks, Plant};
 
-/// Instructions per second of virtual time: 168 MHz at two cycles per instruction, the middle of the 1.9 to 2.3 from a
-/// cycle estimate of a control step on a Cortex-M4F with hidden flash wait states.
+/// Instructions per second of virtual time: 168 MHz at two cycles per instruction. A cycle estimate of a control step
+/// on a Cortex-M4F with hidden flash wait states gives 1.9 to 2.3.
 pub const INSTRUCTIONS_PER_SECOND: NonZeroU64 = NonZeroU64::new(84_000_000).expect("not zero");
 
 /// Time between two steps of the plant without a carrier, ns: half a period of the slowest carrier.
@@ -65,18 +65,18 @@ pub struct Hardware {
     pub plant: Box<dyn Plant>,
     /// True if the fault line is held low from outside.
     pub fault_line_shorted: bool,
-    /// True for each encoder with pulled plugs: its lines do not change.
+    /// For each encoder, true if its plug is pulled: its lines do not change.
     pub encoders_unplugged: [bool; 3],
     /// Number of edges of each encoder that its timer will still miss.
     pub edges_lost: [u32; 3],
-    /// True if the chip's pin at the bus divider has no wire from the next start on.
+    /// True if the wire from the bus divider to the chip's pin is cut; takes effect at the next start.
     pub bus_cut: bool,
     /// Other injected errors.
     pub broken: BoardFaults,
     /// Largest current, speed and travel since the last reset of this field.
     pub peaks: Peaks,
     encoders: [EncoderDrive; 3],
-    /// Number of samples of the encoders.
+    /// Number of times that the encoders were sampled.
     samples: u64,
     next_step: u64,
     drives: [MotorInput; 3],
@@ -169,13 +169,13 @@ impl Hardware {
         model.level(pin, registers)
     }
 
-    /// Advances the board at a stop at `at`, and returns the time of the next stop that it needs.
+    /// Advances the board to the time `at` of a stop. Returns the time of the next stop that the board needs.
     pub fn step(&mut self, at: VirtualNanos) -> Option<VirtualNanos> {
         let wiring = self.wiring?;
         if self.restarts_seen != Some(self.chip.restarts) {
             self.restarts_seen = Some(self.chip.restarts);
             self.break_level = None;
-            // The encoders have not moved; a chip that starts finds their levels.
+            // A starting chip must find the levels of encoders that have not moved.
             for (axis, wires) in wiring.encoders.iter().enumerate() {
                 self.show_phase(at, axis, wires);
             }

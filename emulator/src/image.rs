@@ -25,7 +25,7 @@ pub struct Firmware {
     text: (u64, u64),
 }
 
-/// A symbol: its address (for functions without the Thumb bit) and size.
+/// Address (of a function: without the Thumb bit) and size of a symbol.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Symbol {
     /// Address of the first byte.
@@ -97,7 +97,7 @@ impl Firmware {
         &self.path
     }
 
-    /// Returns the address range of the code, without its end.
+    /// Returns the start address of the code and the address after its end.
     #[must_use]
     pub fn text(&self) -> (u64, u64) {
         self.text

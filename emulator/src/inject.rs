@@ -48,7 +48,7 @@ pub enum Injection {
 }
 
 const FIVE_BAR: &str = "pantograph-mk2";
-/// A stiffness, N/m, whose bits no other word in RAM has.
+/// A stiffness, N/m, whose bit pattern no other word in RAM has.
 const MARKER_STIFFNESS: f32 = 517.25;
 /// Address of a word of the stack.
 const STACK_WORD: u64 = 0x2000_4000;
@@ -90,7 +90,7 @@ fn push_tip(rig: &Rig, force: [f64; 3]) {
     rig.with_simulated(move |device| push(device, force, 0.05));
 }
 
-/// Returns an armed rig in contact with a connection from the clock security system to the core.
+/// Returns an armed rig in contact, with the clock security system connected to the core's non-maskable interrupt.
 fn rig_with_nmi_wire() -> Rig {
     let rig = rig_in_contact();
     wire_to_nmi(&rig);
@@ -182,7 +182,7 @@ pub fn injection(fault: Fault) -> Injection {
             2_000,
         ),
         Fault::OverCurrent => chip(
-            "a current sensor shows 8 A more",
+            "a current sensor shows 8 A too much",
             rig_in_contact,
             |rig| {
                 rig.with(|stopped| stopped.hardware().broken.sensor_offset[..2].fill(8.0));
@@ -228,7 +228,7 @@ pub fn injection(fault: Fault) -> Injection {
             5,
         ),
         Fault::NotFinite => chip(
-            "a stiffness in RAM overwritten with no number",
+            "a stiffness in RAM overwritten with NaN",
             || {
                 let mut rig = rig_in_contact();
                 let feed_forward = FeedForward::Full;
@@ -251,7 +251,7 @@ pub fn injection(fault: Fault) -> Injection {
             chip("a hand pulls the linkage straight", rig_without_limits, |rig| push_tip(rig, [0.0, -3.0, 0.0]), 4_000)
         }
         Fault::HostLost => chip(
-            "no message for 0.1 s where the rules ask for one",
+            "no message from the host for the 0.1 s that the rules allow",
             rig_in_contact,
             |rig| {
                 rules(rig, |rules| {
@@ -268,7 +268,7 @@ pub fn injection(fault: Fault) -> Injection {
             500,
         ),
         Fault::StackOverflow => chip(
-            "a task that pushes for ever",
+            "a task that pushes registers in an infinite loop",
             rig_in_contact,
             |rig| run_instead(rig, SUPERVISOR, |_| vec![0xE7FD_B4FF]),
             500,
@@ -316,7 +316,7 @@ pub fn injection(fault: Fault) -> Injection {
             5,
         ),
         Fault::PowerLimit => chip(
-            "a hand that lets go of a wall where 1 mW is allowed",
+            "a hand that releases a wall while 1 mW is allowed",
             rig_in_contact,
             |rig| {
                 rules(rig, |rules| rules.limits.power = 0.001);
@@ -325,7 +325,7 @@ pub fn injection(fault: Fault) -> Injection {
             500,
         ),
         Fault::KeyReleased => chip(
-            "a key that is not seen down again",
+            "a key that is not reported as held again",
             rig_in_contact,
             |rig| {
                 rules(rig, |rules| rules.host_seconds = 0.1);
@@ -347,7 +347,7 @@ pub fn injection(fault: Fault) -> Injection {
             10_000,
         ),
         Fault::PolarityNoMotion => chip(
-            "a device that is held fast",
+            "a device that a firm hand holds",
             disarmed_rig,
             |rig| {
                 rig.with_simulated(hold);
@@ -357,7 +357,7 @@ pub fn injection(fault: Fault) -> Injection {
             10_000,
         ),
         Fault::TorqueMismatch => chip(
-            "current sensors that show two thirds, in the check of polarity",
+            "current sensors that show two thirds of the current, in the polarity check",
             disarmed_rig,
             |rig| {
                 rig.with(|stopped| stopped.hardware().broken.sensor_gain[..2].fill(0.67));
@@ -366,7 +366,7 @@ pub fn injection(fault: Fault) -> Injection {
             30_000,
         ),
         Fault::ResistanceMismatch => chip(
-            "a winding with twice the resistance of the file, in the check of polarity",
+            "a winding with twice the resistance in the file, in the polarity check",
             || rig_with_other_motor(|motor| motor.resistance *= 2.0),
             |rig| rig.tool.check_polarity().expect("the check starts"),
             30_000,
@@ -390,7 +390,7 @@ pub fn injection(fault: Fault) -> Injection {
             5,
         ),
         Fault::ForceLimit => chip(
-            "current sensors show 0.5 A more where 0.1 N are allowed at the tip",
+            "current sensors show 0.5 A too much while 0.1 N is allowed at the tip",
             || {
                 let mut rig = free_rig();
                 rules(&mut rig, |rules| rules.limits.tip_force = 0.1);
@@ -422,7 +422,7 @@ pub fn injection(fault: Fault) -> Injection {
             50,
         ),
         Fault::DriverReset => chip(
-            "a gate driver forgets its registers where nothing pushes",
+            "a gate driver that loses its settings while nothing pushes",
             free_rig,
             |rig| {
                 rig.with(|stopped| stopped.hardware().driver(0).forget());
@@ -430,7 +430,7 @@ pub fn injection(fault: Fault) -> Injection {
             50,
         ),
         Fault::StrayCurrent => chip(
-            "a bridge that stands at 20 % before arming",
+            "a bridge stuck at a duty of 20 % before arming",
             disarmed_rig,
             |rig| {
                 rig.with(|stopped| stopped.hardware().broken.stuck_on[0] = Some(0.2));
@@ -468,13 +468,13 @@ pub fn injection(fault: Fault) -> Injection {
             500,
         ),
         Fault::WrongBoard => chip(
-            "the chip's pin at the bus divider cut off, then a reset",
+            "the wire from the bus divider to the chip's pin cut, then a reset",
             disarmed_rig,
             |rig| change_and_reset(rig, |stopped| stopped.hardware().bus_cut = true),
             500,
         ),
         Fault::RamDamaged => chip(
-            "one bit of the stack flipped while it is tested at a start",
+            "one bit of the stack flipped during the RAM test at a start",
             disarmed_rig,
             |rig| {
                 change_and_reset(rig, |_| ());
@@ -494,7 +494,7 @@ fn rig_with_narrow_limits() -> Rig {
     free_rig_within(0.1)
 }
 
-/// Returns a rig whose linkage gets straight before a joint limit.
+/// Returns a rig whose linkage becomes straight before a joint reaches its limit.
 fn rig_without_limits() -> Rig {
     free_rig_within(PI)
 }
@@ -512,7 +512,7 @@ fn free_rig_within(angle: f64) -> Rig {
     rig
 }
 
-/// Half the distance by which a hand moves the tip to take a joint over its index mark, m.
+/// Half the distance by which a hand moves the tip to turn a joint past its index mark, m.
 const SWEEP: f64 = 0.015;
 
 /// Starts a firm hand that moves the tip sideways, from `from` to `to` (m) relative to their midpoint.
@@ -522,7 +522,7 @@ fn sweep(device: &mut SimulatedDevice, from: f64, to: f64) {
     device.set_hand(Hand::new(firm(), Intent::Follow(path.to_vec()), device.tip(), device.time()));
 }
 
-/// Returns an armed rig whose hand has moved its first joint over its index mark once.
+/// Returns an armed rig whose first joint a hand has turned past its index mark once.
 fn rig_with_index() -> Rig {
     let mut file = device_file(FIVE_BAR);
     let home = file.description.home.expect("a home pose");
@@ -543,7 +543,7 @@ fn rig_with_index() -> Rig {
     rig
 }
 
-/// Returns a rig whose first motor turns in the opposite direction of its file.
+/// Returns a rig whose first motor turns against the direction in its device file.
 fn rig_with_swapped_motor() -> Rig {
     rig_with_other_motor(|motor| {
         motor.torque_constant = -motor.torque_constant;

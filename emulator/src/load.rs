@@ -106,7 +106,7 @@ pub fn run(rig: &mut Rig, (fields, divider): (Fields, u32), rate_hz: u32, millis
     let status = rig.tool.status().expect("the board replies");
     Load {
         steps: after.wrapping_sub(before),
-        // The timer divides its clock by integers: 45 kHz are about 2 in 10,000 slower.
+        // The timer divides its clock by integers: the actual rate for 45 kHz is about 2 in 10,000 lower.
         periods: ((ended - began) as f64 * 1.0e-9 * true_rate(rate_hz)) as u32,
         overruns: details.overruns.wrapping_sub(overruns),
         losses,
@@ -150,7 +150,7 @@ pub fn sustains_scenes(case: &Case, rate_hz: u32) -> bool {
         let (began, steps) = (rig.now(), rig.steps());
         set_free_scene(&mut rig, rate_hz, nth);
         rig.run(20 * MILLISECOND);
-        // Requests take time, so the elapsed time is read first.
+        // The status request takes virtual time, so the elapsed time is read before it.
         let (steps, passed) = (rig.steps().wrapping_sub(steps), rig.now() - began);
         let periods = passed as f64 * 1.0e-9 * true_rate(rate_hz);
         let armed = rig.tool.status().expect("the board replies").state == State::Armed;
@@ -174,14 +174,14 @@ pub fn sustains_plane(case: &Case, rate_hz: u32) -> bool {
     done.armed && done.rejected == 0 && done.overruns == before
 }
 
-/// Returns true if `case` sustains a rate while the force limit at the tip, a quarter of the hand's force, cuts in
-/// every step.
+/// Returns true if `case` sustains a rate while the force limit at the tip, a quarter of the hand's force, reduces the
+/// force in every step.
 ///
 /// # Panics
 ///
 /// If the link breaks.
 #[must_use]
-pub fn sustains_cuts(case: &Case, rate_hz: u32) -> bool {
+pub fn sustains_force_limit(case: &Case, rate_hz: u32) -> bool {
     let mut rig = case.rig(rate_hz);
     let mut rules = rig.tool.rules().expect("the board replies");
     rules.limits.tip_force = 0.2;

@@ -197,7 +197,7 @@ impl Core {
         let packets = (self.get(endpoint(OUT_ENDPOINTS, number, TSIZ)) >> 19) & 0x3FF;
         // A queued packet needs its words and a status word, RM0090 section 34.13.
         let full = self.receive_fifo.len() + self.received.len() + 18 > (self.get(GRXFSIZ) & 0xFFFF) as usize;
-        // The driver re-arms an endpoint by clearing NAK only, and EP0 without a packet count.
+        // The driver arms an endpoint again only by clearing NAK, and endpoint 0 without a packet count.
         let armed = if number == 0 { control & NAKSTS == 0 } else { packets > 0 };
         if control & STALL != 0 {
             Handshake::Stall
@@ -367,7 +367,7 @@ impl Core {
                 _ => {}
             }
         }
-        // The master is always idle, and every action ends at once.
+        // The AHB master is always idle, and every reset or flush ends at once.
         self.set(GRSTCTL, 1 << 31 | value & (0x1F << 6));
     }
 

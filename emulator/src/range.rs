@@ -45,7 +45,7 @@ const MOTOR: Motor<f64> = Motor {
 };
 /// Torque at 12 A, N m.
 const TORQUE_LIMIT: f64 = 0.4;
-/// Half bridges of this board have no dead time, which acts like friction on a small swing.
+/// A board without dead time, because dead time acts like friction on a small swing.
 pub const BOARD: BoardKind = BoardKind::HBridgeF405;
 
 /// A device to be measured, and its wall.
@@ -121,8 +121,8 @@ pub fn rig(test_device: &TestDevice) -> Rig {
     rig
 }
 
-/// Measures on `rig`, which has the device of `test_device`. `job` receives the prepared board with a device that no hand
-/// holds, only the wall's motors.
+/// Measures on `rig`, which has the device of `test_device`. `job` receives the prepared board; no hand holds the
+/// device, only the motor torques of the wall.
 ///
 /// # Errors
 ///
@@ -152,8 +152,8 @@ pub fn measure_on<T>(
     Ok(outcome)
 }
 
-/// Returns the theory's boundary of the same loop at the dampings `kd` (N s/m), or the entire boundary; `delay_samples`
-/// is the delay that the board reports.
+/// Returns the theory's boundary of the same loop at the dampings `kd` (N s/m), or the entire boundary without `kd`.
+/// `delay_samples` is the delay that the board reports.
 ///
 /// # Panics
 ///
@@ -172,9 +172,9 @@ pub fn predicted(test_device: &TestDevice, rate: Rate, delay_samples: f64, kd: O
     predict(&linear, &control_loop, kd, None).expect("the loop can be analysed")
 }
 
-/// Number of dampings of a complete measurement, and pulls at each damping.
+/// Number of dampings of a complete measurement.
 pub const POINTS: usize = 12;
-/// Pulls at each damping, see [`POINTS`].
+/// Pulls at each of these dampings, relative to the largest pull.
 pub const PULLS: [f64; 5] = [1.0, -1.0, 0.7, -0.7, 0.85];
 
 /// Returns the delay in samples that the board reports at `rate`.

@@ -41,8 +41,8 @@ pub fn devices() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../devices")
 }
 
-/// Returns the device file called `name`, with motors declared verified and wide joint limits where the file has none,
-/// as for a person who has checked them.
+/// Returns the device file called `name`, with motors marked as verified and wide joint limits where the file has none,
+/// as after a check by a person.
 ///
 /// # Panics
 ///
@@ -158,8 +158,8 @@ impl Rig {
         rig
     }
 
-    /// Sets rules that are safe without a person: does not watch the host, because virtual time passes without one, and
-    /// sets the largest force limit at the tip.
+    /// Loosens the rules for tests, in which no person can be hurt: the board does not watch the host, because virtual
+    /// time passes without messages, and the force limit at the tip is the largest.
     ///
     /// # Panics
     ///

@@ -143,8 +143,8 @@ impl StoppedBoard<'_> {
         self.session.reset_by_pin(at, count, self.memory);
     }
 
-    /// Returns the firmware's accesses for which the virtual chip has no model, one line each. If the list is empty, a
-    /// model handled every access.
+    /// Returns the firmware's accesses for which the virtual chip has no model, one line each. Empty if a model handled
+    /// every access.
     #[must_use]
     pub fn gaps(&self) -> Vec<String> {
         let unmapped = self.session.unmapped().into_iter().map(|gap| gap.to_string());
@@ -276,7 +276,7 @@ impl VirtualBoard {
             Some(Ok(Ok(()))) => "the run ended".to_owned(),
             Some(Ok(Err(error))) => error,
             Some(Err(_)) => "a model panicked (its message is above)".to_owned(),
-            None => "it was stopped before".to_owned(),
+            None => "it had already been stopped".to_owned(),
         }
     }
 }
@@ -285,7 +285,7 @@ impl Drop for VirtualBoard {
     fn drop(&mut self) {
         self.commands = None;
         if let Some(thread) = self.thread.take() {
-            // A panic of the board's thread was reported at its use.
+            // The call that met a panic of the board's thread has already reported it.
             let _ = thread.join();
         }
     }

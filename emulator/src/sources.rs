@@ -37,7 +37,7 @@ pub struct Sources<'a> {
 }
 
 impl<'a> Sources<'a> {
-    /// Reads the debug information of `firmware`; `None` if there is no readable one.
+    /// Reads the debug information of `firmware`; `None` if it has none or they cannot be read.
     #[must_use]
     pub fn of(firmware: &'a Firmware) -> Option<Self> {
         let elf = object::File::parse(firmware.bytes()).ok()?;

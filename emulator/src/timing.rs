@@ -15,7 +15,7 @@ use crate::contact::{WallAt, scene};
 use crate::cycles::{Flash, estimate};
 use crate::image::CONTROL_INTERRUPT;
 use crate::load::{
-    highest_for, highest_rate, rows_without_loss, set_free_scene, sustains_cuts, sustains_plane, sustains_scenes,
+    highest_for, highest_rate, rows_without_loss, set_free_scene, sustains_force_limit, sustains_plane, sustains_scenes,
 };
 use crate::rig::{Rig, device_file, firmware};
 use crate::run::MILLISECOND;
@@ -25,7 +25,7 @@ use crate::trace::{Code, Run};
 /// Value of the state in a row of telemetry while armed.
 const ARMED: f64 = 1.0;
 /// Traced time of each case, ns: 500 periods at 20 kHz, with a request of the tasks every 20 ms.
-pub const SPAN: u64 = 25 * MILLISECOND;
+pub const TRACED_NS: u64 = 25 * MILLISECOND;
 
 /// Result of a measured case.
 #[derive(Clone, Debug, PartialEq)]
@@ -49,7 +49,7 @@ pub struct Timing {
 }
 
 impl Case {
-    /// Measures [`SPAN`] of the case at its rate.
+    /// Measures the case at its rate for [`TRACED_NS`].
     ///
     /// # Panics
     ///
@@ -59,7 +59,7 @@ impl Case {
         let mut rig = self.rig(self.rate_hz);
         rig.tool.start_stream(Fields::USUAL, 1).expect("a stream starts");
         rig.run(20 * MILLISECOND);
-        let runs = rig.trace_control(SPAN);
+        let runs = rig.trace_control(TRACED_NS);
         let rows = rig.tool.rows(std::time::Duration::from_millis(10)).expect("rows come");
         // The last two columns are the state and the number of touched walls.
         let in_contact =
@@ -286,7 +286,7 @@ pub fn rates() -> String {
         let cell = |found: Option<u32>| found.map_or("none".to_owned(), |found| found.to_string());
         let (highest, lossless) = (cell(highest_rate(case)), cell(rows_without_loss(case)));
         let (scenes, plane) = (cell(highest_for(case, sustains_scenes)), cell(highest_for(case, sustains_plane)));
-        let cuts = cell(highest_for(case, sustains_cuts));
+        let cuts = cell(highest_for(case, sustains_force_limit));
         text += &csv_line([&case.name(), &highest, rate, &scenes, &plane, &cuts, &lossless, rows]);
     }
     text

@@ -101,7 +101,8 @@ impl Walker {
         Self { code, last: entry, returns: Vec::new() }
     }
 
-    /// Advances to the instruction at `next`. Returns true if that leaves the first function: the handler's end.
+    /// Advances to the instruction at `next`. Returns true if this step returns from the first function: the handler's
+    /// end.
     fn leaves(&mut self, next: u32) -> bool {
         let (kind, length) = self.code.decode(self.last);
         let following = self.last + length;

@@ -25,8 +25,8 @@ const ADDRESS: u8 = 5;
 /// Maximum length of a full-speed bulk packet, bytes.
 const PACKET: usize = 64;
 
-/// Returns the time of a packet of `bytes` on the bus at 12 Mbit/s, ns. Token, data and handshake packets with their
-/// gaps add about 13 bytes.
+/// Returns the duration of a packet of `bytes` on the bus at 12 Mbit/s, ns. Token, data and handshake packets with
+/// their gaps add about 13 bytes.
 fn bus_time(bytes: usize) -> u64 {
     (bytes as u64 + 13) * 8 * 1000 / 12
 }
@@ -300,8 +300,8 @@ impl Host {
         self.log.push((at, Event::Left));
     }
 
-    /// Continues with all transactions that are possible at `now`. Returns the time of the next action, if only time
-    /// decides it.
+    /// Continues with all transactions that are possible at `now`. Returns the time of the next action, or
+    /// `None` if the next action depends on the device.
     pub fn advance(&mut self, core: &mut Core, now: VirtualNanos) -> Option<VirtualNanos> {
         self.follow_cable(core, now);
         let due = |at: u64| now.0 >= at;

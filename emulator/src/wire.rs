@@ -38,8 +38,8 @@ impl Shared {
         self.wire_polled_every(POLL_INTERVAL)
     }
 
-    /// Returns a wire to the board's USB port for a computer that polls at this interval, ns. Its reaction is late by
-    /// up to the interval.
+    /// Returns a wire to the board's USB port for a computer that polls at this interval, ns. The
+    /// computer reacts up to one interval late.
     #[must_use]
     pub fn wire_polled_every(&self, interval: u64) -> Box<dyn Wire> {
         Box::new(UsbWire { shared: self.clone(), waiting: Vec::new(), interval })

@@ -11,7 +11,8 @@ use std::collections::VecDeque;
 use std::io;
 use std::time::Duration;
 
-/// Runs the link's calls against a board that sends `data`: pieces of an operation, a length and bytes.
+/// Runs the link's calls against a board that sends `data`. `data` consists of pieces: an operation, a length and
+/// bytes.
 pub fn answers(data: &[u8]) {
     let wire =
         RandomBoard { rest: data.to_vec().into(), requests: VecDeque::new(), deframer: Deframer::default(), clock: 0 };

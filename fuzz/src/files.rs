@@ -1,5 +1,5 @@
-//! Input of the tool from a user: device and scene files, backups, recordings and campaigns, command lines. It must be
-//! read or refused without a panic.
+//! Input of the tool from a user: device and scene files, backups, recordings and campaigns, command lines. The tool
+//! must accept or refuse each input without a panic.
 
 use crate::cli;
 use haptic_bridge::model::device::Device;

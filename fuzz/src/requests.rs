@@ -30,12 +30,12 @@ pub fn bytes(data: &[u8]) {
             board.answer(frame);
             board.tick();
         }
-        // The tool may accept or skip frames that are a few bytes too long.
+        // The tool may decode or skip frames that are a few bytes longer than the maximum.
         frames.retain(|frame| frame.len() <= MAX_FRAME - 8);
         deframer.feed_plain(packet, |frame| assert!(frame.len() > MAX_FRAME - 8 || frame == frames.remove(0)));
         assert!(frames.is_empty(), "the tool missed frames: {frames:?}");
     }
-    // After a zero the next request is understood, whatever came before.
+    // After a zero byte the board decodes the next request, regardless of the bytes before.
     completed_frames(&mut decoder, &[0]);
     let request = completed_frames(&mut decoder, &haptic_host::link::envelope(&frame(GetStatus::REQ_KEY, &[])));
     assert!(matches!(&request[..], [frame] if board.answer(frame).is_some()), "the board does not reply");
@@ -139,7 +139,7 @@ fn spin(board: &mut Board, which: usize) -> u32 {
     let Some(device) = board.service.device() else { return 0 };
     let axis = which % device.axes().max(1);
     let (step, limit) = (device.joints[axis].radians_per_count.abs(), board.service.rules().limits.speed[axis]);
-    // The rig calls the guard once per crest of 20 kHz or more.
+    // The rig checks the limits at every crest of a carrier of at least 20 kHz.
     let counts = 2.0 * limit / step / 20_000.0;
     let ticks = (12.0 / counts).max(500.0);
     if board.state() != State::Armed || !ticks.is_finite() || ticks >= 2_000.0 {
@@ -160,13 +160,13 @@ fn send(board: &mut Board, key: postcard_rpc::Key, body: &[u8]) -> u32 {
     assert!(answer.is_some(), "every frame with a header has a reply");
     let may_drive = [Arm::REQ_KEY, ArmHeld::REQ_KEY, CheckPolarity::REQ_KEY].contains(&key);
     assert!(before || may_drive || !board.state().drives(), "motors on without a request");
-    // The next request may come before the next control step.
+    // Without a tick, the next request arrives before the next control step.
     let ticks = body.first().map_or(2, |byte| byte % 3);
     (0..ticks).for_each(|_| board.tick());
     ticks.into()
 }
 
-/// Changes some bytes of a message, and may cut its end or append bytes, as the bits of one input byte say.
+/// Changes some bytes of a message, and may cut its end or append bytes; one input byte selects these changes.
 fn patch(mut body: Vec<u8>, input: &mut Input) -> Vec<u8> {
     let changes = input.byte();
     for _ in 0..changes & 0x0F {
@@ -187,7 +187,7 @@ fn patch(mut body: Vec<u8>, input: &mut Input) -> Vec<u8> {
     body
 }
 
-/// Rest of the input; zeros after its end.
+/// The unread rest of the input. After its end, all bytes read as zero.
 struct Input<'d>(&'d [u8]);
 
 impl Input<'_> {
@@ -279,7 +279,7 @@ pub const TEMPLATES: &[Template] = &[
         let cutoff = [200.0, 1e-6, 1.0, 50.0, 99.0, 900.0, 9_999.0, 0.0][usize::from(which >> 5)];
         bytes_of(&GainsRequest { wall, estimator: Some((scene(which).estimator, cutoff)) })
     }),
-    // Each variant tightens one rule, so that the next variant loosens the rule of the last.
+    // Each variant tightens one other rule, so a variant after another also loosens the rule of the previous variant.
     (SetRules::REQ_KEY, |which| {
         let mut rules = Rules::default();
         let share = 1.0 / f32::from(2 + (which >> 3) % 8);

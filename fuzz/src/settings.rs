@@ -1,5 +1,5 @@
-//! Entries from flash or from a backup are decoded or refused. Decoded values are the same after they were stored, and
-//! a board that boots from them keeps its motors off.
+//! Entries from flash or from a backup are decoded or refused. Decoded values do not change
+//! when they are stored, and a board that boots from them keeps its motors off.
 
 use crate::board::Board;
 use haptic_bridge::board::settings::{BoardName, Entry, Key, Polarity, Setting, decode, encode};
@@ -40,7 +40,7 @@ pub fn settings(data: &[u8]) {
 
 fn check_round_trip<S: Setting>(entry: &[u8]) {
     let Ok(value) = decode::<S>(entry) else { return };
-    // In this version's encoding a value may be longer than its original entry, and then it may be refused.
+    // In the encoding of this version a value may be longer than its entry, and too long to store.
     let Ok(once) = encode(&value) else { return };
     let twice = decode::<S>(&once).and_then(|value| encode(&value));
     assert_eq!(Ok(once), twice, "a setting changes when it is stored");

@@ -48,14 +48,14 @@ fn overwrite_error(matches: &ArgMatches) -> Option<clap::Error> {
     let mut seen = BTreeSet::new();
     let twice = files.find(|file| !seen.insert(file.clone()))?;
     let message = format!(
-        "{} is named twice, and --force would overwrite what this command reads or writes there: choose another name for \
-         the file to write\n",
+        "{} is named twice, and --force would overwrite an input or another output of this command: choose another name \
+         for the file to write\n",
         twice.display()
     );
     Some(clap::Error::raw(clap::error::ErrorKind::ArgumentConflict, message).with_cmd(&command()))
 }
 
-/// Commands that had another name in the previous version, each with its present spelling.
+/// Commands of the previous version that have another name now: old and new spelling.
 const RENAMED: &[(&str, &str)] = &[
     ("backup", "haptic board backup"),
     ("clear", "haptic faults --clear"),
@@ -86,8 +86,8 @@ fn renamed_error(words: &[OsString]) -> Option<clap::Error> {
     RENAMED.iter().find(|(old, _)| *old == typed).and_then(|(old, now)| renamed_to(old, now))
 }
 
-/// Replaces clap's suggestions: removes the one to pass an unknown option as a value, because it would become a file
-/// name, and suggests the option if a file to write was named without it.
+/// Corrects clap's suggestions: never suggests to pass an unknown option as a value, because the value would become a
+/// file name; suggests commas between numbers, and `-o` if `haptic new` got a file without it.
 fn correct_tips(mut error: clap::Error, typed: &str) -> clap::Error {
     if error.kind() != clap::error::ErrorKind::UnknownArgument {
         return error;
@@ -192,7 +192,7 @@ mod tests {
     }
 
     #[test]
-    fn old_spellings_are_answered_with_the_present_ones() {
+    fn old_spellings_cause_an_error_with_the_new_spelling() {
         let names = command_names();
         for (old, now) in RENAMED {
             assert!(!names.iter().any(|command| command == old), "{old}");

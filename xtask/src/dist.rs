@@ -58,7 +58,7 @@ pub fn make() -> Result<ReleaseFiles> {
     Ok(ReleaseFiles { archive, wheel })
 }
 
-/// Removes from a build everything that differs between computers and days.
+/// Makes a build independent of the computer and the day.
 fn make_portable(command: &mut Command) -> &mut Command {
     command.env("CARGO_ENCODED_RUSTFLAGS", rust_flags().join("\x1f")).env("SOURCE_DATE_EPOCH", FILE_TIME.to_string())
 }

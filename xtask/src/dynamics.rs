@@ -47,7 +47,8 @@ fn benchmark() -> Command {
     command
 }
 
-/// Builds Pinocchio's program with the instructions of this processor; the benchmark is built without them.
+/// Builds Pinocchio's program for the instructions of this processor (`-march=native`); this repository's benchmark is
+/// built without.
 fn build_pinocchio(pinocchio: &Path) -> Result<PathBuf> {
     ensure!(
         ["pinocchio", "eigen3"].iter().all(|headers| pinocchio.join("include").join(headers).is_dir()),
@@ -59,7 +60,7 @@ fn build_pinocchio(pinocchio: &Path) -> Result<PathBuf> {
     let executable = target_directory().join("pinocchio");
     run(Command::new(env::var("CXX").unwrap_or_else(|_| "c++".into()))
         .args(["-std=c++17", "-O3", "-march=native", "-DNDEBUG", "-w"])
-        // Needed by Pinocchio's variant of all joints.
+        // Pinocchio's variant over all joint types needs these limits.
         .args(["-DBOOST_MPL_LIMIT_LIST_SIZE=30", "-DBOOST_MPL_CFG_NO_PREPROCESSED_HEADERS"])
         .arg("-I")
         .arg(&include)
@@ -75,7 +76,7 @@ fn build_pinocchio(pinocchio: &Path) -> Result<PathBuf> {
     Ok(executable)
 }
 
-/// Runs a program and adds its times. It prints lines of a mechanism, nanoseconds and a row, which ends at a colon.
+/// Runs a program and adds its times. Each line of its output has a mechanism, nanoseconds and a row up to a colon.
 fn add_times(command: &mut Command, times: &mut Times) -> Result<()> {
     let output = command.stderr(Stdio::inherit()).output()?;
     ensure!(output.status.success(), "{} failed", command.get_program().display());

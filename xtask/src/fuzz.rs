@@ -48,7 +48,7 @@ pub struct Options {
 }
 
 impl Options {
-    /// Options for every target with this many seconds for each.
+    /// Returns options that run every target for `seconds` each.
     pub fn short(seconds: u32) -> Self {
         Self { targets: Vec::new(), seconds, record: false }
     }
@@ -63,7 +63,7 @@ struct Outcome {
     executions: u64,
     /// Number of control-flow edges that were reached.
     covered: u64,
-    /// Number of inputs that each reached something new.
+    /// Number of inputs that reached new control-flow edges.
     corpus: u64,
 }
 
@@ -120,7 +120,7 @@ fn build(out: &Path) -> Result<PathBuf> {
     let host = host()?;
     let mut build = cargo();
     build.current_dir(root().join("fuzz")).args(["build", "--locked", "--release", "--target", &host, "--target-dir"]);
-    // With `--target` the flags do not apply to build scripts and macros.
+    // Because of `--target`, the flags do not apply to build scripts and macros.
     build.arg(out).env("RUSTFLAGS", INSTRUMENTATION).env_remove("CARGO_ENCODED_RUSTFLAGS");
     run_command(&mut build)?;
     Ok(out.join(host).join("release/haptic-fuzz"))

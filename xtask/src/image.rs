@@ -108,7 +108,7 @@ impl Image {
         Ok(Self { segments, flash, statics, stack: stack.0 - stack.1 })
     }
 
-    /// Returns a byte of flash with the image in it; bytes between segments are erased.
+    /// Returns a byte of flash after the image is written; bytes between segments are erased.
     fn byte(&self, address: u32) -> u8 {
         let inside = |segment: &&Segment| address.wrapping_sub(segment.address) < segment.bytes.len() as u32;
         self.segments.iter().find(inside).map_or(0xFF, |segment| segment.bytes[(address - segment.address) as usize])

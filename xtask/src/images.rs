@@ -69,8 +69,8 @@ fn protocol() -> Result<u16> {
     number.and_then(|number| number.parse().ok()).with_context(|| format!("{} has no PROTOCOL", path.display()))
 }
 
-/// Builds this commit's images in two clean checkouts at paths of different lengths. Fails if a byte differs. The date
-/// is not varied: to compare builds of different days, compare the printed checksums.
+/// Builds this commit's images in two clean checkouts at paths of different lengths. Fails if a byte differs. Both
+/// builds have the same date: to compare builds of different days, compare the printed checksums.
 pub fn compare_checkouts() -> Result<()> {
     let place = target_directory().join("twice");
     if place.exists() {
@@ -98,7 +98,7 @@ pub fn compare_checkouts() -> Result<()> {
                 checkouts[1].display()
             );
         }
-        ensure!(one.len() == other.len(), "{board}: {} and {} bytes", one.len(), other.len());
+        ensure!(one.len() == other.len(), "{board}: the images have {} and {} bytes", one.len(), other.len());
         println!("{board}: both images are equal, SHA-256 {}", sha256(&one));
     }
     fs::remove_dir_all(&place).with_context(|| format!("cannot remove {}", place.display()))

@@ -8,7 +8,7 @@ use anyhow::{Result, bail, ensure};
 use crate::paths::root;
 use crate::toolchain::{cargo, run};
 
-/// The crates below the tool, from the ground up.
+/// The crates on which the tool builds; each depends only on crates before it.
 pub const CRATES: [&str; 6] =
     ["haptic-host", "haptic-flash", "haptic-sim", "haptic-stability", "haptic-predict", "haptic-show"];
 

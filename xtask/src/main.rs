@@ -51,9 +51,9 @@ enum Command {
         #[arg(value_parser = any_image())]
         board: Option<String>,
     },
-    /// Build all boards, print flash and RAM, fail above the limits
+    /// Build all images and print their flash and RAM; fail if one exceeds a limit
     Size,
-    /// Clippy for the chip, warnings are errors
+    /// Run Clippy on the code for the chip; warnings are errors
     ClippyFw,
     /// Build and flash with probe-rs; also `cargo flash-BOARD`
     Flash {

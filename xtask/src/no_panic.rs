@@ -13,7 +13,7 @@ use crate::tools::{self, Tool};
 /// Maximum stack of the control step, bytes: a nineteenth of the reservation in memory.x.
 const STACK_LIMIT: u32 = 2800;
 
-/// Name of the function that does not exist; it appears in the linker's message.
+/// Name of an undefined function that a panic would call; it appears in the linker's message.
 const MISSING: &str = "the_control_step_can_panic";
 
 fn cargo(feature: &str) -> Command {
@@ -25,7 +25,7 @@ fn cargo(feature: &str) -> Command {
     command
 }
 
-/// Links the step alone and checks the image.
+/// Links the control step without the rest of the firmware, and checks the image.
 pub fn prove() -> Result<()> {
     tools::check(&[Tool::Chip])?;
     run(&mut cargo("no-panic")).context("the control step can panic, see the linker's message above")?;
@@ -41,7 +41,7 @@ pub fn prove() -> Result<()> {
     println!("control step: links without a panic; {} functions, no recursion", reach.functions);
     for (root, stack) in &reach.stack {
         println!("{root}: at most {stack} bytes of stack (limit {STACK_LIMIT})");
-        ensure!(*stack <= STACK_LIMIT, "{root} takes too much stack");
+        ensure!(*stack <= STACK_LIMIT, "{root} needs {stack} bytes of stack, more than the limit of {STACK_LIMIT}");
     }
     ensure!(reach.indirect.is_empty(), "indirect jumps in the control step:\n    {}", reach.indirect.join("\n    "));
     println!("no indirect calls");
@@ -49,7 +49,10 @@ pub fn prove() -> Result<()> {
     // The proof must be able to fail: with one unbounded index the same image must not link.
     let broken = cargo("broken").output().context("cannot run cargo")?;
     let message = String::from_utf8_lossy(&broken.stderr);
-    ensure!(!broken.status.success() && message.contains(MISSING), "the proof does not find a step that can panic");
-    println!("a step with one unbounded index does not link, as it should");
+    ensure!(
+        !broken.status.success() && message.contains(MISSING),
+        "the proof does not detect a step that can panic: xtask/src/no_panic.rs is broken"
+    );
+    println!("the proof can fail: with one unbounded index the step does not link");
     Ok(())
 }

@@ -1,4 +1,5 @@
-//! The page of `haptic view` as a file: clients/page/ compiled to WebAssembly, inside the page that the tool serves.
+//! Builds the page of `haptic view` as one file: the page that the tool serves, with clients/page/ compiled to
+//! WebAssembly in it.
 
 use std::fs;
 use std::path::PathBuf;

@@ -1,4 +1,4 @@
-//! The published packages: their metadata, and a dry run of publishing.
+//! Checks of the published packages: their metadata, and a dry run of publishing.
 
 use anyhow::Result;
 

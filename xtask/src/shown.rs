@@ -1,4 +1,4 @@
-//! Documents with tables of rows from linked CSV files: the program that writes a file also updates the tables.
+//! Updates tables in documents whose rows come from linked CSV files, after a program has written such a file.
 
 use std::fs;
 
@@ -26,8 +26,8 @@ pub fn refresh() -> Result<()> {
     Ok(())
 }
 
-/// Updates the tables in `text` whose columns are all columns of a file. Each row is replaced by the row of the file
-/// that agrees in the most cells from the left, at least in one.
+/// Updates the tables in `text` whose columns are all columns of a file. Replaces each row by the row of the file with
+/// the most equal cells from the left, if at least one is equal.
 fn with_rows_of(files: &[tables::Table], text: &str) -> String {
     let (mut in_table, mut source) = (false, None);
     let lines = text.lines().map(|line| {

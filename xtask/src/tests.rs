@@ -62,8 +62,8 @@ pub const PARTS: [Part; 16] = [
 
 /// Runs the tests that every change must pass.
 pub fn gate(arguments: &[String]) -> Result<()> {
-    ensure!(arguments.is_empty(), "`cargo xtask test` takes no arguments but --deep: {}", arguments.join(" "));
-    // Checked before the first compile, because a missing tool of a late stage would be found minutes later.
+    ensure!(arguments.is_empty(), "`cargo xtask test` takes only --deep, not: {}", arguments.join(" "));
+    // Checked before the first compile, because a late stage would report a missing tool only after minutes.
     tools::check(&[Tool::Chip])?;
     let began = Instant::now();
     // The images occupy one compiler thread for minutes, so they are built in parallel with the other tests.

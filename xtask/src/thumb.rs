@@ -14,7 +14,7 @@ pub struct Function {
     pub name: String,
     /// Addresses of calls and jumps to other functions.
     pub calls: BTreeSet<u32>,
-    /// Addresses of its calls and jumps through a register or a pointer.
+    /// Addresses of the calls and jumps through a register or a pointer.
     pub indirect: Vec<u32>,
     /// Upper bound of the stack, bytes: the sum over all instructions that lower the stack pointer.
     pub stack: u32,
@@ -97,7 +97,7 @@ impl Image {
     }
 }
 
-/// See [`Image::reach`].
+/// Result of [`Image::reach`].
 pub struct Reach {
     /// Number of functions.
     pub functions: usize,

@@ -46,11 +46,11 @@ pub fn rust_flags() -> Vec<String> {
     for index in indices.into_iter().flatten().flatten() {
         flags.push(format!("--remap-path-prefix={}=", index.path().join("").display()));
     }
-    // The library relative to firmware/, as cargo names the firmware's own files.
+    // Names the library's files relative to firmware/, as cargo names the firmware's own files.
     flags.push(format!("--remap-path-prefix={}=..", root().display()));
     // The emulator's tests find functions and statics by these names.
     flags.push("-Csymbol-mangling-version=v0".into());
-    // Build scripts write code below the target directory.
+    // Code that build scripts write is in the target directory.
     flags.push(format!("--remap-path-prefix={}=target", target_directory().display()));
     flags
 }

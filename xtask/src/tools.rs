@@ -1,5 +1,5 @@
-//! The programs that the tests need on this computer: checks that each runs, and tells how to install a missing one. The
-//! check comes before the first compile.
+//! The programs that the tests need on this computer: checks that each runs, and prints how to install missing
+//! programs. The check comes before the first compile.
 
 use std::env;
 use std::fs;
@@ -28,7 +28,7 @@ impl Tool {
     /// Tools of `cargo xtask test --deep`.
     pub const ALL: [Self; 5] = [Self::Chip, Self::Browsers, Self::Cpp, Self::Chromium, Self::Python];
 
-    /// Returns the name and how to install it.
+    /// Returns the name of the tool and the command that installs it.
     fn remedy(self) -> [&'static str; 2] {
         match self {
             Self::Chip => [
@@ -39,7 +39,7 @@ impl Tool {
                 "Rust's library for browsers",
                 "rustup target add wasm32-unknown-unknown   (rustup itself: https://rustup.rs)",
             ],
-            Self::Cpp => ["a C++ compiler (c++, or what CXX names) for libFuzzer", "on Debian: apt-get install g++"],
+            Self::Cpp => ["a C++ compiler (c++, or the value of CXX) for libFuzzer", "on Debian: apt-get install g++"],
             Self::Chromium => ["a browser without a screen (chromium)", "on Debian: apt-get install chromium"],
             Self::Python => {
                 ["Python 3.11 or newer with venv and pip (python3)", "on Debian: apt-get install python3-venv"]
@@ -78,7 +78,7 @@ pub fn check(tools: &[Tool]) -> Result<()> {
     if missing.is_empty() { Ok(()) } else { bail!(missing_message(&missing)) }
 }
 
-/// Returns a message with the missing tools and how to install them.
+/// Returns a message with the missing tools and the commands that install them.
 fn missing_message(missing: &[Tool]) -> String {
     let lines = missing.iter().map(|tool| format!("\n    {}\n        {}", tool.remedy()[0], tool.remedy()[1]));
     format!("missing on this computer:{}", lines.collect::<String>())

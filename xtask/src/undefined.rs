@@ -45,7 +45,7 @@ const UNDER_MIRI: [&str; 18] = [
 /// Runs tests of the library under Miri, which finds undefined behaviour of any kind in the dependencies' `unsafe`: the
 /// link, the settings, requests, and the control step in single precision.
 pub fn miri() -> Result<()> {
-    // Without the inherited variable, which names another toolchain.
+    // Removes the inherited variable, because it names another toolchain.
     let miri = || {
         let mut command = Command::new("rustup");
         command.current_dir(paths::root()).env_remove("RUSTUP_TOOLCHAIN").args(["run", "nightly", "cargo", "miri"]);

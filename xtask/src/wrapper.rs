@@ -3,8 +3,8 @@
 //! Cargo gives every crate a number (`-C metadata`) that becomes part of its symbols and so decides the order of
 //! functions in an image. For a crate in the workspace or from a registry the number is the same on every computer. The
 //! library is outside the firmware's workspace: its number depends on its absolute path, and the firmware's number
-//! depends on the library's. So cargo calls this program in place of the compiler, and it derives the numbers of this
-//! repository's crates from their names.
+//! depends on the library's. So cargo calls this program in place of the compiler, and this program derives the numbers
+//! of this repository's crates from their names.
 
 use std::env;
 use std::ffi::OsString;

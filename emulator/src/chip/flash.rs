@@ -19,7 +19,7 @@ const PG: u64 = 1 << 0;
 const SER: u64 = 1 << 1;
 const LOCK: u64 = 1 << 31;
 const BUSY: u64 = 1 << 16;
-/// Tokens of our own accesses, distinct from those of the model.
+/// Tokens of our own accesses, different from the model's tokens.
 const READ: u64 = 1 << 62;
 pub(super) const WRITTEN: u64 = READ + 1;
 

@@ -18,7 +18,8 @@ pub struct Outcome {
     pub record: FaultRecord,
     /// Control periods from the cause until the bridges float.
     pub from_cause: u32,
-    /// Control periods from the step that detected the fault; `None` if the chip restarted, which resets the count.
+    /// Control periods from the step that detected the fault until the bridges float; `None` if the chip restarted,
+    /// which resets the count.
     pub from_seen: Option<u32>,
 }
 
@@ -64,7 +65,7 @@ pub fn provoke(fault: Fault) -> Option<Outcome> {
     let record = status.fault.unwrap_or_else(|| panic!("{name}: no fault is latched: {status:?}"));
     assert_eq!((record.fault, status.state), (fault, State::Fault), "{name}: {status:?}");
     if fault == Fault::SettingsDamaged {
-        // The name is at its default, not at the name before; the other settings are kept.
+        // The damaged name is replaced by its default, not by an older name; the other settings are kept.
         let details = rig.tool.details().expect("the board replies");
         assert_eq!(details.damage.as_slice(), [(Key::Name, Damage::Corrupt)]);
         assert_eq!((details.name.as_str(), details.device.is_some()), ("", true), "{details:?}");
@@ -101,7 +102,7 @@ pub fn provoke(fault: Fault) -> Option<Outcome> {
         assert!(named && rig.with(bridges_off), "{name}: {refused:?}");
     }
     let from_cause = ((at - began) / (50 * MICROSECOND)) as u32;
-    // The fault was detected before the bridges were ever on, and its reply took some time.
+    // This fault is detected before the bridges are ever on; the steps since then only waited for the reply.
     let never_on = fault == Fault::StrayCurrent;
     // A step is counted at its end, long after its bridges went off.
     let since = (steps.wrapping_sub(record.step) as i32).max(0) as u32;

@@ -1,5 +1,6 @@
-//! The bridges begin to drive at an extreme of the carrier. Between two extremes, a bridge whose ends follow one
-//! channel and its complement would apply the rest of one half period to the motor: almost an ampere per microsecond.
+//! The bridges begin to drive at an extreme of the carrier. If they began between two extremes, a bridge whose ends
+//! follow one channel and its complement would apply the rest of that half period to the motor: almost an ampere per
+//! microsecond.
 
 use haptic_bridge::board::telemetry::Fields;
 use haptic_bridge::safety::fault::Fault;
@@ -10,7 +11,8 @@ use haptic_emulator::rig::Rig;
 use haptic_emulator::run::{MILLISECOND, SECOND};
 use haptic_sim::Support;
 
-/// Largest current before any torque is commanded, A: the interrupt begins some ticks after the extreme.
+/// Largest current before any torque is commanded, A: the interrupt switches the bridges on some ticks after the
+/// extreme.
 const MAX_CURRENT: f64 = 0.2;
 
 #[test]
@@ -24,7 +26,7 @@ fn no_current_flows_when_the_bridges_begin_to_drive() {
         rig.load(&format!("rate_hz = {rate}\n"));
         rig.with_simulated(|device| device.set_support(Support::Held));
         rig.tool.home().expect("the device can be homed");
-        // At different phases of carrier and step.
+        // Different pauses arm the board at different phases of carrier and step.
         for pause in [0, 3, 11] {
             rig.run(pause * MILLISECOND / 100);
             rig.with(|stopped| stopped.hardware().peaks = haptic_emulator::plant::Peaks::default());
@@ -42,9 +44,9 @@ fn no_current_flows_when_the_bridges_begin_to_drive() {
     }
 }
 
-/// A rate above the documented limit for three joints: steps take longer while torque ramps up.
+/// The rate is above the documented limit for three joints, because steps take longer while torque ramps up.
 #[test]
-fn bridges_without_time_to_connect_cause_an_overrun() {
+fn arming_at_too_high_a_rate_causes_an_overrun() {
     let case = CASES[2];
     for gravity in [true, false] {
         let mut rig = Rig::with_device(case.board, case.device, |_| ());
@@ -60,7 +62,7 @@ fn bridges_without_time_to_connect_cause_an_overrun() {
     }
 }
 
-/// At the documented highest rates, while telemetry of every step is streamed.
+/// The rates are the documented highest; telemetry of every step is streamed.
 #[test]
 fn boards_arm_at_their_highest_rates_while_streaming() {
     for (case, rate_hz) in [(CASES[0], 45_000), (CASES[2], 35_000), (CASES[4], 35_000)] {

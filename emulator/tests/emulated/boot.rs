@@ -32,8 +32,8 @@ fn check_serial_port(rig: &Rig) {
 
 fn check_register_models(rig: &Rig) {
     let gaps = rig.with(|stopped| stopped.gaps());
-    // At boot the firmware switches the bridges off before their clocks run, which a chip ignores. SYSCFG and EXTI
-    // contain values that the hardware around the chip uses.
+    // At boot the firmware switches the bridges off before their clocks run; a chip ignores these writes. SYSCFG and
+    // EXTI only store values that the hardware around the chip reads.
     let real: Vec<_> = gaps
         .into_iter()
         .filter(|gap| !["SYSCFG", "EXTI", "BDTR is gated", "BSRR is gated"].iter().any(|known| gap.contains(known)))
@@ -41,8 +41,8 @@ fn check_register_models(rig: &Rig) {
     assert!(real.is_empty(), "{real:#?}");
 }
 
-/// RM0090 section 3.9.1: five wait states at 168 MHz, which double the run time unless they are hidden. After a reset
-/// all of this is off.
+/// The flash has five wait states at 168 MHz (RM0090 section 3.9.1), which double the run time unless prefetch and
+/// caches hide them. A reset turns prefetch and caches off.
 fn check_flash_speed(rig: &Rig) {
     const ACCESS_CONTROL: u32 = 0x00;
     const WAIT_STATES: u64 = 5;

@@ -1,5 +1,4 @@
-//! The board agrees with the library: torques computed on the chip equal those that the same code computes on this
-//! computer.
+//! The board agrees with the library: the chip computes the same torques as the same code on this computer.
 
 use std::time::Duration;
 
@@ -68,8 +67,8 @@ fn torques_on_the_chip_equal_the_librarys_bit_for_bit() {
         while rows.len() < 5_000 {
             rows.extend(rig.tool.rows(Duration::from_millis(300)).expect("rows come"));
         }
-        // Arming takes 35 ms to make the gate drivers ready, during which the link is not served and the device is at
-        // rest. Rows of that time may be lost, but no later rows.
+        // Arming needs 35 ms to make the gate drivers ready. Meanwhile the link is not served and the device is at
+        // rest, so only rows of this time may be lost.
         let arming = rows.iter().position(is_armed).expect("it arms");
         assert!(rows[arming..].windows(2).all(|pair| pair[1].step == pair[0].step + 1), "{name}: a step is missing");
 
@@ -97,7 +96,7 @@ fn torques_on_the_chip_equal_the_librarys_bit_for_bit() {
         };
         let three = |values: Vec<f64>| -> [f64; 3] { std::array::from_fn(|i| values.get(i).copied().unwrap_or(0.0)) };
         control_loop.execute(Command::Program(Box::new(program))).0.expect("loaded");
-        // Homed in place, then at rest at the first row until every estimator is zero.
+        // Homes in place, then repeats the first row, at rest, until every estimator is zero.
         control_loop.control(&Samples { counts: Counts(home), bus_voltage: 24.0, ..Samples::default() });
         control_loop.execute(Command::Home).0.expect("homed");
         control_loop.execute(Command::PolarityKnown).0.expect("known");

@@ -5,10 +5,10 @@ use haptic_bridge::board::telemetry::Fields;
 use haptic_emulator::cases::CASES;
 use haptic_emulator::exchange::run;
 
-/// A plane that is not touched, so that requests have their full length.
+/// A plane that the tip does not touch; it only gives the requests their full length.
 const PLANE: HostContact = HostContact { point: [0.0; 3], normal: [0.0, 1.0, 0.0], stiffness: 300.0, damping: 1.0 };
 
-/// Rates of exchanges with a stream; the minimums are a tenth below the rates measured on 2026-11-25.
+/// The smallest accepted rates of exchanges are a tenth below the rates measured on 2026-11-25.
 #[test]
 fn fast_force_requests_are_all_accepted_without_missed_periods() {
     let case = CASES[0];
@@ -25,7 +25,7 @@ fn fast_force_requests_are_all_accepted_without_missed_periods() {
     ] {
         let result = run(&mut rig, (Fields::USUAL, divider), case.rate_hz, 60, contact, ahead);
         println!(
-            "{}, every {divider}th row, contact {}, {ahead} on their way: {result:?}",
+            "{}, every {divider}th row, contact {}, {ahead} requests on their way: {result:?}",
             case.name(),
             contact.is_some()
         );

@@ -1,5 +1,5 @@
-//! One session with each release image, from power-on to a fault: the chip's part of every test run. The other modules
-//! test each of these functions in detail.
+//! One session with each release image, from power-on to a fault. Of the tests on the chip, only these are part of
+//! every test run; the other modules test the same functions in detail.
 
 use std::time::Duration;
 
@@ -24,7 +24,7 @@ const PUSH: f64 = 1.0;
 /// A row per millisecond, which fits the link under all conditions.
 const DIVIDER: u32 = 20;
 
-/// Runs a session on a board that reports its power stage's fault line as `fault`.
+/// Runs a session on a board that latches `fault` if its power stage's fault line is low.
 fn session(kind: BoardKind, device: &str, fault: Fault) {
     let mut rig = Rig::with_device(kind, device, |options| {
         options.friction = false;
@@ -88,8 +88,8 @@ fn session(kind: BoardKind, device: &str, fault: Fault) {
     assert!(rig.with(|stopped| stopped.resets().is_empty()), "{}", rig.post_mortem());
 }
 
-/// Checks the telemetry of the entire session: off, armed, off; no force outside the wall, and the force of the wall's
-/// stiffness inside.
+/// Checks the telemetry of the entire session: the states off, armed, off; no force outside the wall, and inside it the
+/// force of its stiffness.
 fn check_rows(rows: &[Row], stiffness: f64) {
     let state = |row: &Row| row.get(Field::State)[0];
     let mut states: Vec<f64> = rows.iter().map(state).collect();
@@ -119,7 +119,7 @@ fn is_within_record(now: u64, recorded: u64) -> bool {
     100 * now <= 101 * recorded
 }
 
-/// `UPDATE_DOCS=1` or `cargo xtask timing` writes the table again.
+/// With `UPDATE_DOCS=1` this test writes the table again, as `cargo xtask timing` does.
 #[test]
 fn control_steps_stay_within_the_recorded_instructions() {
     let now = steps();

@@ -1,9 +1,9 @@
-//! Full load: telemetry of every step, changing settings, a link with too little bandwidth.
+//! Boards under full load: telemetry of every step, changing settings, a link with too little bandwidth.
 
 use haptic_bridge::board::telemetry::Fields;
 use haptic_bridge::safety::fault::Fault;
 use haptic_emulator::cases::{CASES, SCENES};
-use haptic_emulator::load::{run, sustains_cuts, sustains_scenes};
+use haptic_emulator::load::{run, sustains_force_limit, sustains_scenes};
 use haptic_emulator::run::{MICROSECOND, MILLISECOND};
 
 #[test]
@@ -14,11 +14,11 @@ fn a_minute_at_20_khz_loses_no_period_and_no_frame() {
     assert!(load.in_time(), "{load:?}");
     assert_eq!((load.losses.missing, load.losses.garbled), (0, 0), "{load:?}");
     assert_eq!(load.losses.received, load.due, "{load:?}");
-    // The stack was painted at the start: of its 52 KB at least 8 KB were never used.
+    // The firmware fills the stack with a pattern at the start: at least 8 of its 52 KB still have the pattern.
     assert!(load.stack_free >= 8 * 1024, "{load:?}");
 }
 
-/// The link has a reserve above 20,000 rows per second: a quarter more also arrive without loss.
+/// The link has a reserve: a quarter more than the required 20,000 rows per second also arrive without loss.
 #[test]
 fn the_link_carries_25_000_rows_per_second() {
     let mut rig = CASES[0].rig(25_000);
@@ -55,20 +55,20 @@ fn three_joints_miss_no_period_when_rows_are_lost() {
     }
 }
 
-/// The longest work while the motors are on: checking that the tip touches no new wall, installing the scene, and half
-/// a second of fading torques.
+/// A new scene causes the longest work while the motors are on: checking that the tip touches no new wall, installing
+/// the scene, and half a second of fading torques.
 #[test]
-fn new_scenes_cost_an_armed_board_no_crest() {
+fn new_scenes_make_an_armed_board_miss_no_crest() {
     for (case, rate_hz) in [(&CASES[0], 30_000), (&CASES[2], 25_000), (&CASES[4], 25_000), (&CASES[4], 20_000)] {
         assert!(sustains_scenes(case, rate_hz), "{} at {rate_hz} Hz", case.name());
     }
 }
 
-/// A limit that cuts a step needs some 300 additional instructions, for an unlimited time.
+/// A force limit that reduces the force needs about 300 additional instructions in every step, for as long as it acts.
 #[test]
-fn a_limit_that_cuts_every_step_costs_no_period() {
+fn a_force_limit_in_every_step_makes_a_board_miss_no_period() {
     for (case, rate_hz) in [(&CASES[0], 40_000), (&CASES[2], 30_000), (&CASES[4], 30_000)] {
-        assert!(sustains_cuts(case, rate_hz), "{} at {rate_hz} Hz", case.name());
+        assert!(sustains_force_limit(case, rate_hz), "{} at {rate_hz} Hz", case.name());
     }
 }
 
@@ -77,7 +77,7 @@ fn a_limit_that_cuts_every_step_costs_no_period() {
 fn a_missed_crest_turns_the_motors_off() {
     let carrier = 50 * MICROSECOND;
     for rate_hz in [20_000, 1_000] {
-        // Nothing is touched, so that the board can be armed again.
+        // The scene has no walls, so that the board can be armed again.
         let mut rig = SCENES[0].rig(rate_hz);
         for phase in 0..10 {
             rig.run(phase * carrier / 10);

@@ -1,6 +1,6 @@
 //! Power cuts within the flash operations of a save, on the release image. Afterwards the board boots with the old or
 //! the new scene and all other settings, and the next save works. tests/power_cut.rs does the same with only a model of
-//! the flash, in many more of its states.
+//! the flash, in many more states of the flash.
 
 use haptic_bridge::board::protocol::SceneData;
 use haptic_emulator::boards::BoardKind;
@@ -82,8 +82,8 @@ fn test_cuts(step: usize, mut rig: Rig) -> u64 {
     operations
 }
 
-/// Every fifth operation, which is not in step with any pattern of the entries. tests/power_cut.rs cuts every operation
-/// on a PC.
+/// Cuts every fifth operation; no pattern of the entries has this period. tests/power_cut.rs cuts every operation on a
+/// PC.
 #[test]
 fn a_power_cut_in_a_save_leaves_the_old_or_the_new_scene() {
     assert!(test_cuts(5, saved_rig()) > 20);
@@ -93,7 +93,7 @@ fn a_power_cut_in_a_save_leaves_the_old_or_the_new_scene() {
 fn a_power_cut_in_a_save_with_an_erase_leaves_old_or_new() {
     let mut rig = saved_rig();
     let erased = |rig: &Rig| rig.with(|stopped| stopped.hardware().chip.flash.hook.erased.len());
-    // Save until the next save needs an erase: more saves than anyone would make without this test.
+    // Saves until the next save needs an erase.
     let mut before = Vec::new();
     for nth in 0..400 {
         before = rig.with(|stopped| stopped.flash(SETTINGS));

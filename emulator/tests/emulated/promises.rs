@@ -38,8 +38,8 @@ fn a_reset_of_an_armed_board_leaves_the_bridges_off() {
     }
 }
 
-/// A current loop that runs while its bridge floats winds up. If the bridges waited for the next control step, it would
-/// run so for up to a hundred carrier periods at 200 Hz.
+/// A current loop that runs while its bridge floats winds up. If the bridges waited for the next control step, the loop
+/// would run with a floating bridge for up to a hundred carrier periods at 200 Hz.
 #[test]
 fn an_armed_board_drives_from_the_next_crest_at_every_rate() {
     for rate in [200, 1_000] {
@@ -52,12 +52,12 @@ fn an_armed_board_drives_from_the_next_crest_at_every_rate() {
             assert!(rig.with(bridges_off), "disarmed");
             rig.tool.arm().expect("the board arms");
             rig.run(60 * MICROSECOND);
-            assert!(!rig.with(bridges_off), "{rate} Hz: armed, and the bridges float");
+            assert!(!rig.with(bridges_off), "{rate} Hz: the board is armed, but the bridges float");
         }
     }
 }
 
-/// DBGMCU's freeze registers of the two peripheral buses, and their bits (RM0090 section 38.16.4 and 38.16.5).
+/// DBGMCU's freeze registers of the two peripheral buses, and their bits (RM0090 sections 38.16.4 and 38.16.5).
 const APB1_FREEZE: u32 = 0x08;
 const APB2_FREEZE: u32 = 0x0C;
 const WATCHDOG_STOPS: u64 = 1 << 12;
@@ -95,7 +95,7 @@ fn the_break_input_works_without_the_processor() {
     assert_eq!(executed(), before, "the processor executed instructions");
 }
 
-/// Tests each image on the wires of every other board. PB12 is EN_GATE on one board and the break input, pulled up, on
+/// Tests each image on every other board. PB12 is EN_GATE on one board and the break input, pulled up, on
 /// another; PC6 is an axis's gate or the enable line; PA9 is a gate or has the cable's 5 V. On a Discovery board with a
 /// 3.3 V supply, an accelerometer may hold the pin of an ODrive's divider, and a microphone the pin of a module's.
 #[test]
@@ -137,7 +137,7 @@ fn an_image_on_the_wrong_board_does_not_touch_its_power_stage() {
     }
 }
 
-/// Images for 3.3 V wait for a higher voltage than a Discovery board has.
+/// Images for boards with 3.3 V wait for a higher supply voltage than a Discovery board (3 V) has.
 #[test]
 fn images_of_other_boards_do_not_start_at_three_volts() {
     let wires = Wiring::of(BoardKind::HBridgeF407Disc1);
@@ -150,7 +150,7 @@ fn images_of_other_boards_do_not_start_at_three_volts() {
     }
 }
 
-/// Without an interrupt for it, the running step could take up to a period.
+/// Only an interrupt of the supply monitor is this fast: the running step could last up to a period.
 #[test]
 fn a_falling_supply_floats_the_bridges_within_a_control_step() {
     for kind in BoardKind::ALL {
@@ -183,8 +183,7 @@ fn stores(values: &[(u32, u32)], task: u32) -> Vec<u32> {
     let mut code = Vec::new();
     let literals = 2 * values.len() as u32 + 1;
     for nth in 0..values.len() as u32 {
-        // Words from this pair of instructions, and from the next, to the literals: the program counter is a word
-        // ahead.
+        // Offset in words from the program counter, which is a word ahead, to the literals.
         let to = literals + 2 * nth - (2 * nth + 1);
         // ldr r2, [pc, #value]; ldr r3, [pc, #address]; str r2, [r3]; nop.
         code.extend([(0x4B00 | (to + 1)) << 16 | 0x4A00 | to, 0xBF00_601A]);
@@ -231,12 +230,12 @@ fn no_code_can_change_how_gates_are_driven() {
                 let pins = power.iter().filter(|pin| name.ends_with(pin.0)).map(|pin| 0b11 << (2 * pin.1));
                 let fields = pins.fold(0, |all, field| all | field);
                 let value = match *at {
-                    // Inverted outputs; then without dead time and break.
+                    // CCER: inverted outputs; BDTR: no dead time and no break.
                     0x20 => value ^ 0xAAA,
                     BREAK_AND_DEAD_TIME => 0,
-                    // Active at every count.
+                    // CCMR: channels active at every count.
                     at if !name.starts_with("GPIO") => value | if at == 0x18 { 0x5050 } else { 0x0050 },
-                    // Outputs, or pulled up.
+                    // MODER: outputs; PUPDR: pull-ups.
                     _ => value & !fields | fields & 0x5555_5555,
                 };
                 (value, *address)
@@ -286,7 +285,7 @@ fn the_watchdog_bites_when_the_control_interrupt_stops() {
 
 #[test]
 fn the_watchdog_bites_when_the_link_task_stops() {
-    // bx lr: the task returns without a sign of life. It may be silent for a second.
+    // bx lr: the task returns without a sign of life. The watchdog allows this task a second without one.
     check_watchdog("4link5serve4POOL", |_| vec![0x4770_4770], 900, 2_000);
 }
 
@@ -337,8 +336,8 @@ fn the_watchdog_does_not_bite_an_idle_board() {
     assert_eq!(rig.tool.status().expect("the board replies").state, State::Armed);
 }
 
-/// The board computes the effect of a single count on a velocity by trial when the request arrives, without feeding the
-/// watchdog.
+/// The board computes the effect of a single count on a velocity by simulation when the request arrives, and does not
+/// feed the watchdog meanwhile.
 #[test]
 fn a_request_for_the_slowest_velocities_is_fast_enough() {
     let slow = |window| Estimator::Difference(Chosen { value: window, filtered: true });
@@ -365,7 +364,7 @@ fn limits_are_raised_only_while_the_motors_are_off() {
     };
     rig.tool.set_rules(&with_torque(0.5)).expect("lowered while armed");
     assert_eq!(refused(rig.tool.set_rules(&own)), Refusal::Armed);
-    assert_eq!(rig.tool.rules().expect("the board replies"), with_torque(0.5), "a refused change changes nothing");
+    assert_eq!(rig.tool.rules().expect("the board replies"), with_torque(0.5), "a refused request changed the rules");
     rig.tool.disarm().expect("the board disarms");
     rig.tool.set_rules(&own).expect("raised with the motors off");
     let raised = refused(rig.tool.set_rules(&with_torque(1.01)));

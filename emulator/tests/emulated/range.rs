@@ -4,8 +4,8 @@
 use haptic_bridge::render::scene::FeedForward;
 use haptic_emulator::range::{RATES, delay_samples, measure_on, predicted, rig, rigid};
 
-/// Largest deviation of the boundary from the theory. The interrupt's phase against the carrier differs between images;
-/// with the feed-forward, one point of one image was between 5 and 7 % below.
+/// Largest deviation of the boundary from the theory. It depends on the interrupt's phase in the carrier period, which
+/// differs between images: with the feed-forward, one point of one image was between 5 and 7 % below the theory.
 const AGREEMENT: f64 = 0.07;
 /// Measured points of the boundary, as shares of the largest damping of the range.
 const SHARES: [f64; 3] = [0.2, 0.4, 0.6];

@@ -1,5 +1,5 @@
-//! A refused request changes nothing: tests every request that a state refuses with the firmware. Tests of the library
-//! (tests/service.rs) check the text of each refusal; these check the bridges' pins and the board's data.
+//! A refused request changes nothing: sends the firmware every request that its state refuses, and checks the bridges'
+//! pins and the board's data. Tests of the library (tests/service.rs) check the text of each refusal.
 
 use haptic_bridge::board::protocol::TableChunk;
 use haptic_bridge::board::settings::{self, Key};
@@ -61,7 +61,7 @@ const ALWAYS_REFUSED: &[Request] = &[
     ("a damaged entry", |board| board.stage_entry(Key::Rules, [1, 2, 3].into_iter().collect())),
 ];
 
-/// Requests that turn the motors on or prepare for it. They require motors off, no fault, and a device.
+/// Requests that turn the motors on or prepare the board for that. They require motors off, no fault, and a device.
 const NEED_READINESS: &[Request] =
     &[("arm", Board::arm), ("check polarity", Board::check_polarity), ("home", Board::home)];
 

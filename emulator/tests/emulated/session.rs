@@ -1,4 +1,4 @@
-//! The parts of a session that a board stores, and the free memory in the largest session.
+//! The settings that a board stores, and the free stack in the largest session.
 
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::precomputed::{Interpolation, TableChunk};
@@ -55,7 +55,7 @@ fn send_largest_table(rig: &mut Rig) {
     rig.tool.set_mass_model(&table.data).expect("the board takes the table");
 }
 
-/// Applying a complete backup decodes, checks and compiles everything at once, which needs the most stack.
+/// A restored backup needs the most stack, because the board decodes, checks and compiles everything at once.
 #[test]
 fn a_restored_backup_of_three_joints_leaves_stack_free() {
     let mut rig = Rig::with_device(BoardKind::HBridgeF405, "serial-3r", |_| ());

@@ -1,10 +1,11 @@
-//! Duration of the control interrupt: it does not exceed the record in docs/results/timing.csv.
+//! The control interrupt takes at most 3 % more instructions than recorded in docs/results/timing.csv.
 
 use haptic_emulator::cases::CASES;
 use haptic_emulator::results;
 use haptic_emulator::timing::recorded;
 
-/// Largest permitted growth over the record. After a larger growth, examine the cause and run `cargo xtask timing`.
+/// Largest permitted ratio to the recorded instructions. If it is exceeded, examine the cause and run
+/// `cargo xtask timing`.
 const GROWTH: f64 = 1.03;
 
 fn stays_within_record(nth: usize) {

@@ -1,4 +1,4 @@
-//! A board that is not shipped: `toy_board.rs`, compiled into the firmware, with its wiring.
+//! The firmware with a board that is not shipped: `toy_board.rs`, and its wiring here.
 
 use haptic_emulator::boards::{EncoderWires, HalfBridge, MotorWires, Pin, Wiring};
 use haptic_emulator::contact::WallAt;

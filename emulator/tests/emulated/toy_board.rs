@@ -26,7 +26,7 @@ const AMPERES_PER_COUNT: f32 = adc::REFERENCE_V / adc::FULL_SCALE / 0.2;
 /// Volts per count of the converter: a divider of 11:1.
 const VOLTS_PER_COUNT: f32 = adc::REFERENCE_V / adc::FULL_SCALE * 11.0;
 
-/// Largest deviation of the current sensor's zero from the middle of its range, counts.
+/// Largest deviation of the current sensor's zero from the middle of the range, counts.
 const ZERO_MAX: u16 = 136;
 
 /// Index input: a bit of port C.

@@ -1,4 +1,4 @@
-//! Events at the cable and the computer that must not disturb a board.
+//! Events at the USB cable and the computer that must not disturb a board.
 
 use std::io;
 use std::sync::{Arc, Mutex};
@@ -55,9 +55,8 @@ fn a_board_resumes_with_its_computer() {
 }
 
 #[test]
-fn usb_requests_of_no_serial_port_are_stalled() {
+fn usb_requests_unknown_to_serial_ports_are_stalled() {
     let rig = Rig::empty(BoardKind::HBridgeF405);
-    // Requests unknown to serial ports are stalled, and the port keeps working.
     for setup in [[0xC0, 0x55, 0, 0, 0, 0, 64, 0], [0x80, 6, 9, 9, 0, 0, 255, 0], [0x21, 0x77, 1, 0, 0, 0, 0, 0]] {
         rig.with(move |stopped| stopped.usb().request(setup, &[]));
         rig.run(5 * MILLISECOND);
@@ -70,7 +69,7 @@ fn usb_requests_of_no_serial_port_are_stalled() {
 }
 
 #[test]
-fn a_computer_that_stops_reading_stops_nothing_else() {
+fn a_board_keeps_running_if_its_computer_stops_reading() {
     let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |_| ());
     rig.load(WALL);
     rig.ready();
@@ -88,13 +87,13 @@ fn a_computer_that_stops_reading_stops_nothing_else() {
     rig.tool.rows(Duration::from_millis(100)).expect("rows come again");
     rig.tool.stop_stream().expect("the stream stops");
     let losses = rig.tool.losses();
-    assert!(losses.missing > 0, "something had to be lost: {losses:?}");
+    assert!(losses.missing > 0, "no row was lost: {losses:?}");
 }
 
 /// The board waits at most 100 ms for an entire frame. Without this limit, a host that takes one packet every 90 ms
 /// would hold the link task for a second per frame, and the watchdog would bite.
 #[test]
-fn a_computer_that_reads_slowly_stops_nothing_else() {
+fn a_board_keeps_running_if_its_computer_reads_slowly() {
     let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |_| ());
     rig.load(WALL);
     rig.ready();
@@ -134,8 +133,8 @@ fn a_flood_of_requests_starves_no_task() {
     assert_eq!((status.state, status.fault), (State::Armed, None));
 }
 
-/// If a board is disarmed before a control step has connected the bridges, the next arming trusts nothing from before:
-/// it reads the drivers' registers and learns the zeros again, 34 ms.
+/// If a board is disarmed before a control step has connected the bridges, the next arming still reads the drivers'
+/// registers and measures the sensors' zeros again, which takes 34 ms.
 #[test]
 fn every_arming_makes_the_drivers_ready_again() {
     let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |_| ());
@@ -192,10 +191,11 @@ fn recorded(rig: &mut Rig, work: impl FnOnce(&mut Rig)) -> Vec<Vec<u8>> {
     sent.split_inclusive(|byte| *byte == 0).filter(|frame| frame.len() > 1).map(<[u8]>::to_vec).collect()
 }
 
-/// Returns a burst: a fifth each of silence, noise, random frames, changed requests, and requests in noise.
+/// Returns a burst of one of five kinds: silence, noise, random frames, changed requests, or some changed requests
+/// among unchanged ones.
 fn burst(random: &mut Random, requests: &[Vec<u8>]) -> Vec<u8> {
     let mut below = |end: usize| random.bits() as usize % end;
-    // More than the port transfers until the next burst.
+    // The longest burst is longer than the port can transfer until the next.
     let length = below(3000);
     let mut bytes = Vec::new();
     match below(5) {
@@ -206,7 +206,7 @@ fn burst(random: &mut Random, requests: &[Vec<u8>]) -> Vec<u8> {
             while bytes.len() < length {
                 let mut frame = requests[below(requests.len())].clone();
                 if kind == 3 || below(2) == 0 {
-                    // The key at the front is not changed every time, because then no request would get past it.
+                    // Few bits change, so the key at the front often stays valid and the board decodes the rest.
                     for _ in 0..1 + below(4) {
                         let at = below(frame.len());
                         frame[at] ^= 1 << below(8);
@@ -220,7 +220,7 @@ fn burst(random: &mut Random, requests: &[Vec<u8>]) -> Vec<u8> {
     bytes
 }
 
-/// A disarmed board does nothing with random bytes, random frames and changed requests, and works afterwards.
+/// Random bytes, random frames and changed requests do not make a disarmed board drive, and it works afterwards.
 #[test]
 fn a_minute_of_random_bytes_has_no_effect() {
     let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |options| options.substep = 25e-6);
@@ -243,7 +243,7 @@ fn a_minute_of_random_bytes_has_no_effect() {
         let burst = burst(&mut random, &requests);
         sent += burst.len();
         rig.with(move |stopped| {
-            // Bytes of the last burst that the port has not sent are dropped: a burst may begin within a frame.
+            // Drops the unsent bytes of the last burst, so a burst may also begin within a frame.
             stopped.usb().discard();
             stopped.usb().write(&burst);
         });
@@ -251,7 +251,7 @@ fn a_minute_of_random_bytes_has_no_effect() {
         let (replies, drives) = rig.with(|stopped| (stopped.usb().take().len(), stopped.hardware().drives()));
         received += replies;
         assert_eq!(drives, [MotorInput::Floating; 3], "burst {nth}");
-        // At the lowest rate, which a changed scene may have, a burst lasts two steps.
+        // A changed scene may have the lowest rate, at which a burst still lasts two steps.
         let now = rig.steps();
         assert_ne!(now, std::mem::replace(&mut steps, now), "no control step during burst {nth}");
     }

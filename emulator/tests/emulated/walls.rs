@@ -1,4 +1,4 @@
-//! A hand against a wall: the board's force agrees with the wall's law and with the PC's simulation.
+//! A hand pushes on a wall: the board's force agrees with the wall's stiffness and with the simulation on the PC.
 
 use std::time::Duration;
 
@@ -9,7 +9,7 @@ use haptic_bridge::render::scene::FeedForward;
 use haptic_bridge::safety::limits::Limits;
 use haptic_emulator::boards::BoardKind;
 use haptic_emulator::contact::{WallAt, scene};
-use haptic_emulator::hands::{firm, hang, hold, push as push_into};
+use haptic_emulator::hands::{firm, hold, push as push_into, suspend_device};
 use haptic_emulator::rig::Rig;
 use haptic_emulator::run::{MILLISECOND, SECOND};
 use haptic_host::link::Board;
@@ -18,15 +18,16 @@ use haptic_sim::{BoardOptions, Options, SharedBoard, SimulatedBoard};
 use haptic_sim::{Hand, HandSettings, Intent, Waypoint};
 use haptic_stability::analysis::plant::Linearised;
 
-/// Returns a rig armed near a wall, and the wall's height. Friction is off, so that only the wall holds the hand.
-fn armed_near_wall(feed_forward: &str, inside: f64) -> (Rig, f64) {
+/// Returns a rig armed in front of a wall at `distance` (m), and the wall's y coordinate (m). Friction is off,
+/// so that only the wall holds the hand.
+fn armed_near_wall(feed_forward: &str, distance: f64) -> (Rig, f64) {
     let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |options| options.friction = false);
     let tip = rig.with_simulated(|device| device.tip());
-    let height = tip[1] + inside;
+    let height = tip[1] + distance;
     rig.load(&format!(
         "[[wall]]\npoint = [0.0, {height}]\nnormal = [0.0, -1.0]\nstiffness = 2000.0\ndamping = 6.0\nfeed_forward = \"{feed_forward}\"\n"
     ));
-    rig.with_simulated(hang);
+    rig.with_simulated(suspend_device);
     rig.ready();
     (rig, height)
 }
@@ -131,10 +132,10 @@ fn check_depths(kind: BoardKind, name: &str, walls: &[WallAt], newtons: f64, sha
     for wall in 0..walls.len() {
         let deepest = pc.iter().map(|sample| sample[wall]).fold(0.0, f64::max);
         let difference = chip.iter().zip(&pc).map(|(chip, pc)| (chip[wall] - pc[wall]).abs()).fold(0.0, f64::max);
-        println!("{name}, wall {wall}: {deepest:.6} m deep on the PC, the chip at most {difference:.6} m apart");
-        // The hand's final force over the stiffness.
+        println!("{name}, wall {wall}: {deepest:.6} m deep on the PC, the chip differs by at most {difference:.6} m");
+        // The final depth is the hand's force over the stiffness.
         assert!(deepest > 0.5 * newtons / walls[wall].stiffness, "{name}: {deepest} m is no contact");
-        assert!(difference < share * deepest, "{name}, wall {wall}: {difference} m apart, {deepest} m deep");
+        assert!(difference < share * deepest, "{name}, wall {wall}: depths differ by {difference} m at {deepest} m");
     }
 }
 
@@ -168,8 +169,8 @@ fn gains_changed_in_contact_change_the_torque_in_proportion() {
         }
     }
     assert_eq!(rig.tool.losses().missing, 0);
-    // Columns: torques, distance, velocity, force. Each force belongs to one of the stiffnesses, and the torque follows
-    // the force.
+    // Columns: torques, distance, velocity, force. Each step of the force comes from a change of the stiffness, and the
+    // torque changes in proportion.
     let mut steps = 0;
     for pair in rows.windows(2) {
         let [a, b] = [&pair[0].values, &pair[1].values];
@@ -188,7 +189,7 @@ fn gains_changed_in_contact_change_the_torque_in_proportion() {
 fn the_chips_feed_forward_equals_the_analysis() {
     for (kind, name) in [(BoardKind::OdriveV3, "pantograph-mk2"), (BoardKind::HBridgeF405, "phantom-premium-1.5")] {
         let normal = [-0.6, -0.8, 0.0];
-        // The hand also carries the weight.
+        // Without gravity compensation, the hand also carries the weight.
         let mut rig = Rig::in_contact(kind, name, "gravity_compensation = false\n", &[WallAt::facing(normal)], 1.6);
         let file = rig.file.clone().expect("a device");
         let (joints, task) = (file.spec().joints, file.spec().task);
@@ -197,7 +198,7 @@ fn the_chips_feed_forward_equals_the_analysis() {
             .expect("a stream");
         for feed_forward in [FeedForward::Full, FeedForward::Off] {
             rig.tool.set_wall_gains(gains(feed_forward, 500.0, 1.0)).expect("gains change in contact");
-            // Before the tip slides along the wall.
+            // Measures before the tip slides along the wall.
             rig.run(10 * MILLISECOND);
             let rows = rig.tool.rows(Duration::from_millis(300)).expect("rows come");
             let row = &rows.last().expect("a row").values;
@@ -223,22 +224,23 @@ fn the_chips_feed_forward_equals_the_analysis() {
     }
 }
 
-/// Forces of a wall at one depth, measured and reported, over 80 ms.
+/// Forces of a wall at one depth: means over 80 ms of the measured and the reported forces.
 #[derive(Clone, Debug, Default)]
 struct Sample {
     /// Depth of the tip, m.
     depth: f64,
-    /// The force of the wall, and the part of it that limits leave according to telemetry, N.
-    asked: f64,
+    /// Force of the wall before and after the limits, according to telemetry, N.
+    unlimited: f64,
     rendered: f64,
-    /// The device's force on the hand along the normal and across it, N.
+    /// Force of the device on the hand along the normal and across it, N.
     along: f64,
     across: f64,
-    /// Smallest and largest `saturated` of each joint.
+    /// Smallest and largest value of the field `saturated` of each joint.
     saturated: Vec<(f64, f64)>,
 }
 
-/// Measures while a firm hand slowly leads the tip 6 mm into a wall of 2 kN/m, with motors limited to `torque` (N m).
+/// Measures samples while a firm hand slowly leads the tip 6 mm into a wall of 2 kN/m, with motors limited to `torque`
+/// (N m).
 fn measure_pressed(
     kind: BoardKind,
     name: &str,
@@ -275,7 +277,7 @@ fn measure_pressed(
         while rows < ROWS {
             for row in rig.tool.rows(Duration::from_millis(4)).expect("rows come") {
                 rows += 1;
-                sample.asked += row.get(Field::WallForce)[0];
+                sample.unlimited += row.get(Field::WallForce)[0];
                 sample.rendered += row.get(Field::RenderedForce)[0];
                 for (range, value) in sample.saturated.iter_mut().zip(row.get(Field::Saturated)) {
                     *range = (range.0.min(*value), range.1.max(*value));
@@ -286,7 +288,7 @@ fn measure_pressed(
             sample.depth += depths(&[wall], start, tip)[0];
             force = std::array::from_fn(|i| force[i] - hand[i]);
         }
-        sample.asked /= rows as f64;
+        sample.unlimited /= rows as f64;
         sample.rendered /= rows as f64;
         sample.depth /= times;
         sample.along = (0..3).map(|i| force[i] * normal[i]).sum::<f64>() / times;
@@ -299,14 +301,14 @@ fn measure_pressed(
 
 /// If each joint were limited separately, these walls would push sideways with 1 N.
 #[test]
-fn a_wall_pressed_beyond_the_motors_keeps_its_direction() {
+fn a_wall_force_above_the_motors_limits_keeps_its_direction() {
     for (kind, name, normal, feed_forward, torque) in [
         (BoardKind::OdriveV3, "pantograph-mk2", [-0.8, -0.6, 0.0], "washout", 0.15),
         (BoardKind::HBridgeF405, "phantom-premium-1.5", [-0.48, -0.64, 0.6], "off", 0.4),
     ] {
         let samples = measure_pressed(kind, name, normal, feed_forward, torque);
         let [first, .., last] = &samples[..] else { panic!("many samples") };
-        assert!(first.asked == 0.0 && last.rendered < 0.35 * last.asked, "{name}: {last:?}");
+        assert!(first.unlimited == 0.0 && last.rendered < 0.35 * last.unlimited, "{name}: {last:?}");
         // The tolerance covers current sensors, encoder steps and the hand's own motion.
         let uncertain = 0.03 * last.rendered;
         for (index, sample) in samples.iter().enumerate() {
@@ -317,11 +319,11 @@ fn a_wall_pressed_beyond_the_motors_keeps_its_direction() {
             assert!(sample.along > before - 0.3 * uncertain, "{name}: {before} N, then {sample:?}");
             let all_are = |value: f64| sample.saturated.iter().all(|seen| *seen == (value, value));
             assert!(
-                sample.rendered < sample.asked * 0.999 || all_are(0.0),
+                sample.rendered < sample.unlimited * 0.999 || all_are(0.0),
                 "{name}: saturated without a cut: {sample:?}"
             );
             assert!(
-                sample.rendered >= sample.asked * 0.75 || all_are(1.0),
+                sample.rendered >= sample.unlimited * 0.75 || all_are(1.0),
                 "{name}: cut without saturation: {sample:?}"
             );
         }

@@ -71,7 +71,7 @@ fn each_index_pulse_reaches_its_own_axis() {
                 record.map(|record| (record.fault, record.axis, record.value))
             };
             let place = format!("{} axis {axis}", kind.name());
-            assert_eq!(pass(0), None, "{place}: the first pulse is the reference");
+            assert_eq!(pass(0), None, "{place}: the first index pulse caused a fault");
             assert_eq!(pass(40), Some((Fault::IndexMismatch, Some(axis as u8), 40.0)), "{place}");
             rig.tool.clear().expect("the fault clears");
             rig.with(|stopped| stopped.hardware().plant = Box::new(Dummy::default()));
@@ -97,7 +97,7 @@ fn the_bus_voltage_is_exact_within_a_converter_step() {
     }
 }
 
-/// A pin on a page that differs from the tests would be wired without being tested.
+/// If a page had another pin than the tests, users would wire a pin that no test covers.
 #[test]
 fn each_wiring_page_and_drawing_contains_every_pin() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs");

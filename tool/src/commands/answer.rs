@@ -1,4 +1,4 @@
-//! The output of a command: words, or one document with `--json`; and pictures.
+//! The output of a command: text, or one document with `--json`; and pictures.
 
 use super::force::Force;
 use haptic_host::digits::print_json;
@@ -13,18 +13,18 @@ use std::path::PathBuf;
 pub struct Json {
     /// Print one JSON document
     #[arg(long = "json")]
-    asked: bool,
+    requested: bool,
 }
 
 impl Json {
     /// Returns true if the document was requested.
-    pub fn asked(self) -> bool {
-        self.asked
+    pub fn is_requested(self) -> bool {
+        self.requested
     }
 
-    /// Prints the document with `--json`, otherwise these words.
+    /// Prints the document with `--json`, otherwise the text `words`.
     pub fn answer(self, document: impl Serialize, words: &str) -> Result<(), Failure> {
-        if self.asked { print_json(document) } else { print(words) }
+        if self.requested { print_json(document) } else { print(words) }
     }
 }
 
@@ -34,10 +34,11 @@ pub struct Pictures {
     /// Draw the picture into this SVG file
     #[arg(long, value_name = "FILE")]
     svg: Option<PathBuf>,
-    /// Draw the same into this PNG file
+    /// Draw the picture into this PNG file
     #[arg(long, value_name = "FILE")]
     png: Option<PathBuf>,
-    /// Width of the picture on paper in mm, 60 to 400; its text then has 8 pt and more [default: none, for a screen]
+    /// Width of the picture on paper in mm, 60 to 400; its text then has at least 8 pt [default: a picture for a
+    /// screen]
     #[arg(long, value_name = "MM", value_parser = parse_width)]
     width: Option<f64>,
     #[command(flatten)]
@@ -50,17 +51,17 @@ const WIDTHS_MM: (f64, f64) = (60.0, 400.0);
 fn parse_width(text: &str) -> Result<f64, String> {
     let (min, max) = WIDTHS_MM;
     let width = text.parse().ok().filter(|mm| (min..=max).contains(mm));
-    width.ok_or_else(|| format!("write {min} to {max} mm; a column of a paper has 85, its page 170"))
+    width.ok_or_else(|| format!("write a width of {min} to {max} mm; a column of a paper has 85 mm, a page 170 mm"))
 }
 
 impl Pictures {
-    /// Refuses, before any work is done, files that could not be written after it.
+    /// Returns an error if the files could not be written after the work.
     pub fn check(&self) -> Result<(), Failure> {
         self.force.check_pictures(self.svg.as_ref(), self.png.as_ref())
     }
 
     /// Returns true if a picture was requested.
-    pub fn asked(&self) -> bool {
+    pub fn is_requested(&self) -> bool {
         self.svg.is_some() || self.png.is_some()
     }
 

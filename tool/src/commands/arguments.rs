@@ -64,8 +64,8 @@ impl Numbers {
         Ok(self.0.clone())
     }
 
-    /// Returns which of `walls` walls have the feed-forward: all except the indices in `without`, which count from 0.
-    /// At least one must remain.
+    /// Returns for each of `walls` walls true if it has the feed-forward: false for the indices in `without`, which
+    /// count from 0. Returns an error if no wall has it.
     pub fn with_feed_forward(without: Option<&Self>, walls: usize, option: &str) -> Result<Vec<bool>, Failure> {
         let mut with = vec![true; walls];
         for index in without.iter().flat_map(|without| &without.0) {
@@ -79,7 +79,7 @@ impl Numbers {
         if walls > 0 && !with.contains(&true) {
             let reason = format!("{option} leaves no wall with a feed-forward");
             return Err(
-                Failure::wrong(reason).remedy("leave one out: results without any feed-forward are printed too")
+                Failure::wrong(reason).remedy("name fewer walls: results without any feed-forward are printed too")
             );
         }
         Ok(with)
@@ -89,7 +89,7 @@ impl Numbers {
     pub fn unit(&self, task: usize, option: &str) -> Result<Vec<f64>, Failure> {
         let values = self.exactly(task, option, "task directions")?;
         unit(&values).ok_or_else(|| {
-            Failure::wrong(format!("{option} is zero, which points nowhere")).remedy("write a direction")
+            Failure::wrong(format!("{option} is zero, which points nowhere")).remedy("write a direction, such as 0,1")
         })
     }
 }
@@ -105,7 +105,7 @@ pub struct DeviceAt {
 }
 
 impl DeviceAt {
-    /// Returns the joint angles that were typed, or else the home of the file.
+    /// Returns the joint angles of --q, or the home pose of the file.
     pub fn pose(&self, file: &DeviceFile) -> Result<Vec<f64>, Failure> {
         pose(self.q.as_ref(), file)
     }
@@ -125,7 +125,8 @@ pub struct WallArgs {
     /// Normal of a wall at the tip, of any length; once for each wall that acts
     #[arg(long, value_name = "X,Y,..", required = true, allow_hyphen_values = true)]
     normal: Vec<Numbers>,
-    /// Part of each wall in stiffness and damping, with several --normal; results are the totals [default: equal parts]
+    /// Share of each wall in the total stiffness and damping, with several --normal; results are totals [default:
+    /// equal]
     #[arg(long, value_name = "A,B,..", allow_hyphen_values = true)]
     share: Option<Numbers>,
     /// Walls whose feed-forward is off while others have it, counted from 0 in the order of --normal
@@ -139,17 +140,17 @@ impl WallArgs {
         self.normal.len()
     }
 
-    /// The normals as they were typed.
+    /// Returns the normals as typed.
     pub fn normals(&self) -> impl Iterator<Item = &Numbers> {
         self.normal.iter()
     }
 
-    /// Returns each wall's part as it was typed; `None` for one wall.
+    /// Returns each wall's share as typed; `None` for one wall.
     pub fn parts(&self) -> Option<&Numbers> {
         self.share.as_ref().filter(|_| self.normal.len() > 1)
     }
 
-    /// Returns each wall with its part, at a tip of `task` dimensions.
+    /// Returns each wall with its share, at a tip of `task` dimensions.
     pub fn members(&self, task: usize) -> Result<Vec<Member>, Failure> {
         let shares = match &self.share {
             Some(share) => share.per_wall(self.count(), "--share")?,
@@ -176,7 +177,7 @@ impl WallArgs {
     }
 }
 
-/// Returns the joint angles of --q, or else the home of the file.
+/// Returns the joint angles of --q, or the home pose of the file.
 pub fn pose(q: Option<&Numbers>, file: &DeviceFile) -> Result<Vec<f64>, Failure> {
     let joints = file.spec().joints;
     match (q, file.description.home) {
@@ -207,7 +208,7 @@ pub fn pose_warnings(q: &[f64], file: &DeviceFile) -> Vec<Warning> {
     warnings.into_iter().map(FileWarning::typed).collect()
 }
 
-/// Refuses a control rate that no board has.
+/// Returns an error for a control rate that no board has.
 pub fn check_rate(rate_hz: f64) -> Result<(), Failure> {
     if (MIN_RATE_HZ..=MAX_RATE_HZ).contains(&rate_hz) {
         return Ok(());
@@ -216,7 +217,7 @@ pub fn check_rate(rate_hz: f64) -> Result<(), Failure> {
     Err(Failure::wrong(reason).remedy(format!("write {MIN_RATE_HZ} to {MAX_RATE_HZ} Hz")))
 }
 
-/// Parses one of these words to its value. Each word has a description for the help page.
+/// Returns a parser from words to values, with a description of each word for the help page.
 pub fn one_of<T: Copy + Send + Sync + 'static>(
     words: impl IntoIterator<Item = (&'static str, &'static str, T)>,
 ) -> impl TypedValueParser<Value = T> {
@@ -225,7 +226,7 @@ pub fn one_of<T: Copy + Send + Sync + 'static>(
     parse_words(listed, words.into_iter().map(|(word, _, meaning)| (word, meaning)).collect())
 }
 
-/// Parses one of these words to its value, without descriptions.
+/// Returns a parser from words to values, without descriptions.
 fn one_of_names<T: Copy + Send + Sync + 'static>(
     words: impl IntoIterator<Item = (&'static str, T)>,
 ) -> impl TypedValueParser<Value = T> {

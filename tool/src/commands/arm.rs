@@ -17,9 +17,9 @@ use std::time::{Duration, Instant};
 ///
 /// Torque ramps up over half a second. The board refuses, with the reason, if a requirement is missing. If the board's
 /// rules watch the host, which is the default of a real board, this command stays, reports to the board regularly, and
-/// switches the motors off at Ctrl-C; if it is killed or unplugged, the board switches them off. `haptic stream --arm`
-/// does the same and shows telemetry. If the rules do not watch the host (`haptic rules --host ignore`), the command
-/// returns at once, and the motors stay on until they are switched off.
+/// switches the motors off at Ctrl-C; if the command is killed or the board unplugged, the board switches them off.
+/// `haptic stream --arm` does the same and shows telemetry. If the rules do not watch the host (`haptic rules --host
+/// ignore`), the command returns at once, and the motors stay on until they are switched off.
 ///
 /// With --key the motors are on only while Space is held in this terminal. The board turns them off by itself half a
 /// second after the last Space that reached it, with any rules and any delay of the link.
@@ -75,13 +75,13 @@ const STATUS_INTERVAL: Duration = Duration::from_millis(200);
 
 /// Keeps the motors on while Space is held, until `q`.
 fn hold(board: &mut Board, json: Json, stop: Interrupt) -> Result<(), Failure> {
-    if json.asked() {
+    if json.is_requested() {
         return Err(Failure::wrong("--key does not apply with --json: it needs a person at the terminal"));
     }
     if !std::io::stdin().is_terminal() {
-        return Err(Failure::wrong("--key needs a terminal, for the Space key"));
+        return Err(Failure::wrong("--key needs a terminal, for the Space key").remedy("run it in a terminal"));
     }
-    print("hold Space: motors on; let go: motors off; q ends\n")?;
+    print("hold Space: motors on; release Space: motors off; q ends\n")?;
     board.keep_alive();
     let ended = in_raw_terminal(|| follow_key(board, stop)).map_err(Failure::impossible);
     haptic_host::error::overwrite_line(format_args!(""), true);
@@ -131,5 +131,5 @@ fn follow_key(board: &mut Board, stop: Interrupt) -> Result<(), Failure> {
 
 /// Prints how the command ended, except after a JSON document.
 fn print_end(json: Json, sentence: &str) -> Result<(), Failure> {
-    if json.asked() { Ok(()) } else { print(sentence) }
+    if json.is_requested() { Ok(()) } else { print(sentence) }
 }

@@ -15,7 +15,7 @@ use std::path::PathBuf;
 /// Show the cost and the error of each way to compute the control step
 ///
 /// Instructions on the chip were counted on the emulated chip (`cargo xtask bench`); errors are computed now. The time
-/// on this computer is also measured now and is no result to quote.
+/// on this computer is also measured now; do not publish it.
 #[derive(clap::Args)]
 pub struct Args {
     /// Device files (TOML) instead of one shipped device per mechanism
@@ -35,11 +35,11 @@ variant: mechanism/trigonometry/mass matrix/terms
   trigonometry: table (and two terms of a series, as in the firmware), minimax (polynomials)
   mass matrix: exact (closed form), frozen (one for the workspace), bilinear and bicubic (tables)
   terms: none (Jᵀ f alone), feed-forward, feed-forward+z (with the forces of motion)
-errors, N at the tip at the worst of the poses and speeds that the motors can reach, each alone:
+errors, N at the tip at the worst of the poses and speeds that the motors can reach, for each cause alone:
   left out: terms that are not computed, or that fade near singular poses (20 kHz, 500 Hz); matrix: the mass matrix instead of the closed form;
-  rounding: f32 and trigonometry in the torque; tip: the same in the tip's position, times 20 kN/m
+  rounding: f32 and trigonometry in the torque; tip: f32 and trigonometry in the tip's position, times 20 kN/m
 area: remaining share of the exact feed-forward's stable area of stiffness and damping, at the worst pose
-front: no variant of the same mechanism is both cheaper and nearer to the ideal force, the fade not counted
+front: no variant of the same mechanism is both cheaper and nearer to the ideal force (without the fade near singular poses)
 ";
 
 /// Computes and prints, or writes the report.
@@ -69,7 +69,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         ];
         return output::write_together(&all, args.force.overwrite());
     }
-    if args.json.asked() {
+    if args.json.is_requested() {
         let variants: Vec<&Variant> = every.iter().flat_map(|(_, variants)| variants).collect();
         return print_json(json!({ "variants": variants }));
     }

@@ -18,8 +18,8 @@ use std::time::Duration;
 /// Examine a board with its motors off, and write a page to send with a question
 ///
 /// The page has encoders and currents at rest, bus, flash, stack and timing, each with a verdict and a remedy; then
-/// versions, faults, device, scene and rules. A board whose current amplifiers sleep while the motors are off shows
-/// zeros there. Keep your hands off the device during the measurement of one second. The page has no serial number, no
+/// versions, faults, device, scene and rules. A board that turns its current amplifiers off with the motors shows zero
+/// currents. Keep your hands off the device during the measurement of one second. The page has no serial number, no
 /// name of board or device, no port and no path. Refused while the motors are on.
 #[derive(clap::Args)]
 pub struct Args {
@@ -50,9 +50,9 @@ const UNKNOWN: &str = "not known";
 const SECONDS: f32 = 1.0;
 /// Row rate of this measurement, rows a second.
 const ROWS: f32 = 1000.0;
-/// Largest current at rest that is not reported, A: bring-up requires less at no torque (docs/bring-up.md, step 8).
+/// Largest current at rest that is accepted, A: bring-up requires less without torque (docs/bring-up.md, step 8).
 const REST_CURRENT: f64 = 0.1;
-/// Stack that a board should never have used, bytes.
+/// Smallest acceptable amount of never used stack, bytes.
 const SPARE_STACK: u32 = 1024;
 
 /// Examines the board, then writes the page.
@@ -83,7 +83,7 @@ fn sample_at_rest(board: &mut Board) -> Result<Vec<Row>, Failure> {
     while received.is_ok() && rows.len() < count && board.now() < deadline {
         received = board.rows(Duration::from_millis(50)).map(|new| rows.extend(new));
     }
-    // Also stops the stream after an error, because it would go on.
+    // Stops the stream also after an error, because the board would continue it.
     board.stop_stream()?;
     received?;
     Ok(rows)
@@ -132,7 +132,7 @@ fn findings(board: &mut Board) -> Result<Vec<Finding>, Failure> {
                     _ => add(
                         &format!("current {axis}"),
                         LOOK,
-                        what + ": more than 0.1 A; a leg conducts, or the zero of its sensor is wrong",
+                        what + ": more than 0.1 A; a half bridge conducts, or the zero of the current sensor is wrong: see docs/bring-up.md",
                     ),
                 }
             }

@@ -94,7 +94,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         warnings.extend(scene_warnings);
     }
     let summary = Summary::of(&file)?;
-    if args.pictures.asked() {
+    if args.pictures.is_requested() {
         args.pictures.save(&picture(&file, &summary, args.pictures.paper())?)?;
     }
     warn(&warnings);

@@ -1,4 +1,4 @@
-//! `--continue`, an option of every command that takes long.
+//! `--continue`, an option of every long-running command.
 
 use super::interrupt;
 use haptic_host::error::Failure;
@@ -14,8 +14,8 @@ pub struct Continue {
 }
 
 impl Continue {
-    /// Creates the sweep of a command, which Ctrl-C ends in order; `question` holds all inputs that determine the
-    /// results.
+    /// Creates the `Sweep` that does the work of a command and that Ctrl-C ends cleanly. `question` holds all inputs
+    /// that determine the results.
     pub fn sweep(&self, command: &str, question: &str) -> Result<Sweep, Failure> {
         let interrupt = interrupt::watch();
         Sweep::new(command, question, self.file.as_deref(), move || interrupt.is_set())

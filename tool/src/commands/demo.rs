@@ -51,7 +51,7 @@ impl Bar {
         Self { bar, done: 0 }
     }
 
-    /// Shows that this share of the present part is done.
+    /// Shows the share of the present part that is done.
     fn show(&self, share: f64, doing: &'static str) {
         self.bar.set_message(doing);
         self.bar.set_position(self.done * PART + (share * PART as f64) as u64);
@@ -161,7 +161,7 @@ fn report(demo: &Demo, results: &Results) -> String {
     let stiffness = |newtons: f64| format!("{:.2}", newtons / 1000.0);
     row("highest stable stiffness, kN/m: measured", stiffness(low.measured), stiffness(high.measured));
     row("                                predicted", stiffness(low.predicted), stiffness(high.predicted));
-    row("the wall lets go while pressed, times", without.bounces.to_string(), with.bounces.to_string());
+    row("losses of contact while pressed", without.bounces.to_string(), with.bounces.to_string());
     row("rows of telemetry lost", without.lost.to_string(), with.lost.to_string());
     text.push_str(&format!(
         "\n  Weff = {:.1} g, Wrr = {:.1} g, coupling Wrr - Weff = {:.1} g\n\n",

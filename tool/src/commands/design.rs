@@ -26,7 +26,7 @@ use std::fmt::Write;
 /// At one pose: the directions of the stiffest and the softest wall, and the direction in which the feed-forward has
 /// the largest benefit. Over the workspace: the best places of a wall, of a wall with the given normal, and of a
 /// surface with all directions. Also the effect of a tenth more or less of each length, mass, inertia, rotor and gear
-/// ratio on the wall at the pose, and of a counterweight. On a redundant arm: the best posture at the same tip
+/// ratio, and of a counterweight, on the wall at the pose. On a redundant arm: the best posture at the same tip
 /// position. Places and postures are searched by the inertia that a wall meets; the stiffest walls there, and the
 /// effects of changes, are predicted as `haptic range` does, with joint damping, transmissions and a board's delay and
 /// drive. --svg draws the device with its motion along the normal, and its coupling over all directions.
@@ -78,8 +78,8 @@ struct Document {
     directions: Directions,
     places: Places,
     sensitivities: Vec<Sensitivity>,
-    /// Change with the largest benefit for the stiffest wall without the feed-forward, for the one with it, and for the
-    /// one with it per kilogram of Weff.
+    /// Changes with the largest benefit for the stiffest wall without the feed-forward, for the stiffest wall with the
+    /// feed-forward, and for the latter per kilogram of Weff.
     buys_most: [Option<Buys>; 3],
     #[serde(skip_serializing_if = "Option::is_none")]
     postures: Option<Postures>,
@@ -92,7 +92,9 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let spec = file.spec();
     arguments::check_rate(args.rate)?;
     if !(0.0..1.0).contains(&args.clear) || !(0.0..=1.0).contains(&args.patch) {
-        return Err(Failure::wrong("--clear is a sine from 0 to below 1, --patch a length up to 1 m"));
+        return Err(Failure::wrong(
+            "--clear must be a sine of at least 0 and less than 1, and --patch a length of at most 1 m",
+        ));
     }
     let q = args.at.pose(&file)?;
     warnings.extend(arguments::pose_warnings(&q, &file));
@@ -157,7 +159,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         places,
         sensitivities,
     };
-    if args.pictures.asked() {
+    if args.pictures.is_requested() {
         let (q, normal, paper) = (&document.q, &document.normal, args.pictures.paper());
         let drawn = draw(description, &file.name, q, normal, args.holding.admissible, paper)?;
         let picture = drawn.ok_or_else(|| Failure::impossible("the linkage does not close at this pose"))?;
@@ -224,7 +226,7 @@ fn readable(document: &Document, has_normal: bool, args: &Args) -> String {
         places.poses, document.clear
     ));
     line(placed("stiffest wall", &places.stiffest));
-    line(placed("any direction: stiffest softest", &places.every_direction));
+    line(placed("stiffest in its softest direction", &places.every_direction));
     line(placed("largest benefit of feed-forward", &places.feed_forward_buys_most));
     if let Some(along) = &places.along {
         line(format!(
@@ -263,7 +265,7 @@ fn readable(document: &Document, has_normal: bool, args: &Args) -> String {
     for (what, buys) in [
         "the stiffest wall without the feed-forward",
         "the stiffest wall with it",
-        "a stiffer wall with it at the same inertia felt without it",
+        "the stiffest wall with it per kilogram of Weff",
     ]
     .iter()
     .zip(&document.buys_most)
@@ -296,7 +298,7 @@ fn readable(document: &Document, has_normal: bool, args: &Args) -> String {
                 at.clearance
             )
         };
-        line(posture("as it stands", &postures.here));
+        line(posture("as given", &postures.here));
         line(posture("largest Weff", &postures.heaviest));
         line(posture("smallest Weff", &postures.lightest));
         line(posture("largest Wrr", &postures.most_held));

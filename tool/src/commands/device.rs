@@ -30,7 +30,7 @@ pub struct Args {
     #[command(flatten)]
     read: Read,
     /// Largest force of walls, springs and fields at the tip, N [default: the board's, at most 5 with real motors].
-    /// Also lowers the board's torque limits, so that no torque makes more in the home pose
+    /// Also lowers the board's torque limits, so that the torques cannot exceed this force in the home pose
     #[arg(long, value_name = "N", value_parser = parse_newtons, conflicts_with = "read")]
     tip_force: Option<f32>,
     #[command(flatten)]
@@ -47,7 +47,7 @@ fn parse_newtons(text: &str) -> Result<f32, String> {
 
 /// Checks the file, then the board, then loads.
 pub fn run(args: Args) -> Result<(), Failure> {
-    if args.read.asked()? {
+    if args.read.is_requested()? {
         return read_back(&args);
     }
     let path = required_file(args.file.as_ref(), "device")?;
@@ -86,7 +86,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     args.on.answer(document, &report)
 }
 
-/// Writes what the board keeps of its device, or reports how it differs from a file.
+/// Writes the board's data of its device, or reports how they differ from a file.
 fn read_back(args: &Args) -> Result<(), Failure> {
     let file = args.file.as_deref().map(DeviceFile::load).transpose()?;
     let device = args.on.open()?.device()?.ok_or(BoardError::Refused(Refusal::NoDevice))?;
@@ -150,8 +150,8 @@ fn limit_force(board: &mut Board, file: &DeviceFile, newtons: Option<f32>) -> Re
         _ => String::new(),
     };
     let tip = format!(
-        "  tip force: walls, springs and fields push with at most {newtons} N; a wrong current sensor hides at most \
-         {hidden} N at rest{faster}; `--tip-force` changes it\n"
+        "  tip force: walls, springs and fields push with at most {newtons} N; a faulty current sensor may add at most \
+         {hidden} N at rest{faster} unnoticed; `--tip-force` changes it\n"
     );
     let joints = file.spec().joints;
     let list = |torques: &[f32]| {
@@ -178,7 +178,7 @@ fn limit_force(board: &mut Board, file: &DeviceFile, newtons: Option<f32>) -> Re
         return Ok(tip);
     }
     Ok(format!(
-        "{tip}  torque limits: {limits} N m, for at most {newtons} N at the tip in the home pose in addition to its weight; \
+        "{tip}  torque limits: {limits} N m, for at most {newtons} N at the tip in the home pose in addition to the device's weight; \
          `haptic rules --torque` raises them\n"
     ))
 }

@@ -26,7 +26,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
             let words = format!("disarmed: the motors are off; the board uses protocol version {version}\n");
             return args.on.answer(json!({ "state": "Disarmed" }), &words);
         }
-        // A tool that was about to end may have closed the port by now; an open board allows a complete report.
+        // Opens the board for a complete report, if the other tool has closed the port meanwhile.
         Ok(Stopped::Held) => match haptic_sim::open(port) {
             Ok(board) => Box::new(board),
             Err(_) => return report_disarmed(args.on.json),

@@ -9,8 +9,8 @@ use serde_json::json;
 
 /// List the faults since the board started, each with its remedy, or clear a latched one
 ///
-/// Use --clear after the cause has been removed. It lists the joints outside their limits: the board does not arm
-/// before they are moved back.
+/// Use --clear after the cause has been removed. Then joints outside their limits are listed: move them back, because
+/// the board does not arm before.
 #[derive(clap::Args)]
 pub struct Args {
     /// Clear the latched fault instead
@@ -28,7 +28,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let mut board = args.on.open()?;
     let faults = board.faults()?;
     let latched = board.status()?.fault;
-    if args.on.json.asked() {
+    if args.on.json.is_requested() {
         let list: Vec<_> = faults
             .iter()
             .map(|record| {

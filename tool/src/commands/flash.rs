@@ -105,7 +105,8 @@ fn image(file: &Option<Image>, board: &str) -> Result<Image, Failure> {
     }
     let Some(embedded_image) = embedded().iter().find(|image| image.board == board) else {
         let reason = format!("this tool has no image for {}", on_one_line(board));
-        return Err(Failure::wrong(reason).remedy(format!("it has those for {}", boards_with_images().join(", "))));
+        return Err(Failure::wrong(reason)
+            .remedy(format!("give one of {}, or an update file with --file", boards_with_images().join(", "))));
     };
     let broken = |why| Failure::impossible(format!("the image for {board} in this tool is broken: {why}"));
     let image = embedded_image.image().map_err(broken)?;
@@ -168,7 +169,7 @@ fn image_for_boot_loader(args: &Args, file: &Option<Image>) -> Result<Image, Fai
     let board = match (&args.board, file) {
         (Some(board), Some(image)) if *board != image.board => {
             let reason = format!("the file is for {} and the board is {board}", on_one_line(&image.board));
-            return Err(Failure::wrong(reason).remedy("name the file for this board"));
+            return Err(Failure::wrong(reason).remedy("give the update file for this board"));
         }
         (Some(board), _) => board.clone(),
         (None, Some(image)) => image.board.clone(),
@@ -209,7 +210,7 @@ fn flash_by_probe(args: &Args, file: &Option<Image>) -> Result<(), Failure> {
     let image = image(file, &board)?;
     if image.board != board {
         return Err(Failure::wrong(format!("the file is for {} and the board is {board}", on_one_line(&image.board)))
-            .remedy("name the file for this board"));
+            .remedy("give the update file for this board"));
     }
     confirm(args.yes, &format!("the board at the probe restarts as {board}, and its motors go off"))?;
     haptic_host::tell!("flashing {}", describe(&image));

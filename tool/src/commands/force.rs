@@ -18,7 +18,7 @@ impl Force {
         if self.force { Overwrite::Replace } else { Overwrite::Never }
     }
 
-    /// Does what [`Force::check`] does, and refuses a picture whose extension belongs to the other format.
+    /// Does the checks of [`Force::check`]. Also refuses a picture whose file extension is that of the other format.
     pub fn check_pictures(&self, svg: Option<&PathBuf>, png: Option<&PathBuf>) -> Result<(), Failure> {
         for (path, option, other) in [(svg, "--svg", "png"), (png, "--png", "svg")] {
             let ending = path.and_then(|path| Path::new(path).extension());
@@ -30,7 +30,7 @@ impl Force {
         self.check(svg.into_iter().chain(png))
     }
 
-    /// Refuses existing files before the work instead of after it.
+    /// Returns an error for an existing file without `--force`, before the work is done.
     pub fn check<'a>(&self, paths: impl IntoIterator<Item = &'a PathBuf>) -> Result<(), Failure> {
         let mut files = paths.into_iter().filter(|path| path.as_os_str() != "-");
         files.try_for_each(|path| check(path, self.overwrite()))

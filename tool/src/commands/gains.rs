@@ -108,7 +108,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     };
     if wall.feed_forward != FeedForward::Off && scene.velocity_terms == VelocityTerms::Off {
         haptic_host::tell!(
-            "the feed-forward is without velocity terms, as this scene was loaded; `haptic scene FILE` decides again"
+            "the feed-forward has no velocity terms, because this scene was loaded without them; `haptic scene FILE` plans them again"
         );
     }
     let words = format!(

@@ -1,6 +1,6 @@
-//! The dead man's key of a terminal. A terminal does not report a released key, but repeats a held one: Space switches the
-//! motors on once it repeats, and they go off when it no longer does. With each Space goes the newest control step that was
-//! known before the key came.
+//! The dead man's key of a terminal. A terminal does not report a released key, but repeats a held key: the motors go
+//! on when Space repeats, and off when it no longer repeats. Each message to the board contains the newest control step
+//! that was known before the key was pressed.
 
 use crossterm::event::{self, Event, KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
 use crossterm::terminal;
@@ -56,19 +56,19 @@ impl HeldKey {
     /// Reads the keys of a raw terminal, after the board has reported this control step. Returns the message for the board,
     /// or `None` to end.
     pub fn listen(&mut self, step: u32) -> io::Result<Option<Option<FromPage>>> {
-        let mut said = None;
+        let mut message = None;
         while event::poll(Duration::ZERO)? {
             match event::read()? {
                 Event::Key(key) if key.kind == KeyEventKind::Release => {}
                 Event::Key(key) if is_end(&key) => return Ok(None),
-                Event::Key(key) if key.code == KeyCode::Char(' ') => said = self.press(Instant::now()).or(said),
+                Event::Key(key) if key.code == KeyCode::Char(' ') => message = self.press(Instant::now()).or(message),
                 // Any other key stops the motors.
-                Event::Key(_) => said = Some(self.release()),
+                Event::Key(_) => message = Some(self.release()),
                 _ => {}
             }
         }
-        let waited = self.wait(Instant::now(), step);
-        Ok(Some(said.or(waited)))
+        let release = self.wait(Instant::now(), step);
+        Ok(Some(message.or(release)))
     }
 
     /// Forgets the key because something else turned the motors off: it must be pressed again.
@@ -77,7 +77,7 @@ impl HeldKey {
     }
 }
 
-/// Runs `work` while the terminal passes on every key at once and echoes none.
+/// Runs `work` while the terminal reports every key immediately and does not echo keys.
 pub fn in_raw_terminal<T>(work: impl FnOnce() -> T) -> io::Result<T> {
     terminal::enable_raw_mode()?;
     let done = work();
@@ -96,18 +96,18 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_a_key_that_repeats_arms_and_one_that_stops_lets_go() {
+    fn a_repeating_key_arms_and_the_end_of_its_repeats_releases() {
         let (mut held, began) = (HeldKey::default(), Instant::now());
         let at = |ms: u64| began + Duration::from_millis(ms);
         assert_eq!(held.press(at(0)), None, "one press alone does not hold");
         assert_eq!(held.wait(at(500), 10), None);
-        // Any number of Spaces may have waited in the terminal: no Space is known to be newer than the last look.
+        // Spaces may have waited in the terminal, so no Space is known to be newer than the last `wait`.
         assert_eq!(held.press(at(600)), Some(FromPage::Arm { seen: 10 }));
         assert_eq!(held.press(at(640)), Some(FromPage::Hold { seen: 10 }));
         assert_eq!(held.wait(at(1000), 20), None);
         assert_eq!(held.wait(at(1041), 21), Some(FromPage::Release {}));
         assert_eq!(held.wait(at(5000), 99), None);
-        assert_eq!(held.press(at(5000)), None, "and it begins anew");
+        assert_eq!(held.press(at(5000)), None, "after a release, one press does not hold");
         assert_eq!(held.press(at(6001)), None, "two presses far apart do not hold");
     }
 }

@@ -22,7 +22,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let scene = board.scene()?;
     let tip_force = board.rules()?.limits.tip_force;
     let axes = board.device()?.map_or(0, |device| device.axes());
-    if args.on.json.asked() {
+    if args.on.json.is_requested() {
         let fault = status.fault.map(|record| {
             json!({ "code": record.fault.code(), "name": record.fault.name(), "axis": record.axis,
                     "value": record.value, "step": record.step })
@@ -87,7 +87,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         line("not sensed", unsensed.join("; "));
     }
     for (key, damage) in &details.damage {
-        line("damaged", format!("the stored {} ({damage:?}): it is at its default", key.name()));
+        line("damaged", format!("the stored {} ({damage:?}): its default is used", key.name()));
     }
     print(&report)
 }

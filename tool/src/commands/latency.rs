@@ -25,7 +25,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let mut board = args.on.open()?;
     let stop = interrupt::watch();
     let latency = measure(&mut board, args.exchanges as usize, || stop.is_set())?;
-    if args.on.json.asked() {
+    if args.on.json.is_requested() {
         return print_json(&latency);
     }
     let mut report =

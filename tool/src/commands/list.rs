@@ -16,7 +16,7 @@ pub struct Args {
 /// Lists boards by their USB identifiers, without opening any port.
 pub fn run(args: Args) -> Result<(), Failure> {
     let (boards, others) = boards();
-    if args.json.asked() {
+    if args.json.is_requested() {
         let boards: Vec<_> = boards
             .iter()
             .map(|board| json!({ "port": board.path, "serial": board.serial, "board": board.kind }))

@@ -49,7 +49,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let (file, warnings) = arguments::device(&args.device, false)?;
     warn(&warnings);
     let normal = args.normal.unit(file.spec().task, "--normal")?;
-    let has_picture = args.pictures.asked();
+    let has_picture = args.pictures.is_requested();
     let question = format!("{:?} {normal:?} {} {:?}", file.description, args.points, args.holding.admissible);
     let sweep = args.continued.sweep("map", &question)?;
     let points = map_swept(&file.description, &normal, args.points as usize, args.holding.admissible, &sweep)?;

@@ -36,8 +36,8 @@ use std::path::PathBuf;
 /// lowest, the median and the highest repeat of each pull are reported, because with friction a wall may tolerate a short
 /// pull and vibrate after a long one. The theory is not used, only printed for comparison, with its `haptic range`
 /// command. Take your hand off the device. Ctrl-C turns the motors off at any time; the same command then continues where
-/// it stopped. The board's scene, rate and rules are restored, if the command is killed by the next run with the same
-/// --progress. --svg draws the measured dots over the predicted range.
+/// it stopped. At the end the board's scene, rate and rules are restored; if the command is killed, the next run with
+/// the same --progress restores them. --svg draws the measured dots over the predicted range.
 ///
 /// On --port sim the device of the file is simulated in this process, as fast as the computer can.
 #[derive(clap::Args)]
@@ -54,7 +54,8 @@ pub struct Args {
     /// Cutoff of the velocity filter in Hz
     #[arg(long, value_name = "HZ", default_value_t = 20.0)]
     cutoff: f64,
-    /// Measure at exactly these dampings, in N s/m [default: --points even ones up to where the range ends]
+    /// Measure at exactly these dampings, in N s/m [default: --points of them at equal intervals, up to the end of the
+    /// range]
     #[arg(long, value_name = "A,B,..", allow_hyphen_values = true)]
     kd: Option<Numbers>,
     /// Number of dampings
@@ -270,7 +271,7 @@ fn plan(args: &Args, joints: usize) -> Result<(Plan, f64), Failure> {
     }
     let kd = match args.kd.clone() {
         Some(Numbers(kd)) if kd.iter().any(|kd| *kd < 0.0) => {
-            return Err(Failure::wrong("--kd takes dampings that are not negative"));
+            return Err(Failure::wrong("--kd must not contain negative dampings"));
         }
         kd => kd.map(|kd| kd.0),
     };
@@ -283,7 +284,7 @@ fn plan(args: &Args, joints: usize) -> Result<(Plan, f64), Failure> {
 fn walls(args: &Args, task: usize) -> Result<Vec<Member>, Failure> {
     let (count, most) = (args.walls.count(), most_tested(task));
     if count > most {
-        let reason = format!("{count} walls are too many, because further walls hold the tip");
+        let reason = format!("{count} walls are too many: more than {most} hold the tip in place");
         return Err(Failure::wrong(reason).remedy(format!("measure at most {most} on this device")));
     }
     args.walls.members(task)
@@ -342,8 +343,8 @@ fn ready(board: &mut Board, file: &DeviceFile, args: &Args, setup: &MeasurementS
     }
     haptic_host::tell!(
         "This moves the motors by themselves: the tip swings by up to {} mm with at most {} N m, and will oscillate briefly, \
-         many times.\nHold a device that has weight in its pose until the motors carry it; then keep the hand off it and \
-         clear of it. Ctrl-C turns the motors off.",
+         many times.\nHold a device that has weight in its pose until the motors carry it; then keep your hands \
+         away from it. Ctrl-C turns the motors off.",
         12e3 * if setup.law.farther { LONGEST_PULL } else { setup.largest_pull },
         args.torque_limit
     );
@@ -361,11 +362,11 @@ fn progress_failure(error: ProgressError) -> Failure {
     }
 }
 
-/// Describes the state of the motors that the board reports.
+/// Describes the state of the motors as reported by the board.
 fn motors(board: &mut Board) -> &'static str {
     match board.status() {
         Ok(status) if !status.state.drives() => "motors are off",
-        _ => "the board DOES NOT SAY that its motors are off; use the emergency stop",
+        _ => "the board DOES NOT CONFIRM that its motors are off; use the emergency stop",
     }
 }
 
@@ -417,6 +418,6 @@ mod tests {
         board.set_scene(&haptic_predict::wall_ahead::wall_ahead(&file).unwrap()).unwrap();
         assert_eq!(motors(&mut board), "motors are off");
         board.arm().unwrap();
-        assert!(motors(&mut board).contains("DOES NOT SAY"));
+        assert!(motors(&mut board).contains("DOES NOT CONFIRM"));
     }
 }

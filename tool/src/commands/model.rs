@@ -58,7 +58,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     warn(&warnings);
     let walls = walls(&args.normal, &args.force, args.stiffness.as_ref(), args.no_feed_forward.as_ref(), spec.task)?;
     let report = evaluate_holding(&device, &q, &qd, &walls, args.precision, args.holding.admissible)?;
-    if args.json.asked() {
+    if args.json.is_requested() {
         let forces = walls.iter().map(|wall| wall.force).collect();
         let normals = walls.iter().map(|wall| wall.normal.clone()).collect();
         let (precision, admissible) = (args.precision, args.holding.admissible.name());

@@ -34,7 +34,7 @@ pub struct Args {
     /// End time, s
     #[arg(long, value_name = "SECONDS")]
     to: Option<f64>,
-    /// Device file of the recorded device: a hand feels its walls behind its transmissions, which boards do not know
+    /// Device file of the recorded device, for the stiffness that a hand feels behind its transmissions
     #[arg(long, value_name = "FILE")]
     device: Option<PathBuf>,
     /// Print one JSON document: the numbers, and every drawn point
@@ -66,7 +66,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         to: args.to,
     };
     let analysis = panels(&recording, &request)?;
-    if args.pictures.asked() {
+    if args.pictures.is_requested() {
         let value = |word: &str| recording.header_value(word).unwrap_or("unknown");
         let title = format!("{}, {}", value("device"), value("date"));
         let walls: Vec<String> = recording.about.iter().filter(|line| line.starts_with("wall ")).cloned().collect();

@@ -21,7 +21,10 @@ pub struct Args {
 pub fn run(args: Args) -> Result<(), Failure> {
     let mut board = args.on.open()?;
     if board.details()?.real {
-        confirm(args.yes, "each joint is moved by a small torque: the device must be free to move, and hands off it")?;
+        confirm(
+            args.yes,
+            "each joint is moved by a small torque: the device must be free to move; keep your hands off it",
+        )?;
     }
     board.check_polarity()?;
     board.wait_for_polarity()?.passed()?;

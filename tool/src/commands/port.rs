@@ -1,4 +1,4 @@
-//! `--port`, an option of every command that uses a board, and the words that these commands share.
+//! `--port`, an option of every command that uses a board, and the messages that these commands share.
 
 use super::answer::Json;
 use haptic_bridge::control::{HostAction, Rules};
@@ -78,7 +78,7 @@ impl OnBoard {
         }
     }
 
-    /// Prints the document with `--json`, otherwise these words.
+    /// Prints the document with `--json`, otherwise the text `words`.
     pub fn answer(&self, document: impl Serialize, words: &str) -> Result<(), Failure> {
         self.json.answer(document, words)
     }
@@ -106,7 +106,7 @@ pub fn state_in_words(state: State) -> &'static str {
 /// Warning before motors that are on go off.
 pub const MOTORS_GO_OFF: &str = "the motors are on and will go off: a device with weight falls";
 
-/// Asks for confirmation on the terminal, unless `yes` confirmed beforehand; `what` describes the effect.
+/// Asks for confirmation on the terminal, unless `yes` is true; `what` describes the effect.
 pub fn confirm(yes: bool, what: &str) -> Result<(), Failure> {
     if yes {
         return Ok(());
@@ -121,7 +121,8 @@ pub fn confirm(yes: bool, what: &str) -> Result<(), Failure> {
     let read = std::io::stdin().lock().read_line(&mut answer);
     match read {
         Ok(_) if ["y", "yes"].contains(&answer.trim().to_ascii_lowercase().as_str()) => Ok(()),
-        _ => Err(Failure::impossible("not confirmed").remedy("nothing was done")),
+        _ => Err(Failure::impossible("not confirmed, so nothing was done")
+            .remedy("repeat the command and type y, or use --yes")),
     }
 }
 
@@ -176,7 +177,7 @@ pub fn motors_off(record: &FaultRecord, rate_hz: f32) -> Failure {
     Failure::impossible(format!("the motors are off: {}", fault_alone(record, rate_hz))).remedy(record.fault.remedy())
 }
 
-/// Formats numbers in a row; a number that rounds to zero has no sign.
+/// Formats numbers in parentheses with their unit; a number that rounds to zero has no sign.
 pub fn numbers(values: &[f32], unit: &str) -> String {
     let numbers: Vec<String> = values.iter().map(|value| format!("{:.4}", (1e4 * value).round() / 1e4 + 0.0)).collect();
     format!("({}) {unit}", numbers.join(", "))

@@ -18,8 +18,8 @@ use std::path::PathBuf;
 /// Compute a mass matrix in advance for the board, and print its torque error
 ///
 /// A table covers the two joint angles that the mass matrix depends on; outside the table the board uses the closed
-/// form. The size of the table is checked against the board's memory. `haptic scene` chooses among these by itself;
-/// this command shows one of them.
+/// form. The size of the table is checked against the board's memory. `haptic scene` itself chooses the kind of mass
+/// matrix; this command shows one kind.
 #[derive(clap::Args)]
 pub struct Args {
     /// Device file (TOML)
@@ -67,7 +67,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
             probes.retain(|probe| is_inside(&device, probe, range));
             if probes.is_empty() {
                 return Err(Failure::impossible("no pose in this box can be reached from home")
-                    .remedy("haptic map shows where the device can go"));
+                    .remedy("choose a box in the workspace, which `haptic map` shows"));
             }
             range
         }
@@ -87,7 +87,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
                      table needs {} points a side",
                     if cubic { 4 } else { 2 }
                 ))
-                .remedy(format!("--points {}", most_points(&device)))
+                .remedy(format!("use --points {}", most_points(&device)))
             })?
         }
     };

@@ -222,8 +222,8 @@ pub fn run(args: Args) -> Result<(), Failure> {
     if let Some(board) = args.board.filter(|board| board.axes() < spec.joints) {
         let reason = format!("{} has {} joints, and this board drives {}", file.name, spec.joints, board.axes());
         let remedy = match BoardKind::with_axes(spec.joints) {
-            Some(larger) => format!("{} drives {}", larger.name(), larger.axes()),
-            None => "no board drives as many".to_string(),
+            Some(larger) => format!("choose --board {}, which drives {}", larger.name(), larger.axes()),
+            None => "leave --board out, because no board drives as many joints".to_string(),
         };
         return Err(Failure::wrong(reason).remedy(remedy));
     }
@@ -241,7 +241,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let sweep = args.continued.sweep("range", &question)?;
     let why = if args.why { Some(explain(&prediction, &q, &normals, &sweep)?) } else { None };
     let ripple = simulate_ripple(&args, &file, &q, &normals, &prediction, &sweep)?;
-    let has_picture = args.pictures.asked();
+    let has_picture = args.pictures.is_requested();
     if let Some(why) = why.as_ref().filter(|_| has_picture) {
         let under = subtitle(&args, &q, &normals, range.area_ratio);
         let title = format!("{}: reduction of the stiffest wall by each effect", file.name);
@@ -264,7 +264,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         });
         args.pictures.save(&picture)?;
     }
-    if args.json.asked() {
+    if args.json.is_requested() {
         let request = Request::of(&args, &prediction, &q, &members);
         let passive = passivity.as_ref().map(Passive::of);
         let result = Document { request, range: &range, passive, why: why.as_ref(), ripple: ripple.as_ref() };
@@ -356,10 +356,10 @@ impl Request {
     }
 }
 
-/// Computes the effect of each part of the loop on the boundary. Accepts one wall only.
+/// Computes the effect of each part of the loop on the boundary, for one wall only.
 fn explain(prediction: &Prediction, q: &[f64], normals: &[Vec<f64>], sweep: &Sweep) -> Result<Why, Failure> {
     let [normal] = normals else {
-        let reason = "--why with several --normal";
+        let reason = "--why applies to one wall, and there are several --normal";
         return Err(Failure::wrong(reason).remedy("give one --normal"));
     };
     why(&prediction.seen(q, normal)?, &prediction.around, sweep)
@@ -375,7 +375,7 @@ fn estimator(args: &Args) -> Result<LinearEstimator, Failure> {
         1 => Ok(alone),
         _ if alone.takes_difference() => Ok(alone.over(over)),
         _ => {
-            let reason = format!("--difference-over {over} with an estimator that takes no difference");
+            let reason = format!("--difference-over {over} does not apply to an estimator without a difference");
             Err(Failure::wrong(reason).remedy("leave it out, or choose a low-pass with --estimator"))
         }
     }
@@ -399,18 +399,17 @@ fn analysis<'a>(
             let max = device.largest_gain().unwrap_or(1.0);
             if !(0.0..=max).contains(&gain) {
                 let reason = format!("--feed-forward-gain {gain} is not from 0 to {max:.3}");
-                return Err(
-                    Failure::wrong(reason).remedy("a board allows no more here, because of the pole of the inertia")
-                );
+                return Err(Failure::wrong(reason)
+                    .remedy("lower it: a board allows no more here, because of the pole of the inertia"));
             }
             Passivity::new(device, &file.description, control_loop)
         }
         Walls::Several(_) if args.host_rate.is_some() => {
-            let reason = "--host-rate with several --normal";
+            let reason = "--host-rate applies to one wall, and there are several --normal";
             return Err(Failure::wrong(reason).remedy("give one --normal with --host-rate"));
         }
         Walls::Several(_) if gain != 1.0 => {
-            let reason = format!("--feed-forward-gain {gain} with several --normal");
+            let reason = format!("--feed-forward-gain {gain} applies to one wall, and there are several --normal");
             return Err(Failure::wrong(reason).remedy("several walls are analysed with a gain of 1; leave it out"));
         }
         Walls::Several(_) => None,

@@ -24,7 +24,7 @@ pub struct Read {
 
 impl Read {
     /// Returns true if `--read` was given. Refuses an output file that could not be written later.
-    pub fn asked(&self) -> Result<bool, Failure> {
+    pub fn is_requested(&self) -> Result<bool, Failure> {
         self.force.check(&self.output)?;
         Ok(self.read)
     }

@@ -49,7 +49,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let extension = args.file.extension().map(|extension| extension.to_string_lossy().to_ascii_lowercase());
     if args.file.as_os_str() != "-" && !matches!(extension.as_deref(), Some("mcap" | "csv")) {
         let reason = format!("{} ends neither in .mcap nor in .csv", args.file.display());
-        return Err(Failure::wrong(reason).remedy("the extension selects the format"));
+        return Err(Failure::wrong(reason).remedy("name a file with one of these extensions, which selects the format"));
     }
     args.force.check([&args.file])?;
     let mut board = args.port.open()?;

@@ -33,7 +33,7 @@ fn describe(difference: &Difference) -> String {
 pub fn run(args: Args) -> Result<(), Failure> {
     let recording = Recording::load(&args.file)?;
     let result = replay(&recording)?;
-    if args.json.asked() {
+    if args.json.is_requested() {
         print_json(&result)?;
     } else {
         let mut text = format!("{} played, {} of them with the motors on\n", counted(result.rows, "row"), result.armed);
@@ -48,8 +48,9 @@ pub fn run(args: Args) -> Result<(), Failure> {
     }
     if result.differing > 0 {
         let rows = format!("{} of {}", result.differing, counted(result.rows, "row"));
-        return Err(Failure::impossible(format!("the torques differ in {rows}"))
-            .remedy("something acted that is not in the recording, or it was made by another firmware"));
+        return Err(Failure::impossible(format!("the torques differ in {rows}")).remedy(
+            "record again without changing gains or sending forces, with the firmware of this tool's version",
+        ));
     }
     match result.stopped {
         Some(why) => Err(Failure::impossible(why)),

@@ -179,21 +179,21 @@ fn sections(args: &Args, values: &Values) -> Vec<Section> {
     let mut check = vec!["check", &device];
     check.extend(scene.as_deref());
     add(
-        "What the file describes, and the largest force",
+        "The description of the file, and the largest force",
         "Reach, weight and inertia; what a person at the tip can meet; what a real board still lacks.",
         Some("device.svg"),
         &check,
     );
     add(
         "The model at the pose",
-        "What a wall meets there, and the torques that a newton of it takes without and with the feed-forward.",
+        "Inertia that a wall meets at the pose, and joint torques for a force of 1 N, without and with the feed-forward.",
         None,
         &["model", &device, &q, &normal, "--force", "1"],
     );
     if !args.without.contains(&Part::Map) {
         add(
             "The map",
-            "Inertia along the normal over the workspace, and where the feed-forward pays.",
+            "Inertia along the normal over the workspace, and the benefit of the feed-forward.",
             Some("map.svg"),
             &["map", &device, &normal],
         );
@@ -222,13 +222,18 @@ fn sections(args: &Args, values: &Values) -> Vec<Section> {
     if has_hand || wall.is_some() {
         add(
             "The wall in a hand",
-            "What a hand does to the range: behind cables it takes from it. With a scene also how its wall ripples.",
+            "Effect of a hand on the range: behind cables it makes the range smaller. With a scene also the ripple of its wall.",
             None,
             &in_hand,
         );
     }
     range.push("--why");
-    add("Why it ends there", "The same loop with one effect taken away, each in turn.", Some("why.svg"), &range);
+    add(
+        "Limiting effects of the range",
+        "The same loop without one effect, for each effect in turn.",
+        Some("why.svg"),
+        &range,
+    );
     if !args.without.contains(&Part::Estimators) {
         let mut words = vec!["tune", "estimators", &device, &q, &normal, "--rate", rate, "--cutoff", cutoff];
         words.extend(wall.iter().flat_map(|wall| ["--wall", wall.as_str()]));
@@ -297,7 +302,7 @@ fn escape(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
 
-/// Converts an SVG document to a part of a page that has others: with unique ids and without a namespace declaration.
+/// Converts an SVG document for a page with several pictures: with unique ids and without a namespace declaration.
 fn inline(svg: &str, number: usize) -> String {
     svg.replace(" xmlns=\"http://www.w3.org/2000/svg\"", "")
         .replace("id=\"clip", &format!("id=\"p{number}clip"))
@@ -327,8 +332,8 @@ fn page(name: &str, args: &Args, sections: &[Section], outputs: &[Output]) -> St
         "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\"/>\n<title>{name}</title>\n\
          <meta name=\"viewport\" content=\"width=device-width\"/>\n<style>{STYLE}</style>\n</head>\n<body>\n\
          <h1>{name}</h1>\n<p>{about}</p>\n\
-         <p>Every number on this page is printed by the line above it, typed where the page was made. Predictions are of the \
-         device in the file: nothing here was measured on one.</p>\n<ol>\n"
+         <p>Every number on this page is the output of the command above it, run where the page was made. Predictions are for the \
+         device in the file; nothing was measured on a real device.</p>\n<ol>\n"
     );
     for section in sections {
         let _ = writeln!(page, "<li>{}</li>", escape(section.title));

@@ -40,7 +40,7 @@ pub struct Args {
 
 /// Checks the file against the board's device, plans and loads.
 pub fn run(args: Args) -> Result<(), Failure> {
-    if args.read.asked()? {
+    if args.read.is_requested()? {
         return read_back(&args);
     }
     let path = required_file(args.file.as_ref(), "scene")?;
@@ -78,14 +78,14 @@ fn read_back(args: &Args) -> Result<(), Failure> {
     let document = args.file.as_deref().map(Document::load).transpose()?;
     let mut board = args.on.open()?;
     let scene = board.scene()?.ok_or(BoardError::Refused(Refusal::NoScene))?;
-    let about = "Read back from a board. It does not keep hand_speed.".to_string();
+    let about = "Read back from a board, which does not store hand_speed.".to_string();
     let entries = to_entries(&scene);
     let text = to_toml(&[about], &entries);
     let same = SceneFile::parse(&text, "the scene that was read", scene.task.into())
         .is_ok_and(|file| file.scene::<f32>().is_ok_and(|read| read == scene));
     let text = same.then_some(text).ok_or_else(|| {
-        Failure::impossible("no scene file gives a board exactly this scene")
-            .remedy("`haptic board backup` keeps it unchanged")
+        Failure::impossible("a scene file cannot hold the board's scene exactly")
+            .remedy("save it unchanged with `haptic board backup`")
     });
     let compared = match &document {
         Some(document) => {
@@ -96,7 +96,7 @@ fn read_back(args: &Args) -> Result<(), Failure> {
             if differences.iter().any(|difference| is_planned(&difference.key)) {
                 let device = board.device()?.ok_or(BoardError::Refused(Refusal::NoDevice))?.cast::<f64>();
                 let speed = file.hand_speed.unwrap_or(HAND_SPEED);
-                // If planning fails, this command did not load the scene.
+                // If planning fails, this command did not load the scene, so every difference is reported.
                 if let Ok(plan) = plan(&device, &file.scene, Budget::Percent(DEFAULT_PERCENT), speed) {
                     let from_plan = compare(&to_entries(&plan.scene.cast()), &entries);
                     differences.retain(|difference| {

@@ -112,7 +112,7 @@ pub(super) fn follow(board: &mut Board, options: &Options<'_>) -> Result<(), Fai
     if options.arm {
         board.arm()?;
     }
-    // Creates the file last, so that a refusal of the board neither makes nor replaces a file.
+    // Creates the file last, so that no file is created or replaced if the board refuses.
     let sink = match (options.file, about) {
         (Some(path), Some(about)) => match RowWriter::create(path, &about, &columns, options.overwrite) {
             Ok(writer) => Sink::File(Box::new(writer)),
@@ -331,7 +331,7 @@ fn finish(end: End, board: &mut Board, mut stream: Stream, json: bool) -> Result
             let cut = if matches!(end, End::BoardLost(_)) { "cut short: the board was lost; " } else { "" };
             written = recorder.end(&format!("{cut}{losses}"), &losses);
         }
-        // A reader that closed the pipe at the end has all that it wanted.
+        // A reader that closes the pipe at the end is no error.
         if matches!((&end, &written), (End::Requested, Err(RecordError::ReaderGone))) {
             return Ok(stopped?);
         }

@@ -203,7 +203,7 @@ fn search(args: Search) -> Result<(), Failure> {
         .map(|before| answer.best.settings.stiffness / before.settings.stiffness);
     let point = match &place.point {
         Some(point) => point.clone(),
-        // Behind the tip, so that the tip is not inside the wall when the board is armed.
+        // Places the wall 5 mm in front of the tip, so that the board can be armed.
         None => tip(&file, &question.q)?.iter().zip(&question.normal).map(|(p, n)| p - 5e-3 * n).collect(),
     };
     let comments = comments(&args, &file, &answer, question.ripple_n);
@@ -235,7 +235,7 @@ fn search(args: Search) -> Result<(), Failure> {
         measured: best_measured.as_ref(),
         scene_measured: scene_measured.as_ref(),
     };
-    if args.json.asked() {
+    if args.json.is_requested() {
         print_json(&document)?;
         sweep.finish();
         return Ok(());
@@ -252,7 +252,7 @@ fn search(args: Search) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Opens the board. Returns an error unless it has this device loaded.
+/// Opens the board. Returns an error unless the board has this device loaded.
 fn open_with_device(port: &PortSpec, file: &DeviceFile) -> Result<Board, Failure> {
     let mut board = haptic_sim::open(port)?;
     let device = haptic_bridge::model::device::Device::new(&file.name, &file.description).map_err(Failure::wrong)?;
@@ -276,7 +276,8 @@ fn place(args: &Search, file: &DeviceFile) -> Result<Place, Failure> {
     let normal = args.normal.as_ref().map(|normal| normal.unit(spec.task, "--normal")).transpose()?;
     let home = || arguments::pose(None, file);
     let Some(path) = &args.scene else {
-        let normal = normal.ok_or_else(|| Failure::wrong("no --normal"))?;
+        let normal =
+            normal.ok_or_else(|| Failure::wrong("no --normal").remedy("give the normal of the wall, such as 0,1"))?;
         let admissible = args.admissible.unwrap_or_default();
         return Ok(Place { q: q.map_or_else(home, Ok)?, normal, point: None, written: None, admissible });
     };
@@ -401,7 +402,7 @@ fn readable(document: &Document<'_>) -> String {
         ));
     }
     line(format!(
-        "\n  limited by: {}, the first limit of a stiffer wall; within a gain margin of {}, {:.1} us more delay, {:.0} % of mass, {:.0} % of each inertia, {:.0} % of friction, {:.0} % of counts, and in hands",
+        "\n  limited by: {}, the first limit that a stiffer wall exceeds; within a gain margin of {}, {:.1} us more delay, {:.0} % of mass, {:.0} % of each inertia, {:.0} % of friction, {:.0} % of counts, and in hands",
         answer.active,
         margins.gain,
         1e6 * margins.delay_s,

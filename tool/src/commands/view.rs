@@ -83,7 +83,7 @@ impl View {
         let scene = match scene {
             None => None,
             Some(_) if !matches!(port.spec(), PortSpec::Sim(_)) => {
-                return Err(Failure::wrong("--scene is for --port sim; a board keeps the scene it has")
+                return Err(Failure::wrong("--scene applies only to --port sim; a board keeps its scene")
                     .remedy("load it first: haptic scene FILE"));
             }
             Some(path) => {
@@ -113,7 +113,7 @@ impl View {
     /// Opens a lost board once it is back. The error is the reason if the board is back but cannot be shown yet. Until
     /// then the board is free for other tools, which may load the device or scene that it lacks.
     fn reopen(&self, hub: &Hub) -> Result<Stage, Option<String>> {
-        let back = |why: &dyn Display| Some(format!("the board is there again, but {why}"));
+        let back = |why: &dyn Display| Some(format!("the board is connected again, but {why}"));
         let mut world = self.open().map_err(|_| None)?;
         match world.missing() {
             Ok(None) => Stage::open(world, hub.clone(), self.rate, Some(self.folder.clone())).map_err(|why| back(&why)),

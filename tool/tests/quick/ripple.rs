@@ -132,7 +132,7 @@ fn impossible_bounds_and_walls_are_refused() {
         &format!(
             "{line} --ripple 0 => --ripple 0 is not more than zero
             {line} --wall 0,1 => --wall needs a stiffness above zero
-            {line} --ripple 1 --normal 1,0 => --ripple or --wall with several --normal"
+            {line} --ripple 1 --normal 1,0 => --ripple and --wall apply to one wall, and there are several --normal"
         ),
         &[],
     );

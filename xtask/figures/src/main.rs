@@ -1,6 +1,6 @@
 //! Regenerates the impedance-range and map figures of docs/results.md and their tables: `cargo xtask figures` (some
-//! minutes). It runs the same command lines that it writes into docs/results/ranges.sh. With names of cases it runs
-//! only these and prints their rows.
+//! minutes). It runs the same command lines that it writes into docs/results/ranges.sh. With names of cases as
+//! arguments it runs only these cases and prints their rows.
 
 use haptic_host::output::csv_line;
 use serde_json::Value;

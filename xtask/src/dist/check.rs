@@ -1,4 +1,4 @@
-//! Installs the release files as a user does, and runs the demo from each without access to other programs.
+//! Installs the archive and the wheel as a user does, and runs the demo from both without access to other programs.
 
 use std::env;
 use std::fs;
@@ -44,7 +44,7 @@ fn archive(made: &ReleaseFiles, place: &Path) -> Result<()> {
         "haptic-page.html",
     ] {
         let bytes = fs::metadata(folder.join(path)).with_context(|| format!("the archive has no {path}"))?.len();
-        ensure!(bytes > 500, "{path} has {bytes} bytes");
+        ensure!(bytes > 500, "{path} in the archive has only {bytes} bytes");
     }
     tool(folder, place)?;
     let known = output(isolated_tool(folder, place).args(["check"]).arg(folder.join("devices/haply-2diy.toml")))?;
@@ -53,7 +53,7 @@ fn archive(made: &ReleaseFiles, place: &Path) -> Result<()> {
     let output =
         isolated_tool(folder, place).args(["flash", "no-such-board"]).output().context("cannot run haptic flash")?;
     let message = String::from_utf8_lossy(&output.stderr).into_owned();
-    ensure!(BOARDS.iter().all(|board| message.contains(board)), "images are missing in the tool: {message}");
+    ensure!(BOARDS.iter().all(|board| message.contains(board)), "the tool lacks the image of a board: {message}");
     Ok(())
 }
 

@@ -61,7 +61,7 @@ fn linked_crates(manifest: &str, packages: &[&str], target: &str) -> Result<BTre
     let text = |value: &Value| value.as_str().unwrap_or_default().to_owned();
     let all = |value: &'_ Value| value.as_array().cloned().unwrap_or_default();
     let (all_packages, nodes) = (all(&metadata["packages"]), all(&metadata["resolve"]["nodes"]));
-    // Packages of this repository have no source.
+    // In the metadata, packages of this repository have no source.
     let ours = all_packages.iter().filter(|package| package["source"].is_null());
     let ours = ours.filter(|package| packages.iter().any(|name| package["name"] == *name));
     let mut open: Vec<String> = ours.map(|package| text(&package["id"])).collect();

@@ -1,4 +1,5 @@
-//! The wheel: maturin builds the package in clients/python/ and names its systems; the tool is added as a command.
+//! The wheel: maturin builds the package in clients/python/ and puts its systems into the file name; the tool is
+//! added as a command.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -36,7 +37,7 @@ pub fn write_wheel(place: &Path, tool: &Path) -> Result<PathBuf> {
 
     let wheel = place.join(only_entry(&built)?.file_name().unwrap_or_default());
     ensure!(wheel.exists(), "the tool changed the wheel's name");
-    // maturin has checked only the library.
+    // maturin has checked only the library's version of the C library, not the tool's.
     check_c_library(&wheel.to_string_lossy(), &fs::read(tool)?)?;
     Ok(wheel)
 }

@@ -1,7 +1,7 @@
 //! `faults`: causes every fault on the emulated chip and writes docs/results/faults.csv, then writes the effects of
-//! injected errors in sensors and motors at three control rates to broken.csv. `faults lying` does only the latter,
-//! `faults FAULT …` causes only the faults with those codes or names and prints their results, `faults list` prints the
-//! cause of each fault, or the reason why it cannot be caused. `cargo xtask faults` runs it.
+//! injected errors in sensors and motors at three control rates to broken.csv. `faults lying` writes only broken.csv,
+//! `faults FAULT …` only causes the faults with these codes or names and prints the results, `faults list` prints how
+//! each fault is caused, or the reason why it cannot be. `cargo xtask faults` runs it.
 //!
 //! Exit code 1: a table could not be written. Exit code 2: there is no such fault.
 

@@ -88,7 +88,7 @@ impl Meter {
         let done = self.done.get();
         let firsts = (done..self.total).filter(|repeat| repeat.is_multiple_of(self.repeats)).count();
         let whole = firsts as f64 * first_mean + (self.total - done - firsts) as f64 * later_mean;
-        // Subtract the time of the present search, up to that of a usual one.
+        // Subtracts the time of the present search, up to the mean time of a search.
         let under_way = if done.is_multiple_of(self.repeats) { first_mean } else { later_mean };
         Some(whole - since.min(under_way).min(whole))
     }

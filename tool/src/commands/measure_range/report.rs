@@ -28,7 +28,7 @@ pub struct Theory {
     walls: Vec<Member>,
     around: Loop,
     excitation: Excitation,
-    /// The command that predicts the same, without its dampings.
+    /// The `haptic range` command that predicts the same loop, without the option --kd.
     line: String,
     q: Vec<f64>,
 }
@@ -83,7 +83,7 @@ struct Area {
     /// ∫ kp dkd of the stiffness that was stable at every pull, and of the theory, N² s/m².
     measured: f64,
     theory: f64,
-    /// Largest difference of that stiffness from the theory, as a share of the theory's maximum.
+    /// Largest difference between the measured stiffness and the theory, as a share of the theory's maximum.
     furthest: f64,
     /// Largest spread of the repeats of a pull, as a share of their median.
     spread: f64,
@@ -132,7 +132,7 @@ impl Report<'_> {
         let args = self.args;
         let warnings = self.far_below()?;
         warn(&warnings);
-        if args.pictures.asked() {
+        if args.pictures.is_requested() {
             args.pictures.save(&self.picture()?)?;
         }
         args.json.answer(self.document(&warnings)?, &self.table()?)
@@ -142,13 +142,13 @@ impl Report<'_> {
     fn far_below(&self) -> Result<Vec<Warning>, Failure> {
         let mut rows = Vec::new();
         for &mode in &self.plan.modes {
-            let points = self.beside(mode)?.into_iter().filter(|(point, _)| !point.repeats.is_empty());
+            let points = self.points_with_theory(mode)?.into_iter().filter(|(point, _)| !point.repeats.is_empty());
             let far = points.filter(|(point, theory)| self.plan.at_every_pull(point) < FAR_BELOW * theory.kp);
             rows.extend(far.map(|(point, _)| format!("{} at kd {:.4}", mode.name(), point.kd)));
         }
         let text = format!(
-            "less than half of theory's stiffness was stable ({}): a hand on the device, a tip that something else moves, \
-             or friction that holds a joint; let go of it and measure again with --anew",
+            "less than half of theory's stiffness was stable ({}): possible causes are a hand on the device, another force on \
+             the tip, or friction that holds a joint; remove the cause and measure again with --anew",
             listed(&rows)
         );
         Ok(if rows.is_empty() { Vec::new() } else { vec![FileWarning { key: None, text }.typed()] })
@@ -159,14 +159,14 @@ impl Report<'_> {
     }
 
     /// Returns the points of a mode with the theory at the same dampings.
-    fn beside(&self, mode: FeedForward) -> Result<Vec<(&Point, BoundaryPoint)>, Failure> {
+    fn points_with_theory(&self, mode: FeedForward) -> Result<Vec<(&Point, BoundaryPoint)>, Failure> {
         let points = self.points(mode);
         let kd: Vec<f64> = points.iter().map(|point| printed(point.kd)).collect();
         let range = self.theory.predict(Some(&kd), self.washout())?;
         Ok(points.into_iter().zip(range.of(mode).boundary.iter().copied()).collect())
     }
 
-    /// Returns the command that prints the theory.
+    /// Returns the `haptic range` command that prints the theory.
     fn line(&self) -> String {
         let points = self.plan.modes.iter().flat_map(|mode| self.points(*mode));
         let mut kd: Vec<f64> = points.map(|point| printed(point.kd)).collect();
@@ -222,7 +222,7 @@ impl Report<'_> {
         );
         let mut open = Vec::new();
         for &mode in &self.plan.modes {
-            for (point, theory) in self.beside(mode)? {
+            for (point, theory) in self.points_with_theory(mode)? {
                 let label = format!("{mode:?}").to_lowercase();
                 let beyond = match (&point.open, point.vibration_m) {
                     (Some(_), _) if point.repeats.is_empty() => "not measured".into(),
@@ -316,7 +316,7 @@ impl Report<'_> {
         }
         let range = self.theory.predict(None, self.washout())?;
         for &mode in &self.plan.modes {
-            let points = self.beside(mode)?;
+            let points = self.points_with_theory(mode)?;
             let (Some(end), true) = (self.progress.end(mode), points.len() == self.plan.points) else { continue };
             if points.iter().any(|(point, _)| point.repeats.is_empty()) {
                 continue;
@@ -344,7 +344,7 @@ impl Report<'_> {
     fn document(&self, warnings: &[Warning]) -> Result<serde_json::Value, Failure> {
         let mut points = Vec::new();
         for &mode in &self.plan.modes {
-            for (point, theory) in self.beside(mode)? {
+            for (point, theory) in self.points_with_theory(mode)? {
                 let (low, high) = point.bounds();
                 let found = (!point.repeats.is_empty()).then(|| (self.plan.at_every_pull(point), low, high));
                 let pulls: Vec<_> = self

@@ -49,7 +49,7 @@ struct RippleOfWall {
     full: Ripple,
     #[serde(skip_serializing_if = "Option::is_none")]
     washout: Option<Ripple>,
-    /// Predicted for the loop whose range is printed: without the light hand.
+    /// Oscillations of the loop whose range is printed; this loop has no light hand.
     swings: Oscillations,
 }
 
@@ -75,7 +75,7 @@ pub fn simulate_ripple(
         return Ok(None);
     }
     let [normal] = normals else {
-        let reason = "--ripple or --wall with several --normal";
+        let reason = "--ripple and --wall apply to one wall, and there are several --normal";
         return Err(Failure::wrong(reason).remedy("give one --normal"));
     };
     let positive = |value: f64, what: &str| match value.is_finite() && value > 0.0 {

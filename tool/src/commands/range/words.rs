@@ -36,7 +36,7 @@ pub fn subtitle(args: &Args, q: &[f64], normals: &[Vec<f64>], ratio: f64) -> [St
     ]
 }
 
-/// Returns the estimator, if it is not the usual one, and its cutoff, if it has one.
+/// Returns the estimator, unless it is the usual one, and its cutoff, if it has one.
 fn filter(args: &Args) -> String {
     let kind = (args.estimator != Estimator::Butterworth).then(|| args.estimator.name().to_string());
     let cutoff = estimator(args).ok().and_then(LinearEstimator::cutoff_hz).map(|hz| format!("cutoff {hz} Hz"));
@@ -121,7 +121,7 @@ pub fn readable(
         row(&format!("on a computer, {:.0} Hz", host.rate_hz), &host.domain);
     }
     if args.kd.is_some() {
-        line("  max kp: of the requested dampings; without --kd of the complete range".into());
+        line("  max kp: largest stiffness at the requested dampings; without --kd, of the complete range".into());
     }
     line(
         "  buzz: the frequency at which a stiffer wall begins to buzz; - if nothing is stable, or if it creeps".into(),

@@ -59,8 +59,8 @@ fn parse(mut words: impl Iterator<Item = String>) -> Option<Arguments> {
     Some(arguments)
 }
 
-/// Writes a copy of the device file at `path` that can be armed: motor data verified, and limits where it has none. The
-/// board has no real motors that could hurt anyone.
+/// Writes a copy of the device file at `path` that can be armed: with motor data marked as verified, and with joint
+/// limits where the file has none. This is safe because the board has no real motors.
 fn ready_to_arm(path: &Path, file: &DeviceFile) -> std::io::Result<PathBuf> {
     let text = std::fs::read_to_string(path)?;
     let mut joints = file.description.joints.iter();
@@ -115,7 +115,7 @@ fn run(arguments: &Arguments) -> Result<(), Box<dyn std::error::Error>> {
     println!("\nIn another terminal, with one of these ports:");
     let device = ready.display();
     println!("  haptic info --port PORT");
-    println!("  haptic device {device} --port PORT    # as shipped, but vouched for: limits, verified = true");
+    println!("  haptic device {device} --port PORT    # the shipped file with joint limits and verified = true");
     println!("  haptic scene SCENE.toml --port PORT   # devices/scenes has some for {}", file.name);
     println!("  haptic home, polarity, arm, stream, disarm (--port PORT)\nCtrl-C ends the board. Its log:\n");
 
