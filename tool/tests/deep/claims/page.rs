@@ -1,7 +1,7 @@
-//! The tables in docs/claims/: the paper's claims in numbers, from runs of the board's own control step.
+//! The tables in docs/claims/: the paper's claims in numbers, computed with the board's own control step.
 //!
-//! The loop here is the library's `Controller` in f32 with the firmware's trigonometry, on the simulator's nonlinear
-//! linkage without friction; torques act at once.
+//! The loop consists of the library's `Controller` in f32 with the firmware's trigonometry and the simulator's
+//! nonlinear linkage without friction. Torques act without delay.
 
 use crate::common::prelude::*;
 use crate::common::{csv, ideal_loop, plane_wall, shipped};
@@ -20,14 +20,14 @@ mod moving;
 
 pub const RATE_HZ: f64 = 1_000.0;
 const CUTOFF_HZ: f64 = 100.0;
-/// The wall of the runs, N/m and N s/m: well below what is stable with or without the feed-forward.
+/// Gains of the wall in all runs, N/m and N s/m: well below the limit with or without the feed-forward.
 const STIFFNESS: f64 = 10_000.0;
 const DAMPING: f64 = 40.0;
-/// Counts per turn without visible steps.
+/// Counts per turn at which encoder steps have no effect.
 pub const FINE: f64 = 16_777_216.0;
 /// Home of the demo's device.
 const HOME: [f64; 2] = [2.3, 0.841_592_653_589_79];
-/// The demo's pose and wall.
+/// The demo's pose and the direction of its wall's normal, degrees.
 pub const DEMO: ([f64; 2], f64) = ([2.6, 1.75], 75.0);
 
 pub fn five_bar() -> Description {
@@ -45,7 +45,7 @@ pub struct Run {
     pub normal: f64,
     /// Speed along the wall at the start, m/s.
     pub speed: f64,
-    /// An external push along the wall, N, for this long, s.
+    /// External push along the wall, N, and its duration, s.
     pub push: (f64, f64),
     pub counts_per_turn: f64,
     pub feed_forward: FeedForward,
@@ -95,7 +95,7 @@ impl Run {
         let counts = |q: [f64; 3]| [(q[0] * per_rad).round() as i32, (q[1] * per_rad).round() as i32];
 
         plant.push([self.speed * t.x, self.speed * t.y, 0.0]);
-        // The estimators have seen the tip move along the wall before.
+        // Before the start the estimators receive a motion of the tip along the wall.
         for k in -60..0 {
             let before = start + t * (self.speed * f64::from(k) / RATE_HZ);
             controller.step(&counts(joints_at(&description, self.q, &before)));
@@ -120,7 +120,7 @@ impl Run {
     }
 }
 
-/// The joint angles near `q` that bring the tip to `place`: Newton's method.
+/// Returns the joint angles near `q` that bring the tip to `place`, by Newton's method.
 fn joints_at(description: &Description, q: [f64; 2], place: &Vector2<f64>) -> [f64; 3] {
     let mut q = Vector2::from(q);
     for _ in 0..8 {
@@ -142,8 +142,8 @@ pub fn slide((q, normal, speed): ([f64; 2], f64, f64), terms: VelocityTerms, cou
     Run { speed, velocity_terms: terms, counts_per_turn, ..Run::at((q, normal)) }.farthest(0.04)
 }
 
-/// Largest distances of sliding tips from their walls, µm, over [`SLID`] slides from random poses within 0.6 rad of home,
-/// away from singular poses, with random normals and directions.
+/// Largest distances of sliding tips from their walls, µm, in [`SLID`] slides with random normals and directions. The
+/// slides start in random poses within 0.6 rad of home and away from singular poses.
 pub struct Slid {
     /// Medians of "off", "paper" and "rendered".
     pub medians: [f64; 3],
@@ -151,7 +151,7 @@ pub struct Slid {
     pub worse: usize,
 }
 
-/// Slides of a [`Slid`].
+/// Number of slides of a [`Slid`].
 const SLID: usize = 120;
 
 pub fn slid(counts_per_turn: f64) -> Slid {
@@ -197,25 +197,25 @@ fn clear(q: [f64; 2]) -> bool {
     regularity.serial.min(regularity.parallel / PARALLEL_REGULARITY) >= FULL_REGULARITY
 }
 
-/// The demo's device along the demo's normal.
+/// Returns the demo's device along the demo's normal.
 pub fn demo() -> Linearised {
     along(&five_bar(), DEMO).undamped()
 }
 
-/// A device at a pose along a normal.
+/// Linearises a device at a pose along a normal.
 fn along(description: &Description, (q, normal): ([f64; 2], f64)) -> Linearised {
     let n = unit(normal);
     Linearised::at(description, &q, &[n.x, n.y]).expect("a regular pose")
 }
 
-/// kp_max at 40 N s/m, without and with the feed-forward of a gain.
+/// Returns kp_max (N/m) at 40 N s/m, without and with the feed-forward of this device.
 pub fn stiffest(device: &Linearised) -> (f64, f64) {
     let around = ideal_loop(RATE_HZ, 0.025, LinearEstimator::Butterworth(CUTOFF_HZ));
     let range = predict(device, &around, Some(&[DAMPING]), None).expect("an analysable pose");
     (range.off.boundary[0].kp, range.full.boundary[0].kp)
 }
 
-/// kp_max (N/m) of the demo's wall while its tip slides at `speed` (m/s), by law; `None` is Jᵀ f.
+/// Returns kp_max (N/m) of the demo's wall while the tip slides at `speed` (m/s). The law `None` renders Jᵀ f.
 pub fn stiffest_moving(speed: f64, law: Option<VelocityTerms>) -> f64 {
     let AnyMechanism::FiveBar(mechanism) = AnyMechanism::new(&five_bar()).expect("a shipped device") else {
         panic!("a five-bar")
@@ -224,8 +224,8 @@ pub fn stiffest_moving(speed: f64, law: Option<VelocityTerms>) -> f64 {
     moving.stiffest(speed, DAMPING, (8_000.0, 60_000.0), RATE_HZ, CUTOFF_HZ)
 }
 
-/// Returns the largest distance from the wall within 60 ms, m, after a push of 2 N along the wall for 30 ms. Some 20 ms
-/// later the tip is at the end of its reach.
+/// Returns the largest distance from the wall within 60 ms, m, after a push of 2 N along the wall for 30 ms. About
+/// 20 ms later the tip is at the end of its reach.
 pub fn perturbed(feed_forward: FeedForward) -> f64 {
     Run { push: (2.0, 0.03), feed_forward, ..Run::at(DEMO) }.farthest(0.06)
 }
@@ -238,7 +238,7 @@ pub struct Belief {
 }
 
 impl Belief {
-    /// Rotor inertias and handle mass multiplied by these factors.
+    /// Returns a model with rotor inertias and handle mass multiplied by these factors.
     pub fn scaled(rotors: [f64; 2], handle: f64) -> Self {
         let mut description = five_bar();
         description.joints.iter_mut().zip(rotors).for_each(|(joint, factor)| joint.inertia *= factor);
@@ -246,7 +246,7 @@ impl Belief {
         Self { description, homed_off: [0.0; 2] }
     }
 
-    /// Returns the share of the gained inertia that is left with the real device in this board's loop.
+    /// Returns the share of the gained inertia that remains when a board with this model controls the real device.
     pub fn kept(&self, (q, normal): ([f64; 2], f64)) -> f64 {
         let wrong = along(&self.description, (self.angles(q), normal));
         let real = along(&five_bar(), (q, normal));
@@ -260,7 +260,7 @@ impl Belief {
     }
 }
 
-/// Possible errors in the model of the demo's device, with all combinations of signs.
+/// Returns possible errors in the model of the demo's device, with all combinations of signs.
 pub fn beliefs() -> Vec<(String, Vec<Belief>)> {
     let half = [0.5, 1.5];
     let both = || half.into_iter().flat_map(move |first| half.map(|second| [first, second]));
@@ -281,7 +281,8 @@ pub fn beliefs() -> Vec<(String, Vec<Belief>)> {
     all
 }
 
-/// Share of the gain kept with wrong models, at poses around home where the feed-forward acts in full and pays.
+/// Share of the inertia gain that wrong models keep, at poses around home where the feed-forward acts in full and has a
+/// clear benefit.
 pub struct GainRetained {
     pub cases: usize,
     /// Number of cases that keep less than seven eighths.
@@ -290,7 +291,7 @@ pub struct GainRetained {
     pub most: f64,
 }
 
-/// Poses within 0.6 rad of home in steps of 0.05 rad, normals in steps of 15°, Wrr/Weff above 1.3.
+/// Evaluates poses within 0.6 rad of home in steps of 0.05 rad and normals in steps of 15°, if Wrr/Weff is above 1.3.
 pub fn kept_around_home(beliefs: &[Belief]) -> GainRetained {
     let description = five_bar();
     let mut kept = GainRetained { cases: 0, below: 0, least: f64::INFINITY, most: f64::NEG_INFINITY };
@@ -315,7 +316,7 @@ pub fn kept_around_home(beliefs: &[Belief]) -> GainRetained {
     kept
 }
 
-/// Angle between a push on the free tip along the demo's normal and its motion, degrees.
+/// Returns the angle between a push on the free tip along the demo's normal and the motion of the tip, degrees.
 pub fn free_deflection() -> f64 {
     let device = demo();
     let t = unit(DEMO.1 + 90.0);
@@ -324,7 +325,7 @@ pub fn free_deflection() -> f64 {
     (along.row.dot(&answer)).atan2(device.row.dot(&answer)).to_degrees()
 }
 
-/// Inertia that a hand feels at the demo's wall.
+/// Returns the inertia that a hand feels at the demo's wall.
 fn felt() -> Perception {
     let normal = unit(DEMO.1).as_slice().to_vec();
     let wall = WallForce { normal, force: 0.0, stiffness: 1.0, feed_forward: true };
@@ -333,14 +334,14 @@ fn felt() -> Perception {
         .perception
 }
 
-/// Wrr/Weff of the serial-3r at (0.5, 0.8, 0.7) against (0.6, 0.8) for an admissible set.
+/// Returns Wrr/Weff of the serial-3r in the pose (0.5, 0.8, 0.7) along the normal (0.6, 0.8) for an admissible set.
 pub fn ratio(admissible: Admissible) -> f64 {
     let seen = Linearised::holding(&shipped("serial-3r").description, &[0.5, 0.8, 0.7], &[0.6, 0.8], admissible)
         .expect("regular");
     seen.w_rr() / seen.w_eff().expect("regular")
 }
 
-/// The CSV files in docs/claims/, each with its name.
+/// Returns the names and contents of the CSV files in docs/claims/.
 pub fn tables() -> [(&'static str, String); 7] {
     let table = |head: &str, rows: Vec<String>| csv([head.to_string()].into_iter().chain(rows));
     let encoders = [("ideal", FINE), ("20 000 counts", 20_000.0)];
@@ -412,7 +413,7 @@ pub fn tables() -> [(&'static str, String); 7] {
     ]
 }
 
-/// Sentences of docs/claims.md.
+/// Returns computed sentences that docs/claims.md must contain.
 pub fn sentences() -> [String; 2] {
     let Perception { tip, ratio, along_wall } = felt();
     let AlongWall { off, full } = along_wall.expect("a wall");

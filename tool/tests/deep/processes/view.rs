@@ -1,4 +1,4 @@
-//! `haptic view` on a board that comes and goes, with a WebSocket instead of a browser.
+//! `haptic view` on a board that is unplugged and plugged in again, with a WebSocket instead of a browser.
 
 use crate::common::page::{Heard, View};
 use crate::common::sim::{HANG, until};
@@ -18,7 +18,7 @@ struct Page {
 }
 
 impl Page {
-    /// A page in command.
+    /// Connects a page and takes command.
     fn in_command(view: &View) -> Self {
         let stream = TcpStream::connect(view.address()).unwrap();
         let (socket, _) = tungstenite::client(format!("ws://{}/live", view.address()), stream).unwrap();
@@ -59,7 +59,7 @@ impl Page {
         }
     }
 
-    /// Presses the key and keeps it down; again if this computer was too slow.
+    /// Presses the key and keeps it down. Presses again if this computer was too slow.
     fn arm(&mut self) {
         self.holding = true;
         let began = Instant::now();
@@ -84,20 +84,20 @@ fn the_page_waits_for_a_lost_board_even_without_its_scene() {
     page.arm();
     for back in [&["--scene", &wall][..], &[]] {
         socket.unplug();
-        page.until("its loss", |heard| heard.lost.is_some());
+        page.until("the loss of the board", |heard| heard.lost.is_some());
         page.holding = false;
         page.heard.hello = Value::Null;
         socket.plug(back);
         if back.is_empty() {
             let told = |why: &String| why.contains("`haptic scene FILE`");
-            page.until("what to do", |heard| heard.lost.as_ref().is_some_and(told));
-            // Between two polls the board is free for other tools.
+            page.until("the remedy", |heard| heard.lost.as_ref().is_some_and(told));
+            // Between two polls by the page the board is free for other tools.
             let scene = ["scene", &wall, "--port", &socket.address];
             until("the scene", || haptic(&scene).output().unwrap().status.success());
         }
-        page.until("its return", |heard| !heard.hello.is_null());
+        page.until("the return of the board", |heard| !heard.hello.is_null());
         page.heard.picture = Value::Null;
-        page.until("nobody in command", |heard| heard.state() == "Disarmed" && heard.picture["command"].is_null());
+        page.until("no page in command", |heard| heard.state() == "Disarmed" && heard.picture["command"].is_null());
         page.heard.lost = None;
         page.take();
         page.arm();
