@@ -104,7 +104,7 @@ fn a_pantograph_with_cables_is_as_stiff_as_predicted() {
     }
 }
 
-/// Largest stable stiffness of the pantograph with soft cables at kd 5.41 N s/m, N/m. Computed from the eigenvalues of a
+/// Largest stable stiffness of the pantograph with soft cables at kd 5.41 N s/m, N/m. Computed from eigenvalues of a
 /// loop that shares no code with this one, not even the five-bar's geometry, at 400 stiffnesses up to 20 kN/m. None
 /// above the limit is stable again.
 const APART: [(&str, f64); 3] = [("off", 5715.25), ("full", 10022.44), ("washout", 271.97)];
@@ -136,7 +136,7 @@ impl Table {
 }
 
 #[test]
-#[ignore = "minutes: it measures docs/results/complete.csv"]
+#[ignore = "takes minutes: measures docs/results/complete.csv"]
 fn three_devices_at_three_rates() {
     let mut table = Table(Vec::new());
     table.push(
@@ -201,7 +201,7 @@ fn with_everything(soft: &str) -> String {
 }
 
 #[test]
-#[ignore = "minutes: it measures docs/results/complete-friction.csv"]
+#[ignore = "takes minutes: measures docs/results/complete-friction.csv"]
 fn three_devices_with_everything_on() {
     let mut table = Table(Vec::new());
     table.push(
