@@ -32,7 +32,7 @@ fn clean_damping(pressed: &Pressed<'_>, kp: f64, least: f64) -> f64 {
     dampings.take_while(clean).last().unwrap_or(0.0)
 }
 
-/// Returns the largest stiffness of an undamped spring that is quiet in a relaxed hand, and the largest stable one, N/m.
+/// Returns the largest stiffness of an undamped spring that is quiet in a relaxed hand, and the largest stable, N/m.
 fn clean_spring(rate_hz: f64) -> (f64, f64) {
     let hand = Hand { mass: 0.12, damping: 6.0, stiffness: 250.0 };
     pressed(

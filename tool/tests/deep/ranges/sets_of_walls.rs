@@ -144,8 +144,8 @@ fn demo(file: &DeviceFile, feed_forward: FeedForward) -> Run<'_> {
     }
 }
 
-/// Largest torque swing of a quiet wall, N m (a few encoder steps times 20 kN/m), and smallest of an unstable wall, which
-/// uses all 2 N m of the motors.
+/// Largest torque swing of a quiet wall, N m (a few encoder steps times 20 kN/m), and smallest of an unstable wall,
+/// which uses all 2 N m of the motors.
 const QUIET: f64 = 0.05;
 const LOUD: f64 = 1.0;
 
@@ -291,8 +291,8 @@ fn a_light_touch_during_a_firm_press_is_quiet() {
     }
 }
 
-/// The spring acts between the wall's normal and the direction of the shaped force. If only the wall were shaped, spring
-/// and wall would be unstable at any gain.
+/// The spring acts between the wall's normal and the direction of the shaped force. If only the wall were shaped,
+/// spring and wall would be unstable at any gain.
 #[test]
 fn the_feed_forward_keeps_a_spring_with_a_wall_quiet() {
     let file = shipped("coupled-five-bar");

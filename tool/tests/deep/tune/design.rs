@@ -168,7 +168,7 @@ fn a_wide_wall_is_placed_by_its_worst_point() {
     assert!(wide.off.w_eff < 0.99 * point.off.w_eff && wide.full.w_rr < point.full.w_rr, "{point:?} {wide:?}");
 }
 
-/// The test's own inverse kinematics compute wrist and elbow (on the arm's side) for every orientation of the last link.
+/// The test's own inverse kinematics compute wrist and elbow (on the arm's side) for every orientation of the tip.
 #[test]
 fn the_best_posture_equals_the_best_of_all_orientations() {
     let file = shipped("serial-3r");
