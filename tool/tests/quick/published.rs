@@ -1,4 +1,4 @@
-//! Published numbers about sampled walls, which docs/published.md lists, are reproduced.
+//! The library reproduces published numbers about sampled walls (docs/published.md).
 
 use crate::common::prelude::*;
 use crate::common::{ideal_loop, point_mass, read};
@@ -14,7 +14,7 @@ fn around(estimator: LinearEstimator, delay_samples: f64) -> Loop {
     ideal_loop(RATE, delay_samples, estimator)
 }
 
-/// kp_max T²/m at dampings kd T/m.
+/// Returns kp_max T²/m at these dampings kd T/m.
 fn boundary(around: &Loop, dampings: &[f64]) -> Vec<f64> {
     let kd: Vec<f64> = dampings.iter().map(|damping| damping * RATE).collect();
     let found = domain(&mass(), around, Mode::Off, Some(&kd)).unwrap();
@@ -74,7 +74,7 @@ fn at_the_origin_every_boundary_has_the_same_slope() {
 
 #[test]
 fn a_physical_damper_widens_the_range_at_both_rates() {
-    // Colgate and Brown 1994: physical damping raises what can be rendered, slow or fast.
+    // Colgate and Brown 1994: physical damping enlarges the range at slow and at fast rates.
     for rate_hz in [100.0, 1000.0] {
         let mut found = [0.0, 5.0].map(|damping| {
             let mut device = mass();
@@ -88,7 +88,7 @@ fn a_physical_damper_widens_the_range_at_both_rates() {
 }
 
 #[test]
-fn a_pure_mass_in_the_hand_scales_the_range_by_its_square() {
+fn a_mass_in_the_hand_scales_the_area_by_its_square() {
     let mut held = mass();
     held.flexible.tip = DMatrix::from_element(1, 1, 1.0);
     held.flexible.normal = DVector::from_element(1, 1.0);

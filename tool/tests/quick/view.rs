@@ -1,4 +1,4 @@
-//! `haptic view` without a browser: command, the dead man's key, gains, walls, the oscilloscope, and access.
+//! `haptic view` without a browser: pages in command, dead man's key, gains, walls, oscilloscope, and access.
 
 use crate::common::page::Heard;
 use crate::common::prelude::*;
@@ -28,7 +28,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 use tungstenite::{Message, WebSocket};
 
-/// A stage and its pages in this process, on a clock of the test, however busy the computer is.
+/// A stage and its pages in this process. The test sets their clock, so a busy computer has no effect.
 struct Played {
     stage: Stage,
     hub: Hub,
@@ -40,7 +40,7 @@ struct Played {
 struct Page {
     id: PageId,
     heard: Heard,
-    /// Message that it repeats: its key is down, or it is there, or none.
+    /// Message that the page repeats: the key is down, the page is there, or none if it is silent.
     says: Option<FromPage>,
 }
 
@@ -52,7 +52,7 @@ impl Played {
         Self { stage, hub, simulated, now: Duration::ZERO, pages: Vec::new() }
     }
 
-    /// The demo with a page in command.
+    /// Starts the demo with a page in command.
     fn demo() -> Self {
         Self::in_command(World::demo().unwrap(), None)
     }
@@ -65,7 +65,7 @@ impl Played {
         view
     }
 
-    /// A page in command of a board that does not count as simulated, and the simulated board behind it.
+    /// Returns a simulated board, and a page in command of it for which it does not count as simulated.
     fn on_a_board() -> (SharedBoard, Self) {
         let simulated = World::demo().unwrap().simulated.unwrap();
         let board = Board::over(simulated.wire(), "a board").unwrap();
@@ -80,13 +80,13 @@ impl Played {
         self.pages.len() - 1
     }
 
-    /// Sends a message, which is handled at once.
+    /// Sends a message of a page and lets the stage handle it.
     fn say(&mut self, page: usize, message: Value) {
         self.hub.said(self.pages[page].id, FromPage::parse(&message.to_string()));
         self.play(0.02);
     }
 
-    /// Presses the key and keeps it down.
+    /// Presses the key of a page, keeps it down, and waits until the board is armed.
     fn arm(&mut self, page: usize) {
         let seen = self.heard(page).step();
         self.pages[page].says = Some(FromPage::Hold { seen });
@@ -100,12 +100,12 @@ impl Played {
         assert_eq!(self.state(), "Armed", "{:?}", self.pages[page].heard.refused);
     }
 
-    /// Messages that a page has received.
+    /// Returns the messages that a page has received.
     fn heard(&self, page: usize) -> &Heard {
         &self.pages[page].heard
     }
 
-    /// The state as the last page sees it.
+    /// Returns the board's state as the last page shows it.
     fn state(&self) -> &str {
         self.pages.last().unwrap().heard.state()
     }
@@ -137,7 +137,7 @@ impl Played {
         }
     }
 
-    /// The newest boundary, which is computed in another thread.
+    /// Waits for the newest boundary, which another thread computes.
     fn boundary(&mut self) -> Plane {
         while self.heard(0).plane.is_null() {
             self.play(0.02);
@@ -145,7 +145,7 @@ impl Played {
         serde_json::from_value(self.heard(0).plane.clone()).unwrap()
     }
 
-    /// Place at these distances from the tip along the first wall's normal and across it, m.
+    /// Returns the place at these distances from the tip along and across the first wall's normal, m.
     fn beside(&self, along: f64, across: f64) -> Value {
         let (tip, wall) = (&self.heard(0).picture["geometry"]["tip"], &self.heard(0).walls[0]["values"]);
         let [x, y, nx, ny] = [&tip[0], &tip[1], &wall[3], &wall[4]].map(|value| value.as_f64().unwrap());
@@ -153,7 +153,7 @@ impl Played {
     }
 }
 
-/// A request for gains of the first wall; `beyond` confirms unstable ones.
+/// Returns a request for gains of the first wall; `beyond` confirms unstable gains.
 fn gains(stiffness: f64, damping: f64, feed_forward: &str, beyond: bool) -> Value {
     json!({
         "do": "gains", "wall": 0, "stiffness": stiffness, "damping": damping, "feed_forward": feed_forward,
@@ -203,7 +203,7 @@ fn the_motors_are_on_only_while_the_key_is_down() {
     view.say(0, json!({"do": "release"}));
     assert_eq!(view.state(), "Disarmed");
 
-    // Almost half a second of silence releases the key, and a key that is still down then does not arm.
+    // Silence of almost half a second releases the key. If the page then reports the key as down, the motors stay off.
     view.arm(0);
     view.pages[0].says = None;
     view.play(0.3);
@@ -222,7 +222,7 @@ fn the_motors_are_on_only_while_the_key_is_down() {
     assert!(view.heard(0).picture["command"].is_null());
 }
 
-/// Simulated motors hurt no hand, and the computer may be busy.
+/// Simulated motors cannot hurt a hand, so they stay on although a busy computer delays the page's messages.
 #[test]
 fn simulated_motors_stay_on_while_the_page_is_there() {
     let mut view = Played::demo();
@@ -236,9 +236,9 @@ fn simulated_motors_stay_on_while_the_page_is_there() {
     assert_eq!((view.state(), &view.heard(0).picture["command"]), ("Disarmed", &Value::Null));
 }
 
-/// If the tip is in a wall, the key alone moves a simulated hand out; on a real board the user has to.
+/// If the tip is in a wall, pressing the key moves a simulated hand out. On a real board the user must move the tip.
 #[test]
-fn the_key_takes_a_simulated_hand_out_of_a_wall() {
+fn the_key_moves_a_simulated_hand_out_of_a_wall() {
     let mut view = Played::demo();
     let depth = |view: &Played| view.heard(0).picture["numbers"]["depth"].as_f64().unwrap();
     let press = |view: &mut Played, seconds: f64| {
@@ -257,7 +257,7 @@ fn the_key_takes_a_simulated_hand_out_of_a_wall() {
         view.play(1.0);
         assert!(depth(&view) > 0.01, "{} m", depth(&view));
         press(&mut view, 0.05);
-        assert_eq!(view.state(), "Disarmed", "the hand is on its way");
+        assert_eq!(view.state(), "Disarmed", "armed before the hand is out of the wall");
         if released {
             release(&mut view);
         }
@@ -266,7 +266,7 @@ fn the_key_takes_a_simulated_hand_out_of_a_wall() {
         assert!(depth(&view) <= 0.0, "{} m", depth(&view));
     }
     release(&mut view);
-    // A wall with no outside within reach.
+    // The tip cannot leave this wall within its reach.
     let wall = |view: &Played| json!({"do": "wall", "wall": 0, "point": view.beside(0.5, 0.0)});
     view.say(0, wall(&view));
     press(&mut view, 1.9);
@@ -279,7 +279,7 @@ fn the_key_takes_a_simulated_hand_out_of_a_wall() {
     assert_eq!(view.heard(0).refused.last().unwrap()["of"], "inside", "{}", view.heard(0).why());
 }
 
-/// A hung script or a queue may still report the key as down with an old step number.
+/// A hung script or a queue may still report the key as down, but with old step numbers.
 #[test]
 fn a_key_reported_with_old_steps_is_released() {
     let (_, mut view) = Played::on_a_board();
@@ -294,10 +294,9 @@ fn a_key_reported_with_old_steps_is_released() {
     assert!(view.heard(0).why().contains("no message from the page in command"), "{}", view.heard(0).why());
 }
 
-/// The board itself turns the motors off if the stage's thread is starved or its process stopped. This board ignores a
-/// silent host.
+/// If the stage's thread or process stops, the board itself turns the motors off, even if it ignores a silent host.
 #[test]
-fn a_board_releases_a_key_that_the_stage_stops_reporting() {
+fn a_board_releases_the_key_if_the_stage_stops_reporting_it() {
     let (simulated, mut view) = Played::on_a_board();
     view.arm(0);
     view.play(1.0);
@@ -307,15 +306,15 @@ fn a_board_releases_a_key_that_the_stage_stops_reporting() {
     simulated.lock().run(0.11);
     let status = simulated.lock().status();
     assert_eq!((status.state, status.fault.map(|record| record.fault)), (State::Fault, Some(Fault::KeyReleased)));
-    // Only a new press arms again, after the fault is cleared.
+    // After the fault is cleared, only a new press arms again.
     view.play(0.1);
     view.say(0, json!({"do": "clear"}));
     view.play(0.5);
     assert_eq!(view.state(), "Disarmed");
 }
 
-/// An emulated board is slower than real time, so half a second of its steps takes long. After a stall of the stage the
-/// messages of its pages are handled first.
+/// An emulated board is slower than real time, so the page's silence is measured in real time. After a stall the stage
+/// handles waiting messages of pages first, so that the stall does not count as silence.
 #[test]
 fn a_silent_page_releases_a_slow_board_too() {
     let (simulated, mut view) = Played::on_a_board();
@@ -339,10 +338,10 @@ fn a_silent_page_releases_a_slow_board_too() {
         assert_eq!(view.state(), state, "{:?}", view.heard(0).refused);
     }
     assert!(view.heard(0).why().contains("no message from the page in command"), "{}", view.heard(0).why());
-    assert!(simulated.lock().time() - began < 0.3, "a part of real time");
+    assert!(simulated.lock().time() - began < 0.3, "the board was not slower than real time");
 }
 
-/// A slow network or a hung page shows and sends outdated states.
+/// With a slow network or a hung page, the user sees outdated states.
 #[test]
 fn a_page_with_half_a_second_of_delay_does_not_arm() {
     let (_, mut view) = Played::on_a_board();
@@ -358,7 +357,7 @@ fn a_page_with_half_a_second_of_delay_does_not_arm() {
 }
 
 #[test]
-fn a_repeated_press_counts_once_and_holds_on() {
+fn a_repeated_press_counts_once() {
     let (_, mut view) = Played::on_a_board();
     view.arm(0);
     view.say(0, json!({"do": "arm", "seen": view.heard(0).step()}));
@@ -369,7 +368,7 @@ fn a_repeated_press_counts_once_and_holds_on() {
     assert_eq!(view.state(), "Disarmed");
 }
 
-/// However much watching pages send, a release is handled at once, and little of the rest.
+/// Even if watching pages flood the stage, it handles a release at once, and only a few of the other messages.
 #[test]
 fn flooding_pages_do_not_delay_a_release() {
     let world = World::demo().unwrap();
@@ -395,10 +394,10 @@ fn flooding_pages_do_not_delay_a_release() {
     view.pages[0].says = None;
     view.hub.said(view.pages[0].id, Ok(FromPage::Release {}));
     view.step();
-    assert_eq!(simulated.lock().status().state, State::Disarmed, "in the turn after it was said");
+    assert_eq!(simulated.lock().status().state, State::Disarmed, "the release was not handled in the next turn");
     for (page, before) in watching.into_iter().zip(before) {
         let heard = view.heard(page).refused.len() - before;
-        assert!(heard <= 64, "{heard} of 10,000 messages were heard in that turn");
+        assert!(heard <= 64, "{heard} of 10,000 messages were handled in that turn");
     }
 }
 
@@ -409,7 +408,7 @@ fn any_page_turns_the_motors_off() {
     view.arm(0);
     view.say(second, json!({"do": "disarm"}));
     assert_eq!(view.state(), "Disarmed");
-    // The first one's key is still down.
+    // The key of the first page is still down.
     view.play(0.5);
     assert_eq!(view.state(), "Disarmed");
 }
@@ -429,7 +428,7 @@ fn a_page_that_leaves_releases_the_key() {
     assert!(seen["command"].is_null() && seen["hand"].is_null() && seen["pages"] == 1, "{seen}");
 }
 
-/// The page shows why the motors went off. A real board has no simulated hand.
+/// The page shows why the motors went off, and that a real board has no simulated hand.
 #[test]
 fn motors_turned_off_by_another_tool_are_reported() {
     let (simulated, mut view) = Played::on_a_board();
@@ -448,12 +447,12 @@ fn gains_beyond_the_boundary_need_confirmation() {
     let mut view = Played::demo();
     view.boundary();
     let gains = |stiffness: f64| gains(stiffness, 80.0, "off", false);
-    // Gains outside the boundary, as after the tip slid to a less stable place; without the feed-forward even farther.
+    // Beyond the boundary, as after the tip slid to a less stable place, turning the feed-forward off is refused, too.
     for (asked, refused) in [(8_700.0, 1), (39_000.0, 2)] {
         view.say(0, gains(asked));
         assert_eq!(view.heard(0).refused.len(), refused);
         assert!(view.heard(0).why().contains("predicted to be unstable"), "{}", view.heard(0).why());
-        assert_eq!(view.heard(0).walls[0]["feed_forward"], "washout", "nothing was changed");
+        assert_eq!(view.heard(0).walls[0]["feed_forward"], "washout", "refused gains took effect");
         if refused == 1 {
             view.say(0, self::gains(40e3, 80.0, "washout", true));
             assert_eq!(view.heard(0).walls[0]["stiffness"], 40_000.0);
@@ -462,7 +461,7 @@ fn gains_beyond_the_boundary_need_confirmation() {
     let again = view.heard(0).refused[1]["again"].clone();
     view.say(0, again);
     assert_eq!(view.heard(0).walls[0]["feed_forward"], "off");
-    // From outside, softer gains need no confirmation.
+    // Outside the boundary, softer gains need no confirmation.
     for softer in [7_500.0, 5_000.0] {
         view.say(0, gains(softer));
         assert_eq!(view.heard(0).walls[0]["stiffness"], softer);
@@ -472,9 +471,9 @@ fn gains_beyond_the_boundary_need_confirmation() {
     assert_eq!(view.heard(0).refused.len(), 3);
 }
 
-/// A refusal names the requested gains; gains that no board can render cannot be confirmed.
+/// A refusal repeats the requested gains. Gains that no board can render cannot be confirmed.
 #[test]
-fn gains_are_refused_by_name_and_have_an_upper_limit() {
+fn refusals_name_the_gains_and_gains_have_an_upper_limit() {
     let mut view = Played::demo();
     view.boundary();
     let before = view.heard(0).walls[0].clone();
@@ -503,7 +502,7 @@ fn gains_are_refused_by_name_and_have_an_upper_limit() {
     assert!((all / half - 2.0).abs() < 0.02, "{all}, {half}");
 }
 
-/// The boundary includes the device file's compliance, the scene's posture and the board's drive, and says so.
+/// The boundary includes the device file's compliance, the scene's posture and the board's drive, and lists them.
 #[test]
 fn the_boundary_includes_compliance_posture_and_drive() {
     let cases = [
@@ -519,7 +518,7 @@ fn the_boundary_includes_compliance_posture_and_drive() {
         let plane = view.boundary();
         assert!(plane.assumes.iter().any(|told| told.contains(words)), "{name}: {:?}", plane.assumes);
         let (scene, wall) = (scene.cast::<f64>(), scene.walls[0]);
-        let Surface::Plane(surface) = wall.surface else { panic!("{name}: another wall") };
+        let Surface::Plane(surface) = wall.surface else { panic!("{name}: the wall is no plane") };
         let estimator = LinearEstimator::of(scene.estimator, scene.cutoff_hz).unwrap();
         let mut around = Loop::through(&TorquePath::usual(scene.rate_hz), scene.rate_hz, estimator);
         around.damping_compensation = wall.damping_compensation;
@@ -549,13 +548,13 @@ fn the_boundary_includes_compliance_posture_and_drive() {
 }
 
 #[test]
-fn a_page_may_ask_for_the_limiting_effects() {
+fn every_page_may_request_the_limiting_effects() {
     let mut view = Played::demo();
     let second = view.come();
     assert_eq!(view.boundary().limits, None, "not requested");
     for (kind, name) in [(FeedForward::Washout, "washout"), (FeedForward::Off, "off")] {
         view.say(0, gains(3000.0, 80.0, name, false));
-        // A watching page may ask too.
+        // A watching page may also request the effects.
         view.say(second, json!({"do": "explain"}));
         let limits = loop {
             match view.boundary().limits {
@@ -566,7 +565,7 @@ fn a_page_may_ask_for_the_limiting_effects() {
         let top = view.boundary().boundary(kind).iter().map(|point| point.kp).fold(0.0, f64::max);
         assert!((limits.stiffness.unwrap() / top - 1.0).abs() < 3e-3, "{limits:?} {top}");
         let names: Vec<&str> = limits.without.iter().map(|without| without.effect.as_str()).collect();
-        // The device is rigid and has no posture; a hand leads it.
+        // The device is rigid and has no posture, so compliance and posture are not listed.
         assert_eq!(names, ["sampling", "delay", "drive", "filter", "joint damping", "empty hand"]);
         assert!(limits.without.iter().all(|without| without.stiffness.is_some_and(|kp| kp > 0.9 * top)), "{limits:?}");
         assert!((1e-6..1e-4).contains(&limits.count), "{limits:?}");
@@ -577,7 +576,7 @@ fn a_page_may_ask_for_the_limiting_effects() {
 fn gains_beyond_the_boundary_show_their_buzz_frequency() {
     let mut view = Played::demo();
     view.boundary();
-    assert!(view.heard(0).picture["buzz"].is_null(), "the wall is stable");
+    assert!(view.heard(0).picture["buzz"].is_null(), "a stable wall must not buzz");
     view.say(0, gains(8700.0, 80.0, "off", true));
     view.play(0.1);
     let buzz = &view.heard(0).picture["buzz"];
@@ -585,7 +584,7 @@ fn gains_beyond_the_boundary_show_their_buzz_frequency() {
     assert!((hz - 71.0).abs() < 3.0 && growth > 0.0, "{buzz}");
 }
 
-/// A page that loses its connection shows the last known state of the motors.
+/// A page that loses its connection shows a notice about the last known state of the motors.
 #[test]
 fn the_notice_for_a_lost_connection_is_sent_in_advance() {
     let if_lost = |view: &Played| view.heard(0).picture["if_lost"].as_str().unwrap_or_default().to_string();
@@ -599,7 +598,7 @@ fn the_notice_for_a_lost_connection_is_sent_in_advance() {
     view.say(0, json!({"do": "release"}));
     view.play(0.1);
     assert!(if_lost(&view).contains("were off"), "{}", if_lost(&view));
-    // Another tool, on a board that does not watch its host.
+    // Another tool arms the board, which does not watch its host.
     let header = VarHeader { key: VarKey::Key8(Arm::REQ_KEY), seq_no: VarSeq::Seq2(7) };
     simulated.lock().receive(&encode(&header, &[]));
     view.play(0.5);
@@ -631,7 +630,7 @@ impl Wire for CorruptingWire {
     }
 }
 
-/// JSON has no NaN, so a page could not draw the scene.
+/// JSON cannot represent NaN, so a page could not draw the scene.
 #[test]
 fn a_scene_with_a_nan_is_refused_and_not_sent() {
     let simulated = World::demo().unwrap().simulated.unwrap();
@@ -651,7 +650,7 @@ fn a_scene_with_a_nan_is_refused_and_not_sent() {
     assert!(failure.contains("wall 0: stiffness and damping must be finite"), "{failure}");
 }
 
-/// The wall of a paddle is a line across the arc of its tip, with a solid side.
+/// A paddle's wall is drawn as a line across the arc of the tip, with a solid side.
 #[test]
 fn the_wall_of_a_paddle_is_placed_on_its_arc() {
     let view = Played::in_command(World::simulate(shipped("hapkit-paddle"), None).unwrap(), None);
@@ -661,14 +660,17 @@ fn the_wall_of_a_paddle_is_placed_on_its_arc() {
     assert!(
         (at[0] - length * (arc / length).cos()).abs() < 1e-6 && (at[1] - length * (arc / length).sin()).abs() < 1e-6
     );
-    assert!((normal[0] * at[0] + normal[1] * at[1]).abs() < 1e-6 && normal[1] > 0.9, "out of the solid, along the arc");
+    assert!(
+        (normal[0] * at[0] + normal[1] * at[1]).abs() < 1e-6 && normal[1] > 0.9,
+        "the normal does not point out of the solid along the arc"
+    );
 }
 
 /// Ripple above which the page turns red, N.
 const RED: f64 = 0.5;
 
-/// However far a page leads the hand, the linkage stays on its side of every singularity, also if the motors go off under
-/// a displaced tip, or the hand releases a tip that a wall throws out.
+/// Wherever a page leads the hand, the linkage stays on the same side of every singularity, also if the motors go off
+/// in a displaced pose or if the hand releases the tip in a wall, which then throws the tip out.
 #[test]
 fn leading_the_hand_never_folds_the_linkage() {
     let planar = ["cable-five-bar", "capstan-pantograph", "haply-2diy", "pantograph-mk2", "serial-3r"];
@@ -710,7 +712,7 @@ fn leading_the_hand_never_folds_the_linkage() {
     }
 }
 
-/// Starting over resets pose, walls, gains and hand, also after a fault, whose remedy it is in a simulation.
+/// Starting over resets pose, walls, gains and hand. In a simulation it is also the remedy for a fault.
 #[test]
 fn a_simulation_starts_over_and_arms_again() {
     let world = World::demo().unwrap();
@@ -758,8 +760,8 @@ fn a_simulation_starts_over_and_arms_again() {
     assert!(view.heard(0).why().contains("not simulated"), "{}", view.heard(0).why());
 }
 
-/// A hand presses the wall. One click turns the feed-forward off and the wall buzzes, another turns it on and the wall is
-/// quiet, at every depth and also aside of the start.
+/// While a hand presses the wall, one click turns the feed-forward off and the wall buzzes; another click turns it on
+/// and the wall is quiet. This is true at every depth and also at places to the side of the start.
 #[test]
 fn the_feed_forward_button_makes_a_pressed_wall_buzz_or_quiet() {
     let mut view = Played::demo();
@@ -771,7 +773,7 @@ fn the_feed_forward_button_makes_a_pressed_wall_buzz_or_quiet() {
     let pressed = [(16, 0), (22, 0), (28, 0), (34, 0), (42, 0), (54, 0), (28, 6), (28, -6)];
     let pressed =
         pressed.map(|(depth, aside)| (view.beside(-1e-3 * f64::from(depth), 1e-3 * f64::from(aside)), depth, aside));
-    // Clicks a kind of feed-forward and confirms.
+    // Requests a kind of feed-forward with confirmation.
     let click = |view: &mut Played, kind: FeedForward| {
         view.say(0, json!({"do": "gains", "wall": 0, "stiffness": stiffness, "damping": damping, "feed_forward": kind, "beyond": true}));
     };
@@ -781,7 +783,7 @@ fn the_feed_forward_button_makes_a_pressed_wall_buzz_or_quiet() {
         view.say(0, json!({"do": "hand", "at": out}));
         view.play(0.8);
         view.say(0, json!({"do": "hand", "at": place}));
-        // Share of red pictures in the second half.
+        // Share of pictures with a red ripple after the first 0.8 s.
         let shares = [FeedForward::Washout, FeedForward::Off, FeedForward::Washout].map(|kind| {
             click(&mut view, kind);
             view.play(0.8);
@@ -800,7 +802,7 @@ fn the_feed_forward_button_makes_a_pressed_wall_buzz_or_quiet() {
         as_it_should &= 1.1 * off < stiffness && stiffness < 0.95 * washout;
     }
     assert!(as_it_should, "a wall of {stiffness} N/m, {damping} N s/m:\n{said}");
-    // Equation (4) pushes a resting hand sideways; behind the washout it does not.
+    // With the full feed-forward of (4) a wall pushes a resting hand sideways; with a washout it does not.
     click(&mut view, FeedForward::Full);
     view.play(1.6);
     assert!(number(&view, "sideways") > 0.5, "{}", number(&view, "sideways"));
@@ -832,16 +834,16 @@ fn the_oscilloscope_triggers_on_the_touch() {
     view.say(0, json!({"do": "scope", "channels": ["force_n", "distance_m"], "seconds": 0.1, "trigger": trigger}));
     view.arm(0);
     view.play(0.6);
-    assert!(view.heard(0).sweep.is_empty(), "nothing was touched yet");
+    assert!(view.heard(0).sweep.is_empty(), "the trigger fired before the touch");
     view.say(0, json!({"do": "hand", "at": view.beside(-0.02, 0.0)}));
     view.play(1.0);
     let (head, values) = view.heard(0).sweep.split_at(6);
-    // 0.1 s at 1 kHz: every row, with the crossing in the middle.
+    // A sweep of 0.1 s at 1 kHz has all 100 rows, with the crossing in the middle.
     assert_eq!([head[1], head[4], head[5]], [3.0, 2.0, 100.0]);
     let force = |row: usize| values[2 * row];
     let crossing = (head[3] / head[2] * 99.0).round() as usize;
     assert!(force(crossing - 1) < 0.5 && force(crossing) >= 0.5, "{:?}", &values[..200]);
-    assert!((0..40).all(|row| force(row) == 0.0), "the time before the touch is there");
+    assert!((0..40).all(|row| force(row) == 0.0), "the sweep lacks the time before the touch");
     view.say(0, json!({"do": "scope", "channels": ["no"], "seconds": 0.1}));
     assert_eq!(view.heard(0).refused.len(), 1);
     view.say(0, json!({"do": "sound", "on": true}));
@@ -878,7 +880,7 @@ fn springs_and_their_anchors_are_sent_to_the_page() {
     let view = Played::in_command(World::simulate(shipped("haply-2diy"), Some(scene)).unwrap(), None);
     let page = view.heard(0);
     assert_eq!(page.springs[0]["stiffness"], 250.0, "{}", page.springs);
-    // The line y = 0.115: straight above or below the tip.
+    // The nearest point of the line y = 0.115 is straight above or below the tip.
     let (tip, held) = (&page.picture["geometry"]["tip"], &page.picture["geometry"]["springs"][0]);
     let apart = (tip[0].as_f64().unwrap() - held[0].as_f64().unwrap()).abs();
     assert!(apart < 1e-6 && (held[1].as_f64().unwrap() - 0.115).abs() < 1e-6, "{tip}: {held}");
@@ -895,7 +897,7 @@ fn every_kind_of_device_can_be_viewed() {
     }
 }
 
-/// Serves pages of a hub; returns the address that the tool prints.
+/// Serves the pages of a hub. Returns the address that the tool prints.
 fn listen(address: &str, hub: &Hub) -> String {
     let door = PageListener::open(address.parse().unwrap()).unwrap();
     let url = door.url().unwrap();
@@ -933,16 +935,16 @@ fn the_page_is_served_only_to_this_computer() {
     assert!(page.starts_with("HTTP/1.1 200 ") && page.contains("<title>haptic view</title>"), "{}", &page[..200]);
     assert!(page.contains("Content-Security-Policy: default-src 'none'"));
     assert!(get("/other", "").starts_with("HTTP/1.1 404 "));
-    assert!(get("/live", "").starts_with("HTTP/1.1 400 "), "no WebSocket was asked for");
+    assert!(get("/live", "").starts_with("HTTP/1.1 400 "), "/live accepts only WebSockets");
     assert!(get("/", "Origin: http://evil.example\r\n").starts_with("HTTP/1.1 403 "));
     assert!(ask(host, "GET / HTTP/1.1\r\nHost: evil.example\r\n\r\n").starts_with("HTTP/1.1 403 "));
     assert!(ask(host, &format!("POST / HTTP/1.1\r\nHost: {host}\r\n\r\n")).starts_with("HTTP/1.1 400 "));
     assert!(ask(host, "\0\x01\x02 what\r\n\r\n").starts_with("HTTP/1.1 400 "));
-    // A browser keeps a spare connection and takes bytes on it for the reply to its next request.
+    // A browser keeps a spare connection. It would take any bytes on it for the reply to its next request.
     let (mut spare, mut said) = (TcpStream::connect(host).unwrap(), String::new());
     spare.shutdown(Shutdown::Write).unwrap();
     spare.read_to_string(&mut said).unwrap();
-    assert_eq!(said, "", "nothing was asked");
+    assert_eq!(said, "", "a connection without a request received bytes");
 }
 
 #[test]
@@ -951,7 +953,7 @@ fn other_computers_need_the_token() {
     let url = listen("0.0.0.0:0", &hub);
     let (host, query) = parts(&url);
     assert_eq!(query.len(), "?token=".len() + 32, "{url}");
-    assert!(!host.starts_with("0.0.0.0"), "no browser of another computer opens {url}");
+    assert!(!host.starts_with("0.0.0.0"), "another computer cannot open {url}");
     let get = |path: &str| ask(host, &format!("GET {path} HTTP/1.1\r\nHost: {host}\r\n\r\n"));
     assert!(get("/").starts_with("HTTP/1.1 403 ") && get("/live").starts_with("HTTP/1.1 403 "));
     assert!(get(&format!("/{query}")).starts_with("HTTP/1.1 200 "));
@@ -961,9 +963,9 @@ fn other_computers_need_the_token() {
     }
 }
 
-/// Connections without the token do not use up places.
+/// Connections without the token do not count towards the largest number of pages.
 #[test]
-fn strangers_keep_no_page_out() {
+fn connections_without_token_do_not_block_pages() {
     let url = listen("0.0.0.0:0", &Hub::default());
     let (host, query) = parts(&url);
     let stranger = |_| {
@@ -1005,7 +1007,7 @@ fn malformed_messages_are_refused() {
         assert!(heard.why().starts_with("not a message of this page"), "{}", heard.why());
     }
     assert!(heard.why().contains("binary"), "{}", heard.why());
-    // A message that is far too long ends only its own connection.
+    // A message that is far too long ends only the connection that sent it.
     let mut other = connect(&url);
     let _ = other.send(Message::text("x".repeat(100_000)));
     while read(&mut other, &mut Heard::default()) {
