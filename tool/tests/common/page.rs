@@ -45,7 +45,7 @@ impl Drop for View {
 
 /// Newest message of each kind that a page has received.
 #[derive(Default)]
-pub struct Heard {
+pub struct Received {
     pub you: u64,
     pub hello: Value,
     pub walls: Value,
@@ -60,7 +60,7 @@ pub struct Heard {
     pub sound: Vec<f32>,
 }
 
-impl Heard {
+impl Received {
     pub fn text(&mut self, text: &str) {
         let message: Value = serde_json::from_str(text).unwrap();
         let words = |key: &str| Some(message[key].as_str().unwrap().to_string());

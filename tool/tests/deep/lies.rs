@@ -39,7 +39,7 @@ fn the_table_holds_the_outcome_of_every_injected_error() {
 }
 
 /// Checks that at most `percent` % of the checks exceed a bound; docs/safety.md lists the percentages.
-fn seldom(checked: &[Checked], percent: usize, beyond: impl Fn(&Checked) -> bool) {
+fn check_rare(checked: &[Checked], percent: usize, beyond: impl Fn(&Checked) -> bool) {
     let beyond: Vec<_> = checked.iter().filter(|checked| beyond(checked)).map(ToString::to_string).collect();
     println!("{} of {}:\n{}", beyond.len(), checked.len(), beyond.join("\n"));
     assert!(100 * beyond.len() <= percent * checked.len());
@@ -55,13 +55,13 @@ fn a_check_with_a_wrong_file_pushes_no_harder_than_a_finger() {
     let checked: Vec<_> = (0..checks(500)).map(check_wrong).collect();
     let most = |of: fn(&Checked) -> f64| checked.iter().map(of).fold(0.0, f64::max);
     println!("most: {:.2} N, {:.3} rad", most(|it| it.moved.push), most(|it| it.moved.travel));
-    seldom(&checked, 1, |checked| checked.moved.push > 5.0 || checked.moved.travel > 0.15);
+    check_rare(&checked, 1, |checked| checked.moved.push > 5.0 || checked.moved.travel > 0.15);
 }
 
 #[test]
 fn a_sound_device_passes_its_check() {
     let checked: Vec<_> = (10_000..10_000 + checks(300)).map(check_sound).collect();
-    seldom(&checked, 3, |checked| checked.ended.is_err());
+    check_rare(&checked, 3, |checked| checked.ended.is_err());
 }
 
 /// Runs new random scenes and motions, HAPTIC_SEQUENCES for each device (default 20).

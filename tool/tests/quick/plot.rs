@@ -352,7 +352,7 @@ fn the_phase_portrait_of_noise_is_drawn_only_on_request() {
 }
 
 /// Returns the texts of a picture of this width that are smaller than 8 pt or extend beyond the picture.
-fn amiss(svg: &str, width_mm: f64) -> Vec<String> {
+fn misplaced_texts(svg: &str, width_mm: f64) -> Vec<String> {
     let head = svg.lines().next().unwrap();
     assert!(head.contains(&format!(" width=\"{width_mm:.2}mm\"")), "{head}");
     let sides = head.split("viewBox=\"0 0 ").nth(1).unwrap().split('"').next().unwrap();
@@ -401,8 +401,8 @@ fn pictures_for_a_paper_have_its_width_and_letter_size() {
         for width in widths {
             let files = ["--svg", svg.to_str().unwrap(), "--force", "--width", width];
             haptic(&[command, &files].concat()).assert().success();
-            let amiss = amiss(&std::fs::read_to_string(&svg).unwrap(), width.parse().unwrap());
-            assert!(amiss.is_empty(), "{command:?} at {width} mm: {amiss:#?}");
+            let misplaced = misplaced_texts(&std::fs::read_to_string(&svg).unwrap(), width.parse().unwrap());
+            assert!(misplaced.is_empty(), "{command:?} at {width} mm: {misplaced:#?}");
         }
     }
     // A PNG has 600 dots per inch.

@@ -47,7 +47,7 @@ impl Served {
         Self { port, stop, server: Some(server) }
     }
 
-    /// Serves over TCP. A new tool waits up to `handover` for the previous one to leave, and replaces it after `silence`.
+    /// Serves over TCP. A new tool waits up to `handover` until the old one leaves, or replaces it after `silence`.
     fn on_tcp(handover: Duration, silence: Duration) -> Self {
         Self::behind(tcp("127.0.0.1:0".parse().unwrap(), Patience { silence, handover }).unwrap())
     }

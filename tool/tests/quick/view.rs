@@ -1,6 +1,6 @@
 //! `haptic view` without a browser: pages in command, dead man's key, gains, walls, oscilloscope, and access.
 
-use crate::common::page::Heard;
+use crate::common::page::Received;
 use crate::common::prelude::*;
 use crate::common::{file, shipped};
 use haptic_bridge::board::protocol::{Arm, Disarm};
@@ -29,7 +29,7 @@ use std::time::Duration;
 use tungstenite::{Message, WebSocket};
 
 /// A stage and its pages in this process. The test sets their clock, so a busy computer has no effect.
-struct Played {
+struct TestView {
     stage: Stage,
     hub: Hub,
     simulated: bool,
@@ -39,12 +39,12 @@ struct Played {
 
 struct Page {
     id: PageId,
-    heard: Heard,
+    heard: Received,
     /// Message that the page repeats: the key is down, the page is there, or none if it is silent.
-    says: Option<FromPage>,
+    repeated: Option<FromPage>,
 }
 
-impl Played {
+impl TestView {
     fn of(world: World, folder: Option<&Path>) -> Self {
         let hub = Hub::default();
         let simulated = world.simulated.is_some();
@@ -59,8 +59,8 @@ impl Played {
 
     fn in_command(world: World, folder: Option<&Path>) -> Self {
         let mut view = Self::of(world, folder);
-        let page = view.come();
-        view.say(page, json!({"do": "take"}));
+        let page = view.add_page();
+        view.send(page, json!({"do": "take"}));
         assert_eq!(view.pages[page].heard.picture["command"], view.pages[page].id);
         view
     }
@@ -73,15 +73,15 @@ impl Played {
     }
 
     /// Connects a page and returns its number.
-    fn come(&mut self) -> usize {
-        let (id, heard) = (self.hub.come().unwrap(), Heard::default());
-        self.pages.push(Page { id, heard, says: Some(FromPage::Here {}) });
+    fn add_page(&mut self) -> usize {
+        let (id, heard) = (self.hub.come().unwrap(), Received::default());
+        self.pages.push(Page { id, heard, repeated: Some(FromPage::Here {}) });
         self.play(0.02);
         self.pages.len() - 1
     }
 
     /// Sends a message of a page and lets the stage handle it.
-    fn say(&mut self, page: usize, message: Value) {
+    fn send(&mut self, page: usize, message: Value) {
         self.hub.said(self.pages[page].id, FromPage::parse(&message.to_string()));
         self.play(0.02);
     }
@@ -89,8 +89,8 @@ impl Played {
     /// Presses the key of a page, keeps it down, and waits until the board is armed.
     fn arm(&mut self, page: usize) {
         let seen = self.heard(page).step();
-        self.pages[page].says = Some(FromPage::Hold { seen });
-        self.say(page, json!({"do": "arm", "seen": seen}));
+        self.pages[page].repeated = Some(FromPage::Hold { seen });
+        self.send(page, json!({"do": "arm", "seen": seen}));
         // Rows arrive in batches, so the new state is in the next picture or the one after it.
         for _ in 0..2 {
             if self.state() != "Armed" {
@@ -101,7 +101,7 @@ impl Played {
     }
 
     /// Returns the messages that a page has received.
-    fn heard(&self, page: usize) -> &Heard {
+    fn heard(&self, page: usize) -> &Received {
         &self.pages[page].heard
     }
 
@@ -121,10 +121,10 @@ impl Played {
     fn step(&mut self) {
         self.now += Duration::from_millis(6);
         for page in &mut self.pages {
-            if let Some(FromPage::Hold { seen }) = &mut page.says {
+            if let Some(FromPage::Hold { seen }) = &mut page.repeated {
                 *seen = page.heard.step();
             }
-            page.says.iter().for_each(|says| self.hub.said(page.id, Ok(says.clone())));
+            page.repeated.iter().for_each(|repeated| self.hub.said(page.id, Ok(repeated.clone())));
         }
         while self.stage.turn(self.now).unwrap() == Turn::Played && self.simulated {}
         for Page { id, heard, .. } in &mut self.pages {
@@ -163,8 +163,8 @@ fn gains(stiffness: f64, damping: f64, feed_forward: &str, beyond: bool) -> Valu
 
 #[test]
 fn one_page_commands_and_the_others_watch() {
-    let mut view = Played::demo();
-    let (first, second) = (0, view.come());
+    let mut view = TestView::demo();
+    let (first, second) = (0, view.add_page());
     for message in [
         json!({"do": "arm", "seen": 1}),
         json!({"do": "take"}),
@@ -176,7 +176,7 @@ fn one_page_commands_and_the_others_watch() {
         json!({"do": "gains", "wall": 0, "stiffness": 1.0, "damping": 1.0, "feed_forward": "off"}),
     ] {
         let before = view.heard(second).refused.len();
-        view.say(second, message);
+        view.send(second, message);
         assert_eq!(view.heard(second).refused.len(), before + 1);
         assert!(view.heard(second).why().contains("another page is in command"), "{}", view.heard(second).why());
         assert_eq!(view.heard(second).refused[before]["of"], "watching");
@@ -185,37 +185,37 @@ fn one_page_commands_and_the_others_watch() {
     assert_eq!((&seen["command"], &seen["pages"]), (&json!(view.pages[first].id), &json!(2)));
     assert_eq!(view.state(), "Disarmed");
     assert_eq!(view.heard(second).walls, view.heard(first).walls);
-    view.say(first, json!({"do": "give"}));
+    view.send(first, json!({"do": "give"}));
     assert!(view.heard(second).picture["command"].is_null());
-    view.say(first, json!({"do": "arm", "seen": 1}));
+    view.send(first, json!({"do": "arm", "seen": 1}));
     assert_eq!(view.heard(first).why(), "no page is in command: take it first");
-    view.say(second, json!({"do": "take"}));
+    view.send(second, json!({"do": "take"}));
     assert_eq!(view.heard(first).picture["command"], view.pages[second].id);
 }
 
 #[test]
 fn the_motors_are_on_only_while_the_key_is_down() {
-    let (_, mut view) = Played::on_a_board();
+    let (_, mut view) = TestView::on_a_board();
     view.arm(0);
     view.play(2.0);
     assert_eq!(view.state(), "Armed", "{:?}", view.heard(0).refused);
-    view.pages[0].says = Some(FromPage::Here {});
-    view.say(0, json!({"do": "release"}));
+    view.pages[0].repeated = Some(FromPage::Here {});
+    view.send(0, json!({"do": "release"}));
     assert_eq!(view.state(), "Disarmed");
 
     // Silence of almost half a second releases the key. If the page then reports the key as down, the motors stay off.
     view.arm(0);
-    view.pages[0].says = None;
+    view.pages[0].repeated = None;
     view.play(0.3);
     assert_eq!(view.state(), "Armed");
     view.play(0.18);
     assert_eq!(view.state(), "Disarmed");
     assert!(view.heard(0).why().contains("no message from the page in command"), "{}", view.heard(0).why());
-    view.pages[0].says = Some(FromPage::Hold { seen: 0 });
+    view.pages[0].repeated = Some(FromPage::Hold { seen: 0 });
     view.play(0.5);
     assert_eq!(view.state(), "Disarmed");
     // After five seconds other pages may take command.
-    view.pages[0].says = None;
+    view.pages[0].repeated = None;
     view.play(4.9);
     assert!(!view.heard(0).picture["command"].is_null());
     view.play(0.2);
@@ -225,11 +225,11 @@ fn the_motors_are_on_only_while_the_key_is_down() {
 /// Simulated motors cannot hurt a hand, so they stay on although a busy computer delays the page's messages.
 #[test]
 fn simulated_motors_stay_on_while_the_page_is_there() {
-    let mut view = Played::demo();
+    let mut view = TestView::demo();
     let seen = view.heard(0).step();
     view.play(2.0);
-    view.say(0, json!({"do": "arm", "seen": seen}));
-    view.pages[0].says = None;
+    view.send(0, json!({"do": "arm", "seen": seen}));
+    view.pages[0].repeated = None;
     view.play(4.9);
     assert_eq!((view.state(), view.heard(0).refused.len()), ("Armed", 0));
     view.play(0.2);
@@ -239,21 +239,21 @@ fn simulated_motors_stay_on_while_the_page_is_there() {
 /// If the tip is in a wall, pressing the key moves a simulated hand out. On a real board the user must move the tip.
 #[test]
 fn the_key_moves_a_simulated_hand_out_of_a_wall() {
-    let mut view = Played::demo();
-    let depth = |view: &Played| view.heard(0).picture["numbers"]["depth"].as_f64().unwrap();
-    let press = |view: &mut Played, seconds: f64| {
+    let mut view = TestView::demo();
+    let depth = |view: &TestView| view.heard(0).picture["numbers"]["depth"].as_f64().unwrap();
+    let press = |view: &mut TestView, seconds: f64| {
         let seen = view.heard(0).step();
-        view.pages[0].says = Some(FromPage::Hold { seen });
-        view.say(0, json!({"do": "arm", "seen": seen}));
+        view.pages[0].repeated = Some(FromPage::Hold { seen });
+        view.send(0, json!({"do": "arm", "seen": seen}));
         view.play(seconds);
     };
-    let release = |view: &mut Played| {
-        view.pages[0].says = Some(FromPage::Here {});
-        view.say(0, json!({"do": "release"}));
+    let release = |view: &mut TestView| {
+        view.pages[0].repeated = Some(FromPage::Here {});
+        view.send(0, json!({"do": "release"}));
     };
     let inside = view.beside(-0.03, 0.0);
     for released in [true, false] {
-        view.say(0, json!({"do": "hand", "at": inside}));
+        view.send(0, json!({"do": "hand", "at": inside}));
         view.play(1.0);
         assert!(depth(&view) > 0.01, "{} m", depth(&view));
         press(&mut view, 0.05);
@@ -267,14 +267,14 @@ fn the_key_moves_a_simulated_hand_out_of_a_wall() {
     }
     release(&mut view);
     // The tip cannot leave this wall within its reach.
-    let wall = |view: &Played| json!({"do": "wall", "wall": 0, "point": view.beside(0.5, 0.0)});
-    view.say(0, wall(&view));
+    let wall = |view: &TestView| json!({"do": "wall", "wall": 0, "point": view.beside(0.5, 0.0)});
+    view.send(0, wall(&view));
     press(&mut view, 1.9);
     assert_eq!((view.state(), view.heard(0).refused.len()), ("Disarmed", 0));
     view.play(0.3);
     assert_eq!(view.heard(0).refused.last().unwrap()["of"], "inside", "{}", view.heard(0).why());
-    let (_, mut view) = Played::on_a_board();
-    view.say(0, wall(&view));
+    let (_, mut view) = TestView::on_a_board();
+    view.send(0, wall(&view));
     press(&mut view, 0.02);
     assert_eq!(view.heard(0).refused.last().unwrap()["of"], "inside", "{}", view.heard(0).why());
 }
@@ -282,9 +282,9 @@ fn the_key_moves_a_simulated_hand_out_of_a_wall() {
 /// A hung script or a queue may still report the key as down, but with old step numbers.
 #[test]
 fn a_key_reported_with_old_steps_is_released() {
-    let (_, mut view) = Played::on_a_board();
+    let (_, mut view) = TestView::on_a_board();
     view.arm(0);
-    view.pages[0].says = None;
+    view.pages[0].repeated = None;
     let seen = view.heard(0).step();
     for _ in 0..100 {
         view.hub.said(view.pages[0].id, Ok(FromPage::Hold { seen }));
@@ -297,7 +297,7 @@ fn a_key_reported_with_old_steps_is_released() {
 /// If the stage's thread or process stops, the board itself turns the motors off, even if it ignores a silent host.
 #[test]
 fn a_board_releases_the_key_if_the_stage_stops_reporting_it() {
-    let (simulated, mut view) = Played::on_a_board();
+    let (simulated, mut view) = TestView::on_a_board();
     view.arm(0);
     view.play(1.0);
     assert_eq!(simulated.lock().status().state, State::Armed);
@@ -308,7 +308,7 @@ fn a_board_releases_the_key_if_the_stage_stops_reporting_it() {
     assert_eq!((status.state, status.fault.map(|record| record.fault)), (State::Fault, Some(Fault::KeyReleased)));
     // After the fault is cleared, only a new press arms again.
     view.play(0.1);
-    view.say(0, json!({"do": "clear"}));
+    view.send(0, json!({"do": "clear"}));
     view.play(0.5);
     assert_eq!(view.state(), "Disarmed");
 }
@@ -317,7 +317,7 @@ fn a_board_releases_the_key_if_the_stage_stops_reporting_it() {
 /// handles waiting messages of pages first, so that the stall does not count as silence.
 #[test]
 fn a_silent_page_releases_a_slow_board_too() {
-    let (simulated, mut view) = Played::on_a_board();
+    let (simulated, mut view) = TestView::on_a_board();
     view.arm(0);
     for heard_at_once in [true, false] {
         view.now += Duration::from_secs(3);
@@ -327,7 +327,7 @@ fn a_silent_page_releases_a_slow_board_too() {
         view.play(0.3);
         assert_eq!((view.state(), view.heard(0).refused.len()), ("Armed", 0));
     }
-    view.pages[0].says = None;
+    view.pages[0].repeated = None;
     let began = simulated.lock().time();
     for (silent, state) in [(0.3, "Armed"), (0.15, "Disarmed")] {
         let end = view.now + Duration::from_secs_f64(silent);
@@ -344,26 +344,26 @@ fn a_silent_page_releases_a_slow_board_too() {
 /// With a slow network or a hung page, the user sees outdated states.
 #[test]
 fn a_page_with_half_a_second_of_delay_does_not_arm() {
-    let (_, mut view) = Played::on_a_board();
+    let (_, mut view) = TestView::on_a_board();
     for (late, armed) in [(0.2, "Armed"), (0.5, "Disarmed"), (2.0, "Disarmed")] {
         let seen = view.heard(0).step();
         view.play(late);
         let before = view.heard(0).refused.len();
-        view.say(0, json!({"do": "arm", "seen": seen}));
+        view.send(0, json!({"do": "arm", "seen": seen}));
         assert_eq!((view.state(), view.heard(0).refused.len() - before), (armed, usize::from(armed != "Armed")));
-        view.say(0, json!({"do": "release"}));
+        view.send(0, json!({"do": "release"}));
     }
     assert!(view.heard(0).why().contains("press it again"), "{}", view.heard(0).why());
 }
 
 #[test]
 fn a_repeated_press_counts_once() {
-    let (_, mut view) = Played::on_a_board();
+    let (_, mut view) = TestView::on_a_board();
     view.arm(0);
-    view.say(0, json!({"do": "arm", "seen": view.heard(0).step()}));
+    view.send(0, json!({"do": "arm", "seen": view.heard(0).step()}));
     view.play(1.0);
     assert_eq!((view.state(), view.heard(0).refused.len()), ("Armed", 0));
-    view.pages[0].says = None;
+    view.pages[0].repeated = None;
     view.play(0.5);
     assert_eq!(view.state(), "Disarmed");
 }
@@ -373,10 +373,10 @@ fn a_repeated_press_counts_once() {
 fn flooding_pages_do_not_delay_a_release() {
     let world = World::demo().unwrap();
     let simulated = world.simulated.clone().unwrap();
-    let mut view = Played::in_command(world, None);
-    let watching = [view.come(), view.come(), view.come()];
+    let mut view = TestView::in_command(world, None);
+    let watching = [view.add_page(), view.add_page(), view.add_page()];
     view.arm(0);
-    let flood = |view: &mut Played| {
+    let flood = |view: &mut TestView| {
         for page in watching {
             for _ in 0..5_000 {
                 view.hub.said(view.pages[page].id, Err("noise".into()));
@@ -391,7 +391,7 @@ fn flooding_pages_do_not_delay_a_release() {
     assert_eq!(view.state(), "Armed", "{:?}", view.heard(0).refused);
     let before: Vec<usize> = watching.iter().map(|page| view.heard(*page).refused.len()).collect();
     flood(&mut view);
-    view.pages[0].says = None;
+    view.pages[0].repeated = None;
     view.hub.said(view.pages[0].id, Ok(FromPage::Release {}));
     view.step();
     assert_eq!(simulated.lock().status().state, State::Disarmed, "the release was not handled in the next turn");
@@ -403,10 +403,10 @@ fn flooding_pages_do_not_delay_a_release() {
 
 #[test]
 fn any_page_turns_the_motors_off() {
-    let mut view = Played::demo();
-    let second = view.come();
+    let mut view = TestView::demo();
+    let second = view.add_page();
     view.arm(0);
-    view.say(second, json!({"do": "disarm"}));
+    view.send(second, json!({"do": "disarm"}));
     assert_eq!(view.state(), "Disarmed");
     // The key of the first page is still down.
     view.play(0.5);
@@ -415,9 +415,9 @@ fn any_page_turns_the_motors_off() {
 
 #[test]
 fn a_page_that_leaves_releases_the_key() {
-    let mut view = Played::demo();
-    let second = view.come();
-    view.say(0, json!({"do": "hand", "at": view.beside(0.0, 0.0)}));
+    let mut view = TestView::demo();
+    let second = view.add_page();
+    view.send(0, json!({"do": "hand", "at": view.beside(0.0, 0.0)}));
     view.arm(0);
     assert!(!view.heard(second).picture["hand"].is_null());
     let first = view.pages.remove(0);
@@ -431,8 +431,8 @@ fn a_page_that_leaves_releases_the_key() {
 /// The page shows why the motors went off, and that a real board has no simulated hand.
 #[test]
 fn motors_turned_off_by_another_tool_are_reported() {
-    let (simulated, mut view) = Played::on_a_board();
-    view.say(0, json!({"do": "hand", "at": [0.0, 0.1]}));
+    let (simulated, mut view) = TestView::on_a_board();
+    view.send(0, json!({"do": "hand", "at": [0.0, 0.1]}));
     assert!(view.heard(0).why().contains("not simulated"), "{}", view.heard(0).why());
     view.arm(0);
     let header = VarHeader { key: VarKey::Key8(Disarm::REQ_KEY), seq_no: VarSeq::Seq2(7) };
@@ -444,45 +444,45 @@ fn motors_turned_off_by_another_tool_are_reported() {
 
 #[test]
 fn gains_beyond_the_boundary_need_confirmation() {
-    let mut view = Played::demo();
+    let mut view = TestView::demo();
     view.boundary();
     let gains = |stiffness: f64| gains(stiffness, 80.0, "off", false);
     // Beyond the boundary, as after the tip slid to a less stable place, turning the feed-forward off is refused, too.
     for (asked, refused) in [(8_700.0, 1), (39_000.0, 2)] {
-        view.say(0, gains(asked));
+        view.send(0, gains(asked));
         assert_eq!(view.heard(0).refused.len(), refused);
         assert!(view.heard(0).why().contains("predicted to be unstable"), "{}", view.heard(0).why());
         assert_eq!(view.heard(0).walls[0]["feed_forward"], "washout", "refused gains took effect");
         if refused == 1 {
-            view.say(0, self::gains(40e3, 80.0, "washout", true));
+            view.send(0, self::gains(40e3, 80.0, "washout", true));
             assert_eq!(view.heard(0).walls[0]["stiffness"], 40_000.0);
         }
     }
     let again = view.heard(0).refused[1]["again"].clone();
-    view.say(0, again);
+    view.send(0, again);
     assert_eq!(view.heard(0).walls[0]["feed_forward"], "off");
     // Outside the boundary, softer gains need no confirmation.
     for softer in [7_500.0, 5_000.0] {
-        view.say(0, gains(softer));
+        view.send(0, gains(softer));
         assert_eq!(view.heard(0).walls[0]["stiffness"], softer);
     }
     assert_eq!(view.heard(0).refused.len(), 2);
-    view.say(0, gains(-1.0));
+    view.send(0, gains(-1.0));
     assert_eq!(view.heard(0).refused.len(), 3);
 }
 
 /// A refusal repeats the requested gains. Gains that no board can render cannot be confirmed.
 #[test]
 fn refusals_name_the_gains_and_gains_have_an_upper_limit() {
-    let mut view = Played::demo();
+    let mut view = TestView::demo();
     view.boundary();
     let before = view.heard(0).walls[0].clone();
-    view.say(0, gains(8_700.0, 80.0, "off", false));
+    view.send(0, gains(8_700.0, 80.0, "off", false));
     let refused = view.heard(0).refused.last().unwrap().clone();
     assert_eq!((&refused["of"], &refused["again"]["stiffness"]), (&json!("gains"), &json!(8700.0)));
     assert!(view.heard(0).why().starts_with("8.70 kN/m with 80.0 N s/m and feed-forward off"), "{refused}");
     for (stiffness, damping) in [(1e9, 80.0), (8_700.0, 1e9)] {
-        view.say(0, gains(stiffness, damping, "off", true));
+        view.send(0, gains(stiffness, damping, "off", true));
         let refused = view.heard(0).refused.last().unwrap();
         assert!(refused["again"].is_null() && refused["of"] == "gains", "{refused}");
         assert!(view.heard(0).why().contains("that motors and rules allow here"), "{}", view.heard(0).why());
@@ -494,8 +494,8 @@ fn refusals_name_the_gains_and_gains_have_an_upper_limit() {
         let mut rules = world.board.rules().unwrap();
         rules.limits.tip_force = tip_force;
         world.board.set_rules(&rules).unwrap();
-        let mut view = Played::in_command(world, None);
-        view.say(0, gains(1e9, 80.0, "off", false));
+        let mut view = TestView::in_command(world, None);
+        view.send(0, gains(1e9, 80.0, "off", false));
         let limit = view.heard(0).why().split("above ").nth(1).and_then(|rest| rest.split(" MN/m").next());
         limit.unwrap_or_else(|| panic!("{}", view.heard(0).why())).parse::<f64>().unwrap()
     });
@@ -514,7 +514,7 @@ fn the_boundary_includes_compliance_posture_and_drive() {
         let (device, path) = (shipped(name), file(&format!("scenes/{name}/{scene}.toml")));
         let scene: Scene<f32> = SceneFile::load(Path::new(&path), device.spec().task).unwrap().scene().unwrap();
         let subject = Subject::new(&device.description).unwrap();
-        let mut view = Played::in_command(World::simulate(device, Some(scene.clone())).unwrap(), None);
+        let mut view = TestView::in_command(World::simulate(device, Some(scene.clone())).unwrap(), None);
         let plane = view.boundary();
         assert!(plane.assumes.iter().any(|told| told.contains(words)), "{name}: {:?}", plane.assumes);
         let (scene, wall) = (scene.cast::<f64>(), scene.walls[0]);
@@ -549,13 +549,13 @@ fn the_boundary_includes_compliance_posture_and_drive() {
 
 #[test]
 fn every_page_may_request_the_limiting_effects() {
-    let mut view = Played::demo();
-    let second = view.come();
+    let mut view = TestView::demo();
+    let second = view.add_page();
     assert_eq!(view.boundary().limits, None, "not requested");
     for (kind, name) in [(FeedForward::Washout, "washout"), (FeedForward::Off, "off")] {
-        view.say(0, gains(3000.0, 80.0, name, false));
+        view.send(0, gains(3000.0, 80.0, name, false));
         // A watching page may also request the effects.
-        view.say(second, json!({"do": "explain"}));
+        view.send(second, json!({"do": "explain"}));
         let limits = loop {
             match view.boundary().limits {
                 Some(limits) if limits.feed_forward == kind => break limits,
@@ -574,10 +574,10 @@ fn every_page_may_request_the_limiting_effects() {
 
 #[test]
 fn gains_beyond_the_boundary_show_their_buzz_frequency() {
-    let mut view = Played::demo();
+    let mut view = TestView::demo();
     view.boundary();
     assert!(view.heard(0).picture["buzz"].is_null(), "a stable wall must not buzz");
-    view.say(0, gains(8700.0, 80.0, "off", true));
+    view.send(0, gains(8700.0, 80.0, "off", true));
     view.play(0.1);
     let buzz = &view.heard(0).picture["buzz"];
     let (hz, growth) = (buzz["hz"].as_f64().unwrap(), buzz["growth_per_s"].as_f64().unwrap());
@@ -587,15 +587,15 @@ fn gains_beyond_the_boundary_show_their_buzz_frequency() {
 /// A page that loses its connection shows a notice about the last known state of the motors.
 #[test]
 fn the_notice_for_a_lost_connection_is_sent_in_advance() {
-    let if_lost = |view: &Played| view.heard(0).picture["if_lost"].as_str().unwrap_or_default().to_string();
-    assert!(if_lost(&Played::demo()).contains("simulated board is gone"));
-    let (simulated, mut view) = Played::on_a_board();
+    let if_lost = |view: &TestView| view.heard(0).picture["if_lost"].as_str().unwrap_or_default().to_string();
+    assert!(if_lost(&TestView::demo()).contains("simulated board is gone"));
+    let (simulated, mut view) = TestView::on_a_board();
     assert_eq!(if_lost(&view), "the motors were off in the last picture");
     view.arm(0);
     view.play(0.1);
     assert!(if_lost(&view).contains("half a second after the last message about the key"), "{}", if_lost(&view));
-    view.pages[0].says = Some(FromPage::Here {});
-    view.say(0, json!({"do": "release"}));
+    view.pages[0].repeated = Some(FromPage::Here {});
+    view.send(0, json!({"do": "release"}));
     view.play(0.1);
     assert!(if_lost(&view).contains("were off"), "{}", if_lost(&view));
     // Another tool arms the board, which does not watch its host.
@@ -636,13 +636,13 @@ fn a_scene_with_a_nan_is_refused_and_not_sent() {
     let simulated = World::demo().unwrap().simulated.unwrap();
     let corrupt = Arc::new(AtomicBool::new(false));
     let open = || Board::over(Box::new(CorruptingWire(simulated.wire(), Arc::clone(&corrupt))), "a board").unwrap();
-    let mut view = Played::in_command(World::of(open(), None), None);
+    let mut view = TestView::in_command(World::of(open(), None), None);
     let gains = |damping: f64| gains(f64::from(MARKED), damping, "off", true);
-    view.say(0, gains(80.0));
+    view.send(0, gains(80.0));
     let before = view.heard(0).walls.clone();
     assert_eq!(before[0]["stiffness"], f64::from(MARKED));
     corrupt.store(true, Ordering::Relaxed);
-    view.say(0, gains(81.0));
+    view.send(0, gains(81.0));
     assert_eq!(view.heard(0).walls, before);
     assert!(view.heard(0).why().contains("wall 0: stiffness and damping must be finite"), "{}", view.heard(0).why());
     drop(view);
@@ -653,7 +653,7 @@ fn a_scene_with_a_nan_is_refused_and_not_sent() {
 /// A paddle's wall is drawn as a line across the arc of the tip, with a solid side.
 #[test]
 fn the_wall_of_a_paddle_is_placed_on_its_arc() {
-    let view = Played::in_command(World::simulate(shipped("hapkit-paddle"), None).unwrap(), None);
+    let view = TestView::in_command(World::simulate(shipped("hapkit-paddle"), None).unwrap(), None);
     let wall = &view.heard(0).walls[0];
     let [at, normal] = ["at", "normal"].map(|key| [0, 1].map(|axis| wall["outline"][key][axis].as_f64().unwrap()));
     let (arc, length) = (wall["values"][0].as_f64().unwrap(), 0.07);
@@ -676,7 +676,7 @@ fn leading_the_hand_never_folds_the_linkage() {
     let planar = ["cable-five-bar", "capstan-pantograph", "haply-2diy", "pantograph-mk2", "serial-3r"];
     let scenes = planar.map(|name| Some((name, wall_ahead(&shipped(name)).unwrap())));
     for scene in scenes.into_iter().chain([None]) {
-        for (goal, lets_go, seconds) in
+        for (goal, releases, seconds) in
             [(None, true, 0.4), (Some([0.02, -0.1]), false, 0.2), (Some([0.5, 0.4]), false, 0.2)]
         {
             let mut world = match scene.clone() {
@@ -703,7 +703,7 @@ fn leading_the_hand_never_folds_the_linkage() {
                 }
             };
             plays(0.3);
-            match lets_go {
+            match releases {
                 true => lead(&board, None),
                 false => world.board.disarm().unwrap(),
             }
@@ -717,16 +717,16 @@ fn leading_the_hand_never_folds_the_linkage() {
 fn a_simulation_starts_over_and_arms_again() {
     let world = World::demo().unwrap();
     let board = world.simulated.clone().unwrap();
-    let mut view = Played::in_command(world, None);
-    let depth = |view: &Played| view.heard(0).picture["numbers"]["depth"].as_f64().unwrap();
+    let mut view = TestView::in_command(world, None);
+    let depth = |view: &TestView| view.heard(0).picture["numbers"]["depth"].as_f64().unwrap();
     let (walls, before) = (view.heard(0).walls.clone(), depth(&view));
     assert!((before + 0.010).abs() < 1e-4, "the wall is 10 mm away, not {before} m");
     for broken in [false, true] {
         view.arm(0);
         let (place, wall) = (view.beside(-0.03, 0.01), view.beside(0.005, 0.0));
-        view.say(0, json!({"do": "hand", "at": place}));
+        view.send(0, json!({"do": "hand", "at": place}));
         view.play(0.8);
-        view.say(0, gains(3000.0, 20.0, "full", true));
+        view.send(0, gains(3000.0, 20.0, "full", true));
         if broken {
             let far = board.lock().device().start().map(|angle| angle + 0.5);
             board.lock().device_mut().place(far);
@@ -734,13 +734,13 @@ fn a_simulation_starts_over_and_arms_again() {
             let words = view.heard(0).picture["fault"].as_str().unwrap().to_string();
             assert!(words.contains("start over") && !words.contains("cable"), "{words}");
         } else {
-            view.pages[0].says = Some(FromPage::Here {});
-            view.say(0, json!({"do": "release"}));
-            view.say(0, json!({"do": "wall", "wall": 0, "point": wall}));
+            view.pages[0].repeated = Some(FromPage::Here {});
+            view.send(0, json!({"do": "release"}));
+            view.send(0, json!({"do": "wall", "wall": 0, "point": wall}));
         }
         assert_ne!(view.heard(0).walls, walls);
-        view.pages[0].says = Some(FromPage::Here {});
-        view.say(0, json!({"do": "start-over"}));
+        view.pages[0].repeated = Some(FromPage::Here {});
+        view.send(0, json!({"do": "start-over"}));
         view.play(0.2);
         let picture = &view.heard(0).picture;
         assert_eq!((view.state(), &picture["fault"], &picture["hand"]), ("Disarmed", &Value::Null, &Value::Null));
@@ -748,15 +748,15 @@ fn a_simulation_starts_over_and_arms_again() {
         assert!((depth(&view) - before).abs() < 1e-4, "{} m", depth(&view));
     }
     for (pose, refusals) in [(json!([1.7, 1.1]), 0), (json!([1.7]), 1), (json!([1e9, -1e9]), 2)] {
-        view.say(0, json!({"do": "start-over", "pose": pose}));
+        view.send(0, json!({"do": "start-over", "pose": pose}));
         view.play(0.2);
         assert_eq!(view.heard(0).refused.len(), refusals, "{pose}");
         let q = board.lock().device().q();
         assert!((q[0] - 1.7).abs() < 1e-3 && (q[1] - 1.1).abs() < 1e-3, "{q:?}");
     }
     view.arm(0);
-    let mut view = Played::in_command(World::of(Board::over(board.wire(), "a board").unwrap(), None), None);
-    view.say(0, json!({"do": "start-over"}));
+    let mut view = TestView::in_command(World::of(Board::over(board.wire(), "a board").unwrap(), None), None);
+    view.send(0, json!({"do": "start-over"}));
     assert!(view.heard(0).why().contains("not simulated"), "{}", view.heard(0).why());
 }
 
@@ -764,25 +764,25 @@ fn a_simulation_starts_over_and_arms_again() {
 /// and the wall is quiet. This is true at every depth and also at places to the side of the start.
 #[test]
 fn the_feed_forward_button_makes_a_pressed_wall_buzz_or_quiet() {
-    let mut view = Played::demo();
+    let mut view = TestView::demo();
     view.arm(0);
     view.play(0.8);
-    let number = |view: &Played, name: &str| view.heard(0).picture["numbers"][name].as_f64().unwrap();
+    let number = |view: &TestView, name: &str| view.heard(0).picture["numbers"][name].as_f64().unwrap();
     let [stiffness, damping] = ["stiffness", "damping"].map(|gain| view.heard(0).walls[0][gain].as_f64().unwrap());
     let out = view.beside(0.0, 0.0);
     let pressed = [(16, 0), (22, 0), (28, 0), (34, 0), (42, 0), (54, 0), (28, 6), (28, -6)];
     let pressed =
         pressed.map(|(depth, aside)| (view.beside(-1e-3 * f64::from(depth), 1e-3 * f64::from(aside)), depth, aside));
     // Requests a kind of feed-forward with confirmation.
-    let click = |view: &mut Played, kind: FeedForward| {
-        view.say(0, json!({"do": "gains", "wall": 0, "stiffness": stiffness, "damping": damping, "feed_forward": kind, "beyond": true}));
+    let click = |view: &mut TestView, kind: FeedForward| {
+        view.send(0, json!({"do": "gains", "wall": 0, "stiffness": stiffness, "damping": damping, "feed_forward": kind, "beyond": true}));
     };
     let mut said = String::new();
     let mut as_it_should = true;
     for (place, depth, aside) in pressed {
-        view.say(0, json!({"do": "hand", "at": out}));
+        view.send(0, json!({"do": "hand", "at": out}));
         view.play(0.8);
-        view.say(0, json!({"do": "hand", "at": place}));
+        view.send(0, json!({"do": "hand", "at": place}));
         // Share of pictures with a red ripple after the first 0.8 s.
         let shares = [FeedForward::Washout, FeedForward::Off, FeedForward::Washout].map(|kind| {
             click(&mut view, kind);
@@ -811,31 +811,31 @@ fn the_feed_forward_button_makes_a_pressed_wall_buzz_or_quiet() {
 
 #[test]
 fn walls_are_moved_and_turned_while_the_motors_are_off() {
-    let mut view = Played::demo();
-    let value = |view: &Played, place: usize| view.heard(0).walls[0]["values"][place].as_f64().unwrap();
-    view.say(0, json!({"do": "wall", "wall": 0, "point": [0.01, 0.125]}));
+    let mut view = TestView::demo();
+    let value = |view: &TestView, place: usize| view.heard(0).walls[0]["values"][place].as_f64().unwrap();
+    view.send(0, json!({"do": "wall", "wall": 0, "point": [0.01, 0.125]}));
     assert!((value(&view, 1) - 0.125).abs() < 1e-6);
-    view.say(0, json!({"do": "wall", "wall": 0, "point": [0.01, 0.125], "normal": [3.0, 4.0]}));
+    view.send(0, json!({"do": "wall", "wall": 0, "point": [0.01, 0.125], "normal": [3.0, 4.0]}));
     assert!((value(&view, 3) - 0.6).abs() < 1e-6);
     for (message, words) in [
         (json!({"do": "wall", "wall": 7, "point": [0.0, 0.0]}), "no wall 7"),
         (json!({"do": "wall", "wall": 0, "point": [0.0, 0.0], "normal": [0.0, 0.0]}), "must not be zero"),
         (json!({"do": "gains", "wall": 7, "stiffness": 1.0, "damping": 1.0, "feed_forward": "off"}), "no wall 7"),
     ] {
-        view.say(0, message);
+        view.send(0, message);
         assert!(view.heard(0).why().contains(words), "{}", view.heard(0).why());
     }
 }
 
 #[test]
 fn the_oscilloscope_triggers_on_the_touch() {
-    let mut view = Played::demo();
+    let mut view = TestView::demo();
     let trigger = json!({"channel": "force_n", "level": 0.5, "rising": true, "before": 0.5, "once": true});
-    view.say(0, json!({"do": "scope", "channels": ["force_n", "distance_m"], "seconds": 0.1, "trigger": trigger}));
+    view.send(0, json!({"do": "scope", "channels": ["force_n", "distance_m"], "seconds": 0.1, "trigger": trigger}));
     view.arm(0);
     view.play(0.6);
     assert!(view.heard(0).sweep.is_empty(), "the trigger fired before the touch");
-    view.say(0, json!({"do": "hand", "at": view.beside(-0.02, 0.0)}));
+    view.send(0, json!({"do": "hand", "at": view.beside(-0.02, 0.0)}));
     view.play(1.0);
     let (head, values) = view.heard(0).sweep.split_at(6);
     // A sweep of 0.1 s at 1 kHz has all 100 rows, with the crossing in the middle.
@@ -844,9 +844,9 @@ fn the_oscilloscope_triggers_on_the_touch() {
     let crossing = (head[3] / head[2] * 99.0).round() as usize;
     assert!(force(crossing - 1) < 0.5 && force(crossing) >= 0.5, "{:?}", &values[..200]);
     assert!((0..40).all(|row| force(row) == 0.0), "the sweep lacks the time before the touch");
-    view.say(0, json!({"do": "scope", "channels": ["no"], "seconds": 0.1}));
+    view.send(0, json!({"do": "scope", "channels": ["no"], "seconds": 0.1}));
     assert_eq!(view.heard(0).refused.len(), 1);
-    view.say(0, json!({"do": "sound", "on": true}));
+    view.send(0, json!({"do": "sound", "on": true}));
     view.play(0.02);
     let sound = &view.heard(0).sound;
     assert!(sound.len() > 2 && sound[1] == 1000.0, "rows a second: {sound:?}");
@@ -855,15 +855,15 @@ fn the_oscilloscope_triggers_on_the_touch() {
 #[test]
 fn a_recording_of_a_page_can_be_replayed() {
     let folder = tempfile::tempdir().unwrap();
-    let mut view = Played::in_command(World::demo().unwrap(), Some(folder.path()));
-    view.say(0, json!({"do": "record", "on": true}));
+    let mut view = TestView::in_command(World::demo().unwrap(), Some(folder.path()));
+    view.send(0, json!({"do": "record", "on": true}));
     view.play(0.1);
     assert!(view.heard(0).picture["recording"]["rows"].as_u64().unwrap() > 50);
-    view.say(0, json!({"do": "record", "on": true}));
+    view.send(0, json!({"do": "record", "on": true}));
     assert!(view.heard(0).why().contains("already active"), "{}", view.heard(0).why());
     view.arm(0);
     view.play(0.5);
-    view.say(0, json!({"do": "record", "on": false}));
+    view.send(0, json!({"do": "record", "on": false}));
     let file = std::fs::read_dir(folder.path()).unwrap().next().unwrap().unwrap().path();
     let recording = Recording::load(&file).unwrap();
     let (words, rows) = (view.heard(0).recorded.clone().unwrap(), recording.rows.len());
@@ -877,7 +877,7 @@ fn a_recording_of_a_page_can_be_replayed() {
 fn springs_and_their_anchors_are_sent_to_the_page() {
     let path = file("scenes/haply-2diy/groove.toml");
     let scene = SceneFile::load(Path::new(&path), 2).unwrap().scene().unwrap();
-    let view = Played::in_command(World::simulate(shipped("haply-2diy"), Some(scene)).unwrap(), None);
+    let view = TestView::in_command(World::simulate(shipped("haply-2diy"), Some(scene)).unwrap(), None);
     let page = view.heard(0);
     assert_eq!(page.springs[0]["stiffness"], 250.0, "{}", page.springs);
     // The nearest point of the line y = 0.115 is straight above or below the tip.
@@ -889,7 +889,7 @@ fn springs_and_their_anchors_are_sent_to_the_page() {
 #[test]
 fn every_kind_of_device_can_be_viewed() {
     for name in ["hapkit-paddle", "haply-2diy", "phantom-premium-1.5", "serial-3r", "fictive-five-bar-turret"] {
-        let mut view = Played::in_command(World::simulate(shipped(name), None).unwrap(), None);
+        let mut view = TestView::in_command(World::simulate(shipped(name), None).unwrap(), None);
         view.boundary();
         assert!(!view.heard(0).picture["geometry"]["bars"].as_array().unwrap().is_empty(), "{name}");
         assert_eq!(view.heard(0).hello["device"], name);
@@ -957,7 +957,7 @@ fn other_computers_need_the_token() {
     let get = |path: &str| ask(host, &format!("GET {path} HTTP/1.1\r\nHost: {host}\r\n\r\n"));
     assert!(get("/").starts_with("HTTP/1.1 403 ") && get("/live").starts_with("HTTP/1.1 403 "));
     assert!(get(&format!("/{query}")).starts_with("HTTP/1.1 200 "));
-    let (mut page, mut heard) = (connect(&url), Heard::default());
+    let (mut page, mut heard) = (connect(&url), Received::default());
     while heard.you == 0 {
         assert!(read(&mut page, &mut heard));
     }
@@ -979,7 +979,7 @@ fn connections_without_token_do_not_block_pages() {
 }
 
 /// Reads one message if there is one. Returns false if the connection has ended.
-fn read(socket: &mut WebSocket<TcpStream>, heard: &mut Heard) -> bool {
+fn read(socket: &mut WebSocket<TcpStream>, heard: &mut Received) -> bool {
     match socket.read() {
         Ok(Message::Text(text)) => heard.text(&text),
         Ok(Message::Binary(bytes)) => heard.bytes(&bytes),
@@ -994,9 +994,9 @@ fn read(socket: &mut WebSocket<TcpStream>, heard: &mut Heard) -> bool {
 
 #[test]
 fn malformed_messages_are_refused() {
-    let mut view = Played::of(World::demo().unwrap(), None);
+    let mut view = TestView::of(World::demo().unwrap(), None);
     let url = listen("127.0.0.1:0", &view.hub);
-    let (mut socket, mut heard) = (connect(&url), Heard::default());
+    let (mut socket, mut heard) = (connect(&url), Received::default());
     let texts = ["", "{", "null", "[1]", r#"{"do":"fly"}"#, r#"{"do":"hold","seen":1,"x":1}"#].map(Message::text);
     for (count, message) in (1..).zip(texts.into_iter().chain([Message::binary(vec![1, 2, 3])])) {
         socket.send(message).unwrap();
@@ -1010,7 +1010,7 @@ fn malformed_messages_are_refused() {
     // A message that is far too long ends only the connection that sent it.
     let mut other = connect(&url);
     let _ = other.send(Message::text("x".repeat(100_000)));
-    while read(&mut other, &mut Heard::default()) {
+    while read(&mut other, &mut Received::default()) {
         view.step();
     }
     socket.send(Message::text(r#"{"do":"take"}"#)).unwrap();

@@ -108,7 +108,7 @@ impl Session {
         let said = [listen(child.stdout.take().unwrap()), listen(child.stderr.take().unwrap())];
         if comment.contains("Ctrl-C") {
             let begun = Instant::now();
-            while !hears_interrupts(&mut child) && begun.elapsed() < self.patience {
+            while !handles_interrupts(&mut child) && begun.elapsed() < self.patience {
                 sleep(Duration::from_millis(10));
             }
             sleep(Duration::from_secs(1));
@@ -191,7 +191,7 @@ fn interrupt(child: &Child) {
 }
 
 /// Returns true if a command handles interrupts or has ended, or if the system has no such information.
-fn hears_interrupts(child: &mut Child) -> bool {
+fn handles_interrupts(child: &mut Child) -> bool {
     let Ok(status) = fs::read_to_string(format!("/proc/{}/status", child.id())) else { return true };
     let caught = status.lines().find_map(|line| line.strip_prefix("SigCgt:"));
     let caught = caught.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok());

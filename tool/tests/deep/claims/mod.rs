@@ -5,8 +5,8 @@ mod page;
 use crate::common::prelude::*;
 use crate::common::{board, document, plane_wall, read, shipped};
 use page::{
-    Belief, DEMO, FINE, GainRetained, LAWS, SLIDES, Slid, beliefs, kept_around_home, perturbed, sentences, slid, slide,
-    stiffest_moving, tables,
+    AssumedModel, DEMO, FINE, GainRetained, LAWS, SLIDES, SlideStatistics, kept_around_home, perturbed, random_slides,
+    sentences, slide, stiffest_moving, tables, wrong_models,
 };
 
 #[test]
@@ -27,9 +27,9 @@ fn a_sliding_tip_follows_the_rendered_wall_best() {
 fn the_rendered_wall_is_flattest_except_on_coarse_encoders() {
     // An independent plant on 120 other slides has medians of 22, 25 and 0.25 µm. With 20 000 counts its medians are
     // 30, 33 and 17 µm, and "rendered" is worse than "off" in 23 slides.
-    let Slid { medians: [off, paper, rendered], .. } = slid(FINE);
+    let SlideStatistics { medians: [off, paper, rendered], .. } = random_slides(FINE);
     assert!((15.0..30.0).contains(&off) && (15.0..30.0).contains(&paper) && rendered < 0.5);
-    let Slid { medians: [off, paper, rendered], worse } = slid(20_000.0);
+    let SlideStatistics { medians: [off, paper, rendered], worse } = random_slides(20_000.0);
     assert!((20.0..40.0).contains(&off) && (20.0..40.0).contains(&paper) && (10.0..25.0).contains(&rendered));
     assert!((8..=40).contains(&worse), "{worse}");
 }
@@ -122,11 +122,11 @@ fn a_wrong_rotor_inertia_keeps_most_of_the_demos_gain() {
         for (joint, low, high) in [(0, 0.97, 1.05), (1, 0.87, 1.13)] {
             let mut rotors = [1.0; 2];
             rotors[joint] = factor;
-            let kept = Belief::scaled(rotors, 1.0).kept(DEMO);
+            let kept = AssumedModel::scaled(rotors, 1.0).kept(DEMO);
             assert!((low..high).contains(&kept), "rotor {joint} x {factor}: {kept}");
         }
     }
-    assert!((Belief::scaled([1.0; 2], 1.0).kept(DEMO) - 1.0).abs() < 1e-12);
+    assert!((AssumedModel::scaled([1.0; 2], 1.0).kept(DEMO) - 1.0).abs() < 1e-12);
 }
 
 #[test]
@@ -141,10 +141,10 @@ fn wrong_models_cost_more_elsewhere_and_a_wrong_home_most() {
         (1648, [37.318, 38.577, 295.061]),
         (1648, [44.842, 15.823, 1177.270]),
     ];
-    let all = beliefs();
+    let all = wrong_models();
     assert_eq!(all.len(), KNOWN.len());
-    for ((name, beliefs), (known_cases, known)) in all.iter().zip(KNOWN) {
-        let GainRetained { cases, below, least, most } = kept_around_home(beliefs);
+    for ((name, wrong_models), (known_cases, known)) in all.iter().zip(KNOWN) {
+        let GainRetained { cases, below, least, most } = kept_around_home(wrong_models);
         assert_eq!(cases, known_cases, "{name}");
         let found = [below as f64 / cases as f64, least, most].map(|share| 100.0 * share);
         for (found, known) in found.iter().zip(known) {

@@ -142,24 +142,24 @@ pub fn slide((q, normal, speed): ([f64; 2], f64, f64), terms: VelocityTerms, cou
     Run { speed, velocity_terms: terms, counts_per_turn, ..Run::at((q, normal)) }.farthest(0.04)
 }
 
-/// Largest distances of sliding tips from their walls, µm, in [`SLID`] slides with random normals and directions. The
-/// slides start in random poses within 0.6 rad of home and away from singular poses.
-pub struct Slid {
+/// Largest distances of sliding tips from their walls, µm, in [`RANDOM_SLIDES`] slides. The slides have random normals
+/// and directions and start in random poses within 0.6 rad of home and away from singular poses.
+pub struct SlideStatistics {
     /// Medians of "off", "paper" and "rendered".
     pub medians: [f64; 3],
     /// Number of slides in which "rendered" is worse than "off".
     pub worse: usize,
 }
 
-/// Number of slides of a [`Slid`].
-const SLID: usize = 120;
+/// Number of slides of a [`SlideStatistics`].
+const RANDOM_SLIDES: usize = 120;
 
-pub fn slid(counts_per_turn: f64) -> Slid {
+pub fn random_slides(counts_per_turn: f64) -> SlideStatistics {
     let description = five_bar();
     let mut random = Random::new(15);
     let mut between = |low, high| random.between(low, high);
     let mut found: [Vec<f64>; 3] = Default::default();
-    while found[0].len() < SLID {
+    while found[0].len() < RANDOM_SLIDES {
         let q = HOME.map(|angle| angle + between(-0.6, 0.6));
         let (normal, speed) = (between(0.0, 360.0), if between(-1.0, 1.0) < 0.0 { -0.5 } else { 0.5 });
         if !clear(q) {
@@ -183,9 +183,9 @@ pub fn slid(counts_per_turn: f64) -> Slid {
     let worse = found[0].iter().zip(&found[2]).filter(|(off, rendered)| rendered > off).count();
     let median = |mut values: Vec<f64>| {
         values.sort_by(f64::total_cmp);
-        0.5 * (values[SLID / 2 - 1] + values[SLID / 2])
+        0.5 * (values[RANDOM_SLIDES / 2 - 1] + values[RANDOM_SLIDES / 2])
     };
-    Slid { medians: found.map(median), worse }
+    SlideStatistics { medians: found.map(median), worse }
 }
 
 /// Returns true if the feed-forward acts in full at a pose of the demo's device.
@@ -231,13 +231,13 @@ pub fn perturbed(feed_forward: FeedForward) -> f64 {
 }
 
 /// A board's model of the demo's device.
-pub struct Belief {
+pub struct AssumedModel {
     pub description: Description,
     /// Assumed minus true joint angles, rad.
     pub homed_off: [f64; 2],
 }
 
-impl Belief {
+impl AssumedModel {
     /// Returns a model with rotor inertias and handle mass multiplied by these factors.
     pub fn scaled(rotors: [f64; 2], handle: f64) -> Self {
         let mut description = five_bar();
@@ -261,21 +261,21 @@ impl Belief {
 }
 
 /// Returns possible errors in the model of the demo's device, with all combinations of signs.
-pub fn beliefs() -> Vec<(String, Vec<Belief>)> {
+pub fn wrong_models() -> Vec<(String, Vec<AssumedModel>)> {
     let half = [0.5, 1.5];
     let both = || half.into_iter().flat_map(move |first| half.map(|second| [first, second]));
     let one = half.into_iter().flat_map(|by| [[by, 1.0], [1.0, by]]);
     let mut all = vec![
-        ("one rotor, by a half".into(), one.map(|rotors| Belief::scaled(rotors, 1.0)).collect()),
-        ("both rotors, by a half".into(), both().map(|rotors| Belief::scaled(rotors, 1.0)).collect()),
+        ("one rotor, by a half".into(), one.map(|rotors| AssumedModel::scaled(rotors, 1.0)).collect()),
+        ("both rotors, by a half".into(), both().map(|rotors| AssumedModel::scaled(rotors, 1.0)).collect()),
         (
             "both rotors and the handle, by a half".into(),
-            both().flat_map(|rotors| half.map(|handle| Belief::scaled(rotors, handle))).collect(),
+            both().flat_map(|rotors| half.map(|handle| AssumedModel::scaled(rotors, handle))).collect(),
         ),
     ];
     for off in [0.02, 0.05, 0.1] {
         let sides = [[off, off], [off, -off], [-off, off], [-off, -off]];
-        let homed = sides.map(|homed_off| Belief { homed_off, ..Belief::scaled([1.0; 2], 1.0) });
+        let homed = sides.map(|homed_off| AssumedModel { homed_off, ..AssumedModel::scaled([1.0; 2], 1.0) });
         all.push((format!("home, by {off} rad in both joints"), homed.into()));
     }
     all
@@ -292,7 +292,7 @@ pub struct GainRetained {
 }
 
 /// Evaluates poses within 0.6 rad of home in steps of 0.05 rad and normals in steps of 15°, if Wrr/Weff is above 1.3.
-pub fn kept_around_home(beliefs: &[Belief]) -> GainRetained {
+pub fn kept_around_home(wrong_models: &[AssumedModel]) -> GainRetained {
     let description = five_bar();
     let mut kept = GainRetained { cases: 0, below: 0, least: f64::INFINITY, most: f64::NEG_INFINITY };
     let steps = |i: i32| 0.05 * f64::from(i);
@@ -306,7 +306,7 @@ pub fn kept_around_home(beliefs: &[Belief]) -> GainRetained {
             if seen.w_rr() / seen.w_eff().expect("a regular pose") <= 1.3 {
                 continue;
             }
-            for share in beliefs.iter().filter(|it| clear(it.angles(q))).map(|it| it.kept((q, normal))) {
+            for share in wrong_models.iter().filter(|it| clear(it.angles(q))).map(|it| it.kept((q, normal))) {
                 kept.cases += 1;
                 kept.below += usize::from(share < 0.875);
                 (kept.least, kept.most) = (kept.least.min(share), kept.most.max(share));
@@ -357,11 +357,11 @@ pub fn tables() -> [(&'static str, String); 7] {
     let push = [("off", 1e6 * off, 0), ("full", 1e6 * full, 0), ("ratio", full / off, 2)];
     let rotors = [-50, -25, -10, 10, 25, 50].map(|percent| {
         let by = 1.0 + f64::from(percent) / 100.0;
-        let [first, second] = [[by, 1.0], [1.0, by]].map(|rotors| 100.0 * Belief::scaled(rotors, 1.0).kept(DEMO));
+        let [first, second] = [[by, 1.0], [1.0, by]].map(|rotors| 100.0 * AssumedModel::scaled(rotors, 1.0).kept(DEMO));
         format!("{percent:+} % | {first:.1} | {second:.1}")
     });
-    let around_home = beliefs().into_iter().map(|(name, beliefs)| {
-        let GainRetained { cases, below, least, most } = kept_around_home(&beliefs);
+    let around_home = wrong_models().into_iter().map(|(name, wrong_models)| {
+        let GainRetained { cases, below, least, most } = kept_around_home(&wrong_models);
         let share = 100.0 * below as f64 / cases as f64;
         format!("{name} | {cases} | {share:.1} | {:.1} to {:.1}", 100.0 * least, 100.0 * most)
     });
@@ -374,7 +374,7 @@ pub fn tables() -> [(&'static str, String); 7] {
         })
     });
     let medians = encoders.map(|(name, counts)| {
-        let Slid { medians: [off, paper, rendered], worse } = slid(counts);
+        let SlideStatistics { medians: [off, paper, rendered], worse } = random_slides(counts);
         format!("{name} | {off:.0} | {paper:.0} | {rendered:.2} | {worse}")
     });
     let redundant = Admissible::ALL.map(|(name, admissible)| {
@@ -405,7 +405,9 @@ pub fn tables() -> [(&'static str, String); 7] {
         (
             "many-slides",
             table(
-                &format!("{SLID} slides, medians | off, µm | paper, µm | rendered, µm | rendered worse than off"),
+                &format!(
+                    "{RANDOM_SLIDES} slides, medians | off, µm | paper, µm | rendered, µm | rendered worse than off"
+                ),
                 medians.into(),
             ),
         ),

@@ -1,6 +1,6 @@
 //! `haptic view` on a board that is unplugged and plugged in again, with a WebSocket instead of a browser.
 
-use crate::common::page::{Heard, View};
+use crate::common::page::{Received, View};
 use crate::common::sim::{HANG, until};
 use crate::common::socket::Socket;
 use crate::common::{file, haptic, type_lines};
@@ -12,7 +12,7 @@ use tungstenite::{Message, WebSocket};
 
 struct Page {
     socket: WebSocket<TcpStream>,
-    heard: Heard,
+    heard: Received,
     /// True to report the key as down at every read.
     holding: bool,
 }
@@ -23,24 +23,24 @@ impl Page {
         let stream = TcpStream::connect(view.address()).unwrap();
         let (socket, _) = tungstenite::client(format!("ws://{}/live", view.address()), stream).unwrap();
         socket.get_ref().set_read_timeout(Some(Duration::from_millis(20))).unwrap();
-        let mut page = Self { socket, heard: Heard::default(), holding: false };
+        let mut page = Self { socket, heard: Received::default(), holding: false };
         page.take();
         page
     }
 
     fn take(&mut self) {
-        self.say(json!({"do": "take"}));
+        self.send(json!({"do": "take"}));
         self.until("command", |heard| heard.you > 0 && heard.picture["command"] == heard.you);
     }
 
-    fn say(&mut self, message: Value) {
+    fn send(&mut self, message: Value) {
         self.socket.send(Message::text(message.to_string())).unwrap();
     }
 
     /// Reads one message, if there is one.
     fn read(&mut self) {
         if self.holding {
-            self.say(json!({"do": "hold", "seen": self.heard.step()}));
+            self.send(json!({"do": "hold", "seen": self.heard.step()}));
         }
         match self.socket.read() {
             Ok(Message::Text(text)) => self.heard.text(&text),
@@ -51,7 +51,7 @@ impl Page {
         }
     }
 
-    fn until(&mut self, what: &str, is_so: impl Fn(&Heard) -> bool) {
+    fn until(&mut self, what: &str, is_so: impl Fn(&Received) -> bool) {
         let began = Instant::now();
         while !is_so(&self.heard) {
             assert!(began.elapsed() < HANG, "{what}: {}\n{:?}", self.heard.picture, self.heard.refused);
@@ -66,7 +66,7 @@ impl Page {
         while self.heard.state() != "Armed" {
             assert!(began.elapsed() < HANG, "{:?}", self.heard.refused);
             if self.heard.picture["held"] == false {
-                self.say(json!({"do": "arm", "seen": self.heard.step()}));
+                self.send(json!({"do": "arm", "seen": self.heard.step()}));
             }
             self.read();
         }
