@@ -13,7 +13,7 @@ pub const PATIENCE: Duration = Duration::from_secs(300);
 const NAMES: [&str; 3] = ["chromium", "chromium-browser", "google-chrome"];
 const MISSING: &str =
     "no Chromium on this computer: apt-get install -y --no-install-recommends chromium (on Debian, as root)";
-/// A browser with a profile of its own.
+/// A running browser with a new profile.
 pub struct Browser {
     child: Child,
     socket: WebSocket<TcpStream>,

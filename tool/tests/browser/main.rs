@@ -411,7 +411,7 @@ fn the_feed_forward_changes_while_the_mouse_presses_the_wall() {
     }
     browser.space(&tab, "keyUp");
     browser.until(&tab, "document.body.dataset.state === 'Disarmed'");
-    // A wall is dragged by its handle.
+    // While the motors are off, a wall can be dragged by its handle.
     browser.evaluate(&tab, "view.goal = null; $('let-go').click()");
     browser.until(&tab, "view.last.hand === null");
     drag_the_wall(&mut browser, &tab);

@@ -13,7 +13,7 @@ use std::time::Duration;
 
 /// Control rate, Hz: the lowest at which this wall is still firm, so that a day is simulated quickly.
 const RATE: u32 = 1_000;
-/// One touch of the wall and back, s.
+/// Duration of one cycle, which touches the wall and leaves it again, s.
 const CYCLE: u32 = 2;
 /// Simulated time in `cargo test`, s.
 const SHORT: u64 = 600;

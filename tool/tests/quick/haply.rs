@@ -451,7 +451,7 @@ fn only_one_local_program_is_served_and_its_end_disarms() {
     program.ask(&force(&id, "vector", [0.0; 3]));
     assert_eq!(started(), true);
     drop(program);
-    // The next program finds the motors off.
+    // When the next program connects, the motors are off.
     let mut again = server.next();
     assert_eq!(again.ask(&json!({}))["inverse3"][0]["status"]["started"], false);
     // A force does not arm the board again if another tool has disarmed it.

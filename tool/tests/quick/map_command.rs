@@ -1,4 +1,4 @@
-//! `haptic map` as other programs see it.
+//! `haptic map` as other programs use it.
 
 use crate::common::{Folder, json, type_lines};
 

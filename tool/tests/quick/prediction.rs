@@ -166,7 +166,7 @@ fn a_hand_at_rest_feels_a_wall_in_series_with_its_cables() {
     for (mode, torque) in [("off", &seen.row), ("washout", &seen.row), ("full", &shaped)] {
         let point = &range[mode]["boundary"][0];
         let kp = point["kp"].as_f64().unwrap();
-        // K (θ - q) = -kp (Jr θ) torque, with q = E.
+        // The motor angles θ at the joint angles q = E solve K (θ - q) = -kp (Jr θ) torque.
         let motors = (&cables + torque * seen.row.transpose() * kp).lu().solve(&(&cables * &seen.unit_motion)).unwrap();
         let felt = kp * seen.row.dot(&motors);
         assert!(close(point["felt"].as_f64().unwrap(), felt), "{mode}: {point} {felt}");

@@ -21,7 +21,7 @@ fn boundary(around: &Loop, dampings: &[f64]) -> Vec<f64> {
     found.boundary.iter().map(|point| point.kp / (RATE * RATE)).collect()
 }
 
-/// The table of docs/published.md: peak of kp T²/m, its kd T/m, largest kd T/m, area T³/m².
+/// Rows of the table in docs/published.md: largest kp T²/m, the kd T/m of it, largest kd T/m, area T³/m².
 const TABLE: [(f64, f64, f64, f64); 4] = [
     (0.68629, 0.8284, 2.0, 0.9096),
     (0.14447, 0.4247, 0.82843, 0.0798),
@@ -66,7 +66,7 @@ fn at_the_origin_every_boundary_has_the_same_slope() {
         ] {
             let damping = 1e-5;
             let slope = boundary(&around(estimator, delay), &[damping])[0] / damping;
-            // kp = kd/(T/2 + t_d), in samples.
+            // Near the origin kp = kd/(T/2 + t_d), here with times in samples.
             assert!((slope * (0.5 + delay) - 1.0).abs() < 2e-3, "{estimator:?}, {delay}: {slope}");
         }
     }

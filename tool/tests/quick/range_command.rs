@@ -5,7 +5,7 @@ use serde_json::Value;
 
 const DEVICE: &str = "devices/serial-3r.toml";
 const POSE: [&str; 7] = ["--q=0.6,0.9,-0.7", "--normal=-1,0.5", "--rate", "1000", "--cutoff", "20", "--undamped"];
-/// The demo's device at its pose, along its wall.
+/// Command for the demo's device in the demo's pose, along its wall's normal.
 const DEMO: [&str; 4] = ["range", "devices/coupled-five-bar.toml", "--q=2.6,1.75", "--normal=0.2588,0.9659"];
 
 fn range(more: &[&str]) -> Value {

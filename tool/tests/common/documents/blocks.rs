@@ -50,7 +50,7 @@ impl Block {
         }
     }
 
-    /// The commands: without comment lines, with continued lines joined.
+    /// Returns the commands of the block, without comment lines and with continued lines joined.
     pub fn commands(&self) -> Vec<String> {
         let mut commands = Vec::new();
         let mut open = String::new();

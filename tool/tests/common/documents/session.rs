@@ -1,4 +1,4 @@
-//! A person at a terminal who types a block line by line.
+//! Types a block line by line, as a user does at a terminal.
 //!
 //! Every line is passed to a shell as written, in a new directory with a copy of devices/. `haptic` and
 //! `cargo run … --package haptic --` run the tool of this build; other cargo commands run in the repository. Servers

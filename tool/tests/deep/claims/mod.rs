@@ -81,8 +81,8 @@ fn the_simulated_board_renders_a_wall_to_a_sliding_tip() {
 
 #[test]
 fn velocity_terms_hardly_change_the_stability_of_a_slide() {
-    // At rest all laws of (4) are equal, and the limit is that of the sampled loop without delay: 23 649.454 N/m, and
-    // 18 379.424 without the feed-forward, by independent eigenvalues.
+    // At rest all laws of (4) are equal. Their limit is that of the sampled loop without delay, by independent
+    // eigenvalues: 23 649.454 N/m with and 18 379.424 N/m without the feed-forward.
     assert!((stiffest_moving(0.0, None) / 18_379.424 - 1.0).abs() < 1e-4);
     for terms in LAWS {
         assert!((stiffest_moving(0.0, Some(terms)) / 23_649.454 - 1.0).abs() < 1e-4, "{terms:?}");

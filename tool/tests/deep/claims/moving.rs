@@ -57,7 +57,7 @@ impl Moving {
         let law_qd = by(&|qd| self.torque(&q0, qd, 0.0), &qd0);
         let newton = self.torque(&q0, &qd0, 1.0) - nominal;
 
-        // Zero-order hold by the series of the matrix exponential.
+        // The zero-order hold is computed by the series of the matrix exponential.
         let mut joined = DMatrix::zeros(6, 6);
         joined.view_mut((0, 2), (2, 2)).copy_from(&Matrix2::identity());
         joined.view_mut((2, 0), (2, 2)).copy_from(&by_q);

@@ -224,7 +224,7 @@ fn nothing_is_cut_off(svg: &str, least: usize) {
     let mut seen = 0;
     for line in svg.lines().filter(|line| line.starts_with("<text") && line.contains("\"start\"")) {
         let words = line.split_once('>').unwrap().1.trim_end_matches("</text>");
-        // Measured in the PNG: this font's letters are on average half as wide as they are high.
+        // As measured in the PNG, letters of this font are on average half as wide as high.
         let end = attribute(line, "x") + 0.508 * attribute(line, "font-size") * words.chars().count() as f64;
         assert!(end < width, "{words}: ends at {end:.0} of {width}");
         seen += 1;

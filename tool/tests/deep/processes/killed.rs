@@ -176,7 +176,7 @@ fn an_interrupted_recording_is_complete_and_obeys_the_rules() {
             assert!(!recording(&csv).torn && text.contains("rows are in"), "{text}");
         }
         if rule == "ignore" {
-            // Still armed after a second of the board's time.
+            // Wait for a second of the board's time, after which the board must still be armed.
             sim.run(&["record", path("later.csv").to_str().unwrap(), "--seconds", "1"]).success();
         }
         wait_until_free(&sim);
