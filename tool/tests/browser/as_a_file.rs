@@ -21,14 +21,18 @@ fn opened() -> (Browser, Tab) {
 }
 
 #[test]
-fn as_a_file_it_is_alive_and_requests_nothing() {
+fn the_page_as_a_file_is_alive_and_requests_nothing() {
     let (mut browser, tab) = opened();
     let count = |browser: &mut Browser, what: &str| browser.evaluate(&tab, what).as_u64().unwrap();
     let (pictures, sweeps) = (count(&mut browser, "view.pictures"), count(&mut browser, "view.sweeps"));
     browser.until(&tab, &format!("view.pictures > {} && view.sweeps > {}", pictures + 20, sweeps + 10));
     browser.evaluate(&tab, "$('sound').click()");
     browser.until(&tab, "view.sounds > 5");
-    assert_eq!(browser.evaluate(&tab, "view.hello.rows_hz === view.hello.rate_hz"), true, "every step is a row");
+    assert_eq!(
+        browser.evaluate(&tab, "view.hello.rows_hz === view.hello.rate_hz"),
+        true,
+        "every control step is sent as a row"
+    );
     // Controls that need the tool are hidden.
     assert_eq!(browser.evaluate(&tab, "$('record').offsetParent"), serde_json::Value::Null);
     let own = format!("file://{}", path());
@@ -36,7 +40,7 @@ fn as_a_file_it_is_alive_and_requests_nothing() {
         browser.requested().into_iter().filter(|url| *url != own && url != "about:blank").collect();
     assert!(asked.iter().all(|url| url.starts_with("data:") || url.starts_with("blob:null/")), "{asked:?}");
     assert_eq!(browser.complaints(), [""; 0]);
-    // The page's own policy forbids requests.
+    // The page's content security policy blocks requests.
     browser.evaluate(
         &tab,
         "view.forbidden = []; addEventListener('securitypolicyviolation', e => view.forbidden.push(e.effectiveDirective)); \
@@ -46,7 +50,7 @@ fn as_a_file_it_is_alive_and_requests_nothing() {
 }
 
 #[test]
-fn as_a_file_gains_and_walls_are_dragged_and_devices_chosen() {
+fn the_page_as_a_file_changes_gains_walls_and_devices() {
     let (mut browser, tab) = opened();
     let (from, to) = (on_plane(&mut browser, &tab, 80.0, 8700.0), on_plane(&mut browser, &tab, 40.0, 10e3));
     browser.drag(&tab, from, to);
@@ -70,7 +74,7 @@ fn as_a_file_gains_and_walls_are_dragged_and_devices_chosen() {
         );
         assert_eq!(browser.evaluate(&tab, "$('notice').classList.contains('shown')"), false, "choice {choice}");
     }
-    // A lesson's set-up, and a link to another device.
+    // One link sets up a lesson, the other one another device.
     let links = [("lesson=1", "hapkit-paddle"), ("device=haply-2diy/groove&pose=1.9,1.1", "haply-2diy")];
     for (link, device) in links {
         browser.evaluate(&tab, &format!("location.hash = '{link}'"));
@@ -84,7 +88,7 @@ fn as_a_file_gains_and_walls_are_dragged_and_devices_chosen() {
     browser.until(&tab, "$('why').textContent.includes('s device nothing: nothing was changed')");
     browser.evaluate(&tab, "notice(''); $('choice').selectedIndex = 0; $('choice').onchange()");
     browser.until(&tab, "view.hello?.smooth && view.last && view.frame && document.body.dataset.role === 'command'");
-    // The demo is reset, and its hand follows the mouse.
+    // Choosing the demo again resets it, and its hand follows the mouse.
     assert_eq!(browser.evaluate(&tab, "view.walls[0].feed_forward"), "washout");
     let place = by_the_wall(&mut browser, &tab, 0.03);
     browser.mouse(&tab, "mousePressed", place);

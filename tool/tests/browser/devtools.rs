@@ -1,4 +1,4 @@
-//! Chromium without a screen, over its own remote debugging protocol (chromedevtools.github.io/devtools-protocol).
+//! Chromium without a screen, controlled by its remote debugging protocol (chromedevtools.github.io/devtools-protocol).
 
 use serde_json::{Value, json};
 use std::io::{BufRead, BufReader};
@@ -7,32 +7,32 @@ use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 use tungstenite::{Message, WebSocket};
 
-/// Time that only a hang exceeds.
+/// Longest wait; only a page that hangs takes longer.
 pub const PATIENCE: Duration = Duration::from_secs(300);
 
 const NAMES: [&str; 3] = ["chromium", "chromium-browser", "google-chrome"];
 const MISSING: &str =
     "no Chromium on this computer: apt-get install -y --no-install-recommends chromium (on Debian, as root)";
-/// A browser with a profile of its own.
+/// A running browser with a new profile.
 pub struct Browser {
     child: Child,
     socket: WebSocket<TcpStream>,
     _profile: tempfile::TempDir,
     count: u64,
-    /// Where it listens: host and port.
+    /// Host and port at which the browser listens.
     pub address: String,
-    /// Events, each with the session of its page.
+    /// Events received so far, each with the session of its page.
     pub events: Vec<(String, Value)>,
 }
 
-/// A page, by its session and target.
+/// A page, identified by its session and target.
 #[derive(Clone, Debug)]
 pub struct Tab {
     pub session: String,
     pub target: String,
 }
 
-/// A connection of its own to the browser, or to a page in it.
+/// Opens a new connection to the browser or to a page in it.
 pub fn connect(address: &str, url: &str, patience: Duration) -> WebSocket<TcpStream> {
     let (socket, _) = tungstenite::client(url, TcpStream::connect(address).unwrap()).unwrap();
     socket.get_ref().set_read_timeout(Some(patience)).unwrap();
@@ -58,19 +58,19 @@ impl Browser {
             .unwrap();
         let mut lines = BufReader::new(child.stderr.take().unwrap()).lines();
         let url = loop {
-            let line = lines.next().expect("Chromium ended at once").unwrap();
+            let line = lines.next().expect("Chromium ended before it printed its address").unwrap();
             if let Some(url) = line.strip_prefix("DevTools listening on ") {
                 break url.to_string();
             }
         };
-        // Reads on, so that the browser never blocks.
+        // Reads all further output, so that the browser never blocks.
         std::thread::spawn(move || lines.for_each(drop));
         let address = url.trim_start_matches("ws://").split('/').next().unwrap().to_string();
         let socket = connect(&address, &url, Duration::from_millis(20));
         Self { child, socket, _profile: profile, count: 0, address, events: Vec::new() }
     }
 
-    /// Opens a page of this size.
+    /// Opens a page with a window of this size.
     pub fn open(&mut self, url: &str, (width, height): (u32, u32), scale: f64) -> Tab {
         let target = self.call(None, "Target.createTarget", json!({"url": "about:blank", "newWindow": true}));
         let target = target["targetId"].as_str().unwrap().to_string();
@@ -108,7 +108,7 @@ impl Browser {
         self.socket.send(Message::text(message.to_string())).unwrap();
         let began = Instant::now();
         loop {
-            assert!(began.elapsed() < PATIENCE, "{method} has no answer");
+            assert!(began.elapsed() < PATIENCE, "no reply to {method}");
             let Some(answer) = self.read() else { continue };
             if answer["id"] == id {
                 assert!(answer["error"].is_null(), "{method}: {}", answer["error"]);
@@ -158,7 +158,7 @@ impl Browser {
                 tab,
                 "window.view && $('why').textContent + JSON.stringify({...view, trail: 0, sweep: 0, plane: 0})",
             );
-            panic!("{expression} never came: {seen}");
+            panic!("{expression} did not become true: {seen}");
         }
     }
 
@@ -183,7 +183,7 @@ impl Browser {
         }
     }
 
-    /// Moves, presses and releases the mouse; places in CSS pixels.
+    /// Sends a mouse event of the type `what` at a place in CSS pixels.
     pub fn mouse(&mut self, tab: &Tab, what: &str, (x, y): (f64, f64)) {
         let down = u8::from(what != "mouseReleased");
         let event = json!({"type": what, "x": x, "y": y, "button": "left", "buttons": down, "clickCount": 1});
@@ -205,19 +205,19 @@ impl Browser {
         self.ask(tab, "Input.dispatchKeyEvent", event);
     }
 
-    /// Brings a page to the front: keys go there.
+    /// Brings a page to the front, where it receives the keys.
     pub fn front(&mut self, tab: &Tab) {
         self.ask(tab, "Page.bringToFront", json!({}));
         self.ask(tab, "Emulation.setFocusEmulationEnabled", json!({"enabled": true}));
     }
 
-    /// A picture of a page: PNG.
+    /// Returns a screenshot of a page as PNG.
     pub fn picture(&mut self, tab: &Tab, whole: bool) -> Vec<u8> {
         let answer = self.ask(tab, "Page.captureScreenshot", json!({"format": "png", "captureBeyondViewport": whole}));
         base64(answer["data"].as_str().unwrap())
     }
 
-    /// Addresses that pages have requested.
+    /// Returns the addresses that pages have requested.
     pub fn requested(&self) -> Vec<String> {
         let urls = self.events.iter().filter_map(|(_, event)| match event["method"].as_str()? {
             "Network.requestWillBeSent" => event["params"]["request"]["url"].as_str(),
@@ -227,7 +227,7 @@ impl Browser {
         urls.map(Into::into).collect()
     }
 
-    /// Exceptions, and errors of the console.
+    /// Returns the exceptions and the errors on the console.
     pub fn complaints(&self) -> Vec<String> {
         let wrong = self.events.iter().filter(|(_, event)| match event["method"].as_str() {
             Some("Runtime.exceptionThrown") => true,

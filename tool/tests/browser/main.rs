@@ -1,5 +1,5 @@
-//! `haptic view` in a real browser, without a screen. A computer without Chromium fails here, with the line that
-//! installs it. With HAPTIC_PICTURES set to a folder, pictures of the page are left there for a person to look at.
+//! `haptic view` in a real browser without a screen. Without Chromium these tests fail and print the command that
+//! installs it. If HAPTIC_PICTURES names a folder, screenshots of the page are written there for visual inspection.
 
 #[path = "../common/mod.rs"]
 mod common;
@@ -26,12 +26,13 @@ fn opened() -> (View, Browser, Tab) {
         "window.view && view.pictures > 3 && view.plane !== null && document.body.dataset.role === 'command'",
     );
     browser.front(&tab);
-    // A page draws only while it is in front, and a busy computer takes its time: places are known once it has.
+    // Places on the canvases are known after the first drawing. A page draws only in front, and late if the computer is
+    // busy.
     browser.until(&tab, "Boolean(view.frame && view.planeFrame)");
     (view, browser, tab)
 }
 
-/// A place on a canvas, in pixels of the page; `x` and `y` are expressions in its own pixels.
+/// Returns a place on a canvas in pixels of the page; `x` and `y` are expressions in pixels of the canvas.
 fn on(browser: &mut Browser, tab: &Tab, canvas: &str, x: &str, y: &str) -> (f64, f64) {
     let place =
         format!("(() => {{ const r = $('{canvas}').getBoundingClientRect(); return [r.left + {x}, r.top + {y}]; }})()");
@@ -43,7 +44,7 @@ fn on_plane(browser: &mut Browser, tab: &Tab, damping: f64, stiffness: f64) -> (
     on(browser, tab, "plane", &format!("view.planeFrame.X({damping})"), &format!("view.planeFrame.Y({stiffness})"))
 }
 
-/// Drags the first wall down by its handle, which it follows.
+/// Drags the handle of the first wall down and waits until the wall has followed.
 fn drag_the_wall(browser: &mut Browser, tab: &Tab) {
     let handle = on(
         browser,
@@ -57,13 +58,13 @@ fn drag_the_wall(browser: &mut Browser, tab: &Tab) {
     browser.until(tab, &format!("view.walls[0].values[1] < {before} - 0.01"));
 }
 
-/// Place at this distance in front of the wall, m.
+/// Returns the place on the page at this distance in front of the wall, m.
 fn by_the_wall(browser: &mut Browser, tab: &Tab, before: f64) -> (f64, f64) {
     let along = |i: u8| format!("(view.walls[0].values[{i}] + {before} * view.walls[0].values[{}])", i + 3);
     on(browser, tab, "stage", &format!("view.frame.toX({})", along(0)), &format!("view.frame.toY({})", along(1)))
 }
 
-/// Leads the hand by the mouse to 2 cm behind the wall's surface and stores the place in `view.goal`.
+/// Drags the hand with the mouse to 2 cm behind the wall's surface and stores the place in `view.goal`.
 fn lead_into_the_wall(browser: &mut Browser, tab: &Tab) {
     let tip = on(
         browser,
@@ -89,7 +90,7 @@ fn the_page_is_alive_and_requests_nothing_elsewhere() {
     browser.evaluate(&tab, "$('sound').click()");
     browser.until(&tab, "view.sounds > 5");
     assert_eq!(browser.evaluate(&tab, "document.title"), "coupled-five-bar: haptic view");
-    // Everything is drawn: every canvas has many colours.
+    // A canvas with many colours has been drawn.
     for canvas in ["stage", "plane", "scope"] {
         let colours = browser.evaluate(
             &tab,
@@ -114,7 +115,7 @@ fn holding_the_key_arms_and_releasing_it_disarms() {
     browser.hold_until(&tab, armed);
     browser.space(&tab, "keyUp");
     browser.until(&tab, off);
-    // The key works whichever control has the focus and leaves it unchanged, except in a number field.
+    // Space arms with the focus on any control and does not change that control. In a number field Space does not arm.
     for control in ["ff-off", "beyond", "channel-a", "before", "trigger"] {
         browser.evaluate(
             &tab,
@@ -133,7 +134,8 @@ fn holding_the_key_arms_and_releasing_it_disarms() {
     browser.until(&tab, "view.pictures > then + 10");
     assert_eq!(browser.evaluate(&tab, "view.down || view.last.state === 'Armed'"), false);
     browser.evaluate(&tab, "document.activeElement.blur()");
-    // A click on the button holds the key on a simulated board; on a real board only while the mouse is pressed.
+    // On a simulated board a click on the button holds the key until the next click. On a real board the key is held
+    // only while the mouse button is down.
     let key = on(&mut browser, &tab, "key", "60", "30");
     for held in [true, false] {
         for what in ["mousePressed", "mouseReleased"] {
@@ -170,8 +172,12 @@ fn a_second_finger_taps_while_the_first_holds_the_key() {
     browser.until(&tab, "view.down");
     let off = on(&mut browser, &tab, "ff-off", "20", "15");
     touch(&mut browser, "touchStart", &[key, off]);
-    assert_eq!(browser.evaluate(&tab, "view.down && $('anyway').hidden"), true, "nothing is tapped yet");
-    // The protocol lifts all fingers together.
+    assert_eq!(
+        browser.evaluate(&tab, "view.down && $('anyway').hidden"),
+        true,
+        "the tap counts when the finger is lifted"
+    );
+    // The debugging protocol lifts all fingers together.
     touch(&mut browser, "touchEnd", &[]);
     browser.until(&tab, "!view.down && !$('anyway').hidden");
     browser.until(&tab, "document.body.dataset.state === 'Disarmed'");
@@ -185,7 +191,7 @@ fn closing_the_page_disarms_and_frees_the_command() {
     browser.until(&second, "window.view && view.pictures > 3");
     assert_eq!(browser.evaluate(&second, "document.body.dataset.role"), "watch");
     assert_eq!(browser.evaluate(&second, "$('key').disabled && $('take').disabled"), true);
-    // Watching is no alarm; changes are refused while another page is in command.
+    // A watching page shows no notice until it requests a change, which is refused.
     let notice = "$('notice').classList.contains('shown')";
     assert_eq!(browser.evaluate(&second, notice), false);
     browser.evaluate(&second, "$('ff-off').click()");
@@ -194,7 +200,7 @@ fn closing_the_page_disarms_and_frees_the_command() {
     browser.hold_until(&first, "document.body.dataset.state === 'Armed'");
     browser.close(&first);
     browser.until(&second, "document.body.dataset.state === 'Disarmed' && view.last.command === null");
-    assert_eq!(browser.evaluate(&second, notice), false, "what was in the way is gone");
+    assert_eq!(browser.evaluate(&second, notice), false, "the notice disappears when no other page is in command");
     browser.front(&second);
     browser.evaluate(&second, "$('take').click()");
     browser.until(&second, "document.body.dataset.role === 'command'");
@@ -206,7 +212,7 @@ fn the_dragged_dot_stops_at_the_boundary_until_confirmed() {
     let (_view, mut browser, tab) = opened();
     let (from, to) = (on_plane(&mut browser, &tab, 80.0, 8700.0), on_plane(&mut browser, &tab, 40.0, 10e3));
     browser.drag(&tab, from, to);
-    // A pixel of the picture is some tens of newtons a metre.
+    // One pixel of the plane is some tens of N/m.
     browser.until(&tab, "Math.abs(view.walls[0].damping - 40) < 1 && Math.abs(view.walls[0].stiffness - 10e3) < 200");
     assert_eq!(
         browser.evaluate(&tab, "$('stiffness').value === String(+view.walls[0].stiffness.toPrecision(4))"),
@@ -222,12 +228,16 @@ fn the_dragged_dot_stops_at_the_boundary_until_confirmed() {
     assert_eq!(
         browser.evaluate(&tab, "$('plane').getBoundingClientRect().top"),
         top,
-        "the plane stays under the finger"
+        "the notice does not move the plane"
     );
     let in_sight = "['ff-full', 'close', 'let-go', 'off', 'key'].every(id => { const r = $(id).getBoundingClientRect(); \
                     return $(id).contains(document.elementFromPoint(r.left + r.width / 2, r.top + r.height / 2)); })";
-    assert_eq!(browser.evaluate(&tab, in_sight), true, "what one needs then is not covered");
-    assert_eq!(browser.evaluate(&tab, "view.walls[0].stiffness < 21e3"), true, "it stays on the stable side");
+    assert_eq!(browser.evaluate(&tab, in_sight), true, "the notice covers none of these buttons");
+    assert_eq!(
+        browser.evaluate(&tab, "view.walls[0].stiffness < 21e3"),
+        true,
+        "without confirmation the gains stay stable"
+    );
     browser.until(&tab, "view.again?.stiffness > 22e3");
     // The button names the gains that it sets.
     assert_eq!(browser.evaluate(&tab, "/^Set 2[23]\\.\\d kN\\/m, .* anyway$/.test($('anyway').textContent)"), true);
@@ -235,24 +245,20 @@ fn the_dragged_dot_stops_at_the_boundary_until_confirmed() {
     browser.until(&tab, "view.walls[0].stiffness > 21e3 && document.body.dataset.stable === 'false'");
     browser.evaluate(&tab, "$('stiffness').focus(); $('stiffness').value = '1000000000'; $('stiffness').onchange()");
     browser.until(&tab, "$('why').textContent.includes('motors and rules allow') && $('anyway').hidden");
-    assert_eq!(
-        browser.evaluate(&tab, "$('stiffness').valueAsNumber < 1e6"),
-        true,
-        "what was refused is not left there"
-    );
+    assert_eq!(browser.evaluate(&tab, "$('stiffness').valueAsNumber < 1e6"), true, "the refused value is replaced");
     browser.evaluate(&tab, "$('stiffness').value = '3000'; $('stiffness').onchange()");
     browser.until(&tab, "view.walls[0].stiffness === 3000 && !$('notice').classList.contains('shown')");
 }
 
-/// Text and box of every word on the plane, in pixels.
+/// Script that returns text and box of every label on the plane, in pixels.
 const WORDS: &str = "(() => { const k = CanvasRenderingContext2D.prototype, fill = k.fillText, found = []; \
     k.fillText = function (words, x, y) { const m = this.measureText(words), t = this.getTransform(); if (t.b === 0 && this.textAlign === 'left') \
     found.push([words, x - m.actualBoundingBoxLeft, y - m.actualBoundingBoxAscent, x + m.actualBoundingBoxRight, y + m.actualBoundingBoxDescent]); \
     return fill.call(this, words, x, y); }; drawPlane(); k.fillText = fill; return found; })()";
 
-/// For all gains the dot is clear of the edges, and no word covers another word or the dot.
+/// For all gains the dot keeps away from the edges, and no label covers another label or the dot.
 #[test]
-fn the_plane_is_read_at_a_glance_on_shipped_devices() {
+fn the_plane_has_no_overlaps_on_shipped_devices() {
     let mut browser = Browser::start();
     for (name, scene, scale) in [
         ("coupled-five-bar", "", "even"),
@@ -287,13 +293,13 @@ fn the_plane_is_read_at_a_glance_on_shipped_devices() {
             let what = format!("{name} {size:?} {scale}: {words} {dot}");
             assert!(boxes.len() >= 2 && words.to_string().contains("predicted stable"), "{what}");
             if scale != "even" {
-                assert!(at(&dot, 0) > 50.0 && at(&dot, 1) < at(&dot, 3) - 30.0, "in the corner: {what}");
+                assert!(at(&dot, 0) > 50.0 && at(&dot, 1) < at(&dot, 3) - 30.0, "the dot is at an edge: {what}");
             }
             let dot = [at(&dot, 0) - 8.0, at(&dot, 1) - 8.0, at(&dot, 0) + 8.0, at(&dot, 1) + 8.0];
             let meet = |a: &[f64; 4], b: &[f64; 4]| a[0] < b[2] && b[0] < a[2] && a[1] < b[3] && b[1] < a[3];
             for (i, one) in boxes.iter().enumerate() {
-                assert!(!meet(one, &dot), "on the dot: {what}");
-                assert!(boxes[..i].iter().all(|other| !meet(one, other)), "on each other: {what}");
+                assert!(!meet(one, &dot), "a label covers the dot: {what}");
+                assert!(boxes[..i].iter().all(|other| !meet(one, other)), "two labels overlap: {what}");
             }
         }
         browser.evaluate(&tab, "window.from = view.walls[0].stiffness; $('plane').onkeydown(new KeyboardEvent('keydown', {key: 'ArrowUp', shiftKey: true}))");
@@ -303,9 +309,10 @@ fn the_plane_is_read_at_a_glance_on_shipped_devices() {
     }
 }
 
-/// Tried gains are marked until wall or simulation change; the limiting effects are shown on request.
+/// Gains tried with a press are marked until the wall moves or the simulation starts over. The limiting effects are
+/// shown on request.
 #[test]
-fn presses_leave_marks_and_limits_are_explained() {
+fn tried_gains_are_marked_and_limits_are_explained() {
     let (_view, mut browser, tab) = opened();
     browser.evaluate(
         &tab,
@@ -315,10 +322,14 @@ fn presses_leave_marks_and_limits_are_explained() {
     let marks = |browser: &mut Browser, press: &str| {
         browser.evaluate(&tab, &format!("(() => {{ tried.press = null; {press}; return marks(); }})()"))
     };
-    assert_eq!(marks(&mut browser, "press(.25, .1)"), "", "too short");
+    assert_eq!(marks(&mut browser, "press(.25, .1)"), "", "too short a press leaves no mark");
     assert_eq!(marks(&mut browser, "press(.4, .1)"), "false", "quiet");
-    assert_eq!(marks(&mut browser, "press(.4, 2, 9)"), "true", "the same gains, tried again, buzz");
-    assert_eq!(marks(&mut browser, "press(.4, 2, 9); press(.4, .1, 9.4)"), "false", "and quieten");
+    assert_eq!(marks(&mut browser, "press(.4, 2, 9)"), "true", "a second press at the same gains buzzes");
+    assert_eq!(
+        marks(&mut browser, "press(.4, 2, 9); press(.4, .1, 9.4)"),
+        "false",
+        "the wall becomes quiet after a buzz"
+    );
     browser.until(&tab, "!$('forget').hidden");
     browser.evaluate(&tab, "$('explain').click()");
     browser.until(&tab, "$('limits').textContent.includes('Stiffest stable wall') && $('limits').textContent.includes('ten times the rate')");
@@ -326,7 +337,7 @@ fn presses_leave_marks_and_limits_are_explained() {
     for words in ["no delay", "cut-off 100 Hz", "Hand: none", "Left out", "quiet at 8.70 kN/m"] {
         assert!(told.contains(words), "{words}: {told}");
     }
-    assert!(!told.contains("rigid transmissions"), "nothing gives: {told}");
+    assert!(!told.contains("rigid transmissions"), "this device is rigid: {told}");
     browser.evaluate(&tab, "$('limits').onkeydown(new KeyboardEvent('keydown', {key: 'Escape'}))");
     assert_eq!(browser.evaluate(&tab, "$('limits').hidden && $('explain').getAttribute('aria-expanded')"), "false");
     let spoken = browser.evaluate(&tab, "$('dot').textContent").as_str().unwrap().to_string();
@@ -338,7 +349,7 @@ fn presses_leave_marks_and_limits_are_explained() {
     assert_eq!(marks(&mut browser, "press(.4, .1)"), "false");
     browser.evaluate(&tab, "$('start-over').click(); window.then = view.hello");
     browser.until(&tab, "view.hello !== then");
-    assert_eq!(marks(&mut browser, "press(.02, .1)"), "", "started over");
+    assert_eq!(marks(&mut browser, "press(.02, .1)"), "", "starting over removes the marks");
     assert_eq!(browser.complaints(), [""; 0]);
 }
 
@@ -355,7 +366,7 @@ fn a_click_beside_the_dot_changes_no_gains() {
     assert_eq!(
         browser.evaluate(&tab, "JSON.stringify([view.walls[0].damping, view.walls[0].stiffness]) === gains"),
         true,
-        "only who takes hold of the dot moves it"
+        "only dragging the dot changes the gains"
     );
     browser.space(&tab, "keyUp");
 }
@@ -366,13 +377,13 @@ fn the_feed_forward_changes_while_the_mouse_presses_the_wall() {
     browser.hold_until(&tab, "document.body.dataset.state === 'Armed'");
     lead_into_the_wall(&mut browser, &tab);
     browser.hold_until(&tab, "view.last.numbers.force > 2 && view.last.numbers.depth > 0");
-    // The ripple is known after some time of contact.
+    // The ripple is known only after some time of contact.
     browser.hold_until(&tab, "now?.ripple > 0");
     browser.evaluate(&tab, "$('ff-off').click()");
     browser.until(&tab, "!$('anyway').hidden");
     browser.evaluate(&tab, "$('anyway').click()");
     browser.until(&tab, "view.walls[0].feed_forward === 'off'");
-    // The curve before the click is shown with the new one, on the same axis, with the frequency.
+    // The scope shows the curve from before the click and the new one on the same axis, and the buzz frequency.
     browser.hold_until(&tab, "view.ghost?.mode === 'washout' && view.buzz > 55 && view.buzz < 95");
     browser.hold_until(
         &tab,
@@ -383,8 +394,8 @@ fn the_feed_forward_changes_while_the_mouse_presses_the_wall() {
     browser.until(&tab, "view.walls[0].feed_forward === 'washout'");
     browser.hold_until(&tab, "$('ripple-before').textContent.startsWith('off ') && $('ripple-now').className === ''");
     let kept = "(r => axes.rendered_n.low <= r.low && axes.rendered_n.high >= r.high)(JSON.parse(window.range))";
-    assert_eq!(browser.evaluate(&tab, kept), true, "a quiet wall looks quiet");
-    // Pictures for a paper: in millimetres, on white, letters of eight points.
+    assert_eq!(browser.evaluate(&tab, kept), true, "the axis keeps its range, so that a quiet wall looks quiet");
+    // Pictures for a paper have a width in millimetres and letters of at least eight points.
     browser.evaluate(&tab, "view.hello.device = 'a & <b>'");
     for (what, millimetres) in [("stage", 85), ("plane", 85), ("scope", 170)] {
         let checked = format!(
@@ -400,7 +411,7 @@ fn the_feed_forward_changes_while_the_mouse_presses_the_wall() {
     }
     browser.space(&tab, "keyUp");
     browser.until(&tab, "document.body.dataset.state === 'Disarmed'");
-    // A wall is dragged by its handle.
+    // While the motors are off, a wall can be dragged by its handle.
     browser.evaluate(&tab, "view.goal = null; $('let-go').click()");
     browser.until(&tab, "view.last.hand === null");
     drag_the_wall(&mut browser, &tab);
@@ -420,7 +431,7 @@ fn a_link_restores_device_pose_walls_and_gains() {
     let link = browser.evaluate(&tab, "$('copy').click(), link()").as_str().unwrap().to_string();
     browser.until(&tab, "location.hash.includes('device=coupled-five-bar') && !$('notice').classList.contains('bad')");
     let hash = link.split('#').nth(1).unwrap().to_string();
-    assert!(!link.contains('?'), "a token is not given away: {link}");
+    assert!(!link.contains('?'), "a link must not contain the token: {link}");
     browser.evaluate(&tab, "say({ do: 'give' })");
     let other = browser.open(&format!("{}#{hash}", view.url), LAPTOP, 1.0);
     browser.front(&other);
@@ -447,8 +458,8 @@ fn a_link_restores_device_pose_walls_and_gains() {
             &format!("$('notice').classList.contains('shown') && $('why').textContent.includes('{words}')"),
         );
     }
-    assert_eq!(browser.evaluate(&other, "view.last.state"), "Disarmed", "no link arms");
-    // The notice stays until there is another link.
+    assert_eq!(browser.evaluate(&other, "view.last.state"), "Disarmed", "a link must not arm");
+    // The notice stays until another link is opened.
     browser.evaluate(&other, "location.hash = 'pose=a'; location.reload()");
     browser.until(&other, "window.view?.pictures > 10 && view.hello && $('why').textContent.includes('pose')");
     browser.evaluate(&other, "location.hash = 'pose=2.2,1.3'");
@@ -456,7 +467,7 @@ fn a_link_restores_device_pose_walls_and_gains() {
     assert_eq!(browser.complaints(), [""; 0]);
 }
 
-/// The coach has three steps and then disappears for good; *Start over* resets everything.
+/// The coach shows three tasks and then never appears again; *Start over* resets everything.
 #[test]
 fn the_coach_leads_to_the_buzz_and_start_over_resets() {
     let (view, mut browser, tab) = opened();
@@ -470,7 +481,7 @@ fn the_coach_leads_to_the_buzz_and_start_over_resets() {
     lead_into_the_wall(&mut browser, &tab);
     browser.hold_until(&tab, &next(3));
     browser.until(&tab, "$('coach').textContent.includes('click Off')");
-    // On a slow computer the page may lose key and command in between; then the click is repeated.
+    // If a slow computer makes the page lose key and command meanwhile, the click is repeated.
     browser.evaluate(&tab, "$('beyond').checked = true");
     browser.hold_until(&tab, "buzzed || view.walls[0].feed_forward !== 'off' && $('ff-off').click()");
     browser.hold_until(&tab, "steps === 3 || view.walls[0].feed_forward === 'off' && $('ff-washout').click()");
@@ -493,7 +504,7 @@ fn the_coach_leads_to_the_buzz_and_start_over_resets() {
                   $('notice').contains($(id)) && $(id).offsetParent !== null); return r.join(); })()";
     assert_eq!(browser.evaluate(&tab, faulty), "true,true,false");
     browser.until(&tab, "!$('notice').classList.contains('shown')");
-    // Keys lead the hand too.
+    // The arrow keys move the hand, too.
     browser.evaluate(
         &tab,
         "window.x = view.last.geometry.tip[0]; $('stage').onkeydown({key: 'ArrowRight', preventDefault() {}})",
@@ -501,7 +512,7 @@ fn the_coach_leads_to_the_buzz_and_start_over_resets() {
     browser.until(&tab, "view.last.hand && Math.abs(view.last.hand.goal[0] - window.x - 2e-3) < 1e-4");
     let again = browser.open(&view.url, LAPTOP, 1.0);
     browser.until(&again, "window.view && view.pictures > 10");
-    assert_eq!(browser.evaluate(&again, "$('coach').hidden"), true, "who has seen it does not see it again");
+    assert_eq!(browser.evaluate(&again, "$('coach').hidden"), true, "the finished coach appeared again");
     assert_eq!(browser.complaints(), [""; 0]);
 }
 
@@ -515,7 +526,7 @@ fn a_single_sweep_waits_for_its_trigger() {
         "$('channel-a').value = 'distance_m'; $('edge').value = 'down'; $('level').value = '0'; \
          $('trigger').value = 'once'; $('trigger').onchange()",
     );
-    // An older sweep arrives late.
+    // A sweep from before the change arrives late and is ignored.
     browser.evaluate(&tab, "numbers(window.rolled)");
     assert_eq!(browser.evaluate(&tab, "$('phase').textContent"), "waiting for the trigger");
     lead_into_the_wall(&mut browser, &tab);
@@ -540,7 +551,7 @@ fn coloured(browser: &mut Browser, tab: &Tab, place: &str, colour: &str, half: u
     browser.evaluate(tab, &count).as_u64().unwrap()
 }
 
-/// A spring is drawn from its anchor to the tip, together with its line.
+/// A spring is drawn from its anchor point or line to the tip, and so is the line.
 #[test]
 fn springs_of_the_scene_are_drawn() {
     let folder = Folder::new();
@@ -559,10 +570,10 @@ fn springs_of_the_scene_are_drawn() {
     let mut seen =
         |at: (f64, f64), half| coloured(&mut browser, &tab, &format!("[{}, {}]", at.0, at.1), "spring", half);
     assert!(seen((x, 0.5 * (y + 0.15)), 8) > 10, "no spring between the line and the tip");
-    assert!(seen((x - 0.04, 0.15), 12) > 5, "its line is not drawn");
+    assert!(seen((x - 0.04, 0.15), 12) > 5, "the line of the spring is not drawn");
     assert!(seen((0.5 * (x + 0.06), 0.5 * (y + 0.10)), 8) > 10, "no spring between the point and the tip");
     assert!(seen((0.06, 0.10), 5) > 30, "the point is not drawn");
-    assert_eq!(seen((x - 0.04, 0.14), 6), 0, "nothing is where no spring is");
+    assert_eq!(seen((x - 0.04, 0.14), 6), 0, "something is drawn where no spring is");
     assert_eq!(browser.complaints(), [""; 0]);
     if let Ok(folder) = std::env::var("HAPTIC_PICTURES") {
         let png = browser.picture(&tab, false);

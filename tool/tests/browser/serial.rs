@@ -16,7 +16,8 @@ use std::thread::{JoinHandle, spawn};
 use std::time::{Duration, Instant};
 use tungstenite::Message;
 
-/// A port like Chromium's. `arrive` delivers bytes, `toBoard` sends them, `pull` unplugs.
+/// Fake serial port that behaves like Chromium's. `arrive` delivers bytes to the page, `toBoard` sends bytes to the
+/// board, and `pull` unplugs the port.
 const PORT: &str = r#"
     window.test = { asked: [], refuses: null };
     let incoming = null;
@@ -46,7 +47,7 @@ const PORT: &str = r#"
 
 const ARMED: &str = "document.body.dataset.state === 'Armed'";
 
-/// The cable between the page's port and a board behind TCP. Its thread returns the board's end.
+/// Thread that connects the page's serial port with a board behind TCP. It returns the connection to the board.
 struct Cable(JoinHandle<TcpStream>);
 
 impl Cable {
@@ -64,7 +65,7 @@ impl Cable {
         for (method, parameters) in [("Runtime.enable", json!({})), ("Runtime.addBinding", json!({"name": "toBoard"}))]
         {
             page.send(ask(method, parameters)).unwrap();
-            // In force before the page loads.
+            // Wait for the reply, so that the method takes effect before the page loads.
             until(method, || matches!(page.read(), Ok(Message::Text(text)) if text.contains(r#""id":1"#)));
         }
         Self(spawn(move || {
@@ -94,7 +95,7 @@ impl Cable {
                         {
                             break;
                         }
-                        // The browser is gone, or its page.
+                        // The browser or its page is gone.
                         Err(_) => return board,
                     }
                 }
@@ -102,7 +103,7 @@ impl Cable {
         }))
     }
 
-    /// The board, once the page is gone.
+    /// Waits until the page is gone and returns the board.
     fn board(self) -> Board {
         Board::over(Box::new(TcpWire::new(self.0.join().unwrap()).unwrap()), "the cable's").unwrap()
     }
@@ -117,7 +118,7 @@ fn to_base64(bytes: &[u8]) -> String {
     bytes.chunks(3).flat_map(four).collect()
 }
 
-/// The page with a board plugged into its port; it shows the simulation at first.
+/// Opens the page with a board plugged into its port. The page shows the simulation at first.
 fn page(board: &str) -> (Browser, Tab, Cable) {
     let mut browser = Browser::start();
     let tab = browser.open("about:blank", LAPTOP, 1.0);
@@ -140,12 +141,12 @@ fn open(browser: &mut Browser, tab: &Tab) {
     assert_eq!(browser.evaluate(tab, "$('open').textContent"), "Close the board");
 }
 
-/// Holds Space until the motors are on. If a slow computer made page or board let go, Space is pressed again.
+/// Holds Space until the motors are on. Presses Space again if page or board released the key on a slow computer.
 fn hold(browser: &mut Browser, tab: &Tab) {
     let began = Instant::now();
     while browser.evaluate(tab, ARMED) != true {
         let told = browser.evaluate(tab, "$('why').textContent");
-        assert!(began.elapsed() < PATIENCE, "the motors do not go on: {told}");
+        assert!(began.elapsed() < PATIENCE, "the motors stay off: {told}");
         browser.space(tab, "keyUp");
         browser.evaluate(tab, "if (view.last.command === null) $('take').click()");
         browser.evaluate(tab, "if (!$('clear').hidden) $('clear').click()");
@@ -160,7 +161,7 @@ fn hold(browser: &mut Browser, tab: &Tab) {
     }
 }
 
-/// Uses a board that is ready in every way, then kills the browser with the motors on.
+/// Opens a board that can be armed, uses its gains and its key, and kills the browser with the motors on.
 fn used_until_the_browser_dies(board: &str, device: &str, name: &str) {
     let (mut browser, tab, cable) = page(board);
     open(&mut browser, &tab);
@@ -170,12 +171,12 @@ fn used_until_the_browser_dies(board: &str, device: &str, name: &str) {
     browser.until(&tab, "$('why').textContent.includes('real motors')");
     assert_eq!(browser.evaluate(&tab, "test.asked[0].filters[0].usbVendorId"), 0x1209);
     assert_eq!(browser.evaluate(&tab, "$('let-go').hidden && $('record').hidden"), true);
-    // Scope and boundary are of this board.
+    // Scope and boundary are shown for this board.
     browser.until(&tab, "view.sweeps > 5 && view.plane !== null");
-    // Gains, as the board has them.
+    // New gains take effect on the board.
     browser.evaluate(&tab, "$('stiffness').value = '123'; $('stiffness').onchange()");
     browser.until(&tab, "view.walls[0].stiffness === 123");
-    // The key is released, then hidden, then stuck, and each time the motors go off.
+    // The motors go off if the key is released, if the page is hidden, and if the page hangs.
     hold(&mut browser, &tab);
     browser.space(&tab, "keyUp");
     browser.until(&tab, "document.body.dataset.state === 'Disarmed'");
@@ -187,12 +188,12 @@ fn used_until_the_browser_dies(board: &str, device: &str, name: &str) {
     );
     browser.until(&tab, "document.body.dataset.state === 'Disarmed' && !view.down");
     hold(&mut browser, &tab);
-    // By the page's clock, because an emulated board is slow on a busy computer.
+    // Block the page for 1.5 s of its own clock, because an emulated board is slow on a busy computer.
     browser.evaluate(&tab, "(() => { const until = performance.now() + 1500; while (performance.now() < until); })()");
     browser.until(&tab, &format!("!({ARMED}) && !view.last.held"));
     browser.evaluate(&tab, "window.then = view.pictures");
     browser.until(&tab, "view.pictures > then + 10");
-    assert_eq!(browser.evaluate(&tab, ARMED), false, "a key that stayed down arms nothing");
+    assert_eq!(browser.evaluate(&tab, ARMED), false, "a key that stayed down must not arm again");
     println!("{device}: {}", browser.evaluate(&tab, "view.last.losses"));
     if let Ok(folder) = std::env::var("HAPTIC_PICTURES") {
         std::fs::write(format!("{folder}/serial-{device}.png"), browser.picture(&tab, false)).unwrap();
@@ -202,7 +203,7 @@ fn used_until_the_browser_dies(board: &str, device: &str, name: &str) {
     drop(browser);
     let mut board = cable.board();
     until("the motors off", || board.status().unwrap().state != State::Armed);
-    // A page that had to wait may have let go before it died.
+    // A page that had to wait may have released the key before the browser died.
     let fault = board.status().unwrap().fault.map(|record| record.fault);
     assert!(fault.is_none_or(|fault| fault == Fault::KeyReleased), "{fault:?}");
     assert_eq!(board.scene().unwrap().unwrap().walls[0].stiffness, 123.0);
@@ -213,12 +214,12 @@ fn simulated() -> Sim {
 }
 
 #[test]
-fn a_simulated_board_lets_go_when_the_browser_dies() {
+fn a_simulated_board_disarms_when_the_browser_dies() {
     let sim = simulated();
     used_until_the_browser_dies(&sim.port, "haply-2diy", "simulated SIM");
 }
 
-/// The emulated board in a process of its own.
+/// Process of the emulated board.
 struct Emulated(Child);
 
 impl Drop for Emulated {
@@ -229,7 +230,7 @@ impl Drop for Emulated {
 }
 
 #[test]
-fn the_emulated_board_lets_go_when_the_browser_dies() {
+fn the_emulated_board_disarms_when_the_browser_dies() {
     let default = root().join("target/debug/board").display().to_string();
     let program = std::env::var("HAPTIC_VIRTUAL_BOARD").unwrap_or(default);
     let board = Command::new(&program).stdout(Stdio::piped()).spawn();
@@ -240,7 +241,7 @@ fn the_emulated_board_lets_go_when_the_browser_dies() {
     let port = lines.find_map(|line| line.strip_prefix("port: ").map(String::from)).unwrap();
     let device = lines
         .find_map(|line| Some(line.split_whitespace().nth(2)?.to_string()).filter(|_| line.contains("haptic device")));
-    // Reads on, so that the board never blocks.
+    // Reads all further output, so that the board never blocks.
     spawn(move || lines.for_each(drop));
     let tool = |arguments: &[&str]| drop(super::common::haptic(arguments).args(["--port", &port]).assert().success());
     tool(&["device", &device.unwrap()]);
@@ -262,13 +263,13 @@ fn an_unplugged_board_is_reported_and_opened_again() {
     assert!(why.contains("The device has been lost") && why.contains("motors"), "{why}");
     browser.space(&tab, "keyUp");
     assert_eq!(browser.evaluate(&tab, "$('open').textContent"), "Open a board");
-    // The simulation does not return unasked.
+    // The simulation returns only on request.
     browser.evaluate(&tab, "window.then = view.pictures");
     std::thread::sleep(Duration::from_millis(1500));
     assert_eq!(browser.evaluate(&tab, "view.pictures === then && document.body.dataset.state === 'Lost'"), true);
     open(&mut browser, &tab);
     let mut board = closed(browser, &tab, cable);
-    // If the page had to wait for half a second, the board lets go by itself; then try again.
+    // If the page had to wait for half a second, the board has released the key by itself; then try again.
     let began = Instant::now();
     while board.status().unwrap().fault.is_some_and(|record| record.fault == Fault::KeyReleased) {
         assert!(began.elapsed() < PATIENCE, "closing does not turn the motors off");
@@ -282,7 +283,7 @@ fn an_unplugged_board_is_reported_and_opened_again() {
     assert_eq!((status.state, status.fault), (State::Disarmed, None));
 }
 
-/// The board, after it was closed with its motors on.
+/// Closes the board in the page while its motors are on, and returns the board.
 fn closed(mut browser: Browser, tab: &Tab, cable: Cable) -> Board {
     hold(&mut browser, tab);
     browser.evaluate(tab, "$('open').click()");
@@ -296,7 +297,7 @@ fn closed(mut browser: Browser, tab: &Tab, cable: Cable) -> Board {
 }
 
 #[test]
-fn a_refused_board_is_explained_and_the_simulation_goes_on() {
+fn a_refused_board_is_explained_and_the_simulation_continues() {
     let sim = Sim::start(&[&file("haply-2diy.toml")]);
     let (mut browser, tab, _cable) = page(&sim.port);
     let refused = |browser: &mut Browser, words: &str| {
@@ -323,7 +324,7 @@ fn a_refused_board_is_explained_and_the_simulation_goes_on() {
          notice(''); $('open').click(); view.pictures = 0",
     );
     browser.until(&tab, "view.pictures > 10 && view.hello.simulated && !$('notice').classList.contains('shown')");
-    // Browsers without serial ports or without suspending calls.
+    // Some browsers have no serial ports or cannot suspend WebAssembly calls.
     for missing in ["navigator.serial", "WebAssembly.Suspending"] {
         let (of, name) = missing.split_once('.').unwrap();
         browser.evaluate(

@@ -1,4 +1,4 @@
-//! A sampled loop with several walls, built from M and J alone: an oracle for the predicted ranges of sets of walls.
+//! A sampled loop with several walls, computed from M and J alone: the oracle for predicted ranges of sets of walls.
 
 use haptic_bridge::model::mechanism::AnyMechanism;
 use haptic_host::device_file::DeviceFile;
@@ -11,12 +11,12 @@ pub const RATE: f64 = 1_000.0;
 /// Cutoff of the Butterworth low-pass, Hz.
 pub const CUTOFF: f64 = 100.0;
 
-/// Bodies on springs and dampers, in a sampled loop with several walls: first the links, then motors behind cables.
+/// Bodies on springs and dampers in a sampled loop with several walls: the links and, behind cables, the motors.
 pub struct Bodies {
     mass: DMatrix<f64>,
     damping: DMatrix<f64>,
     stiffness: DMatrix<f64>,
-    /// Displacement of the tip that the encoders show, per displacement of each body.
+    /// Displacement of the tip, computed from the encoders, per displacement of each body.
     seen: DMatrix<f64>,
     /// Torque on each body per joint torque.
     driven: DMatrix<f64>,
@@ -69,7 +69,7 @@ impl Bodies {
         assert!(below < 1.0 && above > 1.0, "{case}: {below} below {kp} N/m and {above} above");
     }
 
-    /// Returns the largest |z| of the loop at these totals of stiffness and damping.
+    /// Returns the largest |z| of the loop at this total stiffness and total damping of the walls.
     fn radius(&self, kp: f64, kd: f64) -> f64 {
         let t = 1.0 / RATE;
         let (d, n) = self.seen.shape();
@@ -85,7 +85,7 @@ impl Bodies {
         let scale = 1.0 / (1.0 + std::f64::consts::SQRT_2 * w + w * w);
         let b = w * w * scale;
         let (a1, a2) = (2.0 * (w * w - 1.0) * scale, (1.0 - std::f64::consts::SQRT_2 * w + w * w) * scale);
-        // Bodies and the last torque, then for each direction the last position and two filter states.
+        // States: bodies, last torque, and for each direction the last position and two filter states.
         let plant = 2 * n + joints;
         let size = plant + 3 * d;
         let mut matrix = DMatrix::zeros(size, size);
@@ -107,7 +107,7 @@ impl Bodies {
             next.rows_mut(2 * n, joints).copy_from(&(&self.torques * pull));
             matrix.set_column(column, &next);
         }
-        // Motion that no wall and no spring acts on has z = 1.
+        // Leave out z = 1, the motion on which no wall and no spring acts.
         let far = |z: &&nalgebra::Complex<f64>| (**z - 1.0).norm() > 1.0e-5;
         matrix.complex_eigenvalues().iter().filter(far).map(|z| z.norm()).fold(0.0, f64::max)
     }

@@ -1,4 +1,4 @@
-//! The stable domains of single walls that were computed independently (tests/golden/range.json).
+//! Independently computed stable domains of single walls (tests/golden/range.json).
 
 use haptic_host::device_file::DeviceFile;
 use haptic_stability::analysis::sampled::{LinearEstimator, Loop, Mode};
@@ -8,15 +8,15 @@ use serde_json::Value;
 pub struct Case {
     pub id: String,
     pub file: DeviceFile,
-    /// rad.
+    /// Joint angles, rad.
     pub q: Vec<f64>,
     pub normal: Vec<f64>,
     pub around: Loop,
-    /// Without and with the feed-forward.
+    /// Known domains without and with the feed-forward.
     pub expected: [(Mode, Known); 2],
 }
 
-/// A known domain: kp (N/m) at each kd (N s/m), the area below kp, the largest kd.
+/// A known domain: kp (N/m) at each kd (N s/m), area under kp, and largest kd.
 pub struct Known {
     pub kd: Vec<f64>,
     pub kp: Vec<f64>,
@@ -24,7 +24,7 @@ pub struct Known {
     pub kd_max: f64,
 }
 
-/// Returns all twenty cases.
+/// Returns all cases of the file, twenty.
 pub fn all() -> Vec<Case> {
     let golden: Value = serde_json::from_str(&super::read("tests/golden/range.json")).unwrap();
     let cases: Vec<Case> = golden["cases"].as_array().unwrap().iter().map(case).collect();
@@ -56,10 +56,10 @@ fn case(case: &Value) -> Case {
     }
 }
 
-/// A set of walls: device, pose, normals, shares, walls without the feed-forward, damping.
+/// A set of walls: device, pose, normals, shares, walls without the feed-forward, damping (N s/m).
 pub type WallSetCase = (&'static str, &'static str, &'static [&'static str], &'static str, Option<&'static str>, f64);
 
-/// Facets 2, 5 and 10 degrees apart, corners in the plane and in space.
+/// Facets that differ by 2, 5 and 10 degrees, and corners in the plane and in space.
 pub const WALL_SETS: [WallSetCase; 8] = [
     ("coupled-five-bar", "2.6,1.75", &["0.2419219,0.9702957", "0.2756374,0.9612617"], "1,1", None, 15.0),
     ("coupled-five-bar", "2.6,1.75", &["0.2419219,0.9702957", "0.3255682,0.9455186"], "1,1", None, 15.0),

@@ -1,4 +1,4 @@
-//! Random devices: sound ones similar to the shipped ones, and ones with wrong file, wires or sensors.
+//! Random devices, similar to the shipped ones: some sound, some with a wrong file, wrong wires or wrong sensors.
 
 use super::forces::one;
 use super::injected::{Moved, moved_by, windings_of};
@@ -10,18 +10,18 @@ use haptic_bridge::safety::fault::FaultRecord;
 use haptic_sim::{BoardFaults, Random};
 use std::f64::consts::TAU;
 
-/// A random number between two limits, uniform in its logarithm.
+/// Returns a random number between two limits, log-uniformly distributed.
 fn spread(draw: &mut Random, low: f64, high: f64) -> f64 {
     (draw.between(low.ln(), high.ln())).exp()
 }
 
-/// A shipped device with random size, motors, encoders, friction, gears, cables and modes.
+/// Returns a shipped device with random size, motors, encoders, friction, gears, cables and modes.
 pub fn sound(draw: &mut Random) -> (String, Description) {
     let files = all_shipped();
     let file = &files[(draw.uniform() * files.len() as f64) as usize];
     let (mut device, joints) = (file.description, file.spec().joints);
     let (size, weight) = (draw.between(0.7, 1.5), spread(draw, 0.5, 2.0));
-    // The last entry is the sign of the assembly, no length.
+    // The last entry is no length but the sign of the assembly.
     device.geometry.iter_mut().filter(|length| length.abs() < 1.0).for_each(|length| *length *= size);
     for link in &mut device.links {
         link.com *= size;
@@ -35,7 +35,7 @@ pub fn sound(draw: &mut Random) -> (String, Description) {
     let (sticky, cogs, swings) = (draw.uniform() < 0.3, draw.uniform() < 0.2, draw.uniform() < 0.2);
     for joint in device.joints.iter_mut().take(joints) {
         joint.transmission = None;
-        // Up to 2 N m/A.
+        // The largest gear leads to 2 N m/A.
         let most = 2.0 / joint.motor.map_or(2.0, |motor| motor.torque_constant);
         let gear = if geared { draw.between(2.0, 8.0).min(most) } else { 1.0 };
         joint.inertia *= spread(draw, 1.0, gear * gear);
@@ -83,19 +83,21 @@ pub fn sound(draw: &mut Random) -> (String, Description) {
     (file.name.clone(), device)
 }
 
-/// Error of a random device.
+/// Difference of a random device from its file.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Wrong {
     Nothing,
-    /// True torque constant and back-EMF over the file's, of the first joint or of all.
+    /// Ratio of the true torque constant and back-EMF to the file's, for the first joint.
     Constant(f64),
+    /// The same for all joints.
     Constants(f64),
-    /// A gear that the file forgets, its inertia included.
+    /// Ratio of a gear that is missing in the file, also in its inertia.
     Gear(f64),
-    /// Share of the current that the first current sensor, or all, shows.
+    /// Share of the true current that the first current sensor measures.
     Sensor(f64),
+    /// The same for all current sensors.
     Sensors(f64),
-    /// A first current sensor off its zero, A.
+    /// Offset of the first current sensor, A.
     Zero(f64),
     EncoderDead,
     EncodersSwapped,
@@ -140,7 +142,7 @@ impl Wrong {
     }
 }
 
-/// One polarity check of a random device.
+/// Result of one polarity check of a random device.
 #[derive(Debug)]
 pub struct Checked {
     pub seed: u64,
@@ -158,14 +160,14 @@ impl std::fmt::Display for Checked {
     }
 }
 
-/// A sound device that is held at home until its check begins.
+/// Checks a sound random device, which is held at home until the polarity check begins.
 pub fn check_sound(seed: u64) -> Checked {
     let mut draw = Random::new(seed);
     let (device, description) = sound(&mut draw);
     check(seed, device, &description, Wrong::Nothing)
 }
 
-/// A device that differs from its file: a shipped one, or a random one.
+/// Checks a device that differs from its file: half of them are shipped devices, half random ones.
 pub fn check_wrong(seed: u64) -> Checked {
     let mut draw = Random::new(seed);
     let wrong = Wrong::drawn(&mut draw);
@@ -173,7 +175,7 @@ pub fn check_wrong(seed: u64) -> Checked {
     if draw.uniform() < 0.5 {
         description = shipped(&device).description;
     }
-    // A paddle has one motor to swap.
+    // A paddle has only one motor, so nothing can be swapped.
     if matches!(wrong, Wrong::EncodersSwapped | Wrong::MotorsSwapped) && description.kind.spec().joints < 2 {
         (device, description) = ("pantograph-mk2".into(), shipped("pantograph-mk2").description);
     }

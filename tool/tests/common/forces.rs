@@ -1,4 +1,4 @@
-//! Force of the motors at the tip, in random scenes and motions.
+//! Force of the motors at the tip in random scenes with random motions.
 
 use super::prelude::*;
 use super::{board, plane_wall};
@@ -7,20 +7,20 @@ use haptic_sim::{Hand, SimulatedBoard};
 use std::collections::VecDeque;
 use std::ops::Range;
 
-/// One of these values at random.
+/// Returns one of these values at random.
 pub fn one<T: Copy>(draw: &mut Random, of: &[T]) -> T {
     of[(draw.uniform() * of.len() as f64) as usize]
 }
 
-/// Describes the runs, of every shipped device with each seed, that push harder than 1.1 times the limit.
+/// Runs every shipped device with each seed. Describes the runs that push harder than 1.1 times the limit.
 pub fn too_hard(seeds: Range<u64>) -> Vec<String> {
     let devices = super::all_shipped();
     let drawn = seeds.flat_map(|seed| devices.iter().map(move |file| largest(file, seed)));
     drawn.filter(|(most, _)| *most > 1.1 * f64::from(GENTLE_FORCE)).map(|(_, what)| what).collect()
 }
 
-/// Runs a random scene and motion. Returns the largest push of the motors at the tip (mean over 2 ms, without the
-/// device's weight, N) and a description of the run.
+/// Runs a random scene with a random motion. Returns the largest force of the motors at the tip (as in [`Push`], N) and
+/// a description of the run.
 fn largest(file: &DeviceFile, seed: u64) -> (f64, String) {
     let mut draw = Random::new(seed);
     let weighs = file.description.gravity != [0.0; 3];
@@ -60,7 +60,7 @@ fn largest(file: &DeviceFile, seed: u64) -> (f64, String) {
     );
     board.set_scene(&scene).unwrap_or_else(|error| panic!("{what}: {error}"));
     board.arm().unwrap_or_else(|error| panic!("{what}: {error}"));
-    // A hand moves the tip about, slowly or as fast as an arm can, and more or less into the first wall.
+    // A hand moves the tip to random places, slowly or as fast as an arm can, up to 10 mm further into the first wall.
     let reach = draw.between(0.002, 0.03);
     let pace = draw.between(0.02, 0.3);
     let press = draw.between(0.0, 0.01);
@@ -94,8 +94,8 @@ fn largest(file: &DeviceFile, seed: u64) -> (f64, String) {
     (most, format!("{what}: {most:.2} N, {:?} {:?}", state.state, state.fault.map(|record| record.fault)))
 }
 
-/// Push of the motors at the tip of a simulated device, without the part that carries its weight: a mean over 2 ms.
-/// Currents, angles and torque constants are the true ones, not those that the board sees.
+/// Force of the motors at the tip of a simulated device, without the part that carries the weight, as a mean over 2 ms.
+/// Computed from the true currents, angles and torque constants, not from those that the board measures.
 pub struct Push {
     truth: Description,
     mechanism: AnyMechanism<f32>,
@@ -112,11 +112,11 @@ impl Push {
         Self { truth: *truth, mechanism, window: VecDeque::new(), sum: 0.0, length }
     }
 
-    /// Call once each carrier period. Returns the mean, N, from 2 ms on.
+    /// Adds one carrier period. Returns the mean force, N, after the first 2 ms.
     pub fn take(&mut self, board: &SimulatedBoard) -> Option<f64> {
         let device = board.device();
         let (q, currents, weight) = (device.q(), device.currents(), device.plant().gravity());
-        // With the motors off the device falls and nothing pushes.
+        // While the motors are off, they do not carry the weight.
         let carried = self.truth.gravity != [0.0; 3] && board.status().state == State::Armed;
         let torque = core::array::from_fn(|i| {
             let constant = self.truth.joints[i].motor.map_or(0.0, |motor| motor.torque_constant);

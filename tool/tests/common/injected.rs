@@ -1,4 +1,4 @@
-//! Injected errors: wrong device files, wires and sensors; reaction of the board and harm to a hand.
+//! Injected errors: wrong device files, wires and sensors, the board's reactions, and the effects on a hand.
 
 use super::forces::Push;
 use super::plane_wall;
@@ -9,9 +9,9 @@ use haptic_bridge::safety::fault::FaultRecord;
 use haptic_sim::{BoardFaults, Hand, SimulatedBoard};
 use std::f64::consts::TAU;
 
-/// Time at which an error begins.
+/// An error with the time at which it begins.
 pub enum When {
-    /// From power-on: true device and wires, which differ from the device that the board was given.
+    /// From power-on. Changes the true device and wires, not the device file that the board receives.
     Always(fn(&mut Description, &mut BoardFaults)),
     /// While a hand presses against a wall.
     InContact(fn(&mut SimulatedBoard, &Description)),
@@ -90,7 +90,7 @@ fn constants(wired: &mut Description, factor: f64) {
     windings_of(&mut wired.joints, factor);
 }
 
-/// Multiplies torque constant and back-EMF of the motors of these joints.
+/// Multiplies torque constant and back-EMF of these joints' motors by a factor.
 pub fn windings_of(joints: &mut [Joint], factor: f64) {
     for motor in joints.iter_mut().filter_map(|joint| joint.motor.as_mut()) {
         motor.torque_constant *= factor;
@@ -133,24 +133,25 @@ fn counts_per_radian(device: &Description) -> f64 {
 pub enum Outcome {
     /// The polarity check ended with this fault.
     Refused(FaultRecord),
-    /// The motors went off with this fault; seconds from the start of the error or, if it was always there, from arming.
+    /// The motors went off with this fault, so many seconds after the error began or, if it was always there, after
+    /// arming.
     Seen(FaultRecord, f64, Harm),
     /// The board did not notice.
     Missed(Harm),
 }
 
-/// Largest effects on a hand.
+/// Largest effects of an error on a hand.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Harm {
-    /// The largest mean over 2 ms of the motors' push at the tip, N.
+    /// Largest force of the motors at the tip, as a mean over 2 ms, N.
     pub push: f64,
-    /// The largest current of a motor, A.
+    /// Largest current of a motor, A.
     pub current: f64,
-    /// The largest speed of a joint, rad/s.
+    /// Largest speed of a joint, rad/s.
     pub speed: f64,
 }
 
-/// A strict board, homed, that was given `file` although its device and wires have the injected error.
+/// Returns a homed strict board with the correct `file`, and the true device, which has the injected error.
 fn homed(file: &DeviceFile, error: &InjectedError) -> (SharedBoard, Board, Description) {
     homed_as(&file.name, &file.description, Options::default(), |wired, broken| {
         if let When::Always(error) = error.when {
@@ -159,7 +160,7 @@ fn homed(file: &DeviceFile, error: &InjectedError) -> (SharedBoard, Board, Descr
     })
 }
 
-/// Like [`homed`], for any description and error.
+/// Like [`homed`] with any description and error.
 fn homed_as(
     name: &str,
     description: &Description,
@@ -185,7 +186,7 @@ fn homed_as(
     (shared, board, wired)
 }
 
-/// Runs the polarity check; calls `to_see` after every carrier period.
+/// Runs the polarity check and calls `to_see` after every carrier period.
 fn checked(
     shared: &SharedBoard,
     board: &mut Board,
@@ -209,7 +210,7 @@ fn checked(
     }
 }
 
-/// Returns the fault of the polarity check.
+/// Runs the polarity check and returns its fault.
 pub fn refused(file: &DeviceFile, error: &InjectedError) -> Result<(), FaultRecord> {
     let (shared, mut board, _) = homed(file, error);
     checked(&shared, &mut board, |_| ())
@@ -218,7 +219,7 @@ pub fn refused(file: &DeviceFile, error: &InjectedError) -> Result<(), FaultReco
 /// Largest effects of a polarity check.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Moved {
-    /// The largest mean over 2 ms of the motors' push at the tip, N.
+    /// Largest force of the motors at the tip, as a mean over 2 ms, N.
     pub push: f64,
     /// Largest rotation of a joint from its start, rad.
     pub travel: f64,
@@ -229,7 +230,7 @@ pub fn moved(file: &DeviceFile, error: &InjectedError) -> (Result<(), FaultRecor
     watched(homed(file, error))
 }
 
-/// Like [`moved`], for any description and error, with only two integration steps per carrier period.
+/// Like [`moved`] with any description and error, and with only two integration steps per carrier period.
 pub fn moved_by(
     name: &str,
     description: &Description,
@@ -250,7 +251,7 @@ fn watched((shared, mut board, wired): (SharedBoard, Board, Description)) -> (Re
     (ended, moved)
 }
 
-/// Runs an injected error while a hand presses a wall of 1000 N/m at 1 kHz with 4 N and moves to and fro along it.
+/// Runs an injected error while a hand presses a wall of 1000 N/m at 1 kHz with 4 N and moves back and forth along it.
 pub fn outcome(file: &DeviceFile, error: &InjectedError) -> Outcome {
     let (shared, mut board, wired) = homed(file, error);
     if let Err(record) = checked(&shared, &mut board, |_| ()) {

@@ -1,4 +1,4 @@
-//! Helpers of all tests of the tool: shipped files, typed command lines, plain scenes and loops.
+//! Helpers of all tests of the tool: shipped files, command lines, simple scenes and control loops.
 #![allow(dead_code, unused_imports, reason = "every run uses its own part")]
 
 pub mod bodies;
@@ -47,20 +47,20 @@ pub mod prelude {
     pub use serde_json::Value;
 }
 
-/// Folder of the shipped scenes of the demo's device, for a command line.
+/// Folder with the scenes of the demo's device, as in a command line.
 pub const SCENES: &str = "devices/scenes/coupled-five-bar";
 
-/// The repository.
+/// Folder of the repository.
 pub fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("..").canonicalize().unwrap()
 }
 
-/// Reads a text file by its path in the repository.
+/// Reads a text file, whose path is relative to the repository.
 pub fn read(path: &str) -> String {
     std::fs::read_to_string(root().join(path)).unwrap_or_else(|error| panic!("{path}: {error}"))
 }
 
-/// Returns the text of a document that tests compute. Writes `computed` first if `UPDATE_DOCS` is set.
+/// Returns the text of a document whose content tests compute. If `UPDATE_DOCS` is set, writes `computed` there first.
 pub fn document(path: &str, computed: &str) -> String {
     if std::env::var_os("UPDATE_DOCS").is_some() {
         std::fs::write(root().join(path), computed).unwrap_or_else(|error| panic!("{path}: {error}"));
@@ -75,12 +75,12 @@ pub fn csv(rows: impl IntoIterator<Item = String>) -> String {
     rows.iter().map(csv_line).collect()
 }
 
-/// A shipped file, by its path in devices/.
+/// Returns the full path of a shipped file from its path in devices/.
 pub fn file(name: &str) -> String {
     root().join("devices").join(name).display().to_string()
 }
 
-/// The device and scene files in a folder of devices/.
+/// Returns the device or scene files in a folder of devices/.
 pub fn files(folder: &str) -> Vec<PathBuf> {
     let mut files: Vec<_> = std::fs::read_dir(file(folder)).unwrap().map(|entry| entry.unwrap().path()).collect();
     files.retain(|path| path.extension().is_some_and(|extension| extension == "toml"));
@@ -88,17 +88,17 @@ pub fn files(folder: &str) -> Vec<PathBuf> {
     files
 }
 
-/// A shipped device.
+/// Loads a shipped device.
 pub fn shipped(name: &str) -> DeviceFile {
     DeviceFile::load(file(&format!("{name}.toml"))).unwrap()
 }
 
-/// All shipped devices.
+/// Loads all shipped devices.
 pub fn all_shipped() -> Vec<DeviceFile> {
     files("").into_iter().map(|path| DeviceFile::load(path).unwrap()).collect()
 }
 
-/// A temporary folder; its paths are strings, for a command line.
+/// A temporary folder that returns paths as strings for command lines.
 pub struct Folder(tempfile::TempDir);
 
 impl Folder {
@@ -126,7 +126,7 @@ impl Folder {
     }
 }
 
-/// The tool with these arguments, run in the repository.
+/// Returns the command that runs the tool with these arguments in the repository.
 pub fn haptic(arguments: &[&str]) -> Command {
     let mut command = Command::cargo_bin("haptic").unwrap();
     command.current_dir(root()).args(arguments).env_remove("HAPTIC_PORT");
@@ -140,28 +140,28 @@ pub fn run(arguments: &[&str]) -> (i32, String, String) {
     (done.status.code().unwrap(), text(done.stdout), text(done.stderr))
 }
 
-/// Standard output of a command that succeeds.
+/// Runs a command that must succeed and returns its standard output.
 pub fn output(arguments: &[&str]) -> String {
     let (code, out, err) = run(arguments);
     assert_eq!(code, 0, "{arguments:?}: {err}");
     out
 }
 
-/// Standard error of a command that ends with this exit code.
+/// Runs a command that must end with this exit code and returns its standard error.
 pub fn refusal(code: i32, arguments: &[&str]) -> String {
     let (ended, out, err) = run(arguments);
     assert_eq!((ended, out.as_str()), (code, ""), "{arguments:?}: {err}");
     err
 }
 
-/// The document that a command prints with `--json`.
+/// Runs a command with `--json` and returns the document that it prints.
 pub fn json(arguments: &[&str]) -> Value {
     serde_json::from_str(&output(&[arguments, &["--json"]].concat())).unwrap()
 }
 
-/// Types every line of a table as `haptic LINE`. A line reads `CODE: COMMAND => TEXT | !TEXT`: the exit code (0 if left
-/// out), then texts that the output must contain or, after `!`, must not contain. The texts of a refusal (exit codes 1
-/// and 2) have to be on standard error. `␣` stands for a space within a word.
+/// Runs every line of a table as `haptic COMMAND`. A line has the form `CODE: COMMAND => TEXT | !TEXT`: exit code (0 if
+/// left out), command, and texts that the output must contain or, after `!`, must not contain. With exit code 1 or 2
+/// the texts must be on standard error. `␣` stands for a space within an argument.
 pub fn type_lines(table: &str, more: &[&str]) {
     for line in table.lines().map(str::trim).filter(|line| !line.is_empty()) {
         let (command, texts) = line.split_once(" => ").unwrap_or((line, ""));
@@ -179,20 +179,21 @@ pub fn type_lines(table: &str, more: &[&str]) {
     }
 }
 
-/// Sends a signal to a process by its name, such as `INT`. The shell's own `kill` is everywhere; the program is not.
+/// Sends a signal, such as `INT`, to a process. Uses the `kill` of the shell, because not every system has a program
+/// `kill`.
 pub fn signal(child: &std::process::Child, name: &str) {
     let line = format!("kill -{name} {}", child.id());
     assert!(std::process::Command::new("sh").args(["-c", &line]).status().unwrap().success());
 }
 
-/// A simulated board in this process with this device, and a tool on it.
+/// Returns a simulated board in this process with this device, and a connection to it.
 pub fn board(file: &DeviceFile, options: BoardOptions) -> (SharedBoard, Board) {
     let shared = SharedBoard::new(ready_board(file, options).unwrap());
     let board = Board::over(shared.wire(), "sim").unwrap();
     (shared, board)
 }
 
-/// A plane wall without feed-forward.
+/// Returns a plane wall without feed-forward.
 pub fn plane_wall<T: Real>(point: [T; 3], normal: [T; 3], stiffness: T, damping: T) -> Wall<T> {
     Wall {
         surface: Surface::Plane(Plane { point, normal }),
@@ -205,12 +206,12 @@ pub fn plane_wall<T: Real>(point: [T; 3], normal: [T; 3], stiffness: T, damping:
     }
 }
 
-/// A control loop with ideal motors.
+/// Returns a control loop with ideal motors.
 pub fn ideal_loop(rate_hz: f64, delay_samples: f64, estimator: LinearEstimator) -> Loop {
     Loop { rate_hz, delay_samples, estimator, drive: Drive::Ideal, damping_compensation: false }
 }
 
-/// A rigid device: mass matrix, joint damping, Jr and E at one pose.
+/// Returns a rigid device at one pose, from mass matrix, joint damping, Jr and E.
 pub fn rigid(mass: &[f64], viscous: &[f64], row: &[f64], unit_motion: &[f64]) -> Linearised {
     Linearised {
         gain: 1.0,
@@ -222,7 +223,7 @@ pub fn rigid(mass: &[f64], viscous: &[f64], row: &[f64], unit_motion: &[f64]) ->
     }
 }
 
-/// A free mass, kg, that moves along the wall's normal.
+/// Returns a free mass (kg) that moves along the wall's normal.
 pub fn point_mass(mass: f64) -> Linearised {
     rigid(&[mass], &[0.0], &[1.0], &[1.0])
 }

@@ -1,4 +1,4 @@
-//! `haptic view` in a process of its own, and the messages that a page receives.
+//! `haptic view` in another process, and the messages that a page receives.
 #![allow(dead_code, reason = "every run uses its own part")]
 
 use assert_cmd::cargo::CommandCargoExt;
@@ -6,15 +6,15 @@ use serde_json::Value;
 use std::io::{BufRead, BufReader};
 use std::process::{Child, Command, Stdio};
 
-/// The tool, serving its page.
+/// Process of `haptic view`.
 pub struct View {
     child: Child,
-    /// Address that it prints.
+    /// Address of the page, as printed.
     pub url: String,
 }
 
 impl View {
-    /// Starts on this computer at a free port.
+    /// Starts `haptic view` on this computer at a free port.
     pub fn start(arguments: &[&str]) -> Self {
         let mut command = Command::cargo_bin("haptic").unwrap();
         command.args(["view", "--listen", "127.0.0.1:0"]).args(arguments).stdout(Stdio::piped());
@@ -25,12 +25,12 @@ impl View {
         Self { child, url }
     }
 
-    /// Its process.
+    /// Returns the process id.
     pub fn process(&self) -> u32 {
         self.child.id()
     }
 
-    /// Address and port.
+    /// Returns host and port.
     pub fn address(&self) -> &str {
         self.url.trim_start_matches("http://").split('/').next().unwrap()
     }
@@ -45,7 +45,7 @@ impl Drop for View {
 
 /// Newest message of each kind that a page has received.
 #[derive(Default)]
-pub struct Heard {
+pub struct Received {
     pub you: u64,
     pub hello: Value,
     pub walls: Value,
@@ -54,13 +54,13 @@ pub struct Heard {
     pub picture: Value,
     pub recorded: Option<String>,
     pub lost: Option<String>,
-    /// Every refusal so far.
+    /// All refusals so far.
     pub refused: Vec<Value>,
     pub sweep: Vec<f32>,
     pub sound: Vec<f32>,
 }
 
-impl Heard {
+impl Received {
     pub fn text(&mut self, text: &str) {
         let message: Value = serde_json::from_str(text).unwrap();
         let words = |key: &str| Some(message[key].as_str().unwrap().to_string());
@@ -87,7 +87,7 @@ impl Heard {
         }
     }
 
-    /// Text of the newest refusal.
+    /// Returns the text of the newest refusal.
     pub fn why(&self) -> &str {
         self.refused.last().map_or("", |refused| refused["why"].as_str().unwrap())
     }
@@ -96,7 +96,7 @@ impl Heard {
         self.picture["state"].as_str().unwrap_or_default()
     }
 
-    /// The control step of the newest picture.
+    /// Returns the control step of the newest picture.
     pub fn step(&self) -> u32 {
         self.picture["step"].as_u64().unwrap_or(0) as u32
     }

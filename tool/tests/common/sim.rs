@@ -1,4 +1,4 @@
-//! `haptic sim` in a process of its own.
+//! `haptic sim` in another process.
 
 pub use super::haptic;
 use assert_cmd::cargo::CommandCargoExt;
@@ -7,26 +7,26 @@ use std::process::{Child, Stdio};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
-/// Time that only a hang reaches.
+/// Longest wait; only a process that hangs takes longer.
 pub const HANG: Duration = Duration::from_secs(600);
 
-/// Waits until a condition holds, however slow the machine.
+/// Waits until a condition is true, also on a slow computer.
 pub fn until(what: &str, mut is_reached: impl FnMut() -> bool) {
     let began = Instant::now();
     while !is_reached() {
-        assert!(began.elapsed() < HANG, "{what}: not after {HANG:?}");
+        assert!(began.elapsed() < HANG, "{what}: not reached within {HANG:?}");
         sleep(Duration::from_millis(10));
     }
 }
 
-/// `haptic sim …` in a process of its own.
+/// Process of `haptic sim`.
 pub struct Sim {
     pub child: Child,
     pub port: String,
 }
 
 impl Sim {
-    /// Behind a TCP port.
+    /// Starts a board behind a TCP port.
     pub fn start(arguments: &[&str]) -> Self {
         let port = if arguments.contains(&"--tcp") { &[][..] } else { &["--tcp", "0"] };
         let sim = Self::launch(&[port, arguments].concat());
@@ -34,7 +34,7 @@ impl Sim {
         sim
     }
 
-    /// Behind a pseudo-terminal.
+    /// Starts a board behind a pseudo-terminal.
     pub fn on_pseudo_terminal(arguments: &[&str]) -> Self {
         Self::launch(arguments)
     }
@@ -48,17 +48,17 @@ impl Sim {
         Self { child, port }
     }
 
-    /// Types a table of command lines on this board ([`super::type_lines`]).
+    /// Runs a table of command lines on this board ([`super::type_lines`]).
     pub fn type_lines(&self, table: &str) {
         super::type_lines(table, &["--port", &self.port]);
     }
 
-    /// Standard output of a command that succeeds on this board.
+    /// Runs a command that must succeed on this board and returns its standard output.
     pub fn output(&self, arguments: &[&str]) -> String {
         super::output(&[arguments, &["--port", &self.port]].concat())
     }
 
-    /// The document that a command prints with `--json`.
+    /// Runs a command with `--json` on this board and returns the document that it prints.
     pub fn json(&self, arguments: &[&str]) -> serde_json::Value {
         super::json(&[arguments, &["--port", &self.port]].concat())
     }
@@ -69,7 +69,7 @@ impl Sim {
         command.args(["--port", &self.port]).assert()
     }
 
-    /// Waits until the board has a state, however slow the machine.
+    /// Waits until the board's state fulfils a condition, also on a slow computer.
     pub fn until(&self, is_reached: impl Fn(&str) -> bool) {
         until("the board's state", || is_reached(self.json(&["info"])["state"].as_str().unwrap()));
     }

@@ -1,4 +1,4 @@
-//! A board that can be unplugged.
+//! A simulated board that can be plugged in and unplugged.
 
 use super::sim::Sim;
 use std::net::{Shutdown, TcpListener, TcpStream};
@@ -7,7 +7,7 @@ use std::thread::spawn;
 
 /// An address at which simulated boards are plugged in and unplugged.
 pub struct Socket {
-    /// In the format of `--port`.
+    /// Value for `--port`.
     pub address: String,
     board: Arc<Mutex<Option<Sim>>>,
 }

@@ -1,4 +1,4 @@
-//! A strict simulated board in this process, and a wire that loses messages.
+//! A strict simulated board in this process, and a connection that loses messages.
 
 use super::{board, shipped};
 use haptic_bridge::render::scene::Scene;
@@ -8,7 +8,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::Duration;
 
-/// A board at 1 kHz with a verified five-bar in free space, homed, with its polarity checked: it can be armed.
+/// Returns a board that can be armed: 1 kHz, a verified five-bar in free space, homed, polarity checked.
 pub fn strict() -> (SharedBoard, Session) {
     let mut file = shipped("coupled-five-bar");
     for joint in &mut file.description.joints[..2] {
@@ -26,14 +26,14 @@ pub fn strict() -> (SharedBoard, Session) {
     (shared, session)
 }
 
-/// A wire that loses a number of the next messages.
+/// A wire that loses a given number of the next messages to the board.
 pub struct Lossy {
     wire: Box<dyn Wire>,
     loses: Arc<AtomicU32>,
 }
 
 impl Lossy {
-    /// Returns a session over such a wire, and the number of messages still to be lost.
+    /// Returns a session over such a wire, and the number of next messages to lose, initially 0.
     pub fn session(board: &SharedBoard) -> (Session, Arc<AtomicU32>) {
         let loses = Arc::new(AtomicU32::new(0));
         let wire = Self { wire: board.wire(), loses: loses.clone() };

@@ -1,4 +1,4 @@
-//! Random devices, and a plain grid of walls to compare with the results of `haptic tune`.
+//! Random devices, and a grid search over walls that checks the results of `haptic tune`.
 
 use super::prelude::*;
 use super::shipped;
@@ -6,7 +6,7 @@ use haptic_bridge::render::velocity::{Chosen, CutoffMeaning, Estimator};
 use haptic_predict::tune::{Margins, Question, Settings, TunedWall, estimators, keeps, tune};
 use std::f64::consts::TAU;
 
-/// A shipped device with random inertias, friction and counts; devices of odd numbers have cables.
+/// Returns a shipped device with random inertias, friction and counts. Devices with odd numbers have cables.
 pub fn drawn(number: u64) -> DeviceFile {
     let mut random = Random::new(36 + number);
     let kinds = ["hapkit-paddle", "coupled-five-bar", "haply-2diy", "capstan-pantograph", "phantom-premium-1.5"];
@@ -34,7 +34,7 @@ pub fn drawn(number: u64) -> DeviceFile {
     file
 }
 
-/// Asks for the stiffest wall at home, at one rate, in an arbitrary direction.
+/// Returns a request for the stiffest wall at home, at one rate, with an arbitrary normal.
 pub fn question(file: &DeviceFile, rate_hz: f64) -> Question<'_> {
     let spec = file.spec();
     Question {
@@ -54,8 +54,8 @@ pub fn question(file: &DeviceFile, rate_hz: f64) -> Question<'_> {
     }
 }
 
-/// Tunes, then checks that no wall `stiffer` times as stiff, with any other estimator, cutoff or damping, meets the limits
-/// that the result meets. Returns the result and the number of walls.
+/// Tunes a wall. Checks that no wall with `stiffer` times the stiffness and another estimator, cutoff or damping meets
+/// the same limits. Returns the result and the number of walls checked.
 pub fn none_is_stiffer(question: &Question<'_>, dampings: &[f64], stiffer: &[f64]) -> (TunedWall, usize) {
     let found = tune(question, &Sweep::quiet()).unwrap();
     let best = found.best.settings;

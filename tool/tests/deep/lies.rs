@@ -1,4 +1,4 @@
-//! Reactions of a board to wrong files, wires and sensors: docs/results/lies.csv.
+//! Reactions of a board to wrong device files, wires and sensors, as listed in docs/results/lies.csv.
 
 use crate::common::drawn::{Checked, check_sound, check_wrong};
 use crate::common::forces::too_hard;
@@ -9,9 +9,9 @@ use haptic_host::output::csv_line;
 
 const DEVICES: [&str; 4] = ["coupled-five-bar", "hapkit-paddle", "pantograph-mk2", "woodenhaptics"];
 
-/// The table cell for one injected error on one device.
+/// Returns the table cell for one injected error on one device.
 fn cell(file: &DeviceFile, error: &InjectedError) -> String {
-    // A paddle has one joint.
+    // A paddle has only one joint.
     if error.what.contains("first two") && file.spec().joints < 2 {
         return String::new();
     }
@@ -25,7 +25,7 @@ fn cell(file: &DeviceFile, error: &InjectedError) -> String {
     }
 }
 
-/// `UPDATE_DOCS=1 cargo xtask test --deep lies` updates it.
+/// `UPDATE_DOCS=1 cargo xtask test --deep lies` updates the table.
 #[test]
 fn the_table_holds_the_outcome_of_every_injected_error() {
     let row = |what: &str, cells: [String; DEVICES.len()]| csv_line(std::iter::once(what.into()).chain(cells));
@@ -38,14 +38,14 @@ fn the_table_holds_the_outcome_of_every_injected_error() {
     assert_eq!(kept, made, "run UPDATE_DOCS=1 cargo xtask test --deep lies");
 }
 
-/// Checks that at most this share exceeds a bound, in %; docs/safety.md lists the shares.
-fn seldom(checked: &[Checked], percent: usize, beyond: impl Fn(&Checked) -> bool) {
+/// Checks that at most `percent` % of the checks exceed a bound; docs/safety.md lists the percentages.
+fn check_rare(checked: &[Checked], percent: usize, beyond: impl Fn(&Checked) -> bool) {
     let beyond: Vec<_> = checked.iter().filter(|checked| beyond(checked)).map(ToString::to_string).collect();
     println!("{} of {}:\n{}", beyond.len(), checked.len(), beyond.join("\n"));
     assert!(100 * beyond.len() <= percent * checked.len());
 }
 
-/// Number of checks: HAPTIC_CHECKS, or `most`.
+/// Returns the number of checks: HAPTIC_CHECKS, by default `most`.
 fn checks(most: u64) -> u64 {
     std::env::var("HAPTIC_CHECKS").ok().and_then(|text| text.parse().ok()).unwrap_or(most)
 }
@@ -55,16 +55,16 @@ fn a_check_with_a_wrong_file_pushes_no_harder_than_a_finger() {
     let checked: Vec<_> = (0..checks(500)).map(check_wrong).collect();
     let most = |of: fn(&Checked) -> f64| checked.iter().map(of).fold(0.0, f64::max);
     println!("most: {:.2} N, {:.3} rad", most(|it| it.moved.push), most(|it| it.moved.travel));
-    seldom(&checked, 1, |checked| checked.moved.push > 5.0 || checked.moved.travel > 0.15);
+    check_rare(&checked, 1, |checked| checked.moved.push > 5.0 || checked.moved.travel > 0.15);
 }
 
 #[test]
 fn a_sound_device_passes_its_check() {
     let checked: Vec<_> = (10_000..10_000 + checks(300)).map(check_sound).collect();
-    seldom(&checked, 3, |checked| checked.ended.is_err());
+    check_rare(&checked, 3, |checked| checked.ended.is_err());
 }
 
-/// New random scenes and motions, HAPTIC_SEQUENCES of them for each device.
+/// Runs new random scenes and motions, HAPTIC_SEQUENCES for each device (default 20).
 #[test]
 fn no_shipped_device_pushes_harder_than_its_limit_allows() {
     let count = std::env::var("HAPTIC_SEQUENCES").ok().and_then(|text| text.parse().ok()).unwrap_or(20);

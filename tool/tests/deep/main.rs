@@ -1,4 +1,5 @@
-//! Slow tests, killed processes, and computed documents: `cargo xtask test --deep PART` runs the module of that name.
+//! Slow tests, tests that kill processes, and tests that compute documents. `cargo xtask test --deep PART` runs the
+//! module PART.
 
 #[path = "../common/mod.rs"]
 mod common;

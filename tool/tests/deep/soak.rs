@@ -1,8 +1,8 @@
-//! Hours of contact with telemetry on the simulated board, through the tool's own link: no control step is missed, no row
-//! is lost or repeated, the wall pushes in the last cycle as in the first, and memory does not grow.
+//! Hours of contact with telemetry on the simulated board, through the tool's own link. No control step is missed, no
+//! row is lost or repeated, the wall's force is the same in the last cycle as in the first, and memory does not grow.
 //!
-//! Ten simulated minutes in `cargo test`; `cargo xtask soak` runs a day of them. Alone in its file, because it looks at
-//! the memory of its process.
+//! `cargo test` simulates ten minutes, `cargo xtask soak` a day. The only test in this file, because it measures the
+//! memory of its process.
 
 use crate::common::prelude::*;
 use crate::common::{board, plane_wall, shipped};
@@ -11,24 +11,24 @@ use haptic_sim::Hand;
 use std::fmt::Write as _;
 use std::time::Duration;
 
-/// Control rate, Hz: the lowest at which this wall is still firm, because a day has to pass.
+/// Control rate, Hz: the lowest at which this wall is still firm, so that a day is simulated quickly.
 const RATE: u32 = 1_000;
-/// One touch of the wall and back, s.
+/// Duration of one cycle, which touches the wall and leaves it again, s.
 const CYCLE: u32 = 2;
 /// Simulated time in `cargo test`, s.
 const SHORT: u64 = 600;
-/// Number of cycles until friction and filters have settled, and of the reference cycles after them.
+/// Number of cycles until friction and filters have settled, then number of reference cycles.
 const SETTLED: usize = 5;
 const USUAL: usize = 20;
-/// Largest deviation of a later cycle from the reference, as a share: a hundredth of what a hand can feel (a tenth).
+/// Largest relative deviation of a later cycle from the reference: a hundredth of the tenth that a hand can feel.
 const DRIFT: f64 = 1e-3;
 /// Largest growth of memory from the first minute to the end, bytes.
 const GROWTH: u64 = 1 << 20;
 
-/// A board with a wall 5 mm below the tip, and a hand that follows a path 15 mm down and up again, over and over.
+/// Returns a board with a wall 5 mm below the tip and a hand that moves 15 mm down and up again, over and over.
 fn board_and_tool(seconds: u64) -> (SharedBoard, Board) {
     let mut options = BoardOptions::default();
-    // Half a carrier period: the coarsest that still has the current loop's own time step.
+    // Half a carrier period, the coarsest step that still resolves the current loop's own time step.
     options.device.substep = 25e-6;
     let (shared, mut board) = board(&shipped("coupled-five-bar"), options);
     let tip = shared.lock().device().tip();
@@ -50,7 +50,7 @@ fn board_and_tool(seconds: u64) -> (SharedBoard, Board) {
     (shared, board)
 }
 
-/// One cycle: largest force (N), impulse (N s), and the integral of each motor's torque (N m s).
+/// Measured values of one cycle: largest force (N), impulse (N s), and integral of each motor's torque (N m s).
 #[derive(Clone, Copy, Debug, Default)]
 struct Cycle {
     peak: f64,
@@ -64,7 +64,7 @@ impl Cycle {
     }
 }
 
-/// Smallest and largest of each part.
+/// Smallest and largest of each value of several cycles.
 #[derive(Clone, Copy)]
 struct Span([(f64, f64); 4]);
 
@@ -114,7 +114,7 @@ impl Places {
     }
 }
 
-/// Memory of this process that is really there, bytes; `None` where the system does not say.
+/// Returns the resident memory of this process, bytes; `None` if the system has no such information.
 fn resident() -> Option<u64> {
     let text = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = text.lines().find_map(|line| line.strip_prefix("VmRSS:"))?;
@@ -122,7 +122,7 @@ fn resident() -> Option<u64> {
 }
 
 #[test]
-fn hours_of_contact_lose_nothing_and_do_not_drift_or_grow() {
+fn long_contact_loses_no_rows_and_does_not_drift() {
     let seconds: u64 = std::env::var("HAPTIC_SOAK_SECONDS").map_or(SHORT, |text| text.parse().unwrap());
     let (shared, mut board) = board_and_tool(seconds);
     let places = Places::new();
@@ -130,7 +130,7 @@ fn hours_of_contact_lose_nothing_and_do_not_drift_or_grow() {
     board.start_stream(fields("all").unwrap(), 1).unwrap();
     let began = shared.lock().time();
     let (mut first, mut next, mut rows) = (None, None, 0_u64);
-    // Written once, so that its memory counts as used from the beginning.
+    // Fill the memory now, so that it counts as used from the beginning.
     let unused = Cycle { peak: f64::NAN, ..Cycle::default() };
     let mut cycles = vec![unused; (seconds / u64::from(CYCLE)) as usize + 2];
     cycles.clear();
@@ -155,7 +155,7 @@ fn hours_of_contact_lose_nothing_and_do_not_drift_or_grow() {
     board.stop_stream().unwrap();
     rows += board.rows(Duration::ZERO).unwrap().len() as u64;
 
-    // No control step was missed: as many steps as milliseconds, and as many rows as steps.
+    // No control step was missed: there are as many steps as milliseconds, and as many rows as steps.
     let losses = board.losses();
     assert_eq!(losses, Losses { received: rows, ..Losses::default() });
     let steps = u64::from(board.status().unwrap().step.wrapping_sub(first.unwrap()));
@@ -164,10 +164,10 @@ fn hours_of_contact_lose_nothing_and_do_not_drift_or_grow() {
     assert!(rows.abs_diff(steps) <= 5, "{rows} rows of {steps} steps");
     assert!(board.faults().unwrap().is_empty());
 
-    // Every cycle is like the first ones. The last one is incomplete.
+    // Every cycle agrees with the reference cycles. The last cycle is incomplete.
     cycles.pop();
     let usual = Span::of(&cycles[SETTLED..SETTLED + USUAL]);
-    assert!(usual.0[0].0 > 1.0, "the wall is touched in every cycle: {} N", usual.0[0].0);
+    assert!(usual.0[0].0 > 1.0, "a cycle does not touch the wall: {} N", usual.0[0].0);
     let strange = cycles[SETTLED..].iter().position(|cycle| !usual.holds(cycle));
     assert_eq!(strange, None, "{:?}; usual {:?}", strange.map(|at| cycles[SETTLED + at]), usual.0);
     if let (Some(memory), Some(most)) = (memory, most) {
@@ -181,7 +181,7 @@ fn hours_of_contact_lose_nothing_and_do_not_drift_or_grow() {
     }
 }
 
-/// The figures of the first hour, the last, and all.
+/// Returns a report with the figures of the first hour, the last hour, and all cycles.
 fn report(seconds: u64, rows: u64, cycles: &[Cycle], grown: &str) -> String {
     let mut text = format!(
         "{:.2} simulated hours of contact at {RATE} Hz: {} touches of the wall, {rows} control steps, as many rows of \

@@ -1,7 +1,7 @@
-//! Requests in any order, with rates, filters and rules changed while the motors are on: the fuzzer's own targets
-//! (fuzz/src/requests.rs) with random scripts, for every run of the tests. tests/rig/board.rs has the conditions after
-//! every control period: bridges and duties off unless armed, torques within the limits, limits and rules never loosened
-//! while the motors are on.
+//! Requests in any order, with rates, filters and rules changed while the motors are on. Runs the fuzzer's own targets
+//! (fuzz/src/requests.rs) with random scripts in every run of the tests. After every control period tests/rig/board.rs
+//! checks that bridges and duties are off unless the board is armed, that torques are within the limits, and that
+//! limits and rules are never loosened while the motors are on.
 
 #[path = "../../../tests/rig/board.rs"]
 mod board;
@@ -27,7 +27,8 @@ impl Numbers {
     }
 }
 
-/// A script that arms the board again and again with random requests in between; every eighth request has changed bytes.
+/// Returns a script that arms the board again and again. In between it has random requests, one in eight with changed
+/// bytes.
 fn script(numbers: &mut Numbers) -> Vec<u8> {
     let place = |key: postcard_rpc::Key| {
         TEMPLATES.iter().position(|(known, _)| *known == key).expect("every endpoint has a template") as u8
@@ -35,16 +36,16 @@ fn script(numbers: &mut Numbers) -> Vec<u8> {
     let (arm, clear, home) = (place(Arm::REQ_KEY), place(Clear::REQ_KEY), place(Home::REQ_KEY));
     let wait = TEMPLATES.len() as u8 + 1;
     let which = numbers.byte() & 0x7F;
-    // A scene of the board's device, at 200 Hz, 1 kHz, 20 kHz or its own rate.
+    // The scene belongs to the board's device and has 200 Hz, 1 kHz, 20 kHz or its own rate.
     let own = which % shipped::shipped().len() as u8;
     let mut script = vec![which, place(SetScene::REQ_KEY), numbers.byte() & 0xC0 | own, 0];
     for round in 0..40 {
         if round % 4 == 0 {
-            // Faults cleared, device and encoders at rest: the board can be armed.
+            // Clear faults and home, so that the board can be armed.
             for operation in [clear, home, arm] {
                 script.extend([operation, 0, 0]);
             }
-            // At 200 Hz the ramp after arming is half over then.
+            // Wait until, at 200 Hz, half of the torque ramp after arming is over.
             script.extend([wait, 12]);
         }
         if numbers.below(3) == 0 {
@@ -63,13 +64,13 @@ fn script(numbers: &mut Numbers) -> Vec<u8> {
             }
             continue;
         }
-        // Most often requests that could loosen a protection, or exceed it then.
+        // Two thirds are requests that could loosen a protection or exceed a loosened limit.
         let pointed = [SetRules::REQ_KEY, Force::REQ_KEY, SetGains::REQ_KEY, SetScene::REQ_KEY];
         let operation = match numbers.below(3) {
             0 => numbers.below(TEMPLATES.len()) as u8,
             _ => place(pointed[numbers.below(4)]),
         };
-        // After another device, with other joints, the rest of the script would have no effect.
+        // Load another device only rarely, because it has other joints and the rest of the script would have no effect.
         if operation == place(SetDevice::REQ_KEY) && numbers.below(4) != 0 {
             continue;
         }
@@ -93,7 +94,7 @@ fn no_request_sequence_enables_bridges_or_exceeds_limits() {
     for _ in 0..600 {
         driven += requests::requests(&script(&mut numbers));
     }
-    assert!(driven > 5_000, "motors were on after {driven} steps only: the scripts reach nothing");
+    assert!(driven > 5_000, "the motors were on in only {driven} steps, too few to test anything");
 }
 
 #[test]

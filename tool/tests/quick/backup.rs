@@ -1,4 +1,4 @@
-//! A backup restores the saved settings of a board byte for byte, also from another firmware version, and all or none.
+//! A backup restores all saved settings of a board or none, byte for byte, also from another firmware version.
 
 use crate::common::prelude::*;
 use crate::common::{board, plane_wall, shipped};
@@ -13,7 +13,7 @@ fn entries(board: &mut Board) -> BTreeMap<&'static str, Entry> {
     Key::ALL.into_iter().filter_map(|key| Some((key.name(), board.read_entry(key).unwrap()?))).collect()
 }
 
-/// A board with something saved under every key that a tool can set.
+/// Returns a board with a value saved under every key that a tool can set.
 fn full() -> Board {
     let (_, mut board) = board(&shipped("coupled-five-bar"), BoardOptions::default());
     let plane = plane_wall([0.0, -0.2, 0.0], [0.0, 1.0, 0.0], 1234.5, 0.1);
@@ -55,7 +55,7 @@ fn a_backup_of_another_version_is_translated() {
     let kept = entries(&mut source);
     let mut backup = Backup::read(&mut source).unwrap();
     for (name, setting) in &mut backup.settings {
-        // As another firmware would have written it: another version, other bytes, the same value.
+        // Another firmware would have written the same value with another version and other bytes.
         let mut body = kept[name.as_str()][..kept[name.as_str()].len() - 4].to_vec();
         body[1] = 77;
         body.extend([1, 2, 3]);
@@ -72,7 +72,7 @@ fn a_backup_of_another_version_is_translated() {
 }
 
 #[test]
-fn damage_is_found_before_anything_is_sent() {
+fn damage_is_detected_before_anything_is_sent() {
     let backup = Backup::read(&mut full()).unwrap();
     for name in backup.settings.keys() {
         let mut damaged = backup.clone();
@@ -90,13 +90,13 @@ fn damage_is_found_before_anything_is_sent() {
 #[test]
 fn a_value_that_was_edited_is_not_silently_ignored() {
     let text = Backup::read(&mut full()).unwrap().to_text();
-    assert!(text.contains("3.3,") && !text.contains("3.2999"), "as people write it: {text}");
+    assert!(text.contains("3.3,") && !text.contains("3.2999"), "numbers must have few digits: {text}");
     let edited = text.replace("3.3,", "1000.0,");
     assert_ne!(edited, text);
     let refused = Backup::parse(&edited).unwrap().ready().unwrap_err();
     assert_eq!(refused, BackupError::Disagree("rules"));
     assert!(refused.to_string().contains("haptic rules"));
-    // The same number in another notation.
+    // The same number in another notation is no change.
     assert!(Backup::parse(&text.replace("3.3,", "3.30,")).unwrap().ready().is_ok());
     assert!(Backup::parse(&text.replace("3.3,", "3.299999952316284,")).unwrap().ready().is_ok());
 }

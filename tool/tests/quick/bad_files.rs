@@ -1,7 +1,7 @@
-//! A wrong file is refused by name, line and remedy, on one line for each mistake, with exit code 2.
+//! A wrong file is refused with exit code 2 and one message per mistake, which has file name, line and remedy.
 //!
-//! Likely mistakes are in tables, each checked with the command itself. In addition, every line of every shipped file
-//! is spoilt.
+//! Tables list likely mistakes, each checked with the command itself. In addition, every line of every shipped file is
+//! damaged.
 
 use crate::common::{Folder, files, refusal, run, type_lines};
 use haptic_host::device_file::DeviceFile;
@@ -84,7 +84,7 @@ stiffness = 100.0
 damping = 1.0
 "#;
 
-/// Returns the refusal of `haptic check` for this device and scene: exit code 2, one line on standard error.
+/// Runs `haptic check` on this device and scene, which must be refused with exit code 2. Returns the one-line message.
 fn refused(device: &str, scene: &str) -> String {
     let folder = Folder::new();
     let said = refusal(2, &["check", &folder.write("device.toml", device), &folder.write("scene.toml", scene)]);
@@ -98,12 +98,12 @@ fn replaced(text: &str, from: &str, to: &str) -> String {
 }
 
 #[test]
-fn the_examples_themselves_are_sound() {
+fn the_unchanged_examples_are_valid() {
     DeviceFile::parse(DEVICE, "example").expect("a sound device");
     SceneFile::parse(SCENE, "example", 2).expect("a sound scene");
 }
 
-/// Mistakes: text of the example, its replacement, line and column of the refusal, words of the refusal.
+/// Each row has a text of the example, its replacement, line and column of the message, and words of the message.
 const DEVICE_MISTAKES: &str = r#"
     mass = 0.02 => mas = 0.02 => :12:1: => `mas` | [[link]] 0 (proximal-1) | did you mean `mass`?
     mass = 0.02⏎ =>  => :11:1: => `mass` | [[link]] 0 | missing | add `mass = 0.02`
@@ -209,12 +209,12 @@ fn check_mistakes(table: &str, text: &str, refused: impl Fn(&str) -> String) {
 }
 
 #[test]
-fn a_wrong_device_is_refused_by_line_and_remedy() {
+fn a_wrong_device_is_refused_with_line_and_remedy() {
     check_mistakes(DEVICE_MISTAKES, DEVICE, |device| refused(device, SCENE));
 }
 
 #[test]
-fn a_wrong_scene_is_refused_by_line_and_remedy() {
+fn a_wrong_scene_is_refused_with_line_and_remedy() {
     check_mistakes(SCENE_MISTAKES, SCENE, |scene| refused(DEVICE, scene));
     let wall = "[[wall]]\npoint = [0.0, 0.13]\nnormal = [0.0, -1.0]\nstiffness = 1000.0\n";
     let said = refused(DEVICE, &format!("{SCENE}{}", wall.repeat(7)));
@@ -244,7 +244,7 @@ fn all_mistakes_of_a_file_are_reported() {
     assert_eq!(error.to_string().lines().count(), 4, "{error}");
 }
 
-/// A term of a data sheet is refused with the key to write instead, so that its number is not lost.
+/// The message for a key from a data sheet names the key to write instead, so that the user does not drop the number.
 #[test]
 fn terms_of_data_sheets_are_refused_with_the_right_key() {
     let motor = "torque_constant = 0.05\n";
@@ -266,13 +266,13 @@ fn terms_of_data_sheets_are_refused_with_the_right_key() {
         let said = refused(&replaced(DEVICE, after, &format!("{after}{line}\n")), SCENE);
         assert!(said.contains("unknown key") && said.contains(words) && !said.contains("remove it"), "{line}: {said}");
     }
-    // In another table the same word is an ordinary unknown key.
+    // In another table the same key is an ordinary unknown key.
     let said = refused(&replaced(DEVICE, "name = ", "type = \"five-bar\"\nname = "), SCENE);
     assert!(said.contains("unknown key") && !said.contains("encoder"), "{said}");
 }
 
 #[test]
-fn files_in_other_formats_and_no_files_are_refused_by_name() {
+fn files_in_other_formats_and_missing_files_are_refused() {
     let folder = Folder::new();
     let urdf = "<?xml version=\"1.0\"?>\n<!-- own -->\n<robot name=\"a\"><link name=\"b\"/></robot>\n";
     let xacro = "<?xml version=\"1.0\"?>\n<robot xmlns:xacro=\"http://ros.org/wiki/xacro\"/>\n";
@@ -301,13 +301,13 @@ fn files_in_other_formats_and_no_files_are_refused_by_name() {
         let said = refusal(2, &["check", &path]);
         assert!(said.contains(word) && said.trim_end().lines().count() == 1, "{said}");
     }
-    // A recording of 16 GiB that takes no room on the disk.
+    // A sparse recording of 16 GiB, which takes no space on the disk.
     let days = folder.write("days.csv", "");
     std::fs::OpenOptions::new().write(true).open(&days).unwrap().set_len(16 << 30).unwrap();
     type_lines(&format!("2: plot {days} => more than 2 GiB\n2: replay {days} => more than 2 GiB"), &[]);
 }
 
-/// By default counts rise with the angle, and count 0 is angle 0.
+/// The defaults are that counts rise with the angle and that count 0 is angle 0.
 #[test]
 fn an_encoder_needs_only_its_counts() {
     let short = replaced(DEVICE, "offset = 0.0\ninverted = false\n", "");
@@ -315,7 +315,7 @@ fn an_encoder_needs_only_its_counts() {
     assert_eq!(of(&short), of(DEVICE));
 }
 
-/// Every shipped file with its parser.
+/// Parser of a device or scene file.
 type Parser = fn(&str) -> Result<(), FileError>;
 fn shipped_files() -> Vec<(String, Parser)> {
     let mut all: Vec<(String, Parser)> = Vec::new();
@@ -335,7 +335,7 @@ fn shipped_files() -> Vec<(String, Parser)> {
     all
 }
 
-/// The file with one line replaced.
+/// Returns the text with one line replaced.
 fn with_line(text: &str, line: usize, replacement: &str) -> String {
     let lines = text.lines().enumerate().map(|(index, old)| if index == line { replacement } else { old });
     lines.collect::<Vec<_>>().join("\n")
@@ -356,7 +356,7 @@ fn every_misspelt_key_and_mistyped_value_is_refused() {
             let error = misspelt.expect_err(&format!("`{key}x` must be refused"));
             assert_eq!(error.position, Some((index + 1, 1)), "{error}");
             assert!(error.to_string().contains(&format!("`{key}x`")), "{error}");
-            // No key takes a date.
+            // A date is a wrong value for every key.
             let mistyped = parse(&with_line(&text, index, &format!("{key} = 1979-05-27")));
             let error = mistyped.expect_err(&format!("`{key}` must not be a date"));
             assert_eq!(error.position, Some((index + 1, key.len() + 4)), "{error}");
@@ -386,7 +386,7 @@ fn a_file_cut_short_anywhere_never_crashes_the_parser() {
     }
 }
 
-/// Text of a file or its name must not control the terminal: ESC moves the cursor or renames the window.
+/// Text of a file or its name must not control the terminal. ESC could move the cursor or rename the window.
 #[test]
 fn control_characters_of_a_file_do_not_reach_the_terminal() {
     let random = [("mechanism =", "\"\\u001b]0;x\\u0007\" = 1\nmechanism =")];

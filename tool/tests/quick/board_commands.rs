@@ -1,4 +1,4 @@
-//! Commands that talk to a board, as a person types them, on a simulated board in another process.
+//! Command lines for a board, typed as a user types them, on a simulated board in another process.
 
 use crate::common::sim::Sim;
 use crate::common::{Folder, SCENES, file, haptic, json, read, type_lines};
@@ -30,17 +30,17 @@ fn a_bare_board_is_set_up_and_recorded() {
     assert_eq!((recording.rows.len(), recording.about.last().unwrap().as_str()), (2500, "2500 rows, none lost"));
     let wall = |line: &String| line.starts_with("wall 0: plane, 300 N/m, 2 N s/m");
     assert!(recording.about.iter().any(wall), "{:?}", recording.about);
-    assert!(recording.rows.windows(2).all(|pair| pair[1][0] - pair[0][0] == 4.0), "every fourth step");
+    assert!(recording.rows.windows(2).all(|pair| pair[1][0] - pair[0][0] == 4.0), "one row per four steps");
     let text = std::fs::read_to_string(&csv).unwrap();
-    assert!(text.contains(",Armed,0\n"), "states are words");
+    assert!(text.contains(",Armed,0\n"), "states are written as words");
     let again = format!("record {csv} --seconds 0.1 --rate 1000");
     sim.type_lines(&format!("1: {again} => run.csv already exists | --force"));
-    assert_eq!(std::fs::read_to_string(&csv).unwrap(), text, "a recording is not overwritten");
+    assert_eq!(std::fs::read_to_string(&csv).unwrap(), text, "the recording was overwritten");
     sim.type_lines(&format!("{again} --force => 100 rows are in"));
     let piped = Recording::parse(&sim.output(&["record", "-", "--seconds", "0.1", "--rate", "100"])).unwrap();
     assert_eq!((piped.rows.len(), piped.about.last().unwrap().as_str()), (10, "10 rows, none lost"));
     assert!(!Path::new("-").exists());
-    assert_eq!(sim.output(&["stream", "--seconds", "0.5"]).lines().count(), 1 + 5, "a header and five rows");
+    assert_eq!(sim.output(&["stream", "--seconds", "0.5"]).lines().count(), 1 + 5, "header and rows of 0.5 s");
     let streamed = sim.json(&["stream", "--seconds", "0.5"]);
     assert_eq!((streamed["values"].as_array().unwrap().len(), &streamed["rows"]), (5, &5.into()));
     sim.type_lines(
@@ -55,7 +55,7 @@ fn a_bare_board_is_set_up_and_recorded() {
     assert_eq!(info["state"], "Disarmed");
 }
 
-/// The shipped device's home is (2.3, ...) rad; the nearest number of single precision has sixteen digits.
+/// The shipped device's home is at 2.3 rad. Printed in double precision, the nearest f32 has sixteen digits.
 #[test]
 fn numbers_of_the_board_have_their_significant_digits() {
     Sim::start(&["--fast"]).type_lines(&format!(
@@ -66,7 +66,7 @@ fn numbers_of_the_board_have_their_significant_digits() {
 }
 
 #[test]
-fn boards_refuse_what_they_are_not_ready_for() {
+fn boards_refuse_requests_that_they_are_not_ready_for() {
     Sim::start(&["--fast", "--strict"]).type_lines(&format!(
         "scene {SCENES}/wall.toml
         1: arm => verified
@@ -93,9 +93,9 @@ fn a_refused_recording_makes_no_file_and_replaces_none() {
     let csv = folder.path("run.csv");
     sim.type_lines(&format!("1: record {csv} --arm => no scene is loaded"));
     assert!(!Path::new(&csv).exists());
-    folder.write("run.csv", "an earlier one");
+    folder.write("run.csv", "an earlier recording");
     sim.type_lines(&format!("1: record {csv} --arm --force"));
-    assert_eq!(std::fs::read_to_string(&csv).unwrap(), "an earlier one");
+    assert_eq!(std::fs::read_to_string(&csv).unwrap(), "an earlier recording");
 }
 
 #[test]
@@ -107,9 +107,9 @@ fn the_limit_of_the_tip_force_is_loaded_and_shown() {
     );
 }
 
-/// Saved settings survive, so the restart does not ask.
+/// Saved settings survive a restart, so after saving the command does not ask.
 #[test]
-fn a_restart_asks_before_it_turns_motors_off_or_forgets() {
+fn a_restart_asks_before_it_stops_motors_or_loses_settings() {
     Sim::start(&["--fast"]).type_lines(&format!(
         r#"scene {SCENES}/wall.toml
         1: board restart => device, scene | --yes
@@ -138,9 +138,9 @@ fn saving_lists_the_settings_that_are_saved() {
     );
 }
 
-/// Such a board ends with the command, so nothing can be saved or armed.
+/// A board simulated by the command itself ends with the command, so it can be neither saved nor armed.
 #[test]
-fn a_simulated_board_needs_no_other_process() {
+fn a_board_can_be_simulated_within_the_command() {
     type_lines(
         "--port sim info => coupled-five-bar
         info --port sim:devices/hapkit-paddle.toml => hapkit-paddle
@@ -152,7 +152,7 @@ fn a_simulated_board_needs_no_other_process() {
     );
 }
 
-/// The command line takes precedence.
+/// HAPTIC_PORT names the port, but `--port` takes precedence.
 #[test]
 fn the_environment_may_name_the_port() {
     let sim = Sim::start(&["--fast", &file("hapkit-paddle.toml")]);
@@ -201,9 +201,9 @@ fn rules_are_never_raised_above_the_boards_own() {
     );
 }
 
-/// As root, a backup once replaced the device node /dev/full.
+/// A backup by root once replaced the device node /dev/full.
 #[test]
-fn unreadable_and_unwritable_files_are_refused_by_name() {
+fn unreadable_and_unwritable_files_are_named_in_refusals() {
     let (sim, folder) = (Sim::start(&["--fast"]), Folder::new());
     let (here, binary, absent) = (folder.path("."), folder.write("binary", b"\xFF\xFE"), folder.path("absent"));
     let (csv, kept) = (folder.path("folder.csv"), folder.path("kept.json"));
@@ -239,7 +239,7 @@ fn a_name_survives_a_restart_once_it_is_saved() {
     sim.type_lines("board name left␣hand");
     assert_eq!(name(), ("left hand\n".into(), five_bar.clone()));
     sim.type_lines("board restart --yes");
-    assert_eq!(name(), (none.into(), Value::Null), "nothing was saved");
+    assert_eq!(name(), (none.into(), Value::Null), "an unsaved name survived");
     sim.type_lines(&format!(
         "device {DEVICE}
         board name left␣hand
@@ -255,7 +255,7 @@ fn a_name_survives_a_restart_once_it_is_saved() {
         board restart --yes
         info --json => "Disarmed""#
     ));
-    // Line breaks in a name that another program set are escaped, on the screen and in a recording.
+    // If another program set a name with line breaks, they are escaped on the screen and in a recording.
     let name = "hand\nstate       armed";
     Board::open(&sim.port.parse().unwrap()).unwrap().set_name(&name.try_into().unwrap()).unwrap();
     for words in [&["info"][..], &["board", "name"], &["record", "-", "--seconds", "0.01"]] {
@@ -287,8 +287,8 @@ fn torque_limits_leave_room_for_the_devices_weight() {
         "device devices/capstan-pantograph.toml
         device {DEVICE} => some were lower before | `haptic rules --torque` raises them"
     ));
-    assert!(limits(&sim)[0] < 0.5 * without[0], "limits of the user are kept");
-    // Lengths in millimetres need torques beyond every limit of the board, so no advice to raise the limits is given.
+    assert!(limits(&sim)[0] < 0.5 * without[0], "the lower limits were not kept");
+    // Lengths in millimetres need torques beyond all limits of the board, so the message must not advise higher limits.
     let in_mm = [
         ("base = 0.02\n", "base = 20.0\n"),
         ("proximal = [0.1, 0.1]", "proximal = [100.0, 100.0]"),
@@ -300,7 +300,7 @@ fn torque_limits_leave_room_for_the_devices_weight() {
     assert_eq!(limits(&sim)[0], 5.0);
 }
 
-/// A board whose scene pulls joint 0 past its limit as soon as it is armed; friction keeps the joint there.
+/// Returns a board whose scene pulls joint 0 past its limit when the board is armed. Friction keeps the joint there.
 fn past_a_limit(folder: &Folder) -> Sim {
     let limited = ("inertia = 0.0008\n", "inertia = 0.0008\nlimits = [2.25, 2.35]\n");
     let device = folder.changed("coupled-five-bar", &[limited]);
@@ -308,7 +308,7 @@ fn past_a_limit(folder: &Folder) -> Sim {
     Sim::start(&["--fast", &device, "--scene", &scene])
 }
 
-/// The remedy has a line of its own.
+/// The remedy is printed on a separate line, not as an escaped line break.
 #[test]
 fn clearing_names_the_joint_outside_its_limits() {
     let folder = Folder::new();
@@ -327,13 +327,13 @@ fn clearing_names_the_joint_outside_its_limits() {
 }
 
 #[test]
-fn a_stream_whose_motors_a_fault_stops_reports_the_fault() {
+fn a_stream_interrupted_by_a_fault_reports_the_fault() {
     let folder = Folder::new();
     let sim = past_a_limit(&folder);
     let ended = sim.run(&["stream", "--arm", "--seconds", "2", "--json"]).code(1);
     let ended = ended.stderr(contains("error: the motors are off: JointLimit (7)"));
     let rows: Value = serde_json::from_slice(&ended.get_output().stdout).unwrap();
-    assert_eq!(rows["values"].as_array().unwrap().len(), 20, "the rows are complete");
+    assert_eq!(rows["values"].as_array().unwrap().len(), 20, "rows are missing");
     // A stream that does not arm succeeds.
     sim.type_lines("stream --seconds 0.5");
 }
@@ -394,7 +394,7 @@ fn the_tip_force_limit_has_the_documented_maximum() {
     }
 }
 
-/// A board with another protocol version. It understands the requests that never change.
+/// A board with another protocol version, which understands only the requests that never change.
 struct Stranger {
     port: String,
     stopped: std::sync::mpsc::Receiver<()>,
@@ -425,7 +425,7 @@ impl Stranger {
                             replies.extend(reply(GetInfo::RESP_KEY, &postcard::to_stdvec(&info).unwrap()));
                         } else if frame.header.key == VarKey::Key8(Disarm::REQ_KEY) {
                             stop.send(()).unwrap();
-                            // Its refusal type is another, so its reply has another key.
+                            // In the other version the refusal type differs, so the reply has another key.
                             let done: Outcome = Ok(());
                             let another = postcard_rpc::Key::for_path::<u64>("haptic/disarm");
                             replies.extend(reply(another, &postcard::to_stdvec(&done).unwrap()));

@@ -1,4 +1,4 @@
-//! The command line as a whole: help, pipes that close, numbers with a sign, JSON, the manual.
+//! Properties of all command lines: help, closed pipes, signed numbers, JSON, and the manual.
 
 use crate::common::sim::Sim;
 use crate::common::{Folder, file, refusal, type_lines};
@@ -25,14 +25,14 @@ fn a_closed_pipe_ends_a_command_silently() {
     for command in [
         "stream --port sim --rate 1000".to_string(),
         "record - --port sim --rate 1000".to_string(),
-        // Standard error has no reader either.
+        // Standard error goes to the closed pipe, too.
         "record - --port sim --rate 1e9 --seconds 0.05 2>&1".to_string(),
-        // All rows come after the reader has gone.
+        // All rows are written after the reader has ended.
         "record - --port sim --seconds 0.1".to_string(),
         format!("map {device} --normal 0,1 --json"),
         "help".to_string(),
     ] {
-        // Only one byte is read, because a document may be one long line.
+        // Read only one byte, because a document may be one long line.
         let line = format!("set -o pipefail; timeout 600 \"$0\" {command} | head -c 1 > /dev/null");
         let output = Command::new("bash").args(["-c", &line, program]).output().unwrap();
         let said = String::from_utf8_lossy(&output.stderr);
@@ -42,7 +42,7 @@ fn a_closed_pipe_ends_a_command_silently() {
 }
 
 #[test]
-fn wrong_numbers_are_refused_with_what_to_type() {
+fn wrong_numbers_are_refused_with_a_remedy() {
     for rate in ["-5", "0", "199", "1e12"] {
         let line = format!("2: range devices/coupled-five-bar.toml --normal 0,1 --cutoff 20 --rate {rate}");
         type_lines(&format!("{line} => 200 to 50000 Hz"), &[]);
@@ -91,7 +91,7 @@ fn every_board_command_prints_json() {
 }
 
 #[test]
-fn the_boot_loader_is_not_entered_unasked_with_motors_on() {
+fn the_boot_loader_needs_confirmation_with_motors_on() {
     Sim::start(&["--fast", "--scene", &file("scenes/coupled-five-bar/wall.toml")]).type_lines(
         "rules --host ignore
         arm
@@ -113,10 +113,10 @@ fn the_manual_has_a_page_for_every_command() {
         let name = reference.split("(1)").next().unwrap().replace('\\', "");
         if reference.contains("(1)") && !name.contains(char::is_whitespace) && name != "help" {
             named += 1;
-            assert!(page(&format!("haptic-{name}")).is_ok(), "haptic-{name}(1) is named and missing");
+            assert!(page(&format!("haptic-{name}")).is_ok(), "haptic(1) names haptic-{name}(1), which is missing");
         }
     }
-    assert!(named > 20, "{named} commands are named");
+    assert!(named > 20, "haptic(1) names only {named} commands");
     let page = page("haptic-model").unwrap();
     for section in ["EXIT STATUS", "EXAMPLES", "FILES"] {
         assert!(page.contains(section), "{section} in {page}");

@@ -1,4 +1,4 @@
-//! Devices with weight on a strict simulated board: the user holds the device until the motors carry it.
+//! Devices with weight on a strict simulated board. The user holds the device until the motors carry the weight.
 
 use crate::common::prelude::*;
 use crate::common::{board, files, shipped};
@@ -7,12 +7,12 @@ use haptic_bridge::model::catalogue::Kind;
 use haptic_predict::template;
 use std::time::Duration;
 
-/// The scenes that ship for a device.
+/// Loads the shipped scenes of a device.
 fn scenes(name: &str, task: usize) -> Vec<SceneFile> {
     files(&format!("scenes/{name}")).into_iter().map(|path| SceneFile::load(&path, task).unwrap()).collect()
 }
 
-/// A strict board with this device, which the user holds; missing entries of its file are added.
+/// Returns a strict board with this device, which the user holds. Adds joint limits and verified motors to the file.
 fn strict(mut file: DeviceFile) -> (SharedBoard, Board) {
     let home = file.description.home.unwrap();
     for (joint, home) in file.description.joints.iter_mut().zip(home) {
@@ -26,7 +26,7 @@ fn strict(mut file: DeviceFile) -> (SharedBoard, Board) {
     (shared, board)
 }
 
-/// The same, homed, with its polarity checked.
+/// Like [`strict`], homed and with the polarity checked.
 fn ready_to_arm(file: DeviceFile) -> (SharedBoard, Board) {
     let (name, home) = (file.name.clone(), file.description.home.unwrap());
     let (shared, mut board) = strict(file);
@@ -34,7 +34,7 @@ fn ready_to_arm(file: DeviceFile) -> (SharedBoard, Board) {
     board.check_polarity().unwrap();
     shared.lock().run(30.0);
     assert!(board.status().unwrap().polarity, "{name}: {:?}", board.status());
-    assert_eq!(shared.lock().device().q(), home, "{name} is put back");
+    assert_eq!(shared.lock().device().q(), home, "{name} did not return home");
     (shared, board)
 }
 
@@ -53,18 +53,18 @@ fn homing_after_a_polarity_check_waits_for_the_device() {
     assert!((f64::from(q[0]) - home[0]).abs() < 1e-3 && (f64::from(q[1]) - home[1]).abs() < 1e-3, "{q:?}");
 }
 
-/// Arms, and checks that the device stays in place during the ramp and long after it.
+/// Arms the board and checks that the device stays in place during the torque ramp and for 2 s after it.
 fn stays_while_armed(shared: &SharedBoard, board: &mut Board, what: &str) {
     let before = shared.lock().device().q();
     board.arm().unwrap_or_else(|error| panic!("{what}: {error}"));
     shared.lock().run(0.98 * f64::from(ARM_SECONDS));
-    assert_eq!(shared.lock().device().q(), before, "{what} is held while the torque ramps up");
+    assert_eq!(shared.lock().device().q(), before, "{what} moved while the torque ramps up");
     shared.lock().run(2.0);
     let status = board.status().unwrap();
     assert_eq!((status.state, status.fault), (State::Armed, None), "{what}");
     let q = shared.lock().device().q();
     let moved = q.iter().zip(before).map(|(q, before)| (q - before).abs()).fold(0.0, f64::max);
-    // The motors carry the weight; a spring of the scene may pull.
+    // The motors carry the weight, but a spring of the scene may pull the device a little.
     assert!(moved < 0.1, "{what} moved by {moved} rad");
 }
 
@@ -87,7 +87,7 @@ fn every_template_runs_on_a_strict_board_without_falling() {
         let file = DeviceFile::parse(&template::device_file(*kind, "mine"), "mine.toml").unwrap();
         let task = file.spec().task as u8;
         let (shared, mut board) = ready_to_arm(file);
-        // Homing again finds the same home.
+        // Homing again must succeed in the same pose.
         board.home().unwrap();
         board.set_scene(&Scene { task, ..Scene::default() }).unwrap();
         stays_while_armed(&shared, &mut board, kind.spec().name);
@@ -95,7 +95,7 @@ fn every_template_runs_on_a_strict_board_without_falling() {
 }
 
 #[test]
-fn every_simulated_board_carries_the_device_until_armed() {
+fn a_carried_device_stays_in_place_until_and_while_armed() {
     let file = shipped("woodenhaptics");
     let room = SceneFile::load(crate::common::file("scenes/woodenhaptics/room.toml"), 3).unwrap();
     let (shared, mut board) = board(&file, BoardOptions { support: Support::Carried, ..BoardOptions::default() });
@@ -105,7 +105,7 @@ fn every_simulated_board_carries_the_device_until_armed() {
 }
 
 #[test]
-fn a_device_with_weight_is_held_until_it_is_armed() {
+fn a_device_with_weight_is_held_until_the_board_is_armed() {
     for name in ["phantom-premium-1.5", "serial-3r", "woodenhaptics", "fictive-five-bar-turret"] {
         let file = shipped(name);
         let (home, task) = (file.description.home.unwrap(), file.spec().task as u8);
@@ -120,19 +120,19 @@ fn a_device_with_weight_is_held_until_it_is_armed() {
         assert!(status.polarity, "{name}: {status:?}");
         let still = shared.lock().device().q();
         shared.lock().run(1.0);
-        assert_eq!(shared.lock().device().q(), still, "{name} is held again");
+        assert_eq!(shared.lock().device().q(), still, "{name} is not held after the check");
         board.arm().unwrap();
         shared.lock().run(0.6);
         board.disarm().unwrap();
         shared.lock().run(0.2);
         let fallen =
             shared.lock().device().q().iter().zip(still).map(|(q, still)| (q - still).abs()).fold(0.0, f64::max);
-        assert!(fallen > 1e-3, "{name}: it falls, {fallen} rad");
-        // It falls freely: a turret folds through itself and jams.
+        assert!(fallen > 1e-3, "{name} does not fall after disarming: {fallen} rad");
+        // It falls freely. A turret folds through itself and jams, so check that the angles stay finite.
         shared.lock().run(1.0);
         let q = shared.lock().device().q();
         assert!(q.iter().all(|q| q.is_finite()), "{name}: {q:?}");
-        // After a restart it is held again and has to be homed.
+        // After a restart the user holds the device at home again.
         board.restart().unwrap();
         shared.lock().run(1.0);
         assert_eq!(shared.lock().device().q(), home, "{name} is held");

@@ -1,5 +1,5 @@
-//! The quick commands in README.md and docs/ work as written; commands, links, numbers and table rows exist.
-//! common/documents explains how blocks are run.
+//! The quick commands in README.md and docs/ work as written. Commands, links, numbers and table rows in the text are
+//! correct. common/documents explains how blocks are run.
 #![cfg(unix)]
 
 use crate::common::documents::blocks::{Block, Kind, documents, root};
@@ -35,7 +35,7 @@ fn files_in_the_documents_are_sound() {
 #[test]
 fn numbers_in_the_documents_equal_those_of_the_code() {
     let says = |page: &str, said: String| {
-        assert!(read(page).replace('\n', " ").contains(&said), "{page} should say: {said}");
+        assert!(read(page).replace('\n', " ").contains(&said), "{page} lacks this text: {said}");
     };
     says("docs/protocol.md", format!("version, now {PROTOCOL}."));
     says("docs/protocol.md", format!("at most {MAX_FRAME} bytes before"));
@@ -50,7 +50,7 @@ fn numbers_in_the_documents_equal_those_of_the_code() {
     }
 }
 
-/// A link names an existing file, or a heading in it.
+/// Every local link leads to an existing file or to a heading in it.
 #[test]
 fn links_lead_to_files_and_headings() {
     let pages = ["CONTRIBUTING.md", "CHANGELOG.md", "clients/python/README.md"].map(|name| root().join(name));
@@ -79,7 +79,7 @@ fn links_lead_to_files_and_headings() {
     assert!(seen > 100, "{seen}");
 }
 
-/// A table whose columns are all columns of a linked CSV file has rows of that file.
+/// If all columns of a table are columns of a linked CSV file, its rows are rows of that file.
 #[test]
 fn table_rows_are_rows_of_the_linked_file() {
     let (mut wrong, mut seen) = (Vec::new(), 0);
@@ -103,7 +103,7 @@ fn table_rows_are_rows_of_the_linked_file() {
             }
         }
     }
-    assert!(wrong.is_empty(), "no row of the file:\n{}", wrong.join("\n"));
+    assert!(wrong.is_empty(), "rows that differ from the linked file:\n{}", wrong.join("\n"));
     assert!(seen > 40, "{seen}");
 }
 
@@ -127,7 +127,7 @@ fn commands_in_sentences_exist() {
             match words.as_slice() {
                 ["haptic", name, rest @ ..] if is_word(name) => {
                     seen += 1;
-                    // Some commands are subcommands: `haptic board save`.
+                    // Some commands have subcommands, such as `haptic board save`.
                     let named = 1 + usize::from(rest.first().is_some_and(|word| is_word(word)));
                     let typed = [&words[1..=named], &["--help"]].concat();
                     let help = help.entry(typed.join(" ")).or_insert_with(|| tool(&typed));
@@ -146,7 +146,7 @@ fn commands_in_sentences_exist() {
                 }
                 ["cargo", "xtask", name, ..] => {
                     seen += 1;
-                    // Commands are variants: test-board is TestBoard.
+                    // xtask's commands are variants of an enum: test-board is TestBoard.
                     let words = name.split('-').map(|word| word[..1].to_uppercase() + &word[1..]);
                     if !xtask.contains(&format!("\n    {}", words.collect::<String>())) {
                         wrong.push(complain("no such command"));

@@ -1,5 +1,5 @@
-//! Every command once with cheap arguments: it succeeds, and its output begins as expected. Fails for a command of
-//! `haptic help` that is not run here.
+//! Runs every command once with cheap arguments, and checks that it succeeds and how its output begins. Fails if
+//! `haptic help` lists a command that is not run here.
 #![cfg(unix)]
 
 use crate::common::sim::Sim;
@@ -9,7 +9,7 @@ use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-/// Command line, and beginning of its output.
+/// A command line and the beginning of its output.
 type Line = (&'static str, &'static str);
 
 const ANALYSIS: [Line; 17] = [
@@ -44,7 +44,7 @@ const ANALYSIS: [Line; 17] = [
     ("completions bash", "_haptic() {"),
 ];
 
-/// On a board in a process of its own, or within the command.
+/// Commands for a board: most use a board in another process, those with `--port sim` simulate it themselves.
 const BOARD: [Line; 25] = [
     ("info --port sim", "board       simulated, serial number SIM0001, on sim"),
     ("board latency --port sim --exchanges 2", "2 exchanges, 10000 a second, on sim"),
@@ -76,14 +76,14 @@ const BOARD: [Line; 25] = [
     ("stream --seconds 0.1", "    time_s "),
 ];
 
-/// Commands that run until Ctrl-C, and beginning of their output.
+/// Commands that run until Ctrl-C, and the beginnings of their outputs.
 const SERVING: [Line; 3] = [
     ("sim --tcp 0", "a simulated board with coupled-five-bar is on tcp:127.0.0.1:"),
     ("view --port sim --listen 127.0.0.1:0", "open http://127.0.0.1:"),
     ("serve --haply --port sim --listen 0", "SIM0001 is an Inverse3 for programs, at ws://localhost:"),
 ];
 
-/// A folder with the shipped devices.
+/// Returns a temporary folder with a link to the shipped devices.
 fn folder() -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     std::os::unix::fs::symlink(root().join("devices"), folder.path().join("devices")).unwrap();
@@ -103,19 +103,19 @@ fn each(lines: &[Line], folder: &Path, port: &str) {
 }
 
 #[test]
-fn every_command_without_a_board() {
+fn every_command_without_a_board_succeeds() {
     each(&ANALYSIS, folder().path(), "sim");
 }
 
 #[test]
-fn every_command_with_a_board() {
+fn every_command_with_a_board_succeeds() {
     each(&BOARD, folder().path(), &Sim::start(&["--fast"]).port);
 }
 
 /// Commands that no help page lists.
 const DEVELOPERS: [&str; 3] = ["bench", "precompute", "udev"];
 
-/// Commands whose examples are run; the others need a board, a recording, or more than a second.
+/// Commands whose examples are run. Those of other commands need a board, a recording, or more than a second.
 const TYPED: [&str; 5] = ["new", "check", "model", "precompute", "range"];
 
 #[test]
@@ -142,7 +142,7 @@ fn the_examples_of_every_help_page_name_files_that_ship() {
 }
 
 #[test]
-fn every_command_that_serves() {
+fn every_server_starts_and_ends() {
     for (line, begins) in SERVING {
         let mut command = Command::new(env!("CARGO_BIN_EXE_haptic"));
         let mut child = command.args(words(line)).stdout(Stdio::piped()).spawn().unwrap();
@@ -154,7 +154,7 @@ fn every_command_that_serves() {
     }
 }
 
-/// crates/flash/tests runs it with a scripted boot loader.
+/// crates/flash/tests runs `haptic flash` with a scripted boot loader.
 #[test]
 fn flash_without_a_board_or_an_image_is_refused() {
     let folder = folder();

@@ -1,4 +1,4 @@
-//! The example programs work.
+//! The example programs run and have plausible results.
 
 #[path = "../../../examples/follow_telemetry.rs"]
 mod follow_telemetry;
@@ -15,7 +15,7 @@ fn every_example_runs_to_its_end() {
     follow_telemetry::follow("sim").expect("telemetry of a simulated board");
     predict_range::main().expect("a range");
     let (from, to) = push_from_the_host::push("sim").expect("a board that can be pushed");
-    // 1 N down against 50 N/m and, from 5 mm on, 2050 N/m: 5.37 mm, less what 0.005 N m of friction on 0.1 m hold.
+    // 1 N presses 5.37 mm deep into 50 N/m and, from 5 mm on, 2050 N/m. Friction of 0.005 N m on 0.1 m may hold a part.
     let sunk = f64::from(from[1] - to[1]);
     assert!((sunk - 0.005_37).abs() < 0.000_1, "{sunk} m");
 }

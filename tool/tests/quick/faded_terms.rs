@@ -1,4 +1,4 @@
-//! Velocity terms that the board fades out count as an error.
+//! Velocity terms that the board fades out count as an error of the rendered force.
 
 use crate::common::prelude::*;
 use crate::common::{file, plane_wall, shipped};
@@ -18,11 +18,11 @@ struct Situation {
     device: &'static str,
     q: [f64; 2],
     normal: f64,
-    /// Forces of motion at the tip of a slide at 0.5 m/s, from an independent plant, N.
+    /// Force of motion at the tip in a slide at 0.5 m/s, from an independent plant, N.
     known: f64,
 }
 
-/// Counts per turn without visible steps.
+/// Counts per turn at which encoder steps have no effect.
 const FINE: f64 = 16_777_216.0;
 
 fn fine(file: &DeviceFile) -> Description {
@@ -37,12 +37,12 @@ fn unit(degrees: f64) -> Vector2<f64> {
     Vector2::new(degrees.to_radians().cos(), degrees.to_radians().sin())
 }
 
-/// A five-bar from the places of its links alone: intersection of circles, and differences.
+/// A five-bar computed only from the positions of its links, by intersecting circles and by numerical differences.
 struct Links {
     base: f64,
     proximal: f64,
     distal: f64,
-    /// Proximal and distal link: mass, position of its centre as a share of the length, inertia about the centre.
+    /// Proximal (`arm`) and distal link (`rod`): mass, centre of mass as a share of the length, inertia about it.
     arm: [f64; 3],
     rod: [f64; 3],
     rotor: [f64; 2],
@@ -58,7 +58,7 @@ impl Links {
         Self { base, proximal, distal, arm: of(0, proximal), rod: of(2, distal), rotor, handle: d.handle_mass }
     }
 
-    /// Motors, elbows, tip.
+    /// Returns the positions of motors, elbows and tip.
     fn points(&self, q: &Vector2<f64>) -> [Vector2<f64>; 5] {
         let motors = [-0.5, 0.5].map(|side| Vector2::new(side * self.base, 0.0));
         let elbow = |i: usize| motors[i] + Vector2::new(q[i].cos(), q[i].sin()) * self.proximal;
@@ -73,7 +73,7 @@ impl Links {
         self.points(q)[4]
     }
 
-    /// The change of a point per angle, by differences.
+    /// Returns the change of a point per joint angle, by differences.
     fn slope(&self, q: &Vector2<f64>, point: impl Fn(&[Vector2<f64>; 5]) -> Vector2<f64>) -> Matrix2<f64> {
         const H: f64 = 1.0e-5;
         let column = |h: Vector2<f64>| (point(&self.points(&(q + h))) - point(&self.points(&(q - h)))) / (2.0 * H);
@@ -95,14 +95,14 @@ impl Links {
             (3, 4, self.rod, self.distal),
         ] {
             let centre = self.slope(q, |points| points[from] + (points[to] - points[from]) * along);
-            // A link's direction changes across itself, so the change equals its angle's.
+            // The change of a link's unit direction is perpendicular to it and as large as the change of its angle.
             let turned = self.slope(q, |points| (points[to] - points[from]) / length);
             mass += centre.transpose() * centre * weight + turned.transpose() * turned * inertia;
         }
         mass
     }
 
-    /// The forces of motion b = c - M J⁻¹ J̇ q̇ of a tip that moves steadily, with c by Christoffel's symbols, N m.
+    /// Returns the torques b = c - M J⁻¹ J̇ q̇ at a constant tip velocity, with c from Christoffel symbols, N m.
     fn forces_of_motion(&self, q: &Vector2<f64>, velocity: &Vector2<f64>) -> Vector2<f64> {
         const H: f64 = 1.0e-4;
         let inverse = self.jacobian(q).try_inverse().unwrap();
@@ -126,7 +126,7 @@ const SITUATIONS: [Situation; 2] = [
     Situation { device: "coupled-five-bar", q: [1.3788, 1.8792], normal: 223.02, known: 256.0 },
 ];
 
-/// A tip that slides along a wall at 0.5 m/s.
+/// Returns the state of a tip that slides along a wall at 0.5 m/s.
 fn probe(links: &Links, q: [f64; 2], normal: f64) -> Probe {
     let (q, n, velocity) = (Vector2::from(q), unit(normal), unit(normal + 90.0) * 0.5);
     let qd = links.jacobian(&q).try_inverse().unwrap() * velocity;
@@ -156,14 +156,17 @@ fn faded_velocity_terms_count_as_an_error() {
             let way = TorqueVariant { model, terms: Terms::FeedForwardZ, trigonometry: Trigonometry::Tabulated, law };
             let found = errors(&device, &probes, &way);
             assert!((found.whole.force.max / left - 1.0).abs() < 1e-3, "{name} {rate:?}: {found:?}, left {left} N");
-            assert!(found.given.force.max < 1e-3, "no choice brings it back: {name} {rate:?}: {found:?}");
+            assert!(
+                found.given.force.max < 1e-3,
+                "the faded terms count against the planner's choice: {name} {rate:?}: {found:?}"
+            );
             let parts = parts(&device, &probes, &way);
             assert!((parts.dropped / left - 1.0).abs() < 1e-3, "{name} {rate:?}: {parts:?}, left {left} N");
         }
     }
 }
 
-/// The torque of the board's step at the end of a slide.
+/// Returns the torque of the board's control step at the end of a slide.
 fn at_the_end(name: &str, q: [f64; 2], normal: f64, terms: VelocityTerms) -> Vector2<f64> {
     let file = shipped(name);
     let (links, device) = (Links::of(&file), Device::<f64>::new("fine", &fine(&file)).unwrap());
@@ -174,7 +177,7 @@ fn at_the_end(name: &str, q: [f64; 2], normal: f64, terms: VelocityTerms) -> Vec
     let plane = plane_wall([end.x + 0.001 * n.x, end.y + 0.001 * n.y, 0.0], [n.x, n.y, 0.0], 1_000.0, 0.0);
     scene.walls.push(Wall { feed_forward: FeedForward::Full, bilateral: true, ..plane }).unwrap();
     let mut controller = Controller::<f64, _, Libm, 2>::new(mechanism, &device, &scene).unwrap();
-    // Backwards from the end, each millisecond from the next.
+    // Compute the poses backwards from the end, one per millisecond.
     let mut angles = vec![Vector2::from(q)];
     for k in 1..=12 {
         let place = end - along * (0.5e-3 * f64::from(k));
@@ -193,11 +196,11 @@ fn the_board_adds_no_terms_where_its_estimates_lag_too_far() {
     for Situation { device, q, normal, .. } in SITUATIONS {
         let torque = |terms| at_the_end(device, q, normal, terms);
         let off = torque(VelocityTerms::Off);
-        assert!(off.norm() > 1e-3, "the wall is touched");
+        assert!(off.norm() > 1e-3, "the wall is not touched");
         assert_eq!(torque(VelocityTerms::Rendered), off, "{device}");
         assert_eq!(torque(VelocityTerms::Paper), off, "{device}");
     }
-    // Elsewhere it adds them.
+    // In the demo's pose the board adds the terms.
     let torque = |terms| at_the_end("coupled-five-bar", [2.6, 1.75], 75.0, terms);
     assert!((torque(VelocityTerms::Rendered) - torque(VelocityTerms::Off)).norm() > 0.01);
 }
@@ -213,7 +216,7 @@ fn the_papers_law_is_compared_with_itself() {
     let e = links.jacobian(&q).try_inverse().unwrap() * unit(normal);
     let me = links.mass(&q) * e;
     for (terms, added) in [(VelocityTerms::Rendered, b), (VelocityTerms::Paper, b - me * (e.dot(&b) / e.dot(&me)))] {
-        // Without the error of single counts.
+        // Leave out the error of single counts.
         let law = Law { one_count: [0.0; 3], ..law(&device, terms, RATES[1]) };
         let found = |terms| {
             let way =

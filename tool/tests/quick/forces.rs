@@ -1,4 +1,4 @@
-//! Force of the motors at the tip in random scenes; the deep part `lies` runs more of them.
+//! Force of the motors at the tip in random scenes; the deep part `lies` runs more scenes.
 
 use crate::common::forces::too_hard;
 

@@ -1,5 +1,5 @@
-//! `haptic model` reports the golden cases as the library computes them, in both precisions. The library's tests, which
-//! do not use the tool, read device files as the tool does.
+//! `haptic model` reports the golden cases as the library computes them, in both precisions. The library's tests have
+//! their own reader of device files, which reads the same values as the tool.
 
 use haptic_host::device_file::DeviceFile;
 use haptic_stability::model::{Precision, WallForce, evaluate};
@@ -12,7 +12,7 @@ mod golden;
 use golden::{F32_TOLERANCE, F64_TOLERANCE, agree, cases, list, number, text};
 
 #[test]
-fn the_report_holds_every_quantity_under_its_name() {
+fn the_report_has_every_quantity_under_its_name() {
     for case in cases() {
         let device = DeviceFile::parse(text(&case["device"]), text(&case["id"])).expect("a sound device");
         let (normal, force) = (list(&case["normal"]), number(&case["force"]));

@@ -1,5 +1,5 @@
-//! `haptic serve --haply` as programs for Haply's service see it: frames with the keys of its official client, in lock
-//! step, forces in both spellings.
+//! `haptic serve --haply` as programs for Haply's service use it: one frame per message, with the keys that the
+//! official client needs, and forces in both formats.
 
 use crate::common::sim::{Sim, until};
 use crate::common::strict::{Lossy, strict};
@@ -19,7 +19,7 @@ use std::time::Duration;
 use tungstenite::stream::MaybeTlsStream;
 use tungstenite::{Message, WebSocket};
 
-/// The server, on a board in its own process or at a port.
+/// Process of the server, which simulates a board or uses one at a port.
 struct Server {
     child: Child,
     address: String,
@@ -41,7 +41,7 @@ impl Server {
         Ok(Program::connect(&self.address)?.0)
     }
 
-    /// Waits until the program before has left.
+    /// Connects as soon as the previous program has left.
     fn next(&self) -> Program {
         let mut next = None;
         until("the next program", || {
@@ -56,7 +56,7 @@ impl Server {
     }
 }
 
-/// Sends a plain request. Returns status line and document.
+/// Sends a plain HTTP request. Returns status line and JSON document.
 fn get(address: &str, path: &str, origin: &str) -> (String, Value) {
     let mut stream = TcpStream::connect(address).unwrap();
     write!(stream, "GET {path} HTTP/1.1\r\nHost: {address}\r\n{origin}\r\n").unwrap();
@@ -73,7 +73,7 @@ impl Drop for Server {
     }
 }
 
-/// A server in this process with a strict board that is ready to arm. The board's time passes only during requests.
+/// A server in this process with a strict board that can be armed. The board's time advances only during requests.
 struct Served {
     address: String,
     board: SharedBoard,
@@ -88,7 +88,7 @@ impl Served {
         Self::of(HaplyListener::open(0).unwrap(), |_| {})
     }
 
-    /// Starts with this listener after `prepare`.
+    /// Calls `prepare` on a session with the board, then starts the server with this listener.
     fn of(listener: HaplyListener, prepare: impl FnOnce(&mut Session)) -> Self {
         let (board, mut session) = strict();
         prepare(&mut session);
@@ -102,7 +102,7 @@ impl Served {
         Self { address, board, loses, stop, server: Some(server) }
     }
 
-    /// Waits until the program before has left. Returns the program, its device's id and its first frame.
+    /// Connects as soon as the previous program has left. Returns the program, its device's id and its first frame.
     fn connect(&self) -> (Program, Value, Value) {
         let mut come = None;
         until("a program", || {
@@ -125,7 +125,7 @@ impl Drop for Served {
 struct Program(WebSocket<MaybeTlsStream<TcpStream>>);
 
 impl Program {
-    /// Returns the program and its first frame.
+    /// Connects a program. Returns it and its first frame.
     fn connect(address: &str) -> Result<(Self, Value), tungstenite::Error> {
         let (socket, _) = tungstenite::connect(format!("ws://{address}/"))?;
         let mut program = Self(socket);
@@ -155,7 +155,7 @@ fn number(frame: &Value, pointer: &str) -> f64 {
     frame.pointer(pointer).and_then(Value::as_f64).unwrap_or_else(|| panic!("{pointer} in {frame}"))
 }
 
-/// Keys that the structures of the official client (crate `haply` 1.3.1, src/device_model/devices.rs) need, and the other
+/// Keys that the structures of the official client need (crate `haply` 1.3.1, src/device_model/devices.rs), then other
 /// keys of the first frame in the service's documentation (3.5, WebSocket Protocol).
 const NEEDED: &str = "
     device_id state/cursor_position/x state/cursor_velocity/z state/angular_position/a0
@@ -169,7 +169,7 @@ const NEEDED: &str = "
     state/current_angular_position/a2";
 
 #[test]
-fn a_program_gets_all_keys_first_and_then_one_frame_each() {
+fn a_program_receives_all_keys_first_then_frames() {
     let server = Server::start("sim");
     let (mut program, first) = Program::connect(&server.address).unwrap();
     for key in NEEDED.split_whitespace() {
@@ -182,7 +182,7 @@ fn a_program_gets_all_keys_first_and_then_one_frame_each() {
     }
     let id = &first["inverse3"][0]["device_id"];
     assert_eq!((number(&first, "/session_id"), first["inverse3"][0]["status"]["started"] == true), (1.0, false));
-    // A five-bar lies on the table, its base away from the operator: its y is towards them.
+    // A five-bar lies on the table with its base away from the operator, so its y axis points towards the operator.
     let (x, y) =
         (number(&first, "/inverse3/0/state/cursor_position/x"), number(&first, "/inverse3/0/state/cursor_position/y"));
     assert!(x.abs() < 0.1 && y < -0.05, "{first}");
@@ -190,7 +190,7 @@ fn a_program_gets_all_keys_first_and_then_one_frame_each() {
     for (spelling, push, along) in
         [("values", [0.6, 0.0, 0.0], "x"), ("vector", [0.0, 0.6, 0.0], "y"), ("vector", [0.0, -0.6, 5.0], "y")]
     {
-        // Push until the tip moves, beyond torque ramp and friction, and stop before the arm is stretched.
+        // After the torque ramp and against friction, push until the tip moves, but stop before the arm is stretched.
         let place = format!("/inverse3/0/state/cursor_position/{along}");
         let begin = number(&program.ask(&json!({})), &place);
         let sign = push[0] + push[1];
@@ -203,8 +203,8 @@ fn a_program_gets_all_keys_first_and_then_one_frame_each() {
         }
         assert!((number(&frame, &place) - begin) * sign > 0.003 * sign.abs(), "{spelling}: {frame}");
         assert_eq!(frame["inverse3"][0]["status"]["started"], true);
-        assert!(frame["inverse3"][0]["config"].is_null(), "only the first frame tells all");
-        // Against the motion, until it turns.
+        assert!(frame["inverse3"][0]["config"].is_null(), "only the first frame has the configuration");
+        // Brake until the tip almost stops.
         for _ in 0..20_000 {
             let v = |axis: &str| number(&frame, &format!("/inverse3/0/state/cursor_velocity/{axis}"));
             if v("x").hypot(v("y")) < 0.01 {
@@ -216,7 +216,7 @@ fn a_program_gets_all_keys_first_and_then_one_frame_each() {
     }
     let full = program.ask(&json!({"session": {"force_render_full_state": {}}}));
     assert_eq!(full["inverse3"][0]["config"]["device_info"]["id"], *id);
-    // Nonsense acts like an empty request, and the connection stays.
+    // A meaningless message acts like an empty request and does not end the connection.
     for nonsense in [json!(3), json!({"inverse3": [{"device_id": id, "commands": {"set_cursor_force": {}}}]})] {
         assert_eq!(program.ask(&nonsense)["inverse3"][0]["device_id"], *id);
     }
@@ -242,7 +242,7 @@ fn a_lost_reply_affects_only_its_message() {
     server.loses.store(u32::MAX, Ordering::Relaxed);
     assert_eq!(program.ask(&json!({}))["inverse3"][0]["status"]["ready"], false);
     server.loses.store(0, Ordering::Relaxed);
-    assert_eq!(program.ask(&json!({}))["inverse3"][0]["device_id"], id, "it is still served");
+    assert_eq!(program.ask(&json!({}))["inverse3"][0]["device_id"], id, "the program is no longer served");
 }
 
 #[test]
@@ -254,17 +254,17 @@ fn the_program_in_control_sees_and_clears_faults() {
     let probe = json!({"inverse3": [{"device_id": id, "commands": {"probe_position": {}}}]});
     let started = |frame: &Value| frame["inverse3"][0]["status"]["started"] == true;
     assert!(started(&program.ask(&push)));
-    // The program is silent for too long.
+    // The program is silent for so long that the board reports HostLost.
     let fall_silent = || server.board.lock().run(0.6);
     fall_silent();
     let frame = program.ask(&push);
     assert_eq!(frame["inverse3"][0]["fault"]["name"], "HostLost", "{frame}");
     assert!(!frame["inverse3"][0]["fault"]["remedy"].as_str().unwrap().is_empty());
     assert_eq!(frame["inverse3"][0]["status"]["ready"], false);
-    assert!(!started(&program.ask(&push)), "armed again behind the back of a fault");
+    assert!(!started(&program.ask(&push)), "a force armed the board although the fault is not cleared");
     let cleared = program.ask(&clear);
     assert!(cleared["inverse3"][0]["fault"].is_null() && cleared["inverse3"][0]["status"]["ready"] == true);
-    // Forces in the clearing message or right after it do not arm: a program cannot run through a fault.
+    // Forces in or directly after the clearing message do not arm, so that the motors do not go on again unnoticed.
     let both = json!({"inverse3": [{"device_id": id, "commands": {"clear_fault": {}, "set_cursor_force": {"vector": {"x": 0.0, "y": 0.0, "z": 0.0}}}}]});
     for _ in 0..3 {
         assert!(!started(&program.ask(&both)) && !started(&program.ask(&push)));
@@ -280,14 +280,14 @@ fn the_program_in_control_sees_and_clears_faults() {
     let (mut anew, _, first) = server.connect();
     assert_eq!((&first["inverse3"][0]["fault"]["code"], &first["session_id"]), (&json!(16), &json!(2)));
     assert!(started(&anew.ask(&push)));
-    // A program that falls silent and leaves does not keep the next one out.
+    // A program that falls silent and leaves does not block the next program.
     fall_silent();
     drop(anew);
     let (mut anew, _, first) = server.connect();
     assert_eq!(first["inverse3"][0]["fault"]["name"], "HostLost");
     assert!(started(&anew.ask(&push)));
     drop(anew);
-    // A fault without a program is not cleared unasked.
+    // A fault that occurs without a program is cleared only on request.
     server.board.lock().inject(Fault::GateDriver, None, 0.0);
     server.board.lock().run(0.01);
     let (mut last, _, first) = server.connect();
@@ -297,7 +297,7 @@ fn the_program_in_control_sees_and_clears_faults() {
     a_second();
     last.ask(&probe);
     assert!(started(&last.ask(&push)));
-    // A board fault during a program is not cleared unasked for the next program.
+    // A board fault that occurs during a program is not cleared for the next program.
     server.board.lock().inject(Fault::GateDriver, None, 0.0);
     server.board.lock().run(0.01);
     last.ask(&push);
@@ -306,7 +306,7 @@ fn the_program_in_control_sees_and_clears_faults() {
 }
 
 #[test]
-fn a_reading_program_counts_as_host_and_plain_requests_do_not() {
+fn only_a_program_and_no_plain_request_counts_as_host() {
     let server = Served::start();
     let (mut program, id, _) = server.connect();
     program.ask(&force(&id, "vector", [0.0; 3]));
@@ -323,7 +323,7 @@ fn a_reading_program_counts_as_host_and_plain_requests_do_not() {
 }
 
 #[test]
-fn a_device_that_is_not_homed_is_not_ready_and_says_why() {
+fn a_device_that_is_not_homed_reports_that_it_is_not_ready() {
     let status =
         |frame: &Value| ["calibrated", "ready", "started"].map(|key| frame["inverse3"][0]["status"][key] == true);
     let homed = Served::start();
@@ -374,7 +374,7 @@ fn a_returning_board_is_served_again() {
     let push = force(&id, "vector", [0.0; 3]);
     program.ask(&push);
     drop(board);
-    // The program learns of the loss without a request.
+    // The server closes the connection when the board is lost, without waiting for a request.
     assert!(matches!(program.0.read(), Ok(Message::Close(_))));
     assert!(server.get("/devices", "").0.contains("503") && server.connect().is_err());
     let _back = Sim::start(&["--tcp", &port]);
@@ -388,7 +388,7 @@ fn device_states_are_current() {
     let acts = |address: &str| number(&get(address, "/devices", "").1, "/inverse3/0/state/current_cursor_force/x");
     program.ask(&force(&id, "vector", [0.3, 0.0, 0.0]));
     server.board.lock().run(0.45);
-    // A force that was computed from a state half a second old would be too late.
+    // A force computed from a state that is half a second old would be refused, so read the state again.
     program.ask(&json!({}));
     let pushed = program.ask(&force(&id, "vector", [0.3, 0.0, 0.0]));
     let before = number(&pushed, "/inverse3/0/state/cursor_position/x");
@@ -412,10 +412,10 @@ fn a_program_uses_its_configured_axes() {
     for (own, haply, sign) in [("x", "z", 1.0), ("y", "x", 1.0), ("z", "y", -1.0)] {
         assert!((place(&turned, own) - sign * place(&first, haply)).abs() < 1e-4, "{turned}");
     }
-    // 0.6 N along the program's y are along Haply's x.
+    // The program's y axis is Haply's x axis.
     let push = force(&id, "vector", [0.0, 0.6, 0.0]);
     program.ask(&push);
-    // Until the first force has ended.
+    // Wait until the first force has expired.
     for _ in 0..2 {
         server.board.lock().run(0.3);
         program.ask(&json!({}));
@@ -427,7 +427,11 @@ fn a_program_uses_its_configured_axes() {
     let turning = ["a0", "a1"].map(|joint| number(&pushed, &format!("/inverse3/0/state/angular_velocity/{joint}")));
     assert!(turning[0].hypot(turning[1]) > 1.0, "{pushed}");
     drop(program);
-    assert_eq!(server.connect().2["inverse3"][0]["config"]["basis"]["permutation"], "XYZ", "the next one's is its own");
+    assert_eq!(
+        server.connect().2["inverse3"][0]["config"]["basis"]["permutation"],
+        "XYZ",
+        "the next program must start with the default axes"
+    );
 }
 
 #[test]
@@ -438,7 +442,7 @@ fn only_one_local_program_is_served_and_its_end_disarms() {
     let id = devices["inverse3"][0]["device_id"].clone();
     assert!(status.contains("200") && !devices["inverse3"][0]["config"].is_null(), "{status}");
     assert!(server.get("/version", "").0.contains("200") && server.get("/else", "").0.contains("404"));
-    // Pages in a browser, from another site or another server on this computer.
+    // Requests from web pages are refused, also if the page comes from another server on this computer.
     for page in ["http://evil.example", "null", "http://localhost:3000", "http://127.0.0.1:3000"] {
         assert!(server.get("/devices", &format!("Origin: {page}\r\n")).0.contains("403"), "{page}");
     }
@@ -447,16 +451,16 @@ fn only_one_local_program_is_served_and_its_end_disarms() {
     program.ask(&force(&id, "vector", [0.0; 3]));
     assert_eq!(started(), true);
     drop(program);
-    // The next program finds the motors off.
+    // When the next program connects, the motors are off.
     let mut again = server.next();
     assert_eq!(again.ask(&json!({}))["inverse3"][0]["status"]["started"], false);
-    // A force does not arm a board again that another tool has disarmed.
+    // A force does not arm the board again if another tool has disarmed it.
     let forces = |program: &mut Program| {
         (0..50).map(|_| program.ask(&force(&id, "vector", [0.0; 3]))["inverse3"][0]["status"]["started"] == true).last()
     };
     assert_eq!(forces(&mut again), Some(true));
     board.run(&["disarm"]).success();
-    assert_eq!(forces(&mut again), Some(false), "armed again behind the back of whoever disarmed");
+    assert_eq!(forces(&mut again), Some(false), "a force armed the board again after another tool disarmed it");
     drop(again);
     let mut anew = server.next();
     assert_eq!(forces(&mut anew), Some(true));

@@ -1,5 +1,5 @@
-//! Tests of the tool in every run of `cargo xtask test`: its library in this process and in virtual time, and each
-//! command once. No test uses a clock or takes more than a second or two.
+//! Tests of the tool in every run of `cargo xtask test`: the tool's library in this process and in virtual time, and
+//! each command once. No test depends on a clock or takes more than a second or two.
 
 #[path = "../common/mod.rs"]
 mod common;

@@ -1,4 +1,4 @@
-//! `haptic map` as other programs see it.
+//! `haptic map` as other programs use it.
 
 use crate::common::{Folder, json, type_lines};
 
@@ -28,7 +28,7 @@ fn every_point_agrees_with_haptic_model() {
     }
 }
 
-/// Behind its turret's axis the linkage is in another arm pose, so no point lies there.
+/// Behind the turret's axis the linkage would be in another arm pose, so the map has no points there.
 #[test]
 fn a_coarse_grid_does_not_cross_a_singularity() {
     let map = json(&["map", TURRET, "--normal", "0,1,0"]);

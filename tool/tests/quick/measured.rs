@@ -1,4 +1,4 @@
-//! A board measures its device before it arms, and so finds wrong files, wires and sensors.
+//! Before a board arms, it measures its device and so detects wrong device files, wires and sensors.
 
 use crate::common::drawn::check_wrong;
 use crate::common::injected::{INJECTED_ERRORS, InjectedError, Outcome, When, counts, moved, outcome, refused};
@@ -15,7 +15,7 @@ fn every_shipped_device_passes_its_check() {
     }
 }
 
-/// Faults that report a device that differs from its file.
+/// Faults that mean that the device differs from its file.
 const MISMATCH: [Fault; 7] = [
     Fault::TorqueMismatch,
     Fault::ResistanceMismatch,
@@ -27,7 +27,7 @@ const MISMATCH: [Fault; 7] = [
 ];
 
 #[test]
-fn a_board_does_not_arm_with_a_device_that_is_not_its_files() {
+fn a_board_does_not_arm_if_the_device_differs_from_its_file() {
     let must = [
         "torque constant twice the file's",
         "torque constant half the file's",
@@ -46,7 +46,7 @@ fn a_board_does_not_arm_with_a_device_that_is_not_its_files() {
     for name in ["coupled-five-bar", "hapkit-paddle", "pantograph-mk2", "woodenhaptics"] {
         let file = shipped(name);
         for error in &errors {
-            // A paddle has one motor.
+            // A paddle has only one motor.
             if error.what.contains("first two") && file.spec().joints < 2 {
                 continue;
             }
@@ -86,18 +86,18 @@ fn checks_0_2_rad_off_home_push_at_most_1_2_times_the_limit() {
         homed_off(|wired, _| stand(wired, [-0.2, 0.0])),
     ];
     for (ended, moved) in pushed {
-        // 0.2 rad off, the linkage stretches to its stop, where a torque makes the largest force.
+        // From 0.2 rad off home the check stretches the linkage to its stop, where a torque causes the largest force.
         assert!(moved.push > 1.0 && moved.push < 1.2 * f64::from(GENTLE_FORCE), "{ended:?}, {moved:?}");
     }
 }
 
-/// Displaces a device from home, rad.
+/// Displaces a device from home by these angles, rad.
 fn stand(wired: &mut Description, off: [f64; 2]) {
     let home = wired.home.iter_mut().flatten();
     home.zip(off).for_each(|(home, off)| *home += off);
 }
 
-/// The deep part `lies` runs more of them.
+/// The deep part `lies` runs more checks.
 #[test]
 fn a_few_random_checks_push_no_harder_than_a_finger() {
     for seed in 0..12 {
@@ -106,7 +106,7 @@ fn a_few_random_checks_push_no_harder_than_a_finger() {
     }
 }
 
-/// 1 V is 11 N of this motor.
+/// With this motor an error of 1 V causes a force of 11 N.
 #[test]
 fn a_failing_sensor_pushes_no_harder_than_its_bound() {
     let mut file = shipped("hapkit-paddle");

@@ -1,4 +1,4 @@
-//! `haptic model` as other programs see it: one JSON document, exit codes, and the kinds of singular poses.
+//! `haptic model` as other programs use it: JSON document, exit codes, and names of singular poses.
 
 use crate::common::{self, output, run, type_lines};
 use nalgebra::{DMatrix, DVector};
@@ -8,14 +8,14 @@ fn line<'a>(device: &'a str, args: &[&'a str]) -> Vec<&'a str> {
     [&["model", device], args].concat()
 }
 
-/// The document of a command that prints nothing on standard error.
+/// Returns the JSON document of a command that prints nothing on standard error.
 fn json(name: &str, args: &[&str]) -> Value {
     let (code, out, err) = run(&line(&format!("devices/{name}.toml"), &[args, &["--json"]].concat()));
     assert_eq!((code, err.as_str()), (0, ""));
     serde_json::from_str(&out).expect("one JSON document and nothing else")
 }
 
-/// The line on standard error of a command that ends with 1.
+/// Returns the one line on standard error of a command that ends with exit code 1.
 fn failure(name: &str, args: &[&str]) -> String {
     let said = common::refusal(1, &line(&format!("devices/{name}.toml"), args));
     assert_eq!(said.trim_end().lines().count(), 1, "one line: {said}");
@@ -59,7 +59,7 @@ fn the_document_has_the_documented_keys_and_shapes() {
     }
     assert!(one["condition"]["jacobian"].is_f64() && one["condition"]["mass"].is_f64());
 
-    // An edge of two walls renders two directions and leaves one.
+    // At an edge of two walls two directions are rendered and one is free.
     let edge = ["--q=0.2,1.0,-0.5", "--normal=1,0,0", "--force=1", "--normal=0,1,0", "--force=2"];
     let two = json("woodenhaptics", &edge);
     assert_eq!(shape(&two["w_rr"]), (2, 2));
@@ -82,15 +82,16 @@ fn several_walls_have_directions_and_shares() {
     let [n, m] = ["--normal=0.6,0.8", "--normal=-0.8,0.6"];
     let corner = json("coupled-five-bar", &[n, m, "--stiffness=3,1"]);
     let [first, second] = corner["directions"].as_array().unwrap().as_slice() else { panic!("{corner}") };
-    // Walls at a right angle: their normals, the stiffer first; a third of the stiffness leaves level 1 1 - 1/9.
+    // Walls at a right angle have their normals as directions, the stiffer first. The second wall has a third of the
+    // stiffness, so the share of the first is 1 - 1/9.
     let sign = if first["along"][0].as_f64() > Some(0.0) { 1.0 } else { -1.0 };
     assert!(near(&first["along"][0], 0.6 * sign) && near(&first["along"][1], 0.8 * sign), "{first}");
     assert!(near(&first["stiffness"], 1.0) && near(&first["share"], 8.0 / 9.0), "{first}");
     assert!(near(&second["stiffness"], 1.0 / 3.0) && second["share"].is_null(), "{second}");
-    // Half of a stiffness has the feed-forward: 2/(2 + 2) of it.
+    // One of two equal walls has the feed-forward, so its share is a half.
     let half = json("coupled-five-bar", &[n, n, "--no-feed-forward=1"]);
     assert!(near(&half["directions"][0]["share"], 0.5), "{half}");
-    // One wall has no levels.
+    // A single wall has no list of directions.
     assert!(json("coupled-five-bar", &[n]).get("directions").is_none());
 }
 
@@ -136,7 +137,7 @@ fn whole_turns_change_nothing_on_the_board_either() {
 
 #[test]
 fn a_stretched_arm_is_a_serial_singularity_of_its_joint() {
-    // haply-2diy: arm 0 stretched at 1.2 rad, the tip 0.16 m from its motor; arm 1 by the law of cosines.
+    // haply-2diy: arm 0 is stretched at 1.2 rad, so the tip is 0.16 m from its motor. The law of cosines gives arm 1.
     let (base, proximal, distal) = (0.038_f64, 0.07_f64, 0.09_f64);
     let tip = ((proximal + distal) * 1.2_f64.cos() - base, (proximal + distal) * 1.2_f64.sin());
     let reach = tip.0.hypot(tip.1);
@@ -144,14 +145,14 @@ fn a_stretched_arm_is_a_serial_singularity_of_its_joint() {
     let q1 = tip.1.atan2(tip.0) - elbow;
     let said = failure("haply-2diy", &[&angles(&[1.2, q1]), "--normal=0,1", "--force=1"]);
     assert!(said.contains("serial singularity: joint 0 turns without moving the tip"), "{said}");
-    // Near the singularity the model is evaluated.
+    // Close to the singularity the model can still be evaluated.
     let near = json("haply-2diy", &[&angles(&[1.2 + 1.0e-3, q1]), "--normal=0,1", "--force=1"]);
     assert!(near["condition"]["jacobian"].as_f64().is_some_and(|condition| condition > 100.0));
 }
 
 #[test]
 fn aligned_distal_links_are_a_parallel_singularity() {
-    // pantograph-mk2: elbows exactly two distal lengths apart.
+    // pantograph-mk2: the elbows are exactly two distal lengths apart.
     let q1 = ((0.15_f64 - 0.025) / 0.126).acos();
     let said = failure("pantograph-mk2", &[&angles(&[core::f64::consts::PI - q1, q1]), "--normal=0,1"]);
     assert!(said.contains("parallel singularity"), "{said}");
@@ -162,9 +163,9 @@ fn aligned_distal_links_are_a_parallel_singularity() {
 #[test]
 fn other_mechanisms_name_their_singularities() {
     for (name, q, word) in [
-        // Upper arm and forearm in line.
+        // Upper arm and forearm are in line.
         ("woodenhaptics", "--q=0.2,0.5,0.5", "serial singularity: joints 1 and 2 turn together"),
-        // The tip on the turret's axis: the upper arm straight up, the forearm too.
+        // The first two links are in line.
         ("serial-3r", "--q=0.3,0,0.5", "serial singularity"),
     ] {
         let normal = if name == "serial-3r" { "--normal=0,1" } else { "--normal=0,1,0" };
@@ -205,15 +206,15 @@ fn the_text_names_gain_and_cost_of_the_feed_forward() {
     assert!(heavy.contains("pushes a hand along the wall"), "{heavy}");
 }
 
-/// Rows of numbers.
+/// Reads a matrix from rows of numbers.
 fn matrix(value: &Value) -> DMatrix<f64> {
     let rows = value.as_array().expect("rows");
     let columns = rows[0].as_array().expect("a row").len();
     DMatrix::from_fn(rows.len(), columns, |i, j| rows[i][j].as_f64().expect("a number"))
 }
 
-/// Inertias that a hand feels along a wall, kg: eigenvalues of the force per acceleration across the normal, while the
-/// wall's torques (N m per newton) keep the tip on its surface.
+/// Returns the inertias that a hand feels along a wall, kg: the eigenvalues of the force per acceleration across the
+/// normal while the wall's `torque` (N m per newton) keeps the tip on its surface.
 fn felt(document: &Value, torque: &DVector<f64>, normal: &[f64]) -> Vec<f64> {
     let (jacobian, mass) = (matrix(&document["jacobian"]), matrix(&document["mass"]));
     let solve = |torque: &DVector<f64>| &jacobian * mass.clone().lu().solve(torque).expect("a mass matrix");
@@ -244,7 +245,7 @@ fn a_hand_feels_less_along_a_wall_with_the_feed_forward() {
     ] {
         let list: Vec<String> = normal.iter().map(f64::to_string).collect();
         let along = format!("--normal={}", list.join(","));
-        // Without the weight.
+        // The difference of the torques at 1 N and 0 N leaves out the weight.
         let [none, one] = ["--force=0", "--force=1"].map(|force| json(name, &[pose, &along, force]));
         let perception = &one["perception"];
         let mut sums = Vec::new();
@@ -259,7 +260,7 @@ fn a_hand_feels_less_along_a_wall_with_the_feed_forward() {
             sums.push(found.iter().sum::<f64>());
         }
         assert!(sums[1] < 0.999 * sums[0], "{name}: {sums:?}");
-        // In the air, by direction.
+        // In the air the felt inertia depends on the direction.
         let (tip, ratio) = (numbers(&perception["tip"]), perception["ratio"].as_f64().expect("a number"));
         assert_eq!(tip.len(), normal.len());
         assert!((ratio - tip.last().unwrap() / tip[0]).abs() < 1e-12 && ratio > 1.0, "{name}: {tip:?}");

@@ -1,4 +1,4 @@
-//! Values that parse but are hardly meant cause warnings, on standard error and in JSON; shipped files cause none.
+//! Valid but implausible values cause warnings on standard error and in JSON. Shipped files cause no warnings.
 
 use crate::common::{Folder, file, files, json, output, read, refusal, run, type_lines};
 use serde_json::Value;
@@ -14,7 +14,7 @@ fn checked(changes: &[(&str, &str)], scene: Option<&str>) -> (Value, String) {
     (serde_json::from_str(&out).unwrap(), err)
 }
 
-/// The warning with these words.
+/// Returns the warning that contains these words.
 fn warning<'a>(document: &'a Value, words: &str) -> Option<&'a Value> {
     document["warnings"].as_array().unwrap().iter().find(|warning| warning["text"].as_str().unwrap().contains(words))
 }
@@ -30,7 +30,7 @@ fn wall(point: &str, stiffness: &str, damping: &str) -> String {
 #[test]
 fn wrong_units_cause_a_warning_at_their_line() {
     let in_mm = [("0.07, 0.07", "70, 70"), ("0.09, 0.09", "90, 90"), ("base = 0.038", "base = 38")];
-    // The motor's own constant; its rotor is behind a ratio of 15.
+    // The constant of the motor itself, although its rotor is behind a ratio of 15.
     let without_gear =
         [("torque_constant = 0.033333", "torque_constant = 0.0022"), ("coulomb = 0.002", "coulomb = 0.0")];
     let soft = ("transmission = \"rigid\"\n", "[joint.transmission]\nstiffness = 0.1\n");
@@ -80,9 +80,9 @@ fn scenes_beyond_reach_loop_or_motors_cause_warnings() {
     let gentle = "[[spring]]\npoint = [0, 0.1]\nstiffness = 100\ndamping = 0.2\n[[field]]\ndamping = 0.5\n";
     let (_, err) = checked(&[], Some(gentle));
     assert!(!err.contains("predicted stable"), "{err}");
-    // Soft walls, which the motors can press in full.
+    // Walls so soft that the motors can render them in full cause no warning.
     assert!(["60.0", "0.0"].iter().all(|soft| is_clean(&checked(&[], Some(&wall(at, soft, "1.0"))).0)));
-    // Without any damping nothing is stable, so the warning names no ratio.
+    // Without damping no stiffness is stable, so the warning must not compare the stiffness with a limit.
     let (_, err) = checked(&[("viscous = 0.0003", "viscous = 0.0")], Some(&wall(at, "3000.0", "0.0")));
     assert!(err.contains("write a damping of up to") && !err.contains("times that"), "{err}");
 }
@@ -91,7 +91,7 @@ fn scenes_beyond_reach_loop_or_motors_cause_warnings() {
 fn check_prints_how_far_an_encoder_count_moves_the_tip() {
     let device = "devices/hapkit-paddle.toml";
     let step = json(&["check", device])["summary"]["count_at_home"].as_f64().unwrap();
-    // 70 mm times a turn, in 60,000 counts.
+    // One count is 70 mm times a turn (in rad) / 60,000.
     assert!((step - 0.07 * core::f64::consts::TAU / 60e3).abs() < 1e-9, "{step}");
     type_lines(&format!("check {device} => one encoder count moves the tip at home by up to 7.33 µm"), &[]);
 }
@@ -105,7 +105,7 @@ fn missing_transmissions_and_coarse_encoders_cause_warnings() {
     assert!(text.contains("motor and link of joint 0 and 1") && text.contains("[joint.transmission]"), "{text}");
     assert!(is_clean(&checked(&[(rigid, "[joint.transmission]\nstiffness = 20.0\n")], None).0));
 
-    // The damping of one wall is felt in steps at a high cutoff and not at a low one.
+    // At a high cutoff a hand feels the encoder steps in the damping of a wall, at a low cutoff it does not.
     let of = |cutoff: f64| {
         let wall = wall("[0.0, 0.125]", "500.0", "12.0");
         let scene = format!("rate_hz = 20000\ncutoff_hz = {cutoff:?}\n{wall}feed_forward = \"off\"\n");
@@ -131,9 +131,9 @@ fn check_names_the_limit_of_haptic_range() {
     assert!((named.unwrap() / predicted - 1.0).abs() < 1e-9, "{named:?} {predicted}");
 }
 
-/// A wheel of 900 degrees and a knob of fifty turns are plausible; limits of a Hapkit in degrees are not.
+/// Limits of a wheel of 900 degrees and of a knob of fifty turns are plausible, limits of a Hapkit in degrees are not.
 #[test]
-fn a_paddle_may_turn_often_but_not_by_degrees() {
+fn a_paddle_may_turn_often_but_limits_in_degrees_warn() {
     let shipped = read("devices/hapkit-paddle.toml");
     let coulomb = shipped.lines().find(|line| line.starts_with("coulomb")).unwrap();
     for (limits, warnings) in [("[-7.85, 7.85]", 0), ("[-314.0, 314.0]", 0), ("[-40.0, 40.0]", 1), ("[-90, 90]", 1)] {
@@ -144,7 +144,8 @@ fn a_paddle_may_turn_often_but_not_by_degrees() {
     }
 }
 
-/// With the motors exchanged the tip lies behind the base. Motors on one axis have no left and right.
+/// If the motors are exchanged, the tip lies behind the base. Motors on one axis have no left and right, so their arms
+/// never cross.
 #[test]
 fn arms_that_cross_at_home_cause_a_warning() {
     let exchanged = ("q = [2.3, 0.84159265358979]", "q = [0.84159265358979, 2.3]");
@@ -152,7 +153,7 @@ fn arms_that_cross_at_home_cause_a_warning() {
     assert!(!checked(&[exchanged, ("base = 0.038", "base = 0.0")], None).1.contains("the arms cross"));
 }
 
-/// A wall far below the stability limit may rattle: a hand that slides along it feels every encoder step.
+/// A wall far below the stability limit may rattle: a hand that slides along the wall feels every encoder step.
 #[test]
 fn a_wall_that_rattles_causes_a_warning() {
     let contact = |stiffness: f64, damping: f64| {
@@ -178,9 +179,9 @@ fn shipped_files_cause_no_warnings() {
         let scenes = scenes.iter().map(|path| path.to_str().unwrap());
         let (code, out, err) = run(&["check", device.to_str().unwrap()].into_iter().chain(scenes).collect::<Vec<_>>());
         assert_eq!(code, 0, "{err}");
-        // Some scenes are stiff on purpose, to show the feed-forward: they ripple, and `check` says so.
+        // Some scenes are stiff on purpose, to show the feed-forward, so `check` may warn that they rattle.
         let said: Vec<&str> = err.lines().filter(|line| !line.contains("rattles: its force ripples")).collect();
-        // The stiffness of these cables is not published, so the files leave it out.
+        // The cable stiffness of these devices is not published, so their files leave it out, with one warning.
         if ["capstan-pantograph", "hapkit-paddle", "phantom-premium-1.5", "woodenhaptics"].contains(&name) {
             let [line] = said[..] else { panic!("{err}") };
             assert!(line.contains("the file does not describe the transmission of joint"), "{err}");
@@ -191,9 +192,9 @@ fn shipped_files_cause_no_warnings() {
     }
 }
 
-/// The Phantom's arm is upper + fore long and turns freely about y, so x and z reach as far as it does on either side.
+/// The length of the Phantom's arm is upper + fore. It turns freely about y, so this is the reach in ±x and ±z.
 #[test]
-fn the_reach_is_exact_however_coarse_the_grid() {
+fn the_reach_is_exact_although_the_grid_is_coarse() {
     let reach = json(&["check", "devices/phantom-premium-1.5.toml"])["summary"]["reach"].clone();
     for (axis, end, sign) in [(0, "low", -1.0), (0, "high", 1.0), (2, "low", -1.0), (2, "high", 1.0)] {
         let reached = sign * reach[axis][end].as_f64().unwrap();
@@ -201,9 +202,9 @@ fn the_reach_is_exact_however_coarse_the_grid() {
     }
 }
 
-/// The sentence about the motors names the largest force "by direction" if there are as many joints as directions.
+/// The text and the JSON have the same largest force, on devices with as many joints as directions or more.
 #[test]
-fn both_largest_forces_are_the_same_number() {
+fn text_and_json_have_the_same_largest_force() {
     for name in ["phantom-premium-1.5", "haply-2diy", "coupled-five-bar", "capstan-pantograph", "woodenhaptics"] {
         let path = file(&format!("{name}.toml"));
         let high = json(&["check", &path])["summary"]["force_at_home"]["high"].as_f64().unwrap();
@@ -214,14 +215,14 @@ fn both_largest_forces_are_the_same_number() {
 }
 
 #[test]
-fn a_scene_given_as_a_device_is_named_and_vice_versa() {
+fn swapped_device_and_scene_files_are_reported() {
     let (device, scene) = ("devices/haply-2diy.toml", "devices/scenes/haply-2diy/wall-soft.toml");
     let table = "2: check SCENE => looks like a scene file\n2: check DEVICE DEVICE => looks like a device file";
     type_lines(&table.replace("SCENE", scene).replace("DEVICE", device), &[]);
 }
 
 #[test]
-fn a_new_file_passes_check_and_is_never_overwritten_unasked() {
+fn a_new_file_passes_check_and_is_overwritten_only_by_force() {
     let folder = Folder::new();
     for kind in ["paddle", "five-bar", "five-bar-turret", "parallelogram", "serial-3r"] {
         let (path, drawing) = (folder.path(&format!("{kind}.toml")), folder.path(&format!("{kind}.svg")));
@@ -240,7 +241,7 @@ fn a_new_file_passes_check_and_is_never_overwritten_unasked() {
     type_lines("2: new six-bar", &[]);
 }
 
-/// A document without warnings has only the keys of docs/files.md.
+/// If there are no warnings, the document has no key `warnings`.
 #[test]
 fn warnings_about_arguments_are_in_the_json_document() {
     let model = ["model", "devices/haply-2diy.toml"];
@@ -257,7 +258,7 @@ fn warnings_about_arguments_are_in_the_json_document() {
 }
 
 #[test]
-fn a_drawing_is_not_overwritten_unasked() {
+fn a_drawing_is_overwritten_only_with_force() {
     let folder = Folder::new();
     for (option, name) in [("--svg", "a.svg"), ("--png", "a.png")] {
         let path = folder.write(name, "mine");

@@ -1,5 +1,5 @@
-//! `haptic plot` draws the recorded values: a recording of known functions is drawn, and the picture is read back by its
-//! own ticks and labels, without the drawing code.
+//! `haptic plot` draws the recorded values. These tests plot recordings of known functions and read the values from the
+//! picture by its ticks and labels, without the drawing code.
 
 use crate::common::{Folder, file, haptic, json, output, type_lines};
 use haptic_show::plot::axes::{Axis, Mark, PlotArea};
@@ -11,7 +11,7 @@ use std::path::Path;
 /// Rows per second, and number of rows.
 const RATE: f64 = 1000.0;
 const ROWS: usize = 2000;
-/// Lost rows.
+/// Rows that are missing in the recording.
 const GAP: std::ops::Range<usize> = 600..700;
 
 fn depth(t: f64) -> f64 {
@@ -39,7 +39,7 @@ fn recording(path: &Path) {
     std::fs::write(path, text).unwrap();
 }
 
-/// A coordinate system read from an SVG: labels of the axes, and lines in SI units.
+/// A panel read from an SVG: labels of the axes, and lines in SI units.
 #[derive(Debug, Default)]
 struct SvgPanel {
     labels: Vec<String>,
@@ -54,7 +54,7 @@ fn words(line: &str) -> &str {
     line.split_once('>').and_then(|(_, rest)| rest.split_once('<')).map_or("", |(words, _)| words)
 }
 
-/// The unit's prefix in "time (ms)" as a factor.
+/// Returns the factor of the unit's prefix in a label such as "time (ms)".
 fn factor(label: &str) -> f64 {
     let unit = label.rsplit_once('(').map_or("", |(_, unit)| unit.trim_end_matches(')'));
     match unit {
@@ -73,7 +73,7 @@ fn read(svg: &str) -> Vec<SvgPanel> {
     for (index, line) in lines.iter().enumerate() {
         if let Some((_, rest)) = line.split_once("<polyline points=\"") {
             let pairs = rest.split_once('"').unwrap().0.split(' ').filter_map(|pair| pair.split_once(','));
-            // A dashed line is the axis through zero.
+            // A dashed line is no curve but the axis through zero.
             if !line.contains("stroke-dasharray") {
                 drawn.push(pairs.map(|(x, y)| (x.parse().unwrap(), y.parse().unwrap())).collect::<Vec<(f64, f64)>>());
             }
@@ -130,23 +130,23 @@ fn the_picture_shows_the_recorded_values() {
     ];
     assert_eq!(names, expected);
 
-    // Over time: every point lies on the function, and no line crosses the lost rows.
+    // In the panel over time every point lies on the function, and no line crosses the missing rows.
     let time = &panels[0];
     assert_eq!(time.lines.len(), 2, "{}", time.lines.len());
     assert!(time.lines[0].len() > 300);
     for (t, f) in time.lines.iter().flatten() {
-        assert!((f - force(*t)).abs() < 0.06, "{f} N at {t} s, and it was {}", force(*t));
+        assert!((f - force(*t)).abs() < 0.06, "{f} N at {t} s, not {}", force(*t));
     }
     assert!((time.lines[0].last().unwrap().0 - 0.599).abs() < 2e-3 && (time.lines[1][0].0 - 0.7).abs() < 2e-3);
     let highest = time.lines.iter().flatten().fold(0.0_f64, |most, (_, f)| most.max(*f));
     assert!((highest - 6.0).abs() < 0.02, "{highest}");
-    // Over penetration: the wall's stiffness, from outside to 2 mm.
+    // The panel over penetration shows the wall's stiffness from outside the wall to a depth of 2 mm.
     let wall = panels[1].lines.iter().flatten();
     assert!(wall.clone().any(|(x, _)| *x > 1.99e-3) && wall.clone().all(|(x, _)| *x > -0.3e-3));
     for (x, f) in wall {
-        assert!((f - 3000.0 * x.max(0.0)).abs() < 0.06, "{f} N in a depth of {x} m");
+        assert!((f - 3000.0 * x.max(0.0)).abs() < 0.06, "{f} N at a depth of {x} m");
     }
-    // Phase: (x/2 mm)² + (v/25.1 mm/s)² = 1.
+    // The phase portrait is the ellipse (x/2 mm)² + (v/25.1 mm/s)² = 1.
     for (x, v) in panels[3].lines.iter().flatten() {
         let radius = (x / 2e-3).hypot(v / (2e-3 * TAU * 2.0));
         assert!((radius - 1.0).abs() < 0.02, "{x} m, {v} m/s");
@@ -157,7 +157,7 @@ fn the_picture_shows_the_recorded_values() {
     let height: f64 = attribute(text.lines().next().unwrap(), "height").unwrap();
     assert_eq!((size(16), size(20)), (1440, (2.0 * height) as u32), "two pixels per unit");
 
-    // The spectrum of a sine has its amplitude at its frequency, and no mean.
+    // The spectrum of a sine has the sine's amplitude at its frequency and almost 0 elsewhere, also at 0 Hz.
     plot(&["--signals", "torque0_n_m", "--show", "spectrum", "--force", "--svg", files[1]])
         .success()
         .stdout(contains("at 125.0 Hz"));
@@ -168,7 +168,7 @@ fn the_picture_shows_the_recorded_values() {
     assert!((top.0 - 125.0).abs() < 1.0 && (top.1 - 0.5).abs() < 0.005, "{top:?}");
     assert!(line.iter().all(|(hz, a)| (hz - 125.0).abs() < 5.0 || *a < 0.01));
 
-    // The points of --json are the recording's own.
+    // The points of --json are the recorded values.
     let json = plot(&["--json", "--show", "time", "--from", "0.1", "--to", "0.2"]).success();
     let json: serde_json::Value = serde_json::from_slice(&json.get_output().stdout).unwrap();
     let points = json["panels"][0]["curves"][0]["pieces"][0].as_array().unwrap();
@@ -181,7 +181,7 @@ fn the_picture_shows_the_recorded_values() {
 fn a_legend_covers_no_curve() {
     let axis = |high: f64| Axis { name: "x".into(), unit: "m".into(), low: 0.0, high };
     let frame = PlotArea { at: (100.0, 50.0), size: (600.0, 300.0), x: axis(600.0), y: axis(300.0) };
-    // The top of the box that is drawn, and the height of the page.
+    // Returns the corner of the legend's box and the height of the page.
     let legend = |drawn: &[Vec<(f64, f64)>]| {
         let mut canvas = Canvas::new(800.0, 400.0);
         frame.clear_legend(&mut canvas, drawn, &[(Mark::Dot("red"), "a dot".into())]);
@@ -195,17 +195,17 @@ fn a_legend_covers_no_curve() {
     let width = 48.0 + 6.5 * 5.0;
     let right = 690.0 - width;
     assert_eq!(legend(&[]), (right, 60.0, 400.0));
-    // A line in one corner, a dot in the other, and a line across.
+    // The legend avoids a line in one corner, a dot in another corner, and a line across the panel.
     let falling = vec![(400.0, 300.0), (600.0, 270.0)];
     assert_eq!(legend(std::slice::from_ref(&falling)), (110.0, 60.0, 400.0));
     assert_eq!(legend(&[falling.clone(), vec![(50.0, 280.0)]]), (right, 312.0, 400.0));
     assert_eq!(legend(&[vec![(0.0, 240.0), (600.0, 240.0)]]), (right, 60.0, 400.0));
-    // Without room inside, the legend is below the page.
+    // If no corner is free, the legend is below the panel.
     let cross = [vec![(0.0, 0.0), (600.0, 300.0)], vec![(0.0, 300.0), (600.0, 0.0)]];
     assert_eq!(legend(&cross), (100.0, 400.0, 400.0 + 28.0 + 20.0));
 }
 
-/// At 20 kHz a velocity that jumps between rows is a line in the picture, not an area; --json has all rows.
+/// A velocity that jumps between rows at 20 kHz is drawn as a line of means, not as an area; --json has all rows.
 #[test]
 fn the_phase_portrait_of_fast_rows_is_drawn_from_means() {
     let (folder, csv) = recorded(20e3, "distance_m,velocity_m_s", 10_000, |t| {
@@ -255,7 +255,7 @@ fn undrawable_recordings_are_refused() {
     }
 }
 
-/// Writes a recording of these columns. Returns its folder and path.
+/// Writes a recording with these columns. Returns its folder and path.
 fn recorded(rate_hz: f64, columns: &str, rows: usize, row: impl Fn(f64) -> String) -> (Folder, String) {
     let folder = Folder::new();
     let head = format!("# haptic-bridge recording\n# control rate {rate_hz} Hz, every step\nstep,time_s,{columns}\n");
@@ -281,7 +281,7 @@ fn the_stiffness_is_fitted_to_unlimited_rows() {
         let (folder, csv) = recorded(RATE, "distance_m,rendered_n,saturated0,saturated1,state", 1000, |t| {
             let depth = 0.5e-3 * (TAU * t).sin();
             let asked = (60e3 * depth).max(0.0);
-            // At last the motors went off in the wall.
+            // From 0.4 s on the motors are off in the wall.
             let (force, state) = if t < 0.4 { (asked.min(most), "Armed") } else { (0.0, "Disarmed") };
             format!("{},{force},0,{},{state}", -depth, u8::from(asked > most && t < 0.4))
         });
@@ -295,7 +295,7 @@ fn the_stiffness_is_fitted_to_unlimited_rows() {
     assert!((found["stiffness"].as_f64().unwrap() - 60e3).abs() < 1.0, "{}", found["stiffness"]);
     assert!(printed.contains(&format!("{} rows in contact, without {cut} that a limit cut", rows - cut)), "{printed}");
     assert!(printed.contains("stiffness found: 60000 N/m"), "{printed}");
-    // The line is drawn from the first to the last of its rows.
+    // The fitted line is drawn from the first to the last of the rows that it is fitted to.
     let ends: [[f64; 2]; 2] = serde_json::from_value(found["panels"][1]["line"].clone()).unwrap();
     assert!(ends.iter().all(|[x, y]| (y - 60e3 * x).abs() < 1e-6) && ends[1][1] < 5.0 && ends[1][1] > 4.5, "{ends:?}");
     assert_eq!(drawn.matches("stroke-dasharray=\"7 4\"").count(), 1);
@@ -306,7 +306,7 @@ fn the_stiffness_is_fitted_to_unlimited_rows() {
     assert!(!drawn.contains("stroke-dasharray=\"7 4\""));
 }
 
-/// A recording that begins with arming in the wall: torque ramps up for half a second.
+/// The recording begins with arming in the wall, after which the torque ramps up for half a second.
 #[test]
 fn the_stiffness_ignores_the_ramp_after_arming() {
     let (_folder, csv) = recorded(RATE, "distance_m,rendered_n,state", 2000, |t| {
@@ -318,7 +318,7 @@ fn the_stiffness_ignores_the_ramp_after_arming() {
     let stiffness = found["stiffness"].as_f64().unwrap();
     assert!((stiffness - 1500.0).abs() < 1.0, "{stiffness}");
     assert_eq!(found["contact_rows"], 1400);
-    // With --from the arming is not among the drawn rows.
+    // The ramp is also left out if arming is before the drawn rows.
     let later = json(&["plot", &csv, "--from", "0.3"]);
     assert_eq!(later["contact_rows"], 1400);
 }
@@ -334,7 +334,7 @@ fn a_force_that_does_not_follow_the_depth_has_no_stiffness() {
     assert!(found["panels"][1]["note"].as_str().unwrap().contains("the force does not follow the depth"), "{found}");
 }
 
-/// Encoder steps make a phase portrait unreadable, so it is drawn only for a real motion or on request.
+/// Encoder steps make a phase portrait unreadable, so by default it is drawn only for a real motion.
 #[test]
 fn the_phase_portrait_of_noise_is_drawn_only_on_request() {
     let views = |speed: fn(f64) -> f64, more: &[&str]| {
@@ -351,8 +351,8 @@ fn the_phase_portrait_of_noise_is_drawn_only_on_request() {
     assert_eq!(views(noise, &["--show", "phase"]), (1, false));
 }
 
-/// Returns the texts that leave a picture of this width or are smaller than 8 pt.
-fn amiss(svg: &str, width_mm: f64) -> Vec<String> {
+/// Returns the texts of a picture of this width that are smaller than 8 pt or extend beyond the picture.
+fn misplaced_texts(svg: &str, width_mm: f64) -> Vec<String> {
     let head = svg.lines().next().unwrap();
     assert!(head.contains(&format!(" width=\"{width_mm:.2}mm\"")), "{head}");
     let sides = head.split("viewBox=\"0 0 ").nth(1).unwrap().split('"').next().unwrap();
@@ -371,14 +371,14 @@ fn amiss(svg: &str, width_mm: f64) -> Vec<String> {
         let begins = [("start", 0.0), ("middle", 0.5), ("end", 1.0)];
         let before = begins.iter().find(|(anchor, _)| line.contains(anchor)).unwrap().1 * long;
         let (at, end) = if line.contains("rotate") { (attribute(line, "y").unwrap(), high) } else { (x, units) };
-        // Turned text runs upwards.
+        // Rotated text runs upwards.
         let begin = if line.contains("rotate") { at + before - long } else { at - before };
         begin < 0.0 || begin + long > end
     };
     texts.iter().filter(bad).map(ToString::to_string).collect()
 }
 
-/// The column of a journal is 85 mm wide, its page 170 mm, and the smallest text often 8 pt.
+/// Columns of journals are often 85 mm wide, pages 170 mm, and the smallest text has 8 pt.
 #[test]
 fn pictures_for_a_paper_have_its_width_and_letter_size() {
     let folder = tempfile::tempdir().unwrap();
@@ -401,11 +401,11 @@ fn pictures_for_a_paper_have_its_width_and_letter_size() {
         for width in widths {
             let files = ["--svg", svg.to_str().unwrap(), "--force", "--width", width];
             haptic(&[command, &files].concat()).assert().success();
-            let amiss = amiss(&std::fs::read_to_string(&svg).unwrap(), width.parse().unwrap());
-            assert!(amiss.is_empty(), "{command:?} at {width} mm: {amiss:#?}");
+            let misplaced = misplaced_texts(&std::fs::read_to_string(&svg).unwrap(), width.parse().unwrap());
+            assert!(misplaced.is_empty(), "{command:?} at {width} mm: {misplaced:#?}");
         }
     }
-    // 600 dots to the inch.
+    // A PNG has 600 dots per inch.
     haptic(&["plot", csv, "--png", png.to_str().unwrap(), "--width", "85"]).assert().success();
     let picture = std::fs::read(&png).unwrap();
     let wide = u32::from_be_bytes(picture[16..20].try_into().unwrap());

@@ -1,4 +1,4 @@
-//! A device in double precision, rounded, equals the device that the board computes from the file.
+//! A device computed in double precision and rounded equals the device computed in single precision.
 
 use crate::common::all_shipped;
 use haptic_bridge::model::catalogue::Kind;
@@ -12,7 +12,7 @@ fn a_rounded_device_equals_one_made_in_single_precision() {
         assert_eq!(wide.cast::<f32>(), single, "{}", file.name);
         assert_eq!(single.cast::<f64>().cast::<f32>(), single, "{}", file.name);
         assert_eq!(wide.cast::<f64>(), wide, "{}", file.name);
-        assert_ne!(single.cast::<f64>(), wide, "{}: the test would prove nothing", file.name);
+        assert_ne!(single.cast::<f64>(), wide, "{}: rounding changes nothing, so the test has no effect", file.name);
         seen.push(wide.mechanism.kind());
     }
     assert!(Kind::ALL.iter().all(|kind| seen.contains(kind)), "{seen:?}");

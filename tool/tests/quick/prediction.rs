@@ -1,5 +1,5 @@
-//! All commands agree on one prediction: every line that a command prints "to predict the same" does, and walls that are
-//! called passive are stable.
+//! All commands agree on one prediction. Every command line that a command prints "to predict the same" has the same
+//! result, and walls that are called passive are stable.
 
 use crate::common::prelude::*;
 use crate::common::{self, Folder, all_shipped, file, json, output, read, run, shipped, type_lines};
@@ -12,21 +12,21 @@ use haptic_stability::analysis::passivity::Passivity;
 use haptic_stability::analysis::prediction::{Prediction, Subject};
 use haptic_stability::analysis::range::stiffness_at;
 
-/// With cables, rigid, and redundant.
+/// A device with cables, a rigid one, and a redundant one.
 const DEVICES: [&str; 3] = ["cable-five-bar", "haply-2diy", "serial-3r"];
 
 fn close(found: f64, expected: f64) -> bool {
     (found - expected).abs() <= 1e-6 * expected.abs()
 }
 
-/// Prediction of `haptic range DEVICE` with these options for one feed-forward.
+/// Returns the prediction of `haptic range DEVICE` with these options for one feed-forward.
 fn typed(device: &str, options: &str, feed_forward: &str) -> Value {
     let words: Vec<&str> = options.split(' ').collect();
     json(&[&["range", device], &words[..]].concat())[feed_forward].clone()
 }
 
 #[test]
-fn the_line_of_check_predicts_the_same() {
+fn the_line_printed_by_check_predicts_the_same() {
     let folder = Folder::new();
     let mut lines = 0;
     for name in DEVICES {
@@ -68,7 +68,7 @@ fn the_line_of_check_predicts_the_same() {
 }
 
 #[test]
-fn the_lines_of_range_and_measure_range_predict_the_same() {
+fn lines_printed_by_range_and_measure_range_predict_the_same() {
     let folder = Folder::new();
     for name in ["cable-five-bar", "haply-2diy"] {
         let device = file(&format!("{name}.toml"));
@@ -87,7 +87,7 @@ fn the_lines_of_range_and_measure_range_predict_the_same() {
             }
         }
 
-        // A point that was measured already: its theory is printed, and no motor moves.
+        // This point has been measured already, so `measure-range` prints its theory without moving a motor.
         let point = r#"{"mode": "off", "kd": 2.0, "repeats": [3000.0], "vibration_m": null, "open": null}"#;
         let what = "along (0.6, 0.8) at 1000 Hz, cutoff 100 Hz, washout 2 Hz, pull 0.5 mm, 1 N m, friction: none";
         let known = format!(
@@ -132,9 +132,9 @@ fn design_and_range_agree_with_cables_too() {
     }
 }
 
-/// A ratio larger by a tenth adds 21 % to the motor's own inertia only.
+/// A gear ratio larger by a tenth adds 21 % to the inertia of the motor, but nothing to that of the link.
 #[test]
-fn a_ratio_reflects_only_the_motor() {
+fn a_gear_ratio_changes_only_the_motors_inertia() {
     let mut description = shipped("cable-five-bar").description;
     let motor = 5e-5;
     for joint in &mut description.joints[..2] {
@@ -149,7 +149,7 @@ fn a_ratio_reflects_only_the_motor() {
     assert!((gear.w_rr / expected - 1.0).abs() < 1e-9, "{gear:?} {expected}");
 }
 
-/// A system of equations for the angles at rest: the wall's torques wind up the cables, and a hand holds the tip in the
+/// Solves the equations of the angles at rest: the wall's torques twist the cables while a hand holds the tip in the
 /// wall.
 #[test]
 fn a_hand_at_rest_feels_a_wall_in_series_with_its_cables() {
@@ -166,7 +166,7 @@ fn a_hand_at_rest_feels_a_wall_in_series_with_its_cables() {
     for (mode, torque) in [("off", &seen.row), ("washout", &seen.row), ("full", &shaped)] {
         let point = &range[mode]["boundary"][0];
         let kp = point["kp"].as_f64().unwrap();
-        // K (θ - q) = -kp (Jr θ) torque, with q = E.
+        // The motor angles θ at the joint angles q = E solve K (θ - q) = -kp (Jr θ) torque.
         let motors = (&cables + torque * seen.row.transpose() * kp).lu().solve(&(&cables * &seen.unit_motion)).unwrap();
         let felt = kp * seen.row.dot(&motors);
         assert!(close(point["felt"].as_f64().unwrap(), felt), "{mode}: {point} {felt}");
@@ -198,7 +198,7 @@ fn check_predicts_walls_in_the_hand_that_it_names() {
     let mode = if options.contains("--washout") { "washout" } else { "off" };
     let range = typed(&device, &format!("{options} --hand 0.12,6,1200"), mode);
     assert!(close(range["boundary"][0]["kp"].as_f64().unwrap(), held), "{range} {held}");
-    // With cables the hand reduces the range; a wall between the two limits buzzes only in the hand.
+    // With cables the hand reduces the range, so a wall between the two limits buzzes only in the hand.
     assert!(held < 0.95 * alone, "{held} {alone}");
     let (contact, warnings) = written((0.5 * (alone + held)).round());
     let wall = format!("{},{}", contact["stiffness"], options.rsplit(' ').next().unwrap());
@@ -209,7 +209,7 @@ fn check_predicts_walls_in_the_hand_that_it_names() {
         assert!(close(hz.as_f64().unwrap(), swing["hz"].as_f64().unwrap()), "{contact} {swing}");
     }
     assert!(warnings.contains("a hand of 0.12 kg, 6 N s/m and 1200 N/m"), "{warnings}");
-    // Below both it is quiet.
+    // Below both limits the wall is quiet.
     assert!(!written((0.9 * held).round()).1.contains("a hand of"));
 }
 
@@ -225,7 +225,7 @@ fn the_supply_bounds_the_motors_force() {
         let most = DeviceFile::load(&path).unwrap().description.joints[0].motor.unwrap().max_current;
         (force, checked["summary"]["force_at_home"]["low"].as_f64().unwrap(), most, checked["warnings"].to_string())
     };
-    // 3 A through 15 ohm are 45 V, more than a simulated board has.
+    // 3 A through 15 ohm need 45 V, more than a simulated board has.
     let free = checked("");
     assert!(free.3.contains("the file names no supply"), "{}", free.3);
     let bound = checked("supply = 12.0\n");
@@ -244,12 +244,12 @@ fn the_supply_bounds_the_motors_force() {
     let scene = SceneFile::load(file("scenes/haply-2diy/wall-soft.toml"), 2).unwrap().scene().unwrap();
     board.set_scene(&scene).unwrap();
     board.arm().unwrap();
-    // No board gives 25 A.
+    // No board supplies 25 A.
     let strong = Motor { torque_constant: -0.1, max_current: 25.0, ..Motor::default() };
     assert_eq!([2, 3].map(|joints| torque_at_rest(&strong, joints)), [2.0, 0.1 * 12.0]);
 }
 
-/// Every estimator with a bound, every drive of a board, delays within a sample and beyond.
+/// Checks several rates, cutoffs and drives, with delays below and above one sample.
 #[test]
 fn a_passive_wall_is_stable() {
     let mut bounds = 0;
@@ -279,7 +279,7 @@ fn a_passive_wall_is_stable() {
                     assert!(passive <= stable, "{case}: passive to {passive}, stable to {stable}");
                     bounds += usize::from(passive > 0.0);
                 }
-                // The passive limit is the textbook's, less the effect of aliases.
+                // The passive limit is that of the textbook or, because of aliasing, up to 10 % lower.
                 let late = (0.5 + path.delay_samples) / rate
                     + match path.drive {
                         Drive::Current { bandwidth_hz } => 1.0 / (std::f64::consts::TAU * bandwidth_hz),
@@ -297,7 +297,7 @@ fn a_passive_wall_is_stable() {
 fn no_passive_bound_is_named_for_encoders_behind_cables() {
     let folder = Folder::new();
     let at_joint = ("damping = 0.0372", "damping = 0.0372\nencoder_at = \"joint\"");
-    // The wall is measured and rendered behind the cables, so nothing is in series.
+    // The wall is measured behind the cables, so no cable is in series with it.
     type_lines(
         &format!(
             "range devices/cable-five-bar.toml --normal=0.6,0.8 --rate 5000 => passive without feed-forward
@@ -309,7 +309,7 @@ fn no_passive_bound_is_named_for_encoders_behind_cables() {
 }
 
 #[test]
-fn without_a_stable_range_area_is_zero_and_islands_are_found() {
+fn without_a_stable_range_islands_are_reported() {
     let folder = Folder::new();
     let soft = "stiffness = 40.0\ndamping = 0.0\nencoder_at = \"joint\"";
     let soft = [("stiffness = 1280.0\ndamping = 0.0372", soft), ("viscous = 0.001", "viscous = 0.0")];
@@ -327,8 +327,8 @@ fn without_a_stable_range_area_is_zero_and_islands_are_found() {
     assert!(said.contains("Nothing is stable here") && !said.contains("times as large"), "{said}");
 }
 
-/// From independent eigenvalues of the arm's equations: at home along wall-held.toml's normal at 5 kHz, 200 Hz and 5
-/// N s/m, half a carrier period late, N/m.
+/// Limits without and with feed-forward from independent eigenvalues of the arm's equations, N/m: at home along the
+/// normal of wall-held.toml, at 5 kHz, 200 Hz and 5 N s/m, with a delay of half a carrier period.
 const WITHOUT_POSTURE: [f64; 2] = [29_835.0, 32_234.0];
 const IN_POSTURE: [f64; 2] = [49_640.0, 32_208.0];
 
@@ -350,8 +350,8 @@ fn a_posture_is_part_of_the_loop() {
     type_lines("2: range devices/haply-2diy.toml --normal=0,1 --posture 0.5,0.03", &[]);
 }
 
-/// The linear prediction leaves out friction, encoder steps, hand and unilateral contact. They move the buzz by at most
-/// 13 %: down far above the boundary, where the tip leaves the wall for much of a period, and up close to it.
+/// The linear prediction leaves out friction, encoder steps, hand and unilateral contact. They change the frequency by
+/// at most 13 %: it is lower far above the boundary, where the tip often leaves the wall, and higher close to it.
 #[test]
 fn the_demos_wall_buzzes_at_the_predicted_frequency() {
     for (stiffness, damping) in [(22_000.0, 40.0), (12_000.0, 80.0), (30_000.0, 40.0)] {
@@ -368,12 +368,16 @@ fn the_demos_wall_buzzes_at_the_predicted_frequency() {
             |mode| prediction.buzz(demo.q(), std::slice::from_ref(&wall), mode, stiffness, damping).unwrap().unwrap();
         let (off, washout) = (buzz(Mode::Off), buzz(Mode::Washout(demo.washout_hz)));
         assert!(off.growth_per_s > washout.growth_per_s && off.growth_per_s > 0.0, "{off:?} {washout:?}");
-        assert!((measured / off.hz - 1.0).abs() < 0.13, "{stiffness} N/m buzzes at {measured} Hz and not {}", off.hz);
+        assert!(
+            (measured / off.hz - 1.0).abs() < 0.13,
+            "{stiffness} N/m buzzes at {measured} Hz, not at {} Hz",
+            off.hz
+        );
     }
 }
 
 #[test]
-fn all_commands_warn_of_degrees_and_poses_outside_limits() {
+fn all_commands_warn_of_degrees_and_of_poses_beyond_limits() {
     let folder = Folder::new();
     let rigid = "transmission = \"rigid\"";
     let with = |limits: &str| folder.changed("haply-2diy", &[(rigid, &format!("{rigid}\nlimits = {limits}"))]);
@@ -387,7 +391,7 @@ fn all_commands_warn_of_degrees_and_poses_outside_limits() {
         let text = document["warnings"][0]["text"].as_str().unwrap_or_else(|| panic!("{command}"));
         assert!(text.contains("angles are in radians") && err.contains(text), "{command}: {text}");
     }
-    // Limits of two turns do not bind.
+    // Limits wider than a turn do not change the map.
     let mapped = |device: &str| json(&["map", device, "--normal=0,1"])["points"].clone();
     assert_eq!(mapped(&degrees), mapped(&file("haply-2diy.toml")));
     let narrow = with("[0.5, 2.5]");

@@ -1,4 +1,4 @@
-//! Published numbers about sampled walls, which docs/published.md lists, are reproduced.
+//! The library reproduces published numbers about sampled walls (docs/published.md).
 
 use crate::common::prelude::*;
 use crate::common::{ideal_loop, point_mass, read};
@@ -14,14 +14,14 @@ fn around(estimator: LinearEstimator, delay_samples: f64) -> Loop {
     ideal_loop(RATE, delay_samples, estimator)
 }
 
-/// kp_max T²/m at dampings kd T/m.
+/// Returns kp_max T²/m at these dampings kd T/m.
 fn boundary(around: &Loop, dampings: &[f64]) -> Vec<f64> {
     let kd: Vec<f64> = dampings.iter().map(|damping| damping * RATE).collect();
     let found = domain(&mass(), around, Mode::Off, Some(&kd)).unwrap();
     found.boundary.iter().map(|point| point.kp / (RATE * RATE)).collect()
 }
 
-/// The table of docs/published.md: peak of kp T²/m, its kd T/m, largest kd T/m, area T³/m².
+/// Rows of the table in docs/published.md: largest kp T²/m, the kd T/m of it, largest kd T/m, area T³/m².
 const TABLE: [(f64, f64, f64, f64); 4] = [
     (0.68629, 0.8284, 2.0, 0.9096),
     (0.14447, 0.4247, 0.82843, 0.0798),
@@ -66,7 +66,7 @@ fn at_the_origin_every_boundary_has_the_same_slope() {
         ] {
             let damping = 1e-5;
             let slope = boundary(&around(estimator, delay), &[damping])[0] / damping;
-            // kp = kd/(T/2 + t_d), in samples.
+            // Near the origin kp = kd/(T/2 + t_d), here with times in samples.
             assert!((slope * (0.5 + delay) - 1.0).abs() < 2e-3, "{estimator:?}, {delay}: {slope}");
         }
     }
@@ -74,7 +74,7 @@ fn at_the_origin_every_boundary_has_the_same_slope() {
 
 #[test]
 fn a_physical_damper_widens_the_range_at_both_rates() {
-    // Colgate and Brown 1994: physical damping raises what can be rendered, slow or fast.
+    // Colgate and Brown 1994: physical damping enlarges the range at slow and at fast rates.
     for rate_hz in [100.0, 1000.0] {
         let mut found = [0.0, 5.0].map(|damping| {
             let mut device = mass();
@@ -88,7 +88,7 @@ fn a_physical_damper_widens_the_range_at_both_rates() {
 }
 
 #[test]
-fn a_pure_mass_in_the_hand_scales_the_range_by_its_square() {
+fn a_mass_in_the_hand_scales_the_area_by_its_square() {
     let mut held = mass();
     held.flexible.tip = DMatrix::from_element(1, 1, 1.0);
     held.flexible.normal = DVector::from_element(1, 1.0);

@@ -1,11 +1,11 @@
-//! `haptic range` as other programs see it: its JSON, its pictures, its refusals.
+//! `haptic range` as other programs use it: JSON, pictures, and refusals.
 
 use crate::common::{Folder, json, output, read, refusal, type_lines};
 use serde_json::Value;
 
 const DEVICE: &str = "devices/serial-3r.toml";
 const POSE: [&str; 7] = ["--q=0.6,0.9,-0.7", "--normal=-1,0.5", "--rate", "1000", "--cutoff", "20", "--undamped"];
-/// The demo's device at its pose, along its wall.
+/// Command for the demo's device in the demo's pose, along its wall's normal.
 const DEMO: [&str; 4] = ["range", "devices/coupled-five-bar.toml", "--q=2.6,1.75", "--normal=0.2588,0.9659"];
 
 fn range(more: &[&str]) -> Value {
@@ -59,7 +59,10 @@ fn the_frequency_of_a_buzzing_wall_is_printed_with_its_limit() {
     let document = json(&line);
     let hz = |mode: &str, point: usize| document[mode]["boundary"][point]["hz"].as_f64();
     for mode in ["off", "full"] {
-        assert!(hz(mode, 0).unwrap() < 6.0 && hz(mode, 2).is_none(), "{mode}: nothing is stable at 200 N s/m");
+        assert!(
+            hz(mode, 0).unwrap() < 6.0 && hz(mode, 2).is_none(),
+            "{mode}: no buzz is expected at 200 N s/m, where no stiffness is stable"
+        );
         assert!((55.0..62.0).contains(&hz(mode, 1).unwrap()), "{document}");
     }
     let swings = &document["ripple"]["wall"]["swings"];
@@ -92,7 +95,7 @@ fn pictures_are_svg_or_png_and_explain_their_symbols() {
 }
 
 #[test]
-fn why_prints_and_draws_the_cost_of_each_effect() {
+fn option_why_prints_and_draws_the_cost_of_each_effect() {
     let folder = Folder::new();
     let svg = folder.path("why.svg");
     let document = range(&["--why", "--board", "h-bridge-f405", "--svg", &svg]);
@@ -122,13 +125,13 @@ fn a_wall_rendered_by_a_computer_is_compared_with_the_boards() {
     assert!((kp(host) / kp(&slow["off"]) - 1.0).abs() < 1e-6, "{document}");
     assert!(number(&document["off"]["area"]) > 100.0 * number(&host["area"]));
     let drawn = std::fs::read_to_string(svg).unwrap();
-    assert!(drawn.contains("rendered by a computer at 1000 Hz, 1.1 ms late"), "the picture names it");
+    assert!(drawn.contains("rendered by a computer at 1000 Hz, 1.1 ms late"), "the picture lacks the computer's wall");
     let said = output(&[&board[..], &["--host-rate", "1000"]].concat());
     assert!(said.contains("on a computer, 1000 Hz") && said.contains("forces 1 ms old"), "{said}");
 }
 
 #[test]
-fn impossible_questions_are_refused() {
+fn impossible_ranges_are_refused() {
     for options in [
         "--normal 0,0",
         "--normal 1,0,0",
@@ -156,8 +159,8 @@ fn impossible_questions_are_refused() {
     assert!(error.contains("a force from the host may be 0 to 0.064 s old") && error.contains("not 1 s"), "{error}");
 }
 
-/// Cables of 300 Hz for a joint of 3e-4 kg m²: the feed-forward, made for a rigid device, excites their mode. Uneven
-/// joint damping makes a device creep at every gain, which is not a wall "0.00 times as stiff".
+/// The feed-forward, computed for a rigid device, excites the mode of cables of 300 Hz at joints of 3e-4 kg m². Uneven
+/// joint damping makes a device creep at every gain; the text must not call this a wall "0.00 times as stiff".
 #[test]
 fn a_costly_feed_forward_causes_a_warning() {
     let shipped = json(&[&DEMO[..], &["--rate", "20000", "--cutoff", "500"]].concat());
@@ -179,7 +182,7 @@ fn a_costly_feed_forward_causes_a_warning() {
     assert!(said.contains("the feed-forward leaves nothing stable here") && !said.contains("0.00 times"), "{said}");
 }
 
-/// Where Wrr is many times Weff, 2 Hz is no longer far below the frequencies of a loop at 200 Hz.
+/// If Wrr is many times Weff, 2 Hz is no longer far below the frequencies of a loop at 200 Hz.
 #[test]
 fn a_washout_that_costs_stability_causes_a_warning() {
     let pose = ["--q=2.968991857470883,0.19068693916888918", "--normal=-0.6056607432341015,-0.2794685223955733"];
@@ -192,6 +195,6 @@ fn a_washout_that_costs_stability_causes_a_warning() {
         said.contains("the washout costs more than it brings") && !said.contains("the feed-forward costs"),
         "{said}"
     );
-    // 1 Hz keeps 0.85 of the stiffest wall, 0.5 Hz all of it.
+    // With 1 Hz the stiffest wall keeps 0.85 of its stiffness, with 0.5 Hz all of it.
     assert!(said.contains("a corner of 0.5 Hz costs nothing"), "{said}");
 }

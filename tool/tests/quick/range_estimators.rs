@@ -1,4 +1,4 @@
-//! The stable range of a pure mass with each velocity estimator, against closed forms.
+//! The stable range of a pure mass with each velocity estimator agrees with closed forms.
 
 use crate::common::{ideal_loop, point_mass};
 use haptic_stability::analysis::range::domain;
@@ -6,10 +6,10 @@ use haptic_stability::analysis::sampled::{AnalysisError, LinearEstimator, Mode};
 use nalgebra::Complex;
 
 const RATE: f64 = 1000.0;
-/// kg
+/// Mass, kg.
 const MASS: f64 = 0.3;
 
-/// kp_max T²/m at kd T/m, without delay.
+/// Returns kp_max T²/m at these dampings kd T/m, without delay.
 fn boundary(estimator: LinearEstimator, damping: &[f64]) -> Result<Vec<f64>, AnalysisError> {
     let around = ideal_loop(RATE, 0.0, estimator);
     let kd: Vec<f64> = damping.iter().map(|b| b * MASS * RATE).collect();
@@ -19,8 +19,8 @@ fn boundary(estimator: LinearEstimator, damping: &[f64]) -> Result<Vec<f64>, Ana
 
 #[test]
 fn a_predicted_velocity_acts_like_an_exact_one_at_every_cutoff() {
-    // x' = x + v + u/2, v' = v + u, u = -a x - b v: z² - (2 - a/2 - b) z + 1 - b + a/2, stable for a < 2b, b < 2. By
-    // the separation principle the observer's poles come on top.
+    // x' = x + v + u/2, v' = v + u and u = -a x - b v have the polynomial z² - (2 - a/2 - b) z + 1 - b + a/2, which is
+    // stable for a < 2b, b < 2. By the separation principle the observer only adds its own poles.
     let damping = [0.05, 0.4, 1.0, 1.9];
     for cutoff in [1.0, 20.0, 200.0] {
         let found = boundary(LinearEstimator::Predicted(cutoff), &damping).unwrap();
@@ -32,7 +32,7 @@ fn a_predicted_velocity_acts_like_an_exact_one_at_every_cutoff() {
 
 #[test]
 fn a_difference_over_k_samples_matches_its_transfer_function() {
-    // 1 + (a + b (1 - z^-k)/k) (z + 1)/(2 (z - 1)²) = 0 on the unit circle, the smallest real a > 0.
+    // The boundary is the smallest real a > 0 with 1 + (a + b (1 - z^-k)/k) (z + 1)/(2 (z - 1)²) = 0 for some |z| = 1.
     let crossing = |k: i32, b: f64| {
         let at = |angle: f64| {
             let z = Complex::from_polar(1.0, angle);

@@ -1,5 +1,5 @@
-//! Devices that are not ideal: compliant transmissions, a hand on the tip, a difference over several samples
-//! (docs/model.md section 4).
+//! Ranges with compliant transmissions, modes, a hand on the tip, and a difference over several samples (docs/model.md
+//! section 4).
 
 use crate::common::prelude::*;
 use crate::common::{ideal_loop, read, rigid};
@@ -11,7 +11,7 @@ fn numbers(value: &Value) -> Vec<f64> {
 }
 
 #[test]
-fn every_boundary_agrees_with_the_independent_one() {
+fn every_boundary_agrees_with_independent_values() {
     let golden: Value = serde_json::from_str(&read("tests/golden/real.json")).unwrap();
     let cases = golden["cases"].as_array().unwrap();
     assert_eq!(cases.len(), 20);
@@ -45,7 +45,7 @@ fn every_boundary_agrees_with_the_independent_one() {
     assert!(points == 91, "{points}");
 }
 
-/// Two joints that both move the tip against the wall.
+/// Returns a rigid device with two joints that both move the tip along the wall's normal.
 fn stiff_device() -> Linearised {
     rigid(&[3.0e-4, 4.0e-5, 4.0e-5, 1.1e-4], &[1e-3, 4e-4], &[0.1, 0.06], &[7.0, 5.0])
 }
@@ -59,7 +59,7 @@ fn around(rate_hz: f64, cutoff_hz: f64) -> Loop {
 }
 
 #[test]
-fn an_infinite_stiffness_is_rigid() {
+fn an_infinitely_stiff_transmission_is_rigid() {
     let stiff = stiff_device();
     for mode in [Mode::Off, Mode::Full, Mode::Washout(2.0)] {
         for (drive, stiffness) in
@@ -68,7 +68,7 @@ fn an_infinite_stiffness_is_rigid() {
             let around = Loop { drive, ..around(1000.0, 50.0) };
             let known = domain(&stiff, &around, mode, None).unwrap();
             let mut soft = stiff.clone();
-            // A hundredth of critical damping against the motor's inertia.
+            // A hundredth of the critical damping of the motor's inertia.
             let damping = 0.02 * (stiffness * 2e-5_f64).sqrt();
             soft.flexible.transmissions =
                 vec![behind(stiffness, damping, EncoderAt::Motor), behind(stiffness, damping, EncoderAt::Joint)];
@@ -80,8 +80,8 @@ fn an_infinite_stiffness_is_rigid() {
 }
 
 #[test]
-fn a_joint_that_the_loop_neither_sees_nor_moves_is_ignored() {
-    // Two uncoupled joints without losses; the wall does not see the soft one.
+fn a_joint_outside_the_loop_has_no_effect() {
+    // Two uncoupled joints without losses, of which the second, soft joint neither moves the tip nor renders the wall.
     let mut device = stiff_device();
     device.mass = DMatrix::from_diagonal(&DVector::from_vec(vec![3.0e-4, 1.1e-4]));
     device.viscous.fill(0.0);
@@ -108,7 +108,7 @@ fn a_fast_mode_lowers_the_boundary() {
 }
 
 #[test]
-fn a_difference_over_several_samples_is_their_mean() {
+fn a_difference_over_more_samples_lowers_the_boundary() {
     let device = stiff_device();
     let mean = |samples| {
         let around = Loop { estimator: LinearEstimator::BackwardDifference.over(samples), ..around(1000.0, 50.0) };
@@ -121,7 +121,7 @@ fn a_difference_over_several_samples_is_their_mean() {
 }
 
 #[test]
-fn a_mode_of_the_only_joint_is_its_link_behind_a_transmission() {
+fn a_mode_of_one_joint_equals_a_link_behind_a_transmission() {
     let mode = StructuralMode { frequency: 90.0, damping: 0.03, inertia: 4e-4 };
     let one = |flexible: Flexible| Linearised {
         flexible: Flexible { tip: DMatrix::from_element(1, 1, 0.1), normal: DVector::from_element(1, 1.0), ..flexible },
@@ -140,13 +140,13 @@ fn a_mode_of_the_only_joint_is_its_link_behind_a_transmission() {
         let (left, right) = (of(&swings), of(&soft));
         assert!(right.area > 0.0 && (left.area / right.area - 1.0).abs() < 1e-9, "{} {}", left.area, right.area);
         let rigid = of(&one(Flexible::default()));
-        // It may help: a mass on a damped spring is an absorber.
+        // The mode may enlarge or reduce the area, because a mass on a damped spring absorbs vibration.
         assert!((left.area / rigid.area - 1.0).abs() > 0.05, "{} {}", left.area, rigid.area);
     }
 }
 
 #[test]
-fn a_fast_mode_or_one_without_inertia_is_rigid_in_the_limit() {
+fn a_very_fast_or_very_light_mode_is_rigid() {
     let stiff = stiff_device();
     let around = around(1000.0, 50.0);
     for (mode, close) in [

@@ -1,11 +1,11 @@
-//! The predicted domains agree with independently computed ones (tests/golden/range.json).
+//! The predicted domains agree with independently computed domains (tests/golden/range.json).
 
 use crate::common::domains::{self, Case, Known};
 use haptic_stability::analysis::plant::Linearised;
 use haptic_stability::analysis::range::domain;
 
 #[test]
-fn every_domain_agrees_with_the_independent_one() {
+fn every_domain_agrees_with_independent_values() {
     for Case { id, file, q, normal, around, expected } in domains::all() {
         let device = Linearised::at(&file.description, &q, &normal).unwrap();
         for (mode, Known { kd, kp, area, kd_max }) in expected {

@@ -6,14 +6,14 @@ use haptic_stability::analysis::range::{domain, oscillation};
 use haptic_stability::analysis::sampled::{AnalysisError, LinearEstimator, Loop, Mode};
 use nalgebra::{DMatrix, DVector};
 
-/// Two undamped joints whose coupling gives this ratio Wrr/Weff.
+/// Returns two undamped joints whose coupling leads to this ratio Wrr/Weff.
 fn coupled(ratio: f64) -> Linearised {
     // M = [[1, a], [a, 1]] with rows Jr = (1, 0): Weff = 1 - a², E = (1, 0): Wrr = 1.
     let a = (1.0 - 1.0 / ratio).sqrt();
     rigid(&[0.3, 0.3 * a, 0.3 * a, 0.3], &[0.0; 2], &[1.0, 0.0], &[1.0, 0.0])
 }
 
-/// Three joints with unequal values of everything.
+/// Returns three joints whose values all differ.
 fn three_joints() -> Linearised {
     let jacobian = nalgebra::Matrix3::new(0.2, 0.05, -0.03, 0.01, 0.17, 0.06, -0.04, 0.02, 0.11);
     let inverse = jacobian.try_inverse().unwrap();
@@ -64,8 +64,8 @@ fn on_a_slow_board_a_fast_washout_is_worse_than_none() {
     assert!(washed(10.0) < off);
 }
 
-/// At the boundary a simulation step by step, without matrix exponential and eigenvalues, stops decaying. Its frequency
-/// and growth are those predicted.
+/// A step-by-step simulation, without matrix exponential and eigenvalues, decays below the boundary and grows above it,
+/// with the predicted frequency and growth.
 #[test]
 fn the_boundary_is_where_a_simulation_starts_to_grow() {
     let device = three_joints();
@@ -79,14 +79,14 @@ fn the_boundary_is_where_a_simulation_starts_to_grow() {
             assert_eq!(growth > 0.0, grows, "{mode:?}: {growth}");
             let expected = oscillation(&device, &around, mode, gain, kd).unwrap().unwrap();
             assert!((hz / expected.hz - 1.0).abs() < 2e-3, "{mode:?}: {hz} Hz is not {expected:?}");
-            // The largest of samples is up to 2 % below the peak, which is 0.02 over the 1.2 s.
+            // The largest sample is up to 2 % below the peak, an error of the growth of 0.02/s over the 1.2 s.
             assert!((growth - expected.growth_per_s).abs() < 0.02, "{mode:?}: {growth}/s is not {expected:?}");
         }
     }
 }
 
-/// Runs the loop at 1 kHz, 100 Hz cutoff and half a sample of delay with 200 exact-midpoint steps per half sample.
-/// Returns the growth of the largest |x| from the fourth fifth of the time to the last, 1/s, and the frequency there, Hz.
+/// Runs the loop at 1 kHz, 100 Hz cutoff and half a sample of delay with 200 implicit-midpoint steps per half sample.
+/// Returns the growth of the largest |x| from the fourth to the last fifth of the time, 1/s, and the frequency, Hz.
 fn simulated_swing(device: &Linearised, mode: Mode, kp: f64, kd: f64) -> (f64, f64) {
     let rate = 1000.0;
     let step = 0.5 / rate / 200.0;
@@ -98,7 +98,7 @@ fn simulated_swing(device: &Linearised, mode: Mode, kp: f64, kd: f64) -> (f64, f
     let left = (&identity + &half).try_inverse().unwrap();
     let right = &identity - &half;
     let shaped = device.shaped_torque();
-    // Direct-form filters, designed the textbook way.
+    // Direct-form filters by the textbook's bilinear transform.
     let k = (std::f64::consts::PI * 100.0 / rate).tan();
     let norm = 1.0 / (1.0 + std::f64::consts::SQRT_2 * k + k * k);
     let (b0, a1, a2) = (k * k * norm, 2.0 * (k * k - 1.0) * norm, (1.0 - std::f64::consts::SQRT_2 * k + k * k) * norm);
@@ -169,7 +169,7 @@ fn a_voltage_drive_without_inductance_adds_back_emf_damping() {
         let driven = Loop { drive: Drive::Voltage(vec![motor; 3]), ..around(1000.0, 50.0) };
         let (by_motor, by_hand) = (area(&device, &driven, mode), area(&damped, &around(1000.0, 50.0), mode));
         assert!((by_motor / by_hand - 1.0).abs() < 1e-9);
-        // ... and a little inductance changes it a little.
+        // A little inductance changes the area a little.
         let lagging = MotorElectrics { inductance: 2e-6, ..motor };
         let lagging = Loop { drive: Drive::Voltage(vec![lagging; 3]), ..around(1000.0, 50.0) };
         let lagged = area(&device, &lagging, mode);
@@ -178,7 +178,7 @@ fn a_voltage_drive_without_inductance_adds_back_emf_damping() {
 }
 
 #[test]
-fn a_fast_current_loop_is_nearly_ideal_and_a_slow_one_costs() {
+fn a_fast_current_loop_is_nearly_ideal_and_a_slow_one_is_not() {
     let device = three_joints();
     let ideal = area(&device, &around(1000.0, 50.0), Mode::Off);
     let with = |bandwidth_hz| {
@@ -190,7 +190,7 @@ fn a_fast_current_loop_is_nearly_ideal_and_a_slow_one_costs() {
 
 #[test]
 fn damping_compensation_stabilises_a_creeping_feed_forward() {
-    // Uneven joint damping: the feed-forward's torque on joint 1 moves the tip the wrong way, Jr B⁻¹ M E < 0.
+    // With uneven joint damping the feed-forward's torque on joint 1 moves the tip the wrong way: Jr B⁻¹ M E < 0.
     let device = rigid(&[1e-3, 0.0, 0.0, 2e-4], &[2e-3, 5e-5], &[0.1, 0.05], &[15.0, -10.0]);
     let creep: f64 = (0..2).map(|j| device.row[j] * device.shaped_torque()[j] / device.viscous[j]).sum();
     assert!(creep < 0.0);
@@ -204,7 +204,7 @@ fn damping_compensation_stabilises_a_creeping_feed_forward() {
 }
 
 #[test]
-fn fifty_kilohertz_behind_twenty_hertz_scales_like_the_mass() {
+fn a_fast_loop_with_a_low_cutoff_scales_with_the_mass() {
     let loop_ = around(50_000.0, 20.0);
     let ratio = area(&point_mass(7.0), &loop_, Mode::Off) / area(&point_mass(0.007), &loop_, Mode::Off);
     assert!((ratio / 1e6 - 1.0).abs() < 1e-6, "{ratio}");

@@ -1,5 +1,5 @@
-//! `haptic range` of several walls: one wall given twice has the independent domain of the wall, and sets of walls end
-//! where loops built from M, J and the torques of `haptic model` end.
+//! `haptic range` of several walls. One wall given twice has the independently computed domain of the wall, and sets of
+//! walls have the limits of loops computed from M, J and the torques of `haptic model`.
 
 use crate::common::bodies::Bodies;
 use crate::common::domains::{self, Case, Known, WALL_SETS};
@@ -18,7 +18,7 @@ fn numbers(value: &Value) -> Vec<f64> {
 }
 
 #[test]
-fn one_wall_given_twice_is_the_wall_of_the_independent_domains() {
+fn one_wall_given_twice_has_the_independent_domain() {
     for Case { id, file, q, normal, around, expected } in domains::all() {
         let walls = [Member::new(normal.clone(), 0.3), Member::new(normal, 0.7)];
         let set = WallSet::at(&file.description, &q, &walls, Admissible::default()).unwrap();
@@ -28,7 +28,7 @@ fn one_wall_given_twice_is_the_wall_of_the_independent_domains() {
             let largest = kp.iter().fold(0.0_f64, |a, b| a.max(*b));
             for (point, known) in found.boundary.iter().zip(&kp) {
                 let off = (point.kp - known) / largest;
-                // Bisection of a growth of 1e-11 a sample.
+                // The limit is bisected to a growth of 1e-11 per sample.
                 assert!(off.abs() < 1e-5, "{id} {key} at kd = {}: kp off by {off:e} of the largest", point.kd);
             }
         }
@@ -36,7 +36,7 @@ fn one_wall_given_twice_is_the_wall_of_the_independent_domains() {
 }
 
 #[test]
-fn sets_of_walls_end_where_independent_loops_do() {
+fn sets_of_walls_have_the_limits_of_independent_loops() {
     for (name, q, normals, shares, without, kd) in WALL_SETS {
         let path = file(&format!("{name}.toml"));
         let share: Vec<f64> = shares.split(',').map(|part| part.parse().unwrap()).collect();
@@ -49,7 +49,7 @@ fn sets_of_walls_end_where_independent_loops_do() {
         common.extend(n.iter().map(String::as_str));
         common.extend(without.iter().flat_map(|walls| ["--no-feed-forward", walls]));
 
-        // Torques per newton of each wall: those of `haptic model` minus the weight of the device.
+        // Torques of `haptic model` per newton of each wall. The torques of the device's weight are subtracted below.
         let torque = |forces: &[f64]| {
             let forces: Vec<String> = forces.iter().map(|force| format!("--force={force}")).collect();
             let mut all = vec!["model"];
@@ -90,7 +90,7 @@ fn sets_of_walls_end_where_independent_loops_do() {
 }
 
 #[test]
-fn walls_that_cannot_be_measured_together_are_refused_before_anything_moves() {
+fn walls_that_cannot_be_measured_are_refused_before_moving() {
     let path = file("coupled-five-bar.toml");
     let folder = tempfile::tempdir().unwrap();
     let of = |extra: &[&str], says: &str| {
@@ -104,7 +104,7 @@ fn walls_that_cannot_be_measured_together_are_refused_before_anything_moves() {
     of(&["--normal=0,1,0"], "this device takes 2");
     of(&["--normal=0,0"], "points nowhere");
     of(&["--normal=0,1"; 4], "measure at most 4");
-    assert_eq!(std::fs::read_dir(&folder).unwrap().count(), 0, "nothing was begun");
+    assert_eq!(std::fs::read_dir(&folder).unwrap().count(), 0, "a progress file was written");
 }
 
 #[test]

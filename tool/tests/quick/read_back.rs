@@ -1,4 +1,4 @@
-//! `--read`: the same scene to the bit, what a board keeps of a device, and the differences from a file.
+//! `--read` reads the same scene bit for bit, the board's values of a device, and their differences from a file.
 #![cfg(unix)]
 
 use crate::common::sim::Sim;
@@ -12,7 +12,7 @@ use predicates::prelude::*;
 use predicates::str::contains;
 
 #[test]
-fn every_shipped_scene_is_read_back_to_the_bit() {
+fn every_shipped_scene_is_read_back_bit_for_bit() {
     let mut normals = Random::new(7);
     let mut count = 0;
     for device in all_shipped() {
@@ -39,7 +39,7 @@ fn every_shipped_scene_is_read_back_to_the_bit() {
 }
 
 #[test]
-fn what_differs_is_told_by_key_with_units() {
+fn differences_are_listed_by_key_with_units() {
     let [a, b] = [0.012, 0.013].map(|mass| {
         let mut file = DeviceFile::parse(haptic_sim::SHIPPED_DEVICE, "a").unwrap();
         file.description.handle_mass = mass;
@@ -54,7 +54,7 @@ fn what_differs_is_told_by_key_with_units() {
 }
 
 #[test]
-fn a_board_is_read_into_files_and_held_against_them() {
+fn a_board_is_read_into_files_and_compared_with_them() {
     let sim = Sim::start(&["--fast"]);
     let (device, wall) = (file("coupled-five-bar.toml"), file("scenes/coupled-five-bar/wall.toml"));
     sim.run(&["scene", "--read"]).code(1).stderr(contains("no scene"));
@@ -86,7 +86,7 @@ fn a_board_is_read_into_files_and_held_against_them() {
 }
 
 #[test]
-fn a_report_examines_the_board_with_its_motors_off_and_tells_nothing_private() {
+fn a_report_checks_the_board_and_contains_nothing_private() {
     let sim = Sim::start(&["--fast"]);
     sim.run(&["device", &file("coupled-five-bar.toml")]).success();
     sim.run(&["scene", &file("scenes/coupled-five-bar/wall.toml")]).success();

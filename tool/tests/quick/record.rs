@@ -1,4 +1,4 @@
-//! `haptic record`: the format's own library opens its files, complete or cut short.
+//! `haptic record` writes complete or cut files that the library of the format can open.
 
 use crate::common::file;
 use crate::common::sim::{Sim, until};
@@ -11,12 +11,12 @@ use std::io::Read;
 use std::path::Path;
 use std::process::Command;
 
-/// A board with a wall, and a hand that presses it again and again while the motors are on.
+/// Returns a board with a wall, and a hand that presses the wall again and again while the motors are on.
 fn pressed() -> Sim {
     Sim::start(&["--fast", "--hand", "loop", "--scene", &file("scenes/coupled-five-bar/wall.toml")])
 }
 
-/// Reads rows up to the last complete record with the format's own library: log times, and numbers by the schema.
+/// Reads rows up to the last complete record with the library of the format. Returns log times and numbers by schema.
 fn rows(bytes: &[u8]) -> Vec<(u64, Vec<f64>)> {
     let messages =
         MessageStream::new_with_options(bytes, Options::IgnoreEndMagic | Options::ValidateChunkCrcs).unwrap();
@@ -39,7 +39,7 @@ fn gaps(steps: impl Iterator<Item = f64>) -> u64 {
 }
 
 #[test]
-fn both_formats_hold_every_step_and_a_description() {
+fn both_formats_contain_every_step_and_a_description() {
     let folder = tempfile::tempdir().unwrap();
     for name in ["run.csv", "run.mcap"] {
         let sim = pressed();
@@ -66,7 +66,7 @@ fn both_formats_hold_every_step_and_a_description() {
         let rules = recording.about.iter().find_map(|line| line.strip_prefix("rules ")).unwrap();
         let rules: serde_json::Value = serde_json::from_str(rules).unwrap();
         for list in [&rules["limits"]["torque"], &rules["limits"]["speed"], &rules["index_period"]] {
-            assert_eq!(list.as_array().unwrap().len(), 2, "as many as there are joints: {rules}");
+            assert_eq!(list.as_array().unwrap().len(), 2, "one number per joint: {rules}");
         }
         assert_eq!(recording.about.last().unwrap(), "10000 rows, none lost");
         sim.run(&recorded).code(1).stderr(contains("exists").and(contains("--force")));
@@ -77,7 +77,7 @@ fn both_formats_hold_every_step_and_a_description() {
     let sim = pressed();
     let path = folder.path().join("run.txt");
     sim.run(&["record", path.to_str().unwrap()]).code(2).stderr(contains(".mcap"));
-    // Another program finds channels, counts, times and metadata.
+    // Another program can read channels, counts, times and metadata.
     let bytes = std::fs::read(folder.path().join("run.mcap")).unwrap();
     let summary = mcap::Summary::read(&bytes).unwrap().unwrap();
     let statistics = summary.stats.unwrap();
@@ -109,7 +109,7 @@ fn a_killed_recording_is_readable_to_its_last_full_chunk() {
         tool.kill().unwrap();
         tool.wait().unwrap();
         let bytes = std::fs::read(&path).unwrap();
-        // Wherever a file is cut, the rows before the cut are read.
+        // Wherever a file is cut, the rows before the cut are readable.
         for end in [bytes.len(), bytes.len() - 7, bytes.len() * 2 / 3] {
             let found = rows(&bytes[..end]);
             assert_eq!(gaps(found.iter().map(|(_, row)| row[0])), 0);
@@ -121,7 +121,7 @@ fn a_killed_recording_is_readable_to_its_last_full_chunk() {
             assert!(recording.rows.len() > 1_000 || least < 1_000_000, "{}", recording.rows.len());
             assert!(recording.header_value("device").is_some());
         }
-        // The board has noticed, and takes the next tool.
+        // The board has noticed the loss and accepts the next tool.
         sim.until(|state| state == "Disarmed");
     }
 }
@@ -134,7 +134,7 @@ fn a_full_disk_ends_the_recording_with_a_counted_loss() {
     let program = assert_cmd::cargo::cargo_bin("haptic");
     for (name, blocks) in [("full.csv", 600), ("full.mcap", 6000)] {
         let path = folder.path().join(name);
-        // A limit on the size of files, in blocks of 512 bytes, acts like a full disk if its signal is ignored.
+        // With its signal ignored, a limit on the size of files (in blocks of 512 bytes) acts like a full disk.
         let line = format!("trap '' XFSZ; ulimit -f {blocks}; exec \"$0\" record \"$@\" --rate 20000");
         let output = Command::new("sh")
             .args(["-c", &line, program.to_str().unwrap(), path.to_str().unwrap(), "--port", &sim.port])
@@ -155,7 +155,7 @@ fn a_full_disk_ends_the_recording_with_a_counted_loss() {
 }
 
 #[test]
-fn a_board_that_dies_leaves_a_complete_recording() {
+fn a_lost_board_leaves_a_complete_recording() {
     let folder = tempfile::tempdir().unwrap();
     for name in ["cut.csv", "cut.mcap"] {
         let mut sim = Sim::start(&[]);

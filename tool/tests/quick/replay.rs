@@ -1,5 +1,4 @@
-//! `haptic replay`: the control code computes the same torques from a recording's counts, to the bit, and names the
-//! first difference.
+//! `haptic replay` computes the same torques from a recording's counts, bit for bit, and reports the first difference.
 
 use crate::common::sim::Sim;
 use crate::common::{Folder, file, haptic, type_lines};
@@ -20,7 +19,7 @@ fn replay(path: &Path) -> assert_cmd::assert::Assert {
 }
 
 #[test]
-fn every_device_replays_the_same_torques_to_the_bit() {
+fn every_device_replays_the_same_torques_bit_for_bit() {
     let folder = tempfile::tempdir().unwrap();
     for (device, wall, name) in [
         ("coupled-five-bar.toml", "scenes/coupled-five-bar/wall.toml", "a.mcap"),
@@ -31,7 +30,7 @@ fn every_device_replays_the_same_torques_to_the_bit() {
         let recording = recorded(&path, &[&file(device)], wall, &["--arm", "--seconds", "2.5"]);
         let force = recording.column("force_n").unwrap();
         let pressed = recording.rows.iter().filter(|row| row[force] > 0.1).count();
-        assert!(pressed > 1_000, "{device}: a wall was pressed in {pressed} rows");
+        assert!(pressed > 1_000, "{device}: a wall is pressed in only {pressed} rows");
         replay(&path).success().stdout(contains("the same torques, to the bit"));
     }
 }
@@ -49,7 +48,7 @@ fn the_first_difference_is_named_with_its_step_and_size() {
         recording.column("counts1").unwrap(),
         recording.column("step").unwrap(),
     );
-    // The row of the largest torque; the wall is pressed in it.
+    // The row with the largest torque, in which the wall is pressed.
     let row = (0..recording.rows.len())
         .max_by(|a, b| recording.rows[*a][torque].abs().total_cmp(&recording.rows[*b][torque].abs()))
         .unwrap();
@@ -73,7 +72,7 @@ fn the_first_difference_is_named_with_its_step_and_size() {
         .code(1)
         .stdout(contains(&text_of_step).and(contains("joint 0")).and(contains("(1 step of single precision)")))
         .stderr(contains("the torques differ in 1 of "));
-    // A wrong count changes the torques from its step on.
+    // A wrong count changes the torques from that step on.
     changed(row, counts, &|count| (count.parse::<i64>().unwrap() + 40).to_string());
     replay(&path).code(1).stdout(contains(&text_of_step)).stderr(contains("the torques differ in "));
     // Missing rows end the replay.

@@ -1,4 +1,4 @@
-//! The page of `haptic report` is complete, and shows the output of its own lines.
+//! The page of `haptic report` is complete and shows the output of the command lines that it lists.
 
 use crate::common::{Folder, output, type_lines};
 
@@ -6,7 +6,7 @@ fn plain(text: &str) -> String {
     text.replace("&lt;", "<").replace("&gt;", ">").replace("&quot;", "\"").replace("&amp;", "&")
 }
 
-/// Returns the names of all elements; checks that each is closed.
+/// Returns the names of all elements. Checks that each is closed.
 fn elements(page: &str) -> Vec<String> {
     let (mut open, mut all): (Vec<String>, Vec<String>) = (Vec::new(), Vec::new());
     for tag in page.split('<').skip(1) {
@@ -29,7 +29,7 @@ fn elements(page: &str) -> Vec<String> {
 }
 
 #[test]
-fn the_page_is_complete_and_shows_the_output_of_its_lines() {
+fn the_page_is_complete_and_shows_the_output_of_its_commands() {
     let folder = Folder::new();
     let path = folder.path("page.html");
     let (device, scene) = ("devices/haply-2diy.toml", "devices/scenes/haply-2diy/wall-stiff.toml");
@@ -42,7 +42,11 @@ fn the_page_is_complete_and_shows_the_output_of_its_lines() {
     for word in ["http:", "https:", "src=", "href=", "@import", "url(h"] {
         assert!(!page.contains(word), "{word}");
     }
-    assert_eq!(elements.iter().filter(|name| *name == "svg").count(), 5, "check, map, range, why and design draw");
+    assert_eq!(
+        elements.iter().filter(|name| *name == "svg").count(),
+        5,
+        "pictures of check, map, range, why and design"
+    );
     // Identifiers are unique.
     let mut names: Vec<&str> = page.split("id=\"").skip(1).map(|rest| rest.split('"').next().unwrap()).collect();
     let many = names.len();

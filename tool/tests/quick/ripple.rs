@@ -1,5 +1,5 @@
-//! Ripple of a pressed wall from encoder steps: against an independent program, against the board's own control step,
-//! and at its limits.
+//! Ripple of a pressed wall from encoder steps: compared with an independent program and with the board's own control
+//! step, and at its limits.
 
 use crate::common::prelude::*;
 use crate::common::{self, ideal_loop, shipped, type_lines};
@@ -33,9 +33,9 @@ fn pressed<T>(around: &Loop, counts: Option<f64>, work: impl FnOnce(&Pressed<'_>
     })
 }
 
-/// Rate, cutoff, stiffness, damping; root mean square without and with the feed-forward, N, by a program that shares no
-/// code with this one: the linearised five-bar with dry friction in steps of 20 us, the largest of four offsets of the
-/// counts, and a hand that presses against the tip force of the wall, M E Wrr⁻¹ brought to the tip by J⁻ᵀ.
+/// Rate, cutoff, stiffness, damping; root mean square without and with the feed-forward, N. Computed by a program that
+/// shares no code with this one: the linearised five-bar with dry friction in steps of 20 us, the largest of four
+/// offsets of the counts, and a hand that presses against the wall's tip force, J⁻ᵀ M E Wrr⁻¹.
 const APART: [(f64, f64, f64, f64, f64, f64); 4] = [
     (1_000.0, 100.0, 15_000.0, 40.0, 0.419, 0.292),
     (5_000.0, 200.0, 20_000.0, 60.0, 1.011, 0.684),
@@ -49,7 +49,7 @@ fn the_ripple_agrees_with_an_independent_program() {
         let around = around(rate, LinearEstimator::Butterworth(cutoff), 0.0);
         for (mode, known) in [(Mode::Off, off), (Mode::Full, full)] {
             let found = pressed(&around, None, |pressed| pressed.ripple(mode, kp, kd).unwrap().rms_n.unwrap());
-            // The motion is chaotic: it depends on how it begins.
+            // The motion is chaotic, so the ripple depends on the start.
             assert!((0.93..1.07).contains(&(found / known)), "{rate} Hz, {kp} N/m, {mode:?}: {found} is not {known}");
         }
     }
@@ -65,7 +65,7 @@ fn coarse_encoders_make_a_fast_loop_buzz_below_its_limit() {
     });
     assert!(limit > 50.0 * 5_000.0, "{limit}");
     assert!(rms(None) > 2.0);
-    // Only the position step of the loop's own arithmetic is left.
+    // With fine encoders only the rounding of positions in the loop's arithmetic is left.
     assert!(rms(Some(2.0_f64.powi(30))) < 1e-3, "{}", rms(Some(2.0_f64.powi(30))));
     assert!(rms(Some(2.0_f64.powi(17))) < 0.5 * rms(None));
 }
@@ -73,11 +73,11 @@ fn coarse_encoders_make_a_fast_loop_buzz_below_its_limit() {
 #[test]
 fn the_boards_own_step_has_a_similar_ripple() {
     let mut file = shipped("coupled-five-bar");
-    // In the comparison the hand presses with a constant force, and dry friction may hold the tip between two counts.
+    // Leave out dry friction, which may hold the tip between two counts while the comparison's hand presses constantly.
     file.description.joints.iter_mut().for_each(|joint| joint.coulomb = 0.0);
     for (rate_hz, cutoff_hz, wall) in [(1_000.0, 100.0, (15_000.0, 40.0)), (20_000.0, 500.0, (50_000.0, 150.0))] {
         let comparison = Comparison { file: &file, q: &Q, normal: &NORMAL, rate_hz, cutoff_hz, wall };
-        // Half a carrier period late, as in the comparison.
+        // A delay of half a carrier period, as in the comparison.
         let delay = 0.5 * rate_hz / 20_000.0;
         for (kind, linear) in [
             (Kind::Butterworth, LinearEstimator::Butterworth(cutoff_hz)),

@@ -1,5 +1,5 @@
-//! Walls that need more than the motors can make: the force keeps its direction and never falls with depth, gravity stays
-//! compensated, and nothing jumps at a limit.
+//! Walls that need more torque than the motors have: the force keeps its direction and never falls with depth, gravity
+//! stays compensated, and no force jumps at a limit.
 
 use crate::common::shipped;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
@@ -8,8 +8,8 @@ use haptic_bridge::safety::fault::State;
 use haptic_bridge::safety::limits::Limits;
 use haptic_sim::{Press, PressForces, PressedBoard, WIDE_LIMITS};
 
-/// A wall through the pose `q` of a shipped device, and its limits: of the joints' torques in N m, of the tip's force
-/// in N.
+/// A wall through the tip of a shipped device in the pose `q`, with a limit of the joint torques, N m, and of the tip
+/// force, N.
 struct Case {
     device: &'static str,
     q: [f64; 3],
@@ -18,14 +18,14 @@ struct Case {
     feed_forward: FeedForward,
     torque: f32,
     tip_force: f32,
-    /// Factor on the motors' largest current.
+    /// Factor by which the largest motor currents are multiplied.
     strength: f64,
-    /// Control steps at each depth: a washout lets go in seconds.
+    /// Control steps at each depth; the feed-forward of a washout fades within seconds.
     steps: u32,
 }
 
 impl Case {
-    /// Forces at increasing depths in the wall.
+    /// Returns the forces at increasing depths in the wall.
     fn felt(&self, depths: impl Iterator<Item = f64>) -> Vec<PressForces> {
         let mut device = shipped(self.device).description;
         for motor in device.joints.iter_mut().filter_map(|joint| joint.motor.as_mut()) {
@@ -50,7 +50,7 @@ impl Case {
     }
 }
 
-/// The demo's pose and normal with motors of 2 N m.
+/// Returns the demo's pose and normal with motors of 2 N m.
 fn demo(feed_forward: FeedForward) -> Case {
     let angle = 75_f64.to_radians();
     Case {
@@ -66,19 +66,19 @@ fn demo(feed_forward: FeedForward) -> Case {
     }
 }
 
-/// Depths to 2 mm, 40 N in the demo's wall.
+/// Returns depths up to 2 mm, where the demo's wall needs 40 N.
 fn depths() -> impl Iterator<Item = f64> {
     (0..=200).map(|i| 1.0e-5 * f64::from(i))
 }
 
 #[test]
-fn the_demo_pushes_with_all_it_can_and_only_along_the_normal() {
+fn the_demo_uses_all_torque_and_pushes_only_along_the_normal() {
     // The motors' own limit (3 A at 0.667 N m/A) equals a torque limit of 2 N m.
     for case in [demo(FeedForward::Off), Case { torque: 100.0, ..demo(FeedForward::Off) }] {
         for point in case.felt([1.0e-3, 1.5e-3, 2.0e-3].into_iter()) {
-            // The way in is straight in joint angles: 0.3 % off at 2 mm.
+            // The path into the wall is straight in joint angles, so the depth is 0.3 % off at 2 mm.
             assert!((point.asked / (20_000.0 * point.depth) - 1.0).abs() < 0.005, "{point:?}");
-            // The pose moves by up to 2 mm, and with it what 2 N m make: 19.4 N at the surface.
+            // 2 N m make 19.4 N at the surface, and a little more or less up to 2 mm deeper.
             assert!((point.along - 19.4).abs() < 0.4, "{point:?}");
             assert!(point.across < 1.0e-3, "{point:?}");
             assert!((point.share() - point.along / point.asked).abs() < 1.0e-3, "{point:?}");
@@ -94,14 +94,14 @@ fn the_force_along_the_normal_never_falls_and_nothing_jumps() {
         let mut cut = 0;
         for pair in points.windows(2) {
             let (a, b) = (pair[0], pair[1]);
-            // The tip force of 2 N m changes with the pose by 0.2 N per mm: 2 mN per step of 0.01 mm.
+            // With the pose, the tip force of 2 N m changes by 0.2 N per mm, that is 2 mN per depth step of 0.01 mm.
             assert!(b.along >= a.along - 5.0e-3, "{feed_forward:?}: {a:?} {b:?}");
-            assert!((b.along - a.along).abs() < 0.21, "0.2 N more are asked for: {a:?} {b:?}");
+            assert!((b.along - a.along).abs() < 0.21, "the wall needs only 0.2 N more: {a:?} {b:?}");
             assert!((b.across - a.across).abs() < 0.25, "{feed_forward:?}: {a:?} {b:?}");
             assert!(b.share() <= a.share() + 1.0e-4 && b.share() > 0.0, "{feed_forward:?}: {a:?} {b:?}");
             cut += u32::from(b.share() < 0.999);
         }
-        assert!(cut > 50, "the motors are at their limit: {cut}");
+        assert!(cut > 50, "the motors are at their limit in only {cut} depths");
         let last = points[points.len() - 1];
         match feed_forward {
             FeedForward::Off => assert!(last.across < 1.0e-3, "{last:?}"),
@@ -116,7 +116,7 @@ fn the_force_along_the_normal_never_falls_and_nothing_jumps() {
 }
 
 #[test]
-fn behind_the_washout_a_resting_hand_feels_no_sideways_force() {
+fn with_a_washout_a_resting_hand_feels_no_sideways_force() {
     let points = Case { steps: 3_000, ..demo(FeedForward::Washout) }.felt([2.0e-3].into_iter());
     assert!(points[0].across < 1.0e-3 && (points[0].along - 19.4).abs() < 0.4, "{points:?}");
 }
@@ -129,19 +129,19 @@ fn gravity_stays_compensated_at_every_depth() {
         let case = Case { device, q, normal, ..weak };
         let points = case.felt((0..=40).map(|i| 1.0e-4 * f64::from(i)));
         let last = points[points.len() - 1];
-        assert!(last.share() < 0.9, "{device} is at its limit: {last:?}");
+        assert!(last.share() < 0.9, "{device} is not at its limit: {last:?}");
         for pair in points.windows(2) {
             assert!(pair[1].along >= pair[0].along - 2.0e-2, "{device}: {pair:?}");
-            // Nothing sideways: along and across are what is left without gravity's torque.
+            // No sideways force, after the torque against gravity is subtracted.
             assert!(pair[1].across < 5.0e-3, "{device}: {pair:?}");
         }
     }
 }
 
 #[test]
-fn walls_push_with_the_tip_force_limit_in_every_pose() {
+fn walls_push_with_at_most_the_tip_force_limit_in_every_pose() {
     let pressed = |device, q, normal, feed_forward| {
-        // A limit of 5 N is what acts.
+        // Motors and torque limits so strong that only the tip force limit of 5 N acts.
         let strong = Case { torque: 1.0e3, strength: 100.0, ..demo(feed_forward) };
         let case = Case { device, q, normal, tip_force: 5.0, steps: 300, ..strong };
         let points = case.felt((0..=20).map(|i| 5.0e-5 * f64::from(i)));
@@ -161,7 +161,7 @@ fn walls_push_with_the_tip_force_limit_in_every_pose() {
         for feed_forward in [FeedForward::Off, FeedForward::Full, FeedForward::Washout] {
             for q in [[2.6, 1.75, 0.0], [2.4, 1.6, 0.0], [2.8, 1.9, 0.0]] {
                 let across = pressed("coupled-five-bar", q, [cos, sin, 0.0], feed_forward);
-                // The feed-forward's sideways push is not what was asked for, and is cut with it.
+                // Only the feed-forward pushes sideways.
                 assert!(feed_forward != FeedForward::Off || across < 1.0e-3, "{across} N sideways");
             }
         }

@@ -1,4 +1,4 @@
-//! A session of a program: replies, forces, and that the motors go off when it ends.
+//! Sessions of programs: replies, forces, and motors that go off when the session ends.
 
 use crate::common::strict::{Lossy, strict};
 use crate::common::{board, json, shipped, type_lines};
@@ -12,7 +12,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::Duration;
 
-/// A simulated board with a five-bar in free space, and a session on it.
+/// Returns a simulated board with a five-bar in free space, and a session on it.
 fn session() -> (SharedBoard, Session) {
     let (shared, board) = board(&shipped("coupled-five-bar"), BoardOptions::default());
     let mut session = Session::of(board);
@@ -20,13 +20,13 @@ fn session() -> (SharedBoard, Session) {
     (shared, session)
 }
 
-/// A session over a wire that loses a number of the next messages.
+/// Returns a session over a wire that loses messages, and the number of next messages to lose.
 fn lossy() -> (Session, Arc<AtomicU32>) {
     Lossy::session(&board(&shipped("coupled-five-bar"), BoardOptions::default()).0)
 }
 
 #[test]
-fn a_lost_frame_costs_one_force_its_patience() {
+fn a_lost_frame_delays_one_force_by_its_patience() {
     let (mut session, loses) = lossy();
     for patience in [FORCE_PATIENCE, Duration::from_millis(5)] {
         session.wait_for_forces(patience);
@@ -42,20 +42,20 @@ fn a_lost_frame_costs_one_force_its_patience() {
 }
 
 #[test]
-fn spoilt_frames_stop_no_motor_and_lose_no_row_uncounted() {
+fn damaged_frames_stop_no_motor_and_lost_rows_are_counted() {
     let (shared, _session) = session();
     NoisyWire::follow(shared.wire(), 40_000);
 }
 
 #[test]
-fn a_request_outlasts_a_stall_but_not_a_silent_board() {
+fn a_request_survives_a_stall_but_not_a_silent_board() {
     let (mut session, loses) = lossy();
     loses.store(u32::MAX, Ordering::Relaxed);
     let began = session.now();
     assert!(matches!(session.read_state(), Err(LinkError::Unanswered { waited }) if waited == PATIENCE));
     assert!(session.now() - began < PATIENCE + FORCE_PATIENCE);
     loses.store(0, Ordering::Relaxed);
-    // A board that replies after 0.2 s.
+    // A board that loses two messages replies after 0.2 s.
     loses.store(2, Ordering::Relaxed);
     assert_eq!(session.read_state().unwrap().done, ForceDone::Looked);
 }
@@ -78,7 +78,7 @@ fn reading_the_state_keeps_a_watching_board_armed() {
 }
 
 #[test]
-fn overlapping_forces_are_answered_in_order() {
+fn overlapping_forces_are_replied_to_in_order() {
     let (_shared, mut session) = armed();
     let request = |sequence| ForceRequest { sequence, hold: 0.02, force: [0.1, 0.0, 0.0], ..ForceRequest::default() };
     let mut under_way = std::collections::VecDeque::new();
@@ -90,14 +90,14 @@ fn overlapping_forces_are_answered_in_order() {
             assert_eq!((answer.sequence, answer.done), (sequence, ForceDone::Taken));
         }
     }
-    // Replies can be read in any order, and unread replies do not disturb.
+    // Replies can be read in any order, and unread replies have no effect on the next ones.
     let sent: Vec<_> = (51..=70).map(|sequence| session.send_force(&request(sequence)).unwrap()).collect();
     assert_eq!(session.force_answer(sent[19]).unwrap().sequence, 70);
     assert_eq!(session.force_answer(sent[18]).unwrap().sequence, 69);
 }
 
 #[test]
-fn telemetry_takes_no_replies_of_forces_under_way() {
+fn reading_telemetry_loses_no_replies_of_forces() {
     let (_shared, mut session) = armed();
     session.start_stream(fields("tip").unwrap(), 4).unwrap();
     for sequence in 1..=20 {
@@ -110,7 +110,7 @@ fn telemetry_takes_no_replies_of_forces_under_way() {
 }
 
 #[test]
-fn a_lost_force_among_overlapping_ones_costs_no_wait() {
+fn a_lost_force_does_not_delay_overlapping_forces() {
     let (mut session, loses) = lossy();
     let request = |sequence| ForceRequest { sequence, ..ForceRequest::default() };
     loses.store(u32::MAX, Ordering::Relaxed);
@@ -123,7 +123,7 @@ fn a_lost_force_among_overlapping_ones_costs_no_wait() {
     assert!(session.now() - began < Duration::from_millis(2), "{:?}", session.now() - began);
 }
 
-/// An armed session after the torque ramp.
+/// Returns an armed session after the torque ramp.
 fn armed() -> (SharedBoard, Session) {
     let (shared, mut session) = session();
     session.arm().unwrap();
@@ -191,7 +191,7 @@ fn an_age_counts_from_the_state_that_was_sent() {
     session.read_state().unwrap();
     shared.lock().run(0.01);
     let answer = session.force([0.1, 0.0, 0.0]).unwrap();
-    // Plus the two control periods that a request takes on its way.
+    // 0.01 s plus the two control periods of the request itself.
     let age = f64::from(answer.age.unwrap());
     assert!((age - 0.0101).abs() < 1.0e-4, "{age}");
 }
@@ -215,7 +215,7 @@ fn a_contact_sent_every_millisecond_acts_like_a_wall() {
         shared.lock().run(0.001);
     }
     let answer = last.unwrap();
-    // 4 N on 1000 N/m; joint friction (0.005 N m on 0.1 m arms) may hold a part of it.
+    // 4 N on 1000 N/m are 4 mm, but joint friction (0.005 N m on 0.1 m arms) may hold a part of the force.
     let depth = floor.point[1] - answer.tip[1];
     assert!((depth - 0.004).abs() < 0.000_3, "{depth} m");
     assert!((answer.force[1] - 4.0).abs() < 0.3, "{answer:?}");
@@ -226,7 +226,7 @@ fn a_contact_sent_every_millisecond_acts_like_a_wall() {
 fn an_exchange_with_a_simulated_board_takes_two_steps() {
     let (_, mut session) = session();
     let latency = measure(&mut session, 100, || false).unwrap();
-    // 20 kHz; the board answers after two periods, and its clock counts them.
+    // The board replies after two control periods at 20 kHz, by its own clock.
     for spread in [&latency.round_trip, &latency.age] {
         for time in [spread.min, spread.median, spread.p99, spread.max] {
             assert!((time - 1.0e-4).abs() < 1.0e-9, "{spread:?}");
@@ -235,9 +235,9 @@ fn an_exchange_with_a_simulated_board_takes_two_steps() {
     }
     assert_eq!((latency.round_trip.count, latency.age.count), (100, 99));
     assert!((latency.per_second - 1.0e4).abs() < 1.0, "{}", latency.per_second);
-    assert_eq!(measure(&mut session, 100, || true).unwrap().round_trip.count, 2, "stopped as soon as it may");
+    assert_eq!(measure(&mut session, 100, || true).unwrap().round_trip.count, 2, "must stop after the smallest number");
     session.start_stream(fields("q").unwrap(), 1).unwrap();
-    assert_eq!(measure(&mut session, 10, || false).unwrap().round_trip.count, 10, "also during telemetry");
+    assert_eq!(measure(&mut session, 10, || false).unwrap().round_trip.count, 10, "must also work during telemetry");
     assert!(!session.rows(Duration::from_millis(10)).unwrap().is_empty());
 }
 

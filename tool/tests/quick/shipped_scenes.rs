@@ -7,7 +7,7 @@ use crate::common::prelude::*;
 use haptic_bridge::with_mechanism;
 use nalgebra::SVector;
 
-/// Every shipped device with its scenes.
+/// Loads every shipped device with its scenes.
 fn shipped() -> Vec<(DeviceFile, Vec<SceneFile>)> {
     files("")
         .into_iter()
@@ -22,7 +22,7 @@ fn shipped() -> Vec<(DeviceFile, Vec<SceneFile>)> {
         .collect()
 }
 
-/// The distance of each wall at joint angles `q`, unless the linkage cannot close there.
+/// Returns the tip's distance from each wall at joint angles `q`; `None` if the linkage cannot close there.
 fn distances(device: &DeviceFile, scene: &Scene<f64>, q: &[f64; 3]) -> Option<Vec<f64>> {
     fn of<const N: usize, M: Mechanism<f64, N>>(m: &M, scene: &Scene<f64>, q: &[f64; 3]) -> Option<Vec<f64>> {
         let pose = m.pose::<Libm>(&SVector::<f64, N>::from_fn(|i, _| q[i]));
@@ -57,10 +57,10 @@ fn home_is_outside_every_wall() {
 }
 
 #[test]
-fn a_home_inside_a_wall_is_noticed() {
+fn a_home_inside_a_wall_is_reported() {
     let device = crate::common::shipped("haply-2diy");
     let home = device.description.home.expect("shipped devices have a home");
-    // The home pose has its tip 0.114 m in front of the motors.
+    // In the home pose the tip is 0.114 m in front of the motors.
     let text = "[[wall]]\npoint = [0.0, 0.13]\nnormal = [0.0, -1.0]\nstiffness = 1\n\
                 [[wall]]\npoint = [0.0, 0.11]\nnormal = [0.0, -1.0]\nstiffness = 1\n";
     let scene = SceneFile::parse(text, "scene", 2).expect("sound");
@@ -73,7 +73,7 @@ fn every_wall_can_be_reached_from_both_sides() {
         let home = device.description.home.expect("shipped devices have a home");
         for file in scenes {
             let mut touched = vec![false; file.scene.walls.len()];
-            // A grid of ±1 rad around home: where a hand would go.
+            // A hand would move the tip about ±1 rad around home.
             let steps = || (-10..=10).map(|step| f64::from(step) * 0.1);
             let all = steps().flat_map(|a| steps().flat_map(move |b| steps().map(move |c| [a, b, c])));
             for offset in all {

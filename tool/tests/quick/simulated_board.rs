@@ -1,4 +1,5 @@
-//! The simulated board over its real protocol, in lock step: replies and motion of the device.
+//! Replies of the simulated board over its real protocol, and the motion of its device. The board's time advances only
+//! while it is read or run.
 
 use crate::common::prelude::*;
 use crate::common::{board, plane_wall, shipped};
@@ -18,7 +19,7 @@ fn connect(options: BoardOptions) -> (SharedBoard, Board) {
     board(&device_file(), options)
 }
 
-/// A wall whose surface is `gap` metres below the tip, facing up (+y).
+/// Returns a scene with a wall whose surface is `gap` metres below the tip and faces up (+y).
 fn wall_below(shared: &SharedBoard, gap: f64, feed_forward: FeedForward) -> Scene<f32> {
     let tip = shared.lock().device().tip();
     let point = [tip[0] as f32, (tip[1] - gap) as f32, 0.0];
@@ -66,10 +67,10 @@ fn a_push_penetrates_a_wall_as_its_stiffness_predicts() {
             last = row.values;
         }
     }
-    // 4 N on 1000 N/m; joint friction (0.005 N m on 0.1 m arms) may hold a part of it.
+    // 4 N on 1000 N/m are 4 mm, but joint friction (0.005 N m on 0.1 m arms) may hold a part of the force.
     assert!((last[0] + 0.004).abs() < 0.0003, "distance {}", last[0]);
     assert!((last[1] - 4.0).abs() < 0.3, "force {}", last[1]);
-    assert_eq!(last[2..], [1.0, 1.0], "armed, one wall touched");
+    assert_eq!(last[2..], [1.0, 1.0], "state Armed, one wall touched");
     assert_eq!(board.losses().missing, 0);
     board.disarm().unwrap();
     assert_eq!(board.status().unwrap().state, State::Disarmed);
@@ -127,7 +128,7 @@ fn a_host_that_does_not_read_loses_a_counted_number_of_rows() {
     let losses = board.losses();
     let span = u64::from(rows[rows.len() - 1].step - rows[0].step) + 1;
     assert!(losses.missing > 15_000, "{losses}");
-    assert_eq!(losses.received + losses.missing, span, "every step between first and last row is accounted for");
+    assert_eq!(losses.received + losses.missing, span, "a step is neither received nor counted as missing");
     assert_eq!(losses.dropped_by_board, losses.missing);
     assert_eq!(losses.batches_lost, 0);
 }
@@ -158,13 +159,13 @@ fn arming_is_refused_with_the_reason() {
     listening(&shared, &mut board, 20.0);
     assert!(board.status().unwrap().polarity, "{:?}", board.status());
 
-    // The polarity check moved the device; a wall is now put around its tip.
+    // The polarity check moved the device, so put the wall around the tip's new place.
     let scene = wall_below(&shared, -0.01, FeedForward::Full);
     board.set_scene(&scene).unwrap();
     assert_eq!(refusal(board.arm()), Refusal::InsideWall);
 }
 
-/// Lets these seconds pass with a heartbeat every 0.1 s.
+/// Runs the board for some seconds with a heartbeat every 0.1 s.
 fn listening(shared: &SharedBoard, board: &mut Board, seconds: f64) {
     board.keep_alive();
     for _ in 0..(10.0 * seconds) as u32 {
@@ -174,7 +175,7 @@ fn listening(shared: &SharedBoard, board: &mut Board, seconds: f64) {
 }
 
 #[test]
-fn a_swapped_motor_is_found_before_it_is_armed() {
+fn a_reversed_motor_is_detected_before_arming() {
     let mut file = device_file();
     let mut wired = file.description;
     wired.joints[1].motor.as_mut().unwrap().torque_constant *= -1.0;
@@ -197,7 +198,7 @@ fn a_swapped_motor_is_found_before_it_is_armed() {
 }
 
 #[test]
-fn gains_change_while_the_wall_is_touched_and_bad_ones_do_not() {
+fn gains_change_during_contact_and_invalid_gains_are_refused() {
     let (shared, mut board) = connect(BoardOptions::default());
     board.set_scene(&wall_below(&shared, 0.005, FeedForward::Washout)).unwrap();
     board.arm().unwrap();
@@ -244,7 +245,7 @@ fn settings_survive_a_restart_once_saved() {
     let scene = wall_below(&shared, 0.02, FeedForward::Full);
     board.set_scene(&scene).unwrap();
     board.restart().unwrap();
-    assert_eq!(board.device().unwrap(), None, "nothing was saved");
+    assert_eq!(board.device().unwrap(), None, "an unsaved device survived");
     shared.lock().load("saved", &device_file().description, Some(scene.clone())).unwrap();
     board.save().unwrap();
     board.restart().unwrap();
@@ -270,8 +271,8 @@ fn two_runs_are_the_same_bit_for_bit() {
     assert_eq!(run(), run());
 }
 
-/// A second of contact with a wall too stiff for its rate, in telemetry: least energy (J), most added damping (N s/m),
-/// and the root mean square of the velocity (m/s) in the second half.
+/// Simulates a second of contact with a wall too stiff for its rate. Returns from the telemetry the least energy (J),
+/// the largest added damping (N s/m), and the root mean square of the velocity (m/s) in the second half.
 fn unstable_contact(passivity: bool) -> (f64, f64, f64) {
     let (shared, mut board) = connect(BoardOptions::default());
     let mut scene = wall_below(&shared, 0.001, FeedForward::Off);
@@ -299,17 +300,17 @@ fn unstable_contact(passivity: bool) -> (f64, f64, f64) {
 fn energy_from_a_wall_is_reported_and_damped_by_the_rules() {
     let (given_out, undamped, free) = unstable_contact(false);
     assert!(given_out < -1e-3, "the wall gave out {given_out} J");
-    assert_eq!(undamped, 0.0, "not requested");
+    assert_eq!(undamped, 0.0, "damping must be added only on request");
     let (given_out, damping, damped) = unstable_contact(true);
     assert!(given_out < -1e-3, "the wall gave out {given_out} J");
     assert!(damping > 1.0, "{damping} N s/m");
-    // It takes the edge off, a tenth to a fifth of the speed (rounding decides which way such a wall swings), and does
-    // not make it stable: docs/safety.md.
+    // Passivity control takes away only a tenth to a fifth of the speed and does not make the wall stable
+    // (docs/safety.md). The exact share depends on rounding, because the motion is chaotic.
     let left = damped / free;
     assert!((0.75..0.95).contains(&left), "{damped} m/s with damping, {free} m/s without");
 }
 
-/// A five-bar that renders a force straight up with at most `most` N m in each joint.
+/// Oracle: a five-bar that renders a force straight up with at most `most` N m in each joint.
 struct Straight {
     mechanism: FiveBar<f64>,
     most: f64,
@@ -332,7 +333,7 @@ impl Straight {
 }
 
 #[test]
-fn a_wall_beyond_the_motors_pushes_straight_with_all_they_have() {
+fn a_wall_beyond_the_motors_pushes_straight_with_full_torque() {
     const MOST: f64 = 0.3;
     let device = Options::frictionless();
     let (shared, mut board) = connect(BoardOptions { device, drive: DriveModel::Ideal, ..BoardOptions::default() });
@@ -344,7 +345,7 @@ fn a_wall_beyond_the_motors_pushes_straight_with_all_they_have() {
     scene.walls[0].damping = 0.0;
     board.set_scene(&scene).unwrap();
     board.arm().unwrap();
-    // Torque ramps up after arming.
+    // Wait for the torque ramp after arming.
     shared.lock().run(0.6);
     let began = {
         let mut guard = shared.lock();
@@ -373,17 +374,17 @@ fn a_wall_beyond_the_motors_pushes_straight_with_all_they_have() {
         let asked = straight.asked(&q, force);
         let share = straight.share(&asked);
         let most = straight.share(&(asked * 1.0e6)) * 1.0e6 * force;
-        // The rendered force is scaled by one factor, computed here, and has no part across.
+        // The rendered force is scaled by the factor `share` and has no sideways part.
         let felt = straight.at_the_tip(&q, &Vector2::new(torque0, torque1));
-        assert!((felt[1] - share * force).abs() < 0.01, "{row:?}: {felt} is not {share} of {force}");
-        assert!(felt[0].abs() < 0.01, "{row:?}: {felt} pulls aside");
+        assert!((felt[1] - share * force).abs() < 0.01, "{row:?}: {felt} is not {share} times {force}");
+        assert!(felt[0].abs() < 0.01, "{row:?}: {felt} pulls sideways");
         assert!((rendered - felt[1]).abs() < 0.01, "{row:?}: {felt}");
         if !(0.999..1.0).contains(&share) {
             let flag = f64::from(u8::from(share < 1.0));
             assert_eq!([flag0, flag1], [flag; 2], "{row:?}: {share}");
             flagged.push(flag);
         }
-        // The force never falls with depth, except as far as the motors can make less at the new pose.
+        // The force falls with depth at most as much as the largest force of the motors falls because of the new pose.
         if let Some((depth, before, could)) = last.filter(|(depth, ..)| -distance > *depth) {
             assert!(felt[1] > before + (most - could).min(0.0) - 0.01, "{row:?}: {before} at {depth}");
         }
@@ -395,12 +396,12 @@ fn a_wall_beyond_the_motors_pushes_straight_with_all_they_have() {
     let changes = flagged.windows(2).filter(|pair| pair[0] != pair[1]).count();
     assert!(flagged.first() == Some(&0.0) && changes == 1, "{changes} changes of the flag");
     assert!(beyond > 100 && deepest > 0.01, "{beyond} rows with half of the force, {deepest} m deep");
-    assert!(aside > 0.5, "limited joint by joint these rows would pull aside by {aside} N");
-    assert!(rows.iter().all(|row| row.values[9] == 1.0), "armed throughout");
+    assert!(aside > 0.5, "if each joint were limited alone, the sideways force would be only {aside} N");
+    assert!(rows.iter().all(|row| row.values[9] == 1.0), "not armed in every row");
 }
 
 #[test]
-fn a_hand_loop_keeps_out_of_walls_until_the_board_is_armed() {
+fn a_hand_loop_stays_outside_walls_until_the_board_is_armed() {
     let (shared, mut board) = connect(BoardOptions::default());
     let scene = wall_below(&shared, 0.01, FeedForward::Off);
     board.set_scene(&scene).unwrap();
@@ -410,10 +411,10 @@ fn a_hand_loop_keeps_out_of_walls_until_the_board_is_armed() {
     assert!(around.on_a_wall);
     shared.lock().set_hand_loop(HandSettings { tremor: 2e-4, ..HandSettings::default() }, around);
     for _ in 0..3 {
-        // The loop takes four seconds, and is in the wall for half of them.
+        // Arm at many times of the loop, which takes four seconds and, once armed, is in the wall for half of them.
         for _ in 0..10 {
             shared.lock().run(0.41);
-            board.arm().expect("the hand waits");
+            board.arm().expect("the hand waits outside of the wall");
             board.disarm().unwrap();
         }
         board.arm().unwrap();
@@ -422,7 +423,7 @@ fn a_hand_loop_keeps_out_of_walls_until_the_board_is_armed() {
             shared.lock().run(0.1);
             deepest = deepest.min(shared.lock().device().tip()[1] - (tip[1] - 0.01));
         }
-        assert!(deepest < -0.001, "armed, it presses: {deepest}");
+        assert!(deepest < -0.001, "the hand does not press the armed board's wall: {deepest} m");
         board.disarm().unwrap();
     }
 }

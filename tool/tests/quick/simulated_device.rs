@@ -1,4 +1,4 @@
-//! The simulated device against closed forms; errors of a simulation appear as energy from nowhere.
+//! The simulated device agrees with closed forms and does not gain energy, as it would by errors of the integration.
 
 use crate::common::shipped;
 use haptic_bridge::model::catalogue::Kind;
@@ -72,11 +72,11 @@ fn a_free_linkage_keeps_its_energy() {
         worst = worst.max((device.plant().energy() / before - 1.0).abs());
     }
     let moved = (device.tip()[0] - start[0]).hypot(device.tip()[1] - start[1]);
-    assert!(moved > 0.03, "the linkage must really move: {moved} m");
+    assert!(moved > 0.03, "the linkage moves too little: {moved} m");
     assert!(worst < 1e-9, "relative energy drift {worst:e}");
 }
 
-/// The paddle with its rotor, 3e-4 kg m² of 1e-3, behind a transmission.
+/// Returns the paddle of 1e-3 kg m² whose rotor, 3e-4 of it, drives the link through a compliant transmission.
 fn soft_paddle(stiffness: f64, damping: f64, encoder_at: EncoderAt) -> Description {
     let mut paddle = paddle(0.0, 0.0);
     paddle.joints[0].transmission = Some(Transmission { stiffness, damping, motor_inertia: 3e-4, encoder_at });
@@ -85,16 +85,16 @@ fn soft_paddle(stiffness: f64, damping: f64, encoder_at: EncoderAt) -> Descripti
 
 #[test]
 fn a_soft_transmission_has_its_frequency_and_keeps_energy() {
-    // Free at both ends: ω = √(k (1/Jm + 1/Jl)), 1095 rad/s; the common motion stays a parabola.
+    // Both ends are free, so ω = √(k (1/Jm + 1/Jl)) = 1095 rad/s, and the common motion is a parabola.
     let mut device = device(&soft_paddle(252.0, 0.0, EncoderAt::Motor));
     let omega = (252.0 * (1.0 / 3e-4 + 1.0 / 7e-4_f64)).sqrt();
     device.step(&[MotorInput::Torque(2e-3), MotorInput::Floating, MotorInput::Floating], 0.05);
-    // θ = τ/J t²/2 + (τ/Jm) (Jl/J) (1 - cos ωt)/ω², the link's angle less of it by Jm/J.
+    // Motor: τ/J t²/2 + (Jl/J) twist. Link: τ/J t²/2 - (Jm/J) twist. Twist: (τ/Jm) (1 - cos ωt)/ω².
     let common = 0.5 * 2.0 * 0.05_f64.powi(2);
     let twist = 2e-3 / 3e-4 * (1.0 - (omega * 0.05).cos()) / (omega * omega);
     assert!((device.plant().measured()[0] - (common + 0.7 * twist)).abs() < 1e-4 * twist.abs() + 1e-9);
     assert!((device.q()[0] - (common - 0.3 * twist)).abs() < 1e-4 * twist.abs() + 1e-9);
-    // The rest of the torque's current decays within the first step.
+    // The rest of the motor current decays within the first step.
     coast(&mut device, 1e-5);
     let before = device.plant().energy();
     coast(&mut device, 0.5);
@@ -102,7 +102,7 @@ fn a_soft_transmission_has_its_frequency_and_keeps_energy() {
 }
 
 #[test]
-fn encoders_see_their_side_and_stiff_transmissions_are_rigid() {
+fn encoders_measure_their_side_of_a_transmission() {
     for (stiffness, apart) in [(1e12, 1e-9), (10.0, 1.0)] {
         let angles = [EncoderAt::Motor, EncoderAt::Joint].map(|side| {
             let mut device = device(&soft_paddle(stiffness, 0.0, side));
@@ -111,7 +111,7 @@ fn encoders_see_their_side_and_stiff_transmissions_are_rigid() {
         });
         let [(motor, _), (joint, link)] = angles;
         assert_eq!(joint, link);
-        // Rigid: 20 rad/s² for 0.1 s. Soft: a twist of about what the link's inertia takes, 1.4e-3 rad.
+        // Rigid: 0.1 rad after 0.1 s at 20 rad/s². Soft: a twist of about 1.4e-3 rad, which accelerates the link.
         assert!((motor - 0.1).abs() < apart && (link - 0.1).abs() < apart);
         assert_eq!((motor - link).abs() > 1e-4, stiffness == 10.0, "{motor} {link}");
     }
@@ -136,7 +136,7 @@ fn dry_friction_holds_the_motor_and_lets_the_link_swing() {
 fn a_constant_torque_gives_a_parabola() {
     let mut device = device(&paddle(0.0, 0.0));
     device.step(&[MotorInput::Torque(2e-3), MotorInput::Floating, MotorInput::Floating], 0.5);
-    // Half of 2 rad/s² times (0.5 s)².
+    // The angle is half of 2 rad/s² times (0.5 s)².
     assert!((device.q()[0] - 0.25).abs() < 1e-12, "{}", device.q()[0]);
 }
 
@@ -150,7 +150,7 @@ fn viscous_friction_decays_exponentially() {
 
 #[test]
 fn a_motor_without_inductance_brakes_like_its_closed_form() {
-    // Shorted: damping of torque constant x back-EMF / resistance = 0.125 N m s/rad.
+    // A shorted motor has a damping of torque constant x back-EMF / resistance = 0.125 N m s/rad.
     let options = Options { bridge: PowerStage { dead_time: 0.0, ..PowerStage::default() }, ..Options::default() };
     let mut device = SimulatedDevice::new(&paddle(0.0, 0.0), &options).unwrap();
     device.push([0.1, 0.0, 0.0]);
@@ -162,7 +162,7 @@ fn a_motor_without_inductance_brakes_like_its_closed_form() {
 fn coulomb_friction_stops_a_joint_and_then_holds_it() {
     let mut device = device(&paddle(0.0, 0.01));
     device.push([0.1, 0.0, 0.0]);
-    // 1 rad/s against 0.01 N m on 1e-3 kg m²: at rest after 0.1 s and 0.05 rad.
+    // From 1 rad/s, 0.01 N m stop 1e-3 kg m² after 0.1 s and 0.05 rad.
     coast(&mut device, 0.11);
     assert_eq!(device.qd()[0], 0.0);
     assert!((device.q()[0] - 0.05).abs() < 1e-6, "{}", device.q()[0]);
@@ -170,7 +170,7 @@ fn coulomb_friction_stops_a_joint_and_then_holds_it() {
     device.step(&[MotorInput::Torque(0.009); 3], 1.0);
     assert_eq!(device.q()[0], stuck, "friction must hold without creep");
     device.step(&[MotorInput::Torque(0.011); 3], 0.1);
-    assert!((device.qd()[0] - 0.1).abs() < 1e-9, "and let go beyond its limit");
+    assert!((device.qd()[0] - 0.1).abs() < 1e-9, "friction must release the joint beyond its limit");
 }
 
 #[test]
@@ -195,7 +195,7 @@ fn a_joint_stops_just_beyond_its_limits() {
     assert!(device.qd()[0].abs() < 1e-9);
 }
 
-/// Beyond its reach a closed loop meets a parallel singularity, where its inertia has no bound.
+/// At the end of its reach a closed loop has a parallel singularity, where its inertia is unbounded.
 #[test]
 fn a_linkage_pulled_beyond_its_reach_gains_no_energy() {
     for name in ["fictive-five-bar-turret", "pantograph-mk2", "haply-2diy"] {
@@ -227,15 +227,15 @@ fn gravity_and_a_holding_torque_balance() {
     let mut device = device(&description);
     let before = device.q();
     let g = device.plant().gravity();
-    assert!(g[0].abs() > 1e-3, "gravity must load the joints: {g:?}");
+    assert!(g[0].abs() > 1e-3, "gravity does not load the joints: {g:?}");
     device.step(&[MotorInput::Torque(g[0]), MotorInput::Torque(g[1]), MotorInput::Floating], 0.01);
     assert_same_pose(device.q(), before);
     coast(&mut device, 0.01);
-    assert!(device.tip_velocity()[1] < -0.01, "let go, it falls");
+    assert!(device.tip_velocity()[1] < -0.01, "the linkage does not fall without torque");
 }
 
 #[test]
-fn the_same_inputs_give_the_same_numbers_bit_for_bit() {
+fn the_same_inputs_have_the_same_results_bit_for_bit() {
     let run = || {
         let mut device = device(&five_bar());
         device.step(&[MotorInput::Duty(0.1), MotorInput::Duty(-0.05), MotorInput::Floating], 0.05);
@@ -267,7 +267,7 @@ fn swinging_paddle(frequency: f64, damping: f64) -> Description {
 
 #[test]
 fn a_mode_equals_a_link_behind_a_transmission() {
-    // The 3e-4 kg m² that swing are the link of a soft paddle whose motor has the other 7e-4.
+    // The mode's 3e-4 kg m² equal the link of a soft paddle whose motor has the other 7e-4.
     let mode = StructuralMode { frequency: 80.0, damping: 0.02, inertia: 3e-4 };
     let mut soft = paddle(0.0, 0.0);
     let give = Transmission {
@@ -289,13 +289,13 @@ fn a_mode_equals_a_link_behind_a_transmission() {
 }
 
 #[test]
-fn modes_keep_their_energy_and_stiff_ones_are_rigid() {
+fn modes_keep_their_energy_and_stiff_modes_are_rigid() {
     let mut both = soft_paddle(40.0, 0.0, EncoderAt::Motor);
     both.joints[0].modes[0] = Some(StructuralMode { frequency: 150.0, damping: 0.0, inertia: 1e-4 });
     both.joints[0].modes[1] = Some(StructuralMode { frequency: 400.0, damping: 0.0, inertia: 1e-4 });
     let mut soft = device(&both);
     soft.step(&[MotorInput::Torque(0.05); 3], 3e-3);
-    // The rest of the current decays within a step.
+    // The rest of the motor current decays within a step.
     coast(&mut soft, 1e-3);
     let before = soft.plant().energy();
     coast(&mut soft, 0.2);
@@ -314,36 +314,36 @@ fn stribeck_friction_holds_more_than_it_brakes() {
     let mut held = device(&description);
     held.step(&[MotorInput::Torque(0.0199); 3], 0.1);
     assert_eq!(held.q()[0], 0.0);
-    // Once moving fast, only Coulomb friction is left: 0.01 N m of the torque accelerate 1e-3 kg m².
+    // In fast motion only Coulomb friction is left, so 0.01 N m of the torque accelerate 1e-3 kg m².
     held.step(&[MotorInput::Torque(0.0201); 3], 1.0);
     let before = held.qd()[0];
     assert!(before > 2.0, "{before}");
     held.step(&[MotorInput::Torque(0.0201); 3], 0.1);
     assert!((held.qd()[0] - before - 0.1 * 10.1).abs() < 1e-6, "{}", held.qd()[0] - before);
-    // The option removes all friction.
+    // `Options::frictionless` removes all friction.
     let mut free = SimulatedDevice::new(&description, &Options::frictionless()).unwrap();
     free.step(&[MotorInput::Torque(0.001); 3], 0.1);
     assert!(free.q()[0] > 0.0);
 }
 
 #[test]
-fn cogging_holds_a_motor_in_its_wells_without_a_loss() {
+fn cogging_holds_a_motor_in_its_wells_without_energy_loss() {
     let mut description = paddle(0.0, 0.0);
     description.joints[0].cogging = Some(Cogging { amplitude: 0.005, per_turn: 24.0 });
     let mut cogging = device(&description);
     let well = std::f64::consts::TAU / 24.0;
-    // From just off a maximum it falls into the well and rises on the other side.
+    // Placed next to a maximum, the motor falls into the well and rises to the same height on the other side.
     cogging.place([0.1 * well, 0.0, 0.0]);
     let before = cogging.plant().energy();
     let mut far: f64 = 0.0;
     for _ in 0..500 {
         coast(&mut cogging, 1e-3);
         far = far.max(cogging.q()[0]);
-        // The midpoint rule oscillates about the energy without drift.
+        // With the midpoint rule the energy oscillates a little but does not drift.
         assert!((cogging.plant().energy() / before - 1.0).abs() < 1e-6, "{} {before}", cogging.plant().energy());
     }
     assert!((far - 0.9 * well).abs() < 1e-3 * well, "{far} {well}");
-    // It holds torques up to its amplitude.
+    // Cogging holds torques up to its amplitude.
     for (torque, leaves) in [(0.0049, false), (0.0056, true)] {
         let mut damped = description;
         damped.joints[0].viscous = 0.02;

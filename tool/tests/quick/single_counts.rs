@@ -1,4 +1,4 @@
-//! Velocity terms, which grow with the square of the speed, do not act on single encoder counts.
+//! Velocity terms, which grow with the square of the speed, do not respond to single encoder counts.
 
 use crate::common::prelude::*;
 use crate::common::{all_shipped, plane_wall, shipped};
@@ -8,7 +8,7 @@ use haptic_bridge::with_mechanism;
 use nalgebra::SVector;
 use std::f64::consts::TAU;
 
-/// A plane through the tip that pushes both ways, with the feed-forward in full.
+/// Returns a scene with a bilateral plane through the tip and the full feed-forward.
 fn scene(tip: &[f64], task: usize, estimator: Estimator, velocity_terms: VelocityTerms) -> Scene<f64> {
     let mut scene =
         Scene { task: task as u8, rate_hz: 20_000.0, cutoff_hz: 500.0, estimator, velocity_terms, ..Scene::default() };
@@ -21,7 +21,7 @@ fn scene(tip: &[f64], task: usize, estimator: Estimator, velocity_terms: Velocit
     scene
 }
 
-/// The largest torque (N m) that the velocity terms add while a joint after the other moves by one count and rests.
+/// Returns the largest torque (N m) of the velocity terms while one joint after the other moves by one count and rests.
 fn added<M: Mechanism<f64, N>, const N: usize>(mechanism: &M, device: &Device<f64>, estimator: Estimator) -> f64 {
     let home = device.home.unwrap_or_default();
     let scale = |i: usize| device.joints[i].radians_per_count;
@@ -51,15 +51,15 @@ fn velocity_terms_do_not_act_on_single_counts() {
         let device = file.device().unwrap();
         for (name, estimator) in Estimator::ALL {
             let most = with_mechanism!(&device.mechanism, m => added(m, &device, *estimator));
-            assert!(most < 1e-9, "{}, {name}: {most} N m of one count", file.name);
+            assert!(most < 1e-9, "{}, {name}: one count causes {most} N m", file.name);
             seen += 1;
         }
     }
     assert!(seen >= 9 * Estimator::ALL.len(), "{seen}");
 }
 
-/// The mean torques (N m) of the velocity terms over the periods of the last count while a five-bar's joints turn
-/// evenly.
+/// Returns the mean torques (N m) of the velocity terms over the last 200 periods while a five-bar's joints turn at a
+/// constant speed.
 fn of_turning(counts_per_turn: f64, speed: f64) -> SVector<f64, 2> {
     let mut known = shipped("coupled-five-bar").description;
     for joint in &mut known.joints[..2] {
@@ -87,7 +87,7 @@ fn of_turning(counts_per_turn: f64, speed: f64) -> SVector<f64, 2> {
     sum
 }
 
-/// A motion of twelve times the uncertainty loses 1/12² of each velocity, and twice that of a product.
+/// At twelve times the uncertainty, a velocity is reduced by 1/12², and a product of two velocities by twice that.
 #[test]
 fn velocity_terms_act_on_a_motion() {
     // Largest response of a 2nd-order Butterworth to a step of its input's integral: ω e^(-π/4) sin(π/4) √2.
@@ -95,7 +95,7 @@ fn velocity_terms_act_on_a_motion() {
     let [coarse, fine] = [20_000.0, 16_777_216.0].map(|counts| of_turning(counts, 12.0 * uncertainty));
     assert!(fine.amax() > 0.01, "{fine}");
     assert!((coarse - fine).amax() < 0.03 * fine.amax(), "{coarse} for {fine}");
-    // With a rare count almost nothing is left.
+    // If counts are rare, the velocity terms almost vanish.
     let slow = of_turning(20_000.0, 0.1 * uncertainty);
     assert!(slow.amax() < 1e-4 * fine.amax(), "{slow}");
 }

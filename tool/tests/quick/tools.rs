@@ -1,5 +1,6 @@
-//! Tools that come second, leave, are killed, flood or stay silent: one tool holds the board, the next finds it
-//! unchanged, and a request to disarm always gets through. Patience is zero or an hour, so no test depends on time.
+//! Tools that connect second, leave, are killed, flood the board or stay silent. One tool at a time uses the board, the
+//! next tool finds the board unchanged, and a request to disarm always arrives. Patience is zero or an hour, so no test
+//! depends on time.
 
 use crate::common::prelude::*;
 use crate::common::{board, file, shipped};
@@ -46,12 +47,12 @@ impl Served {
         Self { port, stop, server: Some(server) }
     }
 
-    /// Over TCP. The next tool waits `handover` for a leaving one; a tool gives way after `silence`.
+    /// Serves over TCP. A new tool waits up to `handover` until the old one leaves, or replaces it after `silence`.
     fn on_tcp(handover: Duration, silence: Duration) -> Self {
         Self::behind(tcp("127.0.0.1:0".parse().unwrap(), Patience { silence, handover }).unwrap())
     }
 
-    /// Over every kind of port.
+    /// Serves boards over every kind of port.
     fn everywhere(handover: Duration) -> Vec<Self> {
         let mut ports = vec![Self::on_tcp(handover, AN_HOUR)];
         #[cfg(unix)]
@@ -63,7 +64,7 @@ impl Served {
         Board::open(&self.port).unwrap_or_else(|error| panic!("{:?}: {error}", self.port))
     }
 
-    /// A board with its motors on.
+    /// Returns a board with its motors on.
     fn armed(&self) -> Board {
         let mut board = self.open();
         board.set_scene(&Scene { task: 2, ..Scene::default() }).unwrap();
@@ -71,7 +72,7 @@ impl Served {
         board
     }
 
-    /// A connection that has sent nothing yet.
+    /// Opens a connection that sends nothing.
     fn connect(&self) -> TcpStream {
         let PortSpec::Tcp(address) = &self.port else { panic!("{:?} is no TCP port", self.port) };
         TcpStream::connect(address).unwrap()
@@ -96,7 +97,7 @@ impl Drop for Served {
     }
 }
 
-/// Streams until `count` more rows have arrived.
+/// Reads telemetry until `count` more rows have arrived.
 fn rows(board: &mut Board, count: u64) {
     let enough = board.losses().received + count;
     while board.losses().received < enough {
@@ -131,13 +132,13 @@ fn a_second_tool_is_refused_without_disturbing_the_first() {
 }
 
 #[test]
-fn a_request_to_disarm_passes_the_tool_that_holds_the_board() {
+fn a_request_to_disarm_arrives_at_a_board_that_is_in_use() {
     for served in Served::everywhere(NO_PATIENCE) {
-        // The first tool does not read meanwhile, as if it were stopped.
+        // Meanwhile the first tool does not read, as if its process were stopped.
         let mut first = served.armed();
         disarm_held_board(&served.port).unwrap();
         assert_eq!(first.status().unwrap().state, State::Disarmed);
-        // No other request does.
+        // No other request of a second tool is accepted.
         first.arm().unwrap();
         served.refuses_a_second_tool();
         assert_eq!(first.status().unwrap().state, State::Armed);
@@ -145,11 +146,11 @@ fn a_request_to_disarm_passes_the_tool_that_holds_the_board() {
 }
 
 #[test]
-fn silent_connections_do_not_keep_out_a_request_to_disarm() {
+fn silent_connections_do_not_block_a_request_to_disarm() {
     let served = Served::on_tcp(NO_PATIENCE, AN_HOUR);
     let mut first = served.armed();
     let silent = || (0..100).map(|_| served.connect()).collect::<Vec<_>>();
-    // Like `haptic disarm`, which first finds that the board is held.
+    // Like `haptic disarm`, first connect normally, which is refused because the board is in use.
     let _crowd = silent();
     served.refuses_a_second_tool();
     let _more = silent();
@@ -159,12 +160,12 @@ fn silent_connections_do_not_keep_out_a_request_to_disarm() {
 }
 
 #[test]
-fn partial_requests_do_not_keep_out_a_request_to_disarm() {
+fn partial_requests_do_not_block_a_request_to_disarm() {
     let served = Served::on_tcp(AN_HOUR, AN_HOUR);
     let mut first = served.armed();
     let strangers = (0..100).map(|_| {
         let mut stranger = served.connect();
-        // A refused connection is closed.
+        // The write may fail, because a refused connection is closed.
         let _ = stranger.write_all(&[1]);
         stranger
     });
@@ -178,7 +179,7 @@ fn a_tool_replaces_silent_connections() {
     let served = Served::on_tcp(AN_HOUR, NO_PATIENCE);
     let _silent: Vec<_> = (0..100).map(|_| served.connect()).collect();
     let mut board = served.open();
-    // The silent ones do not take the board back.
+    // The silent connections do not get the board back.
     for _ in 0..100 {
         board.status().unwrap();
     }
@@ -199,7 +200,7 @@ fn a_flooding_tool_costs_bounded_memory_and_is_replaced() {
             count => waiting += count,
         }
     }
-    assert!(waiting > 10_000, "it did answer: {waiting} bytes");
+    assert!(waiting > 10_000, "the board replied with only {waiting} bytes");
     let room = BoardOptions::default().send_buffer + 70_000;
     assert!(waiting < room, "{waiting} bytes wait for a tool that does not read");
 
@@ -212,7 +213,7 @@ fn a_flooding_tool_costs_bounded_memory_and_is_replaced() {
 }
 
 #[test]
-fn a_hundred_replugs_armed_or_not_leave_a_board_that_arms_again() {
+fn a_board_arms_again_after_a_hundred_armed_reconnections() {
     let served = Served::on_tcp(AN_HOUR, AN_HOUR);
     let mut board = served.armed();
     board.disarm().unwrap();
@@ -222,7 +223,7 @@ fn a_hundred_replugs_armed_or_not_leave_a_board_that_arms_again() {
     for round in 0..100 {
         let mut board = served.open();
         board.keep_alive();
-        // The motors are still on after a tool that left without disarming.
+        // After a tool that left without disarming, the motors are still on.
         board.disarm().unwrap();
         board.arm().unwrap();
         board.start_stream(fields("usual").unwrap(), 10).unwrap();
@@ -237,12 +238,12 @@ fn a_hundred_replugs_armed_or_not_leave_a_board_that_arms_again() {
 }
 
 #[test]
-fn a_board_that_goes_away_while_streaming_is_a_clear_error() {
+fn losing_the_board_while_streaming_is_a_clear_error() {
     let served = Served::on_tcp(AN_HOUR, AN_HOUR);
     let cable = TcpListener::bind("127.0.0.1:0").unwrap();
     let port = PortSpec::Tcp(cable.local_addr().unwrap().to_string());
     let mut to_board = served.connect();
-    // The cable is pulled after 2000 bytes from the board.
+    // Cut the connection after 2000 bytes from the board.
     let pulled = spawn(move || {
         let (mut tool, _) = cable.accept().unwrap();
         let (mut from_board, mut from_tool) = (to_board.try_clone().unwrap(), tool.try_clone().unwrap());
@@ -264,7 +265,7 @@ fn a_board_that_goes_away_while_streaming_is_a_clear_error() {
 
 #[test]
 fn ports_without_a_board_are_named() {
-    // The port of an outgoing connection is taken, but not listening.
+    // The port of an outgoing connection is in use, but nothing listens on it.
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let taken = TcpStream::connect(listener.local_addr().unwrap()).unwrap();
     let address = taken.local_addr().unwrap().to_string();
@@ -275,7 +276,7 @@ fn ports_without_a_board_are_named() {
     assert!(error.to_string().contains("/dev/no-such-port"));
 }
 
-/// No board, or a board of another protocol version, which sends its `Info` as reply to every request.
+/// A device that is no board (`None`), or a board with another protocol version, which sends its `Info` as every reply.
 struct Stranger {
     protocol: Option<u16>,
     out: Vec<u8>,
@@ -294,7 +295,11 @@ impl Wire for Stranger {
         let mut requests = Vec::new();
         Deframer::default().feed(bytes, |frame| requests.push(frame));
         for request in requests {
-            assert_eq!(request.header.key, VarKey::Key8(GetInfo::REQ_KEY), "nothing else is asked of it");
+            assert_eq!(
+                request.header.key,
+                VarKey::Key8(GetInfo::REQ_KEY),
+                "another request was sent to an unknown board"
+            );
             let Some(protocol) = self.protocol else { continue };
             let (firmware, board) = ("9.9".chars().collect(), "odrive-v3".chars().collect());
             let info = Info { protocol, firmware, board, serial: "A1".chars().collect() };
@@ -308,7 +313,7 @@ impl Wire for Stranger {
         buffer[..count].copy_from_slice(&self.out[..count]);
         self.out.drain(..count);
         self.now += if count == 0 { timeout } else { Duration::ZERO };
-        assert!(self.now <= Duration::from_secs(2), "it is given up by then");
+        assert!(self.now <= Duration::from_secs(2), "the tool must give up within 2 s");
         Ok(count)
     }
     fn now(&self) -> Duration {
@@ -317,7 +322,7 @@ impl Wire for Stranger {
 }
 
 #[test]
-fn unknown_boards_are_named_and_sent_nothing_else() {
+fn unknown_boards_are_reported_and_sent_nothing_else() {
     let error = Stranger::met(None);
     assert!(matches!(error, LinkError::Silent { .. }), "{error}");
     for (protocol, remedy) in [(PROTOCOL + 1, "update this tool"), (PROTOCOL - 1, "flash it: haptic flash")] {
@@ -327,7 +332,7 @@ fn unknown_boards_are_named_and_sent_nothing_else() {
     }
 }
 
-/// A board in this process, in virtual time.
+/// Returns a board in this process, in virtual time.
 fn in_process() -> (SharedBoard, Board) {
     board(&device(), BoardOptions::default())
 }
@@ -337,7 +342,7 @@ fn rows_of_a_killed_tools_stream_are_discarded() {
     let (shared, mut killed) = in_process();
     killed.start_stream(fields("counts").unwrap(), 1).unwrap();
     shared.lock().run(0.2);
-    // The killed tool has read nothing; the next one finds the port as it was left.
+    // The killed tool has read nothing, so its rows still wait at the port for the next tool.
     drop(killed);
     let mut next = Board::over(shared.wire(), "sim").unwrap();
     next.start_stream(fields("q,tip").unwrap(), 20).unwrap();
@@ -363,7 +368,7 @@ fn setup() -> MeasurementSetup {
     }
 }
 
-/// One trial of a measurement that calls `stop` again and again.
+/// Runs one trial of a measurement, which calls `stop` again and again.
 fn measure(board: &mut Board, stop: &dyn Fn() -> bool) -> Result<(), MeasureError> {
     let mut prepared = PreparedBoard::new(board, &device(), setup(), stop)?;
     prepared.oscillates(FeedForward::Off, 100.0, 1.0, 1.0).map(drop)
@@ -400,7 +405,7 @@ fn a_measurement_ends_when_another_tool_disarms() {
             }
             false
         });
-        assert!(asked.get() >= most, "it was in the middle of it");
+        assert!(asked.get() >= most, "the measurement ended before the disarm request");
         assert!(matches!(ended, Err(MeasureError::Disarmed)), "{ended:?}");
         assert_eq!(shared.lock().status().state, State::Disarmed);
     }

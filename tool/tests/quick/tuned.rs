@@ -1,5 +1,5 @@
-//! `haptic tune` and `haptic tune estimators` on random devices (ten more in deep/tune/settings.rs), on compliant joints,
-//! and with Ctrl-C.
+//! `haptic tune` and `haptic tune estimators` on random devices (ten more in deep/tune/settings.rs), on compliant
+//! joints, and with Ctrl-C.
 
 use crate::common::prelude::*;
 use crate::common::tuned::{drawn, none_is_stiffer, question};
@@ -16,7 +16,7 @@ fn usual(name: &str) -> Estimator {
     Estimator::ALL.iter().find(|(other, _)| *other == name).unwrap().1
 }
 
-/// coupled-five-bar with cables and its encoders on this side of them.
+/// Returns the file of the coupled-five-bar with cables and with its encoders on this side of the cables.
 fn with_cables(encoder_at: &str) -> String {
     let text = read("devices/coupled-five-bar.toml");
     let cable = format!("[joint.transmission]\nstiffness = 250.0\ndamping = 0.01\nencoder_at = \"{encoder_at}\"\n");
@@ -46,7 +46,10 @@ fn a_wall_behind_cables_depends_on_the_encoders_side() {
     };
     let (motor, joint) = (of("motor"), of("joint"));
     assert!(motor.is_some_and(|ripple| ripple < 0.5), "{motor:?}");
-    assert!(joint.is_none_or(|ripple| ripple > 2.0), "linear theory says that nothing is stable there: {joint:?}");
+    assert!(
+        joint.is_none_or(|ripple| ripple > 2.0),
+        "with encoders at the joints theory has no stable wall: {joint:?}"
+    );
 }
 
 #[test]
@@ -75,7 +78,7 @@ fn small(number: u64, estimator: &str, dampings: &[f64]) {
     let question = Question { estimators: vec![usual(estimator)], ..question(&file, 5_000.0) };
     let (found, tried) = none_is_stiffer(&question, dampings, &[1.06]);
     assert!(tried >= 5, "{tried}");
-    // On devices that differ from their file by the margins, the ripple is no larger.
+    // The result must also meet the ripple limit on devices that differ from their file by the margins.
     for (share, loose) in [(0.9, 0.97), (1.1, 1.03)] {
         let mut other = file.clone();
         for joint in &mut other.description.joints {
@@ -108,7 +111,7 @@ fn no_wall_on_a_cable_device_is_stiffer_than_the_result() {
     small(5, "backward-difference", &[0.5, 0.7, 1.0, 1.4, 2.0]);
 }
 
-/// Counts how often a mass, pushed by a hand, leaves a spring and damper that cannot pull.
+/// Counts how often a mass that a hand pushes leaves a wall, a spring and damper that cannot pull.
 fn rebounds(mass: f64, stiffness: f64, damping: f64) -> usize {
     let (mut x, mut v, mut inside, mut left) = (0.0, -0.2, false, 0);
     let h = 1e-6;
@@ -123,7 +126,7 @@ fn rebounds(mass: f64, stiffness: f64, damping: f64) -> usize {
 }
 
 #[test]
-fn a_tap_rebounds_like_a_mass_on_a_spring_at_most_once() {
+fn taps_rebound_like_a_mass_on_a_spring() {
     let mut file = shipped("hapkit-paddle");
     for joint in &mut file.description.joints {
         (joint.viscous, joint.coulomb) = (0.0, 0.0);
@@ -140,7 +143,7 @@ fn a_tap_rebounds_like_a_mass_on_a_spring_at_most_once() {
                 Settings { rate_hz: 20_000.0, ..wall(usual("backward-difference"), 500.0, (stiffness, damping)) };
             let (found, known) =
                 (simulation.rebounds(&rendered(&wall)).unwrap().unwrap(), rebounds(mass, stiffness, damping));
-            // Half a carrier period of delay reduces a small damping.
+            // The delay of half a carrier period reduces a small damping, so many rebounds may differ by one.
             let near = found.abs_diff(known) <= usize::from(known > 2);
             assert!(near, "{stiffness} N/m at {ratio} of critical damping: {found}, not {known}");
             assert_eq!(
@@ -167,7 +170,7 @@ fn rendered(wall: &Settings) -> Rendered {
     }
 }
 
-/// The stop flag is checked after every press or curve, so a search ends among its first candidates.
+/// The stop flag is checked after every press or curve, so a stopped search ends within its first candidates.
 #[test]
 fn long_searches_end_at_the_next_press_after_ctrl_c() {
     let file = drawn(0);

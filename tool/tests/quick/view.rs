@@ -1,6 +1,6 @@
-//! `haptic view` without a browser: command, the dead man's key, gains, walls, the oscilloscope, and access.
+//! `haptic view` without a browser: pages in command, dead man's key, gains, walls, oscilloscope, and access.
 
-use crate::common::page::Heard;
+use crate::common::page::Received;
 use crate::common::prelude::*;
 use crate::common::{file, shipped};
 use haptic_bridge::board::protocol::{Arm, Disarm};
@@ -28,8 +28,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 use tungstenite::{Message, WebSocket};
 
-/// A stage and its pages in this process, on a clock of the test, however busy the computer is.
-struct Played {
+/// A stage and its pages in this process. The test sets their clock, so a busy computer has no effect.
+struct TestView {
     stage: Stage,
     hub: Hub,
     simulated: bool,
@@ -39,12 +39,12 @@ struct Played {
 
 struct Page {
     id: PageId,
-    heard: Heard,
-    /// Message that it repeats: its key is down, or it is there, or none.
-    says: Option<FromPage>,
+    heard: Received,
+    /// Message that the page repeats: the key is down, the page is there, or none if it is silent.
+    repeated: Option<FromPage>,
 }
 
-impl Played {
+impl TestView {
     fn of(world: World, folder: Option<&Path>) -> Self {
         let hub = Hub::default();
         let simulated = world.simulated.is_some();
@@ -52,20 +52,20 @@ impl Played {
         Self { stage, hub, simulated, now: Duration::ZERO, pages: Vec::new() }
     }
 
-    /// The demo with a page in command.
+    /// Starts the demo with a page in command.
     fn demo() -> Self {
         Self::in_command(World::demo().unwrap(), None)
     }
 
     fn in_command(world: World, folder: Option<&Path>) -> Self {
         let mut view = Self::of(world, folder);
-        let page = view.come();
-        view.say(page, json!({"do": "take"}));
+        let page = view.add_page();
+        view.send(page, json!({"do": "take"}));
         assert_eq!(view.pages[page].heard.picture["command"], view.pages[page].id);
         view
     }
 
-    /// A page in command of a board that does not count as simulated, and the simulated board behind it.
+    /// Returns a simulated board, and a page in command of it for which it does not count as simulated.
     fn on_a_board() -> (SharedBoard, Self) {
         let simulated = World::demo().unwrap().simulated.unwrap();
         let board = Board::over(simulated.wire(), "a board").unwrap();
@@ -73,24 +73,24 @@ impl Played {
     }
 
     /// Connects a page and returns its number.
-    fn come(&mut self) -> usize {
-        let (id, heard) = (self.hub.come().unwrap(), Heard::default());
-        self.pages.push(Page { id, heard, says: Some(FromPage::Here {}) });
+    fn add_page(&mut self) -> usize {
+        let (id, heard) = (self.hub.come().unwrap(), Received::default());
+        self.pages.push(Page { id, heard, repeated: Some(FromPage::Here {}) });
         self.play(0.02);
         self.pages.len() - 1
     }
 
-    /// Sends a message, which is handled at once.
-    fn say(&mut self, page: usize, message: Value) {
+    /// Sends a message of a page and lets the stage handle it.
+    fn send(&mut self, page: usize, message: Value) {
         self.hub.said(self.pages[page].id, FromPage::parse(&message.to_string()));
         self.play(0.02);
     }
 
-    /// Presses the key and keeps it down.
+    /// Presses the key of a page, keeps it down, and waits until the board is armed.
     fn arm(&mut self, page: usize) {
         let seen = self.heard(page).step();
-        self.pages[page].says = Some(FromPage::Hold { seen });
-        self.say(page, json!({"do": "arm", "seen": seen}));
+        self.pages[page].repeated = Some(FromPage::Hold { seen });
+        self.send(page, json!({"do": "arm", "seen": seen}));
         // Rows arrive in batches, so the new state is in the next picture or the one after it.
         for _ in 0..2 {
             if self.state() != "Armed" {
@@ -100,12 +100,12 @@ impl Played {
         assert_eq!(self.state(), "Armed", "{:?}", self.pages[page].heard.refused);
     }
 
-    /// Messages that a page has received.
-    fn heard(&self, page: usize) -> &Heard {
+    /// Returns the messages that a page has received.
+    fn heard(&self, page: usize) -> &Received {
         &self.pages[page].heard
     }
 
-    /// The state as the last page sees it.
+    /// Returns the board's state as the last page shows it.
     fn state(&self) -> &str {
         self.pages.last().unwrap().heard.state()
     }
@@ -121,10 +121,10 @@ impl Played {
     fn step(&mut self) {
         self.now += Duration::from_millis(6);
         for page in &mut self.pages {
-            if let Some(FromPage::Hold { seen }) = &mut page.says {
+            if let Some(FromPage::Hold { seen }) = &mut page.repeated {
                 *seen = page.heard.step();
             }
-            page.says.iter().for_each(|says| self.hub.said(page.id, Ok(says.clone())));
+            page.repeated.iter().for_each(|repeated| self.hub.said(page.id, Ok(repeated.clone())));
         }
         while self.stage.turn(self.now).unwrap() == Turn::Played && self.simulated {}
         for Page { id, heard, .. } in &mut self.pages {
@@ -137,7 +137,7 @@ impl Played {
         }
     }
 
-    /// The newest boundary, which is computed in another thread.
+    /// Waits for the newest boundary, which another thread computes.
     fn boundary(&mut self) -> Plane {
         while self.heard(0).plane.is_null() {
             self.play(0.02);
@@ -145,7 +145,7 @@ impl Played {
         serde_json::from_value(self.heard(0).plane.clone()).unwrap()
     }
 
-    /// Place at these distances from the tip along the first wall's normal and across it, m.
+    /// Returns the place at these distances from the tip along and across the first wall's normal, m.
     fn beside(&self, along: f64, across: f64) -> Value {
         let (tip, wall) = (&self.heard(0).picture["geometry"]["tip"], &self.heard(0).walls[0]["values"]);
         let [x, y, nx, ny] = [&tip[0], &tip[1], &wall[3], &wall[4]].map(|value| value.as_f64().unwrap());
@@ -153,7 +153,7 @@ impl Played {
     }
 }
 
-/// A request for gains of the first wall; `beyond` confirms unstable ones.
+/// Returns a request for gains of the first wall; `beyond` confirms unstable gains.
 fn gains(stiffness: f64, damping: f64, feed_forward: &str, beyond: bool) -> Value {
     json!({
         "do": "gains", "wall": 0, "stiffness": stiffness, "damping": damping, "feed_forward": feed_forward,
@@ -163,8 +163,8 @@ fn gains(stiffness: f64, damping: f64, feed_forward: &str, beyond: bool) -> Valu
 
 #[test]
 fn one_page_commands_and_the_others_watch() {
-    let mut view = Played::demo();
-    let (first, second) = (0, view.come());
+    let mut view = TestView::demo();
+    let (first, second) = (0, view.add_page());
     for message in [
         json!({"do": "arm", "seen": 1}),
         json!({"do": "take"}),
@@ -176,7 +176,7 @@ fn one_page_commands_and_the_others_watch() {
         json!({"do": "gains", "wall": 0, "stiffness": 1.0, "damping": 1.0, "feed_forward": "off"}),
     ] {
         let before = view.heard(second).refused.len();
-        view.say(second, message);
+        view.send(second, message);
         assert_eq!(view.heard(second).refused.len(), before + 1);
         assert!(view.heard(second).why().contains("another page is in command"), "{}", view.heard(second).why());
         assert_eq!(view.heard(second).refused[before]["of"], "watching");
@@ -185,79 +185,79 @@ fn one_page_commands_and_the_others_watch() {
     assert_eq!((&seen["command"], &seen["pages"]), (&json!(view.pages[first].id), &json!(2)));
     assert_eq!(view.state(), "Disarmed");
     assert_eq!(view.heard(second).walls, view.heard(first).walls);
-    view.say(first, json!({"do": "give"}));
+    view.send(first, json!({"do": "give"}));
     assert!(view.heard(second).picture["command"].is_null());
-    view.say(first, json!({"do": "arm", "seen": 1}));
+    view.send(first, json!({"do": "arm", "seen": 1}));
     assert_eq!(view.heard(first).why(), "no page is in command: take it first");
-    view.say(second, json!({"do": "take"}));
+    view.send(second, json!({"do": "take"}));
     assert_eq!(view.heard(first).picture["command"], view.pages[second].id);
 }
 
 #[test]
 fn the_motors_are_on_only_while_the_key_is_down() {
-    let (_, mut view) = Played::on_a_board();
+    let (_, mut view) = TestView::on_a_board();
     view.arm(0);
     view.play(2.0);
     assert_eq!(view.state(), "Armed", "{:?}", view.heard(0).refused);
-    view.pages[0].says = Some(FromPage::Here {});
-    view.say(0, json!({"do": "release"}));
+    view.pages[0].repeated = Some(FromPage::Here {});
+    view.send(0, json!({"do": "release"}));
     assert_eq!(view.state(), "Disarmed");
 
-    // Almost half a second of silence releases the key, and a key that is still down then does not arm.
+    // Silence of almost half a second releases the key. If the page then reports the key as down, the motors stay off.
     view.arm(0);
-    view.pages[0].says = None;
+    view.pages[0].repeated = None;
     view.play(0.3);
     assert_eq!(view.state(), "Armed");
     view.play(0.18);
     assert_eq!(view.state(), "Disarmed");
     assert!(view.heard(0).why().contains("no message from the page in command"), "{}", view.heard(0).why());
-    view.pages[0].says = Some(FromPage::Hold { seen: 0 });
+    view.pages[0].repeated = Some(FromPage::Hold { seen: 0 });
     view.play(0.5);
     assert_eq!(view.state(), "Disarmed");
     // After five seconds other pages may take command.
-    view.pages[0].says = None;
+    view.pages[0].repeated = None;
     view.play(4.9);
     assert!(!view.heard(0).picture["command"].is_null());
     view.play(0.2);
     assert!(view.heard(0).picture["command"].is_null());
 }
 
-/// Simulated motors hurt no hand, and the computer may be busy.
+/// Simulated motors cannot hurt a hand, so they stay on although a busy computer delays the page's messages.
 #[test]
 fn simulated_motors_stay_on_while_the_page_is_there() {
-    let mut view = Played::demo();
+    let mut view = TestView::demo();
     let seen = view.heard(0).step();
     view.play(2.0);
-    view.say(0, json!({"do": "arm", "seen": seen}));
-    view.pages[0].says = None;
+    view.send(0, json!({"do": "arm", "seen": seen}));
+    view.pages[0].repeated = None;
     view.play(4.9);
     assert_eq!((view.state(), view.heard(0).refused.len()), ("Armed", 0));
     view.play(0.2);
     assert_eq!((view.state(), &view.heard(0).picture["command"]), ("Disarmed", &Value::Null));
 }
 
-/// If the tip is in a wall, the key alone moves a simulated hand out; on a real board the user has to.
+/// If the tip is in a wall, pressing the key moves a simulated hand out. On a real board the user must move the tip.
 #[test]
-fn the_key_takes_a_simulated_hand_out_of_a_wall() {
-    let mut view = Played::demo();
-    let depth = |view: &Played| view.heard(0).picture["numbers"]["depth"].as_f64().unwrap();
-    let press = |view: &mut Played, seconds: f64| {
+fn the_key_moves_a_simulated_hand_out_of_a_wall() {
+    let mut view = TestView::demo();
+    let depth = |view: &TestView| view.heard(0).picture["numbers"]["depth"].as_f64().unwrap();
+    let press = |view: &mut TestView, seconds: f64| {
         let seen = view.heard(0).step();
-        view.pages[0].says = Some(FromPage::Hold { seen });
-        view.say(0, json!({"do": "arm", "seen": seen}));
+        view.pages[0].repeated = Some(FromPage::Hold { seen });
+        view.send(0, json!({"do": "arm", "seen": seen}));
         view.play(seconds);
     };
-    let release = |view: &mut Played| {
-        view.pages[0].says = Some(FromPage::Here {});
-        view.say(0, json!({"do": "release"}));
+    let release = |view: &mut TestView| {
+        view.pages[0].repeated = Some(FromPage::Here {});
+        view.send(0, json!({"do": "release"}));
     };
     let inside = view.beside(-0.03, 0.0);
     for released in [true, false] {
-        view.say(0, json!({"do": "hand", "at": inside}));
+        view.send(0, json!({"do": "hand", "at": inside}));
         view.play(1.0);
         assert!(depth(&view) > 0.01, "{} m", depth(&view));
         press(&mut view, 0.05);
-        assert_eq!(view.state(), "Disarmed", "the hand is on its way");
+        assert_eq!(view.state(), "Disarmed", "armed before the hand is out of the wall");
         if released {
             release(&mut view);
         }
@@ -266,25 +266,25 @@ fn the_key_takes_a_simulated_hand_out_of_a_wall() {
         assert!(depth(&view) <= 0.0, "{} m", depth(&view));
     }
     release(&mut view);
-    // A wall with no outside within reach.
-    let wall = |view: &Played| json!({"do": "wall", "wall": 0, "point": view.beside(0.5, 0.0)});
-    view.say(0, wall(&view));
+    // The tip cannot leave this wall within its reach.
+    let wall = |view: &TestView| json!({"do": "wall", "wall": 0, "point": view.beside(0.5, 0.0)});
+    view.send(0, wall(&view));
     press(&mut view, 1.9);
     assert_eq!((view.state(), view.heard(0).refused.len()), ("Disarmed", 0));
     view.play(0.3);
     assert_eq!(view.heard(0).refused.last().unwrap()["of"], "inside", "{}", view.heard(0).why());
-    let (_, mut view) = Played::on_a_board();
-    view.say(0, wall(&view));
+    let (_, mut view) = TestView::on_a_board();
+    view.send(0, wall(&view));
     press(&mut view, 0.02);
     assert_eq!(view.heard(0).refused.last().unwrap()["of"], "inside", "{}", view.heard(0).why());
 }
 
-/// A hung script or a queue may still report the key as down with an old step number.
+/// A hung script or a queue may still report the key as down, but with old step numbers.
 #[test]
 fn a_key_reported_with_old_steps_is_released() {
-    let (_, mut view) = Played::on_a_board();
+    let (_, mut view) = TestView::on_a_board();
     view.arm(0);
-    view.pages[0].says = None;
+    view.pages[0].repeated = None;
     let seen = view.heard(0).step();
     for _ in 0..100 {
         view.hub.said(view.pages[0].id, Ok(FromPage::Hold { seen }));
@@ -294,11 +294,10 @@ fn a_key_reported_with_old_steps_is_released() {
     assert!(view.heard(0).why().contains("no message from the page in command"), "{}", view.heard(0).why());
 }
 
-/// The board itself turns the motors off if the stage's thread is starved or its process stopped. This board ignores a
-/// silent host.
+/// If the stage's thread or process stops, the board itself turns the motors off, even if it ignores a silent host.
 #[test]
-fn a_board_releases_a_key_that_the_stage_stops_reporting() {
-    let (simulated, mut view) = Played::on_a_board();
+fn a_board_releases_the_key_if_the_stage_stops_reporting_it() {
+    let (simulated, mut view) = TestView::on_a_board();
     view.arm(0);
     view.play(1.0);
     assert_eq!(simulated.lock().status().state, State::Armed);
@@ -307,18 +306,18 @@ fn a_board_releases_a_key_that_the_stage_stops_reporting() {
     simulated.lock().run(0.11);
     let status = simulated.lock().status();
     assert_eq!((status.state, status.fault.map(|record| record.fault)), (State::Fault, Some(Fault::KeyReleased)));
-    // Only a new press arms again, after the fault is cleared.
+    // After the fault is cleared, only a new press arms again.
     view.play(0.1);
-    view.say(0, json!({"do": "clear"}));
+    view.send(0, json!({"do": "clear"}));
     view.play(0.5);
     assert_eq!(view.state(), "Disarmed");
 }
 
-/// An emulated board is slower than real time, so half a second of its steps takes long. After a stall of the stage the
-/// messages of its pages are handled first.
+/// An emulated board is slower than real time, so the page's silence is measured in real time. After a stall the stage
+/// handles waiting messages of pages first, so that the stall does not count as silence.
 #[test]
 fn a_silent_page_releases_a_slow_board_too() {
-    let (simulated, mut view) = Played::on_a_board();
+    let (simulated, mut view) = TestView::on_a_board();
     view.arm(0);
     for heard_at_once in [true, false] {
         view.now += Duration::from_secs(3);
@@ -328,7 +327,7 @@ fn a_silent_page_releases_a_slow_board_too() {
         view.play(0.3);
         assert_eq!((view.state(), view.heard(0).refused.len()), ("Armed", 0));
     }
-    view.pages[0].says = None;
+    view.pages[0].repeated = None;
     let began = simulated.lock().time();
     for (silent, state) in [(0.3, "Armed"), (0.15, "Disarmed")] {
         let end = view.now + Duration::from_secs_f64(silent);
@@ -339,45 +338,45 @@ fn a_silent_page_releases_a_slow_board_too() {
         assert_eq!(view.state(), state, "{:?}", view.heard(0).refused);
     }
     assert!(view.heard(0).why().contains("no message from the page in command"), "{}", view.heard(0).why());
-    assert!(simulated.lock().time() - began < 0.3, "a part of real time");
+    assert!(simulated.lock().time() - began < 0.3, "the board was not slower than real time");
 }
 
-/// A slow network or a hung page shows and sends outdated states.
+/// With a slow network or a hung page, the user sees outdated states.
 #[test]
 fn a_page_with_half_a_second_of_delay_does_not_arm() {
-    let (_, mut view) = Played::on_a_board();
+    let (_, mut view) = TestView::on_a_board();
     for (late, armed) in [(0.2, "Armed"), (0.5, "Disarmed"), (2.0, "Disarmed")] {
         let seen = view.heard(0).step();
         view.play(late);
         let before = view.heard(0).refused.len();
-        view.say(0, json!({"do": "arm", "seen": seen}));
+        view.send(0, json!({"do": "arm", "seen": seen}));
         assert_eq!((view.state(), view.heard(0).refused.len() - before), (armed, usize::from(armed != "Armed")));
-        view.say(0, json!({"do": "release"}));
+        view.send(0, json!({"do": "release"}));
     }
     assert!(view.heard(0).why().contains("press it again"), "{}", view.heard(0).why());
 }
 
 #[test]
-fn a_repeated_press_counts_once_and_holds_on() {
-    let (_, mut view) = Played::on_a_board();
+fn a_repeated_press_counts_once() {
+    let (_, mut view) = TestView::on_a_board();
     view.arm(0);
-    view.say(0, json!({"do": "arm", "seen": view.heard(0).step()}));
+    view.send(0, json!({"do": "arm", "seen": view.heard(0).step()}));
     view.play(1.0);
     assert_eq!((view.state(), view.heard(0).refused.len()), ("Armed", 0));
-    view.pages[0].says = None;
+    view.pages[0].repeated = None;
     view.play(0.5);
     assert_eq!(view.state(), "Disarmed");
 }
 
-/// However much watching pages send, a release is handled at once, and little of the rest.
+/// Even if watching pages flood the stage, it handles a release at once, and only a few of the other messages.
 #[test]
 fn flooding_pages_do_not_delay_a_release() {
     let world = World::demo().unwrap();
     let simulated = world.simulated.clone().unwrap();
-    let mut view = Played::in_command(world, None);
-    let watching = [view.come(), view.come(), view.come()];
+    let mut view = TestView::in_command(world, None);
+    let watching = [view.add_page(), view.add_page(), view.add_page()];
     view.arm(0);
-    let flood = |view: &mut Played| {
+    let flood = |view: &mut TestView| {
         for page in watching {
             for _ in 0..5_000 {
                 view.hub.said(view.pages[page].id, Err("noise".into()));
@@ -392,33 +391,33 @@ fn flooding_pages_do_not_delay_a_release() {
     assert_eq!(view.state(), "Armed", "{:?}", view.heard(0).refused);
     let before: Vec<usize> = watching.iter().map(|page| view.heard(*page).refused.len()).collect();
     flood(&mut view);
-    view.pages[0].says = None;
+    view.pages[0].repeated = None;
     view.hub.said(view.pages[0].id, Ok(FromPage::Release {}));
     view.step();
-    assert_eq!(simulated.lock().status().state, State::Disarmed, "in the turn after it was said");
+    assert_eq!(simulated.lock().status().state, State::Disarmed, "the release was not handled in the next turn");
     for (page, before) in watching.into_iter().zip(before) {
         let heard = view.heard(page).refused.len() - before;
-        assert!(heard <= 64, "{heard} of 10,000 messages were heard in that turn");
+        assert!(heard <= 64, "{heard} of 10,000 messages were handled in that turn");
     }
 }
 
 #[test]
 fn any_page_turns_the_motors_off() {
-    let mut view = Played::demo();
-    let second = view.come();
+    let mut view = TestView::demo();
+    let second = view.add_page();
     view.arm(0);
-    view.say(second, json!({"do": "disarm"}));
+    view.send(second, json!({"do": "disarm"}));
     assert_eq!(view.state(), "Disarmed");
-    // The first one's key is still down.
+    // The key of the first page is still down.
     view.play(0.5);
     assert_eq!(view.state(), "Disarmed");
 }
 
 #[test]
 fn a_page_that_leaves_releases_the_key() {
-    let mut view = Played::demo();
-    let second = view.come();
-    view.say(0, json!({"do": "hand", "at": view.beside(0.0, 0.0)}));
+    let mut view = TestView::demo();
+    let second = view.add_page();
+    view.send(0, json!({"do": "hand", "at": view.beside(0.0, 0.0)}));
     view.arm(0);
     assert!(!view.heard(second).picture["hand"].is_null());
     let first = view.pages.remove(0);
@@ -429,11 +428,11 @@ fn a_page_that_leaves_releases_the_key() {
     assert!(seen["command"].is_null() && seen["hand"].is_null() && seen["pages"] == 1, "{seen}");
 }
 
-/// The page shows why the motors went off. A real board has no simulated hand.
+/// The page shows why the motors went off, and that a real board has no simulated hand.
 #[test]
 fn motors_turned_off_by_another_tool_are_reported() {
-    let (simulated, mut view) = Played::on_a_board();
-    view.say(0, json!({"do": "hand", "at": [0.0, 0.1]}));
+    let (simulated, mut view) = TestView::on_a_board();
+    view.send(0, json!({"do": "hand", "at": [0.0, 0.1]}));
     assert!(view.heard(0).why().contains("not simulated"), "{}", view.heard(0).why());
     view.arm(0);
     let header = VarHeader { key: VarKey::Key8(Disarm::REQ_KEY), seq_no: VarSeq::Seq2(7) };
@@ -445,45 +444,45 @@ fn motors_turned_off_by_another_tool_are_reported() {
 
 #[test]
 fn gains_beyond_the_boundary_need_confirmation() {
-    let mut view = Played::demo();
+    let mut view = TestView::demo();
     view.boundary();
     let gains = |stiffness: f64| gains(stiffness, 80.0, "off", false);
-    // Gains outside the boundary, as after the tip slid to a less stable place; without the feed-forward even farther.
+    // Beyond the boundary, as after the tip slid to a less stable place, turning the feed-forward off is refused, too.
     for (asked, refused) in [(8_700.0, 1), (39_000.0, 2)] {
-        view.say(0, gains(asked));
+        view.send(0, gains(asked));
         assert_eq!(view.heard(0).refused.len(), refused);
         assert!(view.heard(0).why().contains("predicted to be unstable"), "{}", view.heard(0).why());
-        assert_eq!(view.heard(0).walls[0]["feed_forward"], "washout", "nothing was changed");
+        assert_eq!(view.heard(0).walls[0]["feed_forward"], "washout", "refused gains took effect");
         if refused == 1 {
-            view.say(0, self::gains(40e3, 80.0, "washout", true));
+            view.send(0, self::gains(40e3, 80.0, "washout", true));
             assert_eq!(view.heard(0).walls[0]["stiffness"], 40_000.0);
         }
     }
     let again = view.heard(0).refused[1]["again"].clone();
-    view.say(0, again);
+    view.send(0, again);
     assert_eq!(view.heard(0).walls[0]["feed_forward"], "off");
-    // From outside, softer gains need no confirmation.
+    // Outside the boundary, softer gains need no confirmation.
     for softer in [7_500.0, 5_000.0] {
-        view.say(0, gains(softer));
+        view.send(0, gains(softer));
         assert_eq!(view.heard(0).walls[0]["stiffness"], softer);
     }
     assert_eq!(view.heard(0).refused.len(), 2);
-    view.say(0, gains(-1.0));
+    view.send(0, gains(-1.0));
     assert_eq!(view.heard(0).refused.len(), 3);
 }
 
-/// A refusal names the requested gains; gains that no board can render cannot be confirmed.
+/// A refusal repeats the requested gains. Gains that no board can render cannot be confirmed.
 #[test]
-fn gains_are_refused_by_name_and_have_an_upper_limit() {
-    let mut view = Played::demo();
+fn refusals_name_the_gains_and_gains_have_an_upper_limit() {
+    let mut view = TestView::demo();
     view.boundary();
     let before = view.heard(0).walls[0].clone();
-    view.say(0, gains(8_700.0, 80.0, "off", false));
+    view.send(0, gains(8_700.0, 80.0, "off", false));
     let refused = view.heard(0).refused.last().unwrap().clone();
     assert_eq!((&refused["of"], &refused["again"]["stiffness"]), (&json!("gains"), &json!(8700.0)));
     assert!(view.heard(0).why().starts_with("8.70 kN/m with 80.0 N s/m and feed-forward off"), "{refused}");
     for (stiffness, damping) in [(1e9, 80.0), (8_700.0, 1e9)] {
-        view.say(0, gains(stiffness, damping, "off", true));
+        view.send(0, gains(stiffness, damping, "off", true));
         let refused = view.heard(0).refused.last().unwrap();
         assert!(refused["again"].is_null() && refused["of"] == "gains", "{refused}");
         assert!(view.heard(0).why().contains("that motors and rules allow here"), "{}", view.heard(0).why());
@@ -495,15 +494,15 @@ fn gains_are_refused_by_name_and_have_an_upper_limit() {
         let mut rules = world.board.rules().unwrap();
         rules.limits.tip_force = tip_force;
         world.board.set_rules(&rules).unwrap();
-        let mut view = Played::in_command(world, None);
-        view.say(0, gains(1e9, 80.0, "off", false));
+        let mut view = TestView::in_command(world, None);
+        view.send(0, gains(1e9, 80.0, "off", false));
         let limit = view.heard(0).why().split("above ").nth(1).and_then(|rest| rest.split(" MN/m").next());
         limit.unwrap_or_else(|| panic!("{}", view.heard(0).why())).parse::<f64>().unwrap()
     });
     assert!((all / half - 2.0).abs() < 0.02, "{all}, {half}");
 }
 
-/// The boundary includes the device file's compliance, the scene's posture and the board's drive, and says so.
+/// The boundary includes the device file's compliance, the scene's posture and the board's drive, and lists them.
 #[test]
 fn the_boundary_includes_compliance_posture_and_drive() {
     let cases = [
@@ -515,11 +514,11 @@ fn the_boundary_includes_compliance_posture_and_drive() {
         let (device, path) = (shipped(name), file(&format!("scenes/{name}/{scene}.toml")));
         let scene: Scene<f32> = SceneFile::load(Path::new(&path), device.spec().task).unwrap().scene().unwrap();
         let subject = Subject::new(&device.description).unwrap();
-        let mut view = Played::in_command(World::simulate(device, Some(scene.clone())).unwrap(), None);
+        let mut view = TestView::in_command(World::simulate(device, Some(scene.clone())).unwrap(), None);
         let plane = view.boundary();
         assert!(plane.assumes.iter().any(|told| told.contains(words)), "{name}: {:?}", plane.assumes);
         let (scene, wall) = (scene.cast::<f64>(), scene.walls[0]);
-        let Surface::Plane(surface) = wall.surface else { panic!("{name}: another wall") };
+        let Surface::Plane(surface) = wall.surface else { panic!("{name}: the wall is no plane") };
         let estimator = LinearEstimator::of(scene.estimator, scene.cutoff_hz).unwrap();
         let mut around = Loop::through(&TorquePath::usual(scene.rate_hz), scene.rate_hz, estimator);
         around.damping_compensation = wall.damping_compensation;
@@ -549,14 +548,14 @@ fn the_boundary_includes_compliance_posture_and_drive() {
 }
 
 #[test]
-fn a_page_may_ask_for_the_limiting_effects() {
-    let mut view = Played::demo();
-    let second = view.come();
+fn every_page_may_request_the_limiting_effects() {
+    let mut view = TestView::demo();
+    let second = view.add_page();
     assert_eq!(view.boundary().limits, None, "not requested");
     for (kind, name) in [(FeedForward::Washout, "washout"), (FeedForward::Off, "off")] {
-        view.say(0, gains(3000.0, 80.0, name, false));
-        // A watching page may ask too.
-        view.say(second, json!({"do": "explain"}));
+        view.send(0, gains(3000.0, 80.0, name, false));
+        // A watching page may also request the effects.
+        view.send(second, json!({"do": "explain"}));
         let limits = loop {
             match view.boundary().limits {
                 Some(limits) if limits.feed_forward == kind => break limits,
@@ -566,7 +565,7 @@ fn a_page_may_ask_for_the_limiting_effects() {
         let top = view.boundary().boundary(kind).iter().map(|point| point.kp).fold(0.0, f64::max);
         assert!((limits.stiffness.unwrap() / top - 1.0).abs() < 3e-3, "{limits:?} {top}");
         let names: Vec<&str> = limits.without.iter().map(|without| without.effect.as_str()).collect();
-        // The device is rigid and has no posture; a hand leads it.
+        // The device is rigid and has no posture, so compliance and posture are not listed.
         assert_eq!(names, ["sampling", "delay", "drive", "filter", "joint damping", "empty hand"]);
         assert!(limits.without.iter().all(|without| without.stiffness.is_some_and(|kp| kp > 0.9 * top)), "{limits:?}");
         assert!((1e-6..1e-4).contains(&limits.count), "{limits:?}");
@@ -575,31 +574,31 @@ fn a_page_may_ask_for_the_limiting_effects() {
 
 #[test]
 fn gains_beyond_the_boundary_show_their_buzz_frequency() {
-    let mut view = Played::demo();
+    let mut view = TestView::demo();
     view.boundary();
-    assert!(view.heard(0).picture["buzz"].is_null(), "the wall is stable");
-    view.say(0, gains(8700.0, 80.0, "off", true));
+    assert!(view.heard(0).picture["buzz"].is_null(), "a stable wall must not buzz");
+    view.send(0, gains(8700.0, 80.0, "off", true));
     view.play(0.1);
     let buzz = &view.heard(0).picture["buzz"];
     let (hz, growth) = (buzz["hz"].as_f64().unwrap(), buzz["growth_per_s"].as_f64().unwrap());
     assert!((hz - 71.0).abs() < 3.0 && growth > 0.0, "{buzz}");
 }
 
-/// A page that loses its connection shows the last known state of the motors.
+/// A page that loses its connection shows a notice about the last known state of the motors.
 #[test]
 fn the_notice_for_a_lost_connection_is_sent_in_advance() {
-    let if_lost = |view: &Played| view.heard(0).picture["if_lost"].as_str().unwrap_or_default().to_string();
-    assert!(if_lost(&Played::demo()).contains("simulated board is gone"));
-    let (simulated, mut view) = Played::on_a_board();
+    let if_lost = |view: &TestView| view.heard(0).picture["if_lost"].as_str().unwrap_or_default().to_string();
+    assert!(if_lost(&TestView::demo()).contains("simulated board is gone"));
+    let (simulated, mut view) = TestView::on_a_board();
     assert_eq!(if_lost(&view), "the motors were off in the last picture");
     view.arm(0);
     view.play(0.1);
     assert!(if_lost(&view).contains("half a second after the last message about the key"), "{}", if_lost(&view));
-    view.pages[0].says = Some(FromPage::Here {});
-    view.say(0, json!({"do": "release"}));
+    view.pages[0].repeated = Some(FromPage::Here {});
+    view.send(0, json!({"do": "release"}));
     view.play(0.1);
     assert!(if_lost(&view).contains("were off"), "{}", if_lost(&view));
-    // Another tool, on a board that does not watch its host.
+    // Another tool arms the board, which does not watch its host.
     let header = VarHeader { key: VarKey::Key8(Arm::REQ_KEY), seq_no: VarSeq::Seq2(7) };
     simulated.lock().receive(&encode(&header, &[]));
     view.play(0.5);
@@ -631,19 +630,19 @@ impl Wire for CorruptingWire {
     }
 }
 
-/// JSON has no NaN, so a page could not draw the scene.
+/// JSON cannot represent NaN, so a page could not draw the scene.
 #[test]
 fn a_scene_with_a_nan_is_refused_and_not_sent() {
     let simulated = World::demo().unwrap().simulated.unwrap();
     let corrupt = Arc::new(AtomicBool::new(false));
     let open = || Board::over(Box::new(CorruptingWire(simulated.wire(), Arc::clone(&corrupt))), "a board").unwrap();
-    let mut view = Played::in_command(World::of(open(), None), None);
+    let mut view = TestView::in_command(World::of(open(), None), None);
     let gains = |damping: f64| gains(f64::from(MARKED), damping, "off", true);
-    view.say(0, gains(80.0));
+    view.send(0, gains(80.0));
     let before = view.heard(0).walls.clone();
     assert_eq!(before[0]["stiffness"], f64::from(MARKED));
     corrupt.store(true, Ordering::Relaxed);
-    view.say(0, gains(81.0));
+    view.send(0, gains(81.0));
     assert_eq!(view.heard(0).walls, before);
     assert!(view.heard(0).why().contains("wall 0: stiffness and damping must be finite"), "{}", view.heard(0).why());
     drop(view);
@@ -651,30 +650,33 @@ fn a_scene_with_a_nan_is_refused_and_not_sent() {
     assert!(failure.contains("wall 0: stiffness and damping must be finite"), "{failure}");
 }
 
-/// The wall of a paddle is a line across the arc of its tip, with a solid side.
+/// A paddle's wall is drawn as a line across the arc of the tip, with a solid side.
 #[test]
 fn the_wall_of_a_paddle_is_placed_on_its_arc() {
-    let view = Played::in_command(World::simulate(shipped("hapkit-paddle"), None).unwrap(), None);
+    let view = TestView::in_command(World::simulate(shipped("hapkit-paddle"), None).unwrap(), None);
     let wall = &view.heard(0).walls[0];
     let [at, normal] = ["at", "normal"].map(|key| [0, 1].map(|axis| wall["outline"][key][axis].as_f64().unwrap()));
     let (arc, length) = (wall["values"][0].as_f64().unwrap(), 0.07);
     assert!(
         (at[0] - length * (arc / length).cos()).abs() < 1e-6 && (at[1] - length * (arc / length).sin()).abs() < 1e-6
     );
-    assert!((normal[0] * at[0] + normal[1] * at[1]).abs() < 1e-6 && normal[1] > 0.9, "out of the solid, along the arc");
+    assert!(
+        (normal[0] * at[0] + normal[1] * at[1]).abs() < 1e-6 && normal[1] > 0.9,
+        "the normal does not point out of the solid along the arc"
+    );
 }
 
 /// Ripple above which the page turns red, N.
 const RED: f64 = 0.5;
 
-/// However far a page leads the hand, the linkage stays on its side of every singularity, also if the motors go off under
-/// a displaced tip, or the hand releases a tip that a wall throws out.
+/// Wherever a page leads the hand, the linkage stays on the same side of every singularity, also if the motors go off
+/// in a displaced pose or if the hand releases the tip in a wall, which then throws the tip out.
 #[test]
 fn leading_the_hand_never_folds_the_linkage() {
     let planar = ["cable-five-bar", "capstan-pantograph", "haply-2diy", "pantograph-mk2", "serial-3r"];
     let scenes = planar.map(|name| Some((name, wall_ahead(&shipped(name)).unwrap())));
     for scene in scenes.into_iter().chain([None]) {
-        for (goal, lets_go, seconds) in
+        for (goal, releases, seconds) in
             [(None, true, 0.4), (Some([0.02, -0.1]), false, 0.2), (Some([0.5, 0.4]), false, 0.2)]
         {
             let mut world = match scene.clone() {
@@ -701,7 +703,7 @@ fn leading_the_hand_never_folds_the_linkage() {
                 }
             };
             plays(0.3);
-            match lets_go {
+            match releases {
                 true => lead(&board, None),
                 false => world.board.disarm().unwrap(),
             }
@@ -710,21 +712,21 @@ fn leading_the_hand_never_folds_the_linkage() {
     }
 }
 
-/// Starting over resets pose, walls, gains and hand, also after a fault, whose remedy it is in a simulation.
+/// Starting over resets pose, walls, gains and hand. In a simulation it is also the remedy for a fault.
 #[test]
 fn a_simulation_starts_over_and_arms_again() {
     let world = World::demo().unwrap();
     let board = world.simulated.clone().unwrap();
-    let mut view = Played::in_command(world, None);
-    let depth = |view: &Played| view.heard(0).picture["numbers"]["depth"].as_f64().unwrap();
+    let mut view = TestView::in_command(world, None);
+    let depth = |view: &TestView| view.heard(0).picture["numbers"]["depth"].as_f64().unwrap();
     let (walls, before) = (view.heard(0).walls.clone(), depth(&view));
     assert!((before + 0.010).abs() < 1e-4, "the wall is 10 mm away, not {before} m");
     for broken in [false, true] {
         view.arm(0);
         let (place, wall) = (view.beside(-0.03, 0.01), view.beside(0.005, 0.0));
-        view.say(0, json!({"do": "hand", "at": place}));
+        view.send(0, json!({"do": "hand", "at": place}));
         view.play(0.8);
-        view.say(0, gains(3000.0, 20.0, "full", true));
+        view.send(0, gains(3000.0, 20.0, "full", true));
         if broken {
             let far = board.lock().device().start().map(|angle| angle + 0.5);
             board.lock().device_mut().place(far);
@@ -732,13 +734,13 @@ fn a_simulation_starts_over_and_arms_again() {
             let words = view.heard(0).picture["fault"].as_str().unwrap().to_string();
             assert!(words.contains("start over") && !words.contains("cable"), "{words}");
         } else {
-            view.pages[0].says = Some(FromPage::Here {});
-            view.say(0, json!({"do": "release"}));
-            view.say(0, json!({"do": "wall", "wall": 0, "point": wall}));
+            view.pages[0].repeated = Some(FromPage::Here {});
+            view.send(0, json!({"do": "release"}));
+            view.send(0, json!({"do": "wall", "wall": 0, "point": wall}));
         }
         assert_ne!(view.heard(0).walls, walls);
-        view.pages[0].says = Some(FromPage::Here {});
-        view.say(0, json!({"do": "start-over"}));
+        view.pages[0].repeated = Some(FromPage::Here {});
+        view.send(0, json!({"do": "start-over"}));
         view.play(0.2);
         let picture = &view.heard(0).picture;
         assert_eq!((view.state(), &picture["fault"], &picture["hand"]), ("Disarmed", &Value::Null, &Value::Null));
@@ -746,42 +748,42 @@ fn a_simulation_starts_over_and_arms_again() {
         assert!((depth(&view) - before).abs() < 1e-4, "{} m", depth(&view));
     }
     for (pose, refusals) in [(json!([1.7, 1.1]), 0), (json!([1.7]), 1), (json!([1e9, -1e9]), 2)] {
-        view.say(0, json!({"do": "start-over", "pose": pose}));
+        view.send(0, json!({"do": "start-over", "pose": pose}));
         view.play(0.2);
         assert_eq!(view.heard(0).refused.len(), refusals, "{pose}");
         let q = board.lock().device().q();
         assert!((q[0] - 1.7).abs() < 1e-3 && (q[1] - 1.1).abs() < 1e-3, "{q:?}");
     }
     view.arm(0);
-    let mut view = Played::in_command(World::of(Board::over(board.wire(), "a board").unwrap(), None), None);
-    view.say(0, json!({"do": "start-over"}));
+    let mut view = TestView::in_command(World::of(Board::over(board.wire(), "a board").unwrap(), None), None);
+    view.send(0, json!({"do": "start-over"}));
     assert!(view.heard(0).why().contains("not simulated"), "{}", view.heard(0).why());
 }
 
-/// A hand presses the wall. One click turns the feed-forward off and the wall buzzes, another turns it on and the wall is
-/// quiet, at every depth and also aside of the start.
+/// While a hand presses the wall, one click turns the feed-forward off and the wall buzzes; another click turns it on
+/// and the wall is quiet. This is true at every depth and also at places to the side of the start.
 #[test]
 fn the_feed_forward_button_makes_a_pressed_wall_buzz_or_quiet() {
-    let mut view = Played::demo();
+    let mut view = TestView::demo();
     view.arm(0);
     view.play(0.8);
-    let number = |view: &Played, name: &str| view.heard(0).picture["numbers"][name].as_f64().unwrap();
+    let number = |view: &TestView, name: &str| view.heard(0).picture["numbers"][name].as_f64().unwrap();
     let [stiffness, damping] = ["stiffness", "damping"].map(|gain| view.heard(0).walls[0][gain].as_f64().unwrap());
     let out = view.beside(0.0, 0.0);
     let pressed = [(16, 0), (22, 0), (28, 0), (34, 0), (42, 0), (54, 0), (28, 6), (28, -6)];
     let pressed =
         pressed.map(|(depth, aside)| (view.beside(-1e-3 * f64::from(depth), 1e-3 * f64::from(aside)), depth, aside));
-    // Clicks a kind of feed-forward and confirms.
-    let click = |view: &mut Played, kind: FeedForward| {
-        view.say(0, json!({"do": "gains", "wall": 0, "stiffness": stiffness, "damping": damping, "feed_forward": kind, "beyond": true}));
+    // Requests a kind of feed-forward with confirmation.
+    let click = |view: &mut TestView, kind: FeedForward| {
+        view.send(0, json!({"do": "gains", "wall": 0, "stiffness": stiffness, "damping": damping, "feed_forward": kind, "beyond": true}));
     };
     let mut said = String::new();
     let mut as_it_should = true;
     for (place, depth, aside) in pressed {
-        view.say(0, json!({"do": "hand", "at": out}));
+        view.send(0, json!({"do": "hand", "at": out}));
         view.play(0.8);
-        view.say(0, json!({"do": "hand", "at": place}));
-        // Share of red pictures in the second half.
+        view.send(0, json!({"do": "hand", "at": place}));
+        // Share of pictures with a red ripple after the first 0.8 s.
         let shares = [FeedForward::Washout, FeedForward::Off, FeedForward::Washout].map(|kind| {
             click(&mut view, kind);
             view.play(0.8);
@@ -800,7 +802,7 @@ fn the_feed_forward_button_makes_a_pressed_wall_buzz_or_quiet() {
         as_it_should &= 1.1 * off < stiffness && stiffness < 0.95 * washout;
     }
     assert!(as_it_should, "a wall of {stiffness} N/m, {damping} N s/m:\n{said}");
-    // Equation (4) pushes a resting hand sideways; behind the washout it does not.
+    // With the full feed-forward of (4) a wall pushes a resting hand sideways; with a washout it does not.
     click(&mut view, FeedForward::Full);
     view.play(1.6);
     assert!(number(&view, "sideways") > 0.5, "{}", number(&view, "sideways"));
@@ -809,42 +811,42 @@ fn the_feed_forward_button_makes_a_pressed_wall_buzz_or_quiet() {
 
 #[test]
 fn walls_are_moved_and_turned_while_the_motors_are_off() {
-    let mut view = Played::demo();
-    let value = |view: &Played, place: usize| view.heard(0).walls[0]["values"][place].as_f64().unwrap();
-    view.say(0, json!({"do": "wall", "wall": 0, "point": [0.01, 0.125]}));
+    let mut view = TestView::demo();
+    let value = |view: &TestView, place: usize| view.heard(0).walls[0]["values"][place].as_f64().unwrap();
+    view.send(0, json!({"do": "wall", "wall": 0, "point": [0.01, 0.125]}));
     assert!((value(&view, 1) - 0.125).abs() < 1e-6);
-    view.say(0, json!({"do": "wall", "wall": 0, "point": [0.01, 0.125], "normal": [3.0, 4.0]}));
+    view.send(0, json!({"do": "wall", "wall": 0, "point": [0.01, 0.125], "normal": [3.0, 4.0]}));
     assert!((value(&view, 3) - 0.6).abs() < 1e-6);
     for (message, words) in [
         (json!({"do": "wall", "wall": 7, "point": [0.0, 0.0]}), "no wall 7"),
         (json!({"do": "wall", "wall": 0, "point": [0.0, 0.0], "normal": [0.0, 0.0]}), "must not be zero"),
         (json!({"do": "gains", "wall": 7, "stiffness": 1.0, "damping": 1.0, "feed_forward": "off"}), "no wall 7"),
     ] {
-        view.say(0, message);
+        view.send(0, message);
         assert!(view.heard(0).why().contains(words), "{}", view.heard(0).why());
     }
 }
 
 #[test]
 fn the_oscilloscope_triggers_on_the_touch() {
-    let mut view = Played::demo();
+    let mut view = TestView::demo();
     let trigger = json!({"channel": "force_n", "level": 0.5, "rising": true, "before": 0.5, "once": true});
-    view.say(0, json!({"do": "scope", "channels": ["force_n", "distance_m"], "seconds": 0.1, "trigger": trigger}));
+    view.send(0, json!({"do": "scope", "channels": ["force_n", "distance_m"], "seconds": 0.1, "trigger": trigger}));
     view.arm(0);
     view.play(0.6);
-    assert!(view.heard(0).sweep.is_empty(), "nothing was touched yet");
-    view.say(0, json!({"do": "hand", "at": view.beside(-0.02, 0.0)}));
+    assert!(view.heard(0).sweep.is_empty(), "the trigger fired before the touch");
+    view.send(0, json!({"do": "hand", "at": view.beside(-0.02, 0.0)}));
     view.play(1.0);
     let (head, values) = view.heard(0).sweep.split_at(6);
-    // 0.1 s at 1 kHz: every row, with the crossing in the middle.
+    // A sweep of 0.1 s at 1 kHz has all 100 rows, with the crossing in the middle.
     assert_eq!([head[1], head[4], head[5]], [3.0, 2.0, 100.0]);
     let force = |row: usize| values[2 * row];
     let crossing = (head[3] / head[2] * 99.0).round() as usize;
     assert!(force(crossing - 1) < 0.5 && force(crossing) >= 0.5, "{:?}", &values[..200]);
-    assert!((0..40).all(|row| force(row) == 0.0), "the time before the touch is there");
-    view.say(0, json!({"do": "scope", "channels": ["no"], "seconds": 0.1}));
+    assert!((0..40).all(|row| force(row) == 0.0), "the sweep lacks the time before the touch");
+    view.send(0, json!({"do": "scope", "channels": ["no"], "seconds": 0.1}));
     assert_eq!(view.heard(0).refused.len(), 1);
-    view.say(0, json!({"do": "sound", "on": true}));
+    view.send(0, json!({"do": "sound", "on": true}));
     view.play(0.02);
     let sound = &view.heard(0).sound;
     assert!(sound.len() > 2 && sound[1] == 1000.0, "rows a second: {sound:?}");
@@ -853,15 +855,15 @@ fn the_oscilloscope_triggers_on_the_touch() {
 #[test]
 fn a_recording_of_a_page_can_be_replayed() {
     let folder = tempfile::tempdir().unwrap();
-    let mut view = Played::in_command(World::demo().unwrap(), Some(folder.path()));
-    view.say(0, json!({"do": "record", "on": true}));
+    let mut view = TestView::in_command(World::demo().unwrap(), Some(folder.path()));
+    view.send(0, json!({"do": "record", "on": true}));
     view.play(0.1);
     assert!(view.heard(0).picture["recording"]["rows"].as_u64().unwrap() > 50);
-    view.say(0, json!({"do": "record", "on": true}));
+    view.send(0, json!({"do": "record", "on": true}));
     assert!(view.heard(0).why().contains("already active"), "{}", view.heard(0).why());
     view.arm(0);
     view.play(0.5);
-    view.say(0, json!({"do": "record", "on": false}));
+    view.send(0, json!({"do": "record", "on": false}));
     let file = std::fs::read_dir(folder.path()).unwrap().next().unwrap().unwrap().path();
     let recording = Recording::load(&file).unwrap();
     let (words, rows) = (view.heard(0).recorded.clone().unwrap(), recording.rows.len());
@@ -875,10 +877,10 @@ fn a_recording_of_a_page_can_be_replayed() {
 fn springs_and_their_anchors_are_sent_to_the_page() {
     let path = file("scenes/haply-2diy/groove.toml");
     let scene = SceneFile::load(Path::new(&path), 2).unwrap().scene().unwrap();
-    let view = Played::in_command(World::simulate(shipped("haply-2diy"), Some(scene)).unwrap(), None);
+    let view = TestView::in_command(World::simulate(shipped("haply-2diy"), Some(scene)).unwrap(), None);
     let page = view.heard(0);
     assert_eq!(page.springs[0]["stiffness"], 250.0, "{}", page.springs);
-    // The line y = 0.115: straight above or below the tip.
+    // The nearest point of the line y = 0.115 is straight above or below the tip.
     let (tip, held) = (&page.picture["geometry"]["tip"], &page.picture["geometry"]["springs"][0]);
     let apart = (tip[0].as_f64().unwrap() - held[0].as_f64().unwrap()).abs();
     assert!(apart < 1e-6 && (held[1].as_f64().unwrap() - 0.115).abs() < 1e-6, "{tip}: {held}");
@@ -887,7 +889,7 @@ fn springs_and_their_anchors_are_sent_to_the_page() {
 #[test]
 fn every_kind_of_device_can_be_viewed() {
     for name in ["hapkit-paddle", "haply-2diy", "phantom-premium-1.5", "serial-3r", "fictive-five-bar-turret"] {
-        let mut view = Played::in_command(World::simulate(shipped(name), None).unwrap(), None);
+        let mut view = TestView::in_command(World::simulate(shipped(name), None).unwrap(), None);
         view.boundary();
         assert!(!view.heard(0).picture["geometry"]["bars"].as_array().unwrap().is_empty(), "{name}");
         assert_eq!(view.heard(0).hello["device"], name);
@@ -895,7 +897,7 @@ fn every_kind_of_device_can_be_viewed() {
     }
 }
 
-/// Serves pages of a hub; returns the address that the tool prints.
+/// Serves the pages of a hub. Returns the address that the tool prints.
 fn listen(address: &str, hub: &Hub) -> String {
     let door = PageListener::open(address.parse().unwrap()).unwrap();
     let url = door.url().unwrap();
@@ -933,16 +935,16 @@ fn the_page_is_served_only_to_this_computer() {
     assert!(page.starts_with("HTTP/1.1 200 ") && page.contains("<title>haptic view</title>"), "{}", &page[..200]);
     assert!(page.contains("Content-Security-Policy: default-src 'none'"));
     assert!(get("/other", "").starts_with("HTTP/1.1 404 "));
-    assert!(get("/live", "").starts_with("HTTP/1.1 400 "), "no WebSocket was asked for");
+    assert!(get("/live", "").starts_with("HTTP/1.1 400 "), "/live accepts only WebSockets");
     assert!(get("/", "Origin: http://evil.example\r\n").starts_with("HTTP/1.1 403 "));
     assert!(ask(host, "GET / HTTP/1.1\r\nHost: evil.example\r\n\r\n").starts_with("HTTP/1.1 403 "));
     assert!(ask(host, &format!("POST / HTTP/1.1\r\nHost: {host}\r\n\r\n")).starts_with("HTTP/1.1 400 "));
     assert!(ask(host, "\0\x01\x02 what\r\n\r\n").starts_with("HTTP/1.1 400 "));
-    // A browser keeps a spare connection and takes bytes on it for the reply to its next request.
+    // A browser keeps a spare connection. It would take any bytes on it for the reply to its next request.
     let (mut spare, mut said) = (TcpStream::connect(host).unwrap(), String::new());
     spare.shutdown(Shutdown::Write).unwrap();
     spare.read_to_string(&mut said).unwrap();
-    assert_eq!(said, "", "nothing was asked");
+    assert_eq!(said, "", "a connection without a request received bytes");
 }
 
 #[test]
@@ -951,19 +953,19 @@ fn other_computers_need_the_token() {
     let url = listen("0.0.0.0:0", &hub);
     let (host, query) = parts(&url);
     assert_eq!(query.len(), "?token=".len() + 32, "{url}");
-    assert!(!host.starts_with("0.0.0.0"), "no browser of another computer opens {url}");
+    assert!(!host.starts_with("0.0.0.0"), "another computer cannot open {url}");
     let get = |path: &str| ask(host, &format!("GET {path} HTTP/1.1\r\nHost: {host}\r\n\r\n"));
     assert!(get("/").starts_with("HTTP/1.1 403 ") && get("/live").starts_with("HTTP/1.1 403 "));
     assert!(get(&format!("/{query}")).starts_with("HTTP/1.1 200 "));
-    let (mut page, mut heard) = (connect(&url), Heard::default());
+    let (mut page, mut heard) = (connect(&url), Received::default());
     while heard.you == 0 {
         assert!(read(&mut page, &mut heard));
     }
 }
 
-/// Connections without the token do not use up places.
+/// Connections without the token do not count towards the largest number of pages.
 #[test]
-fn strangers_keep_no_page_out() {
+fn connections_without_token_do_not_block_pages() {
     let url = listen("0.0.0.0:0", &Hub::default());
     let (host, query) = parts(&url);
     let stranger = |_| {
@@ -977,7 +979,7 @@ fn strangers_keep_no_page_out() {
 }
 
 /// Reads one message if there is one. Returns false if the connection has ended.
-fn read(socket: &mut WebSocket<TcpStream>, heard: &mut Heard) -> bool {
+fn read(socket: &mut WebSocket<TcpStream>, heard: &mut Received) -> bool {
     match socket.read() {
         Ok(Message::Text(text)) => heard.text(&text),
         Ok(Message::Binary(bytes)) => heard.bytes(&bytes),
@@ -992,9 +994,9 @@ fn read(socket: &mut WebSocket<TcpStream>, heard: &mut Heard) -> bool {
 
 #[test]
 fn malformed_messages_are_refused() {
-    let mut view = Played::of(World::demo().unwrap(), None);
+    let mut view = TestView::of(World::demo().unwrap(), None);
     let url = listen("127.0.0.1:0", &view.hub);
-    let (mut socket, mut heard) = (connect(&url), Heard::default());
+    let (mut socket, mut heard) = (connect(&url), Received::default());
     let texts = ["", "{", "null", "[1]", r#"{"do":"fly"}"#, r#"{"do":"hold","seen":1,"x":1}"#].map(Message::text);
     for (count, message) in (1..).zip(texts.into_iter().chain([Message::binary(vec![1, 2, 3])])) {
         socket.send(message).unwrap();
@@ -1005,10 +1007,10 @@ fn malformed_messages_are_refused() {
         assert!(heard.why().starts_with("not a message of this page"), "{}", heard.why());
     }
     assert!(heard.why().contains("binary"), "{}", heard.why());
-    // A message that is far too long ends only its own connection.
+    // A message that is far too long ends only the connection that sent it.
     let mut other = connect(&url);
     let _ = other.send(Message::text("x".repeat(100_000)));
-    while read(&mut other, &mut Heard::default()) {
+    while read(&mut other, &mut Received::default()) {
         view.step();
     }
     socket.send(Message::text(r#"{"do":"take"}"#)).unwrap();

@@ -1,5 +1,5 @@
-//! The inertia that a redundant device shows its wall depends on the admissible set, and all commands agree on it; the
-//! gain of the feed-forward.
+//! The rendered inertia of a redundant device depends on the admissible set, and all commands agree on it. Also tests
+//! the gain of the feed-forward.
 
 use crate::common::prelude::*;
 use crate::common::{ideal_loop, shipped, type_lines};
@@ -22,7 +22,7 @@ fn only_the_rendered_inertia_depends_on_the_admissible_set() {
     let arm = arm();
     let wall = [WallForce { normal: NORMAL.to_vec(), force: 2.0, stiffness: 1.0, feed_forward: true }];
     let mut effective = Vec::new();
-    // By independent computation.
+    // Ratios from an independent computation.
     for (admissible, ratio) in [
         (Admissible::Orientation, 3.99),
         (Admissible::Joint0, 1.29),
@@ -37,13 +37,13 @@ fn only_the_rendered_inertia_depends_on_the_admissible_set() {
             assert!((model.w_rr[0][0] / model.w_eff[0][0] - ratio).abs() < 0.006, "{admissible:?}: {:?}", model.w_rr);
             let range = Linearised::holding(&arm.description, &q, &NORMAL, admissible).unwrap();
             assert!((model.w_rr[0][0] / range.w_rr() - 1.0).abs() < tolerance, "{admissible:?}, {precision:?}");
-            // (1) with W in blocks: Wrr - Wra Waa⁻¹ War is Weff whatever the third coordinate.
+            // By (1) with W in blocks, Wrr - Wra Waa⁻¹ War equals Weff for every choice of the third coordinate.
             let (a, b, c) = (model.w_aa[0][0], model.w_aa[0][1], model.w_aa[1][1]);
             let (x, y) = (model.w_ra[0][0], model.w_ra[0][1]);
             let schur = model.w_rr[0][0] - (c * x * x - 2.0 * b * x * y + a * y * y) / (a * c - b * b);
             assert!((schur / model.w_eff[0][0] - 1.0).abs() < 50.0 * tolerance, "{admissible:?}: {schur}");
             if admissible == Admissible::Consistent {
-                assert!(y.abs() < 10.0 * tolerance, "nothing couples to the null motion: {y}");
+                assert!(y.abs() < 10.0 * tolerance, "the wall couples to the null motion: {y}");
             }
             effective.push((model.w_eff[0][0], model.condition));
         }
@@ -75,7 +75,10 @@ fn the_map_depends_on_the_admissible_set() {
         let pairs: Vec<_> = points.iter().filter_map(|a| maps[0].iter().find(|b| a.q == b.q).map(|b| (a, b))).collect();
         assert!(10 * pairs.len() > 8 * maps[0].len(), "{} poses in common", pairs.len());
         assert!(pairs.iter().all(|(a, b)| (a.w_eff / b.w_eff - 1.0).abs() < 1e-6));
-        assert!(pairs.iter().any(|(a, b)| (a.w_rr / b.w_rr - 1.0).abs() > 0.1), "they differ");
+        assert!(
+            pairs.iter().any(|(a, b)| (a.w_rr / b.w_rr - 1.0).abs() > 0.1),
+            "the admissible set changes no inertia"
+        );
     }
 }
 
@@ -94,7 +97,7 @@ fn a_gain_of_two_makes_the_demos_wall_stiffer() {
     let five_bar = shipped("coupled-five-bar");
     let normal = [75.0_f64.to_radians().cos(), 75.0_f64.to_radians().sin()];
     let mut device = Linearised::at(&five_bar.description, &[2.6, 1.75], &normal).unwrap().undamped();
-    // By independent computation: 22 994.941 N/m at 1, 29.9 kN/m and 0.357 kg at 2, the pole at 4.9.
+    // An independent computation has 22 994.941 N/m at gain 1, 29.9 kN/m and 0.357 kg at gain 2, and the pole at 4.9.
     for (gain, kilograms, stiffness) in [(1.0, 0.265, 22_994.941), (2.0, 0.357, 29_900.0)] {
         device.gain = gain;
         let range = predict(&device, &around(1000.0, 100.0), Some(&[40.0]), None).unwrap();
@@ -103,7 +106,11 @@ fn a_gain_of_two_makes_the_demos_wall_stiffer() {
         assert_eq!(range.off.boundary[0].kp.round(), 17_877.0);
     }
     let most = device.largest_gain().unwrap();
-    assert!((2.0 * most - 1.0 - 4.9).abs() < 0.05, "half way to the pole at {}", 2.0 * most - 1.0);
+    assert!(
+        (2.0 * most - 1.0 - 4.9).abs() < 0.05,
+        "the largest gain must be half way to the pole, not to {}",
+        2.0 * most - 1.0
+    );
     device.gain = 5.0;
     assert_eq!(device.inertia_met(), None);
     assert!(predict(&device, &around(1000.0, 100.0), Some(&[40.0]), None).is_err());

@@ -1,4 +1,4 @@
-//! The share that an effect takes from a boundary is the difference to the same loop without the effect.
+//! The share that an effect takes from a boundary is computed from the same loop without the effect.
 
 use crate::common::prelude::*;
 use crate::common::{ideal_loop, rigid};
@@ -73,7 +73,7 @@ fn a_rigid_ideal_loop_has_only_sampling_and_a_filter() {
 }
 
 #[test]
-fn results_of_all_cores_come_in_order() {
+fn results_of_several_cores_are_in_order() {
     let things: Vec<u64> = (0..50).collect();
     let told = AtomicUsize::new(0);
     let progress = |_: usize, of: usize| {
@@ -81,7 +81,7 @@ fn results_of_all_cores_come_in_order() {
         told.fetch_add(1, Ordering::Relaxed);
     };
     let squares = cores::map(&things, &progress, |thing| {
-        // The first are the slowest.
+        // The first items take the longest.
         for step in 0..100_000 * (50 - thing) {
             black_box(step);
         }
@@ -92,7 +92,7 @@ fn results_of_all_cores_come_in_order() {
 }
 
 #[test]
-fn every_word_lies_within_the_picture() {
+fn every_text_lies_within_the_picture() {
     let around = around(6400.0);
     let found = why(&soft_and_held(), &around, &Sweep::quiet()).unwrap();
     let picture = draw("a device", &["pose".into(), "loop".into()], &found, Paper::default());
@@ -105,7 +105,7 @@ fn every_word_lies_within_the_picture() {
     let mut words = 0;
     for line in svg.lines().filter(|line| line.starts_with("<text")) {
         let text = line.split_once('>').unwrap().1.trim_end_matches("</text>");
-        // A letter of the picture's font is half of its size wide, and a little more.
+        // A letter of the picture's font is on average a little wider than half of the font size.
         let wide = 0.53 * value(line, "font-size") * text.chars().count() as f64;
         let x = value(line, "x");
         let (left, right) = match line {

@@ -4,16 +4,16 @@ pub use super::super::root;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// How to run a block.
+/// Kind of a block, which decides how it is run.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Kind {
-    /// `sh`: typed as it is.
+    /// `sh`: typed as written.
     Quick,
-    /// `sh board`: typed with a board, here a strict simulated one.
+    /// `sh board`: typed with a strict simulated board.
     Board,
-    /// `sh slow: REASON`: typed as it is, in the deep tests.
+    /// `sh slow: REASON`: typed as written, in the deep tests.
     Slow,
-    /// `sh no-run: REASON`, and the same for another language.
+    /// `sh no-run: REASON`, or another language with `no-run: REASON`: not run.
     NoRun,
     /// `toml device`: a file that passes `haptic check`.
     File,
@@ -35,7 +35,7 @@ pub struct Block {
 impl Block {
     fn kind(info: &str) -> Result<Kind, String> {
         let reasoned = |kind: Kind, reason: &str| match reason.split_whitespace().count() {
-            0..=2 => Err(format!("`{info}` says no reason")),
+            0..=2 => Err(format!("`{info}` has no reason: write one of at least three words")),
             _ => Ok(kind),
         };
         match info.split_once(": ").unwrap_or((info, "")) {
@@ -46,11 +46,11 @@ impl Block {
             ("toml device", "") => Ok(Kind::File),
             ("toml scene", "") => Ok(Kind::Scene),
             ("text", "") => Ok(Kind::Text),
-            _ => Err(format!("`{info}` says neither how to run this block nor why not")),
+            _ => Err(format!("`{info}` does not say how to run this block; see tool/tests/common/documents")),
         }
     }
 
-    /// The commands: without comment lines, with continued lines joined.
+    /// Returns the commands of the block, without comment lines and with continued lines joined.
     pub fn commands(&self) -> Vec<String> {
         let mut commands = Vec::new();
         let mut open = String::new();
@@ -65,7 +65,7 @@ impl Block {
     }
 }
 
-/// README.md and everything in docs/, docs/learn/ and docs/results/.
+/// Returns README.md and all documents in docs/, docs/learn/ and docs/results/.
 pub fn documents() -> Vec<PathBuf> {
     let folders = ["docs", "docs/learn", "docs/results"].map(|folder| fs::read_dir(root().join(folder)).unwrap());
     let mut paths: Vec<PathBuf> = folders.into_iter().flatten().map(|entry| entry.unwrap().path()).collect();
@@ -75,8 +75,7 @@ pub fn documents() -> Vec<PathBuf> {
     paths
 }
 
-/// Returns the blocks of a document. Fails for a block without information on running it, and for a command outside of a
-/// block.
+/// Returns the blocks of a document. Fails if a block does not say how to run it or if a command is outside of a block.
 pub fn blocks(path: &Path) -> Result<Vec<Block>, String> {
     let name = path.strip_prefix(root()).unwrap_or(path).display().to_string();
     parse(&name, &fs::read_to_string(path).unwrap())
@@ -103,7 +102,7 @@ fn parse(name: &str, text: &str) -> Result<Vec<Block>, String> {
                     .iter()
                     .any(|word| indented.starts_with(word))
                 {
-                    return Err(format!("{place}: a command outside of a fenced block: {line}"));
+                    return Err(format!("{place}: a command outside of a fenced block, move it into one: {line}"));
                 }
             }
             (Some(_), Some(_)) => return Err(format!("{place}: a block inside of a block")),

@@ -1,9 +1,9 @@
 //! Commands in README.md and docs/ work as written. The info string of a fenced block says how to run it:
 //!
-//! - `sh`: typed as it is. `sh board`: with a board, here a strict simulated one at HAPTIC_PORT (`haptic sim --strict`);
+//! - `sh`: typed as written. `sh board`: with a strict simulated board at HAPTIC_PORT (`haptic sim --strict`);
 //!   `my-device.toml` and `my-scene.toml` exist.
 //! - `sh slow: REASON`: typed by `cargo xtask test --deep documents`, when the images are built.
-//! - `sh no-run: REASON`, `python no-run: REASON` and so on.
+//! - `sh no-run: REASON`, `python no-run: REASON` and so on: not run.
 //! - `toml device`, `toml scene`: a file that passes `haptic check`, a scene on the coupled five-bar.
 //! - `text`: nothing to run.
 

@@ -1,10 +1,10 @@
-//! A person at a terminal who types a block line by line.
+//! Types a block line by line, as a user does at a terminal.
 //!
-//! Every line goes to a shell as written, in a directory of its own with a copy of devices/. `haptic` and
-//! `cargo run … --package haptic --` are the tool of this build; other cargo commands run in the repository. Servers
-//! (`haptic sim`, `cargo xtask board`) run while the rest of the block is typed, as in another terminal. Comments
-//! matter: a line with "Ctrl-C" is interrupted once it handles interrupts, a line with "asks" is answered with `y`, and
-//! quotes after "prints" must be in the output. The documents' TCP port 7710 is replaced by a free port.
+//! Every line is passed to a shell as written, in a new directory with a copy of devices/. `haptic` and
+//! `cargo run … --package haptic --` run the tool of this build; other cargo commands run in the repository. Servers
+//! (`haptic sim`, `cargo xtask board`) run while the rest of the block is typed, as in another terminal. Comments in a
+//! line are instructions: "Ctrl-C" interrupts the command once it handles interrupts, "asks" replies `y`, and the text
+//! quoted after "prints" must be in the output. The documents' TCP port 7710 is replaced by a free port.
 
 use super::blocks::{Block, Kind, root};
 use serialport::{SerialPort, TTYPort};
@@ -17,7 +17,7 @@ use std::thread::{sleep, spawn};
 use std::time::{Duration, Instant};
 
 const TOOL: &str = env!("CARGO_BIN_EXE_haptic");
-/// The documents' way to call the tool in a checkout.
+/// The command by which the documents call the tool in a checkout.
 const IN_A_CHECKOUT: &str = "cargo run --release --package haptic --";
 
 /// Types one block.
@@ -51,7 +51,7 @@ struct Session {
     place: tempfile::TempDir,
     environment: Vec<(String, String)>,
     servers: Vec<(String, Child)>,
-    /// Replaces 7710, once a server runs.
+    /// Port that replaces 7710, known once a server runs.
     port: String,
     patience: Duration,
 }
@@ -73,7 +73,7 @@ impl Session {
         session
     }
 
-    /// Writes the user's files: a verified shipped device and a scene for it.
+    /// Writes my-device.toml, a verified shipped device, and my-scene.toml, a scene for it.
     fn own_files(&self) {
         let shipped = fs::read_to_string(self.place.path().join("devices/coupled-five-bar.toml")).unwrap();
         let own = shipped.replace("\n[joint.motor]\n", "\n[joint.motor]\nverified = true\n");
@@ -108,7 +108,7 @@ impl Session {
         let said = [listen(child.stdout.take().unwrap()), listen(child.stderr.take().unwrap())];
         if comment.contains("Ctrl-C") {
             let begun = Instant::now();
-            while !hears_interrupts(&mut child) && begun.elapsed() < self.patience {
+            while !handles_interrupts(&mut child) && begun.elapsed() < self.patience {
                 sleep(Duration::from_millis(10));
             }
             sleep(Duration::from_secs(1));
@@ -117,20 +117,20 @@ impl Session {
         let status = wait(&mut child, self.patience)?;
         let said = said.map(|said| said.join().unwrap()).concat();
         if status != Some(0) {
-            return Err(format!("exit code {status:?}, and said\n{said}"));
+            return Err(format!("exit code {status:?}, output:\n{said}"));
         }
         let promised = comment.split_once("prints ").map_or("", |(_, promised)| promised);
         match promised.split('"').skip(1).step_by(2).find(|words| !said.contains(words)) {
-            Some(words) => Err(format!("does not print \"{words}\", but\n{said}")),
+            Some(words) => Err(format!("does not print \"{words}\", output:\n{said}")),
             None => Ok(()),
         }
     }
 
     fn shell(&self, command: &str) -> Command {
         let mut shell = Command::new("sh");
-        // Background jobs of a shell ignore Ctrl-C, and so do tests that run in one; a terminal's commands do not.
+        // Background jobs of a shell ignore Ctrl-C and pass this on to their children; commands of a terminal do not.
         let heard = if cfg!(target_os = "linux") { "env --default-signal=INT" } else { "" };
-        // `exec` replaces the shell, so that the command itself ends.
+        // `exec` replaces the shell, so that signals reach the command itself.
         shell
             .args(["-c", &format!("exec {heard} {command}")])
             .envs(self.environment.iter().cloned())
@@ -148,7 +148,7 @@ impl Session {
         while !said.contains("tcp:") && !said.contains("/dev/") {
             if output.read_line(&mut said).unwrap_or(0) == 0 {
                 let status = wait(&mut child, self.patience)?;
-                return Err(format!("ended with exit code {status:?} before it said its port\n{said}"));
+                return Err(format!("ended with exit code {status:?} before it printed its port, output:\n{said}"));
             }
         }
         if let Some((_, port)) = said.split_once("tcp:127.0.0.1:") {
@@ -159,7 +159,7 @@ impl Session {
         Ok(())
     }
 
-    /// Interrupts all servers. A simulated board has to end with success; an emulated one need not.
+    /// Interrupts all servers. A simulated board must end with exit code 0; an emulated board may fail.
     fn end(mut self) -> Result<(), String> {
         for (command, mut child) in std::mem::take(&mut self.servers) {
             interrupt(&child);
@@ -190,12 +190,12 @@ fn interrupt(child: &Child) {
     signal(child, "INT");
 }
 
-/// Returns true if a command handles interrupts or has ended, or if the system does not tell.
-fn hears_interrupts(child: &mut Child) -> bool {
+/// Returns true if a command handles interrupts or has ended, or if the system has no such information.
+fn handles_interrupts(child: &mut Child) -> bool {
     let Ok(status) = fs::read_to_string(format!("/proc/{}/status", child.id())) else { return true };
     let caught = status.lines().find_map(|line| line.strip_prefix("SigCgt:"));
     let caught = caught.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok());
-    // The bit of SIGINT.
+    // Bit 1 is SIGINT.
     caught.is_none_or(|mask| mask & 2 != 0) || child.try_wait().unwrap().is_some()
 }
 
@@ -212,7 +212,7 @@ fn wait(child: &mut Child, patience: Duration) -> Result<Option<i32>, String> {
     Err(format!("did not end within {} s", patience.as_secs()))
 }
 
-/// Reads to the end in a thread of its own, so that no writer blocks.
+/// Reads all output in another thread, so that the writer never blocks.
 fn listen(mut output: impl Read + Send + 'static) -> std::thread::JoinHandle<String> {
     spawn(move || {
         let mut bytes = Vec::new();

@@ -7,7 +7,7 @@ use std::path::Path;
 /// The rows of a table, header first.
 pub type Table = Vec<Vec<String>>;
 
-/// Reads a CSV file by its path in the repository.
+/// Reads a CSV file, whose path is relative to the repository.
 pub fn csv(path: impl AsRef<Path>) -> Table {
     let path = root().join(path);
     let text = fs::read_to_string(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
@@ -30,7 +30,7 @@ fn cells(line: &str) -> Vec<String> {
     cells
 }
 
-/// The tables of a document in Markdown, without emphasis.
+/// Returns the tables of a Markdown document with the emphasis removed.
 pub fn shown(text: &str) -> Vec<Table> {
     let (mut tables, mut open) = (Vec::new(), Table::new());
     for line in text.lines().chain([""]) {
@@ -44,7 +44,7 @@ pub fn shown(text: &str) -> Vec<Table> {
     tables
 }
 
-/// The local targets of a document's links, `[text](target)`.
+/// Returns the local targets of a document's links, `[text](target)`.
 pub fn links(text: &str) -> impl Iterator<Item = &str> {
     text.split("](").skip(1).filter_map(|rest| rest.split(')').next()).filter(|link| !link.starts_with("http"))
 }

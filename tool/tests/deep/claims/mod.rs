@@ -1,22 +1,23 @@
-//! The paper's claims, checked in numbers that docs/claims.md and docs/claims/ show.
+//! Numerical checks of the paper's claims, with the numbers of docs/claims.md and docs/claims/.
 
 mod page;
 
 use crate::common::prelude::*;
 use crate::common::{board, document, plane_wall, read, shipped};
 use page::{
-    Belief, DEMO, FINE, GainRetained, LAWS, SLIDES, Slid, beliefs, kept_around_home, perturbed, sentences, slid, slide,
-    stiffest_moving, tables,
+    AssumedModel, DEMO, FINE, GainRetained, LAWS, SLIDES, SlideStatistics, kept_around_home, perturbed, random_slides,
+    sentences, slide, stiffest_moving, tables, wrong_models,
 };
 
 #[test]
 fn a_sliding_tip_follows_the_rendered_wall_best() {
     for case in SLIDES {
         let [off, paper, rendered] = LAWS.map(|terms| 1e6 * slide(case, terms, FINE));
-        // An independent simulation with estimated velocities: 0.05, 0.6 and 3 µm; off 21 to 61, paper 22 to 87.
+        // An independent simulation with estimated velocities has 0.05, 0.6 and 3 µm with "rendered", 21 to 61 µm with
+        // "off" and 22 to 87 µm with "paper".
         assert!(rendered < 3.5, "{case:?}: {rendered} µm");
         assert!(off > 15.0 && paper > off && off > 10.0 * rendered, "{case:?}: {off}, {paper}, {rendered} µm");
-        // A count of the shipped encoders is about 30 µm; "rendered" is still the best of the three.
+        // One count of the shipped encoders is about 30 µm of the tip, and "rendered" is still the best of the three.
         let [off, paper, rendered] = LAWS.map(|terms| slide(case, terms, 20_000.0));
         assert!(rendered < 0.8 * off && rendered < 0.8 * paper);
     }
@@ -24,17 +25,17 @@ fn a_sliding_tip_follows_the_rendered_wall_best() {
 
 #[test]
 fn the_rendered_wall_is_flattest_except_on_coarse_encoders() {
-    // An independent plant over 120 other slides: medians 22, 25 and 0.25 µm, and 30, 33 and 17 µm with 20 000 counts,
-    // where "rendered" is worse than "off" in 23.
-    let Slid { medians: [off, paper, rendered], .. } = slid(FINE);
+    // An independent plant on 120 other slides has medians of 22, 25 and 0.25 µm. With 20 000 counts its medians are
+    // 30, 33 and 17 µm, and "rendered" is worse than "off" in 23 slides.
+    let SlideStatistics { medians: [off, paper, rendered], .. } = random_slides(FINE);
     assert!((15.0..30.0).contains(&off) && (15.0..30.0).contains(&paper) && rendered < 0.5);
-    let Slid { medians: [off, paper, rendered], worse } = slid(20_000.0);
+    let SlideStatistics { medians: [off, paper, rendered], worse } = random_slides(20_000.0);
     assert!((20.0..40.0).contains(&off) && (20.0..40.0).contains(&paper) && (10.0..25.0).contains(&rendered));
     assert!((8..=40).contains(&worse), "{worse}");
 }
 
-/// Returns the largest distance (µm) of the tip from a wall of 10 kN/m on the simulated board as it slides along at
-/// -0.5 m/s, 50 to 80 ms after the push, when the transient has died away.
+/// Returns the largest distance (µm) of the tip from a wall of 10 kN/m on the simulated board while the tip slides
+/// along the wall at -0.5 m/s, 50 to 80 ms after the push, when the transient has died away.
 fn on_the_simulated_board(terms: VelocityTerms) -> f64 {
     let mut file = shipped("coupled-five-bar");
     for joint in &mut file.description.joints[..2] {
@@ -66,7 +67,7 @@ fn on_the_simulated_board(terms: VelocityTerms) -> f64 {
     let status = shared.lock().status();
     assert_eq!(status.fault.map(|record| record.fault), None::<Fault>);
     let gone = shared.lock().device().tip();
-    assert!((gone[0] - tip[0]).hypot(gone[1] - tip[1]) > 0.015, "it slides");
+    assert!((gone[0] - tip[0]).hypot(gone[1] - tip[1]) > 0.015, "the tip does not slide");
     1e6 * farthest
 }
 
@@ -74,14 +75,14 @@ fn on_the_simulated_board(terms: VelocityTerms) -> f64 {
 fn the_simulated_board_renders_a_wall_to_a_sliding_tip() {
     let [off, paper, rendered] = LAWS.map(on_the_simulated_board);
     assert!(off > 30.0 && paper > 30.0, "{off} and {paper} µm");
-    // Torques held for a millisecond, velocities 4 ms old, and the rest of the transient.
+    // Causes of the rest: torques held for a millisecond, velocities 4 ms old, and the remaining transient.
     assert!(rendered < 6.0, "{rendered} µm, others {off} and {paper}");
 }
 
 #[test]
-fn velocity_terms_leave_a_moving_wall_as_stable_as_it_is() {
-    // At rest all laws of (4) are equal, and the limit is that of the sampled loop without delay: 23 649.454 N/m, and
-    // 18 379.424 without the feed-forward, by independent eigenvalues.
+fn velocity_terms_hardly_change_the_stability_of_a_slide() {
+    // At rest all laws of (4) are equal. Their limit is that of the sampled loop without delay, by independent
+    // eigenvalues: 23 649.454 N/m with and 18 379.424 N/m without the feed-forward.
     assert!((stiffest_moving(0.0, None) / 18_379.424 - 1.0).abs() < 1e-4);
     for terms in LAWS {
         assert!((stiffest_moving(0.0, Some(terms)) / 23_649.454 - 1.0).abs() < 1e-4, "{terms:?}");
@@ -90,10 +91,10 @@ fn velocity_terms_leave_a_moving_wall_as_stable_as_it_is() {
             assert!(change.abs() < most, "{terms:?} at {speed} m/s: {change}");
         }
     }
-    // A second linearisation, in numpy: M by differences of the links' places from the circles' meeting point alone, c
-    // by Christoffel's symbols of that M, J̇ by differences, b = c - M J⁻¹ J̇ q̇, the filter of each joint in direct
-    // form I, the hold by a matrix exponential, and the growing mode faster than 8 Hz bisected. N/m at these speeds,
-    // m/s:
+    // A second linearisation, in numpy. M comes from differences of the links' positions, computed only by intersecting
+    // circles, c from the Christoffel symbols of that M, J̇ from differences, and b = c - M J⁻¹ J̇ q̇. Each joint has a
+    // filter in direct form I, the hold is a matrix exponential, and the onset of a mode faster than 8 Hz is bisected.
+    // Limits in N/m at these speeds, m/s:
     const SPEEDS: [f64; 4] = [0.5, -0.5, 1.0, -1.0];
     for (law, known) in [
         (None, [18_650.8, 18_099.4, 18_912.4, 17_812.1]),
@@ -111,7 +112,7 @@ fn velocity_terms_leave_a_moving_wall_as_stable_as_it_is() {
 #[test]
 fn the_feed_forward_does_not_resist_a_push_along_the_wall() {
     let (off, full) = (perturbed(FeedForward::Off), perturbed(FeedForward::Full));
-    // An independent plant and law: x 1.35.
+    // An independent plant and law have a ratio of 1.35.
     assert!((1.2..1.5).contains(&(full / off)), "{full} and {off} m");
 }
 
@@ -121,17 +122,17 @@ fn a_wrong_rotor_inertia_keeps_most_of_the_demos_gain() {
         for (joint, low, high) in [(0, 0.97, 1.05), (1, 0.87, 1.13)] {
             let mut rotors = [1.0; 2];
             rotors[joint] = factor;
-            let kept = Belief::scaled(rotors, 1.0).kept(DEMO);
+            let kept = AssumedModel::scaled(rotors, 1.0).kept(DEMO);
             assert!((low..high).contains(&kept), "rotor {joint} x {factor}: {kept}");
         }
     }
-    assert!((Belief::scaled([1.0; 2], 1.0).kept(DEMO) - 1.0).abs() < 1e-12);
+    assert!((AssumedModel::scaled([1.0; 2], 1.0).kept(DEMO) - 1.0).abs() < 1e-12);
 }
 
 #[test]
 fn wrong_models_cost_more_elsewhere_and_a_wrong_home_most() {
-    // In numpy, with M and J by differences of the links' places from the circles' meeting point alone: the cases, the
-    // share of them that keep less than seven eighths, the least kept and the most, %.
+    // Computed in numpy, with M and J from differences of the links' positions, which come only from intersecting
+    // circles: number of cases, share of them that keep less than seven eighths, smallest and largest share kept, %.
     const KNOWN: [(usize, [f64; 3]); 6] = [
         (1648, [18.143, 70.114, 132.702]),
         (1648, [37.197, 60.015, 157.843]),
@@ -140,10 +141,10 @@ fn wrong_models_cost_more_elsewhere_and_a_wrong_home_most() {
         (1648, [37.318, 38.577, 295.061]),
         (1648, [44.842, 15.823, 1177.270]),
     ];
-    let all = beliefs();
+    let all = wrong_models();
     assert_eq!(all.len(), KNOWN.len());
-    for ((name, beliefs), (known_cases, known)) in all.iter().zip(KNOWN) {
-        let GainRetained { cases, below, least, most } = kept_around_home(beliefs);
+    for ((name, wrong_models), (known_cases, known)) in all.iter().zip(KNOWN) {
+        let GainRetained { cases, below, least, most } = kept_around_home(wrong_models);
         assert_eq!(cases, known_cases, "{name}");
         let found = [below as f64 / cases as f64, least, most].map(|share| 100.0 * share);
         for (found, known) in found.iter().zip(known) {

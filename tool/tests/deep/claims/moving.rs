@@ -7,7 +7,7 @@ use haptic_bridge::model::mechanism::{FiveBar, Mechanism};
 use haptic_bridge::render::scene::VelocityTerms;
 use nalgebra::{DMatrix, DVector, Matrix2, Vector2};
 
-/// A rendering law at a pose with the wall's normal; `None` is Jᵀ f.
+/// A rendering law at a pose with the wall's normal; the law `None` renders Jᵀ f.
 pub struct Moving {
     pub mechanism: FiveBar<f64>,
     pub q: [f64; 2],
@@ -30,7 +30,7 @@ impl Moving {
         me * ((force - met) / e.dot(&me)) + b
     }
 
-    /// The loop's matrix over one sample, for a speed along the wall (m/s) and gains. States: joint angles and speeds,
+    /// Returns the loop's matrix over one sample at a speed along the wall (m/s). States: joint angles and speeds,
     /// last angles, and two filter states each for the wall's and the joints' velocities.
     fn matrix(&self, speed: f64, kp: f64, kd: f64, rate: f64, cutoff: f64) -> DMatrix<f64> {
         const H: f64 = 1.0e-5;
@@ -57,7 +57,7 @@ impl Moving {
         let law_qd = by(&|qd| self.torque(&q0, qd, 0.0), &qd0);
         let newton = self.torque(&q0, &qd0, 1.0) - nominal;
 
-        // Zero-order hold by the series of the matrix exponential.
+        // The zero-order hold is computed by the series of the matrix exponential.
         let mut joined = DMatrix::zeros(6, 6);
         joined.view_mut((0, 2), (2, 2)).copy_from(&Matrix2::identity());
         joined.view_mut((2, 0), (2, 2)).copy_from(&by_q);
@@ -104,7 +104,7 @@ impl Moving {
         next
     }
 
-    /// Returns true if an oscillation faster than 8 Hz grows. Slower ones are the motion turning with the linkage.
+    /// Returns true if an oscillation faster than 8 Hz grows. Slower modes describe how the linkage turns the motion.
     fn grows(&self, speed: f64, kp: f64, kd: f64, rate: f64, cutoff: f64) -> bool {
         let fast = 8.0 * std::f64::consts::TAU / rate;
         let modes = self.matrix(speed, kp, kd, rate, cutoff).complex_eigenvalues();

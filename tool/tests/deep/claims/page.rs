@@ -1,7 +1,7 @@
-//! The tables in docs/claims/: the paper's claims in numbers, from runs of the board's own control step.
+//! The tables in docs/claims/: the paper's claims in numbers, computed with the board's own control step.
 //!
-//! The loop here is the library's `Controller` in f32 with the firmware's trigonometry, on the simulator's nonlinear
-//! linkage without friction; torques act at once.
+//! The loop consists of the library's `Controller` in f32 with the firmware's trigonometry and the simulator's
+//! nonlinear linkage without friction. Torques act without delay.
 
 use crate::common::prelude::*;
 use crate::common::{csv, ideal_loop, plane_wall, shipped};
@@ -20,14 +20,14 @@ mod moving;
 
 pub const RATE_HZ: f64 = 1_000.0;
 const CUTOFF_HZ: f64 = 100.0;
-/// The wall of the runs, N/m and N s/m: well below what is stable with or without the feed-forward.
+/// Gains of the wall in all runs, N/m and N s/m: well below the limit with or without the feed-forward.
 const STIFFNESS: f64 = 10_000.0;
 const DAMPING: f64 = 40.0;
-/// Counts per turn without visible steps.
+/// Counts per turn at which encoder steps have no effect.
 pub const FINE: f64 = 16_777_216.0;
 /// Home of the demo's device.
 const HOME: [f64; 2] = [2.3, 0.841_592_653_589_79];
-/// The demo's pose and wall.
+/// The demo's pose and the direction of its wall's normal, degrees.
 pub const DEMO: ([f64; 2], f64) = ([2.6, 1.75], 75.0);
 
 pub fn five_bar() -> Description {
@@ -45,7 +45,7 @@ pub struct Run {
     pub normal: f64,
     /// Speed along the wall at the start, m/s.
     pub speed: f64,
-    /// An external push along the wall, N, for this long, s.
+    /// External push along the wall, N, and its duration, s.
     pub push: (f64, f64),
     pub counts_per_turn: f64,
     pub feed_forward: FeedForward,
@@ -95,7 +95,7 @@ impl Run {
         let counts = |q: [f64; 3]| [(q[0] * per_rad).round() as i32, (q[1] * per_rad).round() as i32];
 
         plant.push([self.speed * t.x, self.speed * t.y, 0.0]);
-        // The estimators have seen the tip move along the wall before.
+        // Before the start the estimators receive a motion of the tip along the wall.
         for k in -60..0 {
             let before = start + t * (self.speed * f64::from(k) / RATE_HZ);
             controller.step(&counts(joints_at(&description, self.q, &before)));
@@ -120,7 +120,7 @@ impl Run {
     }
 }
 
-/// The joint angles near `q` that bring the tip to `place`: Newton's method.
+/// Returns the joint angles near `q` that bring the tip to `place`, by Newton's method.
 fn joints_at(description: &Description, q: [f64; 2], place: &Vector2<f64>) -> [f64; 3] {
     let mut q = Vector2::from(q);
     for _ in 0..8 {
@@ -142,24 +142,24 @@ pub fn slide((q, normal, speed): ([f64; 2], f64, f64), terms: VelocityTerms, cou
     Run { speed, velocity_terms: terms, counts_per_turn, ..Run::at((q, normal)) }.farthest(0.04)
 }
 
-/// Largest distances of sliding tips from their walls, µm, over [`SLID`] slides from random poses within 0.6 rad of home,
-/// away from singular poses, with random normals and directions.
-pub struct Slid {
+/// Largest distances of sliding tips from their walls, µm, in [`RANDOM_SLIDES`] slides. The slides have random normals
+/// and directions and start in random poses within 0.6 rad of home and away from singular poses.
+pub struct SlideStatistics {
     /// Medians of "off", "paper" and "rendered".
     pub medians: [f64; 3],
     /// Number of slides in which "rendered" is worse than "off".
     pub worse: usize,
 }
 
-/// Slides of a [`Slid`].
-const SLID: usize = 120;
+/// Number of slides of a [`SlideStatistics`].
+const RANDOM_SLIDES: usize = 120;
 
-pub fn slid(counts_per_turn: f64) -> Slid {
+pub fn random_slides(counts_per_turn: f64) -> SlideStatistics {
     let description = five_bar();
     let mut random = Random::new(15);
     let mut between = |low, high| random.between(low, high);
     let mut found: [Vec<f64>; 3] = Default::default();
-    while found[0].len() < SLID {
+    while found[0].len() < RANDOM_SLIDES {
         let q = HOME.map(|angle| angle + between(-0.6, 0.6));
         let (normal, speed) = (between(0.0, 360.0), if between(-1.0, 1.0) < 0.0 { -0.5 } else { 0.5 });
         if !clear(q) {
@@ -183,9 +183,9 @@ pub fn slid(counts_per_turn: f64) -> Slid {
     let worse = found[0].iter().zip(&found[2]).filter(|(off, rendered)| rendered > off).count();
     let median = |mut values: Vec<f64>| {
         values.sort_by(f64::total_cmp);
-        0.5 * (values[SLID / 2 - 1] + values[SLID / 2])
+        0.5 * (values[RANDOM_SLIDES / 2 - 1] + values[RANDOM_SLIDES / 2])
     };
-    Slid { medians: found.map(median), worse }
+    SlideStatistics { medians: found.map(median), worse }
 }
 
 /// Returns true if the feed-forward acts in full at a pose of the demo's device.
@@ -197,25 +197,25 @@ fn clear(q: [f64; 2]) -> bool {
     regularity.serial.min(regularity.parallel / PARALLEL_REGULARITY) >= FULL_REGULARITY
 }
 
-/// The demo's device along the demo's normal.
+/// Returns the demo's device along the demo's normal.
 pub fn demo() -> Linearised {
     along(&five_bar(), DEMO).undamped()
 }
 
-/// A device at a pose along a normal.
+/// Linearises a device at a pose along a normal.
 fn along(description: &Description, (q, normal): ([f64; 2], f64)) -> Linearised {
     let n = unit(normal);
     Linearised::at(description, &q, &[n.x, n.y]).expect("a regular pose")
 }
 
-/// kp_max at 40 N s/m, without and with the feed-forward of a gain.
+/// Returns kp_max (N/m) at 40 N s/m, without and with the feed-forward of this device.
 pub fn stiffest(device: &Linearised) -> (f64, f64) {
     let around = ideal_loop(RATE_HZ, 0.025, LinearEstimator::Butterworth(CUTOFF_HZ));
     let range = predict(device, &around, Some(&[DAMPING]), None).expect("an analysable pose");
     (range.off.boundary[0].kp, range.full.boundary[0].kp)
 }
 
-/// kp_max (N/m) of the demo's wall while its tip slides at `speed` (m/s), by law; `None` is Jᵀ f.
+/// Returns kp_max (N/m) of the demo's wall while the tip slides at `speed` (m/s). The law `None` renders Jᵀ f.
 pub fn stiffest_moving(speed: f64, law: Option<VelocityTerms>) -> f64 {
     let AnyMechanism::FiveBar(mechanism) = AnyMechanism::new(&five_bar()).expect("a shipped device") else {
         panic!("a five-bar")
@@ -224,21 +224,21 @@ pub fn stiffest_moving(speed: f64, law: Option<VelocityTerms>) -> f64 {
     moving.stiffest(speed, DAMPING, (8_000.0, 60_000.0), RATE_HZ, CUTOFF_HZ)
 }
 
-/// Returns the largest distance from the wall within 60 ms, m, after a push of 2 N along the wall for 30 ms. Some 20 ms
-/// later the tip is at the end of its reach.
+/// Returns the largest distance from the wall within 60 ms, m, after a push of 2 N along the wall for 30 ms. About
+/// 20 ms later the tip is at the end of its reach.
 pub fn perturbed(feed_forward: FeedForward) -> f64 {
     Run { push: (2.0, 0.03), feed_forward, ..Run::at(DEMO) }.farthest(0.06)
 }
 
 /// A board's model of the demo's device.
-pub struct Belief {
+pub struct AssumedModel {
     pub description: Description,
     /// Assumed minus true joint angles, rad.
     pub homed_off: [f64; 2],
 }
 
-impl Belief {
-    /// Rotor inertias and handle mass multiplied by these factors.
+impl AssumedModel {
+    /// Returns a model with rotor inertias and handle mass multiplied by these factors.
     pub fn scaled(rotors: [f64; 2], handle: f64) -> Self {
         let mut description = five_bar();
         description.joints.iter_mut().zip(rotors).for_each(|(joint, factor)| joint.inertia *= factor);
@@ -246,7 +246,7 @@ impl Belief {
         Self { description, homed_off: [0.0; 2] }
     }
 
-    /// Returns the share of the gained inertia that is left with the real device in this board's loop.
+    /// Returns the share of the gained inertia that remains when a board with this model controls the real device.
     pub fn kept(&self, (q, normal): ([f64; 2], f64)) -> f64 {
         let wrong = along(&self.description, (self.angles(q), normal));
         let real = along(&five_bar(), (q, normal));
@@ -260,28 +260,29 @@ impl Belief {
     }
 }
 
-/// Possible errors in the model of the demo's device, with all combinations of signs.
-pub fn beliefs() -> Vec<(String, Vec<Belief>)> {
+/// Returns possible errors in the model of the demo's device, with all combinations of signs.
+pub fn wrong_models() -> Vec<(String, Vec<AssumedModel>)> {
     let half = [0.5, 1.5];
     let both = || half.into_iter().flat_map(move |first| half.map(|second| [first, second]));
     let one = half.into_iter().flat_map(|by| [[by, 1.0], [1.0, by]]);
     let mut all = vec![
-        ("one rotor, by a half".into(), one.map(|rotors| Belief::scaled(rotors, 1.0)).collect()),
-        ("both rotors, by a half".into(), both().map(|rotors| Belief::scaled(rotors, 1.0)).collect()),
+        ("one rotor, by a half".into(), one.map(|rotors| AssumedModel::scaled(rotors, 1.0)).collect()),
+        ("both rotors, by a half".into(), both().map(|rotors| AssumedModel::scaled(rotors, 1.0)).collect()),
         (
             "both rotors and the handle, by a half".into(),
-            both().flat_map(|rotors| half.map(|handle| Belief::scaled(rotors, handle))).collect(),
+            both().flat_map(|rotors| half.map(|handle| AssumedModel::scaled(rotors, handle))).collect(),
         ),
     ];
     for off in [0.02, 0.05, 0.1] {
         let sides = [[off, off], [off, -off], [-off, off], [-off, -off]];
-        let homed = sides.map(|homed_off| Belief { homed_off, ..Belief::scaled([1.0; 2], 1.0) });
+        let homed = sides.map(|homed_off| AssumedModel { homed_off, ..AssumedModel::scaled([1.0; 2], 1.0) });
         all.push((format!("home, by {off} rad in both joints"), homed.into()));
     }
     all
 }
 
-/// Share of the gain kept with wrong models, at poses around home where the feed-forward acts in full and pays.
+/// Share of the inertia gain that wrong models keep, at poses around home where the feed-forward acts in full and has a
+/// clear benefit.
 pub struct GainRetained {
     pub cases: usize,
     /// Number of cases that keep less than seven eighths.
@@ -290,8 +291,8 @@ pub struct GainRetained {
     pub most: f64,
 }
 
-/// Poses within 0.6 rad of home in steps of 0.05 rad, normals in steps of 15°, Wrr/Weff above 1.3.
-pub fn kept_around_home(beliefs: &[Belief]) -> GainRetained {
+/// Evaluates poses within 0.6 rad of home in steps of 0.05 rad and normals in steps of 15°, if Wrr/Weff is above 1.3.
+pub fn kept_around_home(wrong_models: &[AssumedModel]) -> GainRetained {
     let description = five_bar();
     let mut kept = GainRetained { cases: 0, below: 0, least: f64::INFINITY, most: f64::NEG_INFINITY };
     let steps = |i: i32| 0.05 * f64::from(i);
@@ -305,7 +306,7 @@ pub fn kept_around_home(beliefs: &[Belief]) -> GainRetained {
             if seen.w_rr() / seen.w_eff().expect("a regular pose") <= 1.3 {
                 continue;
             }
-            for share in beliefs.iter().filter(|it| clear(it.angles(q))).map(|it| it.kept((q, normal))) {
+            for share in wrong_models.iter().filter(|it| clear(it.angles(q))).map(|it| it.kept((q, normal))) {
                 kept.cases += 1;
                 kept.below += usize::from(share < 0.875);
                 (kept.least, kept.most) = (kept.least.min(share), kept.most.max(share));
@@ -315,7 +316,7 @@ pub fn kept_around_home(beliefs: &[Belief]) -> GainRetained {
     kept
 }
 
-/// Angle between a push on the free tip along the demo's normal and its motion, degrees.
+/// Returns the angle between a push on the free tip along the demo's normal and the motion of the tip, degrees.
 pub fn free_deflection() -> f64 {
     let device = demo();
     let t = unit(DEMO.1 + 90.0);
@@ -324,7 +325,7 @@ pub fn free_deflection() -> f64 {
     (along.row.dot(&answer)).atan2(device.row.dot(&answer)).to_degrees()
 }
 
-/// Inertia that a hand feels at the demo's wall.
+/// Returns the inertia that a hand feels at the demo's wall.
 fn felt() -> Perception {
     let normal = unit(DEMO.1).as_slice().to_vec();
     let wall = WallForce { normal, force: 0.0, stiffness: 1.0, feed_forward: true };
@@ -333,14 +334,14 @@ fn felt() -> Perception {
         .perception
 }
 
-/// Wrr/Weff of the serial-3r at (0.5, 0.8, 0.7) against (0.6, 0.8) for an admissible set.
+/// Returns Wrr/Weff of the serial-3r in the pose (0.5, 0.8, 0.7) along the normal (0.6, 0.8) for an admissible set.
 pub fn ratio(admissible: Admissible) -> f64 {
     let seen = Linearised::holding(&shipped("serial-3r").description, &[0.5, 0.8, 0.7], &[0.6, 0.8], admissible)
         .expect("regular");
     seen.w_rr() / seen.w_eff().expect("regular")
 }
 
-/// The CSV files in docs/claims/, each with its name.
+/// Returns the names and contents of the CSV files in docs/claims/.
 pub fn tables() -> [(&'static str, String); 7] {
     let table = |head: &str, rows: Vec<String>| csv([head.to_string()].into_iter().chain(rows));
     let encoders = [("ideal", FINE), ("20 000 counts", 20_000.0)];
@@ -356,11 +357,11 @@ pub fn tables() -> [(&'static str, String); 7] {
     let push = [("off", 1e6 * off, 0), ("full", 1e6 * full, 0), ("ratio", full / off, 2)];
     let rotors = [-50, -25, -10, 10, 25, 50].map(|percent| {
         let by = 1.0 + f64::from(percent) / 100.0;
-        let [first, second] = [[by, 1.0], [1.0, by]].map(|rotors| 100.0 * Belief::scaled(rotors, 1.0).kept(DEMO));
+        let [first, second] = [[by, 1.0], [1.0, by]].map(|rotors| 100.0 * AssumedModel::scaled(rotors, 1.0).kept(DEMO));
         format!("{percent:+} % | {first:.1} | {second:.1}")
     });
-    let around_home = beliefs().into_iter().map(|(name, beliefs)| {
-        let GainRetained { cases, below, least, most } = kept_around_home(&beliefs);
+    let around_home = wrong_models().into_iter().map(|(name, wrong_models)| {
+        let GainRetained { cases, below, least, most } = kept_around_home(&wrong_models);
         let share = 100.0 * below as f64 / cases as f64;
         format!("{name} | {cases} | {share:.1} | {:.1} to {:.1}", 100.0 * least, 100.0 * most)
     });
@@ -373,7 +374,7 @@ pub fn tables() -> [(&'static str, String); 7] {
         })
     });
     let medians = encoders.map(|(name, counts)| {
-        let Slid { medians: [off, paper, rendered], worse } = slid(counts);
+        let SlideStatistics { medians: [off, paper, rendered], worse } = random_slides(counts);
         format!("{name} | {off:.0} | {paper:.0} | {rendered:.2} | {worse}")
     });
     let redundant = Admissible::ALL.map(|(name, admissible)| {
@@ -404,7 +405,9 @@ pub fn tables() -> [(&'static str, String); 7] {
         (
             "many-slides",
             table(
-                &format!("{SLID} slides, medians | off, µm | paper, µm | rendered, µm | rendered worse than off"),
+                &format!(
+                    "{RANDOM_SLIDES} slides, medians | off, µm | paper, µm | rendered, µm | rendered worse than off"
+                ),
                 medians.into(),
             ),
         ),
@@ -412,7 +415,7 @@ pub fn tables() -> [(&'static str, String); 7] {
     ]
 }
 
-/// Sentences of docs/claims.md.
+/// Returns computed sentences that docs/claims.md must contain.
 pub fn sentences() -> [String; 2] {
     let Perception { tip, ratio, along_wall } = felt();
     let AlongWall { off, full } = along_wall.expect("a wall");

@@ -1,4 +1,4 @@
-//! The tool draws the same pictures as in docs/drawings/ and docs/results/.
+//! The tool draws the pictures in docs/drawings/ and docs/results/.
 
 use crate::common::{Folder, files, read, root, shipped, type_lines};
 use haptic_bridge::model::admissible::Admissible;
@@ -7,7 +7,7 @@ use haptic_show::plot::paper::Paper;
 use haptic_stability::analysis::pose::TaskPose;
 use haptic_stability::skeleton::{Turret, skeleton};
 
-/// Runs a command that draws a document, with the picture in a folder of its own, and compares the pictures.
+/// Runs a command that draws a published picture, but into a temporary folder, and compares the two pictures.
 fn compare(line: &str, published: &str) {
     let folder = Folder::new();
     let drawn = folder.path("drawn");
@@ -29,7 +29,7 @@ fn the_pictures_of_the_documents_are_drawn_by_their_commands() {
         let drawing = format!("docs/drawings/{drawing}.svg");
         compare(&format!("check devices/{device}.toml --svg {drawing}"), &drawing);
     }
-    // The other two are the coupling below and a board's, which emulator/tests/emulated/drawing.rs checks.
+    // The other two pictures show the coupling (next test) and a board (emulator/tests/emulated/drawing.rs).
     assert_eq!(std::fs::read_dir(root().join("docs/drawings")).unwrap().count(), 8);
     let ranges = read("docs/results/ranges.sh");
     let maps = ranges.lines().filter(|line| line.starts_with("haptic map ") && line.contains(" docs/results/"));
@@ -47,7 +47,7 @@ fn the_pictures_of_the_documents_are_drawn_by_their_commands() {
     }
 }
 
-/// The search of the command takes minutes and does not affect the picture.
+/// Leaves out the search of the command, which takes minutes and does not affect the picture.
 #[test]
 fn the_coupling_picture_is_drawn_by_its_command() {
     let line =
@@ -62,7 +62,7 @@ fn the_coupling_picture_is_drawn_by_its_command() {
     assert!(drawn.svg() == read("docs/drawings/coupling.svg"), "`{line}` updates docs/drawings/coupling.svg");
 }
 
-/// The numbers after `key`.
+/// Returns the numbers after `key`.
 fn numbers(text: &str, key: &str) -> Vec<f64> {
     let value = text.split_once(key).unwrap_or_else(|| panic!("{key} in {text}")).1.split('"').next().unwrap();
     let words = value.split(|c: char| c.is_whitespace() || c.is_alphabetic()).filter(|word| !word.is_empty());
@@ -81,7 +81,7 @@ fn the_drawing_of_a_device_contains_its_whole_reach() {
         grounds += 1;
         let clip = svg.lines().find(|line| line.starts_with("<clipPath")).unwrap();
         let [x, y, width, height] = [" x=\"", " y=\"", " width=\"", " height=\""].map(|key| numbers(clip, key)[0]);
-        // Steps of tenths of a pixel; every outline starts from the beginning of the one before.
+        // Coordinates are steps in tenths of a pixel. Each outline starts relative to the start of the previous one.
         let path = ground.split_once(" d=\"").unwrap().1.split('"').next().unwrap();
         let mut began = [0.0, 0.0];
         for outline in path.split('z').filter(|outline| !outline.is_empty()) {

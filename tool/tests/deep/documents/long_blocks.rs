@@ -6,6 +6,6 @@ use crate::common::documents::{all, session};
 use std::time::Duration;
 
 #[test]
-fn slow_commands_of_the_documents_work() {
+fn slow_commands_of_the_documents_succeed() {
     assert!(all(|kind| *kind == Kind::Slow, |block| session::run(block, Duration::from_secs(3600))) >= 1);
 }

@@ -1,5 +1,4 @@
-//! A map shows the numbers of `haptic model`: pixels are compared for every shipped device, with and without joint
-//! limits.
+//! The colours of a map equal the numbers of `haptic model`, for every shipped device, with and without joint limits.
 
 use crate::common::prelude::*;
 use crate::common::{all_shipped, shipped};
@@ -14,8 +13,8 @@ use resvg::tiny_skia::Pixmap;
 
 /// Pixels of the PNG per unit of the drawing.
 const SCALE: f64 = 2.0;
-/// Largest difference between shown and computed share, relative to the scale: one colour level of rounding, two within a
-/// tile, and as much again for changes within the searched pixels.
+/// Largest difference between drawn and computed share, relative to the scale: one colour level from rounding, two
+/// within a tile, and three for changes within the searched pixels.
 const TOLERANCE: f64 = 0.06;
 /// Distance in pixels within which the pose's colour must be found: half the width of an ellipse's or a link's line.
 const AROUND: i32 = 6;
@@ -33,7 +32,7 @@ fn distance(a: [u8; 3], b: [u8; 3]) -> f64 {
     a.iter().zip(b).map(|(a, b)| (f64::from(*a) - f64::from(b)).powi(2)).sum::<f64>().sqrt()
 }
 
-/// Returns true if a colour for `share`, within the tolerance, is at this place of the picture.
+/// Returns true if the colour at this place of the picture agrees with `share` within the tolerance.
 fn shows(chart: &Chart, image: &Pixmap, place: &[f64], share: f64) -> bool {
     let (x, y) = chart.frame.pixel(place[0], place[1]);
     let (x, y) = ((SCALE * x) as i32, (SCALE * y) as i32);
@@ -48,10 +47,10 @@ fn shows(chart: &Chart, image: &Pixmap, place: &[f64], share: f64) -> bool {
     })
 }
 
-/// Largest size of a picture for a page, bytes; an outline for every tile took twice as much.
+/// Largest allowed size of a picture, bytes. Drawing an outline for every tile took twice as much.
 const SMALL: usize = 800_000;
 
-/// The description with unequal joint limits around home that cut its workspace.
+/// Adds unequal joint limits around home that cut the workspace.
 fn limited(mut description: Description) -> Description {
     let home = description.home.unwrap();
     for (i, joint) in description.joints.iter_mut().enumerate().take(description.kind.spec().joints) {
@@ -61,7 +60,7 @@ fn limited(mut description: Description) -> Description {
     description
 }
 
-/// A random pose of the drawn plane, within the limits.
+/// Returns a random pose of the drawn plane, within the limits.
 fn pose(description: &Description, random: &mut Random) -> Vec<f64> {
     let home = description.home.unwrap();
     let joints = description.kind.spec().joints;
@@ -83,7 +82,7 @@ fn allowed(description: &Description, q: &[f64]) -> bool {
     q.iter().zip(&description.joints).all(|(q, j)| j.limits.is_none_or(|(low, high)| (low..=high).contains(q)))
 }
 
-/// Shipped devices with a picture, redundant ones with several admissible sets.
+/// Returns the shipped devices to draw, redundant ones once for each of several admissible sets.
 fn pictured() -> Vec<(DeviceFile, Admissible)> {
     let devices = all_shipped().into_iter().filter(|file| file.spec().joints > 1);
     devices
@@ -112,7 +111,7 @@ fn every_picture_shows_the_numbers_of_the_model() {
     }
 }
 
-/// Compares colours at random poses that are reached from home.
+/// Compares colours with the model at random poses that can be reached from home.
 fn colours_are_numbers(file: &DeviceFile, normal: &[f64], held: Admissible, chart: &Chart, image: &Pixmap) {
     let mut random = Random::new(7);
     let (mut compared, mut wrong) = (0, Vec::new());
@@ -135,7 +134,7 @@ fn colours_are_numbers(file: &DeviceFile, normal: &[f64], held: Admissible, char
     assert!(wrong.is_empty(), "{}: {} of {compared} wrong: {:?}", file.name, wrong.len(), wrong.first());
 }
 
-/// Checks that places without a pose in the JSON are empty.
+/// Checks that nothing is drawn at places that are far from all poses of the JSON.
 fn nothing_outside(file: &DeviceFile, normal: &[f64], chart: &Chart, image: &Pixmap) {
     let points = map(&file.description, normal, 20_000).unwrap();
     let places: Vec<(f64, f64)> = points.iter().map(|p| chart.frame.pixel(p.position[0], p.position[1])).collect();
@@ -150,7 +149,7 @@ fn nothing_outside(file: &DeviceFile, normal: &[f64], chart: &Chart, image: &Pix
         }
         outside += 1;
         let found = at(image, (SCALE * x) as i32, (SCALE * y) as i32).unwrap();
-        // White ground, or the grey of a line of the linkage.
+        // The ground is white, and the lines of the linkage are grey.
         let grey = found.iter().max().unwrap() - found.iter().min().unwrap() < 12;
         if !grey {
             coloured.push((x, y));
@@ -160,7 +159,7 @@ fn nothing_outside(file: &DeviceFile, normal: &[f64], chart: &Chart, image: &Pix
     assert!(coloured.is_empty(), "{}: {} of {outside} at {coloured:?}", file.name, coloured.len());
 }
 
-/// Checks that the scale ends on a round number and marks values above.
+/// Checks that the scale ends on a round number and has a mark for larger values.
 fn scale_is_round(name: &str, chart: &Chart) {
     let svg = chart.picture.svg();
     let percent = (100.0 * chart.top * 1e6).round() / 1e6;
@@ -212,7 +211,7 @@ fn map_of(file: &DeviceFile, normal: &[f64]) -> Picture {
 #[test]
 fn a_paddle_shows_its_arc_and_its_inertia() {
     let picture = map_of(&shipped("hapkit-paddle"), &[1.0]);
-    // 0.0008 kg m² at 70 mm.
+    // 0.0008 kg m² / (70 mm)² is 163.3 g.
     assert!(picture.svg().contains("163.3 g"), "{}", picture.svg());
 }
 
@@ -225,7 +224,7 @@ fn nothing_is_cut_off(svg: &str, least: usize) {
     let mut seen = 0;
     for line in svg.lines().filter(|line| line.starts_with("<text") && line.contains("\"start\"")) {
         let words = line.split_once('>').unwrap().1.trim_end_matches("</text>");
-        // Measured in the PNG: this font's letters are on average half as wide as they are high.
+        // As measured in the PNG, letters of this font are on average half as wide as high.
         let end = attribute(line, "x") + 0.508 * attribute(line, "font-size") * words.chars().count() as f64;
         assert!(end < width, "{words}: ends at {end:.0} of {width}");
         seen += 1;

@@ -15,13 +15,13 @@ struct Terminal {
     master: OwnedFd,
     text: String,
     child: Child,
-    /// Time of the last Space while the key is held. Spaces repeat as a terminal sends them, so that the motors go on again
-    /// if this process was too slow and they went off.
+    /// Time of the last Space while the key is held. Space repeats as in a terminal, so that the motors go on again if
+    /// they went off because this process was too slow.
     held: Option<Instant>,
 }
 
 impl Terminal {
-    /// Runs the tool in a session and terminal of its own.
+    /// Runs the tool in a new session and a new terminal.
     fn run(arguments: &[&str]) -> Self {
         let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY).unwrap();
         grantpt(&master).unwrap();
@@ -60,7 +60,7 @@ impl Terminal {
         }
     }
 
-    /// Waits until the tool has printed these words, and forgets the output up to now.
+    /// Waits until the tool has printed these words, then discards the output so far.
     fn expect(&mut self, words: &str) {
         let began = Instant::now();
         while !self.text.contains(words) {

@@ -1,4 +1,4 @@
-//! Long computations can be interrupted anywhere, continue from their file, and give the same result to the bit.
+//! Long computations that are interrupted anywhere continue from their file to the same result, bit for bit.
 
 use crate::common::prelude::*;
 use crate::common::sim::until;
@@ -23,7 +23,7 @@ fn check_interrupted<R: Debug>(at_least: usize, step: usize, ask: impl Fn(&Sweep
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("kept.json");
     for run in 0.. {
-        assert!(run < 1_000, "it does not come on");
+        assert!(run < 1_000, "no progress between interruptions");
         let looked = Arc::new(AtomicUsize::new(0));
         let stop = move || looked.fetch_add(1, Ordering::SeqCst) >= step;
         let sweep = Sweep::new("test", "question", Some(&path), stop).unwrap();
@@ -97,7 +97,7 @@ fn a_range_with_its_ripple_and_its_reasons() {
 
 #[cfg(unix)]
 #[test]
-fn ctrl_c_ends_a_command_in_order_and_the_same_line_goes_on() {
+fn ctrl_c_stops_a_command_and_the_same_line_continues_it() {
     use std::process::Stdio;
     let folder = tempfile::tempdir().unwrap();
     let kept = folder.path().join("map.json");

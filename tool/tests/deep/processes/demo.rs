@@ -5,15 +5,15 @@ use haptic_bridge::render::scene::FeedForward;
 use haptic_show::demo::{Demo, crossing, stiffness};
 
 #[test]
-fn the_feed_forward_buys_stiffness_as_predicted() {
+fn the_feed_forward_raises_stiffness_as_predicted() {
     let demo = Demo::shipped(1).unwrap();
     let inertia = demo.inertia().unwrap();
-    assert!(inertia.rendered > 1.2 * inertia.effective, "a device where the feed-forward matters: {inertia:?}");
+    assert!(inertia.rendered > 1.2 * inertia.effective, "the feed-forward hardly matters on this device: {inertia:?}");
     let limits = [FeedForward::Off, FeedForward::Washout].map(|mode| stiffness::limit(&demo, mode).unwrap());
     for limit in limits {
         assert!((limit.measured / limit.predicted - 1.0).abs() < 0.01, "{limit:?}");
     }
-    // The washout keeps most of what (4) gains: stiffness grows almost as the inertia does.
+    // With the washout the stiffness still grows almost in proportion to the inertia that (4) gains.
     let gained = limits[1].measured / limits[0].measured - 1.0;
     let most = inertia.rendered / inertia.effective - 1.0;
     assert!(gained > 0.9 * most && gained < 1.05 * most, "{gained} of {most}");
@@ -30,13 +30,13 @@ fn the_feed_forward_reduces_vibration_for_every_tremor() {
         assert!(with.ripple < 0.5 * without.ripple, "seed {seed}: {} {}", with.ripple, without.ripple);
         for crossing in [&without, &with] {
             assert_eq!((crossing.lost, &crossing.fault), (0, &None));
-            // About 5 N on 22 kN/m, three times over at the landing.
+            // About 5 N on 22 kN/m is 0.23 mm; at the landing the penetration is three times as large.
             assert!((1e-4..1e-3).contains(&crossing.penetration), "{}", crossing.penetration);
-            // The picture's force drops to zero at every counted bounce, and once more at lift-off.
+            // The drawn force drops to zero at every counted bounce, and once more at lift-off.
             let drops = crossing.moments.windows(2).filter(|pair| pair[0].force > 0.0 && pair[1].force == 0.0).count();
             assert!(drops > crossing.bounces, "{drops}, {}", crossing.bounces);
         }
-        assert_eq!(run(FeedForward::Off), without, "the same seed is the same run");
+        assert_eq!(run(FeedForward::Off), without, "the same seed must repeat the run");
     }
 }
 
@@ -51,13 +51,13 @@ fn the_command_prints_its_table_and_draws_its_picture() {
     assert!(said.contains(&format!("picture: {svg}")));
     let picture = std::fs::read_to_string(&svg).unwrap();
     assert!(picture.starts_with("<svg") && picture.trim_end().ends_with("</svg>"));
-    assert_eq!(picture.matches("<polyline").count(), 6, "three panels of two runs");
+    assert_eq!(picture.matches("<polyline").count(), 6, "three panels with two runs each");
 
     type_lines(&format!("1: demo --svg {svg}"), &[]);
     let json = json(&["demo", "--svg", &svg, "--force"]);
     for (side, column) in [("without", 0), ("with", 1)] {
         let value = |pointer: &str| json[side].pointer(pointer).unwrap().as_f64().unwrap();
-        // The table's own numbers, to its digits.
+        // The table shows the numbers of the JSON, rounded.
         for (row, number) in [
             ("penetration, mm", format!("{:.3}", 1e3 * value("/penetration_m"))),
             ("peak force, N", format!("{:.2}", value("/peak_force_n"))),
@@ -71,7 +71,7 @@ fn the_command_prints_its_table_and_draws_its_picture() {
     for letter in 'a'..='f' {
         assert!(picture.contains(&format!(">({letter}) ")), "panel {letter}");
     }
-    // Benefit and cost are in both.
+    // Text and picture name benefit and cost.
     for sentence in ["Better with it: ", "Worse with it: "] {
         let line = said.lines().find(|line| line.starts_with(sentence)).unwrap_or_else(|| panic!("{sentence}\n{said}"));
         assert!(picture.contains(line), "{line}");
@@ -82,24 +82,24 @@ fn the_command_prints_its_table_and_draws_its_picture() {
     }
 }
 
-/// The numbers in the table's row with this beginning.
+/// Returns the numbers in the table's row that begins with `row`.
 fn numbers(said: &str, row: &str) -> Vec<f64> {
     let line = said.lines().find_map(|line| line.trim_start().strip_prefix(row)).unwrap();
     line.split_whitespace().filter_map(|word| word.parse().ok()).collect()
 }
 
 #[test]
-fn the_printed_lines_give_the_printed_numbers() {
+fn the_printed_lines_compute_the_printed_numbers() {
     let said = output(&["demo", "--svg", &Folder::new().path("demo.svg")]);
     let run = |subcommand: &str| {
         let line = said.lines().find_map(|line| line.strip_prefix(&format!("    haptic {subcommand} "))).unwrap();
         json(&[subcommand].into_iter().chain(line.split_whitespace()).collect::<Vec<_>>())
     };
-    // To the last digit that is printed.
+    // Numbers agree to the last printed digit.
     let agree = |row: &str, lines: [f64; 2], digits: f64| {
         let printed = numbers(&said, row);
         for (printed, line) in printed.iter().zip(lines) {
-            assert!((printed - line).abs() < 0.6 * digits, "{row}: {printed} is printed, the line gives {line}");
+            assert!((printed - line).abs() < 0.6 * digits, "{row}: {printed} is printed, the line computes {line}");
         }
         assert_eq!(printed.len(), 2, "{row}");
     };

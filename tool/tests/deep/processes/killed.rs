@@ -1,5 +1,5 @@
-//! Tools that are killed, stopped or interrupted, and full disks. Recordings are complete, lost rows are counted, and
-//! motors do not stay on without the tool that turned them on.
+//! Tools that are killed, stopped or interrupted, and full disks: recordings are complete, lost rows are counted, and
+//! the motors go off without the tool that turned them on.
 #![cfg(unix)]
 
 use crate::common::sim::{Sim, until};
@@ -20,12 +20,12 @@ use std::thread::sleep;
 use std::time::Duration;
 use tempfile::tempdir;
 
-/// Waits until a file has a size, bytes.
+/// Waits until a file has at least this size, bytes.
 fn wait_for_size(path: &Path, bytes: u64) {
     until(&path.display().to_string(), || std::fs::metadata(path).is_ok_and(|about| about.len() >= bytes));
 }
 
-/// Waits for the end of a tool. Returns its exit code and standard error.
+/// Waits until a tool ends. Returns its exit code and standard error.
 fn wait(mut child: Child) -> (Option<i32>, String) {
     let mut text = String::new();
     child.stderr.take().unwrap().read_to_string(&mut text).unwrap();
@@ -41,23 +41,23 @@ fn recording(path: &Path) -> Recording {
     Recording::parse(&std::fs::read_to_string(path).unwrap()).unwrap()
 }
 
-/// Number of rows missing in a recording of every step.
+/// Returns the number of missing rows in a recording of every step.
 fn gaps(recording: &Recording) -> u64 {
     recording.rows.windows(2).map(|pair| (pair[1][0] - pair[0][0]) as u64 - 1).sum()
 }
 
-/// The number before this word.
+/// Returns the number before this word.
 fn number_before(text: &str, word: &str) -> u64 {
     let before = text.split(word).next().unwrap().trim_end();
     before.rsplit(|c: char| !c.is_ascii_digit()).next().unwrap().parse().unwrap_or_else(|_| panic!("{word} in {text}"))
 }
 
-/// Waits until the board has noticed that its last tool is gone.
+/// Waits until the board accepts another tool after the last one ended.
 fn wait_until_free(sim: &Sim) {
     until("a free board", || haptic(&["info", "--port", &sim.port]).output().unwrap().status.success());
 }
 
-/// Loads a scene, and rules for a silent host.
+/// Loads a scene and sets the rules for a silent host.
 fn set_host_rules(sim: &Sim, host: &str, seconds: &str) {
     sim.run(&["scene", &file("scenes/coupled-five-bar/wall.toml")]).success();
     sim.run(&["rules", "--host", host, "--host-seconds", seconds]).success();
@@ -85,16 +85,16 @@ fn a_killed_recording_is_complete_and_leaves_no_rows_behind() {
             assert_eq!(next.columns.len(), 6, "{:?}", next.columns);
             assert!(next.rows.len() >= 30, "{} rows", next.rows.len());
             for row in &next.rows {
-                assert!((0.0..0.2).contains(&row[1]), "a row of another time: {row:?}");
-                assert!(row[2..].iter().all(|value| value.abs() < 7.0), "counts are no angles: {row:?}");
+                assert!((0.0..0.2).contains(&row[1]), "a row of the killed recording: {row:?}");
+                assert!(row[2..].iter().all(|value| value.abs() < 7.0), "counts instead of angles: {row:?}");
             }
             std::fs::remove_file(&csv).unwrap();
         }
     }
 }
 
-/// Runs the tool with files of at most `blocks` of 512 bytes, which acts like a full disk if the signal is ignored. It
-/// has to fail; returns its message.
+/// Runs the tool with files of at most `blocks` of 512 bytes. With its signal ignored, the limit acts like a full disk.
+/// The tool must fail; returns its message.
 fn limited(blocks: u64, arguments: &[&str]) -> String {
     let line = format!("trap '' XFSZ; ulimit -f {blocks}; exec \"$0\" \"$@\"");
     let output = Command::new("sh").args(["-c", &line]).arg(cargo_bin("haptic")).args(arguments).output().unwrap();
@@ -110,17 +110,17 @@ fn no_file_is_left_on_a_disk_without_space() {
     let (folder, roomy) = (tempdir().unwrap(), tempdir().unwrap());
     let nothing_is_left = |text: String| {
         assert!(text.contains("free space"), "{text}");
-        assert!(!text.contains(".partial"), "an unknown name: {text}");
+        assert!(!text.contains(".partial"), "the message names the temporary file: {text}");
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
     };
     let csv = folder.path().join("a.csv");
     nothing_is_left(limited(0, &["record", csv.to_str().unwrap(), "--port", &sim.port]));
-    // The tables of a report fit, its larger picture does not.
+    // With this limit the tables of a report fit, but not its larger picture.
     let (one, two) = (file("hapkit-paddle.toml"), file("haply-2diy.toml"));
     haptic(&["bench", &one, &two, "--report", roomy.path().to_str().unwrap()]).assert().success();
     let blocks = |name: &str| std::fs::metadata(roomy.path().join(name)).unwrap().len().div_ceil(512);
     let (table, picture) = (blocks("speed-against-error.csv"), blocks("speed-against-error.svg"));
-    assert!(table < picture, "{table} and {picture} blocks: choose the limit otherwise");
+    assert!(table < picture, "{table} and {picture} blocks: choose a limit between table and picture");
     nothing_is_left(limited(table, &["bench", &one, &two, "--report", folder.path().to_str().unwrap()]));
 }
 
@@ -131,7 +131,7 @@ fn rows_that_a_stopped_tool_missed_are_counted_exactly() {
     let csv = folder.path().join("gaps.csv");
     let tool = sim.spawn(&["record", csv.to_str().unwrap(), "--rate", "20000", "--fields", "all"]);
     wait_for_size(&csv, 100_000);
-    // Stopped again until a stop outlasts the buffers.
+    // Stop the tool again and again until a stop is longer than the buffers last.
     until("a gap", || {
         signal(&tool, "STOP");
         sleep(Duration::from_secs(1));
@@ -147,11 +147,11 @@ fn rows_that_a_stopped_tool_missed_are_counted_exactly() {
     assert_eq!(number_before(&text, "lost ("), gaps(&recording), "{text}");
     assert_eq!(number_before(&text, "rows are in"), recording.rows.len() as u64, "{text}");
     let dropped = number_before(&text, "dropped by the board");
-    assert_eq!(dropped, gaps(&recording), "the board says that it was the board: {text}");
+    assert_eq!(dropped, gaps(&recording), "not all rows are reported as dropped by the board: {text}");
 }
 
 #[test]
-fn an_interrupted_stream_ends_in_order_and_obeys_the_rules() {
+fn an_interrupted_recording_is_complete_and_obeys_the_rules() {
     let sim = Sim::start(&[]);
     let folder = tempdir().unwrap();
     let path = |name: &str| folder.path().join(name);
@@ -176,7 +176,7 @@ fn an_interrupted_stream_ends_in_order_and_obeys_the_rules() {
             assert!(!recording(&csv).torn && text.contains("rows are in"), "{text}");
         }
         if rule == "ignore" {
-            // Still armed after a second of the board's time.
+            // Wait for a second of the board's time, after which the board must still be armed.
             sim.run(&["record", path("later.csv").to_str().unwrap(), "--seconds", "1"]).success();
         }
         wait_until_free(&sim);
@@ -197,7 +197,7 @@ fn arming_a_board_that_watches_its_host_lasts_until_ctrl_c() {
         BufReader::new(tool.stdout.as_mut().unwrap()).read_line(&mut armed).unwrap();
         assert!(armed.contains("Ctrl-C turns the motors off"), "{armed}");
         sim.run(&["info"]).code(1).stderr(contains("another tool"));
-        assert_eq!(tool.try_wait().unwrap(), None, "it stays for as long as the motors are on");
+        assert_eq!(tool.try_wait().unwrap(), None, "the tool must run as long as the motors are on");
         signal(&tool, how);
         let (code, text) = wait(tool);
         assert!(how == "KILL" || code == Some(0), "{text}");
@@ -220,15 +220,15 @@ fn a_fault_while_armed_is_reported_with_its_remedy_once() {
     assert_eq!(text.matches(remedy).count(), 1, "{text}");
 }
 
-/// Command line of a measurement at these dampings.
+/// Returns the command line of a measurement at these dampings.
 fn measurement<'a>(device: &'a str, kd: &'a str, progress: &'a Path) -> Vec<&'a str> {
     let to = progress.to_str().unwrap();
     let fixed = ["--normal=0.6,0.8", "--repeats=1", "--pull=2", "--feed-forward=off"];
     [&["measure-range", device, kd, "--progress", to][..], &fixed].concat()
 }
 
-/// Begins a measurement and waits for its first result. Begins again if the board turned the motors off because a busy
-/// computer silenced the tool.
+/// Starts a measurement and waits for its first result. Starts again if the board turned the motors off because the
+/// tool was silent for too long on a busy computer.
 fn in_the_middle(sim: &Sim, line: &[&str], progress: &Path) -> Child {
     let measured = || Progress::read(progress).is_ok_and(|found| found.is_some_and(|found| !found.is_empty()));
     loop {
@@ -257,7 +257,7 @@ fn an_interrupted_measurement_turns_the_motors_off() {
     assert_eq!(code, Some(1), "{text}");
     assert!(text.contains("motors are off") && text.contains("to go on where it stopped"), "{text}");
     sim.run(&["info", "--json"]).success().stdout(contains("\"Disarmed\""));
-    assert_eq!(sim.output(&["rules"]), before, "and the rules are as they were");
+    assert_eq!(sim.output(&["rules"]), before, "the rules are restored");
 }
 
 #[test]
@@ -276,15 +276,15 @@ fn the_measurement_after_a_killed_one_restores_the_scene() {
     wait_until_free(&sim);
     sim.until(|state| state != "Armed");
     let now = held();
-    assert_ne!(now.0, before.0, "it was in the middle of it");
-    assert_ne!(now.1, before.1, "its rules are in force");
+    assert_ne!(now.0, before.0, "the killed measurement had not changed the scene");
+    assert_ne!(now.1, before.1, "the killed measurement had not changed the rules");
     sim.run(&["faults", "--clear"]).success();
     // A measurement with another file cannot restore the scene.
     let (_, said) = wait(sim.spawn(&measurement(&device, "--kd=15", &other)));
     assert!(said.contains("left by an interrupted measurement") && said.contains("load your scene again"), "{said}");
     wait_until_free(&sim);
     assert_ne!(held().0, before.0);
-    // The same line continues, if the device has not moved, and restores the scene.
+    // If the device has not moved, the same command line continues the measurement and restores the scene.
     let (_, said) = wait(sim.spawn(&first));
     assert!(said.contains("the earlier scene is restored") && !said.contains("are not restored"), "{said}");
     assert!(said.contains("of 3 repeats are in"), "{said}");
@@ -315,14 +315,14 @@ fn the_measurement_after_a_killed_one_restores_the_rules() {
     sim.run(&next).code(1).stderr(contains("the rules on the board were left by an interrupted measurement"));
     assert_eq!(sim.output(&["rules"]), before);
     sim.run(&next).code(1).stderr(contains("were left").not());
-    // Rules that were set since then stay.
+    // Rules that the user has set since then are kept.
     sim.run(&["rules", "--torque", "0.5,0.5"]).success();
     sim.run(&next).code(1).stderr(contains("were left").not());
     sim.run(&["rules"]).success().stdout(contains("0.5, 0.5 N m"));
 }
 
 #[test]
-fn spoilt_frames_on_a_pseudo_terminal_stop_no_motor() {
+fn damaged_frames_on_a_pseudo_terminal_stop_no_motor() {
     let sim = Sim::on_pseudo_terminal(&["--fast", "--scene", &file("scenes/coupled-five-bar/wall.toml")]);
     NoisyWire::follow(Box::new(SerialWire::open(&sim.port).unwrap()), 60 * 20_000);
 }

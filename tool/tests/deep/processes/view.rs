@@ -1,6 +1,6 @@
-//! `haptic view` on a board that comes and goes, with a WebSocket instead of a browser.
+//! `haptic view` on a board that is unplugged and plugged in again, with a WebSocket instead of a browser.
 
-use crate::common::page::{Heard, View};
+use crate::common::page::{Received, View};
 use crate::common::sim::{HANG, until};
 use crate::common::socket::Socket;
 use crate::common::{file, haptic, type_lines};
@@ -12,35 +12,35 @@ use tungstenite::{Message, WebSocket};
 
 struct Page {
     socket: WebSocket<TcpStream>,
-    heard: Heard,
+    heard: Received,
     /// True to report the key as down at every read.
     holding: bool,
 }
 
 impl Page {
-    /// A page in command.
+    /// Connects a page and takes command.
     fn in_command(view: &View) -> Self {
         let stream = TcpStream::connect(view.address()).unwrap();
         let (socket, _) = tungstenite::client(format!("ws://{}/live", view.address()), stream).unwrap();
         socket.get_ref().set_read_timeout(Some(Duration::from_millis(20))).unwrap();
-        let mut page = Self { socket, heard: Heard::default(), holding: false };
+        let mut page = Self { socket, heard: Received::default(), holding: false };
         page.take();
         page
     }
 
     fn take(&mut self) {
-        self.say(json!({"do": "take"}));
+        self.send(json!({"do": "take"}));
         self.until("command", |heard| heard.you > 0 && heard.picture["command"] == heard.you);
     }
 
-    fn say(&mut self, message: Value) {
+    fn send(&mut self, message: Value) {
         self.socket.send(Message::text(message.to_string())).unwrap();
     }
 
     /// Reads one message, if there is one.
     fn read(&mut self) {
         if self.holding {
-            self.say(json!({"do": "hold", "seen": self.heard.step()}));
+            self.send(json!({"do": "hold", "seen": self.heard.step()}));
         }
         match self.socket.read() {
             Ok(Message::Text(text)) => self.heard.text(&text),
@@ -51,7 +51,7 @@ impl Page {
         }
     }
 
-    fn until(&mut self, what: &str, is_so: impl Fn(&Heard) -> bool) {
+    fn until(&mut self, what: &str, is_so: impl Fn(&Received) -> bool) {
         let began = Instant::now();
         while !is_so(&self.heard) {
             assert!(began.elapsed() < HANG, "{what}: {}\n{:?}", self.heard.picture, self.heard.refused);
@@ -59,14 +59,14 @@ impl Page {
         }
     }
 
-    /// Presses the key and keeps it down; again if this computer was too slow.
+    /// Presses the key and keeps it down. Presses again if this computer was too slow.
     fn arm(&mut self) {
         self.holding = true;
         let began = Instant::now();
         while self.heard.state() != "Armed" {
             assert!(began.elapsed() < HANG, "{:?}", self.heard.refused);
             if self.heard.picture["held"] == false {
-                self.say(json!({"do": "arm", "seen": self.heard.step()}));
+                self.send(json!({"do": "arm", "seen": self.heard.step()}));
             }
             self.read();
         }
@@ -84,20 +84,20 @@ fn the_page_waits_for_a_lost_board_even_without_its_scene() {
     page.arm();
     for back in [&["--scene", &wall][..], &[]] {
         socket.unplug();
-        page.until("its loss", |heard| heard.lost.is_some());
+        page.until("the loss of the board", |heard| heard.lost.is_some());
         page.holding = false;
         page.heard.hello = Value::Null;
         socket.plug(back);
         if back.is_empty() {
             let told = |why: &String| why.contains("`haptic scene FILE`");
-            page.until("what to do", |heard| heard.lost.as_ref().is_some_and(told));
-            // Between two polls the board is free for other tools.
+            page.until("the remedy", |heard| heard.lost.as_ref().is_some_and(told));
+            // Between two polls by the page the board is free for other tools.
             let scene = ["scene", &wall, "--port", &socket.address];
             until("the scene", || haptic(&scene).output().unwrap().status.success());
         }
-        page.until("its return", |heard| !heard.hello.is_null());
+        page.until("the return of the board", |heard| !heard.hello.is_null());
         page.heard.picture = Value::Null;
-        page.until("nobody in command", |heard| heard.state() == "Disarmed" && heard.picture["command"].is_null());
+        page.until("no page in command", |heard| heard.state() == "Disarmed" && heard.picture["command"].is_null());
         page.heard.lost = None;
         page.take();
         page.arm();

@@ -1,21 +1,21 @@
-//! The simulated board with all linear effects (cables, joint damping, windings, current loops, carrier, the board's own
-//! step) agrees with the complete prediction within a tenth.
+//! The simulated board with all linear effects (cables, joint damping, windings, current loops, carrier, the board's
+//! own control step) agrees with the complete prediction within a tenth.
 //!
 //! `UPDATE_DOCS=1 cargo test -p haptic --test deep complete -- --ignored --nocapture` measures complete.csv and
-//! complete-friction.csv in docs/results/ again; without UPDATE_DOCS it only prints them.
+//! complete-friction.csv in docs/results/ again; without UPDATE_DOCS it only prints the tables.
 
 use crate::common::{csv, document, haptic, read};
 use serde_json::Value;
 
-/// Frequency of each joint's cable against its motor, Hz, and its share of critical damping.
+/// Natural frequency of each joint's motor on its cable, Hz, and damping ratio of the cable.
 type Cable = (f64, f64);
 const CABLE: Cable = (400.0, 0.05);
-/// So soft that two modes leave the stable range at similar stiffness.
+/// Cables so soft that two modes become unstable at similar stiffness.
 const SOFT: Cable = (120.0, 0.03);
-/// Share of a turret's inertia on the motor side; its body is on the link side.
+/// Share of a turret's inertia on the motor side of the cable; the turret's body is on the link side.
 const TURRET_MOTOR: f64 = 0.3;
 
-/// The shipped device with a cable at every joint.
+/// Returns the file of a shipped device with a cable added at every joint.
 fn with_cables(device: &str, turret: bool, (hz, damped): Cable) -> String {
     let text = read(&format!("devices/{device}.toml"));
     let mut joint = 0;
@@ -38,18 +38,18 @@ fn with_cables(device: &str, turret: bool, (hz, damped): Cable) -> String {
     soft
 }
 
-/// Mode, measured stiffness (`None` if it could not be measured), predicted stiffness, and felt stiffness behind the
+/// Mode, measured stiffness (`None` if the measurement failed), predicted stiffness, and felt stiffness behind the
 /// cables, N/m.
 type Row = (String, Option<f64>, f64, Option<f64>);
 
-/// The board's drive, and encoders whose steps do not matter up to 5 kHz.
+/// The board's drive, and encoders so fine that their steps have no effect up to 5 kHz.
 const REAL: &[&str] = &["--counts", "4194304"];
-/// Ideal drive, and encoders fine enough for cables at 20 kHz.
+/// Ideal drive, and encoders so fine that their steps have no effect with cables at 20 kHz.
 const IDEAL: &[&str] = &["--ideal-drive", "--counts", "67108864"];
-/// Like [`REAL`] without back-EMF, which the board compensates with a delayed speed.
+/// Like [`REAL`] but without back-EMF, because the board compensates back-EMF with a delayed speed.
 const NO_EMF: &[&str] = &["--counts", "4194304", "--no-emf"];
-/// Larger deviation of the drive from its first-order model, %: without the feed-forward on this device at 20 kHz
-/// (docs/results/complete.csv), but not with [`NO_EMF`] or [`IDEAL`].
+/// Device, rate (Hz) and tolerance (%) of the case in which the drive deviates more from its first-order model: without
+/// the feed-forward (docs/results/complete.csv), but not with [`NO_EMF`] or [`IDEAL`].
 const MISSED: (&str, u32, f64) = ("capstan-pantograph", 20_000, 16.0);
 
 fn measured(
@@ -62,7 +62,7 @@ fn measured(
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("soft.toml");
     let mut text = with_cables(device, normal.matches(',').count() == 2, cable);
-    // An option of this test, not of the tool.
+    // `--no-emf` is an option of this test, not of the tool.
     let without_emf = world.contains(&"--no-emf");
     if without_emf {
         text = text.replace("torque_constant = ", "back_emf = 1e-6\ntorque_constant = ");
@@ -81,7 +81,7 @@ fn measured(
     };
     let range = run(&["range", path, "--board", "h-bridge-f405"])?;
     let limit = |mode: &str| range[mode]["kd_max"].as_f64().unwrap();
-    // A third of the way, in three digits.
+    // About a third of the smaller largest damping, in three digits.
     let kd = format!("{:.2e}", 0.35 * limit("off").min(limit("full")));
     let progress = folder.path().join("progress.json");
     let measure = ["measure-range", path, "--port", "sim", "--kd", &kd, "--repeats", "1", "--feed-forward", "all"];
@@ -104,8 +104,9 @@ fn a_pantograph_with_cables_is_as_stiff_as_predicted() {
     }
 }
 
-/// Largest stable stiffness of the pantograph with soft cables at kd 5.41 N s/m, N/m: eigenvalues of an independently
-/// written loop, from the five-bar's geometry on, at 400 stiffnesses up to 20 kN/m. Nothing above is stable again.
+/// Largest stable stiffness of the pantograph with soft cables at kd 5.41 N s/m, N/m. Computed from eigenvalues of a
+/// loop that shares no code with this one, not even the five-bar's geometry, at 400 stiffnesses up to 20 kN/m. None
+/// above the limit is stable again.
 const APART: [(&str, f64); 3] = [("off", 5715.25), ("full", 10022.44), ("washout", 271.97)];
 
 #[test]
@@ -135,7 +136,7 @@ impl Table {
 }
 
 #[test]
-#[ignore = "minutes: it measures docs/results/complete.csv"]
+#[ignore = "takes minutes: measures docs/results/complete.csv"]
 fn three_devices_at_three_rates() {
     let mut table = Table(Vec::new());
     table.push(
@@ -179,8 +180,8 @@ fn three_devices_at_three_rates() {
     assert!(far.is_empty(), "{far:#?}");
 }
 
-/// Adds a mode of 900 Hz with a tenth of each joint's inertia, static friction larger by a half, and cogging of a tenth of
-/// the friction.
+/// Adds to each joint a mode of 900 Hz with a tenth of the inertia, static friction of 1.5 times the Coulomb friction,
+/// and cogging of a tenth of the Coulomb friction.
 fn with_everything(soft: &str) -> String {
     let value = |block: &str, key: &str| {
         let line =
@@ -200,7 +201,7 @@ fn with_everything(soft: &str) -> String {
 }
 
 #[test]
-#[ignore = "minutes: it measures docs/results/complete-friction.csv"]
+#[ignore = "takes minutes: measures docs/results/complete-friction.csv"]
 fn three_devices_with_everything_on() {
     let mut table = Table(Vec::new());
     table.push(

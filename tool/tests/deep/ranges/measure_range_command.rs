@@ -8,7 +8,7 @@ use serde_json::Value;
 
 const DEVICE: &str = "devices/coupled-five-bar.toml";
 
-/// A rate at which the tip comes to rest before every trial in spite of friction and encoder steps.
+/// Options for a rate at which the tip comes to rest before every trial despite friction and encoder steps.
 const SLOW: [&str; 4] = ["--rate", "1000", "--cutoff", "20"];
 
 fn measure(progress: &str, rate: &[&str], more: &[&str]) -> assert_cmd::assert::Assert {
@@ -33,14 +33,14 @@ fn a_measurement_is_reported_kept_and_continued() {
     let repeats = document["points"][0]["repeats"].as_array().unwrap();
     assert_eq!((repeats.len(), repeats[0].as_f64()), (2, Some(once)));
 
-    // Nothing is measured a third time, and the file's date says when it was.
+    // A third run measures nothing and prints the date of the first measurement.
     let date = document["date"].as_str().unwrap().to_string();
     let third = measure(&progress, &SLOW, &["--feed-forward", "off", "--repeats", "2", "--pull", "2"]).success();
     let third = third.stderr(contains("none is measured now").and(contains("--anew")).and(contains(&*date)));
     let again: Value = serde_json::from_slice(&third.get_output().stdout).unwrap();
     assert_eq!((&again["date"], &again["points"]), (&document["date"], &document["points"]));
 
-    // Another damping is measured in addition and reported alone.
+    // Another damping is measured in addition, and only its result is reported.
     let other = ["--kd", "16", "--feed-forward", "off", "--repeats", "1", "--pull", "2"];
     let fixed = ["measure-range", DEVICE, "--port", "sim", "--normal", "0.6,0.8", "--json"];
     let fourth = haptic(&fixed).args(SLOW).args(other).arg("--progress").arg(&progress).assert().success();
@@ -55,7 +55,7 @@ fn a_measurement_is_reported_kept_and_continued() {
         .stderr(contains("holds another measurement").and(contains("--anew")).and(contains(&*date)))
         .stderr(contains("coupled-five-bar along (0.6, 0.8) at 1000 Hz"));
 
-    // With --anew they are replaced.
+    // With --anew the old results are replaced.
     let anew =
         measure(&progress, &SLOW, &["--feed-forward", "off", "--repeats", "1", "--pull", "1", "--anew"]).success();
     let anew = anew.stderr(contains("already").not());
@@ -77,14 +77,14 @@ fn impossible_measurements_are_refused_at_once() {
     assert!(!std::path::Path::new(&progress).exists());
 }
 
-/// The arguments of a document's command line, with an absolute path of the device file.
+/// Returns the arguments of a document's command line, with an absolute path of the device file.
 fn arguments(line: &str) -> Vec<String> {
     let mut words = line.split('#').next().unwrap().split_whitespace();
     assert_eq!(words.next(), Some("haptic"), "{line}");
     words.map(|word| word.strip_prefix("devices/").map_or(word.to_string(), file)).collect()
 }
 
-/// Runs a line in a folder of its own, with more arguments.
+/// Runs a command line with more arguments in a temporary folder.
 fn typed(line: &str, more: &[&str]) -> assert_cmd::assert::Assert {
     let folder = tempfile::tempdir().unwrap();
     haptic(&[]).current_dir(&folder).args(arguments(line)).args(more).assert()
@@ -94,7 +94,7 @@ fn document(assert: assert_cmd::assert::Assert) -> Value {
     serde_json::from_slice(&assert.success().get_output().stdout).unwrap()
 }
 
-/// The measurements in a document.
+/// Returns the command lines of measurements in a document.
 fn lines(document: &str) -> Vec<String> {
     let text = read(document);
     let words =
@@ -103,7 +103,7 @@ fn lines(document: &str) -> Vec<String> {
 }
 
 #[test]
-fn the_readmes_line_gives_its_numbers_near_theory() {
+fn the_readmes_line_measures_its_numbers_near_theory() {
     let lines = lines("README.md");
     let [line] = lines.as_slice() else { panic!("{lines:?}") };
     let document = document(typed(line, &["--json"]));
@@ -119,7 +119,7 @@ fn the_readmes_line_gives_its_numbers_near_theory() {
     let kilonewtons = |i: usize| points[i]["kp"].as_f64().unwrap() / 1e3;
     let gained = |i: usize| kilonewtons(i + 2) / kilonewtons(i);
     let times = format!("{:.2} and {:.2} times", gained(0), gained(1));
-    assert!(readme.contains(&times), "README.md does not say {times}");
+    assert!(readme.contains(&times), "README.md lacks this text: {times}");
     let said = format!(
         "{:.2} and {:.2} kN/m with the feed-forward, {:.2} and {:.2} without",
         kilonewtons(2),
@@ -127,8 +127,8 @@ fn the_readmes_line_gives_its_numbers_near_theory() {
         kilonewtons(0),
         kilonewtons(1)
     );
-    assert!(readme.contains(&said), "README.md does not say {said}");
-    // docs/results.md has the same line and its results.
+    assert!(readme.contains(&said), "README.md lacks this text: {said}");
+    // docs/results.md has the same command line with its results.
     let results = read("docs/results.md");
     let row = results.lines().find(|row| row.contains(&format!("`{line}`"))).expect("a row with this line");
     let told = |key: &str| {
@@ -157,7 +157,7 @@ fn the_defaults_succeed_and_explain_friction() {
 }
 
 #[test]
-fn the_printed_line_gives_the_printed_theory() {
+fn the_printed_line_computes_the_printed_theory() {
     let line = format!(
         "haptic measure-range {DEVICE} --port sim --q 2.6,1.75 --normal 0.94,-0.34 --kd 15,4.123456789 --repeats 1 \
          --pull 0.1 --feed-forward all --frictionless --counts 8388608"
@@ -174,7 +174,7 @@ fn the_printed_line_gives_the_printed_theory() {
         assert!((point["kp"].as_f64().unwrap() / point["theory_kp"].as_f64().unwrap() - 1.0).abs() < 0.025, "{point}");
     }
     assert!(measured["drive"].as_str().unwrap().contains("current"), "{measured}");
-    // The text has all of them, too.
+    // The text output contains all these numbers, too.
     let read = typed(theory, &[]).success();
     let text = String::from_utf8_lossy(&read.get_output().stdout).into_owned();
     for point in points {
@@ -193,7 +193,7 @@ fn coarse_encoders_are_reported_with_the_stable_part() {
         .code(1)
         .stdout(contains("> ").and(contains("times the counts")))
         .stderr(contains("saturate").and(contains("--counts")));
-    // Nothing moves if not even the soft hold can be measured.
+    // If even the soft hold cannot be measured, the device is not moved.
     let line = format!("haptic measure-range {DEVICE} --port sim --normal 0,1 --rate 20000 --cutoff 500");
     typed(&line, &[]).code(1).stdout("").stderr(contains("saturate"));
 }
@@ -237,7 +237,7 @@ fn a_board_with_another_device_needs_load_and_is_restored() {
         .stderr(contains("the board holds haply-2diy, the file is coupled-five-bar").and(contains("--load")));
     assert!(!std::path::Path::new(&progress).exists());
     assert_eq!(held(), before);
-    // Fast simulated time does not overtake the tool.
+    // With --fast the simulated time does not run ahead of the tool.
     sim.run(&[&arguments[..], &["--load"]].concat()).success().stdout(contains("off"));
     assert_eq!(held(), before);
 }

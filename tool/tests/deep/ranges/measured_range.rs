@@ -1,6 +1,6 @@
 //! The stable range measured on the simulated board, through the protocol, agrees with the prediction.
 //!
-//! Friction and hand are off, the drive is ideal and the encoders are fine, as linear theory assumes.
+//! Friction and hand are off, the drive is ideal, and the encoders are fine, because linear theory assumes this.
 
 use crate::common::prelude::*;
 use crate::common::{self, ideal_loop, shipped};
@@ -62,8 +62,8 @@ fn the_measured_boundary_is_the_predicted_one() {
     assert_eq!(board.status().unwrap().state, State::Disarmed);
 }
 
-/// The shipped Phantom at home, without friction, at 5 kHz, 200 Hz and kd 20, with encoders `finer` than the file's.
-/// Theory and an independent simulation find walls stable up to 27.6 kN/m without the feed-forward and 32.0 with.
+/// Measures the shipped Phantom at home, without friction, at 5 kHz, 200 Hz and kd 20, with `finer` times the counts of
+/// its file. Theory and an independent simulation have limits of 27.6 kN/m without and 32.0 with the feed-forward.
 fn phantom(feed_forward: FeedForward, finer: f64) -> Result<Boundary, MeasureError> {
     let mut file = shipped("phantom-premium-1.5");
     let world = World { friction: Friction::None, ideal_drive: true, ..World::default() };
@@ -90,8 +90,8 @@ fn coarse_encoders_are_reported_instead_of_a_boundary() {
     }
 }
 
-/// Four times finer, six encoder steps at the boundary are still three quarters of the torque, so a growing swing soon
-/// becomes a vibration within the torque limit. Encoder steps explain up to 3.6 %, see `swing`.
+/// With four times the counts, six encoder steps at the boundary still need three quarters of the torque limit, so a
+/// growing swing soon becomes a vibration within the limit. Encoder steps explain up to 3.6 %, see `swing`.
 #[test]
 fn a_vibration_within_the_torque_limit_counts_as_unstable() {
     for (feed_forward, theory) in PHANTOM {
@@ -101,15 +101,15 @@ fn a_vibration_within_the_torque_limit_counts_as_unstable() {
 }
 
 #[test]
-fn with_fine_encoders_the_boundary_agrees_with_two_others() {
+fn with_fine_encoders_the_boundary_agrees_with_theory() {
     for (feed_forward, theory) in PHANTOM {
         let found = phantom(feed_forward, 64.0).unwrap();
         assert!((found.gain / theory - 1.0).abs() < 0.02, "{feed_forward:?}: {found:?}, theory {theory}");
     }
 }
 
-/// The shipped Phantom with a cable of 400 Hz at every joint, at home, at 5 kHz, 200 Hz and kd 3.26: walls are stable up
-/// to 8406 N/m by independent eigenvalues. A hold with the stiffness of a rigid device would be unstable.
+/// The shipped Phantom with a cable of 400 Hz at every joint, at home, at 5 kHz, 200 Hz and kd 3.26. By independent
+/// eigenvalues walls are stable up to 8406 N/m. A hold as stiff as for a rigid device would be unstable.
 #[test]
 fn a_device_is_held_softly_enough_for_its_cables() {
     let mut file = shipped("phantom-premium-1.5");
@@ -129,8 +129,8 @@ fn a_device_is_held_softly_enough_for_its_cables() {
     assert!(!stands(1.1 * 8406.0));
 }
 
-/// A shipped device in a world with walls along `normal` at the paper's 200 Hz and 20 Hz, and the prediction of that
-/// loop.
+/// Returns a shipped device in a simulated world, the set-up for a wall along `normal` at the paper's 200 Hz and 20 Hz,
+/// and the prediction.
 fn at_the_papers_setting(
     name: &str,
     world: &World,
@@ -166,7 +166,7 @@ fn a_device_with_weight_is_measured_only_in_its_pose() {
     }
     drop(prepared);
 
-    // Without a holding hand the device falls, and its tip is caught in another pose.
+    // If no hand holds the device, it falls and is then held in another pose.
     let device = Options { friction: false, ..Options::default() };
     let options = BoardOptions { device, drive: DriveModel::Ideal, ..BoardOptions::default() };
     let (_, mut board) = common::board(&file, options);
@@ -209,7 +209,7 @@ fn boundaries_with_friction_are_found_at_the_papers_setting() {
         let mut prepared = PreparedBoard::new(&mut board, &file, setup, &|| false).unwrap();
         let found = prepared.boundary(mode, kd, strength, None).map(|found| found.gain);
         let theory = predicted.of(mode).boundary[0].kp;
-        // Friction damps.
+        // Friction adds damping, so the boundary is above theory.
         assert!(
             found.as_ref().is_ok_and(|found| *found > theory && *found < theory + 200.0),
             "{name}: {found:?}, {theory}"
@@ -218,7 +218,7 @@ fn boundaries_with_friction_are_found_at_the_papers_setting() {
 }
 
 #[test]
-fn a_redundant_arm_is_measured_in_the_posture_that_holds_it() {
+fn a_redundant_arm_is_measured_with_its_posture() {
     let world = World {
         q: Some([0.5, 0.8, 0.7]),
         friction: Friction::None,
@@ -228,7 +228,7 @@ fn a_redundant_arm_is_measured_in_the_posture_that_holds_it() {
     };
     let law = Law { posture: Some(Posture { stiffness: 0.05, damping: 0.003 }), ..Law::default() };
     let (mut file, setup, prediction) = at_the_papers_setting("serial-3r", &world, &[0.6, 0.8], law);
-    // Theory ignores that the weight is carried one period late, which is 6 % here.
+    // Leave out the weight: theory ignores that it is compensated one period late, an effect of 6 % here.
     file.description.gravity = [0.0; 3];
     let kd = 0.5;
     let predicted = prediction.range(&world.q.unwrap(), &setup.walls, Some(&[kd]), None).unwrap();

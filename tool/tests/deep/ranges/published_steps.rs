@@ -1,5 +1,5 @@
-//! A higher rate brings less than rigid theory with perfect sensors predicts, as others measured (docs/published.md).
-//! Orders and trends are checked, not factors, because the devices' friction and cables are not published.
+//! A higher rate raises the stiffness less than rigid theory with perfect sensors predicts, as published measurements
+//! show (docs/published.md). Only orders and trends are checked, because friction and cables were not published.
 
 use crate::common::prelude::*;
 use crate::common::{ideal_loop, shipped};
@@ -25,14 +25,14 @@ fn pressed<T>(
     work(&Pressed { device: &device, description, q, normal, around: &around, hand, push_n: PUSH_N })
 }
 
-/// Largest damping, in steps of 10 % from `least`, up to which a wall's ripple stays within the bound, N s/m.
+/// Returns the largest damping, in steps of 10 % from `least`, up to which a wall's ripple is within the bound, N s/m.
 fn clean_damping(pressed: &Pressed<'_>, kp: f64, least: f64) -> f64 {
     let dampings = (0..100).map(|i| least * 1.1_f64.powi(i));
     let clean = |kd: &f64| pressed.ripple(Mode::Off, kp, *kd).unwrap().within(BOUND);
     dampings.take_while(clean).last().unwrap_or(0.0)
 }
 
-/// Stiffness of the stiffest spring without damping that a relaxed hand finds quiet, and of the stiffest stable one, N/m.
+/// Returns the largest stiffness of an undamped spring that is quiet in a relaxed hand, and the largest stable, N/m.
 fn clean_spring(rate_hz: f64) -> (f64, f64) {
     let hand = Hand { mass: 0.12, damping: 6.0, stiffness: 250.0 };
     pressed(
@@ -55,7 +55,10 @@ fn stiffness_grows_far_less_than_the_rate() {
     {
         let found = clean_spring(rate);
         let (gained, rigid) = (found.0 / slow.0, found.1 / slow.1);
-        assert!((rigid / (rate / from) - 1.0).abs() < 0.1, "rigid theory is proportional to the rate: {rate}: {rigid}");
+        assert!(
+            (rigid / (rate / from) - 1.0).abs() < 0.1,
+            "rigid theory is not proportional to the rate: {rate}: {rigid}"
+        );
         assert!((least..most).contains(&gained), "{rate}: {gained}");
     }
 }
@@ -70,12 +73,12 @@ fn a_higher_rate_is_stiffer_and_leaves_less_virtual_damping() {
         })
     };
     let (slow, fast) = (of(1_000.0), of(10_000.0));
-    assert!(fast.1 > 5.0 * slow.1, "theory says more damping");
-    assert!(fast.0 < 0.5 * slow.0, "and counts leave less: {slow:?} {fast:?}");
+    assert!(fast.1 > 5.0 * slow.1, "theory predicts too little damping");
+    assert!(fast.0 < 0.5 * slow.0, "encoder steps leave too much damping: {slow:?} {fast:?}");
 }
 
 #[test]
-fn a_slower_velocity_keeps_what_a_fast_position_loop_loses() {
+fn a_slower_velocity_keeps_the_damping_of_a_slow_loop() {
     let of = |rate, estimator| {
         pressed("pantograph-mk2", &[0.0, 1.0], None, (rate, estimator), |pressed| {
             let area = domain(pressed.device, pressed.around, Mode::Off, Some(&[])).unwrap().area;
@@ -86,5 +89,5 @@ fn a_slower_velocity_keeps_what_a_fast_position_loop_loses() {
     let (slow, uniform, dual) = (of(2_000.0, bare), of(20_000.0, bare), of(20_000.0, bare.over(10)));
     assert!(uniform.0 < 0.5 * slow.0, "{slow:?} {uniform:?}");
     assert!(dual.0 > 0.8 * slow.0, "{slow:?} {dual:?}");
-    assert!(dual.1 > slow.1, "and its position is fast: {slow:?} {dual:?}");
+    assert!(dual.1 > slow.1, "the fast position gains no area: {slow:?} {dual:?}");
 }

@@ -1,5 +1,5 @@
-//! `haptic range` of several walls on a device that is not rigid, in a hand: one wall given twice is the wall, infinite
-//! stiffness is rigid, and sets of walls end where loops of bodies do, with the motors and the hand as separate bodies.
+//! `haptic range` of several walls on a compliant device in a hand. One wall given twice equals the wall, infinitely
+//! stiff cables equal none, and sets of walls have the limits of loops of separate motors, links and a hand.
 
 use crate::common::bodies::{Bodies, CUTOFF, RATE};
 use crate::common::shipped;
@@ -26,8 +26,8 @@ fn around() -> Loop {
     }
 }
 
-/// A shipped device; with cables of so many Hz against each joint's motor, of which a third joint's and more have all
-/// of the inertia and a turret three tenths.
+/// Returns a shipped device, if requested with cables on which each joint's motor has this natural frequency, Hz. The
+/// motor has the joint's whole inertia, on a turret three tenths of it.
 fn device(name: &str, hz: Option<f64>) -> DeviceFile {
     let mut file = shipped(name);
     let spec = file.spec();
@@ -43,7 +43,7 @@ fn device(name: &str, hz: Option<f64>) -> DeviceFile {
     file
 }
 
-/// Device, pose, normals with their parts, damping.
+/// Device, pose, normals with their shares, damping (N s/m).
 type Set = (&'static str, &'static [f64], &'static [(&'static [f64], f64)], f64);
 
 const WALL_SETS: [Set; 3] = [
@@ -61,14 +61,14 @@ fn members(walls: &[(&[f64], f64)]) -> Vec<Member> {
     walls.iter().map(|(normal, share)| Member::new(normal.to_vec(), *share)).collect()
 }
 
-/// kp_max at these dampings.
+/// Returns kp_max (N/m) at these dampings (N s/m).
 fn boundary(set: &WallSet, mode: Mode, kd: &[f64]) -> Vec<f64> {
     let found = domain_of_several(set, &around(), mode, Some(kd)).unwrap();
     found.boundary.iter().map(|point| point.kp).collect()
 }
 
 #[test]
-fn one_wall_given_twice_is_the_wall_with_its_cables_and_in_its_hand() {
+fn one_wall_given_twice_equals_the_wall_with_cables_and_hand() {
     for (name, q, normal) in [
         ("coupled-five-bar", &[2.6, 1.75][..], vec![0.26, 0.97]),
         ("woodenhaptics", &[0.0, 1.3, -0.2], vec![0.6, 0.8, 0.1]),
@@ -83,7 +83,7 @@ fn one_wall_given_twice_is_the_wall_with_its_cables_and_in_its_hand() {
                 let known = domain(&alone, &around(), mode, Some(&kd)).unwrap();
                 let largest = known.boundary.iter().map(|point| point.kp).fold(0.0, f64::max);
                 for (found, known) in boundary(&set, mode, &kd).into_iter().zip(known.boundary) {
-                    // Bisection of a growth of 1e-11 a sample.
+                    // The limit is bisected to a growth of 1e-11 per sample.
                     let off = (found - known.kp) / largest;
                     assert!(off.abs() < 1e-5, "{name} {hz:?} {hand:?} {mode:?}: {found} is not {known:?}");
                 }
@@ -93,14 +93,14 @@ fn one_wall_given_twice_is_the_wall_with_its_cables_and_in_its_hand() {
 }
 
 #[test]
-fn cables_that_hardly_give_are_none() {
+fn very_stiff_cables_equal_rigid_transmissions() {
     for (name, q, walls, kd) in WALL_SETS {
         let of = |hz| {
             let set = WallSet::at(&device(name, hz).description, q, &members(walls), Admissible::default()).unwrap();
             [Mode::Off, Mode::Full].map(|mode| boundary(&set, mode, &[kd])[0])
         };
         let rigid = of(None);
-        // What a cable changes falls with the square of its frequency.
+        // The effect of a cable falls with the square of its frequency.
         for (hz, within) in [(2e4, 1e-2), (2e5, 1e-4), (1e9, 1e-9)] {
             for (found, rigid) in of(Some(hz)).into_iter().zip(rigid) {
                 assert!(
@@ -113,14 +113,14 @@ fn cables_that_hardly_give_are_none() {
 }
 
 #[test]
-fn sets_of_walls_with_cables_and_hands_end_where_loops_of_bodies_do() {
+fn sets_of_walls_have_the_limits_of_loops_of_bodies() {
     for (name, q, walls, kd) in WALL_SETS {
         for (hz, hand) in [(None, HAND), (Some(150.0), Hand::default()), (Some(150.0), HAND)] {
             let file = device(name, hz);
             let set = WallSet::at(&file.description, q, &members(walls), Admissible::default()).unwrap();
             let task = file.spec().task;
             for (mode, feed_forward) in [(Mode::Off, false), (Mode::Full, true)] {
-                // The law of several walls is held elsewhere (tests/several_walls); here it is a matrix.
+                // The law of several walls, which tests/several_walls checks, is a matrix here.
                 let unit = |axis: usize| DVector::from_fn(task, |i, _| f64::from(u8::from(i == axis)));
                 let torques: Vec<_> = (0..task).map(|axis| set.torque(&unit(axis), feed_forward)).collect();
                 let bodies = Bodies::new(&file, q, hand, DMatrix::from_columns(&torques));

@@ -1,5 +1,5 @@
-//! Contact with sets of walls: the board's step in its own precision on the simulation's nonlinear linkage, with limited
-//! motors.
+//! Contact with sets of walls: the board's control step in single precision on the simulator's nonlinear linkage, with
+//! limited motors.
 
 use crate::common::{plane_wall, shipped};
 use haptic_bridge::control::compiled::BoardMath;
@@ -14,7 +14,7 @@ use nalgebra::SVector;
 
 const RATE: f64 = 1_000.0;
 
-/// A unit vector at this angle, rad.
+/// Returns the unit vector at this angle, rad.
 fn at(angle: f64) -> Vec<f64> {
     vec![angle.cos(), angle.sin()]
 }
@@ -24,14 +24,14 @@ fn scaled(v: &[f64]) -> Vec<f64> {
     v.iter().map(|x| x / length).collect()
 }
 
-/// One wall: unit normal, share of stiffness and damping.
+/// One wall: unit normal, and share of the total stiffness and damping.
 type Facet = (Vec<f64>, f64);
 
 fn around(middle: f64, facets: &[(f64, f64)]) -> Vec<Facet> {
     facets.iter().map(|(degrees, share)| (at(middle + degrees.to_radians()), *share)).collect()
 }
 
-/// A run with walls through the tip, after a blow of 2 cm/s or under a press.
+/// A run with walls through the tip, pressed by a hand or after an impact of 2 cm/s.
 struct Run<'a> {
     file: &'a DeviceFile,
     q: [f64; 3],
@@ -39,13 +39,13 @@ struct Run<'a> {
     damping: f64,
     feed_forward: FeedForward,
     bilateral: bool,
-    /// Target of a hand relative to the start, m; its arm is a spring of 250 N/m.
+    /// Target of a hand relative to the tip's start, m; the hand's arm is a spring of 250 N/m. `None` for an impact.
     push: Option<[f64; 3]>,
     hand: HandSettings,
     velocity_terms: VelocityTerms,
     /// True to add b as estimated, without fading.
     unfaded: bool,
-    /// A spring: its anchor relative to the tip's start, m, its line (zero for a point), and its stiffness, N/m.
+    /// A spring: anchor relative to the tip's start, m, direction of its line (zero for a point), and stiffness, N/m.
     spring: Option<([f64; 3], [f64; 3], f64)>,
 }
 
@@ -55,7 +55,7 @@ impl Run<'_> {
         match AnyMechanism::<f32>::new(&self.file.description).expect("a sound device") {
             AnyMechanism::FiveBar(m) => self.with::<FiveBar<f32>, 2>(m, walls),
             AnyMechanism::Parallelogram(m) => self.with::<Parallelogram<f32>, 3>(m, walls),
-            other => panic!("{other:?} is not among these tests"),
+            other => panic!("no test of this file uses {other:?}"),
         }
     }
 
@@ -76,7 +76,7 @@ impl Run<'_> {
             let gain = |total_gain: f64| (total_gain * share / total) as f32;
             let plane =
                 plane_wall(tip.map(|x| x as f32), n.map(|x| x as f32), gain(self.stiffness), gain(self.damping));
-            // Without joint damping the compensation only turns the velocity estimates on.
+            // There is no joint damping, so the compensation only turns the velocity estimates on.
             let (feed_forward, bilateral) = (self.feed_forward, self.bilateral);
             Wall { feed_forward, bilateral, damping_compensation: self.unfaded, ..plane }
         });
@@ -127,7 +127,7 @@ impl Run<'_> {
     }
 }
 
-/// The demo's pose: stable up to 17.9 kN/m without and 23.0 kN/m with the feed-forward at 40 N s/m.
+/// Returns a run in the demo's pose. At 40 N s/m its walls are stable up to 17.9 kN/m, with the feed-forward to 23.0.
 fn demo(file: &DeviceFile, feed_forward: FeedForward) -> Run<'_> {
     Run {
         file,
@@ -144,12 +144,13 @@ fn demo(file: &DeviceFile, feed_forward: FeedForward) -> Run<'_> {
     }
 }
 
-/// Limits of the remaining swing, N m: a few encoder steps times 20 kN/m; an unstable wall uses all 2 N m of the motors.
+/// Largest torque swing of a quiet wall, N m (a few encoder steps times 20 kN/m), and smallest of an unstable wall,
+/// which uses all 2 N m of the motors.
 const QUIET: f64 = 0.05;
 const LOUD: f64 = 1.0;
 
 #[test]
-fn a_wall_cut_into_facets_is_as_quiet_as_in_one_piece() {
+fn a_wall_cut_into_facets_is_as_quiet_as_one_wall() {
     let file = shipped("coupled-five-bar");
     let middle = 75_f64.to_radians();
     for feed_forward in [FeedForward::Full, FeedForward::Washout] {
@@ -166,10 +167,10 @@ fn a_wall_cut_into_facets_is_as_quiet_as_in_one_piece() {
         }
     }
     let swing = demo(&file, FeedForward::Off).swing(&around(middle, &[(0.0, 1.0)]));
-    assert!(swing > LOUD, "without the feed-forward this wall is too stiff: {swing} N m");
+    assert!(swing > LOUD, "without the feed-forward this wall must swing: {swing} N m");
 }
 
-/// The hand is light, so only the feed-forward keeps the wall quiet: without it the same press swings.
+/// The hand is so light that the same press swings without the feed-forward.
 #[test]
 fn pressed_unilateral_facets_are_quiet() {
     let file = shipped("coupled-five-bar");
@@ -196,7 +197,7 @@ fn pressed_unilateral_facets_are_quiet() {
 fn fading_velocity_terms_keep_a_press_at_a_stretched_arm_quiet() {
     let file = shipped("coupled-five-bar");
     let middle = 77_f64.to_radians();
-    // Beyond the depths where the result depends on the last digit.
+    // At smaller depths the result depends on the last digit.
     for aim in [0.023, 0.024, 0.025] {
         let push = Some([-aim * middle.cos(), -aim * middle.sin(), 0.0]);
         let swing = |velocity_terms, unfaded| {
@@ -204,7 +205,7 @@ fn fading_velocity_terms_keep_a_press_at_a_stretched_arm_quiet() {
             run.swing(&around(middle, &[(0.0, 1.0)]))
         };
         let in_full = swing(VelocityTerms::Off, true);
-        assert!(in_full > LOUD, "{aim} m, in full: {in_full} N m");
+        assert!(in_full > LOUD, "{aim} m, without fading: {in_full} N m");
         for terms in [VelocityTerms::Off, VelocityTerms::Rendered, VelocityTerms::Paper] {
             let faded = swing(terms, false);
             assert!(faded < QUIET, "{aim} m, {terms:?}: {faded} N m");
@@ -247,7 +248,7 @@ fn velocity_terms_keep_quiet_presses_quiet() {
 #[test]
 fn the_feed_forward_keeps_stable_corners_quiet() {
     let file = shipped("coupled-five-bar");
-    // A right-angled corner of 2 x 8 kN/m, an acute one, and a stiff wall with one of a hundredth.
+    // A right-angled corner of 2 x 8 kN/m, an acute corner, and a stiff wall with a second wall of a hundredth of it.
     for (angles, stiffness) in [
         (vec![(75.0, 1.0), (-15.0, 1.0)], 12_000.0),
         (vec![(75.0, 1.0), (15.0, 1.0)], 12_000.0),
@@ -265,7 +266,7 @@ fn the_feed_forward_keeps_stable_corners_quiet() {
 }
 
 /// The feed-forward of a firm press on one wall pushes onto another wall, which is touched lightly. As the other wall
-/// takes effect, the push falls. If it fell within a tenth of a millimetre, these would swing with 0.2 N m or more.
+/// takes effect, the push falls. If the push fell within 0.1 mm, these touches would swing with 0.2 N m or more.
 #[test]
 fn a_light_touch_during_a_firm_press_is_quiet() {
     let file = shipped("coupled-five-bar");
@@ -290,8 +291,8 @@ fn a_light_touch_during_a_firm_press_is_quiet() {
     }
 }
 
-/// A spring between the wall's normal and the direction that the linkage makes of it: without shaping, together with the
-/// shaped wall, it would be unstable at any gain.
+/// The spring acts between the wall's normal and the direction of the shaped force. If only the wall were shaped,
+/// spring and wall would be unstable at any gain.
 #[test]
 fn the_feed_forward_keeps_a_spring_with_a_wall_quiet() {
     let file = shipped("coupled-five-bar");
@@ -309,7 +310,7 @@ fn the_feed_forward_keeps_a_spring_with_a_wall_quiet() {
     }
 }
 
-/// The shaped part of a spring's force rises with contact, slowly enough that a light touch does not swing.
+/// With the depth of contact, the shaped part of a spring's force rises so slowly that a light touch does not swing.
 #[test]
 fn a_light_touch_with_a_stretched_spring_is_quiet() {
     let file = shipped("coupled-five-bar");

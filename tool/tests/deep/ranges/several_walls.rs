@@ -6,7 +6,7 @@ use crate::common::{file, json};
 #[test]
 fn measured_sets_of_walls_agree_with_the_prediction() {
     let folder = tempfile::tempdir().unwrap();
-    // Without friction nothing stops the redundant arm's own motion, so its tip never rests.
+    // Leave out the redundant arm: without friction its null motion never stops, so the tip never rests.
     let measured = WALL_SETS.into_iter().filter(|set| set.0 != "serial-3r");
     for (index, (name, q, normals, shares, without, kd)) in measured.enumerate() {
         let progress = folder.path().join(format!("{index}.json"));
@@ -21,7 +21,7 @@ fn measured_sets_of_walls_agree_with_the_prediction() {
         let found = json(&all);
         assert_eq!(found["walls"].as_array().unwrap().len(), normals.len());
 
-        // The printed line is `haptic range` of the same set with the board's delay.
+        // The printed `haptic range` line has the same set of walls and the board's delay.
         let line = found["theory"].as_str().unwrap();
         let predicted = json(&line.split(' ').skip(1).collect::<Vec<_>>());
         let points = found["points"].as_array().unwrap();
@@ -30,7 +30,7 @@ fn measured_sets_of_walls_agree_with_the_prediction() {
             let theory = predicted[point["mode"].as_str().unwrap()]["boundary"][0]["kp"].as_f64().unwrap();
             assert_eq!(point["theory_kp"].as_f64(), Some(theory));
             let off = point["kp"].as_f64().unwrap() / theory - 1.0;
-            // The search ends within half a percent; what is left is how long a slow growth takes to show.
+            // The search ends within half a percent; the rest is growth too slow to be detected within a trial.
             assert!(off.abs() < 0.01, "{name} {normals:?}: {off:.4} off, {point}");
         }
     }

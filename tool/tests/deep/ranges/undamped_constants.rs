@@ -1,12 +1,12 @@
-//! The simulated board against independent numbers: the boundary of an undamped loop depends only on kp T²/m and kd T/m,
-//! and docs/model.md section 3 has its largest values at delay 0.
+//! The simulated board agrees with independent numbers. The boundary of an undamped loop depends only on kp T²/m and
+//! kd T/m, and docs/model.md section 3 lists its largest values at delay 0.
 //!
 //! Gains are raised through the protocol until the board oscillates; friction, hand and encoder steps are off.
 
 use crate::common::prelude::*;
 use haptic_predict::measure::{Law, MeasurementSetup, PreparedBoard};
 
-/// 0.16 kg at 0.1 m, without friction, behind an encoder whose steps do not show.
+/// A paddle of 0.16 kg at 0.1 m without friction, with an encoder so fine that its steps have no effect.
 const PADDLE: &str = r#"
 name = "mass"
 mechanism = "paddle"
@@ -28,7 +28,7 @@ q = [0.0]
 "#;
 const MASS: f64 = 0.16;
 
-/// kp T²/m on the boundary at `share` of its length, where its flat summit lies, and the kd T/m at which it ends.
+/// Measures the largest kp T²/m, at `share` of the largest damping, and the largest kd T/m.
 fn measure(rate_hz: f64, cutoff_hz: f64, share: f64) -> (f64, f64) {
     let file = DeviceFile::parse(PADDLE, "mass.toml").unwrap();
     // One integration step per sample is exact for a constant inertia under a constant torque.
@@ -51,8 +51,8 @@ fn measure(rate_hz: f64, cutoff_hz: f64, share: f64) -> (f64, f64) {
     (summit / MASS / rate_hz.powi(2), end / MASS / rate_hz)
 }
 
-/// Tolerance: the search ends in a bracket of half a percent and returns its middle; the rest is for growth too slow to
-/// be detected within a trial. The constants have four digits.
+/// Tolerance: the search returns the middle of a bracket of half a percent, and growth may be too slow to be detected
+/// within a trial. The constants have four digits.
 const APART: f64 = 0.004;
 
 fn agree(measured: (f64, f64), known: (f64, f64)) {
@@ -61,16 +61,16 @@ fn agree(measured: (f64, f64), known: (f64, f64)) {
 }
 
 #[test]
-fn at_the_papers_setting() {
+fn constants_at_the_papers_setting() {
     agree(measure(200.0, 20.0, 0.29), (0.08921, 0.5190));
 }
 
 #[test]
-fn at_a_slow_filter() {
+fn constants_with_a_slow_filter() {
     agree(measure(1000.0, 20.0, 0.18), (0.008215, 0.1520));
 }
 
 #[test]
-fn at_the_boards_own_rate() {
+fn constants_at_the_boards_own_rate() {
     agree(measure(20_000.0, 500.0, 0.2), (0.01184, 0.1838));
 }

@@ -1,4 +1,4 @@
-//! `haptic design` against formulas and brute force.
+//! `haptic design` agrees with formulas and exhaustive searches.
 
 use crate::common::prelude::*;
 use crate::common::shipped;
@@ -12,7 +12,7 @@ use haptic_stability::analysis::pose::{TaskPose, unit_normal};
 
 const PHI: Admissible = Admissible::Orientation;
 
-/// A board's loop.
+/// Returns the control loop of a board.
 fn around() -> Loop {
     Loop::through(&TorquePath::usual(20_000.0), 20_000.0, LinearEstimator::Butterworth(500.0))
 }
@@ -36,7 +36,8 @@ fn the_stiffest_wall_is_proportional_to_its_inertia() {
     }
 }
 
-/// Wrr = Eᵀ M E grows by δ Eⱼ² with δ more on joint j; Weff = 1/(Jr M⁻¹ Jrᵀ) by Sherman and Morrison's formula.
+/// An inertia δ added to joint j raises Wrr = Eᵀ M E by δ Eⱼ². Weff = 1/(Jr M⁻¹ Jrᵀ) follows from the Sherman-Morrison
+/// formula.
 #[test]
 fn the_sensitivity_to_a_rotor_follows_its_formula() {
     for (name, q, n) in [
@@ -57,7 +58,7 @@ fn the_sensitivity_to_a_rotor_follows_its_formula() {
             let rotor = found.iter().find(|one| one.part == format!("rotor of joint {j}")).unwrap().more.unwrap();
             assert!((rotor.w_eff / w_eff - 1.0).abs() < 1e-9, "{name}, joint {j}: {rotor:?}, {w_eff}");
             assert!((rotor.w_rr / w_rr - 1.0).abs() < 1e-9, "{name}, joint {j}: {rotor:?}, {w_rr}");
-            // A gear reflects its rotor by the square of the ratio, and scales torque and counts in proportion.
+            // A gear multiplies the rotor's inertia by the square of its ratio, and torque and counts by its ratio.
             let gear = found.iter().find(|one| one.part == format!("gear ratio of joint {j}")).unwrap().more.unwrap();
             let squared = 1.0 + 2.1 * (w_rr - 1.0);
             assert!((gear.w_rr / squared - 1.0).abs() < 1e-9, "{name}, joint {j}: {gear:?}");
@@ -75,7 +76,7 @@ fn a_longer_link_leaves_the_tip_where_it_is() {
     let (q, n) = ([2.3, 0.84159265358979], [0.6, 0.8]);
     let found = sensitivities(&description, &q, &n, PHI, &around()).unwrap();
     let base = found.iter().find(|one| one.part == "length base").unwrap().more.unwrap();
-    // The tip's former place by this test's own inverse kinematics.
+    // The test's own inverse kinematics move the tip of the wider device to its former place.
     let mut wider = description;
     wider.geometry[0] *= 1.0 + CHANGE;
     let before = TaskPose::at(&description, &q).unwrap();
@@ -97,7 +98,7 @@ fn a_longer_link_leaves_the_tip_where_it_is() {
 }
 
 #[test]
-fn no_pose_of_a_blind_search_is_better_than_the_best() {
+fn no_pose_of_a_random_search_is_better_than_the_best() {
     let normal = [0.6, 0.8];
     for name in ["haply-2diy", "coupled-five-bar"] {
         let file = shipped(name);
@@ -106,7 +107,7 @@ fn no_pose_of_a_blind_search_is_better_than_the_best() {
         let device = file.device::<f64>().unwrap();
         let n = unit_normal(&normal, 2, file.spec().joints).unwrap();
         let along_n = found.along.clone().unwrap();
-        // On the working side of the singularities.
+        // Only poses on the same side of the singularities as home are valid.
         let side = |q: &[f64]| TaskPose::at(&file.description, q).unwrap().jacobian.determinant() > 0.0;
         let home = file.description.home.unwrap();
         let home = side(&home[..file.spec().joints]);
@@ -136,7 +137,7 @@ fn no_pose_of_a_blind_search_is_better_than_the_best() {
 }
 
 #[test]
-fn a_coarse_grid_finds_what_a_fine_one_does() {
+fn a_coarse_grid_has_the_results_of_a_fine_grid() {
     for (name, coarse, fine) in [("coupled-five-bar", 300, 4000), ("haply-2diy", 300, 1000), ("serial-3r", 700, 1000)] {
         let description = shipped(name).description;
         let found = |points| places(&description, None, 0.0, 0.3, points, PHI, &Sweep::quiet()).unwrap();
@@ -144,7 +145,7 @@ fn a_coarse_grid_finds_what_a_fine_one_does() {
         for found in [&coarse, &fine] {
             let others = [&found.every_direction, &found.feed_forward_buys_most];
             let stiffer = others.into_iter().find(|other| other.w_rr > 1.01 * found.stiffest.w_eff);
-            assert_eq!(stiffer, None, "{name}: stiffer with the feed-forward than the stiffest");
+            assert_eq!(stiffer, None, "{name}: with the feed-forward this is stiffer than the stiffest");
         }
         let ratio = |placed: &haptic_predict::design::place::WallPlace| placed.w_rr / placed.w_eff;
         for (what, one, other) in [
@@ -152,13 +153,13 @@ fn a_coarse_grid_finds_what_a_fine_one_does() {
             ("every direction", coarse.every_direction.w_eff, fine.every_direction.w_eff),
             ("buys most", ratio(&coarse.feed_forward_buys_most), ratio(&fine.feed_forward_buys_most)),
         ] {
-            assert!((one / other - 1.0).abs() < 0.01, "{name}, {what}: {one} on a coarse grid, {other} on a fine one");
+            assert!((one / other - 1.0).abs() < 0.01, "{name}, {what}: {one} on a coarse grid, {other} on a fine grid");
         }
     }
 }
 
 #[test]
-fn a_wall_as_wide_as_its_patch_is_placed_by_its_worst_point() {
+fn a_wide_wall_is_placed_by_its_worst_point() {
     let file = shipped("haply-2diy");
     let placed = |patch: f64| {
         places(&file.description, Some(&[0.6, 0.8]), patch, 0.4, 700, PHI, &Sweep::quiet()).unwrap().along.unwrap()
@@ -167,9 +168,9 @@ fn a_wall_as_wide_as_its_patch_is_placed_by_its_worst_point() {
     assert!(wide.off.w_eff < 0.99 * point.off.w_eff && wide.full.w_rr < point.full.w_rr, "{point:?} {wide:?}");
 }
 
-/// Postures by this test's own inverse kinematics: the wrist for every orientation, the elbow on the arm's side.
+/// The test's own inverse kinematics compute wrist and elbow (on the arm's side) for every orientation of the tip.
 #[test]
-fn the_best_posture_is_that_of_a_scan_over_all_orientations() {
+fn the_best_posture_equals_the_best_of_all_orientations() {
     let file = shipped("serial-3r");
     let (q, n, clear) = ([0.5_f64, 0.8, 0.7], [0.6, 0.8], 0.38);
     let found = postures(&file.description, &q, &n, clear, PHI).unwrap().unwrap();
@@ -201,10 +202,10 @@ fn the_best_posture_is_that_of_a_scan_over_all_orientations() {
         (found.most_held.w_rr, held),
         (found.least_held.w_rr, loose),
     ] {
-        assert!((one / other - 1.0).abs() < 0.02, "{one} kg, and the scan has {other} kg");
+        assert!((one / other - 1.0).abs() < 0.02, "{one} kg, but {other} kg in the scan");
     }
-    // An independent sweep at this tip in coarser steps: 0.0487 to 0.1139 kg, and 0.117 to 0.506 kg up to a sine of its
-    // own.
+    // An independent sweep at this tip in coarser steps, with its own limit on the sine at singularities, has Weff of
+    // 0.0487 to 0.1139 kg and Wrr of 0.117 to 0.506 kg.
     assert!((heavy / 0.1139 - 1.0).abs() < 0.01 && (light / 0.0487 - 1.0).abs() < 0.04, "{heavy} {light}");
     assert!((loose / 0.117 - 1.0).abs() < 0.01 && (held / 0.506 - 1.0).abs() < 0.06, "{held} {loose}");
     assert_eq!(postures(&shipped("haply-2diy").description, &[2.3, 0.84], &n, clear, PHI), Ok(None));

@@ -1,5 +1,5 @@
-//! The wall of `haptic new scene` does not rattle on the simulated board under a hand, on every shipped device and twenty
-//! random ones.
+//! The wall of `haptic new scene` does not rattle under a hand on the simulated board, for every shipped device and
+//! twenty random devices.
 
 use crate::common::prelude::*;
 use crate::common::tuned::drawn;
@@ -9,13 +9,13 @@ use haptic_predict::template::scene_file;
 use haptic_sim::{HandLoop, ready_board};
 use std::time::Duration;
 
-/// Time until the hand reaches the wall, and time of the measurement, s.
+/// Time until the hand has reached the wall, then duration of the measurement, s.
 const SETTLE: f64 = 1.0;
 const WATCH: f64 = 4.0;
-/// Window of the mean from which the ripple is the difference, s; a hand's own force changes more slowly.
+/// Window of the mean that is subtracted from the force to get the ripple, s. A hand's own force changes more slowly.
 const SLOW: f64 = 0.05;
 
-/// Returns the share of time in contact and the ripple: root mean square of the wall's force about its mean over
+/// Returns the share of time in contact and the ripple: the root mean square of the wall's force minus its mean over
 /// [`SLOW`], N. Windows in which a touch begins or ends are left out.
 fn ripple(file: &DeviceFile, scene: Scene<f32>) -> (f64, f64) {
     let weightless = file.description.gravity == [0.0; 3];

@@ -1,4 +1,5 @@
-//! The planner chooses only the terms that a scene needs, simpler scenes cost less, and its error holds at other poses.
+//! The planner chooses only the terms that a scene needs, simpler scenes cost less, and the planned error is kept at
+//! other poses.
 
 use crate::common::prelude::*;
 use crate::common::{file, shipped};
@@ -38,7 +39,8 @@ fn shipped_scenes_have_the_expected_plans() {
 #[test]
 fn a_looser_budget_leaves_the_velocity_terms_out() {
     let device = device("coupled-five-bar");
-    // The terms are a twentieth of the force on this disc; a single mass matrix would leave a quarter and take longer.
+    // Without the velocity terms the error is a twentieth of the force on this disc. A single mass matrix would have an
+    // error of a quarter and take longer.
     let scene = scene(&device, "tracing").scene;
     let loose = plan(&device, &scene, Budget::Percent(50.0), HAND_SPEED).unwrap();
     assert_eq!((loose.mass.name(), loose.terms), ("exact", Terms::FeedForward));
@@ -67,7 +69,7 @@ fn instructions_fall_as_a_scene_gets_simpler() {
 }
 
 #[test]
-fn the_error_holds_at_poses_that_the_planner_did_not_use() {
+fn the_budget_is_kept_at_poses_that_the_planner_did_not_use() {
     let budget = 1.0;
     for (name, file, other) in [
         ("coupled-five-bar", "tracing", 230),

@@ -1,4 +1,4 @@
-//! `haptic tune` against derived results and against a plain scan of all settings.
+//! `haptic tune` agrees with derived results and with a plain scan of all settings.
 
 use crate::common::prelude::*;
 use crate::common::{Folder, ideal_loop, json, point_mass, root, shipped, tuned, type_lines};
@@ -11,8 +11,8 @@ fn around(rate_hz: f64) -> Loop {
     ideal_loop(rate_hz, 0.5, LinearEstimator::Butterworth(0.025 * rate_hz))
 }
 
-/// A controller with another mass matrix renders the torque t f by (4). On an undamped device the tip then accelerates
-/// along n by Jr M⁻¹ t f, so the loop is that of a mass 1/(Jr M⁻¹ t).
+/// By (4), a controller with another mass matrix renders a force f with the torque t f. On an undamped device the tip
+/// then accelerates along n by Jr M⁻¹ t f, so the loop is that of a mass 1/(Jr M⁻¹ t).
 #[test]
 fn a_wrong_mass_matrix_changes_the_inertia_that_is_met() {
     let file = shipped("coupled-five-bar");
@@ -24,7 +24,7 @@ fn a_wrong_mass_matrix_changes_the_inertia_that_is_met() {
     let met = 1.0 / device.row.dot(&device.mass.clone().cholesky().unwrap().solve(&torque));
     assert!(
         (met / device.w_rr() - 1.0).abs() > 0.003 && (met / believed.w_rr() - 1.0).abs() > 0.01,
-        "it tells nothing"
+        "the mass matrices differ too little for this test"
     );
     let around = around(5_000.0);
     for damping in [20.0, 80.0, 200.0] {
@@ -35,7 +35,7 @@ fn a_wrong_mass_matrix_changes_the_inertia_that_is_met() {
 }
 
 #[test]
-fn no_other_signs_of_the_inertias_errors_are_worse() {
+fn no_other_signs_of_the_inertia_errors_are_worse() {
     let file = shipped("coupled-five-bar");
     let (q, n) = ([2.6, 1.75], [0.94, -0.34]);
     let at = |description: &Description| Linearised::at(description, &q, &n).unwrap();
@@ -61,7 +61,7 @@ fn no_other_signs_of_the_inertias_errors_are_worse() {
             other.handle_mass *= factor(6);
             least = least.min(met(&other));
         }
-        assert!((found / least - 1.0).abs() < 1e-3, "shaped {shaped}: {found} kg, and {least} kg there is");
+        assert!((found / least - 1.0).abs() < 1e-3, "shaped {shaped}: {found} kg, but {least} kg is possible");
         assert!(found < 0.95 * met(&file.description), "shaped {shaped}");
     }
 }
@@ -84,7 +84,7 @@ fn question(file: &DeviceFile, margins: Margins) -> Question<'_> {
     }
 }
 
-/// Without margins the stability of a wall is that of `haptic range`, computed here for every wall alone.
+/// Without margins a wall is stable if it is in the range of `haptic range`, which is computed here for every wall.
 #[test]
 fn no_wall_of_a_plain_scan_is_much_stiffer() {
     let file = shipped("haply-2diy");
@@ -92,7 +92,7 @@ fn no_wall_of_a_plain_scan_is_much_stiffer() {
     let found = tune(&question, &Sweep::quiet()).unwrap();
     let best = found.best.settings;
     assert!(found.best.ripple_n <= question.ripple_n);
-    assert_eq!(tune(&question, &Sweep::quiet()).unwrap(), found, "another answer the second time");
+    assert_eq!(tune(&question, &Sweep::quiet()).unwrap(), found, "a second run has another result");
     let device = Linearised::at(&file.description, &question.q, &question.normal).unwrap();
     let over = |value| Chosen { value, filtered: false };
     let usual = |name: &str| Estimator::ALL.iter().find(|(other, _)| *other == name).unwrap().1;
@@ -118,7 +118,7 @@ fn no_wall_of_a_plain_scan_is_much_stiffer() {
                 continue;
             }
             let keeps = keeps(&question, &settings).unwrap();
-            assert!(keeps.is_none(), "{keeps:?}; found was {best:?}");
+            assert!(keeps.is_none(), "{keeps:?} is stiffer than the result, {best:?}");
             tried += 1;
         }
     }
@@ -137,10 +137,10 @@ fn no_wall_of_a_grid_is_much_stiffer_on_ten_random_devices() {
     }
 }
 
-/// The ripple of a tip that moves evenly through encoder steps, kp √(Σ step²/12), is only a rule of thumb; the limit is
-/// the ripple that the hands feel, and no wall allowed by the rule is missed.
+/// The ripple of a tip that moves evenly through encoder steps, kp √(Σ step²/12), is only a rule of thumb. It does not
+/// limit the search; the limit is the ripple that the hands feel.
 #[test]
-fn the_answer_is_the_stiffest_of_all_and_names_what_ends_it() {
+fn the_result_is_the_stiffest_wall_and_names_its_limit() {
     let file = shipped("haply-2diy");
     let question = question(&file, Margins::default());
     let found = tune(&question, &Sweep::quiet()).unwrap();
@@ -161,7 +161,7 @@ fn the_answer_is_the_stiffest_of_all_and_names_what_ends_it() {
     }
 }
 
-/// Half a millimetre per count: the scene's settings are already the best.
+/// With half a millimetre per count the scene's settings are already the best.
 #[test]
 fn the_result_is_never_worse_than_the_scenes_settings() {
     let (device, scene) = ("devices/capstan-pantograph.toml", "devices/scenes/capstan-pantograph/wall.toml");
@@ -173,7 +173,7 @@ fn the_result_is_never_worse_than_the_scenes_settings() {
 fn margins_cost_stiffness_where_stability_limits_it() {
     let file = shipped("haply-2diy");
     let most = |margins: Margins| {
-        // A ripple limit that never binds.
+        // A ripple limit that is never reached.
         let question =
             Question { ripple_n: 50.0, board_ripple_n: None, counts: 1e-6, speed: 1e-6, ..question(&file, margins) };
         tune(&question, &Sweep::quiet()).unwrap()
@@ -183,7 +183,7 @@ fn margins_cost_stiffness_where_stability_limits_it() {
 }
 
 #[test]
-fn the_written_scene_has_the_settings_that_were_found() {
+fn the_written_scene_has_the_settings_of_the_result() {
     let kind = Estimator::ALL.iter().find(|(name, _)| *name == "difference").unwrap().1;
     for (kind, cutoff_hz) in
         [(kind.with_options(Chosen { value: 8, filtered: false }), 500.0), (Estimator::FirstOrder, 225.0)]
@@ -216,7 +216,7 @@ fn a_shipped_wall_becomes_twice_as_stiff_at_the_same_ripple() {
     let said = json(&words);
     assert!(said["times"].as_f64().unwrap() > 2.0, "{said}");
     assert!(said["best"]["ripple_n"].as_f64() <= said["ripple_limit_n"].as_f64(), "{said}");
-    // Loaded and drawn like any other scene, it has its place still.
+    // The written scene passes `check`, and its wall is still at the same place.
     type_lines(&format!("check {device} {out}"), &[]);
     let tuned = SceneFile::load(&out, 2).unwrap().scene;
     let plane = |scene: &haptic_bridge::render::scene::Scene<f64>| scene.walls[0].surface;

@@ -1,12 +1,12 @@
 //! docs/results/tuned.csv: results of `haptic tune` for a wall of each shipped device.
 //!
-//! `UPDATE_DOCS=1 cargo test --release --locked -p haptic --test deep tuned_devices -- --ignored` updates it.
+//! `UPDATE_DOCS=1 cargo test --release --locked -p haptic --test deep tuned_devices -- --ignored` updates the table.
 
 use crate::common::{document, json};
 use serde_json::Value;
 use std::fmt::Write;
 
-/// Devices with a scene, whose first wall is tuned.
+/// Devices, each with a scene whose first wall is tuned.
 const SCENES: [(&str, &str); 9] = [
     ("coupled-five-bar", "wall"),
     ("fictive-five-bar-turret", "ball"),
@@ -60,7 +60,7 @@ fn row(device: &str, scene: &str, said: &Value) -> String {
 }
 
 #[test]
-#[ignore = "minutes: it measures nine devices on simulated boards, and makes docs/results/tuned.csv"]
+#[ignore = "takes minutes: measures nine devices on simulated boards for docs/results/tuned.csv"]
 fn the_table_holds_the_results_of_the_command() {
     let mut table = String::from(HEAD);
     for (device, scene) in SCENES {
