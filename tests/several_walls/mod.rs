@@ -151,7 +151,7 @@ impl Random {
     fn walls(&mut self, task: usize, set: usize, decades: f64) -> Vec<(Vec<f64>, f64)> {
         let base = self.direction(task);
         let wall = |_| {
-            let normal = if set % 2 == 0 { self.direction(task) } else { self.near(&base, 0.5) };
+            let normal = if set.is_multiple_of(2) { self.direction(task) } else { self.near(&base, 0.5) };
             (normal, 10_f64.powf(self.between(0.0, decades)))
         };
         (0..2 + set % 3).map(wall).collect()

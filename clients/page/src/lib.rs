@@ -14,6 +14,8 @@
 //! Functions can pass only numbers, so text and bytes are in one buffer: the caller of [`room`] writes it, and every
 //! other function leaves its result in it.
 
+mod port;
+
 use haptic_host::device_file::DeviceFile;
 use haptic_host::error::Failure;
 use haptic_host::link::Board;
