@@ -40,7 +40,7 @@ pub enum LinkError {
     #[error("no permission to open {0}; add yourself to its group: sudo usermod -aG dialout $USER, then log in again")]
     Forbidden(String),
     /// A TCP connection failed.
-    #[error("cannot connect to {address}: {error}; check that `haptic sim --tcp` serves a board there")]
+    #[error("cannot connect to {address}: {error}; check that a simulated board is served there")]
     NotListening {
         /// The address that was tried.
         address: String,
