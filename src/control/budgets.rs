@@ -8,7 +8,7 @@ use crate::control::joints::{Counts, Torques};
 use crate::control::program::Program;
 use crate::drive::bits::margin_bits;
 use crate::drive::stage::Stage;
-use crate::math::{Math, limited, sqrt};
+use crate::math::{Math, Real, limited, sqrt};
 use crate::model::device::{Leverage, squared};
 use crate::safety::fault::{Fault, State};
 use crate::safety::limits::VOLTS_MARGIN;
@@ -92,8 +92,10 @@ pub(super) struct Flow {
     /// Valleys until leverage is recomputed, and the number between two recomputations.
     until_weighed: u32,
     every: u32,
-    /// Leverage that the last valley computed and the next one applies: a control interrupt has no time for both.
+    /// Leverage that one valley computes, the next one compares with the present one, and a third one applies: a control
+    /// interrupt has no time for all of this; and true once it is compared.
     next: Option<Leverage>,
+    compared: bool,
     /// Time for which the force allowed before a limit was lowered may still flow, s.
     settling: f32,
 }
@@ -146,10 +148,7 @@ where
             }
             match self.flow.until_weighed.checked_sub(1) {
                 Some(valleys) => self.flow.until_weighed = valleys,
-                None => match self.flow.next.take() {
-                    Some(leverage) => self.weigh_by(&leverage),
-                    None => self.flow.next = self.leverage_at(&seen.counts),
-                },
+                None => self.weigh(&seen.counts),
             }
         } else {
             self.average_readings(seen, sensed);
@@ -178,7 +177,9 @@ where
     /// limit.
     pub(super) fn find_stray(&mut self) -> Result<(), Refusal> {
         if let Some(leverage) = self.leverage_at(&{ self.now.counts }) {
-            self.weigh_by(&leverage);
+            self.compare(&leverage);
+            self.leverage = leverage;
+            self.allow();
         }
         let most = STRAY_SHARE * self.rules.limits.tip_force;
         if margin_bits(self.leverage.force_squared(&self.flow.torque), most * most) >= 0 {
@@ -234,15 +235,33 @@ where
         Some(program.mechanism.leverage::<K>(&core::array::from_fn(|i| self.angle(i, counts[i]))))
     }
 
-    /// Applies this leverage to the limits of the tip force.
+    /// Takes a part of the work on the leverage at these counts.
     #[inline(never)]
-    fn weigh_by(&mut self, leverage: &Leverage) {
-        let change = leverage.relative_change_from(&self.leverage).min(1.0);
-        if change > 0.0 {
-            self.flow.change = change.max(CHANGE_KEPT * self.flow.change);
+    fn weigh(&mut self, counts: &Counts) {
+        let Some(leverage) = self.flow.next else {
+            self.flow.next = self.leverage_at(counts);
+            self.flow.compared = false;
+            return;
+        };
+        if !core::mem::replace(&mut self.flow.compared, true) {
+            self.compare(&leverage);
+            // A slow carrier has time for both.
+            if self.flow.every > 0 {
+                return;
+            }
         }
-        self.leverage = *leverage;
+        self.flow.next = None;
+        self.leverage = leverage;
         self.allow();
+    }
+
+    /// Compares this leverage with the present one.
+    #[inline(always)]
+    fn compare(&mut self, leverage: &Leverage) {
+        let change = leverage.relative_change_from(&self.leverage).lesser(1.0);
+        if change > 0.0 {
+            self.flow.change = change.greater(CHANGE_KEPT * self.flow.change);
+        }
     }
 
     /// Computes the largest force that may flow at this leverage and the largest commanded force, which stays within
@@ -256,16 +275,17 @@ where
             // Smaller torques of all motors add up to at most the bound of the force that the voltages show.
             joint.stage.inspect_above(free / leverage);
         }
-        self.set_max_tip_force(limit / (1.0 + (self.flow.change - CHANGE_FREE).max(0.0)));
-        let most = FLOW_MARGIN * limit + error.min(HIDDEN_SHARE * limit);
+        self.set_max_tip_force(limit / (1.0 + (self.flow.change - CHANGE_FREE).greater(0.0)));
+        let most = FLOW_MARGIN * limit + error.lesser(HIDDEN_SHARE * limit);
         let flow = &mut self.flow;
-        flow.until_weighed = flow.every;
+        // The comparison has taken a valley.
+        flow.until_weighed = flow.every.saturating_sub(1);
         if core::mem::take(&mut flow.inspected) == 0 {
             flow.shown = 0.0;
         }
         if flow.settling > 0.0 {
             flow.settling -= (flow.every + 1) as f32 * self.crests.period;
-            flow.most = flow.most.max(most);
+            flow.most = flow.most.greater(most);
         } else {
             flow.most = most;
         }

@@ -21,7 +21,7 @@ use crate::control::program::Program;
 use crate::control::saturation::share_within;
 use crate::drive::bits::margin_bits;
 use crate::drive::stage::Stage;
-use crate::math::{Math, limited, sqrt};
+use crate::math::{Math, Real, limited, sqrt};
 use crate::model::catalogue::MAX_JOINTS;
 use crate::safety::fault::{Fault, State};
 use crate::safety::refusal::Refusal;
@@ -156,6 +156,34 @@ struct Swing {
     voltage: Phasor,
 }
 
+impl Swing {
+    /// Returns the largest motion of one of the `joints` in this turn, as a share of the motion at which the torque of
+    /// joint `axis` stops growing.
+    #[inline(always)]
+    fn swung(&self, axis: usize, joints: usize) -> f32 {
+        let mut most = 0.0;
+        for (j, (low, high)) in self.ends.iter().enumerate().take(joints) {
+            let share = (high - low) / (if self.last && j == axis { 4.0 } else { 2.0 } * self.angle);
+            most = share.greater(most);
+        }
+        most
+    }
+}
+
+/// Results of a finished swing.
+#[derive(Clone, Copy, Debug, Default)]
+struct Results {
+    /// Ratio of the torque that acted to the file's.
+    found: f32,
+    /// Joint in which too much torque appeared without a command, and that torque as a share of the driven joint's.
+    astray: Option<(usize, f32)>,
+    /// Measured resistance that differs too much from the file's, Ω.
+    strange: Option<f32>,
+    /// Measured and expected resistance (Ω) if the dead time hides little of it; and true if it hides much.
+    clear: Option<(f32, f32)>,
+    unclear: bool,
+}
+
 /// Progress of the polarity check.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct PolarityCheck {
@@ -181,6 +209,9 @@ pub(super) struct PolarityCheck {
     left: u32,
     /// True if the next step waits for a crest without a control step.
     due: bool,
+    /// Number of the part of the comparison that the next step takes; 0 while the joint swings.
+    part: u8,
+    results: Results,
     /// Current (A) and voltage (V) of the joint's motor at the last control step.
     current: f32,
     voltage: f32,
@@ -256,20 +287,23 @@ where
         let Some(counts) = self.program.as_ref().map(|program| program.radians_per_count) else { return none };
         let swung = self.polarity.swing.is_some();
         let farthest = |j: usize| if swung && j != i { SWUNG_ANGLE } else { STRAY_ANGLE };
-        let beyond = |j: &usize| margin_bits(moved[*j], farthest(*j).max(STRAY_COUNTS * counts[*j].abs())) < 0;
+        let beyond = |j: &usize| margin_bits(moved[*j], farthest(*j).greater(STRAY_COUNTS * counts[*j].abs())) < 0;
         if let Some(j) = (0..self.count().min(MAX_JOINTS)).find(beyond) {
-            match self.polarity.swing {
-                Some(swing) if j == i && swing.work < 0.0 => {
-                    self.trip(Fault::PolarityWrong, Some(j as u8), moved[j] / swing.angle);
+            match &self.polarity.swing {
+                Some(Swing { angle, work, .. }) if j == i && *work < 0.0 => {
+                    self.trip(Fault::PolarityWrong, Some(j as u8), moved[j] / angle);
                 }
-                Some(swing) => self.trip(Fault::TorqueMismatch, Some(j as u8), moved[j] / swing.angle),
+                Some(Swing { angle, .. }) => self.trip(Fault::TorqueMismatch, Some(j as u8), moved[j] / angle),
                 None => self.trip(Fault::PolarityUnrest, Some(j as u8), moved[j]),
             }
             return none;
         }
         // Each of these takes a step of its own, because steps at high rates have little time.
+        if swung && self.polarity.part == 0 {
+            return self.swing(&moved, &counts);
+        }
         match (self.polarity.swing, self.polarity.inertia) {
-            (Some(swing), _) => return self.swing(swing, &moved, &counts),
+            (Some(swing), _) => self.check_swings(&swing),
             (None, Some(inertia)) => {
                 self.polarity.effective = effective_inertia(i, inertia, self.count());
                 self.begin_first();
@@ -310,9 +344,9 @@ where
     fn within_tip_force(&self, wanted: f32) -> Torques {
         let i = self.axis();
         let tip_force = self.rules.limits.tip_force;
-        let most = (tip_force / self.polarity.worth).min(self.joints[i].stage.max_torque());
+        let most = (tip_force / self.polarity.worth).lesser(self.joints[i].stage.max_torque());
         let mut torque = Torques::default();
-        torque[i] = limited(wanted, most.min(self.max_joint_torque[i]));
+        torque[i] = limited(wanted, most.lesser(self.max_joint_torque[i]));
         torque[i] *= share_within(self.leverage.force_squared(&torque), tip_force);
         torque
     }
@@ -403,24 +437,29 @@ where
 
     /// Takes a step of a swing: sums up the samples, and returns the torques. `moved`: distance of each joint from
     /// where it stood, rad.
-    fn swing(&mut self, mut swing: Swing, moved: &[f32; MAX_JOINTS], counts: &[f32; MAX_JOINTS]) -> Torques {
-        let i = self.axis();
+    #[inline(never)]
+    fn swing(&mut self, moved: &[f32; MAX_JOINTS], counts: &[f32; MAX_JOINTS]) -> Torques {
+        let (i, joints) = (self.axis(), self.count());
+        let stage = &self.joints[i].stage;
+        let polarity = &mut self.polarity;
+        let (pace, current, voltage) = (polarity.pace, polarity.current, polarity.voltage);
+        let Some(swing) = polarity.swing.as_mut() else { return Torques::default() };
         let turn = core::f32::consts::TAU / swing.rate;
         if swing.seconds >= turn {
             // A swinging joint stands still where a turn begins.
             swing.seconds -= turn;
-            let swung = self.swung(&swing);
+            let swung = swing.swung(i, joints);
             if swing.turns < SWINGS_BEFORE && swung > FAR && swing.rate < SWING_RATES.1 {
                 // The same torque swings joints less far if it alternates faster.
                 (swing.full, swing.turns) = (false, 0.0);
-                swing.rate = (swing.rate * sqrt(swung / AIM).min(FASTER)).min(SWING_RATES.1);
+                swing.rate = (swing.rate * sqrt(swung / AIM).lesser(FASTER)).lesser(SWING_RATES.1);
             }
             swing.turns += if swing.full { 1.0 } else { 0.0 };
             swing.ends = moved.map(|moved| (moved, moved));
         }
         let turns = swing.turns + swing.seconds / turn;
         if turns >= SWINGS_BEFORE + SWINGS + BEFORE_FADING + SWINGS_FADING {
-            self.check_swings(&swing);
+            polarity.part = 1;
             return Torques::default();
         }
         let summed = (turns - SWINGS_BEFORE) / SWINGS;
@@ -428,8 +467,6 @@ where
         if summed > 0.0 && summed < 1.0 {
             // The weight suppresses slow changes.
             let weight = 1.0 - K::sin_cos(core::f32::consts::TAU * summed).1;
-            let stage = &self.joints[i].stage;
-            let (current, voltage) = (self.polarity.current, self.polarity.voltage);
             let add = |sum: &mut Phasor, value: f32| {
                 sum[0] += weight * cosine * value;
                 sum[1] += weight * sine * value;
@@ -442,54 +479,60 @@ where
             add(&mut swing.voltage, voltage);
         }
         let was_at = swing.seconds / turn;
-        let now_at = was_at + self.polarity.pace / turn;
+        let now_at = was_at + pace / turn;
         let passes = |phase: f32| was_at <= phase && phase < now_at;
-        swing.seconds += self.polarity.pace;
-        if swing.moved_by.is_none() && moved[i].abs() > SEEN_ANGLE.max(SEEN_COUNTS * counts[i].abs()) {
+        swing.seconds += pace;
+        if swing.moved_by.is_none() && moved[i].abs() > SEEN_ANGLE.greater(SEEN_COUNTS * counts[i].abs()) {
             // From here on the joint needs at most this torque and the file's torque for inertia.
             swing.moved_by = Some(swing.torque);
-            let inert = self.polarity.effective * swing.angle * swing.rate * swing.rate;
+            let inert = polarity.effective * swing.angle * swing.rate * swing.rate;
             swing.most = swing.torque + SWING_EXCESS * inert;
             (swing.full, swing.turns) = (false, 0.0);
         }
         for ((low, high), moved) in swing.ends.iter_mut().zip(moved) {
-            (*low, *high) = (low.min(*moved), high.max(*moved));
+            (*low, *high) = (moved.lesser(*low), moved.greater(*high));
         }
-        let swung = self.swung(&swing);
-        swing.work += self.polarity.commanded[i] * (moved[i] - swing.was);
+        let swung = swing.swung(i, joints);
+        swing.work += polarity.commanded[i] * (moved[i] - swing.was);
         swing.was = moved[i];
         // A faster filter would turn a single count of a coarse encoder into a blow.
         let speed = swing.rate * (moved[i] - swing.mean);
-        swing.mean += (self.polarity.pace * swing.rate).min(1.0) * (moved[i] - swing.mean);
+        swing.mean += (pace * swing.rate).lesser(1.0) * (moved[i] - swing.mean);
         if !swing.full {
             if passes(ZERO_TORQUE) {
-                let ratio = GROWTH.min(swing.most / swing.torque).min(AIM / swung).max(1.0);
+                let ratio = GROWTH.lesser(swing.most / swing.torque).lesser(AIM / swung).greater(1.0);
                 swing.full = ratio < LEAST_GROWTH && (swung < FAR || swing.rate >= SWING_RATES.1);
                 swing.growth = (ratio - 1.0) * swing.torque / turn;
             } else if swung >= FAR || swung >= 1.0 && passes(ZERO_TORQUE - 0.5) {
                 swing.growth = 0.0;
             }
-            swing.torque = (swing.torque + swing.growth * self.polarity.pace).min(swing.most);
+            swing.torque = (swing.torque + swing.growth * pace).lesser(swing.most);
         } else if swing.moved_by.is_none() && swing.turns > 1.0 {
             self.trip(Fault::PolarityNoMotion, Some(i as u8), moved[i]);
             return Torques::default();
         }
-        self.polarity.swing = Some(swing);
         let back = -swing.stiffness * moved[i] - swing.damping * speed;
         let fading = (1.0 - (turns - SWINGS_BEFORE - SWINGS - BEFORE_FADING) / SWINGS_FADING).clamp(0.0, 1.0);
-        self.within_tip_force(limited(fading * swing.torque * cosine + back, swing.most))
+        let wanted = limited(fading * swing.torque * cosine + back, swing.most);
+        self.within_tip_force(wanted)
     }
 
-    /// Returns the largest motion of a joint in this turn, as a share of the motion at which the torque stops growing.
-    fn swung(&self, swing: &Swing) -> f32 {
-        let share = |(j, (low, high)): (usize, &(f32, f32))| {
-            (high - low) / (if swing.last && j == self.axis() { 4.0 } else { 2.0 } * swing.angle)
-        };
-        swing.ends.iter().enumerate().take(self.count()).map(share).fold(0.0, f32::max)
-    }
-
-    /// Compares a finished swing with the device file, and continues with the next swing or joint.
+    /// Compares a finished swing with the device file, a part in each step, because steps at high rates have little
+    /// time; then continues with the next swing or joint.
     fn check_swings(&mut self, swing: &Swing) {
+        let part = self.polarity.part;
+        self.polarity.part = part + 1;
+        match part {
+            1 => self.compare_torques(swing),
+            2 => self.compare_resistance(swing),
+            3 => self.judge_torque(swing),
+            _ => self.judge_rest(swing),
+        }
+    }
+
+    /// Compares the torques that acted with the torque of the measured current.
+    #[inline(never)]
+    fn compare_torques(&mut self, swing: &Swing) {
         let i = self.axis();
         let Some(program) = self.program.as_ref() else { return };
         let inertia = self.polarity.inertia.unwrap_or_default();
@@ -505,14 +548,22 @@ where
         let (sine, cosine) = K::sin_cos(0.5 * self.polarity.pace * swing.rate);
         let [along, across] = swing.driven;
         let driven = [along * cosine + across * sine, across * cosine - along * sine];
-        // The part in phase with the acceleration, because friction is in phase with the speed.
-        let found = dot(acted[i], acted[i]) / dot(acted[i], driven);
         let share = |row: &Phasor| dot(*row, driven) / dot(driven, driven).max(f32::MIN_POSITIVE);
         let mut others = acted.iter().map(share).enumerate().take(self.count()).filter(|(row, _)| *row != i);
         // Friction of the other joint may take a torque without a motor.
         let size = sqrt(dot(driven, driven)) * self.polarity.pace * swing.rate / (core::f32::consts::PI * SWINGS);
         let held = |row: usize| 1.5 * program.coulomb[row].abs() / size.max(f32::MIN_POSITIVE);
-        let astray = others.find(|(row, aside)| margin_bits(*aside, CROSS_DOUBT + held(*row)) < 0);
+        let results = &mut self.polarity.results;
+        results.astray = others.find(|(row, aside)| margin_bits(*aside, CROSS_DOUBT + held(*row)) < 0);
+        // The part in phase with the acceleration, because friction is in phase with the speed.
+        results.found = dot(acted[i], acted[i]) / dot(acted[i], driven);
+    }
+
+    /// Compares the winding's resistance with the file's.
+    #[inline(never)]
+    fn compare_resistance(&mut self, swing: &Swing) {
+        let i = self.axis();
+        let Some(program) = self.program.as_ref() else { return };
         let (bridge, stage) = (&self.hardware.bridge, &self.joints[i].stage);
         let measured = (bridge.current_sensed && self.hardware.bus_sensed)
             .then(|| stage.resistance_of(swing.voltage, swing.current, swing.angles[i], swing.rate))
@@ -524,25 +575,41 @@ where
         let doubt = 4.0 / core::f32::consts::PI * dead / amperes;
         let strange =
             measured.filter(|(found, expected)| margin_bits(found - expected, RESISTANCE_DOUBT * expected + doubt) < 0);
-        let clear = measured.filter(|(_, expected)| doubt < CLEAR_DOUBT * expected);
+        let results = &mut self.polarity.results;
+        results.strange = strange.map(|(found, _)| found);
+        results.clear = measured.filter(|(_, expected)| doubt < CLEAR_DOUBT * expected);
+        results.unclear = measured.is_some() && results.clear.is_none() && !swing.winding;
+    }
+
+    /// Judges the torque of the driven joint. The second swing follows if the first one roughly agrees.
+    #[inline(never)]
+    fn judge_torque(&mut self, swing: &Swing) {
+        let (axis, found) = (Some(self.axis() as u8), self.polarity.results.found);
         let second = if swing.last { None } else { self.next_swing(swing, false) };
-        let unclear = measured.is_some() && clear.is_none() && !swing.winding;
-        let third = if unclear && second.is_none() { self.next_swing(swing, true) } else { None };
         let torque_doubt = if second.is_some() { FIRST_DOUBT } else { TORQUE_DOUBT };
         if !swing.winding && found < -FIRST_DOUBT.0 {
-            self.trip(Fault::PolarityWrong, Some(i as u8), found);
+            self.trip(Fault::PolarityWrong, axis, found);
         } else if !swing.winding && !(torque_doubt.0..=torque_doubt.1).contains(&found) {
-            self.trip(Fault::TorqueMismatch, Some(i as u8), found);
+            self.trip(Fault::TorqueMismatch, axis, found);
         } else if second.is_some() {
-            self.polarity.swing = second;
-        } else if !swing.winding
+            (self.polarity.swing, self.polarity.part) = (second, 0);
+        }
+    }
+
+    /// Judges the other joints and the winding after the last swing for torque. A swing for the winding alone follows if
+    /// the dead time hides the resistance.
+    #[inline(never)]
+    fn judge_rest(&mut self, swing: &Swing) {
+        let i = self.axis();
+        let Results { astray, strange, clear, unclear, .. } = self.polarity.results;
+        if !swing.winding
             && let Some((row, aside)) = astray
         {
             self.trip(Fault::TorqueMismatch, Some(row as u8), aside);
-        } else if let Some((found, _)) = strange {
+        } else if let Some(found) = strange {
             self.trip(Fault::ResistanceMismatch, Some(i as u8), found);
-        } else if third.is_some() {
-            self.polarity.swing = third;
+        } else if unclear && let Some(third) = self.next_swing(swing, true) {
+            (self.polarity.swing, self.polarity.part) = (Some(third), 0);
         } else {
             if let Some((found, expected)) = clear {
                 self.joints[i].stage.set_measured_resistance(found.max((1.0 - RESISTANCE_DOUBT) * expected));

@@ -13,7 +13,7 @@
 
 use super::bits::margin_bits;
 use super::stage::{Bridge, Duty, MAX_DUTY, Stage, Supply};
-use crate::math::limited;
+use crate::math::{Real, limited};
 use crate::model::motor::Motor;
 
 /// [`MAX_DUTY`] less the largest rounding error.
@@ -342,7 +342,7 @@ impl Stage for Axis {
     fn inspect_above(&mut self, torque: f32) {
         // Without a sensor the current is unknown.
         if self.tolerance < f32::INFINITY {
-            self.inspection_voltage = self.tolerance.min((torque * self.amps_per_torque * self.resistance).abs());
+            self.inspection_voltage = (torque * self.amps_per_torque * self.resistance).abs().lesser(self.tolerance);
         }
     }
 

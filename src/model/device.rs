@@ -250,11 +250,16 @@ impl Leverage {
     /// Returns the largest relative change of a joint's tip force per torque since `was`; 0 if it is unknown.
     pub fn relative_change_from(&self, was: &Self) -> f32 {
         let squared_force = |of: &Self, joint: usize| squared(&of.0.map(|direction| direction[joint]));
-        let largest = (0..MAX_JOINTS).fold(1.0, |largest: f32, joint| {
+        let (mut more, mut less) = (1.0, 1.0);
+        for joint in 0..MAX_JOINTS {
             let (now, then) = (squared_force(self, joint), squared_force(was, joint));
-            if now > 0.0 && then > 0.0 { largest.max(now / then).max(then / now) } else { largest }
-        });
-        sqrt(largest) - 1.0
+            let (high, low) = if now > then { (now, then) } else { (then, now) };
+            // Compares the ratios without a division.
+            if low > 0.0 && high * less > more * low {
+                (more, less) = (high, low);
+            }
+        }
+        sqrt(more / less) - 1.0
     }
 
     /// Returns an upper bound of the tip force that an error of 1 N m of joint `joint` makes, N.
