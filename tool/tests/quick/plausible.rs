@@ -102,7 +102,7 @@ fn missing_transmissions_and_coarse_encoders_cause_warnings() {
     let (json, err) = checked(&[(rigid, "")], None);
     let [warning] = &json["warnings"].as_array().unwrap()[..] else { panic!("{err}") };
     let text = warning["text"].as_str().unwrap();
-    assert!(text.contains("motor and link of joint 0 and 1") && text.contains("[joint.transmission]"), "{text}");
+    assert!(text.contains("the transmission of joint 0 and 1") && text.contains("[joint.transmission]"), "{text}");
     assert!(is_clean(&checked(&[(rigid, "[joint.transmission]\nstiffness = 20.0\n")], None).0));
 
     // At a high cutoff a hand feels the encoder steps in the damping of a wall, at a low cutoff it does not.

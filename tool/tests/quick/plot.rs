@@ -410,5 +410,5 @@ fn pictures_for_a_paper_have_its_width_and_letter_size() {
     let picture = std::fs::read(&png).unwrap();
     let wide = u32::from_be_bytes(picture[16..20].try_into().unwrap());
     assert!((f64::from(wide) / (85.0 / 25.4) - 600.0).abs() < 3.0, "{wide}");
-    haptic(&["plot", csv, "--width", "20"]).assert().code(2).stderr(contains("write 60 to 400 mm"));
+    haptic(&["plot", csv, "--width", "20"]).assert().code(2).stderr(contains("60 to 400 mm"));
 }
