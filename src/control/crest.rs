@@ -386,8 +386,6 @@ where
         self.look(seen);
         if due {
             self.step(seen);
-        } else {
-            self.check_at_free_crest();
         }
         self.drive(seen.bus_voltage, samples, seen.late, into, legs)
     }

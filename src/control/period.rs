@@ -47,7 +47,6 @@ where
     /// Call at every crest, before [`ControlLoop::act`] (if a step is due) and before [`ControlLoop::duties`].
     pub fn guard(&mut self, seen: &Samples) -> Outputs {
         self.look(&self.known(seen));
-        self.check_at_free_crest();
         self.outputs()
     }
 

@@ -207,7 +207,7 @@ pub(super) struct PolarityCheck {
     /// Time between two steps of the check, s, and control steps until the next one.
     pace: f32,
     left: u32,
-    /// True if the next step waits for a crest without a control step.
+    /// True if the next step waits for the valley.
     due: bool,
     /// Number of the part of the comparison that the next step takes; 0 while the joint swings.
     part: u8,
@@ -235,32 +235,24 @@ where
         Ok(())
     }
 
-    /// Returns the motors' torques in a control step; at high rates the check is not due in every one.
+    /// Returns the motors' torques in a control step. The step of the check follows at the valley, because a crest has
+    /// no time for it at high rates; there it is not due after every control step.
     pub(super) fn check_polarity(&mut self) -> Torques {
         let (motors, i) = (&self.now.motors, self.axis());
         (self.polarity.current, self.polarity.voltage) = (motors.current[i], motors.duty[i] * motors.bus_voltage);
         match self.polarity.left.checked_sub(1) {
             Some(left) => self.polarity.left = left,
-            None if self.has_free_crests() => self.polarity.due = true,
-            None => self.go_on_checking(),
+            None => self.polarity.due = true,
         }
         self.polarity.commanded
     }
 
-    /// Takes a waiting step of the check at a crest without a control step, because both may be too long for one crest.
-    pub(super) fn check_at_free_crest(&mut self) {
-        if self.polarity.due && self.state == State::CheckingPolarity {
+    /// Takes a step of the check if one is due.
+    #[inline(always)]
+    pub(super) fn check_at_valley(&mut self) {
+        if self.state == State::CheckingPolarity && self.polarity.due {
             self.go_on_checking();
-            if self.state == State::CheckingPolarity {
-                let told = self.polarity.commanded;
-                self.command_test(&told);
-            }
         }
-    }
-
-    /// Returns true if there are crests without a control step.
-    fn has_free_crests(&self) -> bool {
-        self.crests.period < 0.75 * self.period
     }
 
     /// The joint under test, always a valid index.
@@ -268,16 +260,20 @@ where
         self.polarity.axis.min(MAX_JOINTS - 1)
     }
 
+    #[cold]
+    #[inline(never)]
     fn go_on_checking(&mut self) {
         let steps = ((CHECK_PERIOD / self.period) as u32).max(1);
         self.polarity.due = false;
         (self.polarity.left, self.polarity.pace) = (steps - 1, steps as f32 * self.period);
-        self.polarity.commanded = self.check_step();
+        let torque = self.check_step();
+        self.polarity.commanded = torque;
+        if self.state == State::CheckingPolarity {
+            self.command_test(&torque);
+        }
     }
 
     /// Takes a step of the check and returns the motors' torques: zero while it waits and when it has ended.
-    #[cold]
-    #[inline(never)]
     fn check_step(&mut self) -> Torques {
         let none = Torques::default();
         let i = self.axis();
