@@ -146,14 +146,12 @@ where
                 3 => self.doubt::<3>(seen, supplied),
                 _ => self.doubt::<1>(seen, supplied),
             }
-            let valleys = self.flow.until_weighed.checked_sub(1);
-            match valleys {
-                Some(valleys) => self.flow.until_weighed = valleys,
-                None => self.weigh(&seen.counts),
-            }
-            // A slow carrier has time for both.
-            if valleys.is_some() || self.flow.every == 0 {
-                self.check_at_valley();
+            // Only a slow carrier has time for both.
+            if !self.check_at_valley() || self.flow.every == 0 {
+                match self.flow.until_weighed.checked_sub(1) {
+                    Some(valleys) => self.flow.until_weighed = valleys,
+                    None => self.weigh(&seen.counts),
+                }
             }
         } else {
             self.average_readings(seen, sensed);

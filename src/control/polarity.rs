@@ -212,7 +212,8 @@ pub(super) struct PolarityCheck {
     /// Number of the part of the comparison that the next step takes; 0 while the joint swings.
     part: u8,
     results: Results,
-    /// Current (A) and voltage (V) of the joint's motor at the last control step.
+    /// Angles of all joints (rad), and current (A) and voltage (V) of the joint's motor, at the control step before.
+    q: [f32; MAX_JOINTS],
     current: f32,
     voltage: f32,
     /// Torques that the motors are commanded until the next step.
@@ -235,24 +236,31 @@ where
         Ok(())
     }
 
-    /// Returns the motors' torques in a control step. The step of the check follows at the valley, because a crest has
-    /// no time for it at high rates; there it is not due after every control step.
+    /// Samples the joints if a step of the check is due, and returns the motors' torques. The rest of that step follows
+    /// at the valley, because a crest has no time for it at high rates.
     pub(super) fn check_polarity(&mut self) -> Torques {
-        let (motors, i) = (&self.now.motors, self.axis());
-        (self.polarity.current, self.polarity.voltage) = (motors.current[i], motors.duty[i] * motors.bus_voltage);
-        match self.polarity.left.checked_sub(1) {
-            Some(left) => self.polarity.left = left,
-            None => self.polarity.due = true,
+        if let Some(left) = self.polarity.left.checked_sub(1) {
+            self.polarity.left = left;
+            return self.polarity.commanded;
         }
-        self.polarity.commanded
+        let steps = ((CHECK_PERIOD / self.period + 0.5) as u32).max(1);
+        let (motors, i) = (&self.now.motors, self.axis());
+        let polarity = &mut self.polarity;
+        (polarity.left, polarity.pace) = (steps - 1, steps as f32 * self.period);
+        (polarity.current, polarity.voltage) = (motors.current[i], motors.duty[i] * motors.bus_voltage);
+        polarity.q = self.now.found.at.q;
+        polarity.due = true;
+        polarity.commanded
     }
 
-    /// Takes a step of the check if one is due.
+    /// Takes the rest of a due step of the check. Returns false if none is due.
     #[inline(always)]
-    pub(super) fn check_at_valley(&mut self) {
-        if self.state == State::CheckingPolarity && self.polarity.due {
+    pub(super) fn check_at_valley(&mut self) -> bool {
+        let due = self.state == State::CheckingPolarity && self.polarity.due;
+        if due {
             self.go_on_checking();
         }
+        due
     }
 
     /// The joint under test, always a valid index.
@@ -263,9 +271,7 @@ where
     #[cold]
     #[inline(never)]
     fn go_on_checking(&mut self) {
-        let steps = ((CHECK_PERIOD / self.period) as u32).max(1);
         self.polarity.due = false;
-        (self.polarity.left, self.polarity.pace) = (steps - 1, steps as f32 * self.period);
         let torque = self.check_step();
         self.polarity.commanded = torque;
         if self.state == State::CheckingPolarity {
@@ -277,7 +283,7 @@ where
     fn check_step(&mut self) -> Torques {
         let none = Torques::default();
         let i = self.axis();
-        let q = self.now.found.at.q;
+        let q = self.polarity.q;
         let from = *self.polarity.from.get_or_insert(q);
         let moved: [f32; MAX_JOINTS] = core::array::from_fn(|j| q[j] - from[j]);
         let Some(counts) = self.program.as_ref().map(|program| program.radians_per_count) else { return none };
@@ -328,7 +334,7 @@ where
         let mut unit = Torques::default();
         unit[self.axis()] = 1.0;
         let off = |j: usize| if corner >> j & 1 == 0 { HOME_DOUBT } else { -HOME_DOUBT };
-        let leverage = program.mechanism.leverage::<K>(&core::array::from_fn(|j| self.now.found.at.q[j] + off(j)));
+        let leverage = program.mechanism.leverage::<K>(&core::array::from_fn(|j| self.polarity.q[j] + off(j)));
         let [there, here] = [&leverage, &self.leverage].map(|leverage| sqrt(leverage.force_squared(&unit)));
         // `min` also drops NaN, which an impossible pose gives.
         self.polarity.worth = self.polarity.worth.max(there.max(here).min(here / DOUBTED_SHARE));
@@ -616,7 +622,7 @@ where
 
     /// Returns true if the joint has come to rest.
     fn at_rest(&mut self) -> bool {
-        let q = self.now.found.at.q[self.axis()];
+        let q = self.polarity.q[self.axis()];
         let polarity = &mut self.polarity;
         polarity.waited += polarity.pace;
         polarity.rested += polarity.pace;
