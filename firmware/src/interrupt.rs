@@ -216,7 +216,7 @@ impl InterruptState {
         self.sample();
         self.samples.late = self.is_late();
         let drives =
-            compiled::crest_generally(&mut self.control_loop, &self.samples, false, &self.ticks, &mut self.legs);
+            compiled::crest_of_any_kind(&mut self.control_loop, &self.samples, false, &self.ticks, &mut self.legs);
         if self.samples.late {
             self.write_late(drives);
             self.samples.late = false;

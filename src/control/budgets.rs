@@ -1,6 +1,6 @@
-//! The checks at the carrier's valley, right after the drives of the crest before it: the tip force of the measured
-//! currents; each motor against its device file; and, one joint in turn, harm that builds up over many carrier periods
-//! (heat, stalls, lost encoders) and takes milliseconds at least.
+//! The checks at the carrier's valley, right after the drives of the preceding crest: the tip force of the measured
+//! currents, and each motor against its device file. Heat, stalls and lost encoders build up over milliseconds at
+//! least, so each valley checks them for one joint in turn.
 
 use super::ControlLoop;
 use crate::control::frame::{Outputs, Samples};
@@ -20,94 +20,92 @@ pub const STALL_SECONDS: f32 = 5.0;
 /// Longest time that an encoder may stand still while the back-EMF shows a turning joint, s.
 pub const LOSS_SECONDS: f32 = 0.05;
 
-/// The sums kept for one joint.
+/// Sums of one joint for the checks of heat, stalls and lost encoders.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Sums {
-    /// Encoder count at the joint's last turn.
+    /// Encoder count when the joint was last checked.
     count: i32,
-    /// Sum of the squared motor current since then, A².
+    /// Sum of the squared motor current since the last check, A².
     squares: f32,
-    /// Time without a count in spite of torque, s, and the torque that moves any joint that is not blocked, N m.
+    /// Time without a count in spite of torque, s. `stall` is the torque that moves any unblocked joint, N m.
     still: f32,
     stall: f32,
-    /// Time without a count in spite of back-EMF, s, and the lowest speed at which counts must change, rad/s.
+    /// Time without a count in spite of back-EMF, s. From the speed `suspicious` (rad/s) on, counts must change.
     lost: f32,
     suspicious: f32,
 }
 
 impl Sums {
-    /// Clears the times of the last time that the motors were on; the heat stays.
+    /// Clears the times without a count; the heat is kept.
     pub(super) fn reset(&mut self) {
         (self.still, self.lost) = (0.0, 0.0);
     }
 
-    /// Takes the motor's largest torque (N m) and the joint's speed limit (rad/s).
+    /// Sets the thresholds from the motor's largest torque (N m) and the joint's speed limit (rad/s).
     pub(super) fn set_limits(&mut self, torque: f32, speed: f32) {
         self.stall = if torque > 0.0 { 0.8 * torque } else { f32::INFINITY };
         self.suspicious = 0.25 * speed;
     }
 }
 
-/// Averaging time of the force that is compared with the limit, s: a few carrier periods far above the limit trip.
+/// Averaging time of the tip force that is compared with the limit, s. A few carrier periods far above the limit trip.
 const FLOW_SECONDS: f32 = 5.0e-4;
-/// Ratio by which the force that the voltages show is averaged for longer: where the currents show it too, ForceLimit
-/// is first.
+/// Factor of the averaging time for the force that voltages show, so that the force of measured currents trips first.
 const SHOWN_SLOWER: f32 = 4.0;
-/// Ratio by which measured currents may exceed the largest commanded force: the current loop's overshoot.
+/// Ratio by which measured currents may exceed the largest commanded force, because the current loop overshoots.
 const FLOW_MARGIN: f32 = 1.05;
-/// Largest share of the limit that the sensors' error may hide: near a singular pose a torque too small to be measured
-/// is a large force.
+/// Largest share of the force limit that the sensors' error may hide. Near a singular pose, a torque too small to be
+/// measured is a large force.
 const HIDDEN_SHARE: f32 = 0.05;
-/// Known error of a current sensor's mean over that time, A: its zero and its noise.
+/// Error of the mean reading of a current sensor over [`FLOW_SECONDS`], A: its zero and its noise.
 const SENSOR_ERROR: f32 = 0.05;
-/// Share of the limit that the sensors' readings may be worth while the bridges are off.
+/// Largest share of the force limit that the sensors may show while the bridges are off.
 const STRAY_SHARE: f32 = 0.5;
 /// Time in which currents and their mean force follow a lowered limit, s.
 const SETTLING_SECONDS: f32 = 5.0e-3;
-/// Rate at which the forces at the tip for joint torques are recomputed, Hz: a tip at 1 m/s moves by half a millimetre
-/// meanwhile.
+/// Rate at which the leverage is recomputed, Hz. A tip at 1 m/s moves by half a millimetre between two computations.
 const LEVERAGE_HZ: f32 = 2.0e3;
 
-/// Share by which leverage may change at once before the commanded force is reduced: the margin of the flow's limit.
+/// Relative change of leverage up to which the commanded force is not reduced; [`FLOW_MARGIN`] covers this change.
 const CHANGE_FREE: f32 = 0.02;
 /// Share of the largest recent change that is kept at the next recomputation.
 const CHANGE_KEPT: f32 = 0.75;
 
-/// The measured currents as forces at the tip.
+/// Forces at the tip that the measured currents make.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Flow {
-    /// Means of the torques that the sensors show while no bridge drives, N m, and the gain of a sample.
+    /// Mean torques that the sensors show while no bridge drives, N m. `gain` is the weight of a new sample.
     torque: Torques,
     gain: f32,
-    /// Mean force (N) of the measured currents beyond the device's weight, and its limit.
+    /// Mean force of the measured currents beyond the device's weight, N. `most` is its limit.
     force: f32,
     most: f32,
-    /// Mean force (N) that the motors' voltages show while one of them is inspected, and the number of such valleys
-    /// since leverage was recomputed.
+    /// Mean force that the motors' voltages show while a motor is inspected, N. `inspected` counts the valleys with an
+    /// inspection since leverage was recomputed.
     shown: f32,
     inspected: u32,
-    /// Share by which leverage recently changed at once. Where links are nearly in line, a count of a coarse encoder
-    /// changes it by a tenth, and the joint was up to half a count nearer before.
+    /// Relative change of leverage in recent recomputations. Where links are nearly in line, one count of a coarse
+    /// encoder changes leverage by a tenth.
     change: f32,
-    /// Valleys until leverage is recomputed, and the number between two recomputations.
+    /// Valleys until leverage is recomputed. `every` is the number of valleys between two recomputations.
     until_weighed: u32,
     every: u32,
-    /// Leverage that one valley computes, the next one compares with the present one, and a third one applies: a control
-    /// interrupt has no time for all of this; and true once it is compared.
+    /// Leverage in work, because a valley has no time for all of it: one valley computes it, the next compares it with
+    /// the present leverage, and a third applies it. `compared` is true after the second.
     next: Option<Leverage>,
     compared: bool,
-    /// Time for which the force allowed before a limit was lowered may still flow, s.
+    /// Time for which the earlier, larger force may still flow after the limit was lowered, s.
     settling: f32,
 }
 
 impl Flow {
-    /// Clears the state of the last time that the motors were on.
+    /// Clears the state of the previous armed time.
     pub(super) fn reset(&mut self) {
         *self = Self { gain: self.gain, every: self.every, ..Self::default() };
     }
 
-    /// Allows for a lowered limit, which acts on the commands of the next step, after at most `period` (s); the
-    /// currents and their mean force follow.
+    /// Allows the earlier force until a lowered limit takes effect: at most one control `period` (s) plus the time in
+    /// which the currents follow.
     pub(super) fn settle(&mut self, period: f32) {
         self.settling = period + SETTLING_SECONDS;
     }
@@ -125,30 +123,30 @@ where
     K: Math<f32>,
     S: Stage,
 {
-    /// Sums up the samples of the crest before (`seen`), and returns the outputs that may go on driving. Call at every
-    /// valley, after [`ControlLoop::duties`].
+    /// Checks heat, stalls, lost encoders and the tip force with the samples of the preceding crest (`seen`), and
+    /// returns the state of the bridges. Call at every valley, after [`ControlLoop::duties`].
     pub fn check_slow_faults(&mut self, seen: &Samples) -> Outputs {
-        let seen = &self.known(seen);
+        let seen = &self.complete_samples(seen);
         let supplied = core::mem::take(&mut self.supplied);
         let sensed = self.hardware.bridge.current_sensed && self.hardware.bus_sensed;
         self.check_slow_faults_of(seen, (supplied > 0.0).then_some(supplied), sensed);
         self.outputs()
     }
 
-    /// [`ControlLoop::check_slow_faults`] with the bus voltage (V) that `supplied` the drives since the last valley,
-    /// `None` without drives. `sensed`: currents and bus voltage are measured.
+    /// [`ControlLoop::check_slow_faults`] with the bus voltage `supplied` to the drives since the last valley, V;
+    /// `None` without drives. `sensed` is true if currents and bus voltage are measured.
     #[inline(always)]
     pub(super) fn check_slow_faults_of(&mut self, seen: &Samples, supplied: Option<f32>, sensed: bool) {
         let active = self.state.drives();
         if active {
             match self.count() {
-                2 => self.doubt::<2>(seen, supplied),
-                3 => self.doubt::<3>(seen, supplied),
-                _ => self.doubt::<1>(seen, supplied),
+                2 => self.check_motors_and_force::<2>(seen, supplied),
+                3 => self.check_motors_and_force::<3>(seen, supplied),
+                _ => self.check_motors_and_force::<1>(seen, supplied),
             }
             match self.flow.until_weighed.checked_sub(1) {
                 Some(valleys) => self.flow.until_weighed = valleys,
-                None => self.weigh(&seen.counts),
+                None => self.advance_leverage(&seen.counts),
             }
         } else {
             self.average_readings(seen, sensed);
@@ -157,7 +155,7 @@ where
         let i = if self.turn < joints { self.turn } else { 0 };
         self.turn = i + 1;
         if joints > 0
-            && let Some((fault, value)) = self.spent(i, seen, sensed, active)
+            && let Some((fault, value)) = self.spent_budget(i, seen, sensed, active)
             && active
         {
             self.trip(fault, Some(i as u8), value);
@@ -172,14 +170,13 @@ where
         }
     }
 
-    /// Checks the readings while the bridges are off. Such a current flows through a broken bridge, or is an error of
-    /// the sensors, which no limit of measured currents bounds: its force at the tip must be less than half of the
-    /// limit.
-    pub(super) fn find_stray(&mut self) -> Result<(), Refusal> {
+    /// Returns an error if the currents that the sensors show while the bridges are off make half of the limit's tip
+    /// force. Such a current flows through a broken bridge, or is a sensor error that hides a force as large.
+    pub(super) fn refuse_stray_current(&mut self) -> Result<(), Refusal> {
         if let Some(leverage) = self.leverage_at(&{ self.now.counts }) {
             self.compare(&leverage);
             self.leverage = leverage;
-            self.allow();
+            self.update_force_bounds();
         }
         let most = STRAY_SHARE * self.rules.limits.tip_force;
         if margin_bits(self.leverage.force_squared(&self.flow.torque), most * most) >= 0 {
@@ -195,9 +192,9 @@ where
 
     /// Checks the currents and voltages of J joints against their motors' models, and the tip force against its limit.
     #[inline(always)]
-    fn doubt<const J: usize>(&mut self, seen: &Samples, supplied: Option<f32>) {
+    fn check_motors_and_force<const J: usize>(&mut self, seen: &Samples, supplied: Option<f32>) {
         let mut least = 0;
-        let held = self.held();
+        let held = self.gravity_torques();
         let mut acting = Torques::default();
         let motors = self.joints.iter_mut().zip(seen.currents.iter()).zip(acting.iter_mut().zip(held.iter()));
         for ((joint, current), (acting, held)) in motors.take(J) {
@@ -219,7 +216,7 @@ where
 
     /// Returns the part of the commanded torques that holds the device against gravity, N m.
     #[inline(always)]
-    fn held(&self) -> Torques {
+    fn gravity_torques(&self) -> Torques {
         match self.state {
             // The torque that carried the weight may still fade in a scene without gravity compensation.
             State::Armed if self.was_cut() => self.cut.gravity,
@@ -235,9 +232,9 @@ where
         Some(program.mechanism.leverage::<K>(&core::array::from_fn(|i| self.angle(i, counts[i]))))
     }
 
-    /// Takes a part of the work on the leverage at these counts.
+    /// Runs the next part of the recomputation of the leverage, at these counts.
     #[inline(never)]
-    fn weigh(&mut self, counts: &Counts) {
+    fn advance_leverage(&mut self, counts: &Counts) {
         let Some(leverage) = self.flow.next else {
             self.flow.next = self.leverage_at(counts);
             self.flow.compared = false;
@@ -245,17 +242,17 @@ where
         };
         if !core::mem::replace(&mut self.flow.compared, true) {
             self.compare(&leverage);
-            // A slow carrier has time for both.
+            // A slow carrier has time to compute and compare in one valley.
             if self.flow.every > 0 {
                 return;
             }
         }
         self.flow.next = None;
         self.leverage = leverage;
-        self.allow();
+        self.update_force_bounds();
     }
 
-    /// Compares this leverage with the present one.
+    /// Compares a new `leverage` with the present one.
     #[inline(always)]
     fn compare(&mut self, leverage: &Leverage) {
         let change = leverage.relative_change_from(&self.leverage).lesser(1.0);
@@ -264,21 +261,21 @@ where
         }
     }
 
-    /// Computes the largest force that may flow at this leverage and the largest commanded force, which stays within
-    /// the limit if leverage changes as it did recently.
-    pub(super) fn allow(&mut self) {
+    /// Computes the largest force that may flow at the present leverage. Also computes the largest commanded force,
+    /// which stays within the limit if leverage changes as in recent recomputations.
+    pub(super) fn update_force_bounds(&mut self) {
         let (count, limit) = (self.count(), self.rules.limits.tip_force);
         let (mut error, free) = (0.0, (VOLTS_MARGIN - FLOW_MARGIN) * limit / count.max(1) as f32);
         for (i, joint) in self.joints.iter_mut().enumerate().take(count) {
             let leverage = self.leverage.force_bound(i);
             error += leverage * joint.stage.torque_of(SENSOR_ERROR).abs();
-            // Smaller torques of all motors add up to at most the bound of the force that the voltages show.
+            // Smaller torques of all motors make at most the force that the voltages may show without an inspection.
             joint.stage.inspect_above(free / leverage);
         }
         self.set_max_tip_force(limit / (1.0 + (self.flow.change - CHANGE_FREE).greater(0.0)));
         let most = FLOW_MARGIN * limit + error.lesser(HIDDEN_SHARE * limit);
         let flow = &mut self.flow;
-        // The comparison has taken a valley.
+        // The comparison has taken one of the valleys.
         flow.until_weighed = flow.every.saturating_sub(1);
         if core::mem::take(&mut flow.inspected) == 0 {
             flow.shown = 0.0;
@@ -291,7 +288,7 @@ where
         }
     }
 
-    /// Finds the motor that differs from the device file, if any, and turns the motors off.
+    /// Finds the motor that differs from the device file and turns the motors off. Does nothing if all agree.
     #[cold]
     #[inline(never)]
     fn find_strained(&mut self, held: &Torques) {
@@ -325,10 +322,9 @@ where
         self.trip(fault, Some(i as u8), value);
     }
 
-    /// Sums up the heat and times of joint `i`, whose turn it is. Returns the fault if a budget is spent, with its
-    /// value.
+    /// Updates the heat and times of joint `i`. Returns the fault and its value if a budget is spent.
     #[inline(always)]
-    fn spent(&mut self, i: usize, seen: &Samples, sensed: bool, active: bool) -> Option<(Fault, f32)> {
+    fn spent_budget(&mut self, i: usize, seen: &Samples, sensed: bool, active: bool) -> Option<(Fault, f32)> {
         let period = self.crests.period;
         let elapsed = period * self.count() as f32;
         let (joint, motor) = (self.joints.get_mut(i)?, self.heat.get_mut(i)?);
@@ -337,7 +333,7 @@ where
         let mut spent = None;
         let moved = core::mem::replace(&mut sums.count, count) != count;
         let heat = limited(core::mem::take(&mut sums.squares) * period, f32::MAX);
-        // The heat is updated while the motors are off, too, because then they cool.
+        // The heat is also updated while the motors are off, because they cool.
         if motor.warm(heat, elapsed) {
             spent = Some((Fault::ThermalBudget, current));
         }
@@ -350,7 +346,7 @@ where
                     spent = Some((Fault::EncoderStall, sums.still));
                 }
             }
-            // The motor's voltage less R i is its back-EMF: if that shows several rad/s, counts must change.
+            // The motor's voltage less R i is its back-EMF. If it corresponds to several rad/s, counts must change.
             if sensed {
                 let turning = joint.stage.least_speed(motors.duty[i], seen.bus_voltage, current);
                 sums.lost = if turning.abs() > sums.suspicious { sums.lost + elapsed } else { 0.0 };
