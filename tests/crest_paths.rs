@@ -116,7 +116,7 @@ fn the_fast_current_loop_equals_the_general_one() {
             }
             axis = general;
             axis.settle(supply.volts, speed, speed, speed);
-            current += 0.5 * (axis.asked() - current);
+            current += 0.5 * (axis.target_current() - current);
             if is_invalid {
                 axis.rest();
             }

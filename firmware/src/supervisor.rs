@@ -87,7 +87,7 @@ pub async fn supervise(mut watchdog: Watchdog) -> ! {
         let stalled = core::mem::replace(&mut stalls, watchdog::stalls()) != stalls;
         let up_before = core::mem::replace(&mut up, interrupt::shared().gate_ready.load(Ordering::Relaxed));
         let excused = stalled || !(up && up_before);
-        let verdict = pace.look(steps.wrapping_sub(before), elapsed, RATE_HZ.load(Ordering::Relaxed), excused);
+        let verdict = pace.check_rate(steps.wrapping_sub(before), elapsed, RATE_HZ.load(Ordering::Relaxed), excused);
         let now = now_ms();
         let silent = TASKS
             .into_iter()

@@ -315,7 +315,7 @@ where
         };
         // If the current is as expected and only motion explains the voltage, the encoder is dead.
         let (fault, value) = if joint.stage.has_expected_current() && joint.stands_still() {
-            (Fault::EncoderLoss, joint.stage.turning(strain))
+            (Fault::EncoderLoss, joint.stage.speed_of_back_emf(strain))
         } else {
             (Fault::MotorModel, strain)
         };

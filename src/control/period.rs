@@ -55,7 +55,7 @@ where
     pub fn act(&mut self, samples: &Samples) -> Outputs {
         self.step(&self.complete_samples(samples));
         if !self.hardware.bridge.current_sensed {
-            self.now.motors.current = Currents(self.joints.each_ref().map(|joint| joint.stage.asked()));
+            self.now.motors.current = Currents(self.joints.each_ref().map(|joint| joint.stage.target_current()));
         }
         self.outputs()
     }

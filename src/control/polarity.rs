@@ -439,7 +439,7 @@ where
         let wanted = of(torque).min(most).max(of(1.5 * program.coulomb[i].abs()).min(MAX_SWING_RATE));
         let between_counts = MIN_SWING_COUNTS * program.radians_per_count[i].abs();
         let fastest = (SWING_SPEED_SHARE * self.rules.limits.speed[i] / angle)
-            .min(self.joints[i].stage.turning(MAX_INITIAL_BACK_EMF).abs() / between_counts)
+            .min(self.joints[i].stage.speed_of_back_emf(MAX_INITIAL_BACK_EMF).abs() / between_counts)
             .min(core::f32::consts::TAU / (MIN_SWING_STEPS * self.polarity.pace));
         wanted.min(fastest).max(SWING_RATE_RANGE.0)
     }

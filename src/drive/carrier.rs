@@ -1,4 +1,4 @@
-//! The PWM carrier for a control rate: its frequency, number of periods in a control step, and delay.
+//! The PWM carrier for a control rate: frequency, number of periods in a control step, and delay.
 //!
 //! The carrier is centre-aligned: a timer counts up to a crest and down to a valley. Encoders and currents are sampled
 //! at the crest. A duty that is written after the crest applies at the next valley, half a carrier period later.
@@ -23,11 +23,9 @@ pub struct Carrier {
 }
 
 impl Carrier {
-    /// Returns the carrier of a timer that counts at `timer_hz` (Hz, at most 2.6 GHz) for a control rate in Hz. Clamps
-    /// the rate to [`RATE_HZ`] and replaces NaN by the lowest rate.
-    ///
-    /// The carrier is the smallest multiple of the rate from 20 kHz up, so it is between 20 and 50 kHz, and a duty has
-    /// at least `timer_hz` / 100 kHz ticks.
+    /// Returns the carrier of a timer that counts at `timer_hz` (at most 2.6 GHz) for a control rate in Hz, which is
+    /// clamped to [`RATE_HZ`]. NaN becomes the lowest rate. The carrier is the smallest multiple of the rate from 20
+    /// kHz up, so it is between 20 and 50 kHz, and a duty has at least `timer_hz` / 100 kHz ticks.
     pub fn for_rate(timer_hz: u32, rate_hz: f32) -> Self {
         let rate_hz = (rate_hz as u32).clamp(RATE_HZ.0, RATE_HZ.1);
         let divider = CARRIER_MIN_HZ.div_ceil(rate_hz);
@@ -67,7 +65,7 @@ pub struct Ticks {
 }
 
 impl Ticks {
-    /// Offset of the ticks from the middle, so that truncation rounds negative ticks as it rounds positive ticks.
+    /// Offset of the ticks from the middle, so that truncation rounds negative ticks like positive ticks.
     const OFFSET: u32 = 1 << 15;
 
     fn of(top: u16) -> Self {
@@ -77,11 +75,11 @@ impl Ticks {
     }
 
     /// Returns the compare values of a bridge's two legs for a duty. One leg is as far above the middle as the other is
-    /// below, so a duty of 0 is no voltage, exact to the tick.
+    /// below, so a duty of 0 makes exactly no voltage.
     #[inline(always)]
     pub fn legs(&self, duty: Duty) -> [u16; 2] {
         let ticks = (Self::OFFSET as f32 + 0.5 + f32::from(duty) * self.half) as u32;
-        // Both legs in one subtraction: the second leg loses the ticks that the first leg gains.
+        // One subtraction sets both legs, because the second leg loses the ticks that the first leg gains.
         let both = self.middle.wrapping_add(ticks.wrapping_sub(ticks << 16));
         [both as u16, (both >> 16) as u16]
     }
@@ -91,7 +89,7 @@ impl Ticks {
 mod tests {
     use super::*;
 
-    /// Usual counting frequency, Hz.
+    /// Counting frequency of the boards' timers, Hz.
     const TIMER_HZ: u32 = 168_000_000;
 
     #[test]
@@ -119,11 +117,11 @@ mod tests {
             let carrier = Carrier { top, divider: 1, timer_hz: TIMER_HZ };
             carrier.ticks().legs(Duty::nearest(share))
         };
-        // The largest distance is 0.92 of 2100 ticks.
+        // The largest distance from the middle is 0.92 of 2100 ticks.
         for (share, legs) in [(0.0, [2100, 2100]), (0.5, [3150, 1050]), (-1.0, [168, 4032]), (9.0, [4032, 168])] {
             assert_eq!(legs_of(4200, share), legs, "{share}");
         }
-        // An odd top has no tick in its middle. The legs still meet at one tick, with equal distances on both sides.
+        // An odd top has no tick in its middle. The legs still meet at one tick, at equal distances from both ends.
         for (share, legs) in [(0.0, [841, 841]), (0.5, [1261, 421]), (-0.5, [421, 1261])] {
             assert_eq!(legs_of(1681, share), legs, "{share}");
         }

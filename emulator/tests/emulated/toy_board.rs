@@ -10,7 +10,7 @@ use haptic_bridge::drive::carrier::{CARRIER_MIN_HZ, Carrier};
 use haptic_bridge::drive::stage::Bridge;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::safety::fault::Fault;
-use haptic_bridge::safety::limits::{Limits, MOST_TIP_FORCE};
+use haptic_bridge::safety::limits::{Limits, MAX_TIP_FORCE};
 
 use super::{Board, Common, IdentityPins, Io, Pin};
 use crate::adc;
@@ -53,7 +53,7 @@ impl Board for ToyBoard {
         power: 40.0,
         bus_min: 6.0,
         bus_max: 34.0,
-        tip_force: MOST_TIP_FORCE,
+        tip_force: MAX_TIP_FORCE,
     };
     const POWER_FAULT: Fault = Fault::GateDriver;
     const UNSENSED: &'static [Fault] = &[Fault::EncoderIllegal, Fault::GateDriver, Fault::BreakInput];

@@ -17,7 +17,7 @@ use haptic_bridge::drive::carrier::{CARRIER_MIN_HZ, Carrier};
 use haptic_bridge::drive::stage::Bridge;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::safety::fault::Fault;
-use haptic_bridge::safety::limits::{Limits, MOST_TIP_FORCE};
+use haptic_bridge::safety::limits::{Limits, MAX_TIP_FORCE};
 
 use super::{Board, Common, IdentityPins, Io, Pin};
 use crate::adc;
@@ -89,7 +89,7 @@ impl Board for OdriveV3 {
         power: 40.0,
         bus_min: 10.0,
         bus_max: 50.0,
-        tip_force: MOST_TIP_FORCE,
+        tip_force: MAX_TIP_FORCE,
     };
     const POWER_FAULT: Fault = Fault::GateDriver;
     const UNSENSED: &'static [Fault] = &[Fault::EncoderIllegal, Fault::BreakInput];

@@ -145,7 +145,7 @@ impl InterruptState {
         }
         if matches!(request, Request::Status) {
             // About fifty times a second, the heat is copied to memory that survives a reset.
-            warmth::keep(self.control_loop.heat());
+            warmth::store(self.control_loop.heat());
         }
         let status = self.control_loop.status();
         if !status.state.drives() && self.driving {
