@@ -1,9 +1,8 @@
 //! The control loop of one device, without hardware. It takes samples, and returns the state of the bridges, the
 //! currents and, once per carrier period, the duties.
 //!
-//! The firmware's interrupt, the simulated board and the tests all run this code. A complete [`Program`] is built
-//! elsewhere and moved in between two steps; small changes are [`Command`]s. No function here blocks, allocates or
-//! panics.
+//! The firmware's interrupt, the simulated board and the tests all run this code. A [`Program`] is built elsewhere and
+//! moved in between two steps; small changes are [`Command`]s. No function blocks, allocates or panics.
 
 mod budgets;
 pub mod compiled;

@@ -183,9 +183,8 @@ impl Math<f64> for Libm {
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Minimax;
 
-/// Returns the sine and cosine of `angle` (rad). Uses minimax polynomials on [-π/4, π/4] (Remez exchange on
-/// (sin r - r)/r³ and (cos r - 1 + r²/2)/r⁴; residuals 3.6e-9 and 9.7e-11) after a two-term Cody-Waite reduction by
-/// π/2.
+/// Returns the sine and cosine of `angle` (rad). Uses minimax polynomials on [-π/4, π/4] (Remez exchange on (sin r -
+/// r)/r³ and (cos r - 1 + r²/2)/r⁴; residuals 3.6e-9 and 9.7e-11) after a two-term Cody-Waite reduction.
 ///
 /// The reduction loses accuracy beyond ±1e5 rad. The controller passes angles that are already wrapped to one turn.
 #[inline(always)]

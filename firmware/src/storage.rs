@@ -1,7 +1,7 @@
-//! The chip's flash under the stored settings: sectors 1 and 2.
+//! The chip's flash for the stored settings: sectors 1 and 2.
 //!
-//! A write stalls the program for 16 us per word, and for up to 0.5 s if a sector is erased. Therefore the caller writes
-//! only while the bridges are off. Reading a setting never writes.
+//! A write stalls the program for 16 us per word, and for up to 0.5 s if a sector is erased, so the caller writes only
+//! while the bridges are off. Reading a setting never writes.
 
 use embassy_stm32::flash::{Bank1Region1, Blocking, Error as FlashError, Flash};
 use embassy_stm32::{Peri, peripherals::FLASH};

@@ -1,4 +1,4 @@
-//! The zeros of the current sensors. The control interrupt learns them while the bridges are off and a task waits.
+//! The zeros of the current sensors, which the control interrupt learns while the bridges are off and a task waits.
 
 use core::sync::atomic::{AtomicU8, AtomicU16, Ordering};
 
@@ -9,10 +9,10 @@ use crate::adc;
 /// Weight of one reading in a sensor's zero, which settles after a hundred readings.
 const ZERO_WEIGHT: f32 = 1.0 / 32.0;
 
-/// Time for the zeros to settle, ms: at least 200 carrier periods.
+/// Time for the zeros to learn_or_check_zeros, ms: at least 200 carrier periods.
 const ZERO_MS: u64 = 12;
 
-/// The use of the readings while the bridges are off.
+/// Use of the readings while the bridges are off.
 #[derive(Clone, Copy, PartialEq, Eq)]
 #[repr(u8)]
 pub enum Zeroing {
@@ -31,7 +31,7 @@ static ZEROING: AtomicU8 = AtomicU8::new(Zeroing::No as u8);
 /// Largest distance of a zero from the middle of the range, or of a reading from its zero, counts.
 static ZERO_WORST: AtomicU16 = AtomicU16::new(0);
 
-/// The zeros of a board's current sensors, and the averaged distance of their readings from them, counts.
+/// The zeros of a board's current sensors, and the mean distance of the readings from them, counts.
 pub struct Zeros<const N: usize>([f32; N], [f32; N]);
 
 impl<const N: usize> Zeros<N> {
@@ -45,7 +45,7 @@ impl<const N: usize> Zeros<N> {
         &self.0
     }
 
-    /// Uses readings while the bridges are off as the waiting task requests: to learn the zeros or to check them.
+    /// Learns or checks the zeros with readings while the bridges are off, as the waiting task requests.
     #[inline(never)]
     pub fn take(&mut self, raw: [i32; N]) {
         let how = ZEROING.load(Ordering::Relaxed);
@@ -69,9 +69,9 @@ impl<const N: usize> Zeros<N> {
     }
 }
 
-/// Lets the control interrupt learn or check the zeros for the time in which they settle, with the bridges off. Returns
-/// the largest distance, counts: see [`ZERO_WORST`].
-pub fn settle(how: Zeroing) -> u16 {
+/// Lets the control interrupt learn or check the zeros, with the bridges off, until they learn_or_check_zeros. Returns the largest
+/// distance, counts, see [`ZERO_WORST`].
+pub fn learn_or_check_zeros(how: Zeroing) -> u16 {
     ZERO_WORST.store(0, Ordering::Relaxed);
     ZEROING.store(how as u8, Ordering::Relaxed);
     block_for(Duration::from_millis(ZERO_MS));

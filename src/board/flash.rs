@@ -7,8 +7,8 @@ use crate::board::settings::{self, Entry, Key, Setting};
 use crate::model::precomputed::MassModelData;
 use crate::safety::refusal::Refusal;
 
-/// Commits the settings staged under these keys together with the rest of the configuration. Otherwise settings of an
-/// older configuration, left in flash, would apply after the next start.
+/// Commits the settings staged under these keys together with the rest of the configuration, so that no setting of an
+/// older configuration in flash applies after the next start.
 #[inline(never)]
 pub(super) fn commit_configuration(
     machine: &mut impl Machine,
@@ -46,15 +46,14 @@ pub(super) fn stage_all(
         stage(machine, scene, keys)?;
     }
     stage(machine, rules, keys)?;
-    // A table is too long for a setting and not kept: after a restart the board uses the closed form.
+    // A table is too long for a setting, so the board uses the closed form after a restart.
     match mass {
         MassModelData::Table(..) => stage(machine, &MassModelData::Exact, keys),
         kept => stage(machine, kept, keys),
     }
 }
 
-/// Returns true if flash holds this value. A separate function, so that the entry is on the stack only during the
-/// comparison.
+/// Returns true if flash holds this value. A separate function, so that the entry is on the stack only here.
 #[inline(never)]
 fn is_kept(machine: &mut impl Machine, key: Key, entry: &Entry) -> bool {
     machine.load(key).is_some_and(|old| old == *entry)

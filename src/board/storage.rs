@@ -1,17 +1,16 @@
-//! The settings in flash: a map with one entry per setting, so that adding or removing a setting never loses the
-//! others.
+//! The settings in flash, as a map with one entry per setting, so that adding or removing a setting never loses others.
 //!
 //! `sequential-storage` appends entries with checksums and moves to the next page when a page is full. After a power
 //! cut at any point, either the old or the new value is left; tests/power_cut.rs cuts the power at every flash
-//! operation. A damaged entry is skipped silently, and the entry before it is returned. Every entry therefore carries a
-//! generation, and each write is followed by a catalogue of the newest generations: an entry older than its generation
-//! in the catalogue is not the saved entry. A power cut between the two writes leaves an entry newer than the
-//! catalogue, which is no damage.
+//! operation. The map skips a damaged entry silently and returns the earlier entry. Every entry therefore carries a
+//! generation, and a catalogue of the newest generations is written after each entry. An entry that is older than its
+//! generation in the catalogue is not the saved entry. An entry newer than the catalogue, after a power cut between the
+//! two writes, is valid.
 //!
-//! Several settings change together or not at all: they are staged first ([`Storage::stage`]), then a single entry, the
+//! Several settings change together or not at all. They are staged first ([`Storage::stage`]), then a single entry, the
 //! decision, makes them valid ([`Storage::commit`]), and only then are they moved to their settings' keys. A power cut
-//! before the decision leaves the old settings. A power cut after it leaves the decision, which the next start carries
-//! out before it reads anything.
+//! before the decision leaves the old settings. After a power cut that follows the decision, the next start carries out
+//! the decision before it reads anything.
 //!
 //! This module does not depend on a chip: the firmware passes its flash as a [`NorFlash`], tests pass a flash with
 //! injected errors.
@@ -25,25 +24,25 @@ use sequential_storage::cache::key_pointers::ArrayKeyPointers;
 use sequential_storage::cache::{Cache, Uncached};
 use sequential_storage::map::{MapConfig, MapStorage, SerializationError, Value};
 
-/// Length of the longest entry with its key, bytes.
+/// Maximum length of an entry with its key, bytes.
 pub const LONGEST_STORED: usize = 2048;
 
 /// Key of the catalogue.
 const CATALOGUE: u8 = 0;
-/// Key of the decision: the generations of the staged entries that are valid; all zeros if there is none. The settings'
-/// keys lie between the two.
+/// Key of the decision, which holds the generations of the valid staged entries, or zeros. The settings' keys lie
+/// between catalogue and decision.
 pub(super) const DECISION: u8 = 7;
 /// Bit that marks the key of a staged entry.
 const STAGED: u8 = 8;
 const _: () = assert!(DECISION < STAGED && (DECISION as usize) < SETTINGS && 2 * SETTINGS <= KEYS);
-/// Number of places in the catalogue and in the decision: the keys up to that of the decision.
+/// Number of places in the catalogue and in the decision: the keys up to the decision's.
 const SETTINGS: usize = 8;
 /// Number of keys.
 const KEYS: usize = 16;
 
-/// A generation: the seven lower bits count and wrap. 0 for an entry without generation and for a missing entry.
+/// A generation: the seven lower bits count and wrap. 0 for a missing entry and for an entry without generation.
 type Generation = u8;
-/// Set in every generation. Entries from before generations start with their key, which does not have this bit.
+/// Bit that is set in every generation. Entries without generation start with their key, which lacks this bit.
 const COUNTED: Generation = 0x80;
 
 /// Returns a setting's place in the catalogue and in the decision.
@@ -94,11 +93,11 @@ pub enum StorageError {
     Flash = 1,
     /// The entry does not fit.
     Full = 2,
-    /// The entry does not read back as written: the flash is worn or emulated.
+    /// The entry does not read back as written, because the flash is worn or emulated.
     NotKept = 3,
     /// The last saved entry is damaged or missing.
     Damaged = 4,
-    /// The flash failed during a decision: the next start shows either the old or the new settings.
+    /// The flash failed during a decision, so that the old or the new settings apply after the next start.
     Unsettled = 5,
 }
 
@@ -126,7 +125,7 @@ impl<E> From<sequential_storage::Error<E>> for StorageError {
     }
 }
 
-/// Runs a future to its end. Flash operations stall the program, so their futures are never pending.
+/// Runs a future to its end. Futures of flash operations are never pending, because the operations stall the program.
 fn block_on<T>(work: impl Future<Output = T>) -> T {
     let mut work = pin!(work);
     loop {
@@ -136,7 +135,7 @@ fn block_on<T>(work: impl Future<Output = T>) -> T {
     }
 }
 
-/// Cache of the newest entries' places: searching a full sector takes the chip milliseconds per entry.
+/// Cache of the newest entries' places, because a search of a full sector takes the chip milliseconds per entry.
 type KeyCache = Cache<Uncached, Uncached, ArrayKeyPointers<u8, KEYS>, u8>;
 
 /// A flash that can be written only while unlocked. Without the lock, reads would erase and write to repair damage.
@@ -207,7 +206,7 @@ pub struct Storage<'b, F: NorFlash> {
     lost: u16,
     /// Generations of the entries staged since the start or the last decision.
     staged: [Generation; SETTINGS],
-    /// True once a decision interrupted by a power cut has been searched for and carried out.
+    /// True after a decision that a power cut interrupted was searched for and carried out.
     recovered: bool,
     buffer: &'b mut [u8; LONGEST_STORED],
 }
@@ -228,8 +227,7 @@ impl<'b, F: NorFlash> Storage<'b, F> {
     }
 
     /// Repairs the effects of a power cut and locates every setting, so that [`Storage::read`] neither writes nor
-    /// searches afterwards. May erase a sector and search both sectors many times; call it at the start, before
-    /// anything else runs.
+    /// searches. May erase a sector and search both sectors many times, so call it at the start before other code.
     pub fn start(&mut self) {
         let _ = self.with_writing(|_| Ok(()));
     }
@@ -240,12 +238,12 @@ impl<'b, F: NorFlash> Storage<'b, F> {
     }
 
     /// Runs an operation that may write, then locates every entry again, because writing moves entries and a flash
-    /// error loses the places of all.
+    /// error loses all places.
     fn with_writing<T>(&mut self, work: impl FnOnce(&mut Self) -> Result<T, StorageError>) -> Result<T, StorageError> {
         self.lost = 0;
         self.map.flash().writable = true;
         let result = work(self);
-        // An unreadable entry makes the map lose all places: locate the other entries again, without this entry.
+        // An unreadable entry makes the map lose all places, so the other entries are located again without it.
         loop {
             let before = self.lost;
             for key in 1..DECISION {
@@ -283,10 +281,9 @@ impl<'b, F: NorFlash> Storage<'b, F> {
         Ok(entry.and_then(|StampedEntry(_, known)| known.try_into().ok()).unwrap_or_default())
     }
 
-    /// Returns the entry of a setting; `None` if it was never stored. If a decided entry has not been moved yet,
-    /// returns the staged entry. Writes nothing, so it may be called at any time.
-    ///
-    /// Errors: [`StorageError::Damaged`] if only an older entry or no entry is left, or if the start could not read it.
+    /// Returns the entry of a setting, or its staged entry if the decision has not been carried out yet; `None` if it
+    /// was never stored. Writes nothing, so it may be called at any time. Returns [`StorageError::Damaged`] if no entry
+    /// or only an older one is left, or if the start could not read it.
     pub fn read(&mut self, key: u8) -> Result<Option<&[u8]>, StorageError> {
         if self.lost & bit(key) != 0 {
             return Err(StorageError::Damaged);
@@ -310,7 +307,7 @@ impl<'b, F: NorFlash> Storage<'b, F> {
         Ok(entry.map(|entry| entry.1))
     }
 
-    /// Stores an entry unless it is stored already, and reads it back. Stalls the program while the flash works; the
+    /// Stores an entry unless it is stored already, and reads it back. Stalls the program while the flash works, so the
     /// bridges must be off.
     pub fn write(&mut self, key: u8, value: &[u8]) -> Result<(), StorageError> {
         self.with_writing(|storage| {
@@ -337,8 +334,8 @@ impl<'b, F: NorFlash> Storage<'b, F> {
         if self.current(key)? == Some(value) { Ok(()) } else { Err(StorageError::NotKept) }
     }
 
-    /// Stages the next entry of a setting; it becomes valid with the [`Storage::commit`] that contains its key.
-    /// Replaces the setting's earlier staged entry.
+    /// Stages the next entry of a setting, in place of an earlier staged entry. It becomes valid with the
+    /// [`Storage::commit`] of its key.
     pub fn stage(&mut self, key: u8, value: &[u8]) -> Result<(), StorageError> {
         self.with_writing(|storage| storage.put_staged(key, value))
     }
@@ -366,10 +363,9 @@ impl<'b, F: NorFlash> Storage<'b, F> {
         Ok(self.fetch(STAGED | key)?.filter(|found| found.0 == known).map(|found| found.1))
     }
 
-    /// Makes the staged entries of these settings valid: all or, after a power cut, none.
-    ///
-    /// Errors: [`StorageError::NotKept`] if an entry was not staged since the start, [`StorageError::Unsettled`] if the
-    /// flash keeps failing. After all other errors, nothing has changed.
+    /// Makes the staged entries of these settings valid. After a power cut, either all are valid or none. Returns
+    /// [`StorageError::NotKept`] if an entry was not staged since the start, [`StorageError::Unsettled`] if the flash
+    /// keeps failing. After any other error, nothing has changed.
     pub fn commit(&mut self, keys: &[u8]) -> Result<(), StorageError> {
         self.with_writing(|storage| storage.decide(keys))
     }
@@ -384,10 +380,10 @@ impl<'b, F: NorFlash> Storage<'b, F> {
             }
         }
         self.staged = [0; SETTINGS];
-        // From here on, a pending decision must be carried out before any other read or write.
+        // A pending decision must be carried out before any other read or write.
         self.recovered = false;
         if let Err(error) = self.store(DECISION, &StampedEntry(COUNTED, &decision)) {
-            // The decision may be stored despite the error.
+            // The decision may be stored in spite of the error.
             let taken_back = self.store(DECISION, &StampedEntry(COUNTED, &[0; SETTINGS]));
             return Err(if taken_back.is_ok() { error } else { StorageError::Unsettled });
         }
@@ -410,8 +406,8 @@ impl<'b, F: NorFlash> Storage<'b, F> {
         Ok(())
     }
 
-    /// Moves the staged entry of this generation to its setting's key. If the staged entry is damaged, the setting
-    /// counts as damaged, because the decision made its earlier value invalid.
+    /// Moves the staged entry of this generation to its setting's key. The setting counts as damaged if the staged
+    /// entry is, because the decision made the earlier value invalid.
     #[inline(never)]
     fn settle(&mut self, key: u8, generation: Generation) -> Result<(), StorageError> {
         let mut copy = [0; LONGEST_STORED / 2];

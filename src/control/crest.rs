@@ -27,7 +27,7 @@ const COUNT_SHARE: f32 = 0.25;
 /// Largest share of the torque limit that a single count may change the torque by when back-EMF is fed forward.
 const KICK_SHARE: f32 = 1.0 / 32.0;
 
-/// Largest difference of two current sensors in proportion to the current limit: gains, settling at the edge of the duty.
+/// Largest difference of two current sensors as a share of the current limit: gains, settling at the duty's edge.
 const IMBALANCE_SHARE: f32 = 0.15;
 /// Largest difference of two current sensors at zero current, A: zeros and noise.
 const IMBALANCE_FLOOR: f32 = 0.5;

@@ -135,8 +135,7 @@ where
         };
     }
 
-    /// Runs one step of the fade. Returns the demand to command, and its total torques without the force limit at the
-    /// tip.
+    /// Runs one step of the fade. Returns the demand to command, and its total torques without the tip's force limit.
     #[inline(never)]
     pub(super) fn fade_in(&mut self) -> (TorqueDemand<f32>, [f32; MAX_JOINTS]) {
         let asked = &{ self.now.found.asked };
@@ -216,8 +215,7 @@ where
         }
     }
 
-    /// Returns the `weight` plus the interpolation between the fading torques and a `share` of the demand beyond
-    /// gravity.
+    /// Returns `weight` plus the interpolation between fading torques and a `share` of the demand beyond gravity.
     fn blend_demand(&self, asked: &TorqueDemand<f32>, weight: &[f32; MAX_JOINTS], share: f32) -> [f32; MAX_JOINTS] {
         let (fade, rendered) = (&self.fade, self.fade.rendered());
         core::array::from_fn(|i| {

@@ -3,8 +3,7 @@
 //! A program on a computer reads the tip position, computes a force and sends it, about once a millisecond. The board
 //! adds this force to its own walls before it limits all torques (saturation.rs). Joint torques count as their force at
 //! the tip. All limits and faults apply. A request acts in full until it is `hold` seconds old, then fades linearly for
-//! `fade` seconds. Its age counts from the state that the request was computed from, so a late request has less time
-//! left.
+//! `fade` seconds. The age counts from the state that it was computed from, so a late request has less time.
 //!
 //! A contact is the host's nearest plane, which the board renders at its own rate. When the host moves the plane, the
 //! board moves its copy evenly over the time since the host's previous move, so that the force does not jump.

@@ -166,8 +166,7 @@ struct Swing {
 }
 
 impl Swing {
-    /// Returns the largest motion of a joint in this turn, as a share of the motion at which the torque of joint `axis`
-    /// stops growing.
+    /// Returns the largest motion of a joint in this turn, as a share of the motion at which the torque stops growing.
     #[inline(always)]
     fn swung(&self, axis: usize, joints: usize) -> f32 {
         let mut most = 0.0;

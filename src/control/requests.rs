@@ -71,8 +71,7 @@ pub struct Press {
 pub enum Beat {
     /// The host is alive. Does not change the state of a key.
     Here,
-    /// A key is down. Confirms the key that keeps the motors on. Motors that are on without a key depend on this key
-    /// from now on.
+    /// A key is down. Confirms the key that keeps the motors on. Motors that are on without a key now depend on it.
     Held(Press),
     /// The key was released: turns the motors off, as [`Command::Disarm`] does.
     Released,
@@ -177,8 +176,7 @@ where
                 if self.state == State::Fault {
                     self.state = State::Disarmed;
                 }
-                // Resets only the host's silence, because the sums of the armed time hold limits, which clearing must
-                // keep.
+                // Resets only the host's silence, because clearing must keep the other sums of the armed time.
                 self.record_host();
                 Ok(())
             }

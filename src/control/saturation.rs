@@ -4,10 +4,8 @@
 //! the deeper it is pressed. The torques are therefore cut in the order of their purpose (docs/model.md section 2):
 //!
 //! 1. torques that carry the device's weight, each joint within its limit;
-//! 2. torques that render the requested forces, Jᵀ f: one factor for all joints keeps the direction, within the force
-//! limit;
-//! 3. the feed-forward of the rendered force, by one factor into the remaining room. Its tip force counts towards the
-//! force limit.
+//! 2. torques that render the requested forces, Jᵀ f: one factor keeps their direction, within the force limit;
+//! 3. the feed-forward of the rendered force, by one factor. Its tip force counts towards the force limit.
 //!
 //! If the force used a motor's entire limit, the feed-forward would have no room in the same direction and full room in
 //! the opposite one. The common factor would then jump from 0 to 1 where that motor's feed-forward crosses zero. The
@@ -45,8 +43,7 @@ where
     S: Stage,
 {
     /// Returns a value that is not negative if the demand on the J joints is within the limits after every stage, by
-    /// more than rounding errors. Checks joint torques and forces at the tip. Returns a negative value otherwise, and
-    /// for NaN.
+    /// more than rounding errors. Checks joint torques and tip forces. Negative otherwise, and for NaN.
     #[inline(always)]
     pub(super) fn fits<const J: usize>(&self) -> i32 {
         let TorqueDemand { total, gravity, rendered, force_squared } = &self.now.found.asked;
@@ -96,8 +93,7 @@ impl TorqueDemand<f32> {
         }
     }
 
-    /// Returns the share of the requested forces that is rendered within `tip_force` (N) and ±`limit` of each of the J
-    /// joints.
+    /// Returns the rendered share of the requested forces, within `tip_force` (N) and ±`limit` of each of the J joints.
     #[inline(always)]
     fn share<const J: usize>(&self, limit: &Torques, tip_force: f32) -> f32 {
         let mut share = share_within(self.force_squared, tip_force);

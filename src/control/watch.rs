@@ -256,8 +256,7 @@ fn parallel_margin(parallel: f32) -> i32 {
     margin_bits_between(parallel, (TRIPPING_SINE, f32::MAX))
 }
 
-/// Returns the distance (counts) of an index pulse at `count` from the nearest multiple of `period` after the `first`
-/// pulse.
+/// Returns the distance of an index pulse from the nearest multiple of `period` after the `first` pulse, counts.
 fn index_error(count: i32, first: i32, period: i32) -> u32 {
     let off = count.wrapping_sub(first).checked_rem(period).unwrap_or(0).unsigned_abs();
     off.min(period.unsigned_abs().saturating_sub(off))

@@ -45,8 +45,7 @@ pub fn stored_heat(memory: &[AtomicU32; STORED_WORDS]) -> [Heat; MAX_JOINTS] {
     if whole { words.map(Heat::from_words) } else { [Heat::UNKNOWN; MAX_JOINTS] }
 }
 
-/// The heat of one motor, kept across devices, rules and restarts. The default is a cold motor without any allowed
-/// current.
+/// The heat of one motor, kept across devices, rules and restarts. The default is a cold motor without allowed current.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Heat {
     /// I²t accumulator above the continuous current, A² s.

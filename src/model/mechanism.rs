@@ -191,16 +191,15 @@ pub trait Mechanism<T: Real, const N: usize>: Copy + core::fmt::Debug {
         Shaping::of(&self.mass(pose), self.inverse(pose, n))
     }
     /// Returns the torques that move the tip straight at constant speed while the joints move: c - M J⁻¹ J̇ q̇ (N m),
-    /// the velocity part of `b` in docs/model.md section 2. A tip acceleration `a` additionally needs `shaping(pose,
-    /// a).me`.
+    /// the velocity part of `b` in docs/model.md section 2. A tip acceleration `a` adds `shaping(pose, a).me`.
     fn velocity_torque(&self, pose: &Self::Pose, qd: &SVector<T, N>) -> SVector<T, N> {
         let qdd_bias = self.inverse(pose, &(self.jacobian_rate(pose, qd) * qd));
         self.coriolis(pose, qd) - self.mass(pose) * qdd_bias
     }
     /// Computes equation (4) for one wall of unit normal `n` whose `force` (N) is rendered in every motion: E = J⁻¹ n
     /// (rad/m) and the joint torques τ = M E Wrr⁻¹ f + b (N m). b is zero without joint velocities `qd` (rad/s). The
-    /// tip accelerates by f/Wrr along n and not across n. One pass of inverse dynamics if the mechanism has a closed
-    /// form.
+    /// tip accelerates by f/Wrr along n and not across n. Mechanisms with a closed form use one pass of inverse
+    /// dynamics.
     #[inline(always)]
     fn shaped(&self, pose: &Self::Pose, n: &SVector<T, N>, force: T, qd: Option<&SVector<T, N>>) -> Shaped<T, N> {
         let shaping = self.shaping(pose, n);

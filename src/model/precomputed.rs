@@ -17,7 +17,7 @@ use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
 /// Maximum number of values in a table (2 800 bytes): 15 x 15 points of a five-bar, 13 x 13 with a turret, 10 x 10 of a
-/// redundant arm.
+/// 3R arm.
 pub const TABLE_VALUES: usize = 700;
 
 /// Maximum number of distinct entries in a mechanism's M.

@@ -38,8 +38,7 @@ const UNIT_TOLERANCE: f64 = 1.0e-5;
 /// The stiffness of one wall or spring, as used to select the rendered directions.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pull<T: Real, const N: usize> {
-    /// Unit normal of a wall, normal of the host's plane (may be shorter), or line of a spring. Zeros beyond the task
-    /// dimension.
+    /// Unit normal of a wall, normal of the host's plane (may be shorter), or line of a spring. Zeros beyond the task.
     pub normal: SVector<T, N>,
     /// True if the stiffness acts across `normal` (in every direction if `normal` is zero) instead of along it.
     pub across: bool,
@@ -203,8 +202,7 @@ fn unit<T: Real, const N: usize>(i: usize) -> SVector<T, N> {
 }
 
 /// Returns an orthonormal frame of the first `task` coordinates. The first axis is the normal of the wall with the
-/// largest weight, the second the largest weighted part of a wall's normal across the first. The other coordinates are
-/// unchanged.
+/// largest weight, the second the largest weighted part of a wall's normal across the first. Other coordinates stay.
 fn frame<T: Real, K: Math<T>, const N: usize>(
     pulls: &[Pull<T, N>],
     weight: impl Fn(&Pull<T, N>) -> T,

@@ -18,7 +18,7 @@ use crate::encoder;
 use crate::gate::{Gate, GateError};
 use crate::index;
 use crate::pwm;
-use crate::zeros::{Zeroing, Zeros, settle};
+use crate::zeros::{Zeroing, Zeros, learn_or_check_zeros};
 
 /// Amperes per count of the converter: 0.2 V/A.
 const AMPERES_PER_COUNT: f32 = adc::REFERENCE_V / adc::FULL_SCALE / 0.2;
@@ -105,7 +105,7 @@ impl Io for Pins {
     }
 
     fn marks(&mut self, counts: &Counts) -> [Option<i32>; MAX_JOINTS] {
-        index::take(&INDEX_LINES, counts)
+        index::take_pulses(&INDEX_LINES, counts)
     }
 
     fn clear_flags(&mut self) {
@@ -166,7 +166,7 @@ pub struct EnableLine;
 
 impl Gate for EnableLine {
     fn raise(&mut self) -> Result<(), GateError> {
-        let zero = settle(Zeroing::Learn);
+        let zero = learn_or_check_zeros(Zeroing::Learn);
         if zero > ZERO_MAX { Err(GateError::Offset(f32::from(zero) * AMPERES_PER_COUNT)) } else { Ok(()) }
     }
 

@@ -1,8 +1,8 @@
-//! Boards with up to three H-bridges, each driven in locked anti-phase: CHx of TIM1 switches one half of a bridge, CHxN the
-//! other. The wiring of each board is in its own file ([`Wires`]).
+//! Boards with up to three H-bridges, each driven in locked anti-phase: CHx of TIM1 switches one half of a bridge, CHxN
+//! the other half. The wiring of each board is in its own file ([`Wires`]).
 //!
-//! A low enable line turns the bridges off. Two low inputs do not, because they brake on many bridges. A low level on the
-//! break input cuts the outputs in hardware.
+//! A low enable line turns the bridges off. Two low inputs do not, because they brake on many bridges. A low level on
+//! the break input cuts the outputs in hardware.
 
 use core::marker::PhantomData;
 
@@ -25,31 +25,31 @@ use crate::encoder;
 use crate::gate::{Gate, GateError};
 use crate::index;
 use crate::pwm;
-use crate::zeros::{Zeroing, Zeros, settle};
+use crate::zeros::{Zeroing, Zeros, learn_or_check_zeros};
 
 /// Number of motors.
 const AXES: usize = 3;
 
-/// Time in which both inputs of a bridge are low at each edge: 17 ticks of 1/168 MHz, 101 ns. It is equal at both edges, so
-/// it reduces the voltage a little without distorting it.
+/// Time in which both inputs of a bridge are low at each edge: 17 ticks of 1/168 MHz, 101 ns. It is equal at both
+/// edges, so it reduces the voltage a little without distortion.
 const DEAD_TIME_TICKS: u8 = 17;
 
-/// Amperes per volt at a current input: a 185 mV/A Hall sensor behind a divider from 5 V to the converter's reference, here
-/// 3.3 V. With another reference and its divider, a count is the same current.
+/// Amperes per volt at a current input: a 185 mV/A Hall sensor behind a divider from 5 V to 3.3 V. A board with another
+/// reference divides to its reference, so that a count is the same current.
 const AMPERES_PER_VOLT: f32 = 1.0 / (0.185 * 0.66);
 
 /// Amperes per count of the converter.
 const AMPERES_PER_COUNT: f32 = adc::REFERENCE_V / adc::FULL_SCALE * AMPERES_PER_VOLT;
 
-/// Largest distance of a zero from the middle of the converter's range, counts: 40 mV of the sensor's own offset and 5 % of
-/// the halved supply, behind the divider. A larger distance means a current of 0.9 A through a bridge that is off.
-const ZERO_MAX: u16 = 136;
+/// Largest distance of a zero from the middle of the converter's range, counts: 40 mV of the sensor's own offset and 5
+/// % of the halved supply, behind the divider. A larger distance means at least 0.9 A through a bridge that is off.
+const MAX_ZERO_DISTANCE: u16 = 136;
 
 /// The first encoder's timer.
-// SAFETY: it is 32 bits wide and has the registers of a 16-bit timer at the same places; `encoder` lets it count to 65 535.
+// SAFETY: TIM2 has 32 bits and the registers of a 16-bit timer at the same places; `encoder` lets it count to 65 535.
 const TIM2: TimGp16 = unsafe { TimGp16::from_ptr(pac::TIM2.as_ptr()) };
 
-/// The wiring of one of these boards. All use the same encoder pins: PA15 and PB3, PB4 and PB5, PB6 and PB7.
+/// The wiring of a board with H-bridges. All boards use the encoder pins PA15 and PB3, PB4 and PB5, PB6 and PB7.
 pub trait Wires {
     /// The board's name.
     const NAME: &'static str;
@@ -63,11 +63,11 @@ pub trait Wires {
     const BREAK: (Gpio, usize);
     /// Masks of the index inputs in port C.
     const INDEX_LINES: [u32; AXES];
-    /// Channels of the two converters: currents 0 and 2; current 1 and the bus voltage.
+    /// Channels of the two converters: currents 0 and 2 on the first; current 1 and the bus voltage on the second.
     const CHANNELS: [[u8; 2]; 2];
     /// Bus voltage at the converters' full scale, V.
     const BUS_FULL_SCALE: f32;
-    /// Outputs, enable line and break input of each port, which are locked after their configuration.
+    /// Outputs, enable line and break input of each port, to be locked after their configuration.
     const LOCKED: &'static [(Gpio, u16)];
 
     /// Sorts the chip's pins without configuring any.
@@ -87,7 +87,7 @@ pub struct Pins {
     pub gates: [AnyPeri; 2 * AXES],
     /// Currents and bus voltage.
     pub sensors: [AnyPeri; AXES + 1],
-    /// Channels A and B.
+    /// Channels A and B of each encoder.
     pub encoders: [[AnyPeri; 2]; AXES],
 }
 
@@ -99,7 +99,7 @@ impl<W: Wires> Board for HBridges<W> {
     const IDENTITY: IdentityPins = W::IDENTITY;
     const SUPPLY_LEVEL: u8 = W::SUPPLY_LEVEL;
     const AXES: usize = AXES;
-    /// Data of the bridges. The dead time distorts nothing (see [`DEAD_TIME_TICKS`]) and is not compensated.
+    /// Data of the bridges. The dead time causes no distortion (see [`DEAD_TIME_TICKS`]), so it is not compensated.
     const BRIDGE: Bridge =
         Bridge { carrier_hz: CARRIER_MIN_HZ as f32, dead_time: 0.0, bandwidth_hz: 1000.0, current_sensed: true };
     /// Limits that cannot be raised over USB: the ranges of the current sensors and of the bus divider.
@@ -196,7 +196,7 @@ impl<W: Wires> Io for Sampled<W> {
     }
 
     fn marks(&mut self, counts: &Counts) -> [Option<i32>; MAX_JOINTS] {
-        index::take(&W::INDEX_LINES, counts)
+        index::take_pulses(&W::INDEX_LINES, counts)
     }
 
     #[inline(always)]
@@ -275,13 +275,13 @@ impl<W: Wires> Io for Sampled<W> {
 pub struct EnableLine;
 
 impl Gate for EnableLine {
-    /// Learns the current sensors' zeros, 12 ms. The enable line rises when the control interrupt connects the bridges.
+    /// Learns the current sensors' zeros in 12 ms. The control interrupt raises the enable line.
     fn raise(&mut self) -> Result<(), GateError> {
-        let zero = settle(Zeroing::Learn);
-        if zero > ZERO_MAX { Err(GateError::Offset(f32::from(zero) * AMPERES_PER_COUNT)) } else { Ok(()) }
+        let zero = learn_or_check_zeros(Zeroing::Learn);
+        if zero > MAX_ZERO_DISTANCE { Err(GateError::Offset(f32::from(zero) * AMPERES_PER_COUNT)) } else { Ok(()) }
     }
 
-    /// Succeeds always, because the bridges have no registers.
+    /// Always succeeds, because the bridges have no registers.
     fn check(&mut self) -> Result<(), GateError> {
         Ok(())
     }

@@ -13,7 +13,7 @@ use crate::render::scene::Scene;
 use crate::safety::refusal::Refusal;
 
 impl Service {
-    /// Writes every setting to flash, or none. The motors must be off, because the processor stalls during an erase.
+    /// Writes all settings to flash, or none. The motors must be off, because the processor stalls during an erase.
     pub fn save(&mut self, machine: &mut impl Machine) -> Result<(), Refusal> {
         must_be_off(machine)?;
         let mut keys = KeyList::new();
@@ -22,7 +22,7 @@ impl Service {
         if keys.is_empty() { Ok(()) } else { machine.commit(&keys) }
     }
 
-    /// Returns a setting as it is in flash.
+    /// Returns the entry of a setting in flash.
     pub fn read_entry(&self, machine: &mut impl Machine, key: Key) -> Option<Entry> {
         machine.load(key)
     }
@@ -39,7 +39,7 @@ impl Service {
             Key::Polarity => decoded::<Polarity>(entry).map(drop)?,
             Key::Name => decoded::<BoardName>(entry).map(drop)?,
         }
-        // A tool must not commit settings that were staged by another tool, which has ended.
+        // A tool must not commit settings that another tool staged before it ended.
         if self.staged.0 != write.session {
             self.staged = (write.session, KeyList::new());
         }
@@ -52,8 +52,7 @@ impl Service {
 
     /// Applies the settings staged under these keys and writes them to flash: all of them, or none. Other settings
     /// stay, except that another device drops the mass model and a scene that does not fit, and another scene drops the
-    /// mass model. Flash then holds the same configuration, so that limits never apply to a device for which they were
-    /// not meant, not even after the next start.
+    /// mass model. Flash then holds the same configuration, so that limits never apply to another device than theirs.
     pub fn commit_entries<Mc: Machine>(&mut self, machine: &mut Mc, commit: &Commit) -> Result<(), Refusal> {
         must_be_off(machine)?;
         let keys = &commit.keys;
@@ -70,7 +69,7 @@ impl Service {
     }
 
     /// Returns the present configuration with the settings staged under these keys, and true if the device stays the
-    /// same. A separate function, so that the decoded settings have left the stack when they are applied.
+    /// same. A separate function, so that the decoded settings leave the stack before they are applied.
     #[inline(never)]
     fn restored_configuration<Mc: Machine>(
         &self,

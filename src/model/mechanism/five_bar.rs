@@ -1,8 +1,7 @@
 //! `five-bar`: two motors, two arms, one tip (Pantograph, Haply 2diy).
 //!
 //! Motors at A = (-base/2, 0) and B = (base/2, 0); elbows C = A + l₁(cos q₁, sin q₁), D = B + l₂(cos q₂, sin q₂). The
-//! tip P is an intersection of the circles (C, r₁) and (D, r₂): to the left of C→D for `assembly` 1, to the right
-//! for -1.
+//! tip P is an intersection of the circles (C, r₁) and (D, r₂), to the left of C→D for `assembly` 1, else to the right.
 //!
 //! Closed form: let u₁ = P - C, u₂ = P - D, and let c₁ = l₁(-sin q₁, cos q₁) be the elbow velocity per joint rate, c₂
 //! likewise. The rods are rigid, so uᵢ·(ṗ - cᵢ q̇ᵢ) = 0. Hence J⁻¹ = [u₁ᵀ/k₁; u₂ᵀ/k₂] with kᵢ = uᵢ·cᵢ, and J = [u₁ᵀ;

@@ -1,5 +1,4 @@
-//! `serial-3r`: a planar arm of three links with relative joint angles. Redundant, because the task is the tip
-//! position.
+//! `serial-3r`: a planar arm of three links with relative joint angles; redundant for the tip position.
 //!
 //! The third task coordinate is the orientation φ = q₁ + q₂ + q₃, whose row of J is (1, 1, 1). In the links' absolute
 //! angular rates θ̇ = (q̇₁, q̇₁ + q̇₂, φ̇), with link directions eᵢ, the tip velocity is ṗ = Σ lᵢ eᵢ⊥ θ̇ᵢ. For a given

@@ -52,8 +52,8 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         put(&torque, &mut asked.total);
     }
 
-    /// Returns the joint torques of any scene (N m), the part that renders its forces (N m), and the resultant of these
-    /// forces (N).
+    /// Returns the joint torques of any scene and the part that renders its forces (N m), and the forces' resultant
+    /// (N).
     #[inline(always)]
     fn render_any_scene(
         &mut self,
@@ -140,8 +140,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         gravity
     }
 
-    /// Adds the force `other` (N) to the resultant `force` (N). Adds its torques (N m) to the rendered torques, and
-    /// returns them.
+    /// Adds the force `other` (N) to the resultant `force` (N). Adds and returns its torques (N m).
     #[inline(never)]
     pub(super) fn add_force(
         &self,

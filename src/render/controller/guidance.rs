@@ -26,8 +26,7 @@ pub(super) struct Guidance<T: Real> {
     pub is_pushed: bool,
     /// True if `is_active` or `is_pushed`.
     pub adds_force: bool,
-    /// Feed-forward of the stiff parts when they act together with walls; [`FeedForward::Off`] if no wall of the scene
-    /// has it.
+    /// Feed-forward of the stiff parts together with walls; [`FeedForward::Off`] if no wall of the scene has one.
     shared_feed_forward: FeedForward,
     /// Total stiffness of the springs in the plane. `stiffness` is the sum of their stiffnesses, N/m.
     in_plane: Stiffness<T>,

@@ -23,7 +23,7 @@ pub const PARALLEL_REGULARITY: f64 = 3.0;
 /// % at [`NO_TERMS_TURN`]. Beyond, b mostly reflects past motion, and pushes a tip that slides towards a stretched arm
 /// further into the singularity (docs/model.md).
 pub const FULL_TERMS_TURN: f64 = 0.05;
-/// Like [`FULL_TERMS_TURN`], but the value from which velocity terms are off. They fade between the two, so no force jumps.
+/// Value of the quotient in [`FULL_TERMS_TURN`] from which velocity terms are off. They fade between the two values.
 pub const NO_TERMS_TURN: f64 = 0.1;
 
 /// Returns the active share of the velocity terms at `qd` (rad/s) with a lag of `lag` (s), see [`FULL_TERMS_TURN`].

@@ -3,8 +3,8 @@
 //! `Controller::render_any_scene` is the reference for any scene: it iterates over a list of walls and tests for every
 //! feature that a scene may have. A straight step computes the same estimates, contacts and states, bit for bit,
 //! without the list and the tests. Its torques take fewer operations and are equal up to rounding.
-//! tests/straight_steps.rs checks both. A fading feed-forward is left to the general step, unusual velocity terms to a
-//! cold function.
+//! tests/straight_steps.rs checks both. The general step fades the feed-forward; a cold function computes unusual
+//! velocity terms.
 //!
 //! Each straight step is a separate function that is not inlined, because one function for all would need a stack frame
 //! beyond the reach of the FPU's loads.
@@ -132,8 +132,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         Shaped { e: e.map(|e| e), torque: torque.map(|torque| torque) }
     }
 
-    /// Computes [`Controller::shaped_torque`] for any velocity terms, turning normals and compensated joint
-    /// damping.
+    /// Computes [`Controller::shaped_torque`] for any velocity terms, normals and damping compensation.
     #[inline(never)]
     fn shaped_with_any_terms(
         &self,
@@ -179,8 +178,7 @@ pub(super) enum StepVariant {
     Wall,
     /// A single round wall whose velocity terms follow its normal, on a device with two joints.
     Round,
-    /// Several walls, or walls with the feed-forward together with springs or a host's plane, for two joints in the
-    /// plane.
+    /// Several walls, or shaped walls together with springs or a host's plane, for two joints in the plane.
     Several,
 }
 

@@ -2,8 +2,7 @@
 //!
 //! An encoder step changes the velocity by 1/k of its change in the backward difference, with a lag of k/2 samples.
 //! This equals fast sampling of position and slow sampling of velocity (Koul, Khosa and Ahmad 2024, Int. J. of
-//! Mechanical System Dynamics 4(2):171), without the jumps. The filter is linear, with zeros at every multiple of
-//! rate/k.
+//! Mechanical System Dynamics 4(2):171), without the jumps. The filter has zeros at every multiple of rate/k.
 
 use super::{Chosen, CutoffMeaning, EstimatorKey, EstimatorSpec, JointEstimator, JointSample, MAX_WINDOW};
 use crate::math::{Math, Real};

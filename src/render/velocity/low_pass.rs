@@ -16,8 +16,7 @@ pub struct LowPass<T> {
 }
 
 impl<T: Real> LowPass<T> {
-    /// Computes one step of the filter that the coefficients select: the low-pass itself, or the low-pass after a joint
-    /// estimator.
+    /// Computes one step of the filter that the coefficients select: the low-pass alone, or after a joint estimator.
     #[inline(always)]
     pub fn step(&mut self, coefficients: &Coefficients<T>, input: T) -> T {
         if coefficients.unfiltered { input } else { self.step_low_pass(coefficients, input) }

@@ -13,7 +13,7 @@ use nalgebra::SVector;
 /// few newtons in the stiffest walls of the shipped devices.
 pub const TOUCH_DEPTH: f64 = 1.0e-4;
 
-/// Like [`TOUCH_DEPTH`], as a share of the largest depth at which a contact's stiffness alone would make its shaped force.
+/// [`TOUCH_DEPTH`] as a share of the largest depth at which a contact's stiffness alone would make its shaped force.
 ///
 /// While a second contact gains weight, the sideways push of the first contact changes. With this share, the change
 /// is at most three times the second contact's own stiffness times the coupling; over a tenth of a millimetre it would
