@@ -217,7 +217,6 @@ where
         self.steady = -1;
     }
 
-    /// Returns the state of the bridges.
     #[inline(always)]
     fn outputs(&self) -> Outputs {
         Outputs { bridges: self.state.drives() }
@@ -283,7 +282,6 @@ where
         }
     }
 
-    /// Counts the control step that begins.
     #[inline(always)]
     fn begin_step(&mut self) {
         self.now.step = self.now.step.wrapping_add(1);
@@ -356,7 +354,6 @@ where
         (motors.torque, motors.rendered_force, motors.limited) = (Torques::default(), 0.0, 0);
     }
 
-    /// Updates the flags that select the fast path.
     fn update_fast_path(&mut self) {
         let limited = self.joints.iter().take(self.count()).all(Joint::is_limited);
         self.usual = if self.state.drives() && limited { self.count } else { 0 };

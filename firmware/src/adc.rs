@@ -1,5 +1,4 @@
-//! Analog conversions, started by TIM1 at the crest of the carrier. Each of the two converters runs one injected
-//! sequence.
+//! Analog conversions by two converters. TIM1 starts one injected sequence of each at the crest of the carrier.
 //!
 //! The conversion clock is 21 MHz. A value takes 3 cycles of sampling and 12 of conversion, 0.71 us. STM32F405
 //! reference manual RM0090, section 13.

@@ -129,8 +129,8 @@ pub trait Board {
     fn split(p: Peripherals, carrier: Carrier, board: bool) -> (Self::Io, Option<Self::Gate>, Common);
 }
 
-/// The part of a board that the control interrupt owns: encoders, converters, bridges. The duration of every function
-/// is bounded.
+/// The part of a board that the control interrupt owns: encoders, converters, bridges. Every function ends in bounded
+/// time.
 pub trait Io {
     /// Updates the encoder counts, one per axis. They are 0 at power-on.
     fn update_counts(&mut self, counts: &mut Counts);
@@ -165,13 +165,11 @@ pub trait Io {
     /// Returns true if the power stage reports a fault. Valid only while the power stage is enabled.
     fn has_fault(&self) -> bool;
 
-    /// Returns the carrier in use.
     fn carrier(&self) -> &Carrier;
 
     /// Changes the carrier of all axes at the same extreme.
     fn set_carrier(&mut self, carrier: Carrier);
 
-    /// Starts the carrier.
     fn start(&mut self);
 }
 

@@ -18,8 +18,7 @@ pub const TIMER_HZ: u32 = 168_000_000;
 /// Line of the supply monitor's interrupt in the interrupt controller.
 const SUPPLY_LINE: usize = 16;
 
-/// Device identifier of the chip (RM0090 section 38.6.1). Revision A has another one (errata sheet ES0182, "MCU device
-/// ID is incorrect").
+/// Device identifier of the chip (RM0090 section 38.6.1). Revision A has another one (errata sheet ES0182).
 const NOT_REVISION_A: u16 = 0x413;
 
 /// Waits until the chip's supply is above `level` of its monitor, because below 2.7 V the flash is too slow for the
@@ -63,8 +62,7 @@ fn enable_monitors(level: u8) {
 pub fn start(level: u8) -> Peripherals {
     // embassy's clock counts half turns of TIM5 by interrupt. The update event that loads the timer compares count 0
     // with a compare value that is still 0, and sets the flag of a half turn. With this flag, the clock would be half a
-    // turn ahead and, between a half turn and its interrupt, 65 ms early. The flag is cleared before a real half turn
-    // can pass.
+    // turn ahead and, between a half turn and its interrupt, 65 ms early. It is cleared before a real half turn.
     critical_section::with(|_| {
         let chip = embassy_stm32::init(config());
         pac::TIM5.sr().write(|w| w.0 = 0);

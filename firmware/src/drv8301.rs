@@ -2,7 +2,7 @@
 //!
 //! Texas Instruments SLOS719F, section 7.5. Frames are 16 bits, with the clock idle low and data sampled at the falling
 //! edge. The value of a read comes with the next frame. A low EN_GATE resets the registers, so they are written after
-//! every rise of EN_GATE.
+//! every rise.
 
 use embassy_stm32::gpio::Output;
 use embassy_stm32::mode::Blocking;
@@ -84,8 +84,7 @@ impl Drv8301 {
         Ok(self.transfer(bus, request)? & 0x7FF)
     }
 
-    /// Writes the control registers, reads them back, and clears and checks the status. Call 10 ms after EN_GATE has
-    /// risen.
+    /// Writes the control registers, reads them back, and clears and checks the status. Call 10 ms after EN_GATE rises.
     pub fn configure(&mut self, bus: &mut Bus, inputs: Inputs) -> Result<(), GateError> {
         self.write(bus, CONTROL_1, CONTROL_1_VALUE)?;
         self.write(bus, CONTROL_2, inputs.control_2())?;

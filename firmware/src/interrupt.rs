@@ -139,8 +139,8 @@ fn TIM1_UP_TIM10() {
         w.0 = !0;
         w.set_uif(false);
     });
-    // SAFETY: `start` wrote the state before it enabled this interrupt. The interrupt is the only user and does not
-    // preempt itself.
+    // SAFETY: `start` wrote the state before it enabled this interrupt. Only the interrupt uses it, and never preempts
+    // itself.
     let state = unsafe { (*CONTROL.state.get()).assume_init_mut() };
     if past_valley() {
         state.valley();
@@ -150,7 +150,6 @@ fn TIM1_UP_TIM10() {
 }
 
 impl InterruptState {
-    /// Does the work of a crest.
     #[inline(always)]
     fn crest(&mut self) {
         if self.before_step != 0 && self.crest_before_step() {
@@ -336,7 +335,6 @@ impl InterruptState {
         self.control_loop.status().state.drives() && CONTROL.shared.gate_ready.load(Ordering::Relaxed)
     }
 
-    /// Connects the bridges to the carrier.
     fn connect(&mut self) {
         self.io.drive(true);
         self.driving = true;

@@ -76,7 +76,6 @@ pub fn serial_number() -> &'static str {
     core::str::from_utf8(SERIAL_NUMBER.init(digits)).unwrap_or("")
 }
 
-/// Runs the USB device.
 #[embassy_executor::task]
 pub async fn usb(mut device: UsbDevice<'static, UsbDriver>) -> ! {
     device.run().await

@@ -2,7 +2,7 @@
 //!
 //! One interrupt runs the control step ([`interrupt`]); all other work runs in Embassy tasks in thread mode. Only
 //! handlers that end in a reset delay the control interrupt (see [`critical`]). The control interrupt delays all other
-//! work by its duration.
+//! work.
 #![no_std]
 #![no_main]
 

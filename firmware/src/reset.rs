@@ -126,7 +126,7 @@ impl LastWords {
 
 /// Reads and clears the record of the previous run. Call once, before anything else.
 pub fn take_record() -> Start {
-    // SAFETY: runs once, before interrupts and tasks exist, so the record has no other user. Every bit pattern is
+    // SAFETY: runs once, before interrupts and tasks exist, so the record has no other user. All bit patterns are
     // valid.
     let words = unsafe {
         let words = addr_of!(LAST_WORDS).cast::<LastWords>().read_volatile();

@@ -2,8 +2,8 @@
 //!
 //! Incoming: invalid bytes are skipped, and a lost connection discards a partial frame. Outgoing: at most two frames
 //! wait. The USB core's interrupt passes on the next packet as soon as the previous one has left, so the bus does not
-//! wait for a task. A host has [`MAX_READ_WAIT`] to read a frame; after that, frames are dropped until the host has read
-//! one. A frame that has begun to leave is always sent completely.
+//! wait for a task. A host has [`MAX_READ_WAIT`] to read a frame; after that, frames are dropped until the host has
+//! read one. A frame that has begun to leave is always sent completely.
 
 use core::cell::RefCell;
 use core::future::poll_fn;
@@ -41,7 +41,6 @@ pub struct Aligned<const N: usize>(pub [u8; N]);
 
 /// An event on the link from the host.
 pub enum Event<'f> {
-    /// A decoded frame.
     Frame(&'f [u8]),
     /// The host disconnected or reconnected, so its streams and replies are obsolete.
     Disconnected,
@@ -100,7 +99,6 @@ const MAX_WAITING: usize = 2;
 
 /// Frames to the host.
 pub struct Outgoing {
-    /// Frame that is being written.
     frame: &'static mut Frame,
     stalled: bool,
 }
@@ -169,7 +167,6 @@ fn with<R>(work: impl FnOnce(&mut SendQueue) -> R) -> Option<R> {
     SEND_QUEUE.lock(|queue| queue.borrow_mut().as_mut().map(work))
 }
 
-/// Polls for a free frame.
 fn poll_free(context: &mut Context) -> Poll<&'static mut Frame> {
     let free = with(|queue| {
         queue.waker.register(context.waker());

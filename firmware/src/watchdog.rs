@@ -5,7 +5,7 @@
 //! a reset within 4 to 17 ms; a task that blocks the supervisor, to a reset after another 100 ms. The watchdog counts
 //! the chip's slow oscillator, 17 to 47 kHz (STM32F405 datasheet, table 35), so its times vary by that factor.
 //!
-//! A sector erase patient_calls the program for up to 0.5 s, and a search of a full sector takes tens of milliseconds. The
+//! A sector erase stalls the program for up to 0.5 s, and a search of a full sector takes tens of milliseconds. The
 //! time is therefore at least 2.7 s during a write of a setting and the read of all settings at start ([`patient`]).
 //! The bridges are off in both cases.
 

@@ -9,7 +9,7 @@ use crate::adc;
 /// Weight of one reading in a sensor's zero, which settles after a hundred readings.
 const ZERO_WEIGHT: f32 = 1.0 / 32.0;
 
-/// Time for the zeros to learn_or_check_zeros, ms: at least 200 carrier periods.
+/// Time for the zeros to settle, ms: at least 200 carrier periods.
 const ZERO_MS: u64 = 12;
 
 /// Use of the readings while the bridges are off.
@@ -25,7 +25,6 @@ pub enum Zeroing {
     Check,
 }
 
-/// The present [`Zeroing`].
 static ZEROING: AtomicU8 = AtomicU8::new(Zeroing::No as u8);
 
 /// Largest distance of a zero from the middle of the range, or of a reading from its zero, counts.
@@ -69,7 +68,7 @@ impl<const N: usize> Zeros<N> {
     }
 }
 
-/// Lets the control interrupt learn or check the zeros, with the bridges off, until they learn_or_check_zeros. Returns the largest
+/// Lets the control interrupt learn or check the zeros, with the bridges off, until they settle. Returns the largest
 /// distance, counts, see [`ZERO_WORST`].
 pub fn learn_or_check_zeros(how: Zeroing) -> u16 {
     ZERO_WORST.store(0, Ordering::Relaxed);

@@ -32,7 +32,6 @@ pub(super) fn commit_configuration(
     machine.commit(&all)
 }
 
-/// Stages a configuration.
 pub(super) fn stage_all(
     machine: &mut impl Machine,
     configuration: &Configuration,

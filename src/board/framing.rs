@@ -6,8 +6,8 @@
 use crate::board::protocol::MAX_FRAME;
 use core::cell::Cell;
 
-/// Maximum number of bytes in a block. A block starts with a code, the distance to the next code. A zero follows unless
-/// the block is full.
+/// Maximum number of bytes in a block. A block starts with a code, the distance to the next code. A zero follows all
+/// but full blocks.
 const BLOCK: usize = 254;
 
 /// Returns the maximum length on the wire of a frame with `length` bytes, including its delimiter.

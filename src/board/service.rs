@@ -32,8 +32,8 @@ pub struct Service {
     receiving: TableReceiver,
     name: Name,
     /// Device whose polarity check succeeded since the board started. Checks in flash do not count, because wires may
-    /// change while a board has no power. The entire device is stored, because another device may be constructed with
-    /// the same checksum.
+    /// change while a board has no power. The entire device is stored, because another device may have the same
+    /// checksum.
     polarity: Option<Device<f32>>,
     damage: Vec<(Key, Damage), { Key::ALL.len() }>,
     faults: FaultList,
@@ -187,8 +187,8 @@ impl Service {
     }
 
     /// Loads a scene for the device, with the closed form of the mass matrix, because a prepared matrix is valid only
-    /// for its walls. While the motors are on, the scene must have the present control rate, and the tip must not touch
-    /// the scene's walls.
+    /// for its walls. While the motors are on, the scene must have the present control rate, and the tip must touch no
+    /// wall of it.
     pub fn set_scene(&mut self, machine: &mut impl Machine, scene: Scene<f32>) -> Result<(), Refusal> {
         self.set_scene_and_mass(machine, scene, MassModelData::Exact)
     }
@@ -436,7 +436,6 @@ impl Service {
     }
 }
 
-/// Returns true if a scene can be rendered on a device.
 fn fits(scene: &Scene<f32>, device: &Device<f32>) -> bool {
     usize::from(scene.task) == task(device) && (scene.posture.is_none() || device.axes() > task(device))
 }

@@ -31,8 +31,7 @@ pub enum Key {
     Rules = 3,
     /// The mass model.
     MassModel = 4,
-    /// Checksum of a device that once passed the polarity check. Found on old boards and in old backups; no longer
-    /// used.
+    /// Checksum of a device that once passed the polarity check. Found on old boards and in old backups; unused.
     Polarity = 5,
     /// The board's name.
     Name = 6,

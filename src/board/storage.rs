@@ -4,16 +4,16 @@
 //! cut at any point, either the old or the new value is left; tests/power_cut.rs cuts the power at every flash
 //! operation. The map skips a damaged entry silently and returns the earlier entry. Every entry therefore carries a
 //! generation, and a catalogue of the newest generations is written after each entry. An entry that is older than its
-//! generation in the catalogue is not the saved entry. An entry newer than the catalogue, after a power cut between the
-//! two writes, is valid.
+//! generation in the catalogue is not the saved entry. After a power cut between the two writes, a newer entry than the
+//! catalogue's is valid.
 //!
 //! Several settings change together or not at all. They are staged first ([`Storage::stage`]), then a single entry, the
 //! decision, makes them valid ([`Storage::commit`]), and only then are they moved to their settings' keys. A power cut
 //! before the decision leaves the old settings. After a power cut that follows the decision, the next start carries out
 //! the decision before it reads anything.
 //!
-//! This module does not depend on a chip: the firmware passes its flash as a [`NorFlash`], tests pass a flash with
-//! injected errors.
+//! This module does not depend on a chip: the firmware passes its flash as a [`NorFlash`], tests pass a simulated
+//! flash.
 
 use core::future::Future;
 use core::ops::Range;
@@ -27,7 +27,6 @@ use sequential_storage::map::{MapConfig, MapStorage, SerializationError, Value};
 /// Maximum length of an entry with its key, bytes.
 pub const LONGEST_STORED: usize = 2048;
 
-/// Key of the catalogue.
 const CATALOGUE: u8 = 0;
 /// Key of the decision, which holds the generations of the valid staged entries, or zeros. The settings' keys lie
 /// between catalogue and decision.
@@ -37,7 +36,6 @@ const STAGED: u8 = 8;
 const _: () = assert!(DECISION < STAGED && (DECISION as usize) < SETTINGS && 2 * SETTINGS <= KEYS);
 /// Number of places in the catalogue and in the decision: the keys up to the decision's.
 const SETTINGS: usize = 8;
-/// Number of keys.
 const KEYS: usize = 16;
 
 /// A generation: the seven lower bits count and wrap. 0 for a missing entry and for an entry without generation.
@@ -50,12 +48,10 @@ fn place(key: u8) -> usize {
     usize::from(key) % SETTINGS
 }
 
-/// Returns the bit of a key.
 fn bit(key: u8) -> u16 {
     1 << (usize::from(key) % KEYS)
 }
 
-/// Returns the following generation.
 fn next(generation: Generation) -> Generation {
     generation.wrapping_add(1) | COUNTED
 }
@@ -144,12 +140,9 @@ struct LockableFlash<F> {
     writable: bool,
 }
 
-/// Error of a [`LockableFlash`].
 #[derive(Debug)]
 enum Failure<E> {
-    /// The flash itself failed.
     Flash(E),
-    /// Writing is locked.
     Locked,
 }
 
@@ -275,7 +268,6 @@ impl<'b, F: NorFlash> Storage<'b, F> {
         Ok(block_on(self.map.store_item(self.buffer, &key, item))?)
     }
 
-    /// Returns the generations in the catalogue or the decision.
     fn generations(&mut self, key: u8) -> Result<[Generation; SETTINGS], StorageError> {
         let entry = self.fetch(key)?;
         Ok(entry.and_then(|StampedEntry(_, known)| known.try_into().ok()).unwrap_or_default())
@@ -307,8 +299,8 @@ impl<'b, F: NorFlash> Storage<'b, F> {
         Ok(entry.map(|entry| entry.1))
     }
 
-    /// Stores an entry unless it is stored already, and reads it back. Stalls the program while the flash works, so the
-    /// bridges must be off.
+    /// Stores an entry unless it is stored already, and reads it back. Stalls the program meanwhile, so the bridges
+    /// must be off.
     pub fn write(&mut self, key: u8, value: &[u8]) -> Result<(), StorageError> {
         self.with_writing(|storage| {
             storage.recover()?;

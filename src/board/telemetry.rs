@@ -37,7 +37,6 @@ impl Kind {
     }
 }
 
-/// A type of numbers in telemetry.
 trait Number {
     const KIND: Kind;
 }
@@ -184,7 +183,6 @@ const _: () = assert!(
     "a row fits into a batch, and the number of walls into the state's byte"
 );
 
-/// Returns the bits of all fields.
 const fn all_bits() -> u32 {
     let (mut bits, mut i) = (0, 0);
     while i < Field::ALL.len() {

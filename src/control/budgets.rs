@@ -225,7 +225,6 @@ where
         }
     }
 
-    /// Returns the leverage at these counts.
     #[inline(never)]
     fn leverage_at(&self, counts: &Counts) -> Option<Leverage> {
         let program = self.program.as_ref()?;
@@ -252,7 +251,6 @@ where
         self.update_force_bounds();
     }
 
-    /// Compares a new `leverage` with the present one.
     #[inline(always)]
     fn compare(&mut self, leverage: &Leverage) {
         let change = leverage.relative_change_from(&self.leverage).lesser(1.0);

@@ -31,7 +31,7 @@ const KICK_SHARE: f32 = 1.0 / 32.0;
 const IMBALANCE_SHARE: f32 = 0.15;
 /// Largest difference of two current sensors at zero current, A: zeros and noise.
 const IMBALANCE_FLOOR: f32 = 0.5;
-/// Speed floor_to_i32 which an encoder stands still, in counts per carrier period: one count in 1000 periods.
+/// Speed below which an encoder stands still, in counts per carrier period: one count in 1000 periods.
 const STANDSTILL: f32 = 1.0e-3;
 
 /// A joint and its motor. The fields are contiguous in the order of a crest, so that one address reaches every field.
@@ -57,7 +57,6 @@ pub(super) struct Joint<S> {
 struct Bounds {
     /// Largest motion in a carrier period, counts.
     jump: i32,
-    /// Gain of the speed filter.
     gain: f32,
     /// Gain of the filter for back-EMF.
     steady_gain: f32,
@@ -132,7 +131,6 @@ impl<S: Stage> Joint<S> {
         self.stage.strain()
     }
 
-    /// Returns true if the encoder stands still.
     pub(super) fn stands_still(&self) -> bool {
         self.speed.abs() < STANDSTILL
     }
@@ -272,7 +270,6 @@ where
         self.drive_all::<J, L>(&supply, false, samples, into, legs)
     }
 
-    /// Finishes a crest in which something is unusual.
     #[cold]
     #[inline(never)]
     fn finish_unusual_crest<const J: usize, L>(
@@ -413,7 +410,6 @@ where
         self.store_counts(seen);
     }
 
-    /// Stores the counts of this crest for the next one.
     fn store_counts(&mut self, seen: &Samples) {
         for (joint, count) in self.joints.iter_mut().zip(seen.counts.iter()) {
             joint.count = *count;
@@ -434,7 +430,7 @@ where
         let (crests, bus) = (&self.crests, seen.bus_voltage);
         let joints = || self.joints.iter().enumerate().take(self.count());
         for (i, _) in joints() {
-            // NaN is checked first because it makes every comparison floor_to_i32 meaningless.
+            // NaN is checked first because it makes every comparison below meaningless.
             note(active && !seen.currents[i].is_finite(), Fault::NotFinite, Some(i), seen.currents[i]);
         }
         note(active && !bus.is_finite(), Fault::NotFinite, None, bus);

@@ -38,7 +38,6 @@ struct Lease {
 }
 
 impl Lease {
-    /// Returns the torques that still act.
     fn remaining_torques(&self) -> Torques {
         let part = if self.remaining > 0.0 { self.remaining / self.life } else { 0.0 };
         Torques(self.torque.map(|torque| part * torque))
@@ -60,7 +59,6 @@ pub(super) struct Fade {
     /// Share of the device's weight that was carried. The weight torques are computed for the present pose, because
     /// torques of another pose could exceed all limits.
     carried: f32,
-    /// Torques that rendered the previous scene.
     scene: Torques,
     host: Lease,
     /// Feed-forward torques. `aside_squared` is the square of their tip force in the first step, N².
@@ -81,7 +79,6 @@ impl Fade {
         Torques::from_fn(|i| self.scene[i] + host[i])
     }
 
-    /// Interpolates between `from` and `to` by the ramp.
     fn interpolate(&self, from: f32, to: f32) -> f32 {
         from + (to - from) * self.ramp
     }

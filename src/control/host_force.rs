@@ -230,7 +230,6 @@ struct Blend {
 }
 
 impl Blend {
-    /// Returns the present plane.
     fn now(&self) -> PushedPlane<f32> {
         if self.elapsed >= self.duration {
             return self.to;
@@ -415,7 +414,6 @@ where
         ForceDone::Taken
     }
 
-    /// Renders the scene and the host's push.
     #[inline(never)]
     pub(super) fn render_pushed(&mut self, counts: &Counts) {
         let push = self.host.step(self.period);
@@ -428,8 +426,8 @@ where
         }
     }
 
-    /// Adds the host's joint torques to the demand, and recomputes the resultant force, because the torques also make a
-    /// force at the tip.
+    /// Adds the host's joint torques to the demand, and recomputes the resultant force, because the torques make a tip
+    /// force.
     fn add(&mut self, counts: &Counts) {
         let torque = self.host.torque;
         if torque != Torques::default()
@@ -445,7 +443,6 @@ where
         }
     }
 
-    /// Clears the host's request.
     pub(super) fn clear_host_force(&mut self) {
         self.host = HostForce::default();
         if let Some(program) = self.program.as_mut() {

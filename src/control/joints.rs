@@ -1,5 +1,4 @@
-//! Values of every joint, padded with zeros to [`MAX_JOINTS`]. Counts, torques, currents and duties are separate types
-//! to prevent confusion.
+//! Values of every joint, padded with zeros to [`MAX_JOINTS`]. Counts, torques, currents and duties are separate types.
 
 use crate::model::catalogue::MAX_JOINTS;
 use core::ops::{Deref, DerefMut};

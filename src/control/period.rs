@@ -50,8 +50,8 @@ where
         self.outputs()
     }
 
-    /// Finishes the control step: runs the checks and commands the torques that [`ControlLoop::render`] computed for
-    /// the same counts.
+    /// Runs the checks of the control step, and commands the torques that [`ControlLoop::render`] computed for these
+    /// counts.
     pub fn act(&mut self, samples: &Samples) -> Outputs {
         self.step(&self.complete_samples(samples));
         if !self.hardware.bridge.current_sensed {

@@ -89,8 +89,8 @@ const MAX_UNDRIVEN_ANGLE: f32 = 0.14;
 const MAX_HOME_ERROR: f32 = 0.15;
 /// Smallest factor by which possible home errors reduce the torque; near a stretched pose it would be 0.
 const MIN_HOME_ERROR_FACTOR: f32 = 0.4;
-/// Range of a swing's angular frequency, rad/s: from above the pendulum motion of a hanging device to a third of a soft
-/// cable's frequency.
+/// Range of a swing's angular frequency, rad/s: above the pendulum motion of a hanging device, up to a third of a soft
+/// cable's.
 const SWING_RATE_RANGE: (f32, f32) = (8.0, 50.0);
 /// Highest angular frequency if friction exceeds the torque for inertia, rad/s.
 const MAX_SWING_RATE: f32 = 200.0;
@@ -140,8 +140,8 @@ struct Swing {
     rate: f32,
     /// Torque of the first detected motion, N m.
     moved_by: Option<f32>,
-    /// Angle to either side at which the torque stops growing, rad. `ends` are the joints' lowest and highest angles in
-    /// this turn, rad.
+    /// Angle to either side at which the torque stops growing, rad. `ends` are the joints' extreme angles in this turn,
+    /// rad.
     angle: f32,
     ends: [(f32, f32); MAX_JOINTS],
     /// True if the torque has stopped growing.
@@ -178,7 +178,6 @@ impl Swing {
     }
 }
 
-/// Results of a finished swing.
 #[derive(Clone, Copy, Debug, Default)]
 struct Results {
     /// Ratio of the torque that acted to the file's torque.
@@ -192,7 +191,6 @@ struct Results {
     unclear: bool,
 }
 
-/// Progress of the polarity check.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct PolarityCheck {
     /// Number of the joint under test.
@@ -347,8 +345,8 @@ where
         self.polarity.poses = corner + 1;
     }
 
-    /// Returns a torque (N m) of the joint under test, reduced to the force limit at the tip in this pose and the
-    /// neighbouring poses.
+    /// Returns a torque (N m) of the joint under test, reduced to the tip's force limit in this and the neighbouring
+    /// poses.
     fn within_tip_force(&self, wanted: f32) -> Torques {
         let i = self.axis();
         let tip_force = self.rules.limits.tip_force;
@@ -569,7 +567,6 @@ where
         results.found = dot(acted[i], acted[i]) / dot(acted[i], driven);
     }
 
-    /// Compares the winding's resistance with the file's.
     #[inline(never)]
     fn compare_resistance(&mut self, swing: &Swing) {
         let i = self.axis();

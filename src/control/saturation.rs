@@ -124,7 +124,6 @@ impl TorqueDemand<f32> {
         self.total[i] - self.gravity[i] - self.rendered[i]
     }
 
-    /// Returns the feed-forward of all joints.
     #[inline(always)]
     fn feed_forwards(&self) -> [f32; MAX_JOINTS] {
         core::array::from_fn(|i| self.feed_forward(i))

@@ -85,7 +85,6 @@ where
         while self.settle_next() {}
     }
 
-    /// Records a sign of life of the host.
     pub(super) fn record_host(&mut self) {
         self.host_seen_at = self.now.step;
         self.expect_host();
@@ -100,7 +99,6 @@ where
     pub(super) fn record_key(&mut self, press: Press) {
         let steps = |key: Press| self.now.step.wrapping_sub(key.seen);
         let newer = match self.key {
-            // A key has one holder.
             Some(key) => key.holder == press.holder && steps(press) < steps(key),
             None => self.state.drives(),
         };

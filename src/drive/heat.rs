@@ -108,7 +108,6 @@ impl Heat {
         self.update_budget();
     }
 
-    /// Updates the budget for the allowed currents.
     fn update_budget(&mut self) {
         if self.held <= 0.0 || self.max_squared <= self.warmed_squared {
             self.warmed_squared = self.allowed_squared;

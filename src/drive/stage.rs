@@ -65,7 +65,6 @@ impl Supply {
         Self { volts, inverse: 1.0 / volts }
     }
 
-    /// Returns true if the voltage is plausible.
     #[inline(always)]
     pub(crate) fn is_usable(&self) -> bool {
         margin_bits_between(self.volts, BUS_VOLTAGE) >= 0

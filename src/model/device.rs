@@ -199,7 +199,6 @@ fn finite_at<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(mechanism: &M, 
     results.iter().all(|v| v.iter().all(|x| x.is_finite())) && shaping.w_rr.is_finite()
 }
 
-/// Converts joint angles from rad.
 fn angles<const N: usize>(q: &[f32; MAX_JOINTS]) -> [Angle<f32>; N] {
     head(q).map(Angle::from_radians)
 }
@@ -267,13 +266,11 @@ impl Leverage {
     }
 }
 
-/// Returns |f|².
 #[inline(always)]
 pub(crate) fn squared<const N: usize>(force: &[f32; N]) -> f32 {
     force.iter().fold(0.0, |sum, along| sum + along * along)
 }
 
-/// Returns the unit vector of a task axis.
 #[inline(always)]
 fn unit<const N: usize>(direction: usize) -> SVector<f32, N> {
     SVector::from_fn(|i, _| if i == direction { 1.0 } else { 0.0 })

@@ -79,8 +79,7 @@ impl<T: Real, const N: usize> Split<T, N> {
 
 /// Returns the rotation term κ (m/s²) of the task frame on a curved wall, such that T⁻¹Ṫ q̇ = J⁻¹(J̇ q̇ + κ). For one
 /// rendered direction `n` with rate `n_rate` and the tip velocity `velocity`, κ = n(ṅ·ṗ) - ṅ(n·ṗ). The admissible
-/// directions do not spin about n. For several rendered directions in space, pass the admissible direction and its
-/// rate.
+/// directions do not spin about n. For several rendered directions, pass the admissible direction and its rate.
 pub fn frame_rate<T: Real, const N: usize>(
     n: &SVector<T, N>,
     n_rate: &SVector<T, N>,

@@ -143,8 +143,7 @@ pub trait Mechanism<T: Real, const N: usize>: Copy + core::fmt::Debug {
     fn pose<K: Math<T>>(&self, q: &SVector<T, N>) -> Self::Pose {
         self.pose_at::<K>(&core::array::from_fn(|i| Angle::from_radians(q[i])))
     }
-    /// Computes [`Mechanism::pose_at`] without clamps, or returns `None` if a sine is below the one in `least`
-    /// (positive sines).
+    /// Computes [`Mechanism::pose_at`] without clamps, or returns `None` if a sine is below `least` (positive sines).
     #[inline(always)]
     fn regular_pose<K: Math<T>>(&self, angles: &[Angle<T>; N], least: &Regularity<T>) -> Option<Self::Pose> {
         let pose = self.pose_at::<K>(angles);
@@ -198,8 +197,7 @@ pub trait Mechanism<T: Real, const N: usize>: Copy + core::fmt::Debug {
     }
     /// Computes equation (4) for one wall of unit normal `n` whose `force` (N) is rendered in every motion: E = J⁻¹ n
     /// (rad/m) and the joint torques τ = M E Wrr⁻¹ f + b (N m). b is zero without joint velocities `qd` (rad/s). The
-    /// tip accelerates by f/Wrr along n and not across n. Mechanisms with a closed form use one pass of inverse
-    /// dynamics.
+    /// tip accelerates by f/Wrr along n and not across n. A closed form needs one pass of inverse dynamics.
     #[inline(always)]
     fn shaped(&self, pose: &Self::Pose, n: &SVector<T, N>, force: T, qd: Option<&SVector<T, N>>) -> Shaped<T, N> {
         let shaping = self.shaping(pose, n);

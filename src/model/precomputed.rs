@@ -16,8 +16,8 @@ use nalgebra::{SMatrix, SVector};
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
-/// Maximum number of values in a table (2 800 bytes): 15 x 15 points of a five-bar, 13 x 13 with a turret, 10 x 10 of a
-/// 3R arm.
+/// Maximum number of values in a table (2 800 bytes): 15 x 15 points of a five-bar, 13 x 13 with a turret, 10 x 10 of
+/// serial-3r.
 pub const TABLE_VALUES: usize = 700;
 
 /// Maximum number of distinct entries in a mechanism's M.
@@ -29,7 +29,7 @@ pub enum Interpolation {
     /// Linear in both coordinates: continuous, error of second order in the spacing.
     Bilinear,
     /// Catmull-Rom in both coordinates: continuous with continuous slope, error of third order. The outermost points
-    /// only provide slopes.
+    /// are only for slopes.
     Bicubic,
 }
 

@@ -27,8 +27,7 @@ use crate::model::mechanism::Shaping;
 use crate::model::solve::solve_symmetric;
 use nalgebra::{SMatrix, SVector};
 
-/// Maximum number of sweeps of Jacobi rotations. Two directions need one; three converge quadratically and are exact to
-/// rounding after four.
+/// Maximum number of sweeps of Jacobi rotations. Two directions need one; three are exact to rounding after four.
 const MAX_SWEEPS: usize = 6;
 
 /// Largest error of a normal's squared length that is ignored, to save a root. The normals of a scene are within it;

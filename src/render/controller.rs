@@ -114,7 +114,6 @@ pub struct Controller<T: Real, M, K, const N: usize> {
     turning_terms: bool,
     /// True if the walls' energy is counted, for the passivity controller or for display.
     is_counting_energy: bool,
-    /// True if the passivity controller is on.
     is_passivity_on: bool,
     mechanism: M,
     coefficients: Coefficients<T>,
@@ -277,7 +276,6 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         }
     }
 
-    /// Records that no wall is touched.
     #[inline(always)]
     fn record_no_contact(&mut self) {
         if self.is_counting_energy {

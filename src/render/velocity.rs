@@ -157,7 +157,6 @@ macro_rules! estimators {
             }
         }
 
-        /// Coefficients of a joint estimator.
         #[derive(Clone, Copy, Debug, PartialEq)]
         enum Design<T: Real> { $($Name(<$Name<T> as JointEstimator<T>>::Design),)* }
 

@@ -27,7 +27,6 @@ use crate::index;
 use crate::pwm;
 use crate::zeros::{Zeroing, Zeros, learn_or_check_zeros};
 
-/// Number of motors.
 const AXES: usize = 3;
 
 /// Time in which both inputs of a bridge are low at each edge: 17 ticks of 1/168 MHz, 101 ns. It is equal at both
@@ -51,15 +50,12 @@ const TIM2: TimGp16 = unsafe { TimGp16::from_ptr(pac::TIM2.as_ptr()) };
 
 /// The wiring of a board with H-bridges. All boards use the encoder pins PA15 and PB3, PB4 and PB5, PB6 and PB7.
 pub trait Wires {
-    /// The board's name.
     const NAME: &'static str;
-    /// The pins that identify the board.
     const IDENTITY: IdentityPins;
     /// The level of the supply monitor.
     const SUPPLY_LEVEL: u8;
     /// The bridges' enable line.
     const ENABLE: (Gpio, usize);
-    /// The break input.
     const BREAK: (Gpio, usize);
     /// Masks of the index inputs in port C.
     const INDEX_LINES: [u32; AXES];
@@ -74,7 +70,6 @@ pub trait Wires {
     fn divide(p: Peripherals) -> (Pins, Common);
 }
 
-/// A pin of the chip.
 type AnyPeri = Peri<'static, AnyPin>;
 
 /// A board's pins.

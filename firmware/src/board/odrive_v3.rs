@@ -29,7 +29,6 @@ use crate::index;
 use crate::pwm;
 use crate::zeros::{Zeroing, Zeros, learn_or_check_zeros};
 
-/// Number of motors.
 const AXES: usize = 2;
 
 /// Dead time between the switches of a half bridge: 20 ticks of 1/168 MHz, 119 ns. The drivers add their own dead time.

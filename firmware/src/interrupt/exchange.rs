@@ -10,7 +10,6 @@ use haptic_bridge::drive::carrier::Carrier;
 
 /// A request of a task to the control interrupt.
 pub enum Request {
-    /// A command to the control loop.
     Command(Command<BoardProgram>),
     /// A request for the status alone.
     Status,
@@ -34,7 +33,6 @@ pub struct Outcome {
 
 /// A request and the place for its outcome, both owned by the waiting task.
 pub(super) enum Exchange<'t> {
-    /// A request of a task.
     Request(Request, &'t mut Option<Outcome>),
     /// A force request of the host; up to thousands arrive per second.
     Force(&'t ForceRequest, &'t mut Option<ForceAnswer>),

@@ -13,7 +13,6 @@ use crate::board::Io as _;
 use crate::warmth;
 
 impl InterruptState {
-    /// Does the work of a valley.
     #[inline(always)]
     pub(super) fn valley(&mut self) {
         self.valley_at = DWT::cycle_count();

@@ -52,8 +52,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         put(&torque, &mut asked.total);
     }
 
-    /// Returns the joint torques of any scene and the part that renders its forces (N m), and the forces' resultant
-    /// (N).
+    /// Returns the joint torques of any scene, the part that renders its forces (N m), and their resultant (N).
     #[inline(always)]
     fn render_any_scene(
         &mut self,

@@ -159,7 +159,6 @@ impl<T: Real> Guidance<T> {
         shared
     }
 
-    /// Returns the host's plane if it is stiff.
     #[inline(always)]
     fn stiff_plane(&self) -> Option<&PushedPlane<T>> {
         self.push.as_ref().map(|push| &push.plane).filter(|plane| plane.stiffness > T::zero())

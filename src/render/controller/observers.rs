@@ -5,7 +5,6 @@ use crate::model::device::Device;
 use crate::render::velocity::{Coefficients, JointSample, JointVelocity};
 use nalgebra::SVector;
 
-/// State of one joint.
 #[derive(Clone, Copy, Debug)]
 struct Joint<T: Real> {
     velocity: JointVelocity<T>,

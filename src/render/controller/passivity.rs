@@ -30,7 +30,6 @@ pub(super) struct Passivity<T: Real, const N: usize> {
     held: SVector<T, N>,
 }
 
-/// The walls' energy debt.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Debt<T> {
     /// Energy owed, J.

@@ -12,9 +12,8 @@ pub const FULL_REGULARITY: f64 = 0.05;
 /// Sine at and below which the feed-forward is off. It fades up to [`FULL_REGULARITY`], so the force is continuous.
 pub const NO_REGULARITY: f64 = 0.02;
 /// Divisor of the sine of a parallel singularity before the comparison with the limits for serial singularities. The
-/// feed-forward therefore acts in full from a sine of 0.15 (rods 9° from one line), and is off at 0.06. The reason is
-/// precision: Jᵀ itself loses digits as 1/sin², and from 0.15 on the f32 torque of a moving tip is within 1e-4
-/// (docs/hard-cases.md).
+/// feed-forward therefore acts in full from a sine of 0.15 (rods 9° from one line), and is off at 0.06. Jᵀ itself loses
+/// digits as 1/sin², and from 0.15 on the f32 torque of a moving tip is within 1e-4 (docs/hard-cases.md).
 pub const PARALLEL_REGULARITY: f64 = 3.0;
 /// Rotation of the fastest joint during the lag of its velocity estimate (rad), divided by the sine of the nearest
 /// singularity, up to which velocity terms act in full.

@@ -3,8 +3,7 @@
 //! `Controller::render_any_scene` is the reference for any scene: it iterates over a list of walls and tests for every
 //! feature that a scene may have. A straight step computes the same estimates, contacts and states, bit for bit,
 //! without the list and the tests. Its torques take fewer operations and are equal up to rounding.
-//! tests/straight_steps.rs checks both. The general step fades the feed-forward; a cold function computes unusual
-//! velocity terms.
+//! tests/straight_steps.rs checks both. The general step fades the feed-forward.
 //!
 //! Each straight step is a separate function that is not inlined, because one function for all would need a stack frame
 //! beyond the reach of the FPU's loads.

@@ -16,7 +16,6 @@ use nalgebra::SVector;
 
 mod contact_group;
 
-/// One wall at run time.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct RunningWall<T: Real> {
     wall: Wall<T>,
@@ -47,7 +46,6 @@ pub(super) struct ContactPull<T> {
     pub reach: T,
 }
 
-/// The effect of one wall in one step.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct WallEffect<T> {
     /// Velocity along the normal, m/s.
@@ -218,7 +216,6 @@ pub(super) enum BiasScope<'a, T: Real, const N: usize> {
     Level(&'a ContactGroup<'a, T, N>, usize),
 }
 
-/// All walls of a scene.
 #[derive(Clone, Debug)]
 pub(super) struct Walls<T: Real> {
     running: Vec<RunningWall<T>, MAX_WALLS>,

@@ -1,5 +1,5 @@
-//! The step for several walls, or for walls that act together with springs and a host's plane, on a device with two
-//! joints in the plane.
+//! The step for several walls, or for walls together with springs and a host's plane, on a planar device with two
+//! joints.
 
 use super::super::Controller;
 use super::super::guidance::SharedGuidance;

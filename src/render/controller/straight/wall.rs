@@ -75,7 +75,6 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         self.write_total(&torque, || contact.normal * force, result);
     }
 
-    /// Writes the result of a step without contact.
     #[inline(always)]
     fn write_untouched(&mut self, result: &mut StepResult<T>) {
         self.record_no_contact();
