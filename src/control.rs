@@ -34,10 +34,10 @@ use crate::render::step_result::TorqueDemand;
 use crate::safety::fault::{Fault, FaultRecord, State};
 use core::ops::DerefMut;
 use crest::Joint;
-pub use crest::SPEED_HZ;
+pub use crest::SPEED_FILTER_HZ;
 pub use requests::{Beat, Command, Press, REST_SPEED, Reply, Status};
 pub use rules::{HostAction, Rules};
-pub use watch::{KEY_SECONDS, TRIPPING_SINE};
+pub use watch::{KEY_SECONDS, MIN_PARALLEL_SINE};
 
 /// Time over which torque ramps up after arming, s.
 pub const ARM_SECONDS: f32 = 0.5;

@@ -52,14 +52,14 @@ pub fn configure(adc: Adc, channels: &[u8]) {
 
 /// Returns true if both converters have finished the sequence that the crest started.
 #[inline(always)]
-pub fn finished(one: Adc, other: Adc) -> bool {
+pub fn have_finished(one: Adc, other: Adc) -> bool {
     Sr(one.sr().read().0 & other.sr().read().0).jeoc()
 }
 
 /// Waits until both converters have finished. Returns false after about 10 us, if a converter was not triggered.
 #[inline(never)]
 pub fn wait(one: Adc, other: Adc) -> bool {
-    (0..200).any(|_| finished(one, other))
+    (0..200).any(|_| have_finished(one, other))
 }
 
 /// Clears the flags of the last sequence, so that the next wait is for the next sequence. Call at every valley.

@@ -121,7 +121,7 @@ pub trait Board {
     type Gate: Gate;
 
     /// Turns the bridges off by plain register writes, which work in any state of the program, even in fault handlers.
-    fn off();
+    fn turn_bridges_off();
 
     /// Divides the chip's peripherals between interrupt and tasks, and sets the timers to `carrier` without starting
     /// them. If `board` is false, the chip is on another board: only USB's pins are used, there is no power stage, and

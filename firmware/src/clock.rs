@@ -19,7 +19,7 @@ pub const TIMER_HZ: u32 = 168_000_000;
 const SUPPLY_LINE: usize = 16;
 
 /// Device identifier of the chip (RM0090 section 38.6.1). Revision A has another one (errata sheet ES0182).
-const NOT_REVISION_A: u16 = 0x413;
+const DEVICE_ID_AFTER_REVISION_A: u16 = 0x413;
 
 /// Waits until the chip's supply is above `level` of its monitor, because below 2.7 V the flash is too slow for the
 /// full clock. The chip meanwhile runs on its own oscillator, which needs 1.8 V; below 1.8 V the power-on reset holds
@@ -64,7 +64,7 @@ pub fn start(level: u8) -> Peripherals {
     // with a compare value that is still 0, and sets the flag of a half turn. With this flag, the clock would be half a
     // turn ahead and, between a half turn and its interrupt, 65 ms early. It is cleared before a real half turn.
     critical_section::with(|_| {
-        let chip = embassy_stm32::init(config());
+        let chip = embassy_stm32::init(clock_tree());
         pac::TIM5.sr().write(|w| w.0 = 0);
         enable_flash_caches();
         enable_monitors(level);
@@ -76,7 +76,7 @@ pub fn start(level: u8) -> Peripherals {
 /// flash's five wait states. Reset and embassy leave all three off, which doubles the duration of the control
 /// interrupt. Prefetch does not work in revision A.
 fn enable_flash_caches() {
-    let prefetch = pac::DBGMCU.idcode().read().dev_id() == NOT_REVISION_A;
+    let prefetch = pac::DBGMCU.idcode().read().dev_id() == DEVICE_ID_AFTER_REVISION_A;
     let control = pac::FLASH.acr();
     // The caches can be cleared only while they are off.
     control.modify(|w| {
@@ -105,7 +105,7 @@ pub fn clear_data_cache() {
 }
 
 /// Returns the clock tree, with all DMA interrupts below the control interrupt.
-fn config() -> Config {
+fn clock_tree() -> Config {
     let mut config = Config::default();
     config.rcc.hsi = false;
     config.rcc.hse = Some(Hse { freq: Hertz(8_000_000), mode: HseMode::Oscillator });

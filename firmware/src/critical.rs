@@ -23,7 +23,7 @@ pub const WATCHDOG: Priority = Priority::P2;
 pub const OTHERS: Priority = Priority::P6;
 
 /// Highest priority that a critical section masks: level 3, in the upper four bits.
-const CEILING: u8 = 3 << 4;
+const MASKED_PRIORITY: u8 = 3 << 4;
 
 /// Gives every interrupt of the chip the priority [`OTHERS`]. After a reset all have priority 0, at which they would
 /// run inside critical sections. Call before any interrupt is enabled, and set the three higher priorities afterwards.
@@ -46,7 +46,7 @@ critical_section::set_impl!(BasePriority);
 unsafe impl critical_section::Impl for BasePriority {
     unsafe fn acquire() -> critical_section::RawRestoreState {
         let before = basepri::read();
-        basepri_max::write(CEILING);
+        basepri_max::write(MASKED_PRIORITY);
         core::sync::atomic::compiler_fence(core::sync::atomic::Ordering::SeqCst);
         before
     }

@@ -27,7 +27,7 @@ const PINS: u32 = 0xFFFF;
 
 /// Returns the lines with a pulse since the last call of [`take_pulses`].
 #[inline(always)]
-pub fn pending() -> u32 {
+pub fn pending_lines() -> u32 {
     pac::EXTI.pr(0).read().0 & PINS
 }
 
@@ -35,7 +35,7 @@ pub fn pending() -> u32 {
 /// the encoders' index lines.
 #[cold]
 pub fn take_pulses(lines: &[u32], counts: &Counts) -> [Option<i32>; MAX_JOINTS] {
-    let pending = pending();
+    let pending = pending_lines();
     // A flag is cleared by writing 1.
     pac::EXTI.pr(0).write_value(Lines(pending));
     let mut marks = [None; MAX_JOINTS];

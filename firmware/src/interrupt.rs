@@ -142,7 +142,7 @@ fn TIM1_UP_TIM10() {
     // SAFETY: `start` wrote the state before it enabled this interrupt. Only the interrupt uses it, and never preempts
     // itself.
     let state = unsafe { (*CONTROL.state.get()).assume_init_mut() };
-    if past_valley() {
+    if is_past_valley() {
         state.valley();
     } else {
         state.crest();
@@ -161,7 +161,7 @@ impl InterruptState {
             self.record_index_pulses();
         }
         compiled::render(&mut self.control_loop, &self.samples.counts);
-        if passed_an_extreme() {
+        if has_passed_an_extreme() {
             self.check_missed_crest();
         }
         // The conversions have finished while the scene was rendered.
@@ -261,7 +261,7 @@ impl InterruptState {
         if self.driving && !drives {
             self.float_bridges();
         }
-        self.pending = !past_valley();
+        self.pending = !is_past_valley();
         if !self.pending {
             self.io.write(&self.legs);
         }
@@ -286,7 +286,7 @@ impl InterruptState {
         self.late > 0
     }
 
-    /// Trips because of an overrun. Call while the motors are on.
+    /// Trips [`Fault::ControlOverrun`]. Call while the motors are on.
     fn trip_overrun(&mut self) {
         let overruns = CONTROL.shared.overruns.load(Ordering::Relaxed).wrapping_add(1);
         self.control_loop.trip(Fault::ControlOverrun, None, overruns as f32);
@@ -354,7 +354,7 @@ impl InterruptState {
     /// Records the duration of a crest that is the longest so far or lasted past the valley.
     #[inline(always)]
     fn record_long_crest(&mut self) {
-        if passed_an_extreme() || pac::TIM1.cnt().read().0 < CONTROL.shared.least_left.load(Ordering::Relaxed) {
+        if has_passed_an_extreme() || pac::TIM1.cnt().read().0 < CONTROL.shared.least_left.load(Ordering::Relaxed) {
             self.record_time();
         }
     }
@@ -364,7 +364,7 @@ impl InterruptState {
     #[cold]
     #[inline(never)]
     fn record_time(&mut self) {
-        if passed_an_extreme() {
+        if has_passed_an_extreme() {
             self.late = LATE_CRESTS;
         }
         let Shared { stall_expected, longest_cycles, least_left, overruns, .. } = &CONTROL.shared;
@@ -377,7 +377,7 @@ impl InterruptState {
             longest_cycles.store(cycles, Ordering::Relaxed);
             least_left.store(top.saturating_sub(cycles), Ordering::Relaxed);
         }
-        if passed_an_extreme() && self.outlasts_crest() {
+        if has_passed_an_extreme() && self.outlasts_crest() {
             self.before_step |= OVERRAN;
             increment(overruns);
         }
@@ -390,7 +390,7 @@ impl InterruptState {
 
     /// Returns true if the interrupt lasted past the crest after its valley.
     fn outlasts_crest(&self) -> bool {
-        !past_valley() || self.since_valley() > 3 * u32::from(self.io.carrier().top)
+        !is_past_valley() || self.since_valley() > 3 * u32::from(self.io.carrier().top)
     }
 }
 
@@ -423,12 +423,12 @@ const EXTREME_CYCLES: u32 = 252;
 
 /// Returns true if the carrier has passed a crest or a valley since this interrupt began.
 #[inline(always)]
-fn passed_an_extreme() -> bool {
+fn has_passed_an_extreme() -> bool {
     pac::TIM1.sr().read().uif()
 }
 
 /// Returns true if the carrier has passed its valley since the crest.
 #[inline(always)]
-fn past_valley() -> bool {
+fn is_past_valley() -> bool {
     pac::TIM1.cr1().read().dir() == Dir::UP
 }

@@ -250,7 +250,7 @@ fn while_flash_stalls<R>(work: impl FnOnce() -> R) -> R {
 /// Disables the power stage. Call while the motors are off; only tasks switch them on.
 fn lower_gate() {
     interrupt::shared().gate_ready.store(false, Ordering::Relaxed);
-    This::off();
+    This::turn_bridges_off();
 }
 
 /// Returns the part of `text` that fits into `N` bytes.

@@ -44,7 +44,7 @@ use crate::watchdog::Watchdog;
 
 #[embassy_executor::main]
 async fn main(spawner: Spawner) {
-    This::off();
+    This::turn_bridges_off();
     reset::enter_boot_loader_if_requested();
     let start = reset::take_record();
     critical::lower_all();

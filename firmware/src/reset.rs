@@ -166,7 +166,7 @@ pub fn take_record() -> Start {
 
 /// Turns the bridges off and resets into the chip's USB boot loader.
 pub fn reboot_to_boot_loader() -> ! {
-    This::off();
+    This::turn_bridges_off();
     // SAFETY: a single aligned word that only the start-up code reads.
     unsafe { addr_of_mut!(BOOT_REQUEST).cast::<u32>().write_volatile(BOOT_LOADER_MARK) };
     SCB::sys_reset()
@@ -174,7 +174,7 @@ pub fn reboot_to_boot_loader() -> ! {
 
 /// Turns the bridges off and restarts the program.
 pub fn reboot() -> ! {
-    This::off();
+    This::turn_bridges_off();
     SCB::sys_reset()
 }
 
@@ -230,7 +230,7 @@ fn panic(info: &PanicInfo) -> ! {
 
 #[inline(never)]
 fn record_panic(line: u32, file: u32, len: u32) -> ! {
-    This::off();
+    This::turn_bridges_off();
     cortex_m::interrupt::disable();
     write_down_and_reset(1, line, 0, (file, len))
 }
@@ -261,7 +261,7 @@ unsafe extern "C" {
 }
 
 extern "C" fn hard_fault(frame: *const u32) -> ! {
-    This::off();
+    This::turn_bridges_off();
     cortex_m::interrupt::disable();
     let (bottom, top) = (addr_of!(_stack_end) as usize, addr_of!(_stack_start) as usize);
     let at = frame as usize;
@@ -292,7 +292,7 @@ fn PVD() -> ! {
 /// Turns the bridges off, records the cause and resets. `pc` is the program counter, or the number of an interrupt.
 #[inline(never)]
 fn record_end(kind: u32, pc: u32) -> ! {
-    This::off();
+    This::turn_bridges_off();
     cortex_m::interrupt::disable();
     write_down_and_reset(kind, pc, 0, (0, 0))
 }

@@ -18,7 +18,7 @@ use crate::board::{Board, IdentityPins, Pin, This};
 static RAM_FAILED: AtomicU32 = AtomicU32::new(0);
 
 /// True if the image in flash matches its checksum.
-static IMAGE_SOUND: AtomicBool = AtomicBool::new(false);
+static IS_IMAGE_SOUND: AtomicBool = AtomicBool::new(false);
 
 // The RAM test: march C- over stack and statics, word by word, with all bits 0 and all bits 1 (van de Goor 1993): write
 // 0; up: read 0, write 1; up: read 1, write 0; down: read 0, write 1; down: read 1, write 0; read 0. It detects stuck
@@ -106,7 +106,7 @@ pub fn check_image() {
     }
     // SAFETY: the linker placed this word in flash.
     let written = unsafe { addr_of!(_image_check).read_volatile() };
-    IMAGE_SOUND.store(sum.sum() == written, Ordering::Relaxed);
+    IS_IMAGE_SOUND.store(sum.sum() == written, Ordering::Relaxed);
 }
 
 /// Number of the pin that differs from this image's board, [`NOT_CHECKED`], or [`NO_PIN`] if all pins match.
@@ -136,7 +136,7 @@ pub fn check_board() -> bool {
 pub fn failed() -> Option<FaultRecord> {
     let address = RAM_FAILED.load(Ordering::Relaxed);
     let pin = WRONG_PIN.load(Ordering::Relaxed);
-    let (fault, value) = match IMAGE_SOUND.load(Ordering::Relaxed) {
+    let (fault, value) = match IS_IMAGE_SOUND.load(Ordering::Relaxed) {
         _ if address != 0 => (Fault::RamDamaged, address as f32),
         false => (Fault::ImageDamaged, 0.0),
         true if pin != NO_PIN => (Fault::WrongBoard, f32::from(pin)),

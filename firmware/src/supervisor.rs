@@ -14,7 +14,7 @@ use crate::watchdog::{self, Watchdog};
 const CHECK_PERIOD: Duration = Duration::from_millis(20);
 
 /// Longest time between two reports of a task, ms.
-const SILENCE_MAX_MS: u32 = 1000;
+const MAX_SILENCE_MS: u32 = 1000;
 
 /// A task that the supervisor watches.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, defmt::Format)]
@@ -91,7 +91,7 @@ pub async fn supervise(mut watchdog: Watchdog) -> ! {
         let now = now_ms();
         let silent = TASKS
             .into_iter()
-            .find(|task| now.wrapping_sub(LAST_REPORT_MS[*task as usize].load(Ordering::Relaxed)) > SILENCE_MAX_MS);
+            .find(|task| now.wrapping_sub(LAST_REPORT_MS[*task as usize].load(Ordering::Relaxed)) > MAX_SILENCE_MS);
         match (steps != before, verdict, silent) {
             (true, Verdict::Kept, None) => watchdog.feed(),
             (false, ..) => defmt::error!("the control step has stopped"),

@@ -10,7 +10,7 @@ use crate::adc;
 const ZERO_WEIGHT: f32 = 1.0 / 32.0;
 
 /// Time for the zeros to settle, ms: at least 200 carrier periods.
-const ZERO_MS: u64 = 12;
+const ZERO_SETTLING_MS: u64 = 12;
 
 /// Use of the readings while the bridges are off.
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -28,7 +28,7 @@ pub enum Zeroing {
 static ZEROING: AtomicU8 = AtomicU8::new(Zeroing::No as u8);
 
 /// Largest distance of a zero from the middle of the range, or of a reading from its zero, counts.
-static ZERO_WORST: AtomicU16 = AtomicU16::new(0);
+static WORST_ZERO_DISTANCE: AtomicU16 = AtomicU16::new(0);
 
 /// The zeros of a board's current sensors, and the mean distance of the readings from them, counts.
 pub struct Zeros<const N: usize>([f32; N], [f32; N]);
@@ -64,16 +64,16 @@ impl<const N: usize> Zeros<N> {
                 worst = worst.max(beyond.abs());
             }
         }
-        ZERO_WORST.store(worst as u16, Ordering::Relaxed);
+        WORST_ZERO_DISTANCE.store(worst as u16, Ordering::Relaxed);
     }
 }
 
 /// Lets the control interrupt learn or check the zeros, with the bridges off, until they settle. Returns the largest
-/// distance, counts, see [`ZERO_WORST`].
+/// distance, counts, see [`WORST_ZERO_DISTANCE`].
 pub fn learn_or_check_zeros(how: Zeroing) -> u16 {
-    ZERO_WORST.store(0, Ordering::Relaxed);
+    WORST_ZERO_DISTANCE.store(0, Ordering::Relaxed);
     ZEROING.store(how as u8, Ordering::Relaxed);
-    block_for(Duration::from_millis(ZERO_MS));
+    block_for(Duration::from_millis(ZERO_SETTLING_MS));
     ZEROING.store(Zeroing::No as u8, Ordering::Relaxed);
-    ZERO_WORST.load(Ordering::Relaxed)
+    WORST_ZERO_DISTANCE.load(Ordering::Relaxed)
 }

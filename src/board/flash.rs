@@ -54,7 +54,7 @@ pub(super) fn stage_all(
 
 /// Returns true if flash holds this value. A separate function, so that the entry is on the stack only here.
 #[inline(never)]
-fn is_kept(machine: &mut impl Machine, key: Key, entry: &Entry) -> bool {
+fn is_in_flash(machine: &mut impl Machine, key: Key, entry: &Entry) -> bool {
     machine.load(key).is_some_and(|old| old == *entry)
 }
 
@@ -62,7 +62,7 @@ fn is_kept(machine: &mut impl Machine, key: Key, entry: &Entry) -> bool {
 #[inline(never)]
 pub(super) fn stage<S: Setting>(machine: &mut impl Machine, value: &S, keys: &mut KeyList) -> Result<(), Refusal> {
     let entry = settings::encode(value).map_err(|_| Refusal::Flash)?;
-    if is_kept(machine, S::KEY, &entry) {
+    if is_in_flash(machine, S::KEY, &entry) {
         return Ok(());
     }
     machine.stage(S::KEY, &entry)?;
@@ -71,6 +71,6 @@ pub(super) fn stage<S: Setting>(machine: &mut impl Machine, value: &S, keys: &mu
     Ok(())
 }
 
-pub(super) fn decoded<S: Setting>(entry: &[u8]) -> Result<S, Refusal> {
+pub(super) fn decode_setting<S: Setting>(entry: &[u8]) -> Result<S, Refusal> {
     settings::decode(entry).map_err(|_| Refusal::BadEntry)
 }

@@ -8,11 +8,11 @@ use core::cell::Cell;
 
 /// Maximum number of bytes in a block. A block starts with a code, the distance to the next code. A zero follows all
 /// but full blocks.
-const BLOCK: usize = 254;
+const MAX_BLOCK: usize = 254;
 
 /// Returns the maximum length on the wire of a frame with `length` bytes, including its delimiter.
 pub const fn max_wire_length(length: usize) -> usize {
-    length + length / BLOCK + 2
+    length + length / MAX_BLOCK + 2
 }
 
 /// Returns a word in which the top bit of each byte is set if the byte of `word` is zero.
@@ -29,8 +29,8 @@ pub fn encode(wire: &mut [u8], length: usize) -> Option<usize> {
     wire.get(..max_wire_length(length))?;
     let (mut begin, mut end) = (0, length + 1);
     loop {
-        let code = begin + link(wire.get_mut(begin..end)?);
-        let full = code + BLOCK + 1;
+        let code = begin + link_zeros(wire.get_mut(begin..end)?);
+        let full = code + MAX_BLOCK + 1;
         if end <= full {
             *wire.get_mut(code)? = (end - code) as u8;
             *wire.get_mut(end)? = 0;
@@ -46,12 +46,12 @@ pub fn encode(wire: &mut [u8], length: usize) -> Option<usize> {
 /// Writes the distance to the next zero into the first byte and into each zero, as long as no distance exceeds a block.
 /// Returns the position of the last code without a distance.
 #[inline(always)]
-fn link(wire: &mut [u8]) -> usize {
+fn link_zeros(wire: &mut [u8]) -> usize {
     let Some((first, bytes)) = Cell::from_mut(wire).as_slice_of_cells().split_first() else { return 0 };
     let (mut block, mut next) = (Block { code: first, place: 0 }, 1);
     let mut words = bytes.chunks_exact(4);
     for word in &mut words {
-        if !block.link(word, core::array::from_fn(|i| word[i].get()), next) {
+        if !block.link_zeros(word, core::array::from_fn(|i| word[i].get()), next) {
             return block.place;
         }
         next += 4;
@@ -60,7 +60,7 @@ fn link(wire: &mut [u8]) -> usize {
     let rest = words.remainder();
     let mut last = [u8::MAX; 4];
     last.iter_mut().zip(rest).for_each(|(to, from)| *to = from.get());
-    block.link(rest, last, next);
+    block.link_zeros(rest, last, next);
     block.place
 }
 
@@ -74,12 +74,12 @@ impl<'w> Block<'w> {
     /// Ends this block and the blocks that begin at the zeros of the word at position `next`. Returns false if a
     /// distance exceeds a block.
     #[inline(always)]
-    fn link(&mut self, word: &'w [Cell<u8>], bytes: [u8; 4], next: usize) -> bool {
+    fn link_zeros(&mut self, word: &'w [Cell<u8>], bytes: [u8; 4], next: usize) -> bool {
         let mut zeros = zeros(u32::from_le_bytes(bytes));
         while zeros != 0 {
             let nth = zeros.trailing_zeros() as usize / 8;
             let distance = next + nth - self.place;
-            let Some(zero) = word.get(nth).filter(|_| distance <= BLOCK) else { return false };
+            let Some(zero) = word.get(nth).filter(|_| distance <= MAX_BLOCK) else { return false };
             self.code.set(distance as u8);
             *self = Self { code: zero, place: next + nth };
             zeros &= zeros - 1;
@@ -147,7 +147,7 @@ impl Decoder {
                 byte
             } else {
                 left = usize::from(byte) - 1;
-                if !core::mem::replace(&mut zero, left < BLOCK) {
+                if !core::mem::replace(&mut zero, left < MAX_BLOCK) {
                     continue;
                 }
                 0

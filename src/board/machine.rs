@@ -9,7 +9,7 @@ use crate::safety::refusal::Refusal;
 use core::ops::DerefMut;
 use heapless::Vec;
 
-/// The board around the service.
+/// The parts of the board that the service uses.
 pub trait Machine {
     /// Trigonometry of the control loop.
     type Math: Math<f32>;
@@ -57,6 +57,6 @@ pub struct Measured {
 }
 
 /// Returns [`Refusal::Armed`] while the motors are on.
-pub fn must_be_off(machine: &mut impl Machine) -> Result<(), Refusal> {
+pub fn check_motors_off(machine: &mut impl Machine) -> Result<(), Refusal> {
     if machine.status().state.drives() { Err(Refusal::Armed) } else { Ok(()) }
 }

@@ -8,7 +8,7 @@ mod backup;
 
 use crate::board::configuration::{Configuration, empty_scene, task};
 use crate::board::flash::commit_configuration;
-use crate::board::machine::{Machine, Measured, must_be_off};
+use crate::board::machine::{Machine, Measured, check_motors_off};
 use crate::board::protocol::{Beat, Details, FaultList, GainsRequest, KeyList, Name, Press, Step};
 use crate::board::settings::{self, BoardName, Damage, Key, Setting};
 use crate::control::program::{Hardware, Program};
@@ -23,7 +23,7 @@ use crate::safety::limits::{BadLimit, GENTLE_FORCE, Limit, Limits};
 use crate::safety::refusal::Refusal;
 use heapless::Vec;
 
-/// Configuration of a board, and the requests that change it.
+/// The service of a board: its configuration, and the requests that change it.
 #[derive(Debug)]
 pub struct Service {
     hardware: Hardware,
@@ -168,9 +168,9 @@ impl Service {
         device: Device<f32>,
         mass: MassModelData,
     ) -> Result<(), Refusal> {
-        must_be_off(machine)?;
+        check_motors_off(machine)?;
         check_device::<Mc::Math>(&device)?;
-        let scene = self.configuration.scene.as_ref().filter(|scene| fits(scene, &device)).cloned();
+        let scene = self.configuration.scene.as_ref().filter(|scene| scene_fits_device(scene, &device)).cloned();
         let mut next = Configuration { device: Some(device), scene, mass, rules: self.configuration.rules };
         self.install(machine, &mut next, false, None)?;
         self.finish_device_change(machine)
@@ -207,7 +207,7 @@ impl Service {
 
     /// Selects the source of the mass matrix. The motors must be off. A table's values must have been sent before.
     pub fn set_mass_model(&mut self, machine: &mut impl Machine, mass: MassModelData) -> Result<(), Refusal> {
-        must_be_off(machine)?;
+        check_motors_off(machine)?;
         if let MassModelData::Table(grid, crc) = &mass {
             let device = self.configuration.device.as_ref().ok_or(Refusal::NoDevice)?;
             if !self.receiving.is_complete(grid.values(device.mechanism.mass_entries().len()), *crc) {
@@ -222,7 +222,7 @@ impl Service {
     /// Receives a piece of a table, in order from offset 0, see [`TableReceiver::take`]. First replaces a table in use
     /// by the closed form, because the new values overwrite it.
     pub fn receive_table(&mut self, machine: &mut impl Machine, chunk: &TableChunk) -> Result<(), Refusal> {
-        must_be_off(machine)?;
+        check_motors_off(machine)?;
         let offset = usize::from(chunk.offset);
         if !self.receiving.fits(offset, &chunk.values) {
             return Err(Refusal::BadTable);
@@ -263,7 +263,7 @@ impl Service {
         }
         // A scene that is loaded while the motors are on keeps the rate. Checked here, because a fault may have turned
         // the motors off meanwhile.
-        if let Some(rate_hz) = rate_hz.filter(|_| must_be_off(machine).is_ok()) {
+        if let Some(rate_hz) = rate_hz.filter(|_| check_motors_off(machine).is_ok()) {
             machine.retime(rate_hz);
         }
         core::mem::swap(&mut self.configuration, next);
@@ -436,7 +436,7 @@ impl Service {
     }
 }
 
-fn fits(scene: &Scene<f32>, device: &Device<f32>) -> bool {
+fn scene_fits_device(scene: &Scene<f32>, device: &Device<f32>) -> bool {
     usize::from(scene.task) == task(device) && (scene.posture.is_none() || device.axes() > task(device))
 }
 

@@ -3,7 +3,7 @@
 //! An entry that is damaged or has an unknown version is refused without the other entries. The bytes are identical in
 //! flash, in a backup file and on the link.
 
-use crate::board::storage::DECISION;
+use crate::board::storage::DECISION_KEY;
 use crate::checksum::crc32;
 use crate::control::Rules;
 use crate::model::device::Device;
@@ -42,7 +42,7 @@ const _: () = {
     let mut place = 0;
     while place < Key::ALL.len() {
         let key = Key::ALL[place] as usize;
-        assert!(key == place + 1 && key < DECISION as usize);
+        assert!(key == place + 1 && key < DECISION_KEY as usize);
         place += 1;
     }
 };
@@ -71,12 +71,12 @@ pub trait Setting: Serialize + DeserializeOwned {
     /// Version of the encoding, increased whenever the fields change.
     const VERSION: u8;
     /// Earlier versions with fewer bytes: the version, the position of the missing bytes (from the value's first byte,
-    /// or `END`), and the bytes to insert.
-    const SHORTER: &'static [(u8, usize, &'static [u8])] = &[];
+    /// or `END_POSITION`), and the bytes to insert.
+    const EARLIER_VERSIONS: &'static [(u8, usize, &'static [u8])] = &[];
 }
 
 /// Position after the last byte.
-const END: usize = usize::MAX;
+const END_POSITION: usize = usize::MAX;
 
 impl Setting for Device<f32> {
     const KEY: Key = Key::Device;
@@ -89,15 +89,18 @@ impl Setting for Scene<f32> {
     /// 3 added joint estimators with their options, version 4 the posture.
     const VERSION: u8 = 4;
     /// Defaults: a gain of 1, the orientation, no posture. The encoding of earlier estimators is unchanged.
-    const SHORTER: &'static [(u8, usize, &'static [u8])] =
-        &[(1, END, &[0x00, 0x00, 0x80, 0x3f, 0x00, 0x00]), (2, END, &[0x00]), (3, END, &[0x00])];
+    const EARLIER_VERSIONS: &'static [(u8, usize, &'static [u8])] = &[
+        (1, END_POSITION, &[0x00, 0x00, 0x80, 0x3f, 0x00, 0x00]),
+        (2, END_POSITION, &[0x00]),
+        (3, END_POSITION, &[0x00]),
+    ];
 }
 impl Setting for Rules {
     const KEY: Key = Key::Rules;
     /// Version 2 added the force limit at the tip.
     const VERSION: u8 = 2;
     /// Inserts the gentle force limit after the other limits, the first fifteen numbers of four bytes.
-    const SHORTER: &'static [(u8, usize, &'static [u8])] = &[(1, 60, &GENTLE_FORCE.to_le_bytes())];
+    const EARLIER_VERSIONS: &'static [(u8, usize, &'static [u8])] = &[(1, 60, &GENTLE_FORCE.to_le_bytes())];
 }
 impl Setting for MassModelData {
     const KEY: Key = Key::MassModel;
@@ -160,7 +163,7 @@ pub fn decode<S: Setting>(entry: &[u8]) -> Result<S, Damage> {
     match body {
         [key, ..] if *key != S::KEY as u8 => Err(Damage::OtherKey),
         [_, version, value @ ..] if *version != S::VERSION => {
-            let missing = S::SHORTER.iter().find(|(earlier, ..)| earlier == version);
+            let missing = S::EARLIER_VERSIONS.iter().find(|(earlier, ..)| earlier == version);
             let (_, at, missing) = missing.ok_or(Damage::UnknownVersion(*version))?;
             let (before, after) = value.split_at((*at).min(value.len()));
             let mut complete = Entry::new();

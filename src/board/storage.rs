@@ -27,13 +27,13 @@ use sequential_storage::map::{MapConfig, MapStorage, SerializationError, Value};
 /// Maximum length of an entry with its key, bytes.
 pub const LONGEST_STORED: usize = 2048;
 
-const CATALOGUE: u8 = 0;
+const CATALOGUE_KEY: u8 = 0;
 /// Key of the decision, which holds the generations of the valid staged entries, or zeros. The settings' keys lie
 /// between catalogue and decision.
-pub(super) const DECISION: u8 = 7;
+pub(super) const DECISION_KEY: u8 = 7;
 /// Bit that marks the key of a staged entry.
-const STAGED: u8 = 8;
-const _: () = assert!(DECISION < STAGED && (DECISION as usize) < SETTINGS && 2 * SETTINGS <= KEYS);
+const STAGED_BIT: u8 = 8;
+const _: () = assert!(DECISION_KEY < STAGED_BIT && (DECISION_KEY as usize) < SETTINGS && 2 * SETTINGS <= KEYS);
 /// Number of places in the catalogue and in the decision: the keys up to the decision's.
 const SETTINGS: usize = 8;
 const KEYS: usize = 16;
@@ -41,19 +41,19 @@ const KEYS: usize = 16;
 /// A generation: the seven lower bits count and wrap. 0 for a missing entry and for an entry without generation.
 type Generation = u8;
 /// Bit that is set in every generation. Entries without generation start with their key, which lacks this bit.
-const COUNTED: Generation = 0x80;
+const GENERATION_BIT: Generation = 0x80;
 
 /// Returns a setting's place in the catalogue and in the decision.
-fn place(key: u8) -> usize {
+fn catalogue_place(key: u8) -> usize {
     usize::from(key) % SETTINGS
 }
 
-fn bit(key: u8) -> u16 {
+fn key_bit(key: u8) -> u16 {
     1 << (usize::from(key) % KEYS)
 }
 
-fn next(generation: Generation) -> Generation {
-    generation.wrapping_add(1) | COUNTED
+fn next_generation(generation: Generation) -> Generation {
+    generation.wrapping_add(1) | GENERATION_BIT
 }
 
 /// Returns true if generation `found` is before `known`.
@@ -74,7 +74,7 @@ impl<'a> Value<'a> for StampedEntry<'a> {
 
     fn deserialize_from(buffer: &'a [u8]) -> Result<(Self, usize), SerializationError> {
         let stamped = match buffer {
-            [generation, entry @ ..] if generation & COUNTED != 0 => Self(*generation, entry),
+            [generation, entry @ ..] if generation & GENERATION_BIT != 0 => Self(*generation, entry),
             entry => Self(0, entry),
         };
         Ok((stamped, buffer.len()))
@@ -239,9 +239,9 @@ impl<'b, F: NorFlash> Storage<'b, F> {
         // An unreadable entry makes the map lose all places, so the other entries are located again without it.
         loop {
             let before = self.lost;
-            for key in 1..DECISION {
+            for key in 1..DECISION_KEY {
                 if self.read(key).is_err() {
-                    self.lost |= bit(key);
+                    self.lost |= key_bit(key);
                 }
             }
             if self.lost == before {
@@ -253,18 +253,18 @@ impl<'b, F: NorFlash> Storage<'b, F> {
     }
 
     fn fetch(&mut self, key: u8) -> Result<Option<StampedEntry<'_>>, StorageError> {
-        if self.absent & bit(key) != 0 {
+        if self.absent & key_bit(key) != 0 {
             return Ok(None);
         }
         let entry = block_on(self.map.fetch_item(self.buffer, &key))?;
         if entry.is_none() {
-            self.absent |= bit(key);
+            self.absent |= key_bit(key);
         }
         Ok(entry)
     }
 
     fn store(&mut self, key: u8, item: &StampedEntry<'_>) -> Result<(), StorageError> {
-        self.absent &= !bit(key);
+        self.absent &= !key_bit(key);
         Ok(block_on(self.map.store_item(self.buffer, &key, item))?)
     }
 
@@ -277,21 +277,21 @@ impl<'b, F: NorFlash> Storage<'b, F> {
     /// was never stored. Writes nothing, so it may be called at any time. Returns [`StorageError::Damaged`] if no entry
     /// or only an older one is left, or if the start could not read it.
     pub fn read(&mut self, key: u8) -> Result<Option<&[u8]>, StorageError> {
-        if self.lost & bit(key) != 0 {
+        if self.lost & key_bit(key) != 0 {
             return Err(StorageError::Damaged);
         }
-        let decided = if self.recovered { 0 } else { self.generations(DECISION)?[place(key)] };
+        let decided = if self.recovered { 0 } else { self.generations(DECISION_KEY)?[catalogue_place(key)] };
         if decided == 0 {
-            return self.current(key);
+            return self.current_entry(key);
         }
-        match self.fetch(STAGED | key)? {
+        match self.fetch(STAGED_BIT | key)? {
             Some(StampedEntry(found, entry)) if found == decided => Ok(Some(entry)),
             _ => Err(StorageError::Damaged),
         }
     }
 
-    fn current(&mut self, key: u8) -> Result<Option<&[u8]>, StorageError> {
-        let known = self.generations(CATALOGUE)?[place(key)];
+    fn current_entry(&mut self, key: u8) -> Result<Option<&[u8]>, StorageError> {
+        let known = self.generations(CATALOGUE_KEY)?[catalogue_place(key)];
         let entry = self.fetch(key)?;
         if is_older(entry.as_ref().map_or(0, |entry| entry.0), known) {
             return Err(StorageError::Damaged);
@@ -304,13 +304,13 @@ impl<'b, F: NorFlash> Storage<'b, F> {
     pub fn write(&mut self, key: u8, value: &[u8]) -> Result<(), StorageError> {
         self.with_writing(|storage| {
             storage.recover()?;
-            storage.put(key, value)
+            storage.write_and_check(key, value)
         })
     }
 
-    fn put(&mut self, key: u8, value: &[u8]) -> Result<(), StorageError> {
-        let mut catalogue = self.generations(CATALOGUE)?;
-        let known = &mut catalogue[place(key)];
+    fn write_and_check(&mut self, key: u8, value: &[u8]) -> Result<(), StorageError> {
+        let mut catalogue = self.generations(CATALOGUE_KEY)?;
+        let known = &mut catalogue[catalogue_place(key)];
         if let Some(StampedEntry(found, entry)) = self.fetch(key)? {
             if found == *known && entry == value {
                 return Ok(());
@@ -319,11 +319,11 @@ impl<'b, F: NorFlash> Storage<'b, F> {
                 *known = found;
             }
         }
-        *known = next(*known);
+        *known = next_generation(*known);
         let stamped = StampedEntry(*known, value);
         self.store(key, &stamped)?;
-        self.store(CATALOGUE, &StampedEntry(COUNTED, &catalogue))?;
-        if self.current(key)? == Some(value) { Ok(()) } else { Err(StorageError::NotKept) }
+        self.store(CATALOGUE_KEY, &StampedEntry(GENERATION_BIT, &catalogue))?;
+        if self.current_entry(key)? == Some(value) { Ok(()) } else { Err(StorageError::NotKept) }
     }
 
     /// Stages the next entry of a setting, in place of an earlier staged entry. It becomes valid with the
@@ -334,12 +334,12 @@ impl<'b, F: NorFlash> Storage<'b, F> {
 
     fn put_staged(&mut self, key: u8, value: &[u8]) -> Result<(), StorageError> {
         self.recover()?;
-        let staged_key = STAGED | key;
-        let generation = next(self.fetch(staged_key)?.map_or(0, |found| found.0));
+        let staged_key = STAGED_BIT | key;
+        let generation = next_generation(self.fetch(staged_key)?.map_or(0, |found| found.0));
         self.store(staged_key, &StampedEntry(generation, value))?;
         match self.fetch(staged_key)? {
             Some(StampedEntry(found, entry)) if found == generation && entry == value => {
-                self.staged[place(key)] = generation;
+                self.staged[catalogue_place(key)] = generation;
                 Ok(())
             }
             _ => Err(StorageError::NotKept),
@@ -348,11 +348,11 @@ impl<'b, F: NorFlash> Storage<'b, F> {
 
     /// Returns the staged entry of a setting.
     pub fn staged(&mut self, key: u8) -> Result<Option<&[u8]>, StorageError> {
-        let known = self.staged[place(key)];
+        let known = self.staged[catalogue_place(key)];
         if known == 0 {
             return Ok(None);
         }
-        Ok(self.fetch(STAGED | key)?.filter(|found| found.0 == known).map(|found| found.1))
+        Ok(self.fetch(STAGED_BIT | key)?.filter(|found| found.0 == known).map(|found| found.1))
     }
 
     /// Makes the staged entries of these settings valid. After a power cut, either all are valid or none. Returns
@@ -366,17 +366,17 @@ impl<'b, F: NorFlash> Storage<'b, F> {
         self.recover()?;
         let mut decision = [0; SETTINGS];
         for key in keys {
-            decision[place(*key)] = self.staged[place(*key)];
-            if decision[place(*key)] == 0 {
+            decision[catalogue_place(*key)] = self.staged[catalogue_place(*key)];
+            if decision[catalogue_place(*key)] == 0 {
                 return Err(StorageError::NotKept);
             }
         }
         self.staged = [0; SETTINGS];
         // A pending decision must be carried out before any other read or write.
         self.recovered = false;
-        if let Err(error) = self.store(DECISION, &StampedEntry(COUNTED, &decision)) {
+        if let Err(error) = self.store(DECISION_KEY, &StampedEntry(GENERATION_BIT, &decision)) {
             // The decision may be stored in spite of the error.
-            let taken_back = self.store(DECISION, &StampedEntry(COUNTED, &[0; SETTINGS]));
+            let taken_back = self.store(DECISION_KEY, &StampedEntry(GENERATION_BIT, &[0; SETTINGS]));
             return Err(if taken_back.is_ok() { error } else { StorageError::Unsettled });
         }
         self.recover().or_else(|_| self.recover()).map_err(|_| StorageError::Unsettled)
@@ -387,12 +387,12 @@ impl<'b, F: NorFlash> Storage<'b, F> {
         if self.recovered {
             return Ok(());
         }
-        let decision = self.generations(DECISION)?;
-        for key in (1..DECISION).filter(|key| decision[place(*key)] != 0) {
-            self.settle(key, decision[place(key)])?;
+        let decision = self.generations(DECISION_KEY)?;
+        for key in (1..DECISION_KEY).filter(|key| decision[catalogue_place(*key)] != 0) {
+            self.move_to_setting(key, decision[catalogue_place(key)])?;
         }
         if decision != [0; SETTINGS] {
-            self.store(DECISION, &StampedEntry(COUNTED, &[0; SETTINGS]))?;
+            self.store(DECISION_KEY, &StampedEntry(GENERATION_BIT, &[0; SETTINGS]))?;
         }
         self.recovered = true;
         Ok(())
@@ -401,20 +401,20 @@ impl<'b, F: NorFlash> Storage<'b, F> {
     /// Moves the staged entry of this generation to its setting's key. The setting counts as damaged if the staged
     /// entry is, because the decision made the earlier value invalid.
     #[inline(never)]
-    fn settle(&mut self, key: u8, generation: Generation) -> Result<(), StorageError> {
+    fn move_to_setting(&mut self, key: u8, generation: Generation) -> Result<(), StorageError> {
         let mut copy = [0; LONGEST_STORED / 2];
-        let length = match self.fetch(STAGED | key)? {
+        let length = match self.fetch(STAGED_BIT | key)? {
             Some(StampedEntry(found, entry)) if found == generation => {
                 copy.get_mut(..entry.len()).ok_or(StorageError::Full)?.copy_from_slice(entry);
                 entry.len()
             }
             _ => {
-                let mut catalogue = self.generations(CATALOGUE)?;
-                let known = &mut catalogue[place(key)];
-                *known = next(*known);
-                return self.store(CATALOGUE, &StampedEntry(COUNTED, &catalogue));
+                let mut catalogue = self.generations(CATALOGUE_KEY)?;
+                let known = &mut catalogue[catalogue_place(key)];
+                *known = next_generation(*known);
+                return self.store(CATALOGUE_KEY, &StampedEntry(GENERATION_BIT, &catalogue));
             }
         };
-        self.put(key, copy.get(..length).unwrap_or_default())
+        self.write_and_check(key, copy.get(..length).unwrap_or_default())
     }
 }

@@ -49,27 +49,27 @@ impl Sums {
 }
 
 /// Averaging time of the tip force that is compared with the limit, s. A few carrier periods far above the limit trip.
-const FLOW_SECONDS: f32 = 5.0e-4;
+const FORCE_AVERAGING_SECONDS: f32 = 5.0e-4;
 /// Factor of the averaging time for the force that voltages show, so that the force of measured currents trips first.
-const SHOWN_SLOWER: f32 = 4.0;
+const VOLTAGE_AVERAGING_FACTOR: f32 = 4.0;
 /// Ratio by which measured currents may exceed the largest commanded force, because the current loop overshoots.
-const FLOW_MARGIN: f32 = 1.05;
+const CURRENT_FORCE_MARGIN: f32 = 1.05;
 /// Largest share of the force limit that the sensors' error may hide. Near a singular pose, a torque too small to be
 /// measured is a large force.
-const HIDDEN_SHARE: f32 = 0.05;
-/// Error of the mean reading of a current sensor over [`FLOW_SECONDS`], A: its zero and its noise.
-const SENSOR_ERROR: f32 = 0.05;
+const MAX_HIDDEN_FORCE_SHARE: f32 = 0.05;
+/// Error of the mean reading of a current sensor over [`FORCE_AVERAGING_SECONDS`], A: its zero and its noise.
+const CURRENT_SENSOR_ERROR: f32 = 0.05;
 /// Largest share of the force limit that the sensors may show while the bridges are off.
-const STRAY_SHARE: f32 = 0.5;
+const MAX_STRAY_FORCE_SHARE: f32 = 0.5;
 /// Time in which currents and their mean force follow a lowered limit, s.
 const SETTLING_SECONDS: f32 = 5.0e-3;
 /// Rate at which the leverage is recomputed, Hz. A tip at 1 m/s moves by half a millimetre between two computations.
 const LEVERAGE_HZ: f32 = 2.0e3;
 
-/// Relative change of leverage up to which the commanded force is not reduced; [`FLOW_MARGIN`] covers this change.
-const CHANGE_FREE: f32 = 0.02;
+/// Relative change of leverage that does not reduce the commanded force, because [`CURRENT_FORCE_MARGIN`] covers it.
+const FREE_LEVERAGE_CHANGE: f32 = 0.02;
 /// Share of the largest recent change that is kept at the next recomputation.
-const CHANGE_KEPT: f32 = 0.75;
+const LEVERAGE_CHANGE_DECAY: f32 = 0.75;
 
 /// Forces at the tip that the measured currents make.
 #[derive(Clone, Copy, Debug, Default)]
@@ -112,7 +112,7 @@ impl Flow {
 
     /// Sets the carrier period, s.
     pub(super) fn set_period(&mut self, period: f32) {
-        self.gain = (period / FLOW_SECONDS).min(1.0);
+        self.gain = (period / FORCE_AVERAGING_SECONDS).min(1.0);
         self.every = (1.0 / (period * LEVERAGE_HZ)) as u32;
     }
 }
@@ -174,11 +174,11 @@ where
     /// force. Such a current flows through a broken bridge, or is a sensor error that hides a force as large.
     pub(super) fn refuse_stray_current(&mut self) -> Result<(), Refusal> {
         if let Some(leverage) = self.leverage_at(&{ self.now.counts }) {
-            self.compare(&leverage);
+            self.compare_leverage(&leverage);
             self.leverage = leverage;
             self.update_force_bounds();
         }
-        let most = STRAY_SHARE * self.rules.limits.tip_force;
+        let most = MAX_STRAY_FORCE_SHARE * self.rules.limits.tip_force;
         if margin_bits(self.leverage.force_squared(&self.flow.torque), most * most) >= 0 {
             return Ok(());
         }
@@ -240,7 +240,7 @@ where
             return;
         };
         if !core::mem::replace(&mut self.flow.compared, true) {
-            self.compare(&leverage);
+            self.compare_leverage(&leverage);
             // A slow carrier has time to compute and compare in one valley.
             if self.flow.every > 0 {
                 return;
@@ -252,10 +252,10 @@ where
     }
 
     #[inline(always)]
-    fn compare(&mut self, leverage: &Leverage) {
+    fn compare_leverage(&mut self, leverage: &Leverage) {
         let change = leverage.relative_change_from(&self.leverage).lesser(1.0);
         if change > 0.0 {
-            self.flow.change = change.greater(CHANGE_KEPT * self.flow.change);
+            self.flow.change = change.greater(LEVERAGE_CHANGE_DECAY * self.flow.change);
         }
     }
 
@@ -263,17 +263,17 @@ where
     /// which stays within the limit if leverage changes as in recent recomputations.
     pub(super) fn update_force_bounds(&mut self) {
         let (count, limit) = (self.count(), self.rules.limits.tip_force);
-        let (mut error, free) = (0.0, (VOLTS_MARGIN - FLOW_MARGIN) * limit / count.max(1) as f32);
+        let (mut error, free) = (0.0, (VOLTS_MARGIN - CURRENT_FORCE_MARGIN) * limit / count.max(1) as f32);
         for (i, joint) in self.joints.iter_mut().enumerate().take(count) {
             let leverage = self.leverage.force_bound(i);
-            error += leverage * joint.stage.torque_of(SENSOR_ERROR).abs();
+            error += leverage * joint.stage.torque_of(CURRENT_SENSOR_ERROR).abs();
             // Smaller torques of all motors make at most the force that the voltages may show without an inspection.
             joint.stage.inspect_above(free / leverage);
         }
-        self.set_max_tip_force(limit / (1.0 + (self.flow.change - CHANGE_FREE).greater(0.0)));
-        let most = FLOW_MARGIN * limit + error.lesser(HIDDEN_SHARE * limit);
+        self.set_max_tip_force(limit / (1.0 + (self.flow.change - FREE_LEVERAGE_CHANGE).greater(0.0)));
+        let most = CURRENT_FORCE_MARGIN * limit + error.lesser(MAX_HIDDEN_FORCE_SHARE * limit);
         let flow = &mut self.flow;
-        // The comparison has taken one of the valleys.
+        // One of the valleys was used for the comparison.
         flow.until_weighed = flow.every.saturating_sub(1);
         if core::mem::take(&mut flow.inspected) == 0 {
             flow.shown = 0.0;
@@ -300,9 +300,10 @@ where
             Torques::from_fn(|i| self.joints[i].stage.torque_of(self.joints[i].stage.current_from_voltage()) - held[i]);
         let force = sqrt(self.leverage.force_squared(&shown));
         let flow = &mut self.flow;
-        flow.shown += flow.gain / SHOWN_SLOWER * (force - flow.shown);
+        flow.shown += flow.gain / VOLTAGE_AVERAGING_FACTOR * (force - flow.shown);
         flow.inspected += 1;
-        let hard = margin_bits(flow.shown, VOLTS_MARGIN / (FLOW_MARGIN + HIDDEN_SHARE) * flow.most) < 0;
+        let hard =
+            margin_bits(flow.shown, VOLTS_MARGIN / (CURRENT_FORCE_MARGIN + MAX_HIDDEN_FORCE_SHARE) * flow.most) < 0;
         let strained = self.joints.iter().enumerate().take(joints).filter_map(|(i, joint)| {
             let (strain, doubt, most) = joint.stage.strain();
             let bound = if hard { doubt } else { most };

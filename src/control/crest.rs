@@ -17,22 +17,22 @@ use crate::safety::limits::POWER_SECONDS;
 use core::ops::DerefMut;
 
 /// Cutoff of the first-order filter for speed and power limits, Hz. Twice the speed limit is detected after 0.6 ms.
-pub const SPEED_HZ: f32 = 200.0;
+pub const SPEED_FILTER_HZ: f32 = 200.0;
 /// Lowest cutoff of the filter for speed and power limits, Hz.
-const SLOWEST_HZ: f32 = 5.0;
+const MIN_SPEED_FILTER_HZ: f32 = 5.0;
 /// Largest share of the speed limit that a single count may appear as. A coarse encoder is filtered for longer, until
 /// the joint has moved by a few counts.
-const COUNT_SHARE: f32 = 0.25;
+const MAX_COUNT_SPEED_SHARE: f32 = 0.25;
 
 /// Largest share of the torque limit that a single count may change the torque by when back-EMF is fed forward.
-const KICK_SHARE: f32 = 1.0 / 32.0;
+const MAX_COUNT_TORQUE_SHARE: f32 = 1.0 / 32.0;
 
 /// Largest difference of two current sensors as a share of the current limit: gains, settling at the duty's edge.
 const IMBALANCE_SHARE: f32 = 0.15;
 /// Largest difference of two current sensors at zero current, A: zeros and noise.
 const IMBALANCE_FLOOR: f32 = 0.5;
 /// Speed below which an encoder stands still, in counts per carrier period: one count in 1000 periods.
-const STANDSTILL: f32 = 1.0e-3;
+const STANDSTILL_SPEED: f32 = 1.0e-3;
 
 /// A joint and its motor. The fields are contiguous in the order of a crest, so that one address reaches every field.
 #[derive(Clone, Copy, Debug, Default)]
@@ -132,13 +132,13 @@ impl<S: Stage> Joint<S> {
     }
 
     pub(super) fn stands_still(&self) -> bool {
-        self.speed.abs() < STANDSTILL
+        self.speed.abs() < STANDSTILL_SPEED
     }
 }
 
 /// The reason why a crest is unusual.
 #[derive(Clone, Copy, Debug)]
-enum Unusual {
+enum UnusualCrest {
     /// The samples of the crest are beyond a bound.
     Crest,
     /// The step has begun and must be checked for a fault.
@@ -217,8 +217,8 @@ where
         let size = scale.abs().max(f32::MIN_POSITIVE);
         let speed = self.rules.limits.speed[i].max(0.0) * period / size;
         let max_current = joint.stage.max_current();
-        let gain = (core::f32::consts::TAU * SPEED_HZ * period)
-            .min((COUNT_SHARE * speed).max(core::f32::consts::TAU * SLOWEST_HZ * period));
+        let gain = (core::f32::consts::TAU * SPEED_FILTER_HZ * period)
+            .min((MAX_COUNT_SPEED_SHARE * speed).max(core::f32::consts::TAU * MIN_SPEED_FILTER_HZ * period));
         // Torque of one count if its back-EMF were fed forward for a complete carrier period.
         let kick = joint.stage.torque_of(joint.stage.back_emf_current(size / period)).abs();
         joint.bounds = Bounds {
@@ -226,7 +226,7 @@ where
             jump: ((5.0 * speed) as i32).max(4),
             gain,
             // The current loop removes the back-EMF that a slower filter leaves.
-            steady_gain: gain.min(KICK_SHARE * self.max_joint_torque[i] / kick),
+            steady_gain: gain.min(MAX_COUNT_TORQUE_SHARE * self.max_joint_torque[i] / kick),
             speed,
             radians: scale * program.carrier_hz,
             // The loop overshoots by less than half of the limit.
@@ -251,7 +251,7 @@ where
         legs: &mut [L; MAX_JOINTS],
     ) -> bool {
         if !self.check_samples_of::<J>(seen) {
-            return self.finish_unusual_crest::<J, L>(Unusual::Crest, seen, samples, into, legs);
+            return self.finish_unusual_crest::<J, L>(UnusualCrest::Crest, seen, samples, into, legs);
         }
         for (joint, count) in self.joints.iter_mut().zip(seen.counts.iter()).take(J) {
             joint.count = *count;
@@ -259,7 +259,7 @@ where
         self.begin_step();
         let watched = self.watch::<J>();
         if self.steady | watched < 0 || self.fits::<J>() < 0 {
-            let unusual = if watched < 0 { Unusual::Step } else { Unusual::Torques };
+            let unusual = if watched < 0 { UnusualCrest::Step } else { UnusualCrest::Torques };
             return self.finish_unusual_crest::<J, L>(unusual, seen, samples, into, legs);
         }
         self.command_unlimited::<J>();
@@ -274,16 +274,16 @@ where
     #[inline(never)]
     fn finish_unusual_crest<const J: usize, L>(
         &mut self,
-        unusual: Unusual,
+        unusual: UnusualCrest,
         seen: &Samples,
         samples: &[S::Sample; MAX_JOINTS],
         into: &impl Fn(S::Drive) -> L,
         legs: &mut [L; MAX_JOINTS],
     ) -> bool {
         match unusual {
-            Unusual::Torques if self.in_force && self.not_finite::<J>() >= 0 => self.command_limited::<J>(),
-            Unusual::Torques | Unusual::Step => self.slow_step(seen),
-            Unusual::Crest => {
+            UnusualCrest::Torques if self.in_force && self.not_finite::<J>() >= 0 => self.command_limited::<J>(),
+            UnusualCrest::Torques | UnusualCrest::Step => self.slow_step(seen),
+            UnusualCrest::Crest => {
                 self.find_at_crest(seen);
                 self.store_counts(seen);
                 self.step(seen);

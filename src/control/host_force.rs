@@ -34,7 +34,7 @@ pub const MAX_CONTACT_STIFFNESS: f32 = 1.0e5;
 /// Largest damping of a contact, N s/m.
 pub const MAX_CONTACT_DAMPING: f32 = 1.0e3;
 /// Largest deviation of the squared length of a contact's normal from 1.
-const UNIT: f32 = 1.0e-3;
+const MAX_UNIT_LENGTH_ERROR: f32 = 1.0e-3;
 /// Shortest and longest time in which a contact moves from one plane to the next, s. A contact that appears or
 /// disappears takes the shortest.
 pub const BLEND_SECONDS: (f32, f32) = (1.0e-3, 20.0e-3);
@@ -192,7 +192,7 @@ impl ForceRequest {
             return Some(BadForce::Point);
         }
         let length = contact.normal.iter().fold(0.0, |sum, value| sum + value * value);
-        if !within(&(length - 1.0), UNIT) || !only(&contact.normal, task) {
+        if !within(&(length - 1.0), MAX_UNIT_LENGTH_ERROR) || !only(&contact.normal, task) {
             return Some(BadForce::Normal);
         }
         let gains = (0.0..=MAX_CONTACT_STIFFNESS).contains(&contact.stiffness)
@@ -221,7 +221,7 @@ impl HostContact {
 
 /// A plane that moves from its old to its new place.
 #[derive(Clone, Copy, Debug, Default)]
-struct Blend {
+struct MovingPlane {
     from: PushedPlane<f32>,
     to: PushedPlane<f32>,
     /// Time since the host moved the plane, s. `duration` is the time of the board's move, s.
@@ -229,8 +229,8 @@ struct Blend {
     duration: f32,
 }
 
-impl Blend {
-    fn now(&self) -> PushedPlane<f32> {
+impl MovingPlane {
+    fn present_plane(&self) -> PushedPlane<f32> {
         if self.elapsed >= self.duration {
             return self.to;
         }
@@ -252,7 +252,7 @@ impl Blend {
 
     /// Starts a move to the host's contact, or fades the plane out in place.
     fn move_to(&mut self, contact: Option<&HostContact>) {
-        let now = self.now();
+        let now = self.present_plane();
         let faded_out = |plane: PushedPlane<f32>| PushedPlane { stiffness: 0.0, damping: 0.0, ..plane };
         let is_absent = |plane: &PushedPlane<f32>| plane.stiffness == 0.0 && plane.damping == 0.0;
         let to = contact.map_or(faded_out(self.to), HostContact::plane);
@@ -282,7 +282,7 @@ pub(super) struct HostForce {
     life: f32,
     /// Share that ramp and limits left in a step that was cut.
     pub granted: f32,
-    contact: Blend,
+    contact: MovingPlane,
     /// Share of the contact that acted in the last step. `beside` is its difference from the present request's lease,
     /// because that request replaced another; `closing` is the rate at which the difference shrinks, 1/s.
     contact_lease: f32,
@@ -294,7 +294,8 @@ impl HostForce {
     /// Accepts a request that is `age` seconds old.
     fn take(&mut self, request: &ForceRequest, age: f32) {
         // The contact's share continues from the last step. A new contact fades in with its rising stiffness.
-        let was_there = self.acts && self.contact.now().stiffness + self.contact.now().damping > 0.0;
+        let was_there =
+            self.acts && self.contact.present_plane().stiffness + self.contact.present_plane().damping > 0.0;
         self.beside = if was_there { self.contact_lease - request.lease(age) } else { 0.0 };
         self.closing = self.beside.abs() / BLEND_SECONDS.0;
         // The blend keeps the rest of the earlier contact.
@@ -317,7 +318,7 @@ impl HostForce {
         let closed = self.closing * period;
         self.beside -= if self.beside.abs() > closed { closed.copysign(self.beside) } else { self.beside };
         self.contact_lease = self.lease + self.beside;
-        let plane = self.contact.now();
+        let plane = self.contact.present_plane();
         Some(Push {
             force: self.request.force.map(|force| force * self.lease),
             plane: PushedPlane {
@@ -422,13 +423,13 @@ where
         }
         self.render_scene(counts);
         if self.host.acts {
-            self.add(counts);
+            self.add_host_torques(counts);
         }
     }
 
     /// Adds the host's joint torques to the demand, and recomputes the resultant force, because the torques make a tip
     /// force.
-    fn add(&mut self, counts: &Counts) {
+    fn add_host_torques(&mut self, counts: &Counts) {
         let torque = self.host.torque;
         if torque != Torques::default()
             && let Some(program) = self.program.as_ref()

@@ -168,7 +168,7 @@ struct Swing {
 impl Swing {
     /// Returns the largest motion of a joint in this turn, as a share of the motion at which the torque stops growing.
     #[inline(always)]
-    fn swung(&self, axis: usize, joints: usize) -> f32 {
+    fn largest_motion_share(&self, axis: usize, joints: usize) -> f32 {
         let mut most = 0.0;
         for (j, (low, high)) in self.ends.iter().enumerate().take(joints) {
             let share = (high - low) / (if self.last && j == axis { 4.0 } else { 2.0 } * self.angle);
@@ -232,7 +232,7 @@ where
     S: Stage,
 {
     pub(super) fn start_polarity_check(&mut self) -> Result<(), Refusal> {
-        self.ready()?;
+        self.check_ready()?;
         self.refuse_stray_current()?;
         self.polarity = PolarityCheck::default();
         self.polarity_known = false;
@@ -312,7 +312,7 @@ where
             (Some(swing), _) => self.check_swings(&swing),
             (None, Some(inertia)) => {
                 self.polarity.effective = effective_inertia(i, inertia, self.count());
-                self.begin_first();
+                self.begin_first_swing();
             }
             (None, None) if self.at_rest() => {
                 if self.polarity.poses < 1 << self.count {
@@ -363,14 +363,14 @@ where
         if next >= self.count() {
             self.turn_motors_off();
             self.state = State::Disarmed;
-            self.know_polarity();
+            self.record_known_polarity();
         } else {
             self.polarity = PolarityCheck { axis: next, ..PolarityCheck::default() };
         }
     }
 
     /// Records that the polarity is known, for the present home if the device is homed.
-    pub(super) fn know_polarity(&mut self) {
+    pub(super) fn record_known_polarity(&mut self) {
         self.polarity_known = true;
         if let Some(program) = self.program.as_ref().filter(|_| self.homed) {
             self.checked_zero = program.controller.zero();
@@ -389,7 +389,7 @@ where
     }
 
     /// Chooses the first swing of the joint.
-    fn begin_first(&mut self) {
+    fn begin_first_swing(&mut self) {
         let (i, inertia) = (self.axis(), self.polarity.effective);
         let Some(program) = self.program.as_ref() else { return };
         let (worth, friction) = (self.polarity.worth, program.coulomb[i].abs());
@@ -400,7 +400,7 @@ where
         let unstated = (MAX_FORCE_WITHOUT_MOTION / worth).min(friction + 2.0 * inert);
         let most = (inert + MAX_STATIC_FRICTION_RATIO * friction).max(unstated);
         let torque = (INITIAL_TIP_FORCE / worth).min(0.25 * inert);
-        let (stiffness, damping) = spring(inertia, 0.4 * rate);
+        let (stiffness, damping) = spring_and_damper(inertia, 0.4 * rate);
         let seconds = core::f32::consts::TAU / rate;
         let swing = Swing { torque, most, rate, seconds, angle, stiffness, damping, ..Swing::default() };
         self.polarity.swing = Some(swing);
@@ -419,7 +419,7 @@ where
         // The torque must exceed the static friction, which would otherwise hold the joint at either end.
         let held = SECOND_SWING_FRICTION_RATIO * before.moved_by.unwrap_or(0.0);
         let most = if winding { inert } else { inert.max(held) };
-        let (stiffness, damping) = spring(inertia, 0.25 * rate);
+        let (stiffness, damping) = spring_and_damper(inertia, 0.25 * rate);
         let torque = 0.25 * before.torque.min(inert);
         let seconds = core::f32::consts::TAU / rate;
         let known = Swing { last: true, winding, moved_by: Some(torque), angle, mean: before.mean, ..Swing::default() };
@@ -454,7 +454,7 @@ where
         if swing.seconds >= turn {
             // A swinging joint stands still where a turn begins.
             swing.seconds -= turn;
-            let swung = swing.swung(i, joints);
+            let swung = swing.largest_motion_share(i, joints);
             if swing.turns < TURNS_BEFORE_SUMS && swung > STOPPING_SWING_SHARE && swing.rate < SWING_RATE_RANGE.1 {
                 // The same torque swings joints less far at a higher frequency.
                 (swing.full, swing.turns) = (false, 0.0);
@@ -499,7 +499,7 @@ where
         for ((low, high), moved) in swing.ends.iter_mut().zip(moved) {
             (*low, *high) = (moved.lesser(*low), moved.greater(*high));
         }
-        let swung = swing.swung(i, joints);
+        let swung = swing.largest_motion_share(i, joints);
         swing.work += polarity.commanded[i] * (moved[i] - swing.was);
         swing.was = moved[i];
         // A faster filter would turn a single count of a coarse encoder into a blow.
@@ -648,7 +648,7 @@ fn swing_angle(radians_per_count: f32) -> f32 {
 
 /// Returns stiffness (N m/rad) and damping (N m s/rad) that pull a joint of this inertia (kg m²) back with the angular
 /// frequency `back` (rad/s), almost without ringing.
-fn spring(inertia: f32, back: f32) -> (f32, f32) {
+fn spring_and_damper(inertia: f32, back: f32) -> (f32, f32) {
     (inertia * back * back, 1.4 * inertia * back)
 }
 

@@ -161,14 +161,14 @@ where
             Command::ArmHeld(press) => self.arm(Some(*press)),
             Command::MayArm => self.may_arm(None),
             Command::MayArmHeld(press) => self.may_arm(Some(*press)),
-            Command::MayCheckPolarity => self.ready().map(drop),
+            Command::MayCheckPolarity => self.check_ready().map(drop),
             Command::Disarm => {
                 self.disarm();
                 Ok(())
             }
             Command::CheckPolarity => self.start_polarity_check(),
             Command::PolarityKnown => {
-                self.know_polarity();
+                self.record_known_polarity();
                 Ok(())
             }
             Command::Clear => {
@@ -282,10 +282,10 @@ where
     }
 
     fn home(&mut self) -> Result<(), Refusal> {
-        self.must_be_off()?;
+        self.check_motors_off()?;
         let program = self.program.as_ref().ok_or(Refusal::NoDevice)?;
         let home = program.home.ok_or(Refusal::NoHome)?;
-        if !self.slower_than(REST_SPEED) {
+        if !self.is_slower_than(REST_SPEED) {
             return Err(Refusal::Moving);
         }
         let program = self.program.as_mut().ok_or(Refusal::NoDevice)?;
@@ -298,11 +298,11 @@ where
     }
 
     /// Returns true if every joint of the device turns at most at `speed`, rad/s.
-    fn slower_than(&self, speed: f32) -> bool {
+    fn is_slower_than(&self, speed: f32) -> bool {
         self.joints.iter().take(self.count()).all(|joint| joint.speed().abs() <= speed)
     }
 
-    fn must_be_off(&self) -> Result<(), Refusal> {
+    fn check_motors_off(&self) -> Result<(), Refusal> {
         match self.fault {
             _ if self.state.drives() => Err(Refusal::Armed),
             Some(record) => Err(Refusal::Faulted(record.fault)),
@@ -311,8 +311,8 @@ where
     }
 
     /// Checks the conditions that arming and the polarity check share.
-    pub(super) fn ready(&self) -> Result<&P, Refusal> {
-        self.must_be_off()?;
+    pub(super) fn check_ready(&self) -> Result<&P, Refusal> {
+        self.check_motors_off()?;
         let program = self.program.as_ref().ok_or(Refusal::NoDevice)?;
         if let Some(refusal) = program.arming_refused {
             return Err(refusal);
@@ -324,7 +324,7 @@ where
         if self.hardware.bus_sensed && !(self.rules.limits.bus_min..=self.rules.limits.bus_max).contains(&bus) {
             return Err(Refusal::BusVoltage);
         }
-        if self.now.found.parallel < watch::TRIPPING_SINE {
+        if self.now.found.parallel < watch::MIN_PARALLEL_SINE {
             return Err(Refusal::Singular);
         }
         for (i, limits) in program.limits.iter().enumerate().take(program.joints) {
@@ -338,7 +338,7 @@ where
     }
 
     fn may_arm(&self, key: Option<Press>) -> Result<(), Refusal> {
-        let program = self.ready()?;
+        let program = self.check_ready()?;
         if self.hardware.real && !self.polarity_known {
             return Err(Refusal::PolarityUnchecked);
         }

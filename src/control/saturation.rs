@@ -9,7 +9,7 @@
 //!
 //! If the force used a motor's entire limit, the feed-forward would have no room in the same direction and full room in
 //! the opposite one. The common factor would then jump from 0 to 1 where that motor's feed-forward crosses zero. The
-//! force therefore leaves each motor's feed-forward room of up to [`ROOM`] of the limit.
+//! force therefore leaves each motor's feed-forward room of up to [`FEED_FORWARD_ROOM`] of the limit.
 
 use super::ControlLoop;
 use crate::control::joints::Torques;
@@ -23,7 +23,7 @@ use crate::render::step_result::TorqueDemand;
 use core::ops::DerefMut;
 
 /// Share of a joint's limit that rendered forces leave to a feed-forward in the same direction.
-const ROOM: f32 = 1.0 / 64.0;
+const FEED_FORWARD_ROOM: f32 = 1.0 / 64.0;
 
 /// Torques of a demand after limits.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -112,7 +112,7 @@ impl TorqueDemand<f32> {
         if along > 0.0 {
             // Either force and feed-forward both fit, or the force leaves the feed-forward its room.
             let both = room(base, part + self.feed_forward(i), limit, most);
-            let alone = room(base, part, limit - ROOM * limit, most);
+            let alone = room(base, part, limit - FEED_FORWARD_ROOM * limit, most);
             if both > alone { both } else { alone }
         } else {
             room(base, part, limit, most)

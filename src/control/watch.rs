@@ -12,7 +12,7 @@ use crate::safety::fault::{Fault, FaultRecord};
 use core::ops::DerefMut;
 
 /// Regularity of a closed loop below which its tip force is too poorly defined to act (sine, no unit).
-pub const TRIPPING_SINE: f32 = 2.0e-3;
+pub const MIN_PARALLEL_SINE: f32 = 2.0e-3;
 /// Width of an index pulse, counts. The first pulse is used only if the joint moved by at most this width in the step.
 pub const INDEX_WIDTH: u32 = 4;
 
@@ -22,10 +22,10 @@ pub const INDEX_WIDTH: u32 = 4;
 pub const KEY_SECONDS: f32 = 0.5;
 /// Share of a real motor's maximum current that may flow continuously if the rules set no continuous current. Half of
 /// the current makes a quarter of the heat.
-pub const STEADY_SHARE: f32 = 0.5;
+pub const CONTINUOUS_CURRENT_SHARE: f32 = 0.5;
 
 /// Maximum number of steps until the host's silence is checked again: a quarter of the step counter's range.
-const CHECK_AGAIN: u32 = 1 << 30;
+const MAX_UNCHECKED_STEPS: u32 = 1 << 30;
 
 impl<P, K, S> ControlLoop<P, S>
 where
@@ -69,7 +69,7 @@ where
             joint.stage.limit(limits.current[i]);
             let (steady, motor) = (limits.continuous_current[i], joint.stage.motor_current());
             // A rule above the motor's maximum sets no continuous current: use the default share.
-            let steady = if self.hardware.real && steady > motor { STEADY_SHARE * motor } else { steady };
+            let steady = if self.hardware.real && steady > motor { CONTINUOUS_CURRENT_SHARE * motor } else { steady };
             heat.limit(joint.stage.max_current(), steady);
             let largest = joint.stage.max_torque();
             joint.sums.set_limits(largest, limits.speed[i]);
@@ -109,17 +109,17 @@ where
 
     /// Returns the time since the key was last seen down and the longest allowed time, s; `None` without a key.
     pub fn key_age(&self) -> Option<(f32, f32)> {
-        self.key.map(|key| self.age(key))
+        self.key.map(|key| self.press_age(key))
     }
 
-    fn age(&self, key: Press) -> (f32, f32) {
+    fn press_age(&self, key: Press) -> (f32, f32) {
         let steps = self.now.step.wrapping_sub(key.seen);
         (steps as f32 * self.period, self.rules.host_seconds.min(KEY_SECONDS))
     }
 
     /// Returns true if a key was seen down recently enough to keep the motors on.
     pub(super) fn is_fresh(&self, key: Press) -> bool {
-        let (age, allowed) = self.age(key);
+        let (age, allowed) = self.press_age(key);
         // Steps before a change of rate had another length, so the key's age is unknown.
         let known = self.now.step.wrapping_sub(key.seen) <= self.now.step.wrapping_sub(self.rate_since);
         known && age <= allowed
@@ -129,14 +129,14 @@ where
     fn expect_host(&mut self) {
         let key = match self.key_age() {
             Some((age, allowed)) => ((allowed - age) / self.period) as u32,
-            None => CHECK_AGAIN,
+            None => MAX_UNCHECKED_STEPS,
         };
         let steps = match self.rules.host_action {
-            HostAction::Ignore => CHECK_AGAIN,
+            HostAction::Ignore => MAX_UNCHECKED_STEPS,
             // The silence is already listed as a fault.
-            HostAction::Hold if self.fault.is_some() => CHECK_AGAIN,
+            HostAction::Hold if self.fault.is_some() => MAX_UNCHECKED_STEPS,
             HostAction::Hold | HostAction::Disarm => {
-                (((self.rules.host_seconds - self.host_silent()) / self.period) as u32).min(CHECK_AGAIN)
+                (((self.rules.host_seconds - self.host_silent()) / self.period) as u32).min(MAX_UNCHECKED_STEPS)
             }
         };
         self.host_expected = self.now.step.wrapping_add(steps.min(key));
@@ -251,7 +251,7 @@ fn torque_below(most: f32) -> f32 {
 /// Returns a negative number if a closed loop is so far stretched that its tip force is undefined, and for NaN.
 #[inline(always)]
 fn parallel_margin(parallel: f32) -> i32 {
-    margin_bits_between(parallel, (TRIPPING_SINE, f32::MAX))
+    margin_bits_between(parallel, (MIN_PARALLEL_SINE, f32::MAX))
 }
 
 /// Returns the distance of an index pulse from the nearest multiple of `period` after the `first` pulse, counts.

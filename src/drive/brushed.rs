@@ -25,11 +25,11 @@ const USABLE_DUTY: f32 = MAX_DUTY * (1.0 - 2.0 * f32::EPSILON);
 pub const UNKNOWN_INDUCTANCE_SHARE: f32 = 0.05;
 
 /// Factor of the current limit in the largest current with overshoot.
-const OVERSHOOT: f32 = 1.3;
+const OVERSHOOT_FACTOR: f32 = 1.3;
 /// Part of the largest current with overshoot that does not depend on the limit, A.
 const OVERSHOOT_FLOOR: f32 = 0.6;
 /// Share of the available change of current that is used, because of rounding.
-const ROUNDED_SHARE: f32 = 1.0 - 8.0 * f32::EPSILON;
+const USABLE_RISE_SHARE: f32 = 1.0 - 8.0 * f32::EPSILON;
 
 /// Current below which dead-time compensation fades, A, because near zero the sign of the current is noise.
 const DEAD_TIME_KNEE: f32 = 0.1;
@@ -228,9 +228,9 @@ impl Stage for Axis {
         self.max_current = self.motor_current.min(max_current).max(0.0);
         // The last command acts until the next control step.
         self.target = limited(self.target, self.max_current);
-        self.bound = OVERSHOOT * self.max_current + OVERSHOOT_FLOOR;
+        self.bound = OVERSHOOT_FACTOR * self.max_current + OVERSHOOT_FLOOR;
         // Change from any current within the limit to the largest current with overshoot.
-        self.safe_rise = ROUNDED_SHARE * ((self.bound - self.max_current) * self.timing[0].part).max(0.0);
+        self.safe_rise = USABLE_RISE_SHARE * ((self.bound - self.max_current) * self.timing[0].part).max(0.0);
         self.tolerance = self.base_tolerance + self.lag_resistance * self.max_current;
         self.inspection_voltage = self.tolerance;
     }

@@ -60,17 +60,17 @@ impl Carrier {
 pub struct Ticks {
     /// Ticks from the middle of the range to either end.
     half: f32,
-    /// Compare values of both legs, each in one half of the word, at [`Ticks::OFFSET`] ticks from the middle.
+    /// Compare values of both legs, each in one half of the word, at [`Ticks::ROUNDING_OFFSET`] ticks from the middle.
     middle: u32,
 }
 
 impl Ticks {
     /// Offset of the ticks from the middle, so that truncation rounds negative ticks like positive ticks.
-    const OFFSET: u32 = 1 << 15;
+    const ROUNDING_OFFSET: u32 = 1 << 15;
 
     fn of(top: u16) -> Self {
         let middle = u32::from(top).div_ceil(2);
-        let [first, second] = [middle.wrapping_sub(Self::OFFSET), middle.wrapping_add(Self::OFFSET)];
+        let [first, second] = [middle.wrapping_sub(Self::ROUNDING_OFFSET), middle.wrapping_add(Self::ROUNDING_OFFSET)];
         Self { half: 0.5 * f32::from(top), middle: first.wrapping_add(second << 16) }
     }
 
@@ -78,7 +78,7 @@ impl Ticks {
     /// below, so a duty of 0 makes exactly no voltage.
     #[inline(always)]
     pub fn legs(&self, duty: Duty) -> [u16; 2] {
-        let ticks = (Self::OFFSET as f32 + 0.5 + f32::from(duty) * self.half) as u32;
+        let ticks = (Self::ROUNDING_OFFSET as f32 + 0.5 + f32::from(duty) * self.half) as u32;
         // One subtraction sets both legs, because the second leg loses the ticks that the first leg gains.
         let both = self.middle.wrapping_add(ticks.wrapping_sub(ticks << 16));
         [both as u16, (both >> 16) as u16]

@@ -266,7 +266,7 @@ fn cross<T: Real, const N: usize>(a: &SVector<T, N>, b: &SVector<T, N>) -> SVect
 }
 
 /// Rotates axes `a` < `b` so that the lower triangle `k` of K has no entry between them and the larger diagonal entry
-/// first. Returns false if the axes are already so, to rounding.
+/// first. Returns false if no rotation is needed.
 fn rotate<T: Real, K: Math<T>, const N: usize>(
     axes: &mut [SVector<T, N>; N],
     k: &mut SMatrix<T, N, N>,

@@ -35,7 +35,7 @@ pub fn solve_symmetric<T: Real, const N: usize>(a: &SMatrix<T, N, N>, y: &SVecto
         for k in 0..j {
             pivot -= l[(j, k)] * l[(j, k)] * d[k];
         }
-        d[j] = positive(pivot, a[(j, j)]);
+        d[j] = clamped_pivot(pivot, a[(j, j)]);
         for i in j + 1..N {
             let mut entry = a[(i, j)];
             for k in 0..j {
@@ -67,7 +67,7 @@ pub fn quotient<T: Real, const N: usize>(a: &SMatrix<T, N, N>, y: &SVector<T, N>
     let (mut left, mut x) = (*a, *y);
     let (mut above, mut below) = (T::zero(), T::one());
     for j in 0..N {
-        let pivot = positive(left[(j, j)], a[(j, j)]);
+        let pivot = clamped_pivot(left[(j, j)], a[(j, j)]);
         if j + 1 == N {
             (above, below) = (above * pivot + x[j] * x[j], pivot);
             break;
@@ -89,6 +89,6 @@ pub fn quotient<T: Real, const N: usize>(a: &SMatrix<T, N, N>, y: &SVector<T, N>
 
 /// Returns `pivot`, but at least the smallest usable positive number for a remainder of the diagonal entry `of`.
 #[inline(always)]
-fn positive<T: Real>(pivot: T, of: T) -> T {
+fn clamped_pivot<T: Real>(pivot: T, of: T) -> T {
     pivot.greater(T::EPSILON * T::EPSILON * T::EPSILON * of.abs().greater(T::EPSILON))
 }

@@ -129,7 +129,7 @@ macro_rules! estimators {
                 ("butterworth", Self::Butterworth),
                 ("first-order", Self::FirstOrder),
                 ("backward-difference", Self::BackwardDifference),
-                $((<$Name<f32> as JointEstimator<f32>>::SPEC.name, Self::$Name(usual(&<$Name<f32> as JointEstimator<f32>>::SPEC))),)*
+                $((<$Name<f32> as JointEstimator<f32>>::SPEC.name, Self::$Name(default_options(&<$Name<f32> as JointEstimator<f32>>::SPEC))),)*
             ];
 
             /// Returns the entry in scene files; `None` unless the estimator uses joints.
@@ -209,7 +209,7 @@ estimators! {
 }
 
 /// Returns the default options, for a file that sets none.
-const fn usual(spec: &EstimatorSpec) -> Chosen {
+const fn default_options(spec: &EstimatorSpec) -> Chosen {
     let value = match &spec.key {
         Some(key) => key.usual,
         None => 0,

@@ -60,7 +60,7 @@ impl Board for ToyBoard {
     type Io = Pins;
     type Gate = EnableLine;
 
-    fn off() {
+    fn turn_bridges_off() {
         pac::GPIOC.bsrr().write(|w| w.set_br(ENABLE, true));
         pwm::drive(pac::TIM1, false);
     }
@@ -101,7 +101,7 @@ impl Io for Pins {
     }
 
     fn has_marks(&self) -> bool {
-        index::pending() != 0
+        index::pending_lines() != 0
     }
 
     fn marks(&mut self, counts: &Counts) -> [Option<i32>; MAX_JOINTS] {
@@ -113,7 +113,7 @@ impl Io for Pins {
     }
 
     fn has_sampled(&self) -> bool {
-        adc::finished(pac::ADC1, pac::ADC1)
+        adc::have_finished(pac::ADC1, pac::ADC1)
     }
 
     fn await_samples(&self) -> bool {
@@ -139,7 +139,7 @@ impl Io for Pins {
             pwm::drive(pac::TIM1, true);
             pac::GPIOC.bsrr().write(|w| w.set_bs(ENABLE, true));
         } else {
-            ToyBoard::off();
+            ToyBoard::turn_bridges_off();
         }
     }
 

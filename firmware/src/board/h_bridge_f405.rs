@@ -19,13 +19,13 @@ impl Wires for HBridgeF405 {
     const IDENTITY: IdentityPins =
         IdentityPins { held: &[Pin::new('C', 3)], open: &[Pin::new('A', 6), Pin::new('B', 9)] };
     const SUPPLY_LEVEL: u8 = MONITOR_2V9;
-    const ENABLE: (Gpio, usize) = (GPIOC, 6);
-    const BREAK: (Gpio, usize) = (GPIOB, 12);
+    const ENABLE_PIN: (Gpio, usize) = (GPIOC, 6);
+    const BREAK_PIN: (Gpio, usize) = (GPIOB, 12);
     const INDEX_LINES: [u32; 3] = [1 << 7, 1 << 8, 1 << 9];
     const CHANNELS: [[u8; 2]; 2] = [[10, 12], [11, 13]];
     /// Bus divider: 10 kohm over 1 kohm.
     const BUS_FULL_SCALE: f32 = adc::REFERENCE_V * 11.0;
-    const LOCKED: &'static [(Gpio, u16)] = &[(GPIOA, 0b111 << 8), (GPIOB, 0b1111 << 12), (GPIOC, 1 << 6)];
+    const LOCKED_PINS: &'static [(Gpio, u16)] = &[(GPIOA, 0b111 << 8), (GPIOB, 0b1111 << 12), (GPIOC, 1 << 6)];
 
     fn divide(p: Peripherals) -> (Pins, Common) {
         let pins = Pins {

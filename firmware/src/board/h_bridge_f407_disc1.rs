@@ -26,14 +26,14 @@ impl Wires for HBridgeF407Disc1 {
     /// are open on an STM32F405 module, and PC4 is a free connector pin on an ODrive.
     const IDENTITY: IdentityPins = IdentityPins { held: &[Pin::new('C', 4), Pin::new('B', 9)], open: &[] };
     const SUPPLY_LEVEL: u8 = MONITOR_2V7;
-    const ENABLE: (Gpio, usize) = (GPIOE, 14);
-    const BREAK: (Gpio, usize) = (GPIOE, 15);
+    const ENABLE_PIN: (Gpio, usize) = (GPIOE, 14);
+    const BREAK_PIN: (Gpio, usize) = (GPIOE, 15);
     const INDEX_LINES: [u32; 3] = [1 << 6, 1 << 8, 1 << 9];
     const CHANNELS: [[u8; 2]; 2] = [[11, 1], [12, 14]];
     /// Bus divider: 11 kohm over 1 kohm.
     const BUS_FULL_SCALE: f32 = REFERENCE_V * 12.0;
     /// Outputs and inputs to lock. PA9 carries the cable's 5 V and must stay an input.
-    const LOCKED: &'static [(Gpio, u16)] = &[(GPIOA, 1 << 9), (GPIOE, 0xFF00)];
+    const LOCKED_PINS: &'static [(Gpio, u16)] = &[(GPIOA, 1 << 9), (GPIOE, 0xFF00)];
 
     fn divide(p: Peripherals) -> (Pins, Common) {
         let pins = Pins {

@@ -55,8 +55,8 @@ pub trait Wires {
     /// The level of the supply monitor.
     const SUPPLY_LEVEL: u8;
     /// The bridges' enable line.
-    const ENABLE: (Gpio, usize);
-    const BREAK: (Gpio, usize);
+    const ENABLE_PIN: (Gpio, usize);
+    const BREAK_PIN: (Gpio, usize);
     /// Masks of the index inputs in port C.
     const INDEX_LINES: [u32; AXES];
     /// Channels of the two converters: currents 0 and 2 on the first; current 1 and the bus voltage on the second.
@@ -64,7 +64,7 @@ pub trait Wires {
     /// Bus voltage at the converters' full scale, V.
     const BUS_FULL_SCALE: f32;
     /// Outputs, enable line and break input of each port, to be locked after their configuration.
-    const LOCKED: &'static [(Gpio, u16)];
+    const LOCKED_PINS: &'static [(Gpio, u16)];
 
     /// Sorts the chip's pins without configuring any.
     fn divide(p: Peripherals) -> (Pins, Common);
@@ -74,9 +74,9 @@ type AnyPeri = Peri<'static, AnyPin>;
 
 /// A board's pins.
 pub struct Pins {
-    /// The pin of [`Wires::ENABLE`].
+    /// The pin of [`Wires::ENABLE_PIN`].
     pub enable: AnyPeri,
-    /// The pin of [`Wires::BREAK`].
+    /// The pin of [`Wires::BREAK_PIN`].
     pub break_input: AnyPeri,
     /// TIM1's channels and their complements.
     pub gates: [AnyPeri; 2 * AXES],
@@ -110,17 +110,17 @@ impl<W: Wires> Board for HBridges<W> {
     };
     const POWER_FAULT: Fault = Fault::BreakInput;
     const UNSENSED: &'static [Fault] = &[Fault::EncoderIllegal, Fault::GateDriver];
-    type Io = Sampled<W>;
+    type Io = BridgeIo<W>;
     type Gate = EnableLine;
 
     #[inline]
-    fn off() {
-        let (port, bit) = W::ENABLE;
+    fn turn_bridges_off() {
+        let (port, bit) = W::ENABLE_PIN;
         port.bsrr().write(|w| w.set_br(bit, true));
         pwm::drive(pac::TIM1, false);
     }
 
-    fn split(p: Peripherals, carrier: Carrier, board: bool) -> (Sampled<W>, Option<EnableLine>, Common) {
+    fn split(p: Peripherals, carrier: Carrier, board: bool) -> (BridgeIo<W>, Option<EnableLine>, Common) {
         rcc::enable_and_reset::<peripherals::TIM1>();
         rcc::enable_and_reset::<peripherals::TIM2>();
         rcc::enable_and_reset::<peripherals::TIM3>();
@@ -147,11 +147,11 @@ impl<W: Wires> Board for HBridges<W> {
             start_encoder(pac::TIM3, second, 2);
             start_encoder(pac::TIM4, third, 2);
         }
-        for &(port, pins) in W::LOCKED {
+        for &(port, pins) in W::LOCKED_PINS {
             pwm::lock(port, pins);
         }
 
-        let io = Sampled { zeros: Zeros::new(), offsets: [0.0; AXES], carrier, wires: PhantomData };
+        let io = BridgeIo { zeros: Zeros::new(), offsets: [0.0; AXES], carrier, wires: PhantomData };
         (io, board.then_some(EnableLine), common)
     }
 }
@@ -161,7 +161,7 @@ fn start_encoder(timer: TimGp16, [a, b]: [Flex<'static>; 2], alternate_function:
 }
 
 /// The part that the control interrupt owns.
-pub struct Sampled<W> {
+pub struct BridgeIo<W> {
     zeros: Zeros<AXES>,
     /// Zero error of each sensor's reading, A.
     offsets: [f32; AXES],
@@ -169,15 +169,15 @@ pub struct Sampled<W> {
     wires: PhantomData<W>,
 }
 
-impl<W> Sampled<W> {
+impl<W> BridgeIo<W> {
     /// Returns the readings of all current sensors.
     #[inline(always)]
-    fn raw() -> [i32; AXES] {
+    fn raw_readings() -> [i32; AXES] {
         [adc::result(pac::ADC1, 0), adc::result(pac::ADC2, 0), adc::result(pac::ADC1, 1)]
     }
 }
 
-impl<W: Wires> Io for Sampled<W> {
+impl<W: Wires> Io for BridgeIo<W> {
     #[inline(always)]
     fn update_counts(&mut self, counts: &mut Counts) {
         encoder::update_count(TIM2, &mut counts[0]);
@@ -187,7 +187,7 @@ impl<W: Wires> Io for Sampled<W> {
 
     #[inline(always)]
     fn has_marks(&self) -> bool {
-        index::pending() != 0
+        index::pending_lines() != 0
     }
 
     fn marks(&mut self, counts: &Counts) -> [Option<i32>; MAX_JOINTS] {
@@ -202,7 +202,7 @@ impl<W: Wires> Io for Sampled<W> {
 
     #[inline(always)]
     fn has_sampled(&self) -> bool {
-        adc::finished(pac::ADC1, pac::ADC2)
+        adc::have_finished(pac::ADC1, pac::ADC2)
     }
 
     fn await_samples(&self) -> bool {
@@ -211,7 +211,7 @@ impl<W: Wires> Io for Sampled<W> {
 
     #[inline(always)]
     fn sample(&mut self, samples: &mut Samples) {
-        let raw = Self::raw();
+        let raw = Self::raw_readings();
         let current = |axis: usize| self.offsets[axis] + AMPERES_PER_COUNT * raw[axis] as f32;
         samples.currents = Currents([current(0), current(1), current(2)]);
         let bus = adc::result(pac::ADC2, 1) as f32;
@@ -219,7 +219,7 @@ impl<W: Wires> Io for Sampled<W> {
     }
 
     fn learn_zeros(&mut self) {
-        self.zeros.take(Self::raw());
+        self.zeros.take(Self::raw_readings());
         self.offsets = self.zeros.get().map(|zero| -AMPERES_PER_COUNT * zero);
     }
 
@@ -235,17 +235,17 @@ impl<W: Wires> Io for Sampled<W> {
     fn drive(&mut self, on: bool) {
         if on {
             pwm::drive(pac::TIM1, true);
-            let (port, bit) = W::ENABLE;
+            let (port, bit) = W::ENABLE_PIN;
             port.bsrr().write(|w| w.set_bs(bit, true));
         } else {
-            HBridges::<W>::off();
+            HBridges::<W>::turn_bridges_off();
         }
     }
 
     /// Returns true if the break input is low or has cut the outputs.
     #[inline(always)]
     fn has_fault(&self) -> bool {
-        let (port, bit) = W::BREAK;
+        let (port, bit) = W::BREAK_PIN;
         let low = port.idr().read().idr(bit) == pac::gpio::vals::Idr::LOW;
         let cut = !pac::TIM1.bdtr().read().moe();
         low || cut

@@ -95,7 +95,7 @@ impl Board for OdriveV3 {
     type Gate = Drivers;
 
     #[inline]
-    fn off() {
+    fn turn_bridges_off() {
         for timer in TIMERS {
             pwm::drive(timer, false);
         }
@@ -152,7 +152,7 @@ impl Board for OdriveV3 {
         pwm::lock(pac::GPIOC, 0b111 << 6);
         pwm::lock(pac::GPIOD, 1 << N_FAULT);
 
-        let io = Pins { zeros: Zeros::new(), offsets: [Offsets { current: 0.0, imbalance: 0.0 }; AXES], carrier };
+        let io = Pins { zeros: Zeros::new(), offsets: [ZeroOffsets { current: 0.0, imbalance: 0.0 }; AXES], carrier };
         (io, gate, Common { usb: (p.USB_OTG_FS, p.PA12, p.PA11), flash: p.FLASH, watchdog: p.IWDG })
     }
 }
@@ -160,21 +160,21 @@ impl Board for OdriveV3 {
 /// The part that the control interrupt owns.
 pub struct Pins {
     zeros: Zeros<4>,
-    offsets: [Offsets; AXES],
+    offsets: [ZeroOffsets; AXES],
     carrier: Carrier,
 }
 
 /// Zero errors of an axis's two sensors, A: `current` is half their difference, `imbalance` their sum.
 #[derive(Clone, Copy)]
-struct Offsets {
+struct ZeroOffsets {
     current: f32,
     imbalance: f32,
 }
 
-impl Offsets {
+impl ZeroOffsets {
     /// Returns current and imbalance of these readings, A. The current of phase B returns through phase C.
     #[inline(always)]
-    fn sensed(&self, b: i32, c: i32) -> (f32, f32) {
+    fn current_and_imbalance(&self, b: i32, c: i32) -> (f32, f32) {
         let current = self.current + 0.5 * AMPERES_PER_COUNT * (b - c) as f32;
         (current, self.imbalance + AMPERES_PER_COUNT * (b + c) as f32)
     }
@@ -183,7 +183,7 @@ impl Offsets {
 impl Pins {
     /// Returns the readings of all current sensors: phases B and C of the first axis, then of the second axis.
     #[inline(always)]
-    fn raw() -> [i32; 4] {
+    fn raw_readings() -> [i32; 4] {
         [adc::result(pac::ADC1, 0), adc::result(pac::ADC2, 0), adc::result(pac::ADC1, 1), adc::result(pac::ADC2, 1)]
     }
 }
@@ -197,7 +197,7 @@ impl Io for Pins {
 
     #[inline(always)]
     fn has_marks(&self) -> bool {
-        index::pending() != 0
+        index::pending_lines() != 0
     }
 
     fn marks(&mut self, counts: &Counts) -> [Option<i32>; MAX_JOINTS] {
@@ -212,7 +212,7 @@ impl Io for Pins {
 
     #[inline(always)]
     fn has_sampled(&self) -> bool {
-        adc::finished(pac::ADC1, pac::ADC2)
+        adc::have_finished(pac::ADC1, pac::ADC2)
     }
 
     fn await_samples(&self) -> bool {
@@ -221,19 +221,19 @@ impl Io for Pins {
 
     #[inline(always)]
     fn sample(&mut self, samples: &mut Samples) {
-        let [b0, c0, b1, c1] = Self::raw();
-        (samples.currents[0], samples.imbalance[0]) = self.offsets[0].sensed(b0, c0);
-        (samples.currents[1], samples.imbalance[1]) = self.offsets[1].sensed(b1, c1);
+        let [b0, c0, b1, c1] = Self::raw_readings();
+        (samples.currents[0], samples.imbalance[0]) = self.offsets[0].current_and_imbalance(b0, c0);
+        (samples.currents[1], samples.imbalance[1]) = self.offsets[1].current_and_imbalance(b1, c1);
         let bus = adc::result(pac::ADC1, 2) as f32;
         samples.bus_voltage = adc::REFERENCE_V / adc::FULL_SCALE * BUS_DIVIDER * bus;
     }
 
     fn learn_zeros(&mut self) {
-        self.zeros.take(Self::raw());
+        self.zeros.take(Self::raw_readings());
         let zero = self.zeros.get().map(|zero| AMPERES_PER_COUNT * zero);
         for (axis, off) in self.offsets.iter_mut().enumerate() {
             let (b, c) = (zero[2 * axis], zero[2 * axis + 1]);
-            *off = Offsets { current: -0.5 * (b - c), imbalance: -(b + c) };
+            *off = ZeroOffsets { current: -0.5 * (b - c), imbalance: -(b + c) };
         }
     }
 
@@ -252,7 +252,7 @@ impl Io for Pins {
                 pwm::drive(timer, true);
             }
         } else {
-            OdriveV3::off();
+            OdriveV3::turn_bridges_off();
         }
     }
 
@@ -312,7 +312,7 @@ impl Gate for Drivers {
         block_for(Duration::from_millis(10));
         let result = self.configure();
         if result.is_err() {
-            OdriveV3::off();
+            OdriveV3::turn_bridges_off();
         }
         result
     }

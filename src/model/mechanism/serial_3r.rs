@@ -53,20 +53,20 @@ fn left<T: Real>(v: &Vector2<T>) -> Vector2<T> {
 
 /// Returns the absolute rates of the links for joint rates.
 #[inline(always)]
-fn absolute<T: Real>(qd: &Vector3<T>) -> Vector3<T> {
+fn absolute_rates<T: Real>(qd: &Vector3<T>) -> Vector3<T> {
     let second = qd[0] + qd[1];
     Vector3::new(qd[0], second, second + qd[2])
 }
 
 /// Returns the joint rates for absolute rates of the links.
 #[inline(always)]
-fn relative<T: Real>(rates: &Vector3<T>) -> Vector3<T> {
+fn joint_rates<T: Real>(rates: &Vector3<T>) -> Vector3<T> {
     Vector3::new(rates[0], rates[1] - rates[0], rates[2] - rates[1])
 }
 
 /// Returns the joint torques for moments on the absolute angles.
 #[inline(always)]
-fn accumulate<T: Real>(moments: &Vector3<T>) -> Vector3<T> {
+fn joint_torques<T: Real>(moments: &Vector3<T>) -> Vector3<T> {
     let second = moments[1] + moments[2];
     Vector3::new(moments[0] + second, second, moments[2])
 }
@@ -218,7 +218,7 @@ impl<T: Real> Mechanism<T, 3> for Serial3r<T> {
     }
 
     fn jacobian_rate(&self, pose: &Pose<T>, qd: &Vector3<T>) -> Matrix3<T> {
-        let rates = absolute(qd);
+        let rates = absolute_rates(qd);
         let column = |i: usize| pose.link[i] * (-self.lengths[i] * rates[i]);
         let third = column(2);
         let second = third + column(1);
@@ -238,25 +238,25 @@ impl<T: Real> Mechanism<T, 3> for Serial3r<T> {
     }
 
     fn coriolis(&self, pose: &Pose<T>, qd: &Vector3<T>) -> Vector3<T> {
-        let rates = absolute(qd);
-        accumulate(&self.centrifugal(pose, &rates.component_mul(&rates)))
+        let rates = absolute_rates(qd);
+        joint_torques(&self.centrifugal(pose, &rates.component_mul(&rates)))
     }
 
     #[inline(always)]
     fn gravity(&self, pose: &Pose<T>) -> Vector3<T> {
         let moment = |i: usize| pose.link[i][1] * self.weight[i][0] - pose.link[i][0] * self.weight[i][1];
-        accumulate(&Vector3::new(moment(0), moment(1), moment(2)))
+        joint_torques(&Vector3::new(moment(0), moment(1), moment(2)))
     }
 
     #[inline(always)]
     fn transpose(&self, pose: &Pose<T>, force: &Vector3<T>) -> Vector3<T> {
         let moment = |i: usize| self.lengths[i] * (pose.link[i][0] * force[1] - pose.link[i][1] * force[0]);
-        accumulate(&Vector3::new(moment(0), moment(1), moment(2) + force[2]))
+        joint_torques(&Vector3::new(moment(0), moment(1), moment(2) + force[2]))
     }
 
     #[inline(always)]
     fn velocity(&self, pose: &Pose<T>, qd: &Vector3<T>) -> Vector3<T> {
-        let rates = absolute(qd);
+        let rates = absolute_rates(qd);
         let [l1, l2, l3] = self.lengths;
         let [v1, v2, v3] = [l1 * rates[0], l2 * rates[1], l3 * rates[2]];
         let [e1, e2, e3] = &pose.link;
@@ -265,25 +265,25 @@ impl<T: Real> Mechanism<T, 3> for Serial3r<T> {
 
     #[inline(always)]
     fn inverse(&self, pose: &Pose<T>, velocity: &Vector3<T>) -> Vector3<T> {
-        relative(&self.rates(pose, &Vector2::new(velocity[0], velocity[1]), velocity[2]))
+        joint_rates(&self.rates(pose, &Vector2::new(velocity[0], velocity[1]), velocity[2]))
     }
 
     #[inline(always)]
     fn shaping(&self, pose: &Pose<T>, n: &Vector3<T>) -> Shaping<T, 3> {
         let rates = self.rates(pose, &Vector2::new(n[0], n[1]), n[2]);
         let momentum = self.momentum(pose, [rates[0], rates[1]], Some(rates[2]));
-        Shaping { e: relative(&rates), me: accumulate(&momentum), w_rr: rates.dot(&momentum) }
+        Shaping { e: joint_rates(&rates), me: joint_torques(&momentum), w_rr: rates.dot(&momentum) }
     }
 
     #[inline(always)]
     fn velocity_torque(&self, pose: &Pose<T>, qd: &Vector3<T>) -> Vector3<T> {
-        let rates = absolute(qd);
+        let rates = absolute_rates(qd);
         let squares = rates.component_mul(&rates);
         let [l1, l2, l3] = self.lengths;
         let [e1, e2, e3] = &pose.link;
         let point = e1 * (l1 * squares[0]) + e2 * (l2 * squares[1]) + e3 * (l3 * squares[2]);
         let momentum = self.momentum(pose, self.arm_rates(pose, &point), None);
-        accumulate(&(momentum + self.centrifugal(pose, &squares)))
+        joint_torques(&(momentum + self.centrifugal(pose, &squares)))
     }
 
     #[inline(always)]
@@ -300,7 +300,7 @@ impl<T: Real> Mechanism<T, 3> for Serial3r<T> {
         let product = |p: &Vector3<T>, rates: [T; 2]| p[0] * rates[0] + p[1] * rates[1];
         let (nn, nt, tt) = (product(&pn, along), product(&pn, across), product(&pt, across));
         let (nf, tf, ff) = (product(&pn, about) + pn[2], product(&pt, about) + pt[2], product(&pf, about) + pf[2]);
-        let e = |rates: [T; 2], third| relative(&Vector3::new(rates[0], rates[1], third));
+        let e = |rates: [T; 2], third| joint_rates(&Vector3::new(rates[0], rates[1], third));
         // Weff in absolute rates, because the mass matrix then has the fewest terms.
         let moment = |i: usize| self.lengths[i] * (pose.link[i][0] * n[1] - pose.link[i][1] * n[0]);
         let moments = Vector3::new(moment(0), moment(1), moment(2));
@@ -308,10 +308,10 @@ impl<T: Real> Mechanism<T, 3> for Serial3r<T> {
         let mass = Matrix3::new(m11, m12, m13, m12, m22, m23, m13, m23, m33);
         WallTerms {
             e: Matrix3::from_columns(&[e(along, zero), e(across, zero), e(about, one)]),
-            me: accumulate(&pn),
+            me: joint_torques(&pn),
             w: Matrix3::new(nn, nt, nf, nt, tt, tf, nf, tf, ff),
             b: self.velocity_torque(pose, qd) + self.gravity(pose),
-            row: accumulate(&moments),
+            row: joint_torques(&moments),
             w_eff: effective(&mass, &moments),
         }
     }

@@ -90,7 +90,7 @@ impl<T: Real> Guidance<T> {
         self.adds_force = self.is_active || self.is_pushed;
         if push.is_none_or(|push| push.plane.is_absent()) {
             let [of_plane, ..] = &mut self.washouts;
-            *of_plane = restarted(of_plane);
+            *of_plane = cleared_washout(of_plane);
         }
     }
 
@@ -118,7 +118,7 @@ impl<T: Real> Guidance<T> {
 
     /// Restarts the washouts.
     pub fn forget(&mut self) {
-        self.washouts.iter_mut().for_each(|washout| *washout = restarted(washout));
+        self.washouts.iter_mut().for_each(|washout| *washout = cleared_washout(washout));
     }
 
     /// Returns the force of springs, fields and the plane at the tip without the host's force, N.
@@ -255,7 +255,7 @@ impl<T: Real> Guidance<T> {
 }
 
 /// Returns a washout of the same design with a cleared state.
-fn restarted<T: Real>(washout: &Washout<T>) -> Washout<T> {
+fn cleared_washout<T: Real>(washout: &Washout<T>) -> Washout<T> {
     let mut fresh = Washout::default();
     fresh.retune(washout);
     fresh

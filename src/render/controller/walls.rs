@@ -229,7 +229,7 @@ pub(super) struct Walls<T: Real> {
 
 /// The effect of the walls at one tip position.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Touch<T: Real, const N: usize> {
+pub(super) struct WallContacts<T: Real, const N: usize> {
     pub at_walls: AtWalls<T>,
     /// Normal of the deepest wall.
     pub normal: SVector<T, N>,
@@ -312,13 +312,13 @@ impl<T: Real> Walls<T> {
         along: Option<&SVector<T, N>>,
         debt: Option<&Debt<T>>,
         more: &mut Vec<ShapedContact<T, N>, MAX_WALLS>,
-    ) -> Touch<T, N> {
+    ) -> WallContacts<T, N> {
         let mut at_walls = AtWalls::none();
         if !self.running.is_empty() {
             at_walls.distance = T::INFINITY;
         }
         let zeros = SVector::zeros();
-        let mut touch = Touch { at_walls, normal: zeros, plain: zeros, first: None };
+        let mut touch = WallContacts { at_walls, normal: zeros, plain: zeros, first: None };
         for (index, running) in self.running.iter_mut().enumerate() {
             let contact = running.wall.surface.contact::<K, N>(place);
             let known = along.map(|velocity| contact.normal.dot(velocity));

@@ -94,7 +94,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         put(&rendered, &mut result.asked.rendered);
         result.asked.force_squared = force.dot(&force);
         let mut torque = rendered;
-        if let Some((e, share)) = stiffest::<T, K, N>(&contacts, springs, reach) {
+        if let Some((e, share)) = stiffest_direction::<T, K, N>(&contacts, springs, reach) {
             let along = e.dot(&shaped);
             torque -= self.mechanism.transpose(&pose, &e) * (share * along);
             torque += self.shaped_torque(&start, &e, along, None).torque * share;
@@ -138,7 +138,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         };
         if let Some((normal, depth, stiffness)) = self.guidance.touched_plane::<N>(place) {
             plain.force += normal * shared.plane;
-            // `reach` already includes the depth of its force.
+            // The reach is 0 here, because `shared_depth` already covers the plane.
             let pull = ContactPull { stiffness, has_feed_forward: false, depth, reach: T::zero() };
             plain.plane = Some(StiffContact { normal, pull });
         }
@@ -149,7 +149,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
 /// Returns the stiffest direction of these contacts and its level's share; `None` if no contact has the feed-forward or
 /// no direction is stiffer than another. `reach` is the depth for [`TOUCH_SHARE`], m.
 #[inline(always)]
-fn stiffest<T: Real, K: Math<T>, const N: usize>(
+fn stiffest_direction<T: Real, K: Math<T>, const N: usize>(
     contacts: &[StiffContact<T, N>],
     springs: Option<Stiffness<T>>,
     reach: T,
