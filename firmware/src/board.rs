@@ -60,7 +60,6 @@ pub struct Pin(pub(crate) u8);
 
 /// Time in which a pin follows a pull of 40 kohm, us: enough for a thousand times a 1 m wire's capacitance (100 pF).
 const PULL_US: u64 = 500;
-
 /// Ports A to D, in the order of [`Pin`]'s numbers.
 const PORTS: [Gpio; 4] = [pac::GPIOA, pac::GPIOB, pac::GPIOC, pac::GPIOD];
 
@@ -119,10 +118,8 @@ pub trait Board {
     type Io: Io;
     /// The part that the tasks own.
     type Gate: Gate;
-
     /// Turns the bridges off by plain register writes, which work in any state of the program, even in fault handlers.
     fn turn_bridges_off();
-
     /// Divides the chip's peripherals between interrupt and tasks, and sets the timers to `carrier` without starting
     /// them. If `board` is false, the chip is on another board: only USB's pins are used, there is no power stage, and
     /// all pins that this image would drive stay inputs until the next reset.
@@ -134,39 +131,29 @@ pub trait Board {
 pub trait Io {
     /// Updates the encoder counts, one per axis. They are 0 at power-on.
     fn update_counts(&mut self, counts: &mut Counts);
-
     /// Returns true if an index pulse came since the last call of [`Io::marks`].
     fn has_marks(&self) -> bool;
-
     /// Returns the counts of the encoders with an index pulse since the last call.
     fn marks(&mut self, counts: &Counts) -> [Option<i32>; MAX_JOINTS];
-
     /// Clears stale flags of the converters. Call between two crests, because a stale flag would make every later
     /// reading one crest old or mix two crests.
     fn clear_flags(&mut self);
-
     /// Returns true if the conversions that the crest started have finished.
     fn has_sampled(&self) -> bool;
     /// Waits for the conversions. Returns true if they finish.
     fn await_samples(&self) -> bool;
-
     /// Writes the readings to `samples`: bus voltage, currents, and the difference of two sensors of one current.
     fn sample(&mut self, samples: &mut Samples);
-
     /// Takes the readings as the sensors' zeros if a task waits for zeros. Call while the bridges are off.
     fn learn_zeros(&mut self);
-
     /// Writes the compare values of each axis's two legs, which apply at the next valley.
     fn write(&mut self, legs: &[[u16; 2]; MAX_JOINTS]);
-
     /// Connects the bridges to the carrier, or lets them float and disables the gate drivers or the enable line.
     fn drive(&mut self, on: bool);
-
     /// Returns true if the power stage reports a fault. Valid only while the power stage is enabled.
     fn has_fault(&self) -> bool;
 
     fn carrier(&self) -> &Carrier;
-
     /// Changes the carrier of all axes at the same extreme.
     fn set_carrier(&mut self, carrier: Carrier);
 

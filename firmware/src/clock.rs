@@ -14,10 +14,8 @@ use crate::critical;
 
 /// Frequency that the PWM timers count at, Hz.
 pub const TIMER_HZ: u32 = 168_000_000;
-
 /// Line of the supply monitor's interrupt in the interrupt controller.
 const SUPPLY_LINE: usize = 16;
-
 /// Device identifier of the chip (RM0090 section 38.6.1). Revision A has another one (errata sheet ES0182).
 const DEVICE_ID_AFTER_REVISION_A: u16 = 0x413;
 

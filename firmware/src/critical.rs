@@ -12,16 +12,12 @@ use embassy_stm32::interrupt::Priority;
 /// Priority of the supply monitor's interrupt, which does not wait for the end of a control step. Hard faults and the
 /// non-maskable interrupt, above all priorities, do not wait either; all three turn the bridges off.
 pub const SUPPLY: Priority = Priority::P0;
-
 /// Priority of the control interrupt.
 pub const CONTROL: Priority = Priority::P1;
-
 /// Priority of the interrupt that feeds the watchdog. Tasks cannot delay it; an endless control interrupt stops it.
 pub const WATCHDOG: Priority = Priority::P2;
-
 /// Priority of all other interrupts.
 pub const OTHERS: Priority = Priority::P6;
-
 /// Highest priority that a critical section masks: level 3, in the upper four bits.
 const MASKED_PRIORITY: u8 = 3 << 4;
 

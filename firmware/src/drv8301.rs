@@ -17,13 +17,10 @@ const STATUS_1: u16 = 0;
 const STATUS_2: u16 = 1;
 const CONTROL_1: u16 = 2;
 const CONTROL_2: u16 = 3;
-
 /// Gate current 1.7 A, six independent gate signals, latched shutdown at an over-current of 0.730 V across a switch.
 const CONTROL_1_VALUE: u16 = (21 << 6) | (1 << 4);
-
 /// Amplifier gain 80 V/V, inputs connected, over-temperature and over-current both reported.
 const CONTROL_2_VALUE: u16 = 3 << 2;
-
 /// Disconnects both amplifiers' inputs from the shunts and shorts them.
 const CALIBRATE: u16 = 0b11 << 4;
 

@@ -411,11 +411,9 @@ fn after_step(carrier: &Carrier) -> u32 {
 /// Number of crests for which duties stay late after a step that missed its valley. If some steps are late, most are,
 /// and a duty in time before a late one acts for half a carrier period too long.
 const LATE_CRESTS: u8 = 64;
-
 /// Core cycles from the lateness check to the write of the duties. Limits, torques and current loops take at most 350
 /// instructions for two motors and 460 for three, at up to 2.4 cycles each.
 const LEGS_CYCLES: u32 = 288 * (This::AXES as u32 + 1);
-
 /// Core cycles after a crest or a valley within which the bridges may be connected, 1.5 us. This is twice the estimate
 /// of the interrupt's time to that point (emulator/src/cycles.rs, with a cold flash). Each microsecond adds 0.24 A in a
 /// motor of 0.1 mH at 24 V.

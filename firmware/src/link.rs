@@ -83,7 +83,6 @@ pub async fn usb(mut device: UsbDevice<'static, UsbDriver>) -> ! {
 
 /// Interval at which the control loop is checked for new faults.
 const FAULT_CHECK_INTERVAL: Duration = Duration::from_millis(20);
-
 /// Interval at which the telemetry ring is emptied. The ring holds 5 ms of frames at 20 kHz.
 const TELEMETRY_INTERVAL: Duration = Duration::from_millis(1);
 

@@ -20,7 +20,7 @@ const BOOT_LOADER_MARK: u32 = 0x4446_5521;
 /// The record of a run's end. It consists of words only, so that any bit pattern is valid.
 #[repr(C)]
 #[derive(Clone, Copy)]
-struct LastWords {
+struct EndRecord {
     mark: u32,
     /// 1 panic, 2 hard fault, 3 unexpected interrupt, 4 stack overflow, 5 stopped crystal, 6 falling supply.
     kind: u32,
@@ -36,8 +36,8 @@ struct LastWords {
     check: u32,
 }
 
-#[unsafe(link_section = ".uninit.LAST_WORDS")]
-static mut LAST_WORDS: MaybeUninit<LastWords> = MaybeUninit::uninit();
+#[unsafe(link_section = ".uninit.END_RECORD")]
+static mut END_RECORD: MaybeUninit<EndRecord> = MaybeUninit::uninit();
 
 #[unsafe(link_section = ".uninit.BOOT_REQUEST")]
 static mut BOOT_REQUEST: MaybeUninit<u32> = MaybeUninit::uninit();
@@ -105,7 +105,7 @@ impl Start {
     }
 }
 
-impl LastWords {
+impl EndRecord {
     fn sum(&self) -> u32 {
         let words = [self.mark, self.kind, self.pc, self.lr, self.status, self.address, self.file, self.file_len];
         words.iter().fold(0x811C_9DC5_u32, |sum, word| (sum ^ word).wrapping_mul(0x0100_0193))
@@ -129,8 +129,8 @@ pub fn take_record() -> Start {
     // SAFETY: runs once, before interrupts and tasks exist, so the record has no other user. All bit patterns are
     // valid.
     let words = unsafe {
-        let words = addr_of!(LAST_WORDS).cast::<LastWords>().read_volatile();
-        addr_of_mut!(LAST_WORDS).cast::<u32>().write_volatile(0);
+        let words = addr_of!(END_RECORD).cast::<EndRecord>().read_volatile();
+        addr_of_mut!(END_RECORD).cast::<u32>().write_volatile(0);
         words
     };
     let flags = pac::RCC.csr().read();
@@ -198,7 +198,7 @@ pub fn enter_boot_loader_if_requested() {
 }
 
 fn write_down_and_reset(kind: u32, pc: u32, lr: u32, file: (u32, u32)) -> ! {
-    let mut words = LastWords {
+    let mut words = EndRecord {
         mark: RECORD_MARK,
         kind,
         pc,
@@ -212,7 +212,7 @@ fn write_down_and_reset(kind: u32, pc: u32, lr: u32, file: (u32, u32)) -> ! {
     };
     words.check = words.sum();
     // SAFETY: interrupts are off and this function does not return, so no other code uses the record.
-    unsafe { addr_of_mut!(LAST_WORDS).cast::<LastWords>().write_volatile(words) };
+    unsafe { addr_of_mut!(END_RECORD).cast::<EndRecord>().write_volatile(words) };
     cortex_m::asm::dsb();
     SCB::sys_reset()
 }

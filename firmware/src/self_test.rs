@@ -16,7 +16,6 @@ use crate::board::{Board, IdentityPins, Pin, This};
 /// Address of the first word that failed the RAM test; 0 if the test passed. Start-up does not initialise it.
 #[unsafe(link_section = ".uninit.RAM_FAILED")]
 static RAM_FAILED: AtomicU32 = AtomicU32::new(0);
-
 /// True if the image in flash matches its checksum.
 static IS_IMAGE_SOUND: AtomicBool = AtomicBool::new(false);
 

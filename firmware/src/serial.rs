@@ -24,13 +24,10 @@ use static_cell::ConstStaticCell;
 
 /// The USB driver of this chip.
 pub type UsbDriver = Driver<'static, USB_OTG_FS>;
-
 /// The serial port.
 pub type Serial = CdcAcmClass<'static, UsbDriver>;
-
 /// Largest packet of a full-speed bulk endpoint.
 pub const PACKET: usize = 64;
-
 /// Longest wait for a host to make room for a frame. A turn of the link task sends at most three frames, and the task
 /// must report to the supervisor once a second.
 const MAX_READ_WAIT: Duration = Duration::from_millis(100);

@@ -12,7 +12,6 @@ use crate::watchdog::{self, Watchdog};
 
 /// Time between checks. One passed check lets the watchdog run for 100 ms.
 const CHECK_PERIOD: Duration = Duration::from_millis(20);
-
 /// Longest time between two reports of a task, ms.
 const MAX_SILENCE_MS: u32 = 1000;
 
@@ -27,7 +26,6 @@ const TASKS: [Task; 1] = [Task::Link];
 
 /// Time of each task's last report, ms since the start.
 static LAST_REPORT_MS: [AtomicU32; TASKS.len()] = [const { AtomicU32::new(0) }; TASKS.len()];
-
 /// Expected control steps per second.
 static RATE_HZ: AtomicU32 = AtomicU32::new(CARRIER_MIN_HZ);
 
@@ -38,7 +36,6 @@ pub fn expect_rate(rate_hz: f32) {
 
 /// Share of control steps whose duties applied half a carrier period late, as bits of an `f32`.
 static LATE_SHARE: AtomicU32 = AtomicU32::new(0);
-
 /// Averaging window of the share of late steps, steps: a fifth of a second at 20 kHz.
 const LATE_WINDOW: f32 = 4096.0;
 

@@ -8,7 +8,6 @@ use crate::adc;
 
 /// Weight of one reading in a sensor's zero, which settles after a hundred readings.
 const ZERO_WEIGHT: f32 = 1.0 / 32.0;
-
 /// Time for the zeros to settle, ms: at least 200 carrier periods.
 const ZERO_SETTLING_MS: u64 = 12;
 
@@ -26,7 +25,6 @@ pub enum Zeroing {
 }
 
 static ZEROING: AtomicU8 = AtomicU8::new(Zeroing::No as u8);
-
 /// Largest distance of a zero from the middle of the range, or of a reading from its zero, counts.
 static WORST_ZERO_DISTANCE: AtomicU16 = AtomicU16::new(0);
 

@@ -15,7 +15,6 @@ pub trait Machine {
     type Math: Math<f32>;
     /// Storage of a program on this machine: a box, or a static buffer.
     type Held: DerefMut<Target = Program<Self::Math>>;
-
     /// Carries out a command between two control steps and waits for the reply.
     fn execute(&mut self, command: Command<Self::Held>) -> Reply<Self::Held>;
     /// Returns the control loop's state.

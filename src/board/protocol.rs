@@ -26,13 +26,10 @@ use serde::{Deserialize, Serialize};
 
 /// Version of the protocol, increased with every change of a message.
 pub const PROTOCOL: u16 = 11;
-
 /// Longest frame on the link before COBS encoding, bytes.
 pub const MAX_FRAME: usize = 1536;
-
 /// Maximum number of faults in the board's history.
 pub const FAULT_HISTORY: usize = 16;
-
 /// Reply to a request that changes something.
 pub type Outcome = Result<(), Refusal>;
 

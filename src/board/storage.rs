@@ -37,7 +37,6 @@ const _: () = assert!(DECISION_KEY < STAGED_BIT && (DECISION_KEY as usize) < SET
 /// Number of places in the catalogue and in the decision: the keys up to the decision's.
 const SETTINGS: usize = 8;
 const KEYS: usize = 16;
-
 /// A generation: the seven lower bits count and wrap. 0 for a missing entry and for an entry without generation.
 type Generation = u8;
 /// Bit that is set in every generation. Entries without generation start with their key, which lacks this bit.

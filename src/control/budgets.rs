@@ -65,7 +65,6 @@ const MAX_STRAY_FORCE_SHARE: f32 = 0.5;
 const SETTLING_SECONDS: f32 = 5.0e-3;
 /// Rate at which the leverage is recomputed, Hz. A tip at 1 m/s moves by half a millimetre between two computations.
 const LEVERAGE_HZ: f32 = 2.0e3;
-
 /// Relative change of leverage that does not reduce the commanded force, because [`CURRENT_FORCE_MARGIN`] covers it.
 const FREE_LEVERAGE_CHANGE: f32 = 0.02;
 /// Share of the largest recent change that is kept at the next recomputation.

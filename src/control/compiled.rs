@@ -14,13 +14,10 @@ use core::mem::MaybeUninit;
 
 /// The board's trigonometry.
 pub type BoardMath = Tabulated;
-
 /// The board's handle to a program: a reference to its buffer, so that a program is handed over without a copy.
 pub type BoardProgram = &'static mut Program<BoardMath>;
-
 /// Compare values of each bridge's two legs.
 pub type Legs = [[u16; 2]; MAX_JOINTS];
-
 /// The control loop of the board.
 pub type BoardControlLoop = ControlLoop<BoardProgram>;
 

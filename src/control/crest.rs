@@ -23,10 +23,8 @@ const MIN_SPEED_FILTER_HZ: f32 = 5.0;
 /// Largest share of the speed limit that a single count may appear as. A coarse encoder is filtered for longer, until
 /// the joint has moved by a few counts.
 const MAX_COUNT_SPEED_SHARE: f32 = 0.25;
-
 /// Largest share of the torque limit that a single count may change the torque by when back-EMF is fed forward.
 const MAX_COUNT_TORQUE_SHARE: f32 = 1.0 / 32.0;
-
 /// Largest difference of two current sensors as a share of the current limit: gains, settling at the duty's edge.
 const IMBALANCE_SHARE: f32 = 0.15;
 /// Largest difference of two current sensors at zero current, A: zeros and noise.

@@ -29,16 +29,13 @@ use core::ops::DerefMut;
 /// Longest time that the check waits for a joint to come to rest before its swing, s. A device almost without friction
 /// glides for seconds, and such motion would spoil the measurement.
 pub const MAX_WAIT_FOR_REST: f32 = 5.0;
-
 /// Shortest time between two steps of the check, s, because a control step with the sums of the check is long, and the
 /// motion takes milliseconds.
 const CHECK_PERIOD: f32 = 1.0e-4;
-
 /// Angle within which a joint at rest stays for [`MIN_REST_SECONDS`], rad. Speed is no measure of rest, because it is
 /// zero between two counts of a coarse encoder and where a joint turns back.
 const MAX_REST_MOTION: f32 = 2.0e-3;
 const MIN_REST_SECONDS: f32 = 0.2;
-
 /// Accepted ratio (lowest, highest) of the torque that acted to the file's torque, as measured on sound devices.
 /// Static friction lowers the ratio.
 const ACCEPTED_TORQUE_RATIO: (f32, f32) = (1.0 / 1.4, 1.2);
@@ -52,7 +49,6 @@ pub const MAX_RESISTANCE_ERROR: f32 = 0.35;
 const MAX_HIDDEN_SHARE: f32 = 0.1;
 /// Relative error of the dead time's voltage after compensation.
 const DEAD_TIME_ERROR: f32 = 0.5;
-
 /// Tip force of the first torque by the file, N. The real force is 0.5 N if every constant is ten times wrong.
 const INITIAL_TIP_FORCE: f32 = 0.05;
 /// Tip force for inertia in the first swing by the file, N.
@@ -120,7 +116,6 @@ const TURNS_SUMMED: f32 = 3.0;
 const TURNS_FADING: f32 = 2.0;
 /// Turns between the sums and the fade, which begins where the torque is zero.
 const TURNS_BEFORE_FADING: f32 = 0.25;
-
 /// A quantity that alternates with a swing's torque: the part in phase, and the part a quarter turn later.
 type Phasor = [f32; 2];
 

@@ -15,7 +15,6 @@ use core::ops::DerefMut;
 pub const MIN_PARALLEL_SINE: f32 = 2.0e-3;
 /// Width of an index pulse, counts. The first pulse is used only if the joint moved by at most this width in the step.
 pub const INDEX_WIDTH: u32 = 4;
-
 /// Largest age of the last press of the dead man's key while the motors stay on, s; `host_seconds` if that is shorter.
 /// Applies even if the rules ignore a silent host. A page uses up to 0.17 s of it: it receives a step every 50 ms,
 /// shows it every 17 ms, and reports the key every 80 ms and at every picture.
@@ -23,7 +22,6 @@ pub const KEY_SECONDS: f32 = 0.5;
 /// Share of a real motor's maximum current that may flow continuously if the rules set no continuous current. Half of
 /// the current makes a quarter of the heat.
 pub const CONTINUOUS_CURRENT_SHARE: f32 = 0.5;
-
 /// Maximum number of steps until the host's silence is checked again: a quarter of the step counter's range.
 const MAX_UNCHECKED_STEPS: u32 = 1 << 30;
 

@@ -18,25 +18,20 @@ use crate::model::motor::Motor;
 
 /// [`MAX_DUTY`] less the largest rounding error.
 const USABLE_DUTY: f32 = MAX_DUTY * (1.0 - 2.0 * f32::EPSILON);
-
 /// Share of the loop's bandwidth that is used if the device file gives the inductance as 0. If the real winding has
 /// inductance, the current rises with L/R and overshoots by the error that the loop integrates meanwhile. At the
 /// boards' bandwidth of 1 kHz this is 7 % at L/R = 0.3 ms, 14 % at 0.8 ms and 16 % at 1 ms (tests/drive.rs).
 pub const UNKNOWN_INDUCTANCE_SHARE: f32 = 0.05;
-
 /// Factor of the current limit in the largest current with overshoot.
 const OVERSHOOT_FACTOR: f32 = 1.3;
 /// Part of the largest current with overshoot that does not depend on the limit, A.
 const OVERSHOOT_FLOOR: f32 = 0.6;
 /// Share of the available change of current that is used, because of rounding.
 const USABLE_RISE_SHARE: f32 = 1.0 - 8.0 * f32::EPSILON;
-
 /// Current below which dead-time compensation fades, A, because near zero the sign of the current is noise.
 const DEAD_TIME_KNEE: f32 = 0.1;
-
 /// Relative excess of a winding's resistance over the device file's that is accepted: copper gains 40 % per 100 K.
 const RESISTANCE_TOLERANCE: f32 = 0.5;
-
 /// Voltage that the model of a sound motor leaves unexplained, V: brushes, ripple, errors of the sensors' zeros.
 const VOLTAGE_TOLERANCE: f32 = 1.0;
 /// Accepted relative error of the data sheet's back-EMF.

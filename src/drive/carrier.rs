@@ -7,7 +7,6 @@ use super::stage::Duty;
 
 /// Lowest carrier frequency, Hz: above the audible range.
 pub const CARRIER_MIN_HZ: u32 = 20_000;
-
 /// Lowest and highest control rate, Hz.
 pub const RATE_HZ: (u32, u32) = (200, 50_000);
 

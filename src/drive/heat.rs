@@ -5,16 +5,12 @@ use core::sync::atomic::{AtomicU32, Ordering};
 
 /// Time for which a motor tolerates its maximum current before the budget trips, s.
 pub const PEAK_SECONDS: f32 = 4.0;
-
 /// Time after which a raised continuous limit applies to a motor that is still warm, s.
 pub const WAIT_SECONDS: f32 = 60.0;
-
 /// Number of words of a stored [`Heat`].
 pub const WORDS: usize = 7;
-
 /// Number of words of the stored heat of all motors, with their checksum.
 pub const STORED_WORDS: usize = WORDS * MAX_JOINTS + 1;
-
 /// Initial value of the checksum, which distinguishes stored heat from arbitrary memory contents.
 const CHECKSUM_SEED: u32 = 0x4845_4154;
 

@@ -77,13 +77,10 @@ pub trait Stage: Copy + Debug + Default {
     type Sample: Copy + Debug + Default;
     /// Command to the legs of one motor until the next crest: a duty, or one for each leg. The default is no voltage.
     type Drive: Copy + Debug + Default;
-
     /// Makes the stage of a motor. The current limit is the smaller of `max_current` (A) and the motor's own limit.
     fn new(motor: &Motor<f32>, bridge: &Bridge, max_current: f32) -> Self;
-
     /// Sets the current limit, A; the motor's own limit still applies.
     fn limit(&mut self, max_current: f32);
-
     /// Returns the current limit, A.
     fn max_current(&self) -> f32;
 
@@ -94,13 +91,10 @@ pub trait Stage: Copy + Debug + Default {
 
     /// Returns the torque at the current limit, N m.
     fn max_torque(&self) -> f32;
-
     /// Returns the torque (N m) of a current (A).
     fn torque_of(&self, current: f32) -> f32;
-
     /// Returns the target current, A.
     fn target_current(&self) -> f32;
-
     /// Sets the target current for a joint torque (N m), within the limit; zero if the torque is not finite.
     fn command(&mut self, torque: f32);
 
@@ -148,7 +142,6 @@ pub trait Stage: Copy + Debug + Default {
 
     /// Clears the loop's state when the bridge is switched off.
     fn rest(&mut self);
-
     /// Takes over the state of the previous stage, so that loading a scene does not interrupt the current.
     fn inherit(&mut self, other: &Self);
 

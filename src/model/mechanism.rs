@@ -132,10 +132,8 @@ pub trait Mechanism<T: Real, const N: usize>: Copy + core::fmt::Debug {
     const MASS_ENTRIES: &'static [(usize, usize)];
     /// Quantities that depend on the angles alone, computed once per control step.
     type Pose: Copy + core::fmt::Debug;
-
     /// Computes the coefficients from a description. The error names the invalid property of the description.
     fn new(description: &Description) -> Result<Self, DescriptionError>;
-
     /// Computes all quantities that depend on the joint angles alone.
     fn pose_at<K: Math<T>>(&self, angles: &[Angle<T>; N]) -> Self::Pose;
     /// Computes [`Mechanism::pose_at`] for joint angles `q` in rad.

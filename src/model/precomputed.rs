@@ -19,7 +19,6 @@ use serde::{Deserialize, Serialize};
 /// Maximum number of values in a table (2 800 bytes): 15 x 15 points of a five-bar, 13 x 13 with a turret, 10 x 10 of
 /// serial-3r.
 pub const TABLE_VALUES: usize = 700;
-
 /// Maximum number of distinct entries in a mechanism's M.
 const MAX_ENTRIES: usize = 6;
 

@@ -29,7 +29,6 @@ use nalgebra::{SMatrix, SVector};
 
 /// Maximum number of sweeps of Jacobi rotations. Two directions need one; three are exact to rounding after four.
 const MAX_SWEEPS: usize = 6;
-
 /// Largest error of a normal's squared length that is ignored, to save a root. The normals of a scene are within it;
 /// the normal of the host's plane is shorter while the plane moves.
 const UNIT_TOLERANCE: f64 = 1.0e-5;

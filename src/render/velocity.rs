@@ -23,7 +23,6 @@ pub use washout::Washout;
 
 /// Maximum number of past samples that an estimator uses.
 pub const MAX_WINDOW: usize = 32;
-
 /// Maximum number of periods for which the response to one count is computed. The slowest low-pass of a scene, 1 Hz at
 /// 20 kHz, peaks at period 3536.
 const MAX_RESPONSE: usize = 4096;
@@ -123,7 +122,6 @@ macro_rules! estimators {
         impl Estimator {
             /// Entries of the joint estimators in scene files.
             pub const SPECS: &'static [EstimatorSpec] = &[$(<$Name<f32> as JointEstimator<f32>>::SPEC),*];
-
             /// Every estimator with its default options, by name.
             pub const ALL: &'static [(&'static str, Self)] = &[
                 ("butterworth", Self::Butterworth),

@@ -28,10 +28,8 @@ pub struct Limits {
 
 /// Default force limit at the tip of a board with real motors, N, which a wrist withstands and a hand can hold.
 pub const GENTLE_FORCE: f32 = 5.0;
-
 /// Highest force limit at the tip that a board with real motors accepts, N.
 pub const MAX_TIP_FORCE: f32 = 100.0;
-
 /// Largest tip force of the currents computed from the motors' voltages, as a multiple of the force limit at the tip.
 /// Bounds the force that a wrong current sensor can hide.
 pub const VOLTS_MARGIN: f32 = 1.5;

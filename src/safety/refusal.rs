@@ -80,7 +80,7 @@ impl core::fmt::Display for Refusal {
             Self::BadDevice => f.write_str("the device's numbers cannot be used: check encoders and inertias"),
             Self::Scene(error) => write!(f, "{error}"),
             Self::BadTable => f.write_str("the precomputed table does not fit this device or the board's memory"),
-            Self::NoHome => f.write_str("the device file has no [home]: add the pose to home in"),
+            Self::NoHome => f.write_str("the device file has no [home]: add the joint angles of the home pose"),
             Self::NotHomed => f.write_str("the device is not homed: hold it in its home pose and run `haptic home`"),
             Self::NoJointLimits(joint) => {
                 write!(f, "joint {joint} has no limits in the device file: a real device needs them")

@@ -30,28 +30,21 @@ use crate::pwm;
 use crate::zeros::{Zeroing, Zeros, learn_or_check_zeros};
 
 const AXES: usize = 2;
-
 /// Dead time between the switches of a half bridge: 20 ticks of 1/168 MHz, 119 ns. The drivers add their own dead time.
 const DEAD_TIME_TICKS: u8 = 20;
-
 /// Resistance of the low-side shunts under phases B and C, ohm.
 const SHUNT_OHM: f32 = 500e-6;
-
 /// Amperes per count of the converter.
 const AMPERES_PER_COUNT: f32 = adc::REFERENCE_V / adc::FULL_SCALE / drv8301::AMPLIFIER_GAIN / SHUNT_OHM;
-
 /// Largest distance of a zero from the middle of the converter's range, counts: 1.5 times the amplifier's gain times
 /// its 4 mV of input offset (SLOS719F section 6.5). No current adds to a zero, because the inputs are shorted.
 const MAX_ZERO_DISTANCE: u16 = 600;
-
 /// Largest apparent current with learned zeros and the bridges off, A: noise, and the effect of connecting the inputs.
 const MAX_STRAY_CURRENT: f32 = 0.5;
-
 /// Ratio of the 56 V boards' bus divider: 18 kohm over 1 kohm. The 24 V boards have 10 kohm over 1 kohm (11).
 const BUS_DIVIDER: f32 = 19.0;
 
 const TIMERS: [TimAdv; AXES] = [pac::TIM1, pac::TIM8];
-
 /// Masks of the index inputs in port C.
 const INDEX_LINES: [u32; AXES] = [1 << 9, 1 << 15];
 /// Bit of EN_GATE in port B.

@@ -14,7 +14,6 @@ use nalgebra::SVector;
 
 /// Energy debt of the walls above which the feed-forward is off, J. A wall of 10 kN/m stores this energy at 4.5 N.
 const MAX_DEBT: f64 = 1.0e-3;
-
 /// Largest damping of the controller, as a share of the damping at which a mass of 1 kg would stop within one step. A
 /// controller with more damping would itself be unstable.
 const DAMPING_SHARE: f64 = 0.01;

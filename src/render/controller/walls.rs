@@ -426,7 +426,7 @@ impl<T: Real> Walls<T> {
 
     /// Returns all walls.
     #[inline(always)]
-    pub fn all(&mut self) -> &mut [RunningWall<T>] {
+    pub fn all_walls(&mut self) -> &mut [RunningWall<T>] {
         &mut self.running
     }
 

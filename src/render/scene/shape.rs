@@ -9,7 +9,6 @@ use nalgebra::SVector;
 
 /// Maximum number of values of a shape.
 pub const SHAPE_VALUES: usize = 8;
-
 /// Values of a shape, in the order of [`ShapeSpec::keys`].
 pub type Values<T> = [T; SHAPE_VALUES];
 

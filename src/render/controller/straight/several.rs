@@ -61,7 +61,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         let debt = self.debt();
         let (mut at, mut deepest) = (AtWalls { distance: T::INFINITY, ..AtWalls::none() }, SVector::zeros());
         let mut force = SVector::<T, N>::zeros();
-        for running in self.walls.all() {
+        for running in self.walls.all_walls() {
             let contact = running.surface().contact::<K, N>(&place);
             let velocity = running.step_low_pass(&self.coefficients, contact.distance);
             let effect = running.effect_at(contact.distance, velocity, debt.as_ref(), T::one());

@@ -12,7 +12,6 @@ use nalgebra::SVector;
 /// does not change the first wall's feed-forward abruptly. It is three steps of a shipped encoder, and the depth of a
 /// few newtons in the stiffest walls of the shipped devices.
 pub const TOUCH_DEPTH: f64 = 1.0e-4;
-
 /// [`TOUCH_DEPTH`] as a share of the largest depth at which a contact's stiffness alone would make its shaped force.
 ///
 /// While a second contact gains weight, the sideways push of the first contact changes. With this share, the change
