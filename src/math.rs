@@ -273,8 +273,8 @@ const fn place(place: usize) -> (f64, f64) {
     }
 }
 
-/// Returns (sine, cosine) of `x` + `rest` by their Taylor series, exact to the last digit. |`x`| ≤ π/4 rad, and `rest`
-/// is a rounding error of `x`.
+/// Returns (sine, cosine) of `x` + `rest` by their Taylor series, exact to the last digit. |`x`| ≤ π/4 rad; `rest` is
+/// its rounding error.
 const fn series(x: f64, rest: f64) -> (f64, f64) {
     // (sin x)/x - 1 and cos x - 1 by Horner's rule: -x²/(2·3) (1 - x²/(4·5) (1 - ...)).
     let (mut sine, mut cosine, mut n) = (0.0, 0.0, 20.0);

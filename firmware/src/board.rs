@@ -71,7 +71,7 @@ impl Pin {
 
     /// Returns true if nothing outside the chip holds the pin: it follows the chip's pull down and pull up, twice. A
     /// pin held between the two levels may read as either level, but does not change. The pin must be an input, and
-    /// stays an input without a pull.
+    /// stays one.
     pub fn is_open(self) -> bool {
         let (port, number) = (PORTS[usize::from(self.0 >> 4 & 3)], usize::from(self.0 & 15));
         let pulls = [(Pupdr::PULL_DOWN, Idr::LOW), (Pupdr::PULL_UP, Idr::HIGH)];
@@ -126,7 +126,7 @@ pub trait Board {
     fn split(p: Peripherals, carrier: Carrier, board: bool) -> (Self::Io, Option<Self::Gate>, Common);
 }
 
-/// The part of a board that the control interrupt owns: encoders, converters, bridges. Every function ends in bounded
+/// The part of a board that the control interrupt owns: encoders, converters, bridges. All its functions are bounded in
 /// time.
 pub trait Io {
     /// Updates the encoder counts, one per axis. They are 0 at power-on.

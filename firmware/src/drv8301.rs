@@ -1,8 +1,7 @@
 //! The DRV8301 gate driver of an axis: configuration by two control registers, read-back, status.
 //!
 //! Texas Instruments SLOS719F, section 7.5. Frames are 16 bits, with the clock idle low and data sampled at the falling
-//! edge. The value of a read comes with the next frame. A low EN_GATE resets the registers, so they are written after
-//! every rise.
+//! edge. The value of a read comes with the next frame. A low EN_GATE resets the registers.
 
 use embassy_stm32::gpio::Output;
 use embassy_stm32::mode::Blocking;

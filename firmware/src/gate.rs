@@ -5,7 +5,7 @@ use haptic_bridge::safety::fault::Fault;
 /// The power stage of a board: gate drivers with registers, or only an enable line.
 pub trait Gate {
     /// Enables the power stage and learns the current sensors' zeros while no current flows. Takes 10 to 40 ms. After
-    /// an error the power stage is off.
+    /// an error it is off.
     fn raise(&mut self) -> Result<(), GateError>;
     /// Checks that the power stage is still configured as [`Gate::raise`] left it.
     fn check(&mut self) -> Result<(), GateError>;

@@ -31,8 +31,8 @@ pub fn pending_lines() -> u32 {
     pac::EXTI.pr(0).read().0 & PINS
 }
 
-/// Returns the counts of the encoders with an index pulse since the last call, and clears the latches. `lines` holds
-/// the encoders' index lines.
+/// Returns the counts of the encoders with an index pulse since the last call, and clears the latches. `lines` are the
+/// index lines.
 #[cold]
 pub fn take_pulses(lines: &[u32], counts: &Counts) -> [Option<i32>; MAX_JOINTS] {
     let pending = pending_lines();

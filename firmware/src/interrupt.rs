@@ -1,5 +1,4 @@
-//! The control interrupt. At a crest of the carrier it samples, runs the control step and writes the duties, which
-//! apply at the next valley.
+//! The control interrupt, which samples at a crest of the carrier, runs the control step and writes the next duties.
 //!
 //! The interrupt runs at every update of TIM1: at crests and valleys. Every crest checks the limits and runs the
 //! current loops; every k-th crest (k = [`Carrier::divider`]) also runs the library's control step. A valley records
@@ -102,8 +101,8 @@ pub fn shared() -> &'static Shared {
     &CONTROL.shared
 }
 
-/// Passes the board to the control interrupt and starts the carrier. `heat` is the motors' heat at the end of the
-/// previous run. Call once.
+/// Passes the board to the control interrupt and starts the carrier. `heat` is from the end of the previous run. Call
+/// once.
 pub fn start(mut io: <This as Board>::Io, hardware: Hardware, rules: Rules, heat: [Heat; MAX_JOINTS]) -> TaskChannels {
     io.start();
     let mut control_loop = BoardControlLoop::new(hardware, rules);
@@ -139,8 +138,8 @@ fn TIM1_UP_TIM10() {
         w.0 = !0;
         w.set_uif(false);
     });
-    // SAFETY: `start` wrote the state before it enabled this interrupt. Only the interrupt uses it, and never preempts
-    // itself.
+    // SAFETY: `start` wrote the state before it enabled this interrupt. Only the interrupt uses the state, without
+    // nesting.
     let state = unsafe { (*CONTROL.state.get()).assume_init_mut() };
     if is_past_valley() {
         state.valley();
@@ -273,8 +272,8 @@ impl InterruptState {
         self.control_loop.mark(self.io.marks(&self.samples.counts));
     }
 
-    /// Returns true if the duties of this crest are late: the valley is too near or has just passed, now or at one of
-    /// the last [`LATE_CRESTS`] crests.
+    /// Returns true if the duties of this crest are late: at one of the last [`LATE_CRESTS`] crests the valley was too
+    /// near or past.
     #[inline(always)]
     fn is_late(&mut self) -> bool {
         // Core and timer count at the same frequency. The timer counts down to its valley and then up.
@@ -415,8 +414,8 @@ const LATE_CRESTS: u8 = 64;
 /// instructions for two motors and 460 for three, at up to 2.4 cycles each.
 const LEGS_CYCLES: u32 = 288 * (This::AXES as u32 + 1);
 /// Core cycles after a crest or a valley within which the bridges may be connected, 1.5 us. This is twice the estimate
-/// of the interrupt's time to that point (emulator/src/cycles.rs, with a cold flash). Each microsecond adds 0.24 A in a
-/// motor of 0.1 mH at 24 V.
+/// of the interrupt's time to that point (emulator/src/cycles.rs, with a cold flash). A microsecond adds 0.24 A at 0.1
+/// mH and 24 V.
 const EXTREME_CYCLES: u32 = 252;
 
 /// Returns true if the carrier has passed a crest or a valley since this interrupt began.

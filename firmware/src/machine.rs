@@ -143,8 +143,7 @@ impl Machine for BoardMachine {
             // Checks first whether the request will be refused, because a refused request must not power the gate
             // drivers, nor latch a fault if they have no supply.
             let refused = self.requests.send(Request::Command(question)).reply.0;
-            // Refused while the motors are on, and after a polarity check that has just ended, because the gate drivers
-            // are about to be disabled.
+            // Refused while the motors are on, and right after a polarity check, because the gate drivers then go off.
             let refused = if status.state.drives() { refused.and(Err(Refusal::Armed)) } else { refused };
             if let Err(refusal) = refused.and_then(|()| self.raise_gate()) {
                 return (Err(refusal), None);

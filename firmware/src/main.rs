@@ -1,8 +1,7 @@
 //! The firmware of a haptic-bridge board: boot and task wiring, top to bottom.
 //!
 //! One interrupt runs the control step ([`interrupt`]); all other work runs in Embassy tasks in thread mode. Only
-//! handlers that end in a reset delay the control interrupt (see [`critical`]). The control interrupt delays all other
-//! work.
+//! handlers that end in a reset delay the control interrupt (see [`critical`]). The control interrupt delays the rest.
 #![no_std]
 #![no_main]
 

@@ -126,8 +126,7 @@ impl EndRecord {
 
 /// Reads and clears the record of the previous run. Call once, before anything else.
 pub fn take_record() -> Start {
-    // SAFETY: runs once, before interrupts and tasks exist, so the record has no other user. All bit patterns are
-    // valid.
+    // SAFETY: runs once, before interrupts and tasks, so no other code uses the record. All bit patterns are valid.
     let words = unsafe {
         let words = addr_of!(END_RECORD).cast::<EndRecord>().read_volatile();
         addr_of_mut!(END_RECORD).cast::<u32>().write_volatile(0);

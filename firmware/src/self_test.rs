@@ -1,8 +1,8 @@
-//! Self-tests before the motors can be armed: the RAM before its first use, the image in flash, and the identity of the
-//! board before any pin is driven.
+//! Self-tests before the motors can be armed: RAM before its first use, image in flash, and the board's identity before
+//! any pin is driven.
 //!
-//! After a failed test the board still runs and reports the failure, but never arms, because every arming and every
-//! polarity check calls [`failed`].
+//! After a failed test the board still runs and reports the failure, but never arms, because arming and polarity check
+//! call [`failed`].
 
 use core::arch::global_asm;
 use core::ptr::addr_of;

@@ -25,8 +25,8 @@ use crate::critical;
 const NORMAL_TICKS: u16 = 8;
 /// Ticks during a write of flash: the maximum of the register.
 const PATIENT_TICKS: u16 = 0xFFF;
-/// Number of feedings, one per millisecond, for each passed check of the supervisor, which checks every 20 ms and is
-/// delayed by 35 ms by an arming.
+/// Number of feedings, one per millisecond, for each passed check of the supervisor. It checks every 20 ms, but an
+/// arming delays a check by 35 ms.
 const FEEDINGS_PER_CHECK: u32 = 100;
 /// Number of feedings left.
 static FEEDINGS_LEFT: AtomicU32 = AtomicU32::new(0);

@@ -9,8 +9,7 @@ use crate::render::scene::{MAX_RATE_HZ, MIN_RATE_HZ, Scene};
 // A scene may have any rate that the carrier supports.
 const _: () = assert!(RATE_HZ.0 as f64 == MIN_RATE_HZ && RATE_HZ.1 as f64 == MAX_RATE_HZ);
 
-/// A complete configuration. The service builds the next configuration separately and swaps it in after acceptance, so
-/// that a refusal changes nothing.
+/// A complete configuration. The service builds the next configuration separately, so that a refusal changes nothing.
 #[derive(Clone, Debug)]
 pub struct Configuration {
     /// The loaded device.

@@ -105,7 +105,7 @@ impl Request<'_> {
 }
 
 // Generic code is compiled in the crate that uses it, and the firmware is optimized for size. These functions are
-// compiled here, for speed.
+// compiled for speed.
 
 #[inline(never)]
 fn read_force(body: &[u8]) -> Option<ForceRequest> {

@@ -6,8 +6,7 @@
 use crate::board::protocol::MAX_FRAME;
 use core::cell::Cell;
 
-/// Maximum number of bytes in a block. A block starts with a code, the distance to the next code. A zero follows all
-/// but full blocks.
+/// Maximum number of bytes in a block. Its code is the distance to the next code. A zero follows all but full blocks.
 const MAX_BLOCK: usize = 254;
 
 /// Returns the maximum length on the wire of a frame with `length` bytes, including its delimiter.
@@ -72,7 +71,7 @@ struct Block<'w> {
 
 impl<'w> Block<'w> {
     /// Ends this block and the blocks that begin at the zeros of the word at position `next`. Returns false if a
-    /// distance exceeds a block.
+    /// distance is too long.
     #[inline(always)]
     fn link_zeros(&mut self, word: &'w [Cell<u8>], bytes: [u8; 4], next: usize) -> bool {
         let mut zeros = zeros(u32::from_le_bytes(bytes));

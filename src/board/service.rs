@@ -32,8 +32,7 @@ pub struct Service {
     receiving: TableReceiver,
     name: Name,
     /// Device whose polarity check succeeded since the board started. Checks in flash do not count, because wires may
-    /// change while a board has no power. The entire device is stored, because another device may have the same
-    /// checksum.
+    /// change while a board has no power. The entire device is stored, because checksums may coincide.
     polarity: Option<Device<f32>>,
     damage: Vec<(Key, Damage), { Key::ALL.len() }>,
     faults: FaultList,
@@ -71,7 +70,6 @@ impl Service {
     }
 
     /// Reads and applies the settings. A damaged setting stays at its default and is reported in [`Details::damage`].
-    /// The other settings apply.
     pub fn boot(&mut self, machine: &mut impl Machine) {
         // These rules apply until the stored rules are read.
         let _ = self.set_rules(machine, self.configuration.rules);
@@ -187,8 +185,8 @@ impl Service {
     }
 
     /// Loads a scene for the device, with the closed form of the mass matrix, because a prepared matrix is valid only
-    /// for its walls. While the motors are on, the scene must have the present control rate, and the tip must touch no
-    /// wall of it.
+    /// for its walls. While the motors are on, the scene must have the present control rate, and the tip must touch
+    /// none.
     pub fn set_scene(&mut self, machine: &mut impl Machine, scene: Scene<f32>) -> Result<(), Refusal> {
         self.set_scene_and_mass(machine, scene, MassModelData::Exact)
     }
@@ -262,7 +260,7 @@ impl Service {
             machine.execute(Command::Rules(next.rules)).0?;
         }
         // A scene that is loaded while the motors are on keeps the rate. Checked here, because a fault may have turned
-        // the motors off meanwhile.
+        // them off.
         if let Some(rate_hz) = rate_hz.filter(|_| check_motors_off(machine).is_ok()) {
             machine.retime(rate_hz);
         }

@@ -4,16 +4,14 @@
 //! cut at any point, either the old or the new value is left; tests/power_cut.rs cuts the power at every flash
 //! operation. The map skips a damaged entry silently and returns the earlier entry. Every entry therefore carries a
 //! generation, and a catalogue of the newest generations is written after each entry. An entry that is older than its
-//! generation in the catalogue is not the saved entry. After a power cut between the two writes, a newer entry than the
-//! catalogue's is valid.
+//! generation in the catalogue is not the saved entry. A newer entry than the catalogue's, after a power cut, is valid.
 //!
 //! Several settings change together or not at all. They are staged first ([`Storage::stage`]), then a single entry, the
 //! decision, makes them valid ([`Storage::commit`]), and only then are they moved to their settings' keys. A power cut
 //! before the decision leaves the old settings. After a power cut that follows the decision, the next start carries out
 //! the decision before it reads anything.
 //!
-//! This module does not depend on a chip: the firmware passes its flash as a [`NorFlash`], tests pass a simulated
-//! flash.
+//! This module does not depend on a chip: firmware and tests pass their flash as a [`NorFlash`].
 
 use core::future::Future;
 use core::ops::Range;
@@ -28,8 +26,7 @@ use sequential_storage::map::{MapConfig, MapStorage, SerializationError, Value};
 pub const LONGEST_STORED: usize = 2048;
 
 const CATALOGUE_KEY: u8 = 0;
-/// Key of the decision, which holds the generations of the valid staged entries, or zeros. The settings' keys lie
-/// between catalogue and decision.
+/// Key of the decision, which holds the generations of the valid staged entries, or zeros. Settings' keys are lower.
 pub(super) const DECISION_KEY: u8 = 7;
 /// Bit that marks the key of a staged entry.
 const STAGED_BIT: u8 = 8;
@@ -204,8 +201,8 @@ pub struct Storage<'b, F: NorFlash> {
 }
 
 impl<'b, F: NorFlash> Storage<'b, F> {
-    /// Creates the storage in `range` of `flash`, at least two pages, without reading. Panics if the range does not
-    /// consist of entire pages.
+    /// Creates the storage in `range` of `flash`, at least two pages, without reading. Panics unless the range consists
+    /// of entire pages.
     pub fn new(flash: F, range: Range<u32>, buffer: &'b mut [u8; LONGEST_STORED]) -> Self {
         let known = Cache::new(Uncached, Uncached, ArrayKeyPointers::new());
         Self {
@@ -229,8 +226,7 @@ impl<'b, F: NorFlash> Storage<'b, F> {
         &mut self.map.flash().flash
     }
 
-    /// Runs an operation that may write, then locates every entry again, because writing moves entries and a flash
-    /// error loses all places.
+    /// Runs an operation that may write, then locates every entry again, because writes and flash errors move entries.
     fn with_writing<T>(&mut self, work: impl FnOnce(&mut Self) -> Result<T, StorageError>) -> Result<T, StorageError> {
         self.lost = 0;
         self.map.flash().writable = true;
@@ -298,8 +294,7 @@ impl<'b, F: NorFlash> Storage<'b, F> {
         Ok(entry.map(|entry| entry.1))
     }
 
-    /// Stores an entry unless it is stored already, and reads it back. Stalls the program meanwhile, so the bridges
-    /// must be off.
+    /// Stores an entry unless it is stored already, and reads it back. Stalls the program, so bridges must be off.
     pub fn write(&mut self, key: u8, value: &[u8]) -> Result<(), StorageError> {
         self.with_writing(|storage| {
             storage.recover()?;
@@ -325,8 +320,7 @@ impl<'b, F: NorFlash> Storage<'b, F> {
         if self.current_entry(key)? == Some(value) { Ok(()) } else { Err(StorageError::NotKept) }
     }
 
-    /// Stages the next entry of a setting, in place of an earlier staged entry. It becomes valid with the
-    /// [`Storage::commit`] of its key.
+    /// Stages the next entry of a setting, in place of an earlier staged entry. [`Storage::commit`] makes it valid.
     pub fn stage(&mut self, key: u8, value: &[u8]) -> Result<(), StorageError> {
         self.with_writing(|storage| storage.put_staged(key, value))
     }

@@ -2,8 +2,8 @@
 //!
 //! A batch holds consecutive rows (every `divider`-th step) of the selected fields, each number in as many bytes as it
 //! needs. A gap starts a new batch, so a reader knows the step of every row. It counts losses exactly by missing steps
-//! and by the board's own count of dropped rows. Every batch carries the number of its stream, so that a tool can
-//! ignore batches of an earlier tool.
+//! and by the board's own count of dropped rows. Every batch carries its stream's number, so that a tool can ignore an
+//! earlier tool's batches.
 
 use crate::control::frame::StepRecord;
 use crate::model::catalogue::MAX_JOINTS;
@@ -12,8 +12,8 @@ use heapless::Vec;
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize, Serializer};
 
-/// Maximum length of a batch's rows, bytes: twelve USB packets, 0.6 ms. Shorter batches need more bytes in total,
-/// longer ones delay replies.
+/// Maximum length of a batch's rows, bytes: twelve USB packets, 0.6 ms. Shorter batches cost bytes, longer ones delay
+/// replies.
 pub const BATCH_BYTES: usize = 728;
 
 /// Encoding of a number, least significant byte first.
@@ -87,8 +87,8 @@ macro_rules! fields {
             pub const fn kind(self) -> Kind {
                 match self { $(Field::$Name => <$Type as Number>::KIND,)* }
             }
-            /// Passes the bytes of each number of the `wanted` fields to `number`, in the order of the columns, for a
-            /// device with `axes` joints.
+            /// Passes the bytes of each number of the `wanted` fields to `number`, in the order of the columns, for
+            /// `axes` joints.
             #[inline(always)]
             fn for_each_number(wanted: Fields, axes: usize, frame: &StepRecord, mut number: impl FnMut(&[u8])) {
                 $(if wanted.0 & Field::$Name.bit() != 0 {

@@ -103,8 +103,8 @@ impl Flow {
         *self = Self { gain: self.gain, every: self.every, ..Self::default() };
     }
 
-    /// Allows the earlier force until a lowered limit takes effect: at most one control `period` (s) plus the time in
-    /// which the currents follow.
+    /// Allows the earlier force until a lowered limit takes effect: one control `period` (s) plus the currents'
+    /// settling.
     pub(super) fn settle(&mut self, period: f32) {
         self.settling = period + SETTLING_SECONDS;
     }

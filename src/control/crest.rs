@@ -238,8 +238,8 @@ where
     /// Checks the samples, commands the torques that [`ControlLoop::render`] computed, and writes the next drives
     /// `into` `legs`. Returns false if the motors are off now.
     ///
-    /// Call if [`ControlLoop::usual`] is J. Computes the same numbers as [`ControlLoop::crest_of_any_kind`], which
-    /// takes over in an unusual crest.
+    /// Call if [`ControlLoop::usual`] is J. Computes the same as [`ControlLoop::crest_of_any_kind`], which unusual
+    /// crests use.
     #[inline(always)]
     pub(super) fn crest_of<const J: usize, L>(
         &mut self,

@@ -50,7 +50,7 @@ pub(super) struct Fade {
     /// Progress of the new scene from 0 to 1.
     pub ramp: f32,
     /// Factor of the requested forces in the last step, before torques were limited: ramp times the share within the
-    /// force limit at the tip.
+    /// tip's limit.
     pub share: f32,
     /// True after the first step of the fade.
     begun: bool,
@@ -197,8 +197,8 @@ where
         if rendered == Torques::default() && fade.aside == Torques::default() {
             return;
         }
-        // Leverage from half a millisecond ago would let 4 % too much through, because the fading torques are not
-        // recomputed for the pose.
+        // Leverage from half a millisecond ago would let 4 % too much through, because fading torques do not follow the
+        // pose.
         let leverage = program.mechanism.leverage::<K>(&self.now.found.at.q);
         let share = share_within(leverage.force_squared(&rendered), self.max_tip_force);
         for part in fade.scene.iter_mut().chain(fade.host.torque.iter_mut()).chain(fade.aside.iter_mut()) {

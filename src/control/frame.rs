@@ -76,8 +76,8 @@ pub struct StepRecord {
 }
 
 impl StepRecord {
-    /// Builds the record of a step that left the control loop in `state`. Copies field by field, because a copy of the
-    /// entire struct would call memcpy.
+    /// Builds the record of a step that left the control loop in `state`. Copies single fields, to avoid a call of
+    /// memcpy.
     #[inline(always)]
     pub(crate) fn of(now: &Now, state: State) -> Self {
         Self { step: now.step, state, counts: now.counts, at: now.found.at, motors: now.motors }

@@ -427,8 +427,7 @@ where
         }
     }
 
-    /// Adds the host's joint torques to the demand, and recomputes the resultant force, because the torques make a tip
-    /// force.
+    /// Adds the host's joint torques to the demand, and the tip force of these torques to the resultant force.
     fn add_host_torques(&mut self, counts: &Counts) {
         let torque = self.host.torque;
         if torque != Torques::default()

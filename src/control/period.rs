@@ -50,8 +50,7 @@ where
         self.outputs()
     }
 
-    /// Runs the checks of the control step, and commands the torques that [`ControlLoop::render`] computed for these
-    /// counts.
+    /// Runs the checks of the control step, and commands the torques that [`ControlLoop::render`] computed.
     pub fn act(&mut self, samples: &Samples) -> Outputs {
         self.step(&self.complete_samples(samples));
         if !self.hardware.bridge.current_sensed {
@@ -75,8 +74,8 @@ where
         drives
     }
 
-    /// Completes the samples of a board that lacks sensors: with the commanded currents, and a bus voltage of 0, for
-    /// which no limit applies.
+    /// Completes the samples of a board that lacks sensors: commanded currents, and a bus voltage of 0, which has no
+    /// limit.
     pub(super) fn complete_samples(&self, seen: &Samples) -> Samples {
         let mut seen = *seen;
         if !self.hardware.bridge.current_sensed {

@@ -29,8 +29,7 @@ use core::ops::DerefMut;
 /// Longest time that the check waits for a joint to come to rest before its swing, s. A device almost without friction
 /// glides for seconds, and such motion would spoil the measurement.
 pub const MAX_WAIT_FOR_REST: f32 = 5.0;
-/// Shortest time between two steps of the check, s, because a control step with the sums of the check is long, and the
-/// motion takes milliseconds.
+/// Shortest time between two steps of the check, s, because a step with the check's sums is long and the motion slow.
 const CHECK_PERIOD: f32 = 1.0e-4;
 /// Angle within which a joint at rest stays for [`MIN_REST_SECONDS`], rad. Speed is no measure of rest, because it is
 /// zero between two counts of a coarse encoder and where a joint turns back.
@@ -85,8 +84,7 @@ const MAX_UNDRIVEN_ANGLE: f32 = 0.14;
 const MAX_HOME_ERROR: f32 = 0.15;
 /// Smallest factor by which possible home errors reduce the torque; near a stretched pose it would be 0.
 const MIN_HOME_ERROR_FACTOR: f32 = 0.4;
-/// Range of a swing's angular frequency, rad/s: above the pendulum motion of a hanging device, up to a third of a soft
-/// cable's.
+/// Range of a swing's angular frequency, rad/s: above a hanging device's, up to a third of a soft cable's.
 const SWING_RATE_RANGE: (f32, f32) = (8.0, 50.0);
 /// Highest angular frequency if friction exceeds the torque for inertia, rad/s.
 const MAX_SWING_RATE: f32 = 200.0;
@@ -135,8 +133,7 @@ struct Swing {
     rate: f32,
     /// Torque of the first detected motion, N m.
     moved_by: Option<f32>,
-    /// Angle to either side at which the torque stops growing, rad. `ends` are the joints' extreme angles in this turn,
-    /// rad.
+    /// Angle to either side at which the torque stops growing, rad. `ends` are the joints' extremes in this turn, rad.
     angle: f32,
     ends: [(f32, f32); MAX_JOINTS],
     /// True if the torque has stopped growing.
@@ -340,8 +337,7 @@ where
         self.polarity.poses = corner + 1;
     }
 
-    /// Returns a torque (N m) of the joint under test, reduced to the tip's force limit in this and the neighbouring
-    /// poses.
+    /// Returns a torque (N m) of the joint under test, reduced to the tip's force limit here and in nearby poses.
     fn within_tip_force(&self, wanted: f32) -> Torques {
         let i = self.axis();
         let tip_force = self.rules.limits.tip_force;
@@ -436,8 +432,8 @@ where
         wanted.min(fastest).max(SWING_RATE_RANGE.0)
     }
 
-    /// Runs a step of a swing: sums up the samples and returns the torques. `moved` is the distance of each joint from
-    /// its initial angle, rad.
+    /// Runs a step of a swing: sums up the samples and returns the torques. `moved` is each joint's motion since the
+    /// start, rad.
     #[inline(never)]
     fn swing(&mut self, moved: &[f32; MAX_JOINTS], counts: &[f32; MAX_JOINTS]) -> Torques {
         let (i, joints) = (self.axis(), self.count());
@@ -598,8 +594,8 @@ where
         }
     }
 
-    /// Judges the undriven joints and the winding after the last torque swing. A swing for the winding follows if the
-    /// dead time hides the resistance.
+    /// Judges the undriven joints and the winding after the last torque swing. A winding swing follows if the dead time
+    /// hides the resistance.
     #[inline(never)]
     fn judge_undriven(&mut self, swing: &Swing) {
         let i = self.axis();

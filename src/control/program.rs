@@ -70,8 +70,8 @@ macro_rules! define {
                 match self { $(Self::$Variant(_) => Kind::$Variant,)* }
             }
 
-            /// Runs one control step and writes all of `found` except joint angles. `acted` holds the motors' torques
-            /// since the last step, N m.
+            /// Runs one control step and writes all of `found` except joint angles. `acted` holds the last torques, N
+            /// m.
             #[inline(always)]
             pub(crate) fn render(&mut self, counts: &Counts, acted: &Torques, found: &mut StepResult<f32>) {
                 match self {

@@ -51,8 +51,7 @@ impl Default for Rules {
 }
 
 impl Rules {
-    /// Shortest and longest permitted value of `host_seconds`, s. Beyond a minute, an f32 sum would lose single steps
-    /// to rounding.
+    /// Shortest and longest permitted value of `host_seconds`, s. An f32 sum beyond a minute would lose steps.
     pub const HOST_SECONDS: (f32, f32) = (0.01, 60.0);
 
     /// Returns true if every protective setting is at least as strict as in `other`, which is safe at any time.

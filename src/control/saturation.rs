@@ -275,7 +275,7 @@ mod tests {
         let mut nth = 7;
         let mut steepest = 0.0_f32;
         for _ in 0..300 {
-            // Gravity uses nine tenths of each motor's limit. The rendered torques are far beyond the limits, and the
+            // Gravity uses nine tenths of each motor's limit. Rendered torques exceed the limits by far, and the
             // feed-forward crosses 0.
             let mut vector = |size: f32| -> [f32; 3] { core::array::from_fn(|_| size * random_number(&mut nth)) };
             let (gravity, from, to) = (vector(0.9), [vector(4.0), vector(1.0)], [vector(4.0), vector(1.0)]);

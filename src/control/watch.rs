@@ -180,8 +180,8 @@ where
         self.now.found.asked.total.iter().take(J).fold(0, |least, torque| least | margin_bits(*torque, f32::MAX))
     }
 
-    /// Finds the first fault of an unusual step, and turns the motors off if the fault requires it. `before` holds the
-    /// counts of the previous step.
+    /// Finds the first fault of an unusual step, and turns the motors off if the fault requires it. `before` are the
+    /// previous counts.
     #[cold]
     #[inline(never)]
     pub(super) fn find_fault(&mut self, before: &Counts) {

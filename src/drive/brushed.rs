@@ -121,8 +121,7 @@ pub fn hidden_by_speed(motor: &Motor<f64>) -> f64 {
 
 impl Axis {
     /// Sets the timing of duties. f = `free_share` is the share of a free current that remains after half a carrier
-    /// period. At constant voltage the remaining change of current falls as f^(2t), so half a period makes (1 - f)/(1 -
-    /// f²) of a full period's change.
+    /// period. At constant voltage the remaining change falls as f^(2t), so half a period makes (1 - f)/(1 - f²) of it.
     fn set_timing(&mut self, free_share: f32) {
         let half = 1.0 / (1.0 + free_share);
         self.timing = [
@@ -310,8 +309,8 @@ impl Stage for Axis {
         if self.resistance > 0.0 { self.back_emf * speed / self.resistance } else { 0.0 }
     }
 
-    /// Uses only the voltage in phase with the current, because the inductance's voltage is a quarter period off.
-    /// Subtracts the back-EMF.
+    /// Uses only the voltage in phase with the current, because the inductance's is a quarter period off. Subtracts the
+    /// back-EMF.
     fn resistance_of(&self, voltage: [f32; 2], current: [f32; 2], angle: [f32; 2], rate: f32) -> Option<(f32, f32)> {
         // The derivative of a cos + b sin is rate (b cos - a sin).
         let turning = [rate * angle[1], -rate * angle[0]];

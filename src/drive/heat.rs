@@ -89,8 +89,8 @@ impl Heat {
 
     /// Sets the allowed currents, A. Without an allowed current there is no motor, and the heat stays unchanged. A
     /// higher limit does not make a motor cool faster, so a larger continuous current applies once the motor is cold or
-    /// after [`WAIT_SECONDS`]. A lower limit does not extend the time at the peak: the rest of the budget lasts as long
-    /// at the maximum current.
+    /// after [`WAIT_SECONDS`]. A lower limit does not extend the time at the peak: the rest lasts as long at the
+    /// maximum current.
     pub fn limit(&mut self, max_current: f32, continuous_current: f32) {
         if max_current <= 0.0 {
             return;

@@ -146,8 +146,8 @@ pub trait Stage: Copy + Debug + Default {
     fn inherit(&mut self, other: &Self);
 
     /// Returns three voltages: the difference of the motor from the device file's model at this current and speed, the
-    /// difference above which the motor is inspected ([`Stage::inspect_above`]), and the tolerance, V. The tolerance is
-    /// infinite without a motor model.
+    /// difference above which the motor is inspected ([`Stage::inspect_above`]), and the tolerance (infinite without a
+    /// model), V.
     fn strain(&self) -> (f32, f32, f32) {
         (0.0, f32::INFINITY, f32::INFINITY)
     }

@@ -2,8 +2,8 @@
 //!
 //! Source: "Inertia Properties and Their Role in Haptic Rendering", equations (1) to (4), in the joint form of
 //! docs/model.md section 2, which subtracts no nearly equal numbers and inverts no matrix of admissible size. With E =
-//! J⁻¹ Q (Q an orthonormal basis of the rendered directions) and b = c + g - M T⁻¹Ṫ q̇: Wrr = Eᵀ M E, zr = Eᵀ b and **τ
-//! = M E Wrr⁻¹ (fr - Eᵀ b) + b**.
+//! J⁻¹ Q (Q an orthonormal basis of the rendered directions) and b = c + g - M T⁻¹Ṫ q̇: Wrr = Eᵀ M E, zr = Eᵀ b and τ =
+//! M E Wrr⁻¹ (fr - Eᵀ b) + b.
 //!
 //! [`Shaping::torque`] computes this torque for one wall, [`crate::model::principal`] for several walls. [`Split`] and
 //! [`Inertia`] hold the paper's own quantities for the analysis.

@@ -17,7 +17,7 @@ use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
 /// Maximum number of values in a table (2 800 bytes): 15 x 15 points of a five-bar, 13 x 13 with a turret, 10 x 10 of
-/// serial-3r.
+/// 3R.
 pub const TABLE_VALUES: usize = 700;
 /// Maximum number of distinct entries in a mechanism's M.
 const MAX_ENTRIES: usize = 6;
@@ -27,8 +27,8 @@ const MAX_ENTRIES: usize = 6;
 pub enum Interpolation {
     /// Linear in both coordinates: continuous, error of second order in the spacing.
     Bilinear,
-    /// Catmull-Rom in both coordinates: continuous with continuous slope, error of third order. The outermost points
-    /// are only for slopes.
+    /// Catmull-Rom in both coordinates: continuous with continuous slope, error of third order. Outermost points only
+    /// give slopes.
     Bicubic,
 }
 

@@ -128,9 +128,9 @@ impl<T: Real, const N: usize> Principal<T, N> {
         self.stiffness.get(i).copied().unwrap_or_default()
     }
 
-    /// Returns the share that the level with `rendered` directions takes of the force that the earlier levels left: (1
-    /// - (k_{R+1}/k_R)²) p_R, p_R = P k_R/(P k_R + Q k₁). P and Q are the stiffnesses along e₁ … e_R of walls with and
-    /// without the feed-forward.
+    /// Returns the share that the level with `rendered` directions takes of the remaining force. It is (1 -
+    /// (k_{R+1}/k_R)²) p_R, p_R = P k_R/(P k_R + Q k₁). P and Q are the stiffnesses along e₁ … e_R with and without
+    /// feed-forward.
     #[inline(always)]
     pub fn share(&self, rendered: usize) -> T {
         let (stiffer, softer) = (self.along(rendered.wrapping_sub(1)), self.along(rendered));
@@ -245,8 +245,8 @@ fn frame<T: Real, K: Math<T>, const N: usize>(
     axes
 }
 
-/// Returns a unit vector across the unit vector `n` in space: the normalised part across `n` of the first axis with the
-/// smallest component along `n`.
+/// Returns a unit vector across the unit vector `n` in space: the normalised part across `n` of the axis farthest from
+/// `n`.
 fn across<T: Real, K: Math<T>, const N: usize>(n: &SVector<T, N>) -> SVector<T, N> {
     let smallest = (1..N.min(3)).fold(0, |smallest, i| if n[i].abs() < n[smallest].abs() { i } else { smallest });
     let part = unit::<T, N>(smallest) - n * n[smallest];

@@ -337,7 +337,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
     }
 
     /// Turns the passivity controller on or off. If it is off, the walls' energy is counted only if `shown`. A change
-    /// of the mode clears the count.
+    /// clears the count.
     pub fn set_passivity(&mut self, on: bool, shown: bool) {
         let counts = on || shown;
         if (self.is_counting_energy, self.is_passivity_on) != (counts, on) {

@@ -161,8 +161,7 @@ pub struct Spring<T> {
 pub struct Posture<T> {
     /// Orientation φ to hold, rad.
     pub orientation: T,
-    /// Stiffness at `orientation`, N m/rad. Also the largest moment, N m, because the moment grows as the rotation's
-    /// sine.
+    /// Stiffness at `orientation`, N m/rad. Also the largest moment, N m, because it grows as the sine.
     pub stiffness: T,
     /// Damping, N m s/rad.
     pub damping: T,

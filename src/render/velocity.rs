@@ -23,8 +23,8 @@ pub use washout::Washout;
 
 /// Maximum number of past samples that an estimator uses.
 pub const MAX_WINDOW: usize = 32;
-/// Maximum number of periods for which the response to one count is computed. The slowest low-pass of a scene, 1 Hz at
-/// 20 kHz, peaks at period 3536.
+/// Maximum number of periods for which the response to one count is computed. The slowest low-pass, 1 Hz at 20 kHz,
+/// peaks at 3536.
 const MAX_RESPONSE: usize = 4096;
 
 /// The meaning of `cutoff_hz` for an estimator.
@@ -84,8 +84,8 @@ pub struct JointSample<T> {
 
 /// A velocity estimator for the encoder of one joint.
 ///
-/// Velocities are in counts per control period. [`JointEstimator::step`] runs in the control interrupt: it has bounded
-/// time and does not panic.
+/// Velocities are in counts per control period. [`JointEstimator::step`] runs in the control interrupt, in bounded
+/// time.
 pub trait JointEstimator<T: Real>: Copy {
     /// Entry of the estimator in scene files.
     const SPEC: EstimatorSpec;

@@ -177,8 +177,7 @@ faults! {
     /// The measured currents make more force at the tip than the limit allows; value: N.
     ForceLimit = 38, "the measured currents push harder at the tip than its limit allows",
         "lower the damping or the stiffness; if the fault returns at rest, check the current sensors and the motor data in the device file";
-    /// A motor's current does not drive its joint as the device file says; value: ratio of the actual to the file's
-    /// torque, or to the planned swing.
+    /// A motor's current does not drive its joint as the device file says; value: actual over planned torque or swing.
     TorqueMismatch = 39, "a joint's motion does not fit its motor's current",
         "the value is the actual torque over the torque of the device file: check torque_constant with its gear ratio, the motors' order, counts_per_turn, the inertias and the current sensor; take your hands off, then check again";
     /// A winding's resistance differs from the resistance in the device file; value: Ω.

@@ -134,7 +134,7 @@ impl<T: Real> FiveBarTurret<T> {
     }
 
     /// Returns the torques of accelerations: `q0dd` of the turret, `qdd` and `a` of the linkage in its plane. `tip` is
-    /// the tip velocity in the plane.
+    /// a velocity in the plane.
     #[inline(always)]
     fn inertial_torque(
         &self,

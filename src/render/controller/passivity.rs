@@ -6,8 +6,8 @@
 //!
 //! A hand gains energy if it slides along with the sideways push while it presses, and slides back without pressing. No
 //! damping along the normal compensates that (docs/model.md section 3). The controller therefore fades the feed-forward
-//! while the walls owe energy, and absorbs the rest by damping along the normal. Ferraguti, Secchi and Fantuzzi (ICRA
-//! 2013) similarly let a change of impedance do no more work than an energy tank holds.
+//! while the walls owe energy, and absorbs the rest by damping along the normal. Similarly, Ferraguti, Secchi and
+//! Fantuzzi (ICRA 2013) let a change of impedance do no more work than an energy tank holds.
 
 use crate::math::Real;
 use nalgebra::SVector;

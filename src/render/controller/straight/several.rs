@@ -1,5 +1,4 @@
-//! The step for several walls, or for walls together with springs and a host's plane, on a planar device with two
-//! joints.
+//! The step for several walls, or for walls together with springs and a host's plane, in the plane.
 
 use super::super::Controller;
 use super::super::guidance::SharedGuidance;
