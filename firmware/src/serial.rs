@@ -211,6 +211,6 @@ pub struct SendNextPacket;
 
 impl typelevel::Handler<typelevel::OTG_FS> for SendNextPacket {
     unsafe fn on_interrupt() {
-        with(SendQueue::hand_over);
+        with(SendQueue::send_next_packet);
     }
 }
