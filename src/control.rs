@@ -323,7 +323,7 @@ where
     fn slow_step(&mut self, seen: &Samples) {
         let before = self.now.counts;
         self.note(seen);
-        // Most steps off the fast path have no fault, because torque ramps up or a limit cuts it.
+        // Most steps off the fast path have no fault: the torque only ramps up, or a limit cuts it.
         if self.marks.is_some() || self.watch_all() < 0 {
             self.find_fault(&before);
         }

@@ -1,4 +1,4 @@
-//! The firmware of a haptic-bridge board: boot and task wiring, top to bottom.
+//! The firmware of a haptic-bridge board: start-up and tasks.
 //!
 //! One interrupt runs the control step ([`interrupt`]); all other work runs in Embassy tasks in thread mode. Only
 //! handlers that end in a reset delay the control interrupt (see [`critical`]). The control interrupt delays the rest.

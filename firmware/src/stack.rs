@@ -1,4 +1,4 @@
-//! Measures the stack that was never used. Start-up fills the stack with a pattern (cortex-m-rt's `paint-stack`), which
+//! Measures the unused part of the stack. Start-up fills the stack with a pattern (cortex-m-rt's `paint-stack`), which
 //! is left at the bottom where it was never overwritten. An overflow is a bus fault, see memory.x.
 
 use core::ptr::addr_of;

@@ -1,4 +1,4 @@
-//! The washout's high-pass.
+//! The high-pass of a wall's force for the washout.
 
 use super::cutoff::{BadCutoff, prewarped_gain};
 use crate::math::Real;
