@@ -1,5 +1,5 @@
-//! Prints a board's telemetry and the number of lost rows: `cargo run -p haptic --example follow_telemetry [PORT]`, by
-//! default on a simulated board. PORT is a value of `haptic --port`.
+//! Prints a board's telemetry and the number of lost rows: `cargo run -p haptic --example follow_telemetry [PORT]`.
+//! PORT is a value of `haptic --port`; the default is a simulated board.
 
 use haptic_host::haptic_bridge::board::telemetry::Field;
 use haptic_host::link::fields;

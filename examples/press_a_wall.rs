@@ -1,5 +1,5 @@
-//! A hand presses into a wall: `cargo run -p haptic --example press_a_wall`. Board, device and hand are simulated. A
-//! real board has the same interface and is opened by `Board::open(&"SERIAL_NUMBER".parse()?)`.
+//! A hand presses into a wall: `cargo run -p haptic --example press_a_wall`. Board, device and hand are simulated. For
+//! a real board, use `Board::open(&"SERIAL_NUMBER".parse()?)`, which has the same interface.
 
 use haptic_host::device_file::DeviceFile;
 use haptic_host::haptic_bridge::board::telemetry::Field;

@@ -1,6 +1,6 @@
-//! A program on the host pushes the tip: `cargo run -p haptic --example push_from_the_host [PORT]`, by default on a
-//! simulated board. This program computes a spring between the tip and its first position. It also sends a floor 5 mm
-//! below that position to the board, which renders the floor at its own rate.
+//! A program on the host pushes the tip: `cargo run -p haptic --example push_from_the_host [PORT]`. The default is a
+//! simulated board. The program computes a spring between the tip and its first position, and sends a floor 5 mm below
+//! that position to the board, which renders the floor at its own rate.
 
 use haptic_host::device_file::DeviceFile;
 use haptic_host::haptic_bridge::board::protocol::HostContact;
@@ -25,7 +25,7 @@ pub fn push(port: &str) -> Result<([f32; 3], [f32; 3]), Box<dyn std::error::Erro
     };
     let mut state = began;
     while state.step.wrapping_sub(began.step) < 10_000 {
-        // 50 N/m towards the first position, and 1 N down.
+        // A spring of 50 N/m towards the first position, and 1 N down.
         let spring = [50.0 * (home[0] - state.tip[0]), 50.0 * (home[1] - state.tip[1]) - 1.0, 0.0];
         state = session.push(spring, Some(floor))?;
     }

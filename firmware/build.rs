@@ -1,4 +1,4 @@
-//! The linker's arguments, and its view of the chip: memory.x at the root of the repository.
+//! Passes the linker its arguments and memory.x, the chip's memory, from the root of the repository.
 
 use std::{env, fs, path::PathBuf};
 
@@ -8,7 +8,7 @@ fn main() {
     let out = PathBuf::from(env::var_os("OUT_DIR").expect("cargo sets OUT_DIR"));
     fs::copy("../memory.x", out.join("memory.x")).expect("memory.x can be copied to OUT_DIR");
     println!("cargo::rustc-link-search={}", out.display());
-    // --nmagic: sections are not aligned to pages, which flash does not have. link.x is cortex-m-rt's, defmt.x defmt's.
+    // --nmagic: sections are not aligned to pages, which flash lacks. link.x is from cortex-m-rt, defmt.x from defmt.
     for argument in ["--nmagic", "-Tlink.x", "-Tdefmt.x"] {
         println!("cargo::rustc-link-arg-bin=haptic-firmware={argument}");
     }

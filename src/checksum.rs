@@ -24,7 +24,7 @@ const NIBBLES: [u32; 16] = {
     table
 };
 
-/// A CRC-32 that is computed piece by piece, four bits at a time: a 64-byte table, milliseconds per firmware image.
+/// A CRC-32 that is computed piece by piece, four bits at a time from a 64-byte table.
 #[derive(Clone, Copy, Debug)]
 pub struct Crc32(u32);
 

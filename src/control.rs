@@ -1,9 +1,8 @@
-//! The control loop of one device, without hardware: it takes samples and returns the state of the bridges, the
+//! The control loop of one device, without hardware. It takes samples, and returns the state of the bridges, the
 //! currents and, once per carrier period, the duties.
 //!
-//! The firmware's interrupt, the simulated board and the tests all run this code. Configuration arrives complete,
-//! between two steps: a [`Program`] is built elsewhere and moved in; small changes are [`Command`]s. Nothing here
-//! blocks, allocates or panics.
+//! The firmware's interrupt, the simulated board and the tests all run this code. A [`Program`] is built elsewhere and
+//! moved in between two steps; small changes are [`Command`]s. No function blocks, allocates or panics.
 
 mod budgets;
 pub mod compiled;
@@ -35,42 +34,41 @@ use crate::render::step_result::TorqueDemand;
 use crate::safety::fault::{Fault, FaultRecord, State};
 use core::ops::DerefMut;
 use crest::Joint;
-pub use crest::SPEED_HZ;
+pub use crest::SPEED_FILTER_HZ;
 pub use requests::{Beat, Command, Press, REST_SPEED, Reply, Status};
 pub use rules::{HostAction, Rules};
-pub use watch::{KEY_SECONDS, TRIPPING_SINE};
+pub use watch::{KEY_SECONDS, MIN_PARALLEL_SINE};
 
 /// Time over which torque ramps up after arming, s.
 pub const ARM_SECONDS: f32 = 0.5;
 
-/// The board's control loop. The order in memory keeps everything that each crest needs within the 1 KB that FPU loads
-/// can reach.
+/// The board's control loop. The field order keeps all data of a crest within the 1 KB that FPU loads can reach.
 #[derive(Debug)]
 #[repr(C)]
 pub struct ControlLoop<P, S = Axis> {
     state: State,
     homed: bool,
     polarity_known: bool,
-    /// Number of joints of the loaded device, and true if its weight is compensated.
+    /// Number of joints of the loaded device. `weighs` is true if its weight is compensated.
     count: u8,
     weighs: bool,
-    /// `count` while the motors are on and every joint has a range: a crest then takes a single pass. Otherwise 0.
+    /// `count` if the motors are on and every joint has a range, so that a crest takes a single pass; otherwise 0.
     usual: u8,
     /// True if the scene has faded in and no index pulse waits for its check.
     in_force: bool,
-    /// Negative unless `in_force` and the last step commanded the full requested torques.
+    /// Zero if `in_force` and the last step commanded the full requested torques; otherwise negative.
     steady: i32,
     program: Option<P>,
     crests: crest::Crests,
-    /// Bus voltage of the drives since the last valley, V; 0 if it was not usable.
+    /// Bus voltage of the drives since the last valley, V; 0 if the voltage was not usable.
     supplied: f32,
     /// Last step at which the host may still be silent.
     host_expected: u32,
-    /// Joint torque that needs no clamp, N m. The next two fields: the force limit at the tip, N, and its square.
-    fitting: [f32; MAX_JOINTS],
+    /// Joint torques up to which no clamp is needed, N m. `max_tip_force` is the force limit at the tip, N.
+    unclamped_torque: [f32; MAX_JOINTS],
     max_tip_force: f32,
     max_tip_force_squared: f32,
-    /// Tip force per joint torque, a fraction of a millisecond old.
+    /// Tip force per joint torque, recomputed at 2 kHz.
     leverage: Leverage,
     flow: budgets::Flow,
     now: Now,
@@ -79,12 +77,11 @@ pub struct ControlLoop<P, S = Axis> {
     max_joint_torque: Torques,
     hardware: Hardware,
     period: f32,
-    /// Step from which `period` has applied. If that step is long ago, a later one that is still before all steps in
-    /// pending requests.
+    /// Step from which `period` has applied, or a later step that is before all steps in pending requests.
     rate_since: u32,
     /// Step at which the host last sent a sign of life.
     host_seen_at: u32,
-    /// Latest press of the dead man's key that keeps the motors on, if any.
+    /// Latest press of the dead man's key that keeps the motors on; `None` without a key.
     key: Option<Press>,
     rules: Rules,
     /// True if telemetry includes the walls' energy.
@@ -92,10 +89,10 @@ pub struct ControlLoop<P, S = Axis> {
     host: host_force::HostForce,
     /// Torques of the previous scene while they fade out.
     fade: fade::Fade,
-    /// Torques of the last step that commanded less than was requested, and that step.
+    /// Torques of the last step that commanded less than was requested. `cut_at` is the number of that step.
     cut: fade::CommandedTorques,
     cut_at: u32,
-    /// Joint that the next valley checks.
+    /// Number of the joint that the next valley checks.
     turn: usize,
     /// Number of joints for which new rules are not in force yet, see [`ControlLoop::settle_next`].
     unsettled: u8,
@@ -143,7 +140,7 @@ where
             cut: fade::CommandedTorques::default(),
             cut_at: 0,
             max_joint_torque: Torques::default(),
-            fitting: [0.0; MAX_JOINTS],
+            unclamped_torque: [0.0; MAX_JOINTS],
             max_tip_force: 0.0,
             max_tip_force_squared: 0.0,
             leverage: Leverage::default(),
@@ -194,8 +191,7 @@ where
         self.program.as_ref().map(|program| program.rate_hz)
     }
 
-    /// Computes the scene's joint torques, for which encoder counts are sufficient. Does not change the motors' torques
-    /// or limits.
+    /// Computes the scene's joint torques from encoder counts. Does not change the motors' torques or limits.
     #[inline(always)]
     pub fn render(&mut self, counts: &Counts) {
         if self.host.acts {
@@ -213,15 +209,14 @@ where
         }
     }
 
-    /// Records index pulses since the last step. `marks` holds the counts of these encoders, which are late by at most
-    /// the motion of the joint in this step. Call before [`ControlLoop::act`] or [`compiled::crest`].
+    /// Records index pulses since the last step. `marks` holds the counts of the encoders with a pulse, which are late
+    /// by at most the joint's motion in this step. Call before [`ControlLoop::act`] or [`compiled::crest`].
     pub fn mark(&mut self, marks: [Option<i32>; MAX_JOINTS]) {
         self.marks = Some(marks);
         self.in_force = false;
         self.steady = -1;
     }
 
-    /// Returns true if the bridges may drive.
     #[inline(always)]
     fn outputs(&self) -> Outputs {
         Outputs { bridges: self.state.drives() }
@@ -262,19 +257,19 @@ where
     #[cold]
     #[inline(never)]
     pub fn trip(&mut self, fault: Fault, axis: Option<u8>, value: f32) {
-        // A silent host may be a listed fault while the motors stay on; a fault that turns them off replaces it.
+        // A silent host may be a listed fault while the motors stay on. A fault that turns the motors off replaces it.
         if self.fault.is_none() || self.state != State::Fault {
             self.fault = Some(FaultRecord { fault, axis, value, step: self.now.step });
         }
         if fault.loses_counts() {
             self.homed = false;
         }
-        self.off();
+        self.turn_motors_off();
         self.state = State::Fault;
         self.update_fast_path();
     }
 
-    fn off(&mut self) {
+    fn turn_motors_off(&mut self) {
         self.clear_host_force();
         self.key = None;
         self.fade = fade::Fade::default();
@@ -287,7 +282,6 @@ where
         }
     }
 
-    /// Counts the control step that begins.
     #[inline(always)]
     fn begin_step(&mut self) {
         self.now.step = self.now.step.wrapping_add(1);
@@ -305,7 +299,7 @@ where
         }
     }
 
-    /// Records the samples of the last control step unless done already: the fast path leaves this to the valley.
+    /// Records the samples of the last control step if the fast path left this to the valley.
     #[inline(always)]
     fn note_late(&mut self, seen: &Samples) {
         if self.now.noted != self.now.step {
@@ -329,9 +323,9 @@ where
     fn slow_step(&mut self, seen: &Samples) {
         let before = self.now.counts;
         self.note(seen);
-        // Most steps off the fast path have no fault: torque ramps up, or a limit cuts it.
+        // Most steps off the fast path have no fault: the torque only ramps up, or a limit cuts it.
         if self.marks.is_some() || self.watch_all() < 0 {
-            self.find(&before);
+            self.find_fault(&before);
         }
         match self.state {
             State::Armed if self.fade.ramp < 1.0 => {
@@ -360,7 +354,6 @@ where
         (motors.torque, motors.rendered_force, motors.limited) = (Torques::default(), 0.0, 0);
     }
 
-    /// Updates the flags that select the fast path.
     fn update_fast_path(&mut self) {
         let limited = self.joints.iter().take(self.count()).all(Joint::is_limited);
         self.usual = if self.state.drives() && limited { self.count } else { 0 };
@@ -419,7 +412,7 @@ where
         }
     }
 
-    /// Same as [`ControlLoop::command`], for J joints.
+    /// Commands the requested torques of J joints, see [`ControlLoop::command`].
     #[inline(always)]
     fn command_of<const J: usize>(&mut self, asked: &TorqueDemand<f32>, wanted: &[f32; MAX_JOINTS]) {
         let granted = asked.within::<J>(&self.max_joint_torque, self.max_tip_force, &self.leverage);
@@ -434,18 +427,18 @@ where
         for (i, joint) in self.joints.iter_mut().enumerate().take(J) {
             joint.stage.command(granted.torque[i]);
             motors.torque[i] = limited(granted.torque[i], joint.stage.max_torque());
-            // True if the torque is as requested, except for the rounding of its conversion to a current; false for NaN.
+            // True if the torque is as requested up to the rounding of its conversion to a current; false for NaN.
             let is_kept = (wanted[i] - motors.torque[i]).abs() <= 1.0e-5 * wanted[i].abs();
             motors.limited |= u8::from(!is_kept) << i;
         }
         self.now.motors.rendered_force = self.limited_wall_force::<J>();
     }
 
-    /// Returns the force (N) of the walls that remains after limits.
+    /// Returns the force of the walls that remains after limits, N.
     ///
-    /// If the tip moves only along the deepest wall's normal n, by one unit, the joints move by E = J⁻¹ n. By virtual
-    /// work, a joint torque τ is worth E·τ along n (τ = Jᵀ F gives E·τ = n·F). The torque that limits removed is
-    /// therefore worth E·(asked - commanded). Weight and springs cancel in the difference.
+    /// If the tip moves by one unit along the deepest wall's normal n only, the joints move by E = J⁻¹ n. By virtual
+    /// work, a joint torque τ acts like the force E·τ along n (τ = Jᵀ F gives E·τ = n·F). Limits therefore removed the
+    /// force E·(asked - commanded). Weight and springs cancel in the difference.
     #[inline(always)]
     fn limited_wall_force<const J: usize>(&self) -> f32 {
         let Now { motors, found, .. } = &self.now;

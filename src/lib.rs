@@ -26,8 +26,8 @@
 //!
 //! All other code configures or monitors that path ([`board`]). The modules are layers, and a module imports only from
 //! the layers below it: [`board`] → [`control`] → [`safety`] → [`drive`], [`render`] → [`model`] → [`math`],
-//! [`checksum`]. No module here depends on a chip, a computer, its files or its ports: the firmware and the tool
-//! (`host`) provide those. Only the board's messages to people, its refusals and remedies, name the tool's commands.
+//! [`checksum`]. No module here depends on a chip, a computer, its files or its ports, which the firmware and the tool
+//! (`host`) provide. Only refusals and remedies name the tool's commands.
 //!
 //! The code is generic over the float type and its trigonometry ([`math`]): the board runs `f32`, the analysis runs the
 //! same code in `f64`, and the difference between the two results measures the error. All quantities are in SI units.
@@ -53,7 +53,7 @@ pub mod model {
     pub mod solve;
 }
 
-/// From encoder counts to joint torques: the scene and the control step that renders it.
+/// Rendering: the scene, and the control step that computes joint torques from encoder counts.
 pub mod render {
     pub mod controller;
     pub mod scene;
@@ -61,7 +61,7 @@ pub mod render {
     pub mod velocity;
 }
 
-/// From joint torques to duties.
+/// The drive: duties from joint torques.
 pub mod drive {
     pub(crate) mod bits;
     pub mod brushed;

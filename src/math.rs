@@ -1,8 +1,7 @@
-//! Scalars and elementary functions: the only place where the library computes a sine or a square root.
+//! Scalars and elementary functions: the only module in which the library computes a sine or a square root.
 //!
 //! [`Real`] is the float (`f32` on the board, `f64` in the analysis). [`Math`] is a zero-sized back end that supplies
-//! sine, cosine and square root for the float. The report on speed and error (docs/results.md) decides which back end
-//! the board uses, so every back end stays selectable.
+//! sine, cosine and square root. docs/results.md compares the back ends by speed and error.
 
 use core::fmt::{Debug, Display};
 use core::ops::{Neg, Sub};
@@ -99,7 +98,7 @@ impl BinaryAngle {
     pub fn from_radians(radians: f64) -> Self {
         const PER_RADIAN: f64 = 4_294_967_296.0 / core::f64::consts::TAU;
         let turns = radians / core::f64::consts::TAU;
-        // Remove complete turns first, so that the rest fits for any number of turns.
+        // Removes complete turns first, so that the rest fits for any number of turns.
         let left = radians - (turns as i64) as f64 * core::f64::consts::TAU;
         let parts = left * PER_RADIAN;
         Self((parts + if parts < 0.0 { -0.5 } else { 0.5 }) as i64 as u32)
@@ -151,7 +150,7 @@ pub trait Math<T>: Copy + Default + Debug + Send + Sync + 'static {
     fn sqrt(value: T) -> T;
 }
 
-/// `libm`: errors of at most one unit in the last place. Slow on the board: reduces arguments in software f64.
+/// The `libm` crate: errors of at most one unit in the last place. Slow on the board (argument reduction in f64).
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Libm;
 
@@ -180,19 +179,18 @@ impl Math<f64> for Libm {
 }
 
 /// One pair of minimax polynomials after a quadrant reduction; absolute error below 1.2e-7 for |angle| ≤ 2π. The square
-/// root is the FPU's, correctly rounded. No table in flash is needed, and PC and chip agree bit for bit.
+/// root is the FPU's, correctly rounded. Needs no table in flash, and gives the same bits on PC and chip.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Minimax;
 
-/// Returns the sine and cosine of `angle` (rad). Uses minimax polynomials on [-π/4, π/4] (Remez exchange on
-/// (sin r - r)/r³ and (cos r - 1 + r²/2)/r⁴; residuals 3.6e-9 and 9.7e-11) after a two-term Cody-Waite reduction by
-/// π/2.
+/// Returns the sine and cosine of `angle` (rad). Uses minimax polynomials on [-π/4, π/4] (Remez exchange on (sin r -
+/// r)/r³ and (cos r - 1 + r²/2)/r⁴; residuals 3.6e-9 and 9.7e-11) after a two-term Cody-Waite reduction.
 ///
 /// The reduction loses accuracy beyond ±1e5 rad. The controller passes angles that are already wrapped to one turn.
 #[inline(always)]
 pub fn minimax_sin_cos(angle: f32) -> (f32, f32) {
     const TWO_OVER_PI: f32 = core::f32::consts::FRAC_2_PI;
-    // π/2 is split so that a quadrant count of up to 16 bits times the head is exact in f32.
+    // π/2 in two parts, so that a quadrant count of up to 16 bits times the head is exact in f32.
     const HALF_PI_HEAD: f32 = 1.570_312_5;
     const HALF_PI_TAIL: f32 = 4.838_268e-4;
     // 1.5 · 2²³: adding it rounds to an integer, which is then in the low bits. Valid for |angle| < 6e6.
@@ -236,7 +234,7 @@ impl Math<f32> for Minimax {
 pub struct Tabulated;
 
 /// (sine, cosine) of every 256th of a turn.
-static PLACES: [(f32, f32); 256] = {
+static SIN_COS_TABLE: [(f32, f32); 256] = {
     let mut all = [(0.0, 0.0); 256];
     let mut i = 0;
     while i < 256 {
@@ -247,8 +245,8 @@ static PLACES: [(f32, f32); 256] = {
     all
 };
 
-/// [`PLACES`] in double precision.
-static FINE_PLACES: [(f64, f64); 256] = {
+/// [`SIN_COS_TABLE`] in double precision.
+static FINE_SIN_COS_TABLE: [(f64, f64); 256] = {
     let mut all = [(0.0, 0.0); 256];
     let mut i = 0;
     while i < 256 {
@@ -259,14 +257,14 @@ static FINE_PLACES: [(f64, f64); 256] = {
 };
 
 /// A 256th of a turn in two parts. The first part has 36 bits, so its product with up to 2¹⁷ is exact.
-const PLACE: [f64; 2] = [1.570_796_326_792_333_3 / 64.0, 2.563_344_151_594_519e-12 / 64.0];
+const TABLE_STEP: [f64; 2] = [1.570_796_326_792_333_3 / 64.0, 2.563_344_151_594_519e-12 / 64.0];
 
 /// Returns (sine, cosine) of `place` 256ths of a turn.
 const fn place(place: usize) -> (f64, f64) {
-    // Measure from the nearest quarter turn, which is at most π/4 away.
+    // Measures from the nearest quarter turn, which is at most π/4 away.
     let quarter = (place + 32) / 64;
     let parts = place as f64 - 64.0 * quarter as f64;
-    let (sine, cosine) = series(parts * PLACE[0], parts * PLACE[1]);
+    let (sine, cosine) = series(parts * TABLE_STEP[0], parts * TABLE_STEP[1]);
     match quarter % 4 {
         0 => (sine, cosine),
         1 => (cosine, -sine),
@@ -275,8 +273,8 @@ const fn place(place: usize) -> (f64, f64) {
     }
 }
 
-/// Returns (sine, cosine) of `x` + `rest` by their Taylor series, exact to the last digit. |`x`| ≤ π/4 rad, and `rest`
-/// is a rounding error of `x`.
+/// Returns (sine, cosine) of `x` + `rest` by their Taylor series, exact to the last digit. |`x`| ≤ π/4 rad; `rest` is
+/// its rounding error.
 const fn series(x: f64, rest: f64) -> (f64, f64) {
     // (sin x)/x - 1 and cos x - 1 by Horner's rule: -x²/(2·3) (1 - x²/(4·5) (1 - ...)).
     let (mut sine, mut cosine, mut n) = (0.0, 0.0, 20.0);
@@ -292,8 +290,8 @@ const fn series(x: f64, rest: f64) -> (f64, f64) {
 #[inline(always)]
 pub fn table_sin_cos(BinaryAngle(angle): BinaryAngle) -> (f32, f32) {
     const RADIANS: f32 = (core::f64::consts::TAU / 4_294_967_296.0) as f32;
-    const HALF_A_PLACE: u32 = 1 << 23;
-    let (sine, cosine) = PLACES[(angle.wrapping_add(HALF_A_PLACE) >> 24) as usize];
+    const HALF_TABLE_STEP: u32 = 1 << 23;
+    let (sine, cosine) = SIN_COS_TABLE[(angle.wrapping_add(HALF_TABLE_STEP) >> 24) as usize];
     let d = ((angle << 8) as i32 >> 8) as f32 * RADIANS;
     let half = 0.5 * d * d;
     // sin d = d - d³/6, cos d = 1 - d²/2.
@@ -332,15 +330,15 @@ pub fn fine_sin_cos(angle: f64) -> (f64, f64) {
     const LARGEST_ANGLE: f64 = 3_000.0;
     // 1.5 · 2⁵²: adding it rounds to an integer, which is then in the low bits.
     const ROUNDER: f64 = 6_755_399_441_055_744.0;
-    // Written so that NaN fails the test.
+    // Written so that NaN is not `near`.
     let near = angle.abs() <= LARGEST_ANGLE;
     if !near {
         return sin_cos_of_large(angle);
     }
     let rounded = angle * (256.0 / core::f64::consts::TAU) + ROUNDER;
-    let (sine, cosine) = FINE_PLACES[(rounded.to_bits() & 255) as usize];
+    let (sine, cosine) = FINE_SIN_COS_TABLE[(rounded.to_bits() & 255) as usize];
     let places = rounded - ROUNDER;
-    let d = (angle - places * PLACE[0]) - places * PLACE[1];
+    let d = (angle - places * TABLE_STEP[0]) - places * TABLE_STEP[1];
     let z = d * d;
     // sin d by a minimax polynomial (Remez exchange on |d| ≤ π/256, relative residual 2.6e-17), cos d by its series.
     let s = d + d * z * (-0.166_666_666_664_728_15 + z * 8.333_291_730_412_959e-3);

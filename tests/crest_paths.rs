@@ -116,7 +116,7 @@ fn the_fast_current_loop_equals_the_general_one() {
             }
             axis = general;
             axis.settle(supply.volts, speed, speed, speed);
-            current += 0.5 * (axis.asked() - current);
+            current += 0.5 * (axis.target_current() - current);
             if is_invalid {
                 axis.rest();
             }
@@ -185,9 +185,9 @@ impl Pair {
         let drives = if due {
             compiled::crest(one, samples, &ticks, legs)
         } else {
-            compiled::crest_generally(one, samples, due, &ticks, legs)
+            compiled::crest_of_any_kind(one, samples, due, &ticks, legs)
         };
-        let others = compiled::crest_generally(other, samples, due, &ticks, other_legs);
+        let others = compiled::crest_of_any_kind(other, samples, due, &ticks, other_legs);
         assert_eq!((drives, &legs), (others, &other_legs), "{samples:?} {:?} {:?}", one.status(), other.status());
         // After a usual step the valley records the samples.
         self.for_both(|control_loop| compiled::note(control_loop, samples, None));

@@ -279,7 +279,7 @@ fn without_a_current_sensor_the_model_sets_the_voltage() {
 /// Commands a torque and returns the resulting current command, A.
 fn commanded_current(axis: &mut Axis, torque: f32) -> f32 {
     axis.command(torque);
-    axis.asked()
+    axis.target_current()
 }
 
 #[test]
@@ -417,10 +417,10 @@ fn a_lowered_current_limit_acts_at_the_next_crest() {
     let mut axis = Axis::new(&motor, &bridge(true), 20.0);
     axis.command(axis.torque_of(10.0));
     axis.limit(6.0);
-    assert_eq!(axis.asked(), 6.0);
+    assert_eq!(axis.target_current(), 6.0);
     axis.command(axis.torque_of(-10.0));
     axis.limit(5.0);
-    assert_eq!(axis.asked(), -5.0);
+    assert_eq!(axis.target_current(), -5.0);
 }
 
 /// A limit that is lowered after the device was loaded tightens the motor's model as if it had been set before.

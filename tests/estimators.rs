@@ -8,8 +8,8 @@ use haptic_bridge::model::mechanism::AnyMechanism;
 use haptic_bridge::render::controller::Controller;
 use haptic_bridge::render::scene::{FeedForward, Scene, SceneError};
 use haptic_bridge::render::velocity::{
-    Chosen, Coefficients, CutoffMeaning, Difference, Estimator, EstimatorSpec, JointEstimator, JointVelocity,
-    Predicted, Seen,
+    Chosen, Coefficients, CutoffMeaning, Difference, Estimator, EstimatorSpec, JointEstimator, JointSample,
+    JointVelocity, Predicted,
 };
 
 const RATE: f64 = 20_000.0;
@@ -23,8 +23,8 @@ fn warped(cutoff: f64) -> f64 {
     (std::f64::consts::PI * cutoff / RATE).tan()
 }
 
-fn seen<T: Real>(moved: T) -> Seen<T> {
-    Seen { moved, pushed: T::zero(), unit: T::one() }
+fn seen<T: Real>(moved: T) -> JointSample<T> {
+    JointSample { moved, pushed: T::zero(), unit: T::one() }
 }
 
 /// Returns a pseudo-random number between -1 and 1.
@@ -50,7 +50,7 @@ impl<T: Real> JointEstimator<T> for Toy<T> {
     fn moving_at(velocity: T) -> Self {
         Self(velocity)
     }
-    fn step<K: Math<T>>(&mut self, half: &T, seen: &Seen<T>) -> T {
+    fn step<K: Math<T>>(&mut self, half: &T, seen: &JointSample<T>) -> T {
         let mean = (self.0 + seen.moved) * *half;
         self.0 = seen.moved;
         mean
@@ -108,7 +108,7 @@ fn a_known_push_acts_at_once_and_an_unknown_push_is_learned() {
         let (known, unknown) = (1e-3 * noise(n / 100), if n < 1_000 { 0.0 } else { 2e-4 });
         let moved = v + 0.5 * (known + unknown);
         v += known + unknown;
-        found = memory.step::<Libm>(&design, &Seen { moved, pushed: known, unit: 1.0 });
+        found = memory.step::<Libm>(&design, &JointSample { moved, pushed: known, unit: 1.0 });
         if n < 1_000 {
             assert!((found - v).abs() < 1e-12, "step {n}: {found} is not {v}");
         } else if n == 1_005 {
@@ -161,9 +161,9 @@ fn every_estimator_finds_the_speed_in_single_precision() {
         let periods = 600_000;
         for n in 1..=periods {
             let moved = (speed * f64::from(n)).floor() - (speed * f64::from(n - 1)).floor();
-            let seen32 = Seen { moved: moved as f32, pushed: 0.0, unit: unit as f32 };
+            let seen32 = JointSample { moved: moved as f32, pushed: 0.0, unit: unit as f32 };
             let v = f64::from(on_board.step::<BoardMath>(&board, &seen32, 0.0));
-            let exact = in_double.step::<Libm>(&double, &Seen { moved, pushed: 0.0, unit }, 0.0);
+            let exact = in_double.step::<Libm>(&double, &JointSample { moved, pushed: 0.0, unit }, 0.0);
             if n > periods - 1_000 {
                 mean += v / 1_000.0;
                 difference = difference.max((v - exact).abs());
@@ -184,7 +184,7 @@ fn no_input_makes_an_estimator_panic() {
             let mut joint = JointVelocity::default();
             for moved in [0.0, 1.0, -4.3e9, f32::NAN, f32::INFINITY, 1.0, 2.0] {
                 for unit in [0.0, -1.0, f32::NAN] {
-                    joint.step::<BoardMath>(&coefficients, &Seen { moved, pushed: moved, unit }, moved);
+                    joint.step::<BoardMath>(&coefficients, &JointSample { moved, pushed: moved, unit }, moved);
                 }
             }
         }

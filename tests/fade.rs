@@ -30,14 +30,14 @@ fn gentle(tip_force: f32) -> Rules {
 }
 
 /// Returns a scene with a spring that pulls the tip at its home with this force, N.
-fn pulled(tip: [f32; 3], [x, y]: [f32; 2]) -> Scene<f32> {
+fn pulling_scene(tip: [f32; 3], [x, y]: [f32; 2]) -> Scene<f32> {
     spring_scene(2, [tip[0] + x / 10.0, tip[1] + y / 10.0, 0.0], 10.0)
 }
 
 /// Creates an armed five-bar at home whose tip a spring pulls with this force, N.
 fn at_home(rules: Rules, pull: [f32; 2]) -> Rig {
     let tip = Rig::with(&five_bar(), &scene(2, &[]), hardware(), rules).control_loop.frame().at.tip;
-    let mut rig = Rig::with(&five_bar(), &pulled(tip, pull), hardware(), rules);
+    let mut rig = Rig::with(&five_bar(), &pulling_scene(tip, pull), hardware(), rules);
     rig.arm();
     rig
 }
@@ -213,7 +213,7 @@ fn compensated_weight_does_not_count_against_the_limit() {
     let tip = Rig::with(&heavy, &scene(2, &[]), hardware(), gentle(2.0)).control_loop.frame().at.tip;
     for (before, after) in [(false, true), (true, false), (true, true)] {
         let with = |scene: Scene<f32>, on| Scene { gravity_compensation: on, ..scene };
-        let mut rig = Rig::with(&heavy, &with(pulled(tip, [1.9, 0.0]), before), hardware(), gentle(2.0));
+        let mut rig = Rig::with(&heavy, &with(pulling_scene(tip, [1.9, 0.0]), before), hardware(), gentle(2.0));
         rig.arm();
         rig.load(&heavy, &with(scene(2, &[]), after), true).expect("free space");
         for step in 1..=900 {

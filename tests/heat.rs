@@ -4,7 +4,7 @@ use crate::common::cases;
 use crate::rig::{self, Rig, hardware, paddle, rules, scene, wall};
 use core::sync::atomic::{AtomicU32, Ordering};
 use haptic_bridge::control::{Command, Rules};
-use haptic_bridge::drive::heat::{Heat, KEPT, WORDS, keep, kept};
+use haptic_bridge::drive::heat::{Heat, STORED_WORDS, WORDS, store_heat, stored_heat};
 use haptic_bridge::model::motor::Motor;
 use haptic_bridge::safety::fault::Fault;
 use proptest::prelude::*;
@@ -196,16 +196,16 @@ fn invalid_words_are_unknown_heat() {
 
 #[test]
 fn heat_is_kept_over_a_restart_completely_or_not_at_all() {
-    let memory: [AtomicU32; KEPT] = [const { AtomicU32::new(0) }; KEPT];
-    assert_eq!(kept(&memory), [Heat::UNKNOWN; 3], "memory without power");
+    let memory: [AtomicU32; STORED_WORDS] = [const { AtomicU32::new(0) }; STORED_WORDS];
+    assert_eq!(stored_heat(&memory), [Heat::UNKNOWN; 3], "memory without power");
     let mut heat = [cold_motor(3.0, 1.0), unknown_heat(20.0, 5.0), Heat::default()];
     heat[0].warm(5.0, 0.0);
-    keep(&heat, &memory);
-    assert_eq!(kept(&memory), heat);
+    store_heat(&heat, &memory);
+    assert_eq!(stored_heat(&memory), heat);
     // A restart during the next write.
-    for place in 0..KEPT {
+    for place in 0..STORED_WORDS {
         let before = memory[place].fetch_xor(1 << (place % 32), Ordering::Relaxed);
-        assert_eq!(kept(&memory), [Heat::UNKNOWN; 3], "word {place}");
+        assert_eq!(stored_heat(&memory), [Heat::UNKNOWN; 3], "word {place}");
         memory[place].store(before, Ordering::Relaxed);
     }
 }

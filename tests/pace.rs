@@ -16,7 +16,7 @@ fn verdict(rate: u32, share: f64, excused: bool, jitter: impl Fn(u64) -> u64) ->
     for check in 1..=500 {
         let now = check * CHECK_US + jitter(check);
         let steps = (now as f64 * 1.0e-6 * f64::from(rate) * share) as u64;
-        let found = pace.look((steps - before) as u32, now - time, rate, excused);
+        let found = pace.check_rate((steps - before) as u32, now - time, rate, excused);
         (before, time) = (steps, now);
         if found != Verdict::Kept {
             return Some((found, check));
@@ -50,7 +50,7 @@ fn a_loop_at_a_wrong_pace_lets_the_watchdog_reset_the_board() {
             let (mut before, mut unfed, mut longest) = (0, 0, 0);
             for check in 1..=200 {
                 let steps = ((check * CHECK_US) as f64 * 1.0e-6 * f64::from(rate) * share) as u64;
-                let kept = pace.look((steps - before) as u32, CHECK_US, rate, false) == Verdict::Kept;
+                let kept = pace.check_rate((steps - before) as u32, CHECK_US, rate, false) == Verdict::Kept;
                 before = steps;
                 unfed = if kept { 0 } else { unfed + CHECK_US };
                 longest = longest.max(unfed);
@@ -64,37 +64,37 @@ fn a_loop_at_a_wrong_pace_lets_the_watchdog_reset_the_board() {
 #[test]
 fn an_irregular_loop_is_found() {
     let mut pace = Pace::new(1_000);
-    let found = [28, 12, 28, 12].map(|steps| pace.look(steps, CHECK_US, 1_000, false));
+    let found = [28, 12, 28, 12].map(|steps| pace.check_rate(steps, CHECK_US, 1_000, false));
     assert!(found.iter().all(|verdict| *verdict != Verdict::Kept), "{found:?}");
 }
 
 #[test]
 fn a_loop_that_recovers_its_pace_is_fed_again() {
     let mut pace = Pace::new(1_000);
-    assert_eq!(pace.look(60, CHECK_US, 1_000, false), Verdict::TooFast);
-    let found = [20; 4].map(|steps| pace.look(steps, CHECK_US, 1_000, false));
+    assert_eq!(pace.check_rate(60, CHECK_US, 1_000, false), Verdict::TooFast);
+    let found = [20; 4].map(|steps| pace.check_rate(steps, CHECK_US, 1_000, false));
     assert_eq!(found, [Verdict::TooFast, Verdict::TooFast, Verdict::TooFast, Verdict::Kept]);
 }
 
 #[test]
 fn a_change_of_rate_is_not_a_wrong_pace() {
     let mut pace = Pace::new(20_000);
-    assert_eq!(pace.look(400, CHECK_US, 20_000, false), Verdict::Kept);
+    assert_eq!(pace.check_rate(400, CHECK_US, 20_000, false), Verdict::Kept);
     // 15 ms at the old rate, 5 ms at the new one.
-    assert_eq!(pace.look(301, CHECK_US, 200, false), Verdict::Kept);
+    assert_eq!(pace.check_rate(301, CHECK_US, 200, false), Verdict::Kept);
     for _ in 0..100 {
-        assert_eq!(pace.look(4, CHECK_US, 200, false), Verdict::Kept);
+        assert_eq!(pace.check_rate(4, CHECK_US, 200, false), Verdict::Kept);
     }
-    assert_eq!(pace.look(100, CHECK_US, 20_000, false), Verdict::Kept);
-    assert_eq!(pace.look(800, CHECK_US, 20_000, false), Verdict::TooFast);
+    assert_eq!(pace.check_rate(100, CHECK_US, 20_000, false), Verdict::Kept);
+    assert_eq!(pace.check_rate(800, CHECK_US, 20_000, false), Verdict::TooFast);
 }
 
 #[test]
 fn an_excused_stall_has_no_later_effect() {
     let mut pace = Pace::new(1_000);
-    assert_eq!(pace.look(1, 10 * CHECK_US, 1_000, true), Verdict::Kept);
+    assert_eq!(pace.check_rate(1, 10 * CHECK_US, 1_000, true), Verdict::Kept);
     for _ in 0..50 {
-        assert_eq!(pace.look(20, CHECK_US, 1_000, false), Verdict::Kept);
+        assert_eq!(pace.check_rate(20, CHECK_US, 1_000, false), Verdict::Kept);
     }
 }
 
@@ -102,7 +102,7 @@ fn an_excused_stall_has_no_later_effect() {
 fn no_number_makes_the_check_panic() {
     let mut pace = Pace::new(u32::MAX);
     for _ in 0..3 {
-        pace.look(u32::MAX, u64::MAX, u32::MAX, false);
+        pace.check_rate(u32::MAX, u64::MAX, u32::MAX, false);
     }
 }
 

@@ -45,7 +45,7 @@ impl Stage for SetPoint {
     fn torque_of(&self, current: f32) -> f32 {
         current * self.torque_constant
     }
-    fn asked(&self) -> f32 {
+    fn target_current(&self) -> f32 {
         self.target
     }
     fn command(&mut self, torque: f32) {
@@ -98,8 +98,8 @@ impl Stage for FieldOriented {
     fn torque_of(&self, current: f32) -> f32 {
         self.set_point.torque_of(current)
     }
-    fn asked(&self) -> f32 {
-        self.set_point.asked()
+    fn target_current(&self) -> f32 {
+        self.set_point.target_current()
     }
     fn command(&mut self, torque: f32) {
         self.set_point.command(torque);

@@ -109,7 +109,7 @@ fn scene<T: Real>(draw: &mut Draw<'_>, place: &[f64], task: usize) -> Scene<T> {
     if spring == 0 {
         scene.field_damping = 0.3;
     }
-    // Up to two springs, to points and to lines; some have only damping.
+    // Adds up to two springs, to points or lines. A quarter of the springs have only damping.
     for _ in 0..[1, 2, 0, 0, 1, 0][spring] {
         let away = draw.within(-0.02, 0.02);
         let point = core::array::from_fn(|i| place.get(i).map_or(0.0, |x| if i < task { x + away } else { 0.0 }));
@@ -121,7 +121,7 @@ fn scene<T: Real>(draw: &mut Draw<'_>, place: &[f64], task: usize) -> Scene<T> {
     scene.cast()
 }
 
-/// Draws a plane of the host near `place`; some have only damping.
+/// Draws a plane of the host near `place`. A fifth of the planes have only damping.
 fn pushed_plane<T: Real>(draw: &mut Draw<'_>, place: &[f64], task: usize) -> PushedPlane<T> {
     let direction: [f64; 3] = draw.list(-1.0, 1.0);
     let length = direction.iter().take(task).map(|x| x * x).sum::<f64>().sqrt().max(1.0e-3);

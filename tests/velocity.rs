@@ -4,7 +4,7 @@ use crate::rig;
 use haptic_bridge::math::Libm;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::render::velocity::{
-    Chosen, Coefficients, Estimator, JointVelocity, LowPass, Seen, Velocity, Washout,
+    Chosen, Coefficients, Estimator, JointSample, JointVelocity, LowPass, Velocity, Washout,
 };
 
 /// Computes the direct-form coefficients (b0, b1, b2, a1, a2) of a 2nd-order digital Butterworth low-pass from its
@@ -116,7 +116,7 @@ fn the_response_to_one_count_is_right_although_truncated() {
             let mut velocity = JointVelocity::default();
             let response = (0..80_000).map(|period| {
                 let moved = if period == 7 { 1.0 } else { 0.0 };
-                let seen = Seen { moved, pushed: 0.0, unit: 1.0 / (speed * rate) };
+                let seen = JointSample { moved, pushed: 0.0, unit: 1.0 / (speed * rate) };
                 velocity.step::<Libm>(&found, &seen, 0.0).abs()
             });
             let most = speed * response.fold(0.0, f64::max);

@@ -3,7 +3,7 @@
 use haptic_bridge::control::{HostAction, Rules};
 use haptic_bridge::model::device::Device as DeviceData;
 use haptic_bridge::safety::fault::State;
-use haptic_bridge::safety::limits::{Limits, MOST_TIP_FORCE};
+use haptic_bridge::safety::limits::{Limits, MAX_TIP_FORCE};
 use haptic_host::device_file::DeviceFile;
 use haptic_host::link::Board;
 use haptic_host::scene_file::SceneFile;
@@ -166,7 +166,7 @@ impl Rig {
     /// If the board refuses the rules.
     pub fn relax_rules(&mut self) {
         let rules = self.tool.rules().expect("the board replies");
-        let limits = Limits { tip_force: MOST_TIP_FORCE, ..rules.limits };
+        let limits = Limits { tip_force: MAX_TIP_FORCE, ..rules.limits };
         self.tool.set_rules(&Rules { limits, host_action: HostAction::Ignore, ..rules }).expect("the motors are off");
     }
 

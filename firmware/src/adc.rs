@@ -1,8 +1,7 @@
-//! Analog conversions, started by TIM1 at the crest of the carrier: both converters sample together, one injected
-//! sequence each.
+//! Analog conversions by two converters. TIM1 starts one injected sequence of each at the crest of the carrier.
 //!
-//! 21 MHz conversion clock, 3 cycles of sampling and 12 of conversion: 0.71 us per value. STM32F405 reference manual
-//! RM0090, section 13.
+//! The conversion clock is 21 MHz. A value takes 3 cycles of sampling and 12 of conversion, 0.71 us. STM32F405
+//! reference manual RM0090, section 13.
 
 use embassy_stm32::gpio::Flex;
 use embassy_stm32::pac;
@@ -11,14 +10,12 @@ use embassy_stm32::pac::adc::{Adc, vals};
 
 /// Counts of a full-scale reading.
 pub const FULL_SCALE: f32 = 4096.0;
-
 /// Reference voltage, V.
 pub const REFERENCE_V: f32 = 3.3;
-
-/// Injected trigger of the F405: TIM1's trigger output.
+/// Number of TIM1's trigger output among the F405's injected triggers.
 const TIM1_TRIGGER: u8 = 1;
 
-/// Hands pins to the converters permanently.
+/// Assigns pins to the converters permanently.
 pub fn inputs<const N: usize>(pins: [Flex<'static>; N]) {
     for mut pin in pins {
         pin.set_as_analog();
@@ -26,14 +23,14 @@ pub fn inputs<const N: usize>(pins: [Flex<'static>; N]) {
     }
 }
 
-/// Sets one converter up for an injected sequence of up to four channels. Its clock must be on.
+/// Configures one converter for an injected sequence of up to four channels. Its clock must be on.
 pub fn configure(adc: Adc, channels: &[u8]) {
     pac::ADC123_COMMON.ccr().modify(|w| w.set_adcpre(pac::adccommon::vals::Adcpre::DIV4));
     let channels = &channels[..channels.len().min(4)];
     adc.cr1().write(|w| w.set_scan(true));
     adc.jsqr().write(|w| {
         w.set_jl(channels.len() as u8 - 1);
-        // A sequence shorter than four uses the last ranks; its results are in the first data registers (RM0090 13.13.12).
+        // A sequence shorter than four uses the last ranks, but the first data registers (RM0090 13.13.12).
         for (rank, channel) in channels.iter().enumerate() {
             w.set_jsq(4 - channels.len() + rank, *channel);
         }
@@ -53,14 +50,14 @@ pub fn configure(adc: Adc, channels: &[u8]) {
 
 /// Returns true if both converters have finished the sequence that the crest started.
 #[inline(always)]
-pub fn finished(one: Adc, other: Adc) -> bool {
+pub fn have_finished(one: Adc, other: Adc) -> bool {
     Sr(one.sr().read().0 & other.sr().read().0).jeoc()
 }
 
-/// Waits until both converters have finished. Returns false after about 10 us (a converter that is not triggered).
+/// Waits until both converters have finished. Returns false after about 10 us, if a converter was not triggered.
 #[inline(never)]
 pub fn wait(one: Adc, other: Adc) -> bool {
-    (0..200).any(|_| finished(one, other))
+    (0..200).any(|_| have_finished(one, other))
 }
 
 /// Clears the flags of the last sequence, so that the next wait is for the next sequence. Call at every valley.

@@ -1,5 +1,4 @@
-//! The interface of a board ([`Board`]), and the board of this image ([`This`]). Every board has a file and a Cargo
-//! feature.
+//! The interface of a board ([`Board`]), and this image's board ([`This`]). Every board has a file and a Cargo feature.
 
 // Two board features define `This` twice, which does not compile.
 #[cfg(not(any(
@@ -55,14 +54,13 @@ use crate::gate::Gate;
 /// Highest level of the supply monitor, 2.9 V (STM32F405 datasheet, table 19), for a supply of 3.3 V.
 pub const MONITOR_2V9: u8 = 7;
 
-/// A pin of ports A to D: 16 times the port's number (0 for A) plus the pin's number.
+/// A pin of ports A to D, as 16 times the port's number (0 for A) plus the pin's number.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub struct Pin(pub(crate) u8);
 
-/// Time in which a pin follows a pull of 40 kohm, us. It allows a thousand times the capacitance of a 1 m wire (100 pF).
+/// Time in which a pin follows a pull of 40 kohm, us: enough for a thousand times a 1 m wire's capacitance (100 pF).
 const PULL_US: u64 = 500;
-
-/// The ports.
+/// Ports A to D, in the order of [`Pin`]'s numbers.
 const PORTS: [Gpio; 4] = [pac::GPIOA, pac::GPIOB, pac::GPIOC, pac::GPIOD];
 
 impl Pin {
@@ -71,9 +69,9 @@ impl Pin {
         Self((port as u8 - b'A') << 4 | number)
     }
 
-    /// Returns true if nothing outside the chip holds the pin: it follows the chip's pull down and pull up, twice. A pin
-    /// held between the two levels may read as either, but does not change. The pin must be an input, and stays an input
-    /// without a pull.
+    /// Returns true if nothing outside the chip holds the pin: it follows the chip's pull down and pull up, twice. A
+    /// pin held between the two levels may read as either level, but does not change. The pin must be an input, and
+    /// stays one.
     pub fn is_open(self) -> bool {
         let (port, number) = (PORTS[usize::from(self.0 >> 4 & 3)], usize::from(self.0 & 15));
         let pulls = [(Pupdr::PULL_DOWN, Idr::LOW), (Pupdr::PULL_UP, Idr::HIGH)];
@@ -87,10 +85,10 @@ impl Pin {
     }
 }
 
-/// Pins that identify a board before any pin is driven: the board holds some at a level and leaves others open. The chip
-/// pulls each with its own 40 kohm, and an open pin follows. No identifying pin may lead to a gate, an enable line or a
-/// bridge input on any board, because on the wrong board the pull would drive it towards on. EN_GATE of an ODrive, for
-/// example, would rest at 1.8 V between the chip's 40 kohm and the 50 kohm inside its two drivers.
+/// Pins that identify a board before any pin is driven. The chip pulls each pin with its own 40 kohm: an open pin
+/// follows, a held pin does not. No identifying pin may lead to a gate, an enable line or a bridge input on any board,
+/// because the pull could switch it on. For example, EN_GATE of an ODrive would rest at 1.8 V between the chip's 40
+/// kohm and the 50 kohm inside its two drivers.
 pub struct IdentityPins {
     /// Pins that the board holds at a level.
     pub held: &'static [Pin],
@@ -112,7 +110,7 @@ pub trait Board {
     const BRIDGE: Bridge;
     /// Limits that cannot be raised over USB.
     const LIMITS: Limits;
-    /// The fault to record when the power stage reports one.
+    /// Fault to record when the power stage reports a fault.
     const POWER_FAULT: Fault;
     /// Faults that the board cannot sense.
     const UNSENSED: &'static [Fault];
@@ -120,59 +118,45 @@ pub trait Board {
     type Io: Io;
     /// The part that the tasks own.
     type Gate: Gate;
-
-    /// Turns the bridges off. Uses plain register writes, so it works in any state of the program, even in a fault handler.
-    fn off();
-
-    /// Divides the chip's peripherals between interrupt and tasks, and sets the timers to `carrier` without starting them.
-    /// If `board` is false, the chip is on another board: only USB's pins are used, there is no power stage, and all pins
-    /// that this image would drive stay inputs until the next reset.
+    /// Turns the bridges off by plain register writes, which work in any state of the program, even in fault handlers.
+    fn turn_bridges_off();
+    /// Divides the chip's peripherals between interrupt and tasks, and sets the timers to `carrier` without starting
+    /// them. If `board` is false, the chip is on another board: only USB's pins are used, there is no power stage, and
+    /// all pins that this image would drive stay inputs until the next reset.
     fn split(p: Peripherals, carrier: Carrier, board: bool) -> (Self::Io, Option<Self::Gate>, Common);
 }
 
-/// The part of a board that the control interrupt owns: encoders, conversions, bridges. The duration of every function is
-/// bounded.
+/// The part of a board that the control interrupt owns: encoders, converters, bridges. All its functions are bounded in
+/// time.
 pub trait Io {
     /// Updates the encoder counts, one per axis. They are 0 at power-on.
     fn update_counts(&mut self, counts: &mut Counts);
-
     /// Returns true if an index pulse came since the last call of [`Io::marks`].
     fn has_marks(&self) -> bool;
-
-    /// Returns the counts of the encoders whose index pulse came since the last call.
+    /// Returns the counts of the encoders with an index pulse since the last call.
     fn marks(&mut self, counts: &Counts) -> [Option<i32>; MAX_JOINTS];
-
-    /// Clears stale flags of the converters. Call between two crests, because a flag that is left over would make every
-    /// later reading one crest old or torn between two crests.
+    /// Clears stale flags of the converters. Call between two crests, because a stale flag would make every later
+    /// reading one crest old or mix two crests.
     fn clear_flags(&mut self);
-
     /// Returns true if the conversions that the crest started have finished.
     fn has_sampled(&self) -> bool;
     /// Waits for the conversions. Returns true if they finish.
     fn await_samples(&self) -> bool;
-
     /// Writes the readings to `samples`: bus voltage, currents, and the difference of two sensors of one current.
     fn sample(&mut self, samples: &mut Samples);
-
-    /// Uses the readings as the sensors' zeros if a task waits for them. Call while the bridges are off.
+    /// Takes the readings as the sensors' zeros if a task waits for zeros. Call while the bridges are off.
     fn learn_zeros(&mut self);
-
     /// Writes the compare values of each axis's two legs, which apply at the next valley.
     fn write(&mut self, legs: &[[u16; 2]; MAX_JOINTS]);
-
-    /// Connects the bridges to the carrier, or lets them float. Off also disables the gate drivers or the enable line.
+    /// Connects the bridges to the carrier, or lets them float and disables the gate drivers or the enable line.
     fn drive(&mut self, on: bool);
-
-    /// Returns true if the power stage reports a fault. Only meaningful while the power stage is enabled.
+    /// Returns true if the power stage reports a fault. Valid only while the power stage is enabled.
     fn has_fault(&self) -> bool;
 
-    /// Returns the carrier in use.
     fn carrier(&self) -> &Carrier;
-
-    /// Changes the carrier, for all axes at the same extreme.
+    /// Changes the carrier of all axes at the same extreme.
     fn set_carrier(&mut self, carrier: Carrier);
 
-    /// Starts the carrier.
     fn start(&mut self);
 }
 

@@ -1,4 +1,4 @@
-//! Clocks: an 8 MHz crystal to 168 MHz for the core, 84 MHz for the fast peripheral bus (168 MHz at its timers,
+//! Clocks from an 8 MHz crystal: 168 MHz for the core, 84 MHz for the fast peripheral bus (168 MHz at its timers,
 //! [`TIMER_HZ`]), 42 MHz for the slow one (84 MHz at its timers), 48 MHz for USB. STM32F405 reference manual RM0090,
 //! section 7.2. The tasks use embassy's clock, on TIM5.
 
@@ -14,17 +14,14 @@ use crate::critical;
 
 /// Frequency that the PWM timers count at, Hz.
 pub const TIMER_HZ: u32 = 168_000_000;
-
-/// The supply monitor's line of the interrupt controller.
+/// Line of the supply monitor's interrupt in the interrupt controller.
 const SUPPLY_LINE: usize = 16;
+/// Device identifier of the chip (RM0090 section 38.6.1). Revision A has another one (errata sheet ES0182).
+const DEVICE_ID_AFTER_REVISION_A: u16 = 0x413;
 
-/// The chip's identity (RM0090 section 38.6.1), except for its first revision, A (errata sheet ES0182, "MCU device ID
-/// is incorrect").
-const NOT_REVISION_A: u16 = 0x413;
-
-/// Waits until the chip's supply is above a `level` of its monitor, because below 2.7 V the flash is too slow for the
-/// full clock. Meanwhile the chip runs on its own oscillator, which needs 1.8 V; below 1.8 V the power-on reset holds the
-/// chip. Therefore the option bytes need no brown-out level.
+/// Waits until the chip's supply is above `level` of its monitor, because below 2.7 V the flash is too slow for the
+/// full clock. The chip meanwhile runs on its own oscillator, which needs 1.8 V; below 1.8 V the power-on reset holds
+/// the chip. The option bytes therefore need no brown-out level.
 pub fn await_supply(level: u8) {
     pac::RCC.apb1enr().modify(|w| w.set_pwren(true));
     monitor_supply(level);
@@ -38,8 +35,7 @@ fn monitor_supply(level: u8) {
     });
 }
 
-/// Returns the brown-out level in the option bytes, 0 (off) to 3 (2.7 V). The firmware never writes it (RM0090 section
-/// 3.9.10).
+/// Returns the brown-out level in the option bytes, 0 (off) to 3 (2.7 V). Never written (RM0090 section 3.9.10).
 pub fn brown_out_level() -> u8 {
     3 - pac::FLASH.optcr().read().bor_lev()
 }
@@ -63,11 +59,10 @@ fn enable_monitors(level: u8) {
 /// Starts the clocks and takes the chip's peripherals.
 pub fn start(level: u8) -> Peripherals {
     // embassy's clock counts half turns of TIM5 by interrupt. The update event that loads the timer compares count 0
-    // with a compare value that is still 0, and sets the flag of a half turn. If this flag were counted, the clock
-    // would be half a turn ahead and, between a half turn and its interrupt, 65 ms early. It is cleared here, before a
-    // real half turn can pass.
+    // with a compare value that is still 0, and sets the flag of a half turn. With this flag, the clock would be half a
+    // turn ahead and, between a half turn and its interrupt, 65 ms early. It is cleared before a real half turn.
     critical_section::with(|_| {
-        let chip = embassy_stm32::init(config());
+        let chip = embassy_stm32::init(clock_tree());
         pac::TIM5.sr().write(|w| w.0 = 0);
         enable_flash_caches();
         enable_monitors(level);
@@ -75,11 +70,11 @@ pub fn start(level: u8) -> Peripherals {
     })
 }
 
-/// Hides most of the flash's five wait states, with 64 cache lines for instructions, 8 for data, and prefetch (RM0090
-/// section 3.5.2). Reset and embassy leave all three off, which doubles the duration of the control interrupt. Prefetch
-/// does not work in revision A.
+/// Enables 64 cache lines for instructions, 8 for data, and prefetch (RM0090 section 3.5.2), which hide most of the
+/// flash's five wait states. Reset and embassy leave all three off, which doubles the duration of the control
+/// interrupt. Prefetch does not work in revision A.
 fn enable_flash_caches() {
-    let prefetch = pac::DBGMCU.idcode().read().dev_id() == NOT_REVISION_A;
+    let prefetch = pac::DBGMCU.idcode().read().dev_id() == DEVICE_ID_AFTER_REVISION_A;
     let control = pac::FLASH.acr();
     // The caches can be cleared only while they are off.
     control.modify(|w| {
@@ -97,7 +92,7 @@ fn enable_flash_caches() {
     });
 }
 
-/// Clears the data cache. Call after a sector was erased, because the cache does not follow erases (RM0090 section
+/// Clears the data cache. Call after an erase of a sector, because the cache does not follow erases (RM0090 section
 /// 3.5.2). embassy's driver clears it only on chips with two banks.
 pub fn clear_data_cache() {
     let control = pac::FLASH.acr();
@@ -108,7 +103,7 @@ pub fn clear_data_cache() {
 }
 
 /// Returns the clock tree, with all DMA interrupts below the control interrupt.
-fn config() -> Config {
+fn clock_tree() -> Config {
     let mut config = Config::default();
     config.rcc.hsi = false;
     config.rcc.hse = Some(Hse { freq: Hertz(8_000_000), mode: HseMode::Oscillator });

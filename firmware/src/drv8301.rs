@@ -1,8 +1,7 @@
-//! The DRV8301 gate driver of an axis: configuration by its two control registers, read-back, status.
+//! The DRV8301 gate driver of an axis: configuration by two control registers, read-back, status.
 //!
 //! Texas Instruments SLOS719F, section 7.5. Frames are 16 bits, with the clock idle low and data sampled at the falling
-//! edge. The value of a read comes with the next frame. A low EN_GATE resets the registers, so they are written after
-//! every rise of EN_GATE.
+//! edge. The value of a read comes with the next frame. A low EN_GATE resets the registers.
 
 use embassy_stm32::gpio::Output;
 use embassy_stm32::mode::Blocking;
@@ -17,13 +16,10 @@ const STATUS_1: u16 = 0;
 const STATUS_2: u16 = 1;
 const CONTROL_1: u16 = 2;
 const CONTROL_2: u16 = 3;
-
-/// 1.7 A of gate current, six independent gate signals, latched shutdown at an over-current of 0.730 V across a switch.
+/// Gate current 1.7 A, six independent gate signals, latched shutdown at an over-current of 0.730 V across a switch.
 const CONTROL_1_VALUE: u16 = (21 << 6) | (1 << 4);
-
 /// Amplifier gain 80 V/V, inputs connected, over-temperature and over-current both reported.
 const CONTROL_2_VALUE: u16 = 3 << 2;
-
 /// Disconnects both amplifiers' inputs from the shunts and shorts them.
 const CALIBRATE: u16 = 0b11 << 4;
 
@@ -67,7 +63,7 @@ impl Drv8301 {
         self.select.set_low();
         let sent = bus.blocking_transfer_in_place(&mut word);
         self.select.set_high();
-        // SLOS719F asks for 400 ns of idle select between frames; these are 600 ns.
+        // SLOS719F requires 400 ns of idle select between frames; this delay is 600 ns.
         cortex_m::asm::delay(100);
         sent?;
         Ok(word[0])
@@ -84,14 +80,13 @@ impl Drv8301 {
         Ok(self.transfer(bus, request)? & 0x7FF)
     }
 
-    /// Writes the control registers, reads them back, and clears and checks the status. EN_GATE must have been high for
-    /// 10 ms.
+    /// Writes the control registers, reads them back, and clears and checks the status. Call 10 ms after EN_GATE rises.
     pub fn configure(&mut self, bus: &mut Bus, inputs: Inputs) -> Result<(), GateError> {
         self.write(bus, CONTROL_1, CONTROL_1_VALUE)?;
         self.write(bus, CONTROL_2, inputs.control_2())?;
         self.read_back(bus, inputs)?;
         let (status_1, status_2) = self.status(bus)?;
-        // Bit 10 of status 1 is FAULT, bit 7 of status 2 GVDD_OV.
+        // Bit 10 of status 1 is FAULT, bit 7 of status 2 is GVDD_OV.
         if status_1 & (1 << 10) != 0 || status_2 & (1 << 7) != 0 {
             return Err(GateError::Fault(status_1, status_2));
         }

@@ -5,8 +5,8 @@ use embassy_stm32::gpio::{AfType, Flex, Pull};
 use embassy_stm32::pac::timer::{TimGp16, vals};
 
 /// Starts a timer that counts the encoder at its channels 1 and 2, from 0. The timer's clock must be on. The inputs are
-/// pulled up for open-collector encoders, and filtered over eight timer clocks (95 ns), which passes more than two million
-/// counts per second.
+/// pulled up for open-collector encoders, and filtered over eight timer clocks (95 ns), for up to two million counts
+/// per second.
 pub fn start(timer: TimGp16, mut a: Flex<'static>, mut b: Flex<'static>, alternate_function: u8) {
     a.set_as_af_unchecked(alternate_function, AfType::input(Pull::Up));
     b.set_as_af_unchecked(alternate_function, AfType::input(Pull::Up));
@@ -25,8 +25,8 @@ pub fn start(timer: TimGp16, mut a: Flex<'static>, mut b: Flex<'static>, alterna
     timer.cr1().write(|w| w.set_cen(true));
 }
 
-/// Updates a count, which was 0 when the timer started and wraps at the ends of `i32`. Its lower half is the timer's last
-/// value.
+/// Updates a count, which was 0 when the timer started and wraps at the ends of `i32`. Its lower half is the timer's
+/// last value.
 #[inline(always)]
 pub fn update_count(timer: TimGp16, count: &mut i32) {
     let moved = (timer.cnt().read().0 as u16).wrapping_sub(*count as u16) as i16;

@@ -1,13 +1,12 @@
-//! The power stage as the tasks use it: they enable it before the motors are armed, and check it while they are on.
+//! The power stage for the tasks, which enable it before the motors are armed, and check it while they are on.
 
 use haptic_bridge::safety::fault::Fault;
 
-/// The power stage of a board: gate drivers with registers, or an enable line alone.
+/// The power stage of a board: gate drivers with registers, or only an enable line.
 pub trait Gate {
-    /// Enables the power stage and learns the current sensors' zeros while no current flows. Takes 10 to 40 ms. After an
-    /// error the power stage is off.
+    /// Enables the power stage and learns the current sensors' zeros while no current flows. Takes 10 to 40 ms. After
+    /// an error it is off.
     fn raise(&mut self) -> Result<(), GateError>;
-
     /// Checks that the power stage is still configured as [`Gate::raise`] left it.
     fn check(&mut self) -> Result<(), GateError>;
 }
@@ -22,14 +21,14 @@ pub enum GateError {
     Readback,
     /// The driver reports a fault, with these status registers.
     Fault(u16, u16),
-    /// Distance of a current sensor's zero from the middle of its range, A.
+    /// A current sensor's zero is too far from the middle of its range; distance, A.
     Offset(f32),
-    /// Current that flows although the bridges are off, A.
+    /// A current flows although the bridges are off; A.
     Stray(f32),
 }
 
 impl GateError {
-    /// Returns the number that the fault record keeps.
+    /// Returns the value for the fault record.
     pub fn value(self) -> f32 {
         match self {
             Self::Bus | Self::Readback => 0.0,

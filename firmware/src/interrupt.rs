@@ -1,15 +1,14 @@
-//! The control interrupt: at a crest of the carrier it samples, runs the control step and writes the duties, which apply
-//! at the next valley.
+//! The control interrupt, which samples at a crest of the carrier, runs the control step and writes the next duties.
 //!
-//! The interrupt runs at every update of TIM1: at crests and valleys. Every crest checks the limits and runs the current
-//! loops; every k-th crest (k = [`Carrier::divider`]) also runs the library's control step. A valley records the last
-//! step, checks for slow faults and carries out at most one request of the tasks, so that this work does not lengthen a
-//! step. The interrupt shares atomics, a ring of frames and one exchange with the tasks. It never waits for a task. A
-//! full ring drops the frame and counts it.
+//! The interrupt runs at every update of TIM1: at crests and valleys. Every crest checks the limits and runs the
+//! current loops; every k-th crest (k = [`Carrier::divider`]) also runs the library's control step. A valley records
+//! the last step, checks for slow faults and carries out at most one request of the tasks, so that this work does not
+//! lengthen a step. The interrupt shares atomics, a ring of frames and one exchange with the tasks, and never waits for
+//! a task. A full ring drops the frame and counts it.
 //!
 //! Time bound: a step that lasts past the next crest is counted, and turns the motors off if they are on
-//! ([`Fault::ControlOverrun`]). The duties of a step that lasts past the valley apply half a carrier period late; the
-//! current loops take this delay into account.
+//! ([`Fault::ControlOverrun`]). The duties of a step that lasts past the valley apply half a carrier period late, which
+//! the current loops take into account.
 
 mod exchange;
 mod shared;
@@ -43,15 +42,14 @@ pub use shared::Shared;
 use shared::increment;
 
 /// The tasks' ends of the channels to the control interrupt.
-pub struct Ends {
+pub struct TaskChannels {
     /// Requests to the control interrupt.
     pub requests: Requests,
     /// Frames of the telemetry stream.
     pub frames: FrameReader,
 }
 
-/// The state that the control interrupt owns. The order in memory keeps every float within the 1 KB that one FPU load
-/// can reach.
+/// The state that the control interrupt owns. The field order keeps every float within the 1 KB reach of FPU loads.
 #[repr(C)]
 struct InterruptState {
     io: <This as Board>::Io,
@@ -60,13 +58,13 @@ struct InterruptState {
     /// Compare values of the legs.
     legs: [[u16; 2]; MAX_JOINTS],
     ticks: Ticks,
-    /// Number of crests before the next control step, with flags for work that the last step left, see [`OVERRAN`].
+    /// Number of crests before the next control step, with flags for unfinished work of the last step, see [`OVERRAN`].
     before_step: u32,
-    /// Value that `before_step` gets at the end of a step.
+    /// Value of `before_step` at the end of a step.
     after_step: u32,
-    /// The core's cycle count at the last valley.
+    /// Core's cycle count at the last valley.
     valley_at: u32,
-    /// Number of crests for which duties still count as late.
+    /// Number of crests until duties no longer count as late.
     late: u8,
     /// True if the last duties wait for the valley.
     pending: bool,
@@ -81,14 +79,14 @@ struct InterruptState {
 #[repr(C)]
 struct Control {
     shared: Shared,
-    /// Owned by the interrupt once `start` has written it.
+    /// Owned by the interrupt after `start` has written it.
     state: UnsafeCell<MaybeUninit<InterruptState>>,
     /// Request of a task that has no reply yet.
     request: AtomicPtr<Exchange<'static>>,
     frames: Frames,
 }
 
-// SAFETY: `start` writes `state` once, before it enables the interrupt. After that only the interrupt uses it.
+// SAFETY: `start` writes `state` once, before it enables the interrupt. Afterwards only the interrupt uses it.
 unsafe impl Sync for Control {}
 
 static CONTROL: Control = Control {
@@ -103,9 +101,9 @@ pub fn shared() -> &'static Shared {
     &CONTROL.shared
 }
 
-/// Hands the board to the control interrupt and starts the carrier. `heat` is the motors' heat at the end of the previous
-/// run. Call once.
-pub fn start(mut io: <This as Board>::Io, hardware: Hardware, rules: Rules, heat: [Heat; MAX_JOINTS]) -> Ends {
+/// Passes the board to the control interrupt and starts the carrier. `heat` is from the end of the previous run. Call
+/// once.
+pub fn start(mut io: <This as Board>::Io, hardware: Hardware, rules: Rules, heat: [Heat; MAX_JOINTS]) -> TaskChannels {
     io.start();
     let mut control_loop = BoardControlLoop::new(hardware, rules);
     control_loop.start_heat(heat);
@@ -131,7 +129,7 @@ pub fn start(mut io: <This as Board>::Io, hardware: Hardware, rules: Rules, heat
     pac::TIM1.dier().modify(|w| w.set_uie(true));
     // SAFETY: the state that the interrupt needs is written.
     unsafe { interrupt::TIM1_UP_TIM10.enable() };
-    Ends { requests: Requests(&CONTROL.request), frames: FrameReader::new(&CONTROL.frames) }
+    TaskChannels { requests: Requests(&CONTROL.request), frames: FrameReader::new(&CONTROL.frames) }
 }
 
 #[interrupt]
@@ -140,10 +138,10 @@ fn TIM1_UP_TIM10() {
         w.0 = !0;
         w.set_uif(false);
     });
-    // SAFETY: `start` wrote the state before it enabled this interrupt. The interrupt is the only user and does not
-    // preempt itself.
+    // SAFETY: `start` wrote the state before it enabled this interrupt. Only the interrupt uses the state, without
+    // nesting.
     let state = unsafe { (*CONTROL.state.get()).assume_init_mut() };
-    if past_valley() {
+    if is_past_valley() {
         state.valley();
     } else {
         state.crest();
@@ -151,19 +149,18 @@ fn TIM1_UP_TIM10() {
 }
 
 impl InterruptState {
-    /// Does the work of a crest.
     #[inline(always)]
     fn crest(&mut self) {
         if self.before_step != 0 && self.crest_before_step() {
             return;
         }
         self.io.update_counts(&mut self.samples.counts);
-        // Directly after the counts, because an index mark belongs to them.
+        // Read directly after the counts, because an index mark belongs to the counts.
         if self.io.has_marks() {
-            self.mark();
+            self.record_index_pulses();
         }
         compiled::render(&mut self.control_loop, &self.samples.counts);
-        if passed_an_extreme() {
+        if has_passed_an_extreme() {
             self.check_missed_crest();
         }
         // The conversions have finished while the scene was rendered.
@@ -176,10 +173,10 @@ impl InterruptState {
         }
         // The valley does the work that is not urgent.
         self.before_step = self.after_step;
-        self.keep_time();
+        self.record_long_crest();
     }
 
-    /// Finishes the last step and, at a crest without a step, does all of its work. Returns true if the crest has no step.
+    /// Finishes the last step. At a crest without a step, does all of the crest's work and returns true.
     #[cold]
     #[inline(never)]
     fn crest_before_step(&mut self) -> bool {
@@ -190,21 +187,21 @@ impl InterruptState {
                 self.connect();
             }
         }
-        if self.before_step & (UNRECORDED | BETWEEN) != 0 {
+        if self.before_step & (UNRECORDED | NO_STEP) != 0 {
             self.valley_missed();
         }
         if self.before_step & OVERRAN != 0 {
             if self.driving {
                 self.trip_overrun();
-                self.float();
+                self.float_bridges();
             } else if self.control_loop.status().state.drives() {
                 self.count_unconnected();
             }
         }
-        self.before_step &= !(OVERRAN | BETWEEN);
+        self.before_step &= !(OVERRAN | NO_STEP);
         let between = self.before_step > 0;
         if between {
-            self.before_step = (self.before_step - 1) | BETWEEN;
+            self.before_step = (self.before_step - 1) | NO_STEP;
             self.crest_between();
         }
         between
@@ -216,14 +213,14 @@ impl InterruptState {
         self.sample();
         self.samples.late = self.is_late();
         let drives =
-            compiled::crest_generally(&mut self.control_loop, &self.samples, false, &self.ticks, &mut self.legs);
+            compiled::crest_of_any_kind(&mut self.control_loop, &self.samples, false, &self.ticks, &mut self.legs);
         if self.samples.late {
             self.write_late(drives);
             self.samples.late = false;
         } else {
             self.write(drives);
         }
-        self.keep_time();
+        self.record_long_crest();
     }
 
     /// Reads the conversions that the crest started, and checks the power stage for a fault.
@@ -243,7 +240,7 @@ impl InterruptState {
     fn write(&mut self, drives: bool) {
         self.io.write(&self.legs);
         if self.driving && !drives {
-            self.float();
+            self.float_bridges();
         }
     }
 
@@ -258,12 +255,12 @@ impl InterruptState {
         increment(&CONTROL.shared.late_steps);
     }
 
-    /// Like [`InterruptState::write`] for late duties: before the valley, they wait for it.
+    /// Writes late duties, which wait for the valley if it has not passed. See [`InterruptState::write`].
     fn write_late(&mut self, drives: bool) {
         if self.driving && !drives {
-            self.float();
+            self.float_bridges();
         }
-        self.pending = !past_valley();
+        self.pending = !is_past_valley();
         if !self.pending {
             self.io.write(&self.legs);
         }
@@ -271,15 +268,15 @@ impl InterruptState {
 
     #[cold]
     #[inline(never)]
-    fn mark(&mut self) {
+    fn record_index_pulses(&mut self) {
         self.control_loop.mark(self.io.marks(&self.samples.counts));
     }
 
-    /// Returns true if the duties of this crest are late: the valley is too near or has just passed, now or at one of
-    /// the last [`LATE_CRESTS`] crests.
+    /// Returns true if the duties of this crest are late: at one of the last [`LATE_CRESTS`] crests the valley was too
+    /// near or past.
     #[inline(always)]
     fn is_late(&mut self) -> bool {
-        // Core and timer count at the same frequency. The timer counts down to its valley and up from it.
+        // Core and timer count at the same frequency. The timer counts down to its valley and then up.
         if pac::TIM1.cnt().read().0 < LEGS_CYCLES {
             self.late = LATE_CRESTS;
         } else if self.late > 0 {
@@ -288,14 +285,14 @@ impl InterruptState {
         self.late > 0
     }
 
-    /// Trips because of an overrun. Call while the motors are on.
+    /// Trips [`Fault::ControlOverrun`]. Call while the motors are on.
     fn trip_overrun(&mut self) {
         let overruns = CONTROL.shared.overruns.load(Ordering::Relaxed).wrapping_add(1);
         self.control_loop.trip(Fault::ControlOverrun, None, overruns as f32);
     }
 
-    /// Handles a step that lasted past its valley: its duties are late. If it also lasted past the next crest, the
-    /// conversions may belong to that crest, and the motors go off.
+    /// Handles a step that lasted past its valley, so that its duties are late. If it also lasted past the next crest,
+    /// the conversions may belong to that crest, and the motors go off.
     #[cold]
     #[inline(never)]
     fn check_missed_crest(&mut self) {
@@ -323,8 +320,8 @@ impl InterruptState {
         }
     }
 
-    /// Counts an extreme at which the bridges could not be connected, because the interrupt was late. After too many of
-    /// them a fault trips, so that arming does not wait forever.
+    /// Counts an extreme at which the bridges could not be connected, because the interrupt was late. Trips a fault
+    /// after too many of them, so that arming does not wait forever.
     fn count_unconnected(&mut self) {
         self.unconnected = self.unconnected.saturating_add(1);
         if self.unconnected > LATE_CRESTS {
@@ -337,18 +334,17 @@ impl InterruptState {
         self.control_loop.status().state.drives() && CONTROL.shared.gate_ready.load(Ordering::Relaxed)
     }
 
-    /// Connects the bridges to the carrier.
     fn connect(&mut self) {
         self.io.drive(true);
         self.driving = true;
-        // An overrun while the bridges floated does not matter.
+        // An overrun while the bridges floated has no effect.
         self.before_step &= !OVERRAN;
     }
 
     /// Lets driving bridges float, and disables the gate drivers.
     #[cold]
     #[inline(never)]
-    fn float(&mut self) {
+    fn float_bridges(&mut self) {
         self.io.drive(false);
         CONTROL.shared.gate_ready.store(false, Ordering::Relaxed);
         self.driving = false;
@@ -356,8 +352,8 @@ impl InterruptState {
 
     /// Records the duration of a crest that is the longest so far or lasted past the valley.
     #[inline(always)]
-    fn keep_time(&mut self) {
-        if passed_an_extreme() || pac::TIM1.cnt().read().0 < CONTROL.shared.least_left.load(Ordering::Relaxed) {
+    fn record_long_crest(&mut self) {
+        if has_passed_an_extreme() || pac::TIM1.cnt().read().0 < CONTROL.shared.least_left.load(Ordering::Relaxed) {
             self.record_time();
         }
     }
@@ -367,7 +363,7 @@ impl InterruptState {
     #[cold]
     #[inline(never)]
     fn record_time(&mut self) {
-        if passed_an_extreme() {
+        if has_passed_an_extreme() {
             self.late = LATE_CRESTS;
         }
         let Shared { stall_expected, longest_cycles, least_left, overruns, .. } = &CONTROL.shared;
@@ -380,7 +376,7 @@ impl InterruptState {
             longest_cycles.store(cycles, Ordering::Relaxed);
             least_left.store(top.saturating_sub(cycles), Ordering::Relaxed);
         }
-        if passed_an_extreme() && self.outlasts_crest() {
+        if has_passed_an_extreme() && self.outlasts_crest() {
             self.before_step |= OVERRAN;
             increment(overruns);
         }
@@ -391,24 +387,22 @@ impl InterruptState {
         DWT::cycle_count().wrapping_sub(self.valley_at)
     }
 
-    /// Returns true if the interrupt, which lasted past its valley, also lasted past the next crest.
+    /// Returns true if the interrupt lasted past the crest after its valley.
     fn outlasts_crest(&self) -> bool {
-        !past_valley() || self.since_valley() > 3 * u32::from(self.io.carrier().top)
+        !is_past_valley() || self.since_valley() > 3 * u32::from(self.io.carrier().top)
     }
 }
 
-/// Flags in `before_step`, above the count of crests without a step.
-///
-/// The last crest had no step.
-const BETWEEN: u32 = 1 << 28;
-/// The bridges should drive and are not connected yet.
+/// Flag in `before_step`, above the count of crests: the last crest had no step.
+const NO_STEP: u32 = 1 << 28;
+/// Flag: the bridges should drive and are not connected yet.
 const UNCONNECTED: u32 = 1 << 29;
-/// The last step overran.
+/// Flag: the last step overran.
 const OVERRAN: u32 = 1 << 30;
-/// The last step is not recorded yet.
+/// Flag: the last step is not recorded yet.
 const UNRECORDED: u32 = 1 << 31;
 
-/// Returns the value that `before_step` gets at the end of a step.
+/// Returns the value of `before_step` at the end of a step.
 fn after_step(carrier: &Carrier) -> u32 {
     UNRECORDED | (u32::from(carrier.divider) - 1)
 }
@@ -416,24 +410,22 @@ fn after_step(carrier: &Carrier) -> u32 {
 /// Number of crests for which duties stay late after a step that missed its valley. If some steps are late, most are,
 /// and a duty in time before a late one acts for half a carrier period too long.
 const LATE_CRESTS: u8 = 64;
-
-/// Core cycles from the lateness check to the write of the duties: limits, torques and current loops take at most 350
+/// Core cycles from the lateness check to the write of the duties. Limits, torques and current loops take at most 350
 /// instructions for two motors and 460 for three, at up to 2.4 cycles each.
 const LEGS_CYCLES: u32 = 288 * (This::AXES as u32 + 1);
-
-/// Core cycles after a crest or a valley within which the bridges may be connected, 1.5 us: twice the estimate of the
-/// interrupt's time to that point (emulator/src/cycles.rs, with a cold flash). Each microsecond adds 0.24 A in a motor of
-/// 0.1 mH at 24 V.
+/// Core cycles after a crest or a valley within which the bridges may be connected, 1.5 us. This is twice the estimate
+/// of the interrupt's time to that point (emulator/src/cycles.rs, with a cold flash). A microsecond adds 0.24 A at 0.1
+/// mH and 24 V.
 const EXTREME_CYCLES: u32 = 252;
 
 /// Returns true if the carrier has passed a crest or a valley since this interrupt began.
 #[inline(always)]
-fn passed_an_extreme() -> bool {
+fn has_passed_an_extreme() -> bool {
     pac::TIM1.sr().read().uif()
 }
 
 /// Returns true if the carrier has passed its valley since the crest.
 #[inline(always)]
-fn past_valley() -> bool {
+fn is_past_valley() -> bool {
     pac::TIM1.cr1().read().dir() == Dir::UP
 }

@@ -19,15 +19,15 @@ use static_cell::{ConstStaticCell, StaticCell};
 
 use crate::board::{Board, This};
 use crate::machine::BoardMachine;
-use crate::serial::{Aligned, Event, HandOver, Incoming, Outgoing, PACKET, Serial, UsbDriver};
+use crate::serial::{Aligned, Event, Incoming, Outgoing, PACKET, SendNextPacket, Serial, UsbDriver};
 use crate::telemetry::TelemetryStream;
 use crate::{reset, supervisor};
 
 bind_interrupts!(struct Irqs {
-    OTG_FS => usb::InterruptHandler<USB_OTG_FS>, HandOver;
+    OTG_FS => usb::InterruptHandler<USB_OTG_FS>, SendNextPacket;
 });
 
-// The tool searches for these (host/src/link/ports.rs); a test on the emulated chip checks that both agree.
+// The tool searches for these values (host/src/link/ports.rs). A test on the emulated chip compares both.
 /// USB vendor identifier: pid.codes, for open hardware and firmware.
 const USB_VENDOR: u16 = 0x1209;
 /// USB product identifier: pid.codes' shared test id. A maker who sells boards needs an own identifier.
@@ -47,7 +47,7 @@ pub fn device(
     static STATE: StaticCell<State> = StaticCell::new();
 
     let mut hardware = usb::Config::default();
-    // PA9, where the bus voltage would be sensed, is a gate signal on these boards.
+    // PA9 cannot sense the USB voltage, because it is a gate signal on these boards.
     hardware.vbus_detection = false;
     let driver = Driver::new_fs(peripheral, Irqs, dp, dm, &mut OUT.take().0, hardware);
 
@@ -62,7 +62,7 @@ pub fn device(
 }
 
 /// Returns the serial number: the sum of the first and third word of the unique identifier, then the upper half of the
-/// second. The chip's boot loader reports the same number, so a board keeps its name during an update. Call once.
+/// second word. The chip's boot loader reports the same number, so a board keeps its name during an update. Call once.
 pub fn serial_number() -> &'static str {
     static SERIAL_NUMBER: StaticCell<[u8; 12]> = StaticCell::new();
     let id = embassy_stm32::uid::uid();
@@ -76,19 +76,17 @@ pub fn serial_number() -> &'static str {
     core::str::from_utf8(SERIAL_NUMBER.init(digits)).unwrap_or("")
 }
 
-/// Runs the USB device.
 #[embassy_executor::task]
 pub async fn usb(mut device: UsbDevice<'static, UsbDriver>) -> ! {
     device.run().await
 }
 
 /// Interval at which the control loop is checked for new faults.
-const WATCH: Duration = Duration::from_millis(20);
-
+const FAULT_CHECK_INTERVAL: Duration = Duration::from_millis(20);
 /// Interval at which the telemetry ring is emptied. The ring holds 5 ms of frames at 20 kHz.
-const DRAIN: Duration = Duration::from_millis(1);
+const TELEMETRY_INTERVAL: Duration = Duration::from_millis(1);
 
-/// Replies to the host, and sends telemetry and new faults. `previous` is the fault that ended the last run, if any.
+/// Replies to the host, and sends telemetry and new faults. `previous` is the fault that ended the last run.
 #[embassy_executor::task]
 pub async fn serve(mut machine: BoardMachine, hardware: Hardware, previous: Option<FaultRecord>, serial: Serial) -> ! {
     let (sender, receiver) = serial.split();
@@ -104,12 +102,12 @@ pub async fn serve(mut machine: BoardMachine, hardware: Hardware, previous: Opti
     let mut more = false;
     loop {
         supervisor::report_alive(supervisor::Task::Link);
-        // Handles one request or one batch a turn. The yield lets the other tasks run, even if requests or rows arrive
-        // faster than they leave and no other await ever waits.
+        // Each turn handles one request or one batch. The yield lets the other tasks run, even if requests or rows
+        // arrive faster than they leave and no other await ever waits.
         yield_now().await;
         let wake = match (more, stream.is_running()) {
             (true, _) => Instant::now(),
-            (false, true) => Instant::now() + DRAIN,
+            (false, true) => Instant::now() + TELEMETRY_INTERVAL,
             (false, false) => watch,
         };
         match select(incoming.next(), Timer::at(wake)).await {
@@ -140,7 +138,7 @@ pub async fn serve(mut machine: BoardMachine, hardware: Hardware, previous: Opti
             }
         }
         if Instant::now() >= watch {
-            watch = Instant::now() + WATCH;
+            watch = Instant::now() + FAULT_CHECK_INTERVAL;
             machine.watch_gate();
             if let Some(record) = service.poll(&mut machine)
                 && let Some(length) =

@@ -1,5 +1,5 @@
-//! The board behind the library's service: it builds programs in spare buffers and passes them to the control interrupt,
-//! keeps settings in flash, and enables the gate drivers before arming.
+//! The board behind the library's service. It builds programs in spare buffers and passes them to the control
+//! interrupt, keeps settings in flash, and enables the gate drivers before arming.
 
 use core::sync::atomic::Ordering;
 
@@ -29,7 +29,7 @@ use crate::storage::Storage;
 use crate::supervisor;
 use crate::watchdog;
 
-/// Maximum number of programs: the one that runs and the one that replaces it.
+/// Maximum number of programs: the running program and its replacement.
 const PROGRAMS: usize = 2;
 
 /// The part of the board that the tasks own.
@@ -49,7 +49,7 @@ pub struct BoardMachine {
 impl BoardMachine {
     /// Creates the machine. Call once.
     pub fn new(
-        ends: interrupt::Ends,
+        ends: interrupt::TaskChannels,
         gate: Option<<This as Board>::Gate>,
         storage: Storage,
         serial: &'static str,
@@ -68,8 +68,8 @@ impl BoardMachine {
         }
     }
 
-    /// Starts the storage and the service. After this, reading a setting needs neither a search of the flash, which would
-    /// outlast the watchdog while the motors are on, nor a write.
+    /// Starts the storage and the service. Afterwards, reading a setting needs neither a write nor a search of the
+    /// flash, which would outlast the watchdog while the motors are on.
     pub fn boot(&mut self, service: &mut Service) {
         while_flash_stalls(|| {
             self.storage.start();
@@ -92,7 +92,7 @@ impl BoardMachine {
             return Err(Refusal::Faulted(record.fault));
         }
         let gate = self.gate.as_mut().ok_or(Refusal::NotSupported)?;
-        // An earlier arming may have left the drivers enabled, and they were not checked since the motors went off.
+        // An earlier arming may have left the drivers enabled, but unchecked since the motors went off.
         lower_gate();
         let raised = gate.raise();
         interrupt::shared().gate_ready.store(raised.is_ok(), Ordering::Relaxed);
@@ -117,7 +117,7 @@ impl BoardMachine {
             return lower_gate();
         }
         let Some(Err(error)) = self.gate.as_mut().map(Gate::check) else { return };
-        // A fault during the check disables the gate drivers, which resets their registers. That is no driver fault.
+        // A fault during the check disables the gate drivers and resets their registers, which is no driver fault.
         if interrupt::shared().gate_ready.load(Ordering::Relaxed) {
             defmt::error!("a gate driver lost its configuration: {}", error);
             let record = FaultRecord { fault: Fault::DriverReset, axis: None, value: error.value(), step: 0 };
@@ -140,11 +140,10 @@ impl Machine for BoardMachine {
         };
         let powers_up = question.is_some();
         if let Some(question) = question {
-            // Ask first whether the request will be refused: a refused request must not power the gate drivers, nor
-            // latch a fault if they have no supply.
+            // Checks first whether the request will be refused, because a refused request must not power the gate
+            // drivers, nor latch a fault if they have no supply.
             let refused = self.requests.send(Request::Command(question)).reply.0;
-            // Refused while the motors are on, and also if a polarity check has ended meanwhile, because the gate drivers
-            // are about to be disabled.
+            // Refused while the motors are on, and right after a polarity check, because the gate drivers then go off.
             let refused = if status.state.drives() { refused.and(Err(Refusal::Armed)) } else { refused };
             if let Err(refusal) = refused.and_then(|()| self.raise_gate()) {
                 return (Err(refusal), None);
@@ -218,14 +217,14 @@ impl Described for BoardMachine {
     fn info(&self) -> Info {
         Info {
             protocol: PROTOCOL,
-            firmware: text(env!("CARGO_PKG_VERSION")),
-            board: text(This::NAME),
-            serial: text(self.serial),
+            firmware: truncated(env!("CARGO_PKG_VERSION")),
+            board: truncated(This::NAME),
+            serial: truncated(self.serial),
         }
     }
 
     fn measured(&mut self) -> Measured {
-        // A few late steps (a new program, a change of gains) do not change the delay; many do.
+        // A few late steps (after a new program or a change of gains) do not change the delay, but many do.
         let late = supervisor::late_share() > 0.25;
         let delay = self.carrier.delay_samples();
         Measured {
@@ -239,7 +238,7 @@ impl Described for BoardMachine {
     }
 }
 
-/// Runs `work`, which may stall the program by writing flash, with a patient watchdog and without counting overruns.
+/// Runs `work`, which may stall the program by writing flash. The watchdog waits, and overruns do not count.
 fn while_flash_stalls<R>(work: impl FnOnce() -> R) -> R {
     interrupt::shared().stall_expected.store(true, Ordering::Relaxed);
     let result = watchdog::patient(work);
@@ -250,11 +249,11 @@ fn while_flash_stalls<R>(work: impl FnOnce() -> R) -> R {
 /// Disables the power stage. Call while the motors are off; only tasks switch them on.
 fn lower_gate() {
     interrupt::shared().gate_ready.store(false, Ordering::Relaxed);
-    This::off();
+    This::turn_bridges_off();
 }
 
 /// Returns the part of `text` that fits into `N` bytes.
-fn text<const N: usize>(text: &str) -> String<N> {
+fn truncated<const N: usize>(text: &str) -> String<N> {
     let mut short = String::new();
     for character in text.chars() {
         if short.push(character).is_err() {

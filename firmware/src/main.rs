@@ -1,8 +1,7 @@
-//! The firmware of a haptic-bridge board: boot and task wiring, top to bottom.
+//! The firmware of a haptic-bridge board: start-up and tasks.
 //!
-//! One interrupt runs the control step ([`interrupt`]); everything else is Embassy tasks in thread mode. Only handlers that
-//! end in a reset delay the control interrupt (see [`critical`]). The control interrupt delays everything else by its
-//! own duration.
+//! One interrupt runs the control step ([`interrupt`]); all other work runs in Embassy tasks in thread mode. Only
+//! handlers that end in a reset delay the control interrupt (see [`critical`]). The control interrupt delays the rest.
 #![no_std]
 #![no_main]
 
@@ -44,9 +43,9 @@ use crate::watchdog::Watchdog;
 
 #[embassy_executor::main]
 async fn main(spawner: Spawner) {
-    This::off();
+    This::turn_bridges_off();
     reset::enter_boot_loader_if_requested();
-    let start = reset::take();
+    let start = reset::take_record();
     critical::lower_all();
     if let Some(mut core) = cortex_m::Peripherals::take() {
         // The cycle counter times the control interrupt.
@@ -55,7 +54,7 @@ async fn main(spawner: Spawner) {
     }
     clock::await_supply(This::SUPPLY_LEVEL);
     let chip = clock::start(This::SUPPLY_LEVEL);
-    self_test::image();
+    self_test::check_image();
     freeze_carriers_when_halted();
     defmt::info!(
         "{=str} {=str}: started by {}, before that {} at {=u32:#x} (status {=u32:#x}) {=str}; \
@@ -74,7 +73,7 @@ async fn main(spawner: Spawner) {
         Hardware { axes: This::AXES, real: true, bus_sensed: true, bridge: This::BRIDGE, timer_hz: clock::TIMER_HZ };
     let rules = Rules { limits: This::LIMITS, ..Rules::default() };
     let carrier = Carrier::for_rate(clock::TIMER_HZ, CARRIER_MIN_HZ as f32);
-    let (io, gate, common) = This::split(chip, carrier, self_test::board());
+    let (io, gate, common) = This::split(chip, carrier, self_test::check_board());
     let control_loop = interrupt::start(io, hardware, rules, warmth::take());
     let storage = storage::open(common.flash);
     let fault = self_test::failed().or_else(|| start.fault());
@@ -89,8 +88,8 @@ async fn main(spawner: Spawner) {
     spawner.must_spawn(link::serve(machine, hardware, fault, serial));
 }
 
-/// Stops the carriers and the watchdog while a debugger halts the core, so that no duty stays applied: the outputs go to
-/// their idle level (RM0090 section 38.16.4).
+/// Stops the carriers and the watchdog while a debugger halts the core. The outputs then have their idle level, so that
+/// no duty stays applied (RM0090 section 38.16.4).
 fn freeze_carriers_when_halted() {
     pac::DBGMCU.apb2fzr().modify(|w| {
         w.set_tim1(true);

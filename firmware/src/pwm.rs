@@ -1,10 +1,9 @@
-//! The carrier: centre-aligned complementary PWM with dead time on TIM1, and on TIM8 in step with it where the board
-//! has a second bridge.
+//! The carrier: centre-aligned complementary PWM with dead time on TIM1. A second bridge uses TIM8, in step with TIM1.
 //!
-//! A timer counts 0 -> top -> 0. At the crest (top) all low-side switches are on: the currents are sampled there, and the
-//! control interrupt runs its step. A duty written then is preloaded and applies at the next valley, half a carrier period
-//! later. The repetition counter stays 0, because it also gates the transfer of preloaded duties; the control interrupt
-//! divides the rate in software. STM32F405 reference manual RM0090, section 17.
+//! A timer counts 0 -> top -> 0. At the crest (top) all low-side switches are on: the currents are sampled, and the
+//! control interrupt runs its step. A duty written then is preloaded and applies at the next valley, half a carrier
+//! period later. The repetition counter stays 0, because it also gates the transfer of preloaded duties, so the control
+//! interrupt divides the rate in software. STM32F405 reference manual RM0090, section 17.
 
 use embassy_stm32::gpio::{AfType, Flex, OutputType, Speed};
 use embassy_stm32::pac;
@@ -13,7 +12,7 @@ use embassy_stm32::pac::timer::{TimAdv, vals};
 
 use haptic_bridge::drive::carrier::Carrier;
 
-/// Hands pins to a timer's outputs permanently, with fast edges.
+/// Assigns pins to a timer's outputs permanently, with fast edges.
 pub fn outputs<const N: usize>(pins: [Flex<'static>; N], alternate_function: u8) {
     for mut pin in pins {
         pin.set_as_af_unchecked(alternate_function, AfType::output(OutputType::PushPull, Speed::VeryHigh));
@@ -21,8 +20,8 @@ pub fn outputs<const N: usize>(pins: [Flex<'static>; N], alternate_function: u8)
     }
 }
 
-/// Locks the configuration of these pins of a port until the next reset: mode, type, speed, pulls and alternate function
-/// (RM0090 section 8.3.6). Call once per port. The level of a locked output can still be written.
+/// Locks the configuration of these pins of a port until the next reset: mode, type, speed, pulls and alternate
+/// function (RM0090 section 8.3.6). Call once per port. The level of a locked output can still be written.
 pub fn lock(port: Gpio, pins: u16) {
     const KEY: u32 = 1 << 16;
     let pins = u32::from(pins);
@@ -30,7 +29,7 @@ pub fn lock(port: Gpio, pins: u16) {
     for word in [KEY | pins, pins, KEY | pins] {
         port.lckr().write(|w| w.0 = word);
     }
-    // The first read ends the sequence; the second returns the result.
+    // The first read ends the sequence, the second returns the result.
     let _ = port.lckr().read();
     if port.lckr().read().0 != KEY | pins {
         defmt::error!("pins {=u32:#x} of a port are not locked", pins);
@@ -39,7 +38,7 @@ pub fn lock(port: Gpio, pins: u16) {
 
 /// Settings of a bridge's timer, written once.
 pub struct PwmConfig {
-    /// True for each of channels 1 to 3 that drives a bridge. The others stay off.
+    /// True for each of channels 1 to 3 that drives a bridge. The other channels stay off.
     pub channels: [bool; 3],
     /// Dead time between the two switches of a half bridge, ticks of 1/168 MHz, at most 127.
     pub dead_time: u8,
@@ -53,7 +52,7 @@ pub fn configure(timer: TimAdv, config: &PwmConfig, carrier: Carrier) {
     timer.cr1().write(|w| {
         w.set_cms(vals::Cms::CENTER_ALIGNED1);
         w.set_arpe(true);
-        // Only overflow and underflow make updates, not the software event below.
+        // Only overflow and underflow cause updates, not the software event below.
         w.set_urs(vals::Urs::COUNTER_ONLY);
     });
     for channel in 0..3 {
@@ -73,7 +72,7 @@ pub fn configure(timer: TimAdv, config: &PwmConfig, carrier: Carrier) {
     });
     timer.bdtr().write(|w| {
         w.set_dtg(config.dead_time.min(127));
-        // Off is a driven low level at every switch, not a floating output, also for unused channels.
+        // An output that is off drives every switch low instead of floating, also for unused channels.
         w.set_ossi(vals::Ossi::IDLE_LEVEL);
         w.set_ossr(vals::Ossr::IDLE_LEVEL);
         w.set_bkp(0, vals::Bkp::ACTIVE_LOW);

@@ -1,6 +1,6 @@
-//! The ends of a run. A panic, a hard fault, a stopped crystal or a falling supply first turns the bridges off, then
-//! records the cause in memory that survives a reset, and resets. The next start reports the cause ([`Previous`]). A
-//! request for the USB boot loader is passed on in the same way.
+//! The ends of a run. A panic, a hard fault, a stopped crystal or a falling supply turns the bridges off, records the
+//! cause in memory that survives a reset, and resets. The next start reports the cause ([`Previous`]). A request for
+//! the USB boot loader is passed on in the same memory.
 
 use core::mem::MaybeUninit;
 use core::panic::PanicInfo;
@@ -13,31 +13,31 @@ use haptic_bridge::safety::fault::{Fault, FaultRecord};
 
 use crate::board::{Board, This};
 
-/// Marks a record that was written, as opposed to random contents of the SRAM.
-const WRITTEN: u32 = 0x4C41_5354;
-const BOOT_LOADER: u32 = 0x4446_5521;
+/// Mark of a written record, as opposed to random contents of the SRAM.
+const RECORD_MARK: u32 = 0x4C41_5354;
+const BOOT_LOADER_MARK: u32 = 0x4446_5521;
 
 /// The record of a run's end. It consists of words only, so that any bit pattern is valid.
 #[repr(C)]
 #[derive(Clone, Copy)]
-struct LastWords {
+struct EndRecord {
     mark: u32,
-    /// 1 panic, 2 hard fault, 3 unexpected interrupt, 4 stack overflow, 5 dead crystal, 6 falling supply.
+    /// 1 panic, 2 hard fault, 3 unexpected interrupt, 4 stack overflow, 5 stopped crystal, 6 falling supply.
     kind: u32,
-    /// Program counter and link register at a fault; the line of a panic; the number of an interrupt.
+    /// Program counter at a fault, line of a panic, or number of an interrupt. `lr` is the link register at a fault.
     pc: u32,
     lr: u32,
-    /// Configurable fault status and the address it names (RM0090 / ARMv7-M B3.2.15).
+    /// Configurable fault status. `address` is the address that it names (RM0090 / ARMv7-M B3.2.15).
     status: u32,
     address: u32,
-    /// Address in flash and length of the name of a panic's file.
+    /// Address in flash of the name of a panic's file. `file_len` is its length, bytes.
     file: u32,
     file_len: u32,
     check: u32,
 }
 
-#[unsafe(link_section = ".uninit.LAST_WORDS")]
-static mut LAST_WORDS: MaybeUninit<LastWords> = MaybeUninit::uninit();
+#[unsafe(link_section = ".uninit.END_RECORD")]
+static mut END_RECORD: MaybeUninit<EndRecord> = MaybeUninit::uninit();
 
 #[unsafe(link_section = ".uninit.BOOT_REQUEST")]
 static mut BOOT_REQUEST: MaybeUninit<u32> = MaybeUninit::uninit();
@@ -60,11 +60,11 @@ pub enum ResetCause {
 pub enum Previous {
     /// No record was left.
     Clean,
-    /// A panic; `file` is its file and `pc` its line.
+    /// A panic in the file `file`, at the line `pc`.
     Panic,
     /// A hard fault at `pc`.
     HardFault,
-    /// A fault while the stack pointer had left the stack.
+    /// A fault while the stack pointer was outside the stack.
     StackOverflow,
     /// An interrupt without a handler.
     UnexpectedInterrupt,
@@ -77,20 +77,20 @@ pub enum Previous {
 /// Facts about the start of this run.
 #[derive(Clone, Copy)]
 pub struct Start {
-    /// The reset's cause.
+    /// Cause of the reset.
     pub cause: ResetCause,
     /// The end of the previous run.
     pub previous: Previous,
-    /// Program counter of a fault, 0 when unknown; the line of a panic.
+    /// Program counter of a fault, line of a panic, or 0 if unknown.
     pub pc: u32,
     /// Fault status register of a hard fault.
     pub status: u32,
-    /// The file of a panic, "" if there was none.
+    /// File of a panic; "" without a panic.
     pub file: &'static str,
 }
 
 impl Start {
-    /// Returns the fault that the previous run's end leaves latched for this run.
+    /// Returns the fault that the end of the previous run leaves latched for this run.
     pub fn fault(&self) -> Option<FaultRecord> {
         let (fault, value) = match (self.previous, self.cause) {
             (Previous::Panic, _) => (Fault::Panic, self.pc as f32),
@@ -105,7 +105,7 @@ impl Start {
     }
 }
 
-impl LastWords {
+impl EndRecord {
     fn sum(&self) -> u32 {
         let words = [self.mark, self.kind, self.pc, self.lr, self.status, self.address, self.file, self.file_len];
         words.iter().fold(0x811C_9DC5_u32, |sum, word| (sum ^ word).wrapping_mul(0x0100_0193))
@@ -125,12 +125,11 @@ impl LastWords {
 }
 
 /// Reads and clears the record of the previous run. Call once, before anything else.
-pub fn take() -> Start {
-    // SAFETY: runs once, before interrupts and tasks exist, so nothing else refers to the record. Every bit pattern is
-    // valid.
+pub fn take_record() -> Start {
+    // SAFETY: runs once, before interrupts and tasks, so no other code uses the record. All bit patterns are valid.
     let words = unsafe {
-        let words = addr_of!(LAST_WORDS).cast::<LastWords>().read_volatile();
-        addr_of_mut!(LAST_WORDS).cast::<u32>().write_volatile(0);
+        let words = addr_of!(END_RECORD).cast::<EndRecord>().read_volatile();
+        addr_of_mut!(END_RECORD).cast::<u32>().write_volatile(0);
         words
     };
     let flags = pac::RCC.csr().read();
@@ -144,7 +143,7 @@ pub fn take() -> Start {
     } else {
         ResetCause::Pin
     };
-    let valid = words.mark == WRITTEN && words.check == words.sum() && cause != ResetCause::Power;
+    let valid = words.mark == RECORD_MARK && words.check == words.sum() && cause != ResetCause::Power;
     let previous = match (valid, words.kind) {
         (true, 1) => Previous::Panic,
         (true, 2) => Previous::HardFault,
@@ -166,15 +165,15 @@ pub fn take() -> Start {
 
 /// Turns the bridges off and resets into the chip's USB boot loader.
 pub fn reboot_to_boot_loader() -> ! {
-    This::off();
+    This::turn_bridges_off();
     // SAFETY: a single aligned word that only the start-up code reads.
-    unsafe { addr_of_mut!(BOOT_REQUEST).cast::<u32>().write_volatile(BOOT_LOADER) };
+    unsafe { addr_of_mut!(BOOT_REQUEST).cast::<u32>().write_volatile(BOOT_LOADER_MARK) };
     SCB::sys_reset()
 }
 
 /// Turns the bridges off and restarts the program.
 pub fn reboot() -> ! {
-    This::off();
+    This::turn_bridges_off();
     SCB::sys_reset()
 }
 
@@ -182,28 +181,28 @@ pub fn reboot() -> ! {
 pub fn enter_boot_loader_if_requested() {
     /// System memory of the STM32F405 (application note AN2606).
     const SYSTEM_MEMORY: u32 = 0x1FFF_0000;
-    // SAFETY: nothing else runs yet at start-up, which does not initialise the word. The ROM begins with a vector table and
-    // expects the chip in its state after a reset.
+    // SAFETY: no other code runs yet at start-up, which does not initialise the word. The ROM begins with a vector
+    // table and expects the chip in its state after a reset.
     unsafe {
         let request = addr_of_mut!(BOOT_REQUEST).cast::<u32>();
-        if request.read_volatile() != BOOT_LOADER {
+        if request.read_volatile() != BOOT_LOADER_MARK {
             return;
         }
         request.write_volatile(0);
         pac::RCC.apb2enr().modify(|w| w.set_syscfgen(true));
-        // System memory at address 0, where the boot loader looks for its own vectors.
+        // Maps the system memory to address 0, where the boot loader reads its own vectors.
         pac::SYSCFG.memrm().modify(|w| w.set_mem_mode(1));
         cortex_m::asm::bootload(SYSTEM_MEMORY as *const u32)
     }
 }
 
 fn write_down_and_reset(kind: u32, pc: u32, lr: u32, file: (u32, u32)) -> ! {
-    let mut words = LastWords {
-        mark: WRITTEN,
+    let mut words = EndRecord {
+        mark: RECORD_MARK,
         kind,
         pc,
         lr,
-        // SAFETY: the system control block is always there; these registers are only read.
+        // SAFETY: the system control block always exists, and these registers are only read.
         status: unsafe { (*SCB::PTR).cfsr.read() },
         address: unsafe { (*SCB::PTR).bfar.read() },
         file: file.0,
@@ -211,14 +210,14 @@ fn write_down_and_reset(kind: u32, pc: u32, lr: u32, file: (u32, u32)) -> ! {
         check: 0,
     };
     words.check = words.sum();
-    // SAFETY: interrupts are off and this function does not return, so nothing else touches the record.
-    unsafe { addr_of_mut!(LAST_WORDS).cast::<LastWords>().write_volatile(words) };
+    // SAFETY: interrupts are off and this function does not return, so no other code uses the record.
+    unsafe { addr_of_mut!(END_RECORD).cast::<EndRecord>().write_volatile(words) };
     cortex_m::asm::dsb();
     SCB::sys_reset()
 }
 
-/// Records the location of a panic but not its message, which keeps messages and their formatting out of the image. The
-/// optimiser removes them only while this function is small enough to be inlined.
+/// Records the location of a panic but not its message. The optimiser then removes messages and their formatting from
+/// the image, as long as this function is small enough to be inlined.
 #[panic_handler]
 fn panic(info: &PanicInfo) -> ! {
     // The file's name is part of the image, so its address stays valid.
@@ -230,15 +229,15 @@ fn panic(info: &PanicInfo) -> ! {
 
 #[inline(never)]
 fn record_panic(line: u32, file: u32, len: u32) -> ! {
-    This::off();
+    This::turn_bridges_off();
     cortex_m::interrupt::disable();
     write_down_and_reset(1, line, 0, (file, len))
 }
 
-/// The entry of every hard fault. It passes the stack pointer of the fault to the handler and gives the handler an empty
-/// stack, because an overflow may be the cause. It also cancels the lazy save of the floating-point registers to the old
-/// stack (FPCCR.LSPACT, ARMv7-M B3.2.21): otherwise the handler's first floating-point instruction would fault again, and a
-/// fault in this handler locks the core up.
+/// The entry of every hard fault. It passes the stack pointer of the fault to the handler and gives the handler an
+/// empty stack, because an overflow may be the cause. It also cancels the lazy save of the floating-point registers to
+/// the old stack (FPCCR.LSPACT, ARMv7-M B3.2.21), because the handler's first floating-point instruction would
+/// otherwise fault again, and a fault in this handler locks the core up.
 #[unsafe(naked)]
 #[unsafe(export_name = "HardFault")]
 unsafe extern "C" fn hard_fault_entry() -> ! {
@@ -261,13 +260,13 @@ unsafe extern "C" {
 }
 
 extern "C" fn hard_fault(frame: *const u32) -> ! {
-    This::off();
+    This::turn_bridges_off();
     cortex_m::interrupt::disable();
     let (bottom, top) = (addr_of!(_stack_end) as usize, addr_of!(_stack_start) as usize);
     let at = frame as usize;
     let inside = at >= bottom && at + 32 <= top && at.is_multiple_of(4);
     let (pc, lr) = if inside {
-        // SAFETY: the eight words of the exception frame lie inside the stack: r0-r3, r12, lr, pc, xPSR (ARMv7-M B1.5.6).
+        // SAFETY: the exception frame lies inside the stack: r0-r3, r12, lr, pc, xPSR (ARMv7-M B1.5.6).
         unsafe { (frame.add(6).read_volatile(), frame.add(5).read_volatile()) }
     } else {
         (0, 0)
@@ -275,15 +274,15 @@ extern "C" fn hard_fault(frame: *const u32) -> ! {
     write_down_and_reset(if inside { 2 } else { 4 }, pc, lr, (0, 0))
 }
 
-/// Handles a stopped crystal (clock security system). Core and carriers run on at 16 MHz from the chip's own oscillator. A
-/// start without a crystal waits for it, with the bridges off.
+/// Handles a stopped crystal (clock security system). Core and carriers continue at 16 MHz from the chip's own
+/// oscillator. A start without a crystal waits for the crystal, with the bridges off.
 #[cortex_m_rt::exception]
 unsafe fn NonMaskableInt() -> ! {
     record_end(5, 0)
 }
 
-/// Handles a falling supply: the processor is reliable for a few more microseconds. The next start waits for the supply
-/// ([`crate::clock::await_supply`]).
+/// Handles a falling supply, while the processor is reliable for a few more microseconds. The next start waits for the
+/// supply ([`crate::clock::await_supply`]).
 #[interrupt]
 fn PVD() -> ! {
     record_end(6, 0)
@@ -292,7 +291,7 @@ fn PVD() -> ! {
 /// Turns the bridges off, records the cause and resets. `pc` is the program counter, or the number of an interrupt.
 #[inline(never)]
 fn record_end(kind: u32, pc: u32) -> ! {
-    This::off();
+    This::turn_bridges_off();
     cortex_m::interrupt::disable();
     write_down_and_reset(kind, pc, 0, (0, 0))
 }

@@ -1,8 +1,8 @@
-//! Self-tests before the motors can be armed: the RAM before its first use, the image in flash, and, before any pin is
-//! driven, the identity of the board.
+//! Self-tests before the motors can be armed: RAM before its first use, image in flash, and the board's identity before
+//! any pin is driven.
 //!
-//! After a failed test the board still runs and reports the failure, but never arms: every arming and every polarity
-//! check calls [`failed`].
+//! After a failed test the board still runs and reports the failure, but never arms, because arming and polarity check
+//! call [`failed`].
 
 use core::arch::global_asm;
 use core::ptr::addr_of;
@@ -16,15 +16,14 @@ use crate::board::{Board, IdentityPins, Pin, This};
 /// Address of the first word that failed the RAM test; 0 if the test passed. Start-up does not initialise it.
 #[unsafe(link_section = ".uninit.RAM_FAILED")]
 static RAM_FAILED: AtomicU32 = AtomicU32::new(0);
-
 /// True if the image in flash matches its checksum.
-static IMAGE_SOUND: AtomicBool = AtomicBool::new(false);
+static IS_IMAGE_SOUND: AtomicBool = AtomicBool::new(false);
 
 // The RAM test: march C- over stack and statics, word by word, with all bits 0 and all bits 1 (van de Goor 1993): write
-// 0; up: read 0, write 1; up: read 1, write 0; down: read 0, write 1; down: read 1, write 0; read 0. It detects stuck bits,
-// bits that do not change or that change with another word, and wrong address decoding, but not bits of one word that
-// change together. Start-up calls the test with an empty stack and before any static has its value. Therefore it is
-// assembly, uses registers alone, and skips memory that survives a reset (.uninit). It takes 30 ms at 16 MHz.
+// 0; up: read 0, write 1; up: read 1, write 0; down: read 0, write 1; down: read 1, write 0; read 0. It detects stuck
+// bits, bits that do not change or that change with another word, and wrong address decoding, but not bits of one word
+// that change together. Start-up calls the test with an empty stack and before any static has its value. It is
+// therefore assembly, uses only registers, and skips memory that survives a reset (.uninit). It takes 30 ms at 16 MHz.
 global_asm!(
     ".section .text.__pre_init, \"ax\"",
     ".global __pre_init",
@@ -91,9 +90,9 @@ unsafe extern "C" {
     static __edata: u8;
 }
 
-/// Compares the image's checksum with the one that `cargo fw` wrote. The checksum covers the vectors, then everything from
-/// the first instruction to the last initial value of a static. Call once, before the watchdog runs.
-pub fn image() {
+/// Compares the image's checksum with the one that `cargo fw` wrote. The checksum covers the vectors, then everything
+/// from the first instruction to the last initial value of a static. Call once, before the watchdog runs.
+pub fn check_image() {
     let initial = addr_of!(__edata) as usize - addr_of!(__sdata) as usize;
     let parts = [
         (addr_of!(__vector_table), addr_of!(_image_check) as usize),
@@ -106,17 +105,17 @@ pub fn image() {
     }
     // SAFETY: the linker placed this word in flash.
     let written = unsafe { addr_of!(_image_check).read_volatile() };
-    IMAGE_SOUND.store(sum.sum() == written, Ordering::Relaxed);
+    IS_IMAGE_SOUND.store(sum.sum() == written, Ordering::Relaxed);
 }
 
-/// The pin that differs from this image's board, [`NOT_CHECKED`], or [`NO_PIN`] if all pins match.
+/// Number of the pin that differs from this image's board, [`NOT_CHECKED`], or [`NO_PIN`] if all pins match.
 static WRONG_PIN: AtomicU8 = AtomicU8::new(NOT_CHECKED);
 const NOT_CHECKED: u8 = 0xFF;
 const NO_PIN: u8 = 0xFE;
 
 /// Returns true if the chip is on the board of this image. Call once, while all pins are in their reset state and the
 /// tasks' clock runs. Takes at most 4 ms.
-pub fn board() -> bool {
+pub fn check_board() -> bool {
     let IdentityPins { held, open } = This::IDENTITY;
     let wrong = held.iter().find(|pin| pin.is_open()).or_else(|| open.iter().find(|pin| !pin.is_open()));
     WRONG_PIN.store(wrong.map_or(NO_PIN, |pin| pin.0), Ordering::Relaxed);
@@ -136,7 +135,7 @@ pub fn board() -> bool {
 pub fn failed() -> Option<FaultRecord> {
     let address = RAM_FAILED.load(Ordering::Relaxed);
     let pin = WRONG_PIN.load(Ordering::Relaxed);
-    let (fault, value) = match IMAGE_SOUND.load(Ordering::Relaxed) {
+    let (fault, value) = match IS_IMAGE_SOUND.load(Ordering::Relaxed) {
         _ if address != 0 => (Fault::RamDamaged, address as f32),
         false => (Fault::ImageDamaged, 0.0),
         true if pin != NO_PIN => (Fault::WrongBoard, f32::from(pin)),

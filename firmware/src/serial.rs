@@ -1,9 +1,9 @@
 //! The USB serial port as frames (COBS, terminated by a zero) in both directions. A slow host never stalls the board.
 //!
-//! Incoming: bytes that are no frame are skipped, and a lost connection discards a partial frame. Outgoing: at most two
-//! frames wait. The USB core's interrupt passes on the next packet as soon as the previous one has left, so the bus does
-//! not wait for a task. A host has [`PATIENCE`] to read a frame; after that, frames are dropped until the host has read
-//! one. A frame that has begun to leave is always sent whole.
+//! Incoming: invalid bytes are skipped, and a lost connection discards a partial frame. Outgoing: at most two frames
+//! wait. The USB core's interrupt passes on the next packet as soon as the previous one has left, so the bus does not
+//! wait for a task. A host has [`MAX_READ_WAIT`] to read a frame; after that, frames are dropped until the host has
+//! read one. A frame that has begun to leave is always sent completely.
 
 use core::cell::RefCell;
 use core::future::poll_fn;
@@ -24,16 +24,13 @@ use static_cell::ConstStaticCell;
 
 /// The USB driver of this chip.
 pub type UsbDriver = Driver<'static, USB_OTG_FS>;
-
 /// The serial port.
 pub type Serial = CdcAcmClass<'static, UsbDriver>;
-
 /// Largest packet of a full-speed bulk endpoint.
 pub const PACKET: usize = 64;
-
-/// Longest wait for a host to make room for a frame. A turn of the link task sends at most three frames, and the task must
-/// report to the supervisor once a second.
-const PATIENCE: Duration = Duration::from_millis(100);
+/// Longest wait for a host to make room for a frame. A turn of the link task sends at most three frames, and the task
+/// must report to the supervisor once a second.
+const MAX_READ_WAIT: Duration = Duration::from_millis(100);
 
 /// Bytes aligned to words, for copies by words.
 #[repr(align(4))]
@@ -41,9 +38,8 @@ pub struct Aligned<const N: usize>(pub [u8; N]);
 
 /// An event on the link from the host.
 pub enum Event<'f> {
-    /// A decoded frame.
     Frame(&'f [u8]),
-    /// The host disconnected or reconnected: its streams and replies are obsolete.
+    /// The host disconnected or reconnected, so its streams and replies are obsolete.
     Disconnected,
 }
 
@@ -100,7 +96,6 @@ const MAX_WAITING: usize = 2;
 
 /// Frames to the host.
 pub struct Outgoing {
-    /// The frame being written.
     frame: &'static mut Frame,
     stalled: bool,
 }
@@ -128,19 +123,19 @@ impl Outgoing {
         let mut free = with(|queue| queue.free.pop()).flatten();
         // Does not wait for a host that has already made the board wait.
         if free.is_none() && !self.stalled {
-            free = with_timeout(PATIENCE, poll_fn(poll_free)).await.ok();
+            free = with_timeout(MAX_READ_WAIT, poll_fn(poll_free)).await.ok();
         }
         self.stalled = free.is_none();
         let Some(free) = free else { return };
         let frame = core::mem::replace(&mut self.frame, free);
         with(|queue| {
-            // The queue has room for all frames except the one being written.
+            // The queue has room for all frames except the frame that is being written.
             let _ = queue.waiting.push_back(frame);
-            queue.hand_over();
+            queue.send_next_packet();
         });
     }
 
-    /// Discards the frames that have not left, because their host is gone.
+    /// Discards the frames that have not left, because their host has gone.
     pub fn discard(&mut self) {
         with(SendQueue::discard);
     }
@@ -150,8 +145,8 @@ impl Outgoing {
 struct SendQueue {
     sender: Sender<'static, UsbDriver>,
     waiting: Deque<&'static mut Frame, MAX_WAITING>,
-    /// Number of bytes of the first frame that have been passed on. The first frame's leading delimiter is sent only if the
-    /// host may hold a partial frame.
+    /// Number of bytes of the first frame that have been passed on. The leading delimiter of a frame is sent only if
+    /// the host may hold a partial frame.
     begun: usize,
     free: Vec<&'static mut Frame, MAX_WAITING>,
     /// The task that waits for a free frame.
@@ -159,7 +154,7 @@ struct SendQueue {
 }
 
 // SAFETY: `Sender` is not `Send` because it shares the state of the control lines with the task of the USB device.
-// `SendQueue` only calls `write_packet`, which uses the endpoint alone.
+// `SendQueue` only calls `write_packet`, which uses only the endpoint.
 unsafe impl Send for SendQueue {}
 
 static SEND_QUEUE: CriticalSectionMutex<RefCell<Option<SendQueue>>> = CriticalSectionMutex::new(RefCell::new(None));
@@ -169,7 +164,6 @@ fn with<R>(work: impl FnOnce(&mut SendQueue) -> R) -> Option<R> {
     SEND_QUEUE.lock(|queue| queue.borrow_mut().as_mut().map(work))
 }
 
-/// Polls for a free frame.
 fn poll_free(context: &mut Context) -> Poll<&'static mut Frame> {
     let free = with(|queue| {
         queue.waker.register(context.waker());
@@ -181,7 +175,7 @@ fn poll_free(context: &mut Context) -> Poll<&'static mut Frame> {
 impl SendQueue {
     /// Passes the next packet to the USB core, if the previous one has left.
     #[inline(never)]
-    fn hand_over(&mut self) {
+    fn send_next_packet(&mut self) {
         let Some(frame) = self.waiting.front() else { return };
         let left = &frame.bytes[self.begun..frame.length];
         // The last packet of a frame is always short, so that the host delivers the frame at once.
@@ -197,7 +191,7 @@ impl SendQueue {
         }
     }
 
-    /// Frees all frames, because the host is gone.
+    /// Frees all frames, because the host has gone.
     fn discard(&mut self) {
         self.begun = 0;
         while self.free_first() {}
@@ -212,11 +206,11 @@ impl SendQueue {
     }
 }
 
-/// The USB core interrupt's work after the driver's own handler.
-pub struct HandOver;
+/// Handler of the USB core's interrupt that runs after the driver's own handler.
+pub struct SendNextPacket;
 
-impl typelevel::Handler<typelevel::OTG_FS> for HandOver {
+impl typelevel::Handler<typelevel::OTG_FS> for SendNextPacket {
     unsafe fn on_interrupt() {
-        with(SendQueue::hand_over);
+        with(SendQueue::send_next_packet);
     }
 }

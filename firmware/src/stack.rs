@@ -1,10 +1,10 @@
-//! Measures the stack that was never used. Start-up paints the stack (cortex-m-rt's `paint-stack`), and the paint left at
-//! the bottom was never overwritten. An overflow is a bus fault, see memory.x.
+//! Measures the unused part of the stack. Start-up fills the stack with a pattern (cortex-m-rt's `paint-stack`), which
+//! is left at the bottom where it was never overwritten. An overflow is a bus fault, see memory.x.
 
 use core::ptr::addr_of;
 
-/// The pattern of the paint.
-const PAINT: u32 = cortex_m_rt::STACK_PAINT_VALUE;
+/// Pattern of the unused stack.
+const UNUSED_PATTERN: u32 = cortex_m_rt::STACK_PAINT_VALUE;
 
 unsafe extern "C" {
     static _stack_start: u32;
@@ -16,8 +16,8 @@ pub fn never_used() -> u32 {
     let (bottom, top) = (addr_of!(_stack_end), addr_of!(_stack_start));
     let mut word = bottom;
     // SAFETY: all words read lie between the two ends of the stack, which the linker script aligns. The stack in use is
-    // above the first word without paint, so no word read here is written at the same time.
-    while word < top && unsafe { word.read_volatile() } == PAINT {
+    // above the first word without the pattern, so no word is written while it is read.
+    while word < top && unsafe { word.read_volatile() } == UNUSED_PATTERN {
         word = word.wrapping_add(1);
     }
     word as u32 - bottom as u32

@@ -1,7 +1,7 @@
-//! The chip's flash under the stored settings: sectors 1 and 2.
+//! The chip's flash for the stored settings: sectors 1 and 2.
 //!
-//! A write stalls the program for 16 us per word, and for up to 0.5 s if a sector is erased. Therefore the caller writes
-//! only while the bridges are off. Reading a setting never writes.
+//! A write stalls the program for 16 us per word, and for up to 0.5 s if a sector is erased, so the caller writes only
+//! while the bridges are off. Reading a setting never writes.
 
 use embassy_stm32::flash::{Bank1Region1, Blocking, Error as FlashError, Flash};
 use embassy_stm32::{Peri, peripherals::FLASH};
@@ -12,8 +12,7 @@ use static_cell::ConstStaticCell;
 use crate::clock;
 
 /// Sectors 1 and 2, as offsets into the region of 16 KB sectors (memory.x reserves them).
-const RANGE: core::ops::Range<u32> = 0x4000..0xC000;
-
+const SETTINGS_RANGE: core::ops::Range<u32> = 0x4000..0xC000;
 /// The settings in the chip's flash.
 pub type Storage = storage::Storage<'static, Sectors>;
 
@@ -32,7 +31,7 @@ impl ReadNorFlash for Sectors {
     }
 
     fn capacity(&self) -> usize {
-        RANGE.end as usize
+        SETTINGS_RANGE.end as usize
     }
 }
 
@@ -55,5 +54,5 @@ impl NorFlash for Sectors {
 pub fn open(flash: Peri<'static, FLASH>) -> Storage {
     static BUFFER: ConstStaticCell<[u8; LONGEST_STORED]> = ConstStaticCell::new([0; LONGEST_STORED]);
     let sectors = Sectors(Flash::new_blocking(flash).into_blocking_regions().bank1_region1);
-    Storage::new(sectors, RANGE, BUFFER.take())
+    Storage::new(sectors, SETTINGS_RANGE, BUFFER.take())
 }

@@ -1,5 +1,5 @@
-//! Feeds the watchdog while the program runs as it should: the control interrupt ran since the last check, not above its
-//! rate and, while the motors are on, not below it; and every task has reported in time.
+//! Feeds the watchdog while all checks pass. The control interrupt must have run since the last check, not above its
+//! rate and, while the motors are on, not below it. Every task must have reported in time.
 
 use core::sync::atomic::{AtomicU32, Ordering};
 
@@ -10,11 +10,10 @@ use haptic_bridge::safety::pace::{Pace, Verdict};
 use crate::interrupt;
 use crate::watchdog::{self, Watchdog};
 
-/// Time between checks. One passed check gives the watchdog 100 ms.
-const PERIOD: Duration = Duration::from_millis(20);
-
+/// Time between checks. One passed check lets the watchdog run for 100 ms.
+const CHECK_PERIOD: Duration = Duration::from_millis(20);
 /// Longest time between two reports of a task, ms.
-const SILENCE_MAX_MS: u32 = 1000;
+const MAX_SILENCE_MS: u32 = 1000;
 
 /// A task that the supervisor watches.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, defmt::Format)]
@@ -27,7 +26,6 @@ const TASKS: [Task; 1] = [Task::Link];
 
 /// Time of each task's last report, ms since the start.
 static LAST_REPORT_MS: [AtomicU32; TASKS.len()] = [const { AtomicU32::new(0) }; TASKS.len()];
-
 /// Expected control steps per second.
 static RATE_HZ: AtomicU32 = AtomicU32::new(CARRIER_MIN_HZ);
 
@@ -38,7 +36,6 @@ pub fn expect_rate(rate_hz: f32) {
 
 /// Share of control steps whose duties applied half a carrier period late, as bits of an `f32`.
 static LATE_SHARE: AtomicU32 = AtomicU32::new(0);
-
 /// Averaging window of the share of late steps, steps: a fifth of a second at 20 kHz.
 const LATE_WINDOW: f32 = 4096.0;
 
@@ -66,12 +63,12 @@ fn now_ms() -> u32 {
 /// Feeds the watchdog as long as all checks pass.
 #[embassy_executor::task]
 pub async fn supervise(mut watchdog: Watchdog) -> ! {
-    let mut ticker = Ticker::every(PERIOD);
+    let mut ticker = Ticker::every(CHECK_PERIOD);
     let mut steps = interrupt::shared().steps.load(Ordering::Relaxed);
     let mut late_steps = interrupt::shared().late_steps.load(Ordering::Relaxed);
     let mut pace = Pace::new(RATE_HZ.load(Ordering::Relaxed));
     let mut checked = Instant::now();
-    let mut stalls = watchdog::stalls();
+    let mut stalls = watchdog::patient_calls();
     let mut up = false;
     for task in TASKS {
         report_alive(task);
@@ -82,16 +79,16 @@ pub async fn supervise(mut watchdog: Watchdog) -> ! {
         let late_before = core::mem::replace(&mut late_steps, interrupt::shared().late_steps.load(Ordering::Relaxed));
         add_late(late_steps.wrapping_sub(late_before), steps.wrapping_sub(before));
         let elapsed = core::mem::replace(&mut checked, Instant::now()).elapsed().as_micros();
-        // No steps run while flash is written. With the motors off, a scene that is too slow for the chip must not restart
-        // the board, which would load the same scene again. A power stage that has just been enabled is checked next time.
-        let stalled = core::mem::replace(&mut stalls, watchdog::stalls()) != stalls;
+        // No steps run while flash is written. With the motors off, a scene that is too slow for the chip must not
+        // restart the board, which would load it again. A power stage that was just enabled is checked next time.
+        let stalled = core::mem::replace(&mut stalls, watchdog::patient_calls()) != stalls;
         let up_before = core::mem::replace(&mut up, interrupt::shared().gate_ready.load(Ordering::Relaxed));
         let excused = stalled || !(up && up_before);
-        let verdict = pace.look(steps.wrapping_sub(before), elapsed, RATE_HZ.load(Ordering::Relaxed), excused);
+        let verdict = pace.check_rate(steps.wrapping_sub(before), elapsed, RATE_HZ.load(Ordering::Relaxed), excused);
         let now = now_ms();
         let silent = TASKS
             .into_iter()
-            .find(|task| now.wrapping_sub(LAST_REPORT_MS[*task as usize].load(Ordering::Relaxed)) > SILENCE_MAX_MS);
+            .find(|task| now.wrapping_sub(LAST_REPORT_MS[*task as usize].load(Ordering::Relaxed)) > MAX_SILENCE_MS);
         match (steps != before, verdict, silent) {
             (true, Verdict::Kept, None) => watchdog.feed(),
             (false, ..) => defmt::error!("the control step has stopped"),

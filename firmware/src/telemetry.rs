@@ -9,7 +9,7 @@ use crate::interrupt;
 use crate::machine::BoardMachine;
 
 /// Longest time that a row waits for its batch to fill.
-const PATIENCE: Duration = Duration::from_millis(5);
+const MAX_ROW_WAIT: Duration = Duration::from_millis(5);
 
 /// A stream as a tool requested it.
 #[derive(Default)]
@@ -43,9 +43,9 @@ impl TelemetryStream {
         self.last.is_some()
     }
 
-    /// Packs the waiting frames. Returns a batch if one is full or has waited for [`PATIENCE`].
+    /// Packs the waiting frames. Returns a batch if one is full or has waited for [`MAX_ROW_WAIT`].
     pub fn batch(&mut self, machine: &mut BoardMachine) -> Option<&Batch> {
-        let late = Instant::now().saturating_duration_since(self.last?) > PATIENCE;
+        let late = Instant::now().saturating_duration_since(self.last?) > MAX_ROW_WAIT;
         let dropped = interrupt::shared().frames_dropped.load(Ordering::Relaxed);
         let batch = self.packer.drain(&mut machine.frames, dropped, late)?;
         self.last = Some(Instant::now());

@@ -1,13 +1,13 @@
-//! The independent watchdog: resets the chip, and so turns the bridges off, if it is not fed in time.
+//! The independent watchdog, which resets the chip and so turns the bridges off if it is not fed in time.
 //!
-//! An interrupt ([`SysTick`]) feeds it every millisecond while the supervisor's credit lasts ([`Watchdog::feed`]) and the
-//! control interrupt is served. A stopped core, or a control interrupt that does not come or does not end, is reset within
-//! 4 to 17 ms; a task that keeps the supervisor from running, after another 100 ms. The watchdog counts the chip's slow
-//! oscillator, 17 to 47 kHz (STM32F405 datasheet, table 35), so its times vary by that factor.
+//! An interrupt ([`SysTick`]) feeds it every millisecond while the supervisor's credit lasts ([`Watchdog::feed`]) and
+//! the control interrupt is served. A stopped core, or a control interrupt that does not come or does not end, leads to
+//! a reset within 4 to 17 ms; a task that blocks the supervisor, to a reset after another 100 ms. The watchdog counts
+//! the chip's slow oscillator, 17 to 47 kHz (STM32F405 datasheet, table 35), so its times vary by that factor.
 //!
-//! A sector erase stalls the program for up to 0.5 s, and a search of a full sector takes tens of milliseconds. Therefore
-//! the time is stretched to at least 2.7 s around a write of a setting and the read of all settings at start
-//! ([`patient`]). The bridges are off in both cases.
+//! A sector erase stalls the program for up to 0.5 s, and a search of a full sector takes tens of milliseconds. The
+//! time is therefore at least 2.7 s during a write of a setting and the read of all settings at start ([`patient`]).
+//! The bridges are off in both cases.
 
 use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
@@ -20,35 +20,32 @@ use embassy_stm32::{Peri, peripherals::IWDG};
 use crate::clock::TIMER_HZ;
 use crate::critical;
 
-/// Ticks of the prescaled oscillator (32 kHz / 32 = 1 kHz nominal) until the reset: at least 5.4 ms at the fast end,
-/// several times the longest delay of the interrupt that feeds it, and at most 17 ms (one tick more) at the slow end.
+/// Ticks of the prescaled oscillator (32 kHz / 32 = 1 kHz nominal) until the reset. At the fast end they last at least
+/// 5.4 ms, several times the longest delay of the feeding interrupt; at the slow end at most 17 ms (one tick more).
 const NORMAL_TICKS: u16 = 8;
-/// The maximum of the register.
+/// Ticks during a write of flash: the maximum of the register.
 const PATIENT_TICKS: u16 = 0xFFF;
+/// Number of feedings, one per millisecond, for each passed check of the supervisor. It checks every 20 ms, but an
+/// arming delays a check by 35 ms.
+const FEEDINGS_PER_CHECK: u32 = 100;
+/// Number of feedings left.
+static FEEDINGS_LEFT: AtomicU32 = AtomicU32::new(0);
+/// True while the registers are being set, because a feeding in between would lock them.
+static IS_BEING_SET: AtomicBool = AtomicBool::new(false);
 
-/// Number of feedings, one a millisecond, per passed check of the supervisor. It checks every 20 ms, and arming delays it
-/// by 35 ms.
-const CREDIT: u32 = 100;
-
-/// Feedings left.
-static LEFT: AtomicU32 = AtomicU32::new(0);
-
-/// True while the registers are being set. A feeding in between would lock them.
-static BUSY: AtomicBool = AtomicBool::new(false);
-
-/// Feeds the watchdog while credit is left and the control interrupt is served. The control interrupt has the higher
-/// priority: a step that does not end keeps this handler from running. If the control interrupt is no longer served,
-/// the carrier's flag stays set. A flag that was set just now costs one feeding of several.
+/// Feeds the watchdog while credit is left and the control interrupt is served. A control step that does not end has
+/// the higher priority and keeps this handler from running. If the control interrupt is no longer served, the carrier's
+/// flag stays set. A flag that was set just now costs one feeding of several.
 #[cortex_m_rt::exception]
 fn SysTick() {
-    let left = LEFT.load(Ordering::Relaxed);
-    LEFT.store(left.saturating_sub(1), Ordering::Relaxed);
-    if left > 0 && !pac::TIM1.sr().read().uif() && !BUSY.load(Ordering::Relaxed) {
+    let left = FEEDINGS_LEFT.load(Ordering::Relaxed);
+    FEEDINGS_LEFT.store(left.saturating_sub(1), Ordering::Relaxed);
+    if left > 0 && !pac::TIM1.sr().read().uif() && !IS_BEING_SET.load(Ordering::Relaxed) {
         reload();
     }
 }
 
-/// The running watchdog. There is no way to stop it.
+/// The running watchdog, which cannot be stopped.
 pub struct Watchdog {
     _peripheral: Peri<'static, IWDG>,
 }
@@ -57,8 +54,8 @@ impl Watchdog {
     /// Starts the watchdog and the interrupt that feeds it. The carrier must run.
     pub fn start(peripheral: Peri<'static, IWDG>) -> Self {
         pac::IWDG.kr().write(|w| w.set_key(Key::START));
-        set(NORMAL_TICKS);
-        // SAFETY: nothing else uses the core's timer or its priority.
+        set_ticks(NORMAL_TICKS);
+        // SAFETY: no other code uses the core's timer or its priority.
         let mut core = unsafe { cortex_m::Peripherals::steal() };
         // SAFETY: the handler shares only atomics with the code that it interrupts.
         unsafe { core.SCB.set_priority(SystemHandler::SysTick, critical::WATCHDOG as u8) };
@@ -73,25 +70,25 @@ impl Watchdog {
 
     /// Postpones the reset by 100 ms.
     pub fn feed(&mut self) {
-        LEFT.store(CREDIT, Ordering::Relaxed);
+        FEEDINGS_LEFT.store(FEEDINGS_PER_CHECK, Ordering::Relaxed);
     }
 }
 
 /// Number of calls of [`patient`].
-static STALLS: AtomicU32 = AtomicU32::new(0);
+static PATIENT_CALLS: AtomicU32 = AtomicU32::new(0);
 
 /// Returns the number of calls of [`patient`], wrapping.
-pub fn stalls() -> u32 {
-    STALLS.load(Ordering::Relaxed)
+pub fn patient_calls() -> u32 {
+    PATIENT_CALLS.load(Ordering::Relaxed)
 }
 
 /// Runs `work`, which may stall the program, with the watchdog's longest time. The watchdog must be running, because a
 /// write before its oscillator runs is lost and blocks every later write.
 pub fn patient<R>(work: impl FnOnce() -> R) -> R {
-    STALLS.store(stalls().wrapping_add(1), Ordering::Relaxed);
-    set(PATIENT_TICKS);
+    PATIENT_CALLS.store(patient_calls().wrapping_add(1), Ordering::Relaxed);
+    set_ticks(PATIENT_TICKS);
     let result = work();
-    set(NORMAL_TICKS);
+    set_ticks(NORMAL_TICKS);
     result
 }
 
@@ -100,8 +97,8 @@ fn reload() {
 }
 
 /// Sets the watchdog's time and restores the credit.
-fn set(ticks: u16) {
-    BUSY.store(true, Ordering::Relaxed);
+fn set_ticks(ticks: u16) {
+    IS_BEING_SET.store(true, Ordering::Relaxed);
     pac::IWDG.kr().write(|w| w.set_key(Key::ENABLE));
     pac::IWDG.pr().write(|w| w.set_pr(Pr::DIVIDE_BY32));
     pac::IWDG.rlr().write(|w| w.set_rl(ticks));
@@ -114,6 +111,6 @@ fn set(ticks: u16) {
         }
     }
     reload();
-    LEFT.store(CREDIT, Ordering::Relaxed);
-    BUSY.store(false, Ordering::Relaxed);
+    FEEDINGS_LEFT.store(FEEDINGS_PER_CHECK, Ordering::Relaxed);
+    IS_BEING_SET.store(false, Ordering::Relaxed);
 }

@@ -1,4 +1,4 @@
-//! The zeros of the current sensors. The control interrupt learns them while the bridges are off and a task waits.
+//! The zeros of the current sensors, which the control interrupt learns while the bridges are off and a task waits.
 
 use core::sync::atomic::{AtomicU8, AtomicU16, Ordering};
 
@@ -8,11 +8,10 @@ use crate::adc;
 
 /// Weight of one reading in a sensor's zero, which settles after a hundred readings.
 const ZERO_WEIGHT: f32 = 1.0 / 32.0;
-
 /// Time for the zeros to settle, ms: at least 200 carrier periods.
-const ZERO_MS: u64 = 12;
+const ZERO_SETTLING_MS: u64 = 12;
 
-/// The use of the readings while the bridges are off.
+/// Use of the readings while the bridges are off.
 #[derive(Clone, Copy, PartialEq, Eq)]
 #[repr(u8)]
 pub enum Zeroing {
@@ -25,13 +24,11 @@ pub enum Zeroing {
     Check,
 }
 
-/// The present [`Zeroing`].
 static ZEROING: AtomicU8 = AtomicU8::new(Zeroing::No as u8);
-
 /// Largest distance of a zero from the middle of the range, or of a reading from its zero, counts.
-static ZERO_WORST: AtomicU16 = AtomicU16::new(0);
+static WORST_ZERO_DISTANCE: AtomicU16 = AtomicU16::new(0);
 
-/// The zeros of a board's current sensors, and the averaged distance of their readings from them, counts.
+/// The zeros of a board's current sensors, and the mean distance of the readings from them, counts.
 pub struct Zeros<const N: usize>([f32; N], [f32; N]);
 
 impl<const N: usize> Zeros<N> {
@@ -45,7 +42,7 @@ impl<const N: usize> Zeros<N> {
         &self.0
     }
 
-    /// Uses readings while the bridges are off as the waiting task requests: to learn the zeros or to check them.
+    /// Learns or checks the zeros with readings while the bridges are off, as the waiting task requests.
     #[inline(never)]
     pub fn take(&mut self, raw: [i32; N]) {
         let how = ZEROING.load(Ordering::Relaxed);
@@ -65,16 +62,16 @@ impl<const N: usize> Zeros<N> {
                 worst = worst.max(beyond.abs());
             }
         }
-        ZERO_WORST.store(worst as u16, Ordering::Relaxed);
+        WORST_ZERO_DISTANCE.store(worst as u16, Ordering::Relaxed);
     }
 }
 
-/// Lets the control interrupt learn or check the zeros for the time in which they settle, with the bridges off. Returns
-/// the largest distance, counts: see [`ZERO_WORST`].
-pub fn settle(how: Zeroing) -> u16 {
-    ZERO_WORST.store(0, Ordering::Relaxed);
+/// Lets the control interrupt learn or check the zeros, with the bridges off, until they settle. Returns the largest
+/// distance, counts, see [`WORST_ZERO_DISTANCE`].
+pub fn learn_or_check_zeros(how: Zeroing) -> u16 {
+    WORST_ZERO_DISTANCE.store(0, Ordering::Relaxed);
     ZEROING.store(how as u8, Ordering::Relaxed);
-    block_for(Duration::from_millis(ZERO_MS));
+    block_for(Duration::from_millis(ZERO_SETTLING_MS));
     ZEROING.store(Zeroing::No as u8, Ordering::Relaxed);
-    ZERO_WORST.load(Ordering::Relaxed)
+    WORST_ZERO_DISTANCE.load(Ordering::Relaxed)
 }

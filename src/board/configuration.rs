@@ -9,21 +9,20 @@ use crate::render::scene::{MAX_RATE_HZ, MIN_RATE_HZ, Scene};
 // A scene may have any rate that the carrier supports.
 const _: () = assert!(RATE_HZ.0 as f64 == MIN_RATE_HZ && RATE_HZ.1 as f64 == MAX_RATE_HZ);
 
-/// A complete configuration. The service builds the next configuration separately and swaps it in once it is accepted,
-/// so that a refusal leaves nothing to undo.
+/// A complete configuration. The service builds the next configuration separately, so that a refusal changes nothing.
 #[derive(Clone, Debug)]
 pub struct Configuration {
     /// The loaded device.
     pub device: Option<Device<f32>>,
     /// The loaded scene.
     pub scene: Option<Scene<f32>>,
-    /// Source of the mass matrix in the step.
+    /// Source of the mass matrix in the control step.
     pub mass: MassModelData,
     /// Limits and rules.
     pub rules: Rules,
 }
 
-/// Returns the scene of a device for which none is loaded: it has no walls, springs or fields.
+/// Returns an empty scene for a device without a loaded scene.
 pub fn empty_scene(device: &Device<f32>) -> Scene<f32> {
     Scene { task: task(device) as u8, ..Scene::default() }
 }

@@ -1,8 +1,8 @@
-//! From a request frame to a reply frame: decodes the request, calls the [`Service`], encodes the reply. Identical on
-//! real, simulated and emulated boards.
+//! Turns a request frame into a reply frame: decodes the request, calls the [`Service`], encodes the reply. Identical
+//! on real, simulated and emulated boards.
 //!
 //! A frame is a postcard-rpc header (key, sequence number) and a postcard body. The reply to an invalid request is
-//! postcard-rpc's error message; an invalid frame has no other effect.
+//! postcard-rpc's error message. An invalid frame has no other effect.
 
 use crate::board::machine::{Machine, Measured};
 use crate::board::protocol::*;
@@ -22,10 +22,10 @@ pub trait Described: Machine {
     fn measured(&mut self) -> Measured;
 }
 
-/// Work that remains once the reply has been sent.
+/// Work for the caller after the reply has been sent.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum After {
-    /// Nothing.
+    /// No work.
     Nothing,
     /// Start, change or stop the telemetry stream, for a device with this number of axes.
     Stream(StreamRequest, usize),
@@ -36,9 +36,7 @@ pub enum After {
 }
 
 /// Carries out the request in `frame` (without COBS), and writes the reply frame to `out` (at least [`MAX_FRAME`]
-/// bytes).
-///
-/// Returns the reply (`None` if `frame` is not a frame) and the remaining work for the caller.
+/// bytes). Returns the reply, or `None` if `frame` is not a frame, and the remaining work for the caller.
 pub fn answer<'o, M: Described>(
     service: &mut Service,
     machine: &mut M,
@@ -61,7 +59,7 @@ where
     out.get(..length)
 }
 
-/// Writes a batch of telemetry as a frame. Compiled here, in a crate that is optimized for speed.
+/// Writes a batch of telemetry as a frame. Compiled here, because this crate is optimized for speed.
 #[inline(never)]
 pub fn telemetry<'o>(sequence: u16, batch: &Batch, out: &'o mut [u8]) -> Option<&'o [u8]> {
     publish::<Telemetry>(sequence, batch, out)
@@ -77,8 +75,8 @@ impl Request<'_> {
         self.header.key == VarKey::Key8(E::REQ_KEY)
     }
 
-    /// Decodes the request, does the work and encodes the reply. Never inlined, so that each endpoint has its own stack
-    /// frame; otherwise the largest messages would all be on the stack together.
+    /// Decodes the request, does the work and encodes the reply. Never inlined, because each endpoint then has its own
+    /// stack frame, and the largest messages are not on the stack together.
     #[inline(never)]
     fn serve<E: Endpoint>(&self, out: &mut [u8], work: impl FnOnce(E::Request) -> E::Response) -> Option<usize>
     where
@@ -94,7 +92,7 @@ impl Request<'_> {
         }
     }
 
-    /// Like [`Request::serve`], for a host's force requests, which arrive thousands of times per second.
+    /// Runs [`Request::serve`] for a host's force requests, which arrive thousands of times per second.
     fn serve_force(&self, out: &mut [u8], work: impl FnOnce(&ForceRequest) -> ForceAnswer) -> Option<usize> {
         let Some(request) = &read_force(self.body) else { return self.fail(WireError::DeserFailed, out) };
         let header = VarHeader { key: VarKey::Key8(Force::RESP_KEY), seq_no: self.header.seq_no };
@@ -107,7 +105,7 @@ impl Request<'_> {
 }
 
 // Generic code is compiled in the crate that uses it, and the firmware is optimized for size. These functions are
-// compiled here, for speed.
+// compiled for speed.
 
 #[inline(never)]
 fn read_force(body: &[u8]) -> Option<ForceRequest> {
@@ -129,7 +127,7 @@ fn encode(header: &VarHeader, message: &impl Serialize, out: &mut [u8]) -> Optio
     Some(head + body)
 }
 
-/// Replies with the arm of the request's endpoint; continues if no arm matches.
+/// Runs the arm of the request's endpoint and replies. Continues if no arm matches.
 macro_rules! serve {
     ($request:ident, $out:ident; $($Endpoint:ident: |$message:pat_param| $work:expr;)*) => {
         $(if $request.is::<$Endpoint>() {
@@ -145,7 +143,7 @@ fn route<M: Described>(
     out: &mut [u8],
     after: &mut After,
 ) -> Option<usize> {
-    // Short keys collide, so a tool that uses them receives an error.
+    // Short keys collide, so a tool that uses short keys receives an error.
     if matches!(request.header.key, VarKey::Key1(_) | VarKey::Key2(_)) {
         return request.fail(WireError::KeyTooSmall, out);
     }
@@ -219,7 +217,7 @@ mod tests {
         request.fail(WireError::UnknownKey, out)
     }
 
-    /// Sends a number to an endpoint. Returns the key of the reply, and the number in it, if any.
+    /// Sends a number to an endpoint. Returns the key of the reply and its number, if any.
     fn reply_to<E: Endpoint>(number: u32) -> (VarKey, Option<u32>) {
         let (mut body, mut out) = ([0; 8], [0; 64]);
         let body = postcard::to_slice(&number, &mut body).unwrap();

@@ -7,8 +7,8 @@ use crate::board::settings::{self, Entry, Key, Setting};
 use crate::model::precomputed::MassModelData;
 use crate::safety::refusal::Refusal;
 
-/// Commits the settings staged under these keys together with the rest of the configuration. Otherwise settings of an
-/// older configuration, left in flash, would apply after the next start.
+/// Commits the settings staged under these keys together with the rest of the configuration, so that no setting of an
+/// older configuration in flash applies after the next start.
 #[inline(never)]
 pub(super) fn commit_configuration(
     machine: &mut impl Machine,
@@ -32,7 +32,6 @@ pub(super) fn commit_configuration(
     machine.commit(&all)
 }
 
-/// Stages a configuration.
 pub(super) fn stage_all(
     machine: &mut impl Machine,
     configuration: &Configuration,
@@ -46,17 +45,16 @@ pub(super) fn stage_all(
         stage(machine, scene, keys)?;
     }
     stage(machine, rules, keys)?;
-    // A table is too long for a setting and not kept: after a restart the board uses the closed form.
+    // A table is too long for a setting, so the board uses the closed form after a restart.
     match mass {
         MassModelData::Table(..) => stage(machine, &MassModelData::Exact, keys),
         kept => stage(machine, kept, keys),
     }
 }
 
-/// Returns true if flash holds this value. A separate function, so that the entry is on the stack only during the
-/// comparison.
+/// Returns true if flash holds this value. A separate function, so that the entry is on the stack only here.
 #[inline(never)]
-fn is_kept(machine: &mut impl Machine, key: Key, entry: &Entry) -> bool {
+fn is_in_flash(machine: &mut impl Machine, key: Key, entry: &Entry) -> bool {
     machine.load(key).is_some_and(|old| old == *entry)
 }
 
@@ -64,7 +62,7 @@ fn is_kept(machine: &mut impl Machine, key: Key, entry: &Entry) -> bool {
 #[inline(never)]
 pub(super) fn stage<S: Setting>(machine: &mut impl Machine, value: &S, keys: &mut KeyList) -> Result<(), Refusal> {
     let entry = settings::encode(value).map_err(|_| Refusal::Flash)?;
-    if is_kept(machine, S::KEY, &entry) {
+    if is_in_flash(machine, S::KEY, &entry) {
         return Ok(());
     }
     machine.stage(S::KEY, &entry)?;
@@ -73,6 +71,6 @@ pub(super) fn stage<S: Setting>(machine: &mut impl Machine, value: &S, keys: &mu
     Ok(())
 }
 
-pub(super) fn decoded<S: Setting>(entry: &[u8]) -> Result<S, Refusal> {
+pub(super) fn decode_setting<S: Setting>(entry: &[u8]) -> Result<S, Refusal> {
     settings::decode(entry).map_err(|_| Refusal::BadEntry)
 }

@@ -9,13 +9,12 @@ use crate::safety::refusal::Refusal;
 use core::ops::DerefMut;
 use heapless::Vec;
 
-/// The board around the service.
+/// The parts of the board that the service uses.
 pub trait Machine {
     /// Trigonometry of the control loop.
     type Math: Math<f32>;
-    /// The machine's storage for a program: a box, or a static buffer.
+    /// Storage of a program on this machine: a box, or a static buffer.
     type Held: DerefMut<Target = Program<Self::Math>>;
-
     /// Carries out a command between two control steps and waits for the reply.
     fn execute(&mut self, command: Command<Self::Held>) -> Reply<Self::Held>;
     /// Returns the control loop's state.
@@ -23,17 +22,17 @@ pub trait Machine {
     /// Carries out a host's force request between two control steps, see
     /// [`ControlLoop::force`](crate::control::ControlLoop::force).
     fn force(&mut self, request: &ForceRequest) -> ForceAnswer;
-    /// Stores a program where the control loop can use it. Refused while the spare place is in use.
+    /// Stores a program for the control loop. Refused while the spare place is in use.
     fn place(&mut self, program: Program<Self::Math>) -> Result<Self::Held, Refusal>;
     /// Takes back a program that the control loop no longer uses.
     fn release(&mut self, held: Self::Held);
     /// Sets carrier and divider for a control rate (Hz). Called with the motors off.
     fn retime(&mut self, rate_hz: f32);
-    /// Stages the next entry of a setting, without making it valid.
+    /// Stages the next entry of a setting, which becomes valid with [`Machine::commit`].
     fn stage(&mut self, key: Key, entry: &[u8]) -> Result<(), Refusal>;
     /// Returns the entry staged for a setting since the start or the last commit.
     fn staged(&mut self, key: Key) -> Option<Entry>;
-    /// Makes the staged entries of these settings valid: all or, after a power cut, none.
+    /// Makes the staged entries of these settings valid. After a power cut, either all are valid or none.
     fn commit(&mut self, keys: &[Key]) -> Result<(), Refusal>;
     /// Reads a setting. Returns an empty entry if the stored entry is damaged.
     fn load(&mut self, key: Key) -> Option<Entry>;
@@ -44,7 +43,7 @@ pub trait Machine {
 pub struct Measured {
     /// Carrier frequency at the present control rate, Hz.
     pub carrier_hz: f32,
-    /// Computation delay from sampling to duty, in control samples.
+    /// Computation delay from sampling to duty, in control periods.
     pub delay_samples: f32,
     /// Codes of the faults that this board cannot detect with its wiring.
     pub unsensed: Vec<u8, 16>,
@@ -57,6 +56,6 @@ pub struct Measured {
 }
 
 /// Returns [`Refusal::Armed`] while the motors are on.
-pub fn must_be_off(machine: &mut impl Machine) -> Result<(), Refusal> {
+pub fn check_motors_off(machine: &mut impl Machine) -> Result<(), Refusal> {
     if machine.status().state.drives() { Err(Refusal::Armed) } else { Ok(()) }
 }

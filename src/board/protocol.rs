@@ -1,11 +1,10 @@
 //! The messages between board and host, and their version.
 //!
-//! postcard-rpc frames (header with key and sequence number, then postcard), COBS-encoded over a byte stream: a USB
-//! CDC-ACM serial port, a pseudo-terminal or TCP. A message's key is a hash of its path and its types: a board with
-//! another form of a message does not know the key, and replies with an error instead of misreading the message. A tool
-//! first checks that it speaks the board's protocol: [`GetInfo`], whose form never changes, returns [`PROTOCOL`]. The
-//! request of [`Disarm`] never changes either, nor does the single zero in the body of its reply once the motors are
-//! off, so that any tool can stop any board.
+//! Messages are postcard-rpc frames (header with key and sequence number, then postcard), COBS-encoded over a byte
+//! stream: a USB CDC-ACM serial port, a pseudo-terminal or TCP. A message's key is a hash of its path and types, so a
+//! board with another form of a message replies with an error instead of misreading it. A tool first compares
+//! [`PROTOCOL`] by [`GetInfo`], whose form never changes. The request of [`Disarm`] and the single zero in the body of
+//! its reply never change either, so that any tool can stop any board.
 
 use crate::board::settings::{Damage, Entry, Key};
 use crate::board::telemetry::{Batch, StreamRequest};
@@ -25,19 +24,16 @@ use postcard_rpc::{TopicDirection, endpoints, topics};
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
-/// Version of the protocol, increased with every change of it.
+/// Version of the protocol, increased with every change of a message.
 pub const PROTOCOL: u16 = 11;
-
 /// Longest frame on the link before COBS encoding, bytes.
 pub const MAX_FRAME: usize = 1536;
-
 /// Maximum number of faults in the board's history.
 pub const FAULT_HISTORY: usize = 16;
-
 /// Reply to a request that changes something.
 pub type Outcome = Result<(), Refusal>;
 
-/// Identity of a board. Fields are added only with a new [`PROTOCOL`] and another path.
+/// Identity of a board. A new field needs a new [`PROTOCOL`] and another path.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct Info {
     /// [`PROTOCOL`] of the firmware.
@@ -55,19 +51,19 @@ pub struct Info {
 pub struct Details {
     /// Name given by the owner.
     pub name: String<32>,
-    /// Motor axes.
+    /// Number of motor axes.
     pub axes: u8,
-    /// True if there are real motors.
+    /// True if the motors are real.
     pub real: bool,
     /// Carrier frequency at the present control rate, Hz.
     pub carrier_hz: f32,
-    /// Computation delay from sampling to duty, in control samples.
+    /// Computation delay from sampling to duty, in control periods.
     pub delay_samples: f32,
     /// Name of the loaded device.
     pub device: Option<String<32>>,
     /// Control rate, Hz; 20 kHz until a scene is loaded.
     pub rate_hz: f32,
-    /// Walls in the scene.
+    /// Number of walls in the scene.
     pub walls: u8,
     /// Codes of the faults that this board cannot detect with its wiring.
     pub unsensed: Vec<u8, 16>,
@@ -90,7 +86,7 @@ pub struct GainsRequest {
     pub estimator: Option<(Estimator, f32)>,
 }
 
-/// Bytes of a setting, staged until [`CommitEntries`] contains its key.
+/// Bytes of a setting, staged until a [`CommitEntries`] that contains the setting's key.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct WriteEntry {
     /// Number that the tool draws for each change. Entries that another session has staged are dropped.
@@ -110,17 +106,17 @@ pub struct Commit {
     pub keys: KeyList,
 }
 
-/// A device as it is sent.
+/// A device in a message.
 pub type DeviceData = Device<f32>;
-/// A scene as it is sent.
+/// A scene in a message.
 pub type SceneData = Scene<f32>;
-/// The loaded device, if any.
+/// The loaded device; `None` without a device.
 pub type MaybeDevice = Option<DeviceData>;
-/// The loaded scene, if any.
+/// The loaded scene; `None` without a scene.
 pub type MaybeScene = Option<SceneData>;
 /// Faults since the board started, oldest first.
 pub type FaultList = Vec<FaultRecord, FAULT_HISTORY>;
-/// Bytes of a setting, if it is set.
+/// Bytes of a setting; `None` if it is not set.
 pub type MaybeEntry = Option<Entry>;
 /// Keys of settings.
 pub type KeyList = Vec<Key, { Key::ALL.len() }>;

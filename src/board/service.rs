@@ -1,14 +1,14 @@
 //! The requests of the protocol as plain functions, without link and hardware.
 //!
-//! Firmware and simulated board connect the same [`Service`] to their own input and output, described by [`Machine`].
-//! The service checks everything again that the tool has checked, so that no request over the link can bring the
-//! control loop into a state that the rules forbid. The control loop checks what depends on the moment.
+//! Firmware and simulated board connect the same [`Service`] to their own input and output through [`Machine`]. The
+//! service repeats all checks of the tool, so that no request over the link can bring the control loop into a forbidden
+//! state. Checks that depend on the present state are the control loop's.
 
 mod backup;
 
 use crate::board::configuration::{Configuration, empty_scene, task};
 use crate::board::flash::commit_configuration;
-use crate::board::machine::{Machine, Measured, must_be_off};
+use crate::board::machine::{Machine, Measured, check_motors_off};
 use crate::board::protocol::{Beat, Details, FaultList, GainsRequest, KeyList, Name, Press, Step};
 use crate::board::settings::{self, BoardName, Damage, Key, Setting};
 use crate::control::program::{Hardware, Program};
@@ -23,7 +23,7 @@ use crate::safety::limits::{BadLimit, GENTLE_FORCE, Limit, Limits};
 use crate::safety::refusal::Refusal;
 use heapless::Vec;
 
-/// Configuration of a board, and the requests that change it.
+/// The service of a board: its configuration, and the requests that change it.
 #[derive(Debug)]
 pub struct Service {
     hardware: Hardware,
@@ -31,22 +31,21 @@ pub struct Service {
     configuration: Configuration,
     receiving: TableReceiver,
     name: Name,
-    /// Device whose polarity check succeeded since the board started. Checks recorded in flash do not count, because
-    /// wires may change while a board has no power. The entire device is kept, because a name can be constructed that
-    /// gives another device the same checksum.
+    /// Device whose polarity check succeeded since the board started. Checks in flash do not count, because wires may
+    /// change while a board has no power. The entire device is stored, because checksums may coincide.
     polarity: Option<Device<f32>>,
     damage: Vec<(Key, Damage), { Key::ALL.len() }>,
     faults: FaultList,
     last_fault: Option<FaultRecord>,
-    /// Last session that staged entries, and their keys.
+    /// Last session that staged entries, with the keys of these entries.
     staged: (u32, KeyList),
 }
 
 impl Service {
-    /// Returns a board without device. Limits can never exceed `max_limits`, which are also the default limits, except
-    /// for the force at the tip of real motors: [`GENTLE_FORCE`].
+    /// Returns a board without a device. `max_limits` are the highest and the default limits, except for the default
+    /// force at the tip of real motors, [`GENTLE_FORCE`].
     pub fn new(hardware: Hardware, max_limits: Limits) -> Self {
-        // Simulated motors cannot hurt anyone: the force limit stays that of the board, and a silent host is ignored.
+        // Simulated motors cannot hurt anyone, so the force limit is the board's and a silent host is ignored.
         let (tip_force, host_action) = match hardware.real {
             true => (GENTLE_FORCE, HostAction::Disarm),
             false => (max_limits.tip_force, HostAction::Ignore),
@@ -70,8 +69,7 @@ impl Service {
         }
     }
 
-    /// Reads and applies the settings. A damaged setting stays at its default and is reported in [`Details::damage`];
-    /// the others are kept.
+    /// Reads and applies the settings. A damaged setting stays at its default and is reported in [`Details::damage`].
     pub fn boot(&mut self, machine: &mut impl Machine) {
         // These rules apply until the stored rules are read.
         let _ = self.set_rules(machine, self.configuration.rules);
@@ -98,7 +96,7 @@ impl Service {
         }
         let mass = self.configuration.mass.clone();
         let modelled = mass != MassModelData::Exact;
-        // A mass model that was saved with the scene was made for its walls.
+        // A mass model that was saved with the scene was made for the scene's walls.
         if let (Some(scene), true) = (scene, self.configuration.device.is_some())
             && self.set_scene_and_mass(machine, scene.clone(), mass).is_err()
         {
@@ -157,7 +155,7 @@ impl Service {
         &self.configuration.rules
     }
 
-    /// Loads a device. The motors must be off. Homing, the mass model and a scene that does not fit are dropped.
+    /// Loads a device. The motors must be off. Drops homing, the mass model and a scene that does not fit.
     pub fn set_device(&mut self, machine: &mut impl Machine, device: Device<f32>) -> Result<(), Refusal> {
         self.set_device_and_mass(machine, device, MassModelData::Exact)
     }
@@ -168,16 +166,16 @@ impl Service {
         device: Device<f32>,
         mass: MassModelData,
     ) -> Result<(), Refusal> {
-        must_be_off(machine)?;
+        check_motors_off(machine)?;
         check_device::<Mc::Math>(&device)?;
-        let scene = self.configuration.scene.as_ref().filter(|scene| fits(scene, &device)).cloned();
+        let scene = self.configuration.scene.as_ref().filter(|scene| scene_fits_device(scene, &device)).cloned();
         let mut next = Configuration { device: Some(device), scene, mass, rules: self.configuration.rules };
         self.install(machine, &mut next, false, None)?;
         self.finish_device_change(machine)
     }
 
-    /// Drops a partly received table of the previous device. If this device passed the polarity check before, informs
-    /// the control loop. A device that contains a NaN equals no device, so it counts as unchecked.
+    /// Drops a partly received table of the previous device. Informs the control loop if this device passed the
+    /// polarity check before. A device with a NaN equals no device, so it counts as unchecked.
     fn finish_device_change(&mut self, machine: &mut impl Machine) -> Result<(), Refusal> {
         self.receiving = TableReceiver::default();
         match &self.polarity {
@@ -187,8 +185,8 @@ impl Service {
     }
 
     /// Loads a scene for the device, with the closed form of the mass matrix, because a prepared matrix is valid only
-    /// for the walls for which it was made. While the motors are on, the scene must have the present control rate and
-    /// the tip must not touch the scene's walls.
+    /// for its walls. While the motors are on, the scene must have the present control rate, and the tip must touch
+    /// none.
     pub fn set_scene(&mut self, machine: &mut impl Machine, scene: Scene<f32>) -> Result<(), Refusal> {
         self.set_scene_and_mass(machine, scene, MassModelData::Exact)
     }
@@ -207,7 +205,7 @@ impl Service {
 
     /// Selects the source of the mass matrix. The motors must be off. A table's values must have been sent before.
     pub fn set_mass_model(&mut self, machine: &mut impl Machine, mass: MassModelData) -> Result<(), Refusal> {
-        must_be_off(machine)?;
+        check_motors_off(machine)?;
         if let MassModelData::Table(grid, crc) = &mass {
             let device = self.configuration.device.as_ref().ok_or(Refusal::NoDevice)?;
             if !self.receiving.is_complete(grid.values(device.mechanism.mass_entries().len()), *crc) {
@@ -219,10 +217,10 @@ impl Service {
         self.install(machine, &mut next, true, None)
     }
 
-    /// Receives a piece of a table, in order from offset 0; see [`TableReceiver::take`]. A table that is in use is first
-    /// replaced by the closed form, because the new values overwrite the table's.
+    /// Receives a piece of a table, in order from offset 0, see [`TableReceiver::take`]. First replaces a table in use
+    /// by the closed form, because the new values overwrite it.
     pub fn receive_table(&mut self, machine: &mut impl Machine, chunk: &TableChunk) -> Result<(), Refusal> {
-        must_be_off(machine)?;
+        check_motors_off(machine)?;
         let offset = usize::from(chunk.offset);
         if !self.receiving.fits(offset, &chunk.values) {
             return Err(Refusal::BadTable);
@@ -234,8 +232,8 @@ impl Service {
         Ok(())
     }
 
-    /// Applies `next` and swaps the previous configuration into its place. A refusal changes nothing. Settings staged
-    /// under `keys` are committed to flash after the last check that can refuse.
+    /// Applies `next` and swaps the previous configuration into its place. A refusal changes nothing. The settings
+    /// staged under `keys` are written to flash after the last check that can refuse.
     fn install<Mc: Machine>(
         &mut self,
         machine: &mut Mc,
@@ -261,16 +259,16 @@ impl Service {
         if keys.is_some() {
             machine.execute(Command::Rules(next.rules)).0?;
         }
-        // A scene loaded while the motors are on keeps the rate. Checked now, because a fault may have turned the
-        // motors off.
-        if let Some(rate_hz) = rate_hz.filter(|_| must_be_off(machine).is_ok()) {
+        // A scene that is loaded while the motors are on keeps the rate. Checked here, because a fault may have turned
+        // them off.
+        if let Some(rate_hz) = rate_hz.filter(|_| check_motors_off(machine).is_ok()) {
             machine.retime(rate_hz);
         }
         core::mem::swap(&mut self.configuration, next);
         Ok(())
     }
 
-    /// Places a configuration's program where the control loop can use it, and returns it with its control rate, Hz;
+    /// Places a configuration's program where the control loop can use it, and returns it with its control rate (Hz);
     /// `None` without a device. A separate function, so that no other large value shares the stack with a program.
     #[inline(never)]
     fn place_program<Mc: Machine>(
@@ -334,7 +332,7 @@ impl Service {
         Ok(())
     }
 
-    /// Sets limits and rules. Limits cannot exceed the board's abilities, and cannot be raised while the motors are on.
+    /// Sets limits and rules. Limits cannot exceed the board's maxima, and cannot be raised while the motors are on.
     pub fn set_rules(&mut self, machine: &mut impl Machine, rules: Rules) -> Result<(), Refusal> {
         self.check_rules(&rules)?;
         machine.execute(Command::Rules(rules)).0?;
@@ -364,14 +362,14 @@ impl Service {
         machine.execute(Command::Home).0
     }
 
-    /// Starts the polarity check and drops earlier results; [`Service::poll`] records its success.
+    /// Starts the polarity check and drops earlier results. [`Service::poll`] records success.
     pub fn check_polarity(&mut self, machine: &mut impl Machine) -> Result<(), Refusal> {
         machine.execute(Command::CheckPolarity).0?;
         self.polarity = None;
         Ok(())
     }
 
-    /// Turns the motors on, while this key is held, if any.
+    /// Turns the motors on. With a `key`, they stay on only while it is held.
     pub fn arm(&mut self, machine: &mut impl Machine, key: Option<Press>) -> Result<(), Refusal> {
         if self.configuration.device.is_none() {
             return Err(Refusal::NoDevice);
@@ -400,12 +398,12 @@ impl Service {
         machine.status().step
     }
 
-    /// Returns the faults since the board started, oldest first; the oldest are dropped.
+    /// Returns the last faults since the board started, oldest first.
     pub fn faults(&self) -> &FaultList {
         &self.faults
     }
 
-    /// Polls the control loop; call a few times a second. Returns a new fault.
+    /// Polls the control loop and returns a new fault. Call a few times a second.
     pub fn poll(&mut self, machine: &mut impl Machine) -> Option<FaultRecord> {
         let status = machine.status();
         // A device that is already recorded is not copied again.
@@ -413,7 +411,7 @@ impl Service {
             self.polarity.clone_from(&self.configuration.device);
         }
         let fault = status.fault?;
-        // Values are not compared: NaN differs from itself, and such a fault would be reported repeatedly.
+        // Values are not compared, because NaN differs from itself and its fault would be reported repeatedly.
         if self.last_fault.is_some_and(|last| (last.fault, last.step) == (fault.fault, fault.step)) {
             return None;
         }
@@ -421,7 +419,7 @@ impl Service {
         Some(fault)
     }
 
-    /// Adds a fault to the history. Also used for a fault from before a reset.
+    /// Adds a fault to the history, which may also be a fault from before a reset.
     pub fn record_fault(&mut self, fault: FaultRecord) {
         self.last_fault = Some(fault);
         if self.faults.is_full() {
@@ -430,14 +428,13 @@ impl Service {
         let _ = self.faults.push(fault);
     }
 
-    /// Sets the board's name; the next save writes it to flash.
+    /// Sets the board's name, which the next save writes to flash.
     pub fn set_name(&mut self, name: Name) {
         self.name = name;
     }
 }
 
-/// Returns true if a scene can be rendered on a device.
-fn fits(scene: &Scene<f32>, device: &Device<f32>) -> bool {
+fn scene_fits_device(scene: &Scene<f32>, device: &Device<f32>) -> bool {
     usize::from(scene.task) == task(device) && (scene.posture.is_none() || device.axes() > task(device))
 }
 

@@ -1,9 +1,9 @@
-//! The settings that the board keeps in flash: one entry each, with its own version and checksum.
+//! The settings in the board's flash: one entry each, with its own version and checksum.
 //!
-//! An entry that is damaged or has an unknown version is refused alone; the others are kept. The bytes are identical in
+//! An entry that is damaged or has an unknown version is refused without the other entries. The bytes are identical in
 //! flash, in a backup file and on the link.
 
-use crate::board::storage::DECISION;
+use crate::board::storage::DECISION_KEY;
 use crate::checksum::crc32;
 use crate::control::Rules;
 use crate::model::device::Device;
@@ -14,7 +14,7 @@ use heapless::{String, Vec};
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
-/// Largest entry, bytes.
+/// Maximum length of an entry, bytes.
 pub const LONGEST_SETTING: usize = 1024;
 /// Bytes of an entry.
 pub type Entry = Vec<u8, LONGEST_SETTING>;
@@ -31,19 +31,18 @@ pub enum Key {
     Rules = 3,
     /// The mass model.
     MassModel = 4,
-    /// Fingerprint of a device whose polarity was checked once. Older boards and their backups contain it; it no longer
-    /// counts as a check.
+    /// Checksum of a device that once passed the polarity check. Found on old boards and in old backups; unused.
     Polarity = 5,
     /// The board's name.
     Name = 6,
 }
 
-// The settings' entries lie between the catalogue and the decision, and `ALL` is in the order of the keys.
+// The settings' keys lie between the catalogue's and the decision's, and `ALL` is in the order of the keys.
 const _: () = {
     let mut place = 0;
     while place < Key::ALL.len() {
         let key = Key::ALL[place] as usize;
-        assert!(key == place + 1 && key < DECISION as usize);
+        assert!(key == place + 1 && key < DECISION_KEY as usize);
         place += 1;
     }
 };
@@ -71,42 +70,45 @@ pub trait Setting: Serialize + DeserializeOwned {
     const KEY: Key;
     /// Version of the encoding, increased whenever the fields change.
     const VERSION: u8;
-    /// Earlier versions that lack bytes: the version, the position of the missing bytes (from the value's first byte, or
-    /// `END`), and the values of the later fields for such an entry.
-    const SHORTER: &'static [(u8, usize, &'static [u8])] = &[];
+    /// Earlier versions with fewer bytes: the version, the position of the missing bytes (from the value's first byte,
+    /// or `END_POSITION`), and the bytes to insert.
+    const EARLIER_VERSIONS: &'static [(u8, usize, &'static [u8])] = &[];
 }
 
 /// Position after the last byte.
-const END: usize = usize::MAX;
+const END_POSITION: usize = usize::MAX;
 
 impl Setting for Device<f32> {
     const KEY: Key = Key::Device;
-    /// 2: scale of a five-bar's rods.
+    /// Version 2 added the scale of a five-bar's rods.
     const VERSION: u8 = 2;
 }
 impl Setting for Scene<f32> {
     const KEY: Key = Key::Scene;
-    /// 2: feed-forward gain and held coordinate of a redundant device; `velocity_terms` is no longer a flag. 3:
-    /// joint-space estimators with their options. 4: posture.
+    /// Version 2 added the feed-forward gain and the held coordinate, and `velocity_terms` is no longer a flag. Version
+    /// 3 added joint estimators with their options, version 4 the posture.
     const VERSION: u8 = 4;
-    /// Defaults: a gain of 1, the orientation, no posture. Earlier estimators are unchanged.
-    const SHORTER: &'static [(u8, usize, &'static [u8])] =
-        &[(1, END, &[0x00, 0x00, 0x80, 0x3f, 0x00, 0x00]), (2, END, &[0x00]), (3, END, &[0x00])];
+    /// Defaults: a gain of 1, the orientation, no posture. The encoding of earlier estimators is unchanged.
+    const EARLIER_VERSIONS: &'static [(u8, usize, &'static [u8])] = &[
+        (1, END_POSITION, &[0x00, 0x00, 0x80, 0x3f, 0x00, 0x00]),
+        (2, END_POSITION, &[0x00]),
+        (3, END_POSITION, &[0x00]),
+    ];
 }
 impl Setting for Rules {
     const KEY: Key = Key::Rules;
-    /// 2: force limit at the tip.
+    /// Version 2 added the force limit at the tip.
     const VERSION: u8 = 2;
-    /// The gentle force limit, at the end of the limits, which come first: fifteen numbers of four bytes.
-    const SHORTER: &'static [(u8, usize, &'static [u8])] = &[(1, 60, &GENTLE_FORCE.to_le_bytes())];
+    /// Inserts the gentle force limit after the other limits, the first fifteen numbers of four bytes.
+    const EARLIER_VERSIONS: &'static [(u8, usize, &'static [u8])] = &[(1, 60, &GENTLE_FORCE.to_le_bytes())];
 }
 impl Setting for MassModelData {
     const KEY: Key = Key::MassModel;
     const VERSION: u8 = 1;
 }
 
-/// Fingerprint of a device whose polarity was checked once. Read so that old flash and backups stay valid. It proves
-/// nothing, because wires may change while a board has no power.
+/// Checksum of a device that once passed the polarity check. Still read, so that old flash and backups stay valid, but
+/// without effect, because wires may change while a board has no power.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Polarity(pub u32);
 impl Setting for Polarity {
@@ -135,9 +137,8 @@ pub enum Damage {
     TooLong,
 }
 
-/// Encodes an entry: key, version, the value's postcard bytes, CRC-32 of these.
-///
-/// Errors: [`Damage::TooLong`] if the entry needs more than [`LONGEST_SETTING`] bytes.
+/// Encodes an entry: key, version, the value's postcard bytes, and the CRC-32 of all these. Returns [`Damage::TooLong`]
+/// if the entry needs more than [`LONGEST_SETTING`] bytes.
 #[inline(never)]
 pub fn encode<S: Setting>(value: &S) -> Result<Entry, Damage> {
     let mut entry = Entry::new();
@@ -162,7 +163,7 @@ pub fn decode<S: Setting>(entry: &[u8]) -> Result<S, Damage> {
     match body {
         [key, ..] if *key != S::KEY as u8 => Err(Damage::OtherKey),
         [_, version, value @ ..] if *version != S::VERSION => {
-            let missing = S::SHORTER.iter().find(|(earlier, ..)| earlier == version);
+            let missing = S::EARLIER_VERSIONS.iter().find(|(earlier, ..)| earlier == version);
             let (_, at, missing) = missing.ok_or(Damage::UnknownVersion(*version))?;
             let (before, after) = value.split_at((*at).min(value.len()));
             let mut complete = Entry::new();

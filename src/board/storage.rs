@@ -1,20 +1,17 @@
-//! The settings in flash: a map with one entry per setting, so that adding or removing a setting never loses the
-//! others.
+//! The settings in flash, as a map with one entry per setting, so that adding or removing a setting never loses others.
 //!
 //! `sequential-storage` appends entries with checksums and moves to the next page when a page is full. After a power
 //! cut at any point, either the old or the new value is left; tests/power_cut.rs cuts the power at every flash
-//! operation. A damaged entry is skipped silently, and the entry before it is returned. Every entry therefore carries a
-//! generation, and each write is followed by a catalogue of the newest generations: an entry older than its generation
-//! in the catalogue is not the saved entry. A power cut between the two writes leaves an entry newer than the
-//! catalogue, which is no damage.
+//! operation. The map skips a damaged entry silently and returns the earlier entry. Every entry therefore carries a
+//! generation, and a catalogue of the newest generations is written after each entry. An entry that is older than its
+//! generation in the catalogue is not the saved entry. A newer entry than the catalogue's, after a power cut, is valid.
 //!
-//! Several settings change together or not at all: they are staged first ([`Storage::stage`]), then a single entry, the
+//! Several settings change together or not at all. They are staged first ([`Storage::stage`]), then a single entry, the
 //! decision, makes them valid ([`Storage::commit`]), and only then are they moved to their settings' keys. A power cut
-//! before the decision leaves the old settings. A power cut after it leaves the decision, which the next start carries
-//! out before it reads anything.
+//! before the decision leaves the old settings. After a power cut that follows the decision, the next start carries out
+//! the decision before it reads anything.
 //!
-//! This module does not depend on a chip: the firmware passes its flash as a [`NorFlash`], tests pass a flash with
-//! injected errors.
+//! This module does not depend on a chip: firmware and tests pass their flash as a [`NorFlash`].
 
 use core::future::Future;
 use core::ops::Range;
@@ -25,40 +22,34 @@ use sequential_storage::cache::key_pointers::ArrayKeyPointers;
 use sequential_storage::cache::{Cache, Uncached};
 use sequential_storage::map::{MapConfig, MapStorage, SerializationError, Value};
 
-/// Length of the longest entry with its key, bytes.
+/// Maximum length of an entry with its key, bytes.
 pub const LONGEST_STORED: usize = 2048;
 
-/// Key of the catalogue.
-const CATALOGUE: u8 = 0;
-/// Key of the decision: the generations of the staged entries that are valid; all zeros if there is none. The settings'
-/// keys lie between the two.
-pub(super) const DECISION: u8 = 7;
+const CATALOGUE_KEY: u8 = 0;
+/// Key of the decision, which holds the generations of the valid staged entries, or zeros. Settings' keys are lower.
+pub(super) const DECISION_KEY: u8 = 7;
 /// Bit that marks the key of a staged entry.
-const STAGED: u8 = 8;
-const _: () = assert!(DECISION < STAGED && (DECISION as usize) < SETTINGS && 2 * SETTINGS <= KEYS);
-/// Number of places in the catalogue and in the decision: the keys up to that of the decision.
+const STAGED_BIT: u8 = 8;
+const _: () = assert!(DECISION_KEY < STAGED_BIT && (DECISION_KEY as usize) < SETTINGS && 2 * SETTINGS <= KEYS);
+/// Number of places in the catalogue and in the decision: the keys up to the decision's.
 const SETTINGS: usize = 8;
-/// Number of keys.
 const KEYS: usize = 16;
-
-/// A generation: the seven lower bits count and wrap. 0 for an entry without generation and for a missing entry.
+/// A generation: the seven lower bits count and wrap. 0 for a missing entry and for an entry without generation.
 type Generation = u8;
-/// Set in every generation. Entries from before generations start with their key, which does not have this bit.
-const COUNTED: Generation = 0x80;
+/// Bit that is set in every generation. Entries without generation start with their key, which lacks this bit.
+const GENERATION_BIT: Generation = 0x80;
 
 /// Returns a setting's place in the catalogue and in the decision.
-fn place(key: u8) -> usize {
+fn catalogue_place(key: u8) -> usize {
     usize::from(key) % SETTINGS
 }
 
-/// Returns the bit of a key.
-fn bit(key: u8) -> u16 {
+fn key_bit(key: u8) -> u16 {
     1 << (usize::from(key) % KEYS)
 }
 
-/// Returns the following generation.
-fn next(generation: Generation) -> Generation {
-    generation.wrapping_add(1) | COUNTED
+fn next_generation(generation: Generation) -> Generation {
+    generation.wrapping_add(1) | GENERATION_BIT
 }
 
 /// Returns true if generation `found` is before `known`.
@@ -79,7 +70,7 @@ impl<'a> Value<'a> for StampedEntry<'a> {
 
     fn deserialize_from(buffer: &'a [u8]) -> Result<(Self, usize), SerializationError> {
         let stamped = match buffer {
-            [generation, entry @ ..] if generation & COUNTED != 0 => Self(*generation, entry),
+            [generation, entry @ ..] if generation & GENERATION_BIT != 0 => Self(*generation, entry),
             entry => Self(0, entry),
         };
         Ok((stamped, buffer.len()))
@@ -94,11 +85,11 @@ pub enum StorageError {
     Flash = 1,
     /// The entry does not fit.
     Full = 2,
-    /// The entry does not read back as written: the flash is worn or emulated.
+    /// The entry does not read back as written, because the flash is worn or emulated.
     NotKept = 3,
     /// The last saved entry is damaged or missing.
     Damaged = 4,
-    /// The flash failed during a decision: the next start shows either the old or the new settings.
+    /// The flash failed during a decision, so that the old or the new settings apply after the next start.
     Unsettled = 5,
 }
 
@@ -126,7 +117,7 @@ impl<E> From<sequential_storage::Error<E>> for StorageError {
     }
 }
 
-/// Runs a future to its end. Flash operations stall the program, so their futures are never pending.
+/// Runs a future to its end. Futures of flash operations are never pending, because the operations stall the program.
 fn block_on<T>(work: impl Future<Output = T>) -> T {
     let mut work = pin!(work);
     loop {
@@ -136,7 +127,7 @@ fn block_on<T>(work: impl Future<Output = T>) -> T {
     }
 }
 
-/// Cache of the newest entries' places: searching a full sector takes the chip milliseconds per entry.
+/// Cache of the newest entries' places, because a search of a full sector takes the chip milliseconds per entry.
 type KeyCache = Cache<Uncached, Uncached, ArrayKeyPointers<u8, KEYS>, u8>;
 
 /// A flash that can be written only while unlocked. Without the lock, reads would erase and write to repair damage.
@@ -145,12 +136,9 @@ struct LockableFlash<F> {
     writable: bool,
 }
 
-/// Error of a [`LockableFlash`].
 #[derive(Debug)]
 enum Failure<E> {
-    /// The flash itself failed.
     Flash(E),
-    /// Writing is locked.
     Locked,
 }
 
@@ -207,14 +195,14 @@ pub struct Storage<'b, F: NorFlash> {
     lost: u16,
     /// Generations of the entries staged since the start or the last decision.
     staged: [Generation; SETTINGS],
-    /// True once a decision interrupted by a power cut has been searched for and carried out.
+    /// True after a decision that a power cut interrupted was searched for and carried out.
     recovered: bool,
     buffer: &'b mut [u8; LONGEST_STORED],
 }
 
 impl<'b, F: NorFlash> Storage<'b, F> {
-    /// Creates the storage in `range` of `flash`, at least two pages, without reading. Panics if the range does not
-    /// consist of entire pages.
+    /// Creates the storage in `range` of `flash`, at least two pages, without reading. Panics unless the range consists
+    /// of entire pages.
     pub fn new(flash: F, range: Range<u32>, buffer: &'b mut [u8; LONGEST_STORED]) -> Self {
         let known = Cache::new(Uncached, Uncached, ArrayKeyPointers::new());
         Self {
@@ -228,8 +216,7 @@ impl<'b, F: NorFlash> Storage<'b, F> {
     }
 
     /// Repairs the effects of a power cut and locates every setting, so that [`Storage::read`] neither writes nor
-    /// searches afterwards. May erase a sector and search both sectors many times; call it at the start, before
-    /// anything else runs.
+    /// searches. May erase a sector and search both sectors many times, so call it at the start before other code.
     pub fn start(&mut self) {
         let _ = self.with_writing(|_| Ok(()));
     }
@@ -239,18 +226,17 @@ impl<'b, F: NorFlash> Storage<'b, F> {
         &mut self.map.flash().flash
     }
 
-    /// Runs an operation that may write, then locates every entry again, because writing moves entries and a flash
-    /// error loses the places of all.
+    /// Runs an operation that may write, then locates every entry again, because writes and flash errors move entries.
     fn with_writing<T>(&mut self, work: impl FnOnce(&mut Self) -> Result<T, StorageError>) -> Result<T, StorageError> {
         self.lost = 0;
         self.map.flash().writable = true;
         let result = work(self);
-        // An unreadable entry makes the map lose all places: locate the other entries again, without this entry.
+        // An unreadable entry makes the map lose all places, so the other entries are located again without it.
         loop {
             let before = self.lost;
-            for key in 1..DECISION {
+            for key in 1..DECISION_KEY {
                 if self.read(key).is_err() {
-                    self.lost |= bit(key);
+                    self.lost |= key_bit(key);
                 }
             }
             if self.lost == before {
@@ -262,47 +248,45 @@ impl<'b, F: NorFlash> Storage<'b, F> {
     }
 
     fn fetch(&mut self, key: u8) -> Result<Option<StampedEntry<'_>>, StorageError> {
-        if self.absent & bit(key) != 0 {
+        if self.absent & key_bit(key) != 0 {
             return Ok(None);
         }
         let entry = block_on(self.map.fetch_item(self.buffer, &key))?;
         if entry.is_none() {
-            self.absent |= bit(key);
+            self.absent |= key_bit(key);
         }
         Ok(entry)
     }
 
     fn store(&mut self, key: u8, item: &StampedEntry<'_>) -> Result<(), StorageError> {
-        self.absent &= !bit(key);
+        self.absent &= !key_bit(key);
         Ok(block_on(self.map.store_item(self.buffer, &key, item))?)
     }
 
-    /// Returns the generations in the catalogue or the decision.
     fn generations(&mut self, key: u8) -> Result<[Generation; SETTINGS], StorageError> {
         let entry = self.fetch(key)?;
         Ok(entry.and_then(|StampedEntry(_, known)| known.try_into().ok()).unwrap_or_default())
     }
 
-    /// Returns the entry of a setting; `None` if it was never stored. If a decided entry has not been moved yet,
-    /// returns the staged entry. Writes nothing, so it may be called at any time.
-    ///
-    /// Errors: [`StorageError::Damaged`] if only an older entry or no entry is left, or if the start could not read it.
+    /// Returns the entry of a setting, or its staged entry if the decision has not been carried out yet; `None` if it
+    /// was never stored. Writes nothing, so it may be called at any time. Returns [`StorageError::Damaged`] if no entry
+    /// or only an older one is left, or if the start could not read it.
     pub fn read(&mut self, key: u8) -> Result<Option<&[u8]>, StorageError> {
-        if self.lost & bit(key) != 0 {
+        if self.lost & key_bit(key) != 0 {
             return Err(StorageError::Damaged);
         }
-        let decided = if self.recovered { 0 } else { self.generations(DECISION)?[place(key)] };
+        let decided = if self.recovered { 0 } else { self.generations(DECISION_KEY)?[catalogue_place(key)] };
         if decided == 0 {
-            return self.current(key);
+            return self.current_entry(key);
         }
-        match self.fetch(STAGED | key)? {
+        match self.fetch(STAGED_BIT | key)? {
             Some(StampedEntry(found, entry)) if found == decided => Ok(Some(entry)),
             _ => Err(StorageError::Damaged),
         }
     }
 
-    fn current(&mut self, key: u8) -> Result<Option<&[u8]>, StorageError> {
-        let known = self.generations(CATALOGUE)?[place(key)];
+    fn current_entry(&mut self, key: u8) -> Result<Option<&[u8]>, StorageError> {
+        let known = self.generations(CATALOGUE_KEY)?[catalogue_place(key)];
         let entry = self.fetch(key)?;
         if is_older(entry.as_ref().map_or(0, |entry| entry.0), known) {
             return Err(StorageError::Damaged);
@@ -310,18 +294,17 @@ impl<'b, F: NorFlash> Storage<'b, F> {
         Ok(entry.map(|entry| entry.1))
     }
 
-    /// Stores an entry unless it is stored already, and reads it back. Stalls the program while the flash works; the
-    /// bridges must be off.
+    /// Stores an entry unless it is stored already, and reads it back. Stalls the program, so bridges must be off.
     pub fn write(&mut self, key: u8, value: &[u8]) -> Result<(), StorageError> {
         self.with_writing(|storage| {
             storage.recover()?;
-            storage.put(key, value)
+            storage.write_and_check(key, value)
         })
     }
 
-    fn put(&mut self, key: u8, value: &[u8]) -> Result<(), StorageError> {
-        let mut catalogue = self.generations(CATALOGUE)?;
-        let known = &mut catalogue[place(key)];
+    fn write_and_check(&mut self, key: u8, value: &[u8]) -> Result<(), StorageError> {
+        let mut catalogue = self.generations(CATALOGUE_KEY)?;
+        let known = &mut catalogue[catalogue_place(key)];
         if let Some(StampedEntry(found, entry)) = self.fetch(key)? {
             if found == *known && entry == value {
                 return Ok(());
@@ -330,27 +313,26 @@ impl<'b, F: NorFlash> Storage<'b, F> {
                 *known = found;
             }
         }
-        *known = next(*known);
+        *known = next_generation(*known);
         let stamped = StampedEntry(*known, value);
         self.store(key, &stamped)?;
-        self.store(CATALOGUE, &StampedEntry(COUNTED, &catalogue))?;
-        if self.current(key)? == Some(value) { Ok(()) } else { Err(StorageError::NotKept) }
+        self.store(CATALOGUE_KEY, &StampedEntry(GENERATION_BIT, &catalogue))?;
+        if self.current_entry(key)? == Some(value) { Ok(()) } else { Err(StorageError::NotKept) }
     }
 
-    /// Stages the next entry of a setting; it becomes valid with the [`Storage::commit`] that contains its key.
-    /// Replaces the setting's earlier staged entry.
+    /// Stages the next entry of a setting, in place of an earlier staged entry. [`Storage::commit`] makes it valid.
     pub fn stage(&mut self, key: u8, value: &[u8]) -> Result<(), StorageError> {
         self.with_writing(|storage| storage.put_staged(key, value))
     }
 
     fn put_staged(&mut self, key: u8, value: &[u8]) -> Result<(), StorageError> {
         self.recover()?;
-        let staged_key = STAGED | key;
-        let generation = next(self.fetch(staged_key)?.map_or(0, |found| found.0));
+        let staged_key = STAGED_BIT | key;
+        let generation = next_generation(self.fetch(staged_key)?.map_or(0, |found| found.0));
         self.store(staged_key, &StampedEntry(generation, value))?;
         match self.fetch(staged_key)? {
             Some(StampedEntry(found, entry)) if found == generation && entry == value => {
-                self.staged[place(key)] = generation;
+                self.staged[catalogue_place(key)] = generation;
                 Ok(())
             }
             _ => Err(StorageError::NotKept),
@@ -359,17 +341,16 @@ impl<'b, F: NorFlash> Storage<'b, F> {
 
     /// Returns the staged entry of a setting.
     pub fn staged(&mut self, key: u8) -> Result<Option<&[u8]>, StorageError> {
-        let known = self.staged[place(key)];
+        let known = self.staged[catalogue_place(key)];
         if known == 0 {
             return Ok(None);
         }
-        Ok(self.fetch(STAGED | key)?.filter(|found| found.0 == known).map(|found| found.1))
+        Ok(self.fetch(STAGED_BIT | key)?.filter(|found| found.0 == known).map(|found| found.1))
     }
 
-    /// Makes the staged entries of these settings valid: all or, after a power cut, none.
-    ///
-    /// Errors: [`StorageError::NotKept`] if an entry was not staged since the start, [`StorageError::Unsettled`] if the
-    /// flash keeps failing. After all other errors, nothing has changed.
+    /// Makes the staged entries of these settings valid. After a power cut, either all are valid or none. Returns
+    /// [`StorageError::NotKept`] if an entry was not staged since the start, [`StorageError::Unsettled`] if the flash
+    /// keeps failing. After any other error, nothing has changed.
     pub fn commit(&mut self, keys: &[u8]) -> Result<(), StorageError> {
         self.with_writing(|storage| storage.decide(keys))
     }
@@ -378,17 +359,17 @@ impl<'b, F: NorFlash> Storage<'b, F> {
         self.recover()?;
         let mut decision = [0; SETTINGS];
         for key in keys {
-            decision[place(*key)] = self.staged[place(*key)];
-            if decision[place(*key)] == 0 {
+            decision[catalogue_place(*key)] = self.staged[catalogue_place(*key)];
+            if decision[catalogue_place(*key)] == 0 {
                 return Err(StorageError::NotKept);
             }
         }
         self.staged = [0; SETTINGS];
-        // From here on, a pending decision must be carried out before any other read or write.
+        // A pending decision must be carried out before any other read or write.
         self.recovered = false;
-        if let Err(error) = self.store(DECISION, &StampedEntry(COUNTED, &decision)) {
-            // The decision may be stored despite the error.
-            let taken_back = self.store(DECISION, &StampedEntry(COUNTED, &[0; SETTINGS]));
+        if let Err(error) = self.store(DECISION_KEY, &StampedEntry(GENERATION_BIT, &decision)) {
+            // The decision may be stored in spite of the error.
+            let taken_back = self.store(DECISION_KEY, &StampedEntry(GENERATION_BIT, &[0; SETTINGS]));
             return Err(if taken_back.is_ok() { error } else { StorageError::Unsettled });
         }
         self.recover().or_else(|_| self.recover()).map_err(|_| StorageError::Unsettled)
@@ -399,34 +380,34 @@ impl<'b, F: NorFlash> Storage<'b, F> {
         if self.recovered {
             return Ok(());
         }
-        let decision = self.generations(DECISION)?;
-        for key in (1..DECISION).filter(|key| decision[place(*key)] != 0) {
-            self.settle(key, decision[place(key)])?;
+        let decision = self.generations(DECISION_KEY)?;
+        for key in (1..DECISION_KEY).filter(|key| decision[catalogue_place(*key)] != 0) {
+            self.move_to_setting(key, decision[catalogue_place(key)])?;
         }
         if decision != [0; SETTINGS] {
-            self.store(DECISION, &StampedEntry(COUNTED, &[0; SETTINGS]))?;
+            self.store(DECISION_KEY, &StampedEntry(GENERATION_BIT, &[0; SETTINGS]))?;
         }
         self.recovered = true;
         Ok(())
     }
 
-    /// Moves the staged entry of this generation to its setting's key. If the staged entry is damaged, the setting
-    /// counts as damaged, because the decision made its earlier value invalid.
+    /// Moves the staged entry of this generation to its setting's key. The setting counts as damaged if the staged
+    /// entry is, because the decision made the earlier value invalid.
     #[inline(never)]
-    fn settle(&mut self, key: u8, generation: Generation) -> Result<(), StorageError> {
+    fn move_to_setting(&mut self, key: u8, generation: Generation) -> Result<(), StorageError> {
         let mut copy = [0; LONGEST_STORED / 2];
-        let length = match self.fetch(STAGED | key)? {
+        let length = match self.fetch(STAGED_BIT | key)? {
             Some(StampedEntry(found, entry)) if found == generation => {
                 copy.get_mut(..entry.len()).ok_or(StorageError::Full)?.copy_from_slice(entry);
                 entry.len()
             }
             _ => {
-                let mut catalogue = self.generations(CATALOGUE)?;
-                let known = &mut catalogue[place(key)];
-                *known = next(*known);
-                return self.store(CATALOGUE, &StampedEntry(COUNTED, &catalogue));
+                let mut catalogue = self.generations(CATALOGUE_KEY)?;
+                let known = &mut catalogue[catalogue_place(key)];
+                *known = next_generation(*known);
+                return self.store(CATALOGUE_KEY, &StampedEntry(GENERATION_BIT, &catalogue));
             }
         };
-        self.put(key, copy.get(..length).unwrap_or_default())
+        self.write_and_check(key, copy.get(..length).unwrap_or_default())
     }
 }

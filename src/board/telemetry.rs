@@ -1,9 +1,9 @@
-//! Telemetry: the numbers of a step that can be streamed, and their packing into batches.
+//! Telemetry: the quantities of a step that can be streamed, and their packing into batches.
 //!
 //! A batch holds consecutive rows (every `divider`-th step) of the selected fields, each number in as many bytes as it
-//! needs. A gap starts a new batch, so a reader knows the step of every row and counts losses exactly: missing steps,
-//! and the board's own count of dropped rows. Every batch carries the number that the tool gave its stream, so that a
-//! tool can ignore batches left on the link by a tool that ended early.
+//! needs. A gap starts a new batch, so a reader knows the step of every row. It counts losses exactly by missing steps
+//! and by the board's own count of dropped rows. Every batch carries its stream's number, so that a tool can ignore an
+//! earlier tool's batches.
 
 use crate::control::frame::StepRecord;
 use crate::model::catalogue::MAX_JOINTS;
@@ -12,8 +12,8 @@ use heapless::Vec;
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize, Serializer};
 
-/// Maximum length of a batch's rows, bytes. Shorter batches need more bytes in total, longer ones delay replies: 728
-/// bytes are twelve USB packets, 0.6 ms.
+/// Maximum length of a batch's rows, bytes: twelve USB packets, 0.6 ms. Shorter batches cost bytes, longer ones delay
+/// replies.
 pub const BATCH_BYTES: usize = 728;
 
 /// Encoding of a number, least significant byte first.
@@ -37,7 +37,6 @@ impl Kind {
     }
 }
 
-/// A type of numbers in telemetry.
 trait Number {
     const KIND: Kind;
 }
@@ -56,7 +55,7 @@ impl Number for u8 {
 
 macro_rules! fields {
     ($($Name:ident = $bit:literal, $name:literal, $unit:literal, $vector:literal, |$frame:ident, $i:ident| $value:expr => $Type:ty, $meaning:literal;)*) => {
-        /// A number, or one number per axis, of a telemetry row.
+        /// A quantity of a telemetry row: a number, or one number per axis.
         #[derive(Clone, Copy, Debug, PartialEq, Eq)]
         pub enum Field { $(#[doc = $meaning] $Name,)* }
 
@@ -88,8 +87,8 @@ macro_rules! fields {
             pub const fn kind(self) -> Kind {
                 match self { $(Field::$Name => <$Type as Number>::KIND,)* }
             }
-            /// Passes the bytes of each number of the `wanted` fields, for a device with `axes` joints, to `number`, in
-            /// the order of the columns.
+            /// Passes the bytes of each number of the `wanted` fields to `number`, in the order of the columns, for
+            /// `axes` joints.
             #[inline(always)]
             fn for_each_number(wanted: Fields, axes: usize, frame: &StepRecord, mut number: impl FnMut(&[u8])) {
                 $(if wanted.0 & Field::$Name.bit() != 0 {
@@ -136,7 +135,7 @@ fields! {
         "Bus voltage; 0 if it is not measured";
     Counts = 13, "counts", "", true, |frame, i| frame.counts[i] => i32,
         "Encoder counts, 32 bits, wrapping, before homing";
-    // 0 disarmed, 1 armed, 2 checking polarity, 3 fault; plus 16 for each touched wall.
+    // Values: 0 disarmed, 1 armed, 2 checking polarity, 3 fault; plus 16 for each touched wall.
     State = 14, "state", "", false, |frame, _i| frame.state as u8 | frame.at.walls.contacts << 4 => u8,
         "The board's state as a word, and the number of touched walls (`contacts`)";
 }
@@ -184,7 +183,6 @@ const _: () = assert!(
     "a row fits into a batch, and the number of walls into the state's byte"
 );
 
-/// Returns the bits of all fields.
 const fn all_bits() -> u32 {
     let (mut bits, mut i) = (0, 0);
     while i < Field::ALL.len() {
@@ -210,7 +208,7 @@ pub struct StreamRequest {
 pub struct Batch {
     /// Number of the [`StreamRequest`].
     pub stream: u32,
-    /// Number of this batch since the stream started: a gap means the link lost some.
+    /// Number of this batch since the stream started. A gap means that the link lost batches.
     pub number: u32,
     /// Control step of the first row.
     pub first_step: u32,
@@ -222,7 +220,7 @@ pub struct Batch {
     pub axes: u8,
     /// Bits of [`Fields`].
     pub fields: u32,
-    /// The rows in sequence, each in the order of [`Field::ALL`], each number encoded as its [`Field::kind`].
+    /// Rows in sequence, each in the order of [`Field::ALL`], each number encoded as its [`Field::kind`].
     #[serde(serialize_with = "in_one_piece")]
     pub rows: Vec<u8, BATCH_BYTES>,
 }
@@ -240,7 +238,7 @@ pub trait Frames {
     fn drop_first(&mut self);
 }
 
-/// Packs frames into batches: one batch is filled while the other is sent.
+/// Packs frames into batches. One batch is filled while the other is sent.
 #[derive(Clone, Debug, Default)]
 pub struct Packer {
     batches: [Batch; 2],
@@ -279,7 +277,7 @@ impl Packer {
     }
 
     /// Adds a frame for which [`Packer::wants`] is true. `dropped` is the number of rows lost on the board so far.
-    /// Returns a batch if this frame fills it or does not continue it.
+    /// Returns a batch if the frame fills it or does not continue it.
     pub fn push(&mut self, frame: &StepRecord, dropped: u32) -> Option<&Batch> {
         let batch = &self.batches[self.filling & 1];
         let rows = batch.rows.len().checked_div(self.width).unwrap_or(0) as u32;
@@ -303,8 +301,8 @@ impl Packer {
         full.map(|full| &self.batches[full & 1])
     }
 
-    /// Packs the frames of a queue up to the first full batch and returns this batch. If no batch is full and rows have
-    /// waited too long (`late`), returns the unfinished batch.
+    /// Packs the frames of a queue up to the first full batch and returns this batch. Returns the unfinished batch if
+    /// no batch is full and rows have waited too long (`late`).
     pub fn drain(&mut self, frames: &mut impl Frames, dropped: u32, late: bool) -> Option<&Batch> {
         let mut full = false;
         while !full && let Some(frame) = frames.first() {
@@ -317,7 +315,7 @@ impl Packer {
         full.then(|| &self.batches[!self.filling & 1])
     }
 
-    /// Returns the unfinished batch, if it holds a row. Call on a slow stream, so that rows do not wait.
+    /// Returns the unfinished batch if it holds a row. Call on a slow stream, so that rows do not wait.
     pub fn flush(&mut self) -> Option<&Batch> {
         if self.batches[self.filling & 1].rows.is_empty() {
             return None;
@@ -351,7 +349,7 @@ mod tests {
         Depth = 6, "depth", "mm", false, |frame, _i| (-1000.0 * frame.at.walls.distance) as i32 => i32, "Depth in the deepest wall";
     }
 
-    /// All properties of a field come from its line in the table.
+    /// Checks that all properties of a field come from its line in the table.
     #[test]
     fn a_field_needs_only_one_line() {
         let walls = AtWalls { distance: -0.5, ..AtWalls::default() };

@@ -1,6 +1,6 @@
-//! The checks at the carrier's valley, right after the drives of the crest before it: the tip force of the measured
-//! currents; each motor against its device file; and, one joint in turn, harm that builds up over many carrier periods
-//! (heat, stalls, lost encoders) and takes milliseconds at least.
+//! The checks at the carrier's valley, right after the drives of the preceding crest: the tip force of the measured
+//! currents, and each motor against its device file. Heat, stalls and lost encoders build up over milliseconds at
+//! least, so each valley checks them for one joint in turn.
 
 use super::ControlLoop;
 use crate::control::frame::{Outputs, Samples};
@@ -20,101 +20,98 @@ pub const STALL_SECONDS: f32 = 5.0;
 /// Longest time that an encoder may stand still while the back-EMF shows a turning joint, s.
 pub const LOSS_SECONDS: f32 = 0.05;
 
-/// The sums kept for one joint.
+/// Sums of one joint for the checks of heat, stalls and lost encoders.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Sums {
-    /// Encoder count at the joint's last turn.
+    /// Encoder count when the joint was last checked.
     count: i32,
-    /// Sum of the squared motor current since then, A².
+    /// Sum of the squared motor current since the last check, A².
     squares: f32,
-    /// Time without a count in spite of torque, s, and the torque that moves any joint that is not blocked, N m.
+    /// Time without a count in spite of torque, s. `stall` is the torque that moves any unblocked joint, N m.
     still: f32,
     stall: f32,
-    /// Time without a count in spite of back-EMF, s, and the lowest speed at which counts must change, rad/s.
+    /// Time without a count in spite of back-EMF, s. From the speed `suspicious` (rad/s) on, counts must change.
     lost: f32,
     suspicious: f32,
 }
 
 impl Sums {
-    /// Clears the times of the last time that the motors were on; the heat stays.
+    /// Clears the times without a count; the heat is kept.
     pub(super) fn reset(&mut self) {
         (self.still, self.lost) = (0.0, 0.0);
     }
 
-    /// Takes the motor's largest torque (N m) and the joint's speed limit (rad/s).
+    /// Sets the thresholds from the motor's largest torque (N m) and the joint's speed limit (rad/s).
     pub(super) fn set_limits(&mut self, torque: f32, speed: f32) {
         self.stall = if torque > 0.0 { 0.8 * torque } else { f32::INFINITY };
         self.suspicious = 0.25 * speed;
     }
 }
 
-/// Averaging time of the force that is compared with the limit, s: a few carrier periods far above the limit trip.
-const FLOW_SECONDS: f32 = 5.0e-4;
-/// Ratio by which the force that the voltages show is averaged for longer: where the currents show it too, ForceLimit
-/// is first.
-const SHOWN_SLOWER: f32 = 4.0;
-/// Ratio by which measured currents may exceed the largest commanded force: the current loop's overshoot.
-const FLOW_MARGIN: f32 = 1.05;
-/// Largest share of the limit that the sensors' error may hide: near a singular pose a torque too small to be measured
-/// is a large force.
-const HIDDEN_SHARE: f32 = 0.05;
-/// Known error of a current sensor's mean over that time, A: its zero and its noise.
-const SENSOR_ERROR: f32 = 0.05;
-/// Share of the limit that the sensors' readings may be worth while the bridges are off.
-const STRAY_SHARE: f32 = 0.5;
+/// Averaging time of the tip force that is compared with the limit, s. A few carrier periods far above the limit trip.
+const FORCE_AVERAGING_SECONDS: f32 = 5.0e-4;
+/// Factor of the averaging time for the force that voltages show, so that the force of measured currents trips first.
+const VOLTAGE_AVERAGING_FACTOR: f32 = 4.0;
+/// Ratio by which measured currents may exceed the largest commanded force, because the current loop overshoots.
+const CURRENT_FORCE_MARGIN: f32 = 1.05;
+/// Largest share of the force limit that the sensors' error may hide. Near a singular pose, a torque too small to be
+/// measured is a large force.
+const MAX_HIDDEN_FORCE_SHARE: f32 = 0.05;
+/// Error of the mean reading of a current sensor over [`FORCE_AVERAGING_SECONDS`], A: its zero and its noise.
+const CURRENT_SENSOR_ERROR: f32 = 0.05;
+/// Largest share of the force limit that the sensors may show while the bridges are off.
+const MAX_STRAY_FORCE_SHARE: f32 = 0.5;
 /// Time in which currents and their mean force follow a lowered limit, s.
 const SETTLING_SECONDS: f32 = 5.0e-3;
-/// Rate at which the forces at the tip for joint torques are recomputed, Hz: a tip at 1 m/s moves by half a millimetre
-/// meanwhile.
+/// Rate at which the leverage is recomputed, Hz. A tip at 1 m/s moves by half a millimetre between two computations.
 const LEVERAGE_HZ: f32 = 2.0e3;
-
-/// Share by which leverage may change at once before the commanded force is reduced: the margin of the flow's limit.
-const CHANGE_FREE: f32 = 0.02;
+/// Relative change of leverage that does not reduce the commanded force, because [`CURRENT_FORCE_MARGIN`] covers it.
+const FREE_LEVERAGE_CHANGE: f32 = 0.02;
 /// Share of the largest recent change that is kept at the next recomputation.
-const CHANGE_KEPT: f32 = 0.75;
+const LEVERAGE_CHANGE_DECAY: f32 = 0.75;
 
-/// The measured currents as forces at the tip.
+/// Forces at the tip that the measured currents make.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Flow {
-    /// Means of the torques that the sensors show while no bridge drives, N m, and the gain of a sample.
+    /// Mean torques that the sensors show while no bridge drives, N m. `gain` is the weight of a new sample.
     torque: Torques,
     gain: f32,
-    /// Mean force (N) of the measured currents beyond the device's weight, and its limit.
+    /// Mean force of the measured currents beyond the device's weight, N. `most` is its limit.
     force: f32,
     most: f32,
-    /// Mean force (N) that the motors' voltages show while one of them is inspected, and the number of such valleys
-    /// since leverage was recomputed.
+    /// Mean force that the motors' voltages show while a motor is inspected, N. `inspected` counts the valleys with an
+    /// inspection since leverage was recomputed.
     shown: f32,
     inspected: u32,
-    /// Share by which leverage recently changed at once. Where links are nearly in line, a count of a coarse encoder
-    /// changes it by a tenth, and the joint was up to half a count nearer before.
+    /// Relative change of leverage in recent recomputations. Where links are nearly in line, one count of a coarse
+    /// encoder changes leverage by a tenth.
     change: f32,
-    /// Valleys until leverage is recomputed, and the number between two recomputations.
+    /// Valleys until leverage is recomputed. `every` is the number of valleys between two recomputations.
     until_weighed: u32,
     every: u32,
-    /// Leverage that one valley computes, the next one compares with the present one, and a third one applies: a control
-    /// interrupt has no time for all of this; and true once it is compared.
+    /// Leverage in work, because a valley has no time for all of it: one valley computes it, the next compares it with
+    /// the present leverage, and a third applies it. `compared` is true after the second.
     next: Option<Leverage>,
     compared: bool,
-    /// Time for which the force allowed before a limit was lowered may still flow, s.
+    /// Time for which the earlier, larger force may still flow after the limit was lowered, s.
     settling: f32,
 }
 
 impl Flow {
-    /// Clears the state of the last time that the motors were on.
+    /// Clears the state of the previous armed time.
     pub(super) fn reset(&mut self) {
         *self = Self { gain: self.gain, every: self.every, ..Self::default() };
     }
 
-    /// Allows for a lowered limit, which acts on the commands of the next step, after at most `period` (s); the
-    /// currents and their mean force follow.
+    /// Allows the earlier force until a lowered limit takes effect: one control `period` (s) plus the currents'
+    /// settling.
     pub(super) fn settle(&mut self, period: f32) {
         self.settling = period + SETTLING_SECONDS;
     }
 
     /// Sets the carrier period, s.
     pub(super) fn set_period(&mut self, period: f32) {
-        self.gain = (period / FLOW_SECONDS).min(1.0);
+        self.gain = (period / FORCE_AVERAGING_SECONDS).min(1.0);
         self.every = (1.0 / (period * LEVERAGE_HZ)) as u32;
     }
 }
@@ -125,32 +122,32 @@ where
     K: Math<f32>,
     S: Stage,
 {
-    /// Sums up the samples of the crest before (`seen`), and returns the outputs that may go on driving. Call at every
-    /// valley, after [`ControlLoop::duties`].
+    /// Checks heat, stalls, lost encoders and the tip force with the samples of the preceding crest (`seen`), and
+    /// returns the state of the bridges. Call at every valley, after [`ControlLoop::duties`].
     pub fn check_slow_faults(&mut self, seen: &Samples) -> Outputs {
-        let seen = &self.known(seen);
+        let seen = &self.complete_samples(seen);
         let supplied = core::mem::take(&mut self.supplied);
         let sensed = self.hardware.bridge.current_sensed && self.hardware.bus_sensed;
         self.check_slow_faults_of(seen, (supplied > 0.0).then_some(supplied), sensed);
         self.outputs()
     }
 
-    /// [`ControlLoop::check_slow_faults`] with the bus voltage (V) that `supplied` the drives since the last valley,
-    /// `None` without drives. `sensed`: currents and bus voltage are measured.
+    /// [`ControlLoop::check_slow_faults`] with the bus voltage `supplied` to the drives since the last valley, V;
+    /// `None` without drives. `sensed` is true if currents and bus voltage are measured.
     #[inline(always)]
     pub(super) fn check_slow_faults_of(&mut self, seen: &Samples, supplied: Option<f32>, sensed: bool) {
         let active = self.state.drives();
         if active {
             match self.count() {
-                2 => self.doubt::<2>(seen, supplied),
-                3 => self.doubt::<3>(seen, supplied),
-                _ => self.doubt::<1>(seen, supplied),
+                2 => self.check_motors_and_force::<2>(seen, supplied),
+                3 => self.check_motors_and_force::<3>(seen, supplied),
+                _ => self.check_motors_and_force::<1>(seen, supplied),
             }
             // Only a slow carrier has time for both.
-            if !self.check_at_valley() || self.flow.every == 0 {
+            if !self.check_polarity_at_valley() || self.flow.every == 0 {
                 match self.flow.until_weighed.checked_sub(1) {
                     Some(valleys) => self.flow.until_weighed = valleys,
-                    None => self.weigh(&seen.counts),
+                    None => self.advance_leverage(&seen.counts),
                 }
             }
         } else {
@@ -160,7 +157,7 @@ where
         let i = if self.turn < joints { self.turn } else { 0 };
         self.turn = i + 1;
         if joints > 0
-            && let Some((fault, value)) = self.spent(i, seen, sensed, active)
+            && let Some((fault, value)) = self.spent_budget(i, seen, sensed, active)
             && active
         {
             self.trip(fault, Some(i as u8), value);
@@ -175,16 +172,15 @@ where
         }
     }
 
-    /// Checks the readings while the bridges are off. Such a current flows through a broken bridge, or is an error of
-    /// the sensors, which no limit of measured currents bounds: its force at the tip must be less than half of the
-    /// limit.
-    pub(super) fn find_stray(&mut self) -> Result<(), Refusal> {
+    /// Returns an error if the currents that the sensors show while the bridges are off make half of the limit's tip
+    /// force. Such a current flows through a broken bridge, or is a sensor error that hides a force as large.
+    pub(super) fn refuse_stray_current(&mut self) -> Result<(), Refusal> {
         if let Some(leverage) = self.leverage_at(&{ self.now.counts }) {
-            self.compare(&leverage);
+            self.compare_leverage(&leverage);
             self.leverage = leverage;
-            self.allow();
+            self.update_force_bounds();
         }
-        let most = STRAY_SHARE * self.rules.limits.tip_force;
+        let most = MAX_STRAY_FORCE_SHARE * self.rules.limits.tip_force;
         if margin_bits(self.leverage.force_squared(&self.flow.torque), most * most) >= 0 {
             return Ok(());
         }
@@ -198,9 +194,9 @@ where
 
     /// Checks the currents and voltages of J joints against their motors' models, and the tip force against its limit.
     #[inline(always)]
-    fn doubt<const J: usize>(&mut self, seen: &Samples, supplied: Option<f32>) {
+    fn check_motors_and_force<const J: usize>(&mut self, seen: &Samples, supplied: Option<f32>) {
         let mut least = 0;
-        let held = self.held();
+        let held = self.gravity_torques();
         let mut acting = Torques::default();
         let motors = self.joints.iter_mut().zip(seen.currents.iter()).zip(acting.iter_mut().zip(held.iter()));
         for ((joint, current), (acting, held)) in motors.take(J) {
@@ -222,7 +218,7 @@ where
 
     /// Returns the part of the commanded torques that holds the device against gravity, N m.
     #[inline(always)]
-    fn held(&self) -> Torques {
+    fn gravity_torques(&self) -> Torques {
         match self.state {
             // The torque that carried the weight may still fade in a scene without gravity compensation.
             State::Armed if self.was_cut() => self.cut.gravity,
@@ -231,57 +227,55 @@ where
         }
     }
 
-    /// Returns the leverage at these counts.
     #[inline(never)]
     fn leverage_at(&self, counts: &Counts) -> Option<Leverage> {
         let program = self.program.as_ref()?;
         Some(program.mechanism.leverage::<K>(&core::array::from_fn(|i| self.angle(i, counts[i]))))
     }
 
-    /// Takes a part of the work on the leverage at these counts.
+    /// Runs the next part of the recomputation of the leverage, at these counts.
     #[inline(never)]
-    fn weigh(&mut self, counts: &Counts) {
+    fn advance_leverage(&mut self, counts: &Counts) {
         let Some(leverage) = self.flow.next else {
             self.flow.next = self.leverage_at(counts);
             self.flow.compared = false;
             return;
         };
         if !core::mem::replace(&mut self.flow.compared, true) {
-            self.compare(&leverage);
-            // A slow carrier has time for both.
+            self.compare_leverage(&leverage);
+            // A slow carrier has time to compute and compare in one valley.
             if self.flow.every > 0 {
                 return;
             }
         }
         self.flow.next = None;
         self.leverage = leverage;
-        self.allow();
+        self.update_force_bounds();
     }
 
-    /// Compares this leverage with the present one.
     #[inline(always)]
-    fn compare(&mut self, leverage: &Leverage) {
+    fn compare_leverage(&mut self, leverage: &Leverage) {
         let change = leverage.relative_change_from(&self.leverage).lesser(1.0);
         if change > 0.0 {
-            self.flow.change = change.greater(CHANGE_KEPT * self.flow.change);
+            self.flow.change = change.greater(LEVERAGE_CHANGE_DECAY * self.flow.change);
         }
     }
 
-    /// Computes the largest force that may flow at this leverage and the largest commanded force, which stays within
-    /// the limit if leverage changes as it did recently.
-    pub(super) fn allow(&mut self) {
+    /// Computes the largest force that may flow at the present leverage. Also computes the largest commanded force,
+    /// which stays within the limit if leverage changes as in recent recomputations.
+    pub(super) fn update_force_bounds(&mut self) {
         let (count, limit) = (self.count(), self.rules.limits.tip_force);
-        let (mut error, free) = (0.0, (VOLTS_MARGIN - FLOW_MARGIN) * limit / count.max(1) as f32);
+        let (mut error, free) = (0.0, (VOLTS_MARGIN - CURRENT_FORCE_MARGIN) * limit / count.max(1) as f32);
         for (i, joint) in self.joints.iter_mut().enumerate().take(count) {
             let leverage = self.leverage.force_bound(i);
-            error += leverage * joint.stage.torque_of(SENSOR_ERROR).abs();
-            // Smaller torques of all motors add up to at most the bound of the force that the voltages show.
+            error += leverage * joint.stage.torque_of(CURRENT_SENSOR_ERROR).abs();
+            // Smaller torques of all motors make at most the force that the voltages may show without an inspection.
             joint.stage.inspect_above(free / leverage);
         }
-        self.set_max_tip_force(limit / (1.0 + (self.flow.change - CHANGE_FREE).greater(0.0)));
-        let most = FLOW_MARGIN * limit + error.lesser(HIDDEN_SHARE * limit);
+        self.set_max_tip_force(limit / (1.0 + (self.flow.change - FREE_LEVERAGE_CHANGE).greater(0.0)));
+        let most = CURRENT_FORCE_MARGIN * limit + error.lesser(MAX_HIDDEN_FORCE_SHARE * limit);
         let flow = &mut self.flow;
-        // The comparison has taken a valley.
+        // One of the valleys was used for the comparison.
         flow.until_weighed = flow.every.saturating_sub(1);
         if core::mem::take(&mut flow.inspected) == 0 {
             flow.shown = 0.0;
@@ -294,7 +288,7 @@ where
         }
     }
 
-    /// Finds the motor that differs from the device file, if any, and turns the motors off.
+    /// Finds the motor that differs from the device file and turns the motors off. Does nothing if all agree.
     #[cold]
     #[inline(never)]
     fn find_strained(&mut self, held: &Torques) {
@@ -308,9 +302,10 @@ where
             Torques::from_fn(|i| self.joints[i].stage.torque_of(self.joints[i].stage.current_from_voltage()) - held[i]);
         let force = sqrt(self.leverage.force_squared(&shown));
         let flow = &mut self.flow;
-        flow.shown += flow.gain / SHOWN_SLOWER * (force - flow.shown);
+        flow.shown += flow.gain / VOLTAGE_AVERAGING_FACTOR * (force - flow.shown);
         flow.inspected += 1;
-        let hard = margin_bits(flow.shown, VOLTS_MARGIN / (FLOW_MARGIN + HIDDEN_SHARE) * flow.most) < 0;
+        let hard =
+            margin_bits(flow.shown, VOLTS_MARGIN / (CURRENT_FORCE_MARGIN + MAX_HIDDEN_FORCE_SHARE) * flow.most) < 0;
         let strained = self.joints.iter().enumerate().take(joints).filter_map(|(i, joint)| {
             let (strain, doubt, most) = joint.stage.strain();
             let bound = if hard { doubt } else { most };
@@ -321,17 +316,16 @@ where
         };
         // If the current is as expected and only motion explains the voltage, the encoder is dead.
         let (fault, value) = if joint.stage.has_expected_current() && joint.stands_still() {
-            (Fault::EncoderLoss, joint.stage.turning(strain))
+            (Fault::EncoderLoss, joint.stage.speed_of_back_emf(strain))
         } else {
             (Fault::MotorModel, strain)
         };
         self.trip(fault, Some(i as u8), value);
     }
 
-    /// Sums up the heat and times of joint `i`, whose turn it is. Returns the fault if a budget is spent, with its
-    /// value.
+    /// Updates the heat and times of joint `i`. Returns the fault and its value if a budget is spent.
     #[inline(always)]
-    fn spent(&mut self, i: usize, seen: &Samples, sensed: bool, active: bool) -> Option<(Fault, f32)> {
+    fn spent_budget(&mut self, i: usize, seen: &Samples, sensed: bool, active: bool) -> Option<(Fault, f32)> {
         let period = self.crests.period;
         let elapsed = period * self.count() as f32;
         let (joint, motor) = (self.joints.get_mut(i)?, self.heat.get_mut(i)?);
@@ -340,7 +334,7 @@ where
         let mut spent = None;
         let moved = core::mem::replace(&mut sums.count, count) != count;
         let heat = limited(core::mem::take(&mut sums.squares) * period, f32::MAX);
-        // The heat is updated while the motors are off, too, because then they cool.
+        // The heat is also updated while the motors are off, because they cool.
         if motor.warm(heat, elapsed) {
             spent = Some((Fault::ThermalBudget, current));
         }
@@ -353,7 +347,7 @@ where
                     spent = Some((Fault::EncoderStall, sums.still));
                 }
             }
-            // The motor's voltage less R i is its back-EMF: if that shows several rad/s, counts must change.
+            // The motor's voltage less R i is its back-EMF. If it corresponds to several rad/s, counts must change.
             if sensed {
                 let turning = joint.stage.least_speed(motors.duty[i], seen.bus_voltage, current);
                 sums.lost = if turning.abs() > sums.suspicious { sums.lost + elapsed } else { 0.0 };

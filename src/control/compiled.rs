@@ -1,7 +1,7 @@
-//! The control loop as the board runs it: with the board's precision and trigonometry, compiled once, here.
+//! The control loop as the board runs it, compiled once in this module with the board's precision and trigonometry.
 //!
 //! The firmware's image is optimized for size and this crate for speed, but generic code is compiled in the crate that
-//! uses it. The control interrupt calls this module's functions; no others of the control loop are time-critical.
+//! uses it. The control interrupt therefore calls only functions of this module.
 
 use crate::control::ControlLoop;
 use crate::control::frame::{Outputs, Samples, StepRecord};
@@ -14,13 +14,10 @@ use core::mem::MaybeUninit;
 
 /// The board's trigonometry.
 pub type BoardMath = Tabulated;
-
-/// The board's handle to a program: a reference to its buffer, so that handing it over moves a pointer.
+/// The board's handle to a program: a reference to its buffer, so that a program is handed over without a copy.
 pub type BoardProgram = &'static mut Program<BoardMath>;
-
 /// Compare values of each bridge's two legs.
 pub type Legs = [[u16; 2]; MAX_JOINTS];
-
 /// The control loop of the board.
 pub type BoardControlLoop = ControlLoop<BoardProgram>;
 
@@ -33,14 +30,14 @@ pub fn render(control_loop: &mut BoardControlLoop, counts: &Counts) {
 /// Finishes a crest with a control step after [`render`]: checks the limits, finishes the step and writes the compare
 /// values of every bridge's legs for the next carrier period. Returns true if the bridges may drive.
 ///
-/// `seen` holds a value for every sensor: a board that lacks a sensor fills in what it knows.
+/// `seen` holds a value for every sensor. A board that lacks a sensor fills in commanded values.
 #[inline(always)]
 pub fn crest(control_loop: &mut BoardControlLoop, seen: &Samples, ticks: &Ticks, legs: &mut Legs) -> bool {
     match control_loop.usual {
         2 => crest_of_two(control_loop, seen, ticks, legs),
         3 => crest_of_three(control_loop, seen, ticks, legs),
         1 => crest_of_one(control_loop, seen, ticks, legs),
-        _ => crest_generally(control_loop, seen, true, ticks, legs),
+        _ => crest_of_any_kind(control_loop, seen, true, ticks, legs),
     }
 }
 
@@ -61,17 +58,17 @@ fn crest_of_three(control_loop: &mut BoardControlLoop, seen: &Samples, ticks: &T
     control_loop.crest_of::<3, _>(seen, &seen.currents, &|duty| ticks.legs(duty), legs)
 }
 
-/// Like [`crest`], but for any crest, with a control step if `due`.
+/// Runs any crest, with a control step if `due`, see [`crest`].
 #[cold]
 #[inline(never)]
-pub fn crest_generally(
+pub fn crest_of_any_kind(
     control_loop: &mut BoardControlLoop,
     seen: &Samples,
     due: bool,
     ticks: &Ticks,
     legs: &mut Legs,
 ) -> bool {
-    control_loop.crest_generally(seen, &seen.currents, due, &|duty| ticks.legs(duty), legs)
+    control_loop.crest_of_any_kind(seen, &seen.currents, due, &|duty| ticks.legs(duty), legs)
 }
 
 /// Checks for slow faults at the valley, see [`ControlLoop::check_slow_faults`].
@@ -81,7 +78,7 @@ pub fn check_slow_faults(control_loop: &mut BoardControlLoop, seen: &Samples) ->
     control_loop.outputs()
 }
 
-/// Records the samples of the last crest's step, and writes its frame to `frame` if telemetry streams. Call at the
+/// Records the samples of the last crest's step, and writes its record to `frame` if telemetry streams. Call at the
 /// valley after the step, before [`check_slow_faults`] and any command.
 #[inline(never)]
 pub fn note(control_loop: &mut BoardControlLoop, seen: &Samples, frame: Option<&mut MaybeUninit<StepRecord>>) {

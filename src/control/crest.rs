@@ -1,5 +1,5 @@
-//! The checks at a crest of the carrier, which turn the motors off at any control rate; and, on the board, the whole
-//! work of a crest in one pass (`ControlLoop::crest_of`).
+//! The checks at a crest of the carrier, which turn the motors off at any control rate. On the board,
+//! `ControlLoop::crest_of` does the entire work of a crest in one pass.
 //!
 //! Speed and power come from encoder counts through a filter that no scene, gain or rate changes. A sample is checked
 //! by a few comparisons of bit patterns whose signs are combined; the fault is identified only if one of them fails.
@@ -16,35 +16,33 @@ use crate::safety::fault::Fault;
 use crate::safety::limits::POWER_SECONDS;
 use core::ops::DerefMut;
 
-/// Cutoff of the first-order filter for speed and power limits, Hz: twice the speed limit is seen after 0.6 ms.
-pub const SPEED_HZ: f32 = 200.0;
-/// Lowest cutoff of that filter, Hz.
-const SLOWEST_HZ: f32 = 5.0;
-/// Largest share of the speed limit that a single count may appear as: a coarse encoder is filtered for longer, until
+/// Cutoff of the first-order filter for speed and power limits, Hz. Twice the speed limit is detected after 0.6 ms.
+pub const SPEED_FILTER_HZ: f32 = 200.0;
+/// Lowest cutoff of the filter for speed and power limits, Hz.
+const MIN_SPEED_FILTER_HZ: f32 = 5.0;
+/// Largest share of the speed limit that a single count may appear as. A coarse encoder is filtered for longer, until
 /// the joint has moved by a few counts.
-const COUNT_SHARE: f32 = 0.25;
-
-/// Largest share of the torque limit that a single count may push with when back-EMF is fed forward.
-const KICK_SHARE: f32 = 1.0 / 32.0;
-
-/// Largest difference of two current sensors: a share of the current limit (gains, settling at the edge of the duty)
-/// and amperes (zeros, noise).
+const MAX_COUNT_SPEED_SHARE: f32 = 0.25;
+/// Largest share of the torque limit that a single count may change the torque by when back-EMF is fed forward.
+const MAX_COUNT_TORQUE_SHARE: f32 = 1.0 / 32.0;
+/// Largest difference of two current sensors as a share of the current limit: gains, settling at the duty's edge.
 const IMBALANCE_SHARE: f32 = 0.15;
+/// Largest difference of two current sensors at zero current, A: zeros and noise.
 const IMBALANCE_FLOOR: f32 = 0.5;
-/// Speed below which an encoder counts as still, counts in a carrier period: one count in 1000 periods.
-const STANDSTILL: f32 = 1.0e-3;
+/// Speed below which an encoder stands still, in counts per carrier period: one count in 1000 periods.
+const STANDSTILL_SPEED: f32 = 1.0e-3;
 
-/// A joint and its motor in the order in which a crest needs them: contiguous, so that one address reaches every field.
+/// A joint and its motor. The fields are contiguous in the order of a crest, so that one address reaches every field.
 #[derive(Clone, Copy, Debug, Default)]
 #[repr(C)]
 pub(super) struct Joint<S> {
-    /// Count at the crest before.
+    /// Count at the previous crest.
     count: i32,
-    /// Filtered speed, counts in a carrier period.
+    /// Filtered speed, counts per carrier period.
     speed: f32,
-    /// Speed for the back-EMF's feed-forward, filtered for longer.
+    /// Speed for the back-EMF's feed-forward, with a slower filter, counts per carrier period.
     steady: f32,
-    /// Speed of the last carrier period, unfiltered.
+    /// Unfiltered speed of the last carrier period, counts per carrier period.
     raw: f32,
     bounds: Bounds,
     pub(super) stage: S,
@@ -57,19 +55,18 @@ pub(super) struct Joint<S> {
 struct Bounds {
     /// Largest motion in a carrier period, counts.
     jump: i32,
-    /// Gain of the speed filter.
     gain: f32,
     /// Gain of the filter for back-EMF.
     steady_gain: f32,
-    /// Speed limit, counts in a carrier period.
+    /// Speed limit, counts per carrier period.
     speed: f32,
-    /// Speed of a count in a carrier period, rad/s, with its sign.
+    /// Speed of one count per carrier period, rad/s, with its sign.
     radians: f32,
-    /// First and last count of the range, if it is `limited`.
+    /// First and last count of the joint's range. They apply if `limited`.
     first: i32,
     last: i32,
     limited: bool,
-    /// Measured current above any overshoot of the current loop, A.
+    /// Largest measured current, A, above any overshoot of the current loop.
     current: f32,
     /// Largest difference of two current sensors, A.
     imbalance: f32,
@@ -84,9 +81,9 @@ impl Bounds {
 }
 
 impl<S: Stage> Joint<S> {
-    /// Takes the count of a crest. Returns a negative number if it jumped.
+    /// Stores the count of a crest and updates the speeds. Returns a negative number if the count jumped.
     #[inline(always)]
-    fn turn(&mut self, count: i32) -> i32 {
+    fn update_count(&mut self, count: i32) -> i32 {
         let moved = count.wrapping_sub(self.count);
         self.raw = moved as f32;
         self.speed += self.bounds.gain * (self.raw - self.speed);
@@ -124,7 +121,7 @@ impl<S: Stage> Joint<S> {
         self.steady * self.bounds.radians
     }
 
-    /// Updates the motor's model from the last drive and this bus voltage (V), and returns [`Stage::strain`].
+    /// Updates the motor model with the last drive and the bus voltage (V), and returns [`Stage::strain`].
     #[inline(always)]
     pub(super) fn settle(&mut self, bus_voltage: f32) -> (f32, f32, f32) {
         let (speed, raw) = (self.speed(), self.raw * self.bounds.radians);
@@ -132,29 +129,28 @@ impl<S: Stage> Joint<S> {
         self.stage.strain()
     }
 
-    /// Returns true if the encoder stands still.
     pub(super) fn stands_still(&self) -> bool {
-        self.speed.abs() < STANDSTILL
+        self.speed.abs() < STANDSTILL_SPEED
     }
 }
 
 /// The reason why a crest is unusual.
 #[derive(Clone, Copy, Debug)]
-enum Unusual {
+enum UnusualCrest {
     /// The samples of the crest are beyond a bound.
     Crest,
-    /// The step has begun and found something that must be checked.
+    /// The step has begun and must be checked for a fault.
     Step,
-    /// The scene is not in force, or the limits cut its torques, now or in the step before.
+    /// The scene is not in force, or the limits cut its torques in this step or the previous one.
     Torques,
 }
 
-/// The bounds of all joints together.
+/// Bounds and sums of a crest that all joints share.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Crests {
-    /// True if there was a crest before.
+    /// True after the first crest.
     primed: bool,
-    /// Bus voltage, V.
+    /// Lowest and highest bus voltage, V.
     bus: (f32, f32),
     /// Mean power into the hand and its limit, W.
     power: f32,
@@ -165,14 +161,14 @@ pub(super) struct Crests {
 }
 
 impl Crests {
-    /// Clears the mean of the last time that the motors were on.
+    /// Clears the mean power of the previous armed time.
     pub(super) fn reset(&mut self) {
         self.power = 0.0;
     }
 
-    /// Takes the present power into the hand, W, and returns true if its mean is within the limit.
+    /// Averages the present power into the hand (W), and returns true if the mean is within its limit.
     #[inline(always)]
-    fn allow(&mut self, power: f32) -> bool {
+    fn allows_power(&mut self, power: f32) -> bool {
         self.power += (power - self.power) * self.power_gain;
         self.power <= self.most_power
     }
@@ -184,7 +180,7 @@ where
     K: Math<f32>,
     S: Stage,
 {
-    /// Sets the bounds of all joints together, after anything that they depend on has changed.
+    /// Sets the bounds that all joints share. Call after a change of anything that they depend on.
     pub(super) fn set_crest_bounds(&mut self) {
         let Some(program) = self.program.as_ref() else { return };
         let limits = &self.rules.limits;
@@ -200,7 +196,7 @@ where
         };
     }
 
-    /// Sets the joints' ranges after device or homing has changed.
+    /// Sets the joints' ranges. Call after a change of device or homing.
     pub(super) fn set_ranges(&mut self) {
         let Some(program) = self.program.as_ref() else { return };
         let zero = program.controller.zero();
@@ -219,16 +215,16 @@ where
         let size = scale.abs().max(f32::MIN_POSITIVE);
         let speed = self.rules.limits.speed[i].max(0.0) * period / size;
         let max_current = joint.stage.max_current();
-        let gain = (core::f32::consts::TAU * SPEED_HZ * period)
-            .min((COUNT_SHARE * speed).max(core::f32::consts::TAU * SLOWEST_HZ * period));
+        let gain = (core::f32::consts::TAU * SPEED_FILTER_HZ * period)
+            .min((MAX_COUNT_SPEED_SHARE * speed).max(core::f32::consts::TAU * MIN_SPEED_FILTER_HZ * period));
         // Torque of one count if its back-EMF were fed forward for a complete carrier period.
         let kick = joint.stage.torque_of(joint.stage.back_emf_current(size / period)).abs();
         joint.bounds = Bounds {
-            // A motion is slower than five times the speed limit, and noise is less than four counts.
+            // A real motion is slower than five times the speed limit, and noise is less than four counts.
             jump: ((5.0 * speed) as i32).max(4),
             gain,
             // The current loop removes the back-EMF that a slower filter leaves.
-            steady_gain: gain.min(KICK_SHARE * self.max_joint_torque[i] / kick),
+            steady_gain: gain.min(MAX_COUNT_TORQUE_SHARE * self.max_joint_torque[i] / kick),
             speed,
             radians: scale * program.carrier_hz,
             // The loop overshoots by less than half of the limit.
@@ -238,12 +234,12 @@ where
         };
     }
 
-    /// Runs a crest in one pass, for a device with J joints on a board that senses currents and bus voltage, where a
-    /// control step is due, in time or late: checks the samples, commands the torques that [`ControlLoop::render`]
-    /// computed, and writes the next drives `into` `legs`. Returns false if the motors are off now.
+    /// Runs a crest with a due control step in one pass, for J joints on a board that senses currents and bus voltage.
+    /// Checks the samples, commands the torques that [`ControlLoop::render`] computed, and writes the next drives
+    /// `into` `legs`. Returns false if the motors are off now.
     ///
-    /// Call it if [`ControlLoop::usual`] allows it. It computes the same numbers as [`ControlLoop::crest_generally`],
-    /// which takes over if something turns out to be unusual.
+    /// Call if [`ControlLoop::usual`] is J. Computes the same as [`ControlLoop::crest_of_any_kind`], which unusual
+    /// crests use.
     #[inline(always)]
     pub(super) fn crest_of<const J: usize, L>(
         &mut self,
@@ -252,8 +248,8 @@ where
         into: &impl Fn(S::Drive) -> L,
         legs: &mut [L; MAX_JOINTS],
     ) -> bool {
-        if !self.look_of::<J>(seen) {
-            return self.go_on::<J, L>(Unusual::Crest, seen, samples, into, legs);
+        if !self.check_samples_of::<J>(seen) {
+            return self.finish_unusual_crest::<J, L>(UnusualCrest::Crest, seen, samples, into, legs);
         }
         for (joint, count) in self.joints.iter_mut().zip(seen.counts.iter()).take(J) {
             joint.count = *count;
@@ -261,8 +257,8 @@ where
         self.begin_step();
         let watched = self.watch::<J>();
         if self.steady | watched < 0 || self.fits::<J>() < 0 {
-            let unusual = if watched < 0 { Unusual::Step } else { Unusual::Torques };
-            return self.go_on::<J, L>(unusual, seen, samples, into, legs);
+            let unusual = if watched < 0 { UnusualCrest::Step } else { UnusualCrest::Torques };
+            return self.finish_unusual_crest::<J, L>(unusual, seen, samples, into, legs);
         }
         self.command_unlimited::<J>();
         let supply = Supply::of(seen.bus_voltage);
@@ -272,23 +268,22 @@ where
         self.drive_all::<J, L>(&supply, false, samples, into, legs)
     }
 
-    /// Finishes a crest in which something is unusual.
     #[cold]
     #[inline(never)]
-    fn go_on<const J: usize, L>(
+    fn finish_unusual_crest<const J: usize, L>(
         &mut self,
-        unusual: Unusual,
+        unusual: UnusualCrest,
         seen: &Samples,
         samples: &[S::Sample; MAX_JOINTS],
         into: &impl Fn(S::Drive) -> L,
         legs: &mut [L; MAX_JOINTS],
     ) -> bool {
         match unusual {
-            Unusual::Torques if self.in_force && self.not_finite::<J>() >= 0 => self.command_limited::<J>(),
-            Unusual::Torques | Unusual::Step => self.slow_step(seen),
-            Unusual::Crest => {
+            UnusualCrest::Torques if self.in_force && self.not_finite::<J>() >= 0 => self.command_limited::<J>(),
+            UnusualCrest::Torques | UnusualCrest::Step => self.slow_step(seen),
+            UnusualCrest::Crest => {
                 self.find_at_crest(seen);
-                self.pass(seen);
+                self.store_counts(seen);
                 self.step(seen);
             }
         }
@@ -300,7 +295,7 @@ where
         self.drive(seen.bus_voltage, samples, seen.late, into, legs)
     }
 
-    /// [`ControlLoop::drive_all`] after an unusual step or for late duties.
+    /// Drives the legs of J joints after an unusual step or with late duties.
     #[inline(never)]
     fn drive_unusually<const J: usize, L>(
         &mut self,
@@ -335,7 +330,7 @@ where
         true
     }
 
-    /// Drives the legs from joint `from` on; at least that joint needs the slower path.
+    /// Drives the legs from joint `from` on, if at least that joint needs the slower path.
     #[cold]
     #[inline(never)]
     fn drive_rest<L>(
@@ -358,24 +353,24 @@ where
 
     /// Returns true if all samples of J joints at the crest are within their bounds.
     #[inline(always)]
-    fn look_of<const J: usize>(&mut self, seen: &Samples) -> bool {
+    fn check_samples_of<const J: usize>(&mut self, seen: &Samples) -> bool {
         let mut least = margin_bits_between(seen.bus_voltage, self.crests.bus);
         let mut power = None;
         for (i, joint) in self.joints.iter_mut().enumerate().take(J) {
-            least |= joint.turn(seen.counts[i]);
+            least |= joint.update_count(seen.counts[i]);
             least |= joint.bounds.range_margin(seen.counts[i]) | joint.margin(seen.currents[i], seen.imbalance[i]);
             let share = self.now.motors.torque[i] * joint.speed();
             power = Some(power.map_or(share, |sum| sum + share));
         }
         let power = power.unwrap_or(0.0);
-        let allowed = self.crests.allow(power);
+        let allowed = self.crests.allows_power(power);
         least >= 0 && allowed
     }
 
     /// Runs a crest in any state, with or without a `due` control step, and with duties in time or late.
     #[cold]
     #[inline(never)]
-    pub(super) fn crest_generally<L>(
+    pub(super) fn crest_of_any_kind<L>(
         &mut self,
         seen: &Samples,
         samples: &[S::Sample; MAX_JOINTS],
@@ -383,7 +378,7 @@ where
         into: &impl Fn(S::Drive) -> L,
         legs: &mut [L; MAX_JOINTS],
     ) -> bool {
-        self.look(seen);
+        self.check_samples(seen);
         if due {
             self.step(seen);
         }
@@ -391,28 +386,27 @@ where
     }
 
     /// Checks the samples of a crest. While the motors are off, only encoders are checked, and only for jumps.
-    pub(super) fn look(&mut self, seen: &Samples) {
+    pub(super) fn check_samples(&mut self, seen: &Samples) {
         if !core::mem::replace(&mut self.crests.primed, true) {
-            self.pass(seen);
+            self.store_counts(seen);
         }
         let joints = self.count();
         let (mut least, mut most, mut power) = (0, margin_bits_between(seen.bus_voltage, self.crests.bus), 0.0);
         for (i, joint) in self.joints.iter_mut().enumerate().take(joints) {
-            least |= joint.turn(seen.counts[i]);
+            least |= joint.update_count(seen.counts[i]);
             most |= joint.range_margin(seen.counts[i]) | joint.margin(seen.currents[i], seen.imbalance[i]);
             power += self.now.motors.torque[i] * joint.speed();
         }
         if self.state.drives() {
-            least |= if self.crests.allow(power) { most } else { -1 };
+            least |= if self.crests.allows_power(power) { most } else { -1 };
         }
         if least < 0 {
             self.find_at_crest(seen);
         }
-        self.pass(seen);
+        self.store_counts(seen);
     }
 
-    /// Keeps the counts of this crest for the next one.
-    fn pass(&mut self, seen: &Samples) {
+    fn store_counts(&mut self, seen: &Samples) {
         for (joint, count) in self.joints.iter_mut().zip(seen.counts.iter()) {
             joint.count = *count;
         }
@@ -432,7 +426,7 @@ where
         let (crests, bus) = (&self.crests, seen.bus_voltage);
         let joints = || self.joints.iter().enumerate().take(self.count());
         for (i, _) in joints() {
-            // NaN comes first because it makes every comparison below meaningless.
+            // NaN is checked first because it makes every comparison below meaningless.
             note(active && !seen.currents[i].is_finite(), Fault::NotFinite, Some(i), seen.currents[i]);
         }
         note(active && !bus.is_finite(), Fault::NotFinite, None, bus);
@@ -475,7 +469,7 @@ pub(super) fn drive_one<S: Stage>(joint: &mut Joint<S>, supply: &Supply, sample:
     easily.unwrap_or_else(|| joint.stage.drive(supply, sample, speed, late))
 }
 
-/// Returns a joint's range as counts, rounded outward by less than one; `None` without limits.
+/// Returns a joint's range in counts, rounded outward by less than one count; `None` without limits.
 fn range(limits: Option<(f32, f32)>, radians_per_count: f32, offset: f32, zero: i32) -> Option<(i32, i32)> {
     let (low, high) = limits?;
     let ends = [low, high].map(|angle| (angle - offset) / radians_per_count);
@@ -484,11 +478,11 @@ fn range(limits: Option<(f32, f32)>, radians_per_count: f32, offset: f32, zero: 
     // limits would appear to be inside them.
     let most = i32::MAX as f32 * 0.25;
     let within = |end: f32| end.clamp(-most, most);
-    Some((zero.wrapping_add(below(within(first))), zero.wrapping_add(-below(-within(last)))))
+    Some((zero.wrapping_add(floor_to_i32(within(first))), zero.wrapping_add(-floor_to_i32(-within(last)))))
 }
 
 /// Returns the largest integer that is not above `value`.
-fn below(value: f32) -> i32 {
+fn floor_to_i32(value: f32) -> i32 {
     let whole = value as i32;
     if (whole as f32) > value { whole - 1 } else { whole }
 }

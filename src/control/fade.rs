@@ -1,11 +1,11 @@
-//! The half second ([`ARM_SECONDS`]) of transition to the scene's torques: from zero after arming, and from the
-//! previous scene's torques if a scene is replaced while the motors are on.
+//! The half second ([`ARM_SECONDS`]) of transition to the scene's torques. The transition starts from zero after
+//! arming, and from the previous scene's torques if a scene is replaced while the motors are on.
 //!
-//! The previous torques are fixed while the tip moves: near a stretched elbow the same torques are a larger force. In
-//! every step the torques that rendered forces are therefore cut to the force limit at the tip, and the feed-forward is
-//! cut to its initial force. Torques of a host also end with the host's lease.
+//! The previous torques stay constant while the tip moves, but the same torques are a larger force near a stretched
+//! elbow. Every step therefore cuts the torques of rendered forces to the force limit at the tip, and the feed-forward
+//! to its initial force. Torques of a host also end with the host's lease.
 //!
-//! Requests arrive between two steps, so all state here is from the last step.
+//! Requests arrive between two steps, so all state here comes from the last step.
 
 use super::{ARM_SECONDS, ControlLoop};
 use crate::control::joints::Torques;
@@ -20,9 +20,9 @@ use core::ops::DerefMut;
 /// Torques that a step commanded, by purpose.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct CommandedTorques {
-    /// The part that carries the device's weight.
+    /// Torques that carry the device's weight.
     pub gravity: Torques,
-    /// The part that renders forces, N m: everything except weight and feed-forward.
+    /// Torques that render forces: everything except weight and feed-forward.
     pub rendered: Torques,
     /// Share of the requested forces that the limits left.
     pub share: f32,
@@ -31,15 +31,14 @@ pub(super) struct CommandedTorques {
 /// Torques of a host while they fade out.
 #[derive(Clone, Copy, Debug, Default)]
 struct Lease {
-    /// Torques at `life` (s) before the end, N m; they fall in proportion to `remaining`, the time left now (s).
+    /// Torques at the lease's start, N m. They fall in proportion to `remaining` (s), which is `life` (s) at the start.
     torque: Torques,
     life: f32,
     remaining: f32,
 }
 
 impl Lease {
-    /// Returns the torques that still act.
-    fn acts(&self) -> Torques {
+    fn remaining_torques(&self) -> Torques {
         let part = if self.remaining > 0.0 { self.remaining / self.life } else { 0.0 };
         Torques(self.torque.map(|torque| part * torque))
     }
@@ -50,39 +49,37 @@ impl Lease {
 pub(super) struct Fade {
     /// Progress of the new scene from 0 to 1.
     pub ramp: f32,
-    /// Factor of the requested forces in the last step, before torques were limited: the ramp times the share that the
-    /// force limit at the tip left.
+    /// Factor of the requested forces in the last step, before torques were limited: ramp times the share within the
+    /// tip's limit.
     pub share: f32,
-    /// True if a step of the fade has run.
+    /// True after the first step of the fade.
     begun: bool,
     /// True if torques acted before the fade.
     from_something: bool,
     /// Share of the device's weight that was carried. The weight torques are computed for the present pose, because
-    /// torques for another pose could exceed all limits.
+    /// torques of another pose could exceed all limits.
     carried: f32,
-    /// Torques that rendered the previous scene.
     scene: Torques,
     host: Lease,
-    /// Feed-forward torques, and the square of their force at the tip in the first step, N².
+    /// Feed-forward torques. `aside_squared` is the square of their tip force in the first step, N².
     aside: Torques,
     aside_squared: Option<f32>,
 }
 
 impl Fade {
-    /// Starts from zero. The rest of an earlier fade has no effect then.
+    /// Starts from zero and drops the rest of an earlier fade.
     pub fn start_from_nothing(&mut self) {
         (self.ramp, self.share, self.host.remaining) = (0.0, 0.0, 0.0);
         (self.begun, self.from_something) = (false, false);
     }
 
-    /// Returns the previous torques that render forces, before the ramp.
+    /// Returns the previous torques that rendered forces, before the ramp.
     fn rendered(&self) -> Torques {
-        let host = self.host.acts();
+        let host = self.host.remaining_torques();
         Torques::from_fn(|i| self.scene[i] + host[i])
     }
 
-    /// Interpolates between `from` and `to` by the ramp.
-    fn part(&self, from: f32, to: f32) -> f32 {
+    fn interpolate(&self, from: f32, to: f32) -> f32 {
         from + (to - from) * self.ramp
     }
 }
@@ -95,7 +92,7 @@ where
 {
     /// Starts to fade from the last step's torques to those of a new program. Call before the new program is installed.
     pub(super) fn begin_fade(&mut self) {
-        // If no step ran between two programs, the earlier torques fade already.
+        // If no step ran between two programs, the earlier torques already fade.
         if !self.fade.begun {
             return;
         }
@@ -108,7 +105,7 @@ where
         let (torque, life) = self.host_torque();
         let mut host = Lease { torque, life, remaining: life };
         if self.fade.host.remaining > 0.0 {
-            // Host torques of an earlier scene still fade: both fades end at the earlier of their ends.
+            // If host torques of an earlier scene still fade, both fades end at the earlier end.
             host.life = if torque == Torques::default() {
                 self.fade.host.remaining
             } else {
@@ -116,7 +113,7 @@ where
             };
             host.remaining = host.life;
             let part = (1.0 - self.fade.ramp) * share;
-            for (host, earlier) in host.torque.iter_mut().zip(self.fade.host.acts().iter()) {
+            for (host, earlier) in host.torque.iter_mut().zip(self.fade.host.remaining_torques().iter()) {
                 *host += part * earlier;
             }
         }
@@ -135,14 +132,13 @@ where
         };
     }
 
-    /// Runs one step of the fade. Returns the demand to command, and its total torques without the force limit at the
-    /// tip.
+    /// Runs one step of the fade. Returns the demand to command, and its total torques without the tip's force limit.
     #[inline(never)]
     pub(super) fn fade_in(&mut self) -> (TorqueDemand<f32>, [f32; MAX_JOINTS]) {
         let asked = &{ self.now.found.asked };
         self.fade.begun = true;
         self.fade.ramp = (self.fade.ramp + self.period * (1.0 / ARM_SECONDS)).min(1.0);
-        // The force limit at the tip applies separately to the present demand and to the fading part below.
+        // The force limit at the tip applies separately to the present demand and to the fading torques.
         let share = share_within(asked.force_squared, self.max_tip_force);
         self.fade.share = self.fade.ramp * share;
         if !self.fade.from_something {
@@ -152,18 +148,18 @@ where
         self.limit_fading_torques();
         let (fade, before, weight) = (&self.fade, self.fade.rendered(), self.weight(asked));
         let faded = TorqueDemand {
-            total: self.between(asked, &weight, share),
+            total: self.blend_demand(asked, &weight, share),
             gravity: weight,
-            rendered: core::array::from_fn(|i| fade.part(before[i], share * asked.rendered[i])),
+            rendered: core::array::from_fn(|i| fade.interpolate(before[i], share * asked.rendered[i])),
             force_squared: 0.0,
         };
-        (faded, self.between(asked, &weight, 1.0))
+        (faded, self.blend_demand(asked, &weight, 1.0))
     }
 
     /// Returns the share of the device's weight that this step carries.
     fn carried_share(&self) -> f32 {
         let before = if self.fade.from_something { self.fade.carried } else { 0.0 };
-        self.fade.part(before, if self.weighs { 1.0 } else { 0.0 })
+        self.fade.interpolate(before, if self.weighs { 1.0 } else { 0.0 })
     }
 
     /// Returns the torques that carry the weight now, N m. A scene without gravity compensation does not compute them.
@@ -176,7 +172,7 @@ where
         full_weight.map(|torque| share * torque)
     }
 
-    /// [`ControlLoop::fade_in`] from zero, with a `share` of the demand beyond gravity.
+    /// Runs [`ControlLoop::fade_in`] from zero, with a `share` of the demand beyond gravity.
     #[inline(always)]
     fn fade_in_from_zero(&self, asked: &TorqueDemand<f32>, share: f32) -> (TorqueDemand<f32>, [f32; MAX_JOINTS]) {
         let ramp = self.fade.ramp;
@@ -201,8 +197,8 @@ where
         if rendered == Torques::default() && fade.aside == Torques::default() {
             return;
         }
-        // Leverage from half a millisecond ago would let 4 % too much through, because the fading torques are not
-        // computed again from the pose.
+        // Leverage from half a millisecond ago would let 4 % too much through, because fading torques do not follow the
+        // pose.
         let leverage = program.mechanism.leverage::<K>(&self.now.found.at.q);
         let share = share_within(leverage.force_squared(&rendered), self.max_tip_force);
         for part in fade.scene.iter_mut().chain(fade.host.torque.iter_mut()).chain(fade.aside.iter_mut()) {
@@ -216,13 +212,12 @@ where
         }
     }
 
-    /// Returns the `weight` plus the interpolation between the fading torques and a `share` of the demand beyond
-    /// gravity.
-    fn between(&self, asked: &TorqueDemand<f32>, weight: &[f32; MAX_JOINTS], share: f32) -> [f32; MAX_JOINTS] {
+    /// Returns `weight` plus the interpolation between fading torques and a `share` of the demand beyond gravity.
+    fn blend_demand(&self, asked: &TorqueDemand<f32>, weight: &[f32; MAX_JOINTS], share: f32) -> [f32; MAX_JOINTS] {
         let (fade, rendered) = (&self.fade, self.fade.rendered());
         core::array::from_fn(|i| {
             let beyond = share * (asked.total[i] - asked.gravity[i]);
-            weight[i] + fade.part(rendered[i] + fade.aside[i], beyond)
+            weight[i] + fade.interpolate(rendered[i] + fade.aside[i], beyond)
         })
     }
 }

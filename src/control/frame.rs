@@ -5,7 +5,7 @@ use crate::drive::stage::MAX_DUTY;
 use crate::render::step_result::{DeviceState, StepResult};
 use crate::safety::fault::State;
 
-/// Duty from which a drive counts as being at its maximum: the maximum less rounding.
+/// Duty from which a drive counts as being at its maximum: [`MAX_DUTY`] less rounding errors.
 const DUTY_END: f32 = MAX_DUTY * (1.0 - 8.0 * f32::EPSILON);
 
 /// Samples of the hardware at one crest of the carrier.
@@ -19,14 +19,14 @@ pub struct Samples {
     pub currents: Currents,
     /// Difference of a motor's two current sensors; 0 with a single sensor.
     pub imbalance: Currents,
-    /// True if the duties will be too late for the next valley, and apply half a carrier period later.
+    /// True if the duties come too late for the next valley and apply half a carrier period later.
     pub late: bool,
 }
 
 /// Result of one control step.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Outputs {
-    /// True if the bridges may drive; false if they float.
+    /// True if the bridges may drive; false if they must float.
     pub bridges: bool,
 }
 
@@ -41,17 +41,17 @@ pub struct Motors {
     pub duty: Duties,
     /// Bus voltage, V; 0 if it is not measured.
     pub bus_voltage: f32,
-    /// The walls' force along the normal of the deepest wall, within the limits, N (docs/telemetry.md). 0 unless armed.
+    /// Force of the walls along the normal of the deepest wall, after limits, N (docs/telemetry.md). 0 unless armed.
     pub rendered_force: f32,
-    /// One bit per joint, set if a limit changed the requested torque: the joint's own limit of torque or current,
-    /// another joint's limit, or the force limit at the tip, because all torques are cut by one factor.
+    /// One bit per joint, set if a limit changed the requested torque. The limit may be the joint's own, another
+    /// joint's, or the force limit at the tip, because all torques are cut by one factor.
     pub limited: u8,
 }
 
-/// State that the last step left.
+/// State after the last step.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Now {
-    /// Control steps since boot, and the last step whose samples were recorded.
+    /// Control steps since boot. `noted` is the last step whose samples were recorded.
     pub step: u32,
     pub noted: u32,
     pub counts: Counts,
@@ -76,15 +76,15 @@ pub struct StepRecord {
 }
 
 impl StepRecord {
-    /// Builds the record of a step that left the control loop in `state`. Copies field by field, because a copy of the
-    /// entire struct would call memcpy.
+    /// Builds the record of a step that left the control loop in `state`. Copies single fields, to avoid a call of
+    /// memcpy.
     #[inline(always)]
     pub(crate) fn of(now: &Now, state: State) -> Self {
         Self { step: now.step, state, counts: now.counts, at: now.found.at, motors: now.motors }
     }
 
-    /// Returns the saturation of joint `i`: 0 none, 1 a limit changed its torque ([`Motors::limited`]), 2 its duty is
-    /// at the maximum, 3 both.
+    /// Returns the saturation of joint `i`: 0 for none, 1 if a limit changed its torque ([`Motors::limited`]), 2 if its
+    /// duty is at the maximum, 3 for both.
     pub fn saturation(&self, i: usize) -> u8 {
         let end = self.motors.duty.get(i).is_some_and(|duty| duty.abs() >= DUTY_END);
         (self.motors.limited >> i & 1) | u8::from(end) << 1

@@ -1,13 +1,12 @@
 //! Force from the host: forces, torques and a contact that a program on a computer adds to the board's own scene.
 //!
-//! A host reads the tip position, computes a force and sends it, about once a millisecond. The board adds this force to
-//! its own walls before it cuts all torques to the motors' limits and to the force limit at the tip (saturation.rs);
-//! joint torques count there as their force at the tip. All limits and faults apply. A request acts in full until it is
-//! `hold` seconds old, then fades linearly for `fade` seconds. The age counts from the state that the request was
-//! computed from, so a late request has less time left.
+//! A program on a computer reads the tip position, computes a force and sends it, about once a millisecond. The board
+//! adds this force to its own walls before it limits all torques (saturation.rs). Joint torques count as their force at
+//! the tip. All limits and faults apply. A request acts in full until it is `hold` seconds old, then fades linearly for
+//! `fade` seconds. The age counts from the state that it was computed from, so a late request has less time.
 //!
 //! A contact is the host's nearest plane, which the board renders at its own rate. When the host moves the plane, the
-//! board moves its copy evenly, over the time since the host's previous move, so the force does not jump.
+//! board moves its copy evenly over the time since the host's previous move, so that the force does not jump.
 
 use crate::control::ControlLoop;
 use crate::control::joints::{Counts, Torques};
@@ -35,22 +34,22 @@ pub const MAX_CONTACT_STIFFNESS: f32 = 1.0e5;
 /// Largest damping of a contact, N s/m.
 pub const MAX_CONTACT_DAMPING: f32 = 1.0e3;
 /// Largest deviation of the squared length of a contact's normal from 1.
-const UNIT: f32 = 1.0e-3;
+const MAX_UNIT_LENGTH_ERROR: f32 = 1.0e-3;
 /// Shortest and longest time in which a contact moves from one plane to the next, s. A contact that appears or
 /// disappears takes the shortest.
 pub const BLEND_SECONDS: (f32, f32) = (1.0e-3, 20.0e-3);
 
-/// A host's request; it replaces the host's earlier request. Vectors are in the task frame, or have one entry per
-/// joint; entries that the device does not have are zero. The default requests no force and only reads the device's state.
+/// A host's request, which replaces its earlier request. Vectors are in the task frame or have one entry per joint;
+/// entries that the device does not have are zero. The default requests no force and only reads the device's state.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, Schema)]
 pub struct ForceRequest {
     /// Increases with every request, wrapping. A request that is not newer than the last accepted one is rejected.
     pub sequence: u32,
     /// [`ForceAnswer::step`] of the state that the request was computed from; `None` if it depends on no state.
     pub seen: Option<u32>,
-    /// Time for which it acts in full, s; at most [`MAX_LEASE`].
+    /// Time for which the request acts in full, s; at most [`MAX_LEASE`].
     pub hold: f32,
-    /// Time for which it then fades to zero, s; at most [`MAX_LEASE`].
+    /// Time for which the request then fades to zero, s; at most [`MAX_LEASE`].
     pub fade: f32,
     /// Force at the tip, N.
     pub force: [f32; 3],
@@ -68,9 +67,9 @@ pub struct HostContact {
     pub point: [f32; 3],
     /// Unit normal, pointing out of the solid.
     pub normal: [f32; 3],
-    /// N/m
+    /// Stiffness, N/m.
     pub stiffness: f32,
-    /// N s/m
+    /// Damping, N s/m.
     pub damping: f32,
 }
 
@@ -79,7 +78,7 @@ pub struct HostContact {
 pub enum ForceDone {
     /// Accepted: it acts from the next control step on.
     Taken,
-    /// No force: with `hold` and `fade` 0 the request only reads the device's state.
+    /// No force, because `hold` and `fade` are 0: the request only reads the device's state.
     Looked,
     /// Rejected: the motors are off.
     NotArmed,
@@ -106,7 +105,7 @@ pub enum BadForce {
     Point,
     /// The contact's normal is not a unit vector of the task frame.
     Normal,
-    /// The contact's stiffness or damping is not a number from 0 to its maximum, [`MAX_CONTACT_STIFFNESS`] or [`MAX_CONTACT_DAMPING`].
+    /// The contact's stiffness or damping is not a number from 0 to its maximum.
     Gains,
 }
 
@@ -149,7 +148,7 @@ pub struct ForceAnswer {
     pub sequence: u32,
     /// Outcome of the request.
     pub done: ForceDone,
-    /// Disarmed, armed or fault.
+    /// State of the control loop.
     pub state: State,
     /// Control steps since boot, wrapping: the board's time, as in telemetry.
     pub step: u32,
@@ -157,7 +156,7 @@ pub struct ForceAnswer {
     pub period: f32,
     /// Time since the state that the acting request was computed from, s; `None` if no request acts.
     pub age: Option<f32>,
-    /// Tip, m.
+    /// Tip position, m.
     pub tip: [f32; 3],
     /// Tip velocity, filtered by the scene's estimator, m/s.
     pub velocity: [f32; 3],
@@ -165,7 +164,7 @@ pub struct ForceAnswer {
     pub q: [f32; MAX_JOINTS],
     /// Joint velocities, filtered by the scene's estimator, rad/s.
     pub qd: [f32; MAX_JOINTS],
-    /// Joint torques commanded, after all limits, N m.
+    /// Commanded joint torques after all limits, N m.
     pub torque: [f32; MAX_JOINTS],
     /// Force at the tip that the host's force and contact added, after lease, ramp and limits, N.
     pub force: [f32; 3],
@@ -175,7 +174,7 @@ pub struct ForceAnswer {
 
 impl ForceRequest {
     /// Returns the first value that a device with this many task dimensions and joints cannot use.
-    pub fn wrong(&self, task: usize, joints: usize) -> Option<BadForce> {
+    pub fn first_unusable_value(&self, task: usize, joints: usize) -> Option<BadForce> {
         let within = |value: &f32, most: f32| value.abs() <= most;
         let only = |values: &[f32; 3], count: usize| values.iter().skip(count).all(|value| *value == 0.0);
         let leased = |value: &f32| (0.0..=MAX_LEASE).contains(value);
@@ -193,7 +192,7 @@ impl ForceRequest {
             return Some(BadForce::Point);
         }
         let length = contact.normal.iter().fold(0.0, |sum, value| sum + value * value);
-        if !within(&(length - 1.0), UNIT) || !only(&contact.normal, task) {
+        if !within(&(length - 1.0), MAX_UNIT_LENGTH_ERROR) || !only(&contact.normal, task) {
             return Some(BadForce::Normal);
         }
         let gains = (0.0..=MAX_CONTACT_STIFFNESS).contains(&contact.stiffness)
@@ -222,17 +221,16 @@ impl HostContact {
 
 /// A plane that moves from its old to its new place.
 #[derive(Clone, Copy, Debug, Default)]
-struct Blend {
+struct MovingPlane {
     from: PushedPlane<f32>,
     to: PushedPlane<f32>,
-    /// Time since the host moved the plane, and duration of the move, s.
+    /// Time since the host moved the plane, s. `duration` is the time of the board's move, s.
     elapsed: f32,
     duration: f32,
 }
 
-impl Blend {
-    /// Returns the present plane.
-    fn now(&self) -> PushedPlane<f32> {
+impl MovingPlane {
+    fn present_plane(&self) -> PushedPlane<f32> {
         if self.elapsed >= self.duration {
             return self.to;
         }
@@ -240,8 +238,8 @@ impl Blend {
         let part = self.elapsed / self.duration;
         let between = |from: f32, to: f32| from + (to - from) * part;
         let stiffness = between(from.stiffness, to.stiffness);
-        // The weight of each plane's position is its share of the stiffness. The force is then the mean of the two
-        // planes' forces, and not larger than either. Half the stiffness at half the depth could be far more.
+        // Each plane's position is weighted by its share of the stiffness. The force is then the mean of the two
+        // planes' forces, so it exceeds neither. With separate means of stiffness and depth it could.
         let weight = if stiffness > 0.0 { part * to.stiffness / stiffness } else { part };
         let placed = |from: f32, to: f32| from + (to - from) * weight;
         PushedPlane {
@@ -253,8 +251,8 @@ impl Blend {
     }
 
     /// Starts a move to the host's contact, or fades the plane out in place.
-    fn go(&mut self, contact: Option<&HostContact>) {
-        let now = self.now();
+    fn move_to(&mut self, contact: Option<&HostContact>) {
+        let now = self.present_plane();
         let faded_out = |plane: PushedPlane<f32>| PushedPlane { stiffness: 0.0, damping: 0.0, ..plane };
         let is_absent = |plane: &PushedPlane<f32>| plane.stiffness == 0.0 && plane.damping == 0.0;
         let to = contact.map_or(faded_out(self.to), HostContact::plane);
@@ -278,15 +276,15 @@ pub(super) struct HostForce {
     request: ForceRequest,
     /// Time since the state that the request was computed from, s.
     age: f32,
-    /// Share of the request that acts in this step, the resulting joint torques (N m), and the remaining time, s.
+    /// Share of the request that acts in this step, with its joint `torque` (N m) and the time left, `life` (s).
     lease: f32,
     torque: Torques,
     life: f32,
     /// Share that ramp and limits left in a step that was cut.
     pub granted: f32,
-    contact: Blend,
-    /// Share of the contact that acted in the last step. The next two fields: its difference from the lease of the
-    /// present request, which replaced another, and the rate at which the difference shrinks, 1/s.
+    contact: MovingPlane,
+    /// Share of the contact that acted in the last step. `beside` is its difference from the present request's lease,
+    /// because that request replaced another; `closing` is the rate at which the difference shrinks, 1/s.
     contact_lease: f32,
     beside: f32,
     closing: f32,
@@ -295,16 +293,17 @@ pub(super) struct HostForce {
 impl HostForce {
     /// Accepts a request that is `age` seconds old.
     fn take(&mut self, request: &ForceRequest, age: f32) {
-        // The contact's share continues from the last step. A new contact fades in as its stiffness rises.
-        let was_there = self.acts && self.contact.now().stiffness + self.contact.now().damping > 0.0;
+        // The contact's share continues from the last step. A new contact fades in with its rising stiffness.
+        let was_there =
+            self.acts && self.contact.present_plane().stiffness + self.contact.present_plane().damping > 0.0;
         self.beside = if was_there { self.contact_lease - request.lease(age) } else { 0.0 };
         self.closing = self.beside.abs() / BLEND_SECONDS.0;
-        // The blend keeps what remains of the earlier contact.
+        // The blend keeps the rest of the earlier contact.
         (self.request, self.age, self.acts) = (ForceRequest { contact: None, ..*request }, age, true);
-        self.contact.go(request.contact.as_ref());
+        self.contact.move_to(request.contact.as_ref());
     }
 
-    /// Advances by a step of `period` (s). Returns the push of this step; `None` if the request has expired.
+    /// Advances by a step of `period` seconds. Returns the push of this step; `None` if the request has expired.
     #[inline(never)]
     fn step(&mut self, period: f32) -> Option<Push<f32>> {
         self.age += period;
@@ -319,7 +318,7 @@ impl HostForce {
         let closed = self.closing * period;
         self.beside -= if self.beside.abs() > closed { closed.copysign(self.beside) } else { self.beside };
         self.contact_lease = self.lease + self.beside;
-        let plane = self.contact.now();
+        let plane = self.contact.present_plane();
         Some(Push {
             force: self.request.force.map(|force| force * self.lease),
             plane: PushedPlane {
@@ -385,7 +384,7 @@ where
     fn take_force(&mut self, request: &ForceRequest) -> ForceDone {
         let device = self.program.as_ref().map(|program| (program.controller.kind().spec().task, program.joints));
         let (task, joints) = device.unwrap_or_default();
-        if let Some(bad) = request.wrong(task, joints) {
+        if let Some(bad) = request.first_unusable_value(task, joints) {
             return ForceDone::Bad(bad);
         }
         let age = request.seen.map_or(0, |seen| self.now.step.wrapping_sub(seen) as i32);
@@ -393,7 +392,7 @@ where
             return ForceDone::Bad(BadForce::Seen);
         }
         if request.hold == 0.0 && request.fade == 0.0 {
-            // A request that names a state comes from a live host. One without a state may come from any tool.
+            // A request that names a state comes from a live host. A request without a state may come from any tool.
             if request.seen.is_some() {
                 self.record_host();
             }
@@ -405,7 +404,7 @@ where
         if self.host.acts && request.sequence.wrapping_sub(self.host.request.sequence) as i32 <= 0 {
             return ForceDone::NotNewer;
         }
-        // The period before a change of rate was different, so the age of earlier steps is unknown.
+        // The period was different before a change of rate, so the age of earlier steps is unknown.
         let before = age as u32 > self.now.step.wrapping_sub(self.rate_since);
         let age = age as f32 * self.period;
         if before || request.lease(age) <= 0.0 {
@@ -416,7 +415,6 @@ where
         ForceDone::Taken
     }
 
-    /// Renders the scene and the host's push.
     #[inline(never)]
     pub(super) fn render_pushed(&mut self, counts: &Counts) {
         let push = self.host.step(self.period);
@@ -425,13 +423,12 @@ where
         }
         self.render_scene(counts);
         if self.host.acts {
-            self.add(counts);
+            self.add_host_torques(counts);
         }
     }
 
-    /// Adds the host's joint torques to the demand of the scene and the host's force. The torques also make a force at
-    /// the tip, so the resultant is computed again from the sum.
-    fn add(&mut self, counts: &Counts) {
+    /// Adds the host's joint torques to the demand, and the tip force of these torques to the resultant force.
+    fn add_host_torques(&mut self, counts: &Counts) {
         let torque = self.host.torque;
         if torque != Torques::default()
             && let Some(program) = self.program.as_ref()
@@ -446,7 +443,6 @@ where
         }
     }
 
-    /// Clears the host's request.
     pub(super) fn clear_host_force(&mut self) {
         self.host = HostForce::default();
         if let Some(program) = self.program.as_mut() {

@@ -1,5 +1,4 @@
-//! Values of every joint, padded with zeros to [`MAX_JOINTS`]. Counts, torques, currents and duties are separate types,
-//! so that they cannot be confused.
+//! Values of every joint, padded with zeros to [`MAX_JOINTS`]. Counts, torques, currents and duties are separate types.
 
 use crate::model::catalogue::MAX_JOINTS;
 use core::ops::{Deref, DerefMut};
@@ -12,7 +11,7 @@ macro_rules! quantities {
         pub struct $Name(pub [$Number; MAX_JOINTS]);
 
         impl $Name {
-            /// Returns a value for every joint.
+            /// Builds the value of every joint with `each`.
             #[inline(always)]
             pub fn from_fn(each: impl FnMut(usize) -> $Number) -> Self {
                 Self(core::array::from_fn(each))

@@ -1,6 +1,6 @@
-//! The order of a carrier period for all callers except the chip's interrupt: [`ControlLoop::crest`] at the crest, then
-//! [`ControlLoop::check_slow_faults`] at the valley. The interrupt does the same with the functions of
-//! [`super::compiled`], in parts between which the converters work. The parts of a crest can also be called separately.
+//! The carrier period of all callers except the chip's interrupt: [`ControlLoop::crest`] at the crest, then
+//! [`ControlLoop::check_slow_faults`] at the valley. The interrupt calls the functions of [`super::compiled`] instead,
+//! because the converters work between the parts of its crest. Each part of a crest can also be called separately.
 
 use super::ControlLoop;
 use crate::control::frame::{Outputs, Samples};
@@ -17,10 +17,9 @@ where
     K: Math<f32>,
     S: Stage,
 {
-    /// Runs one crest, with a control step if `due`: renders the scene, checks the samples, commands torques and
-    /// returns the drives of all motors for the next carrier period. If index pulses were seen, call
-    /// [`ControlLoop::mark`] before. Call [`ControlLoop::check_slow_faults`] after. `samples` are the samples of each
-    /// motor, see [`ControlLoop::duties`].
+    /// Runs one crest and returns the drives of all motors for the next carrier period. With a control step `due`, also
+    /// renders the scene and commands torques. `samples` are the samples of each motor, see [`ControlLoop::duties`].
+    /// Call [`ControlLoop::mark`] before if index pulses arrived, and [`ControlLoop::check_slow_faults`] after.
     pub fn crest(
         &mut self,
         seen: &Samples,
@@ -43,27 +42,26 @@ where
         self.act(samples)
     }
 
-    /// Checks the counts, currents and supply of this crest. `bridges` of the result is true if the bridges may drive.
-    /// Call at every crest, before [`ControlLoop::act`] (if a step is due) and before [`ControlLoop::duties`].
+    /// Checks the counts, currents and supply of this crest, and returns the state of the bridges. Call at every crest,
+    /// before [`ControlLoop::act`] (if a step is due) and before [`ControlLoop::duties`].
     pub fn guard(&mut self, seen: &Samples) -> Outputs {
-        self.look(&self.known(seen));
+        self.check_samples(&self.complete_samples(seen));
         self.outputs()
     }
 
-    /// Finishes the control step: runs the checks and commands the torques that [`ControlLoop::render`] computed for
-    /// the same counts.
+    /// Runs the checks of the control step, and commands the torques that [`ControlLoop::render`] computed.
     pub fn act(&mut self, samples: &Samples) -> Outputs {
-        self.step(&self.known(samples));
+        self.step(&self.complete_samples(samples));
         if !self.hardware.bridge.current_sensed {
-            self.now.motors.current = Currents(self.joints.each_ref().map(|joint| joint.stage.asked()));
+            self.now.motors.current = Currents(self.joints.each_ref().map(|joint| joint.stage.target_current()));
         }
         self.outputs()
     }
 
     /// Returns the drive of each motor's legs for the next carrier period, from the bus voltage (V) and each motor's
-    /// sample. For brushed motors the samples are currents (A) and the drives signed duties within
-    /// ±[`MAX_DUTY`](crate::drive::stage::MAX_DUTY). The drives are zero unless armed. `late` is true if they apply
-    /// from the next crest instead of the next valley, see [`Stage::drive`].
+    /// sample. For brushed motors the samples are currents (A), and the drives are signed duties within
+    /// ±[`MAX_DUTY`](crate::drive::stage::MAX_DUTY). The drives are zero unless armed. Late drives apply from the next
+    /// crest instead of the next valley, see [`Stage::drive`].
     pub fn duties(
         &mut self,
         bus_voltage: f32,
@@ -75,9 +73,9 @@ where
         drives
     }
 
-    /// Completes the samples of a board that lacks sensors: uses the commanded currents, and a bus voltage of 0, for
-    /// which no limit applies.
-    pub(super) fn known(&self, seen: &Samples) -> Samples {
+    /// Completes the samples of a board that lacks sensors: commanded currents, and a bus voltage of 0, which has no
+    /// limit.
+    pub(super) fn complete_samples(&self, seen: &Samples) -> Samples {
         let mut seen = *seen;
         if !self.hardware.bridge.current_sensed {
             (seen.currents, seen.imbalance) = (self.now.motors.current, Currents::default());

@@ -1,4 +1,4 @@
-//! A device in a scene, ready to run: the controller of the loaded mechanism, and the drives of its motors.
+//! A device and a scene, ready to run: the controller of the loaded mechanism, and the drives of its motors.
 
 use crate::control::frame::Now;
 use crate::control::joints::{Counts, Torques};
@@ -21,9 +21,9 @@ use crate::safety::refusal::Refusal;
 /// Properties of a board that the control loop needs.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Hardware {
-    /// Motor axes.
+    /// Number of motor axes.
     pub axes: usize,
-    /// True if there are real motors, which need verified data, limits, homing and a polarity check.
+    /// True for real motors, which need verified data, limits, homing and a polarity check.
     pub real: bool,
     /// True if the bus voltage is measured.
     pub bus_sensed: bool,
@@ -70,8 +70,8 @@ macro_rules! define {
                 match self { $(Self::$Variant(_) => Kind::$Variant,)* }
             }
 
-            /// Runs one control step and writes all of `found` except joint angles. `acted` are the motors' torques
-            /// since the last step, N m.
+            /// Runs one control step and writes all of `found` except joint angles. `acted` holds the last torques, N
+            /// m.
             #[inline(always)]
             pub(crate) fn render(&mut self, counts: &Counts, acted: &Torques, found: &mut StepResult<f32>) {
                 match self {
@@ -82,12 +82,12 @@ macro_rules! define {
                 }
             }
 
-            /// See [`Controller::angles`].
+            /// Writes the joint angles, see [`Controller::angles`].
             pub(crate) fn angles(&self, counts: &Counts, found: &mut StepResult<f32>) {
                 match self { $(Self::$Variant(controller) => controller.angles(first(counts).unwrap_or(&[0; $n]), found),)* }
             }
 
-            /// See [`Controller::home`].
+            /// Sets the home pose, see [`Controller::home`].
             pub fn home(&mut self, counts: &Counts, q: &[f32; MAX_JOINTS]) {
                 match self { $(Self::$Variant(controller) => controller.home(&head(counts), &head(q)),)* }
             }
@@ -102,19 +102,19 @@ macro_rules! define {
                 match self { $(Self::$Variant(controller) => controller.set_zero(head(zero)),)* }
             }
 
-            /// See [`Controller::is_inside_wall`].
+            /// Returns true if the tip is inside a wall, see [`Controller::is_inside_wall`].
             pub fn is_inside_wall(&self, counts: &Counts) -> bool {
                 match self {
                     $(Self::$Variant(controller) => controller.is_inside_wall(&head(counts)),)*
                 }
             }
 
-            /// See [`Controller::set_push`].
+            /// Sets the host's push, see [`Controller::set_push`].
             pub fn set_push(&mut self, push: Option<&Push<f32>>) {
                 match self { $(Self::$Variant(controller) => controller.set_push(push),)* }
             }
 
-            /// Returns the tip velocity (m/s) and the force (N) of the host's push at the last step, see
+            /// Returns the tip velocity (m/s) and the force of the host's push (N) at the last step, see
             /// [`Controller::pushed`].
             pub(crate) fn pushed(&self, now: &Now) -> ([f32; MAX_JOINTS], [f32; MAX_JOINTS]) {
                 match self {
@@ -125,17 +125,17 @@ macro_rules! define {
                 }
             }
 
-            /// See [`Controller::set_gains`].
+            /// Sets the gains of a wall, see [`Controller::set_gains`].
             pub fn set_gains(&mut self, gains: &Gains<f32>, washout: &Washout<f32>) {
                 match self { $(Self::$Variant(controller) => controller.set_gains(gains, washout),)* }
             }
 
-            /// See [`Controller::set_coefficients`].
+            /// Sets the coefficients of the velocity estimators, see [`Controller::set_coefficients`].
             pub fn set_coefficients(&mut self, coefficients: &Coefficients<f32>) {
                 match self { $(Self::$Variant(controller) => controller.set_coefficients(coefficients),)* }
             }
 
-            /// See [`Controller::set_passivity`].
+            /// Sets the passivity controller, see [`Controller::set_passivity`].
             pub fn set_passivity(&mut self, on: bool, shown: bool) {
                 match self { $(Self::$Variant(controller) => controller.set_passivity(on, shown),)* }
             }
@@ -161,9 +161,9 @@ pub struct Program<K, S = Axis> {
     pub(crate) coulomb: [f32; MAX_JOINTS],
     /// Angles at count zero, rad.
     pub(crate) offsets: [f32; MAX_JOINTS],
-    /// True if the device is that of the previous program: homing and the polarity check stay valid.
+    /// True if the device is the previous program's device, so that homing and the polarity check stay valid.
     pub(crate) same_device: bool,
-    /// Reason why this program may not be armed, determined once.
+    /// Reason why this program may not be armed, determined when the program is built.
     pub(crate) arming_refused: Option<Refusal>,
     pub(crate) rate_hz: f32,
     pub(crate) carrier_hz: f32,
@@ -172,7 +172,7 @@ pub struct Program<K, S = Axis> {
 impl<K: Math<f32>, S: Stage> Program<K, S> {
     /// Builds a program for `hardware` under `limits`. `same_device` keeps homing across a change of scene.
     ///
-    /// Errors: more joints than axes, a joint without encoder scale, or an error of the scene.
+    /// Returns an error for more joints than axes, for a joint without encoder scale, or for an unusable scene.
     pub fn new(
         hardware: &Hardware,
         limits: &Limits,
@@ -229,9 +229,7 @@ impl<K: Math<f32>, S: Stage> Program<K, S> {
     }
 
     /// Uses a prepared model of the mass matrix instead of the mechanism's closed form; `values` are the entries sent
-    /// for a table.
-    ///
-    /// Errors: data that do not fit the mechanism.
+    /// for a table. Returns an error if the data do not fit the mechanism.
     pub fn set_mass(&mut self, data: &MassModelData, values: &[f32]) -> Result<(), Refusal> {
         self.controller.set_mass(data, values)
     }

@@ -34,21 +34,21 @@ pub enum Command<P> {
     Arm,
     /// Turns the motors on while this key is held.
     ArmHeld(Press),
-    /// Replies as to [`Command::Arm`] without changing anything. Sent before the power stage is made ready.
+    /// Returns the reply to [`Command::Arm`] without changing anything, before the power stage is made ready.
     MayArm,
-    /// The same for [`Command::ArmHeld`].
+    /// Returns the reply to [`Command::ArmHeld`] without changing anything.
     MayArmHeld(Press),
     /// Turns the motors off.
     Disarm,
-    /// Moves each joint by a small torque to check its direction.
+    /// Swings each joint by a small torque to check its direction.
     CheckPolarity,
-    /// Replies as to [`Command::CheckPolarity`] without changing anything.
+    /// Returns the reply to [`Command::CheckPolarity`] without changing anything.
     MayCheckPolarity,
     /// Marks the polarity of this device as known from an earlier check.
     PolarityKnown,
     /// Clears a latched fault.
     Clear,
-    /// Sign of life of the host, with the state of its user's key.
+    /// Reports a live host and the state of its user's key.
     Beat(Beat),
     /// Latches a fault that was detected elsewhere.
     Fault(FaultRecord),
@@ -56,24 +56,22 @@ pub enum Command<P> {
     ShowEnergy(bool),
 }
 
-/// A press of a dead man's key, made at an unknown time after step `seen`. Motors that the key keeps on go off
+/// A press of a dead man's key, made at an unknown time after step `seen`. Motors that depend on the key go off
 /// [`KEY_SECONDS`](super::KEY_SECONDS) after `seen`, even if the press arrives late.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct Press {
-    /// Number that the tool draws at random for the holder of the key. A key has one holder.
+    /// Random number of the tool that holds the key. A key has one holder.
     pub holder: u32,
-    /// Newest control step that the observer of the key knew before the press, for example from the reply to a
-    /// [`Beat`].
+    /// Newest control step that the tool knew before the press, for example from the reply to a [`Beat`].
     pub seen: u32,
 }
 
 /// A sign of life of a host.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub enum Beat {
-    /// The host is alive. Neither confirms nor releases a held key.
+    /// The host is alive. Does not change the state of a key.
     Here,
-    /// A key is down. Confirms the key that keeps the motors on; if the motors are on without a key, they depend on
-    /// this key from now on.
+    /// A key is down. Confirms the key that keeps the motors on. Motors that are on without a key now depend on it.
     Held(Press),
     /// The key was released: turns the motors off, as [`Command::Disarm`] does.
     Released,
@@ -85,13 +83,13 @@ pub type Reply<P> = (Result<(), Refusal>, Option<P>);
 /// State that a tool may request at any time.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, Schema)]
 pub struct Status {
-    /// Disarmed, armed, fault.
+    /// State of the control loop.
     pub state: State,
     /// True if the device is homed.
     pub homed: bool,
     /// True if the device's polarity is known.
     pub polarity: bool,
-    /// The latched fault.
+    /// Latched fault; `None` without a fault.
     pub fault: Option<FaultRecord>,
     /// Control steps since boot.
     pub step: u32,
@@ -99,7 +97,7 @@ pub struct Status {
     pub bus_voltage: f32,
     /// Joint angles, rad.
     pub q: [f32; MAX_JOINTS],
-    /// Tip, m.
+    /// Tip position, m.
     pub tip: [f32; MAX_JOINTS],
 }
 
@@ -133,8 +131,8 @@ where
         reply
     }
 
-    /// Carries out a [`Command::Program`]: [`ControlLoop::accepts`], then [`ControlLoop::install`]. While the motors
-    /// are on, the control interrupt has no time for both in one carrier period, so it installs in the next one.
+    /// Carries out a [`Command::Program`]: [`ControlLoop::accepts`], then [`ControlLoop::install`]. The control
+    /// interrupt calls them in two carrier periods, because one has no time for both while the motors are on.
     pub fn replace(&mut self, mut program: P) -> Reply<P> {
         match self.accepts(&mut program) {
             Ok(()) => (Ok(()), self.install(program)),
@@ -142,8 +140,8 @@ where
         }
     }
 
-    /// Carries out any other command. New rules apply to all joints only once [`ControlLoop::settle_next`] has returned
-    /// true.
+    /// Carries out any command other than [`Command::Program`]. New rules apply to all joints only after
+    /// [`ControlLoop::settle_next`] has returned false.
     pub fn obey(&mut self, command: &Command<P>) -> Result<(), Refusal> {
         let result = self.carry_out(command);
         self.update_fast_path();
@@ -153,7 +151,7 @@ where
     #[inline(always)]
     fn carry_out(&mut self, command: &Command<P>) -> Result<(), Refusal> {
         match command {
-            // A program is moved: see [`ControlLoop::replace`].
+            // A program must be moved in: see [`ControlLoop::replace`].
             Command::Program(_) => Err(Refusal::Busy),
             Command::Gains(gains, washout) => self.with_program(|p| p.controller.set_gains(gains, washout)),
             Command::Coefficients(coefficients) => self.with_program(|p| p.controller.set_coefficients(coefficients)),
@@ -163,14 +161,14 @@ where
             Command::ArmHeld(press) => self.arm(Some(*press)),
             Command::MayArm => self.may_arm(None),
             Command::MayArmHeld(press) => self.may_arm(Some(*press)),
-            Command::MayCheckPolarity => self.ready().map(drop),
+            Command::MayCheckPolarity => self.check_ready().map(drop),
             Command::Disarm => {
                 self.disarm();
                 Ok(())
             }
             Command::CheckPolarity => self.start_polarity_check(),
             Command::PolarityKnown => {
-                self.know_polarity();
+                self.record_known_polarity();
                 Ok(())
             }
             Command::Clear => {
@@ -178,8 +176,7 @@ where
                 if self.state == State::Fault {
                     self.state = State::Disarmed;
                 }
-                // Resets only the host's silence: the other sums of the armed time hold limits, which clearing must
-                // keep.
+                // Resets only the host's silence, because clearing must keep the other sums of the armed time.
                 self.record_host();
                 Ok(())
             }
@@ -210,7 +207,7 @@ where
         self.program.as_mut().map(|program| change(program)).ok_or(Refusal::NoDevice)
     }
 
-    /// Returns an error if a program may not be installed. While armed it must have the same device and rate, and the
+    /// Returns an error if a program may not be installed. While armed, it must have the same device and rate, and the
     /// tip must not touch a wall of its scene.
     pub fn accepts(&self, program: &mut P) -> Result<(), Refusal> {
         if !self.state.drives() {
@@ -230,14 +227,14 @@ where
         Ok(())
     }
 
-    /// Installs an accepted program and returns the previous one. For another device or rate, bounds and stages are
-    /// prepared again, which takes long; neither changes while the motors are on.
+    /// Installs an accepted program and returns the previous one. Another device or rate takes longer, because bounds
+    /// and stages are prepared again; neither changes while the motors are on.
     pub fn install(&mut self, mut program: P) -> Option<P> {
         let period = 1.0 / program.rate_hz.max(1.0);
         // Rates that differ by a rounding error may have the same period but different carriers.
         let same_carrier = self.program.as_ref().is_some_and(|old| old.carrier_hz == program.carrier_hz);
         let same_rate = period == self.period && same_carrier;
-        // Without a program, no time was counted, and there was no step that a host could have read.
+        // Without a program, no time was counted, and no step existed that a host could have read.
         if period != self.period || self.program.is_none() {
             (self.period, self.rate_since) = (period, self.now.step);
         }
@@ -285,10 +282,10 @@ where
     }
 
     fn home(&mut self) -> Result<(), Refusal> {
-        self.must_be_off()?;
+        self.check_motors_off()?;
         let program = self.program.as_ref().ok_or(Refusal::NoDevice)?;
         let home = program.home.ok_or(Refusal::NoHome)?;
-        if !self.slower_than(REST_SPEED) {
+        if !self.is_slower_than(REST_SPEED) {
             return Err(Refusal::Moving);
         }
         let program = self.program.as_mut().ok_or(Refusal::NoDevice)?;
@@ -301,11 +298,11 @@ where
     }
 
     /// Returns true if every joint of the device turns at most at `speed`, rad/s.
-    fn slower_than(&self, speed: f32) -> bool {
+    fn is_slower_than(&self, speed: f32) -> bool {
         self.joints.iter().take(self.count()).all(|joint| joint.speed().abs() <= speed)
     }
 
-    fn must_be_off(&self) -> Result<(), Refusal> {
+    fn check_motors_off(&self) -> Result<(), Refusal> {
         match self.fault {
             _ if self.state.drives() => Err(Refusal::Armed),
             Some(record) => Err(Refusal::Faulted(record.fault)),
@@ -314,8 +311,8 @@ where
     }
 
     /// Checks the conditions that arming and the polarity check share.
-    pub(super) fn ready(&self) -> Result<&P, Refusal> {
-        self.must_be_off()?;
+    pub(super) fn check_ready(&self) -> Result<&P, Refusal> {
+        self.check_motors_off()?;
         let program = self.program.as_ref().ok_or(Refusal::NoDevice)?;
         if let Some(refusal) = program.arming_refused {
             return Err(refusal);
@@ -327,7 +324,7 @@ where
         if self.hardware.bus_sensed && !(self.rules.limits.bus_min..=self.rules.limits.bus_max).contains(&bus) {
             return Err(Refusal::BusVoltage);
         }
-        if self.now.found.parallel < watch::TRIPPING_SINE {
+        if self.now.found.parallel < watch::MIN_PARALLEL_SINE {
             return Err(Refusal::Singular);
         }
         for (i, limits) in program.limits.iter().enumerate().take(program.joints) {
@@ -341,7 +338,7 @@ where
     }
 
     fn may_arm(&self, key: Option<Press>) -> Result<(), Refusal> {
-        let program = self.ready()?;
+        let program = self.check_ready()?;
         if self.hardware.real && !self.polarity_known {
             return Err(Refusal::PolarityUnchecked);
         }
@@ -355,7 +352,7 @@ where
     }
 
     fn disarm(&mut self) {
-        self.off();
+        self.turn_motors_off();
         if self.state != State::Fault {
             self.state = State::Disarmed;
         }
@@ -363,7 +360,7 @@ where
 
     fn arm(&mut self, key: Option<Press>) -> Result<(), Refusal> {
         self.may_arm(key)?;
-        self.find_stray()?;
+        self.refuse_stray_current()?;
         self.fade.start_from_nothing();
         self.key = key;
         self.restart_checks();
@@ -371,12 +368,12 @@ where
         Ok(())
     }
 
-    /// Resets everything that is summed up while the motors are on.
+    /// Resets all sums of the armed time.
     pub(super) fn restart_checks(&mut self) {
         self.record_host();
         self.joints.iter_mut().for_each(|joint| joint.sums.reset());
         self.crests.reset();
         self.flow.reset();
-        self.allow();
+        self.update_force_bounds();
     }
 }

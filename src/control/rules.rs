@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 /// Reaction to a silent host, least strict first.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Serialize, Deserialize, Schema)]
 pub enum HostAction {
-    /// No fault.
+    /// Silence is no fault.
     Ignore,
     /// The scene continues. The fault is listed, and the board cannot be armed again until it is cleared.
     Hold,
@@ -51,11 +51,10 @@ impl Default for Rules {
 }
 
 impl Rules {
-    /// Shortest and longest permitted value of `host_seconds`. Silence is the sum of single steps, which an f32 sum
-    /// beyond a minute would lose to rounding.
+    /// Shortest and longest permitted value of `host_seconds`, s. An f32 sum beyond a minute would lose steps.
     pub const HOST_SECONDS: (f32, f32) = (0.01, 60.0);
 
-    /// Returns true if every protective setting is at least as strict as in `other`: such a change is safe at any time.
+    /// Returns true if every protective setting is at least as strict as in `other`, which is safe at any time.
     pub fn no_looser_than(&self, other: &Self) -> bool {
         let watched = self.host_action >= other.host_action
             && (other.host_action == HostAction::Ignore || self.host_seconds <= other.host_seconds);

@@ -1,17 +1,15 @@
 //! Cuts the requested torques to the motors' limits.
 //!
-//! If each joint were limited separately, a wall pressed beyond the motors' limits would push less the deeper it is
-//! pressed, and sideways. The torques are therefore cut in the order of their purpose (docs/model.md section 2):
+//! If each joint were limited separately, a wall pressed beyond the motors' limits would push sideways, and push less
+//! the deeper it is pressed. The torques are therefore cut in the order of their purpose (docs/model.md section 2):
 //!
-//! 1. the torques that carry the device's weight, each joint within its limit;
-//! 2. the torques that render the requested forces, Jᵀ f, all joints by one factor: the force keeps its direction and
-//!    stays within the force limit;
-//! 3. the feed-forward of the rendered force, as far as the limits leave room, again by one factor: the force that it
-//!    makes at the tip counts towards the force limit.
+//! 1. torques that carry the device's weight, each joint within its limit;
+//! 2. torques that render the requested forces, Jᵀ f: one factor keeps their direction, within the force limit;
+//! 3. the feed-forward of the rendered force, by one factor. Its tip force counts towards the force limit.
 //!
-//! If the force used a motor's entire limit, there would be no room for a feed-forward in the same direction, and full
-//! room for the other direction: the common factor would jump from 0 to 1 where that motor's feed-forward crosses zero.
-//! The force therefore leaves each motor's feed-forward room of up to [`ROOM`] of the limit.
+//! If the force used a motor's entire limit, the feed-forward would have no room in the same direction and full room in
+//! the opposite one. The common factor would then jump from 0 to 1 where that motor's feed-forward crosses zero. The
+//! force therefore leaves each motor's feed-forward room of up to [`FEED_FORWARD_ROOM`] of the limit.
 
 use super::ControlLoop;
 use crate::control::joints::Torques;
@@ -25,14 +23,14 @@ use crate::render::step_result::TorqueDemand;
 use core::ops::DerefMut;
 
 /// Share of a joint's limit that rendered forces leave to a feed-forward in the same direction.
-const ROOM: f32 = 1.0 / 64.0;
+const FEED_FORWARD_ROOM: f32 = 1.0 / 64.0;
 
 /// Torques of a demand after limits.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GrantedTorques {
-    /// Sum of all torques.
+    /// Sum of gravity, rendered and feed-forward torques.
     pub torque: Torques,
-    /// The part that carries the device's weight.
+    /// Torques that carry the device's weight.
     pub gravity: Torques,
     /// Share of the requested forces that is rendered.
     pub share: f32,
@@ -44,9 +42,8 @@ where
     K: Math<f32>,
     S: Stage,
 {
-    /// Returns a value that is not negative if the step's demand on the J joints is within the limits by some rounding
-    /// errors: the torques after each stage of the order above, and the forces at the tip. Returns a negative value
-    /// otherwise, and for NaN.
+    /// Returns a value that is not negative if the demand on the J joints is within the limits after every stage, by
+    /// more than rounding errors. Checks joint torques and tip forces. Negative otherwise, and for NaN.
     #[inline(always)]
     pub(super) fn fits<const J: usize>(&self) -> i32 {
         let TorqueDemand { total, gravity, rendered, force_squared } = &self.now.found.asked;
@@ -57,13 +54,13 @@ where
         }
         margin |= margin_bits(squared(&self.leverage.force::<J>(&pushing)), self.max_tip_force_squared);
         if self.weighs {
-            for (i, fitting) in self.fitting.iter().enumerate().take(J) {
-                // If weight and force fit together with any signs, each of them fits, and so does their sum.
+            for (i, fitting) in self.unclamped_torque.iter().enumerate().take(J) {
+                // If weight and force fit together with any signs, each of them and their sum fit.
                 let both = gravity[i].abs() + rendered[i].abs();
                 margin |= margin_bits(total[i], *fitting) | margin_bits(both, *fitting);
             }
         } else {
-            for (i, fitting) in self.fitting.iter().enumerate().take(J) {
+            for (i, fitting) in self.unclamped_torque.iter().enumerate().take(J) {
                 margin |= margin_bits(total[i], *fitting) | margin_bits(rendered[i], *fitting);
             }
         }
@@ -92,12 +89,11 @@ impl TorqueDemand<f32> {
         if margin >= 0 {
             GrantedTorques { torque: Torques(self.total), gravity: Torques(self.gravity), share: 1.0 }
         } else {
-            self.cut::<J>(limit, tip_force, leverage)
+            self.cut_to_limits::<J>(limit, tip_force, leverage)
         }
     }
 
-    /// Returns the share of the requested forces that is rendered within `tip_force` (N) and ±`limit` of each of the J
-    /// joints.
+    /// Returns the rendered share of the requested forces, within `tip_force` (N) and ±`limit` of each of the J joints.
     #[inline(always)]
     fn share<const J: usize>(&self, limit: &Torques, tip_force: f32) -> f32 {
         let mut share = share_within(self.force_squared, tip_force);
@@ -107,16 +103,16 @@ impl TorqueDemand<f32> {
         share
     }
 
-    /// Returns the largest share, up to `most`, of the rendered torque that joint `i` can make within ±`limit` on top
-    /// of gravity and below the room of its feed-forward.
+    /// Returns the largest share, up to `most`, of the rendered torque of joint `i` that fits within ±`limit` together
+    /// with gravity and the room of its feed-forward.
     #[inline(always)]
     fn room_for_rendered(&self, i: usize, limit: f32, most: f32) -> f32 {
         let (base, part) = (limited(self.gravity[i], limit), self.rendered[i]);
-        let along = if part > 0.0 { self.rest(i) } else { -self.rest(i) };
+        let along = if part > 0.0 { self.feed_forward(i) } else { -self.feed_forward(i) };
         if along > 0.0 {
             // Either force and feed-forward both fit, or the force leaves the feed-forward its room.
-            let both = room(base, part + self.rest(i), limit, most);
-            let alone = room(base, part, limit - ROOM * limit, most);
+            let both = room(base, part + self.feed_forward(i), limit, most);
+            let alone = room(base, part, limit - FEED_FORWARD_ROOM * limit, most);
             if both > alone { both } else { alone }
         } else {
             room(base, part, limit, most)
@@ -124,34 +120,32 @@ impl TorqueDemand<f32> {
     }
 
     /// Returns the feed-forward of joint `i`: its demand beyond gravity and rendered forces.
-    fn rest(&self, i: usize) -> f32 {
+    fn feed_forward(&self, i: usize) -> f32 {
         self.total[i] - self.gravity[i] - self.rendered[i]
     }
 
-    /// Returns the feed-forward of all joints.
     #[inline(always)]
-    fn rests(&self) -> [f32; MAX_JOINTS] {
-        core::array::from_fn(|i| self.rest(i))
+    fn feed_forwards(&self) -> [f32; MAX_JOINTS] {
+        core::array::from_fn(|i| self.feed_forward(i))
     }
 
     #[allow(clippy::needless_range_loop, reason = "one number for four arrays")]
     #[inline(always)]
-    fn cut<const J: usize>(&self, limit: &Torques, tip_force: f32, leverage: &Leverage) -> GrantedTorques {
+    fn cut_to_limits<const J: usize>(&self, limit: &Torques, tip_force: f32, leverage: &Leverage) -> GrantedTorques {
         let share = self.share::<J>(limit, tip_force);
         let (mut torque, mut gravity) = (Torques::default(), Torques::default());
         for i in 0..J {
             gravity[i] = limited(self.gravity[i], limit[i]);
             torque[i] = gravity[i] + share * self.rendered[i];
         }
-        let (force, aside) = (leverage.force::<J>(&self.rendered), leverage.force::<J>(&self.rests()));
+        let (force, aside) = (leverage.force::<J>(&self.rendered), leverage.force::<J>(&self.feed_forwards()));
         let mut rest_share = room_aside(&force.map(|along| share * along), &aside, tip_force, share);
         for i in 0..J {
-            rest_share = room(torque[i], self.rest(i), limit[i], rest_share);
+            rest_share = room(torque[i], self.feed_forward(i), limit[i], rest_share);
         }
         for i in 0..J {
-            // Limits each torque once more, because rounding may exceed the limit, and turns a torque that is not
-            // finite into 0.
-            torque[i] = limited(torque[i] + rest_share * self.rest(i), limit[i]);
+            // Limits each torque again, because rounding may exceed the limit. A torque that is not finite becomes 0.
+            torque[i] = limited(torque[i] + rest_share * self.feed_forward(i), limit[i]);
         }
         GrantedTorques { torque, gravity, share }
     }
@@ -213,7 +207,7 @@ mod tests {
 
     #[test]
     fn a_force_beyond_its_limit_is_cut_with_its_feed_forward() {
-        // 3-4-5 triangle: 10 N with a limit of 5 N; all torques are within theirs.
+        // The force is 10 N (3-4-5 triangle), its limit 5 N. All torques are within their limits.
         let asked = TorqueDemand {
             total: [1.0, 6.0 + 2.0, 8.0 + 1.0],
             gravity: [1.0, 0.0, 0.0],
@@ -230,7 +224,7 @@ mod tests {
             "a force of 10 N is within a limit of 10 N"
         );
         let less = asked.within::<3>(&Torques([50.0, 50.0, 2.0]), 5.0, &Leverage::default()).torque;
-        // The limit of 2 N m, less a 64th for that joint's feed-forward, over the demand of 8 N m.
+        // The limit of 2 N m, less a 64th for the joint's feed-forward, over the demand of 8 N m.
         let share = (2.0 - 2.0 / 64.0) / 8.0;
         assert_eq!(
             less[..2],
@@ -262,7 +256,7 @@ mod tests {
     #[test]
     fn gravity_comes_first_and_the_feed_forward_last() {
         let torque = cut([1.5, 0.0, 0.0], [1.0, 1.0, 0.0], [0.5, 1.0, 0.0], [2.0; 3]);
-        // 0.5 N m are left at joint 0; a 64th of its 2 N m is reserved for the feed-forward's 0.5 N m.
+        // Gravity leaves 0.5 N m at joint 0, of which a 64th of the limit (2 N m) is reserved for the feed-forward.
         let room = 2.0 / 64.0;
         assert_eq!(torque, [2.0, 0.5 - room + room / 0.5, 0.0], "hardly any room is left for the feed-forward");
         let torque = cut([1.5, 0.0, 0.0], [1.0, 1.0, 0.0], [-0.5, 1.0, 0.0], [2.0; 3]);
@@ -270,7 +264,7 @@ mod tests {
     }
 
     /// Returns the next pseudorandom number from -1 to 1.
-    fn drawn(nth: &mut u32) -> f32 {
+    fn random_number(nth: &mut u32) -> f32 {
         *nth = nth.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
         (*nth >> 8) as f32 / 8_388_608.0 - 1.0
     }
@@ -281,9 +275,9 @@ mod tests {
         let mut nth = 7;
         let mut steepest = 0.0_f32;
         for _ in 0..300 {
-            // Gravity leaves a tenth of each motor. The rendered torques are far beyond the limits, and the
+            // Gravity uses nine tenths of each motor's limit. Rendered torques exceed the limits by far, and the
             // feed-forward crosses 0.
-            let mut vector = |size: f32| -> [f32; 3] { core::array::from_fn(|_| size * drawn(&mut nth)) };
+            let mut vector = |size: f32| -> [f32; 3] { core::array::from_fn(|_| size * random_number(&mut nth)) };
             let (gravity, from, to) = (vector(0.9), [vector(4.0), vector(1.0)], [vector(4.0), vector(1.0)]);
             let at = |share: f32| {
                 let between = |k: usize| core::array::from_fn(|i| from[k][i] + share * (to[k][i] - from[k][i]));
@@ -297,7 +291,7 @@ mod tests {
                 before = now;
             }
         }
-        // A jump of a fiftieth of a limit would be 400.
+        // A jump by a fiftieth of a limit would be 400.
         assert!(steepest < 400.0, "steepest slope {steepest} N m over the entire range");
     }
 

@@ -1,5 +1,5 @@
-//! Checks that turn the motors off and need a control step: numbers that are not finite, poses, index pulses, a silent
-//! host. [`super::crest`] checks limits in every carrier period; [`super::budgets`] checks harm that builds up.
+//! Checks of each control step, which turn the motors off: numbers that are not finite, poses, index pulses, a silent
+//! host. [`super::crest`] checks limits in every carrier period; [`super::budgets`] checks heat and stalls.
 
 use super::{ControlLoop, HostAction, Press};
 use crate::control::joints::Counts;
@@ -11,21 +11,19 @@ use crate::model::catalogue::MAX_JOINTS;
 use crate::safety::fault::{Fault, FaultRecord};
 use core::ops::DerefMut;
 
-/// Regularity of a closed loop below which its tip force is too poorly defined to act.
-pub const TRIPPING_SINE: f32 = 2.0e-3;
-/// Width of an index pulse, counts. The first pulse is used only if the joint moved by at most this in the step.
+/// Regularity of a closed loop below which its tip force is too poorly defined to act (sine, no unit).
+pub const MIN_PARALLEL_SINE: f32 = 2.0e-3;
+/// Width of an index pulse, counts. The first pulse is used only if the joint moved by at most this width in the step.
 pub const INDEX_WIDTH: u32 = 4;
-
-/// Largest age of the last press of a dead man's key that keeps the motors on, s, even if the rules ignore a silent
-/// host; `host_seconds` if that is shorter. A page takes up to 0.17 s of this without network delays: it receives a
-/// step every 50 ms, shows it every 17 ms, and reports the key every 80 ms and at every picture.
+/// Largest age of the last press of the dead man's key while the motors stay on, s; `host_seconds` if that is shorter.
+/// Applies even if the rules ignore a silent host. A page uses up to 0.17 s of it: it receives a step every 50 ms,
+/// shows it every 17 ms, and reports the key every 80 ms and at every picture.
 pub const KEY_SECONDS: f32 = 0.5;
-/// Share of a real motor's maximum current that may flow continuously if its rules set no continuous current: it makes
-/// a quarter of the heat.
-pub const STEADY_SHARE: f32 = 0.5;
-
-/// Maximum number of steps until the silence of a host is checked again: the step counter wraps at four times as many.
-const CHECK_AGAIN: u32 = 1 << 30;
+/// Share of a real motor's maximum current that may flow continuously if the rules set no continuous current. Half of
+/// the current makes a quarter of the heat.
+pub const CONTINUOUS_CURRENT_SHARE: f32 = 0.5;
+/// Maximum number of steps until the host's silence is checked again: a quarter of the step counter's range.
+const MAX_UNCHECKED_STEPS: u32 = 1 << 30;
 
 impl<P, K, S> ControlLoop<P, S>
 where
@@ -33,15 +31,14 @@ where
     K: Math<f32>,
     S: Stage,
 {
-    /// Sets the bounds of steps and carrier periods after device, homing or rate have changed.
+    /// Sets the bounds of steps and carrier periods. Call after a change of device, homing or rate.
     pub(super) fn set_bounds(&mut self) {
         self.set_ranges();
         self.begin_bounds();
         self.finish_bounds();
     }
 
-    /// Sets the bounds after rules have changed: those of the device at once, those of each joint with a
-    /// [`ControlLoop::settle_next`].
+    /// Sets the device's bounds for new rules. Each [`ControlLoop::settle_next`] then sets the bounds of one joint.
     pub(super) fn begin_bounds(&mut self) {
         self.expect_host();
         let tip_force = self.rules.limits.tip_force;
@@ -60,8 +57,7 @@ where
     }
 
     /// Applies the new rules to the next joint, and returns true if joints with the old rules remain. While the motors
-    /// are on, a control interrupt has no time for all joints; each one obeys the old or the new rules, which are no
-    /// looser.
+    /// are on, a control interrupt has no time for all joints.
     #[inline(never)]
     pub fn settle_next(&mut self) -> bool {
         let Some(joint) = self.unsettled.checked_sub(1) else { return false };
@@ -71,12 +67,12 @@ where
             joint.stage.limit(limits.current[i]);
             let (steady, motor) = (limits.continuous_current[i], joint.stage.motor_current());
             // A rule above the motor's maximum sets no continuous current: use the default share.
-            let steady = if self.hardware.real && steady > motor { STEADY_SHARE * motor } else { steady };
+            let steady = if self.hardware.real && steady > motor { CONTINUOUS_CURRENT_SHARE * motor } else { steady };
             heat.limit(joint.stage.max_current(), steady);
             let largest = joint.stage.max_torque();
             joint.sums.set_limits(largest, limits.speed[i]);
             self.max_joint_torque[i] = limits.torque[i].min(largest).max(0.0);
-            self.fitting[i] = fitting(self.max_joint_torque[i]);
+            self.unclamped_torque[i] = torque_below(self.max_joint_torque[i]);
         }
         self.set_crest_bounds_of(i);
         joint > 0
@@ -87,7 +83,6 @@ where
         while self.settle_next() {}
     }
 
-    /// Records a sign of life of the host.
     pub(super) fn record_host(&mut self) {
         self.host_seen_at = self.now.step;
         self.expect_host();
@@ -98,11 +93,10 @@ where
         self.now.step.wrapping_sub(self.host_seen_at) as f32 * self.period
     }
 
-    /// Records a press of the dead man's key. Its age counts from when it was seen, not from when it was received.
+    /// Records a press of the dead man's key. Its age counts from step `press.seen`, not from its arrival.
     pub(super) fn record_key(&mut self, press: Press) {
         let steps = |key: Press| self.now.step.wrapping_sub(key.seen);
         let newer = match self.key {
-            // A key has one holder.
             Some(key) => key.holder == press.holder && steps(press) < steps(key),
             None => self.state.drives(),
         };
@@ -113,42 +107,42 @@ where
 
     /// Returns the time since the key was last seen down and the longest allowed time, s; `None` without a key.
     pub fn key_age(&self) -> Option<(f32, f32)> {
-        self.key.map(|key| self.age(key))
+        self.key.map(|key| self.press_age(key))
     }
 
-    fn age(&self, key: Press) -> (f32, f32) {
+    fn press_age(&self, key: Press) -> (f32, f32) {
         let steps = self.now.step.wrapping_sub(key.seen);
         (steps as f32 * self.period, self.rules.host_seconds.min(KEY_SECONDS))
     }
 
     /// Returns true if a key was seen down recently enough to keep the motors on.
     pub(super) fn is_fresh(&self, key: Press) -> bool {
-        let (age, allowed) = self.age(key);
+        let (age, allowed) = self.press_age(key);
         // Steps before a change of rate had another length, so the key's age is unknown.
         let known = self.now.step.wrapping_sub(key.seen) <= self.now.step.wrapping_sub(self.rate_since);
         known && age <= allowed
     }
 
-    /// Sets the step after which the host or its key counts as silent for too long, or the silence is checked again.
+    /// Sets the step after which the silence of the host or its key is checked.
     fn expect_host(&mut self) {
         let key = match self.key_age() {
             Some((age, allowed)) => ((allowed - age) / self.period) as u32,
-            None => CHECK_AGAIN,
+            None => MAX_UNCHECKED_STEPS,
         };
         let steps = match self.rules.host_action {
-            HostAction::Ignore => CHECK_AGAIN,
-            // The fault is listed already.
-            HostAction::Hold if self.fault.is_some() => CHECK_AGAIN,
+            HostAction::Ignore => MAX_UNCHECKED_STEPS,
+            // The silence is already listed as a fault.
+            HostAction::Hold if self.fault.is_some() => MAX_UNCHECKED_STEPS,
             HostAction::Hold | HostAction::Disarm => {
-                (((self.rules.host_seconds - self.host_silent()) / self.period) as u32).min(CHECK_AGAIN)
+                (((self.rules.host_seconds - self.host_silent()) / self.period) as u32).min(MAX_UNCHECKED_STEPS)
             }
         };
         self.host_expected = self.now.step.wrapping_add(steps.min(key));
         self.forget_old_rates();
     }
 
-    /// Keeps `rate_since` at most half of the step counter's range behind, so that the counter never reaches it again:
-    /// no step that a host has seen is older. The host is checked four times in that range.
+    /// Keeps `rate_since` at most half of the step counter's range behind, so that the wrapping counter never reaches
+    /// it. No step in a host's request is older. The host is checked four times in that range.
     fn forget_old_rates(&mut self) {
         const HALF: u32 = 1 << 31;
         if self.now.step.wrapping_sub(self.rate_since) > HALF {
@@ -156,8 +150,8 @@ where
         }
     }
 
-    /// Returns a negative number if the step of J joints must be checked: NaN, a singular pose, a host that is silent
-    /// for too long. [`ControlLoop::fits`] finds torques that are NaN.
+    /// Returns a negative number if the step of J joints must be checked for NaN, a singular pose or a silent host.
+    /// [`ControlLoop::fits`] detects torques that are NaN.
     #[inline(always)]
     pub(super) fn watch<const J: usize>(&self) -> i32 {
         let found = &self.now.found;
@@ -165,8 +159,10 @@ where
         for qd in found.at.qd.iter().take(J) {
             sum += qd;
         }
-        // A single check: the sum of finite numbers this small is infinite or NaN only if one of them is.
-        margin_bits(sum, f32::MAX) | beyond(found.parallel) | self.host_expected.wrapping_sub(self.now.step) as i32
+        // A single check is sufficient: a sum of finite numbers this small is finite.
+        margin_bits(sum, f32::MAX)
+            | parallel_margin(found.parallel)
+            | self.host_expected.wrapping_sub(self.now.step) as i32
     }
 
     /// [`ControlLoop::watch`] of all joints and their torques.
@@ -184,11 +180,11 @@ where
         self.now.found.asked.total.iter().take(J).fold(0, |least, torque| least | margin_bits(*torque, f32::MAX))
     }
 
-    /// Finds the first fault of an unusual step, and turns the motors off if they must not go on. `before`: counts of
-    /// the step before.
+    /// Finds the first fault of an unusual step, and turns the motors off if the fault requires it. `before` are the
+    /// previous counts.
     #[cold]
     #[inline(never)]
-    pub(super) fn find(&mut self, before: &Counts) {
+    pub(super) fn find_fault(&mut self, before: &Counts) {
         let active = self.state.drives();
         let joints = self.count();
         let mut first = None;
@@ -197,7 +193,7 @@ where
                 first = Some((fault, axis.map(|i| i as u8), value));
             }
         };
-        // NaN comes first because it makes every comparison below meaningless.
+        // NaN is checked first because it makes every comparison below meaningless.
         let found = &self.now.found;
         let mut sum = found.at.walls.wall_force + found.at.walls.normal_velocity;
         for (qd, torque) in found.at.qd.iter().zip(&found.asked.total).take(joints) {
@@ -222,12 +218,12 @@ where
         }
         if active {
             let parallel = self.now.found.parallel;
-            note(beyond(parallel) < 0, Fault::Singularity, None, parallel);
+            note(parallel_margin(parallel) < 0, Fault::Singularity, None, parallel);
             let seconds = self.host_silent();
             let silent = seconds > self.rules.host_seconds;
             match self.rules.host_action {
                 HostAction::Disarm => note(silent, Fault::HostLost, None, seconds),
-                // One entry in the fault's record is enough.
+                // One record of the fault is sufficient.
                 HostAction::Hold if silent && self.fault.is_none() => {
                     self.fault =
                         Some(FaultRecord { fault: Fault::HostLost, axis: None, value: seconds, step: self.now.step });
@@ -245,26 +241,24 @@ where
     }
 }
 
-/// Returns a torque so far below its limit, N m, that no rounding on its way to a current exceeds the limit.
-fn fitting(most: f32) -> f32 {
+/// Returns a torque slightly below `most` (N m), so that rounding on its way to a current does not exceed `most`.
+fn torque_below(most: f32) -> f32 {
     if most.is_normal() { most * (1.0 - 8.0 * f32::EPSILON) } else { 0.0 }
 }
 
-/// Returns a negative number if a closed loop is stretched so far that its tip force is undefined, or if that is
-/// unknown.
+/// Returns a negative number if a closed loop is so far stretched that its tip force is undefined, and for NaN.
 #[inline(always)]
-fn beyond(parallel: f32) -> i32 {
-    margin_bits_between(parallel, (TRIPPING_SINE, f32::MAX))
+fn parallel_margin(parallel: f32) -> i32 {
+    margin_bits_between(parallel, (MIN_PARALLEL_SINE, f32::MAX))
 }
 
-/// Returns the counts between an index pulse at `count` and its nearest expected place, a whole number of times
-/// `period` from the `first` pulse.
+/// Returns the distance of an index pulse from the nearest multiple of `period` after the `first` pulse, counts.
 fn index_error(count: i32, first: i32, period: i32) -> u32 {
     let off = count.wrapping_sub(first).checked_rem(period).unwrap_or(0).unsigned_abs();
     off.min(period.unsigned_abs().saturating_sub(off))
 }
 
-/// Returns the allowed error, counts: the first pulse may be late by its width, this pulse also by the joint's motion.
+/// Returns the allowed error of an index pulse, counts: two pulse widths plus the joint's motion in this step.
 fn index_tolerance(moved: u32) -> u32 {
     moved.saturating_add(2 * INDEX_WIDTH)
 }

@@ -1,22 +1,22 @@
-//! Comparisons that return a sign: negative if a value is beyond its bound. OR combines many results, so one test
-//! checks them all without a branch for each and without moving the FPU's flags.
+//! Comparisons that return a sign, negative if a value is beyond its bound. Several results are combined by OR and
+//! tested once, without a branch for each and without moving the FPU's flags.
 //!
 //! The bit patterns of positive floats have the order of the floats; infinity and NaN are above them all.
 
-/// Returns a negative number if |`value`| exceeds `bound`, which is not negative, or if `value` is NaN.
+/// Returns a negative number if |`value`| exceeds `bound` (not negative) or `value` is NaN.
 #[inline(always)]
 pub(crate) fn margin_bits(value: f32, bound: f32) -> i32 {
     bound.to_bits().wrapping_sub(value.abs().to_bits()) as i32
 }
 
-/// Returns a negative number if `value` is below `low` or above `high`, which both are not negative, or if it is NaN.
+/// Returns a negative number if `value` is below `low`, above `high` (both not negative) or NaN.
 #[inline(always)]
 pub(crate) fn margin_bits_between(value: f32, (low, high): (f32, f32)) -> i32 {
     let bits = value.to_bits();
     (bits | bits.wrapping_sub(low.to_bits()) | high.to_bits().wrapping_sub(bits)) as i32
 }
 
-/// Returns a negative number if |`moved`| exceeds `bound`, which is not negative, or if the difference wraps.
+/// Returns a negative number if |`moved`| exceeds `bound` (not negative) or the difference wraps.
 #[inline(always)]
 pub(crate) fn margin_counts(moved: i32, bound: i32) -> i32 {
     bound.wrapping_sub(moved) | bound.wrapping_add(moved)

@@ -1,15 +1,15 @@
-//! Torque → current → voltage → duty, for one brushed motor on a bridge.
+//! The motor stage of one brushed motor on a bridge: torque → current → voltage → duty.
 //!
-//! The motor's resistance, inductance and back-EMF give the voltage that takes the winding of the device file to the
+//! The motor's resistance, inductance and back-EMF give the voltage that brings the winding of the device file to the
 //! target current within one carrier period, or as far as the bus allows. If the board senses current, a PI loop
-//! removes the remaining error: it compares each sample with the current that this winding would have at that instant,
+//! removes the remaining error. It compares each sample with the current that the winding would have at that instant,
 //! not with the target, which the current cannot have reached yet. Steps therefore do not overshoot.
 //!
-//! Limits (torque, current, voltage, duty) are enforced here and nowhere else. The returned duty is a signed share of
-//! the bus voltage across the motor, -1..1; the legs run at ½ ± duty/2.
+//! Only this module enforces the limits of torque, current, voltage and duty. The returned duty is the motor's voltage
+//! as a signed share of the bus voltage, -1..1; the legs run at ½ ± duty/2.
 //!
 //! [`Stage::drive_in_range`] computes a duty within all limits with a few multiplications and additions.
-//! `Axis::drive_at_limits` computes every other duty. If both apply, both return the same number.
+//! `Axis::drive_at_limits` computes every other duty; within the limits both return the same number.
 
 use super::bits::margin_bits;
 use super::stage::{Bridge, Duty, MAX_DUTY, Stage, Supply};
@@ -18,44 +18,39 @@ use crate::model::motor::Motor;
 
 /// [`MAX_DUTY`] less the largest rounding error.
 const USABLE_DUTY: f32 = MAX_DUTY * (1.0 - 2.0 * f32::EPSILON);
-
 /// Share of the loop's bandwidth that is used if the device file gives the inductance as 0. If the real winding has
-/// inductance, the full voltage of the target applies at once, the current rises with L/R, and it overshoots by the
-/// error that the loop integrates during the rise: with the boards' 1 kHz by 7 % at L/R = 0.3 ms, 14 % at 0.8 ms and 16
-/// % at 1 ms (tests/drive.rs).
+/// inductance, the current rises with L/R and overshoots by the error that the loop integrates meanwhile. At the
+/// boards' bandwidth of 1 kHz this is 7 % at L/R = 0.3 ms, 14 % at 0.8 ms and 16 % at 1 ms (tests/drive.rs).
 pub const UNKNOWN_INDUCTANCE_SHARE: f32 = 0.05;
-
-/// Largest overshoot of a current: a multiple of its limit plus an absolute amount, A.
-const OVERSHOOT: f32 = 1.3;
+/// Factor of the current limit in the largest current with overshoot.
+const OVERSHOOT_FACTOR: f32 = 1.3;
+/// Part of the largest current with overshoot that does not depend on the limit, A.
 const OVERSHOOT_FLOOR: f32 = 0.6;
-/// Share of the available change that remains after rounding.
-const ROUNDED_SHARE: f32 = 1.0 - 8.0 * f32::EPSILON;
-
-/// Current below which dead-time compensation fades, A: near zero the sign of the current is noise.
+/// Share of the available change of current that is used, because of rounding.
+const USABLE_RISE_SHARE: f32 = 1.0 - 8.0 * f32::EPSILON;
+/// Current below which dead-time compensation fades, A, because near zero the sign of the current is noise.
 const DEAD_TIME_KNEE: f32 = 0.1;
-
-/// Share by which a winding's resistance may exceed the device file's: copper's rises by 40 % per 100 K.
+/// Relative excess of a winding's resistance over the device file's that is accepted: copper gains 40 % per 100 K.
 const RESISTANCE_TOLERANCE: f32 = 0.5;
-
-/// Voltage that the model of a sound motor does not explain, V: brushes, ripple, errors of the sensors' zeros.
+/// Voltage that the model of a sound motor leaves unexplained, V: brushes, ripple, errors of the sensors' zeros.
 const VOLTAGE_TOLERANCE: f32 = 1.0;
-/// Share by which the back-EMF may differ from the data sheet's.
+/// Accepted relative error of the data sheet's back-EMF.
 const EMF_TOLERANCE: f32 = 0.2;
-/// Weight of one sample in the mean difference between expected and measured current. The second value applies if the
-/// inductance is unknown, because the current may then lag the expected current for about a millisecond.
+/// Weight of one sample in the mean difference between expected and measured current.
 const ERROR_WEIGHT: f32 = 1.0 / 4.0;
+/// Weight if the inductance is unknown, because the current may lag the expected current by about a millisecond.
 const SLOW_ERROR_WEIGHT: f32 = 1.0 / 64.0;
-/// Share of the largest recent current that remains after a carrier period. The loop's integrator forgets faster.
+/// Share of the largest recent current that remains after a carrier period. The integrator decays faster.
 const CURRENT_DECAY: f32 = 15.0 / 16.0;
 /// Share of the largest recent difference of fed-forward and measured speed that remains after a carrier period.
-const SWING_DECAY: f32 = 255.0 / 256.0;
-/// Largest error by a lagging current during a reversal, as a share of the voltage at the largest current.
+const SPEED_ERROR_DECAY: f32 = 255.0 / 256.0;
+/// Largest error by a lagging current during a reversal, as a share of the voltage R i at the largest current.
 const LAG_TOLERANCE: f32 = 1.3;
 
 /// Effect of a duty, as shares of the current change that the duty makes in a full carrier period.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 struct Timing {
-    /// Shares of the change at the next sample and at the next valley.
+    /// Share of the change at the next sample. `valley` is the share at the next valley.
     sample: f32,
     valley: f32,
     /// Share of a change to request, so that a duty that lasts half a period too long completes the change.
@@ -63,7 +58,7 @@ struct Timing {
 }
 
 /// The drive of one motor: constants that are computed when a device is loaded, and the state of the loop. The fields
-/// that every carrier period needs come first in memory.
+/// of every carrier period come first in memory.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[repr(C)]
 pub struct Axis {
@@ -72,7 +67,7 @@ pub struct Axis {
     dead_time_share: f32,
     /// Target current, A.
     target: f32,
-    /// Currents that the next sample should show and that the duties so far produce at the next valley, A.
+    /// Current that the next sample should show, A. `at_valley` is the current that the duties so far produce there, A.
     expected: f32,
     at_valley: f32,
     /// Expected current less measured current at the last sample, A.
@@ -84,11 +79,11 @@ pub struct Axis {
     resistance: f32,
     /// Voltage that changes the current by 1 A within a carrier period, V/A.
     surge: f32,
-    /// A change of current that a duty in time can always make, A.
+    /// Change of current that a duty in time can make at any current within the limit, A.
     safe_rise: f32,
     /// Share of a change at the next sample if the duty applies in time, see [`Timing::sample`].
     half: f32,
-    /// Timing of a duty in time and of a late duty; share of a free current that remains after half a carrier period.
+    /// Timing of a duty in time and of a late duty. `free_share` of a free current remains after half a carrier period.
     timing: [Timing; 2],
     free_share: f32,
     /// Inverse of `surge`, A/V.
@@ -99,35 +94,34 @@ pub struct Axis {
     max_current: f32,
     /// Largest current including overshoot, A.
     bound: f32,
-    /// Mean of expected less measured current, A, and the weight of one sample.
+    /// Mean of expected less measured current, A. `error_weight` is the weight of one sample.
     mean_error: f32,
     error_weight: f32,
     /// Possible error of the back-EMF at the last sample's speed, V.
     emf_tolerance: f32,
     /// Largest recent difference between the fed-forward and the measured speed, rad/s.
     swing: f32,
-    /// Largest recent current, A: the integrator's voltage for a hot winding outlasts the current.
+    /// Largest recent current, A, because the integrator's voltage for a hot winding outlasts the current.
     recent_current: f32,
-    /// Largest voltage by which a sound motor may differ from its model at rest without current, V.
+    /// Largest difference of a sound motor's voltage from the model at rest without current, V.
     tolerance: f32,
     /// Difference from the model above which the motor is inspected, V.
     inspection_voltage: f32,
-    /// Part of `tolerance` without any current, V, and its part per allowed ampere if the inductance is unknown, Ω.
+    /// Part of `tolerance` without current, V. `lag_resistance` is the part per ampere, Ω, for an unknown inductance.
     base_tolerance: f32,
     lag_resistance: f32,
-    /// Additional tolerance per ampere of the largest recent current, because the winding may be hot, Ω.
+    /// Additional tolerance per ampere of the largest recent current, Ω, because the winding may be hot.
     tolerance_resistance: f32,
 }
 
-/// Returns the current (A) that a joint speed of 1 rad/s may hide, because its back-EMF is part of the motor's voltage.
+/// Returns the current (A) whose voltage R i equals the back-EMF of a joint speed of 1 rad/s.
 pub fn hidden_by_speed(motor: &Motor<f64>) -> f64 {
     f64::from(EMF_TOLERANCE) * motor.back_emf / motor.resistance
 }
 
 impl Axis {
-    /// Sets the timing of duties; f = `free_share` is the share of a free current that remains after half a carrier
-    /// period. At constant voltage the remaining change of current falls as f^(2t), so half a period makes
-    /// (1 - f)/(1 - f²) of the change of a full period.
+    /// Sets the timing of duties. f = `free_share` is the share of a free current that remains after half a carrier
+    /// period. At constant voltage the remaining change falls as f^(2t), so half a period makes (1 - f)/(1 - f²) of it.
     fn set_timing(&mut self, free_share: f32) {
         let half = 1.0 / (1.0 + free_share);
         self.timing = [
@@ -145,7 +139,7 @@ impl Axis {
 
     /// Returns the voltage (V) that keeps the current at `begin` and corrects the error of the last sample.
     #[inline(always)]
-    fn hold(&self, begin: f32, error: f32, speed: f32) -> f32 {
+    fn holding_voltage(&self, begin: f32, error: f32, speed: f32) -> f32 {
         self.integrator + self.back_emf * speed + self.proportional * error + self.resistance * begin
     }
 
@@ -154,17 +148,17 @@ impl Axis {
     fn drive_at_limits(&mut self, supply: &Supply, current: f32, speed: f32, late: bool) -> f32 {
         let timing = self.timing[usize::from(late)];
         let error = self.expected - current;
-        // Current at which the drive begins: the previous drive continues until a late drive acts.
+        // The drive begins at this current. The previous drive continues until a late drive acts.
         let begin =
             if late { self.at_valley + self.free_share * (self.at_valley - self.expected) } else { self.at_valley };
-        // If the next duty is late, this duty acts for longer: keep the change below an over-current.
+        // If the next duty is late, this duty acts for longer, so the change stays below an over-current.
         let (up, down) = ((self.bound - begin) * timing.part, (self.bound + begin) * -timing.part);
         let change = self.target - begin;
         let mut rise = if change > up { up } else { change };
         rise = if rise < down { down } else { rise };
-        let (hold, dead_time_duty) = (self.hold(begin, error, speed), self.dead_time_duty());
+        let (hold, dead_time_duty) = (self.holding_voltage(begin, error, speed), self.dead_time_duty());
         let mut duty = dead_time_duty + supply.inverse * (hold + self.surge * rise);
-        // Do not integrate further into a voltage that the bus cannot supply.
+        // A voltage that the bus cannot supply is not integrated further.
         let integrates = if duty.abs() <= USABLE_DUTY {
             true
         } else {
@@ -186,7 +180,7 @@ impl Stage for Axis {
     type Sample = f32;
     type Drive = Duty;
 
-    /// A motor without a torque constant receives no current.
+    /// Makes the stage. A motor without a torque constant receives no current.
     fn new(motor: &Motor<f32>, bridge: &Bridge, max_current: f32) -> Self {
         let kt = motor.torque_constant;
         let usable = kt.abs() > 1.0e-9;
@@ -201,7 +195,7 @@ impl Stage for Axis {
         let bandwidth = share * core::f32::consts::TAU * bridge.bandwidth_hz;
         // A free current falls by a factor of exp(-fade) in a carrier period.
         let fade = motor.resistance / (inductance * carrier_hz);
-        let surge = motor.resistance + inductance * carrier_hz / growth(fade);
+        let surge = motor.resistance + inductance * carrier_hz / exprel(fade);
         let mut axis = Self {
             amps_per_torque: if usable { 1.0 / kt } else { 0.0 },
             torque_per_amp: if usable { kt } else { 0.0 },
@@ -219,7 +213,7 @@ impl Stage for Axis {
             error_weight: if inductance > 0.0 { ERROR_WEIGHT } else { SLOW_ERROR_WEIGHT },
             ..Self::default()
         };
-        axis.set_timing(1.0 / (1.0 + 0.5 * fade * growth(0.5 * fade)));
+        axis.set_timing(1.0 / (1.0 + 0.5 * fade * exprel(0.5 * fade)));
         axis.limit(max_current);
         axis
     }
@@ -228,9 +222,9 @@ impl Stage for Axis {
         self.max_current = self.motor_current.min(max_current).max(0.0);
         // The last command acts until the next control step.
         self.target = limited(self.target, self.max_current);
-        self.bound = OVERSHOOT * self.max_current + OVERSHOOT_FLOOR;
-        // The change from any current within the limit to the largest current with overshoot.
-        self.safe_rise = ROUNDED_SHARE * ((self.bound - self.max_current) * self.timing[0].part).max(0.0);
+        self.bound = OVERSHOOT_FACTOR * self.max_current + OVERSHOOT_FLOOR;
+        // Change from any current within the limit to the largest current with overshoot.
+        self.safe_rise = USABLE_RISE_SHARE * ((self.bound - self.max_current) * self.timing[0].part).max(0.0);
         self.tolerance = self.base_tolerance + self.lag_resistance * self.max_current;
         self.inspection_voltage = self.tolerance;
     }
@@ -252,7 +246,7 @@ impl Stage for Axis {
         current * self.torque_per_amp
     }
 
-    fn asked(&self) -> f32 {
+    fn target_current(&self) -> f32 {
         self.target
     }
 
@@ -266,8 +260,8 @@ impl Stage for Axis {
         self.target = torque * self.amps_per_torque;
     }
 
-    /// Returns the duty for the next carrier period from the supply and the measured current (A; ignored if the board
-    /// senses none). Returns zero if the bus voltage is not usable.
+    /// Returns the duty for the next carrier period. `current` is the measured current, A, ignored if the board senses
+    /// none. Returns zero if the bus voltage is not usable.
     fn drive(&mut self, supply: &Supply, current: f32, speed: f32, late: bool) -> Duty {
         if !supply.is_usable() {
             self.integrator = 0.0;
@@ -276,14 +270,15 @@ impl Stage for Axis {
         Duty(self.drive_at_limits(supply, current, speed, late))
     }
 
-    /// A late drive makes at most the requested change, so only the voltage can be too small.
+    /// A late drive makes at most the requested change, so only its voltage can be out of range.
     #[inline(always)]
     fn drive_in_range(&mut self, supply: &Supply, current: f32, speed: f32, late: bool) -> Option<Duty> {
         let begin =
             if late { self.at_valley + self.free_share * (self.at_valley - self.expected) } else { self.at_valley };
         let error = self.expected - current;
         let rise = self.target - begin;
-        let duty = self.dead_time_duty() + supply.inverse * (self.hold(begin, error, speed) + self.surge * rise);
+        let duty =
+            self.dead_time_duty() + supply.inverse * (self.holding_voltage(begin, error, speed) + self.surge * rise);
         let room = margin_bits(self.target, self.bound) | margin_bits(begin, f32::MAX);
         if if late { room } else { margin_bits(rise, self.safe_rise) } | margin_bits(duty, USABLE_DUTY) < 0 {
             return None;
@@ -304,8 +299,8 @@ impl Stage for Axis {
         self.mean_error += self.error_weight * (self.error - self.mean_error);
         let (at_valley, fading) = (self.at_valley.abs(), CURRENT_DECAY * self.recent_current);
         self.recent_current = if at_valley > fading { at_valley } else { fading };
-        // After a jump the speed leads its filtered value; between the counts of a coarse encoder it appears to lag.
-        let (ahead, fading) = ((speed - given).abs(), SWING_DECAY * self.swing);
+        // After a jump the speed leads its filtered value; between the counts of a coarse encoder it seems to lag.
+        let (ahead, fading) = ((speed - given).abs(), SPEED_ERROR_DECAY * self.swing);
         self.swing = if ahead > fading { ahead } else { fading };
         self.emf_tolerance = (EMF_TOLERANCE * speed.abs() + self.swing + (raw - speed).abs()) * self.back_emf.abs();
     }
@@ -314,8 +309,8 @@ impl Stage for Axis {
         if self.resistance > 0.0 { self.back_emf * speed / self.resistance } else { 0.0 }
     }
 
-    /// Uses the part of the voltage that is in phase with the current: the inductance's voltage is a quarter period
-    /// off, and the back-EMF is subtracted.
+    /// Uses only the voltage in phase with the current, because the inductance's is a quarter period off. Subtracts the
+    /// back-EMF.
     fn resistance_of(&self, voltage: [f32; 2], current: [f32; 2], angle: [f32; 2], rate: f32) -> Option<(f32, f32)> {
         // The derivative of a cos + b sin is rate (b cos - a sin).
         let turning = [rate * angle[1], -rate * angle[0]];
@@ -330,8 +325,8 @@ impl Stage for Axis {
         drive.0
     }
 
-    /// A sound motor leaves the integrator near zero. If the bus limits the voltage, a current that stays below the
-    /// expected current shows the same error.
+    /// A sound motor leaves the integrator near zero. If the bus limits the voltage, the same error appears as a
+    /// current below the expected current.
     #[inline(always)]
     fn strain(&self) -> (f32, f32, f32) {
         let strain = self.integrator + self.resistance * self.mean_error;
@@ -352,13 +347,13 @@ impl Stage for Axis {
         self.at_valley + if self.resistance > 0.0 { beyond / self.resistance } else { 0.0 }
     }
 
-    /// Uses the smaller of the file's and the measured resistance. A larger measured resistance may be that of the
-    /// brushes, and an overestimated winding resistance would hide a current.
+    /// Uses the smaller of the file's and the measured resistance. A larger measured value may include the brushes, and
+    /// an overestimated resistance of the winding would hide a current.
     fn set_measured_resistance(&mut self, ohms: f32) {
         self.resistance = self.resistance.min(ohms);
     }
 
-    fn turning(&self, volts: f32) -> f32 {
+    fn speed_of_back_emf(&self, volts: f32) -> f32 {
         if self.back_emf.abs() > 1.0e-6 { volts / self.back_emf } else { 0.0 }
     }
 
@@ -388,8 +383,8 @@ impl Stage for Axis {
         }
     }
 
-    /// Subtracts the resistance's voltage, and then the possible error: half of that voltage again (a hot winding or a
-    /// poor contact) and the dead time. The rest is back-EMF.
+    /// Subtracts the resistance's voltage and the possible error: half of this voltage (for a hot winding or a poor
+    /// contact), and the dead time. The rest is back-EMF.
     #[inline(always)]
     fn least_speed(&self, duty: f32, bus_voltage: f32, current: f32) -> f32 {
         let drop = self.resistance * current;
@@ -400,8 +395,8 @@ impl Stage for Axis {
     }
 }
 
-/// Returns (eˣ - 1)/x for x ≥ 0 by its series: exact for small x. For large x it is so large that a quotient by it is
-/// negligible. Infinite for infinity.
-fn growth(x: f32) -> f32 {
+/// Returns (eˣ - 1)/x for x ≥ 0 by its series, exact for small x. For large x the result is so large that a quotient by
+/// it is negligible. Infinite for infinity.
+fn exprel(x: f32) -> f32 {
     (2..=9).rev().fold(1.0, |sum, n| 1.0 + x / n as f32 * sum)
 }

@@ -1,4 +1,4 @@
-//! The PWM carrier for a control rate: its frequency, number of periods in a control step, and delay.
+//! The PWM carrier for a control rate: frequency, number of periods in a control step, and delay.
 //!
 //! The carrier is centre-aligned: a timer counts up to a crest and down to a valley. Encoders and currents are sampled
 //! at the crest. A duty that is written after the crest applies at the next valley, half a carrier period later.
@@ -7,7 +7,6 @@ use super::stage::Duty;
 
 /// Lowest carrier frequency, Hz: above the audible range.
 pub const CARRIER_MIN_HZ: u32 = 20_000;
-
 /// Lowest and highest control rate, Hz.
 pub const RATE_HZ: (u32, u32) = (200, 50_000);
 
@@ -23,11 +22,9 @@ pub struct Carrier {
 }
 
 impl Carrier {
-    /// Returns the carrier of a timer that counts at `timer_hz` (Hz, at most 2.6 GHz) for a control rate in Hz. Clamps
-    /// the rate to [`RATE_HZ`] and replaces NaN by the lowest rate.
-    ///
-    /// The carrier is the smallest multiple of the rate from 20 kHz up, so it is between 20 and 50 kHz, and a duty has
-    /// at least `timer_hz` / 100 kHz ticks.
+    /// Returns the carrier of a timer that counts at `timer_hz` (at most 2.6 GHz) for a control rate in Hz, which is
+    /// clamped to [`RATE_HZ`]. NaN becomes the lowest rate. The carrier is the smallest multiple of the rate from 20
+    /// kHz up, so it is between 20 and 50 kHz, and a duty has at least `timer_hz` / 100 kHz ticks.
     pub fn for_rate(timer_hz: u32, rate_hz: f32) -> Self {
         let rate_hz = (rate_hz as u32).clamp(RATE_HZ.0, RATE_HZ.1);
         let divider = CARRIER_MIN_HZ.div_ceil(rate_hz);
@@ -62,26 +59,26 @@ impl Carrier {
 pub struct Ticks {
     /// Ticks from the middle of the range to either end.
     half: f32,
-    /// Compare values of both legs, each in one half of the word, at [`Ticks::OFFSET`] ticks from the middle.
+    /// Compare values of both legs, each in one half of the word, at [`Ticks::ROUNDING_OFFSET`] ticks from the middle.
     middle: u32,
 }
 
 impl Ticks {
-    /// Offset of the ticks from the middle, so that truncation rounds negative ticks as it rounds positive ticks.
-    const OFFSET: u32 = 1 << 15;
+    /// Offset of the ticks from the middle, so that truncation rounds negative ticks like positive ticks.
+    const ROUNDING_OFFSET: u32 = 1 << 15;
 
     fn of(top: u16) -> Self {
         let middle = u32::from(top).div_ceil(2);
-        let [first, second] = [middle.wrapping_sub(Self::OFFSET), middle.wrapping_add(Self::OFFSET)];
+        let [first, second] = [middle.wrapping_sub(Self::ROUNDING_OFFSET), middle.wrapping_add(Self::ROUNDING_OFFSET)];
         Self { half: 0.5 * f32::from(top), middle: first.wrapping_add(second << 16) }
     }
 
     /// Returns the compare values of a bridge's two legs for a duty. One leg is as far above the middle as the other is
-    /// below, so a duty of 0 is no voltage, exact to the tick.
+    /// below, so a duty of 0 makes exactly no voltage.
     #[inline(always)]
     pub fn legs(&self, duty: Duty) -> [u16; 2] {
-        let ticks = (Self::OFFSET as f32 + 0.5 + f32::from(duty) * self.half) as u32;
-        // Both legs in one subtraction: the second leg loses the ticks that the first leg gains.
+        let ticks = (Self::ROUNDING_OFFSET as f32 + 0.5 + f32::from(duty) * self.half) as u32;
+        // One subtraction sets both legs, because the second leg loses the ticks that the first leg gains.
         let both = self.middle.wrapping_add(ticks.wrapping_sub(ticks << 16));
         [both as u16, (both >> 16) as u16]
     }
@@ -91,7 +88,7 @@ impl Ticks {
 mod tests {
     use super::*;
 
-    /// Usual counting frequency, Hz.
+    /// Counting frequency of the boards' timers, Hz.
     const TIMER_HZ: u32 = 168_000_000;
 
     #[test]
@@ -119,11 +116,11 @@ mod tests {
             let carrier = Carrier { top, divider: 1, timer_hz: TIMER_HZ };
             carrier.ticks().legs(Duty::nearest(share))
         };
-        // The largest distance is 0.92 of 2100 ticks.
+        // The largest distance from the middle is 0.92 of 2100 ticks.
         for (share, legs) in [(0.0, [2100, 2100]), (0.5, [3150, 1050]), (-1.0, [168, 4032]), (9.0, [4032, 168])] {
             assert_eq!(legs_of(4200, share), legs, "{share}");
         }
-        // An odd top has no tick in its middle. The legs still meet at one tick, with equal distances on both sides.
+        // An odd top has no tick in its middle. The legs still meet at one tick, at equal distances from both ends.
         for (share, legs) in [(0.0, [841, 841]), (0.5, [1261, 421]), (-0.5, [421, 1261])] {
             assert_eq!(legs_of(1681, share), legs, "{share}");
         }

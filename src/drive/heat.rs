@@ -1,70 +1,65 @@
-//! The thermal budget of a motor: I²t above the motor's continuous current. It uses the current, not the temperature.
+//! The thermal budget of a motor: I²t above the motor's continuous current. Temperature is not measured.
 
 use crate::model::catalogue::MAX_JOINTS;
 use core::sync::atomic::{AtomicU32, Ordering};
 
 /// Time for which a motor tolerates its maximum current before the budget trips, s.
 pub const PEAK_SECONDS: f32 = 4.0;
-
 /// Time after which a raised continuous limit applies to a motor that is still warm, s.
 pub const WAIT_SECONDS: f32 = 60.0;
-
 /// Number of words of a stored [`Heat`].
 pub const WORDS: usize = 7;
-
 /// Number of words of the stored heat of all motors, with their checksum.
-pub const KEPT: usize = WORDS * MAX_JOINTS + 1;
-
-/// Initial value of the checksum. It distinguishes stored heat from arbitrary memory contents.
-const MARK: u32 = 0x4845_4154;
+pub const STORED_WORDS: usize = WORDS * MAX_JOINTS + 1;
+/// Initial value of the checksum, which distinguishes stored heat from arbitrary memory contents.
+const CHECKSUM_SEED: u32 = 0x4845_4154;
 
 fn add_to_sum(sum: u32, word: u32) -> u32 {
     (sum ^ word).wrapping_mul(0x0100_0193)
 }
 
-/// Writes the heat of all motors to memory that a restart preserves.
+/// Writes the heat of all motors to memory that is preserved across a restart.
 #[inline(never)]
-pub fn keep(heat: &[Heat; MAX_JOINTS], memory: &[AtomicU32; KEPT]) {
-    let mut sum = MARK;
+pub fn store_heat(heat: &[Heat; MAX_JOINTS], memory: &[AtomicU32; STORED_WORDS]) {
+    let mut sum = CHECKSUM_SEED;
     for (heat, memory) in heat.iter().zip(memory.chunks_exact(WORDS)) {
         for (word, place) in heat.words().into_iter().zip(memory) {
             place.store(word, Ordering::Relaxed);
             sum = add_to_sum(sum, word);
         }
     }
-    memory[KEPT - 1].store(sum, Ordering::Relaxed);
+    memory[STORED_WORDS - 1].store(sum, Ordering::Relaxed);
 }
 
-/// Returns the heat that [`keep`] wrote; unknown after a restart during the write or a loss of power.
-pub fn kept(memory: &[AtomicU32; KEPT]) -> [Heat; MAX_JOINTS] {
-    let word = |i: usize| memory[i.min(KEPT - 1)].load(Ordering::Relaxed);
+/// Returns the heat that [`store_heat`] wrote. The heat is unknown after a loss of power or a restart during the write.
+pub fn stored_heat(memory: &[AtomicU32; STORED_WORDS]) -> [Heat; MAX_JOINTS] {
+    let word = |i: usize| memory[i.min(STORED_WORDS - 1)].load(Ordering::Relaxed);
     let words: [[u32; WORDS]; MAX_JOINTS] =
         core::array::from_fn(|motor| core::array::from_fn(|i| word(WORDS * motor + i)));
-    let whole = word(KEPT - 1) == words.iter().flatten().fold(MARK, |sum, word| add_to_sum(sum, *word));
+    let whole =
+        word(STORED_WORDS - 1) == words.iter().flatten().fold(CHECKSUM_SEED, |sum, word| add_to_sum(sum, *word));
     if whole { words.map(Heat::from_words) } else { [Heat::UNKNOWN; MAX_JOINTS] }
 }
 
-/// The heat of one motor. It belongs to the motor and outlasts devices, rules and restarts. The default is a cold motor
-/// that is not allowed any current yet.
+/// The heat of one motor, kept across devices, rules and restarts. The default is a cold motor without allowed current.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Heat {
     /// I²t accumulator above the continuous current, A² s.
     held: f32,
-    /// Rounding error of `held` so far: the share of one step can be less than the last digit of `held`.
+    /// Rounding error of `held`, because the change in one step can be less than the last digit of `held`.
     rest: f32,
-    /// Guessed part of `held`, and the budget from which the guess was made (the guess is half of it); an infinite
-    /// budget if the heat is known.
+    /// Guessed part of `held`. `guessed_from` is the budget of which the guess is half, infinite if the heat is known.
     guessed: f32,
     guessed_from: f32,
-    /// Square of the continuous current, A²: as allowed now, and as in force when the motor was last cold.
+    /// Square of the allowed continuous current, A². `warmed_squared` is its value when the motor was last cold.
     allowed_squared: f32,
     warmed_squared: f32,
-    /// The smaller of `allowed_squared` and `warmed_squared`, and the weight of i² above it.
+    /// The smaller of `allowed_squared` and `warmed_squared`, A². `weight` is the weight of i² above it.
     continuous_squared: f32,
     weight: f32,
     /// Time until a raised limit applies while the motor is warm, s.
     wait: f32,
-    /// Square of the largest allowed current, A²; 0 before the first motor.
+    /// Square of the largest allowed current, A²; 0 before a motor is known.
     max_squared: f32,
     /// Budget, A² s; infinite if the maximum current is allowed continuously.
     budget: f32,
@@ -77,7 +72,7 @@ impl Default for Heat {
 }
 
 impl Heat {
-    /// Unknown heat: half of the budget is assumed as soon as there is a budget.
+    /// Unknown heat: half of the budget, as soon as a budget is known.
     pub const UNKNOWN: Self = Self {
         held: 0.0,
         rest: 0.0,
@@ -92,10 +87,10 @@ impl Heat {
         budget: f32::INFINITY,
     };
 
-    /// Sets the allowed currents, A. Without an allowed current there is no motor at present, and the heat stays
-    /// unchanged. A higher limit does not make a motor cool faster: a larger continuous current applies once the motor
-    /// is cold or after [`WAIT_SECONDS`]. A lower limit does not extend the time at the peak: the rest of the budget
-    /// lasts as long at the maximum current.
+    /// Sets the allowed currents, A. Without an allowed current there is no motor, and the heat stays unchanged. A
+    /// higher limit does not make a motor cool faster, so a larger continuous current applies once the motor is cold or
+    /// after [`WAIT_SECONDS`]. A lower limit does not extend the time at the peak: the rest lasts as long at the
+    /// maximum current.
     pub fn limit(&mut self, max_current: f32, continuous_current: f32) {
         if max_current <= 0.0 {
             return;
@@ -109,7 +104,6 @@ impl Heat {
         self.update_budget();
     }
 
-    /// Updates the budget for the allowed currents.
     fn update_budget(&mut self) {
         if self.held <= 0.0 || self.max_squared <= self.warmed_squared {
             self.warmed_squared = self.allowed_squared;
@@ -121,7 +115,7 @@ impl Heat {
         self.update_guess();
     }
 
-    /// While the heat is unknown, the guess follows the budget: it is half of the budget less the cooling since.
+    /// Updates the guess while the heat is unknown: half of the budget less the cooling since.
     fn update_guess(&mut self) {
         if !self.budget.is_finite() || self.guessed_from == f32::INFINITY {
             return;
@@ -132,8 +126,8 @@ impl Heat {
         (self.guessed, self.guessed_from) = (guessed, self.budget);
     }
 
-    /// Warms the motor by `squares`, the integral of i² (A² s) over the last `dt` (s). Returns true if the budget is
-    /// spent: the heat above the continuous current exceeds the heat of [`PEAK_SECONDS`] at the maximum current.
+    /// Warms the motor by `squares`, the integral of i² (A² s) over the last `dt` (s). Returns true if the heat above
+    /// the continuous current exceeds the heat of [`PEAK_SECONDS`] at the maximum current.
     #[inline(always)]
     pub fn warm(&mut self, squares: f32, dt: f32) -> bool {
         let share = (squares - self.continuous_squared * dt) * self.weight + self.rest;
@@ -149,14 +143,14 @@ impl Heat {
             (self.held, self.rest, self.guessed) = (0.0, 0.0, 0.0);
         }
         if self.warmed_squared != self.allowed_squared {
-            self.catch_up(dt);
+            self.apply_raised_limit(dt);
         }
         self.held > self.budget
     }
 
     /// Applies the present limits if the motor is cold or a raised limit has waited for long enough.
     #[cold]
-    fn catch_up(&mut self, dt: f32) {
+    fn apply_raised_limit(&mut self, dt: f32) {
         self.wait -= dt;
         if self.held <= 0.0 {
             self.update_budget();
@@ -171,7 +165,7 @@ impl Heat {
         if self.guessed_from == 0.0 { f32::NAN } else { self.held }
     }
 
-    /// Returns the complete state as words, to be stored while the board restarts.
+    /// Returns the complete state as words, for storage across a restart.
     pub fn words(&self) -> [u32; WORDS] {
         [
             self.held,

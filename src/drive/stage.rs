@@ -1,8 +1,8 @@
-//! The interface between joint torques and the legs of a board's bridges: the motor stage.
+//! The motor stage: the interface between joint torques and the legs of a board's bridges.
 //!
-//! [`brushed::Axis`](super::brushed::Axis) is the stage that boards use. Other stages are possible: an amplifier with a
-//! current as set-point, or a field-oriented motor with one sample per phase and one duty per leg. The control loop
-//! applies its limits, checks and thermal budget to any stage (tests/stages.rs has a toy of each).
+//! Boards use the stage [`brushed::Axis`](super::brushed::Axis). The control loop applies its limits, checks and
+//! thermal budget to any stage, such as an amplifier with a current set-point, or a field-oriented motor with one
+//! sample per phase and one duty per leg (tests/stages.rs).
 
 use super::bits::margin_bits_between;
 use crate::math::limited;
@@ -11,8 +11,8 @@ use core::fmt::Debug;
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
-/// Largest |duty|: each leg stays within 0.04 to 0.96. This keeps bootstrap capacitors charged, and the low-side shunts
-/// conduct for long enough to be sampled.
+/// Largest |duty|. Each leg stays within 0.04 to 0.96, so that bootstrap capacitors stay charged and the low-side
+/// shunts conduct for long enough to be sampled.
 pub const MAX_DUTY: f32 = 0.92;
 
 /// Properties of a board's bridges.
@@ -28,7 +28,7 @@ pub struct Bridge {
     pub current_sensed: bool,
 }
 
-/// The voltage across a motor, as a signed share of the bus voltage: at most [`MAX_DUTY`], and never NaN.
+/// The voltage across a motor, as a signed share of the bus voltage of at most [`MAX_DUTY`], never NaN.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Duty(pub(super) f32);
 
@@ -65,7 +65,6 @@ impl Supply {
         Self { volts, inverse: 1.0 / volts }
     }
 
-    /// Returns true if the voltage is plausible.
     #[inline(always)]
     pub(crate) fn is_usable(&self) -> bool {
         margin_bits_between(self.volts, BUS_VOLTAGE) >= 0
@@ -74,17 +73,14 @@ impl Supply {
 
 /// One motor and its power stage.
 pub trait Stage: Copy + Debug + Default {
-    /// The board's samples of one motor at each crest: a current (A), or one current for each phase and an angle.
+    /// The board's samples of one motor at a crest: a current (A), or one current for each phase and an angle.
     type Sample: Copy + Debug + Default;
     /// Command to the legs of one motor until the next crest: a duty, or one for each leg. The default is no voltage.
     type Drive: Copy + Debug + Default;
-
     /// Makes the stage of a motor. The current limit is the smaller of `max_current` (A) and the motor's own limit.
     fn new(motor: &Motor<f32>, bridge: &Bridge, max_current: f32) -> Self;
-
     /// Sets the current limit, A; the motor's own limit still applies.
     fn limit(&mut self, max_current: f32);
-
     /// Returns the current limit, A.
     fn max_current(&self) -> f32;
 
@@ -95,39 +91,35 @@ pub trait Stage: Copy + Debug + Default {
 
     /// Returns the torque at the current limit, N m.
     fn max_torque(&self) -> f32;
-
     /// Returns the torque (N m) of a current (A).
     fn torque_of(&self, current: f32) -> f32;
-
     /// Returns the target current, A.
-    fn asked(&self) -> f32;
-
-    /// Sets the target current for this control step's joint torque (N m), within the limit; zero if it is not finite.
+    fn target_current(&self) -> f32;
+    /// Sets the target current for a joint torque (N m), within the limit; zero if the torque is not finite.
     fn command(&mut self, torque: f32);
 
-    /// Like [`Stage::command`], for a torque that is within [`Stage::max_torque`] by at least a few roundings.
+    /// Sets the target current for a torque that is below [`Stage::max_torque`] by more than a few rounding errors.
     #[inline(always)]
     fn command_within(&mut self, torque: f32) {
         self.command(torque);
     }
 
     /// Returns the drive of the legs for the next carrier period from the supply, the samples and the joint's speed
-    /// (rad/s), which is filtered so that a single count does not push. Call once per carrier period. The drive begins
-    /// at the valley half a period after the sample or, if the step is too late for that valley (`late`), at the
-    /// following crest. It lasts until the next drive applies.
+    /// (rad/s), which must be filtered so that a single count does not push. Call once per carrier period. The drive
+    /// begins at the next valley, or if `late` at the following crest, and lasts until the next drive.
     fn drive(&mut self, supply: &Supply, sample: Self::Sample, speed: f32, late: bool) -> Self::Drive;
 
-    /// Like [`Stage::drive`] with a usable supply, if no limit applies; otherwise returns `None` and changes nothing.
+    /// Returns [`Stage::drive`] with a usable supply. Returns `None` and changes nothing if a limit applies.
     #[inline(always)]
     fn drive_in_range(&mut self, supply: &Supply, sample: Self::Sample, speed: f32, late: bool) -> Option<Self::Drive> {
         Some(self.drive(supply, sample, speed, late))
     }
 
-    /// Updates the motor model after a drive at this bus voltage (V), from the speed that the drive used, the joint's
-    /// filtered speed and its unfiltered speed, rad/s. Call at the following valley.
+    /// Updates the motor model after a drive at this bus voltage (V). The speeds in rad/s are the one that the drive
+    /// used, the joint's filtered speed and its unfiltered speed. Call at the valley after the drive.
     fn settle(&mut self, _bus_voltage: f32, _given: f32, _speed: f32, _raw: f32) {}
 
-    /// Returns the current (A) that the back-EMF at a speed (rad/s) drives through the shorted motor.
+    /// Returns the current (A) that the back-EMF at a speed (rad/s) drives through a short-circuited motor.
     fn back_emf_current(&self, _speed: f32) -> f32 {
         0.0
     }
@@ -135,9 +127,9 @@ pub trait Stage: Copy + Debug + Default {
     /// Returns the voltage across the motor during `drive` as a signed share of the bus voltage, for telemetry.
     fn duty(drive: Self::Drive) -> f32;
 
-    /// Returns the measured and the expected resistance of the winding, Ω. Voltage (V), current (A) and joint angle
-    /// (rad) alternate at `rate` (rad/s); each is given as its part in phase with a reference and its part a quarter
-    /// period later. `None` if the resistance cannot be computed.
+    /// Returns the measured and the expected resistance of the winding, Ω; `None` if it cannot be computed. Voltage
+    /// (V), current (A) and joint angle (rad) alternate at `rate` (rad/s) and are given as the part in phase with a
+    /// reference and the part a quarter period later.
     fn resistance_of(
         &self,
         _voltage: [f32; 2],
@@ -150,21 +142,20 @@ pub trait Stage: Copy + Debug + Default {
 
     /// Clears the loop's state when the bridge is switched off.
     fn rest(&mut self);
-
-    /// Takes over the state of the stage that this stage replaces: loading a scene does not interrupt the current.
+    /// Takes over the state of the previous stage, so that loading a scene does not interrupt the current.
     fn inherit(&mut self, other: &Self);
 
-    /// Returns the voltage by which the motor differs from the model of the device file at this current and speed, the
-    /// difference above which the motor is inspected ([`Stage::inspect_above`]), and the tolerance, V. A stage without a
-    /// motor model has an infinite tolerance.
+    /// Returns three voltages: the difference of the motor from the device file's model at this current and speed, the
+    /// difference above which the motor is inspected ([`Stage::inspect_above`]), and the tolerance (infinite without a
+    /// model), V.
     fn strain(&self) -> (f32, f32, f32) {
         (0.0, f32::INFINITY, f32::INFINITY)
     }
 
-    /// Sets the difference between the torques that voltage and current show, N m, above which the motor is inspected.
+    /// Sets the difference of the torques by voltage and by current above which the motor is inspected, N m.
     fn inspect_above(&mut self, _torque: f32) {}
 
-    /// Returns the current that the motor's voltage shows, independent of the current sensor, A.
+    /// Returns the motor's current as computed from its voltage, A.
     fn current_from_voltage(&self) -> f32 {
         0.0
     }
@@ -172,13 +163,13 @@ pub trait Stage: Copy + Debug + Default {
     /// Takes over the measured resistance of the winding, Ω.
     fn set_measured_resistance(&mut self, _ohms: f32) {}
 
-    /// Returns true if the measured current is about that of a sound motor.
+    /// Returns true if the measured current is about the current of a sound motor.
     fn has_expected_current(&self) -> bool {
         false
     }
 
     /// Returns the speed (rad/s) at which the back-EMF is `volts`.
-    fn turning(&self, _volts: f32) -> f32 {
+    fn speed_of_back_emf(&self, _volts: f32) -> f32 {
         0.0
     }
 

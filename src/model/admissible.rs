@@ -1,9 +1,9 @@
-//! The third task coordinate of a redundant device, which stays constant with the tip while a wall pushes.
+//! The third task coordinate of a redundant device, which stays constant together with the tip while a wall pushes.
 //!
-//! The device has one joint more than task dimensions, so one joint motion does not move the tip: the null motion.
-//! Equation (4) keeps *every* admissible coordinate constant, so the choice of the third coordinate decides how much
-//! inertia the wall meets: Wrr depends on it, Weff does not (docs/model.md section 2). Mechanisms compute with the
-//! orientation φ. This module converts to the other choices by adding null motion to a unit motion E.
+//! A redundant device has one joint more than task dimensions, so one joint motion does not move the tip: the null
+//! motion. Equation (4) keeps every admissible coordinate constant. The choice of the third coordinate therefore
+//! decides how much inertia the wall meets: Wrr depends on it, Weff does not (docs/model.md section 2). Mechanisms
+//! compute with the orientation φ; this module adds null motion to a unit motion E for the other choices.
 
 use crate::math::Real;
 use crate::model::mechanism::Shaping;
@@ -11,8 +11,8 @@ use nalgebra::SVector;
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
-/// The coordinate that a redundant device keeps constant in addition to its tip while the wall pushes. It determines
-/// Wrr (docs/model.md section 2). It has no effect on a device with as many joints as task dimensions.
+/// The coordinate that a redundant device keeps constant in addition to its tip while a wall pushes. Determines Wrr
+/// (docs/model.md section 2). Has no effect on other devices.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Admissible {
@@ -28,12 +28,12 @@ pub enum Admissible {
     /// The angle of joint 2.
     #[serde(rename = "joint-2")]
     Joint2,
-    /// No coordinate: the null motion receives no torque and is free, so Wrr is the effective inertia at the tip.
+    /// No coordinate. The null motion is free, so Wrr is the effective inertia at the tip.
     Consistent,
 }
 
 impl Admissible {
-    /// Every choice with its name in scene files and on the command line.
+    /// Every choice, with the name in scene files and on the command line.
     pub const ALL: [(&'static str, Self); 5] = [
         ("orientation", Self::Orientation),
         ("joint-0", Self::Joint0),
@@ -48,12 +48,12 @@ impl Admissible {
     }
 }
 
-/// Range of the square of a joint's share in the null motion. At and above the upper value the joint can be held. At
-/// and below the lower value it is free, because no finite null motion could hold it.
-const HELD_SHARE: [f64; 2] = [0.02 * 0.02, 0.05 * 0.05];
+/// Square of a joint's share in the null motion: at and below the lower value the joint is free, because no finite null
+/// motion could hold it; at and above the upper value it can be held.
+const HOLDABLE_SHARE_SQUARED: [f64; 2] = [0.02 * 0.02, 0.05 * 0.05];
 
 impl Admissible {
-    /// Returns the index of the held joint.
+    /// Returns the index of the held joint, if a joint is held.
     pub fn joint(self) -> Option<usize> {
         match self {
             Self::Joint0 => Some(0),
@@ -63,20 +63,20 @@ impl Admissible {
         }
     }
 
-    /// Converts the `shaping` of a tip direction from a held φ to this coordinate; `null` is the shaping of φ alone.
+    /// Converts the `shaping` of a tip direction from a held φ to this coordinate. `null` is the shaping of φ alone.
     pub fn hold<T: Real, const N: usize>(self, shaping: &Shaping<T, N>, null: &Shaping<T, N>) -> Shaping<T, N> {
-        let added = self.added(shaping, null);
+        let added = self.added_null_motion(shaping, null);
         let (e, me) = (shaping.e + null.e * added, shaping.me + null.me * added);
         Shaping { e, me, w_rr: e.dot(&me) }
     }
 
     /// Returns the null motion that [`Admissible::hold`] adds to `shaping`, in rad of φ per metre of tip motion.
-    pub fn added<T: Real, const N: usize>(self, shaping: &Shaping<T, N>, null: &Shaping<T, N>) -> T {
+    pub fn added_null_motion<T: Real, const N: usize>(self, shaping: &Shaping<T, N>, null: &Shaping<T, N>) -> T {
         self.null_motion(null, &shaping.e, shaping.e.dot(&null.me))
     }
 
-    /// Converts the velocity torques `b` (N m) from a held φ to this coordinate. `qdd_bias` = J⁻¹ J̇ q̇ is the joint
-    /// acceleration (rad/s²) that must be subtracted to keep the tip on a straight line.
+    /// Converts the velocity torques `b` (N m) from a held φ to this coordinate. `qdd_bias` = J⁻¹ J̇ q̇ (rad/s²) is the
+    /// joint acceleration that is subtracted to keep the tip on a straight line.
     pub fn hold_bias<T: Real, const N: usize>(
         self,
         b: &SVector<T, N>,
@@ -86,7 +86,7 @@ impl Admissible {
         b + null.me * self.null_motion(null, &-qdd_bias, b.dot(&null.e))
     }
 
-    /// Returns the null motion to add to the joint motion `motion`, whose momentum along the null motion is `along`.
+    /// Returns the null motion to add to `motion`, whose momentum along the null motion is `along`.
     fn null_motion<T: Real, const N: usize>(self, null: &Shaping<T, N>, motion: &SVector<T, N>, along: T) -> T {
         if self == Self::Orientation {
             return T::zero();
@@ -94,7 +94,7 @@ impl Admissible {
         let free = -along / null.w_rr;
         let Some(joint) = self.joint().filter(|joint| *joint < N) else { return free };
         let moves = null.e[joint];
-        let [low, high] = HELD_SHARE.map(T::from_f64);
+        let [low, high] = HOLDABLE_SHARE_SQUARED.map(T::from_f64);
         let share = moves * moves / null.e.dot(&null.e);
         if share <= low {
             return free;

@@ -1,4 +1,4 @@
-//! The list of mechanisms, from which all code for them is generated, and the largest size of a mechanism.
+//! The list of mechanisms, from which their code is generated, and the largest size of a mechanism.
 
 /// Maximum number of joints of a mechanism.
 pub const MAX_JOINTS: usize = 3;

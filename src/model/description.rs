@@ -1,6 +1,6 @@
-//! The maker's description of a device: the contents of a device file in SI units, before any precomputation.
+//! The maker's description of a device: the contents of a device file in SI units.
 //!
-//! The host reads it from a TOML file. Each mechanism computes its own minimal coefficients from it once.
+//! The host reads a description from a TOML file. Each mechanism computes its minimal coefficients from it once.
 
 use crate::model::catalogue::{Kind, MAX_GEOMETRY, MAX_JOINTS, MAX_LINKS};
 use crate::model::motor::Motor;
@@ -8,11 +8,11 @@ use crate::model::motor::Motor;
 /// Description of a complete device.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Description {
-    /// Kind of mechanism. Its [`Spec`](crate::model::catalogue::Spec) gives the number of valid entries below.
+    /// Kind of mechanism. Its [`Spec`](crate::model::catalogue::Spec) gives the number of valid entries per field.
     pub kind: Kind,
     /// Gravity in the task frame, m/s²; the first `task` entries are valid.
     pub gravity: [f64; 3],
-    /// Geometry: the values of all keys in the order of `Spec::geometry`; lengths in m, signs without unit.
+    /// Geometry: the values of all keys in the order of `Spec::geometry`. Lengths are in m; signs have no unit.
     pub geometry: [f64; MAX_GEOMETRY],
     /// Links in the mechanism's order.
     pub links: [Link; MAX_LINKS],
@@ -25,7 +25,7 @@ pub struct Description {
 }
 
 impl Description {
-    /// Returns the device on the links' side of the transmissions: without the inertia of motors behind a transmission.
+    /// Returns the device without the inertia of motors behind a transmission.
     pub fn link_side(&self) -> Self {
         let mut links = *self;
         for joint in &mut links.joints {
@@ -69,13 +69,13 @@ pub struct Joint {
     pub coulomb: f64,
     /// Allowed angles (low, high), rad.
     pub limits: Option<(f64, f64)>,
-    /// Encoder; needed to run on a board.
+    /// Encoder; required by a board.
     pub encoder: Option<Encoder>,
-    /// Motor; needed to run on a board.
+    /// Motor; required by a board.
     pub motor: Option<Motor<f64>>,
     /// Transmission between motor and link; `None` if it is rigid.
     pub transmission: Option<Transmission>,
-    /// True if the description states that the connection of motor and link is rigid.
+    /// True if the description states that motor and link are connected rigidly.
     pub rigid: bool,
     /// Dry friction that is larger at rest than in motion.
     pub friction: Option<Stribeck>,
@@ -88,17 +88,17 @@ pub struct Joint {
 /// Maximum number of structural modes of a joint.
 pub const MAX_MODES: usize = 2;
 
-/// Dry friction that falls from its value at rest to the Coulomb friction as the speed grows:
-/// coulomb + (rest - coulomb) exp(-(speed/stribeck_speed)²). It acts on the same side as `coulomb`.
+/// Dry friction that falls from `rest` to the Coulomb friction as the speed grows: coulomb + (rest - coulomb)
+/// exp(-(speed/stribeck_speed)²). Acts on the same side as `coulomb`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Stribeck {
     /// Friction torque at rest, N m; at least the Coulomb friction.
     pub rest: f64,
-    /// Speed at which the excess has fallen to 1/e, rad/s; positive.
+    /// Speed at which the excess over Coulomb friction has fallen to 1/e, rad/s; positive.
     pub stribeck_speed: f64,
 }
 
-/// A torque that is periodic in the motor angle: amplitude sin(per_turn θ), on the motor's side.
+/// A torque that is periodic in the motor angle, amplitude sin(per_turn θ), on the motor's side.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Cogging {
     /// Amplitude, N m at the joint.
@@ -107,7 +107,7 @@ pub struct Cogging {
     pub per_turn: f64,
 }
 
-/// A part of the joint's link that oscillates on a spring: a structural mode, given by its effective inertia with the
+/// A structural mode: a part of the joint's link that oscillates on a spring. Given by its effective inertia with the
 /// joint held still (docs/model.md section 4).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StructuralMode {
@@ -147,7 +147,7 @@ impl Joint {
     }
 }
 
-/// A compliant belt, cable, gear or shaft: motor and link are two bodies joined by a spring; all values are referred to
+/// A compliant belt, cable, gear or shaft. Motor and link are two bodies joined by a spring. All values are referred to
 /// the joint (docs/model.md section 4). The joint's viscous and Coulomb friction act on the motor's side.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Transmission {
@@ -178,7 +178,7 @@ pub struct Encoder {
     pub counts_per_turn: f64,
     /// Joint angle at count 0 after homing, rad.
     pub offset: f64,
-    /// True if counts fall as the angle grows.
+    /// True if the count falls as the angle grows.
     pub inverted: bool,
 }
 
@@ -187,7 +187,7 @@ pub struct Encoder {
 pub enum DescriptionError {
     /// The description is for another mechanism than the requested one.
     WrongKind,
-    /// A geometry value that must be positive is not; holds its index.
+    /// A geometry value that must be positive is not. Holds the value's index.
     GeometryNotPositive(usize),
     /// No joint angles close the linkage.
     CannotClose,
@@ -195,7 +195,7 @@ pub enum DescriptionError {
     Assembly,
     /// This mechanism cannot have gravity (a paddle's gravity must be zero).
     GravityNotZero,
-    /// The mass matrix would not be positive definite: some joint moves without inertia.
+    /// The mass matrix would not be positive definite, because some joint moves without inertia.
     NoInertia,
     /// A number is infinite or NaN.
     NotFinite,

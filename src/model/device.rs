@@ -1,4 +1,4 @@
-//! The board's form of a device: coefficients of the mechanism, encoders, motors, limits. Plain data.
+//! The board's form of a device: coefficients of the mechanism, encoders, motors, limits.
 
 use crate::math::{Angle, Math, Real, cast, sqrt};
 use crate::model::catalogue::MAX_JOINTS;
@@ -19,7 +19,7 @@ pub const NAME_LENGTH: usize = 32;
 /// All data of a device that a control step needs, in the board's precision.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct Device<T: Real> {
-    /// Name that is shown to people.
+    /// Name of the device for people.
     pub name: String<NAME_LENGTH>,
     /// Equations of motion.
     pub mechanism: AnyMechanism<T>,
@@ -36,10 +36,10 @@ pub struct Device<T: Real> {
 pub struct Joint<T> {
     /// Joint angle per encoder count, rad; negative if the encoder is inverted.
     pub radians_per_count: T,
-    /// Counts after which the angle repeats; 0 if it never does. This is one turn if the counts per turn are an
+    /// Counts after which the angle repeats; 0 if it never does. They are one turn if the counts per turn are an
     /// integer, and q turns if they are a fraction p/q.
     pub counts_per_turn: i32,
-    /// Joint angle at count 0, rad. It is moved by up to half a count so that home is at an integer count.
+    /// Joint angle at count 0, rad, moved by up to half a count so that home is at an integer count.
     pub offset: T,
     /// Viscous friction, N m s/rad.
     pub viscous: T,
@@ -52,7 +52,7 @@ pub struct Joint<T> {
 }
 
 impl<T: Real> Device<T> {
-    /// Computes the coefficients in f64 and rounds once. Cuts a name at a character to [`NAME_LENGTH`] bytes.
+    /// Computes the coefficients in f64 and rounds them once. Cuts the name to at most [`NAME_LENGTH`] bytes.
     pub fn new(name: &str, description: &Description) -> Result<Self, DescriptionError> {
         let spec = description.kind.spec();
         let r = T::from_f64;
@@ -121,13 +121,13 @@ impl<T: Real> Joint<T> {
     }
 }
 
-/// Maximum number of turns after which an angle repeats. The board computes the turns from f32 numbers by division, and
-/// the five roundings stay below half a turn up to this number.
+/// Maximum number of turns after which an angle repeats. The board computes the turns by division of f32 numbers, and
+/// the five rounding errors stay below half a turn up to this number.
 const MAX_TURNS: f64 = 1_048_576.0;
 
-/// Returns the integer number of counts p that make q complete turns, where p/q are these counts per turn: the first
-/// convergent of their continued fraction that equals the f64, or the last one that fits. Over the counter's full range
-/// p/q is off by less than one count (from 2048 counts per turn on). Returns 0 if no such number fits.
+/// Returns the integer number of counts p in q complete turns, where p/q is the first convergent of the continued
+/// fraction that equals `counts_per_turn`, or the last one that fits. Over the counter's full range p/q is off by less
+/// than one count (from 2048 counts per turn on). Returns 0 if no such number fits.
 fn counts_until_repeat(counts_per_turn: f64) -> i32 {
     let (mut counts, mut turns) = (1.0, 0.0);
     let (mut counts_before, mut turns_before) = (0.0, 1.0);
@@ -151,7 +151,7 @@ fn counts_until_repeat(counts_per_turn: f64) -> i32 {
 macro_rules! define {
     ($(($Variant:ident, $module:ident, $n:literal))*) => {
         impl AnyMechanism<f32> {
-            /// Returns true if all results at `q` (rad) are finite: a broken coefficient affects at least one.
+            /// Returns true if all results at `q` (rad) are finite, which an invalid coefficient would prevent.
             pub fn is_finite_at<K: Math<f32>>(&self, q: &[f32; MAX_JOINTS]) -> bool {
                 match self {
                     $(Self::$Variant(mechanism) => finite_at::<K, _, $n>(mechanism, q),)*
@@ -179,7 +179,7 @@ macro_rules! define {
                 }
             }
 
-            /// Returns Jᵀ f, N m: the joint torques of a force f (N, task frame) at the tip at `q` (rad).
+            /// Returns the joint torques Jᵀ f (N m) of a force f (N, task frame) at the tip at `q` (rad).
             pub fn torque<K: Math<f32>>(&self, q: &[f32; MAX_JOINTS], force: &[f32; 3]) -> [f32; MAX_JOINTS] {
                 match self {
                     $(Self::$Variant(mechanism) => torque_at::<K, _, $n>(mechanism, q, force),)*
@@ -192,14 +192,13 @@ crate::mechanisms!(define);
 
 fn finite_at<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(mechanism: &M, q: &[f32; MAX_JOINTS]) -> bool {
     let pose = shared_pose::<f32, K, M, N>(mechanism, &angles(q));
-    // A direction in which every coefficient of M counts. The code of `MassModel::shaping` is in the image anyway.
+    // Every coefficient of M contributes in this direction. The image contains `MassModel::shaping` anyway.
     let direction = SVector::from_fn(|i, _| 0.5 + 0.1 * i as f32);
     let shaping = MassModel::Exact.shaping(mechanism, &head(q).into(), &pose, &direction);
     let results = [mechanism.tip(&pose), mechanism.gravity(&pose), shaping.e, shaping.me];
     results.iter().all(|v| v.iter().all(|x| x.is_finite())) && shaping.w_rr.is_finite()
 }
 
-/// Converts joint angles from rad.
 fn angles<const N: usize>(q: &[f32; MAX_JOINTS]) -> [Angle<f32>; N] {
     head(q).map(Angle::from_radians)
 }
@@ -229,25 +228,24 @@ fn torque_at<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(
     padded(&torque.data.0[0])
 }
 
-/// The forces (N) at the tip per joint torque τ (N m): a row for each task direction, zeros beyond the task, 1/m. A
-/// hand that holds the tip in place feels this force: J⁻ᵀ τ, or (J M⁻¹ Jᵀ)⁻¹ J M⁻¹ τ for an arm with more joints than
-/// task directions, whose other motion is free.
+/// The tip force per joint torque, 1/m: a row for each task direction, zeros beyond the task. A hand that holds the tip
+/// in place feels the force J⁻ᵀ τ, or (J M⁻¹ Jᵀ)⁻¹ J M⁻¹ τ on a redundant arm, whose null motion is free.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Leverage([[f32; MAX_JOINTS]; 3]);
 
 impl Leverage {
-    /// Returns the force at the tip, N, of the torques τ (N m) of the first N joints, in the first N task directions.
+    /// Returns the tip force (N) of the torques `torque` (N m) of the first N joints, in the first N task directions.
     #[inline(always)]
     pub fn force<const N: usize>(&self, torque: &[f32; MAX_JOINTS]) -> [f32; N] {
         core::array::from_fn(|direction| (0..N).fold(0.0, |sum, joint| sum + self.0[direction][joint] * torque[joint]))
     }
 
-    /// Returns the squared force at the tip, N², of the torques τ (N m) of all joints.
+    /// Returns the squared force at the tip (N²) of the torques `torque` (N m) of all joints.
     pub fn force_squared(&self, torque: &[f32; MAX_JOINTS]) -> f32 {
         squared(&self.force::<MAX_JOINTS>(torque))
     }
 
-    /// Returns the largest relative change of a joint's tip force per torque since `was`; 0 if it is unknown.
+    /// Returns the largest relative change of a joint's tip force per torque since `was`; 0 if the change is unknown.
     pub fn relative_change_from(&self, was: &Self) -> f32 {
         let squared_force = |of: &Self, joint: usize| squared(&of.0.map(|direction| direction[joint]));
         let (mut more, mut less) = (1.0, 1.0);
@@ -268,13 +266,11 @@ impl Leverage {
     }
 }
 
-/// Returns |f|².
 #[inline(always)]
 pub(crate) fn squared<const N: usize>(force: &[f32; N]) -> f32 {
     force.iter().fold(0.0, |sum, along| sum + along * along)
 }
 
-/// Returns the unit vector of a task axis.
 #[inline(always)]
 fn unit<const N: usize>(direction: usize) -> SVector<f32, N> {
     SVector::from_fn(|i, _| if i == direction { 1.0 } else { 0.0 })
@@ -307,11 +303,11 @@ fn leverage_at<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(mechanism: &M
     Leverage(rows)
 }
 
-/// Returns the angle of count 0 nearest to `offset` that has `home` at an integer count (all in rad): the measured pose
-/// after homing equals the declared pose. It moves by at most half a count, which homing would round away.
+/// Returns the angle at count 0 nearest to `offset` that puts `home` at an integer count (all in rad), so that the
+/// measured pose after homing equals the declared pose. The angle moves by at most half a count.
 fn offset_on_count(offset: f64, home: f64, radians_per_count: f64) -> f64 {
     let counts = (home - offset) / radians_per_count;
     let half = if counts < 0.0 { -0.5 } else { 0.5 };
-    // No encoder reaches counts beyond an i64; `as` clamps them.
+    // No encoder reaches counts beyond an i64, to which `as` clamps.
     home - ((counts + half) as i64) as f64 * radians_per_count
 }

@@ -1,11 +1,11 @@
 //! Rendered and admissible motion: the inertia that a wall meets, and the feed-forward that increases it.
 //!
 //! Source: "Inertia Properties and Their Role in Haptic Rendering", equations (1) to (4), in the joint form of
-//! docs/model.md section 2, which subtracts no nearly equal numbers and inverts no matrix of admissible size: with
-//! E = J⁻¹ Q (Q an orthonormal basis of the rendered directions) and b = c + g - M T⁻¹Ṫ q̇, Wrr = Eᵀ M E, zr = Eᵀ b and
-//! **τ = M E Wrr⁻¹ (fr - Eᵀ b) + b**.
+//! docs/model.md section 2, which subtracts no nearly equal numbers and inverts no matrix of admissible size. With E =
+//! J⁻¹ Q (Q an orthonormal basis of the rendered directions) and b = c + g - M T⁻¹Ṫ q̇: Wrr = Eᵀ M E, zr = Eᵀ b and τ =
+//! M E Wrr⁻¹ (fr - Eᵀ b) + b.
 //!
-//! [`Shaping::torque`] computes this torque for one wall ([`crate::model::principal`] for several). [`Split`] and
+//! [`Shaping::torque`] computes this torque for one wall, [`crate::model::principal`] for several walls. [`Split`] and
 //! [`Inertia`] hold the paper's own quantities for the analysis.
 
 use crate::math::{Math, Real};
@@ -15,8 +15,8 @@ use crate::model::principal::{Principal, Pull};
 use crate::model::solve::solve_symmetric;
 use nalgebra::{SMatrix, SVector};
 
-/// Share of the largest stiffness of the walls below which an [`Inertia`] does not count a direction as rendered: a
-/// hundred times the square of the angle by which rounding in f32 separates two equal normals.
+/// Share of the walls' largest stiffness below which a direction does not count as rendered: a hundred times the square
+/// of the angle by which f32 rounding separates two equal normals.
 pub const MIN_STIFFNESS_SHARE: f64 = 1.0e-12;
 
 /// An orthonormal basis of the task space whose first columns span the rendered directions.
@@ -31,8 +31,8 @@ pub struct Split<T: Real, const N: usize> {
 impl<T: Real, const N: usize> Split<T, N> {
     /// Returns the split for one wall with this unit normal (zeros beyond the task dimension `task`).
     ///
-    /// The basis is completed in the plane by (-n_y, n_x), and in space by the normalised part of e_k across n (k the
-    /// smallest |n_k|) and its cross product with n. Coordinates beyond the task are admissible and unchanged.
+    /// The basis is completed in the plane by (-n_y, n_x), and in space by the normalised part of e_k across n (k has
+    /// the smallest |n_k|) and its cross product with n. Coordinates beyond the task are admissible.
     #[inline(always)]
     pub fn new<K: Math<T>>(normal: &SVector<T, N>, task: usize) -> Self {
         let n = normal;
@@ -42,7 +42,7 @@ impl<T: Real, const N: usize> Split<T, N> {
             basis[(0, 1)] = -n[1];
             basis[(1, 1)] = n[0];
         } else if task == 3 && N >= 3 {
-            // The part of e_k across n over its length s = √(n_i² + n_j²), and n x that part; (k, i, j) is cyclic.
+            // Column 1 is the normalised part of e_k across n, column 2 its cross product with n; (k, i, j) is cyclic.
             let mut complete = |k: usize, i: usize, j: usize| {
                 let s = K::sqrt(n[i] * n[i] + n[j] * n[j]);
                 let inverse = T::one() / s;
@@ -62,7 +62,7 @@ impl<T: Real, const N: usize> Split<T, N> {
         Self { basis, rendered: 1 }
     }
 
-    /// Returns the split for these walls: by one wall's normal, or by the stiffness directions of several walls.
+    /// Returns the split for these walls: one wall's normal, or the stiffness directions of several walls.
     fn for_walls<K: Math<T>>(walls: &[Pull<T, N>], task: usize) -> Self {
         match walls {
             [] => Self { basis: SMatrix::identity(), rendered: 0 },
@@ -77,10 +77,9 @@ impl<T: Real, const N: usize> Split<T, N> {
     }
 }
 
-/// Returns the rotation term of the task frame on curved walls: κ (m/s²) such that T⁻¹Ṫ q̇ = J⁻¹(J̇ q̇ + κ), for one
-/// rendered direction `n` with rate `n_rate` and the tip moving at `velocity`: κ = n(ṅ·ṗ) - ṅ(n·ṗ). The admissible
-/// directions do not spin about n. For several rendered directions in space, pass the one admissible direction and its
-/// rate instead.
+/// Returns the rotation term κ (m/s²) of the task frame on a curved wall, such that T⁻¹Ṫ q̇ = J⁻¹(J̇ q̇ + κ). For one
+/// rendered direction `n` with rate `n_rate` and the tip velocity `velocity`, κ = n(ṅ·ṗ) - ṅ(n·ṗ). The admissible
+/// directions do not spin about n. For several rendered directions, pass the admissible direction and its rate.
 pub fn frame_rate<T: Real, const N: usize>(
     n: &SVector<T, N>,
     n_rate: &SVector<T, N>,
@@ -92,17 +91,17 @@ pub fn frame_rate<T: Real, const N: usize>(
 /// The paper's quantities at one configuration, in the basis of a [`Split`].
 #[derive(Clone, Copy, Debug)]
 pub struct Inertia<T: Real, const N: usize> {
-    /// The rendered and admissible directions.
+    /// Rendered and admissible directions.
     pub split: Split<T, N>,
-    /// W = T⁻ᵀ M T⁻¹ (1a): rendered block first, kg.
+    /// W = T⁻ᵀ M T⁻¹ (1a), kg. The rendered block comes first.
     pub w: SMatrix<T, N, N>,
-    /// z = T⁻ᵀ(c + g) - W Ṫ q̇ (1b), rendered entries first, N.
+    /// z = T⁻ᵀ(c + g) - W Ṫ q̇ (1b), N. The rendered entries come first.
     pub z: SVector<T, N>,
     /// Weff = (Jr M⁻¹ Jrᵀ)⁻¹ in the leading R x R block, kg.
     pub w_eff: SMatrix<T, N, N>,
-    /// The joint torques of (4) with z for the given force, N m.
+    /// Joint torques of (4) with z for the given force, N m.
     pub torque: SVector<T, N>,
-    /// Jrᵀ fr: the joint torques without the feed-forward, N m.
+    /// Joint torques without the feed-forward, Jᵀ fr, N m.
     pub torque_without_feed_forward: SVector<T, N>,
     /// fa of (4) in its first N - R entries, N.
     pub f_a: SVector<T, N>,
@@ -122,8 +121,8 @@ impl<T: Real, const N: usize> Inertia<T, N> {
         Self::holding::<K, M>(mechanism, pose, qd, walls, force, Admissible::Orientation)
     }
 
-    /// Like [`Inertia::new`], for a redundant device that holds `admissible` instead of φ. The basis then contains the
-    /// null motion of each tip direction.
+    /// Computes [`Inertia::new`] for a redundant device that holds `admissible` instead of φ. The basis then contains
+    /// the null motion of each tip direction.
     #[inline(always)]
     pub fn holding<K: Math<T>, M: Mechanism<T, N>>(
         mechanism: &M,
@@ -141,7 +140,7 @@ impl<T: Real, const N: usize> Inertia<T, N> {
         }
     }
 
-    /// Computes the quantities for one wall, with φ held on a redundant device: the usual case, in closed form.
+    /// Computes the quantities in closed form for one wall, with φ held on a redundant device.
     #[inline(always)]
     fn for_one_wall<K: Math<T>, M: Mechanism<T, N>>(
         mechanism: &M,
@@ -167,7 +166,7 @@ impl<T: Real, const N: usize> Inertia<T, N> {
         }
     }
 
-    /// Computes the quantities for any walls and any held coordinate.
+    /// Computes the quantities for any number of walls and any held coordinate.
     #[inline(never)]
     fn for_any_walls<K: Math<T>, M: Mechanism<T, N>>(
         mechanism: &M,
@@ -188,7 +187,7 @@ impl<T: Real, const N: usize> Inertia<T, N> {
             b = admissible.hold_bias(&b, &qdd_bias, &null);
             for i in 0..M::SPEC.task {
                 let along = mechanism.shaping(pose, &tip.column(i).into_owned());
-                split.basis[(N - 1, i)] = admissible.added(&along, &null);
+                split.basis[(N - 1, i)] = admissible.added_null_motion(&along, &null);
             }
             if let Some(moves) = admissible.joint().and_then(|joint| null.e.get(joint)) {
                 split.basis[(N - 1, N - 1)] = T::one() / *moves;
@@ -218,8 +217,8 @@ impl<T: Real, const N: usize> Inertia<T, N> {
     }
 }
 
-/// Returns the quantities without feed-forward along the first `rank` columns of `tip`: the matrix with Weff (kg) in
-/// its leading block, and Jrᵀ fr (N m) for the force `in_span` (N) along the columns.
+/// Returns Weff (kg) in the leading block of a matrix, and the joint torques without feed-forward (N m), along the
+/// first `rank` columns of `tip`. `in_span` is the force along the columns, N.
 #[inline(always)]
 fn without_feed_forward<T: Real, M: Mechanism<T, N>, const N: usize>(
     mechanism: &M,

@@ -1,13 +1,12 @@
-//! Mechanisms: from joint angles to tip, Jacobian, mass matrix and bias forces.
+//! Mechanisms, which compute tip, Jacobian, mass matrix and bias forces from joint angles.
 //!
 //! A mechanism is one file in this module's folder and one line in [`mechanisms!`](crate::mechanisms). It computes its
-//! own minimal coefficients from the maker's description once (in f64, on the host). Once per control step it computes
-//! all quantities that depend on the angles alone, in its `Pose`.
+//! minimal coefficients from the maker's description once, in f64 on the host. Once per control step it computes all
+//! quantities that depend on the angles alone, in its `Pose`.
 //!
 //! Every mechanism has as many *task* coordinates as joints: the tip's `d` coordinates and, on the redundant arm, the
-//! orientation φ as the third. Its Jacobian J is therefore always square, N x N, and a unit motion of the tip along `n`
-//! without other motion is E = J⁻¹ n (docs/model.md section 2). Directions in which the tip is rendered have zeros
-//! beyond `d`.
+//! orientation φ. Its Jacobian J is therefore always square, N x N, and a unit motion of the tip along `n` without
+//! other motion is E = J⁻¹ n (docs/model.md section 2). Rendered directions have zeros beyond `d`.
 
 mod five_bar;
 mod five_bar_turret;
@@ -21,10 +20,10 @@ use crate::model::description::{Description, DescriptionError};
 use crate::model::solve::quotient;
 use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 
-/// Distance of a pose from the nearest singularities, each a dimensionless sine in [0, 1] (0 = singular).
+/// Distance of a pose from the nearest singularities, as sines in [0, 1] (0 = singular).
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Regularity<T> {
-    /// Zero if J loses rank (a stretched arm): E and the feed-forward are unbounded, Jᵀ f stays finite.
+    /// Zero if J loses rank (a stretched arm): E and the feed-forward are unbounded, Jᵀ f is finite.
     pub serial: T,
     /// Zero if J⁻¹ loses rank (a stretched closed loop): Jᵀ f is unbounded. 1 on open chains.
     pub parallel: T,
@@ -41,7 +40,7 @@ pub struct Shaping<T: Real, const N: usize> {
     pub w_rr: T,
 }
 
-/// The terms of equation (4) for one wall in N directions, the wall's normal first: computed by the analysis only.
+/// The terms of equation (4) for one wall in N directions, the wall's normal first. Used by the analysis only.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct WallTerms<T: Real, const N: usize> {
     /// E = T⁻¹: joint velocities per unit velocity along each direction, one column each, rad/m.
@@ -79,10 +78,10 @@ fn effective<T: Real, const N: usize>(mass: &SMatrix<T, N, N>, y: &SVector<T, N>
     below / above
 }
 
-/// Like [`effective`], for a turret's inertia and the mass matrix of the arms on it; the direction is (`lever`, `y`).
+/// Returns [`effective`] for a turret's inertia and the mass matrix of its arms, along (`lever`, `y`).
 #[inline(always)]
 fn effective_turned<T: Real>(turret: T, lever: T, arms: &Matrix2<T>, y: &Vector2<T>) -> T {
-    // For a wall across the arms' plane y is zero, and the effective inertia is the turret's alone.
+    // If the wall faces across the arms' plane, y is zero and the effective inertia is the turret's alone.
     let (above, below) = quotient(arms, y);
     turret * below / (lever * lever * below + turret * above)
 }
@@ -114,18 +113,18 @@ impl<T: Real, const N: usize> Shaping<T, N> {
         Self { e, me, w_rr: e.dot(&me) }
     }
 
-    /// Returns the joint torques (N m) that render the force `force` (N) along n by equation (4):
-    /// τ = M E Wrr⁻¹ (f - Eᵀ subtracted) + b. `subtracted` is the part of b (N m) that reduces f: all of b by the
-    /// paper, zero if the force is rendered in every motion.
+    /// Returns the joint torques (N m) that render `force` (N) along n by equation (4), τ = M E Wrr⁻¹ (f - Eᵀ
+    /// subtracted) + b. `subtracted` is the part of b (N m) that reduces f: all of b by the paper, zero if the force is
+    /// rendered in every motion.
     #[inline(always)]
     pub fn torque(&self, force: T, b: &SVector<T, N>, subtracted: &SVector<T, N>) -> SVector<T, N> {
         self.me * ((force - self.e.dot(subtracted)) / self.w_rr) + b
     }
 }
 
-/// The equations of motion of one mechanism with N joints, M q̈ + c(q, q̇) + g(q) = τ (friction is the joint's own).
+/// The equations of motion of one mechanism with N joints, M q̈ + c(q, q̇) + g(q) = τ (without friction).
 ///
-/// All methods accept any finite input. Near a singularity results grow; they stay finite where a clamp is documented.
+/// All methods accept any finite input. Near a singularity results grow; they stay finite if a clamp is documented.
 pub trait Mechanism<T: Real, const N: usize>: Copy + core::fmt::Debug {
     /// Contents of its device files.
     const SPEC: Spec;
@@ -133,19 +132,16 @@ pub trait Mechanism<T: Real, const N: usize>: Copy + core::fmt::Debug {
     const MASS_ENTRIES: &'static [(usize, usize)];
     /// Quantities that depend on the angles alone, computed once per control step.
     type Pose: Copy + core::fmt::Debug;
-
-    /// Computes the coefficients from a description. Errors name the invalid property of the description.
+    /// Computes the coefficients from a description. The error names the invalid property of the description.
     fn new(description: &Description) -> Result<Self, DescriptionError>;
-
     /// Computes all quantities that depend on the joint angles alone.
     fn pose_at<K: Math<T>>(&self, angles: &[Angle<T>; N]) -> Self::Pose;
-    /// Like [`Mechanism::pose_at`], for joint angles `q` in rad.
+    /// Computes [`Mechanism::pose_at`] for joint angles `q` in rad.
     #[inline(always)]
     fn pose<K: Math<T>>(&self, q: &SVector<T, N>) -> Self::Pose {
         self.pose_at::<K>(&core::array::from_fn(|i| Angle::from_radians(q[i])))
     }
-    /// Like [`Mechanism::pose_at`], but returns `None` if the pose is less regular than `least` (positive sines), so
-    /// that the computation needs no clamps.
+    /// Computes [`Mechanism::pose_at`] without clamps, or returns `None` if a sine is below `least` (positive sines).
     #[inline(always)]
     fn regular_pose<K: Math<T>>(&self, angles: &[Angle<T>; N], least: &Regularity<T>) -> Option<Self::Pose> {
         let pose = self.pose_at::<K>(angles);
@@ -175,7 +171,7 @@ pub trait Mechanism<T: Real, const N: usize>: Copy + core::fmt::Debug {
     fn velocity(&self, pose: &Self::Pose, qd: &SVector<T, N>) -> SVector<T, N> {
         self.jacobian(pose) * qd
     }
-    /// Returns J⁻¹ v: the joint velocities of a task velocity. Clamped, not infinite, at a serial singularity.
+    /// Returns J⁻¹ v: the joint velocities of a task velocity. Clamped at a serial singularity, not infinite.
     fn inverse(&self, pose: &Self::Pose, velocity: &SVector<T, N>) -> SVector<T, N>;
     /// Returns J⁻¹ (N x N).
     fn jacobian_inverse(&self, pose: &Self::Pose) -> SMatrix<T, N, N> {
@@ -191,25 +187,23 @@ pub trait Mechanism<T: Real, const N: usize>: Copy + core::fmt::Debug {
     fn shaping(&self, pose: &Self::Pose, n: &SVector<T, N>) -> Shaping<T, N> {
         Shaping::of(&self.mass(pose), self.inverse(pose, n))
     }
-    /// Returns the torques that move the tip straight at constant speed while the joints move: c - M J⁻¹ J̇ q̇, N m,
-    /// the velocity part of `b` in docs/model.md section 2. A tip acceleration `a` needs `shaping(pose, a).me` in
-    /// addition.
+    /// Returns the torques that move the tip straight at constant speed while the joints move: c - M J⁻¹ J̇ q̇ (N m),
+    /// the velocity part of `b` in docs/model.md section 2. A tip acceleration `a` adds `shaping(pose, a).me`.
     fn velocity_torque(&self, pose: &Self::Pose, qd: &SVector<T, N>) -> SVector<T, N> {
         let qdd_bias = self.inverse(pose, &(self.jacobian_rate(pose, qd) * qd));
         self.coriolis(pose, qd) - self.mass(pose) * qdd_bias
     }
-    /// Computes equation (4) for one wall of unit normal `n`, whose force `force` (N) is rendered in every motion:
-    /// E = J⁻¹ n (rad/m) and the joint torques τ = M E Wrr⁻¹ f + b, N m; b is zero without joint velocities `qd`
-    /// (rad/s). The tip then accelerates by f/Wrr along n and not across n: one pass of inverse dynamics, if the
-    /// mechanism has it in closed form.
+    /// Computes equation (4) for one wall of unit normal `n` whose `force` (N) is rendered in every motion: E = J⁻¹ n
+    /// (rad/m) and the joint torques τ = M E Wrr⁻¹ f + b (N m). b is zero without joint velocities `qd` (rad/s). The
+    /// tip accelerates by f/Wrr along n and not across n. A closed form needs one pass of inverse dynamics.
     #[inline(always)]
     fn shaped(&self, pose: &Self::Pose, n: &SVector<T, N>, force: T, qd: Option<&SVector<T, N>>) -> Shaped<T, N> {
         let shaping = self.shaping(pose, n);
         let torque = shaping.me * (force / shaping.w_rr);
         Shaped { e: shaping.e, torque: qd.map_or(torque, |qd| torque + self.velocity_torque(pose, qd)) }
     }
-    /// Like [`Mechanism::shaped`], for a wall whose normal turns: the tip also accelerates by `turning` (m/s²), which
-    /// is -κ of [`frame_rate`](crate::model::inertia::frame_rate).
+    /// Computes [`Mechanism::shaped`] for a wall whose normal turns. `turning` is the resulting tip acceleration
+    /// (m/s²), -κ of [`frame_rate`](crate::model::inertia::frame_rate).
     #[inline(always)]
     fn shaped_turning(
         &self,
@@ -224,7 +218,7 @@ pub trait Mechanism<T: Real, const N: usize>: Copy + core::fmt::Debug {
         Shaped { e, torque: self.velocity_torque(pose, qd) + accelerated }
     }
     /// Returns the terms of equation (4) for one wall at joint velocities `qd` (rad/s). The columns of `basis` are
-    /// orthonormal: the wall's normal, the directions across the wall and, on the redundant arm, the held φ.
+    /// orthonormal: the wall's normal, the directions across the wall and, on the redundant arm, φ.
     #[inline(always)]
     fn wall_terms(&self, pose: &Self::Pose, basis: &SMatrix<T, N, N>, qd: &SVector<T, N>) -> WallTerms<T, N> {
         let n = basis.column(0).into_owned();
@@ -243,7 +237,7 @@ pub trait Mechanism<T: Real, const N: usize>: Copy + core::fmt::Debug {
         let inverse = self.jacobian_inverse(pose);
         inverse.tr_mul(&(self.mass(pose) * inverse))
     }
-    /// Returns the two joint coordinates that the mass matrix depends on, rad (all mechanisms here have at most two).
+    /// Returns the two joint coordinates that the mass matrix depends on, rad.
     fn shape(&self, q: &SVector<T, N>) -> [T; 2];
 }
 
@@ -295,7 +289,7 @@ macro_rules! define {
         }
 
         impl<T: Real> AnyMechanism<T> {
-            /// See [`Mechanism::MASS_ENTRIES`].
+            /// Returns the distinct entries of M, see [`Mechanism::MASS_ENTRIES`].
             pub fn mass_entries(&self) -> &'static [(usize, usize)] {
                 match self {
                     $(Self::$Variant(_) => <$Variant<T> as Mechanism<T, $n>>::MASS_ENTRIES,)*
@@ -317,8 +311,8 @@ macro_rules! define {
 
 crate::mechanisms!(define);
 
-/// If the sine of the angle between the rods, or at an elbow, is below this value, the pose counts as singular and
-/// reciprocals are clamped, so that every number stays finite.
+/// Sine below which a pose counts as singular: of the angle between the rods, or at an elbow. Reciprocals are clamped
+/// there, so that every number stays finite.
 const SINE_FLOOR: f64 = 1.0e-6;
 
 /// Returns `1 / x` with |x| clamped to at least `floor`, so that the result is finite for any finite `x`.
@@ -331,7 +325,7 @@ pub(crate) fn reciprocal<T: Real>(x: T, floor: T) -> T {
     if x < T::zero() { -limit } else { limit }
 }
 
-/// Calls [`Mechanism::pose_at`]; compiled once per mechanism, because every copy would enlarge the image.
+/// Calls [`Mechanism::pose_at`]. Compiled once per mechanism, because every copy would enlarge the image.
 #[inline(never)]
 pub(crate) fn shared_pose<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
     mechanism: &M,

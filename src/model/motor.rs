@@ -1,4 +1,4 @@
-//! The data of a motor, for device files and boards: the same numbers in either precision.
+//! The data of a motor, for device files and boards.
 
 use crate::math::{Real, cast};
 use postcard_schema::Schema;
@@ -17,7 +17,7 @@ pub struct Motor<T> {
     pub back_emf: T,
     /// Maximum current, A.
     pub max_current: T,
-    /// True if a person or a calibration has verified these numbers; otherwise a real board refuses to arm.
+    /// True if a person or a calibration has verified these numbers. A real board refuses to arm unverified motors.
     pub verified: bool,
 }
 

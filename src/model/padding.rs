@@ -1,4 +1,4 @@
-//! Arrays with one entry for each joint that a device may have; entries beyond the device's joints are zero.
+//! Arrays with one entry for each possible joint. Entries beyond the device's joints are zero.
 
 use crate::model::catalogue::MAX_JOINTS;
 

@@ -1,14 +1,11 @@
 //! Mass matrices that the control step does not compute: one matrix for all poses, or a table over the joint angles.
 //!
 //! M depends on at most two joint coordinates ([`Mechanism::shape`]), so a table is a grid over these two. It contains
-//! only the distinct entries of M ([`Mechanism::MASS_ENTRIES`]) and has a fixed size: [`TABLE_VALUES`] numbers, under 3
-//! KB of the board's memory. Outside the grid, and where the table does not hold a valid mass matrix, the closed form
-//! is used. The error of a table is therefore never larger than its interpolation error.
+//! only the distinct entries of M ([`Mechanism::MASS_ENTRIES`]) and has a fixed size of [`TABLE_VALUES`] numbers, under
+//! 3 KB of the board's memory. Outside the grid, and at points without a valid mass matrix, the closed form is used.
 //!
-//! [`MassModel::new`] makes a mass model from the data of a tool, and [`MassModel::shaping`] uses it. No other code
-//! depends on the preparation of a matrix.
-//!
-//! The velocity terms z always come from the mechanism: they are forces, not a mass matrix.
+//! [`MassModel::new`] makes a mass model from the data of a tool, and [`MassModel::shaping`] uses it. The velocity
+//! terms z always come from the mechanism, because they are forces, not a mass matrix.
 
 use crate::checksum::Crc32;
 use crate::math::{Math, Real};
@@ -19,10 +16,9 @@ use nalgebra::{SMatrix, SVector};
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
-/// Maximum number of values in a table (2 800 bytes): 15 x 15 points of a five-bar, 13 x 13 with a turret, 10 x 10 of a
-/// redundant arm.
+/// Maximum number of values in a table (2 800 bytes): 15 x 15 points of a five-bar, 13 x 13 with a turret, 10 x 10 of
+/// 3R.
 pub const TABLE_VALUES: usize = 700;
-
 /// Maximum number of distinct entries in a mechanism's M.
 const MAX_ENTRIES: usize = 6;
 
@@ -31,8 +27,8 @@ const MAX_ENTRIES: usize = 6;
 pub enum Interpolation {
     /// Linear in both coordinates: continuous, error of second order in the spacing.
     Bilinear,
-    /// Catmull-Rom in both coordinates: continuous with continuous slope, error of third order. The outermost points
-    /// only provide slopes.
+    /// Catmull-Rom in both coordinates: continuous with continuous slope, error of third order. Outermost points only
+    /// give slopes.
     Bicubic,
 }
 
@@ -46,8 +42,8 @@ impl Interpolation {
     }
 }
 
-/// The grid of a table. Its values are ordered point by point, with the second coordinate fastest; each point's entries
-/// are in the order of [`Mechanism::MASS_ENTRIES`], kg m².
+/// The grid of a table. Its values are ordered point by point, with the second coordinate fastest. Each point has the
+/// entries of [`Mechanism::MASS_ENTRIES`], kg m².
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct Grid<T> {
     /// Interpolation between values.
@@ -61,10 +57,9 @@ pub struct Grid<T> {
 }
 
 impl<T: Real> Grid<T> {
-    /// Makes a grid that is usable from `low` to `high` (rad), with `points` points along each coordinate.
-    ///
-    /// `None` if the table would hold more than [`TABLE_VALUES`] numbers at `entries` numbers per point, if there are
-    /// too few points to interpolate, or if the range is empty.
+    /// Makes a grid that is usable from `low` to `high` (rad), with `points` points along each coordinate. `None` if
+    /// the table would hold more than [`TABLE_VALUES`] numbers with `entries` numbers per point, if too few points are
+    /// given to interpolate, or if the range is empty.
     pub fn new(
         interpolation: Interpolation,
         points: [u8; 2],
@@ -125,7 +120,7 @@ pub fn tabulate<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
     }
 }
 
-/// Returns joint angles with these shape coordinates; joints that M does not depend on are at zero.
+/// Returns joint angles with these shape coordinates. Joints that M does not depend on are at zero.
 pub fn joints<T: Real, M: Mechanism<T, N>, const N: usize>(mechanism: &M, shape: &[T; 2]) -> SVector<T, N> {
     SVector::from_fn(|joint, _| {
         let mut unit = SVector::<T, N>::zeros();
@@ -169,7 +164,7 @@ impl<T: Real> Table<T> {
         }
     }
 
-    /// Returns the cell of joint coordinates and the position in the cell, each in [0, 1]; `None` outside the grid.
+    /// Returns the cell of joint coordinates and the position in the cell, from 0 to 1; `None` outside the grid.
     #[inline(always)]
     fn cell(&self, shape: &[T; 2]) -> Option<([usize; 2], [T; 2])> {
         let mut cell = [0; 2];
@@ -203,7 +198,7 @@ impl<T: Real> Table<T> {
         Some(mass)
     }
 
-    /// Returns the first `count` entries at joint coordinates. Not inlined: all mechanisms share it.
+    /// Returns the first `count` entries at joint coordinates. Not inlined, because all mechanisms share it.
     #[inline(never)]
     fn entries(&self, shape: &[T; 2], count: usize) -> Option<[T; MAX_ENTRIES]> {
         let (cell, within) = self.cell(shape)?;
@@ -260,8 +255,8 @@ impl<T: Real, const N: usize> MassModel<T, N> {
         fits.then(|| Self::Table(Table::new(grid, values)))
     }
 
-    /// Returns the joint motion and the inertia of a unit tip motion along `n`. Not inlined: the cost of the call is
-    /// small, and every copy would enlarge the image.
+    /// Returns the joint motion and the inertia of a unit tip motion along `n`. Not inlined, because every copy would
+    /// enlarge the image, and the call costs little.
     #[inline(never)]
     pub fn shaping<M: Mechanism<T, N>>(
         &self,
@@ -282,8 +277,8 @@ impl<T: Real, const N: usize> MassModel<T, N> {
     }
 }
 
-/// A mass model in a request. Only data that fit one setting are stored in flash: the tool sends a table again after a
-/// restart, and until then the board uses the closed form.
+/// A mass model in a request. A table is not stored in flash, because it does not fit one setting. After a restart the
+/// board uses the closed form until the tool sends the table again.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, Schema)]
 pub enum MassModelData {
     /// The mechanism's closed form.
@@ -291,7 +286,7 @@ pub enum MassModelData {
     Exact,
     /// The lower triangle of one matrix, row by row, kg m².
     Frozen([f32; 6]),
-    /// A table whose values have been sent before, and the CRC-32 of the values.
+    /// A table whose values were sent before, with the CRC-32 of the values.
     Table(Grid<f32>, u32),
 }
 
@@ -329,8 +324,8 @@ pub struct TableReceiver {
 }
 
 impl TableReceiver {
-    /// Appends a chunk that begins at value `offset`: 0 restarts the transfer, any other offset must continue it.
-    /// Returns false if the offset does not continue it, if the table would be too long, or if a value is not finite.
+    /// Appends a chunk that begins at value `offset`; 0 restarts the transfer. Returns false if another offset does not
+    /// continue it, if the table would be too long, or if a value is not finite.
     pub fn take(&mut self, offset: usize, chunk: &[f32]) -> bool {
         if !self.fits(offset, chunk) {
             return false;
@@ -352,7 +347,7 @@ impl TableReceiver {
         &self.values
     }
 
-    /// Returns true if the received values are complete: this number of values with this checksum.
+    /// Returns true if exactly `values` values with the checksum `crc` were received.
     pub fn is_complete(&self, values: usize, crc: u32) -> bool {
         self.values.len() == values && checksum(&self.values) == crc
     }

@@ -1,61 +1,57 @@
 //! Selects the rendered directions of several walls and computes the joint torques of their feed-forward.
 //!
-//! The rendered directions follow the walls' stiffness K = Σ kᵢ nᵢ nᵢᵀ: they are its eigenvectors e₁, e₂, … in the
-//! order of falling eigenvalues k₁ ≥ k₂ ≥ …. Level R is equation (4) with e₁ … e_R rendered and every other direction
-//! admissible. The force along e_j goes through the levels R = j, j + 1, …. Each level takes the share
-//! (1 - (k_{R+1}/k_R)²) p_R of the force that the levels before it left; the rest after the last level goes straight
-//! through Jᵀ. p_R is 1 if every wall has the feed-forward; if some walls have not, it is reduced by their part of the
-//! stiffness along e₁ … e_R. If two eigenvalues are equal, their eigenvectors are arbitrary and the level between them
-//! has no share, so torques are continuous.
+//! The rendered directions are the eigenvectors e₁, e₂, … of the walls' stiffness K = Σ kᵢ nᵢ nᵢᵀ, in the order of
+//! falling eigenvalues k₁ ≥ k₂ ≥ …. Level R is equation (4) with e₁ … e_R rendered and every other direction
+//! admissible. The force along e_j goes through the levels R = j, j + 1, …. Each level takes the share (1 -
+//! (k_{R+1}/k_R)²) p_R of the force that the earlier levels left; the rest goes through Jᵀ. p_R is 1 if every wall has
+//! the feed-forward; otherwise it is reduced by the stiffness of the other walls along e₁ … e_R. If two eigenvalues are
+//! equal, their eigenvectors are arbitrary, but the level between them has no share, so torques are continuous.
 //!
-//! The feed-forward, on any of the walls, makes no set of walls less stable if the device is undamped, the feed-forward
-//! acts in full and all walls have the same damping ratio. Proof: split Λ⁻¹ = [a b; bᵀ d] and K = [K_a 0; 0 K_d] into
-//! the first R directions and the rest. With the share s of level R the map is
-//! B = [a - s b d⁻¹ bᵀ, b; (1 - s) bᵀ, d]. Scaling the second block by σ = √(1 - s) makes BK similar to B_s K with
-//! B_s = [a - s b d⁻¹ bᵀ, σ b; σ bᵀ, d], which is symmetric and positive definite, because its Schur complement
-//! a - b d⁻¹ bᵀ does not depend on s: all eigenvalues of the loop are real and positive, like those of masses. If μ
-//! exceeds the largest eigenvalue of Λ⁻¹K, then with p = μ K_d⁻¹ - d: p > 0 and μ K_a⁻¹ - a - b p⁻¹ bᵀ > 0, hence also
-//! μ K_a⁻¹ - a + s b d⁻¹ bᵀ - (1 - s) b p⁻¹ bᵀ > 0, so μ exceeds every eigenvalue of BK: the largest eigenvalue falls
-//! as s grows. The next lower level has the same form on B_s in the place of Λ⁻¹, because the Schur complement onto its
-//! directions is the same and the scaling does not change its block. With equal damping ratios the loop separates into
-//! one mass 1/μ for each eigenvalue, and a mass is stable wherever a lighter mass is (checked numerically; four of 5208
-//! rays with an unfiltered difference over 32 samples are exceptions). p_R only reduces a share.
+//! The feed-forward makes no set of walls less stable if the device is undamped, the feed-forward acts in full and all
+//! walls have the same damping ratio. Proof: split Λ⁻¹ = [a b; bᵀ d] and K = [K_a 0; 0 K_d] into the first R directions
+//! and the rest. With the share s of level R the map is B = [a - s b d⁻¹ bᵀ, b; (1 - s) bᵀ, d]. Scaling the second
+//! block by σ = √(1 - s) makes BK similar to B_s K with B_s = [a - s b d⁻¹ bᵀ, σ b; σ bᵀ, d]. B_s is symmetric and
+//! positive definite, because its Schur complement a - b d⁻¹ bᵀ does not depend on s, so all eigenvalues of the loop
+//! are real and positive, like those of masses. If μ exceeds the largest eigenvalue of Λ⁻¹K, then with p = μ K_d⁻¹ - d:
+//! p > 0 and μ K_a⁻¹ - a - b p⁻¹ bᵀ > 0, hence also μ K_a⁻¹ - a + s b d⁻¹ bᵀ - (1 - s) b p⁻¹ bᵀ > 0. So μ exceeds every
+//! eigenvalue of BK, and the largest eigenvalue falls as s grows. The next lower level has the same form with B_s in
+//! place of Λ⁻¹, because the Schur complement onto its directions is the same and the scaling does not change its
+//! block. With equal damping ratios the loop separates into one mass 1/μ for each eigenvalue. A mass is stable wherever
+//! a lighter mass is (checked numerically; four of 5208 rays with an unfiltered difference over 32 samples are
+//! exceptions). p_R only reduces a share.
 //!
-//! A single wall does not need this: it is level 1 with its own normal.
+//! A single wall is level 1 with its own normal.
 
 use crate::math::{Math, Real};
 use crate::model::mechanism::Shaping;
 use crate::model::solve::solve_symmetric;
 use nalgebra::{SMatrix, SVector};
 
-/// Maximum number of rounds of rotations. Two directions need one; three directions converge quadratically and are
-/// exact to rounding after four.
+/// Maximum number of sweeps of Jacobi rotations. Two directions need one; three are exact to rounding after four.
 const MAX_SWEEPS: usize = 6;
-
-/// Largest error of a normal's squared length that is ignored, which saves a root: the normals of a scene are within
-/// it. The normal of the host's plane is shorter while the plane moves from one place to another.
+/// Largest error of a normal's squared length that is ignored, to save a root. The normals of a scene are within it;
+/// the normal of the host's plane is shorter while the plane moves.
 const UNIT_TOLERANCE: f64 = 1.0e-5;
 
 /// The stiffness of one wall or spring, as used to select the rendered directions.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pull<T: Real, const N: usize> {
-    /// Normal of a wall (unit length), normal of the host's plane (may be shorter), or line of a spring. Zeros beyond
-    /// the task dimension.
+    /// Unit normal of a wall, normal of the host's plane (may be shorter), or line of a spring. Zeros beyond the task.
     pub normal: SVector<T, N>,
     /// True if the stiffness acts across `normal` (in every direction if `normal` is zero) instead of along it.
     pub across: bool,
-    /// Stiffness, N/m or in any other common unit; not negative.
+    /// Stiffness in N/m or another common unit; not negative.
     pub stiffness: T,
-    /// True if it has the feed-forward. Otherwise its part of the stiffness is subtracted from every level's share.
+    /// True if the wall has the feed-forward. Other stiffness reduces every level's share.
     pub feed_forward: bool,
 }
 
 impl<T: Real, const N: usize> Pull<T, N> {
-    /// Returns aᵀ S b of two orthonormal directions; S is n nᵀ, or the identity less n nᵀ.
+    /// Returns aᵀ S b of two orthonormal directions. S is n nᵀ, or the identity less n nᵀ if the stiffness acts across.
     #[inline(always)]
-    fn between(&self, a: &SVector<T, N>, b: &SVector<T, N>) -> T {
+    fn stiffness_between(&self, a: &SVector<T, N>, b: &SVector<T, N>) -> T {
         if self.across {
-            // Project the vectors: a difference of the two products would lose the softer direction to rounding.
+            // Projects the vectors, because a difference of products would lose the softer direction to rounding.
             self.across_part(a).dot(&self.across_part(b))
         } else {
             a.dot(&self.normal) * b.dot(&self.normal)
@@ -74,16 +70,14 @@ pub struct Principal<T: Real, const N: usize> {
     pub basis: SMatrix<T, N, N>,
     /// k₁ ≥ k₂ ≥ …, divided by the stiffness of the stiffest wall; zero beyond the task.
     pub stiffness: SVector<T, N>,
-    /// The part of `stiffness` from springs and from walls without the feed-forward.
+    /// Part of `stiffness` from springs and from walls without the feed-forward.
     pub plain: SVector<T, N>,
 }
 
 impl<T: Real, const N: usize> Principal<T, N> {
     /// Computes the principal directions of walls in a task of `task` dimensions. If no wall has stiffness, all count
-    /// equally.
-    ///
-    /// Uses Jacobi rotations of K in a frame that begins with the stiffest wall's normal: in this frame the stiffest
-    /// wall is a single entry, so its rounding does not hide a soft wall. Two walls need one rotation.
+    /// equally. Uses Jacobi rotations of K in a frame that begins with the stiffest wall's normal, in which that wall
+    /// is a single entry whose rounding does not hide a soft wall.
     #[inline(never)]
     pub fn new<K: Math<T>>(pulls: &[Pull<T, N>], task: usize) -> Self {
         let largest = pulls.iter().fold(T::zero(), |largest, pull| pull.stiffness.greater(largest));
@@ -97,7 +91,7 @@ impl<T: Real, const N: usize> Principal<T, N> {
             let weight = weight(pull);
             for i in 0..task {
                 for j in 0..=i {
-                    k[(i, j)] += weight * pull.between(&axes[i], &axes[j]);
+                    k[(i, j)] += weight * pull.stiffness_between(&axes[i], &axes[j]);
                 }
             }
         }
@@ -116,27 +110,27 @@ impl<T: Real, const N: usize> Principal<T, N> {
         for (i, axis) in axes.iter().enumerate().take(task) {
             stiffness[i] = k[(i, i)];
             for pull in pulls.iter().filter(|pull| !pull.feed_forward) {
-                plain[i] += weight(pull) * pull.between(axis, axis);
+                plain[i] += weight(pull) * pull.stiffness_between(axis, axis);
             }
         }
         Self { basis: SMatrix::from_columns(&axes), stiffness, plain }
     }
 
-    /// Returns column `i` of the basis; zero beyond it, so that the call cannot panic.
+    /// Returns column `i` of the basis; zero beyond the last column, so that the call cannot panic.
     #[inline(always)]
     pub fn direction(&self, i: usize) -> SVector<T, N> {
         SVector::from_fn(|row, _| self.basis.get((row, i)).copied().unwrap_or_default())
     }
 
-    /// Returns k of direction `i`, counted from 0; zero beyond the last.
+    /// Returns the stiffness of direction `i`, counted from 0; zero beyond the last direction.
     #[inline(always)]
     pub fn along(&self, i: usize) -> T {
         self.stiffness.get(i).copied().unwrap_or_default()
     }
 
-    /// Returns the share that the level with `rendered` directions takes of the force that the levels before it left:
-    /// (1 - (k_{R+1}/k_R)²) p_R, p_R = P k_R/(P k_R + Q k₁). P is the stiffness along e₁ … e_R of walls with the
-    /// feed-forward, Q the stiffness of walls without.
+    /// Returns the share that the level with `rendered` directions takes of the remaining force. It is (1 -
+    /// (k_{R+1}/k_R)²) p_R, p_R = P k_R/(P k_R + Q k₁). P and Q are the stiffnesses along e₁ … e_R with and without
+    /// feed-forward.
     #[inline(always)]
     pub fn share(&self, rendered: usize) -> T {
         let (stiffer, softer) = (self.along(rendered.wrapping_sub(1)), self.along(rendered));
@@ -151,7 +145,7 @@ impl<T: Real, const N: usize> Principal<T, N> {
         }
     }
 
-    /// Computes the feed-forward for the walls' resultant `force` (N); every level takes only `part` of its share.
+    /// Computes the feed-forward for the walls' resultant `force` (N). Every level takes only `part` of its share.
     ///
     /// `shapings` holds the shaping of each column of the basis. `bias` returns b of a level, and the part of b that is
     /// subtracted from the walls' force (N m, see [`Shaping::torque`]). Returns the joint torques of all levels (N m)
@@ -166,7 +160,7 @@ impl<T: Real, const N: usize> Principal<T, N> {
     ) -> (SVector<T, N>, SVector<T, N>) {
         let mut torque = SVector::zeros();
         let mut plain = *force;
-        // The part of the force along each direction that no level has taken yet; the entry of e₁ also applies to b.
+        // The part of the force along each direction that no level has taken yet. The entry of e₁ also applies to b.
         let mut left = SVector::<T, N>::repeat(T::one());
         for rendered in 1..N {
             let share = self.share(rendered) * part;
@@ -205,9 +199,8 @@ fn unit<T: Real, const N: usize>(i: usize) -> SVector<T, N> {
     SVector::from_fn(|row, _| if row == i { T::one() } else { T::zero() })
 }
 
-/// Returns an orthonormal frame of the first `task` coordinates; the other coordinates are unchanged. The first axis is
-/// the normal of the wall with the largest weight, the second the largest weighted part of a wall's normal across the
-/// first.
+/// Returns an orthonormal frame of the first `task` coordinates. The first axis is the normal of the wall with the
+/// largest weight, the second the largest weighted part of a wall's normal across the first. Other coordinates stay.
 fn frame<T: Real, K: Math<T>, const N: usize>(
     pulls: &[Pull<T, N>],
     weight: impl Fn(&Pull<T, N>) -> T,
@@ -240,7 +233,7 @@ fn frame<T: Real, K: Math<T>, const N: usize>(
             }
         }
         axes[1] = match second {
-            // Orthogonalise again: a short part is mostly rounding, and the frame must be orthogonal.
+            // Orthogonalises again, because a short part is mostly rounding, and the frame must be orthogonal.
             Some(part) => {
                 let part = part - axes[0] * axes[0].dot(&part);
                 part / K::sqrt(part.dot(&part))
@@ -252,15 +245,15 @@ fn frame<T: Real, K: Math<T>, const N: usize>(
     axes
 }
 
-/// Returns a unit vector across the unit vector `n` in space: the normalised part across `n` of the axis with the
-/// smallest component along `n`, the first axis on ties.
+/// Returns a unit vector across the unit vector `n` in space: the normalised part across `n` of the axis farthest from
+/// `n`.
 fn across<T: Real, K: Math<T>, const N: usize>(n: &SVector<T, N>) -> SVector<T, N> {
     let smallest = (1..N.min(3)).fold(0, |smallest, i| if n[i].abs() < n[smallest].abs() { i } else { smallest });
     let part = unit::<T, N>(smallest) - n * n[smallest];
     part / K::sqrt(part.dot(&part))
 }
 
-/// Returns the cross product in the first three coordinates (zero if there are fewer).
+/// Returns the cross product in the first three coordinates; zero if there are fewer.
 fn cross<T: Real, const N: usize>(a: &SVector<T, N>, b: &SVector<T, N>) -> SVector<T, N> {
     let mut product = SVector::<T, N>::zeros();
     if N >= 3 {
@@ -271,8 +264,8 @@ fn cross<T: Real, const N: usize>(a: &SVector<T, N>, b: &SVector<T, N>) -> SVect
     product
 }
 
-/// Rotates axes `a` < `b` so that the lower triangle `k` of K in these axes has no entry between them and the larger
-/// diagonal entry first. Returns false if this is the case already, to rounding.
+/// Rotates axes `a` < `b` so that the lower triangle `k` of K has no entry between them and the larger diagonal entry
+/// first. Returns false if no rotation is needed.
 fn rotate<T: Real, K: Math<T>, const N: usize>(
     axes: &mut [SVector<T, N>; N],
     k: &mut SMatrix<T, N, N>,
@@ -292,7 +285,7 @@ fn rotate<T: Real, K: Math<T>, const N: usize>(
     if hypotenuse <= T::zero() {
         return false;
     }
-    // Cosine and sine of half the angle whose cosine is difference/hypotenuse, the larger of them first.
+    // Cosine and sine of half the angle with the cosine difference/hypotenuse, the larger of them first.
     let larger = K::sqrt(half + half * difference.abs() / hypotenuse);
     let smaller = ab.abs() / (hypotenuse * larger);
     let (cosine, sine) = if difference >= T::zero() { (larger, smaller) } else { (smaller, larger) };

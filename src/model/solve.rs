@@ -9,7 +9,7 @@ pub fn is_positive_definite<T: Real, const N: usize>(a: &SMatrix<T, N, N>) -> bo
     let mut left = *a;
     (0..N).all(|j| {
         let pivot = left[(j, j)];
-        // Written so that NaN fails the test.
+        // Written so that NaN is not `positive`.
         let positive = pivot > T::EPSILON * a[(j, j)].abs();
         if positive {
             for i in j + 1..N {
@@ -24,8 +24,8 @@ pub fn is_positive_definite<T: Real, const N: usize>(a: &SMatrix<T, N, N>) -> bo
     })
 }
 
-/// Returns x with A x = y for a symmetric positive definite A (N x N), by LDLᵀ without a square root. A pivot that is
-/// not positive is replaced by the smallest usable positive number, so the result is finite for any finite input.
+/// Returns x with A x = y for a symmetric positive definite A (N x N), by LDLᵀ without a square root. The smallest
+/// usable positive number replaces a pivot that is not positive, so the result is finite for any finite input.
 pub fn solve_symmetric<T: Real, const N: usize>(a: &SMatrix<T, N, N>, y: &SVector<T, N>) -> SVector<T, N> {
     let mut l = SMatrix::<T, N, N>::identity();
     let mut d = SVector::<T, N>::zeros();
@@ -35,7 +35,7 @@ pub fn solve_symmetric<T: Real, const N: usize>(a: &SMatrix<T, N, N>, y: &SVecto
         for k in 0..j {
             pivot -= l[(j, k)] * l[(j, k)] * d[k];
         }
-        d[j] = positive(pivot, a[(j, j)]);
+        d[j] = clamped_pivot(pivot, a[(j, j)]);
         for i in j + 1..N {
             let mut entry = a[(i, j)];
             for k in 0..j {
@@ -60,14 +60,14 @@ pub fn solve_symmetric<T: Real, const N: usize>(a: &SMatrix<T, N, N>, y: &SVecto
     x
 }
 
-/// Returns yᵀ A⁻¹ y for a symmetric positive definite A (N x N), N > 0, as a numerator and a positive denominator: the
-/// forward half of [`solve_symmetric`] without its last division.
+/// Returns yᵀ A⁻¹ y for a symmetric positive definite A (N x N), N > 0, as a numerator and a positive denominator. Runs
+/// the forward half of [`solve_symmetric`] without its last division.
 #[inline(always)]
 pub fn quotient<T: Real, const N: usize>(a: &SMatrix<T, N, N>, y: &SVector<T, N>) -> (T, T) {
     let (mut left, mut x) = (*a, *y);
     let (mut above, mut below) = (T::zero(), T::one());
     for j in 0..N {
-        let pivot = positive(left[(j, j)], a[(j, j)]);
+        let pivot = clamped_pivot(left[(j, j)], a[(j, j)]);
         if j + 1 == N {
             (above, below) = (above * pivot + x[j] * x[j], pivot);
             break;
@@ -87,8 +87,8 @@ pub fn quotient<T: Real, const N: usize>(a: &SMatrix<T, N, N>, y: &SVector<T, N>
     (above, below)
 }
 
-/// Returns `pivot`, the remainder of the diagonal entry `of`, but at least the smallest usable positive number.
+/// Returns `pivot`, but at least the smallest usable positive number for a remainder of the diagonal entry `of`.
 #[inline(always)]
-fn positive<T: Real>(pivot: T, of: T) -> T {
+fn clamped_pivot<T: Real>(pivot: T, of: T) -> T {
     pivot.greater(T::EPSILON * T::EPSILON * T::EPSILON * of.abs().greater(T::EPSILON))
 }

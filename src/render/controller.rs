@@ -1,10 +1,9 @@
-//! One control step: from encoder counts to joint torques.
+//! One control step, which computes joint torques from encoder counts.
 //!
 //! [`Controller::step_generally`] runs a complete step in the order of the data flow: counts → angles → pose → contacts
-//! → wall forces → the feed-forward → torques (`general.rs`; a straight step does the same for one kind of scene). The
-//! controller owns no hardware, allocates nothing, and cannot panic: every index is bounded by a constant and every
-//! divisor is clamped. It is generic over the float and the trigonometry, so the board's f32 step and the analysis' f64
-//! step are the same code.
+//! → wall forces → the feed-forward → torques (`general.rs`). A straight step does the same for one kind of scene. The
+//! controller owns no hardware, allocates nothing, and cannot panic, because every index is bounded and every divisor
+//! is clamped. It is generic over float and trigonometry, so the board's f32 and the analysis' f64 share the code.
 //!
 //! The controller computes only what the scene needs: without feed-forward no mass matrix, without velocity terms no
 //! Coriolis forces, without springs no tip velocity. [`Controller::new`] makes these choices once.
@@ -19,7 +18,7 @@ use crate::render::step_result::{AtWalls, StepResult, clear, put};
 use crate::render::velocity::{Coefficients, Washout};
 use core::marker::PhantomData;
 use encoders::Encoders;
-pub use encoders::beyond;
+pub use encoders::beyond_uncertainty;
 pub use gains::Gains;
 use guidance::Guidance;
 use nalgebra::SVector;
@@ -27,7 +26,7 @@ use observers::Observers;
 use passivity::{Debt, Passivity};
 pub use push::{Push, PushedPlane};
 pub use regularity::{
-    FULL_REGULARITY, KNOWN_TURN, NO_REGULARITY, PARALLEL_REGULARITY, UNKNOWN_TURN, velocity_term_share,
+    FULL_REGULARITY, FULL_TERMS_TURN, NO_REGULARITY, NO_TERMS_TURN, PARALLEL_REGULARITY, velocity_term_share,
 };
 use straight::StepVariant;
 use walls::Walls;
@@ -46,26 +45,26 @@ mod stiffness;
 mod straight;
 mod walls;
 
-/// The result of one step, as vectors of the mechanism's N joints. The state at the walls can be read directly.
+/// The result of one step, as vectors of the mechanism's N joints. Dereferences to the state at the walls.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Step<T: Real, const N: usize> {
-    /// See [`StepResult`].
+    /// Joint angles, rad.
     pub q: SVector<T, N>,
-    /// See [`StepResult`].
+    /// Filtered joint velocities, rad/s.
     pub qd: SVector<T, N>,
-    /// See [`StepResult`].
+    /// Task position: the tip, m (and φ, rad).
     pub tip: SVector<T, N>,
-    /// Joint torques, N m: [`TorqueDemand::total`](crate::render::step_result::TorqueDemand::total).
+    /// Total joint torques, N m.
     pub torque: SVector<T, N>,
-    /// See [`TorqueDemand`](crate::render::step_result::TorqueDemand).
+    /// Torques that hold the device against gravity, N m.
     pub gravity: SVector<T, N>,
-    /// See [`TorqueDemand`](crate::render::step_result::TorqueDemand).
+    /// Torques that render the forces of walls, springs and fields, N m.
     pub rendered: SVector<T, N>,
-    /// See [`TorqueDemand`](crate::render::step_result::TorqueDemand).
+    /// Squared resultant of the rendered forces, N².
     pub force_squared: T,
-    /// See [`StepResult`].
+    /// Joint motion per metre of tip motion along the normal of the deepest wall, rad/m.
     pub motion: SVector<T, N>,
-    /// See [`StepResult`].
+    /// Distance of the pose from a parallel singularity.
     pub parallel: T,
     /// State at the walls.
     pub walls: AtWalls<T>,
@@ -100,7 +99,7 @@ impl<T: Real, const N: usize> core::ops::Deref for Step<T, N> {
 
 /// The control step of one mechanism with N joints, its scene, and its state between steps.
 ///
-/// The order in memory keeps the fields of a usual step within the 1 KB that the FPU's loads reach.
+/// The field order keeps the fields of a usual step within the 1 KB that the FPU's loads reach.
 #[derive(Clone, Debug)]
 #[repr(C)]
 pub struct Controller<T: Real, M, K, const N: usize> {
@@ -115,7 +114,6 @@ pub struct Controller<T: Real, M, K, const N: usize> {
     turning_terms: bool,
     /// True if the walls' energy is counted, for the passivity controller or for display.
     is_counting_energy: bool,
-    /// True if the passivity controller is on.
     is_passivity_on: bool,
     mechanism: M,
     coefficients: Coefficients<T>,
@@ -123,13 +121,13 @@ pub struct Controller<T: Real, M, K, const N: usize> {
     walls: Walls<T>,
     observers: Observers<T, N>,
     viscous: SVector<T, N>,
-    /// α of the feed-forward; `None` up to 1, because only a larger α could reach the pole of the inertia.
+    /// α of the feed-forward, if it exceeds 1: only then is the pole of the inertia within reach.
     gain: Option<T>,
     admissible: Admissible,
     posture: Option<Posture<T>>,
     guidance: Guidance<T>,
     mass: MassModel<T, N>,
-    /// Placed beyond the reach of these loads, because it needs an address of its own and would displace other fields.
+    /// Placed beyond the reach of the FPU's loads, because it needs an address of its own in any case.
     passivity: Passivity<T, N>,
     math: PhantomData<K>,
 }
@@ -141,7 +139,7 @@ struct PreparedScene<T: Real> {
     guidance: Guidance<T>,
 }
 
-/// Checks a scene and designs its filters. Not inlined: the mechanisms share it.
+/// Checks a scene and designs its filters. Not inlined, because the mechanisms share it.
 #[inline(never)]
 fn prepare<T: Real, K: Math<T>>(
     device: &Device<T>,
@@ -157,9 +155,8 @@ fn prepare<T: Real, K: Math<T>>(
 }
 
 impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K, N> {
-    /// Makes the run-time form of `scene` on this mechanism. Designs filters, so do not call it in the control step.
-    ///
-    /// Returns the errors of [`Scene::check`].
+    /// Makes the run-time form of `scene` on this mechanism, or returns an error of [`Scene::check`]. Designs filters,
+    /// so do not call it in the control step.
     #[inline(never)]
     pub fn new(mechanism: M, device: &Device<T>, scene: &Scene<T>) -> Result<Self, SceneError> {
         let PreparedScene { coefficients, walls, guidance } = prepare::<T, K>(device, scene, M::SPEC.task)?;
@@ -167,7 +164,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
             return Err(SceneError::Posture);
         }
         let has_bias = scene.velocity_terms != VelocityTerms::Off || walls.damped;
-        // True if no part of b is subtracted from a wall's force. On a line no normal turns.
+        // True if no part of b is subtracted from a wall's force.
         let rendered = scene.velocity_terms == VelocityTerms::Rendered && !walls.damped;
         let turns = walls.curved && M::SPEC.task > 1;
         let moving = has_bias || guidance.is_active || scene.posture.is_some();
@@ -207,7 +204,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         self.step_with_torque(&[T::zero(); MAX_JOINTS], counts)
     }
 
-    /// Like [`Controller::step`], with the motor torques since the last step (N m) for an estimator that predicts.
+    /// Runs [`Controller::step`] with the motor torques since the last step (N m), for an estimator that predicts.
     pub fn step_with_torque(&mut self, acted: &[T; MAX_JOINTS], counts: &[i32; N]) -> Step<T, N> {
         let mut result = StepResult::default();
         self.render(counts, acted, &mut result);
@@ -215,7 +212,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         Step::from_result(&result)
     }
 
-    /// Like [`Controller::step`], but always runs the general step, the reference of every straight step.
+    /// Runs [`Controller::step`] by the general step, which is the reference of every straight step.
     pub fn step_generally(&mut self, counts: &[i32; N]) -> Step<T, N> {
         let mut result = StepResult::default();
         if self.variant == StepVariant::Restart {
@@ -229,9 +226,8 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         Step::from_result(&result)
     }
 
-    /// Like [`Controller::step_with_torque`], but writes the first N entries of every vector of `result`, except the joint
-    /// angles, which are computed only on demand ([`Controller::angles`]). `acted` is the motor torque since the last
-    /// step (N m): the requested torque after all limits.
+    /// Runs [`Controller::step_with_torque`] and writes the first N entries of every vector of `result` except the
+    /// joint angles, see [`Controller::angles`]. `acted` holds the motor torques since the last step after limits, N m.
     #[inline(always)]
     pub fn render(&mut self, counts: &[i32; N], acted: &[T; MAX_JOINTS], result: &mut StepResult<T>) {
         if self.is_counting_energy {
@@ -241,13 +237,13 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
             StepVariant::Wall => self.render_wall(counts, result),
             StepVariant::Round if N == 2 => self.render_round(counts, result),
             StepVariant::Several if N == 2 => self.render_several(counts, result),
-            _ => self.render_uncommon(counts, acted, result),
+            _ => self.render_without_straight_step(counts, acted, result),
         }
     }
 
     /// Implements [`Controller::render`] if no straight step is ready.
     #[inline(never)]
-    fn render_uncommon(&mut self, counts: &[i32; N], acted: &[T; MAX_JOINTS], result: &mut StepResult<T>) {
+    fn render_without_straight_step(&mut self, counts: &[i32; N], acted: &[T; MAX_JOINTS], result: &mut StepResult<T>) {
         // Only an estimator that predicts uses the torques.
         if self.coefficients.uses_joints() {
             self.observers.motor_torque = SVector::from_fn(|i, _| acted[i.min(MAX_JOINTS - 1)]);
@@ -263,7 +259,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         }
     }
 
-    /// Counts the energy of the period that ends with these counts, unless the estimators start with them.
+    /// Counts the energy of the period that ends with these counts.
     #[inline(never)]
     fn observe_energy(&mut self, counts: &[i32; N]) {
         if self.variant != StepVariant::Restart {
@@ -273,18 +269,17 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
 
     /// Records the walls' joint torques (N m), which act until the next step.
     #[inline(always)]
-    fn hold(&mut self, torque: &SVector<T, N>, result: &mut StepResult<T>) {
+    fn record_wall_torques(&mut self, torque: &SVector<T, N>, result: &mut StepResult<T>) {
         if self.is_counting_energy {
             result.at.walls.energy = self.passivity.energy();
-            self.passivity.hold(torque);
+            self.passivity.record_wall_torques(torque);
         }
     }
 
-    /// Records that no wall is touched.
     #[inline(always)]
-    fn leave(&mut self) {
+    fn record_no_contact(&mut self) {
         if self.is_counting_energy {
-            self.passivity.leave();
+            self.passivity.record_no_contact();
         }
     }
 
@@ -328,7 +323,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         self.encoders.zero()
     }
 
-    /// Takes over homing from the controller that this controller replaces.
+    /// Takes over the homing of the previous controller.
     pub fn set_zero(&mut self, zero: [i32; N]) {
         self.encoders.set_zero(zero);
     }
@@ -341,8 +336,8 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         self.guidance.forget();
     }
 
-    /// Turns the passivity controller on or off. Without it the walls' energy is counted only if it is `shown`. A
-    /// change of the mode clears the count.
+    /// Turns the passivity controller on or off. If it is off, the walls' energy is counted only if `shown`. A change
+    /// clears the count.
     pub fn set_passivity(&mut self, on: bool, shown: bool) {
         let counts = on || shown;
         if (self.is_counting_energy, self.is_passivity_on) != (counts, on) {
@@ -351,21 +346,21 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         (self.is_counting_energy, self.is_passivity_on) = (counts, on);
     }
 
-    /// Returns true if a one-sided wall of this scene is touched: arming and scene changes are then refused.
+    /// Returns true if the tip touches a one-sided wall, so that arming and scene changes are refused.
     pub fn is_inside_wall(&self, counts: &[i32; N]) -> bool {
         let (_, angles) = self.encoders.angles(counts);
         let pose = shared_pose::<T, K, M, N>(&self.mechanism, &angles);
-        self.walls.any_touched::<K, N>(&task_part::<T, M, N>(&self.mechanism.tip(&pose)))
+        self.walls.is_any_touched::<K, N>(&task_part::<T, M, N>(&self.mechanism.tip(&pose)))
     }
 
-    /// Sets the host's force and plane from the next step on.
+    /// Sets the host's force and plane for the next steps.
     pub fn set_push(&mut self, push: Option<&Push<T>>) {
         self.guidance.set_push(push);
         self.select_variant();
     }
 
-    /// Returns the tip velocity (m/s) at these counts and joint velocities (rad/s), and the force (N) of the host's
-    /// push at that point. Computes a pose, so do not call it inside the control step.
+    /// Returns the tip velocity (m/s) at these counts and joint velocities (rad/s), and the force of the host's push
+    /// there (N). Computes a pose, so do not call it inside the control step.
     pub fn pushed(&self, counts: &[i32; N], qd: &SVector<T, N>) -> (SVector<T, N>, SVector<T, N>) {
         let (_, angles) = self.encoders.angles(counts);
         let pose = shared_pose::<T, K, M, N>(&self.mechanism, &angles);
@@ -375,15 +370,15 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         (velocity, force)
     }
 
-    /// Applies checked gains between two steps; the states of estimators and washout continue.
+    /// Applies checked gains between two steps. The states of estimators and washout continue.
     pub fn set_gains(&mut self, gains: &Gains<T>, washout: &Washout<T>) {
         self.walls.set_gains(gains, washout);
         self.guidance.set_shared_feed_forward(self.walls.shared_feed_forward());
         self.select_variant();
     }
 
-    /// Applies checked coefficients of the velocity estimators between two steps; their states continue. A new
-    /// estimator of the joints starts from the velocities of the low-pass.
+    /// Applies checked coefficients of the velocity estimators between two steps. Their states continue; a new joint
+    /// estimator starts from the velocities of the low-pass.
     pub fn set_coefficients(&mut self, coefficients: &Coefficients<T>) {
         if coefficients.kind() != self.coefficients.kind() {
             self.observers.forget();
@@ -401,7 +396,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
     }
 }
 
-/// Returns the tip's own coordinates, with zeros beyond the task dimension (φ).
+/// Returns the tip's own coordinates, without the orientation φ.
 #[inline(always)]
 fn task_part<T: Real, M: Mechanism<T, N>, const N: usize>(v: &SVector<T, N>) -> SVector<T, N> {
     let mut part = *v;

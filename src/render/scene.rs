@@ -1,7 +1,7 @@
-//! The scene that the device renders: walls, springs and damping fields, as in the scene file, and checked once.
+//! The scene that the device renders: walls, springs and damping fields, with the values of the scene file.
 //!
-//! A [`Scene`] is plain data, the same on host and board; the controller builds its run-time form from it. A wall's
-//! shape is one file in this module's folder and one line in the list of [`surface`].
+//! A [`Scene`] is plain data, the same on host and board. The controller builds its run-time form from a checked scene.
+//! A wall's shape is one file in this module's folder and one line in the list of [`surface`].
 
 mod cylinder;
 mod plane;
@@ -43,7 +43,7 @@ pub enum FeedForward {
     Off,
     /// Equation (4) unchanged: the wall meets Wrr, and a resting hand is pushed sideways.
     Full,
-    /// Equation (4) with the wall force high-passed: acts at the frequencies of instability and not at rest.
+    /// Equation (4) with a high-passed wall force: acts at the frequencies of instability, and not at rest.
     #[default]
     Washout,
 }
@@ -52,23 +52,23 @@ impl FeedForward {
     /// Every kind with its name in scene files and on the command line.
     pub const ALL: [(&'static str, Self); 3] = [("off", Self::Off), ("full", Self::Full), ("washout", Self::Washout)];
 
-    /// Returns its name.
+    /// Returns the name in scene files.
     pub fn name(self) -> &'static str {
         Self::ALL[self as usize].0
     }
 }
 
-/// The treatment of the forces that keep a moving tip on a straight line, b of docs/model.md section 2.
+/// The treatment of b, the forces that keep a moving tip on a straight line (docs/model.md section 2).
 ///
-/// The first two variants were `false` and `true` when this was a flag: old settings and backups remain readable.
+/// The first two variants were the flags `false` and `true`, so old settings and backups remain readable.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Schema)]
 #[serde(rename_all = "kebab-case")]
 pub enum VelocityTerms {
     /// No velocity terms: τ = M E Wrr⁻¹ fr.
     Off,
-    /// The paper's (4): b acts in the admissible motion only, so that the wall meets Wrr u̇r = fr - zr.
+    /// The paper's (4): b acts in the admissible motion only, so the wall meets Wrr u̇r = fr - zr.
     Paper,
-    /// b acts in every motion, τ = M E Wrr⁻¹ fr + b: the wall meets Wrr u̇r = fr, the force that is rendered.
+    /// b acts in every motion, τ = M E Wrr⁻¹ fr + b, so the wall meets Wrr u̇r = fr, the rendered force.
     #[default]
     Rendered,
 }
@@ -78,7 +78,7 @@ impl VelocityTerms {
     pub const ALL: [(&'static str, Self); 3] =
         [("off", Self::Off), ("paper", Self::Paper), ("rendered", Self::Rendered)];
 
-    /// Returns its name.
+    /// Returns the name in scene files.
     pub fn name(self) -> &'static str {
         Self::ALL[self as usize].0
     }
@@ -93,7 +93,7 @@ impl<'de> Deserialize<'de> for VelocityTerms {
             Paper,
             Rendered,
         }
-        /// The value in a text file: one of the words, or the former flag.
+        /// A visitor for the value in a text file: a word, or the former flag.
         struct FlagOrWord;
         impl<'de> serde::de::Visitor<'de> for FlagOrWord {
             type Value = Word;
@@ -120,7 +120,7 @@ impl<'de> Deserialize<'de> for VelocityTerms {
     }
 }
 
-/// Largest `feed_forward_gain` of a scene; near the inertia's pole the board uses less.
+/// Largest `feed_forward_gain` of a scene. Near the inertia's pole the board uses a smaller gain.
 pub const MAX_FEED_FORWARD_GAIN: f64 = 3.0;
 
 /// One wall: fr = -stiffness x - damping v while x < 0.
@@ -132,37 +132,36 @@ pub struct Wall<T> {
     pub stiffness: T,
     /// Damping, N s/m.
     pub damping: T,
-    /// Feed-forward of its force.
+    /// Feed-forward of the wall's force.
     pub feed_forward: FeedForward,
-    /// Corner frequency of the high-pass if it is [`FeedForward::Washout`], Hz.
+    /// Corner frequency of the feed-forward's high-pass, Hz; used by [`FeedForward::Washout`].
     pub washout_hz: T,
-    /// True to add B q̇ to b, so that uneven joint damping does not cause creep.
+    /// True if B q̇ is added to b, so that uneven joint damping does not cause creep.
     pub damping_compensation: bool,
-    /// True if it acts on both sides of the surface and may pull.
+    /// True if the wall acts on both sides of the surface and may pull.
     pub bilateral: bool,
 }
 
 /// A spring to a point or a line (guidance).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct Spring<T> {
-    /// A point of the line, or the point itself, m.
+    /// Position of the point, or of any point of the line, m.
     pub point: [T; 3],
     /// Unit direction of the line; zero for a point.
     pub direction: [T; 3],
     /// Stiffness, N/m.
     pub stiffness: T,
-    /// Damping of the same motion, N s/m.
+    /// Damping in the directions of the stiffness, N s/m.
     pub damping: T,
 }
 
-/// A torsional spring between the ground and the last link of a redundant device. It holds the orientation φ and makes
-/// no force at the tip at rest (docs/model.md section 2).
+/// A torsional spring between the ground and the last link of a redundant device. It holds the orientation φ without a
+/// force at the tip at rest (docs/model.md section 2).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct Posture<T> {
     /// Orientation φ to hold, rad.
     pub orientation: T,
-    /// Stiffness at `orientation`, N m/rad. It is also the largest moment of the spring, N m, because the moment grows
-    /// as the sine of the rotation.
+    /// Stiffness at `orientation`, N m/rad. Also the largest moment, N m, because it grows as the sine.
     pub stiffness: T,
     /// Damping, N m s/rad.
     pub damping: T,
@@ -182,7 +181,7 @@ pub struct Scene<T> {
     pub estimator: Estimator,
     /// True if the device's own weight is held at all times.
     pub gravity_compensation: bool,
-    /// Treatment of the forces of motion.
+    /// Treatment of b, the forces of a moving tip.
     pub velocity_terms: VelocityTerms,
     /// Walls.
     pub walls: Vec<Wall<T>, MAX_WALLS>,
@@ -208,7 +207,7 @@ pub const MIN_RATE_HZ: f64 = 200.0;
 /// Highest control rate, Hz.
 pub const MAX_RATE_HZ: f64 = 50_000.0;
 
-/// An error in a scene; the index is that of the wall or spring.
+/// An error in a scene. The index is the number of the wall or spring, from 0.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub enum SceneError {
     /// The scene is for another task dimension than the device.

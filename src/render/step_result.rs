@@ -1,4 +1,4 @@
-//! The result of one control step, padded with zeros; written in place once per step.
+//! The result of one control step, padded with zeros and written in place.
 
 use crate::math::Real;
 use crate::model::catalogue::MAX_JOINTS;
@@ -16,8 +16,8 @@ pub struct AtWalls<T> {
     pub wall_force: T,
     /// Active share of the feed-forward: 1 away from singularities, fading to 0 near them.
     pub shaping: T,
-    /// Energy that the walls' torques (including the feed-forward) have absorbed since contact began, less the walls'
-    /// debt at that time, J; negative if the walls have given out energy.
+    /// Energy that the walls' torques (with feed-forward) have absorbed since contact began, less the initial debt, J;
+    /// negative if the walls have given out energy.
     pub energy: T,
     /// Damping added by the passivity controller, N s/m.
     pub passivity_damping: T,
@@ -51,9 +51,9 @@ pub struct TorqueDemand<T> {
     pub total: [T; MAX_JOINTS],
     /// Part that holds the device against gravity, N m.
     pub gravity: [T; MAX_JOINTS],
-    /// Part that renders the forces of walls, springs and fields, Jᵀ f, N m; the rest is the feed-forward.
+    /// Part that renders the forces f of walls, springs and fields, Jᵀ f, N m. The rest is the feed-forward.
     pub rendered: [T; MAX_JOINTS],
-    /// |f|², the squared resultant of these forces, N².
+    /// |f|², the squared resultant of the rendered forces, N².
     pub force_squared: T,
 }
 
@@ -73,7 +73,7 @@ pub struct StepResult<T> {
     pub at: DeviceState<T>,
     /// Joint torques that the scene requests.
     pub asked: TorqueDemand<T>,
-    /// Part of springs, fields and the host, if a straight step has computed it.
+    /// Demand of springs, fields and the host, if a straight step has computed it.
     pub(crate) guidance: GuidanceDemand<T>,
     /// J⁻¹ n: joint motion per metre of tip motion along the normal of the deepest wall, rad/m; zero without contact.
     pub motion: [T; MAX_JOINTS],

@@ -1,10 +1,9 @@
 //! Estimation of velocities from positions, and the washout's high-pass.
 //!
-//! There are two families. The low-passes of [`LowPass`] filter the backward difference of each wall's own distance,
-//! like the paper. An estimator of the list below uses the encoder counts of each joint instead, because the encoder
-//! steps and the motor torques are known at the joints; a wall's velocity is then n·J q̇ of the estimated joint
-//! velocities. Each of these estimators is one file in this module's folder ([`JointEstimator`]) and one line in the
-//! list.
+//! There are two families. A [`LowPass`] filters the backward difference of each wall's own distance, like the paper. A
+//! joint estimator ([`JointEstimator`]) instead uses the encoder counts of one joint, because encoder steps and motor
+//! torques are known at the joints. A wall's velocity is then n·J q̇. Each joint estimator is one file in this module's
+//! folder and one line in the list below.
 
 mod cutoff;
 mod difference;
@@ -16,7 +15,7 @@ use crate::math::{Math, Real};
 use crate::model::catalogue::MAX_JOINTS;
 use crate::model::device::Device;
 pub use cutoff::BadCutoff;
-use cutoff::warped;
+use cutoff::prewarped_gain;
 pub use difference::Difference;
 pub use low_pass::{LowPass, Velocity};
 pub use predicted::Predicted;
@@ -24,9 +23,8 @@ pub use washout::Washout;
 
 /// Maximum number of past samples that an estimator uses.
 pub const MAX_WINDOW: usize = 32;
-
-/// Maximum number of periods for which the response to one count is computed: the peak of the slowest low-pass of a
-/// scene, 1 Hz at 20 kHz, is at 3536.
+/// Maximum number of periods for which the response to one count is computed. The slowest low-pass, 1 Hz at 20 kHz,
+/// peaks at 3536.
 const MAX_RESPONSE: usize = 4096;
 
 /// The meaning of `cutoff_hz` for an estimator.
@@ -34,48 +32,48 @@ const MAX_RESPONSE: usize = 4096;
 pub enum CutoffMeaning {
     /// The bandwidth of the estimator.
     Bandwidth,
-    /// The cutoff of a 2nd-order Butterworth low-pass after the estimator, which is used if a cutoff is given.
+    /// The cutoff of a 2nd-order Butterworth low-pass after the estimator. The low-pass is used if a cutoff is given.
     LowPassAfter,
 }
 
 /// An integer value of an estimator in addition to the cutoff.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct EstimatorKey {
-    /// Key in scene files.
+    /// Name of the key in scene files.
     pub name: &'static str,
     /// Unit of the value.
     pub unit: &'static str,
     /// Smallest and largest value.
     pub range: (u32, u32),
-    /// Value if a file does not give one.
+    /// Value if a file does not set one.
     pub usual: u32,
 }
 
 /// Entry of an estimator in scene files.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct EstimatorSpec {
-    /// Value of `estimator`.
+    /// Value of the key `estimator` in scene files.
     pub name: &'static str,
     /// Meaning of the cutoff.
     pub cutoff: CutoffMeaning,
-    /// Additional value, if the estimator has one.
+    /// Additional value; `None` if the estimator has none.
     pub key: Option<EstimatorKey>,
-    /// True if it uses the acceleration of the joints by the motors' torques.
+    /// True if the estimator uses the accelerations that the motors' torques cause.
     pub predicts: bool,
 }
 
 /// Options of an estimator.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize, postcard_schema::Schema)]
 pub struct Chosen {
-    /// Value of the key of its [`EstimatorSpec`]; 0 without a key.
+    /// Value of [`EstimatorSpec::key`]; 0 without a key.
     pub value: u32,
     /// True if a Butterworth low-pass at the cutoff follows the estimator.
     pub filtered: bool,
 }
 
-/// The samples of one joint in one control period, in encoder counts and control periods.
+/// One joint's sample of one control period, in counts and control periods.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Seen<T> {
+pub struct JointSample<T> {
     /// Distance moved, counts.
     pub moved: T,
     /// Acceleration by the motors' torques, counts per period²; zero for an estimator that does not predict.
@@ -86,21 +84,21 @@ pub struct Seen<T> {
 
 /// A velocity estimator for the encoder of one joint.
 ///
-/// Velocities are in counts per control period. [`JointEstimator::step`] runs in the control interrupt: it has bounded
-/// time and does not panic.
+/// Velocities are in counts per control period. [`JointEstimator::step`] runs in the control interrupt, in bounded
+/// time.
 pub trait JointEstimator<T: Real>: Copy {
-    /// Entry in scene files.
+    /// Entry of the estimator in scene files.
     const SPEC: EstimatorSpec;
-    /// Coefficients.
+    /// Coefficients of the estimator.
     type Design: Copy + core::fmt::Debug + PartialEq;
     /// Computes the coefficients for these options; `warped` is tan(π cutoff/rate).
     fn design(chosen: &Chosen, warped: T) -> Self::Design;
-    /// Returns the lag of the velocity at constant acceleration, control periods.
+    /// Returns the lag of the velocity at constant acceleration, in control periods.
     fn lag(design: &Self::Design) -> T;
-    /// Returns the state for a joint that has been moving at this velocity.
+    /// Returns the state for a joint that has been moving at `velocity`.
     fn moving_at(velocity: T) -> Self;
     /// Returns the present velocity.
-    fn step<K: Math<T>>(&mut self, design: &Self::Design, seen: &Seen<T>) -> T;
+    fn step<K: Math<T>>(&mut self, design: &Self::Design, seen: &JointSample<T>) -> T;
 }
 
 macro_rules! estimators {
@@ -114,7 +112,7 @@ macro_rules! estimators {
             /// Backward difference and a 2nd-order Butterworth low-pass, as in the paper.
             #[default]
             Butterworth,
-            /// Backward difference and a 1st-order low-pass: less lag, less smoothing.
+            /// Backward difference and a 1st-order low-pass: less lag and less smoothing than Butterworth.
             FirstOrder,
             /// Backward difference without a filter; the cutoff is not used.
             BackwardDifference,
@@ -122,18 +120,17 @@ macro_rules! estimators {
         }
 
         impl Estimator {
-            /// Entries in scene files of the estimators that use joints.
+            /// Entries of the joint estimators in scene files.
             pub const SPECS: &'static [EstimatorSpec] = &[$(<$Name<f32> as JointEstimator<f32>>::SPEC),*];
-
             /// Every estimator with its default options, by name.
             pub const ALL: &'static [(&'static str, Self)] = &[
                 ("butterworth", Self::Butterworth),
                 ("first-order", Self::FirstOrder),
                 ("backward-difference", Self::BackwardDifference),
-                $((<$Name<f32> as JointEstimator<f32>>::SPEC.name, Self::$Name(usual(&<$Name<f32> as JointEstimator<f32>>::SPEC))),)*
+                $((<$Name<f32> as JointEstimator<f32>>::SPEC.name, Self::$Name(default_options(&<$Name<f32> as JointEstimator<f32>>::SPEC))),)*
             ];
 
-            /// Returns its entry in scene files, if it uses joints.
+            /// Returns the entry in scene files; `None` unless the estimator uses joints.
             pub fn spec(&self) -> Option<EstimatorSpec> {
                 match self {
                     $(Self::$Name(_) => Some(<$Name<f32> as JointEstimator<f32>>::SPEC),)*
@@ -141,7 +138,7 @@ macro_rules! estimators {
                 }
             }
 
-            /// Returns its options, if it uses joints.
+            /// Returns the options; `None` unless the estimator uses joints.
             pub fn chosen(&self) -> Option<Chosen> {
                 match self {
                     $(Self::$Name(chosen) => Some(*chosen),)*
@@ -158,12 +155,11 @@ macro_rules! estimators {
             }
         }
 
-        /// Coefficients of an estimator that uses joints.
         #[derive(Clone, Copy, Debug, PartialEq)]
         enum Design<T: Real> { $($Name(<$Name<T> as JointEstimator<T>>::Design),)* }
 
         impl<T: Real> Design<T> {
-            /// Makes the coefficients and the lag (control periods) of an estimator; `None` if it does not use joints.
+            /// Makes the coefficients and the lag (control periods); `None` unless the estimator uses joints.
             fn new(kind: Estimator, warped: T) -> Option<(Self, T)> {
                 match kind {
                     $(Estimator::$Name(chosen) => {
@@ -175,7 +171,7 @@ macro_rules! estimators {
             }
         }
 
-        /// State of an estimator for one joint.
+        /// State of a joint estimator.
         #[derive(Clone, Copy, Debug, Default)]
         enum Memory<T: Real> {
             /// No state: the estimator does not use joints.
@@ -189,8 +185,8 @@ macro_rules! estimators {
                 match design { $(Design::$Name(_) => Self::$Name(JointEstimator::moving_at(velocity)),)* }
             }
 
-            /// Returns the velocity, counts per period. The state of another estimator is dropped.
-            fn step<K: Math<T>>(&mut self, design: &Design<T>, seen: &Seen<T>, velocity: T) -> T {
+            /// Returns the velocity, counts per period. Starts from `velocity` if the state is of another estimator.
+            fn step<K: Math<T>>(&mut self, design: &Design<T>, seen: &JointSample<T>, velocity: T) -> T {
                 match (&mut *self, design) {
                     $((Self::$Name(memory), Design::$Name(design)) => memory.step::<K>(design, seen),)*
                     _ => {
@@ -206,12 +202,12 @@ macro_rules! estimators {
 estimators! {
     /// Difference over several samples.
     Difference;
-    /// Predicts from the motors' torques and the device's inertia, and corrects by counts.
+    /// Prediction from the motors' torques and the device's inertia, corrected by counts.
     Predicted;
 }
 
-/// Returns the options that apply if a file gives none.
-const fn usual(spec: &EstimatorSpec) -> Chosen {
+/// Returns the default options, for a file that sets none.
+const fn default_options(spec: &EstimatorSpec) -> Chosen {
     let value = match &spec.key {
         Some(key) => key.usual,
         None => 0,
@@ -230,7 +226,7 @@ impl Estimator {
         }
     }
 
-    /// Returns true if its value is in its range.
+    /// Returns true if the additional value is in its range.
     pub fn valid(&self) -> bool {
         let (Some(spec), Some(chosen)) = (self.spec(), self.chosen()) else { return true };
         let (smallest, largest) = spec.key.map_or((0, 0), |key| key.range);
@@ -244,14 +240,14 @@ pub struct Coefficients<T: Real> {
     /// Control rate, Hz.
     rate: T,
     kind: Estimator,
-    /// 1 - a₁: the share of the low-pass's band-pass state that is lost in half a step. It is small if the cutoff is
-    /// low, and storing a₁ instead would round it away. Zero for a first-order low-pass.
+    /// 1 - a₁: the share of the low-pass's band-pass state that is lost in half a step, zero for a first-order
+    /// low-pass. a₁ itself would lose the small share of a low cutoff to rounding.
     loss: T,
     a2: T,
     a3: T,
     /// True if the backward difference is not filtered.
     unfiltered: bool,
-    /// Gain of a first-order low-pass at the same cutoff (1 without one).
+    /// Gain of a first-order low-pass at the same cutoff; 1 without a cutoff.
     first: T,
     /// Lag, s, see [`Coefficients::lag`].
     lag: T,
@@ -259,7 +255,7 @@ pub struct Coefficients<T: Real> {
     one_count: [T; MAX_JOINTS],
     /// Coefficients of an estimator that uses joints.
     joints: Option<Design<T>>,
-    /// True if a low-pass follows that estimator.
+    /// True if a low-pass follows the joint estimator.
     filtered: bool,
 }
 
@@ -271,12 +267,12 @@ impl<T: Real> Coefficients<T> {
         let one = T::one();
         let g = match kind {
             Estimator::BackwardDifference => one,
-            _ => warped(cutoff_hz, rate_hz)?,
+            _ => prewarped_gain(cutoff_hz, rate_hz)?,
         };
         let first = g / (one + g);
         let damped = g * (g + T::from_f64(core::f64::consts::SQRT_2));
         let a1 = one / (one + damped);
-        // Slope of the low-pass's phase at zero frequency; the difference adds half a sample.
+        // Slope of the low-pass's phase at zero frequency. The difference adds half a sample.
         let second_order = T::from_f64(core::f64::consts::FRAC_1_SQRT_2) / g;
         let half = T::from_f64(0.5);
         let design = Design::new(kind, g);
@@ -308,7 +304,7 @@ impl<T: Real> Coefficients<T> {
         })
     }
 
-    /// Like [`Coefficients::new`], with the joint velocities that single counts of the device's encoders cause.
+    /// Makes [`Coefficients::new`] with the joint velocities that single counts of the device's encoders cause.
     /// Simulates these counts step by step, so do not call it inside the control step.
     #[inline(never)]
     pub fn of_device<K: Math<T>>(
@@ -323,8 +319,8 @@ impl<T: Real> Coefficients<T> {
         Ok(coefficients)
     }
 
-    /// Returns the largest velocity (counts per period) after a single count, for a joint whose acceleration of one
-    /// count per period² is `acceleration` (rad/s²).
+    /// Returns the largest velocity after a single count (counts per period), for a joint on which one count per
+    /// period² is `acceleration` (rad/s²).
     fn response_to_one_count<K: Math<T>>(&self, acceleration: T) -> T {
         let unit = if acceleration > T::zero() { T::one() / acceleration } else { T::zero() };
         let (mut low_pass, mut joint) = (LowPass::default(), JointVelocity::default());
@@ -333,12 +329,12 @@ impl<T: Real> Coefficients<T> {
             let moved = if period == 1 { T::one() } else { T::zero() };
             let velocity = match &self.joints {
                 Some(design) => {
-                    // Do not run an estimator with zero output thousands of times while the low-pass after it still
-                    // responds: the board runs this during a request, and its watchdog waits meanwhile.
+                    // An estimator with zero output is not run thousands of times while the low-pass after it still
+                    // responds, because the board runs this during a request while its watchdog waits.
                     let velocity = if quiet > MAX_WINDOW {
                         T::zero()
                     } else {
-                        joint.memory.step::<K>(design, &Seen { moved, pushed: T::zero(), unit }, T::zero())
+                        joint.memory.step::<K>(design, &JointSample { moved, pushed: T::zero(), unit }, T::zero())
                     };
                     quiet = if velocity == T::zero() { quiet + 1 } else { 0 };
                     if self.filtered { joint.low_pass.step(self, velocity) } else { velocity }
@@ -353,8 +349,8 @@ impl<T: Real> Coefficients<T> {
         largest
     }
 
-    /// Returns the largest velocity (rad/s) that the estimate of each joint shows after a single count from rest:
-    /// smaller velocities cannot be distinguished from rest. Zero without a known device.
+    /// Returns the largest velocity of each joint's estimate after a single count from rest, rad/s: smaller velocities
+    /// cannot be distinguished from rest. Zero without a known device.
     pub fn one_count(&self) -> &[T; MAX_JOINTS] {
         &self.one_count
     }
@@ -396,7 +392,7 @@ impl<T: Real> Coefficients<T> {
     }
 }
 
-/// An estimator for one joint.
+/// A joint estimator with the low-pass that may follow it.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct JointVelocity<T: Real> {
     memory: Memory<T>,
@@ -404,9 +400,9 @@ pub struct JointVelocity<T: Real> {
 }
 
 impl<T: Real> JointVelocity<T> {
-    /// Returns the velocity (counts per period) after a period with this sample. `velocity` is the initial velocity if
-    /// another estimator was used before. Zero if the estimator does not use joints.
-    pub fn step<K: Math<T>>(&mut self, coefficients: &Coefficients<T>, seen: &Seen<T>, velocity: T) -> T {
+    /// Returns the velocity (counts per period) after this period's sample. `velocity` is the initial velocity if
+    /// another estimator was used before. Returns zero if the estimator does not use joints.
+    pub fn step<K: Math<T>>(&mut self, coefficients: &Coefficients<T>, seen: &JointSample<T>, velocity: T) -> T {
         let Some(design) = &coefficients.joints else { return T::zero() };
         let velocity = self.memory.step::<K>(design, seen, velocity);
         if coefficients.filtered { self.low_pass.step(coefficients, velocity) } else { velocity }

@@ -1,6 +1,6 @@
 //! The states of the control loop, and the faults that turn the motors off, each with a remedy.
 //!
-//! Motors are off unless armed; every fault turns them off in the step that detects it, and stays until it is cleared.
+//! Motors are off unless armed. A fault turns them off in the step that detects it, and stays until it is cleared.
 
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
@@ -8,12 +8,12 @@ use serde::{Deserialize, Serialize};
 /// The state of the motors.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub enum State {
-    /// Bridges float; the device moves freely.
+    /// Bridges float, so the device moves freely.
     #[default]
     Disarmed,
     /// The scene is rendered.
     Armed,
-    /// One joint at a time is moved by a small torque, to check that motor and encoder agree.
+    /// A small torque moves one joint at a time, to check that motor and encoder agree.
     CheckingPolarity,
     /// Bridges float until the fault is cleared.
     Fault,
@@ -32,7 +32,7 @@ impl State {
     }
 }
 
-/// The command (after `haptic`) that clears a fault, as in remedies; other programs replace it by their own command.
+/// Arguments of `haptic` that clear a fault, as remedies quote them. Other programs replace them by their own command.
 pub const CLEARING: &str = "faults --clear";
 
 macro_rules! faults {
@@ -51,7 +51,7 @@ macro_rules! faults {
                 self as u8
             }
 
-            /// Returns the event, in plain words.
+            /// Returns the description of the event for people.
             pub const fn what(self) -> &'static str {
                 match self { $(Fault::$Name => $what,)* }
             }
@@ -76,7 +76,7 @@ faults! {
     /// An encoder moved further in one step than the speed limit allows; value: counts.
     EncoderJump = 2, "an encoder jumped further in one step than the device can move",
         "check the encoder's cable, shield and supply; keep the cable short and away from wires that carry motor current";
-    /// Torque near its limit without any motion; value: seconds.
+    /// A torque near its limit moved no encoder; value: time, s.
     EncoderStall = 3, "a motor pushed hard for seconds and its encoder did not move at all",
         "check that the encoder is connected and the joint is not blocked, then home again";
     /// The measured back-EMF shows that the joint turns, but the encoder does not; value: rad/s.
@@ -105,7 +105,7 @@ faults! {
     /// The bus voltage is too high; value: V.
     BusOverVoltage = 12, "the supply voltage is too high",
         "braking motors feed current into the supply: use a supply that can sink current, or a brake resistor";
-    /// The gate driver pulled its fault pin; value: its status register.
+    /// The gate driver asserted its fault pin; value: its status register.
     GateDriver = 13, "the gate driver reports a fault", "check for shorts at the motor terminals, then `haptic faults --clear`";
     /// A number in the control step was infinite or not a number.
     NotFinite = 14, "a number in the control step was not finite",
@@ -113,20 +113,20 @@ faults! {
     /// The linkage reached a pose where its tip force is not defined; value: sine of the remaining angle.
     Singularity = 15, "the linkage is stretched to a singular pose",
         "move the device back by hand; set joint limits that exclude the pose";
-    /// The host has sent no sign of life for too long; value: seconds.
+    /// The host has sent no sign of life for too long; value: time, s.
     HostLost = 16, "the host has sent no sign of life for too long",
         "check the cable and the program that sends heartbeats; `haptic rules --host-seconds` allows a longer silence, `haptic rules --host ignore` any silence";
     /// The independent watchdog reset the board.
     Watchdog = 17, "the watchdog reset the board: the control loop or a task had stopped",
         "lower the scene's rate_hz if it is above 30000; otherwise note the last actions, save the log, and report the fault";
-    /// The stack reached its guard.
+    /// The stack has reached its guard.
     StackOverflow = 18, "the stack overflowed", "report the fault with device and scene files";
     /// Settings in flash were damaged and replaced by defaults; value: number of settings.
     SettingsDamaged = 19, "some settings in flash were damaged and are at their defaults",
         "restore a backup with `haptic board restore`, or load device and scene again";
-    /// The processor took a hard fault; value: the address.
+    /// The processor took a hard fault; value: address.
     HardFault = 20, "the processor stopped at a hard fault", "report the fault with device and scene files";
-    /// The firmware panicked; value: the line.
+    /// The firmware panicked; value: line number.
     Panic = 21, "the firmware stopped at a panic", "report the fault with device and scene files";
     /// The break input cut the bridges in hardware.
     BreakInput = 22, "the break input cut the bridges", "release the emergency stop, then `haptic faults --clear`";
@@ -165,22 +165,19 @@ faults! {
     /// A word of RAM did not keep its value; value: its address.
     RamDamaged = 34, "the processor's RAM does not keep what is written",
         "power-cycle the board; if it returns, replace the board";
-    /// A joint kept moving when the polarity check was about to start with it; value: motion since its last position,
-    /// rad.
+    /// A joint kept moving when the polarity check was about to start with it; value: motion, rad.
     PolarityUnrest = 35, "a joint did not come to rest for the polarity check",
         "let the device come to rest, or hold it still for a moment; take your hands off while a motor pushes; then check again";
     /// A held dead man's key is no longer reported as held; value: time since it was last seen down, s.
     KeyReleased = 36, "the dead man's key is no longer reported as held",
         "`haptic faults --clear`, then press the key again; if the fault comes while the key is down, the page, the network or the computer between key and board is too slow";
-    /// The image is for another board than the one with this chip; value: the pin that differs, 16 times its port (0
-    /// for A) plus its number.
+    /// The image is for another board; value: the pin that differs, 16 times its port (0 for A) plus its number.
     WrongBoard = 37, "the firmware is for another board than this",
         "flash the image of this board; if the image is right, check the wire of the bus divider";
     /// The measured currents make more force at the tip than the limit allows; value: N.
     ForceLimit = 38, "the measured currents push harder at the tip than its limit allows",
         "lower the damping or the stiffness; if the fault returns at rest, check the current sensors and the motor data in the device file";
-    /// A motor's current does not drive its joint as the device file says; value: actual torque over the torque of the
-    /// file, or actual swing of the joint over the planned swing.
+    /// A motor's current does not drive its joint as the device file says; value: actual over planned torque or swing.
     TorqueMismatch = 39, "a joint's motion does not fit its motor's current",
         "the value is the actual torque over the torque of the device file: check torque_constant with its gear ratio, the motors' order, counts_per_turn, the inertias and the current sensor; take your hands off, then check again";
     /// A winding's resistance differs from the resistance in the device file; value: Ω.
@@ -189,7 +186,7 @@ faults! {
 }
 
 impl Fault {
-    /// Returns true if the joint angles may be wrong afterwards: the device must be homed again.
+    /// Returns true if the joint angles may be wrong afterwards, so that the device must be homed again.
     pub const fn loses_counts(self) -> bool {
         matches!(
             self,
@@ -211,7 +208,7 @@ pub struct FaultRecord {
     pub fault: Fault,
     /// Axis of the fault; `None` if it has no axis.
     pub axis: Option<u8>,
-    /// Value at the fault, in the unit that the documentation of [`Fault`] gives.
+    /// Value at the fault, in the unit of the [`Fault`]'s documentation.
     pub value: f32,
     /// Control steps since boot.
     pub step: u32,
@@ -229,7 +226,7 @@ mod tests {
         HotHandle = 7, "the handle is hot", "let it cool";
     }
 
-    /// All properties of a fault come from its line in the table.
+    /// Checks that all properties of a fault come from its line in the table.
     #[test]
     fn a_fault_needs_only_one_line() {
         let properties = |fault: &Fault| (fault.code(), fault.name(), fault.what(), fault.remedy());

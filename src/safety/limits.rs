@@ -4,7 +4,7 @@ use crate::model::catalogue::MAX_JOINTS;
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
-/// Limits that the board enforces, whatever a tool requests. They can be raised only while the motors are off.
+/// Limits that the board enforces for every tool. They can be raised only while the motors are off.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Schema)]
 pub struct Limits {
     /// Joint torque, N m; the motor's current limit applies as well.
@@ -21,24 +21,21 @@ pub struct Limits {
     pub bus_min: f32,
     /// Highest bus voltage, V.
     pub bus_max: f32,
-    /// Total force of walls, springs and fields at the tip, N: |f| of τ = Jᵀ f, in every pose.
-    #[serde(default = "gentle")]
+    /// Total force of walls, springs and fields at the tip in any pose, |f| of τ = Jᵀ f, N.
+    #[serde(default = "default_tip_force")]
     pub tip_force: f32,
 }
 
-/// Default force limit at the tip of a board with real motors, N: a push that a wrist withstands and that a hand can
-/// hold.
+/// Default force limit at the tip of a board with real motors, N, which a wrist withstands and a hand can hold.
 pub const GENTLE_FORCE: f32 = 5.0;
-
-/// Highest force limit at the tip that a board with real motors may allow, N; the boards' limits use it.
-pub const MOST_TIP_FORCE: f32 = 100.0;
-
-/// Largest force of the currents that the motors' voltages show, as a multiple of the force limit at the tip. It bounds
-/// the force that a wrong current sensor can hide.
+/// Highest force limit at the tip that a board with real motors accepts, N.
+pub const MAX_TIP_FORCE: f32 = 100.0;
+/// Largest tip force of the currents computed from the motors' voltages, as a multiple of the force limit at the tip.
+/// Bounds the force that a wrong current sensor can hide.
 pub const VOLTS_MARGIN: f32 = 1.5;
 
 /// Returns the force limit at the tip for a backup whose limits contain none.
-fn gentle() -> f32 {
+fn default_tip_force() -> f32 {
     GENTLE_FORCE
 }
 
@@ -108,11 +105,11 @@ impl Limit {
 pub struct BadLimit {
     /// Limited quantity.
     pub limit: Limit,
-    /// Joint, from 0; `None` if the limit is not one of a joint.
+    /// Joint, from 0; `None` if the limit does not belong to a joint.
     pub joint: Option<u8>,
     /// Rejected number.
     pub value: f32,
-    /// Smallest accepted number; torque, current, speed, power and force must be above it.
+    /// Smallest accepted number. Torque, current, speed, power and force must be above it.
     pub least: f32,
     /// Largest accepted number.
     pub most: f32,
@@ -171,10 +168,10 @@ impl Limits {
         None
     }
 
-    /// Returns true if no limit is higher than in `other`: such a change is safe at any time.
+    /// Returns true if no limit is higher than in `other`, so that the change is safe at any time.
     pub fn no_higher_than(&self, other: &Self) -> bool {
         let mut steady = self.continuous_current.iter().zip(&other.continuous_current);
-        // Compared only with its own bound, because the current limit may have been lowered below it.
+        // Compared only with the new current limit, because that limit may be below the old continuous current.
         let rest = Self { continuous_current: self.current, ..*self };
         steady.all(|(value, bound)| *value > 0.0 && value <= bound) && rest.within(other)
     }

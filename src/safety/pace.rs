@@ -1,19 +1,19 @@
 //! Checks that the control loop runs at its rate.
 
-/// Upper limit of the measured rate, % of the loop's rate. A loop above it is as faulty as a stopped one. The loop's
-/// timer and the measuring clock run from one crystal, so a correct loop is off by at most a step or two at either end.
+/// Upper limit of the measured rate, % of the nominal rate. The loop's timer and the measuring clock run from one
+/// crystal, so a correct loop is off by a step or two at most at either end.
 const MAX_RATE_PERCENT: u64 = 110;
-/// Lower limit of the measured rate, %. A loop below it sums up heat, stalls and silence over the wrong time.
+/// Lower limit of the measured rate, %. A slower loop sums up heat, stalls and silence over the wrong time.
 const MIN_RATE_PERCENT: u64 = 90;
-/// Number of steps by which a count may be off because it does not begin and end with a step.
+/// Largest error of a count of steps, because the interval does not begin and end with a step.
 const END_STEPS: u64 = 4;
-/// Checks are accumulated until this number of steps is due, so that [`END_STEPS`] is a twentieth of them at any rate.
+/// Number of due steps until which checks are accumulated, so that [`END_STEPS`] is a twentieth of them at any rate.
 const MIN_STEPS: u64 = 80;
 
 /// Result of a check of the loop's rate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Verdict {
-    /// The rate is right, as far as known yet.
+    /// The rate is right, as far as known.
     Kept,
     /// The loop runs too often.
     TooFast,
@@ -21,16 +21,15 @@ pub enum Verdict {
     TooSlow,
 }
 
-/// Compares the number of steps with the elapsed time, check by check.
+/// Compares the number of steps with the elapsed time.
 #[derive(Clone, Copy, Debug)]
 pub struct Pace {
-    /// Steps and time (µs) since the accumulation began.
+    /// Steps since the accumulation began. `elapsed` is the time since then, µs.
     taken: u64,
     elapsed: u64,
     /// Rate at the last check, Hz.
     rate: u64,
-    /// Last result. A faulty loop stays faulty until enough steps have shown that it is right again, because the first
-    /// checks afterwards prove nothing.
+    /// Last result. A faulty loop stays faulty until enough steps have shown that it is right again.
     found: Verdict,
 }
 
@@ -40,13 +39,13 @@ impl Pace {
         Self { taken: 0, elapsed: 0, rate: rate_hz.into(), found: Verdict::Kept }
     }
 
-    /// Checks `steps` taken in the `elapsed_us` (µs) since the last check; the rate is now `rate_hz`. `excused` is true
-    /// if there was a reason to take fewer steps.
-    pub fn look(&mut self, steps: u32, elapsed_us: u64, rate_hz: u32, excused: bool) -> Verdict {
+    /// Checks `steps` taken in the `elapsed_us` (µs) since the last check at the present rate `rate_hz`. `excused` is
+    /// true if there was a reason to take fewer steps.
+    pub fn check_rate(&mut self, steps: u32, elapsed_us: u64, rate_hz: u32, excused: bool) -> Verdict {
         let before = core::mem::replace(&mut self.rate, rate_hz.into());
         self.taken = self.taken.saturating_add(steps.into());
         self.elapsed = self.elapsed.saturating_add(elapsed_us);
-        // The slower and the faster rate, if the rate changed since the last check.
+        // Slower and faster rate, if the rate changed since the last check.
         let rates = (before.min(self.rate), before.max(self.rate));
         let [alone, together] = [(u64::from(steps), elapsed_us), (self.taken, self.elapsed)]
             .map(|(taken, elapsed)| verdict(taken, elapsed, rates, excused));

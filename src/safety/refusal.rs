@@ -19,7 +19,7 @@ pub enum Refusal {
         /// Axes of the board.
         axes: u8,
     },
-    /// The device's numbers cannot be used (not finite, no encoder, no inertia).
+    /// The device's numbers cannot be used, because a number is not finite or an encoder or inertia is missing.
     BadDevice,
     /// The scene cannot be used.
     Scene(crate::render::scene::SceneError),
@@ -45,7 +45,7 @@ pub enum Refusal {
     Moving,
     /// A fault is latched.
     Faulted(Fault),
-    /// The request requires that the motors are off.
+    /// The motors must be off for the request.
     Armed,
     /// The bus voltage is out of range.
     BusVoltage,
@@ -63,7 +63,7 @@ pub enum Refusal {
     Flash,
     /// This board does not support the request.
     NotSupported,
-    /// The flash failed during a change: after the next start either the old or the new settings apply.
+    /// The flash failed during a change, so that the old or the new settings apply after the next start.
     Unsettled,
     /// The last press of the dead man's key is too old.
     KeyTooOld,
@@ -80,7 +80,7 @@ impl core::fmt::Display for Refusal {
             Self::BadDevice => f.write_str("the device's numbers cannot be used: check encoders and inertias"),
             Self::Scene(error) => write!(f, "{error}"),
             Self::BadTable => f.write_str("the precomputed table does not fit this device or the board's memory"),
-            Self::NoHome => f.write_str("the device file has no [home]: add the pose to home in"),
+            Self::NoHome => f.write_str("the device file has no [home]: add the joint angles of the home pose"),
             Self::NotHomed => f.write_str("the device is not homed: hold it in its home pose and run `haptic home`"),
             Self::NoJointLimits(joint) => {
                 write!(f, "joint {joint} has no limits in the device file: a real device needs them")
@@ -98,7 +98,7 @@ impl core::fmt::Display for Refusal {
             Self::Moving => f.write_str("the device is moving: hold it still"),
             Self::Faulted(fault) => {
                 write!(f, "{fault}; {}", fault.remedy())?;
-                // Some remedies end with the clearing command.
+                // Some remedies already end with the clearing command.
                 match fault.remedy().contains(CLEARING) {
                     true => Ok(()),
                     false => f.write_str("; then `haptic faults --clear`"),

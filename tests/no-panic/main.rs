@@ -59,7 +59,7 @@ pub extern "C" fn carrier_generally(
     ticks: &Ticks,
     legs: &mut Legs,
 ) -> bool {
-    compiled::crest_generally(control_loop, seen, due, ticks, legs)
+    compiled::crest_of_any_kind(control_loop, seen, due, ticks, legs)
 }
 
 /// The interrupt's call at a valley that records the last step.

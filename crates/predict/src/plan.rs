@@ -211,7 +211,7 @@ pub fn cost(device: &Device<f64>, scene: &Scene<f64>, model: &str) -> u32 {
     let per_wall = counted("exact", "none").saturating_sub(free);
     let walls = scene.walls.len() as u32;
     let shaped: Vec<_> = scene.walls.iter().filter(|wall| wall.feed_forward != FeedForward::Off).collect();
-    let curved = scene.walls.iter().any(|wall| wall.surface.curved());
+    let curved = scene.walls.iter().any(|wall| wall.surface.is_curved());
     let Some(first) = shaped.first() else { return free + walls * per_wall };
     let one = match first.feed_forward {
         _ if curved => counted(model, &format!("ball, washout{z}")),

@@ -24,7 +24,7 @@ use haptic_bridge::model::description::Description;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::render::scene::Scene;
 use haptic_bridge::safety::fault::{Fault, FaultRecord, State};
-use haptic_bridge::safety::limits::{Limits, MOST_TIP_FORCE};
+use haptic_bridge::safety::limits::{Limits, MAX_TIP_FORCE};
 use haptic_bridge::safety::refusal::Refusal;
 
 /// Frequency of the PWM timers, as on the real boards, Hz.
@@ -113,7 +113,7 @@ fn hard_limits(hardware: Hardware, supply: f64) -> Limits {
     // The limits have the same ratio to the supply as the usual limits to the usual supply.
     let share = (supply / PowerStage::default().bus_voltage) as f32;
     let (bus_min, bus_max) = (limits.bus_min * share.min(1.0), limits.bus_max * share.max(1.0));
-    let tip_force = if hardware.real { MOST_TIP_FORCE } else { limits.tip_force };
+    let tip_force = if hardware.real { MAX_TIP_FORCE } else { limits.tip_force };
     Limits { bus_min, bus_max, tip_force, ..limits }
 }
 

@@ -10,7 +10,7 @@
 //! products. Stribeck friction is dry friction bounded by the speed at the step's start; cogging acts at the angle at
 //! the step's middle.
 
-use haptic_bridge::control::TRIPPING_SINE;
+use haptic_bridge::control::MIN_PARALLEL_SINE;
 use haptic_bridge::math::Libm;
 use haptic_bridge::model::description::{
     Cogging, Description, DescriptionError, EncoderAt, Joint, MAX_MODES, StructuralMode, Transmission,
@@ -102,7 +102,7 @@ impl SingularityStop {
     /// singularity than the pose in which a board turns its motors off. The remaining distance takes at least a millisecond
     /// to shrink to a third, so a step of 5 µs is short in comparison.
     const HARD: Self =
-        Self { nearest: 0.5 * TRIPPING_SINE as f64 / PARALLEL_REGULARITY, softness: 1e-3, serial: false };
+        Self { nearest: 0.5 * MIN_PARALLEL_SINE as f64 / PARALLEL_REGULARITY, softness: 1e-3, serial: false };
     /// A stop that a hand may hit. A harder stop would be a blow that no motor model explains.
     const SOFT: Self = Self { nearest: FULL_REGULARITY, softness: 0.05, serial: true };
 

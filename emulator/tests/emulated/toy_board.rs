@@ -10,7 +10,7 @@ use haptic_bridge::drive::carrier::{CARRIER_MIN_HZ, Carrier};
 use haptic_bridge::drive::stage::Bridge;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::safety::fault::Fault;
-use haptic_bridge::safety::limits::{Limits, MOST_TIP_FORCE};
+use haptic_bridge::safety::limits::{Limits, MAX_TIP_FORCE};
 
 use super::{Board, Common, IdentityPins, Io, Pin};
 use crate::adc;
@@ -18,7 +18,7 @@ use crate::encoder;
 use crate::gate::{Gate, GateError};
 use crate::index;
 use crate::pwm;
-use crate::zeros::{Zeroing, Zeros, settle};
+use crate::zeros::{Zeroing, Zeros, learn_or_check_zeros};
 
 /// Amperes per count of the converter: 0.2 V/A.
 const AMPERES_PER_COUNT: f32 = adc::REFERENCE_V / adc::FULL_SCALE / 0.2;
@@ -53,14 +53,14 @@ impl Board for ToyBoard {
         power: 40.0,
         bus_min: 6.0,
         bus_max: 34.0,
-        tip_force: MOST_TIP_FORCE,
+        tip_force: MAX_TIP_FORCE,
     };
     const POWER_FAULT: Fault = Fault::GateDriver;
     const UNSENSED: &'static [Fault] = &[Fault::EncoderIllegal, Fault::GateDriver, Fault::BreakInput];
     type Io = Pins;
     type Gate = EnableLine;
 
-    fn off() {
+    fn turn_bridges_off() {
         pac::GPIOC.bsrr().write(|w| w.set_br(ENABLE, true));
         pwm::drive(pac::TIM1, false);
     }
@@ -101,11 +101,11 @@ impl Io for Pins {
     }
 
     fn has_marks(&self) -> bool {
-        index::pending() != 0
+        index::pending_lines() != 0
     }
 
     fn marks(&mut self, counts: &Counts) -> [Option<i32>; MAX_JOINTS] {
-        index::take(&INDEX_LINES, counts)
+        index::take_pulses(&INDEX_LINES, counts)
     }
 
     fn clear_flags(&mut self) {
@@ -113,7 +113,7 @@ impl Io for Pins {
     }
 
     fn has_sampled(&self) -> bool {
-        adc::finished(pac::ADC1, pac::ADC1)
+        adc::have_finished(pac::ADC1, pac::ADC1)
     }
 
     fn await_samples(&self) -> bool {
@@ -139,7 +139,7 @@ impl Io for Pins {
             pwm::drive(pac::TIM1, true);
             pac::GPIOC.bsrr().write(|w| w.set_bs(ENABLE, true));
         } else {
-            ToyBoard::off();
+            ToyBoard::turn_bridges_off();
         }
     }
 
@@ -166,7 +166,7 @@ pub struct EnableLine;
 
 impl Gate for EnableLine {
     fn raise(&mut self) -> Result<(), GateError> {
-        let zero = settle(Zeroing::Learn);
+        let zero = learn_or_check_zeros(Zeroing::Learn);
         if zero > ZERO_MAX { Err(GateError::Offset(f32::from(zero) * AMPERES_PER_COUNT)) } else { Ok(()) }
     }
 

@@ -1,4 +1,4 @@
-//! Any STM32F405 module with up to three H-bridges. Pins: docs/wiring-h-bridge-f405.md.
+//! Any STM32F405 module with up to three H-bridges. docs/wiring-h-bridge-f405.md lists the pins.
 
 use embassy_stm32::Peripherals;
 use embassy_stm32::pac::gpio::Gpio;
@@ -14,18 +14,18 @@ pub struct HBridgeF405;
 
 impl Wires for HBridgeF405 {
     const NAME: &'static str = "h-bridge-f405";
-    /// The bus divider holds PC3 with 0.9 kohm, with the supply on or off. PA6 and PB9 are open here: PA6 is the bus divider
-    /// of an ODrive, and a Discovery board pulls PB9 up.
+    /// The bus divider holds PC3 with 0.9 kohm, with the supply on or off. PA6 and PB9 are open, but an ODrive has its
+    /// bus divider at PA6, and a Discovery board pulls PB9 up.
     const IDENTITY: IdentityPins =
         IdentityPins { held: &[Pin::new('C', 3)], open: &[Pin::new('A', 6), Pin::new('B', 9)] };
     const SUPPLY_LEVEL: u8 = MONITOR_2V9;
-    const ENABLE: (Gpio, usize) = (GPIOC, 6);
-    const BREAK: (Gpio, usize) = (GPIOB, 12);
+    const ENABLE_PIN: (Gpio, usize) = (GPIOC, 6);
+    const BREAK_PIN: (Gpio, usize) = (GPIOB, 12);
     const INDEX_LINES: [u32; 3] = [1 << 7, 1 << 8, 1 << 9];
     const CHANNELS: [[u8; 2]; 2] = [[10, 12], [11, 13]];
-    /// Divider: 10 kohm over 1 kohm.
+    /// Bus divider: 10 kohm over 1 kohm.
     const BUS_FULL_SCALE: f32 = adc::REFERENCE_V * 11.0;
-    const LOCKED: &'static [(Gpio, u16)] = &[(GPIOA, 0b111 << 8), (GPIOB, 0b1111 << 12), (GPIOC, 1 << 6)];
+    const LOCKED_PINS: &'static [(Gpio, u16)] = &[(GPIOA, 0b111 << 8), (GPIOB, 0b1111 << 12), (GPIOC, 1 << 6)];
 
     fn divide(p: Peripherals) -> (Pins, Common) {
         let pins = Pins {

@@ -1,7 +1,7 @@
-//! ST's Discovery board STM32F407G-DISC1 with up to three H-bridges. Pins: docs/wiring-h-bridge-f407-disc1.md.
+//! ST's Discovery board STM32F407G-DISC1 with up to three H-bridges. docs/wiring-h-bridge-f407-disc1.md lists the pins.
 //!
-//! The chip is the STM32F405's die in a larger package. A 3.3 V regulator behind a diode supplies it with 3.0 V, which is
-//! also the converters' reference. PA9 carries the USB cable's 5 V on this board and must not be driven.
+//! The chip is the STM32F405's die in a larger package. A 3.3 V regulator behind a diode supplies it with 3.0 V, which
+//! is also the converters' reference. PA9 carries the USB cable's 5 V on this board and must not be driven.
 
 use embassy_stm32::Peripherals;
 use embassy_stm32::pac::gpio::Gpio;
@@ -12,8 +12,7 @@ use super::{Common, IdentityPins, Pin};
 
 /// The converters' reference, V.
 const REFERENCE_V: f32 = 3.0;
-
-/// Level of the supply monitor: 2.66 V for a falling supply, 2.82 V at most for a rising one (STM32F407 datasheet, table
+/// Level of the supply monitor: 2.66 V for a falling, at most 2.82 V for a rising supply (STM32F407 datasheet, table
 /// 19). The next level may need 2.99 V, which the board may not reach. The flash is fast enough down to 2.7 V.
 const MONITOR_2V7: u8 = 4;
 
@@ -22,18 +21,18 @@ pub struct HBridgeF407Disc1;
 
 impl Wires for HBridgeF407Disc1 {
     const NAME: &'static str = "h-bridge-f407-disc1";
-    /// The bus divider holds PC4, with the supply on or off, and the board pulls PB9 up for its audio chip. Both are open on
-    /// an STM32F405 module, and PC4 is a free connector pin on an ODrive.
+    /// The bus divider holds PC4, with the supply on or off, and the board pulls PB9 up for its audio chip. Both pins
+    /// are open on an STM32F405 module, and PC4 is a free connector pin on an ODrive.
     const IDENTITY: IdentityPins = IdentityPins { held: &[Pin::new('C', 4), Pin::new('B', 9)], open: &[] };
     const SUPPLY_LEVEL: u8 = MONITOR_2V7;
-    const ENABLE: (Gpio, usize) = (GPIOE, 14);
-    const BREAK: (Gpio, usize) = (GPIOE, 15);
+    const ENABLE_PIN: (Gpio, usize) = (GPIOE, 14);
+    const BREAK_PIN: (Gpio, usize) = (GPIOE, 15);
     const INDEX_LINES: [u32; 3] = [1 << 6, 1 << 8, 1 << 9];
     const CHANNELS: [[u8; 2]; 2] = [[11, 1], [12, 14]];
-    /// Divider: 11 kohm over 1 kohm.
+    /// Bus divider: 11 kohm over 1 kohm.
     const BUS_FULL_SCALE: f32 = REFERENCE_V * 12.0;
-    /// Includes PA9, which carries the cable's 5 V and must stay an input.
-    const LOCKED: &'static [(Gpio, u16)] = &[(GPIOA, 1 << 9), (GPIOE, 0xFF00)];
+    /// Outputs and inputs to lock. PA9 carries the cable's 5 V and must stay an input.
+    const LOCKED_PINS: &'static [(Gpio, u16)] = &[(GPIOA, 1 << 9), (GPIOE, 0xFF00)];
 
     fn divide(p: Peripherals) -> (Pins, Common) {
         let pins = Pins {

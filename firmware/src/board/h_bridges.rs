@@ -1,8 +1,8 @@
-//! Boards with up to three H-bridges, each driven in locked anti-phase: CHx of TIM1 switches one half of a bridge, CHxN the
-//! other. The wiring of each board is in its own file ([`Wires`]).
+//! Boards with up to three H-bridges, each driven in locked anti-phase: CHx of TIM1 switches one half of a bridge, CHxN
+//! the other half. The wiring of each board is in its own file ([`Wires`]).
 //!
-//! A low enable line turns the bridges off. Two low inputs do not, because they brake on many bridges. A low level on the
-//! break input cuts the outputs in hardware.
+//! A low enable line turns the bridges off. Two low inputs do not, because they brake on many bridges. A low level on
+//! the break input cuts the outputs in hardware.
 
 use core::marker::PhantomData;
 
@@ -17,7 +17,7 @@ use haptic_bridge::drive::carrier::{CARRIER_MIN_HZ, Carrier};
 use haptic_bridge::drive::stage::Bridge;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::safety::fault::Fault;
-use haptic_bridge::safety::limits::{Limits, MOST_TIP_FORCE};
+use haptic_bridge::safety::limits::{Limits, MAX_TIP_FORCE};
 
 use super::{Board, Common, IdentityPins, Io};
 use crate::adc;
@@ -25,69 +25,59 @@ use crate::encoder;
 use crate::gate::{Gate, GateError};
 use crate::index;
 use crate::pwm;
-use crate::zeros::{Zeroing, Zeros, settle};
+use crate::zeros::{Zeroing, Zeros, learn_or_check_zeros};
 
-/// Number of motors.
 const AXES: usize = 3;
-
-/// Time in which both inputs of a bridge are low at each edge: 17 ticks of 1/168 MHz, 101 ns. It is equal at both edges, so
-/// it reduces the voltage a little without distorting it.
+/// Time in which both inputs of a bridge are low at each edge: 17 ticks of 1/168 MHz, 101 ns. It is equal at both
+/// edges, so it reduces the voltage a little without distortion.
 const DEAD_TIME_TICKS: u8 = 17;
-
-/// Amperes per volt at a current input: a 185 mV/A Hall sensor behind a divider from 5 V to the converter's reference, here
-/// 3.3 V. With another reference and its divider, a count is the same current.
+/// Amperes per volt at a current input: a 185 mV/A Hall sensor behind a divider from 5 V to 3.3 V. A board with another
+/// reference divides to its reference, so that a count is the same current.
 const AMPERES_PER_VOLT: f32 = 1.0 / (0.185 * 0.66);
-
 /// Amperes per count of the converter.
 const AMPERES_PER_COUNT: f32 = adc::REFERENCE_V / adc::FULL_SCALE * AMPERES_PER_VOLT;
-
-/// Largest distance of a zero from the middle of the converter's range, counts: 40 mV of the sensor's own offset and 5 % of
-/// the halved supply, behind the divider. A larger distance means a current of 0.9 A through a bridge that is off.
-const ZERO_MAX: u16 = 136;
+/// Largest distance of a zero from the middle of the converter's range, counts: 40 mV of the sensor's own offset and 5
+/// % of the halved supply, behind the divider. A larger distance means at least 0.9 A through a bridge that is off.
+const MAX_ZERO_DISTANCE: u16 = 136;
 
 /// The first encoder's timer.
-// SAFETY: it is 32 bits wide and has the registers of a 16-bit timer at the same places; `encoder` lets it count to 65 535.
+// SAFETY: TIM2 has 32 bits and the registers of a 16-bit timer at the same places; `encoder` lets it count to 65 535.
 const TIM2: TimGp16 = unsafe { TimGp16::from_ptr(pac::TIM2.as_ptr()) };
 
-/// The wiring of one of these boards. All use the same encoder pins: PA15 and PB3, PB4 and PB5, PB6 and PB7.
+/// The wiring of a board with H-bridges. All boards use the encoder pins PA15 and PB3, PB4 and PB5, PB6 and PB7.
 pub trait Wires {
-    /// The board's name.
     const NAME: &'static str;
-    /// The pins that identify the board.
     const IDENTITY: IdentityPins;
     /// The level of the supply monitor.
     const SUPPLY_LEVEL: u8;
     /// The bridges' enable line.
-    const ENABLE: (Gpio, usize);
-    /// The break input.
-    const BREAK: (Gpio, usize);
+    const ENABLE_PIN: (Gpio, usize);
+    const BREAK_PIN: (Gpio, usize);
     /// Masks of the index inputs in port C.
     const INDEX_LINES: [u32; AXES];
-    /// Channels of the two converters: currents 0 and 2; current 1 and the bus voltage.
+    /// Channels of the two converters: currents 0 and 2 on the first; current 1 and the bus voltage on the second.
     const CHANNELS: [[u8; 2]; 2];
     /// Bus voltage at the converters' full scale, V.
     const BUS_FULL_SCALE: f32;
-    /// Outputs, enable line and break input of each port, which are locked after their configuration.
-    const LOCKED: &'static [(Gpio, u16)];
-
+    /// Outputs, enable line and break input of each port, to be locked after their configuration.
+    const LOCKED_PINS: &'static [(Gpio, u16)];
     /// Sorts the chip's pins without configuring any.
     fn divide(p: Peripherals) -> (Pins, Common);
 }
 
-/// A pin of the chip.
 type AnyPeri = Peri<'static, AnyPin>;
 
 /// A board's pins.
 pub struct Pins {
-    /// The pin of [`Wires::ENABLE`].
+    /// The pin of [`Wires::ENABLE_PIN`].
     pub enable: AnyPeri,
-    /// The pin of [`Wires::BREAK`].
+    /// The pin of [`Wires::BREAK_PIN`].
     pub break_input: AnyPeri,
     /// TIM1's channels and their complements.
     pub gates: [AnyPeri; 2 * AXES],
     /// Currents and bus voltage.
     pub sensors: [AnyPeri; AXES + 1],
-    /// Channels A and B.
+    /// Channels A and B of each encoder.
     pub encoders: [[AnyPeri; 2]; AXES],
 }
 
@@ -99,7 +89,7 @@ impl<W: Wires> Board for HBridges<W> {
     const IDENTITY: IdentityPins = W::IDENTITY;
     const SUPPLY_LEVEL: u8 = W::SUPPLY_LEVEL;
     const AXES: usize = AXES;
-    /// Data of the bridges. The dead time distorts nothing (see [`DEAD_TIME_TICKS`]) and is not compensated.
+    /// Data of the bridges. The dead time causes no distortion (see [`DEAD_TIME_TICKS`]), so it is not compensated.
     const BRIDGE: Bridge =
         Bridge { carrier_hz: CARRIER_MIN_HZ as f32, dead_time: 0.0, bandwidth_hz: 1000.0, current_sensed: true };
     /// Limits that cannot be raised over USB: the ranges of the current sensors and of the bus divider.
@@ -111,21 +101,21 @@ impl<W: Wires> Board for HBridges<W> {
         power: 40.0,
         bus_min: 6.0,
         bus_max: 34.0,
-        tip_force: MOST_TIP_FORCE,
+        tip_force: MAX_TIP_FORCE,
     };
     const POWER_FAULT: Fault = Fault::BreakInput;
     const UNSENSED: &'static [Fault] = &[Fault::EncoderIllegal, Fault::GateDriver];
-    type Io = Sampled<W>;
+    type Io = BridgeIo<W>;
     type Gate = EnableLine;
 
     #[inline]
-    fn off() {
-        let (port, bit) = W::ENABLE;
+    fn turn_bridges_off() {
+        let (port, bit) = W::ENABLE_PIN;
         port.bsrr().write(|w| w.set_br(bit, true));
         pwm::drive(pac::TIM1, false);
     }
 
-    fn split(p: Peripherals, carrier: Carrier, board: bool) -> (Sampled<W>, Option<EnableLine>, Common) {
+    fn split(p: Peripherals, carrier: Carrier, board: bool) -> (BridgeIo<W>, Option<EnableLine>, Common) {
         rcc::enable_and_reset::<peripherals::TIM1>();
         rcc::enable_and_reset::<peripherals::TIM2>();
         rcc::enable_and_reset::<peripherals::TIM3>();
@@ -152,11 +142,11 @@ impl<W: Wires> Board for HBridges<W> {
             start_encoder(pac::TIM3, second, 2);
             start_encoder(pac::TIM4, third, 2);
         }
-        for &(port, pins) in W::LOCKED {
+        for &(port, pins) in W::LOCKED_PINS {
             pwm::lock(port, pins);
         }
 
-        let io = Sampled { zeros: Zeros::new(), offsets: [0.0; AXES], carrier, wires: PhantomData };
+        let io = BridgeIo { zeros: Zeros::new(), offsets: [0.0; AXES], carrier, wires: PhantomData };
         (io, board.then_some(EnableLine), common)
     }
 }
@@ -166,7 +156,7 @@ fn start_encoder(timer: TimGp16, [a, b]: [Flex<'static>; 2], alternate_function:
 }
 
 /// The part that the control interrupt owns.
-pub struct Sampled<W> {
+pub struct BridgeIo<W> {
     zeros: Zeros<AXES>,
     /// Zero error of each sensor's reading, A.
     offsets: [f32; AXES],
@@ -174,15 +164,15 @@ pub struct Sampled<W> {
     wires: PhantomData<W>,
 }
 
-impl<W> Sampled<W> {
+impl<W> BridgeIo<W> {
     /// Returns the readings of all current sensors.
     #[inline(always)]
-    fn raw() -> [i32; AXES] {
+    fn raw_readings() -> [i32; AXES] {
         [adc::result(pac::ADC1, 0), adc::result(pac::ADC2, 0), adc::result(pac::ADC1, 1)]
     }
 }
 
-impl<W: Wires> Io for Sampled<W> {
+impl<W: Wires> Io for BridgeIo<W> {
     #[inline(always)]
     fn update_counts(&mut self, counts: &mut Counts) {
         encoder::update_count(TIM2, &mut counts[0]);
@@ -192,11 +182,11 @@ impl<W: Wires> Io for Sampled<W> {
 
     #[inline(always)]
     fn has_marks(&self) -> bool {
-        index::pending() != 0
+        index::pending_lines() != 0
     }
 
     fn marks(&mut self, counts: &Counts) -> [Option<i32>; MAX_JOINTS] {
-        index::take(&W::INDEX_LINES, counts)
+        index::take_pulses(&W::INDEX_LINES, counts)
     }
 
     #[inline(always)]
@@ -207,7 +197,7 @@ impl<W: Wires> Io for Sampled<W> {
 
     #[inline(always)]
     fn has_sampled(&self) -> bool {
-        adc::finished(pac::ADC1, pac::ADC2)
+        adc::have_finished(pac::ADC1, pac::ADC2)
     }
 
     fn await_samples(&self) -> bool {
@@ -216,7 +206,7 @@ impl<W: Wires> Io for Sampled<W> {
 
     #[inline(always)]
     fn sample(&mut self, samples: &mut Samples) {
-        let raw = Self::raw();
+        let raw = Self::raw_readings();
         let current = |axis: usize| self.offsets[axis] + AMPERES_PER_COUNT * raw[axis] as f32;
         samples.currents = Currents([current(0), current(1), current(2)]);
         let bus = adc::result(pac::ADC2, 1) as f32;
@@ -224,7 +214,7 @@ impl<W: Wires> Io for Sampled<W> {
     }
 
     fn learn_zeros(&mut self) {
-        self.zeros.take(Self::raw());
+        self.zeros.take(Self::raw_readings());
         self.offsets = self.zeros.get().map(|zero| -AMPERES_PER_COUNT * zero);
     }
 
@@ -240,17 +230,17 @@ impl<W: Wires> Io for Sampled<W> {
     fn drive(&mut self, on: bool) {
         if on {
             pwm::drive(pac::TIM1, true);
-            let (port, bit) = W::ENABLE;
+            let (port, bit) = W::ENABLE_PIN;
             port.bsrr().write(|w| w.set_bs(bit, true));
         } else {
-            HBridges::<W>::off();
+            HBridges::<W>::turn_bridges_off();
         }
     }
 
     /// Returns true if the break input is low or has cut the outputs.
     #[inline(always)]
     fn has_fault(&self) -> bool {
-        let (port, bit) = W::BREAK;
+        let (port, bit) = W::BREAK_PIN;
         let low = port.idr().read().idr(bit) == pac::gpio::vals::Idr::LOW;
         let cut = !pac::TIM1.bdtr().read().moe();
         low || cut
@@ -275,13 +265,13 @@ impl<W: Wires> Io for Sampled<W> {
 pub struct EnableLine;
 
 impl Gate for EnableLine {
-    /// Learns the current sensors' zeros, 12 ms. The enable line rises when the control interrupt connects the bridges.
+    /// Learns the current sensors' zeros in 12 ms. The control interrupt raises the enable line.
     fn raise(&mut self) -> Result<(), GateError> {
-        let zero = settle(Zeroing::Learn);
-        if zero > ZERO_MAX { Err(GateError::Offset(f32::from(zero) * AMPERES_PER_COUNT)) } else { Ok(()) }
+        let zero = learn_or_check_zeros(Zeroing::Learn);
+        if zero > MAX_ZERO_DISTANCE { Err(GateError::Offset(f32::from(zero) * AMPERES_PER_COUNT)) } else { Ok(()) }
     }
 
-    /// Succeeds always, because the bridges have no registers.
+    /// Always succeeds, because the bridges have no registers.
     fn check(&mut self) -> Result<(), GateError> {
         Ok(())
     }

@@ -1,6 +1,6 @@
 //! ODrive v3.6 and its clones: two axes, each a three-phase bridge behind a DRV8301, with shunts under phases B and C.
 //!
-//! A brushed motor is connected to phases B and C of its axis. Both are driven by the same carrier at 0.5 +- duty/2, and
+//! A brushed motor is connected to phases B and C of its axis. One carrier drives both phases at 0.5 +- duty/2, and
 //! phase A stays off. EN_GATE is common to both drivers; a low level resets their registers. Pins:
 //! docs/wiring-odrive-v3.md.
 
@@ -17,7 +17,7 @@ use haptic_bridge::drive::carrier::{CARRIER_MIN_HZ, Carrier};
 use haptic_bridge::drive::stage::Bridge;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::safety::fault::Fault;
-use haptic_bridge::safety::limits::{Limits, MOST_TIP_FORCE};
+use haptic_bridge::safety::limits::{Limits, MAX_TIP_FORCE};
 
 use super::{Board, Common, IdentityPins, Io, Pin};
 use crate::adc;
@@ -27,33 +27,24 @@ use crate::encoder;
 use crate::gate::{Gate, GateError};
 use crate::index;
 use crate::pwm;
-use crate::zeros::{Zeroing, Zeros, settle};
+use crate::zeros::{Zeroing, Zeros, learn_or_check_zeros};
 
-/// Number of motors.
 const AXES: usize = 2;
-
-/// Dead time between the switches of a half bridge: 20 ticks of 1/168 MHz, 119 ns, in addition to the driver's own.
+/// Dead time between the switches of a half bridge: 20 ticks of 1/168 MHz, 119 ns. The drivers add their own dead time.
 const DEAD_TIME_TICKS: u8 = 20;
-
 /// Resistance of the low-side shunts under phases B and C, ohm.
 const SHUNT_OHM: f32 = 500e-6;
-
 /// Amperes per count of the converter.
 const AMPERES_PER_COUNT: f32 = adc::REFERENCE_V / adc::FULL_SCALE / drv8301::AMPLIFIER_GAIN / SHUNT_OHM;
-
-/// Largest distance of a zero from the middle of the converter's range, counts: 1.5 times the amplifier's gain times its
-/// 4 mV of input offset (SLOS719F section 6.5). The zeros are learned with shorted inputs, so no current adds to them.
-const ZERO_MAX: u16 = 600;
-
-/// Largest apparent current with learned zeros and the bridges off, A. It allows for noise and for the change from shorted
-/// to connected inputs.
-const STRAY_A: f32 = 0.5;
-
-/// Bus divider of the 56 V boards: 18 kohm over 1 kohm. The 24 V boards have 10 kohm over 1 kohm (11).
+/// Largest distance of a zero from the middle of the converter's range, counts: 1.5 times the amplifier's gain times
+/// its 4 mV of input offset (SLOS719F section 6.5). No current adds to a zero, because the inputs are shorted.
+const MAX_ZERO_DISTANCE: u16 = 600;
+/// Largest apparent current with learned zeros and the bridges off, A: noise, and the effect of connecting the inputs.
+const MAX_STRAY_CURRENT: f32 = 0.5;
+/// Ratio of the 56 V boards' bus divider: 18 kohm over 1 kohm. The 24 V boards have 10 kohm over 1 kohm (11).
 const BUS_DIVIDER: f32 = 19.0;
 
 const TIMERS: [TimAdv; AXES] = [pac::TIM1, pac::TIM8];
-
 /// Masks of the index inputs in port C.
 const INDEX_LINES: [u32; AXES] = [1 << 9, 1 << 15];
 /// Bit of EN_GATE in port B.
@@ -61,7 +52,7 @@ const EN_GATE: usize = 12;
 /// Bit of nFAULT in port D.
 const N_FAULT: usize = 2;
 
-/// This board.
+/// The ODrive v3.6 board.
 pub struct OdriveV3;
 
 impl Board for OdriveV3 {
@@ -71,16 +62,16 @@ impl Board for OdriveV3 {
     /// identified only while EN_GATE is high, so arming reads their registers back.
     const IDENTITY: IdentityPins = IdentityPins { held: &[Pin::new('A', 6), Pin::new('C', 5)], open: &[] };
     const AXES: usize = AXES;
-    /// Data of the bridges. The current loop's bandwidth is a tenth of the slowest carrier frequency, divided by two pi and
-    /// rounded down. With half a period of delay it keeps 60 degrees of phase margin at any carrier.
+    /// Data of the bridges. The current loop's bandwidth is the lowest carrier frequency / (10 * 2 pi), rounded down.
+    /// With half a period of delay it has a phase margin of 60 degrees at any carrier.
     const BRIDGE: Bridge = Bridge {
         carrier_hz: CARRIER_MIN_HZ as f32,
         dead_time: DEAD_TIME_TICKS as f32 / TIMER_HZ as f32,
         bandwidth_hz: 1000.0,
         current_sensed: true,
     };
-    /// Limits that cannot be raised over USB: half of the shunts' range, and a bus voltage that is also safe for a 24 V
-    /// board, whose divider makes the reading 1.7 times too high.
+    /// Limits that cannot be raised over USB. The current limit is half of the shunts' range. A 24 V board has a
+    /// smaller divider and shows 1.7 times its voltage, so the 50 V limit trips at 29 V there.
     const LIMITS: Limits = Limits {
         torque: [10.0; 3],
         current: [20.0; 3],
@@ -89,7 +80,7 @@ impl Board for OdriveV3 {
         power: 40.0,
         bus_min: 10.0,
         bus_max: 50.0,
-        tip_force: MOST_TIP_FORCE,
+        tip_force: MAX_TIP_FORCE,
     };
     const POWER_FAULT: Fault = Fault::GateDriver;
     const UNSENSED: &'static [Fault] = &[Fault::EncoderIllegal, Fault::BreakInput];
@@ -97,7 +88,7 @@ impl Board for OdriveV3 {
     type Gate = Drivers;
 
     #[inline]
-    fn off() {
+    fn turn_bridges_off() {
         for timer in TIMERS {
             pwm::drive(timer, false);
         }
@@ -116,7 +107,7 @@ impl Board for OdriveV3 {
         for timer in TIMERS {
             pwm::configure(timer, &config, carrier);
         }
-        // Phase B of both axes and the bus on one converter, phase C of both on the other.
+        // One converter samples phase B of both axes and the bus, the other phase C of both axes.
         adc::configure(pac::ADC1, &[10, 13, 6]);
         adc::configure(pac::ADC2, &[11, 12]);
 
@@ -154,7 +145,7 @@ impl Board for OdriveV3 {
         pwm::lock(pac::GPIOC, 0b111 << 6);
         pwm::lock(pac::GPIOD, 1 << N_FAULT);
 
-        let io = Pins { zeros: Zeros::new(), offsets: [Offsets { current: 0.0, imbalance: 0.0 }; AXES], carrier };
+        let io = Pins { zeros: Zeros::new(), offsets: [ZeroOffsets { current: 0.0, imbalance: 0.0 }; AXES], carrier };
         (io, gate, Common { usb: (p.USB_OTG_FS, p.PA12, p.PA11), flash: p.FLASH, watchdog: p.IWDG })
     }
 }
@@ -162,30 +153,30 @@ impl Board for OdriveV3 {
 /// The part that the control interrupt owns.
 pub struct Pins {
     zeros: Zeros<4>,
-    offsets: [Offsets; AXES],
+    offsets: [ZeroOffsets; AXES],
     carrier: Carrier,
 }
 
-/// Zero errors of an axis's two sensors, A: half their difference, and their sum.
+/// Zero errors of an axis's two sensors, A: `current` is half their difference, `imbalance` their sum.
 #[derive(Clone, Copy)]
-struct Offsets {
+struct ZeroOffsets {
     current: f32,
     imbalance: f32,
 }
 
-impl Offsets {
+impl ZeroOffsets {
     /// Returns current and imbalance of these readings, A. The current of phase B returns through phase C.
     #[inline(always)]
-    fn sensed(&self, b: i32, c: i32) -> (f32, f32) {
+    fn current_and_imbalance(&self, b: i32, c: i32) -> (f32, f32) {
         let current = self.current + 0.5 * AMPERES_PER_COUNT * (b - c) as f32;
         (current, self.imbalance + AMPERES_PER_COUNT * (b + c) as f32)
     }
 }
 
 impl Pins {
-    /// Returns the readings of all current sensors: phases B and C of the first axis, then of the second.
+    /// Returns the readings of all current sensors: phases B and C of the first axis, then of the second axis.
     #[inline(always)]
-    fn raw() -> [i32; 4] {
+    fn raw_readings() -> [i32; 4] {
         [adc::result(pac::ADC1, 0), adc::result(pac::ADC2, 0), adc::result(pac::ADC1, 1), adc::result(pac::ADC2, 1)]
     }
 }
@@ -199,11 +190,11 @@ impl Io for Pins {
 
     #[inline(always)]
     fn has_marks(&self) -> bool {
-        index::pending() != 0
+        index::pending_lines() != 0
     }
 
     fn marks(&mut self, counts: &Counts) -> [Option<i32>; MAX_JOINTS] {
-        index::take(&INDEX_LINES, counts)
+        index::take_pulses(&INDEX_LINES, counts)
     }
 
     #[inline(always)]
@@ -214,7 +205,7 @@ impl Io for Pins {
 
     #[inline(always)]
     fn has_sampled(&self) -> bool {
-        adc::finished(pac::ADC1, pac::ADC2)
+        adc::have_finished(pac::ADC1, pac::ADC2)
     }
 
     fn await_samples(&self) -> bool {
@@ -223,19 +214,19 @@ impl Io for Pins {
 
     #[inline(always)]
     fn sample(&mut self, samples: &mut Samples) {
-        let [b0, c0, b1, c1] = Self::raw();
-        (samples.currents[0], samples.imbalance[0]) = self.offsets[0].sensed(b0, c0);
-        (samples.currents[1], samples.imbalance[1]) = self.offsets[1].sensed(b1, c1);
+        let [b0, c0, b1, c1] = Self::raw_readings();
+        (samples.currents[0], samples.imbalance[0]) = self.offsets[0].current_and_imbalance(b0, c0);
+        (samples.currents[1], samples.imbalance[1]) = self.offsets[1].current_and_imbalance(b1, c1);
         let bus = adc::result(pac::ADC1, 2) as f32;
         samples.bus_voltage = adc::REFERENCE_V / adc::FULL_SCALE * BUS_DIVIDER * bus;
     }
 
     fn learn_zeros(&mut self) {
-        self.zeros.take(Self::raw());
+        self.zeros.take(Self::raw_readings());
         let zero = self.zeros.get().map(|zero| AMPERES_PER_COUNT * zero);
         for (axis, off) in self.offsets.iter_mut().enumerate() {
             let (b, c) = (zero[2 * axis], zero[2 * axis + 1]);
-            *off = Offsets { current: -0.5 * (b - c), imbalance: -(b + c) };
+            *off = ZeroOffsets { current: -0.5 * (b - c), imbalance: -(b + c) };
         }
     }
 
@@ -254,11 +245,11 @@ impl Io for Pins {
                 pwm::drive(timer, true);
             }
         } else {
-            OdriveV3::off();
+            OdriveV3::turn_bridges_off();
         }
     }
 
-    /// Returns true if a gate driver pulls the common fault line low. Only meaningful while the drivers are enabled.
+    /// Returns true if a gate driver pulls the common fault line low. Valid only while the drivers are enabled.
     #[inline(always)]
     fn has_fault(&self) -> bool {
         pac::GPIOD.idr().read().idr(N_FAULT) == pac::gpio::vals::Idr::LOW
@@ -292,29 +283,29 @@ impl Drivers {
         for driver in &mut self.drivers {
             driver.configure(&mut self.bus, Inputs::Shorted)?;
         }
-        let zero = settle(Zeroing::Learn);
-        if zero > ZERO_MAX {
+        let zero = learn_or_check_zeros(Zeroing::Learn);
+        if zero > MAX_ZERO_DISTANCE {
             return Err(GateError::Offset(f32::from(zero) * AMPERES_PER_COUNT));
         }
         for driver in &mut self.drivers {
             driver.configure(&mut self.bus, Inputs::Shunts)?;
         }
-        let stray = settle(Zeroing::Check);
+        let stray = learn_or_check_zeros(Zeroing::Check);
         let current = f32::from(stray) * AMPERES_PER_COUNT;
-        if current > STRAY_A { Err(GateError::Stray(current)) } else { Ok(()) }
+        if current > MAX_STRAY_CURRENT { Err(GateError::Stray(current)) } else { Ok(()) }
     }
 }
 
 impl Gate for Drivers {
-    /// Raises EN_GATE, configures both drivers, learns the amplifiers' zeros with shorted inputs and checks that no current
-    /// flows. Takes about 35 ms. After an error everything is off.
+    /// Raises EN_GATE, configures both drivers, learns the amplifiers' zeros with shorted inputs and checks that no
+    /// current flows. Takes about 35 ms. After an error the power stage is off.
     fn raise(&mut self) -> Result<(), GateError> {
         pac::GPIOB.bsrr().write(|w| w.set_bs(EN_GATE, true));
         // The drivers need up to 10 ms until they respond (SLOS719F 6.7).
         block_for(Duration::from_millis(10));
         let result = self.configure();
         if result.is_err() {
-            OdriveV3::off();
+            OdriveV3::turn_bridges_off();
         }
         result
     }

@@ -1,4 +1,4 @@
-//! The tasks' requests to the control interrupt: one at a time, passed by address, and carried out at a valley.
+//! The tasks' requests to the control interrupt: one at a time, passed by address, carried out at a valley.
 
 use core::cell::UnsafeCell;
 use core::sync::atomic::{AtomicPtr, Ordering};
@@ -10,17 +10,16 @@ use haptic_bridge::drive::carrier::Carrier;
 
 /// A request of a task to the control interrupt.
 pub enum Request {
-    /// A command to the control loop.
     Command(Command<BoardProgram>),
     /// A request for the status alone.
     Status,
     /// A change of the carrier, with the motors off.
     Retime(Carrier),
-    /// The rest of an accepted command: new rules are applied one joint per valley, then the reply is sent.
+    /// Rest of an accepted command: new rules are applied to one joint per valley, then the reply is sent.
     Settle,
-    /// The rest of an accepted command that brings a program.
+    /// Rest of an accepted command that brings a program.
     Install(BoardProgram),
-    /// No request: the interrupt has taken it.
+    /// No request, because the interrupt has taken it.
     None,
 }
 
@@ -32,11 +31,10 @@ pub struct Outcome {
     pub status: Status,
 }
 
-/// A request and the place for its outcome. Both belong to the task that waits.
+/// A request and the place for its outcome, both owned by the waiting task.
 pub(super) enum Exchange<'t> {
-    /// A request of a task.
     Request(Request, &'t mut Option<Outcome>),
-    /// A force request of the host, up to thousands of times a second.
+    /// A force request of the host; up to thousands arrive per second.
     Force(&'t ForceRequest, &'t mut Option<ForceAnswer>),
 }
 
@@ -44,12 +42,12 @@ pub(super) enum Exchange<'t> {
 pub struct Requests(pub(super) &'static AtomicPtr<Exchange<'static>>);
 
 impl Requests {
-    /// Passes a request to the control interrupt and waits for its outcome: at most one carrier period (50 us), one more
-    /// for a command, and one more per joint if rules change.
+    /// Passes a request to the control interrupt and waits for its outcome: at most one carrier period (50 us), one
+    /// more for a command, and one more per joint if rules change.
     pub fn send(&mut self, request: Request) -> Outcome {
         let mut outcome = None;
         self.exchange(&UnsafeCell::new(Exchange::Request(request, &mut outcome)));
-        // The interrupt writes an outcome for every request it takes, so this reset is unreachable.
+        // The interrupt writes an outcome for every request, so this reset is unreachable.
         outcome.unwrap_or_else(|| cortex_m::peripheral::SCB::sys_reset())
     }
 
@@ -60,8 +58,8 @@ impl Requests {
         reply.unwrap_or_else(|| cortex_m::peripheral::SCB::sys_reset())
     }
 
-    /// Passes an exchange to the interrupt and waits until the interrupt has released it. Because of this wait the
-    /// interrupt may treat the borrows in it as `'static`. If the interrupt has stopped, the watchdog ends the wait.
+    /// Passes an exchange to the interrupt and waits until the interrupt has released it. The interrupt may therefore
+    /// treat the borrows in it as `'static`. If the interrupt has stopped, the watchdog ends the wait.
     #[inline(always)]
     fn exchange(&mut self, exchange: &UnsafeCell<Exchange>) {
         self.0.store(exchange.get().cast(), Ordering::Release);

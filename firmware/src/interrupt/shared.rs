@@ -9,7 +9,7 @@ pub struct Shared {
     pub steps: AtomicU32,
     /// Control steps whose duties applied half a carrier period late.
     pub late_steps: AtomicU32,
-    /// Control steps per streamed frame; 0 while nothing streams.
+    /// Control steps per streamed frame; 0 without a stream.
     pub stream_divider: AtomicU32,
     /// Frames dropped because the ring was full, since the stream started.
     pub frames_dropped: AtomicU32,
@@ -17,11 +17,11 @@ pub struct Shared {
     pub overruns: AtomicU32,
     /// Longest time from a crest to the end of its interrupt, core cycles.
     pub longest_cycles: AtomicU32,
-    /// Time that this crest left until the valley, core cycles.
+    /// Time from the end of this crest's work to the valley, core cycles.
     pub(super) least_left: AtomicU32,
     /// True if the gate drivers are enabled and configured, so that the bridges may be connected.
     pub gate_ready: AtomicBool,
-    /// True while a flash operation may stall the program: missed crests then do not count as overruns.
+    /// True while a flash operation may stall the program, so that missed crests do not count as overruns.
     pub stall_expected: AtomicBool,
 }
 

@@ -1,4 +1,4 @@
-//! The work at a valley of the carrier: record the last step, check for slow faults, carry out at most one request.
+//! The work at a valley of the carrier: records the last step, checks for slow faults, carries out at most one request.
 
 use core::sync::atomic::Ordering;
 
@@ -8,12 +8,11 @@ use haptic_bridge::control::{Command, compiled};
 
 use super::exchange::{Exchange, Outcome, Request};
 use super::shared::increment;
-use super::{BETWEEN, CONTROL, EXTREME_CYCLES, InterruptState, OVERRAN, UNCONNECTED, UNRECORDED, after_step};
+use super::{CONTROL, EXTREME_CYCLES, InterruptState, NO_STEP, OVERRAN, UNCONNECTED, UNRECORDED, after_step};
 use crate::board::Io as _;
 use crate::warmth;
 
 impl InterruptState {
-    /// Does the work of a valley.
     #[inline(always)]
     pub(super) fn valley(&mut self) {
         self.valley_at = DWT::cycle_count();
@@ -21,7 +20,7 @@ impl InterruptState {
             self.valley_floating();
         }
         self.io.clear_flags();
-        // The timer has just loaded the duties of the last step, unless they are late.
+        // The timer has just loaded the duties of the last step, unless the duties are late.
         if self.pending {
             self.pending = false;
             self.io.write(&self.legs);
@@ -33,12 +32,12 @@ impl InterruptState {
         }
         let drives = compiled::check_slow_faults(&mut self.control_loop, &self.samples).bridges;
         if !drives && self.driving {
-            self.float();
+            self.float_bridges();
         }
         let request = CONTROL.request.load(Ordering::Acquire);
         if !request.is_null() {
-            // SAFETY: `Requests::exchange` stored the pointer and keeps the exchange, with everything it borrows, alive until
-            // the pointer is null again. There is one `Requests`, and it is in one exchange at a time.
+            // SAFETY: `Requests::exchange` stored the pointer and keeps the exchange, with everything it borrows, alive
+            // until the pointer is null again. There is one `Requests`, and it is in one exchange at a time.
             if self.carry_out(unsafe { &mut *request }) {
                 CONTROL.request.store(core::ptr::null_mut(), Ordering::Release);
             }
@@ -48,14 +47,14 @@ impl InterruptState {
         }
     }
 
-    /// Checks that a crest without a step preceded this valley. If no crest did, one passed while the core was busy.
+    /// Checks that a crest without a step preceded this valley. Otherwise a crest passed while the core was busy.
     #[cold]
     #[inline(never)]
     fn check_crest_between(&mut self) {
-        if self.before_step & BETWEEN == 0 && self.driving {
+        if self.before_step & NO_STEP == 0 && self.driving {
             self.crest_missed();
         }
-        self.before_step &= !BETWEEN;
+        self.before_step &= !NO_STEP;
     }
 
     /// Turns the motors off because a crest passed without its interrupt.
@@ -64,10 +63,10 @@ impl InterruptState {
     fn crest_missed(&mut self) {
         increment(&CONTROL.shared.overruns);
         self.trip_overrun();
-        self.float();
+        self.float_bridges();
     }
 
-    /// Handles a crest without a valley since the last one: the valley, and perhaps crests, passed while the core was busy.
+    /// Handles a missed valley: the valley, and perhaps crests, passed while the core was busy.
     pub(super) fn valley_missed(&mut self) {
         if self.before_step & UNRECORDED != 0 {
             self.record();
@@ -78,9 +77,9 @@ impl InterruptState {
         }
     }
 
-    /// Begins a valley while the bridges float. The bridges are connected at an extreme of the carrier: here or, if this
-    /// interrupt is late, at the next crest. If connected between two extremes, a bridge whose legs follow one channel and
-    /// its complement would drive its motor for the rest of half a period, which adds amperes.
+    /// Begins a valley while the bridges float. The bridges are connected at an extreme of the carrier: here or, if
+    /// this interrupt is late, at the next crest. Between two extremes, a bridge whose legs follow one channel and its
+    /// complement would drive its motor for the rest of half a period, which adds amperes.
     #[cold]
     #[inline(never)]
     fn valley_floating(&mut self) {
@@ -99,8 +98,8 @@ impl InterruptState {
         }
     }
 
-    /// Carries out one request and writes its outcome. Returns false if work on it remains for the next valley. Not
-    /// inlined, because requests are rare and inlining would lengthen the path to the step.
+    /// Carries out one request and writes its outcome. Returns false if work remains for the next valley. Not inlined,
+    /// because requests are rare and inlining would lengthen the path to the step.
     #[inline(never)]
     fn carry_out(&mut self, exchange: &mut Exchange) -> bool {
         let (request, outcome) = match exchange {
@@ -144,12 +143,12 @@ impl InterruptState {
             }
         }
         if matches!(request, Request::Status) {
-            // About fifty times a second, the heat is copied to memory that survives a reset.
-            warmth::keep(self.control_loop.heat());
+            // Copies the heat about fifty times a second to memory that survives a reset.
+            warmth::store(self.control_loop.heat());
         }
         let status = self.control_loop.status();
         if !status.state.drives() && self.driving {
-            self.float();
+            self.float_bridges();
         }
         if more {
             return false;

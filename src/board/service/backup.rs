@@ -1,9 +1,9 @@
 //! Settings in flash: saved from the configuration, read for a backup, and restored from a backup.
 
-use super::{Service, check_device, fits};
+use super::{Service, check_device, scene_fits_device};
 use crate::board::configuration::{Configuration, task};
-use crate::board::flash::{decoded, stage, stage_all};
-use crate::board::machine::{Machine, must_be_off};
+use crate::board::flash::{decode_setting, stage, stage_all};
+use crate::board::machine::{Machine, check_motors_off};
 use crate::board::protocol::{Commit, KeyList, WriteEntry};
 use crate::board::settings::{BoardName, Entry, Key, Polarity, Setting};
 use crate::control::Rules;
@@ -13,33 +13,33 @@ use crate::render::scene::Scene;
 use crate::safety::refusal::Refusal;
 
 impl Service {
-    /// Writes every setting to flash, or none. The motors must be off, because the processor stalls during an erase.
+    /// Writes all settings to flash, or none. The motors must be off, because the processor stalls during an erase.
     pub fn save(&mut self, machine: &mut impl Machine) -> Result<(), Refusal> {
-        must_be_off(machine)?;
+        check_motors_off(machine)?;
         let mut keys = KeyList::new();
         stage_all(machine, &self.configuration, &mut keys)?;
         stage(machine, &BoardName(self.name.clone()), &mut keys)?;
         if keys.is_empty() { Ok(()) } else { machine.commit(&keys) }
     }
 
-    /// Returns a setting as it is in flash.
+    /// Returns the entry of a setting in flash.
     pub fn read_entry(&self, machine: &mut impl Machine, key: Key) -> Option<Entry> {
         machine.load(key)
     }
 
     /// Stages a setting from a backup until [`Service::commit_entries`]. Refuses a damaged or unknown setting.
     pub fn stage_entry(&mut self, machine: &mut impl Machine, write: &WriteEntry) -> Result<(), Refusal> {
-        must_be_off(machine)?;
+        check_motors_off(machine)?;
         let entry = write.entry.as_slice();
         match write.key {
-            Key::Device => decoded::<Device<f32>>(entry).map(drop)?,
-            Key::Scene => decoded::<Scene<f32>>(entry).map(drop)?,
-            Key::Rules => decoded::<Rules>(entry).map(drop)?,
-            Key::MassModel => decoded::<MassModelData>(entry).map(drop)?,
-            Key::Polarity => decoded::<Polarity>(entry).map(drop)?,
-            Key::Name => decoded::<BoardName>(entry).map(drop)?,
+            Key::Device => decode_setting::<Device<f32>>(entry).map(drop)?,
+            Key::Scene => decode_setting::<Scene<f32>>(entry).map(drop)?,
+            Key::Rules => decode_setting::<Rules>(entry).map(drop)?,
+            Key::MassModel => decode_setting::<MassModelData>(entry).map(drop)?,
+            Key::Polarity => decode_setting::<Polarity>(entry).map(drop)?,
+            Key::Name => decode_setting::<BoardName>(entry).map(drop)?,
         }
-        // A tool must not commit settings that were staged by another tool, which has ended.
+        // A tool must not commit settings that another tool staged before it ended.
         if self.staged.0 != write.session {
             self.staged = (write.session, KeyList::new());
         }
@@ -52,10 +52,9 @@ impl Service {
 
     /// Applies the settings staged under these keys and writes them to flash: all of them, or none. Other settings
     /// stay, except that another device drops the mass model and a scene that does not fit, and another scene drops the
-    /// mass model. Flash then holds the same configuration, so that limits never apply to a device for which they were
-    /// not meant, not even after the next start.
+    /// mass model. Flash then holds the same configuration, so that limits never apply to another device than theirs.
     pub fn commit_entries<Mc: Machine>(&mut self, machine: &mut Mc, commit: &Commit) -> Result<(), Refusal> {
-        must_be_off(machine)?;
+        check_motors_off(machine)?;
         let keys = &commit.keys;
         if keys.iter().any(|key| commit.session != self.staged.0 || !self.staged.1.contains(key)) {
             return Err(Refusal::BadEntry);
@@ -70,7 +69,7 @@ impl Service {
     }
 
     /// Returns the present configuration with the settings staged under these keys, and true if the device stays the
-    /// same. A separate function, so that the decoded settings have left the stack when they are applied.
+    /// same. A separate function, so that the decoded settings leave the stack before they are applied.
     #[inline(never)]
     fn restored_configuration<Mc: Machine>(
         &self,
@@ -100,7 +99,7 @@ impl Service {
                 }
                 // A prepared matrix is valid only for its device and walls.
                 let kept_mass = if same_device && scene.is_none() { before.mass.clone() } else { MassModelData::Exact };
-                let scene = scene.or_else(|| before.scene.clone().filter(|scene| fits(scene, device)));
+                let scene = scene.or_else(|| before.scene.clone().filter(|scene| scene_fits_device(scene, device)));
                 (scene, mass.unwrap_or(kept_mass))
             }
             None if scene.is_some() => return Err(Refusal::NoDevice),
@@ -115,6 +114,6 @@ impl Service {
             return Ok(None);
         }
         let entry = machine.staged(S::KEY).ok_or(Refusal::BadEntry)?;
-        decoded(&entry).map(Some)
+        decode_setting(&entry).map(Some)
     }
 }

@@ -1,12 +1,11 @@
 //! `five-bar`: two motors, two arms, one tip (Pantograph, Haply 2diy).
 //!
 //! Motors at A = (-base/2, 0) and B = (base/2, 0); elbows C = A + l₁(cos q₁, sin q₁), D = B + l₂(cos q₂, sin q₂). The
-//! tip P is an intersection of the circles (C, r₁) and (D, r₂): to the left of C→D for `assembly` 1, to the right
-//! for -1.
+//! tip P is an intersection of the circles (C, r₁) and (D, r₂), to the left of C→D for `assembly` 1, else to the right.
 //!
-//! Closed form: with u₁ = P - C, u₂ = P - D and the elbow velocities per joint rate c₁ = l₁(-sin q₁, cos q₁), c₂
-//! likewise, the rods are rigid: uᵢ·(ṗ - cᵢ q̇ᵢ) = 0. Hence J⁻¹ = [u₁ᵀ/k₁; u₂ᵀ/k₂] with kᵢ = uᵢ·cᵢ, and
-//! J = [u₁ᵀ; u₂ᵀ]⁻¹ diag(k₁, k₂).
+//! Closed form: let u₁ = P - C, u₂ = P - D, and let c₁ = l₁(-sin q₁, cos q₁) be the elbow velocity per joint rate, c₂
+//! likewise. The rods are rigid, so uᵢ·(ṗ - cᵢ q̇ᵢ) = 0. Hence J⁻¹ = [u₁ᵀ/k₁; u₂ᵀ/k₂] with kᵢ = uᵢ·cᵢ, and J = [u₁ᵀ;
+//! u₂ᵀ]⁻¹ diag(k₁, k₂).
 //!
 //! A rigid rod between elbow and tip has the kinetic energy ½(α|Ċ|² + 2β Ċ·ṗ + γ|ṗ|²) with three *constants* (centre of
 //! mass at the fraction s of the rod: α = m(1-s)² + I/r², β = m s(1-s) - I/r², γ = m s² + I/r²). No distal angle is
@@ -83,7 +82,7 @@ impl<T: Real> FiveBar<T> {
         }
     }
 
-    /// Computes the coefficients of a description whose links are a five-bar's and whose joints 0 and 1 drive its arms.
+    /// Computes the coefficients of a description with the links of a five-bar, whose arms joints 0 and 1 drive.
     pub(super) fn lump(description: &Description) -> Result<Self, DescriptionError> {
         let [base, l1, l2, r1, r2, assembly] = description.geometry;
         for (index, length) in [l1, l2, r1, r2].into_iter().enumerate() {
@@ -97,7 +96,7 @@ impl<T: Real> FiveBar<T> {
         if assembly != 1.0 && assembly != -1.0 {
             return Err(DescriptionError::Assembly);
         }
-        // The elbows' distance is between these two. The linkage closes if this range overlaps the rods' range.
+        // The elbows' distance is between these two values. The linkage closes if this range overlaps the rods' range.
         let farthest = base + l1 + l2;
         let nearest = (base - l1 - l2).max(0.0).max(l1 - base - l2).max(l2 - base - l1);
         if nearest >= r1 + r2 || farthest <= (r1 - r2).abs() {
@@ -149,7 +148,7 @@ impl<T: Real> FiveBar<T> {
     }
 
     /// Computes the pose at these angles. `inverse` inverts its first argument and may first clamp its magnitude to at
-    /// least the second; `positive` may clamp the argument of a root to zero.
+    /// least the second argument. `positive` may clamp the argument of a root to zero.
     #[inline(always)]
     fn close<K: Math<T>>(&self, q: &[Angle<T>; 2], inverse: impl Fn(T, T) -> T, positive: impl Fn(T) -> T) -> Pose<T> {
         let half = T::from_f64(0.5);
@@ -161,8 +160,8 @@ impl<T: Real> FiveBar<T> {
         let span = Vector2::new(self.base + arm2[0] - arm1[0], arm2[1] - arm1[1]);
         let span_squared = span.dot(&span);
         let inverse_span = inverse(span_squared, T::EPSILON * T::EPSILON);
-        // u₁ x u₂ = r₁ r₂ sin(angle between the rods), by Heron's formula for the height over C→D: it subtracts
-        // lengths, not nearly equal products.
+        // u₁ x u₂ = r₁ r₂ sin(angle between the rods), by Heron's formula for the height over C→D, which subtracts
+        // lengths instead of nearly equal products.
         let det =
             half * self.assembly * K::sqrt(positive((self.reach[0] - span_squared) * (span_squared - self.reach[1])));
         let along = half + half * self.distal_difference * inverse_span;
@@ -191,7 +190,7 @@ impl<T: Real> FiveBar<T> {
         )
     }
 
-    /// Returns the joint accelerations for a tip acceleration `a` (m/s², 0 if `None`), at velocities `qd` and `tip`.
+    /// Returns the joint accelerations for a tip acceleration `a` (m/s², 0 if `None`) at velocities `qd` and `tip`.
     #[inline(always)]
     pub(super) fn joint_acceleration(
         pose: &Pose<T>,
@@ -202,7 +201,7 @@ impl<T: Real> FiveBar<T> {
         Vector2::new(Self::arm_acceleration(pose, qd, tip, a, 0), Self::arm_acceleration(pose, qd, tip, a, 1))
     }
 
-    /// Returns the joint acceleration of one arm, from the rigidity of its rod: uᵢ·(a - p̈_elbow) + |u̇ᵢ|² = 0.
+    /// Returns the joint acceleration of one arm by the rigidity of its rod: uᵢ·(a - p̈_elbow) + |u̇ᵢ|² = 0.
     #[inline(always)]
     fn arm_acceleration(pose: &Pose<T>, qd: &Vector2<T>, tip: &Vector2<T>, a: Option<&Vector2<T>>, i: usize) -> T {
         let rod_rate = tip - left(&pose.arm[i]) * qd[i];
@@ -214,8 +213,8 @@ impl<T: Real> FiveBar<T> {
         (pose.rod[i].dot(&along) + rod_rate.dot(&rod_rate)) * pose.inverse_k[i]
     }
 
-    /// Returns the effort of a tip acceleration `a` (if any) and joint accelerations `qdd` at joint velocities `qd`:
-    /// the force at the tip (N), to be multiplied by Jᵀ, and the torques at the joints (N m).
+    /// Returns the loads of a tip acceleration `a` (if any) and joint accelerations `qdd` at joint velocities `qd`: the
+    /// force at the tip (N), to be multiplied by Jᵀ, and the torques at the joints (N m).
     #[inline(always)]
     pub(super) fn inertial_loads(
         &self,
@@ -243,7 +242,7 @@ impl<T: Real> FiveBar<T> {
         UnitMotion { e, momentum, arms: e[0] * (momentum[0] + with1) + e[1] * (momentum[1] + with2) }
     }
 
-    /// Adds to `force` (N) the rods' force on the tip for joint accelerations `qdd` at velocities `qd` or at rest.
+    /// Adds to `force` (N) the rods' force on the tip for joint accelerations `qdd`, at velocities `qd` or at rest.
     #[inline(always)]
     pub(super) fn with_rods(
         &self,
@@ -298,12 +297,12 @@ impl<T: Real> Mechanism<T, 2> for FiveBar<T> {
 
     #[inline(always)]
     fn pose_at<K: Math<T>>(&self, q: &[Angle<T>; 2]) -> Pose<T> {
-        // Rounding (or a pose that cannot close) may make the square of the height negative: it is clamped to zero,
-        // which shows as parallel = 0. A tiny minimum distance of coinciding elbows avoids a division by zero.
+        // Rounding or a pose that cannot close may make the square of the height negative. It is clamped to zero, so
+        // that `parallel` is 0. A tiny minimum distance of coinciding elbows avoids a division by zero.
         self.close::<K>(q, reciprocal, |squared| squared.greater(T::zero()))
     }
 
-    /// Needs no clamps: if a divisor is zero or a root does not exist, the pose is not regular.
+    /// Needs no clamps, because a pose with a zero divisor or without a root is not regular.
     #[inline(always)]
     fn regular_pose<K: Math<T>>(&self, q: &[Angle<T>; 2], least: &Regularity<T>) -> Option<Pose<T>> {
         let pose = self.close::<K>(q, |x, _| T::one() / x, |squared| squared);
@@ -330,7 +329,7 @@ impl<T: Real> Mechanism<T, 2> for FiveBar<T> {
     }
 
     fn jacobian_rate(&self, pose: &Pose<T>, qd: &Vector2<T>) -> Matrix2<T> {
-        // Differentiate [u₁ᵀ; u₂ᵀ] J = diag(k): J̇ = [u₁ᵀ; u₂ᵀ]⁻¹ (diag(k̇) - [u̇₁ᵀ; u̇₂ᵀ] J).
+        // Derivative of [u₁ᵀ; u₂ᵀ] J = diag(k): J̇ = [u₁ᵀ; u₂ᵀ]⁻¹ (diag(k̇) - [u̇₁ᵀ; u̇₂ᵀ] J).
         let jacobian = self.jacobian(pose);
         let tip = jacobian * qd;
         let [u1, u2] = &pose.rod;
@@ -401,7 +400,7 @@ impl<T: Real> Mechanism<T, 2> for FiveBar<T> {
         let s = force / (self.tip_mass + arms);
         let (mut qdd, mut at_joints) = (e * s, momentum * s);
         if let Some(qd) = qd {
-            // At these velocities a tip without acceleration requires accelerating joints.
+            // At these velocities, the joints must accelerate to keep the tip without acceleration.
             let qdd_bias = Self::joint_acceleration(pose, qd, &self.velocity(pose, qd), None);
             qdd += qdd_bias;
             at_joints += Vector2::new(self.arm_inertia[0] * qdd_bias[0], self.arm_inertia[1] * qdd_bias[1]);

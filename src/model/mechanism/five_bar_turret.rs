@@ -1,14 +1,13 @@
-//! `five-bar-turret`: a five-bar whose plane a third motor rotates about the plane's x axis; the tip moves in space.
+//! `five-bar-turret`: a five-bar whose plane is rotated about its x axis by a third motor. The tip moves in space.
 //!
-//! World (X, Y, Z) = (x, y cos q₀, y sin q₀). In the rotating frame (x, radial, normal) the motion separates: in the
-//! plane it is the five-bar of `five_bar.rs`, and across the plane the tip moves at y q̇₀. So J = R [J_plane; y],
-//! M = diag(J₀, M_plane), and the code of the plane is reused unchanged.
+//! World (X, Y, Z) = (x, y cos q₀, y sin q₀). In the rotating frame (x, radial, normal) the motion separates. In the
+//! plane it is the motion of `five_bar.rs`; across the plane the tip moves at y q̇₀. So J = R [J_plane; y], M =
+//! diag(J₀, M_plane), and the code of the plane is reused.
 //!
-//! The turret's inertia needs no distal angle either. A link's inertia about the axis is
-//! m y_com² + I_axial + (I_transverse - I_axial) sin²(its angle to the axis), and both y_com and the sine are linear in
-//! the y coordinates of the link's two ends. The sum over the links is a quadratic form in the y of the two elbows and
-//! the tip: J₀ = I₀ + a₁ y_C² + a₂ y_D² + 2 y_P(b₁ y_C + b₂ y_D) + c y_P². Half its gradient times q̇₀² gives the
-//! centrifugal forces on elbows and tip.
+//! The turret's inertia needs no distal angle either. A link's inertia about the axis is m y_com² + I_axial +
+//! (I_transverse - I_axial) sin²(angle to the axis), and y_com and the sine are linear in the y of the link's two ends.
+//! The sum over the links is a quadratic form in the y of the two elbows and the tip: J₀ = I₀ + a₁ y_C² + a₂ y_D² + 2
+//! y_P(b₁ y_C + b₂ y_D) + c y_P². Half its gradient times q̇₀² gives the centrifugal forces on elbows and tip.
 
 use super::five_bar::{self, FiveBar, Levers, UnitMotion};
 use super::{Mechanism, Regularity, SINE_FLOOR, Shaped, Shaping, WallTerms, effective_turned, reciprocal, symmetric};
@@ -43,9 +42,9 @@ pub struct FiveBarTurret<T> {
 pub struct Pose<T: Real> {
     /// The linkage in its plane.
     plane: five_bar::Pose<T>,
-    /// sin q₀
+    /// sin q₀.
     sine: T,
-    /// cos q₀
+    /// cos q₀.
     cosine: T,
     /// 1/y, clamped.
     inverse_y: T,
@@ -111,7 +110,7 @@ impl<T: Real> FiveBarTurret<T> {
     fn bias(&self, pose: &Pose<T>, levers: &Levers<'_, T>, spin: &Spin<T>, qd: &Vector3<T>) -> Vector3<T> {
         let (plane, joints, two) = (&pose.plane, linkage(qd), T::from_f64(2.0));
         let tip = levers.velocity(&joints);
-        // The other joints compensate the turret's centripetal and Coriolis accelerations.
+        // The linkage's joints compensate the turret's centripetal and Coriolis accelerations.
         let turning = qd[0] * qd[0];
         let inward = plane.tip[1] * turning;
         let qdd_bias = FiveBar::joint_acceleration(plane, &joints, &tip, Some(&Vector2::new(T::zero(), inward)));
@@ -120,7 +119,7 @@ impl<T: Real> FiveBarTurret<T> {
         let (g, across) = pose.to_plane(&Vector3::new(x, y, self.gravity_z));
         let at_tip = Vector2::new(T::zero(), self.plane.tip_mass * inward - spin.tip * turning);
         let arms = levers.bias(&joints, &qdd_bias, at_tip, &g);
-        // The elbows' x are their velocities in y per joint rate.
+        // The elbows' x coordinates are their velocities in y per joint rate.
         let [[x1, y1], [x2, y2]] = plane.arm.map(|arm| [arm[0], arm[1]]);
         let (f1, f2) = (spin.elbow[0] * x1, spin.elbow[1] * x2);
         let [b1, b2] = self.plane.rod_coupling;
@@ -134,8 +133,8 @@ impl<T: Real> FiveBarTurret<T> {
         )
     }
 
-    /// Returns the torques of given accelerations: `q0dd` of the turret, `qdd` and `a` of the linkage in its plane;
-    /// `tip` is the tip's velocity in the plane.
+    /// Returns the torques of accelerations: `q0dd` of the turret, `qdd` and `a` of the linkage in its plane. `tip` is
+    /// a velocity in the plane.
     #[inline(always)]
     fn inertial_torque(
         &self,
@@ -152,7 +151,7 @@ impl<T: Real> FiveBarTurret<T> {
         let turning = qd[0] * qd[0];
         at_tip[1] -= turning * spin.tip;
         let through_tip = FiveBar::transposed(plane, &at_tip);
-        // The elbows' x are their velocities in y per joint rate.
+        // The elbows' x coordinates are their velocities in y per joint rate.
         let [f1, f2] = [spin.elbow[0] * plane.arm[0][0], spin.elbow[1] * plane.arm[1][0]];
         let half_rate = f1 * qd[1] + f2 * qd[2] + spin.tip * tip[1];
         Vector3::new(
@@ -341,15 +340,15 @@ impl<T: Real> Mechanism<T, 3> for FiveBarTurret<T> {
             let of_arms = linkage(qd);
             let tip = self.plane.velocity(plane, &of_arms);
             let turning = qd[0] * qd[0];
-            // At these velocities a tip without acceleration requires accelerating joints: the linkage compensates the
-            // turret's centripetal and Coriolis accelerations.
+            // At these velocities, the joints must accelerate to keep the tip without acceleration: the linkage
+            // compensates the turret's centripetal and Coriolis accelerations.
             let inward = plane.tip[1] * turning;
             let qdd_bias = FiveBar::joint_acceleration(plane, &of_arms, &tip, Some(&Vector2::new(T::zero(), inward)));
             let twice = two * qd[0];
             q0dd -= tip[1] * twice * pose.inverse_y;
             qdd += qdd_bias;
             at_tip[1] += turning * (self.plane.tip_mass * plane.tip[1] - spin.tip);
-            // The elbows' x are their velocities in y per joint rate.
+            // The elbows' x coordinates are their velocities in y per joint rate.
             let [x1, x2] = plane.arm.map(|arm| arm[0]);
             let [a1, a2] = self.plane.arm_inertia;
             let [b1, b2] = self.plane.rod_coupling;
@@ -371,7 +370,7 @@ impl<T: Real> Mechanism<T, 3> for FiveBarTurret<T> {
     fn velocity_torque(&self, pose: &Pose<T>, qd: &Vector3<T>) -> Vector3<T> {
         let joints = linkage(qd);
         let tip = self.plane.velocity(&pose.plane, &joints);
-        // The other joints compensate the turret's centripetal and Coriolis accelerations.
+        // The linkage's joints compensate the turret's centripetal and Coriolis accelerations.
         let in_plane = Vector2::new(T::zero(), pose.plane.tip[1] * qd[0] * qd[0]);
         let q0dd = T::from_f64(-2.0) * tip[1] * qd[0] * pose.inverse_y;
         let qdd = FiveBar::joint_acceleration(&pose.plane, &joints, &tip, Some(&in_plane));
@@ -381,7 +380,7 @@ impl<T: Real> Mechanism<T, 3> for FiveBarTurret<T> {
     fn operational_inertia(&self, pose: &Pose<T>) -> Matrix3<T> {
         let plane = self.plane.operational_inertia(&pose.plane);
         let normal = self.spin(pose).inertia * pose.inverse_y * pose.inverse_y;
-        // Rotate about x: the plane's y axis is (0, cos, sin), its normal (0, -sin, cos).
+        // Rotates about x: the plane's y axis is (0, cos, sin), its normal (0, -sin, cos).
         let (s, c) = (pose.sine, pose.cosine);
         let (xy, yy) = (plane[(0, 1)], plane[(1, 1)]);
         let across = (yy - normal) * (s * c);
@@ -408,7 +407,7 @@ impl<T: Real> Mechanism<T, 3> for FiveBarTurret<T> {
         };
         let motion = [motion(0), motion(1), motion(2)];
         // Λ contains the tip's mass in the plane and J₀/y² along the normal. The product of two directions in the plane
-        // is their total product, 1 or 0, less their product along the normal.
+        // is their total product (1 or 0) less the product of their parts along the normal.
         let mass = self.plane.tip_mass;
         let more = spin.inertia * pose.inverse_y * pose.inverse_y - mass;
         let w = |i: usize, j: usize| {

@@ -1,4 +1,4 @@
-//! `paddle`: one pivot with a handle (Hapkit-like). The task is the handle's arc length, x = length q.
+//! `paddle`: one pivot with a handle (Hapkit-like). The task coordinate is the handle's arc length, x = length q.
 
 use super::{Mechanism, Regularity};
 use crate::math::{Angle, Math, Real, cast};
@@ -9,7 +9,7 @@ use nalgebra::{SMatrix, SVector};
 /// Coefficients of a paddle.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize, postcard_schema::Schema)]
 pub struct Paddle<T> {
-    /// Pivot to handle, m.
+    /// Distance from the pivot to the handle, m.
     length: T,
     /// 1 / length, 1/m.
     inverse_length: T,

@@ -8,7 +8,7 @@
 //! in the cosines, J₀ = I₀ + α cos² q₁ + 2β cos q₁ cos q₂ + γ cos² q₂.
 //!
 //! The sines and cosines of q₁ and δ are computed; those of q₂ follow by the addition theorem. The divisor sin δ of J⁻¹
-//! then keeps full precision when the arm is nearly stretched.
+//! therefore keeps full precision when the arm is nearly stretched.
 
 use super::{Mechanism, Regularity, SINE_FLOOR, Shaping, WallTerms, effective_turned, reciprocal, symmetric};
 use crate::math::{Angle, Math, Real, cast};
@@ -46,17 +46,17 @@ pub struct Parallelogram<T> {
 pub struct Pose<T: Real> {
     /// Tip in the plane, m.
     tip: Vector2<T>,
-    /// sin q₀
+    /// sin q₀.
     sine: T,
-    /// cos q₀
+    /// cos q₀.
     cosine: T,
-    /// e₁
+    /// e₁, the direction of the upper arm.
     upper: Vector2<T>,
-    /// e₂
+    /// e₂, the direction of the forearm.
     fore: Vector2<T>,
-    /// sin δ
+    /// sin δ.
     elbow_sine: T,
-    /// cos δ
+    /// cos δ.
     elbow_cosine: T,
     /// 1/sin δ, clamped.
     inverse_sine: T,
@@ -79,7 +79,7 @@ impl<T: Real> Pose<T> {
         Vector3::new(c * plane[0] - s * normal, plane[1], -s * plane[0] - c * normal)
     }
 
-    /// Returns J_planeᵀ f for these lengths.
+    /// Returns J_planeᵀ f for these lengths (m).
     #[inline(always)]
     fn transposed(&self, lengths: [T; 2], f: &Vector2<T>) -> Vector2<T> {
         let (e1, e2) = (&self.upper, &self.fore);
@@ -132,7 +132,7 @@ impl<T: Real> Parallelogram<T> {
     #[inline(always)]
     fn inertial_torque(&self, pose: &Pose<T>, qd: &Vector3<T>, qdd: &Vector3<T>) -> Vector3<T> {
         let (inertia, [h1, h2]) = self.spin(pose);
-        // Half the rates of J₀ per joint rate; they are also the centrifugal torques per q̇₀².
+        // Half the rates of J₀ per joint rate, which are also the centrifugal torques per q̇₀².
         let (f1, f2) = (h1 * pose.upper[1], h2 * pose.fore[1]);
         let turning = qd[0] * qd[0];
         let [a, c] = self.arm_inertia;
@@ -170,7 +170,7 @@ impl<T: Real> Mechanism<T, 3> for Parallelogram<T> {
         let [upper, fore, crank, coupler] = description.links;
         let handle = description.handle_mass;
         let about_proximal = |link: &crate::model::description::Link| link.mass * link.com * link.com;
-        // Second moments of mass along e₁e₁, e₁e₂, e₂e₂; the turret's inertia uses the same moments.
+        // Second moments of mass along e₁e₁, e₁e₂, e₂e₂. The turret's inertia uses the same moments.
         let along_upper = about_proximal(&upper) + about_proximal(&coupler) + (fore.mass + handle) * u * u;
         let along_fore = about_proximal(&fore) + about_proximal(&crank) + coupler.mass * k * k + handle * f * f;
         let mixed = fore.mass * u * fore.com - coupler.mass * k * coupler.com + handle * u * f;
@@ -179,7 +179,7 @@ impl<T: Real> Mechanism<T, 3> for Parallelogram<T> {
         let a = joint1.inertia + upper.inertia + coupler.inertia + along_upper;
         let c = joint2.inertia + fore.inertia + crank.inertia + along_fore;
         let turret_inertia = turret.inertia + description.links.iter().map(|link| link.inertia_axial).sum::<f64>();
-        // a c > b² up to rounding, unless a and c come from coincident point masses only.
+        // a c > b² up to rounding, unless a and c come only from coincident point masses.
         if [a, c, turret_inertia, a * c - mixed * mixed].into_iter().any(|value| value.is_nan() || value <= 0.0) {
             return Err(DescriptionError::NoInertia);
         }
@@ -248,7 +248,7 @@ impl<T: Real> Mechanism<T, 3> for Parallelogram<T> {
 
     fn jacobian_rate(&self, pose: &Pose<T>, qd: &Vector3<T>) -> Matrix3<T> {
         let [u, f] = self.lengths;
-        // Radial velocities per rate of q₁ and q₂.
+        // Radial velocities of the tip per rate of q₁ and q₂.
         let (x1, x2) = (-u * pose.upper[1], -f * pose.fore[1]);
         let radial_rate = x1 * qd[1] + x2 * qd[2];
         Matrix3::from_columns(&[
@@ -308,7 +308,7 @@ impl<T: Real> Mechanism<T, 3> for Parallelogram<T> {
     #[inline(always)]
     fn velocity_torque(&self, pose: &Pose<T>, qd: &Vector3<T>) -> Vector3<T> {
         let [u, f] = self.lengths;
-        // Minus the plane's own J̇ q̇, and the turret's centripetal and Coriolis accelerations.
+        // The negative sum of the plane's J̇ q̇ and the turret's centripetal and Coriolis accelerations.
         let mut in_plane = pose.upper * (u * qd[1] * qd[1]) + pose.fore * (f * qd[2] * qd[2]);
         in_plane[0] += pose.tip[0] * qd[0] * qd[0];
         let radial_rate = -u * pose.upper[1] * qd[1] - f * pose.fore[1] * qd[2];
@@ -326,7 +326,7 @@ impl<T: Real> Mechanism<T, 3> for Parallelogram<T> {
             - (mixed + mixed.transpose()) * (self.coupling * pose.elbow_cosine))
             * (pose.inverse_sine * pose.inverse_sine);
         let normal = self.spin(pose).0 * pose.inverse_x * pose.inverse_x;
-        // Rotate about the axis of the turret: the plane's x axis is (cos, 0, -sin), its normal (-sin, 0, -cos).
+        // Rotates about the turret's axis: the plane's x axis is (cos, 0, -sin), its normal (-sin, 0, -cos).
         let (s, c) = (pose.sine, pose.cosine);
         let (xx, xy) = (plane[(0, 0)], plane[(0, 1)]);
         let across = (normal - xx) * (s * c);

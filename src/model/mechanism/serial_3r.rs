@@ -1,12 +1,11 @@
-//! `serial-3r`: a planar arm of three links with relative joint angles; redundant, because its task is the tip
-//! position.
+//! `serial-3r`: a planar arm of three links with relative joint angles; redundant for the tip position.
 //!
 //! The third task coordinate is the orientation φ = q₁ + q₂ + q₃, whose row of J is (1, 1, 1). In the links' absolute
 //! angular rates θ̇ = (q̇₁, q̇₁ + q̇₂, φ̇), with link directions eᵢ, the tip velocity is ṗ = Σ lᵢ eᵢ⊥ θ̇ᵢ. For a given
-//! φ̇ the other two rates are those of a two-link arm: θ̇₁ = v·e₂/(l₁ sin q₂), θ̇₂ = -v·e₁/(l₂ sin q₂),
-//! v = ṗ - l₃ e₃⊥ φ̇. The mass matrix in absolute rates has a constant diagonal. An entry off the diagonal is a
-//! constant times the cosine of the angle between the two links (less the reflected rotor between neighbours). Joint
-//! torques are sums of the moments on the absolute angles, τᵢ = Σ_{j≥i}.
+//! φ̇ the other two rates are those of a two-link arm: θ̇₁ = v·e₂/(l₁ sin q₂), θ̇₂ = -v·e₁/(l₂ sin q₂), v = ṗ - l₃ e₃⊥
+//! φ̇. The mass matrix in absolute rates has a constant diagonal. Its other entries are constants times the cosine of
+//! the angle between the two links (less the reflected rotor between neighbours). Joint torques are sums of the moments
+//! on the absolute angles, τᵢ = Σ_{j≥i}.
 
 use super::{Mechanism, Regularity, SINE_FLOOR, Shaping, WallTerms, effective, reciprocal};
 use crate::math::{Angle, Math, Real, cast};
@@ -38,9 +37,9 @@ pub struct Pose<T: Real> {
     tip: Vector3<T>,
     /// e₁, e₂, e₃.
     link: [Vector2<T>; 3],
-    /// Sines of q₂, q₃, q₂ + q₃: the angles between links 1 and 2, 2 and 3, 1 and 3.
+    /// Sines of q₂, q₃ and q₂ + q₃, the angles between links 1 and 2, 2 and 3, 1 and 3.
     sine: [T; 3],
-    /// Cosines of the same angles.
+    /// Cosines of q₂, q₃ and q₂ + q₃.
     cosine: [T; 3],
     /// 1/sin q₂, clamped.
     inverse_sine: T,
@@ -52,22 +51,22 @@ fn left<T: Real>(v: &Vector2<T>) -> Vector2<T> {
     Vector2::new(-v[1], v[0])
 }
 
-/// Returns the absolute rates of joint rates.
+/// Returns the absolute rates of the links for joint rates.
 #[inline(always)]
-fn absolute<T: Real>(qd: &Vector3<T>) -> Vector3<T> {
+fn absolute_rates<T: Real>(qd: &Vector3<T>) -> Vector3<T> {
     let second = qd[0] + qd[1];
     Vector3::new(qd[0], second, second + qd[2])
 }
 
-/// Returns the joint rates of absolute rates.
+/// Returns the joint rates for absolute rates of the links.
 #[inline(always)]
-fn relative<T: Real>(rates: &Vector3<T>) -> Vector3<T> {
+fn joint_rates<T: Real>(rates: &Vector3<T>) -> Vector3<T> {
     Vector3::new(rates[0], rates[1] - rates[0], rates[2] - rates[1])
 }
 
-/// Returns the joint torques of moments on the absolute angles.
+/// Returns the joint torques for moments on the absolute angles.
 #[inline(always)]
-fn accumulate<T: Real>(moments: &Vector3<T>) -> Vector3<T> {
+fn joint_torques<T: Real>(moments: &Vector3<T>) -> Vector3<T> {
     let second = moments[1] + moments[2];
     Vector3::new(moments[0] + second, second, moments[2])
 }
@@ -85,7 +84,7 @@ impl<T: Real> Serial3r<T> {
         }
     }
 
-    /// Returns the absolute rates of a task velocity.
+    /// Returns the absolute rates of the links for a task velocity.
     #[inline(always)]
     fn rates(&self, pose: &Pose<T>, point: &Vector2<T>, turning: T) -> Vector3<T> {
         let [first, second] = self.arm_rates(pose, &(point - left(&pose.link[2]) * (self.lengths[2] * turning)));
@@ -108,7 +107,7 @@ impl<T: Real> Serial3r<T> {
         [self.coupling[0] * c12 - self.rotor[0], self.coupling[1] * c23 - self.rotor[1], self.coupling[2] * c13]
     }
 
-    /// Multiplies the mass matrix in absolute rates by the rates of the first two links and of the third, if any.
+    /// Multiplies the mass matrix in absolute rates by the rates of the first two links and of the third link, if any.
     #[inline(always)]
     fn momentum(&self, pose: &Pose<T>, [first, second]: [T; 2], third: Option<T>) -> Vector3<T> {
         let [m12, m23, m13] = self.off_diagonal(pose);
@@ -219,7 +218,7 @@ impl<T: Real> Mechanism<T, 3> for Serial3r<T> {
     }
 
     fn jacobian_rate(&self, pose: &Pose<T>, qd: &Vector3<T>) -> Matrix3<T> {
-        let rates = absolute(qd);
+        let rates = absolute_rates(qd);
         let column = |i: usize| pose.link[i] * (-self.lengths[i] * rates[i]);
         let third = column(2);
         let second = third + column(1);
@@ -239,25 +238,25 @@ impl<T: Real> Mechanism<T, 3> for Serial3r<T> {
     }
 
     fn coriolis(&self, pose: &Pose<T>, qd: &Vector3<T>) -> Vector3<T> {
-        let rates = absolute(qd);
-        accumulate(&self.centrifugal(pose, &rates.component_mul(&rates)))
+        let rates = absolute_rates(qd);
+        joint_torques(&self.centrifugal(pose, &rates.component_mul(&rates)))
     }
 
     #[inline(always)]
     fn gravity(&self, pose: &Pose<T>) -> Vector3<T> {
         let moment = |i: usize| pose.link[i][1] * self.weight[i][0] - pose.link[i][0] * self.weight[i][1];
-        accumulate(&Vector3::new(moment(0), moment(1), moment(2)))
+        joint_torques(&Vector3::new(moment(0), moment(1), moment(2)))
     }
 
     #[inline(always)]
     fn transpose(&self, pose: &Pose<T>, force: &Vector3<T>) -> Vector3<T> {
         let moment = |i: usize| self.lengths[i] * (pose.link[i][0] * force[1] - pose.link[i][1] * force[0]);
-        accumulate(&Vector3::new(moment(0), moment(1), moment(2) + force[2]))
+        joint_torques(&Vector3::new(moment(0), moment(1), moment(2) + force[2]))
     }
 
     #[inline(always)]
     fn velocity(&self, pose: &Pose<T>, qd: &Vector3<T>) -> Vector3<T> {
-        let rates = absolute(qd);
+        let rates = absolute_rates(qd);
         let [l1, l2, l3] = self.lengths;
         let [v1, v2, v3] = [l1 * rates[0], l2 * rates[1], l3 * rates[2]];
         let [e1, e2, e3] = &pose.link;
@@ -266,34 +265,34 @@ impl<T: Real> Mechanism<T, 3> for Serial3r<T> {
 
     #[inline(always)]
     fn inverse(&self, pose: &Pose<T>, velocity: &Vector3<T>) -> Vector3<T> {
-        relative(&self.rates(pose, &Vector2::new(velocity[0], velocity[1]), velocity[2]))
+        joint_rates(&self.rates(pose, &Vector2::new(velocity[0], velocity[1]), velocity[2]))
     }
 
     #[inline(always)]
     fn shaping(&self, pose: &Pose<T>, n: &Vector3<T>) -> Shaping<T, 3> {
         let rates = self.rates(pose, &Vector2::new(n[0], n[1]), n[2]);
         let momentum = self.momentum(pose, [rates[0], rates[1]], Some(rates[2]));
-        Shaping { e: relative(&rates), me: accumulate(&momentum), w_rr: rates.dot(&momentum) }
+        Shaping { e: joint_rates(&rates), me: joint_torques(&momentum), w_rr: rates.dot(&momentum) }
     }
 
     #[inline(always)]
     fn velocity_torque(&self, pose: &Pose<T>, qd: &Vector3<T>) -> Vector3<T> {
-        let rates = absolute(qd);
+        let rates = absolute_rates(qd);
         let squares = rates.component_mul(&rates);
         let [l1, l2, l3] = self.lengths;
         let [e1, e2, e3] = &pose.link;
         let point = e1 * (l1 * squares[0]) + e2 * (l2 * squares[1]) + e3 * (l3 * squares[2]);
         let momentum = self.momentum(pose, self.arm_rates(pose, &point), None);
-        accumulate(&(momentum + self.centrifugal(pose, &squares)))
+        joint_torques(&(momentum + self.centrifugal(pose, &squares)))
     }
 
     #[inline(always)]
     fn wall_terms(&self, pose: &Pose<T>, basis: &Matrix3<T>, qd: &Vector3<T>) -> WallTerms<T, 3> {
-        // Like `arm_rates`, for several velocities.
+        // Computes `arm_rates` for several velocities.
         let first = pose.link[1] * (pose.inverse_sine * self.inverse_lengths[0]);
         let second = pose.link[0] * (-pose.inverse_sine * self.inverse_lengths[1]);
         let arms = |v: Vector2<T>| [first.dot(&v), second.dot(&v)];
-        // The third link does not rotate along the wall's normal or across it; for φ it rotates about the tip.
+        // The third link does not rotate along the wall's normal or across it. For φ it rotates about the tip.
         let (n, one, zero) = (Vector2::new(basis[(0, 0)], basis[(1, 0)]), T::one(), T::zero());
         let (along, across, about) = (arms(n), arms(left(&n)), arms(left(&pose.link[2]) * -self.lengths[2]));
         let momentum = |rates: [T; 2], third| self.momentum(pose, rates, third);
@@ -301,18 +300,18 @@ impl<T: Real> Mechanism<T, 3> for Serial3r<T> {
         let product = |p: &Vector3<T>, rates: [T; 2]| p[0] * rates[0] + p[1] * rates[1];
         let (nn, nt, tt) = (product(&pn, along), product(&pn, across), product(&pt, across));
         let (nf, tf, ff) = (product(&pn, about) + pn[2], product(&pt, about) + pt[2], product(&pf, about) + pf[2]);
-        let e = |rates: [T; 2], third| relative(&Vector3::new(rates[0], rates[1], third));
-        // Weff in absolute rates, in which the mass matrix has the fewest terms.
+        let e = |rates: [T; 2], third| joint_rates(&Vector3::new(rates[0], rates[1], third));
+        // Weff in absolute rates, because the mass matrix then has the fewest terms.
         let moment = |i: usize| self.lengths[i] * (pose.link[i][0] * n[1] - pose.link[i][1] * n[0]);
         let moments = Vector3::new(moment(0), moment(1), moment(2));
         let ([m11, m22, m33], [m12, m23, m13]) = (self.inertia, self.off_diagonal(pose));
         let mass = Matrix3::new(m11, m12, m13, m12, m22, m23, m13, m23, m33);
         WallTerms {
             e: Matrix3::from_columns(&[e(along, zero), e(across, zero), e(about, one)]),
-            me: accumulate(&pn),
+            me: joint_torques(&pn),
             w: Matrix3::new(nn, nt, nf, nt, tt, tf, nf, tf, ff),
             b: self.velocity_torque(pose, qd) + self.gravity(pose),
-            row: accumulate(&moments),
+            row: joint_torques(&moments),
             w_eff: effective(&mass, &moments),
         }
     }

@@ -1,6 +1,6 @@
-//! From encoder counts to joint angles and velocities.
+//! Joint angles and velocities from encoder counts.
 
-use super::regularity::{FULL_REGULARITY, KNOWN_TURN};
+use super::regularity::{FULL_REGULARITY, FULL_TERMS_TURN};
 use crate::math::{Angle, BinaryAngle, Real};
 use crate::model::device::{Device, Joint};
 use crate::render::velocity::{Coefficients, LowPass};
@@ -14,20 +14,20 @@ struct Encoding<T> {
     /// Angular velocity of one count per control period, rad/s.
     speed_per_count: T,
     binary: Binary,
-    /// Counts after which the angle repeats, and the number of turns in them.
+    /// Counts after which the angle repeats. `turns` is the number of turns in them.
     period: i32,
     turns: i32,
-    /// Joint angle of one part, rad. A turn has `period` parts, and a count as many parts as the period has turns.
+    /// Joint angle of one part, rad. A turn has `period` parts, a count has `turns` parts.
     radians_per_part: T,
-    /// Largest count, either way from zero, that is within the first turn.
+    /// Largest distance from count zero that is within the first turn, counts.
     counts_unturned: u32,
 }
 
 /// Conversion of counts to binary angles.
 #[derive(Clone, Copy, Debug)]
 struct Binary {
-    /// Binary angle units per count: the integer part, and the rest in units of 2⁻³², at most half a unit either way.
-    /// Over the full range of the counter the error is less than a unit.
+    /// Binary angle units per count, without the fraction. `rest` is the fraction in units of 2⁻³², rounded to nearest,
+    /// so that the error over the full range of the counter is less than one binary angle unit.
     whole: u32,
     rest: i32,
     /// Angle at count zero.
@@ -35,9 +35,9 @@ struct Binary {
 }
 
 impl Binary {
-    /// Makes the conversion for `period` counts in `turns` turns or, if 0, for a count of `radians`. `offset` in rad.
+    /// Makes the conversion for `period` counts in `turns` turns or, if 0, for `radians` per count. `offset` in rad.
     fn new(period: i32, turns: i32, radians: f64, offset: f64) -> Self {
-        // In units of 2⁻³² of a binary angle unit.
+        // Units of 2⁻³² of a binary angle unit.
         let per_count = match (u64::try_from(period), u64::try_from(turns)) {
             (Ok(period), Ok(turns)) if period > 0 && turns > 0 => {
                 let (whole, left) = ((turns << 32) / period, (turns << 32) % period);
@@ -51,7 +51,7 @@ impl Binary {
         Self { whole, rest, offset: BinaryAngle::from_radians(offset) }
     }
 
-    /// Returns the angle of `counts` counts, without complete turns: two multiplications and no division.
+    /// Returns the angle of `counts` counts without complete turns, by two multiplications and no division.
     #[inline(always)]
     fn of(&self, counts: i32) -> BinaryAngle {
         let rest = (i64::from(counts) * i64::from(self.rest)) >> 32;
@@ -79,8 +79,8 @@ impl<T: Real> Encoding<T> {
         }
     }
 
-    /// Returns the angle of `relative` counts without the offset and without complete turns (rad). The error is two or
-    /// three roundings of the result, for any number of turns.
+    /// Returns the angle of `relative` counts without offset and complete turns, rad. The error is two or three
+    /// roundings of the result, for any number of turns.
     #[inline(always)]
     fn within_a_turn(&self, relative: i32) -> T {
         if self.turns == 1 {
@@ -90,12 +90,12 @@ impl<T: Real> Encoding<T> {
         }
     }
 
-    /// A turn of p/q counts has p parts of 1/q count: n counts are n q parts, and complete turns are removed exactly.
+    /// Removes complete turns of p/q counts exactly, because n counts are n q parts of 1/q count.
     #[cold]
     #[inline(never)]
     fn within_a_fractional_turn(&self, relative: i32) -> T {
         let parts = i64::from(relative) * i64::from(self.turns);
-        // The remainder is smaller than the period, so it fits.
+        // The remainder is smaller than the period, so it fits into an i32.
         let left = parts.checked_rem(i64::from(self.period)).unwrap_or(0) as i32;
         T::from_i32(left) * self.radians_per_part
     }
@@ -110,16 +110,16 @@ pub(super) struct Encoders<T: Real, const N: usize> {
     filters: [LowPass<T>; N],
     /// Gain of the filters if only the guard and telemetry use the velocities.
     monitor_gain: T,
-    /// Largest velocity that the estimate shows after a single count, rad/s.
+    /// Largest velocity of the estimate after a single count, rad/s.
     one_count: [T; N],
     /// Speed below which all velocity terms act in full in any pose, rad/s.
-    known_speed: T,
+    full_terms_speed: T,
     /// True if rendering or compensation uses the joint velocities.
     moving: bool,
 }
 
 impl<T: Real, const N: usize> Encoders<T, N> {
-    /// Makes the encoders of a device. `periodic`: complete turns are the same pose. `moving`: velocities are used.
+    /// Makes the encoders of a device. Complete turns are the same pose if `periodic`; velocities are used if `moving`.
     #[inline(never)]
     pub fn new(device: &Device<T>, coefficients: &Coefficients<T>, periodic: bool, moving: bool) -> Self {
         let mut encoders = Self {
@@ -129,14 +129,14 @@ impl<T: Real, const N: usize> Encoders<T, N> {
             filters: [LowPass::default(); N],
             monitor_gain: T::zero(),
             one_count: [T::zero(); N],
-            known_speed: T::zero(),
+            full_terms_speed: T::zero(),
             moving,
         };
         encoders.retune(coefficients);
         encoders
     }
 
-    /// Returns joint angles (rad), and the same angles without complete turns for the mechanism's sines.
+    /// Returns joint angles (rad), and the same angles without complete turns for sines and cosines.
     #[inline(always)]
     pub fn angles(&self, counts: &[i32; N]) -> (SVector<T, N>, [Angle<T>; N]) {
         let mut q = SVector::zeros();
@@ -155,7 +155,7 @@ impl<T: Real, const N: usize> Encoders<T, N> {
         (q, angles)
     }
 
-    /// Returns the joints' velocities since the last step (rad/s), from integer count differences, which wrap.
+    /// Returns the joints' velocities since the last step (rad/s), from wrapping differences of counts.
     #[inline(always)]
     pub fn raw_velocities(&self, counts: &[i32; N]) -> SVector<T, N> {
         let mut raw = SVector::<T, N>::zeros();
@@ -165,7 +165,7 @@ impl<T: Real, const N: usize> Encoders<T, N> {
         raw
     }
 
-    /// Returns filtered joint velocities: by a first-order filter if only the guard and telemetry use them.
+    /// Returns filtered joint velocities, rad/s. The filter is of first order if only the guard and telemetry use them.
     #[inline(always)]
     pub fn velocities(&mut self, counts: &[i32; N], filter: impl Fn(&mut LowPass<T>, T) -> T) -> SVector<T, N> {
         let raw = self.raw_velocities(counts);
@@ -183,20 +183,20 @@ impl<T: Real, const N: usize> Encoders<T, N> {
         self.filters = [LowPass::default(); N];
     }
 
-    /// Returns true if velocity terms act in full at these velocities (rad/s) in any pose with full feed-forward.
+    /// Returns true if velocity terms act in full at `qd` (rad/s) in every pose with full feed-forward.
     #[inline(always)]
-    pub fn are_known(&self, qd: &SVector<T, N>) -> bool {
+    pub fn are_velocity_terms_full(&self, qd: &SVector<T, N>) -> bool {
         let mut known = true;
         for i in 0..N {
-            known &= qd[i].abs() <= self.known_speed;
+            known &= qd[i].abs() <= self.full_terms_speed;
         }
         known
     }
 
-    /// Returns the part of joint velocities (rad/s) beyond single counts, see [`beyond`].
+    /// Returns the part of the joint velocities `qd` (rad/s) beyond single counts, see [`beyond_uncertainty`].
     #[inline(always)]
     pub fn beyond_one_count(&self, qd: &SVector<T, N>) -> SVector<T, N> {
-        SVector::from_fn(|i, _| beyond(qd[i], self.one_count[i]))
+        SVector::from_fn(|i, _| beyond_uncertainty(qd[i], self.one_count[i]))
     }
 
     /// Declares that the joints are at `q` (rad) for these counts.
@@ -213,7 +213,7 @@ impl<T: Real, const N: usize> Encoders<T, N> {
         self.zero
     }
 
-    /// Takes over homing from another controller.
+    /// Takes over the homing of another controller.
     pub fn set_zero(&mut self, zero: [i32; N]) {
         self.zero = zero;
     }
@@ -221,24 +221,23 @@ impl<T: Real, const N: usize> Encoders<T, N> {
     /// Sets new coefficients between two steps.
     pub fn retune(&mut self, coefficients: &Coefficients<T>) {
         self.monitor_gain = coefficients.first_order_gain();
-        self.known_speed = T::from_f64(KNOWN_TURN * FULL_REGULARITY) / coefficients.lag();
+        self.full_terms_speed = T::from_f64(FULL_TERMS_TURN * FULL_REGULARITY) / coefficients.lag();
         for (one_count, known) in self.one_count.iter_mut().zip(coefficients.one_count()) {
             *one_count = *known;
         }
     }
 }
 
-/// Returns the part of a velocity that exceeds its uncertainty: zero up to the uncertainty, and v - uncertainty²/v
-/// beyond it, which is 3/4 of v at twice the uncertainty and 99 % at ten times. The function is continuous, with a
-/// slope of at most 2. It is for forces that grow with the square of a velocity: near rest an estimate is a series of
-/// single counts, and each count looks like a short fast motion. (The nonnegative garrote: Breiman, Technometrics
-/// 37(4), 1995.) Returns zero for NaN.
+/// Returns the part of a velocity that exceeds its uncertainty: zero up to the uncertainty, v - uncertainty²/v beyond.
+/// This is 3/4 of v at twice the uncertainty and 99 % at ten times, continuous with a slope of at most 2. Used for
+/// forces that grow with v², because near rest every count looks like a short fast motion. (The nonnegative garrote:
+/// Breiman, Technometrics 37(4), 1995.) Returns zero for NaN.
 #[inline(always)]
-pub fn beyond<T: Real>(velocity: T, uncertainty: T) -> T {
+pub fn beyond_uncertainty<T: Real>(velocity: T, uncertainty: T) -> T {
     if velocity.abs() > uncertainty { velocity - uncertainty * (uncertainty / velocity) } else { T::zero() }
 }
 
-/// Returns the counts in an angle (rad) at this scale; 0 if the scale is 0.
+/// Returns the number of counts in an angle (rad) at this scale; 0 if the scale is 0.
 fn counts_of<T: Real>(angle: T, radians_per_count: T) -> i32 {
     if radians_per_count == T::zero() {
         return 0;
@@ -254,7 +253,7 @@ mod tests {
     use crate::model::catalogue::Kind;
     use crate::model::description::{self, Description, Encoder};
 
-    /// Joint 0 of a redundant arm with this encoder, as on a board.
+    /// Returns the conversion of joint 0 of a redundant arm with this encoder, as on a board.
     fn encoding(counts_per_turn: f64, inverted: bool) -> Encoding<f32> {
         let link = description::Link { mass: 0.1, com: 0.1, inertia: 1.0e-4, ..Default::default() };
         let mut joints = [description::Joint { inertia: 1.0e-4, ..Default::default() }; 3];
@@ -272,8 +271,8 @@ mod tests {
         Encoding::new(&device.joints[0], 1_000.0, true)
     }
 
-    /// The remainder of `count` after complete turns, with its sign. Exact: an f64 `counts_per_turn` is m/2ᵏ, so the
-    /// remainder is taken in integers.
+    /// Returns the remainder of `count` after complete turns, with its sign. Exact, because an f64 `counts_per_turn` is
+    /// m/2ᵏ and the remainder is taken in integers.
     fn remainder(count: i32, counts_per_turn: f64) -> f64 {
         let mut denominator = 1_i128;
         while (counts_per_turn * denominator as f64).fract() != 0.0 {
@@ -283,15 +282,14 @@ mod tests {
         (i128::from(count) * denominator % turn) as f64 / denominator as f64
     }
 
-    /// Four roundings of half an epsilon: the size of a count, the size of a part, the remaining parts, the product.
+    /// Returns four roundings of half an epsilon: size of a count, size of a part, remaining parts, product.
     fn rounding(angle: f64) -> f64 {
         angle.abs() * 2.0 * f64::from(f32::EPSILON)
     }
 
     #[test]
     fn complete_turns_of_fractional_counts_are_removed_exactly() {
-        // An encoder of 4000 counts with gears of 43:4, 7:3 and 355:113, one with decimals, and an irrational gear
-        // ratio.
+        // Encoders of 4000 counts with gears of 43:4, 7:3 and 355:113, one with decimals, and an irrational gear ratio.
         for counts_per_turn in
             [20_000.0, 10_752.5, 28_000.0 / 3.0, 4_000.0 * 355.0 / 113.0, 16_384.07, 2e4 * 1.1_f64.sqrt()]
         {
@@ -305,7 +303,7 @@ mod tests {
                             let left = remainder(count, counts_per_turn) * core::f64::consts::TAU / counts_per_turn;
                             let right = if inverted { -left } else { left };
                             let angle = f64::from(encoding.within_a_turn(count));
-                            // Decimals and roots are p/q to within 3e-5 of a count after these turns, 1e-8 rad.
+                            // Decimals and roots equal p/q to within 3e-5 of a count after these turns, 1e-8 rad.
                             assert!(
                                 (angle - right).abs() <= rounding(right) + 1.0e-8,
                                 "{counts_per_turn} per turn, {turns} turns, {count}: {angle} is not {right}"
@@ -319,7 +317,7 @@ mod tests {
 
     #[test]
     fn errors_over_the_full_counter_range_are_below_a_count() {
-        // The worst cases for a continued fraction: the first convergent is near and the second out of reach.
+        // Worst cases for a continued fraction, because the first convergent is near and the second out of reach.
         for counts_per_turn in [20_000.0 + 1.0e-5, 2_048.0 + 1.0e-6, 1.0e6 + 3.0e-4, 62_831.853_071_795_86] {
             let encoding = encoding(counts_per_turn, false);
             let turn = core::f64::consts::TAU;
@@ -343,7 +341,7 @@ mod tests {
                     let right = if inverted { -left } else { left };
                     let angle = f64::from(binary.of(count).0) * part;
                     let turns = (angle - right) / core::f64::consts::TAU;
-                    // The error of the turns of a fractional count (see `counts_until_repeat`), and two roundings down.
+                    // The error of a fractional count's turns (see `counts_until_repeat`), and two roundings down.
                     let uncertainty = f64::from(count).abs() / f64::from(i32::MAX) * part.max(1.0e-4) + 2.0 * part;
                     let error = (turns - turns.round()) * core::f64::consts::TAU;
                     assert!(error.abs() <= uncertainty, "{counts_per_turn} at {count}: {error} rad");

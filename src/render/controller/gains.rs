@@ -13,8 +13,8 @@ pub struct Gains<T> {
     pub stiffness: T,
     /// Damping, N s/m.
     pub damping: T,
-    /// Feed-forward of its force.
+    /// Feed-forward of the wall's force.
     pub feed_forward: FeedForward,
-    /// Corner frequency of its washout, Hz.
+    /// Corner frequency of the feed-forward's washout, Hz.
     pub washout_hz: T,
 }

@@ -1,5 +1,5 @@
-//! The general control step, for any scene: contacts → wall forces → the feed-forward → torques. A straight step does
-//! the same for one kind of scene, and shares these parts.
+//! The general control step, which renders any scene: contacts → wall forces → the feed-forward → torques. A straight
+//! step does the same for one kind of scene, and shares these parts.
 
 use super::guidance::SharedGuidance;
 use super::regularity::{clearance, fade, velocity_term_share};
@@ -24,13 +24,13 @@ pub(super) struct StepStart<'a, T: Real, P, const N: usize> {
     /// Filtered joint velocities, rad/s.
     qd: SVector<T, N>,
     pose: &'a P,
-    /// The tip's own coordinates, m; zero beyond the task.
+    /// Position of the tip, m; zero beyond the task.
     place: SVector<T, N>,
     regularity: Regularity<T>,
 }
 
 impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K, N> {
-    /// Like [`Controller::step_generally`], but writes into `result`.
+    /// Runs [`Controller::step_generally`], but writes into `result`.
     #[inline(never)]
     pub(crate) fn render_generally(&mut self, counts: &[i32; N], result: &mut StepResult<T>) {
         let (_, angles) = self.encoders.angles(counts);
@@ -52,8 +52,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         put(&torque, &mut asked.total);
     }
 
-    /// Returns the joint torques (N m) of any scene, the part of them that renders its forces, and the resultant of
-    /// these forces (N): contacts → wall forces → the feed-forward → torques.
+    /// Returns the joint torques of any scene, the part that renders its forces (N m), and their resultant (N).
     #[inline(always)]
     fn render_any_scene(
         &mut self,
@@ -72,7 +71,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         let mut more: Vec<ShapedContact<T, N>, MAX_WALLS> = Vec::new();
         let along = uses_joints.then_some(&along);
         let debt = self.debt();
-        let touch = self.walls.touch::<K, N>(&self.coefficients, place, along, debt.as_ref(), &mut more);
+        let touch = self.walls.compute_contacts::<K, N>(&self.coefficients, place, along, debt.as_ref(), &mut more);
         result.at.walls = touch.at_walls;
         if touch.at_walls.contacts > 0 {
             put(&self.mechanism.inverse(pose, &touch.normal), &mut result.motion);
@@ -91,7 +90,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
             }
         }
 
-        // (4): the shaped force goes through M E Wrr⁻¹, the rest straight through Jᵀ.
+        // Equation (4): the shaped force goes through M E Wrr⁻¹, the rest of the force through Jᵀ.
         let (mut torque, rendered, force);
         if let Some(mut first) = touch.first {
             if let Some(gain) = self.gain
@@ -120,11 +119,11 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
             rendered = torque;
         }
         if touch.at_walls.contacts == 0 {
-            self.leave();
+            self.record_no_contact();
         } else if self.guidance.is_active {
-            self.hold(&(torque - self.mechanism.transpose(pose, &guidance_force)), result);
+            self.record_wall_torques(&(torque - self.mechanism.transpose(pose, &guidance_force)), result);
         } else {
-            self.hold(&torque, result);
+            self.record_wall_torques(&torque, result);
         }
         if M::SPEC.task < N && self.posture.is_some() {
             torque += self.posture_torque(pose, qd);
@@ -140,8 +139,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         gravity
     }
 
-    /// Adds the force `other` (N) to the resultant `force` (N), and its torques, which it returns, to the rendered
-    /// torques.
+    /// Adds the force `other` (N) to the resultant `force` (N). Adds and returns its torques (N m).
     #[inline(never)]
     pub(super) fn add_force(
         &self,
@@ -177,7 +175,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         (qd, task_part::<T, M, N>(&self.mechanism.velocity(pose, &qd)))
     }
 
-    /// Returns a unit motion of the tip; on a redundant device with the scene's coordinate held.
+    /// Returns the joint motion for a unit motion of the tip. On a redundant device, the scene's coordinate is held.
     #[inline(always)]
     pub(super) fn hold_coordinate(&self, shaping: Shaping<T, N>, pose: &M::Pose) -> Shaping<T, N> {
         if M::SPEC.task == N || self.admissible == Admissible::Orientation {
@@ -194,9 +192,9 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         self.mechanism.shaping(pose, &turning)
     }
 
-    /// Returns the share of the feed-forward that keeps a gain α above 1 away from the inertia's pole. The wall meets
-    /// m = Weff/(1 - α ρ), ρ = 1 - Weff/Wrr, which is unbounded at α = 1/ρ. The limit is half way to the pole, at
-    /// (1 + 1/ρ)/2, where m is twice Wrr.
+    /// Returns the share of the feed-forward that keeps a gain α above 1 away from the inertia's pole. The wall meets m
+    /// = Weff/(1 - α ρ) with ρ = 1 - Weff/Wrr, which is unbounded at α = 1/ρ. The largest effective gain is half way
+    /// from 1 to the pole, at (1 + 1/ρ)/2, where m is twice Wrr.
     #[inline(never)]
     pub(super) fn share_below_pole(&self, angles: &[Angle<T>; N], pose: &M::Pose, n: &SVector<T, N>, gain: T) -> T {
         let shaping = self.hold_coordinate(self.mass.shaping(&self.mechanism, &radians(angles), pose, n), pose);
@@ -207,9 +205,8 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         (limit / gain).lesser(T::one())
     }
 
-    /// Computes the share `share` of the feed-forward of one or several active walls and of the stiff guidance that
-    /// acts together with them; their resultant is `force` (N). Returns the torques without gravity, and the force that
-    /// is left for Jᵀ.
+    /// Applies `share` of the feed-forward to the active walls and the stiff guidance that acts together with them.
+    /// `force` is their resultant, N. Returns the torques without gravity (N m), and the force that is left for Jᵀ (N).
     #[inline(never)]
     pub(super) fn feed_forward(
         &self,
@@ -251,10 +248,10 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         }
     }
 
-    /// Returns b without gravity: c - M J⁻¹(J̇ q̇ + κ), plus B q̇ if a wall requests it; and the part of b that is
-    /// subtracted from the walls' force: all of b by the paper's (4), B q̇ alone if the force is rendered in every
-    /// motion. The velocity terms are zero if the scene has none, if no joint moves by more than single counts, and if
-    /// the estimate lags too far behind, see [`KNOWN_TURN`].
+    /// Returns b without gravity, c - M J⁻¹(J̇ q̇ + κ), plus B q̇ if a wall requests it, and the part of b that is
+    /// subtracted from the walls' force. That part is all of b by the paper's (4), and B q̇ alone if the force is
+    /// rendered in every motion. Velocity terms are zero if the scene has none, if no joint moves by more than single
+    /// counts, and if the velocity estimate lags too far behind, see [`FULL_TERMS_TURN`].
     #[inline(never)]
     pub(super) fn bias(
         &self,
@@ -269,7 +266,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
             b = self.mechanism.velocity_torque(pose, qd);
             if M::SPEC.task > 1 && self.walls.curved {
                 let velocity = task_part::<T, M, N>(&self.mechanism.velocity(pose, qd));
-                let acceleration = self.walls.turning::<K, N>(place, &velocity, scope);
+                let acceleration = self.walls.normal_turn_acceleration::<K, N>(place, &velocity, scope);
                 b += MassModel::Exact.shaping(&self.mechanism, qd, pose, &acceleration).me;
             }
             if M::SPEC.task < N && self.admissible != Admissible::Orientation {
@@ -284,7 +281,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         (b + damping, subtracted)
     }
 
-    /// Returns the share of the velocity terms that acts with estimated velocities, see [`KNOWN_TURN`].
+    /// Returns the share of the velocity terms that acts with estimated velocities, see [`FULL_TERMS_TURN`].
     #[inline(always)]
     pub(super) fn velocity_term_share(&self, pose: &M::Pose, qd: &SVector<T, N>) -> T {
         velocity_term_share(&self.mechanism.regularity(pose), qd, self.coefficients.lag())
@@ -297,10 +294,9 @@ fn radians<T: Real, const N: usize>(angles: &[Angle<T>; N]) -> SVector<T, N> {
     SVector::from_fn(|i, _| angles[i].radians)
 }
 
-/// Returns the similarity of several walls to a single wall, for which a gain of the feed-forward above 1 is intended:
-/// a smooth step from 1, if the walls coincide, to 0, if the second direction has a hundredth of the stiffness of the
-/// first (two equal facets 11° apart). For less similar walls the proof that no set of walls is less stable than
-/// without the feed-forward needs a gain of 1.
+/// Returns the similarity of several walls to a single wall: a smooth step from 1 for coinciding walls to 0 if the
+/// second direction has a hundredth of the first one's stiffness (two equal facets 11° apart). A feed-forward gain
+/// above 1 is meant for a single wall, because the stability proof for several walls needs a gain of 1.
 fn single_wall_weight<T: Real, const N: usize>(principal: &Principal<T, N>) -> T {
     let second = principal.along(1) * T::from_f64(100.0);
     let s = (T::one() - second / principal.along(0).greater(T::EPSILON)).greater(T::zero());

@@ -1,8 +1,8 @@
 //! Springs, fields, and the host's force and plane.
 //!
-//! Their forces go straight through Jᵀ, except for stiff parts that act together with walls with the feed-forward:
-//! springs and the host's plane then go through the levels of [`crate::model::principal`] together with these walls,
-//! like walls without the feed-forward (docs/model.md section 2).
+//! The forces go through Jᵀ, except for stiff parts that act together with walls with the feed-forward. Springs and the
+//! host's plane then go through the levels of [`crate::model::principal`] together with these walls, like walls without
+//! the feed-forward (docs/model.md section 2).
 
 use super::push::{Push, PushedPlane};
 use super::stiffness::Stiffness;
@@ -26,10 +26,9 @@ pub(super) struct Guidance<T: Real> {
     pub is_pushed: bool,
     /// True if `is_active` or `is_pushed`.
     pub adds_force: bool,
-    /// Shaping of its stiff parts when they act together with walls with the feed-forward; [`FeedForward::Off`] if the
-    /// scene has no such walls.
+    /// Feed-forward of the stiff parts together with walls; [`FeedForward::Off`] if no wall of the scene has one.
     shared_feed_forward: FeedForward,
-    /// Total stiffness of the springs: in the plane, and as a sum, N/m.
+    /// Total stiffness of the springs in the plane. `stiffness` is the sum of their stiffnesses, N/m.
     in_plane: Stiffness<T>,
     stiffness: T,
     /// Washouts of the plane's force and of the springs' force.
@@ -91,11 +90,11 @@ impl<T: Real> Guidance<T> {
         self.adds_force = self.is_active || self.is_pushed;
         if push.is_none_or(|push| push.plane.is_absent()) {
             let [of_plane, ..] = &mut self.washouts;
-            *of_plane = restarted(of_plane);
+            *of_plane = cleared_washout(of_plane);
         }
     }
 
-    /// Returns the host's force (N) at the tip.
+    /// Returns the host's force at the tip, N.
     pub fn push_force<const N: usize>(&self) -> SVector<T, N> {
         self.push.as_ref().map_or(SVector::zeros(), |push| task_vector(&push.force))
     }
@@ -119,10 +118,10 @@ impl<T: Real> Guidance<T> {
 
     /// Restarts the washouts.
     pub fn forget(&mut self) {
-        self.washouts.iter_mut().for_each(|washout| *washout = restarted(washout));
+        self.washouts.iter_mut().for_each(|washout| *washout = cleared_washout(washout));
     }
 
-    /// Returns the force (N) of springs, fields and the plane at the tip, without the host's force.
+    /// Returns the force of springs, fields and the plane at the tip without the host's force, N.
     #[inline(always)]
     pub fn force<const N: usize>(&self, place: &SVector<T, N>, velocity: &SVector<T, N>) -> SVector<T, N> {
         let mut force = velocity * -self.field_damping;
@@ -140,7 +139,7 @@ impl<T: Real> Guidance<T> {
         self.shared_feed_forward != FeedForward::Off
     }
 
-    /// Returns the part of [`Guidance::force`] that walls with the feed-forward shape with α `gain`.
+    /// Returns the part of [`Guidance::force`] that walls with the feed-forward shape with the factor α = `gain`.
     #[inline(never)]
     pub fn shared_part<const N: usize>(
         &mut self,
@@ -160,14 +159,13 @@ impl<T: Real> Guidance<T> {
         shared
     }
 
-    /// Returns the host's plane if it is stiff.
     #[inline(always)]
     fn stiff_plane(&self) -> Option<&PushedPlane<T>> {
         self.push.as_ref().map(|push| &push.plane).filter(|plane| plane.stiffness > T::zero())
     }
 
-    /// Reduces the stiff forces to the part that is shaped together with walls that have the feed-forward with α
-    /// `gain`. `touched` is true if the plane is touched.
+    /// Reduces the stiff forces to the part that is shaped together with walls with the feed-forward, for α = `gain`.
+    /// `touched` is true if the plane is touched.
     #[inline(always)]
     fn keep_shaped_part<const N: usize>(&mut self, shared: &mut SharedGuidance<T, N>, touched: bool, gain: T) {
         shared.acts |= touched;
@@ -182,7 +180,7 @@ impl<T: Real> Guidance<T> {
         shared.plane = if touched { shared.plane * gain } else { T::zero() };
     }
 
-    /// Returns [`Guidance::force`] and, for α = 1, [`Guidance::shared_part`], and computes each spring's force once.
+    /// Returns [`Guidance::force`] and, for α = 1, [`Guidance::shared_part`]. Computes each spring's force once.
     #[inline(always)]
     pub fn force_and_shared_part<const N: usize>(
         &mut self,
@@ -221,7 +219,7 @@ impl<T: Real> Guidance<T> {
     }
 
     /// Returns the normal of the host's plane, the depth in it (m) at the tip position `place` (m) and its stiffness
-    /// (N/m), if it is stiff and touched.
+    /// (N/m); `None` unless the plane is stiff and touched.
     #[inline(always)]
     pub fn touched_plane<const N: usize>(&self, place: &SVector<T, N>) -> Option<(SVector<T, N>, T, T)> {
         let plane = self.stiff_plane()?;
@@ -229,21 +227,21 @@ impl<T: Real> Guidance<T> {
         (depth > T::zero()).then(|| (task_vector(&plane.normal), depth, plane.stiffness))
     }
 
-    /// Returns the force of `shared`, N.
+    /// Returns the resultant of the shaped forces of springs and plane, N.
     #[inline(never)]
     pub fn shared_force<const N: usize>(&self, shared: &SharedGuidance<T, N>) -> SVector<T, N> {
         let normal = self.push.as_ref().map_or(SVector::zeros(), |push| task_vector(&push.plane.normal));
         shared.springs + normal * shared.plane
     }
 
-    /// Returns the larger of the springs' extension and the depth in the plane, by the shaped part of their force, m.
+    /// Returns the larger of the springs' extension and the depth in the plane, both computed from the shaped force, m.
     pub fn shared_depth<const N: usize>(&self, shared: &SharedGuidance<T, N>) -> T {
         let plane = self.push.as_ref().map_or(T::zero(), |push| push.plane.stiffness);
         let largest = shared.springs.iter().fold(T::zero(), |largest, force| largest.greater(force.abs()));
         depth_of(largest, self.stiffness).greater(depth_of(shared.plane, plane))
     }
 
-    /// Passes the stiffness of each spring and of the touched plane (with its depth, m) to `each`.
+    /// Calls `each` with the stiffness of each spring and of the touched plane, and with the plane's depth (m).
     pub fn for_each_pull<const N: usize>(&self, place: &SVector<T, N>, mut each: impl FnMut(Pull<T, N>, Option<T>)) {
         for spring in self.springs.iter().filter(|spring| spring.stiffness > T::zero()) {
             let normal = task_vector(&spring.direction);
@@ -257,13 +255,13 @@ impl<T: Real> Guidance<T> {
 }
 
 /// Returns a washout of the same design with a cleared state.
-fn restarted<T: Real>(washout: &Washout<T>) -> Washout<T> {
+fn cleared_washout<T: Real>(washout: &Washout<T>) -> Washout<T> {
     let mut fresh = Washout::default();
     fresh.retune(washout);
     fresh
 }
 
-/// Returns the force (N) of one spring at the tip. Not inlined: few scenes have springs, and the mechanisms share it.
+/// Returns the force of one spring at the tip, N. Not inlined, because few scenes have springs.
 #[inline(never)]
 fn spring_force<T: Real, const N: usize>(
     spring: &Spring<T>,

@@ -2,21 +2,20 @@
 
 use crate::math::{Math, Real};
 use crate::model::device::Device;
-use crate::render::velocity::{Coefficients, JointVelocity, Seen};
+use crate::render::velocity::{Coefficients, JointSample, JointVelocity};
 use nalgebra::SVector;
 
-/// State of one joint.
 #[derive(Clone, Copy, Debug)]
 struct Joint<T: Real> {
     velocity: JointVelocity<T>,
     /// Angular velocity of one count per control period, rad/s.
     speed_per_count: T,
-    /// Its inverse, and counts per period² for 1 rad/s²; 0 for a joint without encoder.
+    /// Inverse of `speed_per_count`. `unit` is counts per period² for 1 rad/s². Both are 0 without encoder.
     counts_per_speed: T,
     unit: T,
 }
 
-/// N joints and their last counts.
+/// Estimators of N joints, with the counts of the last step.
 #[derive(Clone, Debug)]
 pub(super) struct Observers<T: Real, const N: usize> {
     joints: [Joint<T>; N],
@@ -45,7 +44,7 @@ impl<T: Real, const N: usize> Observers<T, N> {
     }
 
     /// Returns joint velocities (rad/s) after these counts. `pushed` is the acceleration by the motors, rad/s²;
-    /// `before` is the initial velocity of a new estimator.
+    /// `before` is the initial velocity of a new estimator, rad/s.
     pub fn step<K: Math<T>>(
         &mut self,
         coefficients: &Coefficients<T>,
@@ -62,7 +61,7 @@ impl<T: Real, const N: usize> Observers<T, N> {
             let moved = T::from_i32(counts[i].wrapping_sub(self.last[i]));
             let push = pushed[i] * joint.unit;
             let pushed = if push.is_finite() { push } else { T::zero() };
-            let seen = Seen { moved, pushed, unit: joint.unit };
+            let seen = JointSample { moved, pushed, unit: joint.unit };
             let velocity = joint.velocity.step::<K>(coefficients, &seen, before[i] * joint.counts_per_speed);
             qd[i] = velocity * joint.speed_per_count;
         }

@@ -1,36 +1,34 @@
-//! A passivity observer and controller (Hannaford and Ryu 2002): takes back the energy that the walls give out.
+//! The passivity observer and controller (Hannaford and Ryu 2002), which takes back the energy that walls give out.
 //!
 //! The observer counts the work of all torques of the walls at the joints, including the sideways push of the
 //! feed-forward and the torques that move with the linkage. The count is exact, because a torque is constant between
 //! two samples. It does not include weight, springs, fields, the host's force and a posture.
 //!
-//! A hand gains energy if it slides along with the sideways push while it presses, and back without pressing.
-//! No damping along the normal compensates that (docs/model.md section 3). The controller therefore acts in two ways.
-//! The feed-forward fades while the walls owe energy, like the tank of Ferraguti, Secchi and Fantuzzi (ICRA 2013),
-//! which lets a change of impedance do no more work than the tank holds. Damping along the normal absorbs the rest.
+//! A hand gains energy if it slides along with the sideways push while it presses, and slides back without pressing. No
+//! damping along the normal compensates that (docs/model.md section 3). The controller therefore fades the feed-forward
+//! while the walls owe energy, and absorbs the rest by damping along the normal. Similarly, Ferraguti, Secchi and
+//! Fantuzzi (ICRA 2013) let a change of impedance do no more work than an energy tank holds.
 
 use crate::math::Real;
 use nalgebra::SVector;
 
-/// Energy debt of the walls, J, above which the feed-forward is off: a wall of 10 kN/m stores this energy at 4.5 N.
+/// Energy debt of the walls above which the feed-forward is off, J. A wall of 10 kN/m stores this energy at 4.5 N.
 const MAX_DEBT: f64 = 1.0e-3;
-
-/// Largest damping that the controller adds, as a share of the damping at which a mass of 1 kg would stop in a step:
-/// above it the controller itself would be unstable.
+/// Largest damping of the controller, as a share of the damping at which a mass of 1 kg would stop within one step. A
+/// controller with more damping would itself be unstable.
 const DAMPING_SHARE: f64 = 0.01;
 
-/// The observer. Controllers that neither pay back nor show the energy do not run it.
+/// The energy observer. Runs only if the passivity controller is on or the energy is displayed.
 #[derive(Clone, Debug)]
 pub(super) struct Passivity<T: Real, const N: usize> {
     /// Control period, s.
     period: T,
-    /// Energy absorbed since contact began, less the debt at that time, J.
+    /// Energy absorbed since contact began, less the initial debt, J.
     energy: T,
     /// Joint torques of the walls since the last step, N m.
     held: SVector<T, N>,
 }
 
-/// The walls' energy debt.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Debt<T> {
     /// Energy owed, J.
@@ -50,7 +48,7 @@ impl<T: Real, const N: usize> Passivity<T, N> {
         (self.energy, self.held) = (T::zero(), SVector::zeros());
     }
 
-    /// Counts the energy of the last period, in which the joint velocity was `speed` (rad/s, not filtered).
+    /// Adds the energy of the last period, in which the joint velocity was `speed` (rad/s, unfiltered).
     #[inline(always)]
     pub fn observe(&mut self, speed: &SVector<T, N>) {
         self.energy -= self.held.dot(speed) * self.period;
@@ -58,13 +56,13 @@ impl<T: Real, const N: usize> Passivity<T, N> {
 
     /// Records the walls' joint torques (N m), which act until the next step.
     #[inline(always)]
-    pub fn hold(&mut self, torque: &SVector<T, N>) {
+    pub fn record_wall_torques(&mut self, torque: &SVector<T, N>) {
         self.held = *torque;
     }
 
-    /// Records that no wall is touched: a debt remains for the next contact.
+    /// Records that no wall is touched. A debt remains for the next contact.
     #[inline(always)]
-    pub fn leave(&mut self) {
+    pub fn record_no_contact(&mut self) {
         self.energy = self.energy.lesser(T::zero());
         self.held = SVector::zeros();
     }
@@ -75,7 +73,7 @@ impl<T: Real, const N: usize> Passivity<T, N> {
         self.energy
     }
 
-    /// Returns the present debt, if any.
+    /// Returns the present debt; `None` without debt.
     #[inline(always)]
     pub fn debt(&self, rate: T) -> Option<Debt<T>> {
         (self.energy < T::zero()).then(|| Debt { owed: -self.energy, rate })
@@ -83,7 +81,7 @@ impl<T: Real, const N: usize> Passivity<T, N> {
 }
 
 impl<T: Real> Debt<T> {
-    /// Returns the damping (N s/m) that absorbs the complete debt in one step at `v` (m/s).
+    /// Returns the damping (N s/m) that absorbs the complete debt in one step at the velocity `v` (m/s).
     #[inline(always)]
     pub fn damping(&self, v: T) -> T {
         if v == T::zero() {

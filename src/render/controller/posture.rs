@@ -1,9 +1,8 @@
 //! The posture of a redundant device: a torsional spring between the ground and its last link.
 //!
-//! Its torques are Jφᵀ f, the torques of a potential of φ and of a damper on φ̇: they absorb energy in every motion of
-//! the device, and at rest they make no force at the tip. The torques M e f/(eᵀ M e) along the null motion e do not
-//! accelerate the tip, but they do not dissipate: with uneven damping of the joints they drive a free tip
-//! (docs/model.md section 2).
+//! The torques are Jφᵀ f, with a potential of φ and a damper on φ̇. They therefore absorb energy in every motion, and
+//! make no tip force at rest. The alternative M e f/(eᵀ M e) along the null motion e does not accelerate the tip, but
+//! does not dissipate: with uneven joint damping it would drive a free tip (docs/model.md section 2).
 
 use super::Controller;
 use crate::math::{Math, Real};
@@ -11,8 +10,8 @@ use crate::model::mechanism::Mechanism;
 use nalgebra::SVector;
 
 impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K, N> {
-    /// Returns the joint torques (N m) of the scene's posture in this pose and at these joint velocities (rad/s):
-    /// f = k sin(φ₀ - φ) - d φ̇. The spring's moment is at most k for any rotation of φ.
+    /// Returns the posture's joint torques (N m) in this pose and at these joint velocities (rad/s), from the moment f
+    /// = k sin(φ₀ - φ) - d φ̇. The spring's moment is at most k for any rotation of φ.
     #[inline(never)]
     pub(super) fn posture_torque(&self, pose: &M::Pose, qd: &SVector<T, N>) -> SVector<T, N> {
         let Some(posture) = &self.posture else { return SVector::zeros() };

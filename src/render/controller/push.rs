@@ -4,22 +4,22 @@ use crate::math::Real;
 use crate::render::scene::task_vector;
 use nalgebra::SVector;
 
-/// A force, which acts through Jᵀ alone, and a one-sided plane, which acts like a wall without the feed-forward.
+/// A force through Jᵀ, and a one-sided plane that acts like a wall without the feed-forward.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Push<T> {
     /// Force at the tip, N.
     pub force: [T; 3],
-    /// Plane.
+    /// Plane that the board renders.
     pub plane: PushedPlane<T>,
 }
 
-/// A plane that pushes, and never pulls, if n·p is less than offset: f = stiffness (offset - n·p) - damping n·ṗ.
+/// A plane that pushes with stiffness (offset - n·p) - damping n·ṗ, never negative, where n·p is below the offset.
 ///
-/// n may be shorter than 1: the plane half way between two planes is their mean, and its distance from any point is the
-/// mean of the two distances.
+/// n may be shorter than 1, because a plane half way between two planes is their mean. Its distance from any point is
+/// then the mean of the two distances.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct PushedPlane<T> {
-    /// n, out of the solid.
+    /// Normal n, out of the solid.
     pub normal: [T; 3],
     /// Offset of the plane along n, m.
     pub offset: T,
@@ -49,13 +49,13 @@ impl<T: Real> PushedPlane<T> {
         self.stiffness == T::zero() && self.damping == T::zero()
     }
 
-    /// Returns its force at the tip position `place` (m) and velocity (m/s), N.
+    /// Returns the plane's force at the tip position `place` (m) and velocity (m/s), N.
     #[inline(never)]
     pub(super) fn force<const N: usize>(&self, place: &SVector<T, N>, velocity: &SVector<T, N>) -> SVector<T, N> {
         task_vector::<T, N>(&self.normal) * self.normal_force(place, velocity)
     }
 
-    /// Returns its force along n, N.
+    /// Returns the plane's force along n, N.
     #[inline(always)]
     pub(super) fn normal_force<const N: usize>(&self, place: &SVector<T, N>, velocity: &SVector<T, N>) -> T {
         let depth = self.depth(place);

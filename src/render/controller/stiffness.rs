@@ -1,15 +1,15 @@
-//! Stiffness in the plane; its stiffest direction is rendered.
+//! Stiffness in the plane, from which the stiffest direction is found.
 
 use crate::math::Real;
 
-/// A stiffness in the plane, Σ k n nᵀ, N/m.
+/// A stiffness matrix Σ k n nᵀ in the plane, N/m.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Stiffness<T> {
-    /// Along x.
+    /// Entry of x and x.
     pub xx: T,
-    /// Between the two.
+    /// Entry of x and y.
     pub xy: T,
-    /// Along y.
+    /// Entry of y and y.
     pub yy: T,
 }
 
@@ -28,8 +28,8 @@ impl<T: Real> Stiffness<T> {
         self.yy += ky * y;
     }
 
-    /// Adds a stiffness in all directions across a line, or in every direction if the line's direction has length zero:
-    /// k (1 - d dᵀ)², as in [`Pull`](crate::model::principal::Pull).
+    /// Adds a stiffness across a line of direction d, k (1 - d dᵀ)², or in every direction if d is zero, as in
+    /// [`Pull`](crate::model::principal::Pull).
     pub fn add_across(&mut self, x: T, y: T, k: T) {
         let kd = k * (x * x + y * y - T::one() - T::one());
         self.xx += k + kd * x * x;

@@ -1,16 +1,15 @@
 //! Straight steps: one function for each kind of scene, selected once when a program is built.
 //!
-//! `Controller::render_any_scene` renders any scene and is the reference: it iterates over a list of walls and tests in
-//! each step for features that the scene may have. A straight step computes the same estimates, contacts and states,
-//! bit for bit, without the list and the tests. It computes the torques in fewer operations, so they are equal except
-//! for roundings. tests/straight_steps.rs checks both for every straight step. Rare cases are computed elsewhere: a
-//! fading feed-forward by the general step, unusual velocity terms by a cold function.
+//! `Controller::render_any_scene` is the reference for any scene: it iterates over a list of walls and tests for every
+//! feature that a scene may have. A straight step computes the same estimates, contacts and states, bit for bit,
+//! without the list and the tests. Its torques take fewer operations and are equal up to rounding.
+//! tests/straight_steps.rs checks both. The general step fades the feed-forward.
 //!
-//! Each straight step is a separate function that is not inlined: in one function they would share a stack frame too
-//! large for the FPU's loads, and all would become slower.
+//! Each straight step is a separate function that is not inlined, because one function for all would need a stack frame
+//! beyond the reach of the FPU's loads.
 //!
-//! To add one: a file next to wall.rs with its function, a line in [`StepVariant`] and in [`StepVariant::of`], its arm
-//! in [`Controller::render`], and its scenes in tests/straight_steps.rs.
+//! To add a straight step, add a file next to wall.rs, a line in [`StepVariant`] and [`StepVariant::of`], an arm in
+//! [`Controller::render`], and scenes in tests/straight_steps.rs.
 
 use super::regularity::{FULL_REGULARITY, PARALLEL_REGULARITY};
 use super::{Controller, task_part};
@@ -31,15 +30,15 @@ mod wall;
 #[derive(Clone, Copy)]
 struct Start<T: Real, P: Copy, const N: usize> {
     pose: P,
-    /// The tip's own coordinates, m; zero beyond the task.
+    /// Position of the tip, m; zero beyond the task.
     place: SVector<T, N>,
     /// Filtered joint velocities, rad/s.
     qd: SVector<T, N>,
 }
 
 impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K, N> {
-    /// Computes and writes the values of every step. Returns `None` and writes nothing if the feed-forward does not act
-    /// in full, because only the general step fades it.
+    /// Computes and writes the values that every step needs. Returns `None` and writes nothing if the feed-forward
+    /// fades, because only the general step fades it.
     #[inline(always)]
     fn start(&mut self, counts: &[i32; N], result: &mut StepResult<T>) -> Option<Start<T, M::Pose, N>> {
         let least = Regularity {
@@ -49,10 +48,10 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         let (_, angles) = self.encoders.angles(counts);
         let pose = self.mechanism.regular_pose::<K>(&angles, &least)?;
         let tip = self.mechanism.tip(&pose);
-        let qd = self.encoders.velocities(counts, |filter, raw| filter.pass(&self.coefficients, raw));
+        let qd = self.encoders.velocities(counts, |filter, raw| filter.step_low_pass(&self.coefficients, raw));
         Self::write_motion(&qd, &tip, result);
         result.parallel = self.mechanism.regularity(&pose).parallel;
-        // Without weight the entries stay zero from the restart.
+        // Without gravity compensation the entries stay zero from the restart.
         if self.gravity {
             put(&self.mechanism.gravity(&pose), &mut result.asked.gravity);
         }
@@ -60,7 +59,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         Some(start)
     }
 
-    /// Writes the total of these torques (N m), gravity, and the additions to the walls' resultant `force` (N).
+    /// Writes the sum of these torques (N m), gravity and guidance. `force` returns the walls' resultant, N.
     #[inline(always)]
     fn write_total(&self, torque: &SVector<T, N>, force: impl FnOnce() -> SVector<T, N>, result: &mut StepResult<T>) {
         let mut total = *torque;
@@ -75,7 +74,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         }
     }
 
-    /// Writes the part of springs, fields and the host. It runs before the walls, while few values are live.
+    /// Writes the forces of springs, fields and the host. Runs before the walls, while few values are live.
     #[inline(never)]
     fn write_guidance(&self, start: &Start<T, M::Pose, N>, guidance: &mut GuidanceDemand<T>) {
         let Start { pose, place, qd } = start;
@@ -88,9 +87,9 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         put(&self.mechanism.transpose(pose, &force), &mut guidance.torque);
     }
 
-    /// Computes equation (4) for the force `force` (N) along `normal`, of the wall with index `wall` if any.
+    /// Computes equation (4) for `force` (N) along `normal`. `wall` is the index of the force's wall, if any.
     #[inline(always)]
-    fn shaped(
+    fn shaped_torque(
         &self,
         start: &Start<T, M::Pose, N>,
         normal: &SVector<T, N>,
@@ -104,21 +103,21 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         if let Some(certain) = self.certain_velocities(start).filter(|_| self.usual_terms) {
             return self.mechanism.shaped(pose, normal, force, Some(&certain));
         }
-        self.shaped_rarely(start, normal, force, wall)
+        self.shaped_with_partial_terms(start, normal, force, wall)
     }
 
-    /// Returns the part of the joint velocities beyond single counts (rad/s), if velocity terms act in full.
+    /// Returns the joint velocities beyond single counts (rad/s); `None` unless velocity terms act in full.
     #[inline(always)]
     fn certain_velocities(&self, start: &Start<T, M::Pose, N>) -> Option<SVector<T, N>> {
         let Start { pose, qd, .. } = start;
         let certain = self.encoders.beyond_one_count(qd);
-        let known = self.encoders.are_known(qd) || self.velocity_term_share(pose, &certain) >= T::one();
+        let known = self.encoders.are_velocity_terms_full(qd) || self.velocity_term_share(pose, &certain) >= T::one();
         known.then_some(certain)
     }
 
-    /// Implements [`Controller::shaped`] in the rare cases.
+    /// Implements [`Controller::shaped_torque`] for partial velocity terms.
     #[inline(always)]
-    fn shaped_rarely(
+    fn shaped_with_partial_terms(
         &self,
         start: &Start<T, M::Pose, N>,
         normal: &SVector<T, N>,
@@ -126,16 +125,15 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         wall: Option<usize>,
     ) -> Shaped<T, N> {
         let Start { pose, place, qd } = start;
-        // Copy value by value, so that the usual case need not keep these values in memory.
+        // Copies of the values, so that the usual case need not keep them in memory.
         let (pose, place, qd, normal) = (*pose, *place, *qd, *normal);
-        let Shaped { e, torque } = self.shaped_in_general(&pose, &place, &qd, &normal, force, wall);
+        let Shaped { e, torque } = self.shaped_with_any_terms(&pose, &place, &qd, &normal, force, wall);
         Shaped { e: e.map(|e| e), torque: torque.map(|torque| torque) }
     }
 
-    /// Like [`Controller::shaped`], for any velocity terms or a share of them: a part may be subtracted from the wall's
-    /// force, the normal may turn, and joint damping may be compensated.
+    /// Computes [`Controller::shaped_torque`] for any velocity terms, normals and damping compensation.
     #[inline(never)]
-    fn shaped_in_general(
+    fn shaped_with_any_terms(
         &self,
         pose: &M::Pose,
         place: &SVector<T, N>,
@@ -151,7 +149,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
     }
 }
 
-/// Adds the part of springs, fields and the host to the requested torques of the walls, whose resultant is `force` (N).
+/// Adds springs, fields and the host to the requested torques of the walls, whose resultant is `force` (N).
 #[inline(never)]
 fn add_guidance<T: Real, const N: usize>(
     force: &SVector<T, N>,
@@ -171,7 +169,7 @@ fn add_guidance<T: Real, const N: usize>(
 /// The step variant of a scene.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum StepVariant {
-    /// One general step from which the estimators start; then the variant of the scene.
+    /// One general step that starts the estimators, before the scene's own variant.
     Restart,
     /// Any scene.
     General,
@@ -179,27 +177,25 @@ pub(super) enum StepVariant {
     Wall,
     /// A single round wall whose velocity terms follow its normal, on a device with two joints.
     Round,
-    /// Several walls, or walls with the feed-forward together with springs or a host's plane, in the plane with two
-    /// joints.
+    /// Several walls, or shaped walls together with springs or a host's plane, for two joints in the plane.
     Several,
 }
 
 impl StepVariant {
     /// Returns the variant of the controller's scene. Straight steps use the closed form, a low-pass after the backward
-    /// difference and α = 1. Only in the plane, with two joints, do they combine springs, fields or a host's plane with
-    /// walls that have the feed-forward.
+    /// difference and α = 1. Only those in the plane combine guidance with walls that have the feed-forward.
     pub fn of<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize>(controller: &Controller<T, M, K, N>) -> Self {
         let Controller { walls, velocity_terms, mass, admissible, posture, coefficients, guidance, .. } = controller;
         let closed_form =
             matches!(mass, MassModel::Exact) && (M::SPEC.task == N || *admissible == Admissible::Orientation);
         let shares_feed_forward = guidance.is_active && guidance.shares_feed_forward();
         let planar = N == 2 && M::SPEC.task == 2;
-        // If normals of several walls turn, or walls compensate damping, each wall contributes to the bias.
+        // Each wall contributes to the bias if normals of several walls turn or walls compensate damping.
         let flat = !walls.damped && (*velocity_terms == VelocityTerms::Off || !walls.curved);
         let usual = closed_form && posture.is_none() && walls.gain() == T::one() && coefficients.is_low_pass();
         if !usual {
             Self::General
-        } else if walls.has_at_most_one() && !shares_feed_forward {
+        } else if walls.has_at_most_one_wall() && !shares_feed_forward {
             if planar && controller.turning_terms && walls.is_single_ball() { Self::Round } else { Self::Wall }
         } else if planar && walls.are_stiff() && flat {
             Self::Several

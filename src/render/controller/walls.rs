@@ -1,6 +1,6 @@
 //! The walls of a scene at run time: contacts, forces, and the state of each wall between two steps.
 //!
-//! This code does not depend on a mechanism, so devices with the same number of joints share it.
+//! This code does not depend on the mechanism, so devices with the same number of joints share it.
 
 use super::gains::Gains;
 use super::passivity::Debt;
@@ -16,17 +16,16 @@ use nalgebra::SVector;
 
 mod contact_group;
 
-/// One wall at run time.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct RunningWall<T: Real> {
     wall: Wall<T>,
-    /// Distance below which the wall acts, m, and smallest force that it may make, N. Both are 0; for a bilateral wall
-    /// they are +∞ and -∞.
+    /// Distance below which the wall acts, m, and `least_force`, the smallest force that it may make, N. Both are 0;
+    /// for a bilateral wall they are +∞ and -∞.
     acts_below: T,
     least_force: T,
-    /// Shaping of its force when it acts together with others: its own feed-forward, or theirs if it has none.
+    /// Feed-forward of a wall that acts together with others: its own, or the others' if it has none.
     effective_feed_forward: FeedForward,
-    /// True if it has a feed-forward of its own.
+    /// True if the wall has a feed-forward of its own.
     has_feed_forward: bool,
     /// Depth per newton, m: 0 without stiffness.
     compliance: T,
@@ -34,7 +33,7 @@ pub(super) struct RunningWall<T: Real> {
     washout: Washout<T>,
 }
 
-/// The pull of one touched wall among several.
+/// Stiffness and depth of one touched wall among several.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct ContactPull<T> {
     /// Stiffness, N/m.
@@ -43,18 +42,17 @@ pub(super) struct ContactPull<T> {
     pub has_feed_forward: bool,
     /// Depth of the tip in the wall, m.
     pub depth: T,
-    /// Depth at which its stiffness alone would make the shaped part of its force, m.
+    /// Depth at which the stiffness alone would make the shaped part of the force, m.
     pub reach: T,
 }
 
-/// The effect of one wall in one step.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct WallEffect<T> {
     /// Velocity along the normal, m/s.
     pub velocity: T,
     /// True if the wall acts.
     pub touched: bool,
-    /// Force along the normal, N, and its shaped part. Zero if the wall does not act.
+    /// Force along the normal, N. `shaped` is the part for the feed-forward. Both are zero if the wall does not act.
     pub force: T,
     pub shaped: T,
     /// Damping added by the passivity controller, N s/m.
@@ -62,15 +60,15 @@ pub(super) struct WallEffect<T> {
 }
 
 impl<T: Real> RunningWall<T> {
-    /// Returns the velocity along the normal (m/s) at this distance (m) by the wall's own low-pass.
+    /// Returns the velocity along the normal (m/s) at this distance (m), computed by the wall's own low-pass.
     #[inline(always)]
-    pub fn pass(&mut self, coefficients: &Coefficients<T>, distance: T) -> T {
-        self.velocity.pass(coefficients, distance)
+    pub fn step_low_pass(&mut self, coefficients: &Coefficients<T>, distance: T) -> T {
+        self.velocity.step_low_pass(coefficients, distance)
     }
 
-    /// Like [`RunningWall::pass`], for any estimator. `known` is the velocity from joint estimators.
+    /// Returns the velocity along the normal (m/s) for any estimator. `known` is the velocity from joint estimators.
     #[inline(always)]
-    fn approach(&mut self, coefficients: &Coefficients<T>, distance: T, known: Option<T>) -> T {
+    fn normal_velocity(&mut self, coefficients: &Coefficients<T>, distance: T, known: Option<T>) -> T {
         match known {
             None => self.velocity.step(coefficients, distance),
             Some(velocity) => self.velocity.follow(distance, velocity),
@@ -79,11 +77,11 @@ impl<T: Real> RunningWall<T> {
 
     /// Computes the wall's effect at this distance (m) and velocity `v` (m/s). `gain` is the feed-forward's α.
     #[inline(always)]
-    pub fn press(&mut self, distance: T, v: T, debt: Option<&Debt<T>>, gain: T) -> WallEffect<T> {
+    pub fn effect_at(&mut self, distance: T, v: T, debt: Option<&Debt<T>>, gain: T) -> WallEffect<T> {
         let wall = &self.wall;
         let zero = T::zero();
         let mut effect = WallEffect { velocity: v, touched: false, force: zero, shaped: zero, passivity_damping: zero };
-        // These comparisons are written so that NaN propagates and is detected.
+        // The comparisons below are written so that NaN propagates and is detected.
         let inside = distance < self.acts_below;
         if !inside {
             if self.effective_feed_forward == FeedForward::Washout {
@@ -132,14 +130,14 @@ impl<T: Real> RunningWall<T> {
         }
     }
 
-    /// Returns true if its force is shaped, by its own feed-forward or together with other walls.
+    /// Returns true if the wall's force is shaped, by its own feed-forward or together with other walls.
     #[inline(always)]
     pub fn is_shaped(&self) -> bool {
         self.effective_feed_forward != FeedForward::Off
     }
 
-    /// Returns the wall's pull at this distance (m); its depth is infinite for a bilateral wall. `force` is the shaped
-    /// part of its force, N.
+    /// Returns stiffness and depth of the wall at this distance (m); the depth is infinite for a bilateral wall.
+    /// `force` is the shaped part of the wall's force, N.
     #[inline(always)]
     pub fn pull(&self, distance: T, force: T) -> ContactPull<T> {
         ContactPull {
@@ -150,17 +148,17 @@ impl<T: Real> RunningWall<T> {
         }
     }
 
-    /// Returns its surface.
+    /// Returns the wall's surface.
     pub fn surface(&self) -> &Surface<T> {
         &self.wall.surface
     }
 
-    /// Returns its own feed-forward.
+    /// Returns the wall's own feed-forward.
     pub fn feed_forward(&self) -> FeedForward {
         self.wall.feed_forward
     }
 
-    /// Sets the gains. Not inlined: the same for every mechanism, and rare.
+    /// Sets the gains. Not inlined, because it is rare and the same for every mechanism.
     #[inline(never)]
     fn set_gains(&mut self, gains: &Gains<T>, washout: &Washout<T>) {
         self.set_washout(washout);
@@ -170,7 +168,7 @@ impl<T: Real> RunningWall<T> {
         self.wall.washout_hz = gains.washout_hz;
     }
 
-    /// Sets the design of its washout.
+    /// Sets the design of the wall's washout.
     fn set_washout(&mut self, washout: &Washout<T>) {
         if self.effective_feed_forward == FeedForward::Washout {
             self.washout.retune(washout);
@@ -189,7 +187,7 @@ pub(super) struct ShapedContact<T: Real, const N: usize> {
     pub wall: usize,
     /// Unit normal at the contact.
     pub normal: SVector<T, N>,
-    /// Shaped part of its force, N.
+    /// Shaped part of the wall's force, N.
     pub shaped: T,
     /// Distance of the tip, m; negative inside the wall.
     pub distance: T,
@@ -197,12 +195,12 @@ pub(super) struct ShapedContact<T: Real, const N: usize> {
     pub stiffness: T,
     /// True if the wall acts on both sides.
     pub bilateral: bool,
-    /// True if it has a feed-forward of its own.
+    /// True if the wall has a feed-forward of its own.
     pub feed_forward: bool,
 }
 
 impl<T: Real, const N: usize> ShapedContact<T, N> {
-    /// Makes the contact of a force (N) along a normal, which belongs to the wall with index `wall`, if any.
+    /// Makes the contact of the force `shaped` (N) along a normal. `wall` is the index of the force's wall, if any.
     pub fn along(normal: &SVector<T, N>, shaped: T, wall: Option<usize>) -> Self {
         let zero = T::zero();
         let wall = wall.unwrap_or(MAX_WALLS);
@@ -214,15 +212,14 @@ impl<T: Real, const N: usize> ShapedContact<T, N> {
 pub(super) enum BiasScope<'a, T: Real, const N: usize> {
     /// One wall.
     One(&'a ShapedContact<T, N>),
-    /// A number of rendered directions of several walls.
+    /// The first directions of a group of walls, as many as the number.
     Level(&'a ContactGroup<'a, T, N>, usize),
 }
 
-/// All walls of a scene.
 #[derive(Clone, Debug)]
 pub(super) struct Walls<T: Real> {
     running: Vec<RunningWall<T>, MAX_WALLS>,
-    /// α: factor on the feed-forward of (4).
+    /// α: factor on the feed-forward of equation (4).
     gain: T,
     /// True if some wall is curved.
     pub curved: bool,
@@ -232,13 +229,13 @@ pub(super) struct Walls<T: Real> {
 
 /// The effect of the walls at one tip position.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Touch<T: Real, const N: usize> {
+pub(super) struct WallContacts<T: Real, const N: usize> {
     pub at_walls: AtWalls<T>,
     /// Normal of the deepest wall.
     pub normal: SVector<T, N>,
-    /// Force that goes straight through Jᵀ, N.
+    /// Force through Jᵀ without feed-forward, N.
     pub plain: SVector<T, N>,
-    /// The first wall with the feed-forward: separate, because a single wall is usual and need not go through memory.
+    /// The first wall with the feed-forward. Separate, because a single wall is usual and need not go through memory.
     pub first: Option<ShapedContact<T, N>>,
 }
 
@@ -271,14 +268,14 @@ impl<T: Real> Walls<T> {
         let mut walls = Self {
             running,
             gain: scene.feed_forward_gain,
-            curved: scene.walls.iter().any(|wall| wall.surface.curved()),
+            curved: scene.walls.iter().any(|wall| wall.surface.is_curved()),
             damped: scene.walls.iter().any(|wall| wall.damping_compensation),
         };
         walls.update_shared_feed_forward();
         Ok(walls)
     }
 
-    /// Returns the feed-forward of springs and of walls without their own, for acting together with walls that have
+    /// Returns the feed-forward of springs and of walls without their own, when they act together with walls that have
     /// one. It has a washout if any of those walls has, because a wall with a washout does not push sideways at rest.
     pub fn shared_feed_forward(&self) -> (FeedForward, Option<Washout<T>>) {
         let with = |feed_forward| self.running.iter().find(move |other| other.wall.feed_forward == feed_forward);
@@ -304,29 +301,29 @@ impl<T: Real> Walls<T> {
         }
     }
 
-    /// Computes contacts and forces at the tip position `place` (m). Walls whose force is shaped go to `more`, except
+    /// Computes contacts and forces at the tip position `place` (m). Writes walls with shaped force to `more`, except
     /// for the first wall with a feed-forward of its own. `along` is the tip velocity (m/s) from joint estimators, if
-    /// used. Every estimator runs in every step, so a contact never starts it from zero.
+    /// used. Every estimator runs in every step, so that no contact starts an estimator from zero.
     #[inline(always)]
-    pub fn touch<K: Math<T>, const N: usize>(
+    pub fn compute_contacts<K: Math<T>, const N: usize>(
         &mut self,
         coefficients: &Coefficients<T>,
         place: &SVector<T, N>,
         along: Option<&SVector<T, N>>,
         debt: Option<&Debt<T>>,
         more: &mut Vec<ShapedContact<T, N>, MAX_WALLS>,
-    ) -> Touch<T, N> {
+    ) -> WallContacts<T, N> {
         let mut at_walls = AtWalls::none();
         if !self.running.is_empty() {
             at_walls.distance = T::INFINITY;
         }
         let zeros = SVector::zeros();
-        let mut touch = Touch { at_walls, normal: zeros, plain: zeros, first: None };
+        let mut touch = WallContacts { at_walls, normal: zeros, plain: zeros, first: None };
         for (index, running) in self.running.iter_mut().enumerate() {
             let contact = running.wall.surface.contact::<K, N>(place);
             let known = along.map(|velocity| contact.normal.dot(velocity));
-            let velocity = running.approach(coefficients, contact.distance, known);
-            let effect = running.press(contact.distance, velocity, debt, self.gain);
+            let velocity = running.normal_velocity(coefficients, contact.distance, known);
+            let effect = running.effect_at(contact.distance, velocity, debt, self.gain);
             // Written so that NaN propagates and is detected.
             let shallower = contact.distance >= touch.at_walls.distance;
             if !shallower {
@@ -359,7 +356,7 @@ impl<T: Real> Walls<T> {
     }
 
     /// Returns the share of joint damping that is compensated. For several walls with the feed-forward, it is the
-    /// stiffness of the walls that request it over the stiffness of all.
+    /// stiffness of the walls that request compensation, over the stiffness of all.
     pub fn damping_share<const N: usize>(&self, scope: &BiasScope<'_, T, N>) -> T {
         let compensates =
             |a: &ShapedContact<T, N>| self.running.get(a.wall).is_some_and(|r| r.wall.damping_compensation);
@@ -382,7 +379,7 @@ impl<T: Real> Walls<T> {
 
     /// Returns the tip acceleration (m/s²) by the rotation of curved walls' normals, -κ of [`frame_rate`].
     #[inline(never)]
-    pub fn turning<K: Math<T>, const N: usize>(
+    pub fn normal_turn_acceleration<K: Math<T>, const N: usize>(
         &self,
         place: &SVector<T, N>,
         velocity: &SVector<T, N>,
@@ -420,16 +417,16 @@ impl<T: Real> Walls<T> {
         -frame_rate(&line, &line_rate, velocity)
     }
 
-    /// Returns the wall of a scene with a single wall.
+    /// Returns the scene's wall; `None` unless the scene has exactly one.
     #[inline(always)]
-    pub fn single(&mut self) -> Option<&mut RunningWall<T>> {
+    pub fn single_wall(&mut self) -> Option<&mut RunningWall<T>> {
         let [only] = self.running.as_mut_slice() else { return None };
         Some(only)
     }
 
     /// Returns all walls.
     #[inline(always)]
-    pub fn all(&mut self) -> &mut [RunningWall<T>] {
+    pub fn all_walls(&mut self) -> &mut [RunningWall<T>] {
         &mut self.running
     }
 
@@ -446,7 +443,7 @@ impl<T: Real> Walls<T> {
     }
 
     /// Returns true if the scene has a single wall, or no wall.
-    pub fn has_at_most_one(&self) -> bool {
+    pub fn has_at_most_one_wall(&self) -> bool {
         self.running.len() <= 1
     }
 
@@ -465,14 +462,14 @@ impl<T: Real> Walls<T> {
 
     /// Returns true if a one-sided wall is touched at the tip position `place`.
     #[inline(never)]
-    pub fn any_touched<K: Math<T>, const N: usize>(&self, place: &SVector<T, N>) -> bool {
+    pub fn is_any_touched<K: Math<T>, const N: usize>(&self, place: &SVector<T, N>) -> bool {
         self.running.iter().any(|running| {
             let wall = &running.wall;
             !wall.bilateral && wall.surface.contact::<K, N>(place).distance < T::zero()
         })
     }
 
-    /// See [`Controller::set_gains`](super::Controller::set_gains).
+    /// Sets the gains of one wall, see [`Controller::set_gains`](super::Controller::set_gains).
     pub fn set_gains(&mut self, gains: &Gains<T>, washout: &Washout<T>) {
         if let Some(running) = self.running.get_mut(usize::from(gains.wall)) {
             running.set_gains(gains, washout);
@@ -480,7 +477,7 @@ impl<T: Real> Walls<T> {
         self.update_shared_feed_forward();
     }
 
-    /// Clears the states of the washouts; the estimators start with [`Walls::begin`].
+    /// Clears the states of the washouts. [`Walls::begin`] starts the estimators.
     #[inline(never)]
     pub fn forget(&mut self) {
         for running in &mut self.running {

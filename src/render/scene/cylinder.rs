@@ -1,4 +1,4 @@
-//! A round wall along an axis: a rod that is touched from outside, or a pipe that is touched from inside.
+//! A round wall along an axis: a rod touched from outside, or a pipe touched from inside.
 
 use super::shape::{Meaning, Shape, ShapeSpec, Values, number};
 use super::sphere::{round_contact, round_normal_rate};

@@ -1,16 +1,15 @@
-//! The interface of a wall's shape: its distance from the tip, and its values in a scene file.
+//! The interface of a wall's shape: distance from the tip, and values in a scene file.
 //!
-//! A shape is one file next to this file and one line in the list of [`surface`](super::surface). Scene files, checks
-//! and conversion between precisions follow from its [`ShapeSpec`].
+//! A shape is one file next to this file and one line in the list of [`surface`](super::surface). Its [`ShapeSpec`]
+//! defines scene files, checks and conversion between precisions.
 
 use super::Contact;
 use crate::math::{Math, Real};
 use nalgebra::SVector;
 
-/// Maximum number of numbers in a shape's values.
+/// Maximum number of values of a shape.
 pub const SHAPE_VALUES: usize = 8;
-
-/// The values of a shape as numbers, in the order of its [`ShapeSpec::keys`].
+/// Values of a shape, in the order of [`ShapeSpec::keys`].
 pub type Values<T> = [T; SHAPE_VALUES];
 
 /// The meaning of a shape's value.
@@ -39,11 +38,11 @@ impl Meaning {
 /// The entry of a shape in scene files.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ShapeSpec {
-    /// Value of `shape`.
+    /// Value of the key `shape` in scene files.
     pub name: &'static str,
     /// Smallest task dimension in which the shape exists.
     pub least_task: usize,
-    /// Keys in addition to those of every wall.
+    /// Keys in addition to the common keys of walls.
     pub keys: &'static [(&'static str, Meaning)],
 }
 

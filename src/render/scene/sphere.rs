@@ -1,4 +1,4 @@
-//! A round wall: a ball that is touched from outside, or a bowl that is touched from inside. In the plane, a disc.
+//! A round wall: a ball touched from outside, or a bowl touched from inside. In the plane, a disc.
 
 use super::shape::{Meaning, Shape, ShapeSpec, Values, number};
 use super::{Contact, task_vector};
@@ -35,31 +35,31 @@ impl<T: Real> Shape<T> for Sphere<T> {
     /// Returns the distance to the surface and the radial normal.
     #[inline(always)]
     fn contact<K: Math<T>, const N: usize>(&self, p: &SVector<T, N>) -> Contact<T, N> {
-        round_contact::<T, K, N>(&self.arm(p), self.radius, self.inside)
+        round_contact::<T, K, N>(&self.centre_to_tip(p), self.radius, self.inside)
     }
 
     #[inline(always)]
     fn normal_rate<K: Math<T>, const N: usize>(&self, p: &SVector<T, N>, velocity: &SVector<T, N>) -> SVector<T, N> {
-        round_normal_rate::<T, K, N>(&self.arm(p), velocity, self.inside)
+        round_normal_rate::<T, K, N>(&self.centre_to_tip(p), velocity, self.inside)
     }
 }
 
 impl<T: Real> Sphere<T> {
-    /// Returns the contact and the surface's curvature, 1/m: the normal's rotation per tip motion; negative inside.
+    /// Returns the contact and the surface's curvature (1/m): the normal's rotation per tip motion, negative inside.
     #[inline(always)]
     pub(super) fn contact_and_curvature<K: Math<T>, const N: usize>(&self, p: &SVector<T, N>) -> (Contact<T, N>, T) {
-        contact_and_curvature::<T, K, N>(&self.arm(p), self.radius, self.inside)
+        contact_and_curvature::<T, K, N>(&self.centre_to_tip(p), self.radius, self.inside)
     }
 
-    /// Returns the vector from the centre to the tip; coordinates beyond the task have no effect.
+    /// Returns the vector from the centre to the tip. Coordinates beyond the task have no effect.
     #[inline(always)]
-    fn arm<const N: usize>(&self, p: &SVector<T, N>) -> SVector<T, N> {
+    fn centre_to_tip<const N: usize>(&self, p: &SVector<T, N>) -> SVector<T, N> {
         p - task_vector::<T, N>(&self.center)
     }
 }
 
-/// Returns the contact with a round wall whose centre (or axis) is at `-arm` from the tip. At the exact centre the
-/// normal and the force are zero, because no direction is distinguished.
+/// Returns the contact with a round wall whose centre (or axis) is at `-arm` from the tip. Normal and force are zero at
+/// the exact centre, because no direction is distinguished there.
 #[inline(always)]
 pub(super) fn round_contact<T: Real, K: Math<T>, const N: usize>(
     arm: &SVector<T, N>,
@@ -69,7 +69,7 @@ pub(super) fn round_contact<T: Real, K: Math<T>, const N: usize>(
     contact_and_curvature::<T, K, N>(arm, radius, inside).0
 }
 
-/// Like [`round_contact`], with the curvature (1/m): ṅ is the curvature times the velocity across n.
+/// Returns [`round_contact`] and the curvature (1/m). ṅ is the curvature times the velocity across n.
 #[inline(always)]
 fn contact_and_curvature<T: Real, K: Math<T>, const N: usize>(
     arm: &SVector<T, N>,

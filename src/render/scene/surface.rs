@@ -17,15 +17,15 @@ macro_rules! shapes {
         pub enum Surface<T> { $($(#[$doc])* $Shape($Shape<T>),)* }
 
         impl<T: Real> Surface<T> {
-            /// The entries of all shapes in scene files.
+            /// Entries of all shapes in scene files.
             pub const SPECS: &'static [ShapeSpec] = &[$(<$Shape<T> as Shape<T>>::SPEC),*];
 
-            /// Returns the entry of this shape in scene files.
+            /// Returns the shape's entry in scene files.
             pub fn spec(&self) -> ShapeSpec {
                 match self { $(Self::$Shape(_) => <$Shape<T> as Shape<T>>::SPEC,)* }
             }
 
-            /// Makes the shape of this name from these values; `None` if there is no such shape.
+            /// Makes the shape of this name from these values; `None` for an unknown name.
             pub fn from_values(name: &str, values: &Values<T>) -> Option<Self> {
                 $(if name == <$Shape<T> as Shape<T>>::SPEC.name {
                     return Some(Self::$Shape(Shape::from_values(values)));
@@ -33,7 +33,7 @@ macro_rules! shapes {
                 None
             }
 
-            /// Returns its values, in the order of its [`ShapeSpec::keys`].
+            /// Returns the shape's values, in the order of [`ShapeSpec::keys`].
             pub fn values(&self) -> Values<T> {
                 match self { $(Self::$Shape(shape) => shape.values(),)* }
             }
@@ -45,11 +45,11 @@ macro_rules! shapes {
             }
 
             /// Returns true if the normal depends on the tip position.
-            pub fn curved(&self) -> bool {
+            pub fn is_curved(&self) -> bool {
                 match self { $(Self::$Shape(_) => <$Shape<T> as Shape<T>>::CURVED,)* }
             }
 
-            /// Returns the contact of a curved surface. Not inlined: mechanisms share it, and planes do not use it.
+            /// Returns the contact of a curved surface. Not inlined, because the mechanisms share it.
             #[inline(never)]
             fn curved_contact<K: Math<T>, const N: usize>(&self, p: &SVector<T, N>) -> Contact<T, N> {
                 match self { $(Self::$Shape(shape) => shape.contact::<K, N>(p),)* }
@@ -87,7 +87,7 @@ impl<T: Real> Surface<T> {
                 (distance, normal.map(|n| n))
             }
             curved => {
-                // Copy `p`: an argument passed to another function is kept in memory, and the plane's case needs none.
+                // Copies `p`, because an argument passed to another function would be kept in memory for planes, too.
                 let p = *p;
                 let Contact { distance, normal } = curved.curved_contact::<K, N>(&p);
                 (distance, normal.map(|n| n))
@@ -96,13 +96,13 @@ impl<T: Real> Surface<T> {
         Contact { distance, normal }
     }
 
-    /// Returns true if it is a ball or the space outside a ball.
+    /// Returns true for a ball and for the space outside a ball.
     pub(crate) fn is_sphere(&self) -> bool {
         matches!(self, Self::Sphere(_))
     }
 
-    /// Like [`Surface::contact`], inlined for a ball, with the curvature of the surface, 1/m: the rotation of the
-    /// normal per tip motion across it; negative inside. Every other shape counts as flat.
+    /// Returns [`Surface::contact`], inlined for a ball, and the curvature of the surface (1/m): the normal's rotation
+    /// per tip motion, negative inside. Every other shape counts as flat.
     #[inline(always)]
     pub(crate) fn contact_and_curvature<K: Math<T>, const N: usize>(&self, p: &SVector<T, N>) -> (Contact<T, N>, T) {
         match self {

@@ -15,15 +15,14 @@ impl core::fmt::Display for BadCutoff {
 impl core::error::Error for BadCutoff {}
 
 /// Returns the prewarped gain tan(π cutoff/rate).
-pub(super) fn warped<T: Real>(cutoff_hz: T, rate_hz: T) -> Result<T, BadCutoff> {
+pub(super) fn prewarped_gain<T: Real>(cutoff_hz: T, rate_hz: T) -> Result<T, BadCutoff> {
     let ratio = cutoff_hz / rate_hz;
     let valid = rate_hz.is_finite() && ratio > T::zero() && ratio < T::from_f64(0.5);
     if valid { Ok(tangent(ratio)) } else { Err(BadCutoff) }
 }
 
-/// Returns the tangent of π times a ratio from 0 to 1/2, to a few units in the last place: the quotient of the two
-/// power series, or above π/4 the inverse of the complement's tangent. The code is small, because the board designs its
-/// filters itself, in its own precision.
+/// Returns the tangent of π times a ratio from 0 to 1/2, to a few units in the last place. It is the quotient of two
+/// power series, or above π/4 the inverse of the complement's tangent. Small, because boards use it.
 fn tangent<T: Real>(ratio: T) -> T {
     let complement = T::from_f64(0.5) - ratio;
     if ratio > complement {

@@ -1,11 +1,10 @@
 //! Difference over several samples: (x[n] - x[n-k])/(k T).
 //!
-//! An encoder step changes the velocity by 1/k of its change in the backward difference, and the velocity is k/2
-//! samples late: the same as sampling position fast and velocity slowly (Koul, Khosa and Ahmad 2024, Int. J. of
-//! Mechanical System Dynamics 4(2):171), without the jumps. The filter is linear, with zeros at every multiple of
-//! rate/k.
+//! An encoder step changes the velocity by 1/k of its change in the backward difference, with a lag of k/2 samples.
+//! This equals fast sampling of position and slow sampling of velocity (Koul, Khosa and Ahmad 2024, Int. J. of
+//! Mechanical System Dynamics 4(2):171), without the jumps. The filter has zeros at every multiple of rate/k.
 
-use super::{Chosen, CutoffMeaning, EstimatorKey, EstimatorSpec, JointEstimator, MAX_WINDOW, Seen};
+use super::{Chosen, CutoffMeaning, EstimatorKey, EstimatorSpec, JointEstimator, JointSample, MAX_WINDOW};
 use crate::math::{Math, Real};
 
 /// The last samples of one joint.
@@ -18,7 +17,7 @@ pub struct Difference<T> {
     sum: T,
 }
 
-/// Number of samples of the window, and its inverse.
+/// Number of samples of the window. `inverse` is 1/`samples`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Window<T> {
     samples: usize,
@@ -48,9 +47,9 @@ impl<T: Real> JointEstimator<T> for Difference<T> {
         Self { moved: [velocity; MAX_WINDOW], next: MAX_WINDOW, sum: T::zero() }
     }
 
-    fn step<K: Math<T>>(&mut self, window: &Window<T>, seen: &Seen<T>) -> T {
+    fn step<K: Math<T>>(&mut self, window: &Window<T>, seen: &JointSample<T>) -> T {
         if self.next >= window.samples {
-            // Compute the sum again at the start of each pass through the ring, and when the ring has become shorter.
+            // Computes the sum again at the start of each pass through the ring, and after a change to a shorter ring.
             let ring = self.moved.iter().take(window.samples);
             self.sum = ring.fold(T::zero(), |sum, moved| sum + *moved);
             self.next = 0;

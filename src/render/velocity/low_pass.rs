@@ -1,9 +1,9 @@
-//! Backward difference, then a low-pass.
+//! Backward difference followed by a low-pass.
 //!
 //! The filters are trapezoidal state-variable (topology-preserving) forms: the bilinear transform, prewarped at the
-//! cutoff. The transfer function is that of the usual digital `butter` design, but the states keep their accuracy in
-//! f32 when the cutoff is a thousandth of the rate. (A direct form's gain is off by 1e-3 at 20 Hz/20 kHz, this form's
-//! by 4e-6; tests/velocity.rs.) Cost: one difference and nine multiply-adds per step.
+//! cutoff. The transfer function equals the usual digital `butter` design, but the f32 states keep their accuracy even
+//! if the cutoff is a thousandth of the rate. (At 20 Hz/20 kHz a direct form's gain is off by 1e-3, this gain by 4e-6;
+//! tests/velocity.rs.) Cost: one difference and nine multiply-adds per step.
 
 use super::Coefficients;
 use crate::math::Real;
@@ -16,16 +16,15 @@ pub struct LowPass<T> {
 }
 
 impl<T: Real> LowPass<T> {
-    /// Computes one step of the filter that the coefficients select. For an estimator that uses joints, this is the
-    /// low-pass that may follow it.
+    /// Computes one step of the filter that the coefficients select: the low-pass alone, or after a joint estimator.
     #[inline(always)]
     pub fn step(&mut self, coefficients: &Coefficients<T>, input: T) -> T {
-        if coefficients.unfiltered { input } else { self.pass(coefficients, input) }
+        if coefficients.unfiltered { input } else { self.step_low_pass(coefficients, input) }
     }
 
-    /// Like [`LowPass::step`], for coefficients that are known to be those of a low-pass.
+    /// Computes one step of the second-order low-pass, for coefficients of a low-pass.
     #[inline(always)]
-    pub fn pass(&mut self, coefficients: &Coefficients<T>, input: T) -> T {
+    pub fn step_low_pass(&mut self, coefficients: &Coefficients<T>, input: T) -> T {
         let high = input - self.low;
         let gain = coefficients.a2 * high - coefficients.loss * self.band;
         let rise = coefficients.a2 * self.band + coefficients.a3 * high;
@@ -71,12 +70,12 @@ impl<T: Real> Velocity<T> {
         self.filter.step(coefficients, difference * coefficients.rate)
     }
 
-    /// Like [`Velocity::step`], for coefficients that are known to be those of a low-pass.
+    /// Returns the velocity (per second) after this sample, for coefficients of a low-pass.
     #[inline(always)]
-    pub fn pass(&mut self, coefficients: &Coefficients<T>, position: T) -> T {
+    pub fn step_low_pass(&mut self, coefficients: &Coefficients<T>, position: T) -> T {
         let difference = self.moved(position);
         self.last = position;
-        self.filter.pass(coefficients, difference * coefficients.rate)
+        self.filter.step_low_pass(coefficients, difference * coefficients.rate)
     }
 
     /// Sets the state to a position and a velocity (per second) from another estimator, and returns the velocity.

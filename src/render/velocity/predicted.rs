@@ -1,16 +1,16 @@
-//! Prediction by the model, correction by counts: an observer that knows the motors' torques.
+//! An observer that predicts by the model from the motors' torques, and corrects by counts.
 //!
-//! The acceleration of a joint by the motors' torques, M⁻¹τ, is known. All other effects on it (hand, friction, weight,
-//! model errors) are treated as one unknown acceleration that changes slowly. An α-β-γ filter tracks position, velocity
-//! and that acceleration, with the known acceleration as its input (E. Brookner 1998, *Tracking and Kalman Filtering
-//! Made Easy*, chapter 1, with all three poles at p: α = 1 - p³, β = 3/2 (1 - p)² (1 + p), γ = (1 - p)³; the input as
-//! in Luenberger 1971, "An introduction to observers", IEEE Trans. Automatic Control 16:596).
+//! The acceleration of a joint by the motors' torques, M⁻¹τ, is known. All other effects (hand, friction, weight, model
+//! errors) are treated as one unknown, slowly changing acceleration. An α-β-γ filter tracks position, velocity and the
+//! unknown acceleration, with the known acceleration as input (E. Brookner 1998, *Tracking and Kalman Filtering Made
+//! Easy*, chapter 1, with all three poles at p: α = 1 - p³, β = 3/2 (1 - p)² (1 + p), γ = (1 - p)³; the input as in
+//! Luenberger 1971, "An introduction to observers", IEEE Trans. Automatic Control 16:596).
 //!
 //! The wall's effect on the tip is therefore known without lag, and by the separation principle the loop around the
-//! wall behaves as with an exact velocity. The cutoff is the bandwidth at which the unknown acceleration is estimated,
-//! and can be low. The position state is only the distance of the count from the estimate.
+//! wall behaves as with an exact velocity. The cutoff is the bandwidth of the unknown acceleration and can be low. The
+//! state contains the distance of the count from the estimate instead of the position.
 
-use super::{Chosen, CutoffMeaning, EstimatorSpec, JointEstimator, Seen};
+use super::{Chosen, CutoffMeaning, EstimatorSpec, JointEstimator, JointSample};
 use crate::math::{Math, Real};
 
 /// The estimate of one joint.
@@ -24,7 +24,7 @@ pub struct Predicted<T> {
     unknown: T,
 }
 
-/// 1 - α, β and γ, and the lag in periods.
+/// 1 - α, β, γ, and the lag in periods.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Gains<T> {
     remaining: T,
@@ -51,7 +51,7 @@ impl<T: Real> JointEstimator<T> for Predicted<T> {
         }
     }
 
-    /// A steady acceleration by the motors causes no lag; an unknown force is estimated after this time.
+    /// Returns the lag for an unknown force. A steady acceleration by the motors causes no lag.
     fn lag(gains: &Gains<T>) -> T {
         gains.lag
     }
@@ -60,7 +60,7 @@ impl<T: Real> JointEstimator<T> for Predicted<T> {
         Self { ahead: T::zero(), velocity, unknown: T::zero() }
     }
 
-    fn step<K: Math<T>>(&mut self, gains: &Gains<T>, seen: &Seen<T>) -> T {
+    fn step<K: Math<T>>(&mut self, gains: &Gains<T>, seen: &JointSample<T>) -> T {
         let acceleration = self.unknown + seen.pushed;
         let innovation = self.ahead + (seen.moved - self.velocity - T::from_f64(0.5) * acceleration);
         self.ahead = gains.remaining * innovation;

@@ -1,21 +1,21 @@
-//! The washout's high-pass.
+//! The high-pass of a wall's force for the washout.
 
-use super::cutoff::{BadCutoff, warped};
+use super::cutoff::{BadCutoff, prewarped_gain};
 use crate::math::Real;
 
-/// The washout: a first-order high-pass of the wall force. Its output is shaped by the feed-forward.
+/// The washout: a first-order high-pass of the wall force. The feed-forward shapes its output.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Washout<T> {
     gain: T,
     low: T,
-    /// Rounding error of `low` so far: at 0.2 Hz and 50 kHz a step changes `low` by less than its last digit.
+    /// Rounding error of `low`, because a step at 0.2 Hz and 50 kHz changes `low` by less than its last digit.
     rest: T,
 }
 
 impl<T: Real> Washout<T> {
     /// Makes a bilinear filter, prewarped at `washout_hz` (between zero and half the rate), with a state of zero.
     pub fn new(washout_hz: T, rate_hz: T) -> Result<Self, BadCutoff> {
-        let g = warped(washout_hz, rate_hz)?;
+        let g = prewarped_gain(washout_hz, rate_hz)?;
         Ok(Self { gain: g / (T::one() + g), low: T::zero(), rest: T::zero() })
     }
 

@@ -101,7 +101,7 @@ mod tests {
         let at = |ms: u64| began + Duration::from_millis(ms);
         assert_eq!(held.press(at(0)), None, "one press alone does not hold");
         assert_eq!(held.wait(at(500), 10), None);
-        // Spaces may have waited in the terminal, so no Space is known to be newer than the last `wait`.
+        // A press counts from the last `wait`, because the terminal may have delayed it.
         assert_eq!(held.press(at(600)), Some(FromPage::Arm { seen: 10 }));
         assert_eq!(held.press(at(640)), Some(FromPage::Hold { seen: 10 }));
         assert_eq!(held.wait(at(1000), 20), None);

@@ -14,7 +14,7 @@ use haptic_bridge::model::inertia::frame_rate;
 use haptic_bridge::model::mechanism::Mechanism;
 use haptic_bridge::model::precomputed::MassModel;
 use haptic_bridge::model::solve::solve_symmetric;
-use haptic_bridge::render::controller::{beyond, velocity_term_share};
+use haptic_bridge::render::controller::{beyond_uncertainty, velocity_term_share};
 use haptic_bridge::render::scene::{Scene, VelocityTerms};
 use haptic_bridge::render::velocity::Coefficients;
 use haptic_bridge::with_mechanism;
@@ -78,7 +78,7 @@ impl Law {
 
     /// Returns the joint velocities of `probe` with which the velocity terms are computed, rad/s.
     fn velocities<T: Real, const N: usize>(self, probe: &Probe) -> SVector<T, N> {
-        SVector::from_fn(|i, _| beyond(T::from_f64(probe.qd[i]), T::from_f64(self.one_count[i])))
+        SVector::from_fn(|i, _| beyond_uncertainty(T::from_f64(probe.qd[i]), T::from_f64(self.one_count[i])))
     }
 
     /// Returns the shares of `probes` in which the velocity terms are faded, and in which they are off.

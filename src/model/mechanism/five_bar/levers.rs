@@ -1,4 +1,4 @@
-//! All terms of equation (4) for a five-bar, for the analysis. Quantities of the pose that the terms share are computed
+//! All terms of equation (4) for a five-bar, for the analysis. The terms' common quantities of the pose are computed
 //! once. The control step needs fewer terms and has its own kernels.
 
 use super::FiveBar;
@@ -28,7 +28,7 @@ pub struct TipMotion<T: Real> {
     pub e: Vector2<T>,
     /// Cᵀ n, kg m.
     rods: Vector2<T>,
-    /// The part of M E that acts at the joints directly, Aᵢ eᵢ + Cᵀ n, kg m; the rest goes through the tip.
+    /// The part of M E that acts at the joints directly, Aᵢ eᵢ + Cᵀ n, kg m. The rest acts through the tip.
     momentum: Vector2<T>,
 }
 
@@ -90,7 +90,7 @@ impl<'a, T: Real> Levers<'a, T> {
     }
 
     /// Returns the torques of joint accelerations `qdd` at joint velocities `qd`, with the additional force `at_tip`
-    /// (N) at the tip, and of holding the linkage against gravity `g` in its plane, m/s².
+    /// (N) at the tip, and of the gravity `g` (m/s²) in the linkage's plane.
     #[inline(always)]
     pub fn bias(&self, qd: &Vector2<T>, qdd: &Vector2<T>, at_tip: Vector2<T>, g: &Vector2<T>) -> Vector2<T> {
         let FiveBar { arm_inertia, elbow_load, tip_load, .. } = self.linkage;

@@ -3,12 +3,12 @@
 use crate::math::Real;
 use nalgebra::Vector2;
 
-/// Quantities that depend on the two angles alone.
+/// Quantities that depend on the two joint angles alone.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pose<T: Real> {
-    /// Tip, m.
+    /// Tip position, m.
     pub tip: Vector2<T>,
-    /// Elbows relative to their motors, m; rotated left by 90° they are the elbow velocities per joint rate.
+    /// Elbows relative to their motors, m. Rotated left by 90° they are the elbow velocities per joint rate.
     pub(in super::super) arm: [Vector2<T>; 2],
     /// Tip relative to the elbows, m.
     pub(super) rod: [Vector2<T>; 2],
@@ -27,10 +27,10 @@ pub struct Pose<T: Real> {
 pub(in super::super) struct UnitMotion<T: Real> {
     /// E, rad/m.
     pub e: Vector2<T>,
-    /// The part of M E that acts at the joints directly, Iᵢ eᵢ + βᵢ cᵢ·n, kg m; the rest goes through the tip.
+    /// The part of M E that acts at the joints directly, Iᵢ eᵢ + βᵢ cᵢ·n, kg m. The rest acts through the tip.
     pub momentum: Vector2<T>,
-    /// The arms' part of the mass at the tip, kg: computed in task space, without J,
-    /// Λ = Γ 1 + Σ Aᵢ aᵢaᵢᵀ + βᵢ(aᵢcᵢᵀ + cᵢaᵢᵀ) with aᵢ = uᵢ/kᵢ.
+    /// The arms' part of the mass at the tip, kg, computed in task space without J: Λ = Γ 1 + Σ Aᵢ aᵢaᵢᵀ + βᵢ(aᵢcᵢᵀ +
+    /// cᵢaᵢᵀ) with aᵢ = uᵢ/kᵢ.
     pub arms: T,
 }
 

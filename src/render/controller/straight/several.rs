@@ -1,5 +1,4 @@
-//! The step of a scene with several walls, or with walls that act together with springs and a host's plane, on a device
-//! with two joints that moves in the plane.
+//! The step for several walls, or for walls together with springs and a host's plane, in the plane.
 
 use super::super::Controller;
 use super::super::guidance::SharedGuidance;
@@ -20,7 +19,7 @@ struct StiffContact<T: Real, const N: usize> {
     pull: ContactPull<T>,
 }
 
-/// The contacts that can act together: walls, and the host's plane.
+/// Contacts that can act together: walls, and the host's plane.
 type StiffContacts<T, const N: usize> = Vec<StiffContact<T, N>, { MAX_WALLS + 1 }>;
 
 /// Shaped part of the forces of springs and the host's plane.
@@ -37,10 +36,10 @@ struct SharedPull<T: Real, const N: usize> {
 }
 
 impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K, N> {
-    /// Implements [`Controller::render`] for several walls, by the closed form and with α = 1, in the plane.
+    /// Implements [`Controller::render`] for several walls in the plane, by the closed form and with α = 1.
     ///
-    /// In the plane [`crate::model::principal`] has one level. With the stiffest direction e of the walls, the level's
-    /// share s, and the force F with the shaped part G, τ = s (4)(e, e·G) + Jᵀ(F - e s e·G).
+    /// [`crate::model::principal`] has one level in the plane. With the stiffest direction e of the walls, the level's
+    /// share s, the force F and its shaped part G, τ = s (4)(e, e·G) + Jᵀ(F - e s e·G).
     #[inline(never)]
     pub(in super::super) fn render_several(&mut self, counts: &[i32; N], result: &mut StepResult<T>) {
         let Some(start) = self.start(counts, result) else {
@@ -61,10 +60,10 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         let debt = self.debt();
         let (mut at, mut deepest) = (AtWalls { distance: T::INFINITY, ..AtWalls::none() }, SVector::zeros());
         let mut force = SVector::<T, N>::zeros();
-        for running in self.walls.all() {
+        for running in self.walls.all_walls() {
             let contact = running.surface().contact::<K, N>(&place);
-            let velocity = running.pass(&self.coefficients, contact.distance);
-            let effect = running.press(contact.distance, velocity, debt.as_ref(), T::one());
+            let velocity = running.step_low_pass(&self.coefficients, contact.distance);
+            let effect = running.effect_at(contact.distance, velocity, debt.as_ref(), T::one());
             // Written so that NaN propagates and is detected.
             let shallower = contact.distance >= at.distance;
             if !shallower {
@@ -94,20 +93,20 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         put(&rendered, &mut result.asked.rendered);
         result.asked.force_squared = force.dot(&force);
         let mut torque = rendered;
-        if let Some((e, share)) = stiffest::<T, K, N>(&contacts, springs, reach) {
+        if let Some((e, share)) = stiffest_direction::<T, K, N>(&contacts, springs, reach) {
             let along = e.dot(&shaped);
             torque -= self.mechanism.transpose(&pose, &e) * (share * along);
-            torque += self.shaped(&start, &e, along, None).torque * share;
+            torque += self.shaped_torque(&start, &e, along, None).torque * share;
         }
         if at.contacts > 0 {
-            self.hold(&torque, result)
+            self.record_wall_torques(&torque, result)
         } else {
-            self.leave()
+            self.record_no_contact()
         }
         self.write_total(&torque, || force, result);
     }
 
-    /// Like [`Controller::write_guidance`]; also returns the part that is shaped together with the walls, if any.
+    /// Runs [`Controller::write_guidance`], and returns the part that is shaped together with the walls, if any.
     #[inline(never)]
     fn write_shared_guidance(
         &mut self,
@@ -127,7 +126,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         plain
     }
 
-    /// Returns the pull of `shared`.
+    /// Returns the forces of `shared` with their stiffness and depth.
     #[inline(always)]
     fn shared_pull(&self, place: &SVector<T, N>, shared: &SharedGuidance<T, N>) -> SharedPull<T, N> {
         let mut plain = SharedPull {
@@ -138,7 +137,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         };
         if let Some((normal, depth, stiffness)) = self.guidance.touched_plane::<N>(place) {
             plain.force += normal * shared.plane;
-            // `reach` already includes the depth of its force.
+            // The reach is 0 here, because `shared_depth` already covers the plane.
             let pull = ContactPull { stiffness, has_feed_forward: false, depth, reach: T::zero() };
             plain.plane = Some(StiffContact { normal, pull });
         }
@@ -149,13 +148,13 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
 /// Returns the stiffest direction of these contacts and its level's share; `None` if no contact has the feed-forward or
 /// no direction is stiffer than another. `reach` is the depth for [`TOUCH_SHARE`], m.
 #[inline(always)]
-fn stiffest<T: Real, K: Math<T>, const N: usize>(
+fn stiffest_direction<T: Real, K: Math<T>, const N: usize>(
     contacts: &[StiffContact<T, N>],
     springs: Option<Stiffness<T>>,
     reach: T,
 ) -> Option<(SVector<T, N>, T)> {
     let full = T::one() / (reach * T::from_f64(TOUCH_SHARE)).greater(T::from_f64(TOUCH_DEPTH));
-    // The total stiffness, and the stiffness of the parts without their own feed-forward, which are rare.
+    // Total stiffness, and the stiffness of the parts without a feed-forward of their own, which are rare.
     let mut all = springs.unwrap_or(Stiffness::none());
     let (mut plain, mut mixed) = (all, springs.is_some());
     for StiffContact { normal, pull } in contacts {
@@ -173,7 +172,7 @@ fn stiffest<T: Real, K: Math<T>, const N: usize>(
     if !(with_feed_forward > T::zero() && radius > mean * T::EPSILON) {
         return None;
     }
-    // Half of the angle whose cosine is half_difference/radius, from its larger part.
+    // Half of the angle with the cosine half_difference/radius, computed from its larger part.
     let larger = K::sqrt(half + half * half_difference.abs() / radius);
     let smaller = half * all.xy / (radius * larger);
     let (x, y) = if half_difference >= T::zero() { (larger, smaller) } else { (smaller, larger) };

@@ -11,26 +11,25 @@ use nalgebra::SVector;
 impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K, N> {
     /// Implements [`Controller::render`] for one wall, by the closed form and with α = 1, or for no wall.
     ///
-    /// Values are written as soon as they are known, and equation (4) comes last, so that few values are live at a
-    /// time.
+    /// Writes values as soon as they are known and computes equation (4) last, so that few values are live at a time.
     #[inline(never)]
     pub(in super::super) fn render_wall(&mut self, counts: &[i32; N], result: &mut StepResult<T>) {
         self.render_single::<false>(counts, result);
     }
 
-    /// Implements [`Controller::render_wall`]; with `ROUND`, [`Controller::render_round`].
+    /// Implements [`Controller::render_wall`] or, with `ROUND`, [`Controller::render_round`].
     #[inline(always)]
     pub(super) fn render_single<const ROUND: bool>(&mut self, counts: &[i32; N], result: &mut StepResult<T>) {
         let Some(start) = self.start(counts, result) else {
             return self.render_generally(counts, result);
         };
         if self.guidance.adds_force {
-            // A copy, so that the usual case need not keep it in memory.
+            // Passes a copy, so that the usual case need not keep it in memory.
             self.write_guidance(&{ start }, &mut result.guidance);
         }
         let Start { pose, place, .. } = start;
         let debt = self.debt();
-        let Some(running) = self.walls.single() else {
+        let Some(running) = self.walls.single_wall() else {
             result.at.walls = AtWalls::none();
             return self.write_untouched(result);
         };
@@ -39,8 +38,8 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         } else {
             (running.surface().contact::<K, N>(&place), T::zero())
         };
-        let velocity = running.pass(&self.coefficients, contact.distance);
-        let effect = running.press(contact.distance, velocity, debt.as_ref(), T::one());
+        let velocity = running.step_low_pass(&self.coefficients, contact.distance);
+        let effect = running.effect_at(contact.distance, velocity, debt.as_ref(), T::one());
         result.at.walls = AtWalls {
             contacts: u8::from(effect.touched),
             distance: contact.distance,
@@ -54,32 +53,31 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
             return self.write_untouched(result);
         }
         let (feed_forward, force) = (running.feed_forward(), effect.force);
-        // All forces are along the normal: one row of J converts every force through Jᵀ.
+        // All forces are along the normal, so one row of J converts every force through Jᵀ.
         let row = self.mechanism.transpose(&pose, &contact.normal);
         let rendered = row * force;
         put(&rendered, &mut result.asked.rendered);
         result.asked.force_squared = force * force;
         if !ROUND && feed_forward == FeedForward::Off {
             put(&self.mechanism.inverse(&pose, &contact.normal), &mut result.motion);
-            self.hold(&rendered, result);
+            self.record_wall_torques(&rendered, result);
             return self.write_total(&rendered, || contact.normal * force, result);
         }
         let Shaped { e, mut torque } = if ROUND {
             self.shaped_round(&start, &contact.normal, effect.shaped, curvature)
         } else {
-            self.shaped(&start, &contact.normal, effect.shaped, Some(0))
+            self.shaped_torque(&start, &contact.normal, effect.shaped, Some(0))
         };
         // Adds zero if the complete force is shaped.
         torque += row * (force - effect.shaped);
-        self.hold(&torque, result);
+        self.record_wall_torques(&torque, result);
         put(&e, &mut result.motion);
         self.write_total(&torque, || contact.normal * force, result);
     }
 
-    /// Writes the result of a step without contact.
     #[inline(always)]
     fn write_untouched(&mut self, result: &mut StepResult<T>) {
-        self.leave();
+        self.record_no_contact();
         clear::<T, N>(&mut result.motion);
         clear::<T, N>(&mut result.asked.rendered);
         result.asked.force_squared = T::zero();

@@ -8,19 +8,18 @@ use crate::render::scene::{MAX_SPRINGS, MAX_WALLS};
 use heapless::Vec;
 use nalgebra::SVector;
 
-/// Depth over which a contact's stiffness grows to its full value for selecting the rendered directions, m: the first
-/// contact with a second wall then does not change the feed-forward of the first wall abruptly. This is three steps of
-/// a shipped encoder, and the depth of a few newtons in the stiffest walls that these devices render.
+/// Depth over which a contact's stiffness fades in when the rendered directions are selected, m, so that a second wall
+/// does not change the first wall's feed-forward abruptly. It is three steps of a shipped encoder, and the depth of a
+/// few newtons in the stiffest walls of the shipped devices.
 pub const TOUCH_DEPTH: f64 = 1.0e-4;
-
-/// The same depth as a share of the largest depth at which a contact's own stiffness would make its shaped force.
+/// [`TOUCH_DEPTH`] as a share of the largest depth at which a contact's stiffness alone would make its shaped force.
 ///
-/// While a second contact gains weight, the sideways push by the first contact's force changes. Over this share of the
-/// first contact's depth, the change adds to the second contact, or removes from it, at most three times its own
-/// stiffness times the coupling; over a tenth of a millimetre it would be tens of times that (docs/model.md section 2).
+/// While a second contact gains weight, the sideways push of the first contact changes. With this share, the change
+/// is at most three times the second contact's own stiffness times the coupling; over a tenth of a millimetre it would
+/// be tens of times as much (docs/model.md section 2).
 pub const TOUCH_SHARE: f64 = 2.0 / 3.0;
 
-/// The pulls that can act together.
+/// Stiffnesses of contacts and springs that can act together.
 pub(in super::super) type Pulls<T, const N: usize> = Vec<Pull<T, N>, { MAX_WALLS + MAX_SPRINGS + 1 }>;
 
 /// Walls, springs and the host's plane that act together.
@@ -28,14 +27,14 @@ pub(in super::super) type Pulls<T, const N: usize> = Vec<Pull<T, N>, { MAX_WALLS
 pub(in super::super) struct ContactGroup<'a, T: Real, const N: usize> {
     first: &'a ShapedContact<T, N>,
     more: &'a [ShapedContact<T, N>],
-    /// Pulls, those of the walls first.
+    /// Stiffnesses of the group, those of the walls first.
     pub pulls: &'a [Pull<T, N>],
     pub principal: Principal<T, N>,
 }
 
 impl<'a, T: Real, const N: usize> ContactGroup<'a, T, N> {
-    /// Makes the group of contacts at the tip position `place` (m), in a task of `task` dimensions. `pulls` is an empty
-    /// list that the group fills and borrows.
+    /// Makes the group of contacts at the tip position `place` (m), in a task of `task` dimensions. The group fills and
+    /// borrows `pulls`, which must be empty.
     #[inline(always)]
     pub fn new<K: Math<T>>(
         first: &'a ShapedContact<T, N>,
