@@ -1,5 +1,6 @@
-//! The table "Adding things" of docs/architecture.md: every file that a row names exists, and for every row but one a
-//! test adds a toy through the table or trait that ships. If a row omits a place, that test does not compile.
+//! Checks the table "Adding things" of docs/architecture.md. Every file that a row names must exist. For every row but
+//! "straight step" a test adds a toy through the shipped table or trait. If a row omits a place, that test does not
+//! compile.
 
 use std::path::Path;
 
@@ -28,7 +29,7 @@ fn read(path: &str) -> String {
     std::fs::read_to_string(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
 }
 
-/// Returns the first cell and the text of every row of the table.
+/// Returns every row of the table as its first cell and its full text.
 fn table() -> Vec<(String, String)> {
     let text = read("docs/architecture.md");
     let section = text.split("## Adding things").nth(1).expect("the section");
@@ -36,7 +37,7 @@ fn table() -> Vec<(String, String)> {
     lines.map(|line| (line.split('|').nth(1).expect("a first cell").trim().into(), line.into())).collect()
 }
 
-/// Returns the files that a text names, except those whose name the reader chooses.
+/// Returns the file paths in `text`, except paths that contain `NAME`.
 fn files(text: &str) -> Vec<&str> {
     let words = text.split(|c: char| !is_path_char(c)).map(|word| word.trim_end_matches('.'));
     let is_file = |word: &&str| word.contains('/') && Path::new(word).extension().is_some();

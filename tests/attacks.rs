@@ -1,4 +1,4 @@
-//! Attacks that once worked, each with valid requests, on the complete service or on the control loop.
+//! Sequences of valid requests that once had dangerous effects, on the complete service or on the control loop.
 
 use crate::rig::board::Board;
 use crate::rig::{self, Rig, at_rate, five_bar, hardware, rules, scene};
@@ -11,7 +11,7 @@ use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::safety::limits::Limits;
 use nalgebra::{Matrix2, Vector2};
 
-// ---- 1: with an indefinite mass matrix two walls pull into their corner
+// ---- 1: two walls with an indefinite mass matrix pull into their corner
 #[test]
 fn an_indefinite_mass_matrix_is_refused_or_pushes_outwards() {
     let device = rig::device(&five_bar());
@@ -68,7 +68,7 @@ fn an_indefinite_mass_matrix_is_refused_or_pushes_outwards() {
     }
 }
 
-// ---- 2, 3: flash and memory after a commit
+// ---- 2, 3: flash and memory differ after a commit
 fn stage<S: settings::Setting>(board: &mut Board, value: &S) {
     let entry = settings::encode(value).unwrap();
     board.ask::<StageEntry>(&WriteEntry { session: 1, key: S::KEY, entry }).unwrap().unwrap();
@@ -91,7 +91,7 @@ fn limits_restored_alone_do_not_move_to_another_device() {
         .unwrap()
         .unwrap();
     board.ask::<Save>(&()).unwrap().unwrap();
-    // Another device, not saved, and limits for it.
+    // Loads another device without saving it, and sends limits for that device.
     board
         .ask::<SetDevice>(&haptic_bridge::model::device::Device::new("strong", &rig::paddle()).unwrap())
         .unwrap()
@@ -133,7 +133,7 @@ fn a_device_restored_alone_is_the_same_after_a_restart() {
     assert!(!frozen(&restart(&mut board)), "after a restart the other device has the first device's matrix");
 }
 
-/// Creates an armed five-bar in free space at this control rate, Hz.
+/// Creates an armed five-bar in free space, with a control rate in Hz and a tip-force limit in N.
 fn armed_rig(rate: f32, tip_force: f32) -> Rig {
     let mut rules = rules();
     rules.limits.tip_force = tip_force;
@@ -142,7 +142,7 @@ fn armed_rig(rate: f32, tip_force: f32) -> Rig {
     rig
 }
 
-/// Returns a request of a contact `depth` (m) inside a plane that faces +x.
+/// Returns a request for a contact with a plane that faces +x. The tip is `depth` m inside the plane.
 fn contact(rig: &Rig, sequence: u32, depth: f32, stiffness: f32, [hold, fade]: [f32; 2]) -> ForceRequest {
     let tip = rig.control_loop.status().tip;
     let point = [tip[0] + depth, tip[1], 0.0];
@@ -155,7 +155,7 @@ fn force_x(rig: &mut Rig) -> f32 {
     rig.control_loop.force(&ForceRequest::default()).force[0]
 }
 
-// ---- 4: two renewals between two steps
+// ---- 4: two renewals between two steps add up
 #[test]
 fn a_contact_renewed_twice_between_two_steps_returns_smoothly() {
     let mut rig = armed_rig(5_000.0, 1.0e3);
@@ -170,7 +170,7 @@ fn a_contact_renewed_twice_between_two_steps_returns_smoothly() {
     assert!(now >= before && now - before <= 0.4, "from {before} to {now} N");
 }
 
-// ---- 5: a new plane while the lease fades
+// ---- 5: a new plane while the lease fades makes the force jump
 #[test]
 fn a_contact_sent_again_while_its_lease_fades_moves_evenly() {
     let mut rig = armed_rig(20_000.0, 1.0e3);
@@ -178,7 +178,7 @@ fn a_contact_sent_again_while_its_lease_fades_moves_evenly() {
     let second = contact(&rig, 2, 5.0e-3, 1e3, [0.0, 0.2]);
     rig.control_loop.force(&first);
     rig.run(0.01);
-    // 4 N more, 10 ms after the last move: 0.02 N per step.
+    // The 4 N are spread over 10 ms, the time since the last request: 0.02 N per step.
     let (mut before, mut most) = (force_x(&mut rig), 0.0_f32);
     for step in 0..200 {
         if step % 10 == 0 {
@@ -192,7 +192,7 @@ fn a_contact_sent_again_while_its_lease_fades_moves_evenly() {
     assert!(most < 0.03, "the force jumps by {most} N");
 }
 
-// ---- 6: a late renewal
+// ---- 6: a late renewal makes the force jump
 #[test]
 fn a_late_renewal_causes_no_jump_of_a_contact_force() {
     let mut rig = armed_rig(20_000.0, 1.0e3);
@@ -207,7 +207,7 @@ fn a_late_renewal_causes_no_jump_of_a_contact_force() {
     assert!((now - before).abs() < 0.3, "from {before} to {now} N in 50 us");
 }
 
-// ---- 7: a contact that moves between two planes
+// ---- 7: a contact that moves between two planes pushes harder than both planes
 #[test]
 fn a_contact_between_two_planes_pushes_no_more_than_either() {
     let mut rig = armed_rig(20_000.0, 5.0);
@@ -224,7 +224,7 @@ fn a_contact_between_two_planes_pushes_no_more_than_either() {
     }
 }
 
-// ---- 8: a change of the control rate
+// ---- 8: a change of the control rate falsifies the age of a force
 #[test]
 fn the_age_of_a_force_is_right_after_a_change_of_rate() {
     let mut rig = armed_rig(200.0, 1.0e3);
@@ -246,7 +246,7 @@ fn the_age_of_a_force_is_right_after_a_change_of_rate() {
     assert_eq!(answer.done, ForceDone::TooOld, "one second old, but its age is {:?} s", answer.age);
 }
 
-// ---- 9: a device that the present scene does not fit
+// ---- 9: a device is refused because the present scene does not fit it
 #[test]
 fn a_device_loads_although_the_present_scene_does_not_fit_it() {
     use haptic_bridge::model::catalogue::{Kind, MAX_GEOMETRY};
@@ -260,7 +260,7 @@ fn a_device_loads_although_the_present_scene_does_not_fit_it() {
     assert_eq!(board.ask::<SetDevice>(&rig::device(&five_bar())).unwrap(), Ok(()));
 }
 
-// ---- 10: a save right after a fault
+// ---- 10: a save hides a fault that came just before
 #[test]
 fn a_fault_is_published_although_a_save_precedes_the_next_poll() {
     let mut board = Board::ready(false, &rig::device(&five_bar()), &scene(2, &[]));

@@ -1,4 +1,4 @@
-//! The control loop's refusals, its memory, and its changes between on and off.
+//! The control loop refuses unsafe commands, keeps its state, and turns the motors on and off without jumps.
 
 use crate::rig::{self, RATE, Rig, five_bar, hardware, limits, paddle, rules, scene, spring_scene, wall};
 use core::f64::consts::TAU;
@@ -161,7 +161,7 @@ fn homing_declares_the_pose_of_the_device_file() {
 
 #[test]
 fn torque_rises_from_zero_after_arming() {
-    // The spring makes its torque from the first step on.
+    // The spring makes its full torque from the first step on.
     let mut rig = Rig::ready(&spring_scene(1, [0.02, 0.0, 0.0], 100.0));
     rig.execute(Command::Arm).unwrap();
     let full = 100.0 * 0.02 * 0.1;
@@ -303,7 +303,7 @@ fn limits_can_be_lowered_below_the_continuous_current() {
 #[test]
 fn a_lowered_limit_acts_at_the_next_step() {
     type Change = fn(&mut Limits);
-    // The wall makes 2.5 N at an arm of 0.1 m.
+    // The wall makes 2.5 N at an arm of 0.1 m, so 0.25 N m.
     let changes: [(&str, Change, f32); 4] = [
         ("tip force", |limits| limits.tip_force = 2.0, 0.2),
         ("current", |limits| limits.current[0] = 1.5, 0.15),
@@ -325,7 +325,7 @@ fn a_lowered_limit_acts_at_the_next_step() {
 fn a_lowered_tip_force_limits_the_fade_of_the_last_scene() {
     let mut rig = Rig::ready(&spring_scene(1, [0.02, 0.0, 0.0], 100.0));
     rig.arm();
-    // 2 N at an arm of 0.1 m.
+    // The spring makes 2 N at an arm of 0.1 m, so 0.2 N m.
     assert!((rig.torques()[0].abs() - 0.2).abs() < 1.0e-3, "{:?}", rig.torques());
     rig.load(&paddle(), &scene(1, &[]), true).unwrap();
     rig.step();
@@ -336,7 +336,7 @@ fn a_lowered_tip_force_limits_the_fade_of_the_last_scene() {
         rig.step();
         let force = rig.torques()[0].abs() / 0.1;
         assert!(force <= 0.5 * 1.001, "{force} N");
-        // The remaining force of the 2 N continues to fade over half a second.
+        // The earlier 2 N fade over half a second, so the force stays near its limit.
         assert!(force > 0.4, "{force} N");
     }
     assert_eq!(rig.state(), State::Armed);
@@ -348,7 +348,7 @@ fn gains_changed_in_contact_cause_no_other_change_of_torque() {
     rig.arm();
     rig.turn(0, -0.1, 1.0);
     rig.settle();
-    // 5 mm deep: 0.5 N or 0.05 N m at 100 N/m.
+    // The tip is 5 mm deep, so 100 N/m make 0.5 N or 0.05 N m.
     for stiffness in [100.0, 200.0, 150.0, 0.0, 400.0] {
         rig.execute(gains(stiffness, 0.0, FeedForward::Off)).unwrap();
         rig.step();
@@ -356,7 +356,7 @@ fn gains_changed_in_contact_cause_no_other_change_of_torque() {
         let torque = rig.torques()[0];
         assert!((torque - expected).abs() < 2.0e-3 * expected.max(0.01), "{stiffness}: {torque} for {expected}");
     }
-    // At rest damping makes no force.
+    // Damping makes no force at rest.
     let before = rig.torques()[0];
     rig.execute(gains(400.0, 50.0, FeedForward::Off)).unwrap();
     rig.step();
@@ -418,7 +418,7 @@ fn the_polarity_check_waits_for_a_gliding_joint() {
     rig.execute(Command::CheckPolarity).unwrap();
     let mut body = rig::Body::of(&five_bar());
     body.check_first(&mut rig);
-    // 1.5 s of backward motion, as of a device almost without friction.
+    // The joint glides backwards for 1.5 s, like a device almost without friction.
     for _ in 0..(1.5 * rig.rate) as u32 {
         body.qd = [0.0, -0.05, 0.0];
         body.step(&mut rig, 1.0);
@@ -429,7 +429,7 @@ fn the_polarity_check_waits_for_a_gliding_joint() {
     assert!(rig.control_loop.status().polarity, "{:?}", rig.fault());
 }
 
-/// A hand moves the joint of a motor that has no effect or is wired backwards.
+/// A hand moves the joint, whose motor has no effect or is wired backwards.
 #[test]
 fn a_joint_that_a_hand_moves_fails_the_polarity_check() {
     for (joint, speed) in [(0, 0.012), (0, 0.15), (1, 0.012), (1, 0.15)] {
@@ -456,7 +456,7 @@ fn the_polarity_check_keeps_the_tip_force_limit_after_homing() {
     let mut rig = Rig::with(&paddle(), &scene(1, &[]), hardware(), gentle);
     rig.turn(0, 0.5, 1.0);
     rig.settle();
-    // Homing changes the angle by half a radian before the next step.
+    // Homing changes the angle by 0.5 rad before the next step.
     rig.execute(Command::Home).expect("at rest");
     rig.execute(Command::CheckPolarity).expect("ready");
     for step in 0..1_200 {
@@ -503,7 +503,7 @@ fn a_joint_that_turns_back_or_not_at_all_fails_the_check() {
 
 #[test]
 fn the_polarity_check_starts_with_a_cleared_power_mean() {
-    // The mean power of an earlier run does not count.
+    // The mean power of the earlier run must not count in the check.
     let mut rig = Rig::ready(&scene(1, &[wall(0.09, 100_000.0)]));
     rig.turn(0, 0.95, 5.0);
     rig.settle();

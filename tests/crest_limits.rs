@@ -1,5 +1,4 @@
-//! Limits act at every crest of the carrier, at every control rate, for any commanded torques and any filters of the
-//! scene.
+//! Limits act at every crest of the carrier, at every control rate, for any commanded torque and any velocity filter.
 
 use crate::rig::{self, RATE, RATES, Rig, at_rate, five_bar, hardware, limits, paddle, quiet, rules, scene, wall};
 use haptic_bridge::control::frame::Samples;
@@ -26,15 +25,14 @@ fn limits_hold_for_any_commanded_torque() {
     }
 }
 
-/// Creates an armed paddle at a control rate.
 fn armed_at(rate: f32) -> Rig {
     let mut rig = Rig::ready(&at_rate(rate, quiet()));
     rig.arm();
     rig
 }
 
-/// Turns joint 0 at `speed` (rad/s) until the bridges float, for at most `most` carrier periods. Returns the number of
-/// periods until they float.
+/// Turns joint 0 at `speed` (rad/s) for at most `most` carrier periods. Returns the period in which the bridges float,
+/// or `None` if they stay on. `shown` are the measured currents, A.
 fn crests_until_off(rig: &mut Rig, speed: f64, most: u32, shown: [f32; 3]) -> Option<u32> {
     let start = rig.samples.counts[0];
     (1..=most).find(|nth| {
@@ -59,12 +57,12 @@ fn an_over_current_is_found_at_the_next_crest_at_every_rate() {
 #[test]
 fn speed_and_joint_limits_act_in_time_at_every_rate() {
     for rate in RATES {
-        // 40 rad/s is twice the limit: a first-order filter of 200 Hz takes ln 2 of its 0.8 ms, 11 periods.
+        // 40 rad/s is twice the limit. The first-order filter of 200 Hz (0.8 ms) needs 0.8 ms · ln 2, or 11 periods.
         let mut rig = armed_at(rate);
         let seen = crests_until_off(&mut rig, 40.0, 100, [0.0; 3]);
         assert!(seen.is_some_and(|seen| (10..=14).contains(&seen)), "{rate} Hz: {seen:?}");
         assert_eq!(rig.fault(), Some(Fault::SpeedLimit));
-        // 19 rad/s is within the limit; the joint limit of 1 rad is 1053 periods away.
+        // 19 rad/s is within the speed limit, and the joint limit of 1 rad is 1053 periods away.
         let mut rig = armed_at(rate);
         let seen = crests_until_off(&mut rig, 19.0, 2_000, [0.0; 3]);
         assert!(seen.is_some_and(|seen| (1_052..=1_056).contains(&seen)), "{rate} Hz: {seen:?}");
@@ -89,8 +87,8 @@ fn no_scene_filter_delays_or_disables_the_speed_limit() {
 
 #[test]
 fn a_coarse_encoder_moves_a_few_counts_before_a_speed_limit() {
-    // 400 counts a turn: one count in a carrier period is 314 rad/s. At 15 rad/s, below the limit of 20, a count takes
-    // 1 ms.
+    // With 400 counts per turn, one count in a carrier period is 314 rad/s. At 15 rad/s, below the limit of 20 rad/s, a
+    // count takes 1 ms.
     let mut coarse = paddle();
     coarse.joints[0].encoder.as_mut().unwrap().counts_per_turn = 400.0;
     let run = |speed: f64| {
@@ -140,7 +138,7 @@ fn repeated_clearing_does_not_lift_a_limit() {
 
 #[test]
 fn the_power_limit_counts_the_motors_power_not_the_scenes() {
-    // The wall requests a thousand times the torque limit; at 3 rad/s the motor's power is 0.9 W of the 2 W allowed.
+    // The wall requests a thousand times the torque limit. At 3 rad/s the motor's power is 0.9 W of the allowed 2 W.
     let mut rig = Rig::ready(&scene(1, &[wall(0.09, 100_000.0)]));
     rig.turn(0, 0.95, 5.0);
     rig.settle();
@@ -150,8 +148,9 @@ fn the_power_limit_counts_the_motors_power_not_the_scenes() {
     assert_eq!((rig.state(), rig.fault()), (State::Armed, None));
 }
 
-/// Cranks on capstans with 706 counts per turn move towards their stretched pose, where each count raises the tip force
-/// of the same torques by up to an eighth, while the tip presses into a wall beyond the limit.
+/// Two cranks with 706 counts per turn move towards the stretched pose of a five-bar. Near that pose each count raises
+/// the tip force of the same torques by up to an eighth. Meanwhile the tip presses into a wall with more than the
+/// limit.
 #[test]
 fn a_coarse_count_neither_trips_nor_exceeds_the_force_limit() {
     const PER_TURN: f64 = 705.882;
@@ -175,7 +174,7 @@ fn a_coarse_count_neither_trips_nor_exceeds_the_force_limit() {
     let mut most = 0.0_f32;
     for moved in 1..=12 {
         let (before, now) = (rig.samples.counts, Counts([home[0] + moved + 1, home[1] - moved, 0]));
-        // The pose where the counts change; until there the commanded torques flow.
+        // The commanded torques flow until the counts change, which happens at this pose.
         let edge = core::array::from_fn(|i| {
             let counts = 0.5 * f64::from(before[i] + now[i] - 2 * home[i]);
             (stands_at[i] + counts / PER_TURN * core::f64::consts::TAU) as f32
@@ -194,7 +193,7 @@ fn the_force_limit_counts_alternating_currents_in_full() {
     let gentle = Rules { limits: Limits { tip_force: 0.1, ..limits() }, ..rules() };
     let mut rig = Rig::with(&paddle(), &at_rate(20_000.0, quiet()), hardware(), gentle);
     rig.arm();
-    // A force of 0.2 N that alternates, with a sample every 50 µs, for 5 ms.
+    // A force of 0.2 N alternates for 5 ms, sampled every 50 µs.
     for nth in 0..100 {
         rig.shown_current = Some(if nth / 2 % 2 == 0 { 0.2 } else { -0.2 });
         rig.step();

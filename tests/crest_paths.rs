@@ -1,5 +1,5 @@
-//! The fast paths compute the same numbers as the general paths: a crest in one pass against the same crest stage by
-//! stage, and a current loop far from its limits against the general current loop.
+//! The fast paths compute the same numbers as the general paths. The tests compare a crest in one pass with the same
+//! crest stage by stage, and the fast current loop with the general current loop.
 
 use crate::rig::{self, device, five_bar, hardware, paddle, scene, wall};
 use haptic_bridge::control::compiled::{self, BoardControlLoop, Legs};
@@ -19,13 +19,12 @@ use haptic_bridge::render::velocity::{Coefficients, Estimator};
 use haptic_bridge::safety::fault::{Fault, State};
 use std::collections::BTreeSet;
 
-/// A generator of random numbers.
+/// A generator of random numbers, xorshift64 (Marsaglia 2003).
 struct Random(u64);
 
 impl Random {
     /// Draws a number from 0 to 1.
     fn share(&mut self) -> f32 {
-        // Xorshift64 (Marsaglia 2003).
         self.0 ^= self.0 << 13;
         self.0 ^= self.0 >> 7;
         self.0 ^= self.0 << 17;
@@ -50,13 +49,13 @@ impl Random {
     }
 }
 
-/// Values that a sensor or a command should never have.
+/// Values that no sensor and no command should have.
 const INVALID: [f32; 8] = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, f32::MAX, -0.0, 1.0e-40, 1.0e3, -1.0e3];
 
 /// Number of crests between two comparisons of complete control loops.
 const COMPARISON_INTERVAL: u32 = 50;
 
-/// Returns a complete value as text. Two floats have equal texts only if their bits are equal or both are NaN.
+/// Returns a value as text. The texts of two floats are equal only if their bits are equal or both are NaN.
 fn as_text(value: &impl core::fmt::Debug) -> String {
     format!("{value:?}")
 }
@@ -130,10 +129,10 @@ fn at_rest() -> Samples {
     Samples { bus_voltage: 24.0, ..Samples::default() }
 }
 
-/// Control rate of the scenes here, Hz. Every crest has a control step.
+/// Control rate of the scenes in this file, Hz. Every crest has a control step.
 const RATE: f32 = 2_000.0;
 
-/// Two boards: the first runs crests in one pass where it can, the second runs every crest stage by stage.
+/// Two boards. The first runs crests in one pass where possible, the second runs every crest stage by stage.
 struct Pair {
     control_loops: [BoardControlLoop; 2],
     legs: [Legs; 2],
@@ -154,13 +153,13 @@ impl Pair {
         Self { control_loops: [control_loop(), control_loop()], legs: [Legs::default(); 2], carrier, crests: 0 }
     }
 
-    /// Sends the same command to both.
+    /// Sends the same command to both boards.
     fn execute(&mut self, command: impl Fn() -> Command<compiled::BoardProgram>) {
         let [one, other] = self.control_loops.each_mut().map(|control_loop| control_loop.execute(command()).0);
         assert_eq!(one, other);
     }
 
-    /// Homes at rest and sets the polarity as known.
+    /// Homes both boards at rest and sets the polarity as known.
     fn home(&mut self) {
         for homes in [true, false] {
             for _ in 0..40 {
@@ -189,7 +188,7 @@ impl Pair {
         };
         let others = compiled::crest_generally(other, samples, due, &ticks, other_legs);
         assert_eq!((drives, &legs), (others, &other_legs), "{samples:?} {:?} {:?}", one.status(), other.status());
-        // After a usual step the valley records the samples.
+        // After a crest in one pass the valley records the samples.
         self.for_both(|control_loop| compiled::note(control_loop, samples, None));
         self.assert_equal(samples);
         let [one, other] =
@@ -203,7 +202,7 @@ impl Pair {
             .control_loops
             .each_ref()
             .map(|control_loop| (control_loop.frame(), control_loop.status(), *control_loop.heat()));
-        // Texts are slow to compare, but they distinguish 0 from -0, and NaN equals NaN.
+        // Texts are slow to compare, but they distinguish 0 from -0 and treat NaN as equal to NaN.
         if one != other || self.crests.is_multiple_of(COMPARISON_INTERVAL) {
             assert_eq!(as_text(&one), as_text(&other), "{samples:?}");
         }
@@ -213,8 +212,8 @@ impl Pair {
         self.control_loops[0].status().state
     }
 
-    /// Returns two flags: the next crest takes one pass, as far as the control loop knows beforehand; and it does so
-    /// after a step whose torques a limit reduced.
+    /// Returns two flags. The first is true if the control loop plans the next crest in one pass. The second is true if
+    /// the crest takes one pass although a limit reduced the last torques.
     fn is_usual(&self) -> [bool; 2] {
         let text = as_text(&self.control_loops[0]);
         let usual = !text.contains(" usual: 0,");
@@ -223,7 +222,6 @@ impl Pair {
     }
 }
 
-/// Returns devices with one, two and three joints.
 fn devices() -> [Description; 3] {
     let mut geometry = [0.0; MAX_GEOMETRY];
     geometry[..3].copy_from_slice(&[0.1, 0.1, 0.05]);
@@ -299,8 +297,8 @@ fn random_scene(description: &Description, trouble: Trouble, random: &mut Random
     Scene { rate_hz: RATE, velocity_terms, gravity_compensation, ..scene(task, &walls) }
 }
 
-/// Arms a random device and disturbs it. Returns how many of the examined crests took one pass, how many of these
-/// followed a step that a limit reduced, and the fault.
+/// Arms a random device and disturbs it. Returns the number of compared crests in one pass, the number of crests in one
+/// pass with reduced torques, and the fault.
 fn episode(random: &mut Random, trouble: Trouble) -> ([u32; 2], Option<Fault>) {
     let mut description = random.choose(&devices());
     if matches!(trouble, Trouble::Stretch | Trouble::Weight) {
@@ -314,7 +312,7 @@ fn episode(random: &mut Random, trouble: Trouble) -> ([u32; 2], Option<Fault>) {
         rules.limits.torque = [0.003; MAX_JOINTS];
     }
     if trouble == Trouble::Weight {
-        // About the torques of the device's weight at home.
+        // These limits are close to the torques of the device's weight at home.
         rules.limits.torque = random.choose(&[[0.0261, 0.0266, 0.0], [0.032; MAX_JOINTS]]);
     }
     if trouble == Trouble::Range {
@@ -341,14 +339,14 @@ fn episode(random: &mut Random, trouble: Trouble) -> ([u32; 2], Option<Fault>) {
     let (begins, axis) = (1_050 + random.below(600) as u32, random.below(joints));
     let mut fault = None;
     for crest in 0..1_800 {
-        // Every joint moves randomly around its home.
+        // Every joint moves randomly near its home.
         let motors = pair.control_loops[0].frame().motors;
         for i in 0..joints {
             velocity[i] = 0.98 * velocity[i] + random.between(-0.4, 0.4) - 2.0e-4 * at[i];
             at[i] += velocity[i];
             let moved = at[i].round() as i32 - samples.counts[i];
             samples.counts[i] += moved;
-            // 2 ohms, 1 mH and 0.1 V s.
+            // The winding has 2 ohm and 1 mH, and the back-EMF is 0.1 V s/rad.
             let speed = moved as f32 * (core::f32::consts::TAU / 60_000.0 * 20_000.0);
             let current = &mut samples.currents[i];
             *current += (motors.duty[i] * samples.bus_voltage - 2.0 * *current - 0.1 * speed) * 50.0e-6 / 1.0e-3;
@@ -387,7 +385,7 @@ fn episode(random: &mut Random, trouble: Trouble) -> ([u32; 2], Option<Fault>) {
                 let mut torque = [0.0; MAX_JOINTS];
                 torque[axis] = random.between(-2.0, 2.0) * rules.limits.torque[axis];
                 if trouble == Trouble::Weight {
-                    // The weight alone exceeds the limits; the pushed torque brings the sum back within them.
+                    // The weight alone exceeds the limits, but weight and requested torque together are within them.
                     torque = [random.between(0.0, 0.02), random.between(-0.02, 0.0), 0.0];
                 }
                 let request =

@@ -1,4 +1,4 @@
-//! The drive makes the current for the commanded torque, with duties within the bridge's range.
+//! The motor stage makes the current of the commanded torque, with duties within the bridge's range.
 
 use haptic_bridge::drive::brushed::{Axis, UNKNOWN_INDUCTANCE_SHARE};
 use haptic_bridge::drive::stage::{Bridge, Duty, MAX_DUTY, Stage, Supply};
@@ -22,8 +22,8 @@ fn bridge(current_sensed: bool) -> Bridge {
     Bridge { carrier_hz: CARRIER, dead_time: 200.0e-9, bandwidth_hz: 1_000.0, current_sensed }
 }
 
-/// A motor's winding at a constant speed (rad/s), with the dead time (s) of its bridge. The current is exact between
-/// two changes of duty.
+/// A motor's winding at a constant speed (rad/s), driven by a bridge with a dead time (s). The current is computed
+/// exactly between two changes of duty.
 struct Winding {
     motor: Motor<f32>,
     speed: f32,
@@ -31,7 +31,7 @@ struct Winding {
     measured_speed: f32,
     dead_time: f32,
     current: f32,
-    /// Duty of the voltage across the winding.
+    /// Duty of the present voltage across the winding.
     duty: f32,
 }
 
@@ -49,13 +49,13 @@ impl Winding {
         self.current = goal + (self.current - goal) * fade;
     }
 
-    /// Runs `periods` carrier periods as on a board: the current is sampled at a crest, and the duty applies from the
-    /// next valley on. Calls `at_valley` with the period and the current at every valley.
+    /// Runs `periods` carrier periods as on a board. The current is sampled at the crest, and the duty applies from the
+    /// next valley on. Calls `at_valley` with the period and the current (A).
     fn run(&mut self, axis: &mut Axis, periods: usize, at_valley: impl FnMut(usize, f32)) {
         self.run_late(axis, periods, |_| false, at_valley);
     }
 
-    /// Like `run`, but the duties of `late` periods apply from the next crest on.
+    /// Like `run`, but the duties of the periods for which `late` is true apply from the next crest on.
     fn run_late(
         &mut self,
         axis: &mut Axis,
@@ -123,7 +123,7 @@ fn a_current_within_the_bus_takes_one_carrier_period() {
     }
 }
 
-/// A name and a function that returns true for the periods with late duties (steps longer than half a carrier period).
+/// A name, and a function that returns true for periods with late duties (steps longer than half a carrier period).
 type Lateness = (&'static str, fn(usize) -> bool);
 
 const LATE: [Lateness; 4] = [
@@ -167,7 +167,7 @@ fn no_pattern_of_late_duties_causes_an_over_current() {
     let limit = 4.0;
     for (resistance, inductance) in [(0.5, 1.0e-4), (0.5, 3.0e-4), (1.5, 1.0e-4), (1.5, 1.0e-3), (0.5, 2.0e-5)] {
         let file = Motor { resistance, inductance, ..motor() };
-        // Reversals every few periods, at every phase of the late duties, with a turning rotor.
+        // The torque reverses every few periods, at every phase of the late duties, while the rotor turns.
         for (name, late) in LATE {
             for every in 1..9 {
                 let mut axis = Axis::new(&file, &bridge(true), limit);
@@ -199,10 +199,10 @@ fn a_current_beyond_the_bus_takes_longer_and_settles() {
         });
         (most / 2.0, arrived.unwrap_or(usize::MAX))
     };
-    // 2 A in 50 µs would need 43 V; 22 V take two periods.
+    // 2 A in 50 µs would need 43 V. The available 22 V need two periods.
     let (most, arrived) = step(motor());
     assert!(most < 1.01 && arrived == 2, "{most} of the step, {arrived} periods");
-    // If the inductance is smaller than the file's by a share, the current overshoots by the same share, and the loop
+    // If the file's inductance is too large by a share, the current overshoots by the same share until the loop
     // corrects it.
     for (resistance, inductance) in [(1.4, 1.0), (0.7, 1.0), (1.0, 1.3), (1.0, 0.7), (1.4, 0.7)] {
         let expected = motor();
@@ -216,14 +216,14 @@ fn a_current_beyond_the_bus_takes_longer_and_settles() {
     }
 }
 
-/// Computes the overshoot of the current of a winding L/R (s) if the final voltage is applied at once while a loop of
-/// `bandwidth` (rad/s) integrates the error. With s = L/R d/dt and x = bandwidth L/R the error obeys
-/// e'' + e' + x e = 0, e(0) = 1, e'(0) = -1. The overshoot is its negative minimum, found by numerical integration.
+/// Computes the overshoot of a winding's current, as a share of the final current. The final voltage is applied at once
+/// while a loop of `bandwidth` (rad/s) integrates the error. With s = L/R d/dt, `winding` = L/R (s) and x = bandwidth
+/// L/R the error obeys e'' + e' + x e = 0, e(0) = 1, e'(0) = -1. The overshoot is the negative minimum of e.
 fn overshoot(winding: f64, bandwidth: f64) -> f64 {
     let (x, h) = (bandwidth * winding, 1.0e-4);
     let (mut error, mut rate, mut least) = (1.0_f64, -1.0_f64, 0.0_f64);
     for _ in 0..200_000 {
-        // Midpoint rule; its error over these steps is below 1e-7.
+        // The error of the midpoint rule with these steps is below 1e-7.
         let (middle, middle_rate) = (error + 0.5 * h * rate, rate + 0.5 * h * (-rate - x * error));
         (error, rate) = (error + h * middle_rate, rate + h * (-middle_rate - x * middle));
         least = least.min(error);
@@ -243,8 +243,8 @@ fn a_winding_of_unknown_inductance_overshoots_as_documented() {
         winding.run(&mut axis, 1_000, |_, current| most = most.max(current));
         let found = f64::from(most) / 2.0 - 1.0;
         let expected = overshoot(f64::from(inductance / file.resistance), bandwidth);
-        // The loop is up to three quarters of a carrier period late: 314 rad/s · 37.5 µs = 1.2 % of the integral's
-        // share, which is at most 0.31.
+        // The loop is up to 3/4 of a carrier period late. 314 rad/s · 37.5 µs are 1.2 % of the integral's share, which
+        // is at most 0.31.
         assert!((found - expected).abs() < 0.004, "{inductance} H: {found}, not {expected}");
         assert!((found - documented).abs() < 0.005, "{inductance} H: {found}, documented {documented}");
     }
@@ -262,7 +262,7 @@ fn a_winding_of_unknown_inductance_does_not_ring() {
             over |= current > 2.0;
             least = if over { least.min(current) } else { least };
         });
-        // At x = 0.31 the error of `overshoot` swings back by exp(-π/2 / √(x - 1/4)) = 0.2 % of the change.
+        // At x = 0.31 the solution in `overshoot` swings back by exp(-π/2 / √(x - 1/4)) = 0.2 % of the change.
         assert!(least > 0.99 * 2.0, "{inductance} H: falls back to {least} A");
         assert!((winding.current - 2.0).abs() < 0.01, "{inductance} H: {} A", winding.current);
     }
@@ -309,8 +309,8 @@ fn a_motor_without_a_torque_constant_gets_no_current() {
 
 #[test]
 fn the_integrator_does_not_wind_up_at_a_saturated_bus() {
-    // 4 A need 6 V, and 480 rad/s induce 24 V: together far beyond the bus. Once the motor has stopped, the current is
-    // right within 2 ms.
+    // 4 A need 6 V, and 480 rad/s induce 24 V, so the current is far out of reach. Once the motor has stopped, the
+    // current must be right within 2 ms.
     let mut axis = Axis::new(&motor(), &bridge(true), 10.0);
     let mut winding = Winding { measured_speed: 480.0, ..Winding::new(motor(), 480.0) };
     axis.command(0.2);
@@ -321,7 +321,6 @@ fn the_integrator_does_not_wind_up_at_a_saturated_bus() {
     assert!((winding.current - 4.0).abs() < 0.05, "{}", winding.current);
 }
 
-/// Ordinary, extreme and invalid numbers.
 const ANY: [f32; 12] = [
     0.0,
     -0.0,
@@ -410,7 +409,7 @@ fn without_supply_there_is_no_duty() {
     }
 }
 
-/// Between two control steps (a hundred crests at 200 Hz) the torque is not commanded again.
+/// A lowered limit must act at once because between two control steps (100 crests at 200 Hz) no torque is commanded.
 #[test]
 fn a_lowered_current_limit_acts_at_the_next_crest() {
     let motor = Motor { max_current: 20.0, ..motor() };
@@ -423,7 +422,7 @@ fn a_lowered_current_limit_acts_at_the_next_crest() {
     assert_eq!(axis.asked(), -5.0);
 }
 
-/// A limit that is lowered after the device was loaded tightens the motor's model as if it had been set before.
+/// A limit that is lowered after loading must tighten the motor's model like a limit that was set before.
 #[test]
 fn a_lowered_limit_tightens_the_model_of_unknown_inductance() {
     for inductance in [0.0, 1.0e-3] {

@@ -1,5 +1,4 @@
-//! The velocity estimators of joints: each against its definition, with the counts of a real encoder, in the board's
-//! precision.
+//! Compares the velocity estimators of joints with their definitions, with whole counts and in the board's precision.
 
 use crate::rig;
 use haptic_bridge::control::compiled::BoardMath;
@@ -33,7 +32,6 @@ fn noise(n: u32) -> f64 {
     f64::from(mixed) / f64::from(u32::MAX) * 2.0 - 1.0
 }
 
-/// An estimator that returns the mean of the last two motions.
 #[derive(Clone, Copy)]
 struct Toy<T>(T);
 
@@ -57,7 +55,7 @@ impl<T: Real> JointEstimator<T> for Toy<T> {
     }
 }
 
-/// Returns the velocities of an estimator at rest that receives these motions.
+/// Returns the velocities that an estimator computes from rest for these motions.
 fn run<E: JointEstimator<f64>>(chosen: Chosen, cutoff: f64, moved: impl IntoIterator<Item = f64>) -> Vec<f64> {
     let design = E::design(&chosen, warped(cutoff));
     let mut memory = E::moving_at(0.0);
@@ -83,7 +81,7 @@ fn the_difference_is_the_mean_over_k_samples() {
 
 #[test]
 fn the_predicting_observer_has_three_equal_poles() {
-    // For any initial state the velocity error is (a + b n + c n²) pⁿ, so (z - p)³ applied to it is zero.
+    // For any initial state the velocity error is (a + b n + c n²) pⁿ, so (z - p)³ times the error is zero.
     let g = warped(200.0);
     let p = (1.0 - g) / (1.0 + g);
     let design = Predicted::<f64>::design(&PLAIN, g);
@@ -120,7 +118,7 @@ fn a_known_push_acts_at_once_and_an_unknown_push_is_learned() {
 
 #[test]
 fn the_lag_at_constant_acceleration_is_as_reported() {
-    // In counts per period.
+    // Acceleration in counts per period².
     let growth = 1e-5;
     for (_, kind) in Estimator::ALL {
         let (Some(spec), Some(chosen)) = (kind.spec(), kind.chosen()) else { continue };
@@ -154,7 +152,7 @@ fn every_estimator_finds_the_speed_in_single_precision() {
         let double = Coefficients::<f64>::new(*kind, RATE, 500.0).unwrap();
         // 1 rad/s² in counts per period², for an encoder of 20,000 counts.
         let unit = 20_000.0 / std::f64::consts::TAU / (RATE * RATE);
-        // 2 rad/s is a third of a count per period. The mean is over the last 1,000 periods of 30 s of motion.
+        // 2 rad/s is 1/3 count per period. The mean is over the last 1,000 periods of 30 s of motion.
         let speed = 2.0 / std::f64::consts::TAU * 20_000.0 / RATE;
         let (mut on_board, mut in_double) = (JointVelocity::<f32>::default(), JointVelocity::<f64>::default());
         let (mut mean, mut difference) = (0.0, 0.0_f64);
@@ -170,7 +168,7 @@ fn every_estimator_finds_the_speed_in_single_precision() {
             }
         }
         assert!((mean / speed - 1.0).abs() < 1e-2, "{name}: {mean} is not {speed}");
-        // In counts per period.
+        // The difference is in counts per period.
         assert!(difference < 1e-4, "{name}: {difference:e} from double precision");
     }
 }
@@ -191,7 +189,7 @@ fn no_input_makes_an_estimator_panic() {
     }
 }
 
-/// Returns a scene for the five-bar with one wall that has damping and no stiffness.
+/// Returns a scene for the five-bar with one bilateral wall that has damping and no stiffness.
 fn wall(estimator: Estimator) -> Scene<f32> {
     let mut wall = rig::wall(0.0, 0.0);
     wall.damping = 10.0;

@@ -1,5 +1,5 @@
-//! A scene that replaces another while the motors are on: the old torques fade out without a jump and stay within the
-//! tip-force limit wherever the tip moves meanwhile.
+//! A scene replaces another while the motors are on. The old torques fade without a jump and stay within the tip-force
+//! limit wherever the tip moves.
 
 use crate::rig::statics::force_at_tip;
 use crate::rig::{Rig, five_bar, hardware, limits, rules, scene, spring_scene, wall};
@@ -14,14 +14,14 @@ use haptic_bridge::safety::fault::State;
 use haptic_bridge::safety::limits::Limits;
 use nalgebra::Vector2;
 
-/// Rounding error of a force whose torque is converted to a current and back, N.
+/// Rounding error of a tip force after its torque was converted to a current and back, N.
 const ROUNDING: f64 = 1.0e-3;
 
 fn torques(rig: &Rig) -> [f32; MAX_JOINTS] {
     *rig.torques()
 }
 
-/// Returns rules in which only the tip force (N) limits the rig.
+/// Returns rules in which the tip force (N) is the only effective limit.
 fn gentle(tip_force: f32) -> Rules {
     Rules {
         limits: Limits { torque: [3.0; MAX_JOINTS], current: [30.0; MAX_JOINTS], tip_force, ..limits() },
@@ -29,12 +29,12 @@ fn gentle(tip_force: f32) -> Rules {
     }
 }
 
-/// Returns a scene with a spring that pulls the tip at its home with this force, N.
+/// Returns a scene with a spring that pulls the tip at home with the force (x, y), N.
 fn pulled(tip: [f32; 3], [x, y]: [f32; 2]) -> Scene<f32> {
     spring_scene(2, [tip[0] + x / 10.0, tip[1] + y / 10.0, 0.0], 10.0)
 }
 
-/// Creates an armed five-bar at home whose tip a spring pulls with this force, N.
+/// Creates an armed five-bar at home whose tip a spring pulls with the force `pull`, N.
 fn at_home(rules: Rules, pull: [f32; 2]) -> Rig {
     let tip = Rig::with(&five_bar(), &scene(2, &[]), hardware(), rules).control_loop.frame().at.tip;
     let mut rig = Rig::with(&five_bar(), &pulled(tip, pull), hardware(), rules);
@@ -50,7 +50,6 @@ fn the_limit_holds_for_a_fade_while_the_elbow_stretches() {
         rig.load(&five_bar(), &scene(2, &[]), true).expect("free space");
         let before = torques(&rig);
         let mut alone = 0.0_f64;
-        // The elbows stretch.
         for step in 0..600 {
             rig.samples.counts[0] += 30;
             rig.samples.counts[1] -= 30;
@@ -145,7 +144,7 @@ fn a_host_force_ends_with_its_lease_after_a_new_scene() {
         );
         rig.run(0.04);
         let left = torques(&rig);
-        // 0.041 s of the fade of 0.5 s have passed.
+        // 0.041 s of the 0.5 s fade have passed.
         for i in 0..2 {
             let expected = (1.0 - 0.041 / 0.5) * spring[i];
             assert!((left[i] - expected).abs() < 0.01 * spring[i].abs(), "{left:?}, the spring's torques {spring:?}");
@@ -241,7 +240,7 @@ fn a_new_scene_at_the_end_of_the_ramp_reverses_no_force() {
         let mut rig = Rig::with(&five_bar(), &free, hardware(), gentle(5.0));
         rig.execute(Command::Arm).expect("ready");
         for step in 0..steps {
-            // Four times the tip-force limit.
+            // The requested force is four times the tip-force limit.
             let force = [20.0, 0.0, 0.0];
             let request = ForceRequest { sequence: step + 1, hold: 0.02, fade: 0.05, force, ..ForceRequest::default() };
             assert_eq!(rig.control_loop.force(&request).done, ForceDone::Taken);
@@ -256,8 +255,8 @@ fn a_new_scene_at_the_end_of_the_ramp_reverses_no_force() {
     }
 }
 
-/// A wall that is dragged replaces the scene many times a second. The compensated weight must follow the pose
-/// meanwhile, because torques of another pose would push outside every limit.
+/// Dragging a wall replaces the scene many times per second. The compensated weight must follow the pose, because
+/// torques of another pose would push outside every limit.
 #[test]
 fn compensated_weight_follows_the_pose_through_many_scenes() {
     let mut heavy = Description { gravity: [0.0, -9.81, 0.0], ..five_bar() };

@@ -1,4 +1,4 @@
-//! A fade stays within the tip-force limit between the steps that check it.
+//! A fade stays within the tip-force limit between the steps in which the limit is checked.
 
 use crate::rig::{Rig, at_rate, five_bar, hardware, limits, rules, scene, spring_scene};
 use haptic_bridge::control::{Command, Rules};
@@ -20,7 +20,7 @@ fn limited(tip_force: f32) -> Rules {
     }
 }
 
-/// Creates an armed five-bar at home whose tip a spring pulls with this force, N.
+/// Creates an armed five-bar at home whose tip a spring pulls with the force (x, y), N.
 fn pulled_rig(rate: f32, [x, y]: [f32; 2], rules: Rules) -> Rig {
     let tip = Rig::with(&five_bar(), &at_rate(rate, scene(2, &[])), hardware(), rules).control_loop.frame().at.tip;
     let pulled = spring_scene(2, [tip[0] + x / 10.0, tip[1] + y / 10.0, 0.0], 10.0);
@@ -29,8 +29,8 @@ fn pulled_rig(rate: f32, [x, y]: [f32; 2], rules: Rules) -> Rig {
     rig
 }
 
-/// Returns the largest tip force (N) while a hand stretches the elbows at `speed` (rad/s). A new scene comes after
-/// `begin` (rad) of motion, and then every `every` steps (0: never).
+/// Returns the largest tip force (N) while a hand stretches the elbows at `speed` (rad/s). A new scene is loaded after
+/// `begin` (rad) of motion, and then every `every` steps (0: never again).
 fn largest_force(rate: f32, speed: f32, begin: f32, every: u32) -> f64 {
     let free = at_rate(rate, scene(2, &[]));
     let mut rig = pulled_rig(rate, [1.9, 0.3], limited(2.0));
@@ -54,10 +54,10 @@ fn largest_force(rate: f32, speed: f32, begin: f32, every: u32) -> f64 {
     worst
 }
 
-/// Control rates, Hz.
 const RATES: [f32; 7] = [200.0, 1_000.0, 5_000.0, 7_000.0, 10_000.0, 20_000.0, 50_000.0];
 
-/// Asserts the limit at these rates and every speed, for every `begin` (in 0.06 rad) and `every` of [`largest_force`].
+/// Asserts the limit at these rates (Hz) and at every speed, for each `begin` (unit 0.06 rad) and each `every` of
+/// [`largest_force`].
 fn assert_limit(rates: &[f32], begins: impl IntoIterator<Item = u8> + Clone, every: &[u32]) {
     for (rate, every) in rates.iter().flat_map(|rate| every.iter().map(move |every| (*rate, *every))) {
         for speed in [2.0, 5.0, 10.0, 20.0, 50.0] {

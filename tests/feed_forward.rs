@@ -1,5 +1,5 @@
-//! Equation (4) in the complete control step: with the feed-forward the tip accelerates in the rendered directions
-//! only, on flat and curved walls and in corners; with the washout a resting hand gets no sideways force.
+//! Tests equation (4) in the complete control step. With the feed-forward the tip accelerates in the rendered
+//! directions only, on flat and curved walls and in corners. With the washout a resting hand gets no sideways force.
 
 use crate::common::{bilateral_wall, device_file, fine_counts, inverse, with_fine_encoders};
 use haptic_bridge::control::compiled::BoardMath;
@@ -38,7 +38,7 @@ fn controller<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
     Controller::new(mechanism, &device, &scene).expect("a sound scene")
 }
 
-/// Motion of the tip under the torques of a control step.
+/// Motion of the tip under the torques of one control step, and the wall force (N).
 struct Outcome<const N: usize> {
     position: SVector<f64, N>,
     velocity: SVector<f64, N>,
@@ -46,7 +46,7 @@ struct Outcome<const N: usize> {
     force: f64,
 }
 
-/// Returns the motion of the tip under the torques of the step after a steady motion through `q` at `qd`.
+/// Returns the tip's motion under the torques of the step that ends a steady motion through `q` at `qd`.
 fn outcome<M: Mechanism<f64, N>, const N: usize>(
     m: M,
     device: &Description,
@@ -55,8 +55,7 @@ fn outcome<M: Mechanism<f64, N>, const N: usize>(
     qd: &SVector<f64, N>,
 ) -> Outcome<N> {
     let mut controller = controller::<f64, Libm, M, N>(m, device, walls);
-    // The motion is steady, and long enough for the joint filters to settle: their lag does not matter at constant
-    // velocity.
+    // Sixty steps let the joint filters settle. At constant velocity their lag does not matter.
     let last = (-60..=0).map(|k| controller.step(&fine_counts(&(q + qd * (f64::from(k) / RATE))))).last();
     let step = last.expect("there are steps");
     let pose = m.pose::<Libm>(q);
@@ -70,10 +69,10 @@ fn outcome<M: Mechanism<f64, N>, const N: usize>(
     }
 }
 
-/// Offset of the centre of a round wall from the tip, m.
+/// Offset of a round wall's centre from the tip, m.
 const OFFSET: [f64; 3] = [0.03, -0.04, 0.02];
 
-/// Returns a sphere or cylinder whose surface passes near `tip`, with the tip outside or inside.
+/// Returns a sphere or cylinder whose surface passes near `tip`. The tip is outside or inside, depending on `shape`.
 fn round<const N: usize>(tip: &SVector<f64, N>, offset: [f64; 3], shape: u8, task: usize) -> Surface<f64> {
     let point = core::array::from_fn(|i| if i < task.min(N) { tip[i] + offset[i] } else { 0.0 });
     let radius = 0.06;
@@ -93,7 +92,7 @@ fn point<const N: usize>(v: &SVector<f64, N>, task: usize) -> SVector<f64, N> {
     SVector::from_fn(|i, _| if i < task { v[i] } else { 0.0 })
 }
 
-/// Returns orthogonal unit vectors across `normal`, including the axes beyond the task.
+/// Returns orthogonal unit vectors perpendicular to `normal`, including axes beyond the task.
 fn across<const N: usize>(normal: &SVector<f64, N>) -> Vec<SVector<f64, N>> {
     let mut found: Vec<SVector<f64, N>> = vec![*normal];
     for i in 0..N {
@@ -123,7 +122,7 @@ fn one_wall<M: Mechanism<f64, N>, const N: usize>(m: M, device: &Description, q:
         assert!(o.force.abs() > 0.1 && v.norm() > 0.1, "{} N at {} m/s", o.force, v.norm());
         assert!(shape == 0 || n_rate.norm() > 0.5, "the normal turns: {n_rate}");
         for t in across(&n) {
-            // π̇a = t·p̈ + ṫ·ṗ, where t turns with n and does not spin about it.
+            // π̇a = t·p̈ + ṫ·ṗ, where t turns with n without spinning about n.
             let admissible = t.dot(&o.acceleration) - t.dot(&n_rate) * n.dot(&v);
             assert!(admissible.abs() < 2e-3, "{} shape {shape}: {admissible} m/s²", M::SPEC.name);
         }
@@ -155,9 +154,9 @@ fn with_five_bar(device: &Description, f: impl Fn(haptic_bridge::model::mechanis
     f(m);
 }
 
-/// Checks two walls that act together: the admissible direction is the line along both. Equally stiff walls at right
-/// angles have one level of two directions; there curved walls show that the line turns with them. Flat walls meet at
-/// any angle and with any ratio of stiffness.
+/// Checks two walls that act together, where the admissible direction is the line along both. Curved walls are tested
+/// at right angles and with equal stiffness, where they show that the line turns. Flat walls are tested at several
+/// angles and ratios of stiffness.
 fn edge<M: Mechanism<f64, 3>>(m: M, device: &Description, q: [f64; 3], qd: [f64; 3]) {
     let (q, qd) = (SVector::from(q), SVector::from(qd));
     let tip = m.tip(&m.pose::<Libm>(&q));
@@ -183,7 +182,7 @@ fn edge<M: Mechanism<f64, 3>>(m: M, device: &Description, q: [f64; 3], qd: [f64;
         let o = outcome(m, device, &walls, &q, &qd);
         let n = pair.map(|surface| surface.contact::<Libm, 3>(&o.position).normal);
         let rate = pair.map(|surface| surface.normal_rate::<Libm, 3>(&o.position, &o.velocity));
-        // The line is t = n₁ x n₂ / |n₁ x n₂|; its rate follows from the product rule.
+        // The line is t = n₁ x n₂ / |n₁ x n₂|. Its rate follows from the product rule.
         let line = n[0].cross(&n[1]);
         let length = line.norm();
         assert!(length > 0.2, "the walls cross");
@@ -206,7 +205,7 @@ fn the_tip_does_not_accelerate_along_an_edge_of_two_walls() {
     edge(m, &device, [0.3, 0.9, -0.3], [1.5, -0.7, 1.2]);
 }
 
-/// Computes the sideways force (N per N of wall force) of the board's torques at rest, `seconds` after contact.
+/// Computes the sideways force per wall force (N/N) of the board's torques at rest, `seconds` after contact.
 fn sideways<A, B, const N: usize>(
     double: A,
     board: B,
@@ -249,8 +248,8 @@ fn with_the_washout_a_resting_hand_gets_no_sideways_force() {
         let (full, fresh) = (force(FeedForward::Full, 3.0), force(FeedForward::Washout, 0.0));
         let (early, rested) = (force(FeedForward::Washout, 0.01), force(FeedForward::Washout, 3.0));
         worst_full = worst_full.max(full);
-        // At contact the washout acts like the full feed-forward, after ten milliseconds almost so, and finally not at
-        // all.
+        // The washout acts like the full feed-forward at contact, almost the same after 10 ms, and not at all in the
+        // end.
         assert!((fresh - full).abs() <= 0.02 * full + 1e-4, "{fresh} at contact, {full} in full");
         assert!(early <= full + 1e-4 && early >= 0.8 * full - 1e-4, "{early} after 10 ms, {full} in full");
         assert!(rested < 1e-4, "{rested} N per N at rest");
@@ -268,7 +267,7 @@ fn a_wall_never_pulls() {
     }
 }
 
-/// Shakes the tip in and out of a damped wall and checks the wall's force.
+/// Shakes the tip in and out of a damped wall and checks that the wall never pulls.
 fn shake<M: Mechanism<f32, N>, const N: usize>(m: M, device: &Description) {
     let home = device.home.expect("shipped devices have a home");
     let home = SVector::<f64, N>::from_fn(|i, _| home[i]);
@@ -292,7 +291,7 @@ fn shake<M: Mechanism<f32, N>, const N: usize>(m: M, device: &Description) {
             let step = controller.step(&fine_counts(&q));
             assert!(step.wall_force >= 0.0, "{step:?}");
             touched |= step.wall_force > 0.0;
-            // The tip is inside and leaves so fast that damping alone would pull.
+            // The tip is inside and leaves so fast that the damping force alone would pull.
             let unclamped = -100.0 * step.distance - 50.0 * step.normal_velocity;
             if step.distance < 0.0 && unclamped < 0.0 {
                 leaving = true;

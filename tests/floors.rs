@@ -1,15 +1,15 @@
-//! The modules of the library form floors. A module uses modules of its own floor and of lower floors only, and no
-//! modules use each other in a circle.
+//! The modules of the library form floors. A module uses only its own floor and lower floors, and no modules use each
+//! other in a circle.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::{read_dir, read_to_string};
 use std::path::{Path, PathBuf};
 
-/// The floors from the ground up. Floors on the same level do not use each other.
+/// The floors from the lowest to the highest. Floors of one level do not use each other.
 const LEVELS: [&[&str]; 6] =
     [&["math", "checksum"], &["model"], &["render", "drive"], &["safety"], &["control"], &["board"]];
 
-/// The crates of the computer's side, the tool last. Cargo prevents imports of a crate by a lower crate.
+/// The source folders of the host's crates, the tool last. Cargo prevents imports of a crate by a lower crate.
 const HOST: [&str; 7] = [
     "host/src",
     "crates/flash/src",
@@ -20,10 +20,10 @@ const HOST: [&str; 7] = [
     "tool/src",
 ];
 
-/// Names of boards and chips that the library must not contain, because all boards share it.
+/// Words for boards and chips. The library must not contain them because all boards share it.
 const FOREIGN: [&str; 6] = ["odrive", "h-bridge", "stm32", "f405", "cortex", "embassy"];
 
-/// Files below the tool that write complete command lines, for people or for another program.
+/// Files below the tool that may contain options because they write complete command lines.
 const WRITERS: [&str; 4] = [
     "crates/stability/src/analysis/prediction.rs",
     "crates/predict/src/plausible/scene.rs",
@@ -31,10 +31,9 @@ const WRITERS: [&str; 4] = [
     "crates/flash/src/probe.rs",
 ];
 
-/// Start of a module of tests.
+/// Text with which a module of tests starts.
 const TESTS: &str = "#[cfg(test)]\nmod ";
 
-/// Returns the level of a floor.
 fn level(floor: &str) -> Option<usize> {
     LEVELS.iter().position(|floors| floors.contains(&floor))
 }
@@ -43,7 +42,7 @@ fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR"))
 }
 
-/// Finds the source files in a folder.
+/// Appends the source files in `folder` to `found`.
 fn files(folder: &Path, found: &mut Vec<PathBuf>) {
     for entry in read_dir(folder).expect("a readable folder") {
         let path = entry.expect("a readable entry").path();
@@ -55,7 +54,7 @@ fn files(folder: &Path, found: &mut Vec<PathBuf>) {
     }
 }
 
-/// Returns the source files below a folder of the repository by their paths in it, without comments.
+/// Returns the path (relative to `folder`) and the code without comments of each source file in `folder`.
 fn sources(folder: &str) -> Vec<(String, String)> {
     let folder = root().join(folder);
     let mut found = Vec::new();
@@ -69,7 +68,7 @@ fn sources(folder: &str) -> Vec<(String, String)> {
     found.into_iter().map(read).collect()
 }
 
-/// A module of a source file: its path below `src/`, and every path of this crate in it, from the crate's root.
+/// A source file: its path below `src/`, and every path of this crate in it, from the crate's root.
 struct Source {
     path: Vec<String>,
     uses: Vec<Vec<String>>,
@@ -85,8 +84,8 @@ impl Source {
         source
     }
 
-    /// Stores the paths in a module's code that begin with `crate` or `super`, including those in braces. Relative paths
-    /// stay inside the module.
+    /// Records the paths in a module's code that begin with `crate` or `super`, also paths in braces. Other paths stay
+    /// inside the module.
     fn read(&mut self, module: &[String], code: &str) {
         let is_path = |c: char| c.is_alphanumeric() || "_:".contains(c);
         for start in ["crate::", "super::"] {
@@ -114,7 +113,7 @@ impl Source {
                 name => place.push(name.to_owned()),
             }
         }
-        // Exports of the crate's root (macros, `super` in a floor's own file) are not modules.
+        // Exports of the crate's root are not modules, for example macros.
         if place.len() > 1 || place.first().is_some_and(|name| level(name).is_some()) {
             self.uses.push(place);
         }
@@ -124,17 +123,16 @@ impl Source {
         &self.path[0]
     }
 
-    /// Returns the module of this file: the floor's own, or a module on the floor with its submodules.
+    /// Returns the path's first two parts: the floor, and the module on the floor.
     fn module(&self) -> String {
         self.path[..self.path.len().min(2)].join("::")
     }
 
-    /// Returns the path of this file's own module.
     fn file(&self) -> String {
         self.path.join("::")
     }
 
-    /// Returns the uses of modules on the same or a higher level, outside the source's own floor.
+    /// Returns the uses of other floors on the same or a higher level.
     fn upward(&self) -> Vec<String> {
         let own = level(self.floor()).unwrap_or_else(|| panic!("{} is on no floor", self.floor()));
         let other = |path: &&Vec<String>| path[0] != self.floor() && level(&path[0]).is_none_or(|other| other >= own);
@@ -142,14 +140,14 @@ impl Source {
     }
 }
 
-/// Returns the modules below a folder of the repository, except root files that only list modules.
+/// Returns the modules below a folder of the repository, except files that only list modules.
 fn modules(folder: &str) -> Vec<Source> {
     let is_root = |file: &str| ["lib.rs", "main.rs"].contains(&file) || file.starts_with("bin/");
     let sources = sources(folder).into_iter().filter(|(file, _)| !is_root(file));
     sources.map(|(file, code)| Source::new(&file, &code)).collect()
 }
 
-/// Returns the uses among modules in circles: modules without uses are removed until only circles and their users
+/// Returns the modules in circles and their uses. Modules without uses are removed until only circles and their users
 /// remain. `name` returns the module of a source.
 fn circles(sources: &[Source], name: impl Fn(&Source) -> String) -> BTreeMap<String, BTreeSet<String>> {
     let modules: BTreeSet<String> = sources.iter().map(&name).collect();
@@ -157,9 +155,9 @@ fn circles(sources: &[Source], name: impl Fn(&Source) -> String) -> BTreeMap<Str
     for source in sources {
         let own = name(source);
         for path in &source.uses {
-            // The longest prefix of the path that is a module.
+            // The longest prefix of the path that is a module's name.
             let other = (1..=path.len()).rev().map(|end| path[..end].join("::")).find(|name| modules.contains(name));
-            // Submodules may use their parents (files in `a/` may use `a.rs`).
+            // A submodule may use its parents, so `a/b.rs` may use `a.rs`.
             let others = other.filter(|other| *other != own && !own.starts_with(&format!("{other}::")));
             uses.entry(own.clone()).or_default().extend(others);
         }
@@ -184,7 +182,7 @@ fn imports_go_down_only() {
     assert!(uses > 500, "only {uses} uses found");
     let wrong: Vec<String> = library.iter().flat_map(Source::upward).collect();
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
-    // The reader finds uses in every form of the sources.
+    // The reader must find a use in each of these forms.
     for code in ["use crate::control::A;", "x: crate::board::B", "use super::super::control::{C, D};", "[crate::board]"]
     {
         assert!(!Source::new("model/device.rs", code).upward().is_empty(), "{code}");
@@ -197,7 +195,7 @@ fn no_module_is_in_a_circle() {
         let sources = modules(folder);
         let mut names: Vec<fn(&Source) -> String> = vec![|source| source.floor().to_string()];
         if folder == "src" || HOST.contains(&folder) {
-            // Modules here have files in them, which must not be in a circle either.
+            // The files inside these modules must not form circles either.
             names.extend([Source::module as fn(&Source) -> String, Source::file]);
         }
         for name in names {

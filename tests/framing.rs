@@ -1,4 +1,4 @@
-//! Frames on the wire are the same as those of the `cobs` crate, for any content and any split into pieces.
+//! The library's frames equal those of the `cobs` crate, for any content and any split into pieces.
 
 use crate::common::cases;
 use haptic_bridge::board::framing::{Decoder, encode, max_wire_length};
@@ -6,7 +6,7 @@ use haptic_bridge::board::protocol::MAX_FRAME;
 use proptest::collection::vec;
 use proptest::prelude::*;
 
-/// Encodes a frame, in a buffer of the minimum length and in a longer one with other bytes, which must not matter.
+/// Encodes a frame in the shortest possible buffer and in a longer buffer with other contents, which must not matter.
 fn on_wire(frame: &[u8]) -> Vec<u8> {
     let shortest = max_wire_length(frame.len());
     let [short, long] = [vec![0xAA; shortest], vec![0; shortest + 9]].map(|mut wire| {
@@ -19,7 +19,7 @@ fn on_wire(frame: &[u8]) -> Vec<u8> {
     short
 }
 
-/// Returns the frames that a decoder finds in a stream that comes in pieces of `piece` bytes.
+/// Decodes a stream that arrives in pieces of `piece` bytes.
 fn decode(stream: &[u8], piece: usize) -> Vec<Vec<u8>> {
     let (mut decoder, mut frames) = (Decoder::default(), Vec::new());
     for mut left in stream.chunks(piece) {
@@ -34,7 +34,7 @@ fn decode(stream: &[u8], piece: usize) -> Vec<Vec<u8>> {
     frames
 }
 
-/// Generates contents of frames: many zeros, and long stretches without zeros.
+/// Generates contents of frames with many zeros and with long stretches without zeros.
 fn bytes() -> impl Strategy<Value = Vec<u8>> {
     let stretch =
         prop_oneof![vec(Just(0_u8), 0..9), vec(1_u8.., 0..300), vec(any::<u8>(), 0..40), vec(250_u8.., 250..260)];
@@ -64,8 +64,7 @@ fn a_buffer_that_is_too_short_is_rejected() {
 #[test]
 fn bytes_that_are_no_frame_are_skipped() {
     let good = on_wire(&[4, 0, 5]);
-    // A truncated block, empty frames, a frame that is too long, a frame of the maximum length, and one cut off by
-    // `forget`.
+    // The noise is a truncated block, empty frames, a frame that is too long, and a frame whose block is cut off.
     let (too_long, longest) = (on_wire(&[1; MAX_FRAME + 1]), on_wire(&[1; MAX_FRAME]));
     for noise in [&[9, 1, 2, 0][..], &[0, 0, 0], &too_long, &[5, 0]] {
         assert_eq!(decode(&[noise, &good, &longest].concat(), 64), [vec![4, 0, 5], vec![1; MAX_FRAME]], "{noise:?}");

@@ -1,6 +1,5 @@
-//! The model agrees with independently computed cases: twenty random devices and motions of every mechanism
-//! (tests/golden). The errors must stay below 1e-9 of the largest entry in f64, and below 2e-4 of the largest torque in
-//! f32 with the board's own code.
+//! The model agrees with independently computed cases: twenty random devices and motions per mechanism (tests/golden).
+//! The allowed errors are 1e-9 of the largest entry in f64, and 2e-4 of the largest torque in the board's f32.
 
 use crate::common::device_file::parse;
 use crate::golden::{F32_TOLERANCE, F64_TOLERANCE, Quantity, agree, cases, list, number, text};
@@ -13,7 +12,7 @@ use haptic_bridge::with_mechanism;
 use nalgebra::{SMatrix, SVector};
 use serde_json::Value;
 
-/// Computes all quantities of equation (4). With a `side` of -1 the wall's normal and force are reversed.
+/// Computes all quantities of equation (4). A `side` of -1 reverses the wall's normal and force.
 fn quantities<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
     m: &M,
     case: &Value,

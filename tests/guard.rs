@@ -1,8 +1,8 @@
 //! Every fault turns the motors off within one control period, stays latched, and clears.
 //!
-//! The control step finds faults in its samples (counts, currents, voltages, time), which these tests change. Faults that
-//! hardware or another part of the firmware finds reach the control loop through `ControlLoop::trip`; the tests of
-//! emulator/ provoke them on the emulated chip. A fault of neither origin does not compile here.
+//! The control step detects faults in its samples (counts, currents, voltages, time), which these tests change. Faults
+//! that hardware or other firmware detects reach the control loop through `ControlLoop::trip`. The tests of emulator/
+//! provoke those faults on the emulated chip. A fault without an origin does not compile here.
 
 use crate::rig::{self, Held, RATE, Rig, five_bar, hardware, paddle, quiet, rules, scene, wall};
 use haptic_bridge::control::joints::Counts;
@@ -10,16 +10,15 @@ use haptic_bridge::control::{Beat, Command, HostAction, Press};
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::safety::refusal::Refusal;
 
-/// Origin of a fault.
+/// Place where a fault is detected.
 enum Origin {
-    /// Found by the control step. The function returns an armed board just before that step.
+    /// Detected by the control step. The function returns an armed board just before that step.
     Step(fn() -> Rig),
-    /// Found outside the control step and reported to it.
+    /// Detected outside the control step and reported to the control loop.
     Reported,
 }
 
-/// Runs a polarity check of a motor that makes `factor` times the torque of its file, with a winding of `resistance`
-/// (ohm).
+/// Runs a polarity check of a motor with `factor` times the torque of its file and a winding of `resistance` ohm.
 fn checked(factor: f64, resistance: f32) -> Rig {
     let mut rig = Rig::ready(&quiet());
     rig.resistance = resistance;
@@ -79,7 +78,7 @@ fn origin(fault: Fault) -> Origin {
             rig
         }),
         Fault::ForceLimit => Step(|| {
-            // No force is commanded.
+            // The motor has current although no force is commanded.
             let mut rig = Rig::armed_with(|rules| rules.limits.tip_force = 0.02);
             for _ in 0..(0.01 * RATE) as u32 {
                 rig.shown_current = Some(0.2);
@@ -119,7 +118,7 @@ fn origin(fault: Fault) -> Origin {
             let description = five_bar();
             let mut rig = Rig::with(&description, &scene(2, &[]), hardware(), rules());
             rig.arm();
-            // Both cranks turn outwards: the elbows move apart until the distal links are in one line.
+            // Both cranks turn outwards until the distal links are in one line.
             let mut angle = 0.0;
             while rig.state() == State::Armed && angle < 1.0 {
                 angle += 0.001;
@@ -145,7 +144,7 @@ fn origin(fault: Fault) -> Origin {
             rig
         }),
         Fault::PowerLimit => Step(|| {
-            // The wall pushes the paddle out with its full torque at 10 rad/s: 3 W of the 2 W allowed.
+            // The wall pushes the paddle out with the full torque at 10 rad/s, which is 3 W of the allowed 2 W.
             let mut rig = Rig::ready(&scene(1, &[wall(0.09, 100_000.0)]));
             rig.turn(0, 0.95, 5.0);
             rig.settle();
@@ -206,7 +205,7 @@ fn origin(fault: Fault) -> Origin {
     }
 }
 
-/// Returns the time until the bridges are off, in words for docs/faults.csv.
+/// Returns the time until the bridges are off, as docs/faults.csv describes it.
 fn off(fault: Fault) -> &'static str {
     match fault {
         Fault::ControlOverrun
@@ -276,18 +275,19 @@ fn an_index_may_lag_by_the_joints_motion_and_is_set_at_rest() {
         }
         rig.fault()
     };
-    // 8 counts are the width of two pulses; 20 more are the motion of the joint since the pulse.
+    // Two pulses are 8 counts wide. The joint moves another 20 counts after the pulse.
     assert_eq!(fault((0, 1_000), (0, 1_008)), None);
     assert_eq!(fault((0, 1_000), (0, 1_009)), Some(Fault::IndexMismatch));
     assert_eq!(fault((0, 1_000), (20, 1_028)), None);
     assert_eq!(fault((0, 1_000), (20, 1_029)), Some(Fault::IndexMismatch));
-    // The position of a first pulse in fast motion may be wrong by as much.
+    // After fast motion the position of the first pulse may be wrong by 100 counts.
     assert_eq!(fault((20, 1_000), (0, 1_100)), None);
-    // A full turn further is the same position.
+    // An index one turn of 60,000 counts further is the same position.
     assert_eq!(fault((0, 1_000), (0, 61_003)), None);
 }
 
-/// A current sensor's reading while the bridges are off is its later error, which no limit on measured currents bounds.
+/// The offset that a current sensor shows while the bridges are off remains as an error, which no limit on measured
+/// currents bounds.
 #[test]
 fn a_sensor_offset_of_half_the_tip_force_limit_prevents_arming() {
     let result = |current: f32, command: fn() -> Command<Held>| {
@@ -309,7 +309,7 @@ fn a_sensor_offset_of_half_the_tip_force_limit_prevents_arming() {
     }
 }
 
-/// After a limit is lowered, the present currents get time to settle once.
+/// The currents get time to settle after a limit is lowered, but not after every repetition.
 #[test]
 fn repeated_rules_do_not_suspend_the_force_limit() {
     let mut rig = Rig::armed_with(|rules| rules.limits.tip_force = 0.2);
@@ -330,7 +330,7 @@ fn repeated_rules_do_not_suspend_the_force_limit() {
     assert!(settling(&rig) <= 0.0, "{}", settling(&rig));
 }
 
-/// `UPDATE_DOCS=1 cargo test guard` rewrites it.
+/// `UPDATE_DOCS=1 cargo test guard` rewrites the table.
 #[test]
 fn the_documented_table_of_faults_agrees_with_the_code() {
     let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/faults.csv");
@@ -342,12 +342,12 @@ fn the_documented_table_of_faults_agrees_with_the_code() {
     }
 }
 
-/// Returns a board with this fault, a few steps after its cause.
+/// Returns a board with this fault, a few steps after the cause.
 fn provoked(fault: Fault) -> Rig {
     match origin(fault) {
         Origin::Step(prepare) => {
             let mut rig = prepare();
-            // A step of the polarity check acts one crest after its request.
+            // The polarity check acts one crest after its request.
             for _ in 0..3 {
                 if rig.state() != State::Fault {
                     rig.step();
@@ -445,8 +445,8 @@ fn faults_that_lose_counts_lose_homing_too() {
     assert!(provoked(Fault::OverCurrent).control_loop.status().homed);
 }
 
-/// `cargo xtask faults` writes the result of each injection into the image; a fault without an injector does not compile
-/// in emulator/src/inject.rs.
+/// `cargo xtask faults` writes the result of each injection into docs/results/faults.csv. A fault without an injector
+/// does not compile in emulator/src/inject.rs.
 #[test]
 fn every_fault_was_injected_or_its_row_has_a_reason() {
     let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/results/faults.csv");
@@ -455,7 +455,7 @@ fn every_fault_was_injected_or_its_row_has_a_reason() {
         let begin = format!("{},{},", fault.code(), fault.name());
         let mut rows = text.lines().filter_map(|line| line.strip_prefix(&begin));
         let (Some(row), None) = (rows.next(), rows.next()) else { panic!("{} must have one row", fault.name()) };
-        // Only the first of the three cells contains commas.
+        // Only the first of the three cells may contain commas.
         let mut cells = row.rsplitn(3, ',').map(str::trim);
         let [seen, cause, how] = std::array::from_fn(|_| cells.next().unwrap_or_default());
         let complete = match how.strip_prefix("not possible:") {

@@ -21,7 +21,7 @@ const COUNTS_PER_TURN: i32 = 1_048_576;
 
 type Board = Controller<f32, FiveBar<f32>, BoardMath, 2>;
 
-/// Returns the controller of a Haply whose tip presses into a wall, with all terms on, and the start pose.
+/// Returns the controller of a Haply whose tip is on a wall, with all terms on, and the start pose.
 fn haply(feed_forward: FeedForward) -> (Board, Vector2<f64>) {
     let device = encoded(&shipped("haply-2diy"));
     let Ok(AnyMechanism::FiveBar(mechanism)) = AnyMechanism::<f32>::new(&device) else { panic!("a sound five-bar") };
@@ -32,7 +32,7 @@ fn haply(feed_forward: FeedForward) -> (Board, Vector2<f64>) {
     (controller(mechanism, &device, &scene), q)
 }
 
-/// Returns the counts of a periodic motion in and out of that wall.
+/// Returns the counts of a periodic motion in and out of the wall of [`haply`].
 fn motion(q: &Vector2<f64>, step: u32) -> [i32; 2] {
     let t = f64::from(step % 1_000) / 1_000.0 * std::f64::consts::TAU;
     counts(&Vector2::new(q.x + 0.1 * libm::sin(t), q.y + 0.1 * libm::cos(2.0 * t)))
@@ -47,7 +47,7 @@ fn wrapping_counters_change_nothing() {
     let (mut plain, q) = haply(FeedForward::Washout);
     let (mut wrapping, _) = haply(FeedForward::Washout);
     let start = motion(&q, 0);
-    // One raw counter overflows upwards and the other downwards while the tip is in the wall.
+    // One raw counter overflows upwards, the other downwards, while the tip is in the wall.
     let shift = [(i32::MAX - 10).wrapping_sub(start[0]), (i32::MIN + 10).wrapping_sub(start[1])];
     let shifted = |c: [i32; 2]| [c[0].wrapping_add(shift[0]), c[1].wrapping_add(shift[1])];
     let home = [(f64::from(start[0]) / f64::from(COUNTS_PER_TURN) * std::f64::consts::TAU) as f32, q.y as f32 + 0.1];
@@ -75,7 +75,7 @@ fn a_pose_many_turns_away_is_the_same_pose() {
             let a = near.step(&c);
             let b = far.step(&c.map(|c| c + turns * COUNTS_PER_TURN));
             assert_eq!((a.torque, a.tip, a.qd), (b.torque, b.tip, b.qd));
-            // Angles on the other side of zero round differently.
+            // Negative angles round differently.
             let b = behind.step(&c.map(|c| c - turns * COUNTS_PER_TURN));
             assert!((a.tip - b.tip).amax() < 1e-7, "{turns} turns");
             assert!((a.torque - b.torque).amax() < 1e-3, "{turns} turns: {} against {}", a.torque, b.torque);
@@ -90,7 +90,7 @@ fn ten_hours_at_1_khz_leave_no_trace() {
     let (mut short, _) = haply(FeedForward::Washout);
     let period: Vec<[i32; 2]> = (0..1_000).map(|step| motion(&q, step)).collect();
     let at = |step: u32| &period[(step % 1_000) as usize];
-    // In the last hundred seconds every filter loses its initial state.
+    // In the last 100 s every filter forgets its initial state.
     const FIRST_COMPARED: u32 = STEPS - 100_000;
     for step in 0..FIRST_COMPARED {
         long.step(at(step));
@@ -108,15 +108,15 @@ fn ten_hours_at_1_khz_leave_no_trace() {
     assert!(worst <= 1e-6 * largest, "{worst} of {largest}");
 }
 
-/// Moves a device with a constant force of about 1 N on its tip along a path of joint angles. Returns the result of
-/// every step, and the sine that scales its feed-forward.
+/// Moves a device along a path of joint angles with a constant force of about 1 N on its tip. Returns the result of
+/// every step, and the sine that scales the feed-forward.
 fn steps_along<M: Mechanism<f32, N>, const N: usize>(
     mechanism: M,
     device: &Description,
     normal: [f64; 3],
     path: impl Iterator<Item = SVector<f64, N>>,
 ) -> Vec<(Step<f32, N>, f32)> {
-    // A wall of 1 N/m with its surface a metre away: the force hardly changes along the path.
+    // The surface of this 1 N/m wall is 1 m away, so the force hardly changes along the path.
     let task = M::SPEC.task;
     let scene = scene(task, normal, normal, 1.0, 0.0, FeedForward::Full);
     let mut controller = controller::<f32, BoardMath, M, N>(mechanism, device, &scene);
@@ -128,8 +128,8 @@ fn steps_along<M: Mechanism<f32, N>, const N: usize>(
     .collect()
 }
 
-/// Asserts that the share of the feed-forward falls from 1 to 0 between the documented limits of the sine, and that the
-/// torque changes little from step to step.
+/// Asserts that the feed-forward fades from 1 to 0 between the documented sines, and that the torque changes little
+/// from step to step.
 fn assert_fades<const N: usize>(name: &str, steps: &[(Step<f32, N>, f32)]) {
     let largest = steps.iter().fold(0.0_f32, |most, (step, _)| most.max(step.torque.amax()));
     for (step, sine) in steps {
@@ -147,7 +147,7 @@ fn assert_fades<const N: usize>(name: &str, steps: &[(Step<f32, N>, f32)]) {
     }
 }
 
-/// Returns a straight path from `start` to `end` in steps of a few counts.
+/// Returns a straight path of joint angles from `start` to `end` in steps of a few counts.
 fn path<const N: usize>(start: SVector<f64, N>, end: SVector<f64, N>) -> impl Iterator<Item = SVector<f64, N>> {
     (0..=40_000).map(move |k| start + (end - start) * (f64::from(k) / 40_000.0))
 }
@@ -172,7 +172,7 @@ fn the_feed_forward_fades_smoothly_near_an_elbow_singularity() {
 #[test]
 fn the_feed_forward_fades_smoothly_near_the_turrets_axis() {
     let AnyMechanism::Parallelogram(phantom) = board("phantom-premium-1.5") else { panic!("a parallelogram") };
-    // The tip reaches the axis if both angles are past the vertical by the same amount.
+    // The tip reaches the turret's axis when both arm angles are past the vertical by the same amount.
     let over = path(Vector3::new(0.3, 1.2, 0.3), Vector3::new(0.3, 2.1, 0.905));
     assert_fades("axis", &steps_along(phantom, &encoded(&shipped("phantom-premium-1.5")), [0.6, 0.0, 0.8], over));
 }
@@ -182,7 +182,7 @@ fn the_feed_forward_fades_smoothly_near_a_parallel_singularity() {
     let mut device = encoded(&shipped("coupled-five-bar"));
     device.geometry[0] = 0.1;
     let Ok(AnyMechanism::FiveBar(wide)) = AnyMechanism::<f32>::new(&device) else { panic!("a five-bar") };
-    // Both arms swing outwards until the rods are almost in line: base + 2 l cos = 2 r.
+    // Both arms swing outwards until the rods are almost in line, where base + 2 l cos = 2 r.
     let outwards = path(Vector2::new(2.0, 1.141_592_65), Vector2::new(2.497_592_65, 0.644));
     assert_fades("rods", &steps_along(wide, &device, [0.6, 0.8, 0.0], outwards));
 }
@@ -209,7 +209,7 @@ fn torques_are_finite_at_every_pose_of_every_shipped_device() {
         let n = three(&SVector::<f64, N>::from_element(1.0 / (M::SPEC.task as f64).sqrt()), M::SPEC.task);
         let scene = scene(M::SPEC.task, n, n, 1e6, 100.0, FeedForward::Full);
         let mut controller = controller::<f32, BoardMath, M, N>(mechanism, &device, &scene);
-        // Right angles, straight lines and impossible closures; some poses are exactly singular.
+        // The angles include right angles, straight lines, closures that do not exist, and exactly singular poses.
         let angles: Vec<i32> = (0..16).map(|k| k * (COUNTS_PER_TURN / 16)).collect();
         for k in 0..16_usize.pow(N as u32) {
             let at: [i32; N] = core::array::from_fn(|i| angles[k / 16_usize.pow(i as u32) % 16]);

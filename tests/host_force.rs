@@ -1,5 +1,5 @@
-//! Force from the host: its lease, the refusals and their reasons, the limits that it shares with the walls, and
-//! contacts that move without jumps of force.
+//! Forces from the host: their leases, refusals with reasons, limits shared with the walls, and contacts that move
+//! without force jumps.
 
 use crate::rig::statics::{force_at_tip, torques};
 use crate::rig::{self, RATE, Rig, five_bar, hardware, rules, scene, wall};
@@ -14,7 +14,7 @@ use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::safety::limits::Limits;
 use nalgebra::Vector2;
 
-/// Rounding error of a torque that is converted to a current and back, N m.
+/// Rounding error of a torque after its conversion to a current and back, N m.
 const ROUNDING: f32 = 1.0e-5;
 
 /// Creates an armed five-bar at rest in free space.
@@ -36,7 +36,6 @@ fn force(sequence: u32, x: f32, y: f32) -> ForceRequest {
     ForceRequest { force: [x, y, 0.0], hold: MAX_LEASE, ..request(sequence) }
 }
 
-/// Requests the state of the device without a force.
 fn poll(rig: &mut Rig) -> ForceAnswer {
     rig.control_loop.force(&ForceRequest::default())
 }
@@ -45,7 +44,7 @@ fn poll(rig: &mut Rig) -> ForceAnswer {
 fn a_host_force_is_scaled_to_the_tip_force_limit() {
     let gentle = Rules { limits: Limits { tip_force: 1.0, ..rules().limits }, ..rules() };
     let tip = poll(&mut armed_rig()).tip;
-    // A wall 1 mm deep at the tip that pushes with 0.6 N along x.
+    // The tip is 1 mm deep in a wall that pushes with 0.6 N along x.
     let bilateral = Wall { bilateral: true, ..wall(tip[0] + 1.0e-3, 600.0) };
     for (walls, push, size) in
         [(&[][..], 0.0, 0.25), (&[], 0.0, 0.02), (&[], 0.7, 0.2), (&[bilateral], 0.0, 0.2), (&[bilateral], 0.5, 0.1)]
@@ -106,14 +105,14 @@ fn a_request_is_held_then_fades_evenly_and_ends() {
         let age = step as f32 * period;
         let share = ((0.03 - age) / 0.02).clamp(0.0, 1.0);
         let now = rig.torques()[0];
-        // The period of a step is rounded, and ages are sums of periods.
+        // The period of a step is rounded, and an age is a sum of periods.
         assert!((now - 0.2 * share).abs() < 0.2 * 1.0e-3, "{now} at {age} s");
         let most = 0.2 * period / 0.02 * 1.001;
         assert!(before.is_none_or(|before: f32| (now - before).abs() < most), "{before:?} to {now} at {age} s");
         before = Some(now);
         let answer = poll(&mut rig);
         assert!((answer.share - share).abs() < 1.0e-3);
-        // At the end of the lease rounding decides.
+        // Rounding decides on which step the lease ends.
         let ending = (age - 0.03).abs() < 0.5 * period;
         assert!(ending || answer.age.is_some() == (age < 0.03), "{age} s: {answer:?}");
     }
@@ -126,7 +125,7 @@ fn a_late_request_has_only_the_rest_of_its_lease() {
     let mut rig = armed_rig();
     let seen = poll(&mut rig).step;
     rig.run(0.02);
-    // 20 ms of 30 have passed, and half of the fade.
+    // 20 ms of the 30 ms lease have passed, which is half of the fade.
     let half = ForceRequest { seen: Some(seen), ..torque(1, 0.2) };
     assert_eq!(rig.control_loop.force(&half).done, ForceDone::Taken);
     rig.step();
@@ -156,7 +155,7 @@ fn repeated_and_reordered_requests_change_nothing() {
     assert_eq!(rig.control_loop.force(&torque(0, 0.2)).done, ForceDone::Taken);
     rig.step();
     assert!((rig.torques()[0] - 0.2).abs() < ROUNDING);
-    // Another host program may use any sequence number once the last lease has ended.
+    // After the last lease has ended, another host program may start with any sequence number.
     rig.run(0.05);
     assert_eq!(rig.control_loop.force(&torque(u32::MAX - 7, 0.1)).done, ForceDone::Taken);
 }
@@ -166,7 +165,7 @@ fn lost_requests_are_bridged_while_the_last_one_is_held() {
     let mut rig = armed_rig();
     let mut sequence = 0;
     for millisecond in 0..100 {
-        // At 1 kHz seven of every eight requests are lost: 8 ms between two requests, each held for 10 ms.
+        // At 1 kHz seven of eight requests are lost, so 8 ms pass between requests that are held for 10 ms.
         if millisecond % 8 == 0 {
             sequence += 1;
             assert_eq!(rig.control_loop.force(&torque(sequence, 0.1)).done, ForceDone::Taken);
@@ -265,7 +264,7 @@ fn only_armed_motors_take_force_and_turning_them_off_ends_it() {
         assert_eq!((answer.age, answer.force, answer.share), (None, [0.0; 3], 0.0));
         rig.step();
         assert!(rig.motors_off());
-        // Armed again at once, well within the request's lease.
+        // The motors are armed again at once, within the lease of the request.
         rig.execute(Command::Clear).unwrap();
         rig.execute(Command::Arm).unwrap();
         for _ in 0..20 {
@@ -281,7 +280,7 @@ fn a_force_grows_with_the_ramp_after_arming() {
     let mut rig = Rig::with(&five_bar(), &scene(2, &[]), hardware(), rules());
     rig.execute(Command::Arm).unwrap();
     assert_eq!(rig.control_loop.force(&force(1, 1.0, 0.0)).done, ForceDone::Taken);
-    // A fifth of the ramp of 0.5 s.
+    // 0.1 s are a fifth of the 0.5 s ramp.
     rig.run(0.1);
     let answer = poll(&mut rig);
     assert!((answer.share - 0.2).abs() < 0.01, "{answer:?}");
@@ -305,7 +304,7 @@ fn the_torques_of_a_tip_force_do_the_same_virtual_work() {
 
 #[test]
 fn walls_and_host_are_scaled_by_the_same_share_at_a_limit() {
-    // A bilateral wall facing +x pushes the tip, 1 mm deep, with 2 N. The host requests 12 N across.
+    // The tip is 1 mm deep in a bilateral wall that pushes with 2 N along x. The host requests 12 N along y.
     let mut rig = armed_rig();
     let tip = poll(&mut rig).tip;
     let bilateral = Wall { bilateral: true, ..wall(tip[0] + 1.0e-3, 2_000.0) };
@@ -337,7 +336,7 @@ fn the_reply_reports_the_motion_of_tip_and_joints() {
         }
         poll(&mut rig)
     };
-    // At 1 rad/s, long enough for the filters to settle.
+    // Joint 0 turns at 1 rad/s, first until the filters have settled.
     let (before, now) = (turn(200), turn(5));
     assert_eq!(now.step, before.step + 5);
     let passed = (now.step - before.step) as f32 * now.period;
@@ -371,7 +370,7 @@ fn a_contact_pushes_along_its_normal_and_never_pulls() {
 fn a_contact_that_jumps_tilts_or_appears_causes_no_force_jump() {
     let mut rig = armed_rig();
     let tip = poll(&mut rig).tip;
-    // From zero to 2 N, then by up to 4 N and 0.4 rad every 5 ms, and finally removed.
+    // The contact appears with 2 N, changes by up to 4 N and 0.8 rad every 5 ms, and is removed.
     let plane = |depth: f32, angle: f32| {
         let normal = [angle.cos(), angle.sin(), 0.0];
         let point = core::array::from_fn(|i| tip[i] + normal[i] * depth);
@@ -404,7 +403,7 @@ fn a_contact_that_jumps_tilts_or_appears_causes_no_force_jump() {
         }
     }
     assert_eq!(before, [0.0; 3]);
-    // The first contact takes 1 ms (two steps of this rig) for its 2 N; the others take 5 ms for at most 4 N.
+    // The first 2 N rise within 1 ms (two steps of this rig), and later changes of at most 4 N take 5 ms.
     assert!(largest <= 1.0 + 1.0e-3, "the force jumps by {largest} N");
 }
 
@@ -417,14 +416,14 @@ fn a_contact_renewed_while_it_fades_returns_smoothly() {
         let contact = HostContact { point, normal: [1.0, 0.0, 0.0], stiffness: 1e3, damping: 0.0 };
         ForceRequest { contact: Some(contact), hold: 0.01, fade: 0.05, ..request(0) }
     };
-    // Held for 10 ms, then 35 of 50 ms of its fade; renewed at the same place, then a millimetre further.
+    // Each request is held for 10 ms and fades for 35 of 50 ms. It is renewed at the same place, then 1 mm further.
     for (sequence, depth) in [(1, 2.0e-3), (2, 2.0e-3), (3, 3.0e-3)] {
         let mut before = poll(&mut rig).force[0];
         rig.control_loop.force(&ForceRequest { sequence, ..contact(depth) });
         for _ in 0..(0.045 * RATE) as usize {
             rig.step();
             let now = poll(&mut rig).force[0];
-            // 2 N in 1 ms (two steps of this rig), or 3 N in 20 ms.
+            // The force changes by 2 N in 1 ms (two steps of this rig) or by 3 N in 20 ms.
             assert!((now - before).abs() <= 1.0 + 1.0e-3, "{sequence}: from {before} to {now} N");
             before = now;
         }
@@ -443,7 +442,8 @@ fn a_repeated_contact_continues_its_move() {
     };
     rig.control_loop.force(&ForceRequest { sequence: 1, ..plane(1.0e-3) });
     rig.run(0.01);
-    // The second contact comes 10 ms after the first, so the move takes 10 ms, whatever is sent meanwhile.
+    // The second contact comes 10 ms after the first, so the move takes 10 ms. Repeated requests must not restart the
+    // move.
     for sequence in 2..22 {
         rig.control_loop.force(&ForceRequest { sequence, ..plane(3.0e-3) });
         rig.step();
@@ -465,7 +465,7 @@ fn force_requests_count_as_signs_of_life() {
     assert_eq!((rig.state(), rig.fault()), (State::Fault, Some(Fault::HostLost)));
 }
 
-/// Advances the step count by about `steps`, in parts that are small for the board's own age checks.
+/// Advances the step count by about `steps`, in parts that are too small to expire anything.
 fn skip_steps(rig: &mut Rig, mut steps: u64) {
     while steps > 0 {
         let hop = steps.min(1 << 28) as u32;
@@ -488,7 +488,7 @@ fn a_host_can_push_after_the_count_of_steps_wraps() {
         assert_eq!(rig.control_loop.force(&late).done, ForceDone::TooOld, "50 ms is more than the lease of 30 ms");
     };
     push_now(&mut rig, 1);
-    // 29.8 h at 20 kHz, then 59.7 h, when the count of steps wraps, and then the same again.
+    // Half of the 32-bit range is 29.8 h at 20 kHz. The count wraps after 59.7 h, and again after another 59.7 h.
     for sequence in [3, 5, 7, 9] {
         let left = (1 << 31) - u64::from(rig.control_loop.steps() & ((1 << 31) - 1));
         skip_steps(&mut rig, left - 1_000);
@@ -499,8 +499,8 @@ fn a_host_can_push_after_the_count_of_steps_wraps() {
     assert_eq!(rig.state(), State::Armed);
 }
 
-/// A refused request does not count as a sign of life: a host whose requests are all late or wrong has lost the device.
-/// A poll counts if it names the step of an earlier reply.
+/// A refused request is no sign of life, because a host with only late or wrong requests has lost the device. A poll is
+/// a sign of life if it names the step of an earlier reply.
 #[test]
 fn only_taken_requests_and_following_polls_are_signs_of_life() {
     let watched = Rules { host_action: HostAction::Disarm, host_seconds: 0.5, ..rules() };

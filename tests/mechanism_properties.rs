@@ -1,7 +1,6 @@
-//! Properties of every mechanism at regular poses of random devices.
-//!
-//! Mass matrix, gravity and tip are compared with separate rigid bodies (common/bodies.rs), velocity terms with
-//! derivatives of the mass matrix, and each hand-written kernel of the control step with the matrices that it replaces.
+//! Properties of every mechanism at regular poses of random devices. Mass matrix, gravity and tip are compared with
+//! separate rigid bodies (common/bodies.rs). Velocity terms are compared with derivatives of the mass matrix, and each
+//! hand-written kernel of the control step with the matrices that it replaces.
 
 use crate::common::bodies::{derivative, dynamics, place_bodies};
 use crate::common::{Draw, NUMBERS, cases, determinant, device, inverse};
@@ -19,16 +18,16 @@ use proptest::test_runner::TestCaseError;
 
 type Outcome = Result<(), TestCaseError>;
 
-/// Smallest sine of a regular pose. tests/hard_cases tests poses nearer to a singularity.
+/// Smallest sine of a regular pose. tests/hard_cases covers poses nearer to a singularity.
 const REGULAR: f64 = 0.15;
 
-/// A moving mechanism, with a unit vector and a vector of its task space.
+/// A moving mechanism, with a unit vector `n` and a vector `v` of its task space.
 struct Case<M, const N: usize> {
     m: M,
     device: Description,
     q: SVector<f64, N>,
     qd: SVector<f64, N>,
-    /// Unit vector, zero beyond the task dimension.
+    /// Unit vector, with zeros beyond the task dimension.
     n: SVector<f64, N>,
     v: SVector<f64, N>,
 }
@@ -55,7 +54,7 @@ impl<M: Mechanism<f64, N>, const N: usize> Case<M, N> {
     }
 }
 
-/// Checks that `a` equals `b` within `tolerance` of the largest entry of `b` (at least `floor`).
+/// Checks that `a` equals `b` within `tolerance` times the largest entry of `b` (or `floor` if that is larger).
 fn check_equal<const R: usize, const C: usize>(
     name: &str,
     a: &SMatrix<f64, R, C>,
@@ -101,7 +100,7 @@ fn mass_and_gravity_are_those_of_the_bodies<M: Mechanism<f64, N>, const N: usize
 fn mass_is_symmetric_and_positive_definite<M: Mechanism<f64, N>, const N: usize>(case: &Case<M, N>) -> Outcome {
     let mass = case.m.mass(&case.pose());
     prop_assert_eq!(mass, mass.transpose());
-    // Sylvester's criterion: every leading minor is positive.
+    // Every leading minor must be positive (Sylvester's criterion).
     for size in 1..=N {
         let minor = SMatrix::<f64, N, N>::from_fn(|i, j| {
             if i < size && j < size { mass[(i, j)] } else { f64::from(u8::from(i == j)) }
@@ -116,7 +115,7 @@ fn coriolis_forces_agree_with_the_rate_of_m<M: Mechanism<f64, N>, const N: usize
     let (m, qd) = (&case.m, &case.qd);
     let mass_rate = derivative(2e-5, |t| m.mass(&case.pose_after(t)));
     let scale = mass_rate.amax().max(m.mass(&pose).amax());
-    // c is quadratic in q̇. C(q, q̇) x is its polar form, and its columns are C from Christoffel's symbols.
+    // c is quadratic in q̇. The columns are C from Christoffel's symbols, computed with the polar form of c.
     let mut c = SMatrix::<f64, N, N>::zeros();
     for i in 0..N {
         let mut unit = SVector::<f64, N>::zeros();
@@ -126,7 +125,7 @@ fn coriolis_forces_agree_with_the_rate_of_m<M: Mechanism<f64, N>, const N: usize
     }
     let skew = mass_rate - c * 2.0;
     check_equal("Ṁ - 2C", &(skew + skew.transpose()), &SMatrix::zeros(), 1e-6, scale)?;
-    // Lagrange: c = Ṁ q̇ - ½ ∂(q̇ᵀ M q̇)/∂q.
+    // Lagrange's equation: c = Ṁ q̇ - ½ ∂(q̇ᵀ M q̇)/∂q.
     let gradient = SVector::<f64, N>::from_fn(|i, _| {
         derivative(1e-4, |h| {
             let mut q = case.q;
@@ -146,7 +145,7 @@ fn free_motion_keeps_its_energy<M: Mechanism<f64, N>, const N: usize>(case: &Cas
     let energy = |q: &SVector<f64, N>, qd: &SVector<f64, N>| 0.5 * qd.dot(&(m.mass(&m.pose::<Libm>(q)) * qd));
     let (mut q, mut qd) = (case.q, case.qd);
     let before = energy(&q, &qd);
-    // Fourth-order Runge-Kutta, until the motion comes near a singularity.
+    // Integrates by fourth-order Runge-Kutta until the motion comes near a singularity.
     let h = 2e-5;
     for _ in 0..500 {
         let Regularity { serial, parallel } = m.regularity(&m.pose::<Libm>(&q));
@@ -189,7 +188,7 @@ fn kernels_agree_with_the_matrices<M: Mechanism<f64, N>, const N: usize>(case: &
     Ok(())
 }
 
-/// Compares every field of [`Inertia`] with the paper's equations (1) to (4) for one wall, in matrices.
+/// Compares every field of [`Inertia`] with the paper's equations (1) to (4) in matrix form, for one wall.
 fn inertia_agrees_with_the_paper<M: Mechanism<f64, N>, const N: usize>(case: &Case<M, N>) -> Outcome {
     let (m, pose, qd) = (&case.m, case.pose(), &case.qd);
     let (jacobian, mass) = (m.jacobian(&pose), m.mass(&pose));
@@ -221,8 +220,8 @@ fn inertia_agrees_with_the_paper<M: Mechanism<f64, N>, const N: usize>(case: &Ca
     check_equal("τ without", &found.torque_without_feed_forward, &(row * force), 1e-10, 0.0)
 }
 
-/// Checks the same for walls along the axes with the first joint at 0. One of these walls is across the plane of a
-/// turret's arms, which then do not move.
+/// Compares [`Inertia`] with the paper for walls along the axes and the first joint at 0. One of these walls is
+/// perpendicular to the plane of a turret's arms, which then do not move.
 fn inertia_agrees_with_the_paper_along_the_axes<M: Mechanism<f64, N>, const N: usize>(case: &Case<M, N>) -> Outcome {
     let mut q = case.q;
     q[0] = 0.0;
@@ -266,7 +265,7 @@ fn torque_does_not_depend_on_the_admissible_directions<M: Mechanism<f64, N>, con
     let (m, pose, qd, n) = (&case.m, case.pose(), &case.qd, &case.n);
     let b = m.velocity_torque(&pose, qd) + m.gravity(&pose);
     let torque = m.shaping(&pose, n).torque(case.v[0], &b, &b);
-    // Equation (4) as written, with directions across n that are neither orthogonal to each other nor unit vectors.
+    // Equation (4) as written, with admissible directions that are neither orthogonal nor unit vectors.
     let mut directions = SMatrix::<f64, N, N>::identity();
     directions.set_column(0, n);
     for i in 1..N {
@@ -305,8 +304,8 @@ fn every_property<M: Mechanism<f64, N>, const N: usize>(m: M, device: Descriptio
     torque_does_not_depend_on_the_admissible_directions(&case)
 }
 
-/// Computes the error of the torque of (4) on the board (f32, minimax sines, angles rounded to f32) against f64, as a
-/// share of the largest entry.
+/// Computes the error of the torque of (4) on the board (f32, minimax sines, angles rounded to f32), as a share of the
+/// largest f64 entry.
 fn board_error<A, B, const N: usize>(exact: &A, board: &B, case: &Case<A, N>) -> f64
 where
     A: Mechanism<f64, N>,

@@ -1,15 +1,15 @@
-//! The check of the control loop's pace, every 20 ms as in the firmware, for loops of known rate.
+//! Tests the check of the control loop's pace (every 20 ms, as in the firmware) with loops of known rate.
 
 use crate::common::cases;
 use haptic_bridge::safety::pace::{Pace, Verdict};
 use proptest::prelude::*;
 
 const RATES: [u32; 4] = [200, 1_000, 5_000, 20_000];
-/// Time between two checks, µs.
+/// Interval between two checks, µs.
 const CHECK_US: u64 = 20_000;
 
-/// Returns the first verdict against a loop that runs at `share` of its rate, and the number of checks until then,
-/// within 500 checks (10 s).
+/// Runs a loop at `share` of its rate (Hz) for at most 500 checks (10 s). Returns the first verdict other than `Kept`
+/// and the number of checks until then.
 fn verdict(rate: u32, share: f64, excused: bool, jitter: impl Fn(u64) -> u64) -> Option<(Verdict, u64)> {
     let mut pace = Pace::new(rate);
     let (mut before, mut time) = (0, 0);
@@ -28,7 +28,7 @@ fn verdict(rate: u32, share: f64, excused: bool, jitter: impl Fn(u64) -> u64) ->
 #[test]
 fn a_rate_error_of_a_fifth_is_found_within_80_steps() {
     for rate in RATES {
-        // The tolerance over 80 steps is 12: 10 %, and four steps at the ends.
+        // The tolerance over 80 steps is 12 steps: 10 %, and four steps at the ends.
         let checks = (80 * 1_000_000 / u64::from(rate)).div_ceil(CHECK_US);
         for (share, expected) in [(1.2, Verdict::TooFast), (0.8, Verdict::TooSlow)] {
             let found = verdict(rate, share, false, |_| 0);
@@ -41,7 +41,7 @@ fn a_rate_error_of_a_fifth_is_found_within_80_steps() {
     }
 }
 
-/// The watchdog is fed only if the pace is right, and resets the board within 208 ms of the last feeding.
+/// The watchdog is fed only at the right pace. It resets the board 208 ms after the last feeding at the latest.
 #[test]
 fn a_loop_at_a_wrong_pace_lets_the_watchdog_reset_the_board() {
     for rate in [200_u32, 500, 1_000, 2_000, 20_000] {
@@ -60,7 +60,7 @@ fn a_loop_at_a_wrong_pace_lets_the_watchdog_reset_the_board() {
     }
 }
 
-/// Errors that cancel over several checks are found in single checks.
+/// Errors that cancel over several checks must be found in single checks.
 #[test]
 fn an_irregular_loop_is_found() {
     let mut pace = Pace::new(1_000);
@@ -80,7 +80,7 @@ fn a_loop_that_recovers_its_pace_is_fed_again() {
 fn a_change_of_rate_is_not_a_wrong_pace() {
     let mut pace = Pace::new(20_000);
     assert_eq!(pace.look(400, CHECK_US, 20_000, false), Verdict::Kept);
-    // 15 ms at the old rate, 5 ms at the new one.
+    // The interval has 15 ms at the old rate and 5 ms at the new rate.
     assert_eq!(pace.look(301, CHECK_US, 200, false), Verdict::Kept);
     for _ in 0..100 {
         assert_eq!(pace.look(4, CHECK_US, 200, false), Verdict::Kept);
@@ -109,7 +109,7 @@ fn no_number_makes_the_check_panic() {
 proptest! {
     #![proptest_config(cases(256))]
 
-    /// Checks come up to a fifth of their interval late, as in a task.
+    /// Checks come up to a fifth of their interval late, like checks in a task.
     #[test]
     fn a_loop_at_its_rate_never_fails_the_check(rate in 200_u32..50_000, share in 0.999_f64..1.001, late in prop::array::uniform16(0_u64..4_000)) {
         prop_assert_eq!(verdict(rate, share, false, |check| late[check as usize % 16]), None);

@@ -1,6 +1,6 @@
-//! The posture of a redundant arm: a spring holds it without a force at the tip.
+//! A spring holds the posture of a redundant arm without a force at the tip.
 //!
-//! The oracle solves M q̈ + c + g = τ with the controller's torque by elimination.
+//! The oracle solves M q̈ + c + g = τ by elimination, with the controller's torque.
 
 use crate::common::{bilateral_wall, device_file, fine_counts, inverse, with_fine_encoders};
 use haptic_bridge::math::Libm;
@@ -29,14 +29,14 @@ fn scene(posture: Option<Posture<f64>>) -> Scene<f64> {
     Scene { task: 2, rate_hz: RATE, cutoff_hz: 2_000.0, posture, ..Scene::default() }
 }
 
-/// Returns the torques after a steady motion through `q` at `qd`.
+/// Returns the torques at the end of a steady motion to `q` at `qd`.
 fn torque(scene: &Scene<f64>, q: &Vector3<f64>, qd: &Vector3<f64>) -> Vector3<f64> {
     let (arm, device) = arm();
     let mut steps = Steps::new(arm, &device, scene).expect("a sound scene");
     (-80..=0).map(|k| steps.step(&fine_counts(&(q + qd * (f64::from(k) / RATE)))).torque).last().expect("steps")
 }
 
-/// By virtual work with φ = q₀ + q₁ + q₂, a moment f on the last link is the torque f at every joint, in any pose.
+/// With φ = q₀ + q₁ + q₂ and by virtual work, a moment f on the last link is the torque f at every joint.
 #[test]
 fn the_posture_spring_is_a_moment_on_the_last_link() {
     let held = Posture { orientation: 2.6, stiffness: 0.4, damping: 0.03 };
@@ -82,7 +82,7 @@ fn an_arm_that_presses_a_wall_reaches_and_keeps_its_posture() {
         bilateral: false,
         ..bilateral_wall(Surface::Plane(Plane { point: [tip[0], tip[1], 0.0], normal }), 3_000.0)
     };
-    // The full feed-forward is left out, because (4) itself pushes a resting arm along its null motion.
+    // The full feed-forward is not tested, because (4) itself pushes a resting arm along the null motion.
     for feed_forward in [FeedForward::Off, FeedForward::Washout] {
         let mut scene = scene(Some(Posture { orientation: 2.2, stiffness: 0.5, damping: 0.15 }));
         scene.walls.push(wall(feed_forward)).expect("room");
@@ -104,7 +104,7 @@ fn an_arm_that_presses_a_wall_reaches_and_keeps_its_posture() {
         let pose = arm.pose::<Libm>(&q);
         let depth = (tip - arm.tip(&pose)).dot(&Vector3::from(normal));
         assert!((q.sum() - 2.2).abs() < 0.002, "{feed_forward:?}: the orientation is {}", q.sum());
-        // The penetration is the hand's force over the stiffness, with any posture spring.
+        // The penetration is the hand's force over the stiffness, whatever the posture spring does.
         assert!((depth - 0.002).abs() < 4e-5, "{feed_forward:?}: {depth} m");
         assert!(qd.norm() < 1e-2, "{feed_forward:?}: the arm moves, {qd:?}");
     }

@@ -1,9 +1,9 @@
-//! The power is cut at every flash operation of a save. Afterwards every setting has its old or its new value, and the
-//! next save works.
+//! The power is cut at every flash operation of a save. Afterwards every setting must have its old or its new value,
+//! and the next save must work.
 //!
-//! The flash is a model of the board's two 16 KB sectors: an erase sets a sector to ones, and a write works word by
-//! word and can only clear bits. Two kinds of cut are tested at each operation: before it (the previous one is
-//! complete), or within it (half a sector erased, half a word written).
+//! The flash is a model of the board's two 16 KB sectors. An erase sets a sector to ones. A write works word by word
+//! and can only clear bits. Each operation is cut in two ways: before it begins, or halfway (half a sector erased, half
+//! a word written).
 
 use embedded_storage_async::nor_flash::{ErrorType, NorFlash, NorFlashError, NorFlashErrorKind, ReadNorFlash};
 use haptic_bridge::board::storage::{LONGEST_STORED, Storage, StorageError};
@@ -27,7 +27,7 @@ struct Sectors {
     /// Number of bytes that were read.
     bytes_read: usize,
     cut: Option<(usize, Cut)>,
-    /// True if the flash works again after the cut: the operation failed, and the power stayed on.
+    /// True if only the operation fails at the cut, and the flash works again afterwards.
     keeps_power: bool,
     dead: bool,
 }
@@ -54,7 +54,7 @@ impl Sectors {
         }
     }
 
-    /// Counts an operation. Returns the cut that acts on it; `None` if it is completed.
+    /// Counts an operation. Returns the cut that acts on this operation, or `None` if the operation is completed.
     fn operate(&mut self) -> Option<Cut> {
         let number = self.operations;
         self.operations += 1;
@@ -147,7 +147,7 @@ impl NorFlash for Sectors {
 
 type Values = BTreeMap<u8, Vec<u8>>;
 
-/// Returns settings of this generation, as large as the board's settings.
+/// Returns settings as large as the board's, with contents that depend on the generation.
 fn values(generation: u8) -> Values {
     let sizes = [(1, 420), (2, 760), (3, 100), (4, 40), (5, 12), (6, 24)];
     sizes
@@ -186,7 +186,7 @@ fn flash_after_saves(generations: u8) -> Sectors {
 }
 
 /// Cuts the power at every operation of the next save and checks the settings. Returns the number of operations and the
-/// number of erases among them.
+/// number of erases.
 fn check_every_cut(flash: &Sectors, old: &Values, new: &Values) -> (usize, usize) {
     let complete = save(flash.clone(), new);
     let (operations, erases) = (complete.operations, complete.erases);
@@ -225,7 +225,7 @@ fn a_cut_in_a_save_within_a_sector_is_harmless() {
 
 #[test]
 fn a_cut_in_a_save_that_changes_the_sector_is_harmless() {
-    // One setting is saved until a save erases a sector and copies all other settings.
+    // Saves one setting until a save erases a sector and copies all other settings.
     let (mut old, mut flash) = (values(1), flash_after_saves(2));
     for generation in 2..=255 {
         let mut new = old.clone();
@@ -256,7 +256,6 @@ fn two_hundred_saves_wear_both_sectors_equally_and_lose_nothing() {
     assert!((14..28).contains(&flash.erases), "{} erases in two hundred saves", flash.erases);
 }
 
-/// Result of reading a setting.
 type ReadResult = Result<Option<Vec<u8>>, StorageError>;
 
 /// Reads every setting after a start. Returns the results and the flash.
@@ -270,7 +269,7 @@ fn read_results(mut flash: Sectors) -> (Vec<ReadResult>, Sectors) {
 
 #[test]
 fn a_flipped_bit_is_reported_and_restores_no_older_value() {
-    // With three saves before the last one, and with none: then the damaged setting has no older value.
+    // With generation 3 the damaged setting has older values, with generation 0 it has none.
     for generation in [3, 0] {
         let (before, flash, now) =
             (flash_after_saves(generation), flash_after_saves(generation + 1), values(generation));
@@ -289,12 +288,12 @@ fn a_flipped_bit_is_reported_and_restores_no_older_value() {
             }
             let reports = found.iter().filter(|found| found.is_err()).count();
             assert!(reports <= 1, "byte {at}: {reports} settings are damaged");
-            // The next save repairs the setting.
+            // The next save must repair the setting.
             if nth % 50 == 0 {
                 assert_eq!(read(save(after.reboot(), &now).reboot()).0, now, "byte {at}");
             }
         }
-        // Most bytes belong to one setting, the others to the catalogue, which is not needed.
+        // One byte in six belongs to the damaged setting. The others belong to the catalogue, which is not needed.
         assert!(damaged > 1_300 && intact > 5 * damaged, "{damaged} damaged, {intact} intact");
     }
 }
@@ -313,7 +312,7 @@ fn a_setting_without_a_generation_is_read_and_replaced() {
     assert_eq!(found[0], Ok(Some(values(5)[&1].clone())));
 }
 
-/// Stages all of these values and commits them together.
+/// Stages all values and commits them together.
 fn save_together(mut flash: Sectors, values: &Values) -> Sectors {
     let mut buffer = [0; LONGEST_STORED];
     let mut storage = Storage::new(&mut flash, RANGE, &mut buffer);
@@ -325,7 +324,7 @@ fn save_together(mut flash: Sectors, values: &Values) -> Sectors {
 }
 
 /// Cuts the power at every operation of a joint save and checks that all values are old or all are new. Returns the
-/// number of operations, and the number of cuts after which the new values were read.
+/// number of operations, and the number of cuts after which the values were new.
 fn check_all_or_none(flash: &Sectors, old: &Values, new: &Values) -> (usize, usize) {
     let complete = save_together(flash.clone(), new);
     let operations = complete.operations;
@@ -338,7 +337,7 @@ fn check_all_or_none(flash: &Sectors, old: &Values, new: &Values) -> (usize, usi
             let (found, after) = read(save_together(trial, new).reboot());
             assert!(found == *old || found == *new, "operation {operation}, {cut:?}: some settings are old, some new");
             decided += usize::from(found == *new);
-            // A second cut, while the board completes the first save, does not change the result.
+            // A second cut, while the board completes the first save, must not change the result.
             if operation % 7 == 0 && cut == Cut::Within {
                 let mut again = save_together(Sectors { cut: Some((operation, cut)), ..flash.clone() }, new).reboot();
                 again.cut = Some((operation % 50, Cut::Within));
@@ -427,7 +426,7 @@ fn a_commit_reports_the_settings_in_force_after_a_flash_failure() {
     assert!(completed > 100 && kept > 1, "{completed} commits completed, {kept} kept the old settings");
 }
 
-/// Reads all settings once. Returns the number of write operations and of bytes read.
+/// Reads all settings once. Returns the number of writes and the number of bytes read.
 fn reads(storage: &mut Storage<'_, &mut Sectors>) -> (usize, usize) {
     let so_far = |storage: &mut Storage<'_, &mut Sectors>| (storage.flash().operations, storage.flash().bytes_read);
     let before = so_far(storage);
@@ -436,12 +435,12 @@ fn reads(storage: &mut Storage<'_, &mut Sectors>) -> (usize, usize) {
     (after.0 - before.0, after.1 - before.1)
 }
 
-/// While the motors are on, the watchdog leaves no time for a search, and flash must not be written: also after a
-/// flipped bit, after a save that was cut short, and if some settings were never saved.
+/// While the motors are on, the watchdog leaves no time for a search, and flash must not be written. This must hold
+/// after a flipped bit, after a cut save, and with settings that were never saved.
 #[test]
 fn after_the_start_a_read_needs_no_search_and_no_write() {
     let whole: usize = values(0).values().map(Vec::len).sum();
-    // Every entry with the catalogue before it, their headers, and the bytes read to find them.
+    // A read covers every entry, the catalogue before the entry, their headers, and the bytes read to find them.
     let most = 2 * whole;
     let mut flashes = vec![Sectors::new(), flash_after_saves(9)];
     let is_saved = |key: &u8| *key != 5;
@@ -469,8 +468,8 @@ fn after_the_start_a_read_needs_no_search_and_no_write() {
     }
 }
 
-/// A read does not repair damage after the start: neither entries, nor sectors that have an end mark without a start
-/// mark, which a start would erase.
+/// After the start a read repairs nothing: neither entries nor sectors with an end mark but no start mark, which a
+/// start would erase.
 #[test]
 fn a_read_does_not_repair_damage_after_the_start() {
     let mut buffer = [0; LONGEST_STORED];
@@ -501,7 +500,7 @@ fn a_staged_entry_damaged_after_the_commit_is_reported() {
         if read(flash.clone()).0 != values(9) {
             break;
         }
-        // 500 bytes in a row identify the staged scene, because the other settings are shorter.
+        // The first 500 bytes identify the staged scene, because the other settings are shorter or different.
         let scene = &values(9)[&2];
         let Some(at) = flash.bytes.windows(500).position(|window| window == &scene[..500]) else { continue };
         let mut spoilt = flash.clone();

@@ -1,8 +1,8 @@
-//! Every request of the protocol in every state of a board, through the dispatcher as the link calls it: its reply or its
-//! refusal with the reason. A refused request changes nothing.
+//! Every request of the protocol, in every state of a board, through the dispatcher like a request from the link. Each
+//! request must have its reply, or a refusal with a reason. A refused request must change nothing.
 //!
-//! After each request the board of tests/rig/board.rs asserts the safety invariants: no torque unless the motors are on,
-//! and no limit raised, no flash written and no timer set while they are on.
+//! After each request the board of tests/rig/board.rs asserts the safety invariants. There is no torque unless the
+//! motors are on. While the motors are on, no limit is raised, no flash is written and no timer is set.
 
 use crate::rig::board::{Board, frame};
 use crate::rig::{self, device, five_bar};
@@ -23,14 +23,13 @@ use postcard_rpc::Endpoint;
 use postcard_rpc::header::VarHeader;
 use postcard_rpc::standard_icd::WireError;
 
-/// State of a board.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Now {
-    /// New, without settings.
+    /// New board without settings.
     Bare,
-    /// Device and scene, motors that are not real.
+    /// Board with device and scene, and with motors that are not real.
     Ready,
-    /// Real motors, not homed yet.
+    /// Board with real motors that is not homed yet.
     Unhomed,
     Armed,
     Checking,
@@ -60,7 +59,7 @@ fn board(now: Now) -> Board {
     board
 }
 
-/// Returns rules with every limit at this share of the board's own limit.
+/// Returns rules in which every limit is `share` of the board's own limit.
 fn rules(share: f32) -> Rules {
     let most = Limits::default();
     let limits = Limits {
@@ -80,7 +79,6 @@ fn gains(wall: u8, stiffness: f32) -> GainsRequest {
     GainsRequest { wall: Some(gains), estimator: None }
 }
 
-/// A function that sends a request to the board.
 type Ask = fn(&mut Board) -> Result<(), Refusal>;
 
 macro_rules! ask {
@@ -92,10 +90,10 @@ macro_rules! ask {
     };
 }
 
-/// A request by name, and its reply in each of [`STATES`].
+/// Name of a request, a function that sends the request, and the reply in each of [`STATES`].
 type RequestCase = (&'static str, Ask, [Result<(), Refusal>; 6]);
 
-/// Session of the tool that changes settings here.
+/// Session of the tool that changes settings in these tests.
 const SESSION: u32 = 4;
 
 fn commit(keys: &[Key]) -> Commit {
@@ -122,7 +120,7 @@ fn arm_held(board: &mut Board) -> Result<(), Refusal> {
     board.ask::<ArmHeld>(&press).expect("a reply")
 }
 
-/// Returns the board's refusal of [`rules`] with a share above 1, which names the first entry of the first limit.
+/// Returns the refusal of [`rules`] with a share above 1. The refusal names the first entry of the first limit.
 fn too_high(share: f32) -> Refusal {
     let value = share * Limits::default().torque[0];
     Refusal::BadLimit(BadLimit { limit: Limit::Torque, joint: Some(0), value, least: 0.0, most: 5.0 })
@@ -186,7 +184,6 @@ fn table() -> Vec<RequestCase> {
     ]
 }
 
-/// Returns all settings that a tool can read.
 fn configuration(board: &mut Board) -> (Option<DeviceData>, Option<SceneData>, Rules, Vec<MaybeEntry>) {
     let entries = Key::ALL.map(|key| board.ask::<ReadEntry>(&key).unwrap()).to_vec();
     let device = board.ask::<GetDevice>(&()).unwrap();
@@ -220,14 +217,14 @@ fn reading_requests_change_no_state() {
         board.ask::<GetDetails>(&()).unwrap();
         board.ask::<GetFaults>(&()).unwrap();
         board.ask::<Heartbeat>(&Beat::Here).unwrap();
-        // No force, and a lease of no time.
+        // A request without a force and without a lease only reads.
         board.ask::<Force>(&ForceRequest::default()).unwrap();
         assert_eq!(board.ask::<GetStatus>(&()).unwrap().state, before.1);
         assert_eq!((configuration(&mut board), board.state()), before, "{now:?}");
     }
 }
 
-/// A board prepares its gate drivers only if the control loop will not refuse to arm, so it asks first.
+/// Before a board prepares its gate drivers, it asks the control loop whether arming would be refused.
 #[test]
 fn asking_to_arm_has_the_reply_of_arming_and_changes_nothing() {
     fn not_yet(press: Press) -> Press {
@@ -250,14 +247,14 @@ fn asking_to_arm_has_the_reply_of_arming_and_changes_nothing() {
     }
 }
 
-/// Returns the endpoints of this board, without those of postcard-rpc, which the board does not serve.
+/// Returns the board's endpoints without those of postcard-rpc, which the board does not serve.
 fn own_endpoints() -> impl Iterator<Item = (&'static str, postcard_rpc::Key)> {
     ENDPOINTS.endpoints.iter().map(|(path, key, _)| (*path, *key)).filter(|(path, _)| path.starts_with("haptic/"))
 }
 
 #[test]
 fn the_tests_of_requests_cover_every_endpoint() {
-    // The two tests before have 19 endpoints that change something and 10 that read.
+    // The two tests above cover 19 endpoints that change something and 10 that only read.
     assert_eq!(own_endpoints().count(), 29, "an endpoint was added: add it to the tests of this file");
 }
 
@@ -272,7 +269,6 @@ fn limits_beyond_the_boards_own_and_invalid_numbers_are_refused() {
         (Limit::Power, 20.0, |limits, _, to| limits.power = to),
         (Limit::TipForce, 1_000.0, |limits, _, to| limits.tip_force = to),
     ];
-    /// Returns the refused limit.
     fn refused(answer: Result<(), Refusal>) -> BadLimit {
         match answer {
             Err(Refusal::BadLimit(bad)) => bad,
@@ -310,13 +306,12 @@ fn limits_beyond_the_boards_own_and_invalid_numbers_are_refused() {
     }
 }
 
-/// Invalid or extreme values.
 const POISON: [f32; 7] =
     [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, f32::MAX, f32::MIN_POSITIVE / 8.0, -1.0e-45, -0.0];
 
-/// Sends a message with one of [`POISON`] at every place of its bytes to a ready board and to an armed board, arms if the
-/// board accepts that, and pushes through the wall. The board asserts its invariants. Returns how often it accepted and
-/// refused.
+/// Sends a message to a ready board and to an armed board, with each of [`POISON`] written at every place of the
+/// message's bytes. Then arms if possible and pushes through the wall, while the board asserts its invariants. Returns
+/// the numbers of accepted and refused messages.
 fn poisoned<E: Endpoint>(message: &E::Request) -> (usize, usize)
 where
     E::Request: serde::Serialize + Sized,
@@ -381,7 +376,7 @@ fn a_force_with_an_invalid_number_is_refused_or_harmless() {
             let answer = board.answer(&frame(Force::REQ_KEY, &bytes)).unwrap();
             let (_, body) = VarHeader::take_from_slice(&answer).unwrap();
             seen.push(postcard::from_bytes::<ForceAnswer>(body).map(|answer| answer.done).ok());
-            // The board asserts its own torques.
+            // The board asserts the limits of its own torques.
             (0..60).for_each(|_| board.tick());
             assert_eq!(board.state(), State::Armed, "{poison} at byte {place}");
         }
@@ -403,7 +398,7 @@ fn a_frame_without_a_request_gets_an_error_or_no_reply() {
     assert_eq!(board.answer(&[0xFF]), None);
     let unknown = postcard_rpc::Key::for_path::<()>("haptic/unheard-of");
     assert_eq!(error(board.answer(&frame(unknown, &[]))), WireError::UnknownKey);
-    // Too long for a request without a body, and invalid for the others.
+    // This body is too long for a request without a body, and invalid for every other request.
     for (path, key) in own_endpoints() {
         let before = board.state();
         assert_eq!(error(board.answer(&frame(key, &[0xFF; 700]))), WireError::DeserFailed, "{path}");
@@ -440,14 +435,15 @@ fn saved_settings_are_in_force_after_a_restart_with_motors_off() {
     assert_eq!(settings::decode::<BoardName>(before.3[5].as_ref().unwrap()).unwrap().0.as_str(), "left hand");
 }
 
-/// Returns a paddle whose motor makes no back-EMF, because on this board the commanded currents flow at any speed.
+/// Returns a paddle without back-EMF, because the test board lets the commanded currents flow at any speed.
 fn paddle_without_back_emf() -> Description {
     let mut paddle = rig::paddle();
     paddle.joints[0].motor.as_mut().unwrap().back_emf = 0.0;
     paddle
 }
 
-/// Homes and checks the polarity of a paddle with some friction that turns with its torque (`way` 1) or against it (-1).
+/// Homes a paddle with little friction and runs the polarity check. The motor turns with its torque if `way` is 1, and
+/// against its torque if `way` is -1.
 fn polarity_check(board: &mut Board, way: f64) {
     board.ask::<Home>(&()).unwrap().unwrap();
     board.ask::<CheckPolarity>(&()).unwrap().unwrap();
@@ -486,13 +482,13 @@ fn a_polarity_check_counts_for_the_checked_device_only() {
     }
 }
 
-/// Returns the checksum at the end of a device's entry.
+/// Returns the checksum at the end of the entry of a device.
 fn sum(device: &DeviceData) -> u32 {
     u32::from_le_bytes(*settings::encode(device).unwrap().last_chunk().unwrap())
 }
 
-/// Returns the device with a name that gives its entry this checksum. A CRC is linear, so letters with five free bits
-/// each are chosen whose changes sum to the missing difference.
+/// Returns the device with a name that gives its entry the checksum `wanted`. A CRC is linear, so the name is built
+/// from letters with five free bits each, whose changes add up to the missing difference.
 fn forged(device: &DeviceData, wanted: u32) -> DeviceData {
     let mut free = vec![];
     let named = |letters: &[u8; 10]| DeviceData { name: letters.map(char::from).iter().collect(), ..device.clone() };
@@ -554,13 +550,13 @@ fn an_older_polarity_check_does_not_undo_a_failed_one() {
     let mut board = Board::ready(true, &device, &quiet());
     polarity_check(&mut board, 1.0);
     assert_eq!((board.state(), board.ask::<GetStatus>(&()).unwrap().polarity), (State::Disarmed, true));
-    // The motor's wires are swapped; the next check finds it.
+    // The motor's wires are swapped, which the next check must find.
     (0..200).for_each(|_| board.tick());
     polarity_check(&mut board, -1.0);
     let fault = board.ask::<GetStatus>(&()).unwrap().fault.map(|record| record.fault);
     assert_eq!(fault, Some(Fault::PolarityWrong));
     board.ask::<Clear>(&()).unwrap().unwrap();
-    // The polarity stays unknown if the same device is loaded, now and after a restart.
+    // The polarity must stay unknown if the same device is loaded, now and after a restart.
     board.ask::<SetDevice>(&device).unwrap().unwrap();
     board.ask::<SetScene>(&quiet()).unwrap().unwrap();
     (0..200).for_each(|_| board.tick());
@@ -582,7 +578,7 @@ fn a_fault_with_an_invalid_value_is_published_once() {
     assert_eq!((published, board.service.faults().len()), (1, 1));
 }
 
-/// Returns the board's device with another mass, as from the backup of another board.
+/// Returns the board's device with twice the inertia, like a device from another board's backup.
 fn heavier() -> DeviceData {
     let mut description = paddle_without_back_emf();
     description.joints[0].inertia *= 2.0;
@@ -617,13 +613,13 @@ fn a_restore_changes_all_settings_or_none() {
     assert_eq!(failed.ask::<CommitEntries>(&both).unwrap(), Err(Refusal::Flash));
     assert_eq!(now(&mut failed), before);
 
-    // If one setting is refused, none changes.
+    // If one setting is refused, no setting changes.
     let mut refused = board(false);
     staged(&mut refused, &rules(1.5)).unwrap();
     assert_eq!(refused.ask::<CommitEntries>(&both).unwrap(), Err(too_high(1.5)));
     assert_eq!(now(&mut refused), before);
 
-    // All settings fit and change together.
+    // If all settings fit, all change together.
     let mut done = board(false);
     done.ask::<CommitEntries>(&both).unwrap().unwrap();
     assert_eq!(now(&mut done), (high, Some(heavier())));
@@ -632,7 +628,7 @@ fn a_restore_changes_all_settings_or_none() {
     assert_eq!(now(&mut done), (high, Some(heavier())), "after a restart");
 }
 
-/// A tool ends after it staged settings. The next tool commits them, or stages others and commits.
+/// A tool stages settings and ends. The next tool tries to commit them, with or without its own settings.
 #[test]
 fn a_tool_cannot_commit_the_settings_of_another_tool() {
     let mut board = board(Now::Ready);
@@ -645,13 +641,13 @@ fn a_tool_cannot_commit_the_settings_of_another_tool() {
     let both = another(&[Key::Rules, Key::Device]);
     assert_eq!(board.ask::<CommitEntries>(&both).unwrap(), Err(Refusal::BadEntry));
     assert_eq!(board.ask::<GetRules>(&()).unwrap(), before);
-    // The first tool cannot commit either, after another tool has begun.
+    // The first tool cannot commit either, because another tool has begun.
     assert_eq!(board.ask::<CommitEntries>(&commit(&[Key::Rules])).unwrap(), Err(Refusal::BadEntry));
     board.ask::<CommitEntries>(&another(&[Key::Device])).unwrap().unwrap();
     assert_eq!(board.ask::<GetDevice>(&()).unwrap(), Some(heavier()));
 }
 
-/// A tool of any version can stop a board of any version, so these bytes must never change.
+/// These bytes must never change, because a tool of any version must be able to stop a board of any version.
 #[test]
 fn the_request_to_disarm_is_the_same_in_every_version() {
     use postcard_rpc::Endpoint as _;
@@ -665,7 +661,7 @@ fn a_board_with_real_motors_starts_with_a_limit_of_5_newtons() {
     let limits = |real| Board::new(real).ask::<GetRules>(&()).unwrap().limits;
     assert_eq!(limits(true), Limits { tip_force: 5.0, ..Limits::default() });
     assert_eq!(limits(false), Limits::default(), "without motors no limit is needed");
-    // The rules can raise the limit, up to the board's own.
+    // The rules can raise the limit up to the board's own limit.
     let mut board = Board::new(true);
     let stronger = Limits { tip_force: 9.0, ..limits(true) };
     let rules = Rules { limits: stronger, ..board.ask::<GetRules>(&()).unwrap() };
@@ -691,7 +687,7 @@ fn a_refused_chunk_leaves_the_table_in_force() {
     let grid = Grid { interpolation: Interpolation::Bilinear, points: [2, 2], low: [0.0; 2], spacing: [0.5; 2] };
     let table = MassModelData::Table(grid, checksum(&values));
     service.set_mass_model(&mut machine, table.clone()).unwrap();
-    // Every new program sets the carrier.
+    // Every new program sets the carrier, which `retimed` counts.
     let installed = machine.retimed;
     for bad in [chunk(7, &[1.0]), chunk(0, &[f32::NAN]), chunk(0, &[f32::INFINITY; 12])] {
         let refused = service.receive_table(&mut machine, &bad);
@@ -702,7 +698,7 @@ fn a_refused_chunk_leaves_the_table_in_force() {
     }
 }
 
-/// A table belongs to one device's mass matrix, so another device does not accept it.
+/// A table belongs to one device's mass matrix, so another device must not accept it.
 #[test]
 fn a_table_sent_before_a_device_is_not_accepted_for_it() {
     let values = [[1.0e-3_f32, 1.0e-4, 1.0e-3]; 4].concat();
@@ -721,13 +717,13 @@ fn a_table_sent_before_a_device_is_not_accepted_for_it() {
         board.ask::<SendTable>(&chunk).unwrap().unwrap();
         another(&mut board);
         assert_eq!(board.ask::<SetMassModel>(&table).unwrap(), Err(Refusal::BadTable));
-        // The device accepts the table if it is sent again.
+        // The second device accepts the table if it is sent again.
         board.ask::<SendTable>(&chunk).unwrap().unwrap();
         assert_eq!(board.ask::<SetMassModel>(&table).unwrap(), Ok(()));
     }
 }
 
-/// A saved mass model belongs to the saved scene, so a start puts both in force.
+/// A saved mass model belongs to the saved scene, so a start must put both in force.
 #[test]
 fn a_start_restores_a_frozen_mass_matrix_with_its_scene() {
     let mut board = board(Now::Ready);

@@ -1,6 +1,6 @@
-//! Straight steps against the general step, for random devices, scenes and motions. All numbers are equal bit for bit
-//! except torques and forces, which a straight step may sum in another order: these are within a few roundings of their
-//! parts.
+//! Compares straight steps with the general step for random devices, scenes and motions. All numbers are equal bit for
+//! bit, except torques and forces. A straight step may sum them in another order, so they may differ by a few roundings
+//! of their parts.
 
 use crate::common::{Draw, NUMBERS, device};
 use haptic_bridge::control::compiled::BoardMath;
@@ -20,10 +20,10 @@ const STEPS: usize = 100;
 const COUNTS_PER_TURN: f64 = 20_000.0;
 const RATE: f64 = 20_000.0;
 
-/// The host's force in each direction, N.
+/// Force of the host in each direction, N.
 const PUSH: f64 = 0.3;
 
-/// Numbers in [0, 1), the same in every run (upper half of Knuth's 64-bit linear congruential generator).
+/// Numbers in [0, 1), the same in every run (the upper half of Knuth's 64-bit linear congruential generator).
 struct Stream(u64);
 
 impl Stream {
@@ -37,7 +37,7 @@ impl Stream {
     }
 }
 
-/// Number of steps of each kind that straight steps handle specially.
+/// Number of steps for each condition that straight steps handle specially.
 #[derive(Default, Debug)]
 struct Coverage {
     empty: usize,
@@ -46,11 +46,11 @@ struct Coverage {
     several: usize,
     round: usize,
     spring: usize,
-    /// Steps with one round wall whose velocity terms follow its normal.
+    /// Steps with one round wall whose velocity terms follow the turning normal.
     turning: usize,
-    /// Steps with touched walls and springs.
+    /// Steps that touch walls and have springs.
     with_spring: usize,
-    /// Steps with touched walls and the host's plane.
+    /// Steps that touch walls and have the host's plane.
     with_plane: usize,
     faded: usize,
     off: usize,
@@ -58,12 +58,12 @@ struct Coverage {
     owed: usize,
     /// Steps of scenes that have a straight step.
     straight: usize,
-    /// Largest difference of torques in roundings.
+    /// Largest difference of torques, in roundings.
     difference: f64,
 }
 
-/// Draws a scene with flat or round walls near `place`, with all features of straight steps and some that only the
-/// general step has.
+/// Draws a scene with flat or round walls near `place`, with all features of straight steps and some features that only
+/// the general step has.
 fn scene<T: Real>(draw: &mut Draw<'_>, place: &[f64], task: usize) -> Scene<T> {
     let choice = |draw: &mut Draw<'_>, count: usize| (draw.within(0.0, count as f64) as usize).min(count - 1);
     let mut scene = Scene::<f64> {
@@ -75,7 +75,7 @@ fn scene<T: Real>(draw: &mut Draw<'_>, place: &[f64], task: usize) -> Scene<T> {
         ..Scene::default()
     };
     let [first, flat, spring] = [choice(draw, 4), choice(draw, 2), choice(draw, 6)];
-    // Sometimes two facets of nearly one wall, sometimes the same wall twice.
+    // Some scenes have two facets of nearly one wall, some have the same wall twice.
     let nearly = [0.0, 0.01, 1.0, 1.0][choice(draw, 4)];
     let mut before: Option<[f64; 3]> = None;
     for _ in 0..[0, 1, 2, 3][first] {
@@ -109,7 +109,7 @@ fn scene<T: Real>(draw: &mut Draw<'_>, place: &[f64], task: usize) -> Scene<T> {
     if spring == 0 {
         scene.field_damping = 0.3;
     }
-    // Up to two springs, to points and to lines; some have only damping.
+    // Up to two springs lead to points or lines. Some have only damping.
     for _ in 0..[1, 2, 0, 0, 1, 0][spring] {
         let away = draw.within(-0.02, 0.02);
         let point = core::array::from_fn(|i| place.get(i).map_or(0.0, |x| if i < task { x + away } else { 0.0 }));
@@ -121,11 +121,11 @@ fn scene<T: Real>(draw: &mut Draw<'_>, place: &[f64], task: usize) -> Scene<T> {
     scene.cast()
 }
 
-/// Draws a plane of the host near `place`; some have only damping.
+/// Draws a plane of the host near `place`. Some planes have only damping.
 fn pushed_plane<T: Real>(draw: &mut Draw<'_>, place: &[f64], task: usize) -> PushedPlane<T> {
     let direction: [f64; 3] = draw.list(-1.0, 1.0);
     let length = direction.iter().take(task).map(|x| x * x).sum::<f64>().sqrt().max(1.0e-3);
-    // The normal is shorter than 1 while the plane moves between two others.
+    // A plane that moves between two others has a normal shorter than 1.
     let size = draw.within(0.5, 1.0) / length;
     let normal: [f64; 3] = core::array::from_fn(|i| if i < task { direction[i] * size } else { 0.0 });
     let at = normal.iter().zip(place).map(|(n, x)| n * x).sum::<f64>() + draw.within(-0.01, 0.02);
@@ -134,8 +134,8 @@ fn pushed_plane<T: Real>(draw: &mut Draw<'_>, place: &[f64], task: usize) -> Pus
     PushedPlane { normal: normal.map(T::from_f64), offset, stiffness, damping }
 }
 
-/// Returns the sum of the sizes of all forces except the walls' (N), and the tip's acceleration from turning normals,
-/// m/s².
+/// Returns the sum of the sizes of all forces except wall forces (N), and the tip's acceleration from turning normals
+/// (m/s²).
 fn other_forces<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize>(
     mechanism: &M,
     scene: &Scene<T>,
@@ -160,11 +160,11 @@ fn other_forces<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize>(
     (springs.sum::<f64>() + plane + scene.field_damping.to_f64() * speed, bends.sum())
 }
 
-/// Allowed error in roundings of the size of a torque's parts. About forty operations lead from the parts to the torque
-/// of one wall, and twice as many for several walls; the largest measured error is 6.
+/// Allowed error in roundings of a torque's parts. About forty operations lead from the parts to the torque of one
+/// wall, and twice as many for several walls. The largest measured error is 6.
 const ROUNDINGS: f64 = 16.0;
 
-/// Computes the difference of torques and forces in roundings.
+/// Computes the difference of torques and forces, in roundings.
 fn roundings<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize>(
     mechanism: &M,
     fast: &Step<T, N>,
@@ -173,8 +173,7 @@ fn roundings<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize>(
 ) -> f64 {
     let pose = mechanism.pose::<K>(&slow.q);
     let largest = |v: &SVector<T, N>| v.iter().fold(0.0_f64, |most, x| most.max(x.to_f64().abs()));
-    // The parts through Jᵀ in each direction may be much larger than their sum, and so may the parts of the inertia in
-    // each direction.
+    // The parts in each direction, through Jᵀ or of the inertia, may be much larger than their sum.
     let (mut through, mut shaped, mut inertial) = (0.0, 0.0, 0.0);
     for i in 0..M::SPEC.task {
         let mut unit = SVector::<T, N>::zeros();
@@ -194,7 +193,7 @@ fn roundings<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize>(
     (apart / (unit * parts)).max(force_difference / (unit * force * force))
 }
 
-/// Returns the state of a controller as text, without the commanded torques, which may differ by some roundings.
+/// Returns a controller's state as text, without the commanded torques, which may differ by some roundings.
 fn state_text(controller: &impl std::fmt::Debug) -> String {
     let all = format!("{controller:?}");
     let (before, rest) = all.split_once("held: ").expect("the walls' torques");
@@ -243,7 +242,8 @@ fn compare_steps<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize>(
             *count += pace * *going;
         }
         let at = counts.map(|count| count as i32);
-        // Both start from the same state, because the walls' energy depends on the torques of the previous step.
+        // Both controllers start from the same state, because the wall energy depends on the torques of the previous
+        // step.
         let mut general = straight.clone();
         let (fast, slow): (Step<T, N>, Step<T, N>) = (straight.step(&at), general.step_generally(&at));
         if nth % (STEPS / 4) == STEPS / 4 - 1 {
@@ -256,7 +256,7 @@ fn compare_steps<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize>(
         let apart = roundings::<T, M, K, N>(mechanism, &fast, &slow, other);
         assert!(apart <= ROUNDINGS, "{}: {apart} roundings at {at:?} of {scene:?}", M::SPEC.name);
         coverage.difference = coverage.difference.max(apart);
-        // The sum of several walls' forces may have another order, too.
+        // The straight step may sum the forces of several walls in another order too.
         let fast = Step { torque: slow.torque, rendered: slow.rendered, force_squared: slow.force_squared, ..fast };
         assert_eq!(fast, slow, "{} at {at:?} of {scene:?}", M::SPEC.name);
         coverage.straight +=
@@ -292,7 +292,7 @@ fn a_straight_step_equals_the_general_step_up_to_roundings() {
         (Kind::Serial3r, true),
     ] {
         let mut coverage = Coverage::default();
-        // Devices with two joints have their own straight steps.
+        // Devices with two joints have more straight steps than others.
         for _ in 0..if kind == Kind::FiveBar { 4 * CASES } else { CASES } {
             let numbers = stream.list();
             let mut description = device(kind, &mut Draw::new(&numbers));

@@ -1,5 +1,5 @@
-//! A program that replaces another keeps the values that do not change with a scene. They are the same as if the
-//! program had been the first.
+//! A program that replaces another keeps the values that do not change with a scene. These values must equal the values
+//! of a program that is loaded first.
 
 use crate::rig::{COUNTS, Rig, at_rate, five_bar, hardware, limits, paddle, quiet, rules, scene, wall};
 use haptic_bridge::control::frame::Samples;
@@ -15,7 +15,7 @@ use haptic_bridge::safety::limits::Limits;
 fn prepared_values(rig: &Rig) -> String {
     let all = format!("{:?}", rig.control_loop);
     let part = |from: &str, to: &str| {
-        // The program has fields of the same names; the last ones belong to the control loop.
+        // The program has fields of the same names, but the last ones belong to the control loop.
         let begin = all.rfind(from).unwrap_or_else(|| panic!("{from}"));
         let end = begin + all[begin..].find(to).unwrap_or_else(|| panic!("{to}"));
         format!("{}\n", &all[begin..end])
@@ -80,7 +80,7 @@ fn limits_changed_between_two_scenes_apply_to_the_second() {
     for rate in [200.0, 1_000.0, 7_000.0, 20_000.0, 50_000.0] {
         let (x, y) = (at_rate(rate, scene(2, &[])), at_rate(rate, scene(2, &[wall(-0.3, 900.0)])));
         for before in [true, false] {
-            // Like a restore: the program is built with the new rules, which are loaded after it.
+            // As in a restore, the program is built with the new rules, which are loaded after the program.
             let with = |first: Option<&Scene<f32>>| {
                 let mut rig = load_scenes(first, &y, |rig| {
                     rig.rules = other;
@@ -96,7 +96,7 @@ fn limits_changed_between_two_scenes_apply_to_the_second() {
     }
 }
 
-/// Returns the lowest speed (rad/s) that trips the limit of 20 rad/s, sampled at every crest of the true carrier.
+/// Returns the lowest speed (rad/s) that trips the limit of 20 rad/s, with samples at every crest of the true carrier.
 fn lowest_tripping_speed(first: Option<f32>, rate: f32) -> f64 {
     let limited = Rules { limits: Limits { power: 1.0e3, ..limits() }, ..rules() };
     let mut description = paddle();

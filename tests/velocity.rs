@@ -8,7 +8,7 @@ use haptic_bridge::render::velocity::{
 };
 
 /// Computes the direct-form coefficients (b0, b1, b2, a1, a2) of a 2nd-order digital Butterworth low-pass from its
-/// definition: the prewarped bilinear transform of 1/(s² + √2 s + 1).
+/// definition, the prewarped bilinear transform of 1/(s² + √2 s + 1).
 fn butter(cutoff: f64, rate: f64) -> [f64; 5] {
     let g = (std::f64::consts::PI * cutoff / rate).tan();
     let norm = 1.0 / (1.0 + std::f64::consts::SQRT_2 * g + g * g);
@@ -57,7 +57,7 @@ fn the_lag_at_constant_acceleration_is_as_reported() {
         for (rate, cutoff) in [(200.0, 20.0), (1_000.0, 100.0), (1_000.0, 400.0), (20_000.0, 500.0)] {
             let coefficients = Coefficients::<f64>::new(kind, rate, cutoff).unwrap();
             let mut filter = LowPass::default();
-            // x = t²/2, so the velocity equals the time.
+            // With x = t²/2 the velocity equals the time.
             let position = |k: f64| 0.5 * (k / rate).powi(2);
             let last = 2_000.0;
             let mut estimate = 0.0;
@@ -98,7 +98,7 @@ fn a_slow_washout_removes_a_constant_force_in_single_precision() {
     assert!(left.abs() < 1e-4, "{left}");
 }
 
-/// The estimated response to a single count is computed over a shorter time than the four seconds of this test.
+/// The library computes the response to a single count over a shorter time than the 4 s of this test.
 #[test]
 fn the_response_to_one_count_is_right_although_truncated() {
     let device: Device<f64> = rig::device(&rig::five_bar()).cast();
@@ -124,8 +124,8 @@ fn the_response_to_one_count_is_right_although_truncated() {
             assert!((known - most).abs() <= 1e-9 * most, "{kind:?} at {cutoff} Hz: {known} for {most}");
         }
     }
-    // If the window is much shorter than the low-pass, the peak is that of the low-pass's impulse response: for a
-    // 2nd-order Butterworth √2 e^(-π/4) sin(π/4) 2πf counts per second.
+    // If the window is much shorter than the low-pass, the peak equals the peak of the low-pass's impulse response. For
+    // a 2nd-order Butterworth filter that is √2 e^(-π/4) sin(π/4) 2πf counts per second.
     let found = Coefficients::of_device::<Libm>((Estimator::Difference(filtered(3)), 20_000.0, 20.0), &device).unwrap();
     let peak = 2f64.sqrt() * (-std::f64::consts::FRAC_PI_4).exp() * (0.5f64.sqrt()) * 40.0 * std::f64::consts::PI;
     let expected = device.joints[0].radians_per_count.abs() * peak;

@@ -1,9 +1,9 @@
-//! The energy that a hand gains while it slides along a wall: derived from Λ, computed from the torques, and reported
+//! The energy that a hand gains while it slides along a wall, derived from Λ, computed from the torques, and reported
 //! as `energy`.
 //!
-//! At rest a wall with the full feed-forward is the force field f(x) Λn/(nᵀΛn). Its normal part has a potential. The
-//! rest is f γ along the wall with γ = tᵀΛn/(nᵀΛn). A loop that presses to the depth d, slides, releases and returns
-//! gains f(d) ∫ γ ds.
+//! At rest a wall with the full feed-forward is the force field f(x) Λn/(nᵀΛn). Its normal part has a potential. Its
+//! other part is f γ along the wall, with γ = tᵀΛn/(nᵀΛn). A loop that presses to the depth d, slides, releases and
+//! returns therefore gains f(d) ∫ γ ds.
 
 use crate::common::{bilateral_wall, device_file, fine_counts, inverse, with_fine_encoders};
 use haptic_bridge::math::Libm;
@@ -16,9 +16,9 @@ use haptic_bridge::with_mechanism;
 use nalgebra::SVector;
 
 const RATE: f64 = 1_000.0;
-/// Steps of each leg of a loop.
+/// Steps in each leg of a loop.
 const STEPS: u32 = 1_000;
-/// Debt above which the passivity controller removes all feed-forward, J (src/render/controller/passivity.rs).
+/// Energy debt above which the passivity controller removes all feed-forward, J (src/render/controller/passivity.rs).
 const MOST_OWED: f64 = 1.0e-3;
 
 /// A loop near the home of a shipped device.
@@ -29,11 +29,11 @@ struct Case {
     stiffness: f64,
     /// Penetration while sliding, m.
     depth: f64,
-    /// Start of the slide as a distance from home, m.
+    /// Start of the slide, relative to home, m.
     from: f64,
     /// Length of the slide, m.
     slide: f64,
-    /// Gain in an independent simulation, whose slide may start elsewhere, J.
+    /// Energy gain in an independent simulation, whose slide may start elsewhere, J.
     gained: f64,
 }
 
@@ -60,11 +60,11 @@ const CASES: [Case; 2] = [
 
 /// Energies of loops, J.
 struct Loops {
-    /// Net work of the torques in each loop.
+    /// Net work of the torques in each loop, J.
     done: Vec<f64>,
-    /// The controller's energy at the end of contact in each loop: absorbed, or negative if given out.
+    /// Energy that the controller reports at the end of each contact, negative if it was given out, J.
     reported: Vec<f64>,
-    /// f(d) ∫ γ ds of one loop.
+    /// f(d) ∫ γ ds of one loop, J.
     derived: f64,
 }
 
@@ -88,7 +88,7 @@ impl Case {
         let mut q = SVector::<f64, N>::from_fn(|i, _| home[i]);
         let start = m.tip(&m.pose::<Libm>(&q));
         let n = SVector::<f64, N>::from_fn(|i, _| self.normal[i]).normalize();
-        // Direction of the field, Λn/(nᵀΛn).
+        // Direction of the force field, Λn/(nᵀΛn).
         let field = |q: &SVector<f64, N>| {
             let pose = m.pose::<Libm>(q);
             let back = inverse(&m.jacobian(&pose));
@@ -153,9 +153,9 @@ fn the_energy_gain_of_a_slide_is_as_derived_and_reported() {
     for case in &CASES {
         let Loops { done, reported, derived } = case.loops(FeedForward::Full, false, 2);
         assert!((derived / case.gained - 1.0).abs() < 0.1, "{}: {derived} J derived", case.device);
-        // Torques are constant during a step and so lag by half a step.
+        // Torques are constant during a step, so they lag by half a step.
         assert!(done.iter().all(|done| (done / derived - 1.0).abs() < 0.005), "{}: {done:?} J done", case.device);
-        // The debt of one loop remains in the next.
+        // The debt of the first loop remains in the second loop.
         assert!((reported[0] + done[0]).abs() < 1e-2 * done[0], "{}: {reported:?} reported for {done:?}", case.device);
         assert!(
             (reported[1] + done[0] + done[1]).abs() < 1e-2 * done[0],

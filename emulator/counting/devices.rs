@@ -1,7 +1,5 @@
-//! Devices of the counting image: one shipped device file per mechanism, as numbers.
-//!
-//! The image has no TOML reader, so the numbers are repeated here; tests/counted_devices.rs compares them with the
-//! files.
+//! Devices of the counting image, one shipped device per mechanism. The image has no TOML reader, so the numbers of the
+//! device files are repeated here. tests/counted_devices.rs compares both.
 
 use haptic_bridge::model::catalogue::Kind;
 use haptic_bridge::model::catalogue::{MAX_JOINTS, MAX_LINKS};

@@ -1,17 +1,16 @@
-//! Bounds on the errors of f32, and of the board's ways of computation in f32, against the reference.
+//! Bounds on the errors of f32, in each route that the board takes, against the reference.
 
 use super::rows::singular::{Row, Singularity, Target};
 use super::rows::{DOUBLE, EXTREMES, FILTERS, SEVERAL, SINGULAR, STEPS, TURNS};
 
-/// Largest error of torques where the feed-forward acts in full: four digits must be right.
+/// Largest torque error where the feed-forward acts in full, as a share of the largest torque.
 const USABLE: f64 = 1e-4;
 
-/// Returns true if the row is near a serial singularity.
 pub fn serial(row: &&Row) -> bool {
     row.singularity != Singularity::Rods
 }
 
-/// Returns the condition number that the row has as its target, or 0.
+/// Returns the row's target condition number, or 0 if the target is a sine.
 fn condition_number(row: &Row) -> f64 {
     match row.target {
         Target::Condition(condition) => condition,
@@ -99,7 +98,8 @@ fn a_million_times_the_effective_inertia_keeps_five_digits() {
         let requested: f64 = row.case.rsplit(' ').next().and_then(|text| text.parse().ok()).expect("a ratio");
         assert!((row.ratio / requested - 1.0).abs() < 0.05, "{row:?}");
         assert!(row.board.w_eff_joint < 1e-5 && row.board.w_rr_kernel < 1e-5 && row.board.torque < 1e-5, "{row:?}");
-        // In motion the velocity terms of the heavy joint cancel; their rounding error grows with the ratio's root.
+        // In motion the velocity terms of the heavy joint cancel, and the rounding error grows with the root of the
+        // ratio.
         assert!(row.board.torque_moving < 3e-6 * requested.sqrt(), "{row:?}");
     }
 }
@@ -127,8 +127,8 @@ fn a_hit_at_10_m_per_s_keeps_four_digits_and_never_pulls() {
 
 #[test]
 fn a_stiff_wall_is_exact_to_the_last_digit_of_the_tip_position() {
-    // The position of a tip at 0.4 m has an error of 0.1 µm: two units in the last place of f32, and the error of the
-    // sines.
+    // The position of a tip at 0.4 m has an error of 0.1 µm, two units in the last place of f32 and the error of the
+    // sines. The stiffness is 1e6 N/m.
     assert_eq!(STEPS.len(), 5);
     for row in &*STEPS {
         assert!(row.press < 1e-7 * 1e6, "{row:?}");
@@ -142,7 +142,7 @@ fn walls_at_small_angles_or_unequal_stiffness_keep_five_digits() {
         for error in row.torque {
             assert!(error < 1e-5, "{row:?}");
         }
-        // Jᵀ F alone would have a hundred times that error.
+        // Without the feed-forward (Jᵀ F alone) the error would be a hundred times larger.
         assert!(row.shaped > 1e-3, "{row:?}");
     }
 }
@@ -151,8 +151,8 @@ fn walls_at_small_angles_or_unequal_stiffness_keep_five_digits() {
 fn thousands_of_turns_of_a_fractional_encoder_cost_nothing() {
     assert_eq!(TURNS.len(), 8, "two mechanisms, four encoders");
     for row in &*TURNS {
-        // The last digit of an angle below 2π is 4.8e-7: three joints with two roundings each, and arms of up to three
-        // mean lengths. The error is the same far from home.
+        // An angle below 2π has a last digit of 4.8e-7. Three joints round twice each, and arms have up to three mean
+        // lengths.
         for error in row.tip {
             assert!(error < 5e-6, "{row:?}");
         }

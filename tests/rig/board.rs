@@ -1,5 +1,5 @@
-//! A board made of the control loop, the service and the dispatcher: frames in, frames out, one call per control step.
-//! The safety tests and the fuzzer use it. After every step and every request it asserts the safety invariants.
+//! A board made of the control loop, the service and the dispatcher, with one call per control step. Requests and
+//! replies are frames. After every step and every request the board asserts the safety invariants.
 #![allow(dead_code, reason = "the library's tests, the tool's tests and the fuzzer each use a part")]
 
 use haptic_bridge::board::dispatch::{self, After, Described};
@@ -25,7 +25,6 @@ use postcard_rpc::standard_icd::{ERROR_KEY, WireError};
 use serde::{Serialize, de::DeserializeOwned};
 use std::collections::BTreeMap;
 
-/// Settings in memory, by key.
 #[derive(Default)]
 pub struct Flash {
     /// Committed settings, which the next start reads.
@@ -35,12 +34,12 @@ pub struct Flash {
     staged: BTreeMap<u8, Entry>,
 }
 
-/// The service's machine: the control loop, and settings in memory. It panics if the service writes flash or sets the
+/// The service's machine: the control loop, and settings in memory. Panics if the service writes flash or sets the
 /// timer while the motors are on.
 pub struct RigMachine {
     pub control_loop: ControlLoop<Box<Program<BoardMath>>>,
     pub flash: Flash,
-    /// Number of times that the carrier was set: once for every program that came into force.
+    /// Number of times that the carrier was set, once for every program that came into force.
     pub retimed: u32,
 }
 
@@ -106,7 +105,7 @@ impl Described for RigMachine {
     }
 }
 
-/// Returns true if any protection is weaker in the rules `now` than in the rules `before`.
+/// Returns true if any protection is weaker in `now` than in `before`.
 fn is_looser(now: &Rules, before: &Rules) -> bool {
     let higher = |now: &[f32; MAX_JOINTS], before: &[f32; MAX_JOINTS]| now.iter().zip(before).any(|(a, b)| a > b);
     let (limits, old) = (&now.limits, &before.limits);
@@ -144,12 +143,12 @@ pub struct Board {
     pub packer: Packer,
     hardware: Hardware,
     most: Limits,
-    /// See [`Board::renders_forces_only`].
+    /// State of [`Board::renders_forces_only`].
     forces_only: bool,
 }
 
 impl Board {
-    /// Creates a board without settings. With `real` motors, arming has all its conditions.
+    /// Creates a board without settings. Motors that are `real` are armed under all conditions of a real device.
     pub fn new(real: bool) -> Self {
         Self::with_flash(real, BTreeMap::new())
     }
@@ -212,7 +211,7 @@ impl Board {
         }
         self.check_invariants();
         self.check_slow_faults(&samples);
-        // Checked here and not after a request, because a lowered limit acts at the next control step.
+        // This is checked here and not after a request, because a lowered limit acts at the next control step.
         let (torque, limits) = (frame.motors.torque, self.service.rules().limits);
         let within = torque.iter().zip(&limits.torque).all(|(torque, limit)| torque.abs() <= limit * 1.000_01);
         assert!(within, "torque {torque:?} above {limits:?}");
@@ -225,7 +224,8 @@ impl Board {
         }
     }
 
-    /// Returns true if all torques since arming come from rendered forces: no weight, no feed-forward, no compensation.
+    /// Returns true if all torques since arming come from rendered forces, without weight, feed-forward or
+    /// compensation.
     fn renders_forces_only(&mut self) -> bool {
         let (device, scene) = (self.service.device(), self.service.scene());
         let forces_only = device.is_some_and(|device| !device.weight)
@@ -237,7 +237,7 @@ impl Board {
         self.forces_only && self.state() == State::Armed
     }
 
-    /// Returns the samples, in which every current is the commanded current plus the sensor's offset.
+    /// Returns samples in which every current is the commanded current plus the sensor's offset.
     fn measured_samples(&self) -> Samples {
         let mut samples = self.samples;
         let torque = self.machine.control_loop.frame().motors.torque;
@@ -249,13 +249,13 @@ impl Board {
         samples
     }
 
-    /// Runs the valley after a crest. A fault found there turns the bridges off, whatever their duties are.
+    /// Runs the valley after a crest. A fault found at the valley turns the bridges off, whatever the duties are.
     fn check_slow_faults(&mut self, samples: &Samples) {
         self.bridges &= self.machine.control_loop.check_slow_faults(samples).bridges;
         assert!(!self.bridges || self.state().drives(), "bridges drive while {:?}", self.state());
     }
 
-    /// Asserts what must hold after every control step and every request.
+    /// Asserts the conditions that hold after every control step and every request.
     pub fn check_invariants(&self) {
         let state = self.state();
         let limits = self.service.rules().limits;
@@ -298,7 +298,7 @@ impl Board {
         answer
     }
 
-    /// Sends one request of the protocol. Returns its reply or the dispatcher's error.
+    /// Sends one request of the protocol. Returns the reply or the dispatcher's error.
     pub fn ask<E: Endpoint>(&mut self, request: &E::Request) -> Result<E::Response, WireError>
     where
         E::Request: Serialize + Sized,
@@ -315,7 +315,7 @@ impl Board {
     }
 }
 
-/// Returns a frame with this key and body, not yet encoded.
+/// Returns a frame with this key and body, before COBS encoding.
 pub fn frame(key: postcard_rpc::Key, body: &[u8]) -> Vec<u8> {
     let header = VarHeader { key: VarKey::Key8(key), seq_no: VarSeq::Seq2(7) };
     let mut head = [0; 16];

@@ -1,4 +1,4 @@
-//! Torques never jump: their slopes over the angle between walls, over the stiffness ratio and over the penetration
+//! Torques never jump. Their slopes over the angle between walls, over the stiffness ratio and over the penetration
 //! stay below bounds that do not depend on the sampling.
 
 use super::{Precision, Shipped, device, first_step, normalized, three, torque, torque_with_flags, unit_vector};
@@ -14,7 +14,7 @@ fn distance(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum::<f64>().sqrt()
 }
 
-/// Returns the largest slope of `f` from `low` to `high` in `steps` steps.
+/// Returns the largest slope of `f` between `low` and `high`, sampled in `steps` steps.
 fn slope(low: f64, high: f64, steps: u32, mut f: impl FnMut(f64) -> Vec<f64>) -> f64 {
     let step = (high - low) / f64::from(steps);
     let mut last = f(low);
@@ -26,7 +26,6 @@ fn slope(low: f64, high: f64, steps: u32, mut f: impl FnMut(f64) -> Vec<f64>) ->
     })
 }
 
-/// Returns devices and poses.
 fn device_poses() -> Vec<(Shipped, Vec<f64>)> {
     vec![
         (device("coupled-five-bar"), vec![2.6, 1.75]),
@@ -36,7 +35,7 @@ fn device_poses() -> Vec<(Shipped, Vec<f64>)> {
     ]
 }
 
-/// Returns a unit vector that turns with `angle`, in a plane or on a cone.
+/// Returns a unit vector that turns with `angle` (rad), in the plane or on a cone.
 fn turned_normal(task: usize, angle: f64, tilt: f64) -> Vec<f64> {
     match task {
         2 => unit_vector(0.3 + angle),
@@ -44,7 +43,7 @@ fn turned_normal(task: usize, angle: f64, tilt: f64) -> Vec<f64> {
     }
 }
 
-/// Cases: true if there is a third wall, and true for each wall with the feed-forward.
+/// Sets of walls. The first flag is true if there is a third wall, the others are true for walls with the feed-forward.
 const WALL_SETS: [(bool, [bool; 3]); 6] = [
     (false, [true, true, true]),
     (true, [true, true, true]),
@@ -54,7 +53,7 @@ const WALL_SETS: [(bool, [bool; 3]); 6] = [
     (true, [true, false, true]),
 ];
 
-/// Returns the largest torque per newton by (4) along one direction, m. Slopes are multiples of this lever.
+/// Returns the largest torque per newton that (4) gives for one wall (m), which scales the bounds of slopes.
 fn lever(device: &Shipped, q: &[f64]) -> f64 {
     let task = device.spec().task;
     let mut most = 0.0_f64;
@@ -81,11 +80,12 @@ fn torque_is_continuous_in_the_angle_between_walls() {
                     }
                     torque_with_flags(&device, &q, &walls, &with[..walls.len()], Precision::F64)
                 };
-                // From parallel walls, through 1 mrad, where the span of the normals would jump, to more than 90°.
+                // The fine range passes parallel walls, where the span of the normals would jump. The coarse range ends
+                // above 90°.
                 let fine = slope(-2.0e-3, 2.0e-3, 400, f);
                 let coarse = slope(-0.3, 2.0, 800, f);
-                // The normals turn the torque of 13 N with a slope of 13 levers. The shares limit the turning of e₁ to
-                // 8 levers per newton.
+                // The turning normals of 13 N cause a slope of 13 levers. The shares limit the turning of e₁ to 8
+                // levers per newton.
                 let bound = 8.0 * 13.0 * lever;
                 assert!(fine < bound && coarse < bound, "{} {ratio}: {fine}, {coarse} > {bound}", device.name);
             }
@@ -111,7 +111,7 @@ fn torque_is_continuous_in_the_ratio_of_stiffness() {
                 };
                 let (low, high) = (1.0e-4_f64.ln(), 1.0e4_f64.ln());
                 let whole = slope(low, high, 1_500, &mut f);
-                // Around equal stiffness the eigenvectors exchange their order.
+                // Near equal stiffness the eigenvectors exchange their order.
                 let equal = slope(-1.0e-4, 1.0e-4, 200, &mut f);
                 let bound = 4.0 * 13.0 * lever;
                 assert!(whole < bound && equal < bound, "{} {angle}: {whole}, {equal} > {bound}", device.name);
@@ -120,8 +120,8 @@ fn torque_is_continuous_in_the_ratio_of_stiffness() {
     }
 }
 
-/// Computes the torques of the board's first step at a pose for walls (normal, stiffness, penetration in m), with the
-/// feed-forward for the walls whose entry in `with` is true.
+/// Computes the torques of the board's first step at a pose for walls (normal, stiffness, penetration in m). Walls
+/// whose flag in `with` is true have the feed-forward.
 fn step(file: &Shipped, q: &[f64], walls: &[(Vec<f64>, f64, f64)], with: &[bool]) -> Vec<f64> {
     first_step(file, q, &|tip| {
         let walls = walls.iter().zip(with).map(|((normal, stiffness, depth), with)| {
@@ -135,8 +135,8 @@ fn step(file: &Shipped, q: &[f64], walls: &[(Vec<f64>, f64, f64)], with: &[bool]
     })
 }
 
-/// Computes the torque per newton of wall `pushing`, m, from the board's steps at penetrations of 1 and 1.1 mm, where
-/// all walls count in full.
+/// Computes the torque per newton of the wall `pushing` (m) from the board's steps at penetrations of 1 and 1.1 mm,
+/// where all walls count in full.
 pub fn lever_of_the_board(
     file: &Shipped,
     q: &[f64],
@@ -160,7 +160,7 @@ fn torque_is_continuous_in_depth() {
         for (soft, stiff) in [(2_000.0, 2_000.0), (5_000.0, 20_000.0), (20.0, 200_000.0), (20_000.0, 2.0)] {
             for angle in [0.05, 0.8, std::f64::consts::FRAC_PI_2] {
                 for (third, with) in WALL_SETS {
-                    // 2 mm deep in the first wall, with a growing penetration of the second.
+                    // The first wall is 2 mm deep, and the penetration of the second wall grows.
                     let f = |depth: f64| {
                         let mut walls = vec![
                             (turned_normal(task, 0.0, 0.4), soft, 2.0e-3),
@@ -172,8 +172,8 @@ fn torque_is_continuous_in_depth() {
                         step(&file, &q, &walls, &with)
                     };
                     // Each wall's own force contributes its stiffness times a lever. The shaping of the first wall
-                    // changes over the depth in which the weight of the second grows: ∂w/∂x ≤ 2 · 1.5 k₂/k₁ over
-                    // TOUCH_DEPTH, times the first wall's force.
+                    // changes over the depth in which the weight of the second wall grows. That is ∂w/∂x ≤ 2 · 1.5
+                    // k₂/k₁ over TOUCH_DEPTH, times the first wall's force.
                     let first = soft * 2.0e-3;
                     let bound = 3.0 * lever * (1.6 * stiff + 3.0 * first / TOUCH_DEPTH * (stiff / soft).max(1.0));
                     let whole = slope(-1.0e-4, 5.0e-4, 300, f);
@@ -203,7 +203,7 @@ fn board_and_model_agree_on_walls_with_and_without_feed_forward() {
                     .collect();
                 let model = torque_with_flags(&device, &q, &set, &with, Precision::F64);
                 let board = lever_of_the_board(&device, &q, &walls, &with, pushing);
-                // The board's angles are rounded to counts.
+                // The tolerance allows for the board's angles, which are rounded to counts.
                 let error = distance(&model, &board) / distance(&model, &vec![0.0; q.len()]);
                 assert!(error < 1.0e-6, "{} {with:?} {pushing}: {board:?} is not {model:?}", device.name);
             }
@@ -219,7 +219,7 @@ fn touching_a_second_wall_causes_no_jump_of_torque() {
         let first = (turned_normal(task, 0.0, 0.4), 5_000.0, 2.0e-3);
         let alone = with(std::slice::from_ref(&first));
         for angle in [0.05, 0.8, std::f64::consts::FRAC_PI_2] {
-            // At 10 nm a wall of 5 kN/m pushes with 0.05 mN.
+            // A wall of 5 kN/m pushes with 0.05 mN at 10 nm.
             let touched = with(&[first.clone(), (turned_normal(task, angle, 0.4), 5_000.0, 1.0e-8)]);
             let step = distance(&alone, &touched) / distance(&alone, &vec![0.0; q.len()]);
             assert!(step < 1.0e-4, "{}: the torque jumps by {step:e}", file.name);
@@ -247,7 +247,7 @@ fn single_precision_suffices_up_to_a_stiffness_ratio_of_1e4() {
                     let [double, single] =
                         [Precision::F64, Precision::F32].map(|p| torque(&device, &q, &walls[..count], p));
                     let error = distance(&double, &single) / (13.0 * lever);
-                    // A rounding of 6e-8 turns the soft directions by up to the root of the ratio times as much.
+                    // A rounding error of 6e-8 turns the soft directions by up to 6e-8 times the root of the ratio.
                     assert!(error < 5.0e-5, "{} {ratio} {angle} {count}: {error:e}", device.name);
                 }
             }
@@ -278,7 +278,7 @@ fn coplanar_walls_are_one_wall_and_the_order_does_not_matter() {
 
 #[test]
 fn the_feed_forward_of_several_walls_fades_near_a_singularity() {
-    // Near a stretched elbow the share is below one, and the torque is between Jᵀ F and the shaped torque.
+    // Near a stretched elbow the feed-forward is reduced, so the torque is between Jᵀ F and the shaped torque.
     let file = device("coupled-five-bar");
     let Ok(AnyMechanism::FiveBar(m)) = AnyMechanism::<f32>::new(&file.description) else { panic!("a five-bar") };
     let device = Device::<f32>::new("device", &with_fine_encoders(file.description)).expect("a sound device");

@@ -1,4 +1,4 @@
-//! Stability of sampled loops with several walls: built from M and J alone, and checked by eigenvalues.
+//! Stability of sampled loops with several walls, built from M and J alone and checked by eigenvalues.
 
 use super::continuity::lever_of_the_board;
 use super::{Precision, Random, Shipped, device, largest, normalized, torque_with_flags, unit_vector};
@@ -9,12 +9,12 @@ use nalgebra::{DMatrix, DVector, SVector};
 
 /// Control period, s.
 const PERIOD: f64 = 1.0e-3;
-/// Cutoff of the velocities' Butterworth low-pass, Hz.
+/// Cutoff of the Butterworth low-pass for velocities, Hz.
 const CUTOFF: f64 = 100.0;
 /// Damping over stiffness, s.
 const DAMPING_SECONDS: f64 = 3.0e-3;
 
-/// Computes M and the tip rows of J at a pose; `None` near a singularity.
+/// Computes M and the tip rows of J at a pose. Returns `None` near a singularity.
 pub fn matrices(device: &Shipped, q: &[f64]) -> Option<(DMatrix<f64>, DMatrix<f64>)> {
     fn compute<const N: usize, M: Mechanism<f64, N>>(m: &M, q: &[f64]) -> Option<(DMatrix<f64>, DMatrix<f64>)> {
         let pose = m.pose::<Libm>(&SVector::from_column_slice(q));
@@ -31,21 +31,21 @@ pub fn matrices(device: &Shipped, q: &[f64]) -> Option<(DMatrix<f64>, DMatrix<f6
 #[derive(Clone)]
 pub struct Case {
     mass: DMatrix<f64>,
-    /// Derivative of each wall's distance by the joint angles, m/rad.
+    /// Derivative of each wall's distance with respect to the joint angles, m/rad.
     rows: DMatrix<f64>,
-    /// Torques per newton of each wall, m.
+    /// Torques per newton of each wall's force, m.
     pub levers: DMatrix<f64>,
-    /// Each wall's share of the stiffness.
+    /// Share of each wall in the total stiffness.
     share: Vec<f64>,
 }
 
 impl Case {
-    /// Creates a case of walls (normal, stiffness), all with the feed-forward or all through Jᵀ.
+    /// Creates a case of walls (normal, stiffness) that all have the feed-forward, or all act through Jᵀ.
     pub fn new(device: &Shipped, q: &[f64], walls: &[(Vec<f64>, f64)], feed_forward: bool) -> Option<Self> {
         Self::with_flags(device, q, walls, &vec![feed_forward; walls.len()])
     }
 
-    /// Like [`Case::new`], with the feed-forward for the walls whose entry in `with` is true.
+    /// Like [`Case::new`]. Only walls whose flag in `with` is true have the feed-forward.
     pub fn with_flags(device: &Shipped, q: &[f64], walls: &[(Vec<f64>, f64)], with: &[bool]) -> Option<Self> {
         let (mass, jacobian) = matrices(device, q)?;
         let task = jacobian.nrows();
@@ -69,7 +69,7 @@ impl Case {
         Some(Self { mass, rows, levers, share })
     }
 
-    /// Returns the eigenvalues of the walls' mobility times their shares, 1/kg: the inverse mass of each mode.
+    /// Returns the inverse mass of each mode, 1/kg: the eigenvalues of the walls' mobility times their shares.
     pub fn modes(&self) -> Vec<nalgebra::Complex<f64>> {
         let inverse = self.mass.clone().try_inverse().expect("a mass matrix");
         let mobility =
@@ -77,14 +77,14 @@ impl Case {
         mobility.complex_eigenvalues().iter().copied().collect()
     }
 
-    /// Returns the largest |z| of the sampled loop at a total stiffness (N/m), without the motions along all walls (z =
-    /// 1).
+    /// Returns the largest |z| of the sampled loop at a total stiffness (N/m). Motions along all walls (z = 1) do not
+    /// count.
     pub fn radius(&self, stiffness: f64) -> f64 {
         let (walls, joints) = self.rows.shape();
         // The states are q, q̇ T, and for every wall the last distance and two filter states.
         let size = 2 * joints + 3 * walls;
         let inverse = self.mass.clone().try_inverse().expect("a mass matrix");
-        // The usual design: prewarped bilinear transform, in transposed direct form II.
+        // The filter has the usual design: prewarped bilinear transform, transposed direct form II.
         let warped = (std::f64::consts::PI * CUTOFF * PERIOD).tan();
         let scale = 1.0 / (1.0 + std::f64::consts::SQRT_2 * warped + warped * warped);
         let b0 = warped * warped * scale;
@@ -120,7 +120,7 @@ impl Case {
     }
 }
 
-/// Returns the total stiffness (N/m) at which a mode with a mass of 1 kg leaves the unit circle.
+/// Returns the total stiffness (N/m) above which a mode with a mass of 1 kg is unstable.
 fn critical_stiffness() -> f64 {
     let one = Case {
         mass: DMatrix::from_element(1, 1, 1.0),
@@ -137,8 +137,8 @@ fn critical_stiffness() -> f64 {
     low
 }
 
-/// Returns the largest stable total stiffness, N/m, from the modes, and checks it against the sampled loop on both
-/// sides.
+/// Returns the largest stable total stiffness (N/m) from the modes. Asserts that the sampled loop is stable just below
+/// and unstable just above.
 pub fn limit(case: &Case, critical: f64) -> f64 {
     let found = critical / largest(&case.modes());
     assert!(
@@ -162,7 +162,7 @@ pub fn devices() -> Vec<Shipped> {
     .into()
 }
 
-/// Draws a regular pose near the device's home.
+/// Draws a regular pose near home.
 pub fn pose(device: &Shipped, random: &mut Random) -> Vec<f64> {
     let home = device.description.home.expect("a shipped device has a home");
     loop {
@@ -212,7 +212,7 @@ fn the_feed_forward_of_some_walls_makes_no_set_less_stable() {
         for set in 0..120 {
             let q = pose(&device, &mut random);
             let walls = random.walls(task, set, if set % 4 < 2 { 1.0 } else { 4.0 });
-            // At least one wall with the feed-forward and at least one without.
+            // At least one wall has the feed-forward, and at least one wall has none.
             let mut with: Vec<bool> = walls.iter().map(|_| random.between(0.0, 1.0) < 0.5).collect();
             with[0] = !with[1];
             let plain = Case::new(&device, &q, &walls, false).expect("a regular pose");
@@ -243,7 +243,7 @@ fn facets_within_ten_degrees_are_as_stable_as_one_wall() {
             let shares: Vec<f64> = (0..2 + set % 2).map(|_| random.between(0.2, 1.0)).collect();
             let facets: Vec<(Vec<f64>, f64)> =
                 shares.iter().map(|share| (random.near(&n, 5_f64.to_radians()), *share)).collect();
-            // One wall: the sum of the stiffness along the facets' mean normal.
+            // The single wall has the total stiffness along the facets' mean normal.
             let mean = (0..task).map(|j| facets.iter().map(|(n, k)| n[j] * k).sum()).collect::<Vec<f64>>();
             let one_wall = [(normalized(&mean), shares.iter().sum())];
             let cut = limit(&Case::new(&device, &q, &facets, true).expect("a regular pose"), critical);
@@ -255,7 +255,7 @@ fn facets_within_ten_degrees_are_as_stable_as_one_wall() {
 
 #[test]
 fn facets_two_degrees_apart_have_the_range_of_one_wall() {
-    // 2 x 10 kN/m around the demo's normal, a case that once oscillated with 48 N.
+    // Two walls of 10 kN/m near the demo's normal once oscillated with 48 N.
     let critical = critical_stiffness();
     let (device, q) = (device("coupled-five-bar"), [2.6, 1.75]);
     let middle = 75_f64.to_radians();
@@ -271,8 +271,8 @@ fn facets_two_degrees_apart_have_the_range_of_one_wall() {
     );
 }
 
-/// Of two walls only the first has the feed-forward; the torques are the board's. If the force of the second acted
-/// through Jᵀ alone, the stiffest mode would have 1.0566 times less mass than without any feed-forward: the worst of
+/// Only the first of two walls has the feed-forward, and the torques are the board's. If the second wall acted through
+/// Jᵀ alone, the stiffest mode would have 1/1.0566 of its mass without any feed-forward. This pair is the worst of
 /// 3,000 random pairs in an independent computation.
 #[test]
 fn one_wall_with_feed_forward_does_not_destabilise_the_other() {
@@ -300,9 +300,9 @@ fn one_wall_with_feed_forward_does_not_destabilise_the_other() {
     assert!((ratio(&through_jacobian) - 1.0566).abs() < 1.0e-3, "{}", ratio(&through_jacobian));
 }
 
-/// Checks a statement of docs/model.md about a second wall, in the plane, that acts with its full stiffness and has the
-/// weight `w`. Returns the share of random pairs that are more than 1 % less stable than without the feed-forward, and
-/// the worst ratio.
+/// Checks a statement of docs/model.md about a second wall, in the plane, with full stiffness and the weight `w`.
+/// Returns the share of random pairs that are more than 1 % less stable than without the feed-forward, and the worst
+/// ratio.
 fn share_of_less_stable_pairs(w: f64) -> (f64, f64) {
     let mut random = Random(21);
     let (sets, mut worse, mut worst) = (20_000, 0, 0.0_f64);

@@ -1,6 +1,6 @@
-//! Walls that meet at an angle, as in docs/model.md section 2. The loops and bounds here are independent of the code
-//! under test, except for the torques of the feed-forward. tool/tests/deep/ranges/sets_of_walls.rs has simulated
-//! devices that press such walls.
+//! Walls that meet at an angle (docs/model.md section 2). The loops and bounds are independent of the code under test,
+//! except for the torques of the feed-forward. Simulated devices that press sets of walls are in
+//! tool/tests/deep/ranges/sets_of_walls.rs.
 
 mod continuity;
 mod linear;
@@ -33,7 +33,6 @@ impl Shipped {
     }
 }
 
-/// Reads the shipped device of this name.
 fn device(name: &'static str) -> Shipped {
     let description = device_file::shipped(name);
     Shipped { name, description, mechanism: AnyMechanism::new(&description).expect("a sound device") }
@@ -42,12 +41,12 @@ fn device(name: &'static str) -> Shipped {
 /// Floating-point precision of a computation.
 #[derive(Clone, Copy)]
 enum Precision {
-    /// The board's precision.
+    /// Precision of the board.
     F32,
     F64,
 }
 
-/// Returns a unit vector at this angle, rad.
+/// Returns the unit vector at `angle`, rad.
 fn unit_vector(angle: f64) -> Vec<f64> {
     vec![angle.cos(), angle.sin()]
 }
@@ -58,12 +57,12 @@ fn normalized(v: &[f64]) -> Vec<f64> {
     v.iter().map(|x| x / length).collect()
 }
 
-/// Computes the joint torques for walls (normal, stiffness, force) at rest and without the device's weight.
+/// Computes the joint torques for walls (normal, stiffness, force) at rest, without the device's weight.
 fn torque(device: &Shipped, q: &[f64], walls: &[(Vec<f64>, f64, f64)], precision: Precision) -> Vec<f64> {
     torque_with_flags(device, q, walls, &vec![true; walls.len()], precision)
 }
 
-/// Like [`torque`], with the feed-forward for the walls whose entry in `with` is true.
+/// Like [`torque`]. Only walls whose flag in `with` is true have the feed-forward.
 fn torque_with_flags(
     device: &Shipped,
     q: &[f64],
@@ -98,20 +97,20 @@ fn torque_with_flags(
     }
 }
 
-/// Pads a vector of the task space with zeros.
+/// Pads a task-space vector with zeros.
 fn three(v: &[f64]) -> [f64; 3] {
     core::array::from_fn(|i| v.get(i).copied().unwrap_or(0.0))
 }
 
-/// Returns the largest size of a mode.
+/// Returns the largest absolute value of the modes.
 fn largest(modes: &[Complex<f64>]) -> f64 {
     modes.iter().map(|mode| mode.norm()).fold(0.0, f64::max)
 }
 
-/// Walls and springs of the device, and forces of the host.
+/// A function from the tip position (m) to a scene and a push of the host.
 type SceneAt<'a> = &'a dyn Fn([f64; 3]) -> (Scene<f64>, Option<Push<f64>>);
 
-/// Computes the torques of the board's first step in the scene for its tip position.
+/// Computes the torques of the board's first step in the scene for the tip position.
 fn first_step(file: &Shipped, q: &[f64], scene: SceneAt<'_>) -> Vec<f64> {
     fn run<M: Mechanism<f64, N>, const N: usize>(m: M, file: &Shipped, q: &[f64], scene: SceneAt<'_>) -> Vec<f64> {
         let counts = fine_counts(&SVector::<f64, N>::from_column_slice(q));
@@ -127,7 +126,7 @@ fn first_step(file: &Shipped, q: &[f64], scene: SceneAt<'_>) -> Vec<f64> {
     with_mechanism!(file.mechanism, m => run(m, file, q, scene))
 }
 
-/// A generator of pseudo-random numbers, the same on every machine.
+/// A generator of pseudo-random numbers that are the same on every machine.
 struct Random(u64);
 
 impl Random {
@@ -146,8 +145,7 @@ impl Random {
         }
     }
 
-    /// Draws 2 to 4 walls (normal, stiffness), for every second `set` near one normal. Stiffnesses are spread over
-    /// `decades`.
+    /// Draws 2 to 4 walls (normal, stiffness), near one normal if `set` is odd. The stiffness is spread over `decades`.
     fn walls(&mut self, task: usize, set: usize, decades: f64) -> Vec<(Vec<f64>, f64)> {
         let base = self.direction(task);
         let wall = |_| {

@@ -1,5 +1,5 @@
-//! Springs and planes of the host together with walls that have the feed-forward: loops built from M, J and the torques
-//! of the board's step.
+//! Springs and host planes together with walls that have the feed-forward. The loops are built from M, J and the
+//! torques of the board's step.
 
 use super::linear::{devices, matrices, pose};
 use super::{Random, Shipped, device, first_step, largest, normalized, three, unit_vector};
@@ -8,18 +8,18 @@ use haptic_bridge::render::controller::{Push, PushedPlane};
 use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Spring, Surface, Wall};
 use nalgebra::{Complex, DMatrix, DVector};
 
-/// Forces at the tip: bilateral walls, springs, and a plane of the host.
+/// Bilateral walls, springs, and a plane of the host, which all act on the tip.
 #[derive(Clone, Debug, Default)]
 struct Set {
-    /// Normal, stiffness, and true with the feed-forward.
+    /// Normal, stiffness (N/m), and true if the wall has the feed-forward.
     walls: Vec<(Vec<f64>, f64, bool)>,
-    /// Direction of the line (`None` for a point) and stiffness.
+    /// Direction of the line (`None` for a point) and stiffness (N/m).
     springs: Vec<(Option<Vec<f64>>, f64)>,
-    /// Normal and stiffness.
+    /// Normal and stiffness (N/m).
     plane: Option<(Vec<f64>, f64)>,
 }
 
-/// Computes the torques of the board's first step with the set at `shift` (m) from the tip, and the plane 1 cm further
+/// Computes the torques of the board's first step. The set is at `shift` (m) from the tip, and the plane 1 cm further
 /// along its normal.
 fn torque(file: &Shipped, q: &[f64], set: &Set, shift: &[f64]) -> DVector<f64> {
     let torque = first_step(file, q, &|tip| {
@@ -44,7 +44,7 @@ fn torque(file: &Shipped, q: &[f64], set: &Set, shift: &[f64]) -> DVector<f64> {
     DVector::from_vec(torque)
 }
 
-/// Computes K of the set, N/m.
+/// Computes the stiffness matrix K of a set, N/m.
 fn stiffness(set: &Set, task: usize) -> DMatrix<f64> {
     let along = |n: &Vec<f64>| DVector::from_vec(n.clone()) * DVector::from_vec(n.clone()).transpose();
     let mut sum = DMatrix::zeros(task, task);
@@ -61,8 +61,8 @@ fn stiffness(set: &Set, task: usize) -> DMatrix<f64> {
     sum
 }
 
-/// Returns the eigenvalues of the tip's acceleration per displacement, 1/s²: first with the board's torques, then with
-/// Jᵀ alone.
+/// Returns the eigenvalues of the tip's acceleration per displacement (1/s²), with the board's torques and with Jᵀ
+/// alone.
 fn modes(file: &Shipped, q: &[f64], set: &Set) -> [Vec<Complex<f64>>; 2] {
     let (mass, jacobian) = matrices(file, q).expect("a regular pose");
     let task = jacobian.nrows();
@@ -80,8 +80,8 @@ fn modes(file: &Shipped, q: &[f64], set: &Set) -> [Vec<Complex<f64>>; 2] {
         .map(|torques| (&jacobian * &inverse * torques).complex_eigenvalues().iter().copied().collect())
 }
 
-/// Asserts that the modes are those of real masses, and not lighter than without the feed-forward. Returns the ratio of
-/// the lightest masses with and without.
+/// Asserts that the modes have real masses that are not lighter than without the feed-forward. Returns the ratio of the
+/// lightest masses with and without the feed-forward.
 fn mass_ratio(file: &Shipped, q: &[f64], set: &Set) -> f64 {
     let [board, plain] = modes(file, q, set);
     let without = largest(&plain);
@@ -125,7 +125,7 @@ fn the_feed_forward_makes_no_walls_with_springs_less_stable() {
     assert!(cases == 420 && most > 1.5, "the feed-forward has too little effect: {most}");
 }
 
-/// Returns the normal n of the demo's wall, and the direction half way between n and Λ n.
+/// Returns the normal n of the demo's wall, and the direction halfway between n and Λ n.
 fn normal_and_oblique(file: &Shipped, q: &[f64]) -> (Vec<f64>, Vec<f64>) {
     let n = unit_vector(75_f64.to_radians());
     let (mass, jacobian) = matrices(file, q).expect("a regular pose");
@@ -141,7 +141,7 @@ fn a_spring_or_plane_with_a_wall_leaves_no_unstable_motion() {
     let (file, q) = (device("coupled-five-bar"), [2.6, 1.75]);
     let (n, m) = normal_and_oblique(&file, &q);
     let walls = vec![(n.clone(), 5_000.0, true)];
-    // If the other force acted through Jᵀ and the wall by (4), one eigenvalue would be negative for any gains.
+    // If the spring or plane acted through Jᵀ and the wall by (4), one eigenvalue would be negative for any gains.
     let (mass, jacobian) = matrices(&file, &q).expect("a regular pose");
     let alone = modes(&file, &q, &Set { walls: walls.clone(), ..Set::default() })[0].clone();
     let (n, m) = (DVector::from_vec(n), DVector::from_vec(m));
@@ -185,7 +185,7 @@ fn torque_is_continuous_in_the_stiffness_of_a_spring() {
             for i in 1..=steps {
                 let next = at(low + step * f64::from(i));
                 let slope = (&next - &last).norm() / step;
-                // A plane is 1 cm deep.
+                // The bound allows for the plane's penetration of 1 cm.
                 assert!(slope < 12.0 * none.norm(), "{name} {i}: {slope} {}", none.norm());
                 last = next;
             }

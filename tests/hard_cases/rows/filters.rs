@@ -1,4 +1,4 @@
-//! Velocity estimators in f32, with cutoffs from a ten-thousandth to almost half of the rate.
+//! Velocity estimators in f32, with cutoffs from 1e-4 to 0.45 of the control rate.
 //!
 //! The library's state-variable form is compared with the usual direct form of the same transfer function. Both are in
 //! f32 and receive the same rounded positions. The oracle is the direct form in the reference's numbers.
@@ -7,20 +7,19 @@ use super::{Exact, ExactMath};
 use haptic_bridge::math::{Math, Real};
 use haptic_bridge::render::velocity::{Coefficients, Estimator, Velocity};
 
-/// One row of the table.
 #[derive(Clone, Debug)]
 pub struct Row {
-    /// Cutoff as a share of the rate.
+    /// Cutoff as a share of the control rate.
     pub ratio: f64,
-    /// Error of the board's estimate in a swing across the workspace, as a share of the largest velocity.
+    /// Error of the board's estimate during a swing across the workspace, as a share of the largest velocity.
     pub swing: f64,
-    /// The same at constant speed, after settling: the error of the gain.
+    /// Error of the board's estimate at constant speed after settling, as a share of the speed.
     pub gain: f64,
     /// `swing` of the direct form in f32.
     pub direct_swing: f64,
     /// `gain` of the direct form in f32.
     pub direct_gain: f64,
-    /// Difference of the two forms in the reference.
+    /// Difference between the two forms in the reference's numbers.
     pub reference: f64,
 }
 
@@ -36,7 +35,7 @@ struct Direct<T> {
 }
 
 impl<T: Real> Direct<T> {
-    /// Computes the coefficients in the reference's numbers and rounds them.
+    /// Computes the coefficients in the reference's numbers and rounds the results.
     fn new(ratio: f64, rounded: impl Fn(Exact) -> T) -> Self {
         let exact = Exact::from_f64;
         let one = exact(1.0);
@@ -59,8 +58,8 @@ impl<T: Real> Direct<T> {
     }
 }
 
-/// Computes the largest errors over the last half of a motion, as shares of the largest velocity: state variable in
-/// f32, direct form in f32, state variable in the reference.
+/// Computes the largest errors over the second half of a motion, as shares of the largest velocity. They belong to the
+/// state-variable form in f32, the direct form in f32, and the state-variable form in the reference's numbers.
 fn errors(ratio: f64, motion: impl Fn(f64) -> f64) -> [f64; 3] {
     let steps = (20.0 / ratio).clamp(4_000.0, 100_000.0) as u32;
     let kind = Estimator::Butterworth;
@@ -87,7 +86,6 @@ fn errors(ratio: f64, motion: impl Fn(f64) -> f64) -> [f64; 3] {
     worst.map(|error| error / largest)
 }
 
-/// Returns every row.
 pub fn all() -> Vec<Row> {
     [1e-4, 3e-4, 1e-3, 1e-2, 0.025, 0.1, 0.3, 0.45]
         .into_iter()

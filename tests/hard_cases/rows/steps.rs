@@ -1,4 +1,4 @@
-//! The complete control step in hard cases: a hit at 10 m/s on a wall of 1e6 N/m, and a press into such a wall.
+//! The complete control step in hard cases: a hit at 10 m/s on a wall of 1e6 N/m, and a press into this wall.
 
 use super::singular::Random;
 use super::{DEVICES, shipped};
@@ -11,19 +11,18 @@ use haptic_bridge::render::controller::{Controller, FULL_REGULARITY, PARALLEL_RE
 use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, Wall};
 use nalgebra::SVector;
 
-/// One row of the table.
 #[derive(Clone, Debug)]
 pub struct Row {
     pub device: &'static str,
-    /// Largest torque error of the hit as a share of its largest torque.
+    /// Largest torque error of the hit, as a share of the hit's largest torque.
     pub hit: f64,
     /// Largest wall force of the hit, N.
     pub force: f64,
     /// Largest estimated speed along the normal, m/s.
     pub speed: f64,
-    /// Smallest wall force, N: a wall never pulls.
+    /// Smallest wall force, N. It must not be negative, because a wall never pulls.
     pub least: f64,
-    /// Error of the wall's force at rest at penetrations of up to 1 mm, N.
+    /// Error of the wall force at rest, at penetrations of up to 1 mm, N.
     pub press: f64,
 }
 
@@ -33,11 +32,10 @@ pub const RATE: f64 = 20_000.0;
 const STIFFNESS: f64 = 1e6;
 /// Speed of the hit, m/s.
 const SPEED: f64 = 10.0;
-/// Counts per turn, fine enough for penetrations in micrometres.
+/// Counts per turn of encoders that resolve penetrations in micrometres.
 const COUNTS: f64 = 1_048_576.0;
 
-/// Returns the device with such an encoder at every joint. Count 0 is the angle 0, because the device has no home that
-/// would shift the angles to the nearest count.
+/// Returns the device with an encoder of [`COUNTS`] at every joint. The home is removed so that count 0 is the angle 0.
 pub fn encoded(device: &Description) -> Description {
     let mut device = Description { home: None, ..*device };
     for joint in &mut device.joints {
@@ -46,12 +44,12 @@ pub fn encoded(device: &Description) -> Description {
     device
 }
 
-/// Returns the encoder counts of joint angles.
+/// Returns the encoder counts of joint angles in rad.
 pub fn counts<const N: usize>(q: &SVector<f64, N>) -> [i32; N] {
     core::array::from_fn(|i| (q[i] * COUNTS / std::f64::consts::TAU).round() as i32)
 }
 
-/// Returns a scene with one plane wall through `point` (m) facing along `normal`, with all terms on.
+/// Returns a scene with one plane wall through `point` (m) that faces along `normal`, and with all terms on.
 pub fn scene<T: Real>(
     task: usize,
     point: [f64; 3],
@@ -79,7 +77,6 @@ pub fn scene<T: Real>(
     }
 }
 
-/// Creates a controller of `mechanism` in `scene`.
 pub fn controller<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
     mechanism: M,
     device: &Description,
@@ -89,7 +86,7 @@ pub fn controller<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
     Controller::new(mechanism, &device, scene).expect("a sound scene")
 }
 
-/// Returns the entries of the task, padded with zeros.
+/// Returns the task-space entries of a vector, padded with zeros.
 pub fn three<const N: usize>(v: &SVector<f64, N>, task: usize) -> [f64; 3] {
     core::array::from_fn(|i| if i < task.min(N) { v[i] } else { 0.0 })
 }
@@ -100,8 +97,8 @@ fn is_usable<M: Mechanism<f64, N>, const N: usize>(m: &M, q: &SVector<f64, N>) -
     r.serial.min(r.parallel / PARALLEL_REGULARITY) > 2.0 * FULL_REGULARITY
 }
 
-/// Returns the joint angles at every step of a straight run against `n` at [`SPEED`], from 2 cm outside the surface to
-/// 1 cm inside, and a point of the surface. `None` if the run leaves the regular workspace.
+/// Returns the joint angles of a straight run against `n` at [`SPEED`], from 2 cm outside the surface to 1 cm inside,
+/// and a point of the surface. Returns `None` if the run leaves the regular workspace.
 fn run_up<M: Mechanism<f64, N>, const N: usize>(
     m: &M,
     start: &SVector<f64, N>,
@@ -156,7 +153,7 @@ where
         }
         row.hit = row.hit.max(worst / largest);
 
-        // The same wall at rest without damping: a new controller at every penetration up to 1 mm.
+        // The same wall at rest without damping, with a new controller at every penetration up to 1 mm.
         let off = FeedForward::Off;
         for depth in (0..100).map(|k| 1e-5 * f64::from(k)) {
             let mut q = start;
@@ -174,7 +171,6 @@ where
     row
 }
 
-/// Returns the rows of every mechanism.
 pub fn all() -> Vec<Row> {
     DEVICES
         .map(|(name, file)| {

@@ -1,5 +1,5 @@
-//! Fractional counts per turn over thousands of turns: the tip position of the f32 step, against angles n 2π/C that
-//! only the sines reduce.
+//! Encoders with fractional counts per turn, over thousands of turns. The tip position of the f32 step is compared with
+//! the tip at the angles n 2π/C, which only the sine function reduces to one turn.
 
 use super::shipped;
 use super::singular::{Random, cast};
@@ -12,17 +12,16 @@ use haptic_bridge::model::mechanism::Mechanism;
 use haptic_bridge::render::scene::FeedForward;
 use nalgebra::SVector;
 
-/// Half a count per turn, 20,000 counts behind gears of 7:3 and √1.1:1, and a measured value.
+/// Counts per turn: with half a count, 20,000 counts behind gears of 7:3 and √1.1:1, and a measured value.
 pub const COUNTS: [f64; 4] = [10_752.5, 140_000.0 / 3.0, 20_976.176_963_403_03, 16_384.07];
-/// Whole turns from home.
+/// Whole turns away from home.
 pub const TURNS: [i32; 4] = [0, 100, 1_000, 10_000];
 
-/// One row of the table.
 #[derive(Clone, Debug)]
 pub struct Row {
     pub device: &'static str,
     pub counts_per_turn: f64,
-    /// Largest error of the tip in mean link lengths, for each of [`TURNS`].
+    /// Largest error of the tip position, in mean link lengths, for each of [`TURNS`].
     pub tip: [f64; 4],
 }
 
