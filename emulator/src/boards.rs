@@ -1,14 +1,14 @@
-//! The wiring of each board, for the virtual hardware around the chip. The pins are a second transcription of
-//! docs/wiring-*.md, so that a pin swapped in the firmware is detected.
+//! The wiring of each board, for the virtual hardware around the chip. The pins are transcribed again from
+//! docs/wiring-*.md, so that a swapped pin in the firmware is detected.
 
 pub use haptic_predict::boards::BoardKind;
 
-/// A port pin: the port's letter and the pin's number.
+/// A port pin, made of the port's letter and the pin's number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Pin(pub char, pub u8);
 
 impl Pin {
-    /// Returns the pin of a converter's channel.
+    /// Returns the pin of a converter channel.
     #[must_use]
     pub fn of_channel(channel: u8) -> Self {
         match channel {
@@ -19,12 +19,12 @@ impl Pin {
     }
 }
 
-/// Wires of an encoder: its timer (TIM2 to TIM5), its two pins and their alternate function.
+/// The wires of an encoder.
 #[derive(Clone, Copy, Debug)]
 pub struct EncoderWires {
     /// Number of the timer, 2 to 5.
     pub timer: u8,
-    /// Channel A at the timer's channel 1, channel B at its channel 2.
+    /// Pins of channels A and B, at the timer's channels 1 and 2.
     pub pins: [Pin; 2],
     /// Alternate function that connects the pins to the timer.
     pub function: u8,
@@ -32,12 +32,12 @@ pub struct EncoderWires {
     pub index: Pin,
 }
 
-/// One end of a motor: a switched half bridge.
+/// A switched half bridge at one end of a motor.
 #[derive(Clone, Copy, Debug)]
 pub enum HalfBridge {
-    /// The upper switch follows a timer channel (1 to 3), the lower one its complement.
+    /// The upper switch follows a timer channel (1 to 3), and the lower switch follows the complement.
     Channel(u8),
-    /// The upper switch follows the complement of a channel.
+    /// The upper switch follows the complement of a timer channel (1 to 3).
     Complement(u8),
 }
 
@@ -46,14 +46,14 @@ pub enum HalfBridge {
 pub struct MotorWires {
     /// Number of the advanced timer that drives the motor: 1 or 8.
     pub timer: u8,
-    /// Half bridges at the two ends; current flows from the first to the second at positive duty.
+    /// Half bridges at the two ends. Current flows from the first to the second at positive duty.
     pub ends: [HalfBridge; 2],
     /// Pins of the gate signals.
     pub gates: [Pin; 4],
     /// Alternate function that connects `gates` to the timer.
     pub function: u8,
-    /// Current sensors: converter channel, and volts per ampere (from first end to second). If the amplifier's gain is
-    /// programmable, this value is that of the shunt; the driver's gain multiplies it.
+    /// Current sensors as converter channel and volts per ampere, positive from the first end to the second. Where the
+    /// amplifier's gain is programmable, the value is the shunt's, and the driver's gain multiplies it.
     pub sensors: &'static [(u8, f64)],
 }
 
@@ -68,27 +68,27 @@ pub struct Wiring {
     pub motors: &'static [MotorWires],
     /// Pin that enables the power stages, active high.
     pub enable: Pin,
-    /// All pins that lead to a gate, an input of a bridge or an enable line, of used and unused phases and of the brake.
+    /// All pins that lead to a gate, a bridge input or an enable line, also of unused phases and of the brake.
     pub power: &'static [Pin],
-    /// State of all axes while enabled with idle timer outputs: true if they brake, false if they float.
+    /// True if the enabled axes brake at idle timer outputs, false if they float.
     pub idle_brakes: bool,
-    /// Pin that a power stage pulls low for a fault.
+    /// Pin that a power stage pulls low to report a fault.
     pub fault: Pin,
     /// True if `fault` is TIM1's break input.
     pub fault_breaks: bool,
     /// Converter channel and divider of the bus voltage.
     pub bus: (u8, f64),
-    /// Pins that the board holds high with any wiring, in addition to that of the bus divider.
+    /// Pins that the board holds high with any wiring, in addition to the pin of the bus divider.
     pub held: &'static [Pin],
-    /// Supply of the chip and reference of the converters, mV.
+    /// Supply voltage of the chip, which is the reference of the converters, mV.
     pub supply_mv: u32,
-    /// Chip selects of the gate drivers, on SPI3.
+    /// Chip-select pins of the gate drivers on SPI3.
     pub drivers: &'static [Pin],
     /// Nominal bus voltage, V.
     pub bus_voltage: f64,
-    /// Zero offset of each current sensor, V: a few millivolts for shunt amplifiers; Hall sensors are trimmed.
+    /// Zero offset of each current sensor, V. Shunt amplifiers have a few millivolts. Hall sensors are trimmed to zero.
     pub sensor_offsets: [f64; 4],
-    /// Dead time, s, with both switches of a half bridge off, which costs voltage. Zero if half bridges are modules.
+    /// Dead time with both switches of a half bridge off, s. It costs voltage. Zero if half bridges are modules.
     pub dead_time: f64,
 }
 
@@ -96,7 +96,7 @@ pub struct Wiring {
 const SHUNT: f64 = 500e-6;
 /// Scale of a 185 mV/A Hall sensor behind a divider from 5 V to 3.3 V, V/A.
 const HALL: f64 = 0.185 * 0.66;
-/// Scale of the same sensor behind a divider to 3.0 V, V/A.
+/// Scale of a 185 mV/A Hall sensor behind a divider from 5 V to 3.0 V, V/A.
 const HALL_OF_3V: f64 = 0.185 * 0.6;
 
 static ODRIVE_V3: Wiring = Wiring {
@@ -190,7 +190,7 @@ static H_BRIDGE_F407_DISC1: Wiring = Wiring {
         h_bridge(3, [Pin('E', 13), Pin('E', 12)], &[(1, HALL_OF_3V)]),
     ],
     enable: Pin('E', 14),
-    // PA9 is not a gate: it has the cable's 5 V.
+    // PA9 is not a gate. It carries the 5 V of the USB cable.
     power: &[
         Pin('A', 9),
         Pin('E', 8),
@@ -219,7 +219,7 @@ const fn h_bridge(channel: u8, [p, n]: [Pin; 2], sensors: &'static [(u8, f64)]) 
 }
 
 impl Wiring {
-    /// Returns half of the chip's supply, V: the output of a current sensor without current.
+    /// Returns the output of a current sensor at zero current, which is half of the chip's supply, V.
     #[must_use]
     pub fn middle(&self) -> f64 {
         0.5e-3 * f64::from(self.supply_mv)

@@ -1,5 +1,5 @@
-//! Injects errors of sensors and motors, at three control rates and at ten instants of the control period. Measures the
-//! time until the bridges float, and the motion that a hand on the device would feel until then.
+//! Injects errors of sensors and motors at three control rates and at ten instants of the control period. Measures the
+//! time until the bridges float, and the motion that a hand would feel until then.
 
 use std::collections::BTreeSet;
 
@@ -17,11 +17,11 @@ use crate::plant::Peaks;
 use crate::rig::Rig;
 use crate::run::{MICROSECOND, MILLISECOND};
 
-/// Control rates, Hz: the slowest rate, the default of the paper's comparison, and the carrier's rate.
+/// Control rates, Hz: the slowest rate, the default of the paper's comparison, and the rate of the carrier.
 pub const RATES: [u32; 3] = [200, 1_000, 20_000];
 /// Number of instants within a control period.
 pub const PHASES: u64 = 10;
-/// Longest time to wait for floating bridges.
+/// Longest time to wait until the bridges float, ns.
 const MAX_WAIT: u64 = 300 * MILLISECOND;
 /// Force of the hand against the wall, N.
 const PUSH: f64 = 0.8;
@@ -32,17 +32,17 @@ pub struct Case {
     pub name: &'static str,
     /// Injects the error while the tip is in a wall.
     pub cause: fn(&mut Hardware),
-    /// True if the board must detect the error. Errors that it may miss are listed with their effect.
+    /// True if the board must detect the error. For other errors the table shows the effect.
     pub detected: bool,
 }
 
-/// All injected errors, one at a time.
+/// All injected errors, which are injected one at a time.
 pub const CASES: &[Case] = &[
     Case { name: "current sensors 8 A too high", cause: |board| add_to_shunts(board, 2, 8.0), detected: true },
     Case { name: "current sensors 4 A too low", cause: |board| add_to_shunts(board, 2, -4.0), detected: true },
     Case { name: "current sensors stuck at 0 A", cause: |board| scale_shunts(board, 2, 0.0), detected: true },
     Case { name: "current sensors show a quarter", cause: |board| scale_shunts(board, 2, 0.25), detected: true },
-    // A frozen current equals the requested current until the request changes, so the board cannot detect it at rest.
+    // At rest a frozen current equals the requested current, so the board cannot detect it.
     Case { name: "current sensors frozen, hand at rest", cause: freeze, detected: false },
     Case {
         name: "current sensors frozen, hand moves",
@@ -53,8 +53,8 @@ pub const CASES: &[Case] = &[
         detected: false,
     },
     Case { name: "one of two shunts 4 A too high", cause: |board| add_to_shunts(board, 1, 4.0), detected: true },
-    // The current of this contact is 0.4 A, which the loop doubles because it measures half. The difference of the two
-    // sensors is still below the tolerance for correct sensors. In a contact of 2.5 N the error is detected
+    // The current of this contact is 0.4 A. The loop doubles it because the sensors report half. The difference between
+    // the two sensors stays within the tolerance for correct sensors. In a contact of 2.5 N the board detects the error
     // (src/inject.rs, CurrentSensor).
     Case { name: "one of two shunts shows nothing", cause: |board| scale_shunts(board, 1, 0.0), detected: false },
     Case { name: "a winding open", cause: |board| board.broken.open[0] = true, detected: true },
@@ -109,12 +109,12 @@ pub const CASES: &[Case] = &[
     },
 ];
 
-/// Makes the first `count` shunts of the first motor show `gain` times the motor's current.
+/// Makes the first `count` shunts of the first motor report `gain` times the motor's current.
 fn scale_shunts(board: &mut Hardware, count: usize, gain: f64) {
     board.broken.sensor_gain[..count].fill(gain);
 }
 
-/// Adds a current to the first `count` shunts of the first motor, A.
+/// Adds `current` (A) to the readings of the first `count` shunts of the first motor.
 fn add_to_shunts(board: &mut Hardware, count: usize, current: f64) {
     board.broken.sensor_offset[..count].fill(current);
 }
@@ -132,7 +132,7 @@ fn swap(board: &mut Hardware) {
     board.broken.swapped_at = Some([first, second]);
 }
 
-/// Lets the hand also move the tip along the wall while it keeps pushing.
+/// Makes the hand also move the tip along the wall while it pushes.
 fn drag(board: &mut Hardware) {
     if let Some(device) = board.plant.device() {
         push(device, [PUSH, PUSH, 0.0], 0.02);
@@ -144,13 +144,13 @@ fn drag(board: &mut Hardware) {
 pub struct Outcome {
     /// The fault, if the error was detected.
     pub fault: Option<Fault>,
-    /// Time from the cause until the bridges float, ns; the full waiting time if they do not.
+    /// Time from the cause until the bridges float, ns. The full waiting time if they do not float.
     pub after: u64,
-    /// Peaks until then.
+    /// Peaks until the bridges float.
     pub peaks: Peaks,
 }
 
-/// A board whose device is returned to the wall for each error.
+/// A board whose device is placed at the wall again for each error.
 pub struct Campaign {
     rig: Rig,
     home: [f64; 3],
@@ -159,11 +159,11 @@ pub struct Campaign {
 }
 
 impl Campaign {
-    /// Returns a board at a control rate.
+    /// Returns a board with the control rate `rate`, Hz.
     ///
     /// # Panics
     ///
-    /// If the board refuses anything.
+    /// Panics if the board refuses a request.
     #[must_use]
     pub fn at(rate: u32) -> Self {
         let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |_| ());
@@ -175,7 +175,7 @@ impl Campaign {
         Self { rig, home, scene, rate }
     }
 
-    /// Returns the device to the wall, without injected errors.
+    /// Places the device at the wall, without injected errors.
     fn prepare(&mut self) {
         let (rig, home) = (&mut self.rig, self.home);
         rig.tool.disarm().expect("the board disarms");
@@ -203,22 +203,22 @@ impl Campaign {
         rig.set_scene(&self.scene);
         rig.tool.arm().expect("the board arms");
         rig.with_simulated(|device| push(device, [0.0, PUSH, 0.0], 0.3));
-        // Torque rises for half a second.
+        // The torque rises for 0.5 s after arming.
         rig.run(700 * MILLISECOND);
         let status = rig.tool.status().expect("the board replies");
         assert_eq!(status.state, State::Armed, "{status:?}");
     }
 
-    /// Injects an error at the `phase`th tenth of a control period, and observes the effect.
+    /// Injects an error at the `phase`th tenth of a control period and observes the effect.
     ///
     /// # Panics
     ///
-    /// If the board wrongly refuses a request, or bridges float without a fault.
+    /// Panics if the board wrongly refuses a request, or if bridges float without a fault.
     pub fn run(&mut self, case: &Case, phase: u64) -> Outcome {
         self.prepare();
         let rig = &mut self.rig;
-        // Step times are multiples of the control period after the first step, not of the clock, so wait for a step
-        // first.
+        // Wait for a step first, because steps are a whole number of control periods after the first step, not after
+        // time 0.
         let period = 1_000_000_000 / u64::from(self.rate);
         let steps = rig.steps();
         while rig.steps() == steps {
@@ -247,7 +247,7 @@ fn disabled(stopped: &mut crate::run::StoppedBoard<'_>) -> bool {
     board.wiring.is_some_and(|wiring| board.level(wiring.enable) == Level::Low)
 }
 
-/// Returns the row of an error at a rate: the worst value of each column over the phases.
+/// Returns the table's row for an error at a rate (Hz), with the worst value of each column over the phases.
 #[must_use]
 pub fn row(case: &Case, rate: u32, outcomes: &[Outcome]) -> String {
     let names: BTreeSet<&str> = outcomes.iter().map(|outcome| outcome.fault.map_or("nobody", Fault::name)).collect();
@@ -273,7 +273,7 @@ pub fn row(case: &Case, rate: u32, outcomes: &[Outcome]) -> String {
 ///
 /// # Panics
 ///
-/// If a board wrongly refuses a request.
+/// Panics if a board wrongly refuses a request.
 #[must_use]
 pub fn table() -> String {
     let at_rate = |rate| {

@@ -2,21 +2,22 @@
 //! STM32F405 at 168 MHz.
 //!
 //! The core follows the instruction timings of ARM's Cortex-M4 technical reference manual (r0p1, sections 3.3 and
-//! 7.2.3). A load after a load is pipelined; a taken branch refills the pipeline in two cycles (one to three in
-//! the manual); a skipped instruction counts as executed. The flash has five wait states per line of sixteen bytes, and
-//! an accelerator that hides them (RM0090 sections 3.5.1 and 3.5.2): a cache of 64 instruction lines, a cache of 8
-//! lines of constants, and a prefetch of the line after the present line. A running fetch ends before the next begins.
-//! The caches are empty at the first instruction. SRAM and registers reply at once; the bus load of DMA and USB is not
-//! included.
+//! 7.2.3). A load after a load is pipelined. A taken branch refills the pipeline in two cycles (one to three in the
+//! manual). A skipped instruction counts as executed.
+//!
+//! The flash has five wait states per line of 16 bytes, which an accelerator hides (RM0090 sections 3.5.1 and 3.5.2).
+//! The accelerator has a cache of 64 instruction lines, a cache of 8 constant lines, and a prefetch of the next line. A
+//! running fetch ends before the next begins. The caches are empty at the first instruction. SRAM and registers reply
+//! at once. The bus load of DMA and USB is not included.
 
 use std::collections::VecDeque;
 
 use crate::trace::Code;
 
-/// Model of the flash's delay.
+/// A model of the flash's delay.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Flash {
-    /// No wait states: the time of the core alone.
+    /// No wait states, so that only the core needs time.
     AtOnce,
     /// Wait states with both caches and prefetch.
     Accelerated,
@@ -43,15 +44,16 @@ pub const EXCEPTION: u64 = 12 + 12 + 17 + 17;
 /// Cost of a single instruction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Cost {
-    /// Bytes of the instruction.
+    /// Length of the instruction, bytes.
     length: u32,
     cycles: u64,
-    /// True for a single load, which overlaps with a following load.
+    /// True for a single load, which overlaps with a load that follows.
     load: bool,
     /// Address of the constant that the instruction loads from the code.
     constant: Option<u32>,
-    /// FPU registers: the register that its arithmetic writes, and the registers that it reads.
+    /// FPU register that arithmetic writes.
     writes: Option<u16>,
+    /// FPU registers that arithmetic reads.
     reads: [Option<u16>; 2],
 }
 
@@ -70,7 +72,7 @@ fn constant(at: u32, words: u16) -> Option<u32> {
     Some((at & !3).wrapping_add(4).wrapping_add(4 * u32::from(words)))
 }
 
-/// Returns the cost of the instruction at `at`. Encodings: ARMv7-M Architecture Reference Manual, chapters A5 and A6.
+/// Returns the cost of the instruction at `at`, decoded as in the ARMv7-M Architecture Reference Manual (A5, A6).
 fn cost(code: &Code, at: u32) -> Cost {
     let first = code.half(at);
     if first >> 11 >= 0b11101 {
@@ -80,7 +82,7 @@ fn cost(code: &Code, at: u32) -> Cost {
         0x4800..0x5000 => Cost::load(2, constant(at, first & 0xFF)),
         0x5600..0x6000 => Cost::load(2, None),
         0x6000..0xA000 if first & 0x0800 != 0 => Cost::load(2, None),
-        // PUSH, POP, STM, LDM
+        // PUSH and POP, then STM and LDM.
         0xB400..0xB600 | 0xBC00..0xBE00 => Cost::of(2, 1 + u64::from((first & 0x1FF).count_ones())),
         0xC000..0xD000 => Cost::of(2, 1 + u64::from((first & 0xFF).count_ones())),
         _ => Cost::of(2, 1),
@@ -90,11 +92,11 @@ fn cost(code: &Code, at: u32) -> Cost {
 fn wide(first: u16, second: u16, at: u32) -> Cost {
     let loads = first & 0x10 != 0;
     match first {
-        // LDM, STM; TBB; LDRD, STRD and the exclusive variants.
+        // LDM and STM, then TBB, then LDRD, STRD and the exclusive variants.
         _ if first & 0xFE40 == 0xE800 => Cost::of(4, 1 + u64::from(second.count_ones())),
         0xE8D0..=0xE8DF if second & 0xFFE0 == 0xF000 => Cost::of(4, 2),
         _ if first & 0xFE40 == 0xE840 => Cost::of(4, 3),
-        // VLDR, VSTR; VMOV of two registers; VLDM, VSTM.
+        // VLDR and VSTR, then VMOV of two registers, then VLDM and VSTM.
         _ if first & 0xFF20 == 0xED00 => match (loads, first & 0xF) {
             (true, 0xF) => Cost::load(4, constant(at, second & 0xFF)),
             (true, _) => Cost::load(4, None),
@@ -103,12 +105,12 @@ fn wide(first: u16, second: u16, at: u32) -> Cost {
         _ if first & 0xFFE0 == 0xEC40 => Cost::of(4, 2),
         _ if first & 0xFE00 == 0xEC00 => Cost::of(4, 1 + u64::from(second & 0xFF)),
         _ if first & 0xFF00 == 0xEE00 && second & 0x10 == 0 => arithmetic(first, second),
-        // LDR; LDR of a constant.
+        // LDR, also of a constant.
         _ if first & 0xFE00 == 0xF800 && loads => {
             let relative = first & 0xF == 0xF && first & 0x80 != 0;
             Cost::load(4, relative.then(|| (at & !3).wrapping_add(4 + u32::from(second & 0xFFF))))
         }
-        // SDIV and UDIV: the longest time.
+        // SDIV and UDIV in their longest time.
         _ if first & 0xFFD0 == 0xFB90 => Cost::of(4, 12),
         _ => Cost::of(4, 1),
     }
@@ -133,12 +135,12 @@ fn arithmetic(first: u16, second: u16) -> Cost {
     }
 }
 
-/// Most recently used lines, newest first.
+/// Cached lines, the most recently used line first.
 #[derive(Debug, Default)]
 struct Lines(VecDeque<u32>);
 
 impl Lines {
-    /// Returns true if `line` is cached. Makes it the newest line; the cache holds at most `capacity` lines.
+    /// Makes `line` the newest of at most `capacity` cached lines. Returns true if it was cached before.
     fn use_line(&mut self, line: u32, capacity: usize) -> bool {
         let place = self.0.iter().position(|&kept| kept == line);
         if let Some(place) = place {
@@ -164,7 +166,7 @@ struct FlashState {
 }
 
 impl FlashState {
-    /// Reads a line of the flash array and waits for it.
+    /// Reads a line of the flash array and waits until it arrives.
     fn read(&mut self) {
         self.now = self.now.max(self.free) + WAIT_STATES;
         self.free = self.now;
@@ -199,7 +201,7 @@ impl FlashState {
     }
 }
 
-/// Returns the cycles of an exception whose handler executes the instructions at `path`, in this order.
+/// Returns the cycles of an exception whose handler executes the instructions at the addresses in `path`, in order.
 #[must_use]
 pub fn estimate(code: &Code, path: &[u32], flash: Flash) -> u64 {
     let mut state = FlashState {
@@ -243,15 +245,15 @@ mod tests {
         let path: Vec<u32> = (0..24).map(|nth| 0x1000 + 2 * nth).collect();
         let code = [NOP; 24];
         assert_eq!(straight(&code, &path, Flash::AtOnce), 24);
-        // Three lines, each with its wait states.
+        // All three lines have their wait states.
         assert_eq!(straight(&code, &path, Flash::Bare), 24 + 3 * 5);
-        // Only the first line: a fetch takes six cycles, the execution of the line before it eight.
+        // Only the first line is late. A fetch takes six cycles, and executing the line before it takes eight.
         assert_eq!(straight(&code, &path, Flash::Accelerated), 24 + 5);
     }
 
     #[test]
     fn wide_instructions_are_faster_than_the_prefetch() {
-        // movw r0, #0, four per line: each further line arrives two cycles late.
+        // With four `movw r0, #0` per line, each further line arrives two cycles late.
         let code = [[0xF240, 0x0000]; 12].concat();
         let path: Vec<u32> = (0..12).map(|nth| 0x1000 + 4 * nth).collect();
         assert_eq!(straight(&code, &path, Flash::Accelerated), 12 + 5 + 2 * 2);

@@ -1,11 +1,11 @@
-//! A DRV8301 gate driver on its SPI bus (Texas Instruments SLOS719F section 7.5): two status and two control
-//! registers; the reply to a read follows in the next frame; no reply while EN_GATE is low.
+//! A DRV8301 gate driver on its SPI bus (Texas Instruments SLOS719F section 7.5), with two status and two control
+//! registers. The reply to a read follows in the next frame. While EN_GATE is low, the driver does not reply.
 
 use rigless::chip::Timeline;
 use rigless::chip::spi::Peer;
 use rigless::snapshot::Store;
 
-/// Bit of a frame that reads a register instead of writing it.
+/// Bit of a frame that makes it a read.
 const READ: u32 = 1 << 15;
 /// Identity of the device, in status register 2.
 const DEVICE_ID: u16 = 1;
@@ -14,7 +14,7 @@ const FAULT: u16 = 1 << 10;
 /// Gains of the shunt amplifiers, selected by bits 3:2 of control register 2.
 const GAINS: [f64; 4] = [10.0, 20.0, 40.0, 80.0];
 
-/// Bits 5:4 of control register 2: short the amplifiers' inputs.
+/// Bits 5:4 of control register 2, which short the amplifiers' inputs.
 const CALIBRATE: u16 = 0b11 << 4;
 
 /// One gate driver.
@@ -31,14 +31,14 @@ pub struct Drv8301 {
 impl Store for Drv8301 {}
 
 impl Drv8301 {
-    /// Sets the level of EN_GATE: low resets every register and clears the faults.
+    /// Sets the level of EN_GATE. A low level resets every register and clears the faults.
     pub fn enable(&mut self, on: bool) {
         if self.on != on {
             *self = Self { on, stuck: self.stuck, ..Self::default() };
         }
     }
 
-    /// Latches fault bits of status register 1, which pull the fault line low; 0 clears them.
+    /// Latches fault bits of status register 1, which pull the fault line low. A value of 0 clears them.
     pub fn fail(&mut self, bits: u16) {
         self.fault = bits & 0x3FF;
     }
@@ -49,17 +49,18 @@ impl Drv8301 {
         self.on && self.fault != 0
     }
 
-    /// Makes the control registers ignore writes, as those of a missing or broken driver do.
+    /// Makes the control registers ignore writes, as in a missing or broken driver.
     pub fn stick(&mut self, stuck: bool) {
         self.stuck = stuck;
     }
 
-    /// Resets the control registers, as a dip of the driver's supply does.
+    /// Resets the control registers, like a dip of the driver's supply.
     pub fn forget(&mut self) {
         self.control = [0; 2];
     }
 
-    /// Returns the gain of the shunt amplifiers (zero while their inputs are shorted), or `None` while they are off.
+    /// Returns the gain of the shunt amplifiers, which is 0 while their inputs are shorted, or `None` while they are
+    /// off.
     #[must_use]
     pub fn gain(&self) -> Option<f64> {
         let shorted = self.control[1] & CALIBRATE != 0;
@@ -84,7 +85,7 @@ impl Drv8301 {
 
 impl Peer for Drv8301 {
     fn transfer(&mut self, mosi: u32, bits: u8, _: &mut Timeline<'_, '_>) -> u32 {
-        // While off, and in unknown frames, the driver leaves the line to the pull-up.
+        // While off, and in frames of unknown length, the driver leaves the line to the pull-up.
         if !self.on || bits != 16 {
             return (1 << bits) - 1;
         }

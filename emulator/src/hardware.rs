@@ -1,10 +1,10 @@
 //! The board around the chip: crystal, supply, power stages, sensors and encoders, wired as in [`crate::boards`].
 //!
-//! At every crest and valley of the carrier, the on-times of the switches since the last extreme give the motors'
-//! voltages. The plant advances by the elapsed time, and its sensor values are applied to the chip's pins: quadrature
-//! edges one after another, microvolts at the converters, levels at the fault and index pins. Between two extremes the
-//! mean of a centre-aligned carrier is its duty, so the motor sees the duty and not the carrier; ripple is not
-//! simulated. If the carrier stands still, the plant advances every [`PHYSICS_STEP`].
+//! At every crest and valley of the carrier, the motor voltages are computed from the on-times of the switches since
+//! the last extreme. The plant advances by the elapsed time, and its sensor values are applied to the chip's pins: one
+//! quadrature edge after another, microvolts at the converters, and levels at the fault and index pins. Between two
+//! extremes the mean of a centre-aligned carrier is its duty, so ripple is not simulated. While the carrier stands
+//! still, the plant advances every [`PHYSICS_STEP`].
 
 use std::num::{NonZeroU32, NonZeroU64};
 
@@ -26,24 +26,26 @@ use crate::chip::trigger::{REFERENCE_UV, Span};
 use crate::drv8301::Drv8301;
 use crate::plant::{Dummy, Peaks, Plant};
 
-/// Instructions per second of virtual time: 168 MHz at two cycles per instruction. A cycle estimate of a control step
-/// on a Cortex-M4F with hidden flash wait states gives 1.9 to 2.3.
+/// Instructions per second of virtual time, from 168 MHz and two cycles per instruction. A cycle estimate of a control
+/// step on a Cortex-M4F with hidden flash wait states gives 1.9 to 2.3 cycles.
 pub const INSTRUCTIONS_PER_SECOND: NonZeroU64 = NonZeroU64::new(84_000_000).expect("not zero");
 
-/// Time between two steps of the plant without a carrier, ns: half a period of the slowest carrier.
+/// Time between two steps of the plant without a carrier, which is half a period of the slowest carrier, ns.
 pub const PHYSICS_STEP: u64 = 25_000;
-/// Time between two edges of one encoder, ns, longer than the 95 ns of its input filter.
+/// Time between two edges of one encoder, ns. It is longer than the 95 ns of the timer's input filter.
 const EDGE_SPACING: u64 = 250;
 
 /// Offset of `ARR` of a timer.
 const AUTO_RELOAD: u32 = 0x2C;
-/// Offsets of `MODER` and `PUPDR` of a port.
+/// Offset of `MODER` of a port.
 const PORT_MODE: u32 = 0x00;
+/// Offset of `PUPDR` of a port.
 const PORT_PULLS: u32 = 0x0C;
-/// Offset of `BDTR` of an advanced timer, and its main output enable.
+/// Offset of `BDTR` of an advanced timer.
 const BREAK_AND_DEAD_TIME: u32 = 0x44;
+/// Main output enable bit in `BDTR`.
 const MAIN_OUTPUT: u64 = 1 << 15;
-/// The 8 MHz crystal of all boards.
+/// Frequency of the crystal of all boards, Hz.
 const CRYSTAL_HZ: u64 = 8_000_000;
 /// Supply of a bare chip, mV.
 const RAIL_MV: u32 = 3300;
@@ -59,21 +61,21 @@ const QUADRATURE: [[Level; 2]; 4] =
 pub struct Hardware {
     /// The microcontroller.
     pub chip: Chip,
-    /// Wiring of the board; `None` for a bare chip.
+    /// Wiring of the board, or `None` for a bare chip.
     pub wiring: Option<&'static Wiring>,
-    /// Plant on the board's connectors.
+    /// The plant at the board's connectors.
     pub plant: Box<dyn Plant>,
     /// True if the fault line is held low from outside.
     pub fault_line_shorted: bool,
-    /// For each encoder, true if its plug is pulled: its lines do not change.
+    /// True for each encoder that is unplugged, so that its lines do not change.
     pub encoders_unplugged: [bool; 3],
-    /// Number of edges of each encoder that its timer will still miss.
+    /// Number of edges of each encoder that its timer will miss.
     pub edges_lost: [u32; 3],
-    /// True if the wire from the bus divider to the chip's pin is cut; takes effect at the next start.
+    /// True if the wire from the bus divider to the chip's pin is cut. Takes effect at the next start.
     pub bus_cut: bool,
     /// Other injected errors.
     pub broken: BoardFaults,
-    /// Largest current, speed and travel since the last reset of this field.
+    /// Largest values since the last reset of this field.
     pub peaks: Peaks,
     encoders: [EncoderDrive; 3],
     /// Number of times that the encoders were sampled.
@@ -98,7 +100,7 @@ impl Hardware {
     ///
     /// # Errors
     ///
-    /// If the description of the part is wrong, which is a bug here.
+    /// Returns an error if the description of the part is wrong, which is a bug in this crate.
     pub fn bare() -> Result<Self, rigless::soc::Error> {
         let mut chip = Chip::new()?;
         chip.rcc.attach_crystals(CRYSTAL_HZ, 0);
@@ -126,7 +128,7 @@ impl Hardware {
     ///
     /// # Errors
     ///
-    /// If the description of the part is wrong, which is a bug here.
+    /// Returns an error if the description of the part is wrong, which is a bug in this crate.
     pub fn new(wiring: impl Into<&'static Wiring>, plant: Box<dyn Plant>) -> Result<Self, rigless::soc::Error> {
         let wiring = wiring.into();
         let mut hardware = Self { wiring: Some(wiring), plant, ..Self::bare()? };
@@ -143,18 +145,19 @@ impl Hardware {
     ///
     /// # Panics
     ///
-    /// If the board does not have this driver.
+    /// Panics if the board does not have this driver.
     pub fn driver(&mut self, nth: usize) -> &mut Drv8301 {
         self.chip.spi[SPI3].chip_mut(nth).expect("the board has this driver")
     }
 
-    /// Returns the inputs of the motors in the last step.
+    /// Returns the motor inputs of the last step.
     #[must_use]
     pub fn drives(&self) -> [MotorInput; 3] {
         self.drives
     }
 
-    /// Returns true if no bridge drives its motor now: no timer's main output is enabled, and the enable line is low.
+    /// Returns true if no bridge drives its motor now, because the main outputs are disabled and the enable line is
+    /// low.
     pub fn bridges_float(&mut self) -> bool {
         let driven =
             ["TIM1", "TIM8"].iter().any(|timer| self.chip.register(timer, BREAK_AND_DEAD_TIME) & MAIN_OUTPUT != 0);
@@ -162,14 +165,14 @@ impl Hardware {
         !driven && enable.is_none_or(|enable| self.level(enable) == Level::Low)
     }
 
-    /// Returns the level that the chip or the board puts on `pin`.
+    /// Returns the level that the chip or the board applies to `pin`.
     pub fn level(&mut self, pin: Pin) -> Level {
         let (port, pin) = port_and_pin(pin);
         let (model, registers) = self.chip.port(port);
         model.level(pin, registers)
     }
 
-    /// Advances the board to the time `at` of a stop. Returns the time of the next stop that the board needs.
+    /// Advances the board to the time `at` of a stop. Returns the time at which the board needs the next stop.
     pub fn step(&mut self, at: VirtualNanos) -> Option<VirtualNanos> {
         let wiring = self.wiring?;
         if self.restarts_seen != Some(self.chip.restarts) {
@@ -191,11 +194,11 @@ impl Hardware {
         Some(VirtualNanos(if moving { at.0 + EDGE_SPACING } else { self.next_step }))
     }
 
-    /// Returns the time of the first crest or valley of TIM1 after `at`, if the timer runs.
+    /// Returns the time of the first crest or valley of TIM1 after `at`, ns, or `None` if the timer does not run.
     fn next_extreme(&self, at: u64) -> Option<u64> {
         let crest = self.chip.advanced[0].hook.crest()?;
         let top = self.chip.register("TIM1", AUTO_RELOAD);
-        // Ticks of 125/21 ns: the timer counts at 168 MHz.
+        // The timer counts at 168 MHz, so a tick takes 125/21 ns.
         let passed = at.saturating_sub(crest) * 21 / (125 * top.max(1));
         // If the crest did not come again two slopes later, the timer has stopped.
         let next = crest + (((passed + 1) * top + 1) * 125).div_ceil(21);
@@ -241,7 +244,7 @@ impl Hardware {
         MotorInput::Duty((share(first) - share(second)) / span.whole as f64)
     }
 
-    /// Returns the selected alternate function of a pin.
+    /// Returns the alternate function that a pin has now.
     fn function(&mut self, pin: Pin) -> Option<u8> {
         let (port, pin) = port_and_pin(pin);
         let (_, registers) = self.chip.port(port);
@@ -269,7 +272,7 @@ impl Hardware {
     fn show_volts(&mut self, wiring: &Wiring, channel: u8, volts: f64) {
         let channel = AnalogChannel::new(channel).expect("a pin channel");
         // A float-to-int `as` saturates, like an input that is clamped to its rails. The converters have only one
-        // reference voltage, so the input is scaled by this board's reference.
+        // reference voltage, so the input is scaled by the board's reference.
         let share = volts / (1e-3 * f64::from(wiring.supply_mv));
         let microvolts = ((share * f64::from(REFERENCE_UV)) as u32).min(REFERENCE_UV);
         for converter in &mut self.chip.converters {
@@ -306,7 +309,7 @@ impl Hardware {
         self.drive_pin(pin, Some(level), at);
     }
 
-    /// Holds a pin of the chip at a level from outside, or releases the pin.
+    /// Holds a pin of the chip at a level from outside, or releases the pin for `None`.
     fn drive_pin(&mut self, pin: Pin, level: Option<Level>, at: VirtualNanos) {
         let (port, pin) = port_and_pin(pin);
         self.chip.drive_port(at, port, |port, registers, context| {
@@ -314,14 +317,14 @@ impl Hardware {
         });
     }
 
-    /// Returns true if a pin is configured as after reset: an input without pull-up.
+    /// Returns true if a pin is still configured as after a reset, as an input without pull-up.
     fn is_untouched(&self, Pin(port, number): Pin) -> bool {
         let port = PORT_NAMES[(port as usize) - ('A' as usize)];
         let field = |register| self.chip.register(port, register) >> (2 * number) & 0b11;
         field(PORT_MODE) == 0 && field(PORT_PULLS) != 0b01
     }
 
-    /// Makes one edge of each encoder with remaining counts. Returns true if counts remain.
+    /// Makes one edge of each encoder that has counts left. Returns true if counts are left afterwards.
     fn drive_encoders(&mut self, wiring: &Wiring, at: VirtualNanos) -> bool {
         let mut moving = false;
         for (axis, wires) in wiring.encoders.iter().enumerate() {

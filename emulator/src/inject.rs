@@ -1,7 +1,7 @@
-//! Injections of all faults into the unmodified image on the emulated chip. provoke.rs checks their effect, report.rs
+//! Injects all faults into the unmodified image on the emulated chip. provoke.rs checks their effect, and report.rs
 //! describes it.
 //!
-//! The match over all faults is exhaustive: a fault without an injection does not compile. Faults that the boards
+//! The match over all faults is exhaustive, so a fault without an injection does not compile. Faults that the boards
 //! cannot detect are marked.
 
 use std::f64::consts::PI;
@@ -36,28 +36,28 @@ pub enum Injection {
     Chip {
         /// Description of the cause.
         description: &'static str,
-        /// Creates a board immediately before the fault.
+        /// Creates a board just before the fault.
         create: fn() -> Rig,
         /// Causes the fault.
         cause: fn(&mut Rig),
         /// Longest time until the fault is detected, ms.
         within_ms: u64,
     },
-    /// Undetectable on the boards, with the reason.
+    /// Not detectable on the boards, for this reason.
     Undetectable(&'static str),
 }
 
 const FIVE_BAR: &str = "pantograph-mk2";
-/// A stiffness, N/m, whose bit pattern no other word in RAM has.
+/// Stiffness whose bit pattern no other word in RAM has, N/m.
 const MARKER_STIFFNESS: f32 = 517.25;
-/// Address of a word of the stack.
+/// Address of a word on the stack.
 const STACK_WORD: u64 = 0x2000_4000;
 
 fn rig_in_contact() -> Rig {
     pressed_rig(0.8)
 }
 
-/// Returns a rig whose tip a hand presses into a wall with this force, N.
+/// Returns a rig whose tip a hand presses into a wall with `newtons`.
 fn pressed_rig(newtons: f64) -> Rig {
     Rig::in_contact(BoardKind::OdriveV3, FIVE_BAR, "", &[WallAt::facing([0.0, -1.0, 0.0])], newtons)
 }
@@ -90,7 +90,7 @@ fn push_tip(rig: &Rig, force: [f64; 3]) {
     rig.with_simulated(move |device| push(device, force, 0.05));
 }
 
-/// Returns an armed rig in contact, with the clock security system connected to the core's non-maskable interrupt.
+/// Returns an armed rig in contact whose clock security system is connected to the core's non-maskable interrupt.
 fn rig_with_nmi_wire() -> Rig {
     let rig = rig_in_contact();
     wire_to_nmi(&rig);
@@ -285,7 +285,7 @@ pub fn injection(fault: Fault) -> Injection {
             |rig| {
                 let handler =
                     firmware(rig.kind).find_ending("5reset12record_panic").expect("the panic handler").address as u32;
-                // ldr.w pc, [pc, #0], and the address.
+                // The code is `ldr.w pc, [pc, #0]`, then the address.
                 run_instead(rig, SUPERVISOR, |_| vec![0xF000_F8DF, handler | 1]);
             },
             500,
@@ -332,7 +332,7 @@ pub fn injection(fault: Fault) -> Injection {
                 let known_step = rig.tool.status().expect("the board replies").step;
                 rig.tool.hold_key(known_step).expect("a beat is never refused");
                 rig.run(60 * MILLISECOND);
-                // The host is alive, but reports the same state of the key.
+                // The host is alive, but reports an old state of the key.
                 rig.tool.hold_key(known_step).expect("a beat is never refused");
             },
             500,
@@ -489,7 +489,6 @@ pub fn injection(fault: Fault) -> Injection {
     }
 }
 
-/// Returns a rig whose joints may turn by 0.1 rad.
 fn rig_with_narrow_limits() -> Rig {
     free_rig_within(0.1)
 }
@@ -499,7 +498,7 @@ fn rig_without_limits() -> Rig {
     free_rig_within(PI)
 }
 
-/// Returns an armed rig without a hand, whose joints may turn by `angle` (rad) in both directions.
+/// Returns an armed rig without a hand, whose joints may turn by `angle` (rad) in each direction.
 fn free_rig_within(angle: f64) -> Rig {
     let mut file = device_file(FIVE_BAR);
     let home = file.description.home.expect("a home pose");
@@ -522,7 +521,7 @@ fn sweep(device: &mut SimulatedDevice, from: f64, to: f64) {
     device.set_hand(Hand::new(firm(), Intent::Follow(path.to_vec()), device.tip(), device.time()));
 }
 
-/// Returns an armed rig whose first joint a hand has turned past its index mark once.
+/// Returns an armed rig whose first joint was turned past its index mark once.
 fn rig_with_index() -> Rig {
     let mut file = device_file(FIVE_BAR);
     let home = file.description.home.expect("a home pose");
@@ -543,7 +542,7 @@ fn rig_with_index() -> Rig {
     rig
 }
 
-/// Returns a rig whose first motor turns against the direction in its device file.
+/// Returns a rig whose first motor turns against the direction in the device file.
 fn rig_with_swapped_motor() -> Rig {
     rig_with_other_motor(|motor| {
         motor.torque_constant = -motor.torque_constant;
@@ -563,11 +562,11 @@ fn rig_with_other_motor(change: impl FnOnce(&mut Motor<f64>)) -> Rig {
     rig
 }
 
-/// Runs to `microseconds` after a crest.
+/// Runs until `microseconds` after a crest.
 ///
 /// # Panics
 ///
-/// If the carrier stands still.
+/// Panics if the carrier stands still.
 pub fn after_crest(rig: &Rig, microseconds: u64) {
     let now = rig.now();
     let crest = rig.with(|stopped| stopped.hardware().chip.advanced[0].hook.crest()).expect("the carrier runs");

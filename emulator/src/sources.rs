@@ -1,7 +1,7 @@
-//! Source functions and source files of an image's instructions, from its debug information.
+//! Finds the source functions and source files of an image's instructions in its debug information.
 //!
 //! The compiler inlines most of the control interrupt into a few functions. The debug information of the unmodified
-//! image lists the source functions of every instruction.
+//! image names the source functions of every instruction.
 
 use std::collections::HashMap;
 
@@ -14,7 +14,7 @@ use crate::trace::Run;
 
 /// Function that runs at every crest and at no valley.
 const CREST: &str = "::update_counts";
-/// Function that runs only if a task sent a request.
+/// Function that runs only if a task has sent a request.
 const REQUEST: &str = "InterruptState::carry_out";
 /// Function in which the interrupt only waits for the converters.
 const WAITING: &str = "adc::wait";
@@ -24,9 +24,9 @@ type Reader<'a> = EndianSlice<'a, LittleEndian>;
 /// Source of an instruction.
 #[derive(Debug, Default)]
 struct Source {
-    /// Paths of its functions, innermost first, without generic arguments.
+    /// Paths of the instruction's functions, innermost first, without generic arguments.
     functions: Vec<String>,
-    /// Innermost file of this repository.
+    /// Innermost source file of this repository.
     file: Option<String>,
 }
 
@@ -37,7 +37,7 @@ pub struct Sources<'a> {
 }
 
 impl<'a> Sources<'a> {
-    /// Reads the debug information of `firmware`; `None` if it has none or they cannot be read.
+    /// Reads the debug information of `firmware`. Returns `None` if there is none or it cannot be read.
     #[must_use]
     pub fn of(firmware: &'a Firmware) -> Option<Self> {
         let elf = object::File::parse(firmware.bytes()).ok()?;
@@ -73,7 +73,7 @@ impl<'a> Sources<'a> {
         run.path.iter().any(|at| self.is_in(*at, function))
     }
 
-    /// Returns true if a run of the control interrupt is a crest, false if it is a valley.
+    /// Returns true if a run of the control interrupt belongs to a crest, false if it belongs to a valley.
     pub fn is_crest(&mut self, run: &Run) -> bool {
         self.runs(run, CREST)
     }
@@ -83,23 +83,23 @@ impl<'a> Sources<'a> {
         self.runs(run, REQUEST)
     }
 
-    /// Returns the instructions of a run without those that wait for the converters.
+    /// Returns the instructions of a run, without the instructions that wait for the converters.
     pub fn work(&mut self, run: &Run) -> Vec<u32> {
         run.path.iter().copied().filter(|at| !self.is_in(*at, WAITING)).collect()
     }
 
-    /// Returns the source file of an instruction; code that the compiler shares between functions may have none.
+    /// Returns the source file of an instruction. Code that the compiler shares between functions may have no file.
     pub fn file(&mut self, address: u32) -> &str {
         self.source(address).file.as_deref().unwrap_or("no file of this repository")
     }
 }
 
-/// Removes generic arguments from a path: `<a::B<C> as d::E<F>>::g` becomes `a::B::g`.
+/// Removes generic arguments from a path, so that `<a::B<C> as d::E<F>>::g` becomes `a::B::g`.
 fn plain(name: &str) -> String {
     let mut out = String::new();
     let mut depth = 0_u32;
     let mut skipping = false;
-    // The implementing type is in angle brackets at the front; the trait does not matter.
+    // The implementing type is in angle brackets at the front, and the trait is removed.
     let path = name.trim_start_matches('<');
     for (at, letter) in path.char_indices() {
         match letter {

@@ -1,8 +1,8 @@
-//! Duration of the control interrupt, entry to exit, in instructions of the unmodified image: mean, worst, jitter, and
-//! share of each source file.
+//! Duration of the control interrupt from entry to exit, in instructions of the unmodified image, with the share of
+//! each source file.
 //!
-//! `cargo xtask timing` measures every [`Case`] and writes the tables of docs/results/timing.md; a test measures some
-//! of them again and compares.
+//! `cargo xtask timing` measures every [`Case`] and writes the tables of docs/results/timing.md. A test repeats some
+//! measurements and compares.
 
 use std::collections::BTreeMap;
 
@@ -22,7 +22,7 @@ use crate::run::MILLISECOND;
 use crate::sources::Sources;
 use crate::trace::{Code, Run};
 
-/// Value of the state in a row of telemetry while armed.
+/// Value of the state in a row of telemetry while the board is armed.
 const ARMED: f64 = 1.0;
 /// Traced time of each case, ns: 500 periods at 20 kHz, with a request of the tasks every 20 ms.
 pub const TRACED_NS: u64 = 25 * MILLISECOND;
@@ -32,17 +32,17 @@ pub const TRACED_NS: u64 = 25 * MILLISECOND;
 pub struct Timing {
     /// Number of measured steps.
     pub periods: usize,
-    /// Mean instructions of the steps.
+    /// Mean number of instructions of a step.
     pub mean: f64,
-    /// Instructions of the longest step.
+    /// Number of instructions of the longest step.
     pub longest: u64,
-    /// Instructions of the shortest step.
+    /// Number of instructions of the shortest step.
     pub shortest: u64,
-    /// Mean instructions of the valleys without a request of the tasks.
+    /// Mean number of instructions of a valley without a request of the tasks.
     pub valley_mean: f64,
-    /// Instructions of the longest valley, with or without a request.
+    /// Number of instructions of the longest valley, with or without a request.
     pub valley: u64,
-    /// Mean instructions of a step in each source file.
+    /// Mean number of instructions of a step in each source file.
     pub files: BTreeMap<String, f64>,
     /// Estimated cycles of the longest step, for each of [`Flash::ALL`].
     pub cycles: [u64; Flash::ALL.len()],
@@ -53,7 +53,7 @@ impl Case {
     ///
     /// # Panics
     ///
-    /// If the image lacks the handler or its debug information, or the tip is not in contact all the time.
+    /// Panics if the image lacks the handler or its debug information, or if the tip loses contact.
     #[must_use]
     pub fn measure(&self) -> Timing {
         let mut rig = self.rig(self.rate_hz);
@@ -112,7 +112,7 @@ impl Rig {
     ///
     /// # Panics
     ///
-    /// If the image has no such handler.
+    /// Panics if the image has no such handler.
     #[must_use]
     pub fn trace_control(&mut self, span: u64) -> Vec<Run> {
         self.trace_control_during(|rig| rig.run(span))
@@ -122,7 +122,7 @@ impl Rig {
     ///
     /// # Panics
     ///
-    /// If the image has no such handler.
+    /// Panics if the image has no such handler.
     #[must_use]
     pub fn trace_control_during(&mut self, work: impl FnOnce(&mut Self)) -> Vec<Run> {
         let image = firmware(self.kind);
@@ -130,7 +130,7 @@ impl Rig {
         self.trace_function_during(entry, work)
     }
 
-    /// Returns all complete runs of the function at `entry`, which must not be interrupted, during `work`.
+    /// Returns all complete runs of the function at `entry` during `work`. The function must not be interrupted.
     fn trace_function_during(&mut self, entry: u64, work: impl FnOnce(&mut Self)) -> Vec<Run> {
         let code = Code::of(firmware(self.kind)).expect("an image with code");
         let watched = code.clone();
@@ -140,7 +140,7 @@ impl Rig {
     }
 }
 
-/// Devices and scenes whose control step is counted again in every run of the gate.
+/// Devices and scenes whose control step is counted in every run of the tests.
 const STEPS: [(&str, SceneKind); 6] = [
     ("hapkit-paddle", SceneKind::Wall),
     ("haply-2diy", SceneKind::Wall),
@@ -150,12 +150,12 @@ const STEPS: [(&str, SceneKind); 6] = [
     ("haply-2diy", SceneKind::Nothing),
 ];
 
-/// Returns the instructions of the control step of a release image, with motors off and constant encoder counts, by
-/// device and scene: timing-steps.csv.
+/// Returns timing-steps.csv, the instructions of the control step by device and scene. The image is a release image,
+/// the motors are off and the encoder counts constant.
 ///
 /// # Panics
 ///
-/// If the board refuses a request.
+/// Panics if the board refuses a request.
 #[must_use]
 pub fn steps() -> String {
     let mut text = csv_line(["device", "the tip meets", "instructions"]);
@@ -180,10 +180,12 @@ pub fn steps() -> String {
     text
 }
 
+/// Name of the row with the longest step.
 const LONGEST: &str = "longest";
+/// Name of the row with the longest valley.
 const VALLEY: &str = "longest at a valley, a request";
 
-/// Returns the table of the timings of [`CASES`], one column per case: timing.csv.
+/// Returns timing.csv, the table of the timings of [`CASES`] with one column per case.
 #[must_use]
 pub fn table(timings: &[Timing]) -> String {
     let mut text = csv_line(std::iter::once("instructions".to_owned()).chain(CASES.iter().map(Case::name)));
@@ -203,17 +205,17 @@ pub fn table(timings: &[Timing]) -> String {
         timings.iter().map(|timing| format!("{:.0}", timing.mean + timing.valley_mean)).collect(),
     );
     row(VALLEY, each(|timing| timing.valley));
-    let names = ["the core alone", "with the flash as the firmware sets it", "with a flash that nothing accelerates"];
+    let names = ["core alone", "flash as the firmware sets it", "flash without cache and prefetch"];
     for (nth, name) in names.into_iter().enumerate() {
         row(
-            &format!("cycles of the longest, estimated, {name}"),
+            &format!("estimated cycles of the longest step, {name}"),
             timings.iter().map(|timing| timing.cycles[nth].to_string()).collect(),
         );
     }
     text
 }
 
-/// Returns the table of all other kinds of scenes on a five-bar, from the timings of [`SCENES`]: timing-scenes.csv.
+/// Returns timing-scenes.csv, the table of the timings of [`SCENES`] on a five-bar.
 #[must_use]
 pub fn scenes(timings: &[Timing]) -> String {
     let mut text = csv_line([
@@ -244,7 +246,7 @@ impl Case {
     }
 }
 
-/// Measures the replacement of a scene while the motors are on, for 5 ms from the request: timing-new-scenes.csv.
+/// Returns timing-new-scenes.csv. Each measurement takes 5 ms from the request for a new scene while the motors are on.
 #[must_use]
 pub fn replacements() -> String {
     let mut text = csv_line(["case", "longest at a valley", "longest step", "median step"]);
@@ -269,7 +271,7 @@ pub fn replacements() -> String {
     text
 }
 
-/// Measures the rates that a five-bar and two three-joint devices sustain: timing-rates.csv.
+/// Returns timing-rates.csv, the rates that a five-bar and two three-joint devices sustain.
 #[must_use]
 pub fn rates() -> String {
     let mut text = csv_line([
@@ -292,7 +294,7 @@ pub fn rates() -> String {
     text
 }
 
-/// Returns the longest step of `case` in a table `text` from [`table`], and its longest valley.
+/// Returns the longest step and the longest valley of `case` in a table from [`table`].
 #[must_use]
 pub fn recorded(text: &str, case: &Case) -> Option<(u64, u64)> {
     let column = CASES.iter().position(|other| other.name() == case.name())?;

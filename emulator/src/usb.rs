@@ -1,8 +1,8 @@
-//! The computer at the other end of the USB cable: it enumerates a device as a PC does, opens its serial port, and
-//! transfers bytes in both directions. Tests can do with it everything that a user can do: unplug, suspend, close, stop
-//! reading, write garbage.
+//! The computer at the other end of the USB cable. It enumerates a device like a PC, opens its serial port, and
+//! transfers bytes in both directions. Tests can use it like a user: unplug, suspend, close, stop reading, and write
+//! garbage.
 //!
-//! Sources: USB 2.0 chapters 5, 8, 9; CDC PSTN 1.2 section 6.3 (line coding, control line state).
+//! Sources: USB 2.0 chapters 5, 8 and 9, and CDC PSTN 1.2 section 6.3 (line coding, control line state).
 
 use std::collections::VecDeque;
 
@@ -11,32 +11,34 @@ use rigless::time::VirtualNanos;
 use crate::otg_core::{Core, Handshake};
 
 const MILLISECOND: u64 = 1_000_000;
-/// Time from the pull-up to the first reset, length of each reset, and recovery time: the minimum of USB 2.0 sections
-/// 7.1.7.3 and 7.1.7.5. A PC waits longer.
+/// Time from the pull-up to the first reset, the minimum of USB 2.0 section 7.1.7.3, ns. A PC waits longer.
 const DEBOUNCE: u64 = 100 * MILLISECOND;
+/// Length of a reset, the minimum of USB 2.0 section 7.1.7.5, ns.
 const RESET: u64 = 10 * MILLISECOND;
+/// Recovery time after a reset, the minimum of USB 2.0 section 7.1.7.5, ns.
 const RECOVERY: u64 = 10 * MILLISECOND;
-/// Idle time after which a device counts as suspended, section 7.1.7.6, and length of a resume, section 7.1.7.7.
+/// Idle time after which a device counts as suspended (USB 2.0 section 7.1.7.6), ns.
 const IDLE: u64 = 3 * MILLISECOND;
+/// Length of a resume (USB 2.0 section 7.1.7.7), ns.
 const RESUME: u64 = 20 * MILLISECOND;
 
-/// Address of the device.
+/// Address that the host assigns to the device.
 const ADDRESS: u8 = 5;
 /// Maximum length of a full-speed bulk packet, bytes.
 const PACKET: usize = 64;
 
-/// Returns the duration of a packet of `bytes` on the bus at 12 Mbit/s, ns. Token, data and handshake packets with
-/// their gaps add about 13 bytes.
+/// Returns the duration on the bus of a packet of `bytes` bytes at 12 Mbit/s, ns. Token, data and handshake packets and
+/// the gaps add about 13 bytes.
 fn bus_time(bytes: usize) -> u64 {
     (bytes as u64 + 13) * 8 * 1000 / 12
 }
 
-/// An event at the host, recorded for tests.
+/// An event at the host, which is recorded for tests.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Event {
-    /// A pull-up appeared.
+    /// The device enabled its pull-up.
     Connected,
-    /// The device disconnected: unplugged, or its pull-up disappeared.
+    /// The device was unplugged, or its pull-up went off.
     Left,
     /// The bus was reset.
     Reset,
@@ -44,7 +46,7 @@ pub enum Event {
     Addressed,
     /// The device is configured and has a serial port.
     Configured,
-    /// The port was opened, with terminal ready set.
+    /// The port was opened (terminal ready is set).
     Opened,
     /// The port was closed.
     Closed,
@@ -68,7 +70,7 @@ pub struct Descriptors {
 }
 
 impl Descriptors {
-    /// Returns vendor and product id.
+    /// Returns the vendor id and the product id.
     #[must_use]
     pub fn ids(&self) -> (u16, u16) {
         let word = |at: usize| {
@@ -81,7 +83,7 @@ impl Descriptors {
     }
 }
 
-/// Serial port of a configuration descriptor.
+/// Serial port that a configuration descriptor describes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Port {
     communication: u8,
@@ -165,7 +167,7 @@ enum Transaction {
     In,
 }
 
-/// The host.
+/// The host computer.
 #[derive(Debug)]
 pub struct Host {
     plugged: bool,
@@ -189,7 +191,7 @@ pub struct Host {
     log: Vec<(VirtualNanos, Event)>,
 }
 
-/// A host with a plugged cable that has opened the port and reads: a PC with the tool running.
+/// A PC with a running tool: the cable is plugged, the port is open, and the host reads.
 impl Default for Host {
     fn default() -> Self {
         Self {
@@ -222,54 +224,54 @@ impl Host {
         self.plugged = plugged;
     }
 
-    /// Opens or closes the serial port, as a program on a PC does.
+    /// Opens or closes the serial port, like a program on a PC.
     pub fn open(&mut self, open: bool) {
         self.open = open;
     }
 
-    /// Reads the port, or leaves the device's data unread.
+    /// Reads the port if `reading` is true. Otherwise the device's data stay unread.
     pub fn read_port(&mut self, reading: bool) {
         self.reading = reading;
     }
 
-    /// Suspends the bus, as a sleeping PC does, or resumes it.
+    /// Suspends the bus if `idle` is true, like a sleeping PC. Otherwise resumes the bus.
     pub fn suspend(&mut self, idle: bool) {
         self.idle = idle;
     }
 
-    /// Queues bytes to write to the port.
+    /// Queues bytes for the port.
     pub fn write(&mut self, bytes: &[u8]) {
         self.to_device.extend(bytes);
     }
 
-    /// Drops bytes that are queued and not sent yet.
+    /// Drops queued bytes that are not sent yet.
     pub fn discard(&mut self) {
         self.to_device.clear();
     }
 
-    /// Takes the bytes received since the last call.
+    /// Returns the bytes that were received since the last call.
     pub fn take(&mut self) -> Vec<u8> {
         std::mem::take(&mut self.from_device)
     }
 
-    /// Queues any control request, valid or not: the setup packet, with `data` for a write.
+    /// Queues any control request, valid or not, as a setup packet and the `data` of a write.
     pub fn request(&mut self, setup: [u8; 8], data: &[u8]) {
         let (step, data) = (Step::Requested, data.to_vec());
         self.requested.push_back(Control { step, setup, data, stage: Stage::Setup });
     }
 
-    /// Takes the replies to those requests, in order: the data read, or the setup packet of a stalled request.
+    /// Returns the replies to queued control requests, in order: the data of a read, or the setup packet if stalled.
     pub fn take_replies(&mut self) -> Vec<Result<Vec<u8>, [u8; 8]>> {
         std::mem::take(&mut self.replies)
     }
 
-    /// Returns true if the port is open on a configured device, so that bytes can be transferred.
+    /// Returns true if the port of a configured device is open, so that bytes can be transferred.
     #[must_use]
     pub fn ready(&self) -> bool {
         self.bus == Bus::Active && self.port.is_some() && self.opened
     }
 
-    /// Returns the descriptors read during enumeration.
+    /// Returns the descriptors that were read during enumeration.
     #[must_use]
     pub fn descriptors(&self) -> &Descriptors {
         &self.descriptors
@@ -281,7 +283,7 @@ impl Host {
         &self.log
     }
 
-    /// Handles a disconnect without a movement of the cable: the device's chip restarted.
+    /// Handles a disconnect without a movement of the cable, because the device's chip restarted.
     pub fn device_disconnected(&mut self) {
         if self.bus != Bus::Detached {
             let at = self.log.last().map_or(VirtualNanos(0), |&(at, _)| at);
@@ -300,8 +302,8 @@ impl Host {
         self.log.push((at, Event::Left));
     }
 
-    /// Continues with all transactions that are possible at `now`. Returns the time of the next action, or
-    /// `None` if the next action depends on the device.
+    /// Continues with all transactions that are possible at `now`. Returns the time of the next action, or `None` if
+    /// the next action depends on the device.
     pub fn advance(&mut self, core: &mut Core, now: VirtualNanos) -> Option<VirtualNanos> {
         self.follow_cable(core, now);
         let due = |at: u64| now.0 >= at;
@@ -355,7 +357,7 @@ impl Host {
             }
             Bus::Detached => {}
             _ if !is_present => {
-                // A device that does not sense the bus voltage sees only an idle bus.
+                // A device that does not sense the bus voltage only notices an idle bus.
                 self.disconnect(now);
                 core.suspend();
             }
@@ -440,7 +442,7 @@ impl Host {
         }
     }
 
-    /// Returns the next transaction that the device would not reject, with its number of bytes.
+    /// Returns the next transaction that the device would not reject, and its number of bytes.
     fn next_transaction(&mut self, core: &Core) -> Option<(Transaction, usize)> {
         let willing = |answer: Handshake<usize>| match answer {
             Handshake::Ack(bytes) => Some(bytes),

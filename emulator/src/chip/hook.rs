@@ -1,4 +1,4 @@
-//! A model of rigless with an addition: every call goes to the model, then to the hook.
+//! A model of rigless with an addition. Every call goes to the model and then to the hook.
 
 use std::fmt::Debug;
 
@@ -8,13 +8,13 @@ use rigless::time::{EventId, VirtualNanos};
 
 /// An addition to the model `D`.
 pub trait Hook<D>: Debug {
-    /// Called after every call of the model.
+    /// Acts after every call of the model.
     fn after(&mut self, _: &mut D, _: &mut RegisterFile, _: &mut DeviceContext<'_>) {}
 
-    /// Handles a request of another instance before the model.
+    /// Handles a request from another instance, before the model does.
     fn request(&mut self, _: RequestChange, _: &mut D, _: &mut RegisterFile, _: &mut DeviceContext<'_>) {}
 
-    /// Handles the reply to an access. Returns true if the access was the hook's own.
+    /// Handles the reply to an access. Returns true if the access belongs to the hook.
     fn answered(&mut self, _token: u64, _value: u64, _: &mut DeviceContext<'_>) -> bool {
         false
     }

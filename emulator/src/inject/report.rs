@@ -5,7 +5,7 @@ use haptic_host::output::csv_line;
 
 use super::{Injection, Outcome, injection};
 
-/// Describes the way to cause `fault`, or the reason why that is impossible.
+/// Describes how `fault` is caused, or why that is impossible.
 #[must_use]
 pub fn describe(fault: Fault) -> String {
     match injection(fault) {
@@ -14,8 +14,8 @@ pub fn describe(fault: Fault) -> String {
     }
 }
 
-/// Returns the row for `fault`. Values and periods that depend on the image's speed are omitted, such as the time at
-/// which a moving hand trips a limit.
+/// Returns the row for `fault`. Values and periods that depend on the image's speed are omitted, for example the time
+/// at which a moving hand trips a limit.
 #[must_use]
 pub fn row(fault: Fault, outcome: Option<&Outcome>) -> String {
     let slow = matches!(injection(fault), Injection::Chip { within_ms, .. } if within_ms > 5);

@@ -1,4 +1,4 @@
-//! Tests of failing gate drivers, in addition to injection.rs, which causes every fault.
+//! Failing gate drivers. injection.rs causes all other faults.
 
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::safety::refusal::Refusal;
@@ -21,7 +21,7 @@ fn the_fault_line_of_one_gate_driver_stops_both_axes() {
     assert_eq!((status.state, status.fault.map(|record| record.fault)), (State::Fault, Some(Fault::GateDriver)));
     let drives = rig.with(|stopped| stopped.hardware().drives());
     assert_eq!(drives, [MotorInput::Floating; 3]);
-    // The low level of EN_GATE has cleared the fault, so the board can be armed again.
+    // The low level of EN_GATE has cleared the driver's fault, so the board can be armed again.
     rig.tool.clear().expect("the fault clears");
     rig.tool.arm().expect("the board arms");
     rig.run(SECOND);

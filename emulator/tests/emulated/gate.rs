@@ -1,5 +1,5 @@
 //! One session with each release image, from power-on to a fault. Of the tests on the chip, only these are part of
-//! every test run; the other modules test the same functions in detail.
+//! every test run. The other modules test the same functions in detail.
 
 use std::time::Duration;
 
@@ -19,12 +19,12 @@ use haptic_emulator::timing::{recorded, steps};
 use haptic_host::link::{BoardError, Row};
 use haptic_sim::MotorInput;
 
-/// Force of the hand on the wall, N.
+/// Force of the hand against the wall, N.
 const PUSH: f64 = 1.0;
-/// A row per millisecond, which fits the link under all conditions.
+/// Divider of the stream. It gives one row per millisecond, which always fits the link.
 const DIVIDER: u32 = 20;
 
-/// Runs a session on a board that latches `fault` if its power stage's fault line is low.
+/// Runs a session with a board that latches `fault` when the fault line of its power stage is low.
 fn session(kind: BoardKind, device: &str, fault: Fault) {
     let mut rig = Rig::with_device(kind, device, |options| {
         options.friction = false;
@@ -57,7 +57,7 @@ fn session(kind: BoardKind, device: &str, fault: Fault) {
     {
         let mut runs: Vec<u64> = rig.trace_control(MILLISECOND).iter().map(|run| run.path.len() as u64).collect();
         runs.sort_unstable();
-        // Crests are the longer half of the interrupts. The median leaves out the crest that checks the host, twice a second.
+        // The longer half of the interrupts are crests. Their median is no crest that checks the host (twice a second).
         let crest = runs.get(runs.len() * 3 / 4).copied();
         let (limit, _) = recorded(&record("timing"), case).expect("the case is in the table");
         assert!(
@@ -88,8 +88,8 @@ fn session(kind: BoardKind, device: &str, fault: Fault) {
     assert!(rig.with(|stopped| stopped.resets().is_empty()), "{}", rig.post_mortem());
 }
 
-/// Checks the telemetry of the entire session: the states off, armed, off; no force outside the wall, and inside it the
-/// force of its stiffness.
+/// Checks the telemetry of the entire session. The states are off, armed, off. Outside the wall there is no force, and
+/// inside the wall the force is that of the stiffness.
 fn check_rows(rows: &[Row], stiffness: f64) {
     let state = |row: &Row| row.get(Field::State)[0];
     let mut states: Vec<f64> = rows.iter().map(state).collect();
@@ -119,7 +119,7 @@ fn is_within_record(now: u64, recorded: u64) -> bool {
     100 * now <= 101 * recorded
 }
 
-/// With `UPDATE_DOCS=1` this test writes the table again, as `cargo xtask timing` does.
+/// With `UPDATE_DOCS=1` this test writes the table again, like `cargo xtask timing`.
 #[test]
 fn control_steps_stay_within_the_recorded_instructions() {
     let now = steps();
@@ -135,7 +135,7 @@ fn control_steps_stay_within_the_recorded_instructions() {
     }
 }
 
-/// Returns the refusal of a board.
+/// Returns the refusal in a board's reply.
 pub fn refused(outcome: Result<(), BoardError>) -> Refusal {
     match outcome {
         Err(BoardError::Refused(refusal)) => refusal,

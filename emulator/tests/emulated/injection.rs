@@ -1,11 +1,11 @@
-//! Every fault, caused in the release image: latched, listed, bridges off within a control period of its detection,
-//! cleared only on request. docs/results/faults.csv contains the results.
+//! Every fault is caused in the release image. It must be latched and listed, turn the bridges off within a control
+//! period of its detection, and be cleared only on request. docs/results/faults.csv contains the results.
 
 use haptic_bridge::safety::fault::Fault;
 use haptic_emulator::inject::{provoke, row};
 use haptic_emulator::results;
 
-/// Causes every fourth fault, starting with `first`: four tests run in parallel.
+/// Causes every fourth fault, starting with `first`, because four tests run in parallel.
 fn every_fourth(first: usize) {
     let text = std::fs::read_to_string(results("faults")).expect("docs/results/faults.csv exists");
     for fault in Fault::ALL.iter().skip(first).step_by(4) {

@@ -1,6 +1,6 @@
-//! Power cuts within the flash operations of a save, on the release image. Afterwards the board boots with the old or
-//! the new scene and all other settings, and the next save works. tests/power_cut.rs does the same with only a model of
-//! the flash, in many more states of the flash.
+//! Power cuts within the flash operations of a save, on the release image. Afterwards the board must start with the old
+//! or the new scene and all other settings, and the next save must work. tests/power_cut.rs tests many more states of
+//! the flash, with a model of the flash only.
 
 use haptic_bridge::board::protocol::SceneData;
 use haptic_emulator::boards::BoardKind;
@@ -8,16 +8,16 @@ use haptic_emulator::image::SETTINGS;
 use haptic_emulator::rig::Rig;
 use haptic_emulator::run::MILLISECOND;
 
-/// A number of flash operations larger than any save has.
+/// A number of flash operations that no save reaches.
 const MANY_OPERATIONS: u64 = 1 << 40;
 
-/// Loads a wall of this stiffness and saves it. Returns true if the board confirms the save.
+/// Loads a wall of `stiffness` (N/m) and saves it. Returns true if the board confirms the save.
 fn save(rig: &mut Rig, stiffness: u32) -> bool {
     rig.set_scene(&format!("[[wall]]\npoint = [0.0, 0.13]\nnormal = [0.0, -1.0]\nstiffness = {stiffness}\n"));
     rig.tool.save().is_ok()
 }
 
-/// Returns a rig with all settings saved in flash.
+/// Returns a rig whose settings are all saved in flash.
 fn saved_rig() -> Rig {
     let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |_| ());
     rig.load("");
@@ -26,7 +26,7 @@ fn saved_rig() -> Rig {
     rig
 }
 
-/// Returns the scene of a board, and checks that all other settings are kept.
+/// Returns the scene of a board. Asserts that all other settings are kept.
 fn scene(rig: &mut Rig) -> SceneData {
     let details = rig.tool.details().expect("the board replies");
     assert!(details.damage.is_empty(), "{:?}", details.damage);
@@ -43,12 +43,12 @@ fn restart_with(words: &[u32], rig: Rig) -> Rig {
     rig.restarted()
 }
 
-/// Cuts the power within the flash operation of this number, counted from now.
+/// Cuts the power within the flash operation number `operation`, counted from now.
 fn cut(rig: &Rig, operation: u64) {
     rig.with(move |stopped| stopped.hardware().chip.flash.hook.cut = Some(operation));
 }
 
-/// Returns the number of operations before the power cut.
+/// Returns the number of operations until the power cut.
 fn remaining(rig: &Rig) -> Option<u64> {
     rig.with(|stopped| stopped.hardware().chip.flash.hook.cut)
 }
@@ -82,8 +82,8 @@ fn test_cuts(step: usize, mut rig: Rig) -> u64 {
     operations
 }
 
-/// Cuts every fifth operation; no pattern of the entries has this period. tests/power_cut.rs cuts every operation on a
-/// PC.
+/// Cuts every fifth operation, because no pattern of the entries has the period 5. tests/power_cut.rs cuts every
+/// operation on a PC.
 #[test]
 fn a_power_cut_in_a_save_leaves_the_old_or_the_new_scene() {
     assert!(test_cuts(5, saved_rig()) > 20);
@@ -93,7 +93,7 @@ fn a_power_cut_in_a_save_leaves_the_old_or_the_new_scene() {
 fn a_power_cut_in_a_save_with_an_erase_leaves_old_or_new() {
     let mut rig = saved_rig();
     let erased = |rig: &Rig| rig.with(|stopped| stopped.hardware().chip.flash.hook.erased.len());
-    // Saves until the next save needs an erase.
+    // Saves until a save has erased a sector.
     let mut before = Vec::new();
     for nth in 0..400 {
         before = rig.with(|stopped| stopped.flash(SETTINGS));

@@ -1,13 +1,13 @@
-//! The paper's experiment on the release image: the range of stable walls agrees with the theory, and the feed-forward
-//! enlarges it. docs/results.md contains the complete measurement, see `cargo xtask range`.
+//! The paper's experiment on the release image. The range of stable walls must agree with the theory, and the
+//! feed-forward must enlarge it. docs/results.md has the complete measurement of `cargo xtask range`.
 
 use haptic_bridge::render::scene::FeedForward;
 use haptic_emulator::range::{RATES, delay_samples, measure_on, predicted, rig, rigid};
 
-/// Largest deviation of the boundary from the theory. It depends on the interrupt's phase in the carrier period, which
-/// differs between images: with the feed-forward, one point of one image was between 5 and 7 % below the theory.
+/// Largest deviation of the boundary from the theory, as a share. It depends on the interrupt's phase in the carrier
+/// period, which differs between images. With the feed-forward, one point of one image was 5 to 7 % below the theory.
 const AGREEMENT: f64 = 0.07;
-/// Measured points of the boundary, as shares of the largest damping of the range.
+/// Dampings of the measured points, as shares of the largest damping of the range.
 const SHARES: [f64; 3] = [0.2, 0.4, 0.6];
 
 fn boundary_agrees_with_theory(feed_forward: FeedForward) {

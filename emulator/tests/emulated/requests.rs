@@ -1,5 +1,5 @@
-//! A refused request changes nothing: sends the firmware every request that its state refuses, and checks the bridges'
-//! pins and the board's data. Tests of the library (tests/service.rs) check the text of each refusal.
+//! A refused request changes nothing. The firmware gets every request that its state refuses, and the bridges' pins and
+//! the board's data are checked. tests/service.rs checks the text of each refusal.
 
 use haptic_bridge::board::protocol::TableChunk;
 use haptic_bridge::board::settings::{self, Key};
@@ -16,7 +16,7 @@ use haptic_host::link::{Board, BoardError};
 
 use crate::session::WALL;
 
-/// A request with its name.
+/// Name of a request, and a function that sends the request.
 type Request = (&'static str, fn(&mut Board) -> Result<(), BoardError>);
 
 fn gains(wall: u8, stiffness: f32) -> Gains<f32> {
@@ -30,7 +30,7 @@ fn rules_with(board: &mut Board, change: impl Fn(&mut Rules)) -> Result<(), Boar
     board.set_rules(&rules)
 }
 
-/// Sends the present scene with another rate.
+/// Sends the present scene with half the control rate.
 fn another_rate(board: &mut Board) -> Result<(), BoardError> {
     let mut scene = board.scene()?.expect("a scene");
     scene.rate_hz *= 0.5;
@@ -61,7 +61,7 @@ const ALWAYS_REFUSED: &[Request] = &[
     ("a damaged entry", |board| board.stage_entry(Key::Rules, [1, 2, 3].into_iter().collect())),
 ];
 
-/// Requests that turn the motors on or prepare the board for that. They require motors off, no fault, and a device.
+/// Requests that turn the motors on or prepare for that. They require motors off, no fault, and a device.
 const NEED_READINESS: &[Request] =
     &[("arm", Board::arm), ("check polarity", Board::check_polarity), ("home", Board::home)];
 
@@ -83,7 +83,7 @@ const NEED_MOTORS_OFF: &[Request] = &[
     }),
 ];
 
-/// Returns everything that a tool can read from a board, except the time.
+/// Returns everything that a tool can read from a board, except times.
 fn contents(board: &mut Board) -> String {
     let status = board.status().expect("the board replies");
     let state = (status.state, status.homed, status.polarity, status.fault);
@@ -94,7 +94,7 @@ fn contents(board: &mut Board) -> String {
     format!("{state:?} {device:?} {scene:?} {rules:?} {entries:?}")
 }
 
-/// Sends requests that the board must refuse, and checks its pins and data after each.
+/// Sends requests that the board must refuse, and checks the board's pins and data after each request.
 fn check_refused(rig: &mut Rig, state: State, requests: &[Request]) {
     assert_eq!(rig.tool.status().expect("the board replies").state, state);
     let driving = state.drives();

@@ -1,4 +1,4 @@
-//! The settings that a board stores, and the free stack in the largest session.
+//! Saved settings survive a reset, and the largest session leaves stack free.
 
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::precomputed::{Interpolation, TableChunk};
@@ -40,7 +40,7 @@ fn unsaved_changes_are_lost_in_a_reset() {
     assert_eq!(rig.tool.device().expect("it replies"), None);
 }
 
-/// Sends a table of masses of the largest size.
+/// Sends a mass table of the largest size.
 fn send_largest_table(rig: &mut Rig) {
     let file = rig.file.as_ref().expect("a device at the connectors");
     let device = Device::<f64>::new(&file.name, &file.description).expect("a device");

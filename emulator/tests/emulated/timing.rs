@@ -1,11 +1,11 @@
-//! The control interrupt takes at most 3 % more instructions than recorded in docs/results/timing.csv.
+//! The control interrupt takes at most 3 % more instructions than docs/results/timing.csv records.
 
 use haptic_emulator::cases::CASES;
 use haptic_emulator::results;
 use haptic_emulator::timing::recorded;
 
-/// Largest permitted ratio to the recorded instructions. If it is exceeded, examine the cause and run
-/// `cargo xtask timing`.
+/// Largest permitted ratio to the recorded instructions. If it is exceeded, find the cause and run `cargo xtask
+/// timing`.
 const GROWTH: f64 = 1.03;
 
 fn stays_within_record(nth: usize) {

@@ -1,4 +1,4 @@
-//! Events at the USB cable and the computer that must not disturb a board.
+//! Events at the USB cable and the computer must not disturb a board.
 
 use std::io;
 use std::sync::{Arc, Mutex};
@@ -80,7 +80,7 @@ fn a_board_keeps_running_if_its_computer_stops_reading() {
     rig.with(|stopped| stopped.usb().read_port(true));
     rig.run(200 * MILLISECOND);
     let status = rig.tool.status().expect("the board replies");
-    // At least 1.2 s at 20 kHz: the control step did not wait.
+    // 24,000 steps are 1.2 s at 20 kHz, so the control step did not wait.
     assert!(status.step - before > 24_000, "{} steps", status.step - before);
     assert_eq!(status.fault, None);
     assert_eq!(rig.tool.details().expect("it replies").overruns, 0);
@@ -91,7 +91,7 @@ fn a_board_keeps_running_if_its_computer_stops_reading() {
 }
 
 /// The board waits at most 100 ms for an entire frame. Without this limit, a host that takes one packet every 90 ms
-/// would hold the link task for a second per frame, and the watchdog would bite.
+/// would hold the link task for a second per frame until the watchdog resets the board.
 #[test]
 fn a_board_keeps_running_if_its_computer_reads_slowly() {
     let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |_| ());
@@ -133,8 +133,8 @@ fn a_flood_of_requests_starves_no_task() {
     assert_eq!((status.state, status.fault), (State::Armed, None));
 }
 
-/// If a board is disarmed before a control step has connected the bridges, the next arming still reads the drivers'
-/// registers and measures the sensors' zeros again, which takes 34 ms.
+/// If a board is disarmed before a control step has connected the bridges, the next arming must still read the drivers'
+/// registers and measure the sensors' zeros, which takes 34 ms.
 #[test]
 fn every_arming_makes_the_drivers_ready_again() {
     let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |_| ());
@@ -181,7 +181,7 @@ impl Wire for RecordingWire {
     }
 }
 
-/// Returns the frames that a tool sends to the board while it connects and during `work`.
+/// Returns the frames that a tool sends while it connects and during `work`.
 fn recorded(rig: &mut Rig, work: impl FnOnce(&mut Rig)) -> Vec<Vec<u8>> {
     let sent = Arc::new(Mutex::new(Vec::new()));
     let wire = RecordingWire { wire: rig.shared.wire(), sent: sent.clone() };
@@ -191,11 +191,11 @@ fn recorded(rig: &mut Rig, work: impl FnOnce(&mut Rig)) -> Vec<Vec<u8>> {
     sent.split_inclusive(|byte| *byte == 0).filter(|frame| frame.len() > 1).map(<[u8]>::to_vec).collect()
 }
 
-/// Returns a burst of one of five kinds: silence, noise, random frames, changed requests, or some changed requests
-/// among unchanged ones.
+/// Returns a burst of one of five kinds: silence, noise, random frames, changed requests, or a mixture of changed and
+/// unchanged requests.
 fn burst(random: &mut Random, requests: &[Vec<u8>]) -> Vec<u8> {
     let mut below = |end: usize| random.bits() as usize % end;
-    // The longest burst is longer than the port can transfer until the next.
+    // The longest burst is longer than the port can transfer until the next burst.
     let length = below(3000);
     let mut bytes = Vec::new();
     match below(5) {
@@ -220,7 +220,7 @@ fn burst(random: &mut Random, requests: &[Vec<u8>]) -> Vec<u8> {
     bytes
 }
 
-/// Random bytes, random frames and changed requests do not make a disarmed board drive, and it works afterwards.
+/// Random bytes, random frames and changed requests must not make a disarmed board drive. It must work afterwards.
 #[test]
 fn a_minute_of_random_bytes_has_no_effect() {
     let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |options| options.substep = 25e-6);
@@ -243,7 +243,7 @@ fn a_minute_of_random_bytes_has_no_effect() {
         let burst = burst(&mut random, &requests);
         sent += burst.len();
         rig.with(move |stopped| {
-            // Drops the unsent bytes of the last burst, so a burst may also begin within a frame.
+            // The unsent bytes of the last burst are dropped, so a burst may also begin within a frame.
             stopped.usb().discard();
             stopped.usb().write(&burst);
         });
@@ -261,7 +261,7 @@ fn a_minute_of_random_bytes_has_no_effect() {
     rig.with(|stopped| stopped.usb().take());
     assert_eq!(rig.with(|stopped| stopped.resets().len()), 0);
     rig.tool = Board::over(rig.shared.wire(), "again").expect("the board replies again");
-    // A changed scene may contain numbers too large to compute with.
+    // A changed scene may contain numbers that are too large to compute with.
     let faults = rig.tool.faults().expect("the board replies");
     assert!(faults.iter().all(|record| record.fault == Fault::NotFinite), "{faults:?}");
     assert!(!rig.tool.status().expect("the board replies").state.drives());

@@ -97,7 +97,7 @@ fn the_bus_voltage_is_exact_within_a_converter_step() {
     }
 }
 
-/// If a page had another pin than the tests, users would wire a pin that no test covers.
+/// If a page showed another pin than the tests use, users would wire a pin that no test covers.
 #[test]
 fn each_wiring_page_and_drawing_contains_every_pin() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs");

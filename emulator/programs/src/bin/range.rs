@@ -1,7 +1,7 @@
-//! `range`: measures the entire range of stable walls on the emulated chip, without and with the feed-forward, and
-//! writes docs/results/range-chip.csv and its pictures. `cargo xtask range` runs it; it takes about ten minutes.
+//! `range` measures the entire range of stable walls on the emulated chip, without and with the feed-forward. It writes
+//! docs/results/range-chip.csv and the pictures in about ten minutes. `cargo xtask range` runs this program.
 //!
-//! Exit code 1: a measurement or a file failed.
+//! Exit code: 1 if a measurement failed or a file could not be written.
 
 use std::process::ExitCode;
 
@@ -34,8 +34,8 @@ fn run() -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-/// Measures both feed-forwards at `rate`, each on its own board. Returns the results and the delay that the board
-/// reports.
+/// Measures at `rate` without and with the feed-forward, each on its own board. Returns the results and the delay that
+/// the board reports.
 fn measure_both(rate: Rate) -> Result<(Progress, f64), String> {
     let parts = std::thread::scope(|scope| {
         let running = [FeedForward::Off, FeedForward::Full].map(|mode| {
