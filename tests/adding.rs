@@ -30,7 +30,7 @@ fn read(path: &str) -> String {
 }
 
 /// Returns every row of the table as its first cell and its full text.
-fn table() -> Vec<(String, String)> {
+fn table_rows() -> Vec<(String, String)> {
     let text = read("docs/architecture.md");
     let section = text.split("## Adding things").nth(1).expect("the section");
     let lines = section.lines().filter(|line| line.starts_with("| ")).skip(1);
@@ -38,7 +38,7 @@ fn table() -> Vec<(String, String)> {
 }
 
 /// Returns the file paths in `text`, except paths that contain `NAME`.
-fn files(text: &str) -> Vec<&str> {
+fn file_paths(text: &str) -> Vec<&str> {
     let words = text.split(|c: char| !is_path_char(c)).map(|word| word.trim_end_matches('.'));
     let is_file = |word: &&str| word.contains('/') && Path::new(word).extension().is_some();
     words.filter(is_file).filter(|word| !word.contains("NAME")).collect()
@@ -46,10 +46,10 @@ fn files(text: &str) -> Vec<&str> {
 
 #[test]
 fn every_file_that_the_table_names_exists() {
-    let table = table();
+    let table = table_rows();
     assert_eq!(table.iter().map(|(name, _)| name.as_str()).collect::<Vec<_>>(), ROWS.map(|(name, _)| name));
     for (name, line) in &table {
-        let files = files(line);
+        let files = file_paths(line);
         assert!(!files.is_empty(), "{name} names no file");
         for file in files {
             assert!(Path::new(env!("CARGO_MANIFEST_DIR")).join(file).exists(), "{name}: there is no {file}");
@@ -69,5 +69,5 @@ fn every_row_but_one_has_a_test_that_adds_a_toy() {
 #[test]
 fn the_files_of_a_row_are_found() {
     let row = "| a | `src/NAME.rs` | its line in src/lib.rs, and `b` (.cargo/config.toml). | c |";
-    assert_eq!(files(row), ["src/lib.rs", ".cargo/config.toml"]);
+    assert_eq!(file_paths(row), ["src/lib.rs", ".cargo/config.toml"]);
 }

@@ -48,7 +48,7 @@ fn an_indefinite_mass_matrix_is_refused_or_pushes_outwards() {
         for step in 0..=400 {
             for i in 0..2 {
                 let angle = turn[i] * f64::from(step) / 400.0;
-                board.samples.counts[i] = (angle / core::f64::consts::TAU * rig::COUNTS).round() as i32;
+                board.samples.counts[i] = (angle / core::f64::consts::TAU * rig::COUNTS_PER_TURN).round() as i32;
             }
             board.tick();
             if board.state() != State::Armed {
@@ -143,7 +143,7 @@ fn armed_rig(rate: f32, tip_force: f32) -> Rig {
 }
 
 /// Returns a request for a contact with a plane that faces +x. The tip is `depth` m inside the plane.
-fn contact(rig: &Rig, sequence: u32, depth: f32, stiffness: f32, [hold, fade]: [f32; 2]) -> ForceRequest {
+fn contact_request(rig: &Rig, sequence: u32, depth: f32, stiffness: f32, [hold, fade]: [f32; 2]) -> ForceRequest {
     let tip = rig.control_loop.status().tip;
     let point = [tip[0] + depth, tip[1], 0.0];
     let contact = Some(HostContact { point, normal: [1.0, 0.0, 0.0], stiffness, damping: 0.0 });
@@ -159,7 +159,7 @@ fn force_x(rig: &mut Rig) -> f32 {
 #[test]
 fn a_contact_renewed_twice_between_two_steps_returns_smoothly() {
     let mut rig = armed_rig(5_000.0, 1.0e3);
-    let renewed = contact(&rig, 1, 4.0e-3, 1e3, [0.01, 0.05]);
+    let renewed = contact_request(&rig, 1, 4.0e-3, 1e3, [0.01, 0.05]);
     rig.control_loop.force(&renewed);
     rig.run(0.03);
     let before = force_x(&mut rig);
@@ -174,8 +174,8 @@ fn a_contact_renewed_twice_between_two_steps_returns_smoothly() {
 #[test]
 fn a_contact_sent_again_while_its_lease_fades_moves_evenly() {
     let mut rig = armed_rig(20_000.0, 1.0e3);
-    let first = contact(&rig, 1, 1.0e-3, 1e3, [0.0, 0.2]);
-    let second = contact(&rig, 2, 5.0e-3, 1e3, [0.0, 0.2]);
+    let first = contact_request(&rig, 1, 1.0e-3, 1e3, [0.0, 0.2]);
+    let second = contact_request(&rig, 2, 5.0e-3, 1e3, [0.0, 0.2]);
     rig.control_loop.force(&first);
     rig.run(0.01);
     // The 4 N are spread over 10 ms, the time since the last request: 0.02 N per step.
@@ -196,7 +196,7 @@ fn a_contact_sent_again_while_its_lease_fades_moves_evenly() {
 #[test]
 fn a_late_renewal_causes_no_jump_of_a_contact_force() {
     let mut rig = armed_rig(20_000.0, 1.0e3);
-    let request = contact(&rig, 1, 4.0e-3, 1e3, [0.01, 0.05]);
+    let request = contact_request(&rig, 1, 4.0e-3, 1e3, [0.01, 0.05]);
     rig.control_loop.force(&request);
     rig.run(0.005);
     let before = force_x(&mut rig);
@@ -212,8 +212,8 @@ fn a_late_renewal_causes_no_jump_of_a_contact_force() {
 fn a_contact_between_two_planes_pushes_no_more_than_either() {
     let mut rig = armed_rig(20_000.0, 5.0);
     // 1 mm outside a stiff plane, then 100 mm inside a soft one: 0 N, then 1 N.
-    let stiff = contact(&rig, 1, -1.0e-3, 1.0e4, [0.1, 0.1]);
-    let soft = contact(&rig, 2, 0.1, 10.0, [0.1, 0.1]);
+    let stiff = contact_request(&rig, 1, -1.0e-3, 1.0e4, [0.1, 0.1]);
+    let soft = contact_request(&rig, 2, 0.1, 10.0, [0.1, 0.1]);
     rig.control_loop.force(&stiff);
     rig.run(0.02);
     rig.control_loop.force(&soft);
@@ -264,7 +264,7 @@ fn a_device_loads_although_the_present_scene_does_not_fit_it() {
 #[test]
 fn a_fault_is_published_although_a_save_precedes_the_next_poll() {
     let mut board = Board::ready(false, &rig::device(&five_bar()), &scene(2, &[]));
-    board.told = Some((Fault::GateDriver, None, 1.0));
+    board.reported_fault = Some((Fault::GateDriver, None, 1.0));
     board.tick();
     board.ask::<Save>(&()).unwrap().unwrap();
     assert!(board.service.poll(&mut board.machine).is_some());

@@ -1,6 +1,6 @@
 //! The control loop refuses unsafe commands, keeps its state, and turns the motors on and off without jumps.
 
-use crate::rig::{self, RATE, Rig, five_bar, hardware, limits, paddle, rules, scene, spring_scene, wall};
+use crate::rig::{self, RATE_HZ, Rig, five_bar, hardware, limits, paddle, rules, scene, spring_scene, wall};
 use core::f64::consts::TAU;
 use haptic_bridge::control::joints::{Counts, Torques};
 use haptic_bridge::control::{ARM_SECONDS, Beat, Command, HostAction, Press, Rules};
@@ -12,8 +12,8 @@ use haptic_bridge::safety::fault::{Fault, FaultRecord, State};
 use haptic_bridge::safety::limits::Limits;
 use haptic_bridge::safety::refusal::Refusal;
 
-fn gains(stiffness: f32, damping: f32, feed_forward: FeedForward) -> Command<rig::Held> {
-    let washout = Washout::new(2.0, RATE).unwrap();
+fn gains_command(stiffness: f32, damping: f32, feed_forward: FeedForward) -> Command<rig::BoxedProgram> {
+    let washout = Washout::new(2.0, RATE_HZ).unwrap();
     Command::Gains(Gains { wall: 0, stiffness, damping, feed_forward, washout_hz: 2.0 }, washout)
 }
 
@@ -22,7 +22,7 @@ fn motors_stay_off_without_a_device() {
     let mut rig = Rig::bare(hardware(), rules());
     rig.step();
     assert!(rig.motors_off());
-    for command in [Command::Arm, Command::CheckPolarity, Command::Home, gains(1.0, 0.0, FeedForward::Off)] {
+    for command in [Command::Arm, Command::CheckPolarity, Command::Home, gains_command(1.0, 0.0, FeedForward::Off)] {
         assert_eq!(rig.execute(command), Err(Refusal::NoDevice));
     }
     rig.run(0.1);
@@ -129,7 +129,7 @@ fn arming_is_refused_at_a_singular_pose() {
     while rig.execute(Command::Arm).is_ok() && angle < 1.0 {
         rig.execute(Command::Disarm).unwrap();
         angle += 0.001;
-        let counts = (angle / core::f64::consts::TAU * rig::COUNTS) as i32;
+        let counts = (angle / core::f64::consts::TAU * rig::COUNTS_PER_TURN) as i32;
         rig.samples.counts = Counts([counts, -counts, 0]);
         rig.step();
     }
@@ -155,7 +155,7 @@ fn homing_declares_the_pose_of_the_device_file() {
     rig.execute(Command::Home).unwrap();
     rig.step();
     let q = rig.control_loop.status().q;
-    let count = core::f32::consts::TAU / rig::COUNTS as f32;
+    let count = core::f32::consts::TAU / rig::COUNTS_PER_TURN as f32;
     assert!((q[0] - 2.4).abs() <= count && (q[1] - 0.7).abs() <= count, "{q:?}");
 }
 
@@ -166,10 +166,10 @@ fn torque_rises_from_zero_after_arming() {
     rig.execute(Command::Arm).unwrap();
     let full = 100.0 * 0.02 * 0.1;
     let mut last = 0.0;
-    for step in 1..=(ARM_SECONDS * RATE) as u32 {
+    for step in 1..=(ARM_SECONDS * RATE_HZ) as u32 {
         rig.step();
         let torque = rig.torques()[0];
-        let expected = full * step as f32 / (ARM_SECONDS * RATE);
+        let expected = full * step as f32 / (ARM_SECONDS * RATE_HZ);
         assert!((torque - expected).abs() < 1.0e-3 * full, "step {step}: {torque} for {expected}");
         assert!(torque >= last);
         last = torque;
@@ -200,7 +200,7 @@ fn a_touched_scene_or_another_rate_is_refused_while_armed() {
     let mut rig = Rig::armed();
     assert_eq!(rig.load(&paddle(), &scene(1, &[wall(0.01, 10.0)]), true), Err(Refusal::InsideWall));
     let mut faster = scene(1, &[]);
-    faster.rate_hz = 2.0 * RATE;
+    faster.rate_hz = 2.0 * RATE_HZ;
     assert_eq!(rig.load(&paddle(), &faster, true), Err(Refusal::Armed));
     assert_eq!(rig.load(&paddle(), &scene(1, &[]), false), Err(Refusal::Armed), "another device");
     assert_eq!(rig.state(), State::Armed);
@@ -350,7 +350,7 @@ fn gains_changed_in_contact_cause_no_other_change_of_torque() {
     rig.settle();
     // The tip is 5 mm deep, so 100 N/m make 0.5 N or 0.05 N m.
     for stiffness in [100.0, 200.0, 150.0, 0.0, 400.0] {
-        rig.execute(gains(stiffness, 0.0, FeedForward::Off)).unwrap();
+        rig.execute(gains_command(stiffness, 0.0, FeedForward::Off)).unwrap();
         rig.step();
         let expected = stiffness * 0.005 * 0.1;
         let torque = rig.torques()[0];
@@ -358,7 +358,7 @@ fn gains_changed_in_contact_cause_no_other_change_of_torque() {
     }
     // Damping makes no force at rest.
     let before = rig.torques()[0];
-    rig.execute(gains(400.0, 50.0, FeedForward::Off)).unwrap();
+    rig.execute(gains_command(400.0, 50.0, FeedForward::Off)).unwrap();
     rig.step();
     assert!((rig.torques()[0] - before).abs() < 1.0e-3 * before);
 }
@@ -369,7 +369,7 @@ fn invalid_gains_turn_the_motors_off() {
         let mut rig = Rig::ready(&scene(1, &[wall(-0.005, 100.0)]));
         rig.arm();
         rig.turn(0, -0.1, 1.0);
-        rig.execute(gains(stiffness, 0.0, FeedForward::Off)).unwrap();
+        rig.execute(gains_command(stiffness, 0.0, FeedForward::Off)).unwrap();
         rig.step();
         assert!(rig.motors_off());
         assert_eq!(rig.fault(), Some(Fault::NotFinite));
@@ -417,7 +417,7 @@ fn the_polarity_check_waits_for_a_gliding_joint() {
     let mut rig = Rig::with(&five_bar(), &scene(2, &[]), hardware(), rules());
     rig.execute(Command::CheckPolarity).unwrap();
     let mut body = rig::Body::of(&five_bar());
-    body.check_first(&mut rig);
+    body.run_first_joint_check(&mut rig);
     // The joint glides backwards for 1.5 s, like a device almost without friction.
     for _ in 0..(1.5 * rig.rate) as u32 {
         body.qd = [0.0, -0.05, 0.0];
@@ -425,7 +425,7 @@ fn the_polarity_check_waits_for_a_gliding_joint() {
     }
     assert_eq!(rig.state(), State::CheckingPolarity, "{:?}", rig.fault());
     body.qd = [0.0; 3];
-    body.check(&mut rig, 1.0);
+    body.run_check(&mut rig, 1.0);
     assert!(rig.control_loop.status().polarity, "{:?}", rig.fault());
 }
 
@@ -436,10 +436,10 @@ fn a_joint_that_a_hand_moves_fails_the_polarity_check() {
         let mut rig = Rig::with(&five_bar(), &scene(2, &[]), hardware(), rules());
         rig.execute(Command::CheckPolarity).unwrap();
         if joint == 1 {
-            rig::Body::of(&five_bar()).check_first(&mut rig);
+            rig::Body::of(&five_bar()).run_first_joint_check(&mut rig);
         }
         let counts = rig.samples.counts[joint];
-        let per_step = speed / f64::from(rig.rate) / TAU * rig::COUNTS;
+        let per_step = speed / f64::from(rig.rate) / TAU * rig::COUNTS_PER_TURN;
         for step in 0..(8.0 * rig.rate) as u32 {
             rig.samples.counts[joint] = counts + (f64::from(step) * per_step) as i32;
             rig.step();
@@ -491,7 +491,7 @@ fn a_joint_that_turns_back_or_not_at_all_fails_the_check() {
     rig.execute(Command::CheckPolarity).unwrap();
     assert!(!rig.control_loop.status().polarity, "a new check discards the earlier result");
     let mut body = rig::Body::of(&paddle());
-    body.check(&mut rig, -1.0);
+    body.run_check(&mut rig, -1.0);
     assert_eq!(rig.fault(), Some(Fault::PolarityWrong));
     rig.execute(Command::Clear).unwrap();
     rig.execute(Command::CheckPolarity).unwrap();
@@ -533,8 +533,8 @@ fn commands_in_any_order_never_move_a_disarmed_device() {
                 2 => Command::Clear,
                 3 => Command::Home,
                 4 => Command::Beat([Beat::Here, Beat::Held(press), Beat::Released][moved.unsigned_abs() as usize % 3]),
-                5 => gains(number, number, FeedForward::Full),
-                6 => gains(number, 0.0, FeedForward::Washout),
+                5 => gains_command(number, number, FeedForward::Full),
+                6 => gains_command(number, 0.0, FeedForward::Washout),
                 7 => Command::Fault(FaultRecord { fault: Fault::GateDriver, axis: None, value: number, step: 0 }),
                 8 => Command::Rules(Rules { passivity: number > 0.0, ..rules() }),
                 _ => Command::PolarityKnown,

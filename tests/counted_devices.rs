@@ -13,7 +13,7 @@ fn joint_parameters(joint: &Joint) -> [f64; 4] {
 }
 
 /// Returns true if all numbers are equal within 8 rounding errors.
-fn equal(counted: &[f64], shipped: &[f64]) -> bool {
+fn nearly_equal(counted: &[f64], shipped: &[f64]) -> bool {
     counted.len() == shipped.len()
         && counted.iter().zip(shipped).all(|(a, b)| (a - b).abs() <= 8.0 * f64::EPSILON * a.abs().max(b.abs()))
 }
@@ -40,7 +40,7 @@ fn the_counted_devices_are_the_shipped_devices() {
         };
         assert_eq!(counted.kind, shipped.kind, "{name}");
         assert!(
-            equal(&numbers(&counted), &numbers(&shipped)),
+            nearly_equal(&numbers(&counted), &numbers(&shipped)),
             "{name}: {:?}\n{:?}",
             numbers(&counted),
             numbers(&shipped)

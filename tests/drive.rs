@@ -4,8 +4,8 @@ use haptic_bridge::drive::brushed::{Axis, UNKNOWN_INDUCTANCE_SHARE};
 use haptic_bridge::drive::stage::{Bridge, Duty, MAX_DUTY, Stage, Supply};
 use haptic_bridge::model::motor::Motor;
 
-const CARRIER: f32 = 20_000.0;
-const BUS: f32 = 24.0;
+const CARRIER_HZ: f32 = 20_000.0;
+const BUS_VOLTS: f32 = 24.0;
 
 fn motor() -> Motor<f32> {
     Motor {
@@ -19,7 +19,7 @@ fn motor() -> Motor<f32> {
 }
 
 fn bridge(current_sensed: bool) -> Bridge {
-    Bridge { carrier_hz: CARRIER, dead_time: 200.0e-9, bandwidth_hz: 1_000.0, current_sensed }
+    Bridge { carrier_hz: CARRIER_HZ, dead_time: 200.0e-9, bandwidth_hz: 1_000.0, current_sensed }
 }
 
 /// A motor's winding at a constant speed (rad/s), driven by a bridge with a dead time (s). The current is computed
@@ -42,10 +42,10 @@ impl Winding {
 
     /// Applies a duty for this share of a carrier period.
     fn apply(&mut self, duty: f32, share: f32) {
-        let lost = 2.0 * self.dead_time * CARRIER * BUS * self.current.signum();
+        let lost = 2.0 * self.dead_time * CARRIER_HZ * BUS_VOLTS * self.current.signum();
         let emf = self.motor.back_emf * self.speed;
-        let goal = (duty * BUS - lost - emf) / self.motor.resistance;
-        let fade = (-self.motor.resistance / self.motor.inductance / CARRIER * share).exp();
+        let goal = (duty * BUS_VOLTS - lost - emf) / self.motor.resistance;
+        let fade = (-self.motor.resistance / self.motor.inductance / CARRIER_HZ * share).exp();
         self.current = goal + (self.current - goal) * fade;
     }
 
@@ -65,8 +65,8 @@ impl Winding {
     ) {
         for period in 0..periods {
             let late = late(period);
-            let next = f32::from(axis.drive(&Supply::of(BUS), self.current, self.measured_speed, late));
-            axis.settle(BUS, self.measured_speed, self.measured_speed, self.measured_speed);
+            let next = f32::from(axis.drive(&Supply::of(BUS_VOLTS), self.current, self.measured_speed, late));
+            axis.settle(BUS_VOLTS, self.measured_speed, self.measured_speed, self.measured_speed);
             self.apply(self.duty, 0.5);
             at_valley(period, self.current);
             self.duty = if late { self.duty } else { next };
@@ -80,7 +80,7 @@ fn settled_current(motor: &Motor<f32>, sensed: bool, torque: f32, speed: f32, se
     let mut axis = Axis::new(motor, &bridge(sensed), 10.0);
     let mut winding = Winding { measured_speed: speed, ..Winding::new(*motor, speed) };
     axis.command(torque);
-    winding.run(&mut axis, (seconds * CARRIER) as usize, |_, _| {});
+    winding.run(&mut axis, (seconds * CARRIER_HZ) as usize, |_, _| {});
     (winding.current, axis)
 }
 
@@ -106,7 +106,7 @@ fn the_current_loop_is_right_with_a_wrong_resistance() {
 }
 
 #[test]
-fn a_current_within_the_bus_takes_one_carrier_period() {
+fn a_step_within_the_bus_voltage_takes_one_carrier_period() {
     // 0.4 A in 50 µs need 8 V across 1 mH and at most 2.4 V across 6 ohm.
     for (resistance, inductance) in
         [(1.5, 1.0e-3), (6.0, 1.0e-3), (1.5, 1.0e-4), (1.5, 2.0e-5), (1.5, 1.0e-9), (0.01, 1.0e-3)]
@@ -124,9 +124,9 @@ fn a_current_within_the_bus_takes_one_carrier_period() {
 }
 
 /// A name, and a function that returns true for periods with late duties (steps longer than half a carrier period).
-type Lateness = (&'static str, fn(usize) -> bool);
+type LatePattern = (&'static str, fn(usize) -> bool);
 
-const LATE: [Lateness; 4] = [
+const LATE_PATTERNS: [LatePattern; 4] = [
     ("always", |_| true),
     ("at every other crest", |period| period.is_multiple_of(2)),
     ("at irregular crests", |period| [0, 1, 3].contains(&(period * period % 7))),
@@ -138,7 +138,7 @@ fn late_duties_do_not_strain_a_motor_that_is_like_its_file() {
     let file = Motor { back_emf: 0.0, ..motor() };
     for inductance in [1.0e-3, 1.0e-4, 2.0e-5] {
         let file = Motor { inductance, ..file };
-        for (name, late) in LATE {
+        for (name, late) in LATE_PATTERNS {
             let mut axis = Axis::new(&file, &Bridge { dead_time: 0.0, ..bridge(true) }, 10.0);
             let mut winding = Winding { dead_time: 0.0, ..Winding::new(file, 0.0) };
             for target in [0.4, -0.4, 2.0, 0.0, -3.5, 3.5, 0.02, 0.02] {
@@ -168,7 +168,7 @@ fn no_pattern_of_late_duties_causes_an_over_current() {
     for (resistance, inductance) in [(0.5, 1.0e-4), (0.5, 3.0e-4), (1.5, 1.0e-4), (1.5, 1.0e-3), (0.5, 2.0e-5)] {
         let file = Motor { resistance, inductance, ..motor() };
         // The torque reverses every few periods, at every phase of the late duties, while the rotor turns.
-        for (name, late) in LATE {
+        for (name, late) in LATE_PATTERNS {
             for every in 1..9 {
                 let mut axis = Axis::new(&file, &bridge(true), limit);
                 let mut winding = Winding::new(file, 0.0);
@@ -188,7 +188,7 @@ fn no_pattern_of_late_duties_causes_an_over_current() {
 }
 
 #[test]
-fn a_current_beyond_the_bus_takes_longer_and_settles() {
+fn a_step_beyond_the_bus_voltage_takes_longer_and_settles() {
     let step = |actual: Motor<f32>| {
         let mut axis = Axis::new(&motor(), &bridge(true), 10.0);
         let (mut most, mut arrived) = (0.0_f32, None);
@@ -321,7 +321,7 @@ fn the_integrator_does_not_wind_up_at_a_saturated_bus() {
     assert!((winding.current - 4.0).abs() < 0.05, "{}", winding.current);
 }
 
-const ANY: [f32; 12] = [
+const TEST_NUMBERS: [f32; 12] = [
     0.0,
     -0.0,
     1.0,
@@ -339,10 +339,10 @@ const ANY: [f32; 12] = [
 #[test]
 fn each_leg_stays_between_4_and_96_percent_for_any_input() {
     for sensed in [true, false] {
-        for torque in ANY {
-            for speed in ANY {
-                for bus in ANY {
-                    for current in ANY {
+        for torque in TEST_NUMBERS {
+            for speed in TEST_NUMBERS {
+                for bus in TEST_NUMBERS {
+                    for current in TEST_NUMBERS {
                         let mut axis = Axis::new(&motor(), &bridge(sensed), 10.0);
                         axis.command(torque);
                         for late in [false, true, true, false] {
@@ -360,9 +360,9 @@ fn each_leg_stays_between_4_and_96_percent_for_any_input() {
 
 #[test]
 fn a_motor_with_any_parameters_gets_a_duty_within_bounds() {
-    for a in ANY {
-        for b in ANY {
-            for c in ANY {
+    for a in TEST_NUMBERS {
+        for b in TEST_NUMBERS {
+            for c in TEST_NUMBERS {
                 let motor = Motor {
                     torque_constant: a,
                     resistance: b,
@@ -374,7 +374,7 @@ fn a_motor_with_any_parameters_gets_a_duty_within_bounds() {
                 let mut axis = Axis::new(&motor, &bridge(true), c);
                 axis.command(1.0);
                 for late in [false, true, true, false] {
-                    let duty = f32::from(axis.drive(&Supply::of(BUS), 0.5, 1.0, late));
+                    let duty = f32::from(axis.drive(&Supply::of(BUS_VOLTS), 0.5, 1.0, late));
                     assert!(duty.abs() <= MAX_DUTY, "{a} {b} {c}: {duty}");
                 }
             }
@@ -383,10 +383,10 @@ fn a_motor_with_any_parameters_gets_a_duty_within_bounds() {
 }
 
 #[test]
-fn invalid_numbers_leave_no_trace() {
-    for torque in ANY {
-        for speed in ANY {
-            for bus in ANY {
+fn the_current_loop_recovers_from_invalid_numbers() {
+    for torque in TEST_NUMBERS {
+        for speed in TEST_NUMBERS {
+            for bus in TEST_NUMBERS {
                 let mut axis = Axis::new(&motor(), &bridge(true), 10.0);
                 axis.command(torque);
                 let drives = [true, false, true].map(|late| axis.drive(&Supply::of(bus), torque, speed, late));

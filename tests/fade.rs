@@ -15,14 +15,14 @@ use haptic_bridge::safety::limits::Limits;
 use nalgebra::Vector2;
 
 /// Rounding error of a tip force after its torque was converted to a current and back, N.
-const ROUNDING: f64 = 1.0e-3;
+const ROUNDING_N: f64 = 1.0e-3;
 
 fn torques(rig: &Rig) -> [f32; MAX_JOINTS] {
     *rig.torques()
 }
 
 /// Returns rules in which the tip force (N) is the only effective limit.
-fn gentle(tip_force: f32) -> Rules {
+fn force_limited_rules(tip_force: f32) -> Rules {
     Rules {
         limits: Limits { torque: [3.0; MAX_JOINTS], current: [30.0; MAX_JOINTS], tip_force, ..limits() },
         ..rules()
@@ -30,14 +30,14 @@ fn gentle(tip_force: f32) -> Rules {
 }
 
 /// Returns a scene with a spring that pulls the tip at home with the force (x, y), N.
-fn pulled(tip: [f32; 3], [x, y]: [f32; 2]) -> Scene<f32> {
+fn spring_pull_scene(tip: [f32; 3], [x, y]: [f32; 2]) -> Scene<f32> {
     spring_scene(2, [tip[0] + x / 10.0, tip[1] + y / 10.0, 0.0], 10.0)
 }
 
 /// Creates an armed five-bar at home whose tip a spring pulls with the force `pull`, N.
-fn at_home(rules: Rules, pull: [f32; 2]) -> Rig {
+fn rig_with_pull(rules: Rules, pull: [f32; 2]) -> Rig {
     let tip = Rig::with(&five_bar(), &scene(2, &[]), hardware(), rules).control_loop.frame().at.tip;
-    let mut rig = Rig::with(&five_bar(), &pulled(tip, pull), hardware(), rules);
+    let mut rig = Rig::with(&five_bar(), &spring_pull_scene(tip, pull), hardware(), rules);
     rig.arm();
     rig
 }
@@ -45,7 +45,7 @@ fn at_home(rules: Rules, pull: [f32; 2]) -> Rig {
 #[test]
 fn the_limit_holds_for_a_fade_while_the_elbow_stretches() {
     for pull in [[1.9, 0.0], [-1.3, 1.3], [1.3, 1.3]] {
-        let mut rig = at_home(gentle(2.0), pull);
+        let mut rig = rig_with_pull(force_limited_rules(2.0), pull);
         assert!((rig.tip_force().norm() - 1.9).abs() < 0.1, "{} N", rig.tip_force().norm());
         rig.load(&five_bar(), &scene(2, &[]), true).expect("free space");
         let before = torques(&rig);
@@ -64,7 +64,7 @@ fn the_limit_holds_for_a_fade_while_the_elbow_stretches() {
             );
             alone = alone.max(old.norm());
             assert!(
-                rig.tip_force().norm() <= 2.0 + 5.0 * ROUNDING,
+                rig.tip_force().norm() <= 2.0 + 5.0 * ROUNDING_N,
                 "{} N, {:?}",
                 rig.tip_force().norm(),
                 rig.control_loop.frame()
@@ -76,12 +76,12 @@ fn the_limit_holds_for_a_fade_while_the_elbow_stretches() {
 
 #[test]
 fn a_lowered_torque_limit_scales_a_fading_force() {
-    let mut rig = at_home(gentle(5.0), [4.0, 2.0]);
+    let mut rig = rig_with_pull(force_limited_rules(5.0), [4.0, 2.0]);
     let before = rig.tip_force();
     rig.load(&five_bar(), &scene(2, &[]), true).expect("free space");
     rig.step();
     for joint in 0..2 {
-        let mut lower = gentle(5.0);
+        let mut lower = force_limited_rules(5.0);
         lower.limits.torque[joint] = 0.1 * torques(&rig)[joint].abs();
         rig.execute(Command::Rules(lower)).expect("lowered while armed");
         rig.step();
@@ -89,7 +89,7 @@ fn a_lowered_torque_limit_scales_a_fading_force() {
         assert!(left.norm() < 0.11 * before.norm(), "{left} of {before}");
         let aside = (left.x * before.y - left.y * before.x).abs() / before.norm();
         assert!(aside < 0.01 * before.norm(), "the direction changed: {left} of {before}");
-        let mut raised = at_home(gentle(5.0), [4.0, 2.0]);
+        let mut raised = rig_with_pull(force_limited_rules(5.0), [4.0, 2.0]);
         raised.load(&five_bar(), &scene(2, &[]), true).expect("free space");
         raised.step();
         rig = raised;
@@ -98,11 +98,11 @@ fn a_lowered_torque_limit_scales_a_fading_force() {
 
 #[test]
 fn torques_do_not_jump_when_a_wall_at_the_limit_is_replaced() {
-    let tip = Rig::with(&five_bar(), &scene(2, &[]), hardware(), gentle(2.0)).control_loop.frame().at.tip;
+    let tip = Rig::with(&five_bar(), &scene(2, &[]), hardware(), force_limited_rules(2.0)).control_loop.frame().at.tip;
     let normal = [0.8, 0.6, 0.0];
     let surface = Surface::Plane(Plane { point: [tip[0] + 1.0e-3, tip[1], 0.0], normal });
     let bilateral = Wall { surface, bilateral: true, feed_forward: FeedForward::Full, ..wall(0.0, 2_480.0) };
-    let mut rig = Rig::with(&five_bar(), &scene(2, &[bilateral]), hardware(), gentle(2.0));
+    let mut rig = Rig::with(&five_bar(), &scene(2, &[bilateral]), hardware(), force_limited_rules(2.0));
     rig.arm();
     let before = torques(&rig);
     assert!(
@@ -128,7 +128,7 @@ fn torques_do_not_jump_when_a_wall_at_the_limit_is_replaced() {
 #[test]
 fn a_host_force_ends_with_its_lease_after_a_new_scene() {
     for (torque, push) in [([0.1, -0.05, 0.0], [0.0; 3]), ([0.0; 3], [1.0, -0.5, 0.0])] {
-        let mut rig = at_home(gentle(5.0), [0.6, 0.8]);
+        let mut rig = rig_with_pull(force_limited_rules(5.0), [0.6, 0.8]);
         let spring = torques(&rig);
         let request =
             ForceRequest { sequence: 1, hold: 0.02, fade: 0.02, torque, force: push, ..ForceRequest::default() };
@@ -163,7 +163,7 @@ fn no_force_outlives_its_lease_or_reverses_after_a_new_scene() {
     };
     let free = scene(2, &[]);
     for (first, second) in [(0.005, 1.0), (0.1, 0.0), (0.0, 0.1)] {
-        let mut rig = Rig::with(&five_bar(), &free, hardware(), gentle(5.0));
+        let mut rig = Rig::with(&five_bar(), &free, hardware(), force_limited_rules(5.0));
         rig.arm();
         assert_eq!(rig.control_loop.force(&push(1, first)).done, ForceDone::Taken);
         rig.step();
@@ -184,7 +184,7 @@ fn further_scenes_do_not_prolong_a_host_force() {
     for steps_between in [0, 1, 20] {
         for (torque, push) in [([0.1, -0.05, 0.0], [0.0; 3]), ([0.0; 3], [4.0, 0.0, 0.0])] {
             let free = scene(2, &[]);
-            let mut rig = Rig::with(&five_bar(), &free, hardware(), gentle(5.0));
+            let mut rig = Rig::with(&five_bar(), &free, hardware(), force_limited_rules(5.0));
             rig.arm();
             let request =
                 ForceRequest { sequence: 1, hold: 0.02, fade: 0.02, torque, force: push, ..ForceRequest::default() };
@@ -209,10 +209,11 @@ fn compensated_weight_does_not_count_against_the_limit() {
     }
     let Ok(AnyMechanism::FiveBar(mechanism)) = AnyMechanism::<f64>::new(&heavy) else { panic!("a five-bar") };
     let weight = |q: &[f32; 3]| mechanism.gravity(&mechanism.pose::<Libm>(&Vector2::new(q[0], q[1]).map(f64::from)));
-    let tip = Rig::with(&heavy, &scene(2, &[]), hardware(), gentle(2.0)).control_loop.frame().at.tip;
+    let tip = Rig::with(&heavy, &scene(2, &[]), hardware(), force_limited_rules(2.0)).control_loop.frame().at.tip;
     for (before, after) in [(false, true), (true, false), (true, true)] {
         let with = |scene: Scene<f32>, on| Scene { gravity_compensation: on, ..scene };
-        let mut rig = Rig::with(&heavy, &with(pulled(tip, [1.9, 0.0]), before), hardware(), gentle(2.0));
+        let mut rig =
+            Rig::with(&heavy, &with(spring_pull_scene(tip, [1.9, 0.0]), before), hardware(), force_limited_rules(2.0));
         rig.arm();
         rig.load(&heavy, &with(scene(2, &[]), after), true).expect("free space");
         for step in 1..=900 {
@@ -237,7 +238,7 @@ fn compensated_weight_does_not_count_against_the_limit() {
 fn a_new_scene_at_the_end_of_the_ramp_reverses_no_force() {
     for steps in 998..=1_003 {
         let free = scene(2, &[]);
-        let mut rig = Rig::with(&five_bar(), &free, hardware(), gentle(5.0));
+        let mut rig = Rig::with(&five_bar(), &free, hardware(), force_limited_rules(5.0));
         rig.execute(Command::Arm).expect("ready");
         for step in 0..steps {
             // The requested force is four times the tip-force limit.
@@ -249,9 +250,9 @@ fn a_new_scene_at_the_end_of_the_ramp_reverses_no_force() {
         rig.load(&five_bar(), &free, true).expect("free space");
         for _ in 0..600 {
             rig.step();
-            assert!(rig.tip_force().x > -ROUNDING, "a scene after {steps} steps: {} N", rig.tip_force().x);
+            assert!(rig.tip_force().x > -ROUNDING_N, "a scene after {steps} steps: {} N", rig.tip_force().x);
         }
-        assert!(rig.tip_force().norm() < ROUNDING, "a scene after {steps} steps: {}", rig.tip_force());
+        assert!(rig.tip_force().norm() < ROUNDING_N, "a scene after {steps} steps: {}", rig.tip_force());
     }
 }
 
@@ -263,7 +264,7 @@ fn compensated_weight_follows_the_pose_through_many_scenes() {
     heavy.links.iter_mut().for_each(|link| link.mass = 0.2);
     let scene = Scene { gravity_compensation: true, ..scene(2, &[]) };
     let armed = || {
-        let mut rig = Rig::with(&heavy, &scene, hardware(), gentle(2.0));
+        let mut rig = Rig::with(&heavy, &scene, hardware(), force_limited_rules(2.0));
         rig.arm();
         rig
     };

@@ -10,7 +10,7 @@ const LEVELS: [&[&str]; 6] =
     [&["math", "checksum"], &["model"], &["render", "drive"], &["safety"], &["control"], &["board"]];
 
 /// The source folders of the host's crates, the tool last. Cargo prevents imports of a crate by a lower crate.
-const HOST: [&str; 7] = [
+const HOST_FOLDERS: [&str; 7] = [
     "host/src",
     "crates/flash/src",
     "crates/sim/src",
@@ -21,10 +21,10 @@ const HOST: [&str; 7] = [
 ];
 
 /// Words for boards and chips. The library must not contain them because all boards share it.
-const FOREIGN: [&str; 6] = ["odrive", "h-bridge", "stm32", "f405", "cortex", "embassy"];
+const BOARD_WORDS: [&str; 6] = ["odrive", "h-bridge", "stm32", "f405", "cortex", "embassy"];
 
 /// Files below the tool that may contain options because they write complete command lines.
-const WRITERS: [&str; 4] = [
+const FILES_WITH_OPTIONS: [&str; 4] = [
     "crates/stability/src/analysis/prediction.rs",
     "crates/predict/src/plausible/scene.rs",
     "crates/show/src/demo.rs",
@@ -32,9 +32,9 @@ const WRITERS: [&str; 4] = [
 ];
 
 /// Text with which a module of tests starts.
-const TESTS: &str = "#[cfg(test)]\nmod ";
+const TEST_MODULE_START: &str = "#[cfg(test)]\nmod ";
 
-fn level(floor: &str) -> Option<usize> {
+fn level_of(floor: &str) -> Option<usize> {
     LEVELS.iter().position(|floors| floors.contains(&floor))
 }
 
@@ -43,11 +43,11 @@ fn root() -> &'static Path {
 }
 
 /// Appends the source files in `folder` to `found`.
-fn files(folder: &Path, found: &mut Vec<PathBuf>) {
+fn collect_files(folder: &Path, found: &mut Vec<PathBuf>) {
     for entry in read_dir(folder).expect("a readable folder") {
         let path = entry.expect("a readable entry").path();
         if path.is_dir() {
-            files(&path, found);
+            collect_files(&path, found);
         } else if path.extension().is_some_and(|end| end == "rs") {
             found.push(path);
         }
@@ -58,7 +58,7 @@ fn files(folder: &Path, found: &mut Vec<PathBuf>) {
 fn sources(folder: &str) -> Vec<(String, String)> {
     let folder = root().join(folder);
     let mut found = Vec::new();
-    files(&folder, &mut found);
+    collect_files(&folder, &mut found);
     let read = |path: PathBuf| {
         let text = read_to_string(&path).expect("a readable source");
         let lines = text.lines().filter(|line| !line.trim_start().starts_with("#[doc"));
@@ -78,15 +78,15 @@ impl Source {
     fn new(file: &str, code: &str) -> Self {
         let path: Vec<String> = file.trim_end_matches(".rs").split('/').map(String::from).collect();
         let mut source = Self { path: path.clone(), uses: Vec::new() };
-        let (own, tests) = code.split_once(TESTS).unwrap_or((code, ""));
-        source.read(&path, own);
-        source.read(&[&path[..], &["tests".to_owned()]].concat(), tests);
+        let (own, tests) = code.split_once(TEST_MODULE_START).unwrap_or((code, ""));
+        source.record_paths(&path, own);
+        source.record_paths(&[&path[..], &["tests".to_owned()]].concat(), tests);
         source
     }
 
     /// Records the paths in a module's code that begin with `crate` or `super`, also paths in braces. Other paths stay
     /// inside the module.
-    fn read(&mut self, module: &[String], code: &str) {
+    fn record_paths(&mut self, module: &[String], code: &str) {
         let is_path = |c: char| c.is_alphanumeric() || "_:".contains(c);
         for start in ["crate::", "super::"] {
             for (at, _) in code.match_indices(start) {
@@ -98,13 +98,13 @@ impl Source {
                 let (path, rest) = rest.split_at(end);
                 let braces = rest.strip_prefix('{').and_then(|rest| rest.split('}').next());
                 for name in braces.map_or(vec![""], |names| names.split(',').collect()) {
-                    self.store(module, &(path.to_owned() + name.trim()));
+                    self.record_use(module, &(path.to_owned() + name.trim()));
                 }
             }
         }
     }
 
-    fn store(&mut self, module: &[String], path: &str) {
+    fn record_use(&mut self, module: &[String], path: &str) {
         let mut place = if path.starts_with("crate") { Vec::new() } else { module.to_vec() };
         for name in path.split("::").filter(|name| !name.is_empty()) {
             match name {
@@ -114,7 +114,7 @@ impl Source {
             }
         }
         // Exports of the crate's root are not modules, for example macros.
-        if place.len() > 1 || place.first().is_some_and(|name| level(name).is_some()) {
+        if place.len() > 1 || place.first().is_some_and(|name| level_of(name).is_some()) {
             self.uses.push(place);
         }
     }
@@ -133,9 +133,10 @@ impl Source {
     }
 
     /// Returns the uses of other floors on the same or a higher level.
-    fn upward(&self) -> Vec<String> {
-        let own = level(self.floor()).unwrap_or_else(|| panic!("{} is on no floor", self.floor()));
-        let other = |path: &&Vec<String>| path[0] != self.floor() && level(&path[0]).is_none_or(|other| other >= own);
+    fn upward_uses(&self) -> Vec<String> {
+        let own = level_of(self.floor()).unwrap_or_else(|| panic!("{} is on no floor", self.floor()));
+        let other =
+            |path: &&Vec<String>| path[0] != self.floor() && level_of(&path[0]).is_none_or(|other| other >= own);
         self.uses.iter().filter(other).map(|path| format!("{} uses {}", self.path.join("/"), path.join("::"))).collect()
     }
 }
@@ -149,7 +150,7 @@ fn modules(folder: &str) -> Vec<Source> {
 
 /// Returns the modules in circles and their uses. Modules without uses are removed until only circles and their users
 /// remain. `name` returns the module of a source.
-fn circles(sources: &[Source], name: impl Fn(&Source) -> String) -> BTreeMap<String, BTreeSet<String>> {
+fn modules_in_circles(sources: &[Source], name: impl Fn(&Source) -> String) -> BTreeMap<String, BTreeSet<String>> {
     let modules: BTreeSet<String> = sources.iter().map(&name).collect();
     let mut uses: BTreeMap<String, BTreeSet<String>> = modules.iter().map(|m| (m.clone(), BTreeSet::new())).collect();
     for source in sources {
@@ -180,26 +181,26 @@ fn imports_go_down_only() {
     }
     let uses: usize = library.iter().map(|source| source.uses.len()).sum();
     assert!(uses > 500, "only {uses} uses found");
-    let wrong: Vec<String> = library.iter().flat_map(Source::upward).collect();
+    let wrong: Vec<String> = library.iter().flat_map(Source::upward_uses).collect();
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
     // The reader must find a use in each of these forms.
     for code in ["use crate::control::A;", "x: crate::board::B", "use super::super::control::{C, D};", "[crate::board]"]
     {
-        assert!(!Source::new("model/device.rs", code).upward().is_empty(), "{code}");
+        assert!(!Source::new("model/device.rs", code).upward_uses().is_empty(), "{code}");
     }
 }
 
 #[test]
 fn no_module_is_in_a_circle() {
-    for folder in ["src", "firmware/src", "emulator/src", "xtask/src"].into_iter().chain(HOST) {
+    for folder in ["src", "firmware/src", "emulator/src", "xtask/src"].into_iter().chain(HOST_FOLDERS) {
         let sources = modules(folder);
         let mut names: Vec<fn(&Source) -> String> = vec![|source| source.floor().to_string()];
-        if folder == "src" || HOST.contains(&folder) {
+        if folder == "src" || HOST_FOLDERS.contains(&folder) {
             // The files inside these modules must not form circles either.
             names.extend([Source::module as fn(&Source) -> String, Source::file]);
         }
         for name in names {
-            let circles = circles(&sources, name);
+            let circles = modules_in_circles(&sources, name);
             assert!(circles.is_empty(), "{folder}: circles among {circles:#?}");
         }
     }
@@ -211,7 +212,7 @@ fn the_library_names_no_board_and_no_chip() {
     assert!(sources.len() > 60, "only {} sources", sources.len());
     for (file, code) in sources {
         let code = code.to_lowercase().replace('_', "-");
-        let words: Vec<&str> = FOREIGN.into_iter().filter(|word| code.contains(word)).collect();
+        let words: Vec<&str> = BOARD_WORDS.into_iter().filter(|word| code.contains(word)).collect();
         assert!(words.is_empty(), "{file}: {words:?}");
     }
 }
@@ -219,12 +220,12 @@ fn the_library_names_no_board_and_no_chip() {
 #[test]
 fn no_crate_below_the_tool_names_an_option_of_the_tool() {
     let (mut read, mut wrong) = (0, Vec::new());
-    for folder in HOST.iter().filter(|folder| **folder != "tool/src") {
+    for folder in HOST_FOLDERS.iter().filter(|folder| **folder != "tool/src") {
         for (file, code) in sources(folder) {
             let path = format!("{folder}/{file}");
-            if !WRITERS.contains(&path.as_str()) {
+            if !FILES_WITH_OPTIONS.contains(&path.as_str()) {
                 read += 1;
-                let own = code.split(TESTS).next().unwrap_or_default();
+                let own = code.split(TEST_MODULE_START).next().unwrap_or_default();
                 let names_option = |line: &&str| {
                     line.split("--").skip(1).any(|rest| rest.starts_with(|c: char| c.is_ascii_lowercase()))
                 };

@@ -2,7 +2,7 @@
 //! The allowed errors are 1e-9 of the largest entry in f64, and 2e-4 of the largest torque in the board's f32.
 
 use crate::common::device_file::parse;
-use crate::golden::{F32_TOLERANCE, F64_TOLERANCE, Quantity, agree, cases, list, number, text};
+use crate::golden::{F32_TOLERANCE, F64_TOLERANCE, Quantity, assert_agree, cases, list, number, text};
 use haptic_bridge::control::compiled::BoardMath;
 use haptic_bridge::math::{FineTable, Math, Real};
 use haptic_bridge::model::inertia::Inertia;
@@ -53,7 +53,7 @@ fn double_precision(case: &Value, side: f64) -> Vec<Quantity> {
 #[test]
 fn every_quantity_agrees_in_double_precision() {
     for case in cases() {
-        agree(&case, &double_precision(&case, 1.0), F64_TOLERANCE);
+        assert_agree(&case, &double_precision(&case, 1.0), F64_TOLERANCE);
     }
 }
 
@@ -63,7 +63,7 @@ fn the_boards_code_computes_the_torques_in_single_precision() {
         let mechanism = AnyMechanism::<f32>::new(&parse(text(&case["device"]))).expect("a sound device");
         let mut found = with_mechanism!(&mechanism, m => quantities::<f32, BoardMath, _, _>(m, &case, 1.0));
         found.retain(|(name, _)| name.starts_with("torque"));
-        agree(&case, &found, F32_TOLERANCE);
+        assert_agree(&case, &found, F32_TOLERANCE);
     }
 }
 
@@ -72,6 +72,6 @@ fn weff_and_wrr_are_the_same_on_both_sides_of_the_wall() {
     for case in cases() {
         let mut found = double_precision(&case, -1.0);
         found.retain(|(name, _)| ["w_eff", "w_rr", "torque"].contains(name));
-        agree(&case, &found, F64_TOLERANCE);
+        assert_agree(&case, &found, F64_TOLERANCE);
     }
 }

@@ -4,7 +4,7 @@
 //! that hardware or other firmware detects reach the control loop through `ControlLoop::trip`. The tests of emulator/
 //! provoke those faults on the emulated chip. A fault without an origin does not compile here.
 
-use crate::rig::{self, Held, RATE, Rig, five_bar, hardware, paddle, quiet, rules, scene, wall};
+use crate::rig::{self, BoxedProgram, RATE_HZ, Rig, far_wall, five_bar, hardware, paddle, rules, scene, wall};
 use haptic_bridge::control::joints::Counts;
 use haptic_bridge::control::{Beat, Command, HostAction, Press};
 use haptic_bridge::safety::fault::{Fault, State};
@@ -19,11 +19,11 @@ enum Origin {
 }
 
 /// Runs a polarity check of a motor with `factor` times the torque of its file and a winding of `resistance` ohm.
-fn checked(factor: f64, resistance: f32) -> Rig {
-    let mut rig = Rig::ready(&quiet());
+fn run_polarity_check(factor: f64, resistance: f32) -> Rig {
+    let mut rig = Rig::ready(&far_wall());
     rig.resistance = resistance;
     rig.execute(Command::CheckPolarity).unwrap();
-    rig::Body::of(&rig::paddle()).check(&mut rig, factor);
+    rig::Body::of(&rig::paddle()).run_check(&mut rig, factor);
     rig
 }
 
@@ -37,7 +37,7 @@ fn origin(fault: Fault) -> Origin {
         }),
         Fault::EncoderStall => Step(|| {
             let mut rig = Rig::pressing(255.0);
-            let steps = (5.0 * RATE) as u32;
+            let steps = (5.0 * RATE_HZ) as u32;
             for _ in 0..steps {
                 rig.step();
                 if rig.state() == State::Fault {
@@ -49,7 +49,7 @@ fn origin(fault: Fault) -> Origin {
         Fault::EncoderLoss => Step(|| {
             // A hand turns the motor at 10 rad/s, so the current loop must oppose 1 V of back-EMF.
             let mut rig = Rig::armed();
-            for _ in 0..(0.5 * RATE) as u32 {
+            for _ in 0..(0.5 * RATE_HZ) as u32 {
                 rig.shown_current = Some(-0.05);
                 rig.step();
                 if rig.state() == State::Fault {
@@ -80,7 +80,7 @@ fn origin(fault: Fault) -> Origin {
         Fault::ForceLimit => Step(|| {
             // The motor has current although no force is commanded.
             let mut rig = Rig::armed_with(|rules| rules.limits.tip_force = 0.02);
-            for _ in 0..(0.01 * RATE) as u32 {
+            for _ in 0..(0.01 * RATE_HZ) as u32 {
                 rig.shown_current = Some(0.2);
                 rig.step();
                 if rig.state() == State::Fault {
@@ -96,7 +96,7 @@ fn origin(fault: Fault) -> Origin {
         }),
         Fault::ThermalBudget => Step(|| {
             let mut rig = Rig::pressing(290.0);
-            rig.tremble(10.0);
+            rig.hold_in_place(10.0);
             rig
         }),
         Fault::BusUnderVoltage => Step(|| {
@@ -122,7 +122,7 @@ fn origin(fault: Fault) -> Origin {
             let mut angle = 0.0;
             while rig.state() == State::Armed && angle < 1.0 {
                 angle += 0.001;
-                let counts = (angle / core::f64::consts::TAU * rig::COUNTS) as i32;
+                let counts = (angle / core::f64::consts::TAU * rig::COUNTS_PER_TURN) as i32;
                 rig.samples.counts = Counts([counts, -counts, 0]);
                 rig.step();
             }
@@ -164,19 +164,19 @@ fn origin(fault: Fault) -> Origin {
             rig.run(0.001);
             rig
         }),
-        Fault::PolarityWrong => Step(|| checked(-1.0, 2.0)),
+        Fault::PolarityWrong => Step(|| run_polarity_check(-1.0, 2.0)),
         Fault::PolarityNoMotion => Step(|| {
-            let mut rig = Rig::ready(&quiet());
+            let mut rig = Rig::ready(&far_wall());
             rig.execute(Command::CheckPolarity).unwrap();
             rig.run(2.2);
             rig
         }),
-        Fault::TorqueMismatch => Step(|| checked(1.5, 2.0)),
-        Fault::ResistanceMismatch => Step(|| checked(1.0, 3.0)),
+        Fault::TorqueMismatch => Step(|| run_polarity_check(1.5, 2.0)),
+        Fault::ResistanceMismatch => Step(|| run_polarity_check(1.0, 3.0)),
         Fault::PolarityUnrest => Step(|| {
-            let mut rig = Rig::ready(&quiet());
+            let mut rig = Rig::ready(&far_wall());
             rig.execute(Command::CheckPolarity).unwrap();
-            for step in 0..(5.1 * RATE) as u32 {
+            for step in 0..(5.1 * RATE_HZ) as u32 {
                 rig.samples.counts[0] += i32::from(step % 4 == 0);
                 rig.step();
                 if rig.state() == State::Fault {
@@ -206,7 +206,7 @@ fn origin(fault: Fault) -> Origin {
 }
 
 /// Returns the time until the bridges are off, as docs/faults.csv describes it.
-fn off(fault: Fault) -> &'static str {
+fn off_time(fault: Fault) -> &'static str {
     match fault {
         Fault::ControlOverrun
         | Fault::EncoderJump
@@ -249,10 +249,10 @@ fn off(fault: Fault) -> &'static str {
 }
 
 /// Returns the text of docs/faults.csv.
-fn table() -> String {
+fn faults_table() -> String {
     let mut table = String::from("code,fault,what it says,motors off,remedy\n");
     for fault in Fault::ALL {
-        let words = [fault.what(), off(*fault), fault.remedy()];
+        let words = [fault.what(), off_time(*fault), fault.remedy()];
         assert!(words.iter().all(|words| !words.contains('"')), "{words:?}");
         let [what, off, remedy] = words;
         table += &format!("{},{},\"{what}\",\"{off}\",\"{remedy}\"\n", fault.code(), fault.name());
@@ -290,8 +290,8 @@ fn an_index_may_lag_by_the_joints_motion_and_is_set_at_rest() {
 /// currents bounds.
 #[test]
 fn a_sensor_offset_of_half_the_tip_force_limit_prevents_arming() {
-    let result = |current: f32, command: fn() -> Command<Held>| {
-        let mut rig = Rig::with(&paddle(), &quiet(), hardware(), rules());
+    let result = |current: f32, command: fn() -> Command<BoxedProgram>| {
+        let mut rig = Rig::with(&paddle(), &far_wall(), hardware(), rules());
         // Tip force per ampere, N/A.
         let force = paddle().joints[0].motor.unwrap().torque_constant / paddle().geometry[0];
         rig.rules.limits.tip_force = (2.0 * 0.1 * force) as f32;
@@ -319,8 +319,8 @@ fn repeated_rules_do_not_suspend_the_force_limit() {
         let rest = all.split_once("settling: ").expect("the settling time").1;
         rest[..rest.find([',', ' ']).expect("its end")].parse::<f32>().expect("a number")
     };
-    for step in 0..(0.02 * RATE) as u32 {
-        if step % (0.002 * RATE) as u32 == 0 {
+    for step in 0..(0.02 * RATE_HZ) as u32 {
+        if step % (0.002 * RATE_HZ) as u32 == 0 {
             let rules = rig.rules;
             rig.execute(Command::Rules(rules)).expect("rules that are not looser");
             assert!(step > 0 || settling(&rig) > 0.0);
@@ -335,15 +335,15 @@ fn repeated_rules_do_not_suspend_the_force_limit() {
 fn the_documented_table_of_faults_agrees_with_the_code() {
     let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/faults.csv");
     if std::env::var_os("UPDATE_DOCS").is_some() {
-        std::fs::write(&path, table()).expect("docs/faults.csv can be written");
+        std::fs::write(&path, faults_table()).expect("docs/faults.csv can be written");
     } else {
         let committed = std::fs::read_to_string(&path).expect("docs/faults.csv exists");
-        assert_eq!(committed, table(), "run UPDATE_DOCS=1 cargo test guard");
+        assert_eq!(committed, faults_table(), "run UPDATE_DOCS=1 cargo test guard");
     }
 }
 
 /// Returns a board with this fault, a few steps after the cause.
-fn provoked(fault: Fault) -> Rig {
+fn rig_with_fault(fault: Fault) -> Rig {
     match origin(fault) {
         Origin::Step(prepare) => {
             let mut rig = prepare();
@@ -357,7 +357,7 @@ fn provoked(fault: Fault) -> Rig {
         }
         Origin::Reported => {
             let mut rig = Rig::armed();
-            rig.told = Some((fault, None, 1.0));
+            rig.reported_fault = Some((fault, None, 1.0));
             rig.step();
             rig
         }
@@ -367,7 +367,7 @@ fn provoked(fault: Fault) -> Rig {
 #[test]
 fn every_fault_can_be_provoked_and_is_reported_as_itself() {
     for fault in Fault::ALL {
-        let rig = provoked(*fault);
+        let rig = rig_with_fault(*fault);
         assert_eq!(rig.fault(), Some(*fault), "{}", fault.name());
     }
 }
@@ -375,7 +375,7 @@ fn every_fault_can_be_provoked_and_is_reported_as_itself() {
 #[test]
 fn motors_are_off_in_the_control_period_of_any_fault() {
     for fault in Fault::ALL {
-        let rig = provoked(*fault);
+        let rig = rig_with_fault(*fault);
         assert!(rig.motors_off(), "{}: {:?} {:?}", fault.name(), rig.outputs, rig.duties);
     }
 }
@@ -403,12 +403,12 @@ fn a_sudden_cause_turns_the_motors_off_in_one_step() {
 #[test]
 fn a_fault_outlasts_its_cause_and_the_first_one_is_reported() {
     for fault in Fault::ALL {
-        let mut rig = provoked(*fault);
+        let mut rig = rig_with_fault(*fault);
         let record = rig.control_loop.status().fault;
         rig.shown_current = None;
         rig.samples.bus_voltage = 24.0;
         rig.settle();
-        rig.told = Some((Fault::SensorStale, None, 7.0));
+        rig.reported_fault = Some((Fault::SensorStale, None, 7.0));
         rig.step();
         assert!(rig.motors_off() && rig.state() == State::Fault, "{}", fault.name());
         let reported = rig.control_loop.status().fault;
@@ -425,7 +425,7 @@ fn a_fault_outlasts_its_cause_and_the_first_one_is_reported() {
 #[test]
 fn clearing_ends_every_fault_and_leaves_the_motors_off() {
     for fault in Fault::ALL {
-        let mut rig = provoked(*fault);
+        let mut rig = rig_with_fault(*fault);
         rig.shown_current = None;
         rig.samples.bus_voltage = 24.0;
         rig.execute(Command::Clear).unwrap();
@@ -440,9 +440,9 @@ fn faults_that_lose_counts_lose_homing_too() {
     for fault in
         [Fault::EncoderJump, Fault::EncoderLoss, Fault::EncoderIllegal, Fault::EncoderStall, Fault::IndexMismatch]
     {
-        assert!(!provoked(fault).control_loop.status().homed, "{}", fault.name());
+        assert!(!rig_with_fault(fault).control_loop.status().homed, "{}", fault.name());
     }
-    assert!(provoked(Fault::OverCurrent).control_loop.status().homed);
+    assert!(rig_with_fault(Fault::OverCurrent).control_loop.status().homed);
 }
 
 /// `cargo xtask faults` writes the result of each injection into docs/results/faults.csv. A fault without an injector

@@ -29,7 +29,7 @@ fn time_to_trip(heat: &mut Heat, current: f32, seconds: f32) -> Option<f32> {
     (0..(seconds / dt).round() as u32).find(|_| heat.warm(current * current * dt, dt)).map(|step| step as f32 * dt)
 }
 
-fn restart(heat: &Heat) -> Heat {
+fn restored_heat(heat: &Heat) -> Heat {
     Heat::from_words(heat.words())
 }
 
@@ -62,7 +62,7 @@ fn a_larger_continuous_current_applies_once_the_motor_is_cold() {
     let mut heat = cold_motor(4.0, 1.0);
     // 4 A for 1 s add (4² - 1²) A² s.
     assert_eq!(time_to_trip(&mut heat, 4.0, 1.0), None);
-    let mut next = restart(&heat);
+    let mut next = restored_heat(&heat);
     for heat in [&mut heat, &mut next] {
         heat.limit(4.0, 3.0);
         assert_eq!(time_to_trip(heat, 0.0, 5.0), None);
@@ -91,7 +91,7 @@ fn a_smaller_continuous_current_does_not_prolong_a_peak() {
     // Half of the 4 s is used at 2.9 A. Then 0.01 A is set, and the other half must be left.
     let mut heat = cold_motor(3.0, 2.9);
     assert_eq!(time_to_trip(&mut heat, 3.0, 2.0), None);
-    let mut next = restart(&heat);
+    let mut next = restored_heat(&heat);
     for heat in [&mut heat, &mut next] {
         heat.limit(3.0, 0.01);
         let more = time_to_trip(heat, 3.0, 20.0).unwrap();
@@ -112,8 +112,8 @@ fn unknown_heat_is_half_of_a_budget_once_there_is_a_budget() {
     // There is no budget because every allowed current may flow continuously.
     let heat = unknown_heat(3.0, 3.0);
     assert!(heat.held().is_nan());
-    assert!(restart(&heat).held().is_nan(), "still unknown after a restart");
-    for mut heat in [heat, restart(&heat)] {
+    assert!(restored_heat(&heat).held().is_nan(), "still unknown after a restart");
+    for mut heat in [heat, restored_heat(&heat)] {
         heat.limit(3.0, 1.0);
         // Half of the budget (3² - 1²) A² · 4 s.
         assert_eq!(heat.held(), 16.0);
@@ -131,7 +131,7 @@ fn unknown_heat_is_at_most_half_of_the_budget_in_force() {
     // A device with motors of 20 A is loaded first, by mistake.
     let heat = unknown_heat(20.0, 5.0);
     assert_eq!(heat.held(), 0.5 * 4.0 * 375.0);
-    for mut heat in [heat, restart(&heat)] {
+    for mut heat in [heat, restored_heat(&heat)] {
         heat.limit(3.0, 5.0);
         heat.limit(3.0, 1.0);
         assert!((heat.held() - 16.0).abs() < 0.01, "more heat would trip until a power cycle: {heat:?}");
@@ -185,7 +185,7 @@ fn an_unlimited_peak_does_not_extend_the_budget() {
 fn invalid_words_are_unknown_heat() {
     let mut sound = cold_motor(3.0, 1.0);
     sound.warm(5.0, 0.0);
-    assert_eq!(restart(&sound), sound);
+    assert_eq!(restored_heat(&sound), sound);
     for place in 0..WORDS {
         for bits in [f32::NAN.to_bits(), u32::MAX] {
             let mut words = sound.words();
@@ -244,7 +244,7 @@ proptest! {
             match event {
                 Event::Rules { most, steady } => rules = (most, steady),
                 Event::Motor(of) => motor = of,
-                Event::Restart => heat = restart(&heat),
+                Event::Restart => heat = restored_heat(&heat),
                 Event::Flows { share, seconds } => {
                     let current = share * motor.unwrap_or(0.0).min(rules.0);
                     for _ in 0..(seconds / dt) as u32 {
@@ -278,7 +278,7 @@ proptest! {
 /// Presses a paddle into a wall at 2.9 A until the thermal budget trips. 3 A are allowed, 1 A continuously.
 fn tripped_rig() -> Rig {
     let mut rig = Rig::pressing(290.0);
-    rig.tremble(10.0);
+    rig.hold_in_place(10.0);
     assert_eq!(rig.fault(), Some(Fault::ThermalBudget));
     rig
 }
@@ -330,14 +330,14 @@ fn a_tighter_continuous_current_while_armed_prolongs_no_peak() {
         rig.press_wall();
         let began = rig.control_loop.steps();
         while rig.fault().is_none() {
-            rig.tremble(0.05);
+            rig.hold_in_place(0.05);
             if tighten && rules.limits.continuous_current[0] > 0.3 {
                 rules.limits.continuous_current[0] -= 0.05;
                 rig.execute(Command::Rules(rules)).expect("tightening is allowed while armed");
             }
         }
         assert_eq!(rig.fault(), Some(Fault::ThermalBudget));
-        (rig.control_loop.steps() - began) as f32 / rig::RATE
+        (rig.control_loop.steps() - began) as f32 / rig::RATE_HZ
     };
     let (plain, tightened) = (lasts(false), lasts(true));
     assert!(tightened <= plain, "{plain} s, tightened {tightened} s");
@@ -371,7 +371,7 @@ fn a_hot_motor_cools_while_off_and_stays_hot_through_a_load() {
     rig.prepare(&paddle(), &scene(1, &[wall(-0.005, 290.0)]));
     let press = |rig: &mut Rig, seconds: f32| {
         rig.press_wall();
-        rig.tremble(seconds);
+        rig.hold_in_place(seconds);
     };
     press(&mut rig, 0.5);
     assert_eq!(rig.fault(), Some(Fault::ThermalBudget), "the motor had no time to cool");
@@ -392,9 +392,9 @@ fn pressing_time(heat: Heat) -> f32 {
     rig.prepare(&paddle(), &scene(1, &[wall(-0.005, 290.0)]));
     rig.press_wall();
     let began = rig.control_loop.frame().step;
-    rig.tremble(10.0);
+    rig.hold_in_place(10.0);
     assert_eq!(rig.fault(), Some(Fault::ThermalBudget));
-    (rig.control_loop.frame().step - began) as f32 / rig::RATE
+    (rig.control_loop.frame().step - began) as f32 / rig::RATE_HZ
 }
 
 #[test]

@@ -2,7 +2,7 @@
 //! without force jumps.
 
 use crate::rig::statics::{force_at_tip, torques};
-use crate::rig::{self, RATE, Rig, five_bar, hardware, rules, scene, wall};
+use crate::rig::{self, RATE_HZ, Rig, five_bar, hardware, rules, scene, wall};
 use haptic_bridge::board::protocol::{BadForce, ForceAnswer, ForceDone, ForceRequest, HostContact};
 use haptic_bridge::control::host_force::{
     MAX_CONTACT_DAMPING, MAX_CONTACT_DISTANCE, MAX_CONTACT_STIFFNESS, MAX_HELD_FORCE, MAX_HELD_TORQUE, MAX_LEASE,
@@ -15,7 +15,7 @@ use haptic_bridge::safety::limits::Limits;
 use nalgebra::Vector2;
 
 /// Rounding error of a torque after its conversion to a current and back, N m.
-const ROUNDING: f32 = 1.0e-5;
+const ROUNDING_NM: f32 = 1.0e-5;
 
 /// Creates an armed five-bar at rest in free space.
 fn armed_rig() -> Rig {
@@ -28,11 +28,11 @@ fn request(sequence: u32) -> ForceRequest {
     ForceRequest { sequence, hold: 0.01, fade: 0.02, ..ForceRequest::default() }
 }
 
-fn torque(sequence: u32, torque: f32) -> ForceRequest {
+fn torque_request(sequence: u32, torque: f32) -> ForceRequest {
     ForceRequest { torque: [torque, 0.0, 0.0], ..request(sequence) }
 }
 
-fn force(sequence: u32, x: f32, y: f32) -> ForceRequest {
+fn force_request(sequence: u32, x: f32, y: f32) -> ForceRequest {
     ForceRequest { force: [x, y, 0.0], hold: MAX_LEASE, ..request(sequence) }
 }
 
@@ -54,8 +54,10 @@ fn a_host_force_is_scaled_to_the_tip_force_limit() {
         let wall = if walls.is_empty() { 0.0 } else { 0.6 };
         for nth in 0..12_u32 {
             let (sin, cos) = (0.5 * nth as f32).sin_cos();
-            let both =
-                ForceRequest { torque: [size * cos, size * sin, 0.0], ..force(nth + 1, push * sin, -push * cos) };
+            let both = ForceRequest {
+                torque: [size * cos, size * sin, 0.0],
+                ..force_request(nth + 1, push * sin, -push * cos)
+            };
             assert_eq!(rig.control_loop.force(&both).done, ForceDone::Taken);
             rig.step();
             let answer = poll(&mut rig);
@@ -97,8 +99,8 @@ fn a_lowered_tip_force_limit_acts_at_the_next_step_and_in_fades() {
 #[test]
 fn a_request_is_held_then_fades_evenly_and_ends() {
     let mut rig = armed_rig();
-    assert_eq!(rig.control_loop.force(&torque(1, 0.2)).done, ForceDone::Taken);
-    let period = 1.0 / RATE;
+    assert_eq!(rig.control_loop.force(&torque_request(1, 0.2)).done, ForceDone::Taken);
+    let period = 1.0 / RATE_HZ;
     let mut before = None;
     for step in 1..=80 {
         rig.step();
@@ -126,38 +128,38 @@ fn a_late_request_has_only_the_rest_of_its_lease() {
     let seen = poll(&mut rig).step;
     rig.run(0.02);
     // 20 ms of the 30 ms lease have passed, which is half of the fade.
-    let half = ForceRequest { seen: Some(seen), ..torque(1, 0.2) };
+    let half = ForceRequest { seen: Some(seen), ..torque_request(1, 0.2) };
     assert_eq!(rig.control_loop.force(&half).done, ForceDone::Taken);
     rig.step();
     let now = rig.torques()[0];
-    let share = (0.03 - 0.02 - 1.0 / RATE) / 0.02;
+    let share = (0.03 - 0.02 - 1.0 / RATE_HZ) / 0.02;
     assert!((now - 0.2 * share).abs() < 1.0e-4, "{now}");
     rig.run(0.02);
     let answer = rig.control_loop.force(&ForceRequest { sequence: 2, ..half });
     assert_eq!((answer.done, answer.age), (ForceDone::TooOld, None));
     rig.step();
     assert_eq!(rig.torques(), Torques::default());
-    let future = ForceRequest { seen: Some(answer.step + 10), ..torque(3, 0.2) };
+    let future = ForceRequest { seen: Some(answer.step + 10), ..torque_request(3, 0.2) };
     assert_eq!(rig.control_loop.force(&future).done, ForceDone::Bad(BadForce::Seen));
 }
 
 #[test]
 fn repeated_and_reordered_requests_change_nothing() {
     let mut rig = armed_rig();
-    assert_eq!(rig.control_loop.force(&torque(u32::MAX, 0.1)).done, ForceDone::Taken);
+    assert_eq!(rig.control_loop.force(&torque_request(u32::MAX, 0.1)).done, ForceDone::Taken);
     for old in [u32::MAX, u32::MAX - 1, u32::MAX / 2 + 10] {
-        let answer = rig.control_loop.force(&torque(old, 0.2));
+        let answer = rig.control_loop.force(&torque_request(old, 0.2));
         assert_eq!((answer.sequence, answer.done), (old, ForceDone::NotNewer));
         rig.step();
-        assert!((rig.torques()[0] - 0.1).abs() < ROUNDING);
+        assert!((rig.torques()[0] - 0.1).abs() < ROUNDING_NM);
     }
     // The sequence number wraps.
-    assert_eq!(rig.control_loop.force(&torque(0, 0.2)).done, ForceDone::Taken);
+    assert_eq!(rig.control_loop.force(&torque_request(0, 0.2)).done, ForceDone::Taken);
     rig.step();
-    assert!((rig.torques()[0] - 0.2).abs() < ROUNDING);
+    assert!((rig.torques()[0] - 0.2).abs() < ROUNDING_NM);
     // After the last lease has ended, another host program may start with any sequence number.
     rig.run(0.05);
-    assert_eq!(rig.control_loop.force(&torque(u32::MAX - 7, 0.1)).done, ForceDone::Taken);
+    assert_eq!(rig.control_loop.force(&torque_request(u32::MAX - 7, 0.1)).done, ForceDone::Taken);
 }
 
 #[test]
@@ -168,12 +170,12 @@ fn lost_requests_are_bridged_while_the_last_one_is_held() {
         // At 1 kHz seven of eight requests are lost, so 8 ms pass between requests that are held for 10 ms.
         if millisecond % 8 == 0 {
             sequence += 1;
-            assert_eq!(rig.control_loop.force(&torque(sequence, 0.1)).done, ForceDone::Taken);
+            assert_eq!(rig.control_loop.force(&torque_request(sequence, 0.1)).done, ForceDone::Taken);
         }
         rig.step();
         rig.step();
         let now = rig.torques()[0];
-        assert!((now - 0.1).abs() < ROUNDING, "{now} after {millisecond} ms");
+        assert!((now - 0.1).abs() < ROUNDING_NM, "{now} after {millisecond} ms");
     }
 }
 
@@ -185,15 +187,15 @@ fn invalid_numbers_are_refused_and_leave_the_present_force() {
     let invalid = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, f32::MAX];
     let above = |most: f32| invalid.into_iter().chain([most * 1.000_01, -most * 1.000_01]);
     for value in above(MAX_HELD_FORCE) {
-        bad.push((BadForce::Force, force(2, value, 0.0)));
-        bad.push((BadForce::Force, force(2, 0.0, value)));
+        bad.push((BadForce::Force, force_request(2, value, 0.0)));
+        bad.push((BadForce::Force, force_request(2, 0.0, value)));
     }
     // A planar device has no third direction and no third joint.
     bad.push((BadForce::Force, ForceRequest { force: [0.0, 0.0, 1.0], ..request(2) }));
     bad.push((BadForce::Torque, ForceRequest { torque: [0.0, 0.0, 0.1], ..request(2) }));
     bad.push((BadForce::Normal, with(HostContact { normal: [0.0, 0.0, 1.0], ..contact })));
     for value in above(MAX_HELD_TORQUE) {
-        bad.push((BadForce::Torque, torque(2, value)));
+        bad.push((BadForce::Torque, torque_request(2, value)));
     }
     for value in above(MAX_LEASE).chain([-0.01]) {
         bad.push((BadForce::Lease, ForceRequest { hold: value, ..request(2) }));
@@ -213,12 +215,12 @@ fn invalid_numbers_are_refused_and_leave_the_present_force() {
     }
     for (reason, request) in bad {
         let mut rig = armed_rig();
-        assert_eq!(rig.control_loop.force(&torque(1, 0.1)).done, ForceDone::Taken);
+        assert_eq!(rig.control_loop.force(&torque_request(1, 0.1)).done, ForceDone::Taken);
         let answer = rig.control_loop.force(&request);
         assert_eq!(answer.done, ForceDone::Bad(reason), "{request:?}");
         assert!(answer.done.to_string().contains("not taken"), "{}", answer.done);
         rig.step();
-        assert!((rig.torques()[0] - 0.1).abs() < ROUNDING, "{request:?}");
+        assert!((rig.torques()[0] - 0.1).abs() < ROUNDING_NM, "{request:?}");
     }
 }
 
@@ -233,26 +235,26 @@ fn the_largest_accepted_numbers_are_harmless() {
             damping: MAX_CONTACT_DAMPING,
         }),
         torque: [MAX_HELD_TORQUE, -MAX_HELD_TORQUE, 0.0],
-        ..force(1, MAX_HELD_FORCE, -MAX_HELD_FORCE)
+        ..force_request(1, MAX_HELD_FORCE, -MAX_HELD_FORCE)
     });
     assert_eq!(answer.done, ForceDone::Taken);
     for _ in 0..100 {
         rig.step();
-        assert!(rig.torques().iter().all(|torque| torque.abs() <= 0.3 * (1.0 + ROUNDING)));
+        assert!(rig.torques().iter().all(|torque| torque.abs() <= 0.3 * (1.0 + ROUNDING_NM)));
     }
     assert_eq!(rig.state(), State::Armed);
 }
 
 #[test]
-fn only_armed_motors_take_force_and_turning_them_off_ends_it() {
+fn only_armed_motors_accept_force_and_disarming_ends_it() {
     let mut rig = Rig::with(&five_bar(), &scene(2, &[]), hardware(), rules());
-    let answer = rig.control_loop.force(&torque(1, 0.1));
+    let answer = rig.control_loop.force(&torque_request(1, 0.1));
     assert_eq!((answer.done, answer.state), (ForceDone::NotArmed, State::Disarmed));
     assert_eq!(poll(&mut rig).done, ForceDone::Looked);
     assert_eq!(answer.tip, rig.control_loop.status().tip, "a disarmed board reports its state too");
     for by_fault in [false, true] {
         rig.arm();
-        assert_eq!(rig.control_loop.force(&force(1, 1.0, 0.0)).done, ForceDone::Taken);
+        assert_eq!(rig.control_loop.force(&force_request(1, 1.0, 0.0)).done, ForceDone::Taken);
         rig.step();
         assert_ne!(rig.torques(), Torques::default());
         if by_fault {
@@ -279,7 +281,7 @@ fn only_armed_motors_take_force_and_turning_them_off_ends_it() {
 fn a_force_grows_with_the_ramp_after_arming() {
     let mut rig = Rig::with(&five_bar(), &scene(2, &[]), hardware(), rules());
     rig.execute(Command::Arm).unwrap();
-    assert_eq!(rig.control_loop.force(&force(1, 1.0, 0.0)).done, ForceDone::Taken);
+    assert_eq!(rig.control_loop.force(&force_request(1, 1.0, 0.0)).done, ForceDone::Taken);
     // 0.1 s are a fifth of the 0.5 s ramp.
     rig.run(0.1);
     let answer = poll(&mut rig);
@@ -291,7 +293,7 @@ fn a_force_grows_with_the_ramp_after_arming() {
 fn the_torques_of_a_tip_force_do_the_same_virtual_work() {
     for (x, y) in [(1.0, 0.0), (0.0, 1.0), (-0.7, 0.4)] {
         let mut rig = armed_rig();
-        rig.control_loop.force(&force(1, x, y));
+        rig.control_loop.force(&force_request(1, x, y));
         rig.step();
         let answer = poll(&mut rig);
         let expected = torques(&answer.q, [x, y].map(f64::from));
@@ -310,7 +312,7 @@ fn walls_and_host_are_scaled_by_the_same_share_at_a_limit() {
     let bilateral = Wall { bilateral: true, ..wall(tip[0] + 1.0e-3, 2_000.0) };
     let mut rig = Rig::with(&five_bar(), &scene(2, &[bilateral]), hardware(), rules());
     rig.arm();
-    rig.control_loop.force(&force(1, 0.0, 12.0));
+    rig.control_loop.force(&force_request(1, 0.0, 12.0));
     rig.step();
     let answer = poll(&mut rig);
     assert!((rig.control_loop.frame().at.walls.wall_force - 2.0).abs() < 1.0e-3);
@@ -328,7 +330,7 @@ fn walls_and_host_are_scaled_by_the_same_share_at_a_limit() {
 #[test]
 fn the_reply_reports_the_motion_of_tip_and_joints() {
     let mut rig = armed_rig();
-    let counts = (rig::COUNTS / core::f64::consts::TAU / f64::from(RATE)).round() as i32;
+    let counts = (rig::COUNTS_PER_TURN / core::f64::consts::TAU / f64::from(RATE_HZ)).round() as i32;
     let mut turn = |steps: u32| {
         for _ in 0..steps {
             rig.samples.counts[0] += counts;
@@ -420,7 +422,7 @@ fn a_contact_renewed_while_it_fades_returns_smoothly() {
     for (sequence, depth) in [(1, 2.0e-3), (2, 2.0e-3), (3, 3.0e-3)] {
         let mut before = poll(&mut rig).force[0];
         rig.control_loop.force(&ForceRequest { sequence, ..contact(depth) });
-        for _ in 0..(0.045 * RATE) as usize {
+        for _ in 0..(0.045 * RATE_HZ) as usize {
             rig.step();
             let now = poll(&mut rig).force[0];
             // The force changes by 2 N in 1 ms (two steps of this rig) or by 3 N in 20 ms.
@@ -457,7 +459,7 @@ fn force_requests_count_as_signs_of_life() {
     let mut rig = Rig::with(&five_bar(), &scene(2, &[]), hardware(), watched);
     rig.arm();
     for sequence in 1..100 {
-        assert_eq!(rig.control_loop.force(&torque(sequence, 0.01)).done, ForceDone::Taken);
+        assert_eq!(rig.control_loop.force(&torque_request(sequence, 0.01)).done, ForceDone::Taken);
         rig.run(0.01);
         assert_eq!(rig.state(), State::Armed);
     }
@@ -481,10 +483,10 @@ fn a_host_can_push_after_the_count_of_steps_wraps() {
     let push_now = |rig: &mut Rig, sequence: u32| {
         let seen = poll(rig).step;
         rig.step();
-        let answer = rig.control_loop.force(&ForceRequest { seen: Some(seen), ..torque(sequence, 0.1) });
+        let answer = rig.control_loop.force(&ForceRequest { seen: Some(seen), ..torque_request(sequence, 0.1) });
         assert_eq!(answer.done, ForceDone::Taken, "at step {}", answer.step);
         rig.run(0.05);
-        let late = ForceRequest { seen: Some(seen), ..torque(sequence + 1, 0.1) };
+        let late = ForceRequest { seen: Some(seen), ..torque_request(sequence + 1, 0.1) };
         assert_eq!(rig.control_loop.force(&late).done, ForceDone::TooOld, "50 ms is more than the lease of 30 ms");
     };
     push_now(&mut rig, 1);
@@ -507,18 +509,18 @@ fn only_taken_requests_and_following_polls_are_signs_of_life() {
     let scene = scene(2, &[]);
     for (refused, why) in [
         (ForceRequest { hold: 0.0, fade: 0.0, ..request(2) }, ForceDone::Looked),
-        (torque(1, 0.1), ForceDone::NotNewer),
-        (torque(2, f32::NAN), ForceDone::Bad(BadForce::Torque)),
+        (torque_request(1, 0.1), ForceDone::NotNewer),
+        (torque_request(2, f32::NAN), ForceDone::Bad(BadForce::Torque)),
         (ForceRequest { hold: 0.0, fade: 0.001, seen: Some(0), ..request(2) }, ForceDone::TooOld),
     ] {
         let mut rig = Rig::with(&five_bar(), &scene, hardware(), watched);
         rig.arm();
         for _ in 0..4 {
-            assert_eq!(rig.control_loop.force(&force(1, 0.0, 0.0)).done, ForceDone::Taken);
+            assert_eq!(rig.control_loop.force(&force_request(1, 0.0, 0.0)).done, ForceDone::Taken);
             rig.run(0.45);
         }
         assert_eq!(rig.state(), State::Armed, "taken");
-        assert_eq!(rig.control_loop.force(&force(1, 0.0, 0.0)).done, ForceDone::Taken);
+        assert_eq!(rig.control_loop.force(&force_request(1, 0.0, 0.0)).done, ForceDone::Taken);
         for _ in 0..6 {
             if why != ForceDone::NotNewer || poll(&mut rig).age.is_some() {
                 assert_eq!(rig.control_loop.force(&refused).done, why);

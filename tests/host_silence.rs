@@ -1,6 +1,6 @@
 //! A silent host, to which the board reacts as the rules say, and a dead man's key, which acts under all rules.
 
-use crate::rig::{RATE, Rig, paddle, quiet};
+use crate::rig::{RATE_HZ, Rig, far_wall, paddle};
 use haptic_bridge::control::{Beat, Command, HostAction, KEY_SECONDS, Press, Rules};
 use haptic_bridge::render::scene::Scene;
 use haptic_bridge::safety::fault::{Fault, State};
@@ -133,7 +133,7 @@ fn disarmed_rig() -> Rig {
 
 /// A stopped tool or a slow link can delay the request after the press.
 #[test]
-fn a_press_counts_from_its_reading_and_too_late_it_does_not_arm() {
+fn a_press_counts_from_its_step_and_an_old_press_does_not_arm() {
     let mut rig = disarmed_rig();
     let press = rig.press();
     rig.run(0.4);
@@ -155,7 +155,7 @@ fn a_press_counts_from_its_reading_and_too_late_it_does_not_arm() {
     // After a change of the control rate the age of the press is unknown.
     let press = rig.press();
     rig.run(0.1);
-    rig.load(&paddle(), &Scene { rate_hz: 2.0 * RATE, ..quiet() }, true).unwrap();
+    rig.load(&paddle(), &Scene { rate_hz: 2.0 * RATE_HZ, ..far_wall() }, true).unwrap();
     rig.settle();
     assert_eq!(rig.execute(Command::ArmHeld(press)), refused);
     assert!(rig.motors_off());
@@ -168,7 +168,7 @@ fn a_press_counts_from_its_reading_and_too_late_it_does_not_arm() {
 /// delays late.
 #[test]
 fn motors_are_off_half_a_second_after_a_release_on_any_link() {
-    let steps = |seconds: f32| (seconds * RATE) as u32;
+    let steps = |seconds: f32| (seconds * RATE_HZ) as u32;
     // Delay in each direction, in the first second and later, s.
     for (at_first, later) in [(0.0, 0.0), (0.1, 0.1), (0.1, 0.2), (0.0, 0.26), (0.05, 2.0), (0.26, 0.26), (2.0, 2.0)] {
         let mut rig = disarmed_rig();

@@ -1,12 +1,12 @@
 //! The motor's model finds wrong current sensors and open windings, and accepts warm windings, missing sensors and
 //! encoders at rest.
 
-use crate::rig::{RATES, Rig, at_rate, hardware, paddle, quiet, rules, scene, wall};
+use crate::rig::{RATES_HZ, Rig, at_rate, far_wall, hardware, paddle, rules, scene, wall};
 use haptic_bridge::control::Command;
 use haptic_bridge::safety::fault::{Fault, State};
 
 /// Returns the fault, if the bridges turn off within 50 ms, and the largest current of motor 0 until then, A.
-fn worst_current(rig: &mut Rig) -> (f32, Option<Fault>) {
+fn largest_current_and_fault(rig: &mut Rig) -> (f32, Option<Fault>) {
     let mut most = 0.0_f32;
     for _ in 0..(0.05 * rig.rate) as u32 {
         rig.step();
@@ -20,11 +20,11 @@ fn worst_current(rig: &mut Rig) -> (f32, Option<Fault>) {
 
 #[test]
 fn a_wrong_current_sensor_does_not_let_the_motor_pass_its_limit() {
-    for rate in RATES {
+    for rate in RATES_HZ {
         for shown in [0.0_f32, 1.0, -2.0] {
             let mut rig = Rig::pressing_in(&at_rate(rate, scene(1, &[wall(-0.005, 250.0)])));
             rig.shown_current = Some(shown);
-            let (most, fault) = worst_current(&mut rig);
+            let (most, fault) = largest_current_and_fault(&mut rig);
             assert_eq!(fault, Some(Fault::MotorModel), "{shown} A at {rate} Hz");
             // 1.5 times the limit of 3 A, plus 1 A, is the bound of measured currents.
             assert!(most < 5.5, "{shown} A at {rate} Hz: {most} A");
@@ -34,10 +34,10 @@ fn a_wrong_current_sensor_does_not_let_the_motor_pass_its_limit() {
 
 #[test]
 fn an_open_winding_is_found_when_it_should_carry_current() {
-    for rate in RATES {
+    for rate in RATES_HZ {
         let mut rig = Rig::pressing_in(&at_rate(rate, scene(1, &[wall(-0.005, 250.0)])));
         rig.resistance = f32::INFINITY;
-        let (_, fault) = worst_current(&mut rig);
+        let (_, fault) = largest_current_and_fault(&mut rig);
         assert_eq!(fault, Some(Fault::MotorModel), "{rate} Hz");
     }
 }
@@ -45,7 +45,7 @@ fn an_open_winding_is_found_when_it_should_carry_current() {
 #[test]
 fn a_sound_motor_never_trips() {
     // Hot and cold windings hit and leave walls at speed, at every rate.
-    for rate in RATES {
+    for rate in RATES_HZ {
         for resistance in [1.7, 2.0, 2.8] {
             let mut rig = Rig::ready(&at_rate(rate, scene(1, &[wall(-0.005, 250.0)])));
             rig.resistance = resistance;
@@ -59,7 +59,7 @@ fn a_sound_motor_never_trips() {
 }
 
 #[test]
-fn a_stall_is_judged_by_the_limited_torque() {
+fn a_press_at_a_low_torque_limit_is_not_an_encoder_stall() {
     // The torque limit is a tenth of the motor's torque, so a long press at the limit does not prove a lost encoder.
     let mut rules = rules();
     rules.limits.torque = [0.03; 3];
@@ -87,7 +87,7 @@ fn unmeasured_voltages_and_currents_are_ignored() {
     let mut board = hardware();
     board.bus_sensed = false;
     board.bridge.current_sensed = false;
-    let mut rig = Rig::with(&paddle(), &quiet(), board, rules());
+    let mut rig = Rig::with(&paddle(), &far_wall(), board, rules());
     rig.samples.bus_voltage = f32::NAN;
     rig.shown_current = Some(f32::NAN);
     rig.arm();
@@ -99,7 +99,7 @@ fn unmeasured_voltages_and_currents_are_ignored() {
 fn a_board_without_bus_voltage_reports_no_lost_encoder() {
     let mut board = hardware();
     board.bus_sensed = false;
-    let mut rig = Rig::with(&paddle(), &quiet(), board, rules());
+    let mut rig = Rig::with(&paddle(), &far_wall(), board, rules());
     rig.samples.bus_voltage = 0.0;
     rig.shown_current = Some(2.0);
     rig.execute(Command::Arm).unwrap();

@@ -11,7 +11,7 @@ use haptic_bridge::render::controller::Controller;
 use haptic_bridge::render::scene::{FeedForward, Plane, Posture, Scene, SceneError, Surface, Wall};
 use nalgebra::Vector3;
 
-const RATE: f64 = 20_000.0;
+const RATE_HZ: f64 = 20_000.0;
 
 type Steps = Controller<f64, Serial3r<f64>, Libm, 3>;
 
@@ -26,14 +26,14 @@ fn arm() -> (Serial3r<f64>, Device<f64>) {
 }
 
 fn scene(posture: Option<Posture<f64>>) -> Scene<f64> {
-    Scene { task: 2, rate_hz: RATE, cutoff_hz: 2_000.0, posture, ..Scene::default() }
+    Scene { task: 2, rate_hz: RATE_HZ, cutoff_hz: 2_000.0, posture, ..Scene::default() }
 }
 
 /// Returns the torques at the end of a steady motion to `q` at `qd`.
-fn torque(scene: &Scene<f64>, q: &Vector3<f64>, qd: &Vector3<f64>) -> Vector3<f64> {
+fn settled_torque(scene: &Scene<f64>, q: &Vector3<f64>, qd: &Vector3<f64>) -> Vector3<f64> {
     let (arm, device) = arm();
     let mut steps = Steps::new(arm, &device, scene).expect("a sound scene");
-    (-80..=0).map(|k| steps.step(&fine_counts(&(q + qd * (f64::from(k) / RATE)))).torque).last().expect("steps")
+    (-80..=0).map(|k| steps.step(&fine_counts(&(q + qd * (f64::from(k) / RATE_HZ)))).torque).last().expect("steps")
 }
 
 /// With φ = q₀ + q₁ + q₂ and by virtual work, a moment f on the last link is the torque f at every joint.
@@ -45,7 +45,7 @@ fn the_posture_spring_is_a_moment_on_the_last_link() {
     {
         let (q, qd) = (Vector3::from(q), Vector3::from(qd));
         let moment = 0.4 * (2.6_f64 - q.sum()).sin() - 0.03 * qd.sum();
-        let error = torque(&scene(Some(held)), &q, &qd) - Vector3::repeat(moment);
+        let error = settled_torque(&scene(Some(held)), &q, &qd) - Vector3::repeat(moment);
         assert!(error.norm() < 1e-4 * moment.abs(), "{error} of {moment}");
     }
 }
@@ -59,12 +59,12 @@ fn a_free_arm_comes_to_rest() {
         let mut steps = Steps::new(arm, &device, &scene).expect("a sound scene");
         let (mut q, mut qd) = (Vector3::new(0.3, 1.2, 0.6), Vector3::new(0.3, -0.2, 0.0));
         let viscous = Vector3::from(device.joints.map(|joint| joint.viscous));
-        for _ in 0..(20.0 * RATE) as usize {
+        for _ in 0..(20.0 * RATE_HZ) as usize {
             let step = steps.step(&fine_counts(&q));
             let pose = arm.pose::<Libm>(&q);
             let moving = step.torque - viscous.component_mul(&qd) - arm.coriolis(&pose, &qd);
-            qd += inverse(&arm.mass(&pose)) * moving / RATE;
-            q += qd / RATE;
+            qd += inverse(&arm.mass(&pose)) * moving / RATE_HZ;
+            q += qd / RATE_HZ;
         }
         assert!(qd.norm() < 0.03, "damping {damping}: {qd:?}");
     }
@@ -90,7 +90,7 @@ fn an_arm_that_presses_a_wall_reaches_and_keeps_its_posture() {
         let (mut q, mut qd) = (start, Vector3::<f64>::zeros());
         // A hand presses with 6 N, prevents sliding along the wall, and damps the tip.
         let hand = Vector3::new(-0.6, -0.8, 0.0) * 6.0;
-        for _ in 0..(3.0 * RATE) as usize {
+        for _ in 0..(3.0 * RATE_HZ) as usize {
             let step = steps.step(&fine_counts(&q));
             let pose = arm.pose::<Libm>(&q);
             let jacobian = arm.jacobian(&pose);
@@ -98,8 +98,8 @@ fn an_arm_that_presses_a_wall_reaches_and_keeps_its_posture() {
             let across = Vector3::new(-0.8, 0.6, 0.0);
             let grip = hand - across * (across.dot(&away) * 300.0) - Vector3::new(rate[0], rate[1], 0.0) * 5.0;
             let moving = step.torque + jacobian.tr_mul(&grip) - arm.coriolis(&pose, &qd);
-            qd += inverse(&arm.mass(&pose)) * moving / RATE;
-            q += qd / RATE;
+            qd += inverse(&arm.mass(&pose)) * moving / RATE_HZ;
+            q += qd / RATE_HZ;
         }
         let pose = arm.pose::<Libm>(&q);
         let depth = (tip - arm.tip(&pose)).dot(&Vector3::from(normal));

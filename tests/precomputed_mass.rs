@@ -118,7 +118,7 @@ fn outside_its_grid_a_table_is_the_closed_form() {
 }
 
 #[test]
-fn the_edges_of_the_grid_belong_to_it() {
+fn the_edges_of_a_grid_belong_to_the_table() {
     let AnyMechanism::FiveBar(m) = mechanism("haply-2diy") else { panic!() };
     for interpolation in [Interpolation::Bilinear, Interpolation::Bicubic] {
         // The spacing and the corners are exact in binary.

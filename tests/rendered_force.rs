@@ -1,7 +1,7 @@
 //! The record contains the requested wall force, the rendered force, and marks for saturated motors.
 
 use crate::rig::statics::{force_at_tip, tip};
-use crate::rig::{COUNTS, RATE, Rig, five_bar, hardware, rules, scene, wall};
+use crate::rig::{COUNTS_PER_TURN, RATE_HZ, Rig, five_bar, hardware, rules, scene, wall};
 use haptic_bridge::control::frame::{Motors, StepRecord};
 use haptic_bridge::control::{Command, Rules};
 use haptic_bridge::render::controller::Gains;
@@ -64,7 +64,7 @@ fn the_rendered_force_is_zero_when_off_and_reduced_in_the_ramp() {
 }
 
 #[test]
-fn with_two_joints_it_is_the_static_force_of_the_torques() {
+fn the_rendered_force_is_the_static_force_of_the_torques() {
     for feed_forward in [FeedForward::Off, FeedForward::Full] {
         let n = [0.28, 0.96];
         let home = tip([2.4, 0.7]);
@@ -83,7 +83,8 @@ fn with_two_joints_it_is_the_static_force_of_the_torques() {
             rig.run(0.02);
             let frame = rig.control_loop.frame();
             // The home is at 2.4 and 0.7 rad.
-            let angle = |i: usize| f64::from(frame.counts[i]) / COUNTS * core::f64::consts::TAU + [2.4, 0.7][i];
+            let angle =
+                |i: usize| f64::from(frame.counts[i]) / COUNTS_PER_TURN * core::f64::consts::TAU + [2.4, 0.7][i];
             let torque = Vector2::new(frame.motors.torque[0], frame.motors.torque[1]).map(f64::from);
             let expected = force_at_tip(&[angle(0) as f32, angle(1) as f32, 0.0], torque).dot(&Vector2::from(n));
             let got = f64::from(frame.motors.rendered_force);
@@ -109,7 +110,7 @@ fn a_duty_at_its_limit_has_its_own_mark() {
     assert_eq!(rig.control_loop.frame().saturation(0), 0);
     // 2 N more within one step would need 44 V across the 1 mH winding for a carrier period.
     let gains = Gains { wall: 0, stiffness: 2_900.0, damping: 0.0, feed_forward: FeedForward::Off, washout_hz: 2.0 };
-    rig.execute(Command::Gains(gains, Washout::new(2.0, RATE).unwrap())).unwrap();
+    rig.execute(Command::Gains(gains, Washout::new(2.0, RATE_HZ).unwrap())).unwrap();
     rig.control_loop.control(&rig.samples);
     rig.control_loop.duties(24.0, &rig.samples.currents, false);
     let frame = rig.control_loop.frame();

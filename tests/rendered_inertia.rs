@@ -12,7 +12,7 @@ use haptic_bridge::render::scene::{Admissible, Plane, Scene, SceneError, Sphere,
 use haptic_bridge::with_mechanism;
 use nalgebra::SVector;
 
-const RATE: f64 = 50_000.0;
+const RATE_HZ: f64 = 50_000.0;
 
 /// A shipped device, its pose (rad), joint velocities (rad/s), and the wall's normal.
 type Case = (&'static str, [f64; 3], [f64; 3], [f64; 3]);
@@ -24,7 +24,7 @@ const CASES: [Case; 4] = [
     ("serial-3r", [0.5, 0.8, 0.7], [1.0, -0.8, 1.3], [0.6, 0.8, 0.0]),
 ];
 
-struct Outcome {
+struct StepEffect {
     /// Rendered acceleration n·p̈ + ṅ·ṗ, m/s².
     rendered: f64,
     /// The wall's force, N.
@@ -41,13 +41,13 @@ struct Outcome {
     null_torque: f64,
 }
 
-fn outcome(
+fn step_effect(
     name: &str,
     q: [f64; 3],
     qd: [f64; 3],
     surface: impl Fn([f64; 3], usize) -> Surface<f64>,
     with: impl Fn(&mut Scene<f64>),
-) -> Outcome {
+) -> StepEffect {
     fn run<M: Mechanism<f64, N>, const N: usize>(
         m: M,
         device: &Device<f64>,
@@ -55,18 +55,18 @@ fn outcome(
         qd: [f64; 3],
         surface: &dyn Fn([f64; 3], usize) -> Surface<f64>,
         with: &dyn Fn(&mut Scene<f64>),
-    ) -> Outcome {
+    ) -> StepEffect {
         let task = M::SPEC.task;
         let (q, qd) = (SVector::<f64, N>::from_fn(|i, _| q[i]), SVector::<f64, N>::from_fn(|i, _| qd[i]));
         let pose = m.pose::<Libm>(&q);
         let tip = m.tip(&pose);
         let surface = surface(core::array::from_fn(|i| if i < task { tip[i] } else { 0.0 }), task);
-        let mut scene = Scene { task: task as u8, rate_hz: RATE, cutoff_hz: 5_000.0, ..Scene::default() };
+        let mut scene = Scene { task: task as u8, rate_hz: RATE_HZ, cutoff_hz: 5_000.0, ..Scene::default() };
         scene.walls.push(bilateral_wall(surface, 300.0)).expect("room");
         with(&mut scene);
         let mut controller = Controller::<f64, M, Libm, N>::new(m, device, &scene).expect("a sound scene");
         // The steady motion through the pose lets the joint filters settle.
-        let last = (-60..=0).map(|k| controller.step(&fine_counts(&(q + qd * (f64::from(k) / RATE))))).last();
+        let last = (-60..=0).map(|k| controller.step(&fine_counts(&(q + qd * (f64::from(k) / RATE_HZ))))).last();
         let step = last.expect("steps");
 
         let (jacobian, rate, mass) = (m.jacobian(&pose), m.jacobian_rate(&pose, &qd), m.mass(&pose));
@@ -87,7 +87,7 @@ fn outcome(
         let b = bias - mass * (inverse(&jacobian) * without_phi);
         let row = jacobian.transpose() * n;
         let null = inverse(&jacobian) * SVector::<f64, N>::from_fn(|i, _| if i + 1 == N { 1.0 } else { 0.0 });
-        Outcome {
+        StepEffect {
             rendered: n.dot(&acceleration) + n_rate.dot(&velocity),
             force: step.wall_force,
             z_r: e.dot(&b),
@@ -105,7 +105,7 @@ fn outcome(
 }
 
 /// Returns a plane 2 cm from the tip.
-fn flat(normal: [f64; 3]) -> impl Fn([f64; 3], usize) -> Surface<f64> {
+fn plane_near_tip(normal: [f64; 3]) -> impl Fn([f64; 3], usize) -> Surface<f64> {
     move |tip, task| {
         let normal = core::array::from_fn(|i| if i < task { normal[i] } else { 0.0 });
         Surface::Plane(Plane { point: core::array::from_fn(|i| tip[i] + 0.02 * normal[i]), normal })
@@ -113,7 +113,7 @@ fn flat(normal: [f64; 3]) -> impl Fn([f64; 3], usize) -> Surface<f64> {
 }
 
 /// Returns a sphere of 6 cm radius whose surface passes near the tip.
-fn ball(tip: [f64; 3], task: usize) -> Surface<f64> {
+fn sphere_near_tip(tip: [f64; 3], task: usize) -> Surface<f64> {
     let offset = [0.03, -0.04, 0.02];
     let center = core::array::from_fn(|i| if i < task { tip[i] + offset[i] } else { 0.0 });
     Surface::Sphere(Sphere { center, radius: 0.06, inside: false })
@@ -124,9 +124,10 @@ fn only_the_rendered_force_accelerates_a_moving_tip() {
     let mut largest_z_r = 0.0_f64;
     for (name, q, qd, normal) in CASES {
         for round in [false, true] {
-            let surface = |tip, task| if round { ball(tip, task) } else { flat(normal)(tip, task) };
+            let surface =
+                |tip, task| if round { sphere_near_tip(tip, task) } else { plane_near_tip(normal)(tip, task) };
             let force_error = |terms| {
-                let o = outcome(name, q, qd, surface, |scene| scene.velocity_terms = terms);
+                let o = step_effect(name, q, qd, surface, |scene| scene.velocity_terms = terms);
                 (o.w_rr * o.rendered - o.force, o.z_r)
             };
             // The bound of 2e-3 N allows for the joint filters, which the tip's acceleration disturbs.
@@ -148,7 +149,7 @@ fn a_gain_changes_the_inertia_and_is_limited_below_its_pole() {
     let mut limited = 0;
     for (name, q, _, normal) in CASES {
         for gain in [0.0, 0.5, 1.0, 1.1, 2.0, 3.0] {
-            let o = outcome(name, q, [0.0; 3], flat(normal), |scene| scene.feed_forward_gain = gain);
+            let o = step_effect(name, q, [0.0; 3], plane_near_tip(normal), |scene| scene.feed_forward_gain = gain);
             let coupling = 1.0 - o.w_eff / o.w_rr;
             let pole = 1.0 / coupling;
             let effective = gain.min(0.5 * (1.0 + pole));
@@ -167,7 +168,7 @@ fn the_demos_wall_has_the_documented_inertias() {
     // Independent computation gives 0.2116 kg without the feed-forward, 0.2659 kg with it, and 0.357 kg with α = 2.
     let (name, q, _, normal) = CASES[0];
     let inertia = |gain| {
-        let o = outcome(name, q, [0.0; 3], flat(normal), |scene| scene.feed_forward_gain = gain);
+        let o = step_effect(name, q, [0.0; 3], plane_near_tip(normal), |scene| scene.feed_forward_gain = gain);
         o.force / o.rendered
     };
     for (gain, kilograms) in [(0.0, 0.211), (1.0, 0.265), (2.0, 0.357)] {
@@ -180,7 +181,7 @@ fn a_gain_beyond_its_limits_is_refused() {
     let scene = |gain, walls: usize| {
         let mut scene = Scene::<f64> { task: 2, feed_forward_gain: gain, ..Scene::default() };
         for _ in 0..walls {
-            scene.walls.push(bilateral_wall(flat([0.6, 0.8, 0.0])([0.0; 3], 2), 300.0)).expect("room");
+            scene.walls.push(bilateral_wall(plane_near_tip([0.6, 0.8, 0.0])([0.0; 3], 2), 300.0)).expect("room");
         }
         scene.check(2)
     };
@@ -202,11 +203,11 @@ fn a_redundant_arm_holds_the_coordinate_of_the_scene() {
         (Admissible::Joint2, Some(2), 2.38),
         (Admissible::Consistent, None, 1.22),
     ] {
-        let at_rest = outcome(name, q, [0.0; 3], flat(normal), |scene| scene.admissible = admissible);
+        let at_rest = step_effect(name, q, [0.0; 3], plane_near_tip(normal), |scene| scene.admissible = admissible);
         let found = at_rest.force / at_rest.rendered / at_rest.w_eff;
         assert!((found - ratio).abs() < 0.006, "{admissible:?}: Wrr/Weff is {found}");
         for speeds in [[0.0; 3], qd] {
-            let o = outcome(name, q, speeds, flat(normal), |scene| scene.admissible = admissible);
+            let o = step_effect(name, q, speeds, plane_near_tip(normal), |scene| scene.admissible = admissible);
             match held {
                 Some(coordinate) => assert!(o.held[coordinate].abs() < 0.02, "{admissible:?}: {:?}", o.held),
                 None => assert!(o.null_torque.abs() < 1e-6, "{admissible:?}: {} N m", o.null_torque),
@@ -226,7 +227,7 @@ fn a_joint_without_null_motion_is_released_smoothly() {
     for admissible in [Admissible::Joint0, Admissible::Joint1, Admissible::Joint2] {
         let share = |third: f64| {
             let q = [0.5, 0.8, third];
-            let o = outcome(name, q, [0.0; 3], flat(normal), |scene| scene.admissible = admissible);
+            let o = step_effect(name, q, [0.0; 3], plane_near_tip(normal), |scene| scene.admissible = admissible);
             let share = o.rendered / o.force * o.w_eff;
             assert!(share > 0.0 && share <= 1.0 + 1e-9, "{admissible:?} at {q:?}: Weff/Wrr is {share}");
             share

@@ -1,7 +1,7 @@
 //! Two toy motor stages run in the shipped control loop, because any `Stage` may be between a joint's torque and its
 //! motor. Limits, fault checks and the thermal budget hold for them as for a brushed motor.
 
-use crate::rig::{COUNTS, device, hardware, limits, paddle, rules, scene, wall};
+use crate::rig::{COUNTS_PER_TURN, device, hardware, limits, paddle, rules, scene, wall};
 use haptic_bridge::control::compiled::BoardMath;
 use haptic_bridge::control::frame::Samples;
 use haptic_bridge::control::joints::Currents;
@@ -129,12 +129,12 @@ impl Stage for FieldOriented {
 }
 
 /// An armed paddle with a motor stage of type `S` and its tip 1 cm deep in a wall.
-struct Pressed<S: Stage> {
+struct PressedRig<S: Stage> {
     control_loop: ControlLoop<Box<Program<BoardMath, S>>, S>,
     samples: Samples,
 }
 
-impl<S: Stage> Pressed<S> {
+impl<S: Stage> PressedRig<S> {
     fn into_a_wall(stiffness: f32) -> Self {
         let control_loop = ControlLoop::new(hardware(), rules());
         let mut rig = Self { control_loop, samples: Samples { bus_voltage: 24.0, ..Samples::default() } };
@@ -147,7 +147,7 @@ impl<S: Stage> Pressed<S> {
         rig.run(100);
         rig.execute(Command::Arm);
         rig.run(1_200);
-        let target = (-0.15 / std::f64::consts::TAU * COUNTS) as i32;
+        let target = (-0.15 / std::f64::consts::TAU * COUNTS_PER_TURN) as i32;
         while self::State::Armed == rig.control_loop.status().state && rig.samples.counts[0] > target {
             rig.samples.counts[0] -= 5;
             rig.run(1);
@@ -176,7 +176,7 @@ impl<S: Stage> Pressed<S> {
 #[test]
 fn an_amplifier_gets_the_current_of_the_walls_torque() {
     // 1 cm at 250 N/m and an arm of 0.1 m is 0.25 N m, or 2.5 A of 3 A.
-    let mut rig = Pressed::<SetPoint>::into_a_wall(250.0);
+    let mut rig = PressedRig::<SetPoint>::into_a_wall(250.0);
     let drives = rig.control_loop.duties(24.0, &[(); MAX_JOINTS], false);
     assert!((drives[0] - 2.5 / 3.0).abs() < 0.01, "{drives:?}");
     rig.execute(Command::Disarm);
@@ -185,7 +185,7 @@ fn an_amplifier_gets_the_current_of_the_walls_torque() {
 
 #[test]
 fn limits_and_the_thermal_budget_hold_for_an_amplifier() {
-    let mut rig = Pressed::<SetPoint>::into_a_wall(1.0e6);
+    let mut rig = PressedRig::<SetPoint>::into_a_wall(1.0e6);
     let most = limits().torque[0];
     assert!(
         (rig.control_loop.frame().motors.torque[0] - most).abs() < 1.0e-6,
@@ -203,7 +203,7 @@ fn limits_and_the_thermal_budget_hold_for_an_amplifier() {
 
 #[test]
 fn a_field_oriented_motor_has_its_voltage_across_the_field() {
-    let mut rig = Pressed::<FieldOriented>::into_a_wall(250.0);
+    let mut rig = PressedRig::<FieldOriented>::into_a_wall(250.0);
     for angle in [0.0_f32, 1.0, 2.5, -2.0] {
         let current = rig.control_loop.frame().motors.torque[0] / 0.1;
         // 2.5 A flow perpendicular to the field.

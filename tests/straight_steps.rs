@@ -2,7 +2,7 @@
 //! bit, except torques and forces. A straight step may sum them in another order, so they may differ by a few roundings
 //! of their parts.
 
-use crate::common::{Draw, NUMBERS, device};
+use crate::common::{Draw, NUMBERS_PER_CASE, random_device};
 use haptic_bridge::control::compiled::BoardMath;
 use haptic_bridge::math::{Libm, Math, Real};
 use haptic_bridge::model::catalogue::Kind;
@@ -15,13 +15,13 @@ use haptic_bridge::render::velocity::{Estimator, Washout};
 use haptic_bridge::with_mechanism;
 use nalgebra::SVector;
 
-const CASES: usize = 200;
-const STEPS: usize = 100;
+const CASES_PER_MECHANISM: usize = 200;
+const STEPS_PER_CASE: usize = 100;
 const COUNTS_PER_TURN: f64 = 20_000.0;
-const RATE: f64 = 20_000.0;
+const RATE_HZ: f64 = 20_000.0;
 
 /// Force of the host in each direction, N.
-const PUSH: f64 = 0.3;
+const PUSH_N: f64 = 0.3;
 
 /// Numbers in [0, 1), the same in every run (the upper half of Knuth's 64-bit linear congruential generator).
 struct Stream(u64);
@@ -33,7 +33,7 @@ impl Stream {
     }
 
     fn list(&mut self) -> Vec<f64> {
-        (0..NUMBERS).map(|_| self.next().min(0.999_999)).collect()
+        (0..NUMBERS_PER_CASE).map(|_| self.next().min(0.999_999)).collect()
     }
 }
 
@@ -68,7 +68,7 @@ fn scene<T: Real>(draw: &mut Draw<'_>, place: &[f64], task: usize) -> Scene<T> {
     let choice = |draw: &mut Draw<'_>, count: usize| (draw.within(0.0, count as f64) as usize).min(count - 1);
     let mut scene = Scene::<f64> {
         task: task as u8,
-        rate_hz: RATE,
+        rate_hz: RATE_HZ,
         velocity_terms: [VelocityTerms::Off, VelocityTerms::Paper, VelocityTerms::Rendered][choice(draw, 3)],
         estimator: [Estimator::Butterworth, Estimator::FirstOrder, Estimator::BackwardDifference][choice(draw, 3)],
         gravity_compensation: choice(draw, 2) == 0,
@@ -162,10 +162,10 @@ fn other_forces<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize>(
 
 /// Allowed error in roundings of a torque's parts. About forty operations lead from the parts to the torque of one
 /// wall, and twice as many for several walls. The largest measured error is 6.
-const ROUNDINGS: f64 = 16.0;
+const MAX_ROUNDINGS: f64 = 16.0;
 
 /// Computes the difference of torques and forces, in roundings.
-fn roundings<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize>(
+fn difference_in_roundings<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize>(
     mechanism: &M,
     fast: &Step<T, N>,
     slow: &Step<T, N>,
@@ -184,7 +184,7 @@ fn roundings<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize>(
         inertial += largest(&shaping.me);
     }
     let force =
-        other + slow.force_squared.to_f64().max(0.0).sqrt() + slow.wall_force.to_f64().abs() + 3.0_f64.sqrt() * PUSH;
+        other + slow.force_squared.to_f64().max(0.0).sqrt() + slow.wall_force.to_f64().abs() + 3.0_f64.sqrt() * PUSH_N;
     let moving = largest(&mechanism.velocity_torque(&pose, &slow.qd));
     let parts = largest(&slow.gravity) + (through + shaped) * force + moving + inertial * turning;
     let apart = largest(&(fast.torque - slow.torque)).max(largest(&(fast.rendered - slow.rendered)));
@@ -223,8 +223,8 @@ fn compare_steps<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize>(
     let plane = if draw.within(0.0, 1.0) < 0.5 { plane } else { PushedPlane::default() };
     let (mut push, mut variant) = (None, String::new());
     let mut going: [f64; N] = draw.list(-1.0, 1.0);
-    for nth in 0..STEPS {
-        if let (true, Some(wall)) = (nth == STEPS / 2, scene.walls.first()) {
+    for nth in 0..STEPS_PER_CASE {
+        if let (true, Some(wall)) = (nth == STEPS_PER_CASE / 2, scene.walls.first()) {
             let (feed_forward, washout_hz) = (FeedForward::Washout, wall.washout_hz);
             let half = T::from_f64(0.5);
             let gains =
@@ -232,9 +232,9 @@ fn compare_steps<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize>(
             let washout = Washout::new(washout_hz, scene.rate_hz).expect("a corner");
             straight.set_gains(&gains, &washout);
         }
-        if nth % (STEPS / 4) == 0 {
+        if nth % (STEPS_PER_CASE / 4) == 0 {
             // The host pushes in every second quarter of the motion, sometimes with a plane.
-            push = (nth / (STEPS / 4) % 2 == 1).then_some(Push { force: [T::from_f64(PUSH); 3], plane });
+            push = (nth / (STEPS_PER_CASE / 4) % 2 == 1).then_some(Push { force: [T::from_f64(PUSH_N); 3], plane });
             straight.set_push(push.as_ref());
         }
         for (count, going) in counts.iter_mut().zip(&mut going) {
@@ -246,15 +246,15 @@ fn compare_steps<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize>(
         // step.
         let mut general = straight.clone();
         let (fast, slow): (Step<T, N>, Step<T, N>) = (straight.step(&at), general.step_generally(&at));
-        if nth % (STEPS / 4) == STEPS / 4 - 1 {
+        if nth % (STEPS_PER_CASE / 4) == STEPS_PER_CASE / 4 - 1 {
             assert_eq!(state_text(&straight), state_text(&general), "{}: the states differ", M::SPEC.name);
         }
-        if nth % (STEPS / 4) == 0 {
+        if nth % (STEPS_PER_CASE / 4) == 0 {
             variant = format!("{straight:?}");
         }
         let other = other_forces::<T, M, K, N>(mechanism, &scene, push.as_ref(), &slow);
-        let apart = roundings::<T, M, K, N>(mechanism, &fast, &slow, other);
-        assert!(apart <= ROUNDINGS, "{}: {apart} roundings at {at:?} of {scene:?}", M::SPEC.name);
+        let apart = difference_in_roundings::<T, M, K, N>(mechanism, &fast, &slow, other);
+        assert!(apart <= MAX_ROUNDINGS, "{}: {apart} roundings at {at:?} of {scene:?}", M::SPEC.name);
         coverage.difference = coverage.difference.max(apart);
         // The straight step may sum the forces of several walls in another order too.
         let fast = Step { torque: slow.torque, rendered: slow.rendered, force_squared: slow.force_squared, ..fast };
@@ -293,9 +293,9 @@ fn a_straight_step_equals_the_general_step_up_to_roundings() {
     ] {
         let mut coverage = Coverage::default();
         // Devices with two joints have more straight steps than others.
-        for _ in 0..if kind == Kind::FiveBar { 4 * CASES } else { CASES } {
+        for _ in 0..if kind == Kind::FiveBar { 4 * CASES_PER_MECHANISM } else { CASES_PER_MECHANISM } {
             let numbers = stream.list();
-            let mut description = device(kind, &mut Draw::new(&numbers));
+            let mut description = random_device(kind, &mut Draw::new(&numbers));
             for joint in &mut description.joints {
                 joint.encoder = Some(Encoder { counts_per_turn: COUNTS_PER_TURN, offset: 0.0, inverted: false });
             }

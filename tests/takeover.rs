@@ -1,7 +1,7 @@
 //! A program that replaces another keeps the values that do not change with a scene. These values must equal the values
 //! of a program that is loaded first.
 
-use crate::rig::{COUNTS, Rig, at_rate, five_bar, hardware, limits, paddle, quiet, rules, scene, wall};
+use crate::rig::{COUNTS_PER_TURN, Rig, at_rate, far_wall, five_bar, hardware, limits, paddle, rules, scene, wall};
 use haptic_bridge::control::frame::Samples;
 use haptic_bridge::control::joints::Counts;
 use haptic_bridge::control::{Command, Rules};
@@ -38,7 +38,7 @@ fn load_scenes(first: Option<&Scene<f32>>, then: &Scene<f32>, change: impl Fn(&m
     rig
 }
 
-const RATES: [f32; 14] = [
+const RATES_HZ: [f32; 14] = [
     200.0,
     500.0,
     499.999_97,
@@ -58,8 +58,8 @@ const RATES: [f32; 14] = [
 #[test]
 fn a_scene_has_the_same_prepared_values_after_another_scene() {
     let mut differ = Vec::new();
-    for first in RATES {
-        for then in RATES {
+    for first in RATES_HZ {
+        for then in RATES_HZ {
             let y = Scene { gravity_compensation: true, ..at_rate(then, scene(2, &[wall(-0.3, 900.0)])) };
             let (kept, own) =
                 (load_scenes(Some(&at_rate(first, scene(2, &[]))), &y, |_| ()), load_scenes(None, &y, |_| ()));
@@ -104,12 +104,12 @@ fn lowest_tripping_speed(first: Option<f32>, rate: f32) -> f64 {
     let carrier_hz = f64::from(Carrier::for_rate(hardware().timer_hz, rate).carrier_hz());
     for tenths in 150..400 {
         let speed = f64::from(tenths) * 0.1;
-        let mut rig = Rig::with(&description, &at_rate(first.unwrap_or(rate), quiet()), hardware(), limited);
+        let mut rig = Rig::with(&description, &at_rate(first.unwrap_or(rate), far_wall()), hardware(), limited);
         if first.is_some() {
-            rig.load(&description, &at_rate(rate, quiet()), true).expect("a scene");
+            rig.load(&description, &at_rate(rate, far_wall()), true).expect("a scene");
         }
         rig.execute(Command::Arm).expect("everything is in place");
-        let counts_per_crest = COUNTS / std::f64::consts::TAU * speed / carrier_hz;
+        let counts_per_crest = COUNTS_PER_TURN / std::f64::consts::TAU * speed / carrier_hz;
         for crest in 0..(0.05 * carrier_hz) as i32 {
             let counts = Counts([(counts_per_crest * f64::from(crest)) as i32, 0, 0]);
             rig.control_loop.guard(&Samples { counts, ..rig.samples });

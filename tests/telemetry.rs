@@ -159,9 +159,9 @@ proptest! {
 }
 
 /// Frames that wait for a task.
-struct Queue(VecDeque<StepRecord>);
+struct FrameQueue(VecDeque<StepRecord>);
 
-impl Frames for Queue {
+impl Frames for FrameQueue {
     fn first(&self) -> Option<&StepRecord> {
         self.0.front()
     }
@@ -174,7 +174,7 @@ impl Frames for Queue {
 #[test]
 fn queued_frames_leave_in_order_and_the_rest_when_late() {
     let mut packer = packer(Fields(Field::Angle.bit()), 2, 1);
-    let mut queue = Queue((0..400).map(frame).collect());
+    let mut queue = FrameQueue((0..400).map(frame).collect());
     let full = packer.drain(&mut queue, 7, false).expect("200 rows are more than a batch").clone();
     assert_eq!((full.number, full.first_step, full.rows.len(), full.dropped), (0, 0, BATCH_BYTES, 7));
     assert!(packer.drain(&mut queue, 7, false).is_none());

@@ -9,7 +9,7 @@ use haptic_bridge::render::velocity::{
 
 /// Computes the direct-form coefficients (b0, b1, b2, a1, a2) of a 2nd-order digital Butterworth low-pass from its
 /// definition, the prewarped bilinear transform of 1/(s² + √2 s + 1).
-fn butter(cutoff: f64, rate: f64) -> [f64; 5] {
+fn butterworth_coefficients(cutoff: f64, rate: f64) -> [f64; 5] {
     let g = (std::f64::consts::PI * cutoff / rate).tan();
     let norm = 1.0 / (1.0 + std::f64::consts::SQRT_2 * g + g * g);
     let b = g * g * norm;
@@ -20,7 +20,7 @@ fn butter(cutoff: f64, rate: f64) -> [f64; 5] {
 fn the_butterworth_filter_agrees_with_the_direct_form() {
     for (rate, cutoff) in [(200.0, 20.0), (1000.0, 20.0), (20_000.0, 500.0), (50_000.0, 20_000.0)] {
         let coefficients = Coefficients::<f64>::new(Estimator::Butterworth, rate, cutoff).unwrap();
-        let [b0, b1, b2, a1, a2] = butter(cutoff, rate);
+        let [b0, b1, b2, a1, a2] = butterworth_coefficients(cutoff, rate);
         let mut filter = LowPass::default();
         let (mut x, mut y) = ([0.0; 2], [0.0; 2]);
         for step in 0..2000 {

@@ -15,11 +15,11 @@ use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, VelocityT
 use haptic_bridge::with_mechanism;
 use nalgebra::SVector;
 
-const RATE: f64 = 1_000.0;
+const RATE_HZ: f64 = 1_000.0;
 /// Steps in each leg of a loop.
-const STEPS: u32 = 1_000;
+const STEPS_PER_LEG: u32 = 1_000;
 /// Energy debt above which the passivity controller removes all feed-forward, J (src/render/controller/passivity.rs).
-const MOST_OWED: f64 = 1.0e-3;
+const MAX_DEBT: f64 = 1.0e-3;
 
 /// A loop near the home of a shipped device.
 struct Case {
@@ -59,7 +59,7 @@ const CASES: [Case; 2] = [
 ];
 
 /// Energies of loops, J.
-struct Loops {
+struct LoopEnergies {
     /// Net work of the torques in each loop, J.
     done: Vec<f64>,
     /// Energy that the controller reports at the end of each contact, negative if it was given out, J.
@@ -69,7 +69,7 @@ struct Loops {
 }
 
 impl Case {
-    fn loops(&self, feed_forward: FeedForward, passivity: bool, times: usize) -> Loops {
+    fn run_loops(&self, feed_forward: FeedForward, passivity: bool, times: usize) -> LoopEnergies {
         let shipped = device_file::shipped(self.device);
         let description = Description { gravity: [0.0; 3], ..with_fine_encoders(shipped) };
         let mechanism = AnyMechanism::<f64>::new(&description).expect("a sound device");
@@ -83,7 +83,7 @@ impl Case {
         feed_forward: FeedForward,
         passivity: bool,
         times: usize,
-    ) -> Loops {
+    ) -> LoopEnergies {
         let home = description.home.expect("a home");
         let mut q = SVector::<f64, N>::from_fn(|i, _| home[i]);
         let start = m.tip(&m.pose::<Libm>(&q));
@@ -100,7 +100,7 @@ impl Case {
 
         let mut scene = Scene::<f64> {
             task: N as u8,
-            rate_hz: RATE,
+            rate_hz: RATE_HZ,
             cutoff_hz: 100.0,
             velocity_terms: VelocityTerms::Off,
             ..Scene::default()
@@ -115,13 +115,13 @@ impl Case {
 
         let (from, to) = (self.from, self.from + self.slide);
         let corners = [(1e-6, to), (1e-6, from), (-self.depth, from), (-self.depth, to), (1e-6, to)];
-        let mut loops = Loops { done: Vec::new(), reported: Vec::new(), derived: 0.0 };
+        let mut loops = LoopEnergies { done: Vec::new(), reported: Vec::new(), derived: 0.0 };
         let mut torque = SVector::<f64, N>::zeros();
         for nth in 0..times {
             let (mut done, mut reported) = (0.0, 0.0);
             for leg in corners.windows(2) {
-                for k in 1..=STEPS {
-                    let share = f64::from(k) / f64::from(STEPS);
+                for k in 1..=STEPS_PER_LEG {
+                    let share = f64::from(k) / f64::from(STEPS_PER_LEG);
                     let between = |a: f64, b: f64| a + (b - a) * share;
                     let (x, s) = (between(leg[0].0, leg[1].0), between(leg[0].1, leg[1].1));
                     let (target, before) = (start + n * x + t * s, q);
@@ -137,7 +137,7 @@ impl Case {
                     }
                     if nth == 0 && leg[0].1 != leg[1].1 && x < 0.0 {
                         loops.derived +=
-                            self.stiffness * self.depth * t.dot(&field(&q)) * self.slide / f64::from(STEPS);
+                            self.stiffness * self.depth * t.dot(&field(&q)) * self.slide / f64::from(STEPS_PER_LEG);
                     }
                 }
             }
@@ -151,7 +151,7 @@ impl Case {
 #[test]
 fn the_energy_gain_of_a_slide_is_as_derived_and_reported() {
     for case in &CASES {
-        let Loops { done, reported, derived } = case.loops(FeedForward::Full, false, 2);
+        let LoopEnergies { done, reported, derived } = case.run_loops(FeedForward::Full, false, 2);
         assert!((derived / case.gained - 1.0).abs() < 0.1, "{}: {derived} J derived", case.device);
         // Torques are constant during a step, so they lag by half a step.
         assert!(done.iter().all(|done| (done / derived - 1.0).abs() < 0.005), "{}: {done:?} J done", case.device);
@@ -169,7 +169,7 @@ fn the_energy_gain_of_a_slide_is_as_derived_and_reported() {
 fn a_slide_gains_nothing_without_feed_forward_or_with_a_washout() {
     for case in &CASES {
         for (feed_forward, share) in [(FeedForward::Off, 0.005), (FeedForward::Washout, 0.02)] {
-            let Loops { done, derived, .. } = case.loops(feed_forward, false, 1);
+            let LoopEnergies { done, derived, .. } = case.run_loops(feed_forward, false, 1);
             assert!(done[0].abs() < share * derived, "{} {feed_forward:?}: {done:?} J of {derived}", case.device);
         }
     }
@@ -178,8 +178,8 @@ fn a_slide_gains_nothing_without_feed_forward_or_with_a_washout() {
 #[test]
 fn the_passivity_controller_bounds_the_energy_of_all_loops() {
     for case in &CASES {
-        let Loops { done, reported, derived } = case.loops(FeedForward::Full, true, 5);
-        let most = 0.5 * case.stiffness * case.depth * case.depth + MOST_OWED;
+        let LoopEnergies { done, reported, derived } = case.run_loops(FeedForward::Full, true, 5);
+        let most = 0.5 * case.stiffness * case.depth * case.depth + MAX_DEBT;
         assert!(derived > 3.0 * most, "{}", case.device);
         assert!(done.iter().sum::<f64>() < 1.02 * most, "{}: {done:?} J", case.device);
         assert!(reported.iter().all(|reported| *reported > -1.02 * most), "{}: {reported:?} J", case.device);

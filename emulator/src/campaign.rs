@@ -160,10 +160,6 @@ pub struct Campaign {
 
 impl Campaign {
     /// Returns a board with the control rate `rate`, Hz.
-    ///
-    /// # Panics
-    ///
-    /// Panics if the board refuses a request.
     #[must_use]
     pub fn at(rate: u32) -> Self {
         let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |_| ());
@@ -210,10 +206,6 @@ impl Campaign {
     }
 
     /// Injects an error at the `phase`th tenth of a control period and observes the effect.
-    ///
-    /// # Panics
-    ///
-    /// Panics if the board wrongly refuses a request, or if bridges float without a fault.
     pub fn run(&mut self, case: &Case, phase: u64) -> Outcome {
         self.prepare();
         let rig = &mut self.rig;
@@ -270,10 +262,6 @@ pub fn row(case: &Case, rate: u32, outcomes: &[Outcome]) -> String {
 }
 
 /// Runs the complete campaign and returns docs/results/broken.csv. The rates run in parallel.
-///
-/// # Panics
-///
-/// Panics if a board wrongly refuses a request.
 #[must_use]
 pub fn table() -> String {
     let at_rate = |rate| {

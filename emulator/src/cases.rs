@@ -111,10 +111,6 @@ impl Case {
     }
 
     /// Returns a rig at `rate_hz` whose tip touches the walls of this case.
-    ///
-    /// # Panics
-    ///
-    /// Panics if the board refuses a request.
     #[must_use]
     pub fn rig(&self, rate_hz: u32) -> Rig {
         let mut head = format!("rate_hz = {rate_hz}\ngravity_compensation = true\n");

@@ -78,9 +78,6 @@ impl DerefMut for Chip {
 
 impl Chip {
     /// Returns the chip after power-on, with unconnected pins.
-    ///
-    /// # Errors
-    ///
     /// Returns an error if the description of the part is wrong, which is a bug in this crate.
     pub fn new() -> Result<Self, Error> {
         let part = Stm32f427::new()?;
@@ -131,10 +128,6 @@ impl Chip {
     /// Applies a rising edge to pin `line` of port `port` (0 for A). rigless has no model for this. The edge is latched
     /// if the firmware selected the port for the line (SYSCFG) and enabled rising edges and the request (RM0090 section
     /// 12.3).
-    ///
-    /// # Panics
-    ///
-    /// Panics if the part has no interrupt controller, which is a bug in this crate.
     pub fn rising_edge(&mut self, at: VirtualNanos, port: usize, line: u32) {
         let selected = self.register("SYSCFG", 0x08 + 4 * (line / 4)) >> (4 * (line % 4)) & 0xF;
         let enabled = self.register("EXTI", map::exti::RISING) & self.register("EXTI", map::exti::MASK) & (1 << line);
@@ -155,10 +148,6 @@ impl Chip {
     /// Sets the chip's supply voltage. Returns true if the supply monitor requests its interrupt, which rigless does
     /// not model. The monitor's output must have risen on line 16, with rising edges and requests enabled (RM0090
     /// sections 5.2.2 and 12.2.5).
-    ///
-    /// # Panics
-    ///
-    /// Panics if the part has no interrupt controller, which is a bug in this crate.
     pub fn supply(&mut self, at: VirtualNanos, millivolts: u32) -> bool {
         let low = |chip: &Self| chip.register("PWR", map::power::STATUS) & map::power::SUPPLY_LOW != 0;
         let before = low(self);
@@ -174,10 +163,6 @@ impl Chip {
     }
 
     /// Changes a word of the flash directly, like age or radiation. The change takes effect when the run continues.
-    ///
-    /// # Panics
-    /// Panics if the part has no flash interface, which is a bug in this crate.
-    /// If the part has no flash interface, which is a bug here.
     pub fn corrupt_flash(&mut self, at: VirtualNanos, address: u64, word: u32) {
         let slot = self.bus().slot_of("FLASH").expect("the part has a flash interface");
         let (_, mut context) = self.part.bus_mut().drive(at, slot);
@@ -185,10 +170,6 @@ impl Chip {
     }
 
     /// Returns the register at `offset` of the instance `name`.
-    ///
-    /// # Panics
-    ///
-    /// Panics if the part has no such instance or register, which is a bug of the caller.
     #[must_use]
     pub fn register(&self, name: &str, offset: u32) -> u64 {
         let bus = self.part.bus();

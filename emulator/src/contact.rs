@@ -58,10 +58,6 @@ pub fn scene(head: &str, tip: [f64; 3], task: usize, walls: &[WallAt]) -> String
 impl Rig {
     /// Returns an armed board whose device is homed in front of `walls`. A hand has pushed the tip into the walls for
     /// 0.5 s, with `newtons` along each normal.
-    ///
-    /// # Panics
-    ///
-    /// Panics if the board refuses a request.
     #[must_use]
     pub fn in_contact(
         kind: impl Into<&'static Wiring>,
@@ -80,10 +76,6 @@ impl Rig {
 
     /// Loads the device with a scene without walls, homes the device at rest and checks its polarity. Afterwards a firm
     /// hand holds the device. Returns the counts at homing.
-    ///
-    /// # Panics
-    ///
-    /// Panics if the board refuses a request.
     pub fn prepare(&mut self, head: &str) -> [i32; 3] {
         self.load(head);
         self.with_simulated(|device| device.set_support(Support::Held));
@@ -96,10 +88,6 @@ impl Rig {
     }
 
     /// Checks the polarity while a rubber band carries the device.
-    ///
-    /// # Panics
-    ///
-    /// Panics if the board refuses the request or the check fails.
     pub fn check_polarity_suspended(&mut self) {
         self.with_simulated(suspend_device);
         self.check_polarity();
@@ -120,10 +108,6 @@ impl Rig {
 
     /// Prepares the device, loads `walls` in front of the tip where it is after the polarity check, and arms. Returns
     /// the text of the scene.
-    ///
-    /// # Panics
-    ///
-    /// Panics if the board refuses a request.
     pub fn arm_before(&mut self, head: &str, walls: &[WallAt]) -> String {
         self.prepare(head);
         let tip = self.with_simulated(|device| device.tip());

@@ -29,9 +29,6 @@ use crate::image::{Firmware, Symbol};
 
 /// Runs `firmware` until it calls `bench_done`, for at most `seconds` of virtual time. Returns the name of every
 /// variant and the instructions of its longest call.
-///
-/// # Errors
-///
 /// Returns an error if the image has no markers or does not finish.
 pub fn count(firmware: &Firmware, seconds: u64) -> Result<Vec<(String, u64)>, String> {
     let driver = Counter {

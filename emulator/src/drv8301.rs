@@ -5,7 +5,7 @@ use rigless::chip::Timeline;
 use rigless::chip::spi::Peer;
 use rigless::snapshot::Store;
 
-/// Bit of a frame that makes it a read.
+/// Bit that makes a frame a read.
 const READ: u32 = 1 << 15;
 /// Identity of the device, in status register 2.
 const DEVICE_ID: u16 = 1;

@@ -44,10 +44,6 @@ pub struct Exchanges {
 /// Sends a small force, different in every exchange, together with `contact` for `milliseconds`. Meanwhile the board
 /// streams `fields` of every `divider`th step (0: no stream). At most `ahead` requests wait for a reply, so 1 waits for
 /// each reply.
-///
-/// # Panics
-///
-/// Panics if the link breaks.
 pub fn run(
     rig: &mut Rig,
     (fields, divider): (Fields, u32),

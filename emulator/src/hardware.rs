@@ -97,9 +97,6 @@ impl Store for Hardware {}
 
 impl Hardware {
     /// Returns a bare chip with a crystal and a supply, for images that need no board.
-    ///
-    /// # Errors
-    ///
     /// Returns an error if the description of the part is wrong, which is a bug in this crate.
     pub fn bare() -> Result<Self, rigless::soc::Error> {
         let mut chip = Chip::new()?;
@@ -125,9 +122,6 @@ impl Hardware {
     }
 
     /// Returns a board with `plant` at its connectors.
-    ///
-    /// # Errors
-    ///
     /// Returns an error if the description of the part is wrong, which is a bug in this crate.
     pub fn new(wiring: impl Into<&'static Wiring>, plant: Box<dyn Plant>) -> Result<Self, rigless::soc::Error> {
         let wiring = wiring.into();
@@ -142,10 +136,6 @@ impl Hardware {
     }
 
     /// Returns the nth gate driver.
-    ///
-    /// # Panics
-    ///
-    /// Panics if the board does not have this driver.
     pub fn driver(&mut self, nth: usize) -> &mut Drv8301 {
         self.chip.spi[SPI3].chip_mut(nth).expect("the board has this driver")
     }

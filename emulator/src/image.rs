@@ -36,9 +36,6 @@ pub struct Symbol {
 
 impl Firmware {
     /// Reads the ELF file at `path`.
-    ///
-    /// # Errors
-    ///
     /// Returns an error if the file does not exist or is not ELF.
     pub fn read(path: impl AsRef<Path>) -> Result<Self, String> {
         let path = path.as_ref().to_owned();
@@ -62,9 +59,6 @@ impl Firmware {
 
     /// Returns the release image of the board `name`, built by `cargo xtask fw`. An up-to-date image is not built
     /// again. If `HAPTIC_FIRMWARE_DIR` is set, the image is read from that directory.
-    ///
-    /// # Errors
-    ///
     /// Returns an error if the image cannot be built or read.
     pub fn of(name: &str) -> Result<Self, String> {
         if let Some(directory) = std::env::var_os("HAPTIC_FIRMWARE_DIR") {
@@ -104,9 +98,6 @@ impl Firmware {
     }
 
     /// Returns the symbol `name`.
-    ///
-    /// # Errors
-    ///
     /// Returns an error if the image has no such symbol.
     pub fn symbol(&self, name: &str) -> Result<Symbol, String> {
         self.find(name).ok_or_else(|| format!("{} has no symbol {name}", self.path.display()))
@@ -145,9 +136,6 @@ impl Firmware {
     }
 
     /// Returns the contents of the file in the form that the emulator loads into memory.
-    ///
-    /// # Errors
-    ///
     /// Returns any error of rigless about the ELF file.
     pub fn image(&self) -> Result<rigless::image::Image, rigless::image::Error> {
         rigless::image::Image::new(&self.path, self.bytes.clone(), None)

@@ -563,10 +563,6 @@ fn rig_with_other_motor(change: impl FnOnce(&mut Motor<f64>)) -> Rig {
 }
 
 /// Runs until `microseconds` after a crest.
-///
-/// # Panics
-///
-/// Panics if the carrier stands still.
 pub fn after_crest(rig: &Rig, microseconds: u64) {
     let now = rig.now();
     let crest = rig.with(|stopped| stopped.hardware().chip.advanced[0].hook.crest()).expect("the carrier runs");

@@ -74,10 +74,6 @@ fn change(rig: &mut Rig, nth: u64) {
 
 /// Runs a rig that is in contact for `milliseconds`. Meanwhile `fields` of every `divider`th step are streamed, and a
 /// setting changes ten times per second.
-///
-/// # Panics
-/// Panics if the link breaks.
-/// If the link breaks.
 pub fn run(rig: &mut Rig, (fields, divider): (Fields, u32), rate_hz: u32, milliseconds: u64) -> Load {
     rig.tool.start_stream(fields, divider).expect("a stream starts");
     rig.run(5 * MILLISECOND);
@@ -122,10 +118,6 @@ fn true_rate(rate_hz: u32) -> f64 {
 }
 
 /// Replaces the scene of an armed rig with a scene of one or two walls, depending on `nth`, far from the tip.
-///
-/// # Panics
-///
-/// Panics if the board refuses the scene.
 pub fn set_free_scene(rig: &mut Rig, rate_hz: u32, nth: usize) {
     let task = rig.file.as_ref().map_or(2, |file| file.spec().task);
     let tip = rig.with_simulated(|device| device.tip());
@@ -136,10 +128,6 @@ pub fn set_free_scene(rig: &mut Rig, rate_hz: u32, nth: usize) {
 }
 
 /// Returns true if `case` accepts new scenes at a rate (Hz) while the motors are on, without missing a period.
-///
-/// # Panics
-///
-/// Panics if the board refuses a request.
 #[must_use]
 pub fn sustains_scenes(case: &Case, rate_hz: u32) -> bool {
     let mut rig = case.rig(rate_hz);
@@ -160,10 +148,6 @@ pub fn sustains_scenes(case: &Case, rate_hz: u32) -> bool {
 
 /// Returns true if `case` renders a host's plane in addition to its own walls at a rate (Hz) without missing a period.
 /// The host sends requests as fast as the board replies, and streams a row per millisecond.
-///
-/// # Panics
-///
-/// Panics if the link breaks.
 #[must_use]
 pub fn sustains_plane(case: &Case, rate_hz: u32) -> bool {
     let plane = HostContact { point: [0.0; 3], normal: [0.0, 1.0, 0.0], stiffness: 300.0, damping: 1.0 };
@@ -175,10 +159,6 @@ pub fn sustains_plane(case: &Case, rate_hz: u32) -> bool {
 
 /// Returns true if `case` sustains a rate (Hz) while the tip-force limit, a quarter of the hand's force, reduces the
 /// force in every step.
-///
-/// # Panics
-///
-/// Panics if the link breaks.
 #[must_use]
 pub fn sustains_force_limit(case: &Case, rate_hz: u32) -> bool {
     let mut rig = case.rig(rate_hz);

@@ -73,10 +73,6 @@ pub const RATES: [Rate; 2] = [Rate { rate_hz: 1000.0, cutoff_hz: 20.0 }, Rate { 
 const CURRENT_BANDWIDTH: f64 = 6400.0;
 
 /// Returns the coupled-five-bar as a rigid device, and its wall.
-///
-/// # Panics
-///
-/// Panics if the shipped file is missing.
 #[must_use]
 pub fn rigid() -> TestDevice {
     let mut file = device_file("coupled-five-bar");
@@ -98,10 +94,6 @@ pub fn rigid() -> TestDevice {
 
 /// Returns the board with the device, homed at the pose, with checked polarity, and with a hand that holds the device
 /// at the pose.
-///
-/// # Panics
-///
-/// Panics if the board refuses a request.
 #[must_use]
 pub fn rig(test_device: &TestDevice) -> Rig {
     let mut rig = Rig::with_file(BOARD, test_device.file.clone(), |options| {
@@ -123,9 +115,6 @@ pub fn rig(test_device: &TestDevice) -> Rig {
 
 /// Measures on `rig`, which has the device of `test_device`. `job` receives the prepared board. No hand holds the
 /// device, so only the wall's motor torques move it.
-///
-/// # Errors
-///
 /// Returns the error that ends a measurement early.
 pub fn measure_on<T>(
     rig: &mut Rig,
@@ -154,10 +143,6 @@ pub fn measure_on<T>(
 
 /// Returns the boundary that theory predicts for the same loop at the dampings `kd` (N s/m), or the entire boundary
 /// without `kd`. `delay_samples` is the delay that the board reports.
-///
-/// # Panics
-///
-/// Panics if the theory rejects the loop.
 #[must_use]
 pub fn predicted(test_device: &TestDevice, rate: Rate, delay_samples: f64, kd: Option<&[f64]>) -> Range {
     let control_loop = Loop {
@@ -178,10 +163,6 @@ pub const POINTS: usize = 12;
 pub const PULLS: [f64; 5] = [1.0, -1.0, 0.7, -0.7, 0.85];
 
 /// Returns the delay that the board reports at `rate`, in samples.
-///
-/// # Panics
-///
-/// Panics if the board does not reply.
 #[must_use]
 pub fn delay_samples(rig: &mut Rig, rate: Rate) -> f64 {
     rig.set_scene(&format!("rate_hz = {}\n", rate.rate_hz));
@@ -191,9 +172,6 @@ pub fn delay_samples(rig: &mut Rig, rate: Rate) -> f64 {
 /// Measures the complete range at `rate` with the feed-forward `mode`: [`POINTS`] dampings up to the end of the range,
 /// with all [`PULLS`]. Returns the result and the delay that the board reports. Calls `report` with the number of
 /// finished boundaries.
-///
-/// # Errors
-///
 /// Returns the error that ends a measurement early.
 pub fn measure_range(
     rate: Rate,

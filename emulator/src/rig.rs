@@ -22,10 +22,6 @@ use crate::run::{MILLISECOND, SECOND, StoppedBoard, VirtualBoard};
 use crate::wire::Shared;
 
 /// Returns the release image of `board`, which is built once per process.
-///
-/// # Panics
-///
-/// Panics if the image cannot be built. The message contains the reason.
 pub fn firmware(board: impl Into<&'static Wiring>) -> &'static Firmware {
     static IMAGES: Mutex<BTreeMap<&str, &Firmware>> = Mutex::new(BTreeMap::new());
     let name = board.into().name;
@@ -43,10 +39,6 @@ pub fn devices() -> PathBuf {
 
 /// Returns the device file `name` as if a person had checked it, with verified motors, and with wide joint limits where
 /// the file has none.
-///
-/// # Panics
-///
-/// Panics if there is no such file.
 #[must_use]
 pub fn device_file(name: &str) -> DeviceFile {
     let path = devices().join(format!("{name}.toml"));
@@ -74,40 +66,24 @@ pub struct Rig {
 
 impl Rig {
     /// Boots `kind` with only encoders at rest at its connectors.
-    ///
-    /// # Panics
-    ///
-    /// Panics if USB is not ready within two virtual seconds, or if a bridge is on before.
     #[must_use]
     pub fn empty(kind: impl Into<&'static Wiring>) -> Self {
         Self::with_plant(kind.into(), Box::new(Dummy::default()), None)
     }
 
     /// Boots the image of `kind` on another board, with only encoders at rest at its connectors.
-    ///
-    /// # Panics
-    ///
-    /// Panics like [`Rig::empty`].
     #[must_use]
     pub fn on_other_board(kind: impl Into<&'static Wiring>, board: impl Into<&'static Wiring>, device: &str) -> Self {
         Self::boot(kind.into(), board.into(), Box::new(Dummy::default()), Some(device_file(device)))
     }
 
     /// Boots `kind` with the simulated device of the shipped file `name`. `change` sets the simulation's options.
-    ///
-    /// # Panics
-    ///
-    /// Panics if there is no such device or the firmware does not boot.
     #[must_use]
     pub fn with_device(kind: impl Into<&'static Wiring>, name: &str, change: impl FnOnce(&mut Options)) -> Self {
         Self::with_file(kind, device_file(name), change)
     }
 
     /// Boots `kind` with the simulated device of `file`. `change` sets the simulation's options.
-    ///
-    /// # Panics
-    ///
-    /// Panics if the device cannot be simulated or the firmware does not boot.
     #[must_use]
     pub fn with_file(kind: impl Into<&'static Wiring>, file: DeviceFile, change: impl FnOnce(&mut Options)) -> Self {
         let kind = kind.into();
@@ -138,10 +114,6 @@ impl Rig {
     }
 
     /// Presses the board's reset button and connects the tool again.
-    ///
-    /// # Panics
-    ///
-    /// Panics if the firmware does not boot again.
     #[must_use]
     pub fn restarted(self) -> Self {
         let Self { kind, shared, file, .. } = self;
@@ -160,10 +132,6 @@ impl Rig {
 
     /// Loosens the rules for tests, in which nobody can be hurt. The board ignores a silent host, because virtual time
     /// passes without messages. The tip-force limit is the largest possible.
-    ///
-    /// # Panics
-    ///
-    /// Panics if the board refuses the rules.
     pub fn relax_rules(&mut self) {
         let rules = self.tool.rules().expect("the board replies");
         let limits = Limits { tip_force: MOST_TIP_FORCE, ..rules.limits };
@@ -171,10 +139,6 @@ impl Rig {
     }
 
     /// Loads the device at the connectors and a scene.
-    ///
-    /// # Panics
-    ///
-    /// Panics if the board refuses the device or the scene.
     pub fn load(&mut self, scene: &str) {
         let file = self.file.as_ref().expect("a device at the connectors");
         let device = DeviceData::new(&file.name, &file.description).expect("a device of the board's size");
@@ -183,10 +147,6 @@ impl Rig {
     }
 
     /// Loads a scene.
-    ///
-    /// # Panics
-    ///
-    /// Panics if the board refuses the scene.
     pub fn set_scene(&mut self, scene: &str) {
         let task = self.file.as_ref().expect("a device at the connectors").spec().task;
         let scene = SceneFile::parse(scene, "scene", task).unwrap_or_else(|error| panic!("{error}"));
@@ -194,10 +154,6 @@ impl Rig {
     }
 
     /// Homes the device in place, checks its polarity, arms, and waits until torque has ramped up.
-    ///
-    /// # Panics
-    ///
-    /// Panics if the board refuses a request or latches a fault.
     pub fn ready(&mut self) {
         self.tool.home().expect("the device can be homed");
         self.check_polarity();
@@ -205,10 +161,6 @@ impl Rig {
     }
 
     /// Arms and waits until torque has ramped up.
-    ///
-    /// # Panics
-    ///
-    /// Panics if the board refuses or latches a fault.
     pub fn arm(&mut self) {
         self.tool.arm().expect("the board arms");
         self.run(SECOND);
@@ -217,10 +169,6 @@ impl Rig {
     }
 
     /// Checks the polarity of every joint.
-    ///
-    /// # Panics
-    ///
-    /// Panics if the board refuses or the check fails.
     pub fn check_polarity(&mut self) {
         self.tool.check_polarity().expect("the polarity check starts");
         for _ in 0..300 {
@@ -245,10 +193,6 @@ impl Rig {
     }
 
     /// Runs `job` with the simulated device.
-    ///
-    /// # Panics
-    ///
-    /// Panics if the plant is not a simulated device.
     pub fn with_simulated<T: Send + 'static>(&self, job: impl FnOnce(&mut SimulatedDevice) -> T + Send + 'static) -> T {
         self.with(|stopped| job(stopped.hardware().plant.device().expect("a simulated device")))
     }
@@ -268,10 +212,6 @@ impl Rig {
     }
 
     /// Returns the number of control steps since the start, read from the chip's memory while the board stands still.
-    ///
-    /// # Panics
-    ///
-    /// Panics if the image has no such count.
     #[must_use]
     pub fn steps(&self) -> u32 {
         // The count of steps is the first field of the shared state.

@@ -64,19 +64,11 @@ impl StoppedBoard<'_> {
     }
 
     /// Returns the words in a range of the flash.
-    ///
-    /// # Panics
-    ///
-    /// Panics if there is no memory in the range.
     pub fn flash(&mut self, place: Range<u64>) -> Vec<u32> {
         place.step_by(4).map(|at| self.word(at).expect("there is flash")).collect()
     }
 
     /// Writes `words` to the flash from `start` on, like a programming tool. Takes effect when the run continues.
-    ///
-    /// # Panics
-    ///
-    /// Panics if there is no memory in the range.
     pub fn set_flash(&mut self, start: u64, words: &[u32]) {
         let at = VirtualNanos(self.at);
         for (address, word) in (start..).step_by(4).zip(words) {
@@ -87,10 +79,6 @@ impl StoppedBoard<'_> {
     }
 
     /// Flips a bit in the first byte of the last `text` in a range of the flash. Takes effect when the run continues.
-    ///
-    /// # Panics
-    ///
-    /// Panics if the range does not contain the text.
     pub fn flip_in_flash(&mut self, place: Range<u64>, text: &[u8]) {
         let bytes: Vec<u8> = self.flash(place.clone()).into_iter().flat_map(u32::to_le_bytes).collect();
         let offset = bytes.windows(text.len()).rposition(|window| window == text).expect("the text is in flash");
@@ -183,9 +171,6 @@ pub struct VirtualBoard {
 
 impl VirtualBoard {
     /// Powers on a board with `firmware` in its flash, and stops at the first instruction.
-    ///
-    /// # Errors
-    ///
     /// Returns an error if the emulator rejects the image.
     pub fn start(firmware: &Firmware, hardware: Hardware) -> Result<Self, String> {
         let emulator = |error: &dyn fmt::Display| format!("the emulator stopped: {error}");
@@ -215,10 +200,6 @@ impl VirtualBoard {
     }
 
     /// Runs for `span` nanoseconds of virtual time.
-    ///
-    /// # Panics
-    ///
-    /// Panics if the emulator stopped. The message contains the reason.
     pub fn run(&mut self, span: u64) {
         let until = self.at + span;
         match self.order(Command::RunUntil(until)) {
@@ -228,10 +209,6 @@ impl VirtualBoard {
     }
 
     /// Runs `job` while the board stands still, and returns its result.
-    ///
-    /// # Panics
-    ///
-    /// Panics if the emulator stopped. The message contains the reason.
     pub fn with<T: Send + 'static>(&mut self, job: impl FnOnce(&mut StoppedBoard<'_>) -> T + Send + 'static) -> T {
         let (result, outcome) = channel();
         self.order(Command::With(Box::new(move |stopped| {

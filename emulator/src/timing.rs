@@ -50,10 +50,6 @@ pub struct Timing {
 
 impl Case {
     /// Measures the case at its rate for [`TRACED_NS`].
-    ///
-    /// # Panics
-    ///
-    /// Panics if the image lacks the handler or its debug information, or if the tip loses contact.
     #[must_use]
     pub fn measure(&self) -> Timing {
         let mut rig = self.rig(self.rate_hz);
@@ -109,20 +105,12 @@ impl Timing {
 
 impl Rig {
     /// Returns all complete runs of the control interrupt during `span` ns.
-    ///
-    /// # Panics
-    ///
-    /// Panics if the image has no such handler.
     #[must_use]
     pub fn trace_control(&mut self, span: u64) -> Vec<Run> {
         self.trace_control_during(|rig| rig.run(span))
     }
 
     /// Returns all complete runs of the control interrupt during `work`.
-    ///
-    /// # Panics
-    ///
-    /// Panics if the image has no such handler.
     #[must_use]
     pub fn trace_control_during(&mut self, work: impl FnOnce(&mut Self)) -> Vec<Run> {
         let image = firmware(self.kind);
@@ -152,10 +140,6 @@ const STEPS: [(&str, SceneKind); 6] = [
 
 /// Returns timing-steps.csv, the instructions of the control step by device and scene. The image is a release image,
 /// the motors are off and the encoder counts constant.
-///
-/// # Panics
-///
-/// Panics if the board refuses a request.
 #[must_use]
 pub fn steps() -> String {
     let mut text = csv_line(["device", "the tip meets", "instructions"]);

@@ -24,10 +24,6 @@ impl Shared {
     }
 
     /// Locks the board, so that nothing else runs it meanwhile.
-    ///
-    /// # Panics
-    ///
-    /// Panics if another user of the board panicked while it held the lock.
     pub fn board(&self) -> MutexGuard<'_, VirtualBoard> {
         self.0.lock().expect("no holder of the board panicked")
     }

@@ -50,11 +50,11 @@ impl<'a> Draw<'a> {
 }
 
 /// Number of random numbers that suffice for one device and one pose.
-pub const NUMBERS: usize = 80;
+pub const NUMBERS_PER_CASE: usize = 80;
 
 /// Draws a link that can be built. The centre of mass lies between a counterweight and the far end, and the inertias
 /// belong to a real body.
-fn link(draw: &mut Draw<'_>, length: f64) -> Link {
+fn random_link(draw: &mut Draw<'_>, length: f64) -> Link {
     let mass = draw.within_log(0.002, 0.5);
     let squared = |extent: f64| mass * extent * extent / 12.0;
     let thick = draw.within(0.02, 0.5) * length;
@@ -68,7 +68,7 @@ fn link(draw: &mut Draw<'_>, length: f64) -> Link {
 }
 
 /// Draws a hand-sized device of this kind for which every term of the equations of motion matters.
-pub fn device(kind: Kind, draw: &mut Draw<'_>) -> Description {
+pub fn random_device(kind: Kind, draw: &mut Draw<'_>) -> Description {
     let mut geometry = [0.0; MAX_GEOMETRY];
     let mut links = [Link::default(); MAX_LINKS];
     let mut place = |index: usize, link: Link| links[index] = link;
@@ -79,20 +79,20 @@ pub fn device(kind: Kind, draw: &mut Draw<'_>) -> Description {
             geometry[0] = draw.within(0.0, 0.08);
             for i in 0..4 {
                 geometry[i + 1] = length(draw) * if i < 2 { 1.0 } else { 1.4 };
-                place(i, link(draw, geometry[i + 1]));
+                place(i, random_link(draw, geometry[i + 1]));
             }
             geometry[5] = if draw.within(0.0, 1.0) < 0.5 { 1.0 } else { -1.0 };
         }
         Kind::Parallelogram => {
             geometry[..3].copy_from_slice(&[length(draw), length(draw), draw.within(0.02, 0.06)]);
             for (i, reach) in [geometry[0], geometry[1], geometry[2], geometry[0]].into_iter().enumerate() {
-                place(i, link(draw, reach));
+                place(i, random_link(draw, reach));
             }
         }
         Kind::Serial3r => {
             for (i, arm) in geometry[..3].iter_mut().enumerate() {
                 *arm = length(draw);
-                place(i, link(draw, *arm));
+                place(i, random_link(draw, *arm));
             }
         }
     }
@@ -105,15 +105,15 @@ pub fn device(kind: Kind, draw: &mut Draw<'_>) -> Description {
 }
 
 pub fn inverse<const N: usize>(matrix: &SMatrix<f64, N, N>) -> SMatrix<f64, N, N> {
-    let inverse = dynamic(matrix).try_inverse().expect("a regular matrix");
+    let inverse = to_dynamic(matrix).try_inverse().expect("a regular matrix");
     SMatrix::from_fn(|i, j| inverse[(i, j)])
 }
 
 pub fn determinant<const N: usize>(matrix: &SMatrix<f64, N, N>) -> f64 {
-    dynamic(matrix).determinant()
+    to_dynamic(matrix).determinant()
 }
 
-fn dynamic<const N: usize>(matrix: &SMatrix<f64, N, N>) -> DMatrix<f64> {
+fn to_dynamic<const N: usize>(matrix: &SMatrix<f64, N, N>) -> DMatrix<f64> {
     DMatrix::from_fn(N, N, |i, j| matrix[(i, j)])
 }
 

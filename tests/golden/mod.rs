@@ -37,7 +37,7 @@ pub fn list(value: &Value) -> Vec<f64> {
 
 /// Asserts that every quantity equals the case's value. `tolerance` is a share of the largest expected entry, or an
 /// absolute error if all expected entries are zero.
-pub fn agree(case: &Value, found: &[Quantity], tolerance: f64) {
+pub fn assert_agree(case: &Value, found: &[Quantity], tolerance: f64) {
     for (name, found) in found {
         let expected = list(&case["expect"][*name]);
         assert_eq!(found.len(), expected.len(), "{name}");

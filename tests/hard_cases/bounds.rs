@@ -4,9 +4,9 @@ use super::rows::singular::{Row, Singularity, Target};
 use super::rows::{DOUBLE, EXTREMES, FILTERS, SEVERAL, SINGULAR, STEPS, TURNS};
 
 /// Largest torque error where the feed-forward acts in full, as a share of the largest torque.
-const USABLE: f64 = 1e-4;
+const FULL_FEED_FORWARD_TOLERANCE: f64 = 1e-4;
 
-pub fn serial(row: &&Row) -> bool {
+pub fn is_serial(row: &&Row) -> bool {
     row.singularity != Singularity::Rods
 }
 
@@ -23,12 +23,12 @@ fn every_singularity_is_reached_up_to_cond_1e4() {
     for name in ["five-bar (haply-2diy)", "five-bar-turret", "parallelogram (Phantom)", "serial-3r"] {
         for condition in [1e1, 1e2, 1e3, 1e4, 1e5] {
             let met =
-                SINGULAR.iter().any(|row| row.device == name && condition_number(row) == condition && serial(&row));
+                SINGULAR.iter().any(|row| row.device == name && condition_number(row) == condition && is_serial(&row));
             assert!(met, "{name} at cond J {condition:e}");
         }
     }
     for condition in [1e1, 1e2, 1e3, 1e4] {
-        let met = SINGULAR.iter().filter(|row| condition_number(row) == condition && !serial(row)).count();
+        let met = SINGULAR.iter().filter(|row| condition_number(row) == condition && !is_serial(row)).count();
         assert_eq!(met, 2, "parallel singularities at cond J {condition:e}");
     }
 }
@@ -43,24 +43,24 @@ fn the_full_feed_forward_keeps_four_digits_of_torque() {
         edges += 1;
         let board = &row.board;
         for error in [board.w_rr_kernel, board.plain, board.torque, board.torque_moving] {
-            assert!(error < USABLE, "{row:?}");
+            assert!(error < FULL_FEED_FORWARD_TOLERANCE, "{row:?}");
         }
     }
     assert_eq!(edges, 8, "one edge per singularity");
 }
 
 #[test]
-fn without_feed_forward_a_serial_singularity_costs_nothing() {
-    let rows: Vec<_> = SINGULAR.iter().filter(serial).collect();
+fn without_feed_forward_a_serial_singularity_loses_no_digits() {
+    let rows: Vec<_> = SINGULAR.iter().filter(is_serial).collect();
     assert_eq!(rows.len(), 42, "six ways into a serial singularity, seven rows each");
     for row in rows {
-        assert!(row.board.plain < USABLE, "{row:?}");
+        assert!(row.board.plain < FULL_FEED_FORWARD_TOLERANCE, "{row:?}");
     }
 }
 
 #[test]
 fn only_joint_space_keeps_digits_at_serial_singularities() {
-    let rows: Vec<_> = SINGULAR.iter().filter(serial).filter(|row| condition_number(row) >= 1e3).collect();
+    let rows: Vec<_> = SINGULAR.iter().filter(is_serial).filter(|row| condition_number(row) >= 1e3).collect();
     assert_eq!(rows.len(), 18, "six ways into a serial singularity, three decades each");
     for row in rows {
         assert!(row.board.w_eff_schur > 1e-2, "{row:?}");
@@ -70,7 +70,7 @@ fn only_joint_space_keeps_digits_at_serial_singularities() {
 
 #[test]
 fn only_task_space_keeps_digits_at_parallel_singularities() {
-    let rows: Vec<_> = SINGULAR.iter().filter(|row| !serial(row) && condition_number(row) >= 1e3).collect();
+    let rows: Vec<_> = SINGULAR.iter().filter(|row| !is_serial(row) && condition_number(row) >= 1e3).collect();
     assert_eq!(rows.len(), 6, "two kinds of closed loop, three decades each");
     for row in rows {
         assert!(row.board.w_rr_kernel * 10.0 < row.board.w_rr_joint, "{row:?}");
@@ -148,7 +148,7 @@ fn walls_at_small_angles_or_unequal_stiffness_keep_five_digits() {
 }
 
 #[test]
-fn thousands_of_turns_of_a_fractional_encoder_cost_nothing() {
+fn thousands_of_turns_of_a_fractional_encoder_lose_no_digits() {
     assert_eq!(TURNS.len(), 8, "two mechanisms, four encoders");
     for row in &*TURNS {
         // An angle below 2π has a last digit of 4.8e-7. Three joints round twice each, and arms have up to three mean
@@ -167,6 +167,6 @@ fn two_singularities_at_once_keep_four_digits() {
         assert!(row.poses >= 20, "{row:?}");
         assert!(double.torque < 1e-10 && double.torque_moving < 1e-10, "{row:?}");
         let worst = [board.w_rr_kernel, board.plain, board.torque, board.torque_moving].into_iter().fold(0.0, f64::max);
-        assert!(worst < if row.share == 1.0 { USABLE } else { 0.1 }, "{row:?}");
+        assert!(worst < if row.share == 1.0 { FULL_FEED_FORWARD_TOLERANCE } else { 0.1 }, "{row:?}");
     }
 }

@@ -40,7 +40,7 @@ pub struct RigMachine {
     pub control_loop: ControlLoop<Box<Program<BoardMath>>>,
     pub flash: Flash,
     /// Number of times that the carrier was set, once for every program that came into force.
-    pub retimed: u32,
+    pub carrier_sets: u32,
 }
 
 impl RigMachine {
@@ -69,7 +69,7 @@ impl Machine for RigMachine {
     fn release(&mut self, _held: Self::Held) {}
     fn retime(&mut self, _rate_hz: f32) {
         assert!(!self.control_loop.status().state.drives(), "the timer is set while the motors are on");
-        self.retimed += 1;
+        self.carrier_sets += 1;
     }
     fn stage(&mut self, key: Key, entry: &[u8]) -> Result<(), Refusal> {
         self.check_writable()?;
@@ -137,12 +137,12 @@ pub struct Board {
     /// Index pulses that arrive before the next control step.
     pub marks: Option<[Option<i32>; MAX_JOINTS]>,
     /// Fault that the firmware reports at the next control step.
-    pub told: Option<(Fault, Option<u8>, f32)>,
+    pub reported_fault: Option<(Fault, Option<u8>, f32)>,
     pub bridges: bool,
     pub duties: [f32; MAX_JOINTS],
     pub packer: Packer,
     hardware: Hardware,
-    most: Limits,
+    board_limits: Limits,
     /// State of [`Board::renders_forces_only`].
     forces_only: bool,
 }
@@ -157,22 +157,22 @@ impl Board {
     pub fn with_flash(real: bool, flash: BTreeMap<u8, Entry>) -> Self {
         let bridge = Bridge { carrier_hz: 20_000.0, dead_time: 200e-9, bandwidth_hz: 1_000.0, current_sensed: true };
         let hardware = Hardware { axes: MAX_JOINTS, real, bus_sensed: true, bridge, timer_hz: 168_000_000 };
-        let most = Limits::default();
+        let board_limits = Limits::default();
         let mut board = Self {
             machine: RigMachine {
                 control_loop: ControlLoop::new(hardware, Rules::default()),
                 flash: Flash { kept: flash, ..Flash::default() },
-                retimed: 0,
+                carrier_sets: 0,
             },
-            service: Service::new(hardware, most),
+            service: Service::new(hardware, board_limits),
             samples: Samples { bus_voltage: 24.0, ..Samples::default() },
             marks: None,
-            told: None,
+            reported_fault: None,
             bridges: false,
             duties: [0.0; MAX_JOINTS],
             packer: Packer::default(),
             hardware,
-            most,
+            board_limits,
             forces_only: false,
         };
         board.service.boot(&mut board.machine);
@@ -196,7 +196,7 @@ impl Board {
     /// Runs one control step.
     pub fn tick(&mut self) {
         let samples = self.measured_samples();
-        if let Some((fault, axis, value)) = self.told.take() {
+        if let Some((fault, axis, value)) = self.reported_fault.take() {
             self.machine.control_loop.trip(fault, axis, value);
         }
         if let Some(marks) = self.marks.take() {
@@ -259,7 +259,7 @@ impl Board {
     pub fn check_invariants(&self) {
         let state = self.state();
         let limits = self.service.rules().limits;
-        assert!(limits.within(&self.most), "limits above the board's own: {limits:?}");
+        assert!(limits.within(&self.board_limits), "limits above the board's own: {limits:?}");
         let duties = self.duties;
         assert!(duties.iter().all(|duty| duty.abs() <= MAX_DUTY), "{duties:?} with {:?}", self.samples);
         if !state.drives() {

@@ -22,14 +22,14 @@ use haptic_bridge::safety::refusal::Refusal;
 pub mod board;
 pub mod statics;
 
-pub type Held = Box<Program<BoardMath>>;
+pub type BoxedProgram = Box<Program<BoardMath>>;
 
 /// Control rate of the scenes in this module, Hz.
-pub const RATE: f32 = 2_000.0;
+pub const RATE_HZ: f32 = 2_000.0;
 /// Control rates at which limits and checks are tested, Hz.
-pub const RATES: [f32; 3] = [200.0, 1_000.0, 20_000.0];
+pub const RATES_HZ: [f32; 3] = [200.0, 1_000.0, 20_000.0];
 /// Encoder counts per turn of a joint.
-pub const COUNTS: f64 = 60_000.0;
+pub const COUNTS_PER_TURN: f64 = 60_000.0;
 
 /// Returns a board with three axes and all sensors.
 pub fn hardware() -> Hardware {
@@ -64,7 +64,7 @@ fn joint() -> Joint {
     Joint {
         inertia: 1.0e-4,
         limits: Some((-1.0, 1.0)),
-        encoder: Some(Encoder { counts_per_turn: COUNTS, offset: 0.0, inverted: false }),
+        encoder: Some(Encoder { counts_per_turn: COUNTS_PER_TURN, offset: 0.0, inverted: false }),
         motor: Some(Motor {
             torque_constant: 0.1,
             resistance: 2.0,
@@ -139,13 +139,14 @@ impl Body {
         for i in 0..self.joints {
             self.qd[i] += accelerated[i] / f64::from(rig.rate);
             self.q[i] += self.qd[i] / f64::from(rig.rate);
-            rig.samples.counts[i] = ((self.q[i] - self.home[i]) / core::f64::consts::TAU * COUNTS).round() as i32;
+            rig.samples.counts[i] =
+                ((self.q[i] - self.home[i]) / core::f64::consts::TAU * COUNTS_PER_TURN).round() as i32;
         }
         rig.step();
     }
 
     /// Runs until the polarity check waits for the second joint.
-    pub fn check_first(&mut self, rig: &mut Rig) {
+    pub fn run_first_joint_check(&mut self, rig: &mut Rig) {
         let (mut pushed, mut waits) = (false, 0);
         while waits < 50 {
             self.step(rig, 1.0);
@@ -157,7 +158,7 @@ impl Body {
     }
 
     /// Runs until the polarity check ends.
-    pub fn check(&mut self, rig: &mut Rig, factor: f64) {
+    pub fn run_check(&mut self, rig: &mut Rig, factor: f64) {
         for _ in 0..(20.0 * rig.rate) as u32 {
             if rig.state() != State::CheckingPolarity {
                 return;
@@ -175,7 +176,7 @@ pub fn wall(x: f32, stiffness: f32) -> Wall<f32> {
 }
 
 pub fn scene(task: u8, walls: &[Wall<f32>]) -> Scene<f32> {
-    Scene { task, rate_hz: RATE, cutoff_hz: 200.0, walls: walls.iter().copied().collect(), ..Scene::default() }
+    Scene { task, rate_hz: RATE_HZ, cutoff_hz: 200.0, walls: walls.iter().copied().collect(), ..Scene::default() }
 }
 
 /// Returns a scene with a spring to a point (m) and no walls.
@@ -190,7 +191,7 @@ pub fn at_rate(rate_hz: f32, scene: Scene<f32>) -> Scene<f32> {
 }
 
 /// Returns a scene with a stiff wall at -0.05 m, which the paddle at home does not touch.
-pub fn quiet() -> Scene<f32> {
+pub fn far_wall() -> Scene<f32> {
     scene(1, &[wall(-0.05, 1_000.0)])
 }
 
@@ -200,12 +201,12 @@ pub fn device(description: &Description) -> Device<f32> {
 
 /// The control loop, its inputs at the next step, and its outputs at the last step.
 pub struct Rig {
-    pub control_loop: ControlLoop<Held>,
+    pub control_loop: ControlLoop<BoxedProgram>,
     pub samples: Samples,
     /// Index pulses that arrive before the next step.
     pub marks: Option<[Option<i32>; MAX_JOINTS]>,
     /// Fault that the firmware reports at the next step.
-    pub told: Option<(Fault, Option<u8>, f32)>,
+    pub reported_fault: Option<(Fault, Option<u8>, f32)>,
     pub outputs: Outputs,
     pub duties: [f32; MAX_JOINTS],
     pub hardware: Hardware,
@@ -233,7 +234,7 @@ impl Rig {
             control_loop,
             samples,
             marks: None,
-            told: None,
+            reported_fault: None,
             outputs: Outputs::default(),
             duties: [0.0; MAX_JOINTS],
             hardware,
@@ -243,7 +244,7 @@ impl Rig {
             resistance: 2.0,
             imbalance: [0.0; MAX_JOINTS],
             peak: 0.0,
-            rate: RATE,
+            rate: RATE_HZ,
         }
     }
 
@@ -286,7 +287,7 @@ impl Rig {
         self.turn(0, -0.15, 1.0);
     }
 
-    /// Creates an armed paddle at home in the scene [`quiet`], after the ramp.
+    /// Creates an armed paddle at home in the scene [`far_wall`], after the ramp.
     pub fn armed() -> Self {
         Self::armed_with(|_| ())
     }
@@ -295,7 +296,7 @@ impl Rig {
     pub fn armed_with(change: impl Fn(&mut Rules)) -> Self {
         let mut rules = rules();
         change(&mut rules);
-        let mut rig = Self::with(&paddle(), &quiet(), hardware(), rules);
+        let mut rig = Self::with(&paddle(), &far_wall(), hardware(), rules);
         rig.arm();
         rig
     }
@@ -317,7 +318,7 @@ impl Rig {
         self.execute(Command::Program(Box::new(program)))
     }
 
-    pub fn execute(&mut self, command: Command<Held>) -> Result<(), Refusal> {
+    pub fn execute(&mut self, command: Command<BoxedProgram>) -> Result<(), Refusal> {
         self.control_loop.execute(command).0
     }
 
@@ -342,7 +343,7 @@ impl Rig {
             let due = nth == carriers;
             if due {
                 self.samples.currents = measured;
-                if let Some((fault, axis, value)) = self.told.take() {
+                if let Some((fault, axis, value)) = self.reported_fault.take() {
                     self.control_loop.trip(fault, axis, value);
                 }
                 if let Some(marks) = self.marks.take() {
@@ -353,7 +354,7 @@ impl Rig {
             self.outputs = self.control_loop.check_slow_faults(&crest);
             for (i, current) in self.currents.iter_mut().enumerate() {
                 let turned = self.samples.counts[i].wrapping_sub(before[i]) as f32 * core::f32::consts::TAU;
-                let voltage = self.duties[i] * 24.0 - 0.1 * turned / COUNTS as f32 * self.rate;
+                let voltage = self.duties[i] * 24.0 - 0.1 * turned / COUNTS_PER_TURN as f32 * self.rate;
                 *current += (voltage - self.resistance * *current) / 1.0e-3 / carrier;
                 if !self.outputs.bridges || self.resistance.is_infinite() {
                     *current = 0.0;
@@ -377,8 +378,8 @@ impl Rig {
 
     /// Turns joint `i` at `speed` (rad/s) to `angle` (rad) from home.
     pub fn turn(&mut self, i: usize, angle: f64, speed: f64) {
-        let target = (angle / core::f64::consts::TAU * COUNTS).round() as i32;
-        let most = (speed / f64::from(self.rate) / core::f64::consts::TAU * COUNTS).max(1.0) as i32;
+        let target = (angle / core::f64::consts::TAU * COUNTS_PER_TURN).round() as i32;
+        let most = (speed / f64::from(self.rate) / core::f64::consts::TAU * COUNTS_PER_TURN).max(1.0) as i32;
         while self.samples.counts[i] != target && self.state() != State::Fault {
             self.samples.counts[i] += (target - self.samples.counts[i]).clamp(-most, most);
             self.step();
@@ -387,9 +388,9 @@ impl Rig {
 
     /// Keeps joint 0 in place for `seconds` or until a fault. The encoder moves by one count so that it does not look
     /// stuck, and only the motor's heat can cause a fault.
-    pub fn tremble(&mut self, seconds: f32) {
+    pub fn hold_in_place(&mut self, seconds: f32) {
         let there = self.samples.counts[0];
-        for step in 0..(seconds * RATE) as i32 {
+        for step in 0..(seconds * RATE_HZ) as i32 {
             self.samples.counts[0] = there + step % 2;
             self.step();
             if self.state() == State::Fault {

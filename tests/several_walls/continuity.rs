@@ -1,7 +1,7 @@
 //! Torques never jump. Their slopes over the angle between walls, over the stiffness ratio and over the penetration
 //! stay below bounds that do not depend on the sampling.
 
-use super::{Precision, Shipped, device, first_step, normalized, three, torque, torque_with_flags, unit_vector};
+use super::{Precision, Shipped, device, first_step, normalized, pad_to_three, torque, torque_with_flags, unit_vector};
 use crate::common::{bilateral_wall, fine_counts, with_fine_encoders};
 use haptic_bridge::control::compiled::BoardMath;
 use haptic_bridge::model::device::Device;
@@ -15,7 +15,7 @@ fn distance(a: &[f64], b: &[f64]) -> f64 {
 }
 
 /// Returns the largest slope of `f` between `low` and `high`, sampled in `steps` steps.
-fn slope(low: f64, high: f64, steps: u32, mut f: impl FnMut(f64) -> Vec<f64>) -> f64 {
+fn largest_slope(low: f64, high: f64, steps: u32, mut f: impl FnMut(f64) -> Vec<f64>) -> f64 {
     let step = (high - low) / f64::from(steps);
     let mut last = f(low);
     (1..=steps).fold(0.0, |worst: f64, i| {
@@ -82,8 +82,8 @@ fn torque_is_continuous_in_the_angle_between_walls() {
                 };
                 // The fine range passes parallel walls, where the span of the normals would jump. The coarse range ends
                 // above 90°.
-                let fine = slope(-2.0e-3, 2.0e-3, 400, f);
-                let coarse = slope(-0.3, 2.0, 800, f);
+                let fine = largest_slope(-2.0e-3, 2.0e-3, 400, f);
+                let coarse = largest_slope(-0.3, 2.0, 800, f);
                 // The turning normals of 13 N cause a slope of 13 levers. The shares limit the turning of e₁ to 8
                 // levers per newton.
                 let bound = 8.0 * 13.0 * lever;
@@ -110,9 +110,9 @@ fn torque_is_continuous_in_the_ratio_of_stiffness() {
                     torque_with_flags(&device, &q, &walls, &with[..walls.len()], Precision::F64)
                 };
                 let (low, high) = (1.0e-4_f64.ln(), 1.0e4_f64.ln());
-                let whole = slope(low, high, 1_500, &mut f);
+                let whole = largest_slope(low, high, 1_500, &mut f);
                 // Near equal stiffness the eigenvectors exchange their order.
-                let equal = slope(-1.0e-4, 1.0e-4, 200, &mut f);
+                let equal = largest_slope(-1.0e-4, 1.0e-4, 200, &mut f);
                 let bound = 4.0 * 13.0 * lever;
                 assert!(whole < bound && equal < bound, "{} {angle}: {whole}, {equal} > {bound}", device.name);
             }
@@ -122,10 +122,10 @@ fn torque_is_continuous_in_the_ratio_of_stiffness() {
 
 /// Computes the torques of the board's first step at a pose for walls (normal, stiffness, penetration in m). Walls
 /// whose flag in `with` is true have the feed-forward.
-fn step(file: &Shipped, q: &[f64], walls: &[(Vec<f64>, f64, f64)], with: &[bool]) -> Vec<f64> {
+fn board_torques(file: &Shipped, q: &[f64], walls: &[(Vec<f64>, f64, f64)], with: &[bool]) -> Vec<f64> {
     first_step(file, q, &|tip| {
         let walls = walls.iter().zip(with).map(|((normal, stiffness, depth), with)| {
-            let normal = three(normal);
+            let normal = pad_to_three(normal);
             let point = core::array::from_fn(|i| tip[i] + depth * normal[i]);
             let feed_forward = if *with { FeedForward::Full } else { FeedForward::Off };
             let plane = Surface::Plane(Plane { point, normal });
@@ -147,7 +147,7 @@ pub fn lever_of_the_board(
     let at = |pushed: f64| {
         let depth = |i: usize| if i == pushing { pushed } else { 1.0e-3 };
         let walls: Vec<_> = walls.iter().enumerate().map(|(i, (n, k))| (n.clone(), *k, depth(i))).collect();
-        step(file, q, &walls, with)
+        board_torques(file, q, &walls, with)
     };
     let newtons = walls[pushing].1 * 1.0e-4;
     at(1.1e-3).iter().zip(at(1.0e-3)).map(|(far, near)| (far - near) / newtons).collect()
@@ -169,15 +169,15 @@ fn torque_is_continuous_in_depth() {
                         if third {
                             walls.push((turned_normal(task, 0.7, -0.3), 0.3 * stiff, depth - 1.0e-4));
                         }
-                        step(&file, &q, &walls, &with)
+                        board_torques(&file, &q, &walls, &with)
                     };
                     // Each wall's own force contributes its stiffness times a lever. The shaping of the first wall
                     // changes over the depth in which the weight of the second wall grows. That is ∂w/∂x ≤ 2 · 1.5
                     // k₂/k₁ over TOUCH_DEPTH, times the first wall's force.
                     let first = soft * 2.0e-3;
                     let bound = 3.0 * lever * (1.6 * stiff + 3.0 * first / TOUCH_DEPTH * (stiff / soft).max(1.0));
-                    let whole = slope(-1.0e-4, 5.0e-4, 300, f);
-                    let touch = slope(-1.0e-7, 1.0e-7, 20, f);
+                    let whole = largest_slope(-1.0e-4, 5.0e-4, 300, f);
+                    let touch = largest_slope(-1.0e-7, 1.0e-7, 20, f);
                     assert!(whole < bound && touch < bound, "{} {soft} {stiff}: {whole}, {touch} > {bound}", file.name);
                 }
             }
@@ -215,7 +215,7 @@ fn board_and_model_agree_on_walls_with_and_without_feed_forward() {
 fn touching_a_second_wall_causes_no_jump_of_torque() {
     for (file, q) in device_poses() {
         let task = file.spec().task;
-        let with = |walls: &[(Vec<f64>, f64, f64)]| step(&file, &q, walls, &[true; 2]);
+        let with = |walls: &[(Vec<f64>, f64, f64)]| board_torques(&file, &q, walls, &[true; 2]);
         let first = (turned_normal(task, 0.0, 0.4), 5_000.0, 2.0e-3);
         let alone = with(std::slice::from_ref(&first));
         for angle in [0.05, 0.8, std::f64::consts::FRAC_PI_2] {

@@ -1,16 +1,16 @@
 //! Stability of sampled loops with several walls, built from M and J alone and checked by eigenvalues.
 
 use super::continuity::lever_of_the_board;
-use super::{Precision, Random, Shipped, device, largest, normalized, torque_with_flags, unit_vector};
+use super::{Precision, Random, Shipped, device, largest_norm, normalized, torque_with_flags, unit_vector};
 use haptic_bridge::math::Libm;
 use haptic_bridge::model::mechanism::Mechanism;
 use haptic_bridge::with_mechanism;
 use nalgebra::{DMatrix, DVector, SVector};
 
 /// Control period, s.
-const PERIOD: f64 = 1.0e-3;
+const PERIOD_SECONDS: f64 = 1.0e-3;
 /// Cutoff of the Butterworth low-pass for velocities, Hz.
-const CUTOFF: f64 = 100.0;
+const CUTOFF_HZ: f64 = 100.0;
 /// Damping over stiffness, s.
 const DAMPING_SECONDS: f64 = 3.0e-3;
 
@@ -79,13 +79,13 @@ impl Case {
 
     /// Returns the largest |z| of the sampled loop at a total stiffness (N/m). Motions along all walls (z = 1) do not
     /// count.
-    pub fn radius(&self, stiffness: f64) -> f64 {
+    pub fn spectral_radius(&self, stiffness: f64) -> f64 {
         let (walls, joints) = self.rows.shape();
         // The states are q, q̇ T, and for every wall the last distance and two filter states.
         let size = 2 * joints + 3 * walls;
         let inverse = self.mass.clone().try_inverse().expect("a mass matrix");
         // The filter has the usual design: prewarped bilinear transform, transposed direct form II.
-        let warped = (std::f64::consts::PI * CUTOFF * PERIOD).tan();
+        let warped = (std::f64::consts::PI * CUTOFF_HZ * PERIOD_SECONDS).tan();
         let scale = 1.0 / (1.0 + std::f64::consts::SQRT_2 * warped + warped * warped);
         let b0 = warped * warped * scale;
         let (a1, a2) = (
@@ -108,9 +108,9 @@ impl Case {
                 next[at] = x[i];
                 next[at + 1] = 2.0 * b0 * difference - a1 * y + s[at + 2];
                 next[at + 2] = b0 * difference - a2 * y;
-                force[i] = -self.share[i] * stiffness * (x[i] + DAMPING_SECONDS / PERIOD * y);
+                force[i] = -self.share[i] * stiffness * (x[i] + DAMPING_SECONDS / PERIOD_SECONDS * y);
             }
-            let acceleration = &inverse * (&self.levers * force) * (PERIOD * PERIOD);
+            let acceleration = &inverse * (&self.levers * force) * (PERIOD_SECONDS * PERIOD_SECONDS);
             next.rows_mut(0, joints).copy_from(&(&q + &moved + &acceleration * 0.5));
             next.rows_mut(joints, joints).copy_from(&(&moved + &acceleration));
             matrix.set_column(column, &next);
@@ -129,20 +129,20 @@ fn critical_stiffness() -> f64 {
         share: vec![1.0],
     };
     let (mut low, mut high) = (1.0, 1.0e8);
-    assert!(one.radius(low) < 1.0 && one.radius(high) > 1.0);
+    assert!(one.spectral_radius(low) < 1.0 && one.spectral_radius(high) > 1.0);
     while high - low > 1.0e-9 * high {
         let middle = (low + high) / 2.0;
-        if one.radius(middle) < 1.0 { low = middle } else { high = middle }
+        if one.spectral_radius(middle) < 1.0 { low = middle } else { high = middle }
     }
     low
 }
 
 /// Returns the largest stable total stiffness (N/m) from the modes. Asserts that the sampled loop is stable just below
 /// and unstable just above.
-pub fn limit(case: &Case, critical: f64) -> f64 {
-    let found = critical / largest(&case.modes());
+pub fn stability_limit(case: &Case, critical: f64) -> f64 {
+    let found = critical / largest_norm(&case.modes());
     assert!(
-        case.radius(found * 0.995) < 1.0 + 1.0e-9 && case.radius(found * 1.005) > 1.0,
+        case.spectral_radius(found * 0.995) < 1.0 + 1.0e-9 && case.spectral_radius(found * 1.005) > 1.0,
         "the sampled loop has another limit"
     );
     found
@@ -185,7 +185,7 @@ fn the_feed_forward_makes_no_set_of_walls_less_stable() {
             let walls = random.walls(task, set, 4.0);
             let plain = Case::new(&device, &q, &walls, false).expect("a regular pose");
             let shaped = Case::new(&device, &q, &walls, true).expect("a regular pose");
-            let bound = largest(&plain.modes());
+            let bound = largest_norm(&plain.modes());
             for mode in shaped.modes() {
                 assert!(
                     mode.im.abs() <= 1.0e-7 * bound,
@@ -194,7 +194,7 @@ fn the_feed_forward_makes_no_set_of_walls_less_stable() {
                 );
                 assert!(mode.re <= bound * (1.0 + 1.0e-9), "{} {q:?} {walls:?}: {mode}, {bound}", device.name);
             }
-            let (without, with) = (limit(&plain, critical), limit(&shaped, critical));
+            let (without, with) = (stability_limit(&plain, critical), stability_limit(&shaped, critical));
             assert!(with >= without * (1.0 - 1.0e-9), "{} {q:?} {walls:?}: {without} to {with}", device.name);
             most = most.max(with / without);
             cases += 1;
@@ -217,7 +217,7 @@ fn the_feed_forward_of_some_walls_makes_no_set_less_stable() {
             with[0] = !with[1];
             let plain = Case::new(&device, &q, &walls, false).expect("a regular pose");
             let some = Case::with_flags(&device, &q, &walls, &with).expect("a regular pose");
-            let (without, with_some) = (largest(&plain.modes()), largest(&some.modes()));
+            let (without, with_some) = (largest_norm(&plain.modes()), largest_norm(&some.modes()));
             for mode in some.modes() {
                 let real = mode.im.abs() <= 1.0e-7 * without && mode.re >= -1.0e-9 * without;
                 assert!(real, "{} {q:?} {walls:?} {with:?}: {mode} is not the inverse of a mass", device.name);
@@ -242,12 +242,12 @@ fn facets_within_ten_degrees_are_as_stable_as_one_wall() {
             let n = random.direction(task);
             let shares: Vec<f64> = (0..2 + set % 2).map(|_| random.between(0.2, 1.0)).collect();
             let facets: Vec<(Vec<f64>, f64)> =
-                shares.iter().map(|share| (random.near(&n, 5_f64.to_radians()), *share)).collect();
+                shares.iter().map(|share| (random.direction_near(&n, 5_f64.to_radians()), *share)).collect();
             // The single wall has the total stiffness along the facets' mean normal.
             let mean = (0..task).map(|j| facets.iter().map(|(n, k)| n[j] * k).sum()).collect::<Vec<f64>>();
             let one_wall = [(normalized(&mean), shares.iter().sum())];
-            let cut = limit(&Case::new(&device, &q, &facets, true).expect("a regular pose"), critical);
-            let uncut = limit(&Case::new(&device, &q, &one_wall, true).expect("a regular pose"), critical);
+            let cut = stability_limit(&Case::new(&device, &q, &facets, true).expect("a regular pose"), critical);
+            let uncut = stability_limit(&Case::new(&device, &q, &one_wall, true).expect("a regular pose"), critical);
             assert!(cut >= 0.97 * uncut, "{} {q:?} {facets:?}: {uncut} as one wall, {cut} as facets", device.name);
         }
     }
@@ -260,7 +260,7 @@ fn facets_two_degrees_apart_have_the_range_of_one_wall() {
     let (device, q) = (device("coupled-five-bar"), [2.6, 1.75]);
     let middle = 75_f64.to_radians();
     let range = |walls: &[(Vec<f64>, f64)], feed_forward| {
-        limit(&Case::new(&device, &q, walls, feed_forward).expect("a regular pose"), critical)
+        stability_limit(&Case::new(&device, &q, walls, feed_forward).expect("a regular pose"), critical)
     };
     let facet = |degrees: f64| (unit_vector(middle + degrees.to_radians()), 1.0);
     let (whole, off) = (range(&[facet(0.0)], true), range(&[facet(0.0)], false));
@@ -279,7 +279,7 @@ fn one_wall_with_feed_forward_does_not_destabilise_the_other() {
     let (device, q) = (device("coupled-five-bar"), [2.6, 1.75]);
     let walls = [(normalized(&[-0.194_558, -0.980_891]), 5_967.2), (normalized(&[0.706_391, -0.707_822]), 10_000.0)];
     let plain = Case::new(&device, &q, &walls, false).expect("a regular pose");
-    let ratio = |case: &Case| largest(&case.modes()) / largest(&plain.modes());
+    let ratio = |case: &Case| largest_norm(&case.modes()) / largest_norm(&plain.modes());
     let mut previous = f64::INFINITY;
     for with in [[false, false], [true, false], [true, true]] {
         let mut board = plain.clone();
@@ -321,7 +321,7 @@ fn share_of_less_stable_pairs(w: f64) -> (f64, f64) {
         let along = &e * e.transpose();
         let inertia_along = (e.transpose() * &inertia * &e)[(0, 0)];
         let shaped = &mobility - &mobility * &along * share + &along * (share / inertia_along);
-        let size = |map: &DMatrix<f64>| largest((map * (&first + &second)).complex_eigenvalues().as_slice());
+        let size = |map: &DMatrix<f64>| largest_norm((map * (&first + &second)).complex_eigenvalues().as_slice());
         let ratio = size(&shaped) / size(&mobility);
         worse += u32::from(ratio > 1.01);
         worst = worst.max(ratio);

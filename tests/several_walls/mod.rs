@@ -98,12 +98,12 @@ fn torque_with_flags(
 }
 
 /// Pads a task-space vector with zeros.
-fn three(v: &[f64]) -> [f64; 3] {
+fn pad_to_three(v: &[f64]) -> [f64; 3] {
     core::array::from_fn(|i| v.get(i).copied().unwrap_or(0.0))
 }
 
 /// Returns the largest absolute value of the modes.
-fn largest(modes: &[Complex<f64>]) -> f64 {
+fn largest_norm(modes: &[Complex<f64>]) -> f64 {
     modes.iter().map(|mode| mode.norm()).fold(0.0, f64::max)
 }
 
@@ -149,14 +149,14 @@ impl Random {
     fn walls(&mut self, task: usize, set: usize, decades: f64) -> Vec<(Vec<f64>, f64)> {
         let base = self.direction(task);
         let wall = |_| {
-            let normal = if set.is_multiple_of(2) { self.direction(task) } else { self.near(&base, 0.5) };
+            let normal = if set.is_multiple_of(2) { self.direction(task) } else { self.direction_near(&base, 0.5) };
             (normal, 10_f64.powf(self.between(0.0, decades)))
         };
         (0..2 + set % 3).map(wall).collect()
     }
 
     /// Draws a unit vector within `angle` (rad) of `n`.
-    fn near(&mut self, n: &[f64], angle: f64) -> Vec<f64> {
+    fn direction_near(&mut self, n: &[f64], angle: f64) -> Vec<f64> {
         loop {
             let side = self.direction(n.len());
             let v: Vec<f64> = n.iter().zip(&side).map(|(a, b)| a + angle.tan() * b).collect();

@@ -61,9 +61,6 @@ const RESET_LINES: [(&str, &str, &str); 15] = [
 ];
 
 /// Returns a bus of our description. Its slots have the order of `stock`, the bus that rigless builds.
-///
-/// # Errors
-///
 /// Returns any error of [`rigless::soc::Builder::build`], which is a bug in the description.
 pub fn bus(stock: &Bus) -> Result<Bus, Error> {
     // Clocks and request readers come from the stock description. Tables, gates and corrections come with the slots

@@ -30,10 +30,6 @@ pub fn bridges_off(stopped: &mut StoppedBoard<'_>) -> bool {
 
 /// Causes `fault` and checks that it is latched, that the bridges are off, that arming is refused, and that only a
 /// request clears it. Returns `None` for faults that the boards cannot detect.
-///
-/// # Panics
-///
-/// Panics if the reaction is wrong.
 #[must_use]
 pub fn provoke(fault: Fault) -> Option<Outcome> {
     let Injection::Chip { create, cause, within_ms, .. } = injection(fault) else { return None };

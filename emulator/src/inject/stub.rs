@@ -11,10 +11,6 @@ pub(super) const SUPERVISOR: &str = "10supervisor9supervise4POOL";
 
 /// Writes code to free RAM and makes the task in `pool` run it at the task's next poll. `code` receives the address of
 /// the task's poll function.
-///
-/// # Panics
-/// Panics if the image has no such task.
-/// If the image has no such task.
 pub fn run_instead(rig: &Rig, pool: &str, code: impl FnOnce(u32) -> Vec<u32>) {
     let image = firmware(rig.kind);
     let pool = image.find_ending(pool).expect("the task");

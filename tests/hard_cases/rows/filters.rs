@@ -24,17 +24,17 @@ pub struct Row {
 }
 
 /// Control rate, Hz.
-const RATE: f64 = 20_000.0;
+const RATE_HZ: f64 = 20_000.0;
 
 /// Second-order Butterworth low-pass by the prewarped bilinear transform, in direct form II transposed.
-struct Direct<T> {
+struct DirectForm<T> {
     b: [T; 3],
     a: [T; 2],
     s: [T; 2],
     last: Option<T>,
 }
 
-impl<T: Real> Direct<T> {
+impl<T: Real> DirectForm<T> {
     /// Computes the coefficients in the reference's numbers and rounds the results.
     fn new(ratio: f64, rounded: impl Fn(Exact) -> T) -> Self {
         let exact = Exact::from_f64;
@@ -50,7 +50,7 @@ impl<T: Real> Direct<T> {
     }
 
     fn step(&mut self, position: T) -> T {
-        let input = (position - self.last.replace(position).unwrap_or(position)) * T::from_f64(RATE);
+        let input = (position - self.last.replace(position).unwrap_or(position)) * T::from_f64(RATE_HZ);
         let output = self.b[0] * input + self.s[0];
         self.s[0] = self.b[1] * input - self.a[0] * output + self.s[1];
         self.s[1] = self.b[2] * input - self.a[1] * output;
@@ -64,12 +64,13 @@ fn errors(ratio: f64, motion: impl Fn(f64) -> f64) -> [f64; 3] {
     let steps = (20.0 / ratio).clamp(4_000.0, 100_000.0) as u32;
     let kind = Estimator::Butterworth;
     let valid = "a cutoff below half the rate";
-    let board = Coefficients::<f32>::new(kind, RATE as f32, (ratio * RATE) as f32).expect(valid);
-    let exact = Coefficients::<Exact>::new(kind, Exact::from_f64(RATE), Exact::from_f64(ratio * RATE)).expect(valid);
+    let board = Coefficients::<f32>::new(kind, RATE_HZ as f32, (ratio * RATE_HZ) as f32).expect(valid);
+    let exact =
+        Coefficients::<Exact>::new(kind, Exact::from_f64(RATE_HZ), Exact::from_f64(ratio * RATE_HZ)).expect(valid);
     let begin = motion(0.0) as f32;
     let (mut v, mut check) = (Velocity::resting_at(begin), Velocity::resting_at(Exact::from_f64(f64::from(begin))));
     let (mut direct, mut reference) =
-        (Direct::<f32>::new(ratio, |x| x.to_f64() as f32), Direct::<Exact>::new(ratio, |x| x));
+        (DirectForm::<f32>::new(ratio, |x| x.to_f64() as f32), DirectForm::<Exact>::new(ratio, |x| x));
     let (mut worst, mut largest) = ([0.0_f64; 3], 0.0_f64);
     for k in 0..steps {
         let x = motion(f64::from(k) / f64::from(steps)) as f32;

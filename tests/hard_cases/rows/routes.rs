@@ -132,7 +132,7 @@ errors! {
 impl Errors {
     /// Computes the errors of `found` against `exact`. The torque errors are shares of the largest entry.
     pub fn new<A: Real, B: Real, const N: usize>(found: &Routes<A, N>, exact: &Routes<B, N>) -> Self {
-        let relative = |a: A, b: B| share(&SVector::from([a]), &SVector::from([b]));
+        let relative = |a: A, b: B| relative_error(&SVector::from([a]), &SVector::from([b]));
         Self {
             w_rr_joint: relative(found.w_rr_joint, exact.w_rr_kernel),
             w_rr_task: relative(found.w_rr_task, exact.w_rr_kernel),
@@ -140,9 +140,9 @@ impl Errors {
             w_eff_schur: relative(found.w_eff_schur, exact.w_eff_joint),
             w_eff_joint: relative(found.w_eff_joint, exact.w_eff_joint),
             w_eff_task: relative(found.w_eff_task, exact.w_eff_joint),
-            plain: share(&found.plain, &exact.plain),
-            torque: share(&found.torque, &exact.torque),
-            torque_moving: share(&found.torque_moving, &exact.torque_moving),
+            plain: relative_error(&found.plain, &exact.plain),
+            torque: relative_error(&found.torque, &exact.torque),
+            torque_moving: relative_error(&found.torque_moving, &exact.torque_moving),
         }
     }
 }
@@ -150,11 +150,11 @@ impl Errors {
 impl WholeErrors {
     pub fn new<A: Real, B: Real, const N: usize>(found: &Inertia<A, N>, exact: &Inertia<B, N>) -> Self {
         Self {
-            w: share(&found.w, &exact.w),
-            w_eff: share(&found.w_eff, &exact.w_eff),
-            z: share(&found.z, &exact.z),
-            f_a: share(&found.f_a, &exact.f_a),
-            torque: share(&found.torque, &exact.torque),
+            w: relative_error(&found.w, &exact.w),
+            w_eff: relative_error(&found.w_eff, &exact.w_eff),
+            z: relative_error(&found.z, &exact.z),
+            f_a: relative_error(&found.f_a, &exact.f_a),
+            torque: relative_error(&found.torque, &exact.torque),
         }
     }
 }
@@ -173,7 +173,7 @@ pub fn whole<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
 }
 
 /// Computes the largest error as a share of the largest entry. Returns infinity instead of NaN.
-fn share<A: Real, B: Real, const R: usize, const C: usize>(a: &SMatrix<A, R, C>, b: &SMatrix<B, R, C>) -> f64 {
+fn relative_error<A: Real, B: Real, const R: usize, const C: usize>(a: &SMatrix<A, R, C>, b: &SMatrix<B, R, C>) -> f64 {
     let (a, b) = (a.map(|x| x.to_f64()), b.map(|x| x.to_f64()));
     let error = (a - b).amax() / b.amax();
     if error.is_nan() { f64::INFINITY } else { error }

@@ -4,7 +4,7 @@
 
 use super::routes::inverse;
 use super::singular::{Random, cast};
-use super::steps::{controller, counts, encoded, scene, three};
+use super::steps::{controller, counts, pad_to_three, scene, with_encoders};
 use super::{DEVICES, Exact, ExactMath, shipped};
 use haptic_bridge::control::compiled::BoardMath;
 use haptic_bridge::math::{Libm, Math, Real};
@@ -31,7 +31,7 @@ pub struct Row {
 }
 
 /// Computes the joint torques M J⁻¹ A F for two walls (normal, stiffness, force) at rest.
-fn law<M: Mechanism<Exact, N>, const N: usize>(
+fn reference_torques<M: Mechanism<Exact, N>, const N: usize>(
     m: &M,
     q: &SVector<Exact, N>,
     walls: &[(SVector<Exact, N>, Exact, Exact); 2],
@@ -111,7 +111,7 @@ where
                     (scene.velocity_terms, scene.gravity_compensation) = (VelocityTerms::Off, false);
                     let planes = normals.map(|n| {
                         let n = cast::<f32, f64, N>(&n);
-                        let [point, normal] = [tip + n, n].map(|v| three(&v, task).map(|x| x as f32));
+                        let [point, normal] = [tip + n, n].map(|v| pad_to_three(&v, task).map(|x| x as f32));
                         Plane { point, normal }
                     });
                     let first = Wall { damping_compensation: false, bilateral: true, ..scene.walls[0] };
@@ -131,7 +131,7 @@ where
                         let stiffness = Exact::from_f64(f64::from(stiffness[i]));
                         (normal, stiffness, -(stiffness * distance))
                     });
-                    let right: SVector<f64, N> = cast(&law(&reference, &angles, &given));
+                    let right: SVector<f64, N> = cast(&reference_torques(&reference, &angles, &given));
                     let found: SVector<f64, N> = cast(&step.torque);
                     row.torque[index] = row.torque[index].max((found - right).amax() / right.amax());
                     let plain: SVector<f64, N> = cast(&step.rendered);
@@ -149,7 +149,7 @@ pub fn all() -> Vec<Row> {
         .into_iter()
         .skip(1)
         .flat_map(|(name, file)| {
-            let device = encoded(&shipped(file));
+            let device = with_encoders(&shipped(file));
             in_three_precisions!(&device, (a, b, c) => row(a, b, c, name, &device))
         })
         .collect()

@@ -107,7 +107,7 @@ impl Random {
 
 /// Computes the ratio of J's largest to its smallest singular value. A row for φ is multiplied by the length `scale`,
 /// m.
-fn condition<M: Mechanism<f64, N>, const N: usize>(m: &M, q: &SVector<f64, N>, scale: f64) -> f64 {
+fn jacobian_condition<M: Mechanism<f64, N>, const N: usize>(m: &M, q: &SVector<f64, N>, scale: f64) -> f64 {
     let jacobian = m.jacobian(&m.pose::<Libm>(q));
     let unit = |row: usize| if row < M::SPEC.task { 1.0 } else { scale };
     let values = DMatrix::from_fn(N, N, |i, j| jacobian[(i, j)] * unit(i)).singular_values();
@@ -117,7 +117,7 @@ fn condition<M: Mechanism<f64, N>, const N: usize>(m: &M, q: &SVector<f64, N>, s
 /// Returns a number that is 1 at the target and grows towards the singularity.
 fn nearness<M: Mechanism<f64, N>, const N: usize>(m: &M, q: &SVector<f64, N>, target: Target, scale: f64) -> f64 {
     match target {
-        Target::Condition(most) => condition(m, q, scale) / most,
+        Target::Condition(most) => jacobian_condition(m, q, scale) / most,
         Target::Sine(least) => {
             let r = m.regularity(&m.pose::<Libm>(q));
             least / r.serial.min(r.parallel)

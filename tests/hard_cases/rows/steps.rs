@@ -27,26 +27,26 @@ pub struct Row {
 }
 
 /// Control rate, Hz.
-pub const RATE: f64 = 20_000.0;
+pub const RATE_HZ: f64 = 20_000.0;
 /// Stiffness of the wall, N/m.
-const STIFFNESS: f64 = 1e6;
+const WALL_STIFFNESS: f64 = 1e6;
 /// Speed of the hit, m/s.
-const SPEED: f64 = 10.0;
+const HIT_SPEED: f64 = 10.0;
 /// Counts per turn of encoders that resolve penetrations in micrometres.
-const COUNTS: f64 = 1_048_576.0;
+const COUNTS_PER_TURN: f64 = 1_048_576.0;
 
-/// Returns the device with an encoder of [`COUNTS`] at every joint. The home is removed so that count 0 is the angle 0.
-pub fn encoded(device: &Description) -> Description {
+/// Returns the device with an encoder of [`COUNTS_PER_TURN`] at every joint. The home is removed so that count 0 is the angle 0.
+pub fn with_encoders(device: &Description) -> Description {
     let mut device = Description { home: None, ..*device };
     for joint in &mut device.joints {
-        joint.encoder = Some(Encoder { counts_per_turn: COUNTS, offset: 0.0, inverted: false });
+        joint.encoder = Some(Encoder { counts_per_turn: COUNTS_PER_TURN, offset: 0.0, inverted: false });
     }
     device
 }
 
 /// Returns the encoder counts of joint angles in rad.
 pub fn counts<const N: usize>(q: &SVector<f64, N>) -> [i32; N] {
-    core::array::from_fn(|i| (q[i] * COUNTS / std::f64::consts::TAU).round() as i32)
+    core::array::from_fn(|i| (q[i] * COUNTS_PER_TURN / std::f64::consts::TAU).round() as i32)
 }
 
 /// Returns a scene with one plane wall through `point` (m) that faces along `normal`, and with all terms on.
@@ -70,7 +70,7 @@ pub fn scene<T: Real>(
     };
     Scene {
         task: task as u8,
-        rate_hz: r(RATE),
+        rate_hz: r(RATE_HZ),
         cutoff_hz: r(500.0),
         walls: [wall].into_iter().collect(),
         ..Scene::default()
@@ -87,7 +87,7 @@ pub fn controller<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
 }
 
 /// Returns the task-space entries of a vector, padded with zeros.
-pub fn three<const N: usize>(v: &SVector<f64, N>, task: usize) -> [f64; 3] {
+pub fn pad_to_three<const N: usize>(v: &SVector<f64, N>, task: usize) -> [f64; 3] {
     core::array::from_fn(|i| if i < task.min(N) { v[i] } else { 0.0 })
 }
 
@@ -97,7 +97,7 @@ fn is_usable<M: Mechanism<f64, N>, const N: usize>(m: &M, q: &SVector<f64, N>) -
     r.serial.min(r.parallel / PARALLEL_REGULARITY) > 2.0 * FULL_REGULARITY
 }
 
-/// Returns the joint angles of a straight run against `n` at [`SPEED`], from 2 cm outside the surface to 1 cm inside,
+/// Returns the joint angles of a straight run against `n` at [`HIT_SPEED`], from 2 cm outside the surface to 1 cm inside,
 /// and a point of the surface. Returns `None` if the run leaves the regular workspace.
 fn run_up<M: Mechanism<f64, N>, const N: usize>(
     m: &M,
@@ -106,11 +106,11 @@ fn run_up<M: Mechanism<f64, N>, const N: usize>(
 ) -> Option<(Vec<SVector<f64, N>>, SVector<f64, N>)> {
     let mut q = *start;
     let mut run = Vec::new();
-    let (steps, fine) = ((0.03 / SPEED * RATE) as usize, 50);
+    let (steps, fine) = ((0.03 / HIT_SPEED * RATE_HZ) as usize, 50);
     for _ in 0..steps {
         run.push(q);
         for _ in 0..fine {
-            q += m.inverse(&m.pose::<Libm>(&q), &(n * (-SPEED / RATE / fine as f64)));
+            q += m.inverse(&m.pose::<Libm>(&q), &(n * (-HIT_SPEED / RATE_HZ / fine as f64)));
         }
         if !is_usable(m, &q) {
             return None;
@@ -137,11 +137,12 @@ where
         }
         let Some((run, surface)) = run_up(&double, &start, &n) else { continue };
         runs += 1;
-        let (p, normal) = (three(&surface, task), three(&n, task));
+        let (p, normal) = (pad_to_three(&surface, task), pad_to_three(&n, task));
         let full = FeedForward::Full;
-        let mut exact = controller::<f64, Libm, _, N>(double, device, &scene(task, p, normal, STIFFNESS, 100.0, full));
+        let mut exact =
+            controller::<f64, Libm, _, N>(double, device, &scene(task, p, normal, WALL_STIFFNESS, 100.0, full));
         let mut found =
-            controller::<f32, BoardMath, _, N>(board, device, &scene(task, p, normal, STIFFNESS, 100.0, full));
+            controller::<f32, BoardMath, _, N>(board, device, &scene(task, p, normal, WALL_STIFFNESS, 100.0, full));
         let (mut worst, mut largest) = (0.0_f64, 0.0_f64);
         for q in &run {
             let (a, b): (Step<f64, N>, Step<f32, N>) = (exact.step(&counts(q)), found.step(&counts(q)));
@@ -161,10 +162,11 @@ where
                 let missing = surface - n * depth - double.tip(&double.pose::<Libm>(&q));
                 q += double.inverse(&double.pose::<Libm>(&q), &missing);
             }
-            let a = controller::<f64, Libm, _, N>(double, device, &scene(task, p, normal, STIFFNESS, 0.0, off))
+            let a = controller::<f64, Libm, _, N>(double, device, &scene(task, p, normal, WALL_STIFFNESS, 0.0, off))
                 .step(&counts(&q));
-            let b = controller::<f32, BoardMath, _, N>(board, device, &scene(task, p, normal, STIFFNESS, 0.0, off))
-                .step(&counts(&q));
+            let b =
+                controller::<f32, BoardMath, _, N>(board, device, &scene(task, p, normal, WALL_STIFFNESS, 0.0, off))
+                    .step(&counts(&q));
             row.press = row.press.max((a.wall_force - f64::from(b.wall_force)).abs());
         }
     }
@@ -174,7 +176,7 @@ where
 pub fn all() -> Vec<Row> {
     DEVICES
         .map(|(name, file)| {
-            let device = encoded(&shipped(file));
+            let device = with_encoders(&shipped(file));
             let mechanism = AnyMechanism::<f64>::new(&device).expect("a sound device");
             haptic_bridge::with_mechanism!(mechanism, m => row(m, m.cast::<f32>(), name, &device))
         })

@@ -40,9 +40,6 @@ pub struct TcpOutlet {
 
 impl TcpOutlet {
     /// Listens on `port` of this machine only. Port 0 selects any free port.
-    ///
-    /// # Errors
-    ///
     /// Returns an error if the port is in use.
     pub fn listen(port: u16) -> io::Result<Self> {
         let listener = TcpListener::bind(("127.0.0.1", port))?;
@@ -52,9 +49,6 @@ impl TcpOutlet {
     }
 
     /// Returns the port number.
-    ///
-    /// # Errors
-    ///
     /// Returns an error if the socket is closed.
     pub fn port(&self) -> io::Result<u16> {
         Ok(self.listener.local_addr()?.port())
@@ -139,9 +133,6 @@ mod terminal {
 
     impl TerminalOutlet {
         /// Opens a pseudo-terminal.
-        ///
-        /// # Errors
-        ///
         /// Returns an error if the system has no pseudo-terminals or no free one.
         pub fn new() -> io::Result<Self> {
             let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY)?;
