@@ -19,7 +19,6 @@ const ROWS: [(&str, Option<(&str, &str)>); 11] = [
     ("motor stage", Some(("tests/stages.rs", "an_amplifier_gets_the_current_of_the_walls_torque"))),
 ];
 
-/// Returns true if a path may contain this character.
 fn is_path_char(c: char) -> bool {
     c.is_ascii_alphanumeric() || "_-./".contains(c)
 }

@@ -49,7 +49,6 @@ impl Random {
     }
 }
 
-/// Values that no sensor and no command should have.
 const INVALID_NUMBERS: [f32; 8] = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, f32::MAX, -0.0, 1.0e-40, 1.0e3, -1.0e3];
 
 /// Number of crests between two comparisons of complete control loops.
@@ -154,7 +153,6 @@ impl BoardPair {
         Self { control_loops: [control_loop(), control_loop()], legs: [Legs::default(); 2], carrier, crests: 0 }
     }
 
-    /// Sends the same command to both boards.
     fn execute(&mut self, command: impl Fn() -> Command<compiled::BoardProgram>) {
         let [one, other] = self.control_loops.each_mut().map(|control_loop| control_loop.execute(command()).0);
         assert_eq!(one, other);
@@ -232,7 +230,6 @@ fn devices() -> [Description; 3] {
     [paddle(), heavy, arm]
 }
 
-/// The disturbance of an episode.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Disturbance {
     Nothing,

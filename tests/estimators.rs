@@ -26,7 +26,6 @@ fn motion_only<T: Real>(moved: T) -> Seen<T> {
     Seen { moved, pushed: T::zero(), unit: T::one() }
 }
 
-/// Returns a pseudo-random number between -1 and 1.
 fn noise(n: u32) -> f64 {
     let mixed = n.wrapping_mul(2_654_435_761).rotate_left(13).wrapping_mul(0x9E37_79B9);
     f64::from(mixed) / f64::from(u32::MAX) * 2.0 - 1.0

@@ -12,7 +12,6 @@ use haptic_bridge::render::scene::{Cylinder, FeedForward, Plane, Scene, Sphere, 
 use haptic_bridge::with_mechanism;
 use nalgebra::SVector;
 
-/// Control rate, Hz.
 const RATE_HZ: f64 = 1_000.0;
 fn shipped(name: &str) -> Description {
     with_fine_encoders(device_file::shipped(name))

@@ -248,7 +248,6 @@ fn off_time(fault: Fault) -> &'static str {
     }
 }
 
-/// Returns the text of docs/faults.csv.
 fn faults_table() -> String {
     let mut table = String::from("code,fault,what it says,motors off,remedy\n");
     for fault in Fault::ALL {

@@ -230,7 +230,6 @@ fn torques_are_finite_at_every_pose_of_every_shipped_device() {
     }
 }
 
-/// Invalid or extreme values.
 const INVALID_NUMBERS: [f32; 7] =
     [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, f32::MAX, f32::MIN_POSITIVE / 8.0, -1.0e-45, -0.0];
 

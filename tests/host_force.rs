@@ -17,7 +17,6 @@ use nalgebra::Vector2;
 /// Rounding error of a torque after its conversion to a current and back, N m.
 const ROUNDING_NM: f32 = 1.0e-5;
 
-/// Creates an armed five-bar at rest in free space.
 fn armed_rig() -> Rig {
     let mut rig = Rig::with(&five_bar(), &scene(2, &[]), hardware(), rules());
     rig.arm();

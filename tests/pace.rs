@@ -5,7 +5,6 @@ use haptic_bridge::safety::pace::{Pace, Verdict};
 use proptest::prelude::*;
 
 const RATES_HZ: [u32; 4] = [200, 1_000, 5_000, 20_000];
-/// Interval between two checks, µs.
 const CHECK_INTERVAL_US: u64 = 20_000;
 
 /// Runs a loop at `share` of its rate (Hz) for at most 500 checks (10 s). Returns the first verdict other than `Kept`

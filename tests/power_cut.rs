@@ -24,7 +24,6 @@ struct Sectors {
     bytes: Vec<u8>,
     operations: usize,
     erases: usize,
-    /// Number of bytes that were read.
     bytes_read: usize,
     cut: Option<(usize, Cut)>,
     /// True if only the operation fails at the cut, and the flash works again afterwards.
@@ -180,7 +179,6 @@ fn read(mut flash: Sectors) -> (Values, Sectors) {
     (found, flash)
 }
 
-/// Returns a flash after `generations` saves.
 fn flash_after_saves(generations: u8) -> Sectors {
     (0..generations).fold(Sectors::new(), |flash, generation| save(flash, &values_of(generation))).reboot()
 }
@@ -312,7 +310,6 @@ fn a_setting_without_a_generation_is_read_and_replaced() {
     assert_eq!(found[0], Ok(Some(values_of(5)[&1].clone())));
 }
 
-/// Stages all values and commits them together.
 fn save_together(mut flash: Sectors, values: &Values) -> Sectors {
     let mut buffer = [0; LONGEST_STORED];
     let mut storage = Storage::new(&mut flash, FLASH_RANGE, &mut buffer);

@@ -25,7 +25,6 @@ use postcard_rpc::standard_icd::WireError;
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum BoardState {
-    /// New board without settings.
     Bare,
     /// Board with device and scene, and with motors that are not real.
     Ready,
@@ -127,7 +126,8 @@ fn arm_held(board: &mut Board) -> Result<(), Refusal> {
     board.ask::<ArmHeld>(&press).expect("a reply")
 }
 
-/// Returns the refusal of [`rules_with_share`] with a share above 1. The refusal names the first entry of the first limit.
+/// Returns the refusal of [`rules_with_share`] with a share above 1. The refusal names the first entry of the first
+/// limit.
 fn too_high_refusal(share: f32) -> Refusal {
     let value = share * Limits::default().torque[0];
     Refusal::BadLimit(BadLimit { limit: Limit::Torque, joint: Some(0), value, least: 0.0, most: 5.0 })
@@ -320,9 +320,9 @@ fn limits_beyond_the_boards_own_and_invalid_numbers_are_refused() {
 const INVALID_NUMBERS: [f32; 7] =
     [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, f32::MAX, f32::MIN_POSITIVE / 8.0, -1.0e-45, -0.0];
 
-/// Sends a message to a ready board and to an armed board, with each of [`INVALID_NUMBERS`] written at every place of the
-/// message's bytes. Then arms if possible and pushes through the wall, while the board asserts its invariants. Returns
-/// the numbers of accepted and refused messages.
+/// Sends a message to a ready board and to an armed board, with each of [`INVALID_NUMBERS`] written at every place of
+/// the message's bytes. Then arms if possible and pushes through the wall, while the board asserts its invariants.
+/// Returns the numbers of accepted and refused messages.
 fn check_invalid_numbers<E: Endpoint>(message: &E::Request) -> (usize, usize)
 where
     E::Request: serde::Serialize + Sized,
@@ -493,7 +493,6 @@ fn a_polarity_check_counts_for_the_checked_device_only() {
     }
 }
 
-/// Returns the checksum at the end of the entry of a device.
 fn entry_checksum(device: &DeviceData) -> u32 {
     u32::from_le_bytes(*settings::encode(device).unwrap().last_chunk().unwrap())
 }

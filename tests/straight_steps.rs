@@ -20,7 +20,6 @@ const STEPS_PER_CASE: usize = 100;
 const COUNTS_PER_TURN: f64 = 20_000.0;
 const RATE_HZ: f64 = 20_000.0;
 
-/// Force of the host in each direction, N.
 const PUSH_N: f64 = 0.3;
 
 /// Numbers in [0, 1), the same in every run (the upper half of Knuth's 64-bit linear congruential generator).
@@ -48,17 +47,13 @@ struct Coverage {
     spring: usize,
     /// Steps with one round wall whose velocity terms follow the turning normal.
     turning: usize,
-    /// Steps that touch walls and have springs.
     with_spring: usize,
-    /// Steps that touch walls and have the host's plane.
     with_plane: usize,
     faded: usize,
     off: usize,
     damped: usize,
     owed: usize,
-    /// Steps of scenes that have a straight step.
     straight: usize,
-    /// Largest difference of torques, in roundings.
     difference: f64,
 }
 
@@ -164,7 +159,6 @@ fn other_forces<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize>(
 /// wall, and twice as many for several walls. The largest measured error is 6.
 const MAX_ROUNDINGS: f64 = 16.0;
 
-/// Computes the difference of torques and forces, in roundings.
 fn difference_in_roundings<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize>(
     mechanism: &M,
     fast: &Step<T, N>,

@@ -158,7 +158,6 @@ proptest! {
     }
 }
 
-/// Frames that wait for a task.
 struct FrameQueue(VecDeque<StepRecord>);
 
 impl Frames for FrameQueue {

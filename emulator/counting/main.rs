@@ -60,7 +60,6 @@ fn panic(_: &PanicInfo<'_>) -> ! {
 /// Poses relative to home, rad. Every pose is regular for every device of this image.
 const POSES: [[f32; MAX_JOINTS]; 6] =
     [[0.0; 3], [0.15, 0.2, -0.1], [-0.2, -0.15, 0.25], [0.3, 0.1, 0.2], [-0.1, 0.25, -0.2], [0.1, -0.2, -0.15]];
-/// Contents of a scene.
 #[derive(Clone, Copy, PartialEq)]
 enum Walls {
     None,
@@ -68,9 +67,7 @@ enum Walls {
     /// Two crossing planes that the tip touches.
     Two,
     Ball,
-    /// A spring without a wall.
     Spring,
-    /// A plane and a spring.
     OneAndSpring,
 }
 
@@ -92,9 +89,9 @@ const TERMS: &[(&str, Walls, FeedForward, VelocityTerms)] = &[
     ("spring beside, washout", Walls::OneAndSpring, FeedForward::Washout, VelocityTerms::Off),
 ];
 /// Number of points of a table along each coordinate.
-const POINTS: u8 = 10;
+const TABLE_POINTS: u8 = 10;
 /// Half the width of a table around home, rad.
-const RANGE: f32 = 0.6;
+const TABLE_HALF_WIDTH: f32 = 0.6;
 /// Steps before the counted step. They start a few counts away, so velocities are not zero.
 const RUN_UP: i32 = 3;
 /// Steps before the counted step that also fill an estimator's longest window.
@@ -108,7 +105,7 @@ fn main() -> ! {
 }
 
 extern "C" fn run() -> ! {
-    name("empty");
+    set_name("empty");
     bench_begin();
     bench_end();
     for description in
@@ -126,13 +123,13 @@ extern "C" fn run() -> ! {
 #[inline(never)]
 fn count_with_every_math(device: &Device<f32>, description: &Description) {
     with_mechanism!(&device.mechanism, mechanism => {
-        variants::<_, Tabulated, _>(mechanism, device, description);
-        variants::<_, Minimax, _>(mechanism, device, description);
+        count_variants::<_, Tabulated, _>(mechanism, device, description);
+        count_variants::<_, Minimax, _>(mechanism, device, description);
     });
 }
 
 #[inline(never)]
-fn variants<M: Mechanism<f32, N>, K: Math<f32>, const N: usize>(
+fn count_variants<M: Mechanism<f32, N>, K: Math<f32>, const N: usize>(
     mechanism: &M,
     device: &Device<f32>,
     description: &Description,
@@ -143,8 +140,11 @@ fn variants<M: Mechanism<f32, N>, K: Math<f32>, const N: usize>(
     let entries = M::MASS_ENTRIES.len();
     let [first, second] = mechanism.shape(&SVector::from_fn(|i, _| home[i] as f32));
     let grid = |interpolation| {
-        let (low, high) = ([first - RANGE, second - RANGE], [first + RANGE, second + RANGE]);
-        Grid::new(interpolation, [POINTS; 2], low, high, entries)
+        let (low, high) = (
+            [first - TABLE_HALF_WIDTH, second - TABLE_HALF_WIDTH],
+            [first + TABLE_HALF_WIDTH, second + TABLE_HALF_WIDTH],
+        );
+        Grid::new(interpolation, [TABLE_POINTS; 2], low, high, entries)
     };
     for kind in ["exact", "bilinear", "bicubic", "frozen"] {
         let interpolation = if kind == "bilinear" { Interpolation::Bilinear } else { Interpolation::Bicubic };
@@ -199,7 +199,7 @@ fn count<M: Mechanism<f32, N>, K: Math<f32>, const N: usize>(
     for part in [M::SPEC.name, "/", K::NAME, "/"].iter().chain(rest) {
         let _ = text.push_str(part);
     }
-    name(&text);
+    set_name(&text);
     for offset in POSES {
         step_at::<M, K, N>(&mut controller, device, home, &offset, run_up);
     }
@@ -227,7 +227,7 @@ fn step_at<M: Mechanism<f32, N>, K: Math<f32>, const N: usize>(
         if counted {
             bench_begin();
         }
-        control::<M, K, N>(controller, counts, black_box(&mut result));
+        control_step::<M, K, N>(controller, counts, black_box(&mut result));
         if counted {
             bench_end();
         }
@@ -236,7 +236,7 @@ fn step_at<M: Mechanism<f32, N>, K: Math<f32>, const N: usize>(
 
 /// Runs the control step like the interrupt. The results are left where the control loop and telemetry read them.
 #[inline(never)]
-fn control<M: Mechanism<f32, N>, K: Math<f32>, const N: usize>(
+fn control_step<M: Mechanism<f32, N>, K: Math<f32>, const N: usize>(
     controller: &mut Controller<f32, M, K, N>,
     counts: &[i32; N],
     found: &mut StepResult<f32>,
@@ -289,7 +289,7 @@ fn scene<M: Mechanism<f32, N>, const N: usize>(
     scene
 }
 
-fn name(text: &str) {
+fn set_name(text: &str) {
     // SAFETY: there is only one thread. The write is volatile because the emulator reads it.
     unsafe { write_volatile(addr_of_mut!(BENCH_NAME), [text.as_ptr() as u32, text.len() as u32]) };
 }

@@ -93,11 +93,11 @@ pub struct Wiring {
 }
 
 /// Resistance of the shunts under phases B and C, ohm.
-const SHUNT: f64 = 500e-6;
+const SHUNT_OHMS: f64 = 500e-6;
 /// Scale of a 185 mV/A Hall sensor behind a divider from 5 V to 3.3 V, V/A.
-const HALL: f64 = 0.185 * 0.66;
+const HALL_VOLTS_PER_AMPERE: f64 = 0.185 * 0.66;
 /// Scale of a 185 mV/A Hall sensor behind a divider from 5 V to 3.0 V, V/A.
-const HALL_OF_3V: f64 = 0.185 * 0.6;
+const HALL_3V_VOLTS_PER_AMPERE: f64 = 0.185 * 0.6;
 
 static ODRIVE_V3: Wiring = Wiring {
     name: BoardKind::OdriveV3.name(),
@@ -111,14 +111,14 @@ static ODRIVE_V3: Wiring = Wiring {
             ends: [HalfBridge::Channel(2), HalfBridge::Channel(3)],
             gates: [Pin('A', 9), Pin('A', 10), Pin('B', 14), Pin('B', 15)],
             function: 1,
-            sensors: &[(10, SHUNT), (11, -SHUNT)],
+            sensors: &[(10, SHUNT_OHMS), (11, -SHUNT_OHMS)],
         },
         MotorWires {
             timer: 8,
             ends: [HalfBridge::Channel(2), HalfBridge::Channel(3)],
             gates: [Pin('C', 7), Pin('C', 8), Pin('B', 0), Pin('B', 1)],
             function: 3,
-            sensors: &[(13, SHUNT), (12, -SHUNT)],
+            sensors: &[(13, SHUNT_OHMS), (12, -SHUNT_OHMS)],
         },
     ],
     enable: Pin('B', 12),
@@ -159,9 +159,9 @@ static H_BRIDGE_F405: Wiring = Wiring {
         EncoderWires { timer: 4, pins: [Pin('B', 6), Pin('B', 7)], function: 2, index: Pin('C', 9) },
     ],
     motors: &[
-        h_bridge(1, [Pin('A', 8), Pin('B', 13)], &[(10, HALL)]),
-        h_bridge(2, [Pin('A', 9), Pin('B', 14)], &[(11, HALL)]),
-        h_bridge(3, [Pin('A', 10), Pin('B', 15)], &[(12, HALL)]),
+        h_bridge(1, [Pin('A', 8), Pin('B', 13)], &[(10, HALL_VOLTS_PER_AMPERE)]),
+        h_bridge(2, [Pin('A', 9), Pin('B', 14)], &[(11, HALL_VOLTS_PER_AMPERE)]),
+        h_bridge(3, [Pin('A', 10), Pin('B', 15)], &[(12, HALL_VOLTS_PER_AMPERE)]),
     ],
     enable: Pin('C', 6),
     power: &[Pin('A', 8), Pin('A', 9), Pin('A', 10), Pin('B', 13), Pin('B', 14), Pin('B', 15), Pin('C', 6)],
@@ -185,9 +185,9 @@ static H_BRIDGE_F407_DISC1: Wiring = Wiring {
         EncoderWires { timer: 4, pins: [Pin('B', 6), Pin('B', 7)], function: 2, index: Pin('C', 9) },
     ],
     motors: &[
-        h_bridge(1, [Pin('E', 9), Pin('E', 8)], &[(11, HALL_OF_3V)]),
-        h_bridge(2, [Pin('E', 11), Pin('E', 10)], &[(12, HALL_OF_3V)]),
-        h_bridge(3, [Pin('E', 13), Pin('E', 12)], &[(1, HALL_OF_3V)]),
+        h_bridge(1, [Pin('E', 9), Pin('E', 8)], &[(11, HALL_3V_VOLTS_PER_AMPERE)]),
+        h_bridge(2, [Pin('E', 11), Pin('E', 10)], &[(12, HALL_3V_VOLTS_PER_AMPERE)]),
+        h_bridge(3, [Pin('E', 13), Pin('E', 12)], &[(1, HALL_3V_VOLTS_PER_AMPERE)]),
     ],
     enable: Pin('E', 14),
     // PA9 is not a gate. It carries the 5 V of the USB cable.

@@ -18,13 +18,13 @@ use crate::rig::Rig;
 use crate::run::{MICROSECOND, MILLISECOND};
 
 /// Control rates, Hz: the slowest rate, the default of the paper's comparison, and the rate of the carrier.
-pub const RATES: [u32; 3] = [200, 1_000, 20_000];
+pub const RATES_HZ: [u32; 3] = [200, 1_000, 20_000];
 /// Number of instants within a control period.
 pub const PHASES: u64 = 10;
 /// Longest time to wait until the bridges float, ns.
-const MAX_WAIT: u64 = 300 * MILLISECOND;
+const MAX_WAIT_NS: u64 = 300 * MILLISECOND;
 /// Force of the hand against the wall, N.
-const PUSH: f64 = 0.8;
+const PUSH_N: f64 = 0.8;
 
 /// An injected error.
 pub struct Case {
@@ -43,12 +43,12 @@ pub const CASES: &[Case] = &[
     Case { name: "current sensors stuck at 0 A", cause: |board| scale_shunts(board, 2, 0.0), detected: true },
     Case { name: "current sensors show a quarter", cause: |board| scale_shunts(board, 2, 0.25), detected: true },
     // At rest a frozen current equals the requested current, so the board cannot detect it.
-    Case { name: "current sensors frozen, hand at rest", cause: freeze, detected: false },
+    Case { name: "current sensors frozen, hand at rest", cause: freeze_current_sensor, detected: false },
     Case {
         name: "current sensors frozen, hand moves",
         cause: |board| {
-            freeze(board);
-            drag(board);
+            freeze_current_sensor(board);
+            move_along_wall(board);
         },
         detected: false,
     },
@@ -69,26 +69,26 @@ pub const CASES: &[Case] = &[
         name: "an encoder unplugged, hand moves",
         cause: |board| {
             board.encoders_unplugged[0] = true;
-            drag(board);
+            move_along_wall(board);
         },
         detected: false,
     },
     Case { name: "an encoder shakes by 8 counts", cause: |board| board.broken.shake[0] = 8, detected: false },
-    Case { name: "an encoder counts backward, hand at rest", cause: backward, detected: false },
+    Case { name: "an encoder counts backward, hand at rest", cause: reverse_encoder, detected: false },
     Case {
         name: "an encoder counts backward, hand moves",
         cause: |board| {
-            backward(board);
-            drag(board);
+            reverse_encoder(board);
+            move_along_wall(board);
         },
         detected: false,
     },
-    Case { name: "two encoders change places, hand at rest", cause: swap, detected: false },
+    Case { name: "two encoders change places, hand at rest", cause: swap_encoders, detected: false },
     Case {
         name: "two encoders change places, hand moves",
         cause: |board| {
-            swap(board);
-            drag(board);
+            swap_encoders(board);
+            move_along_wall(board);
         },
         detected: false,
     },
@@ -119,23 +119,23 @@ fn add_to_shunts(board: &mut Hardware, count: usize, current: f64) {
     board.broken.sensor_offset[..count].fill(current);
 }
 
-fn freeze(board: &mut Hardware) {
+fn freeze_current_sensor(board: &mut Hardware) {
     board.broken.sensor_frozen[0] = Some(board.plant.currents()[0]);
 }
 
-fn backward(board: &mut Hardware) {
+fn reverse_encoder(board: &mut Hardware) {
     board.broken.share[0] = Some((board.plant.counts()[0], -1.0));
 }
 
-fn swap(board: &mut Hardware) {
+fn swap_encoders(board: &mut Hardware) {
     let [first, second, _] = board.plant.counts();
     board.broken.swapped_at = Some([first, second]);
 }
 
 /// Makes the hand also move the tip along the wall while it pushes.
-fn drag(board: &mut Hardware) {
+fn move_along_wall(board: &mut Hardware) {
     if let Some(device) = board.plant.device() {
-        push(device, [PUSH, PUSH, 0.0], 0.02);
+        push(device, [PUSH_N, PUSH_N, 0.0], 0.02);
     }
 }
 
@@ -198,7 +198,7 @@ impl Campaign {
         }
         rig.set_scene(&self.scene);
         rig.tool.arm().expect("the board arms");
-        rig.with_simulated(|device| push(device, [0.0, PUSH, 0.0], 0.3));
+        rig.with_simulated(|device| push(device, [0.0, PUSH_N, 0.0], 0.3));
         // The torque rises for 0.5 s after arming.
         rig.run(700 * MILLISECOND);
         let status = rig.tool.status().expect("the board replies");
@@ -223,7 +223,7 @@ impl Campaign {
             stopped.hardware().peaks = Peaks::default();
             cause(stopped.hardware());
         });
-        let floats = rig.shared.board().run_until(MAX_WAIT, 25 * MICROSECOND, disabled);
+        let floats = rig.shared.board().run_until(MAX_WAIT_NS, 25 * MICROSECOND, is_power_disabled);
         let after = rig.now() - began;
         let peaks = rig.with(|stopped| stopped.hardware().peaks);
         let status = rig.tool.status().expect("the board replies");
@@ -234,7 +234,7 @@ impl Campaign {
 }
 
 /// Returns true if the power stages are disabled. A stuck bridge does not count.
-fn disabled(stopped: &mut crate::run::StoppedBoard<'_>) -> bool {
+fn is_power_disabled(stopped: &mut crate::run::StoppedBoard<'_>) -> bool {
     let board = stopped.hardware();
     board.wiring.is_some_and(|wiring| board.level(wiring.enable) == Level::Low)
 }
@@ -275,7 +275,7 @@ pub fn table() -> String {
         rows.collect::<Vec<_>>()
     };
     let columns = std::thread::scope(|scope| {
-        RATES.map(|rate| scope.spawn(move || at_rate(rate))).map(|run| run.join().expect("a board that behaves"))
+        RATES_HZ.map(|rate| scope.spawn(move || at_rate(rate))).map(|run| run.join().expect("a board that behaves"))
     });
     let mut text = csv_line([
         "broken",

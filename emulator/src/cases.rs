@@ -41,7 +41,6 @@ impl SceneKind {
         }
     }
 
-    /// Returns the scene's walls.
     fn walls(self) -> Vec<WallAt> {
         let one = WallAt::facing([0.0, -1.0, 0.0]);
         match self {

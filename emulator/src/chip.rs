@@ -83,7 +83,7 @@ impl Chip {
         let part = Stm32f427::new()?;
         let bus = map::bus(part.bus())?;
         let bus_slot = bus.slot(OTG_BLOCKS[0])?;
-        let own_models = bus.slots().iter().map(|slot| owner(slot.peripheral().name)).collect();
+        let own_models = bus.slots().iter().map(|slot| own_model_of(slot.peripheral().name)).collect();
         let mut chip = Self {
             part,
             parked: bus,
@@ -95,7 +95,7 @@ impl Chip {
             advanced: std::array::from_fn(trigger::timer),
             converters: std::array::from_fn(trigger::converter),
         };
-        chip.exchange();
+        chip.swap_buses();
         chip.check()?;
         chip.set_device_id(VirtualNanos(0));
         Ok(chip)
@@ -110,7 +110,7 @@ impl Chip {
 
     /// Swaps the active bus with the parked bus. The slots of the part's own models move along, so their contents,
     /// gates and corrections are equal on both buses.
-    fn exchange(&mut self) {
+    fn swap_buses(&mut self) {
         let Self { part, parked, own_models, .. } = self;
         for (index, owner) in own_models.iter().enumerate() {
             if !matches!(owner, OwnModel::Otg(_) | OwnModel::Exti) {
@@ -181,7 +181,7 @@ impl Chip {
     }
 }
 
-fn owner(instance: &str) -> OwnModel {
+fn own_model_of(instance: &str) -> OwnModel {
     if let Some(block) = OTG_BLOCKS.iter().position(|&name| name == instance) {
         return OwnModel::Otg(block);
     }
@@ -208,12 +208,12 @@ impl Mcu for Chip {
     }
 
     fn reset(&mut self, at: VirtualNanos, cause: ResetCause) {
-        self.exchange();
+        self.swap_buses();
         // The previous bus of ours, with the count of events for which models may still wait.
         let before = std::mem::replace(&mut self.parked, map::bus(self.part.bus()).expect("a valid description"));
         self.part.reset(at, cause);
         self.parked.keep_added(&before).expect("the same description");
-        self.exchange();
+        self.swap_buses();
         self.set_device_id(at);
         self.restarts += 1;
         self.otg.chip_reset();

@@ -32,16 +32,15 @@ impl Flash {
 
 /// Wait states at 168 MHz and 2.7 to 3.6 V (RM0090 table 10).
 const WAIT_STATES: u64 = 5;
-const LINE: u32 = 16;
+const LINE_BYTES: u32 = 16;
 const INSTRUCTION_LINES: usize = 64;
 const DATA_LINES: usize = 8;
 /// Cycles to refill the pipeline after a taken branch.
-const REFILL: u64 = 2;
+const REFILL_CYCLES: u64 = 2;
 /// Cycles to enter and leave the exception, and to save and restore the FPU's registers (Cortex-M4 manual, section 3.9;
 /// ARM application note 298).
-pub const EXCEPTION: u64 = 12 + 12 + 17 + 17;
+pub const EXCEPTION_CYCLES: u64 = 12 + 12 + 17 + 17;
 
-/// Cost of a single instruction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Cost {
     /// Length of the instruction, bytes.
@@ -68,7 +67,7 @@ impl Cost {
 }
 
 /// Returns the address from which a PC-relative load at `at` with an offset of `words` words reads.
-fn constant(at: u32, words: u16) -> Option<u32> {
+fn literal_address(at: u32, words: u16) -> Option<u32> {
     Some((at & !3).wrapping_add(4).wrapping_add(4 * u32::from(words)))
 }
 
@@ -76,10 +75,10 @@ fn constant(at: u32, words: u16) -> Option<u32> {
 fn cost(code: &Code, at: u32) -> Cost {
     let first = code.half(at);
     if first >> 11 >= 0b11101 {
-        return wide(first, code.half(at + 2), at);
+        return wide_cost(first, code.half(at + 2), at);
     }
     match first {
-        0x4800..0x5000 => Cost::load(2, constant(at, first & 0xFF)),
+        0x4800..0x5000 => Cost::load(2, literal_address(at, first & 0xFF)),
         0x5600..0x6000 => Cost::load(2, None),
         0x6000..0xA000 if first & 0x0800 != 0 => Cost::load(2, None),
         // PUSH and POP, then STM and LDM.
@@ -89,7 +88,7 @@ fn cost(code: &Code, at: u32) -> Cost {
     }
 }
 
-fn wide(first: u16, second: u16, at: u32) -> Cost {
+fn wide_cost(first: u16, second: u16, at: u32) -> Cost {
     let loads = first & 0x10 != 0;
     match first {
         // LDM and STM, then TBB, then LDRD, STRD and the exclusive variants.
@@ -98,13 +97,13 @@ fn wide(first: u16, second: u16, at: u32) -> Cost {
         _ if first & 0xFE40 == 0xE840 => Cost::of(4, 3),
         // VLDR and VSTR, then VMOV of two registers, then VLDM and VSTM.
         _ if first & 0xFF20 == 0xED00 => match (loads, first & 0xF) {
-            (true, 0xF) => Cost::load(4, constant(at, second & 0xFF)),
+            (true, 0xF) => Cost::load(4, literal_address(at, second & 0xFF)),
             (true, _) => Cost::load(4, None),
             (false, _) => Cost::of(4, 2),
         },
         _ if first & 0xFFE0 == 0xEC40 => Cost::of(4, 2),
         _ if first & 0xFE00 == 0xEC00 => Cost::of(4, 1 + u64::from(second & 0xFF)),
-        _ if first & 0xFF00 == 0xEE00 && second & 0x10 == 0 => arithmetic(first, second),
+        _ if first & 0xFF00 == 0xEE00 && second & 0x10 == 0 => fpu_cost(first, second),
         // LDR, also of a constant.
         _ if first & 0xFE00 == 0xF800 && loads => {
             let relative = first & 0xF == 0xF && first & 0x80 != 0;
@@ -116,8 +115,7 @@ fn wide(first: u16, second: u16, at: u32) -> Cost {
     }
 }
 
-/// Returns the cost of an FPU instruction.
-fn arithmetic(first: u16, second: u16) -> Cost {
+fn fpu_cost(first: u16, second: u16) -> Cost {
     let register = |number: u16, low: u16| Some((number & 0xF) << 1 | low & 1);
     let unary = first & 0xFFB0 == 0xEEB0;
     let cycles = match first & 0xFFB0 {
@@ -173,7 +171,7 @@ impl FlashState {
     }
 
     fn instruction(&mut self, at: u32) {
-        let line = at / LINE;
+        let line = at / LINE_BYTES;
         if self.flash == Flash::AtOnce || self.line.replace(line) == Some(line) {
             return;
         }
@@ -193,8 +191,8 @@ impl FlashState {
         }
     }
 
-    fn constant(&mut self, at: u32) {
-        let is_cached = self.constants.use_line(at / LINE, DATA_LINES) && self.flash == Flash::Accelerated;
+    fn load_constant(&mut self, at: u32) {
+        let is_cached = self.constants.use_line(at / LINE_BYTES, DATA_LINES) && self.flash == Flash::Accelerated;
         if self.flash != Flash::AtOnce && !is_cached {
             self.read();
         }
@@ -206,7 +204,7 @@ impl FlashState {
 pub fn estimate(code: &Code, path: &[u32], flash: Flash) -> u64 {
     let mut state = FlashState {
         flash,
-        now: EXCEPTION,
+        now: EXCEPTION_CYCLES,
         free: 0,
         line: None,
         ahead: None,
@@ -219,12 +217,12 @@ pub fn estimate(code: &Code, path: &[u32], flash: Flash) -> u64 {
         state.instruction(at);
         state.instruction(at + cost.length - 1);
         if let Some(constant) = cost.constant {
-            state.constant(constant);
+            state.load_constant(constant);
         }
         let overlaps = u64::from(before.load && cost.load);
         let waits = u64::from(before.writes.is_some() && cost.reads.contains(&before.writes));
         let is_taken = path.get(nth + 1).is_some_and(|&next| next != at + cost.length);
-        state.now += cost.cycles - overlaps + waits + if is_taken { REFILL } else { 0 };
+        state.now += cost.cycles - overlaps + waits + if is_taken { REFILL_CYCLES } else { 0 };
         before = cost;
     }
     state.now
@@ -236,19 +234,19 @@ mod tests {
 
     const NOP: u16 = 0xBF00;
 
-    fn straight(halves: &[u16], path: &[u32], flash: Flash) -> u64 {
-        estimate(&Code::at(0x1000, halves), path, flash) - EXCEPTION
+    fn cycles_of(halves: &[u16], path: &[u32], flash: Flash) -> u64 {
+        estimate(&Code::at(0x1000, halves), path, flash) - EXCEPTION_CYCLES
     }
 
     #[test]
     fn prefetch_hides_all_lines_but_the_first() {
         let path: Vec<u32> = (0..24).map(|nth| 0x1000 + 2 * nth).collect();
         let code = [NOP; 24];
-        assert_eq!(straight(&code, &path, Flash::AtOnce), 24);
+        assert_eq!(cycles_of(&code, &path, Flash::AtOnce), 24);
         // All three lines have their wait states.
-        assert_eq!(straight(&code, &path, Flash::Bare), 24 + 3 * 5);
+        assert_eq!(cycles_of(&code, &path, Flash::Bare), 24 + 3 * 5);
         // Only the first line is late. A fetch takes six cycles, and executing the line before it takes eight.
-        assert_eq!(straight(&code, &path, Flash::Accelerated), 24 + 5);
+        assert_eq!(cycles_of(&code, &path, Flash::Accelerated), 24 + 5);
     }
 
     #[test]
@@ -256,7 +254,7 @@ mod tests {
         // With four `movw r0, #0` per line, each further line arrives two cycles late.
         let code = [[0xF240, 0x0000]; 12].concat();
         let path: Vec<u32> = (0..12).map(|nth| 0x1000 + 4 * nth).collect();
-        assert_eq!(straight(&code, &path, Flash::Accelerated), 12 + 5 + 2 * 2);
+        assert_eq!(cycles_of(&code, &path, Flash::Accelerated), 12 + 5 + 2 * 2);
     }
 
     #[test]
@@ -264,14 +262,14 @@ mod tests {
         // nop; b 0x1000
         let code = [NOP, 0xE7FD];
         let path: Vec<u32> = [0x1000, 0x1002].repeat(10);
-        let core = 20 + 9 * REFILL;
-        assert_eq!(straight(&code, &path, Flash::AtOnce), core);
-        assert_eq!(straight(&code, &path, Flash::Accelerated), core + 5);
+        let core = 20 + 9 * REFILL_CYCLES;
+        assert_eq!(cycles_of(&code, &path, Flash::AtOnce), core);
+        assert_eq!(cycles_of(&code, &path, Flash::Accelerated), core + 5);
     }
 
     #[test]
     fn instructions_have_the_costs_of_the_manual() {
-        let alone = |halves: &[u16]| straight(halves, &[0x1000], Flash::AtOnce);
+        let alone = |halves: &[u16]| cycles_of(halves, &[0x1000], Flash::AtOnce);
         assert_eq!(alone(&[0x6808]), 2, "ldr r0, [r1]");
         assert_eq!(alone(&[0x6008]), 1, "str r0, [r1]");
         assert_eq!(alone(&[0xB5F0]), 6, "push {{r4-r7, lr}}");

@@ -6,16 +6,15 @@ use rigless::chip::spi::Peer;
 use rigless::snapshot::Store;
 
 /// Bit that makes a frame a read.
-const READ: u32 = 1 << 15;
+const READ_BIT: u32 = 1 << 15;
 /// Identity of the device, in status register 2.
 const DEVICE_ID: u16 = 1;
-/// FAULT bit of status register 1.
-const FAULT: u16 = 1 << 10;
+const FAULT_BIT: u16 = 1 << 10;
 /// Gains of the shunt amplifiers, selected by bits 3:2 of control register 2.
 const GAINS: [f64; 4] = [10.0, 20.0, 40.0, 80.0];
 
 /// Bits 5:4 of control register 2, which short the amplifiers' inputs.
-const CALIBRATE: u16 = 0b11 << 4;
+const SHORTED_INPUTS: u16 = 0b11 << 4;
 
 /// One gate driver.
 #[derive(Debug, Default)]
@@ -50,7 +49,7 @@ impl Drv8301 {
     }
 
     /// Makes the control registers ignore writes, as in a missing or broken driver.
-    pub fn stick(&mut self, stuck: bool) {
+    pub fn ignore_writes(&mut self, stuck: bool) {
         self.stuck = stuck;
     }
 
@@ -63,7 +62,7 @@ impl Drv8301 {
     /// off.
     #[must_use]
     pub fn gain(&self) -> Option<f64> {
-        let shorted = self.control[1] & CALIBRATE != 0;
+        let shorted = self.control[1] & SHORTED_INPUTS != 0;
         self.on.then(|| if shorted { 0.0 } else { GAINS[usize::from(self.control[1] >> 2) & 3] })
     }
 
@@ -75,7 +74,7 @@ impl Drv8301 {
 
     fn register(&self, address: u32) -> u16 {
         match address {
-            0 => self.fault | if self.fault != 0 { FAULT } else { 0 },
+            0 => self.fault | if self.fault != 0 { FAULT_BIT } else { 0 },
             1 => DEVICE_ID,
             2 | 3 => self.control[address as usize - 2],
             _ => 0,
@@ -91,7 +90,7 @@ impl Peer for Drv8301 {
         }
         let answer = u32::from(self.answer);
         let address = (mosi >> 11) & 0xF;
-        if mosi & READ != 0 {
+        if mosi & READ_BIT != 0 {
             self.answer = (address << 11) as u16 | self.register(address);
         } else {
             if matches!(address, 2 | 3) && !self.stuck {

@@ -2,7 +2,7 @@
 //!
 //! The bus is modelled as in usb.rs, at full speed, with 13 bytes of overhead per packet, without frame boundaries and
 //! other devices. A packet begins as soon as the chip offers or accepts it. The simulated computer polls every
-//! [`POLL_INTERVAL`] and replies at once, whereas a real computer adds delays of its USB and scheduler.
+//! [`POLL_INTERVAL_NS`] and replies at once, whereas a real computer adds delays of its USB and scheduler.
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -16,7 +16,7 @@ use crate::rig::Rig;
 use crate::run::{MICROSECOND, MILLISECOND};
 
 /// Longest time from the last byte of a reply to the next request, ns.
-pub const POLL_INTERVAL: u64 = 5 * MICROSECOND;
+pub const POLL_INTERVAL_NS: u64 = 5 * MICROSECOND;
 
 /// Result of a series of exchanges.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -75,9 +75,9 @@ pub fn run(
     }
 }
 
-/// Connects a computer that polls every [`POLL_INTERVAL`], and starts its stream.
+/// Connects a computer that polls every [`POLL_INTERVAL_NS`], and starts its stream.
 fn start(rig: &mut Rig, (fields, divider): (Fields, u32)) {
-    rig.tool = Board::over(rig.shared.wire_polled_every(POLL_INTERVAL), "virtual").expect("the board replies");
+    rig.tool = Board::over(rig.shared.wire_polled_every(POLL_INTERVAL_NS), "virtual").expect("the board replies");
     if divider > 0 {
         rig.tool.start_stream(fields, divider).expect("a stream starts");
     }

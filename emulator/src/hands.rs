@@ -4,7 +4,7 @@ use haptic_sim::{Hand, HandSettings, Intent, SimulatedDevice, Support, Waypoint}
 
 /// Returns the settings of a very stiff hand.
 #[must_use]
-pub fn firm() -> HandSettings {
+pub fn firm_settings() -> HandSettings {
     HandSettings {
         grip_stiffness: 50_000.0,
         grip_damping: 100.0,
@@ -17,7 +17,7 @@ pub fn firm() -> HandSettings {
 /// Makes a firm hand hold the tip, as a person does while homing a device that would fall.
 pub fn hold(device: &mut SimulatedDevice) {
     let path = vec![Waypoint { time: 0.0, value: device.tip() }];
-    device.set_hand(Hand::new(firm(), Intent::Follow(path), device.tip(), device.time()));
+    device.set_hand(Hand::new(firm_settings(), Intent::Follow(path), device.tip(), device.time()));
 }
 
 /// Suspends a device for the polarity check. Its weight is carried without inertia. A rubber band holds it lightly,
@@ -30,11 +30,11 @@ pub fn suspend_device(device: &mut SimulatedDevice) {
 }
 
 /// Makes a firm hand move the tip to and fro by `reach` (m) for `seconds`.
-pub fn wander(device: &mut SimulatedDevice, reach: f64, seconds: f64) {
+pub fn move_to_and_fro(device: &mut SimulatedDevice, reach: f64, seconds: f64) {
     let tip = device.tip();
     let place = |k: u32| tip.map(|x| if k % 2 == 1 { x + reach } else { x });
     let path = (0..=(10.0 * seconds) as u32).map(|k| Waypoint { time: 0.1 * f64::from(k), value: place(k) }).collect();
-    device.set_hand(Hand::new(firm(), Intent::Follow(path), tip, device.time()));
+    device.set_hand(Hand::new(firm_settings(), Intent::Follow(path), tip, device.time()));
 }
 
 /// Makes a trembling hand push the tip with a force that rises to `force` (N) within `seconds`.

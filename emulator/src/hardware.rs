@@ -4,7 +4,7 @@
 //! the last extreme. The plant advances by the elapsed time, and its sensor values are applied to the chip's pins: one
 //! quadrature edge after another, microvolts at the converters, and levels at the fault and index pins. Between two
 //! extremes the mean of a centre-aligned carrier is its duty, so ripple is not simulated. While the carrier stands
-//! still, the plant advances every [`PHYSICS_STEP`].
+//! still, the plant advances every [`PHYSICS_STEP_NS`].
 
 use std::num::{NonZeroU32, NonZeroU64};
 
@@ -31,12 +31,12 @@ use crate::plant::{Dummy, Peaks, Plant};
 pub const INSTRUCTIONS_PER_SECOND: NonZeroU64 = NonZeroU64::new(84_000_000).expect("not zero");
 
 /// Time between two steps of the plant without a carrier, which is half a period of the slowest carrier, ns.
-pub const PHYSICS_STEP: u64 = 25_000;
+pub const PHYSICS_STEP_NS: u64 = 25_000;
 /// Time between two edges of one encoder, ns. It is longer than the 95 ns of the timer's input filter.
-const EDGE_SPACING: u64 = 250;
+const EDGE_SPACING_NS: u64 = 250;
 
 /// Offset of `ARR` of a timer.
-const AUTO_RELOAD: u32 = 0x2C;
+const AUTO_RELOAD_OFFSET: u32 = 0x2C;
 /// Offset of `MODER` of a port.
 const PORT_MODE: u32 = 0x00;
 /// Offset of `PUPDR` of a port.
@@ -178,16 +178,16 @@ impl Hardware {
         }
         if at.0 >= self.next_step {
             self.advance_plant(wiring, at);
-            self.next_step = self.next_extreme(at.0).unwrap_or(at.0 - at.0 % PHYSICS_STEP + PHYSICS_STEP);
+            self.next_step = self.next_extreme(at.0).unwrap_or(at.0 - at.0 % PHYSICS_STEP_NS + PHYSICS_STEP_NS);
         }
         let moving = self.drive_encoders(wiring, at);
-        Some(VirtualNanos(if moving { at.0 + EDGE_SPACING } else { self.next_step }))
+        Some(VirtualNanos(if moving { at.0 + EDGE_SPACING_NS } else { self.next_step }))
     }
 
     /// Returns the time of the first crest or valley of TIM1 after `at`, ns, or `None` if the timer does not run.
     fn next_extreme(&self, at: u64) -> Option<u64> {
         let crest = self.chip.advanced[0].hook.crest()?;
-        let top = self.chip.register("TIM1", AUTO_RELOAD);
+        let top = self.chip.register("TIM1", AUTO_RELOAD_OFFSET);
         // The timer counts at 168 MHz, so a tick takes 125/21 ns.
         let passed = at.saturating_sub(crest) * 21 / (125 * top.max(1));
         // If the crest did not come again two slopes later, the timer has stopped.
@@ -208,7 +208,7 @@ impl Hardware {
         self.peaks.touched = self.peaks.touched || wiring.power.iter().any(|&pin| !self.is_untouched(pin));
         if spans[0].whole > 0 {
             self.plant.step(&self.broken.drives(self.drives), spans[0].whole as f64 * 1e-9);
-            self.peaks.take(&mut *self.plant);
+            self.peaks.update(&mut *self.plant);
             self.samples += 1;
         }
         for (encoder, counts) in self.encoders.iter_mut().zip(self.broken.counts(self.plant.counts(), self.samples)) {

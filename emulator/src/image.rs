@@ -8,10 +8,10 @@ use std::process::{Command, Stdio};
 use object::{Object, ObjectSection, ObjectSymbol, SectionKind, SymbolKind};
 
 /// Flash sectors that memory.x reserves for the settings.
-pub const SETTINGS: Range<u64> = 0x0800_4000..0x0800_C000;
+pub const SETTINGS_RANGE: Range<u64> = 0x0800_4000..0x0800_C000;
 
 /// Flash sectors of the code.
-pub const CODE: Range<u64> = 0x0800_C000..0x0806_C000;
+pub const CODE_RANGE: Range<u64> = 0x0800_C000..0x0806_C000;
 
 /// Name of the control interrupt's handler in the vector table.
 pub const CONTROL_INTERRUPT: &str = "TIM1_UP_TIM10";

@@ -16,8 +16,8 @@ use rigless::time::VirtualNanos;
 
 use crate::boards::BoardKind;
 use crate::contact::WallAt;
-use crate::hands::{firm, hold, push, wander};
-use crate::image::{CODE, SETTINGS};
+use crate::hands::{firm_settings, hold, move_to_and_fro, push};
+use crate::image::{CODE_RANGE, SETTINGS_RANGE};
 use crate::rig::{Rig, device_file, firmware};
 use crate::run::{MICROSECOND, MILLISECOND, SECOND, StoppedBoard};
 
@@ -80,7 +80,7 @@ fn disarmed_rig() -> Rig {
     rig
 }
 
-fn rules(rig: &mut Rig, change: impl FnOnce(&mut Rules)) {
+fn change_rules(rig: &mut Rig, change: impl FnOnce(&mut Rules)) {
     let mut rules = rig.tool.rules().expect("the board replies");
     change(&mut rules);
     rig.tool.set_rules(&rules).expect("limits are lowered");
@@ -97,7 +97,6 @@ fn rig_with_nmi_wire() -> Rig {
     rig
 }
 
-/// Changes a board and presses its reset button.
 fn change_and_reset(rig: &mut Rig, cause: impl FnOnce(&mut StoppedBoard<'_>) + Send + 'static) {
     rig.with(cause);
     rig.run(MICROSECOND);
@@ -125,7 +124,7 @@ pub fn injection(fault: Fault) -> Injection {
             "0.4 rad of encoder edges, four a microsecond",
             || {
                 let mut rig = rig_in_contact();
-                rules(&mut rig, |rules| rules.limits.speed = [20.0; 3]);
+                change_rules(&mut rig, |rules| rules.limits.speed = [20.0; 3]);
                 after_crest(&rig, 10);
                 rig
             },
@@ -142,7 +141,7 @@ pub fn injection(fault: Fault) -> Injection {
             rig_in_contact,
             |rig| {
                 rig.with(|stopped| stopped.hardware().encoders_unplugged = [true; 3]);
-                rules(rig, |rules| rules.limits.current = [0.15; 3]);
+                change_rules(rig, |rules| rules.limits.current = [0.15; 3]);
             },
             6_000,
         ),
@@ -150,7 +149,7 @@ pub fn injection(fault: Fault) -> Injection {
             "encoders unplugged while a hand moves the device",
             free_rig,
             |rig| {
-                rules(rig, |rules| rules.limits.speed = [4.0; 3]);
+                change_rules(rig, |rules| rules.limits.speed = [4.0; 3]);
                 rig.with(|stopped| stopped.hardware().encoders_unplugged = [true; 3]);
                 push_tip(rig, [3.0, 3.0, 0.0]);
             },
@@ -162,7 +161,7 @@ pub fn injection(fault: Fault) -> Injection {
             rig_with_index,
             |rig| {
                 rig.with(|stopped| stopped.hardware().edges_lost[0] = 20);
-                rig.with_simulated(|device| sweep(device, -SWEEP, SWEEP));
+                rig.with_simulated(|device| sweep(device, -HALF_SWEEP_METRES, HALF_SWEEP_METRES));
             },
             2_000,
         ),
@@ -176,7 +175,7 @@ pub fn injection(fault: Fault) -> Injection {
             "a hand moves the device faster than 0.5 rad/s",
             free_rig,
             |rig| {
-                rules(rig, |rules| rules.limits.speed = [0.5; 3]);
+                change_rules(rig, |rules| rules.limits.speed = [0.5; 3]);
                 push_tip(rig, [3.0, 0.0, 0.0]);
             },
             2_000,
@@ -194,7 +193,7 @@ pub fn injection(fault: Fault) -> Injection {
             rig_in_contact,
             |rig| {
                 let currents = rig.with_simulated(|device| device.currents());
-                rules(rig, |rules| {
+                change_rules(rig, |rules| {
                     for (limit, current) in rules.limits.current.iter_mut().zip(currents) {
                         *limit = (current.abs() as f32 / 0.95).max(0.05);
                     }
@@ -254,7 +253,7 @@ pub fn injection(fault: Fault) -> Injection {
             "no message from the host for the 0.1 s that the rules allow",
             rig_in_contact,
             |rig| {
-                rules(rig, |rules| {
+                change_rules(rig, |rules| {
                     rules.host_action = HostAction::Disarm;
                     rules.host_seconds = 0.1;
                 })
@@ -303,7 +302,7 @@ pub fn injection(fault: Fault) -> Injection {
                 rig
             },
             |rig| {
-                change_and_reset(rig, |stopped| stopped.flip_in_flash(SETTINGS, b"second name"));
+                change_and_reset(rig, |stopped| stopped.flip_in_flash(SETTINGS_RANGE, b"second name"));
             },
             500,
         ),
@@ -319,7 +318,7 @@ pub fn injection(fault: Fault) -> Injection {
             "a hand that releases a wall while 1 mW is allowed",
             rig_in_contact,
             |rig| {
-                rules(rig, |rules| rules.limits.power = 0.001);
+                change_rules(rig, |rules| rules.limits.power = 0.001);
                 rig.with_simulated(|device| device.set_hand(Hand::none()));
             },
             500,
@@ -328,7 +327,7 @@ pub fn injection(fault: Fault) -> Injection {
             "a key that is not reported as held again",
             rig_in_contact,
             |rig| {
-                rules(rig, |rules| rules.host_seconds = 0.1);
+                change_rules(rig, |rules| rules.host_seconds = 0.1);
                 let known_step = rig.tool.status().expect("the board replies").step;
                 rig.tool.hold_key(known_step).expect("a beat is never refused");
                 rig.run(60 * MILLISECOND);
@@ -375,7 +374,7 @@ pub fn injection(fault: Fault) -> Injection {
             "a hand that moves the tip to and fro",
             disarmed_rig,
             |rig| {
-                rig.with_simulated(|device| wander(device, 0.004, 6.0));
+                rig.with_simulated(|device| move_to_and_fro(device, 0.004, 6.0));
                 rig.tool.check_polarity().expect("the check starts");
                 rig.run(MILLISECOND);
             },
@@ -393,7 +392,7 @@ pub fn injection(fault: Fault) -> Injection {
             "current sensors show 0.5 A too much while 0.1 N is allowed at the tip",
             || {
                 let mut rig = free_rig();
-                rules(&mut rig, |rules| rules.limits.tip_force = 0.1);
+                change_rules(&mut rig, |rules| rules.limits.tip_force = 0.1);
                 rig.run(20 * MILLISECOND);
                 rig
             },
@@ -464,7 +463,7 @@ pub fn injection(fault: Fault) -> Injection {
         Fault::ImageDamaged => chip(
             "one bit of the image in flash flipped, then a reset",
             disarmed_rig,
-            |rig| change_and_reset(rig, |stopped| stopped.flip_in_flash(CODE, b"odrive-v3")),
+            |rig| change_and_reset(rig, |stopped| stopped.flip_in_flash(CODE_RANGE, b"odrive-v3")),
             500,
         ),
         Fault::WrongBoard => chip(
@@ -512,13 +511,13 @@ fn free_rig_within(angle: f64) -> Rig {
 }
 
 /// Half the distance by which a hand moves the tip to turn a joint past its index mark, m.
-const SWEEP: f64 = 0.015;
+const HALF_SWEEP_METRES: f64 = 0.015;
 
 /// Starts a firm hand that moves the tip sideways, from `from` to `to` (m) relative to their midpoint.
 fn sweep(device: &mut SimulatedDevice, from: f64, to: f64) {
     let [x, y, z] = device.tip();
     let path = [(0.0, x), (0.5, x + to - from)].map(|(time, x)| Waypoint { time, value: [x, y, z] });
-    device.set_hand(Hand::new(firm(), Intent::Follow(path.to_vec()), device.tip(), device.time()));
+    device.set_hand(Hand::new(firm_settings(), Intent::Follow(path.to_vec()), device.tip(), device.time()));
 }
 
 /// Returns an armed rig whose first joint was turned past its index mark once.
@@ -534,10 +533,10 @@ fn rig_with_index() -> Rig {
     }
     let mut rig = Rig::with_file(BoardKind::OdriveV3, file, |_| ());
     rig.arm_before("", &[WallAt { gap: 0.2, ..WallAt::facing([0.0, -1.0, 0.0]) }]);
-    rules(&mut rig, |rules| rules.index_period = [period, period, 0]);
-    rig.with_simulated(|device| sweep(device, 0.0, SWEEP));
+    change_rules(&mut rig, |rules| rules.index_period = [period, period, 0]);
+    rig.with_simulated(|device| sweep(device, 0.0, HALF_SWEEP_METRES));
     rig.run(SECOND);
-    rig.with_simulated(|device| sweep(device, SWEEP, -SWEEP));
+    rig.with_simulated(|device| sweep(device, HALF_SWEEP_METRES, -HALF_SWEEP_METRES));
     rig.run(SECOND);
     rig
 }

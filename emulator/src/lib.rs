@@ -3,6 +3,8 @@
 //!
 //! [`chip`] is the microcontroller, [`hardware`] is the board around it, and [`image`] is the ELF file that runs on it.
 //! [`count`] counts the instructions between the markers of a counting image.
+//!
+//! Functions that prepare or drive a board panic if the board refuses a request or the image lacks a symbol.
 
 pub mod boards;
 pub mod campaign;

@@ -48,16 +48,16 @@ impl Load {
 }
 
 /// Returns gains of the first wall, which alternate between two values with `nth`.
-fn gains(nth: u64) -> Gains<f32> {
+fn alternating_gains(nth: u64) -> Gains<f32> {
     let stiffness = if nth.is_multiple_of(2) { 450.0 } else { 550.0 };
     Gains { wall: 0, stiffness, damping: 1.0, feed_forward: FeedForward::Full, washout_hz: 2.0 }
 }
 
 /// Makes the nth change of a setting, which is in turn a change of gains, rules or the velocity filter.
-fn change(rig: &mut Rig, nth: u64) {
+fn change_setting(rig: &mut Rig, nth: u64) {
     let odd = !(nth / 3).is_multiple_of(2);
     match nth % 3 {
-        0 => rig.tool.set_wall_gains(gains(nth / 3)).expect("gains change in contact"),
+        0 => rig.tool.set_wall_gains(alternating_gains(nth / 3)).expect("gains change in contact"),
         1 => {
             // Rules are only tightened, because protective rules cannot be loosened while the motors are on.
             let mut rules = rig.tool.rules().expect("the board replies");
@@ -87,7 +87,7 @@ pub fn run(rig: &mut Rig, (fields, divider): (Fields, u32), rate_hz: u32, millis
     while rig.now() < end {
         let now = rig.now();
         if now >= began + changes * 100 * MILLISECOND {
-            change(rig, changes);
+            change_setting(rig, changes);
             changes += 1;
         }
         let rows = rig.tool.rows(Duration::from_millis(10)).expect("rows come");
@@ -174,14 +174,14 @@ pub fn sustains_force_limit(case: &Case, rate_hz: u32) -> bool {
 /// Returns the highest rate (Hz) at which `case` passes the test `sustains`.
 #[must_use]
 pub fn highest_for(case: &Case, sustains: fn(&Case, u32) -> bool) -> Option<u32> {
-    RATES.into_iter().find(|&rate_hz| {
+    RATES_HZ.into_iter().find(|&rate_hz| {
         let case = *case;
         std::thread::spawn(move || sustains(&case, rate_hz)).join().unwrap_or(false)
     })
 }
 
 /// Tested rates, Hz, highest first.
-const RATES: [u32; 9] = [50_000, 45_000, 40_000, 35_000, 30_000, 25_000, 20_000, 15_000, 10_000];
+const RATES_HZ: [u32; 9] = [50_000, 45_000, 40_000, 35_000, 30_000, 25_000, 20_000, 15_000, 10_000];
 /// Tested dividers of a stream, lowest first.
 const DIVIDERS: [u32; 7] = [1, 2, 3, 4, 5, 10, 20];
 
@@ -196,7 +196,7 @@ fn attempt(case: &Case, rate_hz: u32, divider: u32, milliseconds: u64) -> Option
 /// telemetry of every step.
 #[must_use]
 pub fn highest_rate(case: &Case) -> Option<u32> {
-    RATES.into_iter().find(|rate_hz| attempt(case, *rate_hz, 1, 200).is_some())
+    RATES_HZ.into_iter().find(|rate_hz| attempt(case, *rate_hz, 1, 200).is_some())
 }
 
 /// Returns the rows of default telemetry per second that arrive without a loss while `case` runs at its rate. The run

@@ -106,7 +106,7 @@ pub struct Peaks {
 
 impl Peaks {
     /// Updates the peaks with the present values.
-    pub fn take(&mut self, plant: &mut dyn Plant) {
+    pub fn update(&mut self, plant: &mut dyn Plant) {
         let currents = plant.currents();
         let Some(device) = plant.device() else { return };
         let largest = |values: [f64; 3]| values.iter().fold(0.0, |max: f64, value| max.max(value.abs()));

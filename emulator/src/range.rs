@@ -44,7 +44,7 @@ const MOTOR: Motor<f64> = Motor {
     verified: true,
 };
 /// Torque at 12 A, N m.
-const TORQUE_LIMIT: f64 = 0.4;
+const TORQUE_LIMIT_NM: f64 = 0.4;
 /// A board without dead time, because dead time acts like friction on a small swing.
 pub const BOARD: BoardKind = BoardKind::HBridgeF405;
 
@@ -70,11 +70,11 @@ pub struct Rate {
 pub const RATES: [Rate; 2] = [Rate { rate_hz: 1000.0, cutoff_hz: 20.0 }, Rate { rate_hz: 5000.0, cutoff_hz: 100.0 }];
 /// Bandwidth of a current loop that lags like the board's loop (which reaches its current within a carrier period), Hz.
 /// It is the default of `haptic range --drive current`.
-const CURRENT_BANDWIDTH: f64 = 6400.0;
+const CURRENT_BANDWIDTH_HZ: f64 = 6400.0;
 
 /// Returns the coupled-five-bar as a rigid device, and its wall.
 #[must_use]
-pub fn rigid() -> TestDevice {
+pub fn rigid_device() -> TestDevice {
     let mut file = device_file("coupled-five-bar");
     file.description.home = Some(POSE);
     for joint in &mut file.description.joints[..2] {
@@ -127,7 +127,7 @@ pub fn measure_on<T>(
         rate_hz: rate.rate_hz,
         cutoff_hz: rate.cutoff_hz,
         washout_hz: 2.0,
-        torque_limit: TORQUE_LIMIT,
+        torque_limit: TORQUE_LIMIT_NM,
         largest_pull: 1e-3,
         law: Law::default(),
     };
@@ -149,7 +149,7 @@ pub fn predicted(test_device: &TestDevice, rate: Rate, delay_samples: f64, kd: O
         rate_hz: rate.rate_hz,
         delay_samples,
         estimator: LinearEstimator::Butterworth(rate.cutoff_hz),
-        drive: Drive::Current { bandwidth_hz: CURRENT_BANDWIDTH },
+        drive: Drive::Current { bandwidth_hz: CURRENT_BANDWIDTH_HZ },
         damping_compensation: false,
     };
     let linear =
@@ -158,9 +158,9 @@ pub fn predicted(test_device: &TestDevice, rate: Rate, delay_samples: f64, kd: O
 }
 
 /// Number of dampings in a complete measurement.
-pub const POINTS: usize = 12;
+pub const DAMPING_COUNT: usize = 12;
 /// Pulls at each damping, as multiples of the largest pull.
-pub const PULLS: [f64; 5] = [1.0, -1.0, 0.7, -0.7, 0.85];
+pub const RELATIVE_PULLS: [f64; 5] = [1.0, -1.0, 0.7, -0.7, 0.85];
 
 /// Returns the delay that the board reports at `rate`, in samples.
 #[must_use]
@@ -169,19 +169,18 @@ pub fn delay_samples(rig: &mut Rig, rate: Rate) -> f64 {
     f64::from(rig.tool.details().expect("the board replies").delay_samples)
 }
 
-/// Measures the complete range at `rate` with the feed-forward `mode`: [`POINTS`] dampings up to the end of the range,
-/// with all [`PULLS`]. Returns the result and the delay that the board reports. Calls `report` with the number of
-/// finished boundaries.
-/// Returns the error that ends a measurement early.
+/// Measures the complete range at `rate` with the feed-forward `mode`: [`DAMPING_COUNT`] dampings up to the end of the
+/// range, with all [`RELATIVE_PULLS`]. Returns the result and the delay that the board reports. Calls `report` with the
+/// number of finished boundaries. Returns the error that ends a measurement early.
 pub fn measure_range(
     rate: Rate,
     mode: FeedForward,
     mut report: impl FnMut(usize),
 ) -> Result<(Progress, f64), MeasureError> {
-    let test_device = rigid();
+    let test_device = rigid_device();
     let mut rig = rig(&test_device);
     let delay = delay_samples(&mut rig, rate);
-    let plan = Plan { modes: vec![mode], kd: None, points: POINTS, repeats: 1, pulls: PULLS.to_vec() };
+    let plan = Plan { modes: vec![mode], kd: None, points: DAMPING_COUNT, repeats: 1, pulls: RELATIVE_PULLS.to_vec() };
     let mut progress = Progress::new("the emulated chip");
     measure_on(&mut rig, &test_device, rate, |prepared| {
         campaign::run(prepared, &plan, &mut progress, |_, done| {
@@ -194,12 +193,12 @@ pub fn measure_range(
 
 /// Returns ∫ kp dkd of the medians at the centres of equal cells, N² s/m².
 fn area(progress: &Progress, mode: FeedForward) -> f64 {
-    let cell = progress.end(mode).unwrap_or(0.0) / POINTS as f64;
+    let cell = progress.end(mode).unwrap_or(0.0) / DAMPING_COUNT as f64;
     progress.of(mode).iter().map(|point| point.median() * cell).sum()
 }
 
 /// Column names of docs/results/range-chip.csv.
-pub const HEAD: [&str; 9] = [
+pub const COLUMN_NAMES: [&str; 9] = [
     "rate (Hz)",
     "cutoff (Hz)",
     "feed-forward",
@@ -214,7 +213,7 @@ pub const HEAD: [&str; 9] = [
 /// Returns the rows of a complete measurement at `rate`, the summary for docs/results.md, and the picture.
 #[must_use]
 pub fn section(rate: Rate, progress: &Progress, delay: f64) -> (String, String, Picture) {
-    let test_device = rigid();
+    let test_device = rigid_device();
     let Rate { rate_hz, cutoff_hz } = rate;
     let range = predicted(&test_device, rate, delay, None);
     let mut rows = String::new();

@@ -133,7 +133,7 @@ impl StoppedBoard<'_> {
     /// Returns the firmware's accesses for which the virtual chip has no model, one per line. The list is empty if a
     /// model handled every access.
     #[must_use]
-    pub fn gaps(&self) -> Vec<String> {
+    pub fn unmodelled_accesses(&self) -> Vec<String> {
         let unmapped = self.session.unmapped().into_iter().map(|gap| gap.to_string());
         let refused = self.session.refused().iter().map(|(at, why)| format!("refused at={at:#x} {why}"));
         let files =
@@ -202,7 +202,7 @@ impl VirtualBoard {
     /// Runs for `span` nanoseconds of virtual time.
     pub fn run(&mut self, span: u64) {
         let until = self.at + span;
-        match self.order(Command::RunUntil(until)) {
+        match self.send_command(Command::RunUntil(until)) {
             Reply::Stopped { at, instructions } => (self.at, self.instructions) = (at, instructions),
             Reply::Done => unreachable!("a run replies with the time of its stop"),
         }
@@ -211,7 +211,7 @@ impl VirtualBoard {
     /// Runs `job` while the board stands still, and returns its result.
     pub fn with<T: Send + 'static>(&mut self, job: impl FnOnce(&mut StoppedBoard<'_>) -> T + Send + 'static) -> T {
         let (result, outcome) = channel();
-        self.order(Command::With(Box::new(move |stopped| {
+        self.send_command(Command::With(Box::new(move |stopped| {
             // The receiver below outlives the job.
             let _ = result.send(job(stopped));
         })));
@@ -239,7 +239,7 @@ impl VirtualBoard {
         false
     }
 
-    fn order(&mut self, command: Command) -> Reply {
+    fn send_command(&mut self, command: Command) -> Reply {
         let sent = self.commands.as_ref().is_some_and(|commands| commands.send(command).is_ok());
         let reply = if sent { self.replies.recv().ok() } else { None };
         match reply {

@@ -13,15 +13,14 @@ use crate::image::Firmware;
 use crate::trace::Run;
 
 /// Function that runs at every crest and at no valley.
-const CREST: &str = "::update_counts";
+const CREST_FUNCTION: &str = "::update_counts";
 /// Function that runs only if a task has sent a request.
-const REQUEST: &str = "InterruptState::carry_out";
+const REQUEST_FUNCTION: &str = "InterruptState::carry_out";
 /// Function in which the interrupt only waits for the converters.
-const WAITING: &str = "adc::wait";
+const WAIT_FUNCTION: &str = "adc::wait";
 
 type Reader<'a> = EndianSlice<'a, LittleEndian>;
 
-/// Source of an instruction.
 #[derive(Debug, Default)]
 struct Source {
     /// Paths of the instruction's functions, innermost first, without generic arguments.
@@ -54,7 +53,9 @@ impl<'a> Sources<'a> {
             let mut source = Source::default();
             if let Ok(mut frames) = self.context.find_frames(u64::from(address)).skip_all_loads() {
                 while let Ok(Some(frame)) = frames.next() {
-                    let name = frame.function.and_then(|function| function.demangle().ok().map(|name| plain(&name)));
+                    let name = frame
+                        .function
+                        .and_then(|function| function.demangle().ok().map(|name| without_generics(&name)));
                     source.functions.extend(name);
                     // xtask/src/toolchain.rs replaces the path of the repository by `..`.
                     let file = frame.location.and_then(|location| location.file?.strip_prefix("../"));
@@ -69,23 +70,23 @@ impl<'a> Sources<'a> {
         self.source(address).functions.iter().any(|name| name.ends_with(function))
     }
 
-    fn runs(&mut self, run: &Run, function: &str) -> bool {
+    fn executes(&mut self, run: &Run, function: &str) -> bool {
         run.path.iter().any(|at| self.is_in(*at, function))
     }
 
     /// Returns true if a run of the control interrupt belongs to a crest, false if it belongs to a valley.
     pub fn is_crest(&mut self, run: &Run) -> bool {
-        self.runs(run, CREST)
+        self.executes(run, CREST_FUNCTION)
     }
 
     /// Returns true if a run carries out a request of a task.
     pub fn has_request(&mut self, run: &Run) -> bool {
-        self.runs(run, REQUEST)
+        self.executes(run, REQUEST_FUNCTION)
     }
 
     /// Returns the instructions of a run, without the instructions that wait for the converters.
     pub fn work(&mut self, run: &Run) -> Vec<u32> {
-        run.path.iter().copied().filter(|at| !self.is_in(*at, WAITING)).collect()
+        run.path.iter().copied().filter(|at| !self.is_in(*at, WAIT_FUNCTION)).collect()
     }
 
     /// Returns the source file of an instruction. Code that the compiler shares between functions may have no file.
@@ -95,7 +96,7 @@ impl<'a> Sources<'a> {
 }
 
 /// Removes generic arguments from a path, so that `<a::B<C> as d::E<F>>::g` becomes `a::B::g`.
-fn plain(name: &str) -> String {
+fn without_generics(name: &str) -> String {
     let mut out = String::new();
     let mut depth = 0_u32;
     let mut skipping = false;
@@ -116,13 +117,13 @@ fn plain(name: &str) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::plain;
+    use super::without_generics;
 
     #[test]
     fn paths_lose_their_generic_arguments() {
         let controller = "<haptic_bridge::render::controller::Controller<f32, a::B, c::D, 2>>::step";
-        assert_eq!(plain(controller), "haptic_bridge::render::controller::Controller::step");
-        assert_eq!(plain("<a::B<C> as d::E<F>>::g"), "a::B::g");
-        assert_eq!(plain("a::padded::<i32>"), "a::padded");
+        assert_eq!(without_generics(controller), "haptic_bridge::render::controller::Controller::step");
+        assert_eq!(without_generics("<a::B<C> as d::E<F>>::g"), "a::B::g");
+        assert_eq!(without_generics("a::padded::<i32>"), "a::padded");
     }
 }

@@ -165,9 +165,9 @@ pub fn steps() -> String {
 }
 
 /// Name of the row with the longest step.
-const LONGEST: &str = "longest";
+const LONGEST_ROW: &str = "longest";
 /// Name of the row with the longest valley.
-const VALLEY: &str = "longest at a valley, a request";
+const VALLEY_ROW: &str = "longest at a valley, a request";
 
 /// Returns timing.csv, the table of the timings of [`CASES`] with one column per case.
 #[must_use]
@@ -179,7 +179,7 @@ pub fn table(timings: &[Timing]) -> String {
     let each = |value: fn(&Timing) -> u64| timings.iter().map(|timing| value(timing).to_string()).collect();
     row("mean", timings.iter().map(|timing| format!("{:.0}", timing.mean)).collect());
     row("shortest", each(|timing| timing.shortest));
-    row(LONGEST, each(|timing| timing.longest));
+    row(LONGEST_ROW, each(|timing| timing.longest));
     row("jitter", each(|timing| timing.longest - timing.shortest));
     let target = |(case, timing): (&Case, &Timing)| case.verdict(timing);
     row("aimed at, mean", CASES.iter().zip(timings).map(target).collect());
@@ -188,7 +188,7 @@ pub fn table(timings: &[Timing]) -> String {
         "crest and valley, mean",
         timings.iter().map(|timing| format!("{:.0}", timing.mean + timing.valley_mean)).collect(),
     );
-    row(VALLEY, each(|timing| timing.valley));
+    row(VALLEY_ROW, each(|timing| timing.valley));
     let names = ["core alone", "flash as the firmware sets it", "flash without cache and prefetch"];
     for (nth, name) in names.into_iter().enumerate() {
         row(
@@ -280,12 +280,12 @@ pub fn rates() -> String {
 
 /// Returns the longest step and the longest valley of `case` in a table from [`table`].
 #[must_use]
-pub fn recorded(text: &str, case: &Case) -> Option<(u64, u64)> {
+pub fn recorded_lengths(text: &str, case: &Case) -> Option<(u64, u64)> {
     let column = CASES.iter().position(|other| other.name() == case.name())?;
     let number = |name: &str| {
         // Numeric cells contain no commas.
         let cells = text.lines().find_map(|line| line.strip_prefix(&csv_line([name]).replace('\n', ",")))?;
         cells.split(',').nth(column)?.parse().ok()
     };
-    Some((number(LONGEST)?, number(VALLEY)?))
+    Some((number(LONGEST_ROW)?, number(VALLEY_ROW)?))
 }

@@ -27,7 +27,6 @@ pub struct Code {
     bytes: Arc<[u8]>,
 }
 
-/// Kind of an instruction in a trace.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Kind {
     /// BL or BLX.

@@ -12,20 +12,20 @@ use crate::otg_core::{Core, Handshake};
 
 const MILLISECOND: u64 = 1_000_000;
 /// Time from the pull-up to the first reset, the minimum of USB 2.0 section 7.1.7.3, ns. A PC waits longer.
-const DEBOUNCE: u64 = 100 * MILLISECOND;
+const DEBOUNCE_NS: u64 = 100 * MILLISECOND;
 /// Length of a reset, the minimum of USB 2.0 section 7.1.7.5, ns.
-const RESET: u64 = 10 * MILLISECOND;
+const RESET_NS: u64 = 10 * MILLISECOND;
 /// Recovery time after a reset, the minimum of USB 2.0 section 7.1.7.5, ns.
-const RECOVERY: u64 = 10 * MILLISECOND;
+const RECOVERY_NS: u64 = 10 * MILLISECOND;
 /// Idle time after which a device counts as suspended (USB 2.0 section 7.1.7.6), ns.
-const IDLE: u64 = 3 * MILLISECOND;
+const IDLE_NS: u64 = 3 * MILLISECOND;
 /// Length of a resume (USB 2.0 section 7.1.7.7), ns.
-const RESUME: u64 = 20 * MILLISECOND;
+const RESUME_NS: u64 = 20 * MILLISECOND;
 
 /// Address that the host assigns to the device.
-const ADDRESS: u8 = 5;
+const DEVICE_ADDRESS: u8 = 5;
 /// Maximum length of a full-speed bulk packet, bytes.
-const PACKET: usize = 64;
+const PACKET_BYTES: usize = 64;
 
 /// Returns the duration on the bus of a packet of `bytes` bytes at 12 Mbit/s, ns. Token, data and handshake packets and
 /// the gaps add about 13 bytes.
@@ -83,7 +83,6 @@ impl Descriptors {
     }
 }
 
-/// Serial port that a configuration descriptor describes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Port {
     communication: u8,
@@ -312,12 +311,12 @@ impl Host {
             Bus::Debounce(at) if due(at) => {
                 core.bus_reset();
                 self.log.push((now, Event::Reset));
-                self.wait(Bus::Reset, now, RESET)
+                self.wait(Bus::Reset, now, RESET_NS)
             }
             Bus::Reset(at) if due(at) => {
                 core.enumeration_done();
                 self.resets += 1;
-                self.wait(Bus::Recovery, now, RECOVERY)
+                self.wait(Bus::Recovery, now, RECOVERY_NS)
             }
             Bus::Recovery(at) if due(at) => {
                 self.bus = Bus::Active;
@@ -353,7 +352,7 @@ impl Host {
             Bus::Detached if is_present => {
                 self.log.push((now, Event::Connected));
                 self.resets = 0;
-                self.bus = Bus::Debounce(now.0 + DEBOUNCE);
+                self.bus = Bus::Debounce(now.0 + DEBOUNCE_NS);
             }
             Bus::Detached => {}
             _ if !is_present => {
@@ -361,10 +360,10 @@ impl Host {
                 self.disconnect(now);
                 core.suspend();
             }
-            Bus::Active if self.idle => self.bus = Bus::GoingIdle(now.0 + IDLE),
+            Bus::Active if self.idle => self.bus = Bus::GoingIdle(now.0 + IDLE_NS),
             Bus::Suspended | Bus::GoingIdle(_) if !self.idle => {
                 core.resume();
-                self.bus = Bus::Resuming(now.0 + RESUME);
+                self.bus = Bus::Resuming(now.0 + RESUME_NS);
             }
             _ => {}
         }
@@ -406,7 +405,7 @@ impl Host {
         let write = |request, value| Control::write(step, 0x00, request, value, 0, &[]);
         match step {
             Step::DeviceHead => read(0x0100, 0, 64),
-            Step::SetAddress => write(5, u16::from(ADDRESS)),
+            Step::SetAddress => write(5, u16::from(DEVICE_ADDRESS)),
             Step::Device => read(0x0100, 0, 18),
             Step::ConfigurationHead => read(0x0200, 0, 9),
             Step::Configuration => read(0x0200, 0, total),
@@ -458,7 +457,7 @@ impl Host {
             let bytes = match control.stage {
                 Stage::Setup => Some(8),
                 Stage::DataIn | Stage::StatusIn => willing(core.offers(0)),
-                Stage::DataOut => accepted(core.accepts(0), control.data.len().min(PACKET)),
+                Stage::DataOut => accepted(core.accepts(0), control.data.len().min(PACKET_BYTES)),
                 Stage::StatusOut => accepted(core.accepts(0), 0),
             };
             if let Some(bytes) = bytes {
@@ -466,7 +465,7 @@ impl Host {
             }
         }
         let port = self.port.filter(|_| self.opened)?;
-        let waiting = self.to_device.len().min(PACKET);
+        let waiting = self.to_device.len().min(PACKET_BYTES);
         let out = (waiting > 0).then(|| accepted(core.accepts(port.data_out), waiting)).flatten();
         let input = self.reading.then(|| willing(core.offers(port.data_in))).flatten();
         match (out, input) {
@@ -481,7 +480,7 @@ impl Host {
         match (transaction, self.port) {
             (Transaction::Control(_), _) => self.complete_control(core, now),
             (Transaction::Out, Some(port)) => {
-                let packet: Vec<u8> = self.to_device.iter().take(PACKET).copied().collect();
+                let packet: Vec<u8> = self.to_device.iter().take(PACKET_BYTES).copied().collect();
                 if core.out(port.data_out, &packet) == Handshake::Ack(()) {
                     self.to_device.drain(..packet.len());
                 }
@@ -511,14 +510,14 @@ impl Host {
             Stage::DataIn => match core.take(0) {
                 Handshake::Ack(packet) => {
                     control.data.extend(&packet);
-                    let over = packet.len() < PACKET || control.data.len() >= control.length();
+                    let over = packet.len() < PACKET_BYTES || control.data.len() >= control.length();
                     Some(if over { Stage::StatusOut } else { Stage::DataIn })
                 }
                 Handshake::Nak => Some(Stage::DataIn),
                 Handshake::Stall => None,
             },
             Stage::DataOut => {
-                let length = control.data.len().min(PACKET);
+                let length = control.data.len().min(PACKET_BYTES);
                 match core.out(0, &control.data[..length]) {
                     Handshake::Ack(()) => {
                         control.data.drain(..length);
@@ -637,6 +636,6 @@ mod tests {
 
     #[test]
     fn a_frame_has_room_for_nineteen_full_packets() {
-        assert_eq!(1_000_000 / bus_time(PACKET), 19);
+        assert_eq!(1_000_000 / bus_time(PACKET_BYTES), 19);
     }
 }

@@ -10,7 +10,7 @@ use haptic_host::link::Wire;
 use crate::run::{MICROSECOND, VirtualBoard};
 
 /// Default interval between two polls of the port, ns.
-const POLL_INTERVAL: u64 = 100 * MICROSECOND;
+const POLL_INTERVAL_NS: u64 = 100 * MICROSECOND;
 
 /// A board that a test and a wire share.
 #[derive(Clone, Debug)]
@@ -31,7 +31,7 @@ impl Shared {
     /// Returns a wire to the board's USB port.
     #[must_use]
     pub fn wire(&self) -> Box<dyn Wire> {
-        self.wire_polled_every(POLL_INTERVAL)
+        self.wire_polled_every(POLL_INTERVAL_NS)
     }
 
     /// Returns a wire to the board's USB port, for a computer that polls every `interval` (ns) and reacts up to one
@@ -42,7 +42,6 @@ impl Shared {
     }
 }
 
-/// A wire to the emulated board's serial port.
 struct UsbWire {
     shared: Shared,
     waiting: Vec<u8>,

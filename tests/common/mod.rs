@@ -120,7 +120,6 @@ fn to_dynamic<const N: usize>(matrix: &SMatrix<f64, N, N>) -> DMatrix<f64> {
 /// Counts per turn of encoders so fine that quantisation does not matter.
 pub const FINE_COUNTS: f64 = 1.0e9;
 
-/// Gives every joint of a device a fine encoder.
 pub fn with_fine_encoders(mut device: Description) -> Description {
     for joint in &mut device.joints {
         joint.encoder = Some(Encoder { counts_per_turn: FINE_COUNTS, offset: 0.0, inverted: false });

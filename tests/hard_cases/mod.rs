@@ -6,7 +6,5 @@ pub mod rows;
 
 use crate::common::device_file::shipped;
 
-/// Number type of the reference.
 type Exact = f64;
-/// Trigonometry of the reference.
 type ExactMath = haptic_bridge::math::Libm;

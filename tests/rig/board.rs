@@ -29,7 +29,6 @@ use std::collections::BTreeMap;
 pub struct Flash {
     /// Committed settings, which the next start reads.
     pub kept: BTreeMap<u8, Entry>,
-    /// True if every write fails.
     pub broken: bool,
     staged: BTreeMap<u8, Entry>,
 }
@@ -129,7 +128,6 @@ fn is_looser(now: &Rules, before: &Rules) -> bool {
         || now.index_period.iter().zip(&before.index_period).any(|(now, before)| *before != 0 && now != before)
 }
 
-/// A board without hardware.
 pub struct Board {
     pub machine: RigMachine,
     pub service: Service,
@@ -193,7 +191,6 @@ impl Board {
         self.machine.control_loop.status().state
     }
 
-    /// Runs one control step.
     pub fn tick(&mut self) {
         let samples = self.measured_samples();
         if let Some((fault, axis, value)) = self.reported_fault.take() {

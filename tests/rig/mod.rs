@@ -28,7 +28,6 @@ pub type BoxedProgram = Box<Program<BoardMath>>;
 pub const RATE_HZ: f32 = 2_000.0;
 /// Control rates at which limits and checks are tested, Hz.
 pub const RATES_HZ: [f32; 3] = [200.0, 1_000.0, 20_000.0];
-/// Encoder counts per turn of a joint.
 pub const COUNTS_PER_TURN: f64 = 60_000.0;
 
 /// Returns a board with three axes and all sensors.
@@ -157,7 +156,6 @@ impl Body {
         }
     }
 
-    /// Runs until the polarity check ends.
     pub fn run_check(&mut self, rig: &mut Rig, factor: f64) {
         for _ in 0..(20.0 * rig.rate) as u32 {
             if rig.state() != State::CheckingPolarity {
@@ -221,12 +219,10 @@ pub struct Rig {
     pub imbalance: [f32; MAX_JOINTS],
     /// Largest current of motor 0 in the last step, A.
     pub peak: f32,
-    /// Control rate of the scene, Hz.
     pub rate: f32,
 }
 
 impl Rig {
-    /// Creates a board without a device.
     pub fn bare(hardware: Hardware, rules: Rules) -> Self {
         let samples = Samples { bus_voltage: 24.0, ..Samples::default() };
         let control_loop = ControlLoop::new(hardware, rules);
@@ -292,7 +288,6 @@ impl Rig {
         Self::armed_with(|_| ())
     }
 
-    /// Like [`Rig::armed`], with changed rules.
     pub fn armed_with(change: impl Fn(&mut Rules)) -> Self {
         let mut rules = rules();
         change(&mut rules);
@@ -364,7 +359,6 @@ impl Rig {
         }
     }
 
-    /// Runs for `seconds` with unchanged inputs.
     pub fn run(&mut self, seconds: f32) {
         for _ in 0..(seconds * self.rate).round() as u32 {
             self.step();

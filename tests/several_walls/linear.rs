@@ -11,7 +11,6 @@ use nalgebra::{DMatrix, DVector, SVector};
 const PERIOD_SECONDS: f64 = 1.0e-3;
 /// Cutoff of the Butterworth low-pass for velocities, Hz.
 const CUTOFF_HZ: f64 = 100.0;
-/// Damping over stiffness, s.
 const DAMPING_SECONDS: f64 = 3.0e-3;
 
 /// Computes M and the tip rows of J at a pose. Returns `None` near a singularity.

@@ -20,7 +20,6 @@ use haptic_bridge::render::scene::Scene;
 use haptic_bridge::with_mechanism;
 use nalgebra::{Complex, SVector};
 
-/// A shipped device.
 struct Shipped {
     name: &'static str,
     description: Description,
@@ -38,7 +37,6 @@ fn device(name: &'static str) -> Shipped {
     Shipped { name, description, mechanism: AnyMechanism::new(&description).expect("a sound device") }
 }
 
-/// Floating-point precision of a computation.
 #[derive(Clone, Copy)]
 enum Precision {
     /// Precision of the board.
@@ -51,7 +49,6 @@ fn unit_vector(angle: f64) -> Vec<f64> {
     vec![angle.cos(), angle.sin()]
 }
 
-/// Returns the unit vector along `v`.
 fn normalized(v: &[f64]) -> Vec<f64> {
     let length = v.iter().map(|x| x * x).sum::<f64>().sqrt();
     v.iter().map(|x| x / length).collect()
@@ -97,7 +94,6 @@ fn torque_with_flags(
     }
 }
 
-/// Pads a task-space vector with zeros.
 fn pad_to_three(v: &[f64]) -> [f64; 3] {
     core::array::from_fn(|i| v.get(i).copied().unwrap_or(0.0))
 }

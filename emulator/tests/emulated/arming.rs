@@ -6,19 +6,19 @@ use haptic_bridge::board::telemetry::Fields;
 use haptic_bridge::safety::fault::Fault;
 use haptic_emulator::cases::CASES;
 use haptic_emulator::contact::{WallAt, scene};
-use haptic_emulator::range::{BOARD, rigid};
+use haptic_emulator::range::{BOARD, rigid_device};
 use haptic_emulator::rig::Rig;
 use haptic_emulator::run::{MILLISECOND, SECOND};
 use haptic_sim::Support;
 
 /// Largest current before any torque is commanded, A. It is not 0 because the interrupt switches the bridges on some
 /// ticks after the extreme.
-const MAX_CURRENT: f64 = 0.2;
+const MAX_CURRENT_AMPERES: f64 = 0.2;
 
 #[test]
 fn no_current_flows_when_the_bridges_begin_to_drive() {
     // The windings of this device have 0.1 mH, so currents rise quickly.
-    let test_device = rigid();
+    let test_device = rigid_device();
     for rate in [200, 1000, 7000, 20_000] {
         let mut rig = Rig::with_file(BOARD, test_device.file.clone(), |options| {
             options.start = test_device.file.description.home;
@@ -37,7 +37,7 @@ fn no_current_flows_when_the_bridges_begin_to_drive() {
                 rig.with(|stopped| (stopped.hardware().peaks.current, !stopped.hardware().bridges_float()));
             let status = rig.tool.status().expect("the board replies");
             assert!(driven && status.fault.is_none(), "at {rate} Hz: {status:?}");
-            assert!(peak < MAX_CURRENT, "{peak} A at {rate} Hz");
+            assert!(peak < MAX_CURRENT_AMPERES, "{peak} A at {rate} Hz");
             rig.tool.disarm().expect("the board disarms");
             rig.run(5 * MILLISECOND);
         }

@@ -31,7 +31,7 @@ fn check_serial_port(rig: &Rig) {
 }
 
 fn check_register_models(rig: &Rig) {
-    let gaps = rig.with(|stopped| stopped.gaps());
+    let gaps = rig.with(|stopped| stopped.unmodelled_accesses());
     // At the start the firmware switches the bridges off before their clocks run, and a chip ignores these writes.
     // SYSCFG and EXTI only store values that the hardware around the chip reads.
     let real: Vec<_> = gaps

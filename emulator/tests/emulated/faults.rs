@@ -33,7 +33,7 @@ fn the_fault_line_of_one_gate_driver_stops_both_axes() {
 fn refused_requests_do_not_reach_the_gate_drivers() {
     let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |_| ());
     rig.load(WALL);
-    rig.with(|stopped| stopped.hardware().driver(0).stick(true));
+    rig.with(|stopped| stopped.hardware().driver(0).ignore_writes(true));
     for outcome in [rig.tool.arm(), rig.tool.check_polarity()] {
         assert!(matches!(outcome, Err(BoardError::Refused(Refusal::NotHomed))), "{outcome:?}");
     }
@@ -46,7 +46,7 @@ fn a_gate_driver_that_loses_its_settings_is_never_armed() {
     let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |_| ());
     rig.load(WALL);
     rig.tool.home().expect("homed");
-    rig.with(|stopped| stopped.hardware().driver(0).stick(true));
+    rig.with(|stopped| stopped.hardware().driver(0).ignore_writes(true));
     let outcome = rig.tool.check_polarity();
     rig.run(SECOND / 2);
     let status = rig.tool.status().expect("it replies");

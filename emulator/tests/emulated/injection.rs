@@ -6,7 +6,7 @@ use haptic_emulator::inject::{provoke, row};
 use haptic_emulator::results;
 
 /// Causes every fourth fault, starting with `first`, because four tests run in parallel.
-fn every_fourth(first: usize) {
+fn check_every_fourth_fault(first: usize) {
     let text = std::fs::read_to_string(results("faults")).expect("docs/results/faults.csv exists");
     for fault in Fault::ALL.iter().skip(first).step_by(4) {
         let outcome = provoke(*fault);
@@ -20,20 +20,20 @@ fn every_fourth(first: usize) {
 
 #[test]
 fn faults_1_5_9_turn_the_motors_off() {
-    every_fourth(0);
+    check_every_fourth_fault(0);
 }
 
 #[test]
 fn faults_2_6_10_turn_the_motors_off() {
-    every_fourth(1);
+    check_every_fourth_fault(1);
 }
 
 #[test]
 fn faults_3_7_11_turn_the_motors_off() {
-    every_fourth(2);
+    check_every_fourth_fault(2);
 }
 
 #[test]
 fn faults_4_8_12_turn_the_motors_off() {
-    every_fourth(3);
+    check_every_fourth_fault(3);
 }

@@ -14,10 +14,10 @@ use haptic_emulator::plant::{Dummy, Peaks};
 use haptic_emulator::rig::{Rig, firmware};
 use haptic_emulator::run::{MICROSECOND, MILLISECOND, SECOND, VirtualBoard};
 
-use crate::gate::refused;
+use crate::gate::refusal_of;
 use crate::session::WALL;
 
-fn armed(kind: BoardKind) -> Rig {
+fn armed_rig(kind: BoardKind) -> Rig {
     let mut rig = Rig::with_device(kind, "pantograph-mk2", |_| ());
     rig.load(WALL);
     rig.ready();
@@ -27,7 +27,7 @@ fn armed(kind: BoardKind) -> Rig {
 #[test]
 fn a_reset_of_an_armed_board_leaves_the_bridges_off() {
     for kind in BoardKind::ALL {
-        let rig = armed(kind);
+        let rig = armed_rig(kind);
         assert!(!rig.with(bridges_off), "the bridges float before the reset");
         rig.with(|stopped| stopped.reset());
         rig.run(20 * MICROSECOND);
@@ -82,14 +82,15 @@ fn a_halted_core_stops_the_carriers_and_the_watchdog() {
 /// Offset of TIM1's break and dead-time register.
 const BREAK_AND_DEAD_TIME: u32 = 0x44;
 /// Main output enable bit of the break and dead-time register.
-const OUTPUTS: u64 = 1 << 15;
+const MAIN_OUTPUT_ENABLE: u64 = 1 << 15;
 
 #[test]
 fn the_break_input_works_without_the_processor() {
-    let rig = armed(BoardKind::HBridgeF405);
-    let outputs = || rig.with(|stopped| stopped.hardware().chip.register("TIM1", BREAK_AND_DEAD_TIME) & OUTPUTS);
+    let rig = armed_rig(BoardKind::HBridgeF405);
+    let outputs =
+        || rig.with(|stopped| stopped.hardware().chip.register("TIM1", BREAK_AND_DEAD_TIME) & MAIN_OUTPUT_ENABLE);
     let executed = || rig.shared.board().instructions();
-    assert_eq!(outputs(), OUTPUTS);
+    assert_eq!(outputs(), MAIN_OUTPUT_ENABLE);
     rig.with(|stopped| stopped.hold(true));
     rig.run(MICROSECOND);
     let before = executed();
@@ -127,12 +128,12 @@ fn an_image_on_the_wrong_board_does_not_touch_its_power_stage() {
         assert_eq!(fault_of(&mut rig), Some((Fault::WrongBoard, strange)), "{} on {}", kind.name(), board.name);
         assert_eq!(rig.tool.info().board.as_str(), kind.name());
         rig.load("");
-        assert_eq!(refused(rig.tool.arm()), Refusal::Faulted(Fault::WrongBoard));
+        assert_eq!(refusal_of(rig.tool.arm()), Refusal::Faulted(Fault::WrongBoard));
         // The board is still wrong after clearing. An image that reads the bus voltage from the wrong pin may refuse
         // for that reason.
         rig.tool.clear().expect("the fault clears");
         rig.tool.home().expect("homed");
-        let again = refused(rig.tool.check_polarity());
+        let again = refusal_of(rig.tool.check_polarity());
         assert!(matches!(again, Refusal::Faulted(Fault::WrongBoard) | Refusal::BusVoltage), "{again}");
         rig.run(SECOND / 10);
         rig = rig.restarted();
@@ -158,7 +159,7 @@ fn images_of_other_boards_do_not_start_at_three_volts() {
 #[test]
 fn a_falling_supply_floats_the_bridges_within_a_control_step() {
     for kind in BoardKind::ALL {
-        let rig = armed(kind);
+        let rig = armed_rig(kind);
         after_crest(&rig, 3);
         rig.with(|stopped| stopped.supply(2_600));
         let fell = rig.now();
@@ -174,7 +175,7 @@ fn a_falling_supply_floats_the_bridges_within_a_control_step() {
 #[test]
 fn a_halted_core_is_reset_within_twenty_milliseconds() {
     for kind in BoardKind::ALL {
-        let rig = armed(kind);
+        let rig = armed_rig(kind);
         rig.with(|stopped| stopped.hold(true));
         rig.run(20 * MILLISECOND);
         assert_eq!(rig.with(|stopped| stopped.resets().len()), 1, "{}", kind.name());
@@ -183,7 +184,7 @@ fn a_halted_core_is_reset_within_twenty_milliseconds() {
 }
 
 /// Returns code that stores each value at its address and then continues with the task.
-fn stores(values: &[(u32, u32)], task: u32) -> Vec<u32> {
+fn store_code(values: &[(u32, u32)], task: u32) -> Vec<u32> {
     let mut code = Vec::new();
     let literals = 2 * values.len() as u32 + 1;
     for nth in 0..values.len() as u32 {
@@ -212,7 +213,7 @@ const PIN_DRIVE_REGISTERS: [u32; 2] = [0x00, 0x0C];
 #[test]
 fn no_code_can_change_how_gates_are_driven() {
     for kind in BoardKind::ALL {
-        let mut rig = armed(kind);
+        let mut rig = armed_rig(kind);
         rig.tool.disarm().expect("the board disarms");
         let timers = if kind == BoardKind::OdriveV3 { &TIMERS[..] } else { &TIMERS[..1] };
         let registers = timers.iter().map(|timer| (timer, &TIMER_DRIVE_REGISTERS[..]));
@@ -247,7 +248,7 @@ fn no_code_can_change_how_gates_are_driven() {
                 (value, *address)
             })
             .collect();
-        run_instead(&rig, "10supervisor9supervise4POOL", move |task| stores(&changed, task));
+        run_instead(&rig, "10supervisor9supervise4POOL", move |task| store_code(&changed, task));
         rig.run(50 * MILLISECOND);
         assert_eq!(read_registers(&rig), before, "{}", kind.name());
     }
@@ -282,7 +283,7 @@ fn check_watchdog_at(rate: u32, task: &'static str, code: impl FnOnce(u32) -> Ve
 }
 
 #[test]
-fn the_watchdog_bites_when_the_control_interrupt_stops() {
+fn a_stopped_control_interrupt_causes_a_watchdog_reset() {
     // The code disables interrupt 25 (TIM1's update, RM0090 table 61) and then continues with the task: ldr r2, [pc,
     // #8]; ldr r3, [pc, #12]; str r2, [r3]; nop; ldr.w pc, [pc, #8].
     let stub = |task| vec![0x4B03_4A02, 0xBF00_601A, 0xF008_F8DF, 1 << 25, 0xE000_E180, task];
@@ -290,13 +291,13 @@ fn the_watchdog_bites_when_the_control_interrupt_stops() {
 }
 
 #[test]
-fn the_watchdog_bites_when_the_link_task_stops() {
+fn a_stopped_link_task_causes_a_watchdog_reset() {
     // The code `bx lr` returns without a sign of life. The watchdog allows this task a second without one.
     check_watchdog("4link5serve4POOL", |_| vec![0x4770_4770], 900, 2_000);
 }
 
 #[test]
-fn the_watchdog_bites_when_the_control_interrupt_is_too_fast() {
+fn a_fast_control_interrupt_causes_a_watchdog_reset() {
     // The code changes TIM1's carrier from 20 to 25 kHz with the auto-reload register. It also starts the converters a
     // tick before the crest with channel 4's compare register (subs r2, #1; str r2, [r3, #20]). Then it continues with
     // the task.
@@ -307,7 +308,7 @@ fn the_watchdog_bites_when_the_control_interrupt_is_too_fast() {
 }
 
 #[test]
-fn the_watchdog_bites_when_the_control_interrupt_is_too_slow() {
+fn a_slow_control_interrupt_causes_a_watchdog_reset() {
     // The code is that of the test for 25 kHz, with a carrier of 16 kHz.
     let stub = |task| vec![0x4B04_4A03, 0x3A01_601A, 0xBF00_615A, 0xF008_F8DF, 5250, 0x4001_002C, task];
     check_watchdog("10supervisor9supervise4POOL", stub, 40, 300);
@@ -316,7 +317,7 @@ fn the_watchdog_bites_when_the_control_interrupt_is_too_slow() {
 
 #[test]
 fn a_board_with_a_low_supply_stays_off_and_reports_it() {
-    let mut rig = armed(BoardKind::OdriveV3);
+    let mut rig = armed_rig(BoardKind::OdriveV3);
     rig.with(|stopped| stopped.supply(2700));
     rig.run(100 * MICROSECOND);
     let steps = rig.with(|stopped| stopped.resets().len());
@@ -334,8 +335,8 @@ fn a_board_with_a_low_supply_stays_off_and_reports_it() {
 }
 
 #[test]
-fn the_watchdog_does_not_bite_an_idle_board() {
-    let mut rig = armed(BoardKind::OdriveV3);
+fn an_idle_board_has_no_watchdog_reset() {
+    let mut rig = armed_rig(BoardKind::OdriveV3);
     let _ = rig.tool.rows(Duration::from_millis(10));
     rig.run(2 * SECOND);
     assert_eq!(rig.with(|stopped| stopped.resets().len()), 0);
@@ -361,7 +362,7 @@ fn a_request_for_the_slowest_velocities_is_fast_enough() {
 
 #[test]
 fn limits_are_raised_only_while_the_motors_are_off() {
-    let mut rig = armed(BoardKind::OdriveV3);
+    let mut rig = armed_rig(BoardKind::OdriveV3);
     let own = rig.tool.rules().expect("the board replies");
     let with_torque = |factor: f32| {
         let mut rules = own;
@@ -369,11 +370,11 @@ fn limits_are_raised_only_while_the_motors_are_off() {
         rules
     };
     rig.tool.set_rules(&with_torque(0.5)).expect("lowered while armed");
-    assert_eq!(refused(rig.tool.set_rules(&own)), Refusal::Armed);
+    assert_eq!(refusal_of(rig.tool.set_rules(&own)), Refusal::Armed);
     assert_eq!(rig.tool.rules().expect("the board replies"), with_torque(0.5), "a refused request changed the rules");
     rig.tool.disarm().expect("the board disarms");
     rig.tool.set_rules(&own).expect("raised with the motors off");
-    let raised = refused(rig.tool.set_rules(&with_torque(1.01)));
+    let raised = refusal_of(rig.tool.set_rules(&with_torque(1.01)));
     assert!(matches!(raised, Refusal::BadLimit(bad) if bad.joint == Some(0)), "above the board's limits: {raised}");
 }
 

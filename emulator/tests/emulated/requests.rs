@@ -23,7 +23,6 @@ fn gains(wall: u8, stiffness: f32) -> Gains<f32> {
     Gains { wall, stiffness, damping: 1.0, feed_forward: FeedForward::Full, washout_hz: 2.0 }
 }
 
-/// Sends the present rules with a change.
 fn rules_with(board: &mut Board, change: impl Fn(&mut Rules)) -> Result<(), BoardError> {
     let mut rules = board.rules()?;
     change(&mut rules);
@@ -31,18 +30,18 @@ fn rules_with(board: &mut Board, change: impl Fn(&mut Rules)) -> Result<(), Boar
 }
 
 /// Sends the present scene with half the control rate.
-fn another_rate(board: &mut Board) -> Result<(), BoardError> {
+fn set_half_rate(board: &mut Board) -> Result<(), BoardError> {
     let mut scene = board.scene()?.expect("a scene");
     scene.rate_hz *= 0.5;
     board.set_scene(&scene)
 }
 
-fn table(board: &mut Board) -> Result<(), BoardError> {
+fn set_unsent_table(board: &mut Board) -> Result<(), BoardError> {
     let grid = Grid { interpolation: Interpolation::Bilinear, points: [2, 2], low: [0.0; 2], spacing: [0.5; 2] };
     board.set_mass_model(&MassModelData::Table(grid, 1))
 }
 
-fn stage(board: &mut Board) -> Result<(), BoardError> {
+fn stage_rules(board: &mut Board) -> Result<(), BoardError> {
     let rules = board.rules()?;
     board.stage_entry(Key::Rules, settings::encode(&rules).expect("rules fit an entry"))
 }
@@ -53,7 +52,7 @@ const ALWAYS_REFUSED: &[Request] = &[
     ("rules that are not numbers", |board| rules_with(board, |rules| rules.limits.power = f32::NAN)),
     ("gains of a wall that does not exist", |board| board.set_wall_gains(gains(9, 300.0))),
     ("gains that are not numbers", |board| board.set_wall_gains(gains(0, f32::NAN))),
-    ("a table that was not sent", table),
+    ("a table that was not sent", set_unsent_table),
     ("a table that starts in its middle", |board| {
         board.send_table(&TableChunk { offset: 7, values: [1.0].into_iter().collect() })
     }),
@@ -74,8 +73,8 @@ const NEED_MOTORS_OFF: &[Request] = &[
     }),
     ("mass model", |board| board.set_mass_model(&MassModelData::Exact)),
     ("piece of a table", |board| board.send_table(&TableChunk { offset: 0, values: [1.0].into_iter().collect() })),
-    ("stage", stage),
-    ("scene of another rate", another_rate),
+    ("stage", stage_rules),
+    ("scene of another rate", set_half_rate),
     ("more power", |board| rules_with(board, |rules| rules.limits.power *= 2.0)),
     ("more speed", |board| rules_with(board, |rules| rules.limits.speed = rules.limits.speed.map(|speed| 2.0 * speed))),
     ("more current", |board| {
@@ -110,7 +109,7 @@ fn check_refused(rig: &mut Rig, state: State, requests: &[Request]) {
     }
 }
 
-fn ready(kind: BoardKind) -> Rig {
+fn homed_rig(kind: BoardKind) -> Rig {
     let mut rig = Rig::with_device(kind, "pantograph-mk2", |_| ());
     rig.load(WALL);
     rig.tool.home().expect("the device can be homed");
@@ -129,14 +128,14 @@ fn refused_requests_change_neither_pins_nor_data() {
         rig.load(WALL);
         check_refused(&mut rig, State::Disarmed, &[("arm, not homed", Board::arm)]);
 
-        let mut rig = ready(kind);
+        let mut rig = homed_rig(kind);
         check_refused(&mut rig, State::Disarmed, ALWAYS_REFUSED);
         rig.tool.check_polarity().expect("the polarity check starts");
         rig.run(20 * MILLISECOND);
         check_refused(&mut rig, State::CheckingPolarity, NEED_READINESS);
         check_refused(&mut rig, State::CheckingPolarity, NEED_MOTORS_OFF);
 
-        let mut rig = ready(kind);
+        let mut rig = homed_rig(kind);
         rig.check_polarity();
         rig.arm();
         check_refused(&mut rig, State::Armed, ALWAYS_REFUSED);

@@ -40,7 +40,6 @@ fn unsaved_changes_are_lost_in_a_reset() {
     assert_eq!(rig.tool.device().expect("it replies"), None);
 }
 
-/// Sends a mass table of the largest size.
 fn send_largest_table(rig: &mut Rig) {
     let file = rig.file.as_ref().expect("a device at the connectors");
     let device = Device::<f64>::new(&file.name, &file.description).expect("a device");

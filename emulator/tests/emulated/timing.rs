@@ -2,20 +2,20 @@
 
 use haptic_emulator::cases::CASES;
 use haptic_emulator::results;
-use haptic_emulator::timing::recorded;
+use haptic_emulator::timing::recorded_lengths;
 
 /// Largest permitted ratio to the recorded instructions. If it is exceeded, find the cause and run `cargo xtask
 /// timing`.
-const GROWTH: f64 = 1.03;
+const MAX_GROWTH: f64 = 1.03;
 
 fn stays_within_record(nth: usize) {
     let case = CASES[nth];
     let text = std::fs::read_to_string(results("timing")).expect("docs/results/timing.csv exists");
-    let (longest, valley) = recorded(&text, &case).expect("the case is in the table");
+    let (longest, valley) = recorded_lengths(&text, &case).expect("the case is in the table");
     let timing = case.measure();
     println!("{}: {timing:?}", case.name());
     assert!(timing.periods > 200, "{timing:?}");
-    let allowed = |recorded: u64| (recorded as f64 * GROWTH) as u64;
+    let allowed = |recorded: u64| (recorded as f64 * MAX_GROWTH) as u64;
     assert!(timing.longest <= allowed(longest), "{}: {longest} recorded, {timing:?}", case.name());
     assert!(timing.valley <= allowed(valley), "{}: {valley} recorded, {timing:?}", case.name());
 }

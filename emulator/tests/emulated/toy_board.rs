@@ -35,7 +35,6 @@ const INDEX_LINES: [u32; 1] = [1 << 9];
 /// Bit of the bridge's enable line in port C.
 const ENABLE: usize = 6;
 
-/// The toy board.
 pub struct ToyBoard;
 
 impl Board for ToyBoard {

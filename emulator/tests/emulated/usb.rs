@@ -18,7 +18,7 @@ use haptic_sim::{MotorInput, NoisyWire, Random};
 
 use crate::session::WALL;
 
-fn replies(rig: &Rig) -> bool {
+fn is_replying(rig: &Rig) -> bool {
     Board::over(rig.shared.wire(), "again").is_ok()
 }
 
@@ -35,7 +35,7 @@ fn a_board_replies_after_each_replug() {
         rig.run(200 * MILLISECOND);
         rig.with(|stopped| stopped.usb().plug(true));
         wait_until_ready(&rig);
-        assert!(replies(&rig));
+        assert!(is_replying(&rig));
     }
     let resets = rig.with(|stopped| stopped.resets().len());
     assert_eq!(resets, 0, "the chip itself never restarted");
@@ -48,7 +48,7 @@ fn a_board_resumes_with_its_computer() {
     rig.run(500 * MILLISECOND);
     rig.with(|stopped| stopped.usb().suspend(false));
     rig.run(100 * MILLISECOND);
-    assert!(replies(&rig));
+    assert!(is_replying(&rig));
     let log = rig.with(|stopped| stopped.usb().log().to_vec());
     assert!(log.iter().any(|(_, event)| *event == Event::Suspended), "{log:?}");
     assert!(log.iter().any(|(_, event)| *event == Event::Resumed), "{log:?}");
@@ -64,7 +64,7 @@ fn usb_requests_unknown_to_serial_ports_are_stalled() {
     let refused = rig.with(|stopped| stopped.usb().take_replies());
     assert_eq!(refused.len(), 3);
     assert!(refused.iter().all(Result::is_err), "{refused:?}");
-    assert!(replies(&rig));
+    assert!(is_replying(&rig));
     assert_eq!(rig.with(|stopped| stopped.resets().len()), 0);
 }
 
@@ -115,11 +115,11 @@ fn a_board_keeps_running_if_its_computer_reads_slowly() {
 
 /// Requests that arrive faster than their replies leave time for the other tasks, which feed the watchdog.
 #[test]
-fn a_flood_of_requests_starves_no_task() {
+fn a_flood_of_requests_leaves_time_for_every_task() {
     let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |_| ());
     rig.load(WALL);
     rig.ready();
-    let frames = recorded(&mut rig, |rig| {
+    let frames = frames_sent_during(&mut rig, |rig| {
         rig.tool.status().expect("it replies");
     });
     let flood = frames.last().expect("a request was sent").repeat(3000);
@@ -141,7 +141,7 @@ fn every_arming_makes_the_drivers_ready_again() {
     rig.load(&format!("rate_hz = 200\n{WALL}"));
     rig.ready();
     rig.tool.disarm().expect("the board disarms");
-    let frames = recorded(&mut rig, |rig| {
+    let frames = frames_sent_during(&mut rig, |rig| {
         rig.tool.arm().expect("the board arms");
         rig.tool.disarm().expect("the board disarms");
     });
@@ -160,7 +160,6 @@ fn every_arming_makes_the_drivers_ready_again() {
     assert_eq!(rig.with(|stopped| stopped.resets().len()), 0);
 }
 
-/// A wire that records the sent bytes.
 struct RecordingWire {
     wire: Box<dyn Wire>,
     sent: Arc<Mutex<Vec<u8>>>,
@@ -182,7 +181,7 @@ impl Wire for RecordingWire {
 }
 
 /// Returns the frames that a tool sends while it connects and during `work`.
-fn recorded(rig: &mut Rig, work: impl FnOnce(&mut Rig)) -> Vec<Vec<u8>> {
+fn frames_sent_during(rig: &mut Rig, work: impl FnOnce(&mut Rig)) -> Vec<Vec<u8>> {
     let sent = Arc::new(Mutex::new(Vec::new()));
     let wire = RecordingWire { wire: rig.shared.wire(), sent: sent.clone() };
     rig.tool = Board::over(Box::new(wire), "recorded").expect("the board replies");
@@ -226,7 +225,7 @@ fn a_minute_of_random_bytes_has_no_effect() {
     let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |options| options.substep = 25e-6);
     let rules = rig.tool.rules().expect("the board replies");
     // None of these requests moves a motor or writes flash.
-    let requests = recorded(&mut rig, |rig| {
+    let requests = frames_sent_during(&mut rig, |rig| {
         rig.load(WALL);
         rig.tool.details().expect("the board replies");
         rig.tool.status().expect("the board replies");

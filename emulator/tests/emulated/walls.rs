@@ -9,7 +9,7 @@ use haptic_bridge::render::scene::FeedForward;
 use haptic_bridge::safety::limits::Limits;
 use haptic_emulator::boards::BoardKind;
 use haptic_emulator::contact::{WallAt, scene};
-use haptic_emulator::hands::{firm, hold, push as push_into, suspend_device};
+use haptic_emulator::hands::{firm_settings, hold, push as push_into, suspend_device};
 use haptic_emulator::rig::Rig;
 use haptic_emulator::run::{MILLISECOND, SECOND};
 use haptic_host::link::Board;
@@ -250,7 +250,7 @@ fn measure_pressed(
     feed_forward: &'static str,
     torque: f32,
 ) -> Vec<Sample> {
-    const DEEP: f64 = 0.006;
+    const MAX_DEPTH: f64 = 0.006;
     const SAMPLES: usize = 30;
     const ROWS: usize = 40;
     let mut rig = Rig::with_device(kind, name, |options| options.friction = false);
@@ -263,10 +263,10 @@ fn measure_pressed(
     let task = rig.file.as_ref().expect("a device").spec().task;
     rig.set_scene(&scene("gravity_compensation = true\n", start, task, &[wall]));
     rig.arm();
-    let goal = std::array::from_fn(|i| start[i] - (wall.gap + DEEP) * normal[i]);
+    let goal = std::array::from_fn(|i| start[i] - (wall.gap + MAX_DEPTH) * normal[i]);
     rig.with_simulated(move |device| {
         let path = vec![Waypoint { time: 0.0, value: start }, Waypoint { time: 0.08 * SAMPLES as f64, value: goal }];
-        device.set_hand(Hand::new(firm(), Intent::Follow(path), device.tip(), device.time()));
+        device.set_hand(Hand::new(firm_settings(), Intent::Follow(path), device.tip(), device.time()));
     });
     let fields = Fields(Field::WallForce.bit() | Field::RenderedForce.bit() | Field::Saturated.bit());
     // The stream has a row every 2 ms.

@@ -13,7 +13,6 @@ use haptic_emulator::run::MILLISECOND;
 
 use crate::session::WALL;
 
-/// Returns a device that uses every axis of a board.
 fn device_of(kind: BoardKind) -> &'static str {
     match kind {
         BoardKind::OdriveV3 => "pantograph-mk2",
@@ -21,7 +20,7 @@ fn device_of(kind: BoardKind) -> &'static str {
     }
 }
 
-fn latest(rig: &mut Rig, field: Field) -> Vec<f64> {
+fn latest_values(rig: &mut Rig, field: Field) -> Vec<f64> {
     rig.tool.start_stream(Fields(field.bit()), 20).expect("a stream starts");
     rig.run(5 * MILLISECOND);
     let rows = rig.tool.rows(Duration::from_millis(100)).expect("rows come");
@@ -44,7 +43,7 @@ fn each_encoder_counts_its_own_axis_up_and_down() {
             });
             expected[axis] = f64::from(moved);
             rig.run(MILLISECOND);
-            assert_eq!(latest(&mut rig, Field::Counts), expected, "{} axis {axis}", kind.name());
+            assert_eq!(latest_values(&mut rig, Field::Counts), expected, "{} axis {axis}", kind.name());
         }
     }
 }

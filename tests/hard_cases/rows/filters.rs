@@ -23,7 +23,6 @@ pub struct Row {
     pub reference: f64,
 }
 
-/// Control rate, Hz.
 const RATE_HZ: f64 = 20_000.0;
 
 /// Second-order Butterworth low-pass by the prewarped bilinear transform, in direct form II transposed.

@@ -113,7 +113,6 @@ macro_rules! errors {
                 [$(self.$field),*].into_iter()
             }
 
-            /// Keeps the larger error in each field.
             pub fn grow(&mut self, other: &Self) {
                 $(self.$field = self.$field.max(other.$field);)*
             }

@@ -24,7 +24,6 @@ pub enum Singularity {
 /// Target of the search for poses near a singularity.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Target {
-    /// Condition number of J.
     Condition(f64),
     /// Sine of the angle to the singularity, as in `Regularity`.
     Sine(f64),
@@ -48,7 +47,6 @@ impl Singularity {
 const POSES: usize = 60;
 /// Maximum number of random paths per row.
 const TRIES: usize = 4_000;
-/// Normals per pose.
 const NORMALS: usize = 5;
 
 #[derive(Clone, Debug)]
@@ -73,7 +71,6 @@ pub struct Row {
 pub struct Random(pub u64);
 
 impl Random {
-    /// Draws a number from `low..high`.
     pub fn within(&mut self, low: f64, high: f64) -> f64 {
         self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
         let mut z = self.0;
@@ -82,7 +79,6 @@ impl Random {
         low + (high - low) * ((z ^ (z >> 31)) >> 11) as f64 / (1_u64 << 53) as f64
     }
 
-    /// Draws every entry from `-bound..bound`.
     pub fn vector<const N: usize>(&mut self, bound: f64) -> SVector<f64, N> {
         SVector::from_fn(|_, _| self.within(-bound, bound))
     }
@@ -93,7 +89,6 @@ impl Random {
         SVector::from_fn(|i, _| if i < task { n[i] } else { 0.0 })
     }
 
-    /// Draws a pose far from every singularity.
     pub fn regular_pose<M: Mechanism<f64, N>, const N: usize>(&mut self, m: &M) -> SVector<f64, N> {
         loop {
             let q = self.vector(3.1);
@@ -207,7 +202,6 @@ pub fn at_hand_speed<M: Mechanism<f64, N>, const N: usize>(
     qd * (0.5 / speed).min(1.0)
 }
 
-/// Converts a vector to another precision.
 pub fn cast<A: Real, B: Real, const N: usize>(v: &SVector<A, N>) -> SVector<B, N> {
     v.map(|x| B::from_f64(x.to_f64()))
 }

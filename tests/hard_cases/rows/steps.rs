@@ -35,7 +35,8 @@ const HIT_SPEED: f64 = 10.0;
 /// Counts per turn of encoders that resolve penetrations in micrometres.
 const COUNTS_PER_TURN: f64 = 1_048_576.0;
 
-/// Returns the device with an encoder of [`COUNTS_PER_TURN`] at every joint. The home is removed so that count 0 is the angle 0.
+/// Returns the device with an encoder of [`COUNTS_PER_TURN`] at every joint. The home is removed so that count 0 is the
+/// angle 0.
 pub fn with_encoders(device: &Description) -> Description {
     let mut device = Description { home: None, ..*device };
     for joint in &mut device.joints {
@@ -97,8 +98,8 @@ fn is_usable<M: Mechanism<f64, N>, const N: usize>(m: &M, q: &SVector<f64, N>) -
     r.serial.min(r.parallel / PARALLEL_REGULARITY) > 2.0 * FULL_REGULARITY
 }
 
-/// Returns the joint angles of a straight run against `n` at [`HIT_SPEED`], from 2 cm outside the surface to 1 cm inside,
-/// and a point of the surface. Returns `None` if the run leaves the regular workspace.
+/// Returns the joint angles of a straight run against `n` at [`HIT_SPEED`], from 2 cm outside the surface to 1 cm
+/// inside, and a point of the surface. Returns `None` if the run leaves the regular workspace.
 fn run_up<M: Mechanism<f64, N>, const N: usize>(
     m: &M,
     start: &SVector<f64, N>,

@@ -72,7 +72,6 @@ where
         .to_vec()
 }
 
-/// Returns the rows of a closed loop and of a serial arm.
 pub fn all() -> Vec<Row> {
     [("five-bar", "haply-2diy"), ("serial-3r", "serial-3r")]
         .into_iter()

@@ -9,7 +9,7 @@ use haptic_emulator::count::count;
 use haptic_emulator::image::Firmware;
 
 /// Virtual time after which an unfinished image fails, s.
-const SECONDS: u64 = 60;
+const MAX_VIRTUAL_SECONDS: u64 = 60;
 
 fn main() -> ExitCode {
     let mut arguments = std::env::args().skip(1);
@@ -17,7 +17,7 @@ fn main() -> ExitCode {
         eprintln!("usage: count IMAGE.elf");
         return ExitCode::from(2);
     };
-    match Firmware::read(&path).and_then(|firmware| count(&firmware, SECONDS)) {
+    match Firmware::read(&path).and_then(|firmware| count(&firmware, MAX_VIRTUAL_SECONDS)) {
         Ok(variants) => {
             variants.iter().for_each(|(name, instructions)| println!("{instructions} {name}"));
             ExitCode::SUCCESS

@@ -12,7 +12,7 @@ use haptic_emulator::timing::{Timing, rates, replacements, scenes, steps, table}
 /// Name of a table, and the function that measures the table.
 type Table = (&'static str, fn() -> String);
 
-fn measured(cases: &[Case]) -> Vec<Timing> {
+fn measure_cases(cases: &[Case]) -> Vec<Timing> {
     let measured = cases.iter().map(|case| {
         let timing = case.measure();
         println!("{}: longest {}, at a valley {}", case.name(), timing.longest, timing.valley);
@@ -24,8 +24,8 @@ fn measured(cases: &[Case]) -> Vec<Timing> {
 
 fn main() -> ExitCode {
     let tables: [Table; 5] = [
-        ("timing", || table(&measured(&CASES))),
-        ("timing-scenes", || scenes(&measured(&SCENES))),
+        ("timing", || table(&measure_cases(&CASES))),
+        ("timing-scenes", || scenes(&measure_cases(&SCENES))),
         ("timing-steps", steps),
         ("timing-new-scenes", replacements),
         ("timing-rates", || {

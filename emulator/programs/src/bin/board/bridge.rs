@@ -10,11 +10,10 @@ use std::time::{Duration, Instant};
 use haptic_sim::door::turn_away;
 
 /// Time that a second tool waits for the first to disconnect, so that one command can follow another directly.
-const GRACE: Duration = Duration::from_millis(500);
+const SECOND_TOOL_WAIT: Duration = Duration::from_millis(500);
 /// Time during which a tool that disarms through another tool's connection receives the board's replies.
-const GUEST: Duration = Duration::from_secs(1);
+const GUEST_REPLY_TIME: Duration = Duration::from_secs(1);
 
-/// A request to disarm, and the tool that sent it.
 type Disarm = (Vec<u8>, TcpStream);
 
 /// The other end of the board's serial port.
@@ -65,7 +64,7 @@ impl Outlet for TcpOutlet {
                 let usable = stream.set_nonblocking(true).is_ok() && stream.set_nodelay(true).is_ok();
                 self.stream = usable.then_some(stream);
             }
-            Some((stream, since)) if since.elapsed() > GRACE => {
+            Some((stream, since)) if since.elapsed() > SECOND_TOOL_WAIT => {
                 let disarm = self.disarm.clone();
                 if stream.set_nonblocking(false).is_ok() {
                     thread::spawn(move || {
@@ -101,7 +100,7 @@ impl Outlet for TcpOutlet {
     }
 
     fn write(&mut self, bytes: &[u8]) {
-        self.guests.retain_mut(|(guest, since)| since.elapsed() < GUEST && guest.write_all(bytes).is_ok());
+        self.guests.retain_mut(|(guest, since)| since.elapsed() < GUEST_REPLY_TIME && guest.write_all(bytes).is_ok());
         if let Some(stream) = &mut self.stream
             && stream.write_all(bytes).is_err_and(|error| error.kind() != io::ErrorKind::WouldBlock)
         {
@@ -147,7 +146,6 @@ mod terminal {
             Ok(Self { master, _slave: slave, path })
         }
 
-        /// Returns the device file that programs open.
         #[must_use]
         pub fn path(&self) -> &str {
             &self.path

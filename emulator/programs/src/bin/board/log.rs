@@ -16,7 +16,6 @@ impl Decoder {
         Table::parse(firmware.bytes()).ok().flatten().map(|table| Self { table })
     }
 
-    /// Returns a reader that converts raw bytes to lines.
     #[must_use]
     pub fn reader(&self) -> Reader<'_> {
         Reader { stream: self.table.new_stream_decoder() }

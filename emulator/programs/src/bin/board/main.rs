@@ -31,7 +31,7 @@ struct Arguments {
 }
 
 fn main() -> ExitCode {
-    let Some(arguments) = parse(std::env::args().skip(1)) else {
+    let Some(arguments) = parse_arguments(std::env::args().skip(1)) else {
         let boards = BoardKind::ALL.map(BoardKind::name).join("|");
         eprintln!("usage: board [{boards}] [--device FILE.toml] [--tcp PORT] [--fast]");
         return ExitCode::from(2);
@@ -45,7 +45,7 @@ fn main() -> ExitCode {
     }
 }
 
-fn parse(mut words: impl Iterator<Item = String>) -> Option<Arguments> {
+fn parse_arguments(mut words: impl Iterator<Item = String>) -> Option<Arguments> {
     let device = rig::devices().join("pantograph-mk2.toml");
     let mut arguments = Arguments { board: BoardKind::OdriveV3, device, port: 0, fast: false };
     while let Some(word) = words.next() {
