@@ -134,7 +134,7 @@ const LATE_PATTERNS: [LatePattern; 4] = [
 ];
 
 #[test]
-fn late_duties_do_not_strain_a_motor_that_is_like_its_file() {
+fn late_duties_agree_with_the_model_of_a_motor_like_its_file() {
     let file = Motor { back_emf: 0.0, ..motor() };
     for inductance in [1.0e-3, 1.0e-4, 2.0e-5] {
         let file = Motor { inductance, ..file };
@@ -202,8 +202,7 @@ fn a_step_beyond_the_bus_voltage_takes_longer_and_settles() {
     // 2 A in 50 µs would need 43 V. The available 22 V need two periods.
     let (most, arrived) = step(motor());
     assert!(most < 1.01 && arrived == 2, "{most} of the step, {arrived} periods");
-    // If the file's inductance is too large by a share, the current overshoots by the same share until the loop
-    // corrects it.
+    // If the inductance is below the file's by a share, the current overshoots by this share until the loop corrects it.
     for (resistance, inductance) in [(1.4, 1.0), (0.7, 1.0), (1.0, 1.3), (1.0, 0.7), (1.4, 0.7)] {
         let expected = motor();
         let actual = Motor {

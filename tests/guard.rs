@@ -279,7 +279,7 @@ fn an_index_may_lag_by_the_joints_motion_and_is_set_at_rest() {
     assert_eq!(fault((0, 1_000), (0, 1_009)), Some(Fault::IndexMismatch));
     assert_eq!(fault((0, 1_000), (20, 1_028)), None);
     assert_eq!(fault((0, 1_000), (20, 1_029)), Some(Fault::IndexMismatch));
-    // After fast motion the position of the first pulse may be wrong by 100 counts.
+    // A first pulse during fast motion does not set the position.
     assert_eq!(fault((20, 1_000), (0, 1_100)), None);
     // An index one turn of 60,000 counts further is the same position.
     assert_eq!(fault((0, 1_000), (0, 61_003)), None);

@@ -88,7 +88,7 @@ fn a_larger_continuous_current_applies_after_a_minute() {
 
 #[test]
 fn a_smaller_continuous_current_does_not_prolong_a_peak() {
-    // Half of the 4 s is used at 2.9 A. Then 0.01 A is set, and the other half must be left.
+    // After half of the 4 s the continuous current is set from 2.9 A to 0.01 A. The other half must be left.
     let mut heat = cold_motor(3.0, 2.9);
     assert_eq!(time_to_trip(&mut heat, 3.0, 2.0), None);
     let mut next = restored_heat(&heat);

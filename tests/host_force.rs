@@ -371,7 +371,7 @@ fn a_contact_pushes_along_its_normal_and_never_pulls() {
 fn a_contact_that_jumps_tilts_or_appears_causes_no_force_jump() {
     let mut rig = armed_rig();
     let tip = poll(&mut rig).tip;
-    // The contact appears with 2 N, changes by up to 4 N and 0.8 rad every 5 ms, and is removed.
+    // The contact appears with 2 N, changes by up to 4 N and 0.4 rad every 5 ms, and is removed.
     let plane = |depth: f32, angle: f32| {
         let normal = [angle.cos(), angle.sin(), 0.0];
         let point = core::array::from_fn(|i| tip[i] + normal[i] * depth);

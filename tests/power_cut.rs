@@ -291,7 +291,7 @@ fn a_flipped_bit_is_reported_and_restores_no_older_value() {
                 assert_eq!(read(save(after.reboot(), &now).reboot()).0, now, "byte {at}");
             }
         }
-        // One byte in six belongs to the damaged setting. The others belong to the catalogue, which is not needed.
+        // Most bytes belong to one setting. The others belong to the catalogue, which is not needed.
         assert!(damaged > 1_300 && intact > 5 * damaged, "{damaged} damaged, {intact} intact");
     }
 }
@@ -497,7 +497,7 @@ fn a_staged_entry_damaged_after_the_commit_is_reported() {
         if read(flash.clone()).0 != values_of(9) {
             break;
         }
-        // The first 500 bytes identify the staged scene, because the other settings are shorter or different.
+        // The first 500 bytes identify the staged scene, because the other settings are shorter.
         let scene = &values_of(9)[&2];
         let Some(at) = flash.bytes.windows(500).position(|window| window == &scene[..500]) else { continue };
         let mut spoilt = flash.clone();

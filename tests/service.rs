@@ -453,7 +453,7 @@ fn paddle_without_back_emf() -> Description {
     paddle
 }
 
-/// Homes a paddle with little friction and runs the polarity check. The motor turns with its torque if `way` is 1, and
+/// Homes a paddle with some friction and runs the polarity check. The motor turns with its torque if `way` is 1, and
 /// against its torque if `way` is -1.
 fn polarity_check(board: &mut Board, way: f64) {
     board.ask::<Home>(&()).unwrap().unwrap();

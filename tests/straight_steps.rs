@@ -286,7 +286,7 @@ fn a_straight_step_equals_the_general_step_up_to_roundings() {
         (Kind::Serial3r, true),
     ] {
         let mut coverage = Coverage::default();
-        // Devices with two joints have more straight steps than others.
+        // Devices with two joints have their own straight steps, so more cases are drawn.
         for _ in 0..if kind == Kind::FiveBar { 4 * CASES_PER_MECHANISM } else { CASES_PER_MECHANISM } {
             let numbers = stream.list();
             let mut description = random_device(kind, &mut Draw::new(&numbers));

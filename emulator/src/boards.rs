@@ -57,7 +57,7 @@ pub struct MotorWires {
     pub sensors: &'static [(u8, f64)],
 }
 
-/// A board.
+/// Wiring of a board.
 #[derive(Clone, Copy, Debug)]
 pub struct Wiring {
     /// Name of the board and of its image.

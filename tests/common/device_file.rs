@@ -11,7 +11,7 @@ pub fn shipped(name: &str) -> Description {
     parse(&std::fs::read_to_string(&path).unwrap_or_else(|error| panic!("{path}: {error}")))
 }
 
-/// Reads a device from the text of a device file, with known keys only.
+/// Reads a device from the text of a file. Panics at an unknown key.
 pub fn parse(text: &str) -> Description {
     let file: Table = text.parse().expect("a device file is TOML");
     assert_known_keys(&file, &["name", "mechanism", "gravity", "geometry", "link", "joint", "handle", "home"]);
