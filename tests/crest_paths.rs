@@ -168,7 +168,7 @@ impl BoardPair {
         }
     }
 
-    fn for_both(&mut self, act: impl Fn(&mut BoardControlLoop)) {
+    fn apply_to_both(&mut self, act: impl Fn(&mut BoardControlLoop)) {
         self.control_loops.iter_mut().for_each(act);
     }
 
@@ -177,7 +177,7 @@ impl BoardPair {
         self.crests += 1;
         let ticks = self.carrier.ticks();
         if due {
-            self.for_both(|control_loop| compiled::render(control_loop, &samples.counts));
+            self.apply_to_both(|control_loop| compiled::render(control_loop, &samples.counts));
         }
         let ([one, other], [legs, other_legs]) = (&mut self.control_loops, &mut self.legs);
         let drives = if due {
@@ -188,7 +188,7 @@ impl BoardPair {
         let others = compiled::crest_generally(other, samples, due, &ticks, other_legs);
         assert_eq!((drives, &legs), (others, &other_legs), "{samples:?} {:?} {:?}", one.status(), other.status());
         // After a crest in one pass the valley records the samples.
-        self.for_both(|control_loop| compiled::note(control_loop, samples, None));
+        self.apply_to_both(|control_loop| compiled::note(control_loop, samples, None));
         self.assert_equal(samples);
         let [one, other] =
             self.control_loops.each_mut().map(|control_loop| compiled::check_slow_faults(control_loop, samples));
@@ -376,10 +376,10 @@ fn run_episode(random: &mut Random, trouble: Disturbance) -> ([u32; 2], Option<F
                 let count = shown.counts[axis] + random.choose(&[0, 1, -3, 60_000]);
                 let mut marks = [None; MAX_JOINTS];
                 marks[axis] = Some(count);
-                pair.for_both(|control_loop| control_loop.mark(marks));
+                pair.apply_to_both(|control_loop| control_loop.mark(marks));
             }
             Disturbance::Reported if now => {
-                pair.for_both(|control_loop| control_loop.trip(Fault::GateDriver, None, f32::NAN))
+                pair.apply_to_both(|control_loop| control_loop.trip(Fault::GateDriver, None, f32::NAN))
             }
             Disturbance::Push | Disturbance::Power | Disturbance::Weight if on && crest % 30 == 0 => {
                 let mut torque = [0.0; MAX_JOINTS];

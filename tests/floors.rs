@@ -174,7 +174,7 @@ fn modules_in_circles(sources: &[Source], name: impl Fn(&Source) -> String) -> B
 }
 
 #[test]
-fn imports_go_down_only() {
+fn floors_import_lower_floors_only() {
     let library = modules("src");
     for floor in LEVELS.iter().copied().flatten() {
         assert!(library.iter().any(|source| source.floor() == *floor), "no floor {floor}");

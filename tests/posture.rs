@@ -19,7 +19,7 @@ fn shipped(name: &str) -> Description {
     Description { gravity: [0.0; 3], ..with_fine_encoders(device_file::shipped(name)) }
 }
 
-fn arm() -> (Serial3r<f64>, Device<f64>) {
+fn redundant_arm() -> (Serial3r<f64>, Device<f64>) {
     let device = Device::<f64>::new("arm", &shipped("serial-3r")).expect("a sound device");
     let AnyMechanism::Serial3r(arm) = device.mechanism else { panic!("a redundant arm") };
     (arm, device)
@@ -31,7 +31,7 @@ fn scene(posture: Option<Posture<f64>>) -> Scene<f64> {
 
 /// Returns the torques at the end of a steady motion to `q` at `qd`.
 fn settled_torque(scene: &Scene<f64>, q: &Vector3<f64>, qd: &Vector3<f64>) -> Vector3<f64> {
-    let (arm, device) = arm();
+    let (arm, device) = redundant_arm();
     let mut steps = Steps::new(arm, &device, scene).expect("a sound scene");
     (-80..=0).map(|k| steps.step(&fine_counts(&(q + qd * (f64::from(k) / RATE_HZ)))).torque).last().expect("steps")
 }
@@ -53,7 +53,7 @@ fn the_posture_spring_is_a_moment_on_the_last_link() {
 /// Torques along the null motion alone would keep the arm moving, because the shipped joints have unequal friction.
 #[test]
 fn a_free_arm_comes_to_rest() {
-    let (arm, device) = arm();
+    let (arm, device) = redundant_arm();
     for damping in [0.0, 0.03] {
         let scene = scene(Some(Posture { orientation: 2.3, stiffness: 0.5, damping }));
         let mut steps = Steps::new(arm, &device, &scene).expect("a sound scene");
@@ -72,7 +72,7 @@ fn a_free_arm_comes_to_rest() {
 
 #[test]
 fn an_arm_that_presses_a_wall_reaches_and_keeps_its_posture() {
-    let (arm, device) = arm();
+    let (arm, device) = redundant_arm();
     let start = Vector3::new(0.5, 0.8, 0.7);
     let pose = arm.pose::<Libm>(&start);
     let (tip, normal) = (arm.tip(&pose), [0.6, 0.8, 0.0]);

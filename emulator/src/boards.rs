@@ -221,7 +221,7 @@ const fn h_bridge(channel: u8, [p, n]: [Pin; 2], sensors: &'static [(u8, f64)]) 
 impl Wiring {
     /// Returns the output of a current sensor at zero current, which is half of the chip's supply, V.
     #[must_use]
-    pub fn middle(&self) -> f64 {
+    pub fn zero_current_volts(&self) -> f64 {
         0.5e-3 * f64::from(self.supply_mv)
     }
 

@@ -59,7 +59,11 @@ pub const CASES: &[Case] = &[
     Case { name: "one of two shunts shows nothing", cause: |board| scale_shunts(board, 1, 0.0), detected: false },
     Case { name: "a winding open", cause: |board| board.broken.open[0] = true, detected: true },
     Case { name: "a bridge stuck at 40 %", cause: |board| board.broken.stuck_on[0] = Some(0.4), detected: true },
-    Case { name: "a gate driver forgets its registers", cause: |board| board.driver(0).forget(), detected: true },
+    Case {
+        name: "a gate driver forgets its registers",
+        cause: |board| board.driver(0).reset_control_registers(),
+        detected: true,
+    },
     Case {
         name: "an encoder unplugged, hand at rest",
         cause: |board| board.encoders_unplugged[0] = true,

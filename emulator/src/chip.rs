@@ -240,7 +240,7 @@ impl Mcu for Chip {
         let Self { part, own_models, otg, flash, advanced, converters, .. } = self;
         let model: &mut dyn ErasedDevice = match own_models.get(slot) {
             None | Some(OwnModel::None | OwnModel::Exti) => return part.split(slot),
-            Some(&OwnModel::Otg(block)) => otg.answering_for(block),
+            Some(&OwnModel::Otg(block)) => otg.model_of_block(block),
             Some(OwnModel::Flash) => flash,
             Some(&OwnModel::Advanced(nth)) => &mut advanced[nth],
             Some(&OwnModel::Converter(nth)) => &mut converters[nth],

@@ -38,7 +38,7 @@ impl Drv8301 {
     }
 
     /// Latches fault bits of status register 1, which pull the fault line low. A value of 0 clears them.
-    pub fn fail(&mut self, bits: u16) {
+    pub fn latch_fault(&mut self, bits: u16) {
         self.fault = bits & 0x3FF;
     }
 
@@ -54,7 +54,7 @@ impl Drv8301 {
     }
 
     /// Resets the control registers, like a dip of the driver's supply.
-    pub fn forget(&mut self) {
+    pub fn reset_control_registers(&mut self) {
         self.control = [0; 2];
     }
 

@@ -172,7 +172,7 @@ impl Hardware {
             for (axis, wires) in wiring.encoders.iter().enumerate() {
                 self.show_phase(at, axis, wires);
             }
-            let bus_level = Level::from(self.plant.bus_voltage() / wiring.bus.1 > wiring.middle());
+            let bus_level = Level::from(self.plant.bus_voltage() / wiring.bus.1 > wiring.zero_current_volts());
             self.drive_pin(wiring.bus_pin(), (!self.bus_cut).then_some(bus_level), at);
             wiring.held.iter().for_each(|&pin| self.set_pin(pin, Level::High, at));
         }
@@ -249,7 +249,7 @@ impl Hardware {
             for &(channel, volts_per_ampere) in motor.sensors {
                 let current = self.broken.current(&currents, axis, nth);
                 let volts = gain.map_or(0.0, |gain| {
-                    wiring.middle() + wiring.sensor_offsets[nth] + gain * volts_per_ampere * current
+                    wiring.zero_current_volts() + wiring.sensor_offsets[nth] + gain * volts_per_ampere * current
                 });
                 self.show_volts(wiring, channel, volts);
                 nth += 1;

@@ -114,9 +114,9 @@ pub fn injection(fault: Fault) -> Injection {
             rig_in_contact,
             |rig| {
                 after_crest(rig, 5);
-                rig.with(|stopped| stopped.hold(true));
+                rig.with(|stopped| stopped.hold_core(true));
                 rig.run(55 * MICROSECOND);
-                rig.with(|stopped| stopped.hold(false));
+                rig.with(|stopped| stopped.hold_core(false));
             },
             5,
         ),
@@ -222,7 +222,7 @@ pub fn injection(fault: Fault) -> Injection {
             "a gate driver pulls its fault line",
             rig_in_contact,
             |rig| {
-                rig.with(|stopped| stopped.hardware().driver(1).fail(1 << 2));
+                rig.with(|stopped| stopped.hardware().driver(1).latch_fault(1 << 2));
             },
             5,
         ),
@@ -424,7 +424,7 @@ pub fn injection(fault: Fault) -> Injection {
             "a gate driver that loses its settings while nothing pushes",
             free_rig,
             |rig| {
-                rig.with(|stopped| stopped.hardware().driver(0).forget());
+                rig.with(|stopped| stopped.hardware().driver(0).reset_control_registers());
             },
             50,
         ),
@@ -454,9 +454,9 @@ pub fn injection(fault: Fault) -> Injection {
             "the chip's 3.3 V fall to 2.7 V for 100 µs",
             rig_in_contact,
             |rig| {
-                rig.with(|stopped| stopped.supply(2700));
+                rig.with(|stopped| stopped.set_supply(2700));
                 rig.run(100 * MICROSECOND);
-                rig.with(|stopped| stopped.supply(3300));
+                rig.with(|stopped| stopped.set_supply(3300));
             },
             5,
         ),

@@ -42,7 +42,7 @@ pub struct Load {
 impl Load {
     /// Returns true if every period had its step.
     #[must_use]
-    pub fn in_time(&self) -> bool {
+    pub fn is_in_time(&self) -> bool {
         self.armed && self.overruns == 0 && self.steps.abs_diff(self.periods) <= 1
     }
 }
@@ -189,7 +189,7 @@ const DIVIDERS: [u32; 7] = [1, 2, 3, 4, 5, 10, 20];
 fn attempt(case: &Case, rate_hz: u32, divider: u32, milliseconds: u64) -> Option<Load> {
     let case = *case;
     let ran = std::thread::spawn(move || run(&mut case.rig(rate_hz), (Fields::USUAL, divider), rate_hz, milliseconds));
-    ran.join().ok().filter(Load::in_time)
+    ran.join().ok().filter(Load::is_in_time)
 }
 
 /// Returns the highest tested rate (Hz) at which `case` misses no period in 200 ms while it streams the default

@@ -143,7 +143,7 @@ impl Core {
 
     /// Returns true if the firmware has enabled the pull-up, which signals a device.
     #[must_use]
-    pub fn connected(&self) -> bool {
+    pub fn is_connected(&self) -> bool {
         self.get(DCTL) & (1 << 1) == 0
     }
 

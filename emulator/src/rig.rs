@@ -104,7 +104,10 @@ impl Rig {
     fn boot(kind: &'static Wiring, board: &'static Wiring, plant: Box<dyn Plant>, file: Option<DeviceFile>) -> Self {
         let hardware = Hardware::new(board, plant).expect("the board's description is sound");
         let mut board = VirtualBoard::start(firmware(kind), hardware).unwrap_or_else(|error| panic!("{error}"));
-        assert!(board.run_until(2 * SECOND, MILLISECOND, |stopped| stopped.usb().ready()), "no USB after two seconds");
+        assert!(
+            board.run_until(2 * SECOND, MILLISECOND, |stopped| stopped.usb().is_ready()),
+            "no USB after two seconds"
+        );
         assert!(!board.with(|stopped| stopped.hardware().peaks.driven), "a bridge was on before USB was ready");
         let shared = Shared::new(board);
         let tool = Board::over(shared.wire(), "virtual").unwrap_or_else(|error| panic!("{error}"));
@@ -115,13 +118,16 @@ impl Rig {
 
     /// Presses the board's reset button and connects the tool again.
     #[must_use]
-    pub fn restarted(self) -> Self {
+    pub fn restart(self) -> Self {
         let Self { kind, shared, file, .. } = self;
         {
             let mut board = shared.board();
             board.with(|stopped| stopped.reset());
             board.run(MILLISECOND);
-            assert!(board.run_until(2 * SECOND, MILLISECOND, |stopped| stopped.usb().ready()), "no USB after a reset");
+            assert!(
+                board.run_until(2 * SECOND, MILLISECOND, |stopped| stopped.usb().is_ready()),
+                "no USB after a reset"
+            );
             board.with(|stopped| stopped.usb().take());
         }
         let tool = Board::over(shared.wire(), "virtual").unwrap_or_else(|error| panic!("{error}"));

@@ -89,14 +89,14 @@ impl StoppedBoard<'_> {
     }
 
     /// Sets the chip's supply voltage and passes the supply monitor's request to the core (line 1, RM0090 table 61).
-    pub fn supply(&mut self, millivolts: u32) {
+    pub fn set_supply(&mut self, millivolts: u32) {
         let at = VirtualNanos(self.at);
         let asks = self.hardware().chip.supply(at, millivolts);
         self.memory.set_interrupt(SUPPLY_MONITOR, Level::from(asks));
     }
 
     /// Holds the core, so that it executes nothing while time passes, or releases the core.
-    pub fn hold(&mut self, held: bool) {
+    pub fn hold_core(&mut self, held: bool) {
         self.memory.hold(held);
     }
 

@@ -85,7 +85,7 @@ impl<'a> Sources<'a> {
     }
 
     /// Returns the instructions of a run, without the instructions that wait for the converters.
-    pub fn work(&mut self, run: &Run) -> Vec<u32> {
+    pub fn instructions_without_waiting(&mut self, run: &Run) -> Vec<u32> {
         run.path.iter().copied().filter(|at| !self.is_in(*at, WAIT_FUNCTION)).collect()
     }
 

@@ -75,7 +75,7 @@ impl Timing {
         for run in runs {
             let length = run.path.len() as u64;
             if sources.is_crest(run) {
-                works.push(sources.work(run));
+                works.push(sources.instructions_without_waiting(run));
                 continue;
             }
             valley = valley.max(length);

@@ -266,7 +266,7 @@ impl Host {
 
     /// Returns true if the port of a configured device is open, so that bytes can be transferred.
     #[must_use]
-    pub fn ready(&self) -> bool {
+    pub fn is_ready(&self) -> bool {
         self.bus == Bus::Active && self.port.is_some() && self.opened
     }
 
@@ -347,7 +347,7 @@ impl Host {
     }
 
     fn follow_cable(&mut self, core: &mut Core, now: VirtualNanos) {
-        let is_present = self.plugged && core.connected();
+        let is_present = self.plugged && core.is_connected();
         match self.bus {
             Bus::Detached if is_present => {
                 self.log.push((now, Event::Connected));

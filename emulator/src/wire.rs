@@ -53,7 +53,7 @@ impl Wire for UsbWire {
         let bytes = bytes.to_vec();
         let sent = self.shared.board().with(move |stopped| {
             let usb = stopped.usb();
-            let ready = usb.ready();
+            let ready = usb.is_ready();
             if ready {
                 usb.write(&bytes);
             }

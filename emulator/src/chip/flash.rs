@@ -60,7 +60,7 @@ impl Array {
 }
 
 impl Hook<Flash> for Array {
-    fn after(&mut self, _: &mut Flash, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
+    fn after_call(&mut self, _: &mut Flash, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
         let busy = registers.get(Register::Sr) & BUSY != 0;
         let began = busy && !self.busy;
         self.busy = busy;
@@ -75,7 +75,7 @@ impl Hook<Flash> for Array {
         }
     }
 
-    fn answered(&mut self, token: u64, value: u64, context: &mut DeviceContext<'_>) -> bool {
+    fn handle_reply(&mut self, token: u64, value: u64, context: &mut DeviceContext<'_>) -> bool {
         if token == READ
             && let Some((address, width, wanted)) = self.stores.pop_front()
         {
@@ -84,7 +84,7 @@ impl Hook<Flash> for Array {
         token == READ || token == WRITTEN
     }
 
-    fn store(
+    fn handle_store(
         &mut self,
         store: (u64, Width, u64),
         registers: &mut RegisterFile,

@@ -21,7 +21,7 @@ pub struct Otg {
 
 impl Otg {
     /// Returns the model for accesses to `block`, one of the core's four blocks.
-    pub fn answering_for(&mut self, block: usize) -> &mut dyn ErasedDevice {
+    pub fn model_of_block(&mut self, block: usize) -> &mut dyn ErasedDevice {
         self.block = block;
         self
     }

@@ -103,7 +103,7 @@ impl Outputs {
 const MOE: u64 = 1 << 15;
 
 impl Hook<Tim<Advanced>> for Outputs {
-    fn after(&mut self, timer: &mut Tim<Advanced>, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
+    fn after_call(&mut self, timer: &mut Tim<Advanced>, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
         self.account(context.now());
         self.driven = registers.get(TimRegister::Bdtr) & MOE != 0;
         for (number, reference) in (1..).zip(&mut self.references) {

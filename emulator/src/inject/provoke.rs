@@ -51,7 +51,7 @@ pub fn provoke(fault: Fault) -> Option<Outcome> {
         off_at.unwrap_or_else(|| panic!("{name}: bridges are still on after {within_ms} ms: {:?}", rig.tool.status()));
     rig.run(20 * MILLISECOND);
     // After a restart the host must enumerate the chip again.
-    let ready_again = rig.shared.board().run_until(2 * SECOND, MILLISECOND, |stopped| stopped.usb().ready());
+    let ready_again = rig.shared.board().run_until(2 * SECOND, MILLISECOND, |stopped| stopped.usb().is_ready());
     assert!(ready_again, "{name}: the port is gone");
     let restarted = rig.with(|stopped| stopped.resets().len()) > resets;
     if restarted {

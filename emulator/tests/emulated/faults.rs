@@ -15,7 +15,7 @@ fn the_fault_line_of_one_gate_driver_stops_both_axes() {
     let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |_| ());
     rig.load(WALL);
     rig.ready();
-    rig.with(|stopped| stopped.hardware().driver(1).fail(1 << 2));
+    rig.with(|stopped| stopped.hardware().driver(1).latch_fault(1 << 2));
     rig.run(50 * MILLISECOND);
     let status = rig.tool.status().expect("the board replies");
     assert_eq!((status.state, status.fault.map(|record| record.fault)), (State::Fault, Some(Fault::GateDriver)));

@@ -11,7 +11,7 @@ fn a_minute_at_20_khz_loses_no_period_and_no_frame() {
     let mut rig = CASES[0].rig(20_000);
     let load = run(&mut rig, (Fields::USUAL, 1), 20_000, 60_000);
     println!("{load:?}");
-    assert!(load.in_time(), "{load:?}");
+    assert!(load.is_in_time(), "{load:?}");
     assert_eq!((load.losses.missing, load.losses.garbled), (0, 0), "{load:?}");
     assert_eq!(load.losses.received, load.due, "{load:?}");
     // The firmware fills the stack with a pattern at the start. At least 8 of the 52 KB must still have the pattern.
@@ -24,7 +24,7 @@ fn the_link_carries_25_000_rows_per_second() {
     let mut rig = CASES[0].rig(25_000);
     let load = run(&mut rig, (Fields::USUAL, 1), 25_000, 1_000);
     println!("{load:?}");
-    assert!(load.in_time(), "{load:?}");
+    assert!(load.is_in_time(), "{load:?}");
     assert_eq!((load.losses.missing, load.losses.received), (0, load.due), "{load:?}");
 }
 
@@ -33,7 +33,7 @@ fn lost_frames_are_counted_and_the_loop_does_not_wait() {
     let mut rig = CASES[0].rig(20_000);
     let load = run(&mut rig, (Fields::ALL, 1), 20_000, 1_000);
     println!("{load:?}");
-    assert!(load.in_time(), "{load:?}");
+    assert!(load.is_in_time(), "{load:?}");
     assert!(load.losses.missing > 1_000, "nothing was lost: {load:?}");
     assert_eq!(load.losses.received + load.losses.missing, load.due, "{load:?}");
     assert_eq!(load.losses.batches_lost, 0, "a numbered batch was not sent: {load:?}");
@@ -49,7 +49,7 @@ fn three_joints_miss_no_period_when_rows_are_lost() {
         let mut rig = CASES[2].rig(rate_hz);
         let load = run(&mut rig, (Fields::USUAL, 1), rate_hz, 1_000);
         println!("{load:?}");
-        assert!(load.in_time(), "{load:?}");
+        assert!(load.is_in_time(), "{load:?}");
         assert_eq!(load.losses.received + load.losses.missing, load.due, "{load:?}");
         assert!(load.losses.received as f64 >= least * load.due as f64, "{load:?}");
     }
@@ -81,9 +81,9 @@ fn a_missed_crest_turns_the_motors_off() {
         let mut rig = SCENES[0].rig(rate_hz);
         for phase in 0..10 {
             rig.run(phase * carrier / 10);
-            rig.with(|stopped| stopped.hold(true));
+            rig.with(|stopped| stopped.hold_core(true));
             rig.run(carrier);
-            rig.with(|stopped| stopped.hold(false));
+            rig.with(|stopped| stopped.hold_core(false));
             rig.run(MILLISECOND);
             let floats = rig.with(|stopped| stopped.hardware().bridges_float());
             let status = rig.tool.status().expect("the board replies");

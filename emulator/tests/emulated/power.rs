@@ -39,7 +39,7 @@ fn restart_with(words: &[u32], rig: Rig) -> Rig {
     let words = words.to_vec();
     rig.with(move |stopped| stopped.set_flash(SETTINGS_RANGE.start, &words));
     rig.run(MILLISECOND);
-    rig.restarted()
+    rig.restart()
 }
 
 /// Cuts the power within the flash operation number `operation`, counted from now.
@@ -69,7 +69,7 @@ fn check_cuts(step: usize, mut rig: Rig) -> u64 {
         // Without power, the reply may be anything.
         save(&mut rig, 600);
         assert_eq!(operations_left(&rig), Some(0), "the power was not cut in operation {operation} of {operations}");
-        rig = rig.restarted();
+        rig = rig.restart();
         let after = scene(&mut rig);
         assert!(after == old || after == new, "after a cut in operation {operation} of {operations}: {after:?}");
         found_new += u32::from(after == new);

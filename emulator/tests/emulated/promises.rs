@@ -91,7 +91,7 @@ fn the_break_input_works_without_the_processor() {
         || rig.with(|stopped| stopped.hardware().chip.register("TIM1", BREAK_AND_DEAD_TIME) & MAIN_OUTPUT_ENABLE);
     let executed = || rig.shared.board().instructions();
     assert_eq!(outputs(), MAIN_OUTPUT_ENABLE);
-    rig.with(|stopped| stopped.hold(true));
+    rig.with(|stopped| stopped.hold_core(true));
     rig.run(MICROSECOND);
     let before = executed();
     rig.with(|stopped| stopped.hardware().fault_line_shorted = true);
@@ -136,7 +136,7 @@ fn an_image_on_the_wrong_board_does_not_touch_its_power_stage() {
         let again = refusal_of(rig.tool.check_polarity());
         assert!(matches!(again, Refusal::Faulted(Fault::WrongBoard) | Refusal::BusVoltage), "{again}");
         rig.run(SECOND / 10);
-        rig = rig.restarted();
+        rig = rig.restart();
         assert_eq!(fault_of(&mut rig), Some((Fault::WrongBoard, strange)));
         assert!(untouched(&rig), "{} on {}", kind.name(), board.name);
     }
@@ -150,7 +150,7 @@ fn images_of_other_boards_do_not_start_at_three_volts() {
         let hardware = Hardware::new(wires, Box::new(Dummy::default())).expect("the board's description is sound");
         let mut board = VirtualBoard::start(firmware(kind), hardware).expect("the image starts");
         board.run(SECOND);
-        let (ready, touched) = board.with(|stopped| (stopped.usb().ready(), stopped.hardware().peaks.touched));
+        let (ready, touched) = board.with(|stopped| (stopped.usb().is_ready(), stopped.hardware().peaks.touched));
         assert!(!ready && !touched, "{}", kind.name());
     }
 }
@@ -161,7 +161,7 @@ fn a_falling_supply_floats_the_bridges_within_a_control_step() {
     for kind in BoardKind::ALL {
         let rig = armed_rig(kind);
         after_crest(&rig, 3);
-        rig.with(|stopped| stopped.supply(2_600));
+        rig.with(|stopped| stopped.set_supply(2_600));
         let fell = rig.now();
         while !rig.with(bridges_off) {
             rig.run(MICROSECOND / 10);
@@ -176,7 +176,7 @@ fn a_falling_supply_floats_the_bridges_within_a_control_step() {
 fn a_halted_core_is_reset_within_twenty_milliseconds() {
     for kind in BoardKind::ALL {
         let rig = armed_rig(kind);
-        rig.with(|stopped| stopped.hold(true));
+        rig.with(|stopped| stopped.hold_core(true));
         rig.run(20 * MILLISECOND);
         assert_eq!(rig.with(|stopped| stopped.resets().len()), 1, "{}", kind.name());
         assert!(rig.with(bridges_off), "{}", kind.name());
@@ -275,7 +275,7 @@ fn check_watchdog_at(rate: u32, task: &'static str, code: impl FnOnce(u32) -> Ve
     assert!(rig.now() > began + least * MILLISECOND, "a reset after {} ns", rig.now() - began);
     rig.run(MILLISECOND);
     assert!(rig.with(bridges_off), "bridges are on after the reset");
-    let ready = rig.shared.board().run_until(2 * SECOND, MILLISECOND, |stopped| stopped.usb().ready());
+    let ready = rig.shared.board().run_until(2 * SECOND, MILLISECOND, |stopped| stopped.usb().is_ready());
     assert!(ready, "the port is gone");
     rig.tool = haptic_host::link::Board::over(rig.shared.wire(), "again").expect("the board replies");
     let status = rig.tool.status().expect("the board replies");
@@ -318,17 +318,20 @@ fn a_slow_control_interrupt_causes_a_watchdog_reset() {
 #[test]
 fn a_board_with_a_low_supply_stays_off_and_reports_it() {
     let mut rig = armed_rig(BoardKind::OdriveV3);
-    rig.with(|stopped| stopped.supply(2700));
+    rig.with(|stopped| stopped.set_supply(2700));
     rig.run(100 * MICROSECOND);
     let steps = rig.with(|stopped| stopped.resets().len());
     for _ in 0..1_000 {
         assert!(rig.with(bridges_off), "bridges are on after {} ns", rig.now());
         rig.run(100 * MICROSECOND);
     }
-    let (resets, ready) = rig.with(|stopped| (stopped.resets().len(), stopped.usb().ready()));
+    let (resets, ready) = rig.with(|stopped| (stopped.resets().len(), stopped.usb().is_ready()));
     assert!(resets == steps && !ready, "{resets} resets; the board runs with a low supply");
-    rig.with(|stopped| stopped.supply(3300));
-    assert!(rig.shared.board().run_until(2 * SECOND, MILLISECOND, |stopped| stopped.usb().ready()), "the port is gone");
+    rig.with(|stopped| stopped.set_supply(3300));
+    assert!(
+        rig.shared.board().run_until(2 * SECOND, MILLISECOND, |stopped| stopped.usb().is_ready()),
+        "the port is gone"
+    );
     rig.tool = haptic_host::link::Board::over(rig.shared.wire(), "again").expect("the board replies");
     let status = rig.tool.status().expect("the board replies");
     assert_eq!((status.state, status.fault.map(|record| record.fault)), (State::Fault, Some(Fault::SupplyDip)));

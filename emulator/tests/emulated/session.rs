@@ -21,7 +21,7 @@ fn settings_survive_a_reset() {
         let (device, scene) = (rig.tool.device().expect("it replies"), rig.tool.scene().expect("it replies"));
         rig.tool.save().expect("the settings are written");
 
-        let mut rig = rig.restarted();
+        let mut rig = rig.restart();
         let details = rig.tool.details().expect("the board replies");
         assert_eq!(details.name.as_str(), "left hand");
         assert!(details.damage.is_empty(), "{:?}", details.damage);
@@ -36,7 +36,7 @@ fn unsaved_changes_are_lost_in_a_reset() {
     let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |_| ());
     rig.load(WALL);
     rig.run(SECOND / 10);
-    let mut rig = rig.restarted();
+    let mut rig = rig.restart();
     assert_eq!(rig.tool.device().expect("it replies"), None);
 }
 

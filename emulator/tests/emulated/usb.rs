@@ -23,7 +23,7 @@ fn is_replying(rig: &Rig) -> bool {
 }
 
 fn wait_until_ready(rig: &Rig) {
-    let ready = rig.shared.board().run_until(2 * SECOND, MILLISECOND, |stopped| stopped.usb().ready());
+    let ready = rig.shared.board().run_until(2 * SECOND, MILLISECOND, |stopped| stopped.usb().is_ready());
     assert!(ready, "no port after two seconds: {:?}", rig.with(|stopped| stopped.usb().log().to_vec()));
 }
 

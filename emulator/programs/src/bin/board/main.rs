@@ -95,7 +95,7 @@ fn run(arguments: &Arguments) -> Result<(), Box<dyn std::error::Error>> {
     let mut board = VirtualBoard::start(&firmware, Hardware::new(wiring, Box::new(device))?)?;
 
     // The ports are printed only when the board has tested itself and replies.
-    if !board.run_until(2 * SECOND, MILLISECOND, |stopped| stopped.usb().ready()) {
+    if !board.run_until(2 * SECOND, MILLISECOND, |stopped| stopped.usb().is_ready()) {
         return Err("the firmware did not open its USB port within 2 s".into());
     }
 
