@@ -77,7 +77,7 @@ fn commit(board: &mut Board, keys: &[Key]) {
     board.ask::<CommitEntries>(&Commit { session: 1, keys: keys.iter().copied().collect() }).unwrap().unwrap();
 }
 fn restart(board: &mut Board) -> Board {
-    Board::with_flash(false, core::mem::take(&mut board.machine.flash.kept))
+    Board::with_flash(false, core::mem::take(&mut board.machine.flash.committed))
 }
 
 #[test]

@@ -28,7 +28,7 @@ struct Sectors {
     cut: Option<(usize, Cut)>,
     /// True if only the operation fails at the cut, and the flash works again afterwards.
     keeps_power: bool,
-    dead: bool,
+    is_off: bool,
 }
 
 #[derive(Debug)]
@@ -49,7 +49,7 @@ impl Sectors {
             bytes_read: 0,
             cut: None,
             keeps_power: false,
-            dead: false,
+            is_off: false,
         }
     }
 
@@ -57,12 +57,12 @@ impl Sectors {
     fn operate(&mut self) -> Option<Cut> {
         let number = self.operations;
         self.operations += 1;
-        if self.dead {
+        if self.is_off {
             return Some(Cut::Before);
         }
         match self.cut {
             Some((at, cut)) if at == number => {
-                self.dead = !self.keeps_power;
+                self.is_off = !self.keeps_power;
                 Some(cut)
             }
             _ => None,
@@ -71,7 +71,7 @@ impl Sectors {
 
     /// Restores the power and resets the counters.
     fn reboot(mut self) -> Self {
-        self.dead = false;
+        self.is_off = false;
         self.cut = None;
         self.operations = 0;
         self.erases = 0;
@@ -88,7 +88,7 @@ impl ReadNorFlash for Sectors {
     const READ_SIZE: usize = 1;
 
     async fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), PowerCut> {
-        if self.dead {
+        if self.is_off {
             return Err(PowerCut);
         }
         self.bytes_read += bytes.len();

@@ -423,12 +423,12 @@ fn a_frame_without_a_request_gets_an_error_or_no_reply() {
 fn a_flash_failure_is_reported_and_changes_no_setting() {
     let mut board = board_in(BoardState::Ready);
     let before = configuration(&mut board);
-    board.machine.flash.broken = true;
+    board.machine.flash.fails = true;
     assert_eq!(board.ask::<Save>(&()).unwrap(), Err(Refusal::Flash));
     assert_eq!(configuration(&mut board), before);
-    board.machine.flash.broken = false;
+    board.machine.flash.fails = false;
     assert_eq!(board.ask::<Save>(&()).unwrap(), Ok(()));
-    assert!(board.machine.flash.kept.len() >= 4);
+    assert!(board.machine.flash.committed.len() >= 4);
 }
 
 #[test]
@@ -598,13 +598,13 @@ fn heavier_device() -> DeviceData {
 #[test]
 fn a_restore_changes_all_settings_or_none() {
     let (low, high) = (rules_with_share(0.2), rules_with_share(0.9));
-    let board = |broken: bool| {
+    let board = |fails: bool| {
         let mut board = board_in(BoardState::Ready);
         board.ask::<SetRules>(&low).unwrap().unwrap();
         board.ask::<Save>(&()).unwrap().unwrap();
         stage_setting(&mut board, &high).unwrap();
         stage_setting(&mut board, &heavier_device()).unwrap();
-        board.machine.flash.broken = broken;
+        board.machine.flash.fails = fails;
         board
     };
     let both = commit_request(&[Key::Rules, Key::Device]);

@@ -39,22 +39,22 @@ impl Stream {
 /// Number of steps for each condition that straight steps handle specially.
 #[derive(Default, Debug)]
 struct Coverage {
-    empty: usize,
-    free: usize,
-    one: usize,
-    several: usize,
-    round: usize,
-    spring: usize,
+    no_walls: usize,
+    no_contact: usize,
+    one_contact: usize,
+    several_contacts: usize,
+    only_round_walls: usize,
+    springs: usize,
     /// Steps with one round wall whose velocity terms follow the turning normal.
-    turning: usize,
-    with_spring: usize,
-    with_plane: usize,
-    faded: usize,
-    off: usize,
-    damped: usize,
-    owed: usize,
-    straight: usize,
-    difference: f64,
+    turning_normal: usize,
+    shaped_with_spring: usize,
+    shaped_with_plane: usize,
+    partly_shaped: usize,
+    unshaped: usize,
+    passivity_damped: usize,
+    energy_debt: usize,
+    straight_steps: usize,
+    largest_difference: f64,
 }
 
 /// Draws a scene with flat or round walls near `place`, with all features of straight steps and some features that only
@@ -249,29 +249,30 @@ fn compare_steps<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize>(
         let other = other_forces::<T, M, K, N>(mechanism, &scene, push.as_ref(), &slow);
         let apart = difference_in_roundings::<T, M, K, N>(mechanism, &fast, &slow, other);
         assert!(apart <= MAX_ROUNDINGS, "{}: {apart} roundings at {at:?} of {scene:?}", M::SPEC.name);
-        coverage.difference = coverage.difference.max(apart);
+        coverage.largest_difference = coverage.largest_difference.max(apart);
         // The straight step may sum the forces of several walls in another order too.
         let fast = Step { torque: slow.torque, rendered: slow.rendered, force_squared: slow.force_squared, ..fast };
         assert_eq!(fast, slow, "{} at {at:?} of {scene:?}", M::SPEC.name);
-        coverage.straight +=
+        coverage.straight_steps +=
             usize::from(["variant: Wall", "variant: Round", "variant: Several"].iter().any(|it| variant.contains(it)));
         let round = |wall: &Wall<T>| matches!(wall.surface, Surface::Sphere(_));
-        coverage.empty += usize::from(scene.walls.is_empty());
-        coverage.free += usize::from(slow.contacts == 0);
-        coverage.one += usize::from(slow.contacts == 1);
-        coverage.several += usize::from(slow.contacts > 1);
-        coverage.round += usize::from(slow.contacts > 0 && scene.walls.iter().all(round));
-        coverage.spring += usize::from(!scene.springs.is_empty());
+        coverage.no_walls += usize::from(scene.walls.is_empty());
+        coverage.no_contact += usize::from(slow.contacts == 0);
+        coverage.one_contact += usize::from(slow.contacts == 1);
+        coverage.several_contacts += usize::from(slow.contacts > 1);
+        coverage.only_round_walls += usize::from(slow.contacts > 0 && scene.walls.iter().all(round));
+        coverage.springs += usize::from(!scene.springs.is_empty());
         let shaped = slow.contacts > 0
             && scene.walls.iter().any(|wall| wall.feed_forward != FeedForward::Off)
             && variant.contains("variant: Several");
-        coverage.turning += usize::from(slow.contacts > 0 && variant.contains("variant: Round"));
-        coverage.with_spring += usize::from(shaped && scene.springs.iter().any(|spring| spring.stiffness > T::zero()));
-        coverage.with_plane += usize::from(shaped && push.is_some_and(|push| push.plane.stiffness > T::zero()));
-        coverage.faded += usize::from(slow.shaping > T::zero() && slow.shaping < T::one());
-        coverage.off += usize::from(slow.shaping == T::zero());
-        coverage.damped += usize::from(slow.passivity_damping > T::zero());
-        coverage.owed += usize::from(slow.energy < T::zero() && scene.walls.iter().all(|wall| !wall.bilateral));
+        coverage.turning_normal += usize::from(slow.contacts > 0 && variant.contains("variant: Round"));
+        coverage.shaped_with_spring +=
+            usize::from(shaped && scene.springs.iter().any(|spring| spring.stiffness > T::zero()));
+        coverage.shaped_with_plane += usize::from(shaped && push.is_some_and(|push| push.plane.stiffness > T::zero()));
+        coverage.partly_shaped += usize::from(slow.shaping > T::zero() && slow.shaping < T::one());
+        coverage.unshaped += usize::from(slow.shaping == T::zero());
+        coverage.passivity_damped += usize::from(slow.passivity_damping > T::zero());
+        coverage.energy_debt += usize::from(slow.energy < T::zero() && scene.walls.iter().all(|wall| !wall.bilateral));
     }
 }
 
@@ -300,19 +301,19 @@ fn a_straight_step_equals_the_general_step_up_to_roundings() {
         }
         println!("{kind:?}: {coverage:?}");
         let ways = [
-            coverage.empty,
-            coverage.free,
-            coverage.one,
-            coverage.several,
-            coverage.round,
-            coverage.spring,
-            coverage.damped,
-            coverage.owed,
+            coverage.no_walls,
+            coverage.no_contact,
+            coverage.one_contact,
+            coverage.several_contacts,
+            coverage.only_round_walls,
+            coverage.springs,
+            coverage.passivity_damped,
+            coverage.energy_debt,
         ];
         assert!(ways.iter().all(|times| *times > 100), "{kind:?}: {coverage:?}");
-        let planar = [coverage.turning, coverage.with_spring, coverage.with_plane];
+        let planar = [coverage.turning_normal, coverage.shaped_with_spring, coverage.shaped_with_plane];
         assert!(kind != Kind::FiveBar || planar.iter().all(|times| *times > 100), "{kind:?}: {coverage:?}");
-        assert!(coverage.straight > 2000, "{kind:?}: {coverage:?}");
-        assert!(!fade_reached || (coverage.faded > 10 && coverage.off > 10), "{kind:?}: {coverage:?}");
+        assert!(coverage.straight_steps > 2000, "{kind:?}: {coverage:?}");
+        assert!(!fade_reached || (coverage.partly_shaped > 10 && coverage.unshaped > 10), "{kind:?}: {coverage:?}");
     }
 }

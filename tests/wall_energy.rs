@@ -34,7 +34,7 @@ struct Case {
     /// Length of the slide, m.
     slide: f64,
     /// Energy gain in an independent simulation, whose slide may start elsewhere, J.
-    gained: f64,
+    energy_gain: f64,
 }
 
 const CASES: [Case; 2] = [
@@ -45,7 +45,7 @@ const CASES: [Case; 2] = [
         depth: 0.002,
         from: -0.02,
         slide: 0.04,
-        gained: 0.066,
+        energy_gain: 0.066,
     },
     Case {
         device: "coupled-five-bar",
@@ -54,14 +54,14 @@ const CASES: [Case; 2] = [
         depth: 0.0005,
         from: 0.0,
         slide: 0.02,
-        gained: 0.014,
+        energy_gain: 0.014,
     },
 ];
 
 /// Energies of loops, J.
 struct LoopEnergies {
     /// Net work of the torques in each loop, J.
-    done: Vec<f64>,
+    work: Vec<f64>,
     /// Energy that the controller reports at the end of each contact, negative if it was given out, J.
     reported: Vec<f64>,
     /// f(d) ∫ γ ds of one loop, J.
@@ -115,10 +115,10 @@ impl Case {
 
         let (from, to) = (self.from, self.from + self.slide);
         let corners = [(1e-6, to), (1e-6, from), (-self.depth, from), (-self.depth, to), (1e-6, to)];
-        let mut loops = LoopEnergies { done: Vec::new(), reported: Vec::new(), derived: 0.0 };
+        let mut loops = LoopEnergies { work: Vec::new(), reported: Vec::new(), derived: 0.0 };
         let mut torque = SVector::<f64, N>::zeros();
         for nth in 0..times {
-            let (mut done, mut reported) = (0.0, 0.0);
+            let (mut work, mut reported) = (0.0, 0.0);
             for leg in corners.windows(2) {
                 for k in 1..=STEPS_PER_LEG {
                     let share = f64::from(k) / f64::from(STEPS_PER_LEG);
@@ -129,7 +129,7 @@ impl Case {
                         let pose = m.pose::<Libm>(&q);
                         q += m.inverse(&pose, &(target - m.tip(&pose)));
                     }
-                    done += torque.dot(&(q - before));
+                    work += torque.dot(&(q - before));
                     let step = controller.step(&fine_counts(&q));
                     torque = step.torque;
                     if step.contacts > 0 {
@@ -141,7 +141,7 @@ impl Case {
                     }
                 }
             }
-            loops.done.push(done);
+            loops.work.push(work);
             loops.reported.push(reported);
         }
         loops
@@ -151,15 +151,15 @@ impl Case {
 #[test]
 fn the_energy_gain_of_a_slide_is_as_derived_and_reported() {
     for case in &CASES {
-        let LoopEnergies { done, reported, derived } = case.run_loops(FeedForward::Full, false, 2);
-        assert!((derived / case.gained - 1.0).abs() < 0.1, "{}: {derived} J derived", case.device);
+        let LoopEnergies { work, reported, derived } = case.run_loops(FeedForward::Full, false, 2);
+        assert!((derived / case.energy_gain - 1.0).abs() < 0.1, "{}: {derived} J derived", case.device);
         // Torques are constant during a step, so they lag by half a step.
-        assert!(done.iter().all(|done| (done / derived - 1.0).abs() < 0.005), "{}: {done:?} J done", case.device);
+        assert!(work.iter().all(|work| (work / derived - 1.0).abs() < 0.005), "{}: {work:?} J done", case.device);
         // The debt of the first loop remains in the second loop.
-        assert!((reported[0] + done[0]).abs() < 1e-2 * done[0], "{}: {reported:?} reported for {done:?}", case.device);
+        assert!((reported[0] + work[0]).abs() < 1e-2 * work[0], "{}: {reported:?} reported for {work:?}", case.device);
         assert!(
-            (reported[1] + done[0] + done[1]).abs() < 1e-2 * done[0],
-            "{}: {reported:?} reported for {done:?}",
+            (reported[1] + work[0] + work[1]).abs() < 1e-2 * work[0],
+            "{}: {reported:?} reported for {work:?}",
             case.device
         );
     }
@@ -169,8 +169,8 @@ fn the_energy_gain_of_a_slide_is_as_derived_and_reported() {
 fn a_slide_gains_nothing_without_feed_forward_or_with_a_washout() {
     for case in &CASES {
         for (feed_forward, share) in [(FeedForward::Off, 0.005), (FeedForward::Washout, 0.02)] {
-            let LoopEnergies { done, derived, .. } = case.run_loops(feed_forward, false, 1);
-            assert!(done[0].abs() < share * derived, "{} {feed_forward:?}: {done:?} J of {derived}", case.device);
+            let LoopEnergies { work, derived, .. } = case.run_loops(feed_forward, false, 1);
+            assert!(work[0].abs() < share * derived, "{} {feed_forward:?}: {work:?} J of {derived}", case.device);
         }
     }
 }
@@ -178,11 +178,11 @@ fn a_slide_gains_nothing_without_feed_forward_or_with_a_washout() {
 #[test]
 fn the_passivity_controller_bounds_the_energy_of_all_loops() {
     for case in &CASES {
-        let LoopEnergies { done, reported, derived } = case.run_loops(FeedForward::Full, true, 5);
+        let LoopEnergies { work, reported, derived } = case.run_loops(FeedForward::Full, true, 5);
         let most = 0.5 * case.stiffness * case.depth * case.depth + MAX_DEBT;
         assert!(derived > 3.0 * most, "{}", case.device);
-        assert!(done.iter().sum::<f64>() < 1.02 * most, "{}: {done:?} J", case.device);
+        assert!(work.iter().sum::<f64>() < 1.02 * most, "{}: {work:?} J", case.device);
         assert!(reported.iter().all(|reported| *reported > -1.02 * most), "{}: {reported:?} J", case.device);
-        assert!(done[0] > 0.5 * most, "{}: the feed-forward must act up to the bound: {done:?} J", case.device);
+        assert!(work[0] > 0.5 * most, "{}: the feed-forward must act up to the bound: {work:?} J", case.device);
     }
 }

@@ -33,41 +33,41 @@ pub struct Case {
     /// Injects the error while the tip is in a wall.
     pub cause: fn(&mut Hardware),
     /// True if the board must detect the error. For other errors the table shows the effect.
-    pub detected: bool,
+    pub must_detect: bool,
 }
 
 /// All injected errors, which are injected one at a time.
 pub const CASES: &[Case] = &[
-    Case { name: "current sensors 8 A too high", cause: |board| add_to_shunts(board, 2, 8.0), detected: true },
-    Case { name: "current sensors 4 A too low", cause: |board| add_to_shunts(board, 2, -4.0), detected: true },
-    Case { name: "current sensors stuck at 0 A", cause: |board| scale_shunts(board, 2, 0.0), detected: true },
-    Case { name: "current sensors show a quarter", cause: |board| scale_shunts(board, 2, 0.25), detected: true },
+    Case { name: "current sensors 8 A too high", cause: |board| add_to_shunts(board, 2, 8.0), must_detect: true },
+    Case { name: "current sensors 4 A too low", cause: |board| add_to_shunts(board, 2, -4.0), must_detect: true },
+    Case { name: "current sensors stuck at 0 A", cause: |board| scale_shunts(board, 2, 0.0), must_detect: true },
+    Case { name: "current sensors show a quarter", cause: |board| scale_shunts(board, 2, 0.25), must_detect: true },
     // At rest a frozen current equals the requested current, so the board cannot detect it.
-    Case { name: "current sensors frozen, hand at rest", cause: freeze_current_sensor, detected: false },
+    Case { name: "current sensors frozen, hand at rest", cause: freeze_current_sensor, must_detect: false },
     Case {
         name: "current sensors frozen, hand moves",
         cause: |board| {
             freeze_current_sensor(board);
             move_along_wall(board);
         },
-        detected: false,
+        must_detect: false,
     },
-    Case { name: "one of two shunts 4 A too high", cause: |board| add_to_shunts(board, 1, 4.0), detected: true },
+    Case { name: "one of two shunts 4 A too high", cause: |board| add_to_shunts(board, 1, 4.0), must_detect: true },
     // The current of this contact is 0.4 A. The loop doubles it because the sensors report half. The difference between
     // the two sensors stays within the tolerance for correct sensors. In a contact of 2.5 N the board detects the error
     // (src/inject.rs, CurrentSensor).
-    Case { name: "one of two shunts shows nothing", cause: |board| scale_shunts(board, 1, 0.0), detected: false },
-    Case { name: "a winding open", cause: |board| board.broken.open[0] = true, detected: true },
-    Case { name: "a bridge stuck at 40 %", cause: |board| board.broken.stuck_on[0] = Some(0.4), detected: true },
+    Case { name: "one of two shunts shows nothing", cause: |board| scale_shunts(board, 1, 0.0), must_detect: false },
+    Case { name: "a winding open", cause: |board| board.faults.open[0] = true, must_detect: true },
+    Case { name: "a bridge stuck at 40 %", cause: |board| board.faults.stuck_on[0] = Some(0.4), must_detect: true },
     Case {
         name: "a gate driver forgets its registers",
         cause: |board| board.driver(0).reset_control_registers(),
-        detected: true,
+        must_detect: true,
     },
     Case {
         name: "an encoder unplugged, hand at rest",
         cause: |board| board.encoders_unplugged[0] = true,
-        detected: false,
+        must_detect: false,
     },
     Case {
         name: "an encoder unplugged, hand moves",
@@ -75,65 +75,65 @@ pub const CASES: &[Case] = &[
             board.encoders_unplugged[0] = true;
             move_along_wall(board);
         },
-        detected: false,
+        must_detect: false,
     },
-    Case { name: "an encoder shakes by 8 counts", cause: |board| board.broken.shake[0] = 8, detected: false },
-    Case { name: "an encoder counts backward, hand at rest", cause: reverse_encoder, detected: false },
+    Case { name: "an encoder shakes by 8 counts", cause: |board| board.faults.shake[0] = 8, must_detect: false },
+    Case { name: "an encoder counts backward, hand at rest", cause: reverse_encoder, must_detect: false },
     Case {
         name: "an encoder counts backward, hand moves",
         cause: |board| {
             reverse_encoder(board);
             move_along_wall(board);
         },
-        detected: false,
+        must_detect: false,
     },
-    Case { name: "two encoders change places, hand at rest", cause: swap_encoders, detected: false },
+    Case { name: "two encoders change places, hand at rest", cause: swap_encoders, must_detect: false },
     Case {
         name: "two encoders change places, hand moves",
         cause: |board| {
             swap_encoders(board);
             move_along_wall(board);
         },
-        detected: false,
+        must_detect: false,
     },
     Case {
         name: "the bus sensor shows 12 V of 24 V",
-        cause: |board| board.broken.bus_reading = Some(12.0),
-        detected: false,
+        cause: |board| board.faults.bus_reading = Some(12.0),
+        must_detect: false,
     },
     Case {
         name: "58 V on the bus, whose sensor shows 24 V",
         cause: |board| {
-            board.broken.bus_reading = Some(24.0);
+            board.faults.bus_reading = Some(24.0);
             if let Some(device) = board.plant.device() {
                 device.set_bus_voltage(58.0);
             }
         },
-        detected: false,
+        must_detect: false,
     },
 ];
 
 /// Makes the first `count` shunts of the first motor report `gain` times the motor's current.
 fn scale_shunts(board: &mut Hardware, count: usize, gain: f64) {
-    board.broken.sensor_gain[..count].fill(gain);
+    board.faults.sensor_gain[..count].fill(gain);
 }
 
 /// Adds `current` (A) to the readings of the first `count` shunts of the first motor.
 fn add_to_shunts(board: &mut Hardware, count: usize, current: f64) {
-    board.broken.sensor_offset[..count].fill(current);
+    board.faults.sensor_offset[..count].fill(current);
 }
 
 fn freeze_current_sensor(board: &mut Hardware) {
-    board.broken.sensor_frozen[0] = Some(board.plant.currents()[0]);
+    board.faults.sensor_frozen[0] = Some(board.plant.currents()[0]);
 }
 
 fn reverse_encoder(board: &mut Hardware) {
-    board.broken.share[0] = Some((board.plant.counts()[0], -1.0));
+    board.faults.share[0] = Some((board.plant.counts()[0], -1.0));
 }
 
 fn swap_encoders(board: &mut Hardware) {
     let [first, second, _] = board.plant.counts();
-    board.broken.swapped_at = Some([first, second]);
+    board.faults.swapped_at = Some([first, second]);
 }
 
 /// Makes the hand also move the tip along the wall while it pushes.
@@ -149,7 +149,7 @@ pub struct Outcome {
     /// The fault, if the error was detected.
     pub fault: Option<Fault>,
     /// Time from the cause until the bridges float, ns. The full waiting time if they do not float.
-    pub after: u64,
+    pub off_after_ns: u64,
     /// Peaks until the bridges float.
     pub peaks: Peaks,
 }
@@ -181,7 +181,7 @@ impl Campaign {
         rig.tool.disarm().expect("the board disarms");
         rig.with(move |stopped| {
             let board = stopped.hardware();
-            board.broken = BoardFaults::default();
+            board.faults = BoardFaults::default();
             board.encoders_unplugged = [false; 3];
             let device = board.plant.device().expect("a simulated device");
             device.set_bus_voltage(24.0);
@@ -228,12 +228,12 @@ impl Campaign {
             cause(stopped.hardware());
         });
         let floats = rig.shared.board().run_until(MAX_WAIT_NS, 25 * MICROSECOND, is_power_disabled);
-        let after = rig.now() - began;
+        let off_after_ns = rig.now() - began;
         let peaks = rig.with(|stopped| stopped.hardware().peaks);
         let status = rig.tool.status().expect("the board replies");
         assert_eq!(floats, status.state == State::Fault, "{}: {status:?}", case.name);
         assert!(!floats || rig.with(bridges_off), "{}: {status:?}", case.name);
-        Outcome { fault: status.fault.map(|record| record.fault), after, peaks }
+        Outcome { fault: status.fault.map(|record| record.fault), off_after_ns, peaks }
     }
 }
 
@@ -252,7 +252,7 @@ pub fn row(case: &Case, rate: u32, outcomes: &[Outcome]) -> String {
     let unseen = outcomes.iter().any(|outcome| outcome.fault.is_none());
     let after = match unseen {
         true => "not in 300 ms".to_owned(),
-        false => format!("{:.2}", worst(|outcome| outcome.after as f64 * 1e-6)),
+        false => format!("{:.2}", worst(|outcome| outcome.off_after_ns as f64 * 1e-6)),
     };
     csv_line([
         case.name,

@@ -37,10 +37,10 @@ pub fn count(firmware: &Firmware, seconds: u64) -> Result<Vec<(String, u64)>, St
         done: firmware.symbol("bench_done")?.address,
         name: firmware.symbol("BENCH_NAME")?,
         until: VirtualNanos(seconds * 1_000_000_000),
-        armed: false,
-        open: None,
+        watches_are_set: false,
+        open_call: None,
         finished: false,
-        broken: None,
+        violation: None,
         variants: Vec::new(),
     };
     let emulator = |error: &dyn Display| format!("the emulator stopped: {error}");
@@ -49,8 +49,8 @@ pub fn count(firmware: &Firmware, seconds: u64) -> Result<Vec<(String, u64)>, St
     let session = Session::new(Box::new(hardware), 0, VirtualNanos(1)).map_err(|error| emulator(&error))?;
     let images = [firmware.image().map_err(|error| emulator(&error))?];
     let finished = emulator::run(session, &Start::new(&images), driver).map_err(|error| emulator(&error))?;
-    let Counter { broken, finished, mut variants, .. } = finished.driver;
-    if let Some(reason) = broken {
+    let Counter { violation, finished, mut variants, .. } = finished.driver;
+    if let Some(reason) = violation {
         return Err(format!("the image breaks the marker convention: {reason}"));
     }
     if !finished {
@@ -69,10 +69,10 @@ struct Counter {
     done: u64,
     name: Symbol,
     until: VirtualNanos,
-    armed: bool,
-    open: Option<(String, u64)>,
+    watches_are_set: bool,
+    open_call: Option<(String, u64)>,
     finished: bool,
-    broken: Option<&'static str>,
+    violation: Option<&'static str>,
     /// Name of each variant, and the instructions of its longest call including the markers.
     variants: Vec<(String, u64)>,
 }
@@ -81,12 +81,12 @@ impl Counter {
     fn on_hit(&mut self, hit: Hit, host: &mut dyn Host) {
         if hit.address == self.begin {
             match variant_name(self.name, host) {
-                Some(name) => self.open = Some((name, hit.instruction_count)),
-                None => self.broken = Some("BENCH_NAME does not point at text"),
+                Some(name) => self.open_call = Some((name, hit.instruction_count)),
+                None => self.violation = Some("BENCH_NAME does not point at text"),
             }
         } else if hit.address == self.end {
-            let Some((name, from)) = self.open.take() else {
-                self.broken = Some("bench_end without bench_begin");
+            let Some((name, from)) = self.open_call.take() else {
+                self.violation = Some("bench_end without bench_begin");
                 return;
             };
             let instructions = hit.instruction_count - from;
@@ -104,20 +104,20 @@ impl Driver<Hardware> for Counter {
     fn on_settled(&mut self, session: &mut Session<Hardware>, host: &mut dyn Host, settled: Settled) {
         if let Settled::Hit(hit) = settled {
             self.on_hit(hit, host);
-            if self.finished || self.broken.is_some() {
+            if self.finished || self.violation.is_some() {
                 session.run_until(hit.at);
             }
         }
     }
 
     fn on_stop(&mut self, session: &mut Session<Hardware>, stop: Stop, _host: &mut dyn Host) -> Option<VirtualNanos> {
-        if !self.armed {
-            self.armed = true;
+        if !self.watches_are_set {
+            self.watches_are_set = true;
             for address in [self.begin, self.end, self.done] {
                 session.watch(Watch::Instruction(address));
             }
         }
-        let over = self.finished || self.broken.is_some() || stop.at >= self.until;
+        let over = self.finished || self.violation.is_some() || stop.at >= self.until;
         (!over).then_some(self.until)
     }
 }

@@ -47,7 +47,7 @@ struct Cost {
     length: u32,
     cycles: u64,
     /// True for a single load, which overlaps with a load that follows.
-    load: bool,
+    is_load: bool,
     /// Address of the constant that the instruction loads from the code.
     constant: Option<u32>,
     /// FPU register that arithmetic writes.
@@ -58,11 +58,11 @@ struct Cost {
 
 impl Cost {
     fn of(length: u32, cycles: u64) -> Self {
-        Self { length, cycles, load: false, constant: None, writes: None, reads: [None; 2] }
+        Self { length, cycles, is_load: false, constant: None, writes: None, reads: [None; 2] }
     }
 
     fn load(length: u32, constant: Option<u32>) -> Self {
-        Self { load: true, constant, ..Self::of(length, 2) }
+        Self { is_load: true, constant, ..Self::of(length, 2) }
     }
 }
 
@@ -156,9 +156,9 @@ struct FlashState {
     flash: Flash,
     now: u64,
     /// Time at which the flash array is free again.
-    free: u64,
+    free_at: u64,
     line: Option<u32>,
-    ahead: Option<u32>,
+    prefetched_line: Option<u32>,
     instructions: Lines,
     constants: Lines,
 }
@@ -166,8 +166,8 @@ struct FlashState {
 impl FlashState {
     /// Reads a line of the flash array and waits until it arrives.
     fn read(&mut self) {
-        self.now = self.now.max(self.free) + WAIT_STATES;
-        self.free = self.now;
+        self.now = self.now.max(self.free_at) + WAIT_STATES;
+        self.free_at = self.now;
     }
 
     fn instruction(&mut self, at: u32) {
@@ -179,15 +179,15 @@ impl FlashState {
             return self.read();
         }
         if !self.instructions.use_line(line, INSTRUCTION_LINES) {
-            if self.ahead == Some(line) {
-                self.now = self.now.max(self.free);
+            if self.prefetched_line == Some(line) {
+                self.now = self.now.max(self.free_at);
             } else {
                 self.read();
             }
         }
-        if !self.instructions.0.contains(&(line + 1)) && self.ahead != Some(line + 1) {
-            self.ahead = Some(line + 1);
-            self.free = self.now.max(self.free) + 1 + WAIT_STATES;
+        if !self.instructions.0.contains(&(line + 1)) && self.prefetched_line != Some(line + 1) {
+            self.prefetched_line = Some(line + 1);
+            self.free_at = self.now.max(self.free_at) + 1 + WAIT_STATES;
         }
     }
 
@@ -205,9 +205,9 @@ pub fn estimate(code: &Code, path: &[u32], flash: Flash) -> u64 {
     let mut state = FlashState {
         flash,
         now: EXCEPTION_CYCLES,
-        free: 0,
+        free_at: 0,
         line: None,
-        ahead: None,
+        prefetched_line: None,
         instructions: Lines::default(),
         constants: Lines::default(),
     };
@@ -219,7 +219,7 @@ pub fn estimate(code: &Code, path: &[u32], flash: Flash) -> u64 {
         if let Some(constant) = cost.constant {
             state.load_constant(constant);
         }
-        let overlaps = u64::from(before.load && cost.load);
+        let overlaps = u64::from(before.is_load && cost.is_load);
         let waits = u64::from(before.writes.is_some() && cost.reads.contains(&before.writes));
         let is_taken = path.get(nth + 1).is_some_and(|&next| next != at + cost.length);
         state.now += cost.cycles - overlaps + waits + if is_taken { REFILL_CYCLES } else { 0 };

@@ -19,11 +19,11 @@ const SHORTED_INPUTS: u16 = 0b11 << 4;
 /// One gate driver.
 #[derive(Debug, Default)]
 pub struct Drv8301 {
-    on: bool,
+    enabled: bool,
     control: [u16; 2],
     fault: u16,
-    answer: u16,
-    stuck: bool,
+    next_reply: u16,
+    ignores_writes: bool,
 }
 
 /// Not stored in snapshots, because a run starts at power-on.
@@ -31,9 +31,9 @@ impl Store for Drv8301 {}
 
 impl Drv8301 {
     /// Sets the level of EN_GATE. A low level resets every register and clears the faults.
-    pub fn enable(&mut self, on: bool) {
-        if self.on != on {
-            *self = Self { on, stuck: self.stuck, ..Self::default() };
+    pub fn enable(&mut self, enabled: bool) {
+        if self.enabled != enabled {
+            *self = Self { enabled, ignores_writes: self.ignores_writes, ..Self::default() };
         }
     }
 
@@ -45,12 +45,12 @@ impl Drv8301 {
     /// Returns true if the driver pulls the fault line low.
     #[must_use]
     pub fn pulls_fault(&self) -> bool {
-        self.on && self.fault != 0
+        self.enabled && self.fault != 0
     }
 
     /// Makes the control registers ignore writes, as in a missing or broken driver.
-    pub fn ignore_writes(&mut self, stuck: bool) {
-        self.stuck = stuck;
+    pub fn ignore_writes(&mut self, ignores_writes: bool) {
+        self.ignores_writes = ignores_writes;
     }
 
     /// Resets the control registers, like a dip of the driver's supply.
@@ -63,7 +63,7 @@ impl Drv8301 {
     #[must_use]
     pub fn gain(&self) -> Option<f64> {
         let shorted = self.control[1] & SHORTED_INPUTS != 0;
-        self.on.then(|| if shorted { 0.0 } else { GAINS[usize::from(self.control[1] >> 2) & 3] })
+        self.enabled.then(|| if shorted { 0.0 } else { GAINS[usize::from(self.control[1] >> 2) & 3] })
     }
 
     /// Returns the control registers.
@@ -85,19 +85,19 @@ impl Drv8301 {
 impl Peer for Drv8301 {
     fn transfer(&mut self, mosi: u32, bits: u8, _: &mut Timeline<'_, '_>) -> u32 {
         // While off, and in frames of unknown length, the driver leaves the line to the pull-up.
-        if !self.on || bits != 16 {
+        if !self.enabled || bits != 16 {
             return (1 << bits) - 1;
         }
-        let answer = u32::from(self.answer);
+        let reply = u32::from(self.next_reply);
         let address = (mosi >> 11) & 0xF;
         if mosi & READ_BIT != 0 {
-            self.answer = (address << 11) as u16 | self.register(address);
+            self.next_reply = (address << 11) as u16 | self.register(address);
         } else {
-            if matches!(address, 2 | 3) && !self.stuck {
+            if matches!(address, 2 | 3) && !self.ignores_writes {
                 self.control[address as usize - 2] = (mosi & 0x7FF) as u16;
             }
-            self.answer = 0;
+            self.next_reply = 0;
         }
-        answer
+        reply
     }
 }

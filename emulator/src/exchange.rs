@@ -24,9 +24,9 @@ pub struct Exchanges {
     /// Number of requests with a reply, per second.
     pub per_second: f64,
     /// Median time from a request to its reply, s.
-    pub median: f64,
+    pub median_seconds: f64,
     /// Longest time from a request to its reply, s.
-    pub longest: f64,
+    pub longest_seconds: f64,
     /// Number of rejected requests.
     pub rejected: usize,
     /// Number of control steps.
@@ -64,8 +64,8 @@ pub fn run(
     times.sort_unstable();
     Exchanges {
         per_second: count as f64 / seconds(ended - began),
-        median: seconds(times[count / 2]),
-        longest: seconds(times[count - 1]),
+        median_seconds: seconds(times[count / 2]),
+        longest_seconds: seconds(times[count - 1]),
         rejected,
         steps: after.wrapping_sub(before),
         periods: ((ended - began) * u64::from(rate_hz) / 1_000_000_000) as u32,

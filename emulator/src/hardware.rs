@@ -74,22 +74,22 @@ pub struct Hardware {
     /// True if the wire from the bus divider to the chip's pin is cut. Takes effect at the next start.
     pub bus_cut: bool,
     /// Other injected errors.
-    pub broken: BoardFaults,
+    pub faults: BoardFaults,
     /// Largest values since the last reset of this field.
     pub peaks: Peaks,
     encoders: [EncoderDrive; 3],
     /// Number of times that the encoders were sampled.
     samples: u64,
     next_step: u64,
-    drives: [MotorInput; 3],
+    motor_inputs: [MotorInput; 3],
     break_level: Option<Level>,
     restarts_seen: Option<u64>,
 }
 
 #[derive(Clone, Copy, Debug, Default)]
 struct EncoderDrive {
-    shown: i32,
-    wanted: i32,
+    shown_count: i32,
+    wanted_count: i32,
 }
 
 /// Not stored in snapshots, because a run starts at power-on.
@@ -110,12 +110,12 @@ impl Hardware {
             encoders_unplugged: [false; 3],
             edges_lost: [0; 3],
             bus_cut: false,
-            broken: BoardFaults::default(),
+            faults: BoardFaults::default(),
             peaks: Peaks::default(),
             encoders: [EncoderDrive::default(); 3],
             samples: 0,
             next_step: 0,
-            drives: [MotorInput::Floating; 3],
+            motor_inputs: [MotorInput::Floating; 3],
             break_level: None,
             restarts_seen: None,
         })
@@ -127,7 +127,7 @@ impl Hardware {
         let wiring = wiring.into();
         let mut hardware = Self { wiring: Some(wiring), plant, ..Self::bare()? };
         hardware.chip.set_supply(wiring.supply_mv);
-        for select in wiring.drivers {
+        for select in wiring.driver_selects {
             let (port, pin) = port_and_pin(*select);
             let select = Select { port: PORT_NAMES[port], pin, active: Level::Low };
             hardware.chip.spi[SPI3].attach_selected(Drv8301::default(), select);
@@ -142,8 +142,8 @@ impl Hardware {
 
     /// Returns the motor inputs of the last step.
     #[must_use]
-    pub fn drives(&self) -> [MotorInput; 3] {
-        self.drives
+    pub fn motor_inputs(&self) -> [MotorInput; 3] {
+        self.motor_inputs
     }
 
     /// Returns true if no bridge drives its motor now, because the main outputs are disabled and the enable line is
@@ -174,7 +174,7 @@ impl Hardware {
             }
             let bus_level = Level::from(self.plant.bus_voltage() / wiring.bus.1 > wiring.zero_current_volts());
             self.drive_pin(wiring.bus_pin(), (!self.bus_cut).then_some(bus_level), at);
-            wiring.held.iter().for_each(|&pin| self.set_pin(pin, Level::High, at));
+            wiring.pins_held_high.iter().for_each(|&pin| self.set_pin(pin, Level::High, at));
         }
         if at.0 >= self.next_step {
             self.advance_plant(wiring, at);
@@ -198,21 +198,22 @@ impl Hardware {
     fn advance_plant(&mut self, wiring: &Wiring, at: VirtualNanos) {
         let spans = [0, 1].map(|nth| self.chip.advanced[nth].hook.take_span(at));
         let enabled = self.level(wiring.enable) == Level::High;
-        for nth in 0..wiring.drivers.len() {
+        for nth in 0..wiring.driver_selects.len() {
             self.driver(nth).enable(enabled);
         }
         for (axis, motor) in wiring.motors.iter().enumerate() {
-            self.drives[axis] = self.drive(wiring, motor, &spans[usize::from(motor.timer == 8)], enabled);
+            self.motor_inputs[axis] = self.drive(wiring, motor, &spans[usize::from(motor.timer == 8)], enabled);
         }
-        self.peaks.driven |= !self.bridges_float();
-        self.peaks.touched = self.peaks.touched || wiring.power.iter().any(|&pin| !self.is_untouched(pin));
+        self.peaks.bridge_was_on |= !self.bridges_float();
+        self.peaks.power_pin_was_driven =
+            self.peaks.power_pin_was_driven || wiring.power.iter().any(|&pin| !self.is_untouched(pin));
         if spans[0].whole > 0 {
-            self.plant.step(&self.broken.drives(self.drives), spans[0].whole as f64 * 1e-9);
+            self.plant.step(&self.faults.drives(self.motor_inputs), spans[0].whole as f64 * 1e-9);
             self.peaks.update(&mut *self.plant);
             self.samples += 1;
         }
-        for (encoder, counts) in self.encoders.iter_mut().zip(self.broken.counts(self.plant.counts(), self.samples)) {
-            encoder.wanted = counts;
+        for (encoder, counts) in self.encoders.iter_mut().zip(self.faults.counts(self.plant.counts(), self.samples)) {
+            encoder.wanted_count = counts;
         }
         self.show_analog(wiring);
         self.show_levels(wiring, at);
@@ -224,7 +225,7 @@ impl Hardware {
             return MotorInput::Floating;
         }
         if span.driven * 2 < span.whole {
-            return if wiring.idle_brakes { MotorInput::Duty(0.0) } else { MotorInput::Floating };
+            return if wiring.brakes_when_idle { MotorInput::Duty(0.0) } else { MotorInput::Floating };
         }
         let share = |end| match end {
             HalfBridge::Channel(n) => span.active[usize::from(n) - 1] as f64,
@@ -245,9 +246,9 @@ impl Hardware {
         let currents = self.plant.currents();
         let mut nth = 0;
         for (axis, motor) in wiring.motors.iter().enumerate() {
-            let gain = if wiring.drivers.is_empty() { Some(1.0) } else { self.driver(axis).gain() };
+            let gain = if wiring.driver_selects.is_empty() { Some(1.0) } else { self.driver(axis).gain() };
             for &(channel, volts_per_ampere) in motor.sensors {
-                let current = self.broken.current(&currents, axis, nth);
+                let current = self.faults.current(&currents, axis, nth);
                 let volts = gain.map_or(0.0, |gain| {
                     wiring.zero_current_volts() + wiring.sensor_offsets[nth] + gain * volts_per_ampere * current
                 });
@@ -256,7 +257,7 @@ impl Hardware {
             }
         }
         let (channel, divider) = wiring.bus;
-        self.show_volts(wiring, channel, self.broken.bus_reading.unwrap_or(self.plant.bus_voltage()) / divider);
+        self.show_volts(wiring, channel, self.faults.bus_reading.unwrap_or(self.plant.bus_voltage()) / divider);
     }
 
     fn show_volts(&mut self, wiring: &Wiring, channel: u8, volts: f64) {
@@ -271,9 +272,10 @@ impl Hardware {
     }
 
     fn show_levels(&mut self, wiring: &Wiring, at: VirtualNanos) {
-        let pulled = self.fault_line_shorted || (0..wiring.drivers.len()).any(|nth| self.driver(nth).pulls_fault());
+        let pulled =
+            self.fault_line_shorted || (0..wiring.driver_selects.len()).any(|nth| self.driver(nth).pulls_fault());
         self.set_pin(wiring.fault, Level::from(!pulled), at);
-        if wiring.fault_breaks {
+        if wiring.fault_is_break_input {
             let level = Level::from(!pulled);
             if self.break_level != Some(level) && self.function(wiring.fault) == Some(1) {
                 self.break_level = Some(level);
@@ -319,12 +321,12 @@ impl Hardware {
         let mut moving = false;
         for (axis, wires) in wiring.encoders.iter().enumerate() {
             let encoder = &mut self.encoders[axis];
-            let step = (encoder.wanted - encoder.shown).signum();
+            let step = (encoder.wanted_count - encoder.shown_count).signum();
             if step == 0 {
                 continue;
             }
-            encoder.shown += step;
-            moving |= encoder.shown != encoder.wanted;
+            encoder.shown_count += step;
+            moving |= encoder.shown_count != encoder.wanted_count;
             if self.edges_lost[axis] > 0 {
                 self.edges_lost[axis] -= 1;
                 continue;
@@ -339,7 +341,7 @@ impl Hardware {
     }
 
     fn show_phase(&mut self, at: VirtualNanos, axis: usize, wires: &EncoderWires) {
-        let levels = QUADRATURE[self.encoders[axis].shown.rem_euclid(4) as usize];
+        let levels = QUADRATURE[self.encoders[axis].shown_count.rem_euclid(4) as usize];
         for (channel, level) in (1..).zip(levels) {
             let channel = Channel::new(channel).expect("a timer has four channels");
             self.chip.drive_timer(at, usize::from(wires.timer) - 2, |timer, registers, context| {

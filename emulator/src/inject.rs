@@ -184,7 +184,7 @@ pub fn injection(fault: Fault) -> Injection {
             "a current sensor shows 8 A too much",
             rig_in_contact,
             |rig| {
-                rig.with(|stopped| stopped.hardware().broken.sensor_offset[..2].fill(8.0));
+                rig.with(|stopped| stopped.hardware().faults.sensor_offset[..2].fill(8.0));
             },
             5,
         ),
@@ -359,7 +359,7 @@ pub fn injection(fault: Fault) -> Injection {
             "current sensors that show two thirds of the current, in the polarity check",
             disarmed_rig,
             |rig| {
-                rig.with(|stopped| stopped.hardware().broken.sensor_gain[..2].fill(0.67));
+                rig.with(|stopped| stopped.hardware().faults.sensor_gain[..2].fill(0.67));
                 rig.tool.check_polarity().expect("the check starts");
             },
             30_000,
@@ -397,7 +397,7 @@ pub fn injection(fault: Fault) -> Injection {
                 rig
             },
             |rig| {
-                rig.with(|stopped| stopped.hardware().broken.sensor_offset[..2].fill(0.5));
+                rig.with(|stopped| stopped.hardware().faults.sensor_offset[..2].fill(0.5));
             },
             5,
         ),
@@ -405,7 +405,7 @@ pub fn injection(fault: Fault) -> Injection {
             "one of a motor's two shunts shows nothing while a hand pushes with 2.5 N",
             || pressed_rig(2.5),
             |rig| {
-                rig.with(|stopped| stopped.hardware().broken.sensor_gain[0] = 0.0);
+                rig.with(|stopped| stopped.hardware().faults.sensor_gain[0] = 0.0);
             },
             5,
         ),
@@ -414,8 +414,8 @@ pub fn injection(fault: Fault) -> Injection {
             rig_in_contact,
             |rig| {
                 rig.with(|stopped| {
-                    stopped.hardware().broken.sensor_gain[0] = 0.0;
-                    stopped.hardware().broken.sensor_gain[1] = 0.0;
+                    stopped.hardware().faults.sensor_gain[0] = 0.0;
+                    stopped.hardware().faults.sensor_gain[1] = 0.0;
                 });
             },
             50,
@@ -432,7 +432,7 @@ pub fn injection(fault: Fault) -> Injection {
             "a bridge stuck at a duty of 20 % before arming",
             disarmed_rig,
             |rig| {
-                rig.with(|stopped| stopped.hardware().broken.stuck_on[0] = Some(0.2));
+                rig.with(|stopped| stopped.hardware().faults.stuck_on[0] = Some(0.2));
                 let _ = rig.tool.check_polarity();
             },
             500,

@@ -30,7 +30,7 @@ pub struct Load {
     /// Losses of telemetry.
     pub losses: Losses,
     /// Number of telemetry rows that were due.
-    pub due: u64,
+    pub due_rows: u64,
     /// True if the walls were still rendered at the end.
     pub armed: bool,
     /// The latched fault.
@@ -105,7 +105,7 @@ pub fn run(rig: &mut Rig, (fields, divider): (Fields, u32), rate_hz: u32, millis
         periods: ((ended - began) as f64 * 1.0e-9 * true_rate(rate_hz)) as u32,
         overruns: details.overruns.wrapping_sub(overruns),
         losses,
-        due: u64::from(last.wrapping_sub(first) / divider) + 1,
+        due_rows: u64::from(last.wrapping_sub(first) / divider) + 1,
         armed: status.state == State::Armed,
         fault: status.fault,
         stack_free: details.stack_free,

@@ -98,10 +98,10 @@ pub struct Peaks {
     /// Largest distance of the tip from its first position, m.
     pub travel: f64,
     /// True if a bridge was on.
-    pub driven: bool,
+    pub bridge_was_on: bool,
     /// True if the chip drove a pin of the power stage or pulled it up.
-    pub touched: bool,
-    from: Option<[f64; 3]>,
+    pub power_pin_was_driven: bool,
+    first_tip: Option<[f64; 3]>,
 }
 
 impl Peaks {
@@ -113,8 +113,8 @@ impl Peaks {
         self.current = self.current.max(largest(currents));
         self.speed = self.speed.max(largest(device.qd()));
         let tip = device.tip();
-        let from = *self.from.get_or_insert(tip);
-        let way = tip.iter().zip(from).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt();
+        let first = *self.first_tip.get_or_insert(tip);
+        let way = tip.iter().zip(first).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt();
         self.travel = self.travel.max(way);
     }
 }

@@ -108,7 +108,7 @@ impl Rig {
             board.run_until(2 * SECOND, MILLISECOND, |stopped| stopped.usb().is_ready()),
             "no USB after two seconds"
         );
-        assert!(!board.with(|stopped| stopped.hardware().peaks.driven), "a bridge was on before USB was ready");
+        assert!(!board.with(|stopped| stopped.hardware().peaks.bridge_was_on), "a bridge was on before USB was ready");
         let shared = Shared::new(board);
         let tool = Board::over(shared.wire(), "virtual").unwrap_or_else(|error| panic!("{error}"));
         let mut rig = Self { kind, shared, tool, file };

@@ -33,15 +33,15 @@ pub struct Timing {
     /// Number of measured steps.
     pub periods: usize,
     /// Mean number of instructions of a step.
-    pub mean: f64,
+    pub mean_step: f64,
     /// Number of instructions of the longest step.
-    pub longest: u64,
+    pub longest_step: u64,
     /// Number of instructions of the shortest step.
-    pub shortest: u64,
+    pub shortest_step: u64,
     /// Mean number of instructions of a valley without a request of the tasks.
     pub valley_mean: f64,
     /// Number of instructions of the longest valley, with or without a request.
-    pub valley: u64,
+    pub longest_valley: u64,
     /// Mean number of instructions of a step in each source file.
     pub files: BTreeMap<String, f64>,
     /// Estimated cycles of the longest step, for each of [`Flash::ALL`].
@@ -71,14 +71,14 @@ impl Case {
 impl Timing {
     fn of(runs: &[Run], code: &Code, sources: &mut Sources<'_>) -> Self {
         let (mut works, mut files) = (Vec::new(), BTreeMap::new());
-        let (mut valley, mut quiet, mut quiet_sum) = (0, 0_u32, 0);
+        let (mut longest_valley, mut quiet, mut quiet_sum) = (0, 0_u32, 0);
         for run in runs {
             let length = run.path.len() as u64;
             if sources.is_crest(run) {
                 works.push(sources.instructions_without_waiting(run));
                 continue;
             }
-            valley = valley.max(length);
+            longest_valley = longest_valley.max(length);
             if !sources.has_request(run) {
                 quiet += 1;
                 quiet_sum += length;
@@ -92,11 +92,11 @@ impl Timing {
         let longest = works.iter().max_by_key(|work| work.len()).map_or(&[][..], Vec::as_slice);
         Self {
             periods: works.len(),
-            mean: lengths().sum::<u64>() as f64 * share,
-            longest: longest.len() as u64,
-            shortest: lengths().min().unwrap_or(0),
+            mean_step: lengths().sum::<u64>() as f64 * share,
+            longest_step: longest.len() as u64,
+            shortest_step: lengths().min().unwrap_or(0),
             valley_mean: quiet_sum as f64 / f64::from(quiet.max(1)),
-            valley,
+            longest_valley,
             files,
             cycles: Flash::ALL.map(|flash| estimate(code, longest, flash)),
         }
@@ -177,18 +177,18 @@ pub fn table(timings: &[Timing]) -> String {
         text += &csv_line(std::iter::once(name.to_owned()).chain(cells));
     };
     let each = |value: fn(&Timing) -> u64| timings.iter().map(|timing| value(timing).to_string()).collect();
-    row("mean", timings.iter().map(|timing| format!("{:.0}", timing.mean)).collect());
-    row("shortest", each(|timing| timing.shortest));
-    row(LONGEST_ROW, each(|timing| timing.longest));
-    row("jitter", each(|timing| timing.longest - timing.shortest));
+    row("mean", timings.iter().map(|timing| format!("{:.0}", timing.mean_step)).collect());
+    row("shortest", each(|timing| timing.shortest_step));
+    row(LONGEST_ROW, each(|timing| timing.longest_step));
+    row("jitter", each(|timing| timing.longest_step - timing.shortest_step));
     let target = |(case, timing): (&Case, &Timing)| case.verdict(timing);
     row("aimed at, mean", CASES.iter().zip(timings).map(target).collect());
     row("valley: mean, no request", timings.iter().map(|timing| format!("{:.0}", timing.valley_mean)).collect());
     row(
         "crest and valley, mean",
-        timings.iter().map(|timing| format!("{:.0}", timing.mean + timing.valley_mean)).collect(),
+        timings.iter().map(|timing| format!("{:.0}", timing.mean_step + timing.valley_mean)).collect(),
     );
-    row(VALLEY_ROW, each(|timing| timing.valley));
+    row(VALLEY_ROW, each(|timing| timing.longest_valley));
     let names = ["core alone", "flash as the firmware sets it", "flash without cache and prefetch"];
     for (nth, name) in names.into_iter().enumerate() {
         row(
@@ -213,9 +213,9 @@ pub fn scenes(timings: &[Timing]) -> String {
     for (case, timing) in SCENES.iter().zip(timings) {
         text += &csv_line([
             case.scene_kind.name(),
-            &format!("{:.0}", timing.mean),
-            &timing.shortest.to_string(),
-            &timing.longest.to_string(),
+            &format!("{:.0}", timing.mean_step),
+            &timing.shortest_step.to_string(),
+            &timing.longest_step.to_string(),
             &case.verdict(timing),
             &timing.cycles[1].to_string(),
         ]);
@@ -225,7 +225,7 @@ pub fn scenes(timings: &[Timing]) -> String {
 
 impl Case {
     fn verdict(&self, timing: &Timing) -> String {
-        let (target, mean) = (self.target, timing.mean.round() as u64);
+        let (target, mean) = (self.target, timing.mean_step.round() as u64);
         if mean <= target { format!("{target}: met") } else { format!("{target}: missed by {}", mean - target) }
     }
 }

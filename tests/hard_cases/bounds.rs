@@ -119,8 +119,8 @@ fn velocity_filters_keep_four_digits_at_any_cutoff() {
 fn a_hit_at_10_m_per_s_keeps_four_digits_and_never_pulls() {
     assert_eq!(STEPS.len(), 5);
     for row in &*STEPS {
-        assert!(row.hit < 1e-4, "{row:?}");
-        assert!(row.least >= 0.0, "{row:?}");
+        assert!(row.hit_error < 1e-4, "{row:?}");
+        assert!(row.smallest_force >= 0.0, "{row:?}");
         assert!(row.force > 1e3 && (9.0..12.0).contains(&row.speed), "{row:?}");
     }
 }
@@ -131,7 +131,7 @@ fn a_stiff_wall_is_exact_to_the_last_digit_of_the_tip_position() {
     // sines. The stiffness is 1e6 N/m.
     assert_eq!(STEPS.len(), 5);
     for row in &*STEPS {
-        assert!(row.press < 1e-7 * 1e6, "{row:?}");
+        assert!(row.resting_force_error < 1e-7 * 1e6, "{row:?}");
     }
 }
 
@@ -143,7 +143,7 @@ fn walls_at_small_angles_or_unequal_stiffness_keep_five_digits() {
             assert!(error < 1e-5, "{row:?}");
         }
         // Without the feed-forward (Jᵀ F alone) the error would be a hundred times larger.
-        assert!(row.shaped > 1e-3, "{row:?}");
+        assert!(row.smallest_shaping > 1e-3, "{row:?}");
     }
 }
 

@@ -28,8 +28,8 @@ use std::collections::BTreeMap;
 #[derive(Default)]
 pub struct Flash {
     /// Committed settings, which the next start reads.
-    pub kept: BTreeMap<u8, Entry>,
-    pub broken: bool,
+    pub committed: BTreeMap<u8, Entry>,
+    pub fails: bool,
     staged: BTreeMap<u8, Entry>,
 }
 
@@ -45,7 +45,7 @@ pub struct RigMachine {
 impl RigMachine {
     fn check_writable(&self) -> Result<(), Refusal> {
         assert!(!self.control_loop.status().state.drives(), "flash is written while the motors are on");
-        if self.flash.broken { Err(Refusal::Flash) } else { Ok(()) }
+        if self.flash.fails { Err(Refusal::Flash) } else { Ok(()) }
     }
 }
 
@@ -82,11 +82,11 @@ impl Machine for RigMachine {
         self.check_writable()?;
         let mut staged = core::mem::take(&mut self.flash.staged);
         let named: Option<Vec<_>> = keys.iter().map(|key| staged.remove_entry(&(*key as u8))).collect();
-        self.flash.kept.extend(named.ok_or(Refusal::Flash)?);
+        self.flash.committed.extend(named.ok_or(Refusal::Flash)?);
         Ok(())
     }
     fn load(&mut self, key: Key) -> Option<Entry> {
-        self.flash.kept.get(&(key as u8)).cloned()
+        self.flash.committed.get(&(key as u8)).cloned()
     }
 }
 
@@ -159,7 +159,7 @@ impl Board {
         let mut board = Self {
             machine: RigMachine {
                 control_loop: ControlLoop::new(hardware, Rules::default()),
-                flash: Flash { kept: flash, ..Flash::default() },
+                flash: Flash { committed: flash, ..Flash::default() },
                 carrier_sets: 0,
             },
             service: Service::new(hardware, board_limits),
@@ -208,7 +208,7 @@ impl Board {
         }
         self.check_invariants();
         self.check_slow_faults(&samples);
-        // This is checked here and not after a request, because a lowered limit acts at the next control step.
+        // The torques are checked here and not after a request, because a lowered limit acts at the next control step.
         let (torque, limits) = (frame.motors.torque, self.service.rules().limits);
         let within = torque.iter().zip(&limits.torque).all(|(torque, limit)| torque.abs() <= limit * 1.000_01);
         assert!(within, "torque {torque:?} above {limits:?}");
@@ -289,7 +289,7 @@ impl Board {
             After::Stream(request, axes) => self.packer.start(&request, axes),
             After::BootLoader | After::Restart => {
                 assert!(!self.state().drives(), "the board restarts with its motors on");
-                *self = Self::with_flash(self.hardware.real, core::mem::take(&mut self.machine.flash.kept));
+                *self = Self::with_flash(self.hardware.real, core::mem::take(&mut self.machine.flash.committed));
             }
         }
         answer

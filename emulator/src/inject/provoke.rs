@@ -17,10 +17,10 @@ pub struct Outcome {
     /// The latched fault.
     pub record: FaultRecord,
     /// Number of control periods from the cause until the bridges float.
-    pub from_cause: u32,
+    pub periods_from_cause: u32,
     /// Number of control periods from the step that detected the fault until the bridges float. `None` if the chip
     /// restarted, because a restart resets the count.
-    pub from_seen: Option<u32>,
+    pub periods_from_detection: Option<u32>,
 }
 
 /// Returns true if every bridge floats and the power stages are disabled.
@@ -97,12 +97,12 @@ pub fn provoke(fault: Fault) -> Option<Outcome> {
         let named = matches!(refused, Err(BoardError::Refused(Refusal::Faulted(again))) if again == fault);
         assert!(named && rig.with(bridges_off), "{name}: {refused:?}");
     }
-    let from_cause = ((at - began) / (50 * MICROSECOND)) as u32;
+    let periods_from_cause = ((at - began) / (50 * MICROSECOND)) as u32;
     // This fault is detected before the bridges are ever on. The steps since then only waited for the reply.
     let never_on = fault == Fault::StrayCurrent;
     // A step is counted when it ends, long after its bridges went off.
     let since = (steps.wrapping_sub(record.step) as i32).max(0) as u32;
-    let from_seen = (!restarted).then_some(if never_on { 0 } else { since });
+    let periods_from_detection = (!restarted).then_some(if never_on { 0 } else { since });
     assert!(before <= steps || restarted, "{name}: steps went back");
-    Some(Outcome { record, from_cause, from_seen })
+    Some(Outcome { record, periods_from_cause, periods_from_detection })
 }

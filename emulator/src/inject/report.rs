@@ -25,12 +25,12 @@ pub fn row(fault: Fault, outcome: Option<&Outcome>) -> String {
         Some(outcome) => {
             let cause = if slow {
                 "later"
-            } else if outcome.from_cause <= 3 {
+            } else if outcome.periods_from_cause <= 3 {
                 "at most 3"
             } else {
                 "more than 3"
             };
-            let detection = match outcome.from_seen {
+            let detection = match outcome.periods_from_detection {
                 None => "before the restart".to_owned(),
                 Some(0 | 1) => "at most 1".to_owned(),
                 Some(periods) => periods.to_string(),

@@ -19,8 +19,8 @@ fn the_fault_line_of_one_gate_driver_stops_both_axes() {
     rig.run(50 * MILLISECOND);
     let status = rig.tool.status().expect("the board replies");
     assert_eq!((status.state, status.fault.map(|record| record.fault)), (State::Fault, Some(Fault::GateDriver)));
-    let drives = rig.with(|stopped| stopped.hardware().drives());
-    assert_eq!(drives, [MotorInput::Floating; 3]);
+    let motor_inputs = rig.with(|stopped| stopped.hardware().motor_inputs());
+    assert_eq!(motor_inputs, [MotorInput::Floating; 3]);
     // The low level of EN_GATE has cleared the driver's fault, so the board can be armed again.
     rig.tool.clear().expect("the fault clears");
     rig.tool.arm().expect("the board arms");
@@ -53,6 +53,6 @@ fn a_gate_driver_that_loses_its_settings_is_never_armed() {
     let refused = matches!(outcome, Err(BoardError::Refused(_)));
     assert!(refused || status.state == State::Fault, "{outcome:?} {status:?}");
     assert!(!status.polarity);
-    let drives = rig.with(|stopped| stopped.hardware().drives());
-    assert_eq!(drives, [MotorInput::Floating; 3]);
+    let motor_inputs = rig.with(|stopped| stopped.hardware().motor_inputs());
+    assert_eq!(motor_inputs, [MotorInput::Floating; 3]);
 }

@@ -73,7 +73,7 @@ fn session(kind: BoardKind, device: &str, fault: Fault) {
     rig.run(100 * MICROSECOND);
     assert!(rig.with(bridges_off), "the bridges are on");
     rig.run(10 * MILLISECOND);
-    assert_eq!(rig.with(|stopped| stopped.hardware().drives()), [MotorInput::Floating; 3]);
+    assert_eq!(rig.with(|stopped| stopped.hardware().motor_inputs()), [MotorInput::Floating; 3]);
     assert_eq!(refusal_of(rig.tool.arm()), Refusal::Faulted(fault));
     let status = rig.tool.status().expect("the board replies");
     assert_eq!((status.state, status.fault.map(|record| record.fault)), (State::Fault, Some(fault)));

@@ -11,8 +11,8 @@ fn check_every_fourth_fault(first: usize) {
     for fault in Fault::ALL.iter().skip(first).step_by(4) {
         let outcome = provoke(*fault);
         println!("{}: {outcome:?}", fault.name());
-        let seen = outcome.as_ref().and_then(|outcome| outcome.from_seen);
-        assert!(seen.unwrap_or(0) <= 1, "{}: bridges off {seen:?} periods after its detection", fault.name());
+        let periods = outcome.as_ref().and_then(|outcome| outcome.periods_from_detection);
+        assert!(periods.unwrap_or(0) <= 1, "{}: bridges off {periods:?} periods after its detection", fault.name());
         let row = row(*fault, outcome.as_ref());
         assert!(text.contains(&row), "run `cargo xtask faults`: the table lacks\n{row}");
     }

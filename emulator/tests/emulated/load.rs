@@ -13,7 +13,7 @@ fn a_minute_at_20_khz_loses_no_period_and_no_frame() {
     println!("{load:?}");
     assert!(load.is_in_time(), "{load:?}");
     assert_eq!((load.losses.missing, load.losses.garbled), (0, 0), "{load:?}");
-    assert_eq!(load.losses.received, load.due, "{load:?}");
+    assert_eq!(load.losses.received, load.due_rows, "{load:?}");
     // The firmware fills the stack with a pattern at the start. At least 8 of the 52 KB must still have the pattern.
     assert!(load.stack_free >= 8 * 1024, "{load:?}");
 }
@@ -25,7 +25,7 @@ fn the_link_carries_25_000_rows_per_second() {
     let load = run(&mut rig, (Fields::USUAL, 1), 25_000, 1_000);
     println!("{load:?}");
     assert!(load.is_in_time(), "{load:?}");
-    assert_eq!((load.losses.missing, load.losses.received), (0, load.due), "{load:?}");
+    assert_eq!((load.losses.missing, load.losses.received), (0, load.due_rows), "{load:?}");
 }
 
 #[test]
@@ -35,7 +35,7 @@ fn lost_frames_are_counted_and_the_loop_does_not_wait() {
     println!("{load:?}");
     assert!(load.is_in_time(), "{load:?}");
     assert!(load.losses.missing > 1_000, "nothing was lost: {load:?}");
-    assert_eq!(load.losses.received + load.losses.missing, load.due, "{load:?}");
+    assert_eq!(load.losses.received + load.losses.missing, load.due_rows, "{load:?}");
     assert_eq!(load.losses.batches_lost, 0, "a numbered batch was not sent: {load:?}");
     // The board reports every loss. Its count also includes rows that it dropped before the first row arrived.
     assert!(load.losses.missing <= load.losses.dropped_by_board, "{load:?}");
@@ -50,8 +50,8 @@ fn three_joints_miss_no_period_when_rows_are_lost() {
         let load = run(&mut rig, (Fields::USUAL, 1), rate_hz, 1_000);
         println!("{load:?}");
         assert!(load.is_in_time(), "{load:?}");
-        assert_eq!(load.losses.received + load.losses.missing, load.due, "{load:?}");
-        assert!(load.losses.received as f64 >= least * load.due as f64, "{load:?}");
+        assert_eq!(load.losses.received + load.losses.missing, load.due_rows, "{load:?}");
+        assert!(load.losses.received as f64 >= least * load.due_rows as f64, "{load:?}");
     }
 }
 

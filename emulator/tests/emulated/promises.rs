@@ -34,7 +34,11 @@ fn a_reset_of_an_armed_board_leaves_the_bridges_off() {
         assert!(rig.with(bridges_off), "{}", kind.name());
         rig.with(|stopped| stopped.hardware().peaks = Peaks::default());
         rig.run(40 * MILLISECOND);
-        assert!(!rig.with(|stopped| stopped.hardware().peaks.driven), "{}: within 40 ms after the reset", kind.name());
+        assert!(
+            !rig.with(|stopped| stopped.hardware().peaks.bridge_was_on),
+            "{}: within 40 ms after the reset",
+            kind.name()
+        );
     }
 }
 
@@ -107,19 +111,22 @@ fn the_break_input_works_without_the_processor() {
 fn an_image_on_the_wrong_board_does_not_touch_its_power_stage() {
     let [odrive, module, discovery] = [BoardKind::OdriveV3, BoardKind::HBridgeF405, BoardKind::HBridgeF407Disc1];
     let [odrive_wires, module_wires, discovery_wires] = [odrive, module, discovery].map(Wiring::of);
-    let with = |held| -> &'static Wiring { Box::leak(Box::new(Wiring { held, supply_mv: 3300, ..*discovery_wires })) };
+    let with = |pins_held_high| -> &'static Wiring {
+        Box::leak(Box::new(Wiring { pins_held_high, supply_mv: 3300, ..*discovery_wires }))
+    };
     for (kind, board, strange) in [
         (odrive, module_wires, 0x06),
         (module, odrive_wires, 0x23),
-        (odrive, with(discovery_wires.held), 0x06),
+        (odrive, with(discovery_wires.pins_held_high), 0x06),
         (odrive, with(&[Pin('B', 9), Pin('A', 6)]), 0x25),
-        (module, with(discovery_wires.held), 0x23),
+        (module, with(discovery_wires.pins_held_high), 0x23),
         (module, with(&[Pin('B', 9), Pin('C', 3)]), 0x19),
         (discovery, odrive_wires, 0x24),
         (discovery, module_wires, 0x24),
     ] {
         let mut rig = Rig::on_other_board(kind, board, "pantograph-mk2");
-        let untouched = |rig: &Rig| rig.with(|stopped| !stopped.hardware().peaks.touched && bridges_off(stopped));
+        let untouched =
+            |rig: &Rig| rig.with(|stopped| !stopped.hardware().peaks.power_pin_was_driven && bridges_off(stopped));
         assert!(untouched(&rig), "{} on {}", kind.name(), board.name);
         let fault_of = |rig: &mut Rig| {
             let status = rig.tool.status().expect("the board replies");
@@ -150,7 +157,8 @@ fn images_of_other_boards_do_not_start_at_three_volts() {
         let hardware = Hardware::new(wires, Box::new(Dummy::default())).expect("the board's description is sound");
         let mut board = VirtualBoard::start(firmware(kind), hardware).expect("the image starts");
         board.run(SECOND);
-        let (ready, touched) = board.with(|stopped| (stopped.usb().is_ready(), stopped.hardware().peaks.touched));
+        let (ready, touched) =
+            board.with(|stopped| (stopped.usb().is_ready(), stopped.hardware().peaks.power_pin_was_driven));
         assert!(!ready && !touched, "{}", kind.name());
     }
 }

@@ -247,9 +247,10 @@ fn a_minute_of_random_bytes_has_no_effect() {
             stopped.usb().write(&burst);
         });
         rig.run(10 * MILLISECOND);
-        let (replies, drives) = rig.with(|stopped| (stopped.usb().take().len(), stopped.hardware().drives()));
+        let (replies, motor_inputs) =
+            rig.with(|stopped| (stopped.usb().take().len(), stopped.hardware().motor_inputs()));
         received += replies;
-        assert_eq!(drives, [MotorInput::Floating; 3], "burst {nth}");
+        assert_eq!(motor_inputs, [MotorInput::Floating; 3], "burst {nth}");
         // A changed scene may have the lowest rate, at which a burst still lasts two steps.
         let now = rig.steps();
         assert_ne!(now, std::mem::replace(&mut steps, now), "no control step during burst {nth}");
@@ -297,8 +298,8 @@ fn a_board_survives_repeated_arming_and_replugging() {
     assert_eq!(rig.tool.details().expect("it replies").overruns, 0);
     rig.tool.disarm().expect("the board disarms");
     rig.run(MILLISECOND);
-    let (drives, resets) = rig.with(|stopped| (stopped.hardware().drives(), stopped.resets().len()));
-    assert_eq!((drives, resets), ([MotorInput::Floating; 3], 0));
+    let (motor_inputs, resets) = rig.with(|stopped| (stopped.hardware().motor_inputs(), stopped.resets().len()));
+    assert_eq!((motor_inputs, resets), ([MotorInput::Floating; 3], 0));
 }
 
 #[test]

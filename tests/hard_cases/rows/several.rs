@@ -27,7 +27,7 @@ pub struct Row {
     /// Largest torque error as a share of the largest torque, for each of [`RATIOS`].
     pub torque: [f64; 3],
     /// Smallest difference between the torque and Jᵀ F, as a share of the largest torque.
-    pub shaped: f64,
+    pub smallest_shaping: f64,
 }
 
 /// Computes the joint torques M J⁻¹ A F for two walls (normal, stiffness, force) at rest.
@@ -85,7 +85,7 @@ where
     ANGLES
         .map(|angle| {
             let mut random = Random(11);
-            let mut row = Row { device: name, angle, torque: [0.0; 3], shaped: f64::INFINITY };
+            let mut row = Row { device: name, angle, torque: [0.0; 3], smallest_shaping: f64::INFINITY };
             let mut poses = 0;
             while poses < POSES {
                 let q: SVector<f64, N> = random.vector(3.1);
@@ -135,7 +135,7 @@ where
                     let found: SVector<f64, N> = cast(&step.torque);
                     row.torque[index] = row.torque[index].max((found - right).amax() / right.amax());
                     let plain: SVector<f64, N> = cast(&step.rendered);
-                    row.shaped = row.shaped.min((right - plain).amax() / right.amax());
+                    row.smallest_shaping = row.smallest_shaping.min((right - plain).amax() / right.amax());
                 }
             }
             row

@@ -15,15 +15,15 @@ use nalgebra::SVector;
 pub struct Row {
     pub device: &'static str,
     /// Largest torque error of the hit, as a share of the hit's largest torque.
-    pub hit: f64,
+    pub hit_error: f64,
     /// Largest wall force of the hit, N.
     pub force: f64,
     /// Largest estimated speed along the normal, m/s.
     pub speed: f64,
     /// Smallest wall force, N. It must not be negative, because a wall never pulls.
-    pub least: f64,
+    pub smallest_force: f64,
     /// Error of the wall force at rest, at penetrations of up to 1 mm, N.
-    pub press: f64,
+    pub resting_force_error: f64,
 }
 
 /// Control rate, Hz.
@@ -128,7 +128,14 @@ where
 {
     let task = A::SPEC.task;
     let mut random = Random(3);
-    let mut row = Row { device: name, hit: 0.0, force: 0.0, speed: 0.0, least: f64::INFINITY, press: 0.0 };
+    let mut row = Row {
+        device: name,
+        hit_error: 0.0,
+        force: 0.0,
+        speed: 0.0,
+        smallest_force: f64::INFINITY,
+        resting_force_error: 0.0,
+    };
     let mut runs = 0;
     while runs < 10 {
         let (start, n): (SVector<f64, N>, SVector<f64, N>) = (random.vector(3.1), random.normal(task));
@@ -151,9 +158,9 @@ where
             largest = largest.max(a.torque.amax());
             row.force = row.force.max(a.wall_force);
             row.speed = row.speed.max(-a.normal_velocity);
-            row.least = row.least.min(a.wall_force).min(f64::from(b.wall_force));
+            row.smallest_force = row.smallest_force.min(a.wall_force).min(f64::from(b.wall_force));
         }
-        row.hit = row.hit.max(worst / largest);
+        row.hit_error = row.hit_error.max(worst / largest);
 
         // The same wall at rest without damping, with a new controller at every penetration up to 1 mm.
         let off = FeedForward::Off;
@@ -168,7 +175,7 @@ where
             let b =
                 controller::<f32, BoardMath, _, N>(board, device, &scene(task, p, normal, WALL_STIFFNESS, 0.0, off))
                     .step(&counts(&q));
-            row.press = row.press.max((a.wall_force - f64::from(b.wall_force)).abs());
+            row.resting_force_error = row.resting_force_error.max((a.wall_force - f64::from(b.wall_force)).abs());
         }
     }
     row

@@ -15,7 +15,7 @@ type Table = (&'static str, fn() -> String);
 fn measure_cases(cases: &[Case]) -> Vec<Timing> {
     let measured = cases.iter().map(|case| {
         let timing = case.measure();
-        println!("{}: longest {}, at a valley {}", case.name(), timing.longest, timing.valley);
+        println!("{}: longest {}, at a valley {}", case.name(), timing.longest_step, timing.longest_valley);
         timing.files.iter().for_each(|(file, instructions)| println!("{instructions:8.0} {file}"));
         timing
     });
