@@ -10,7 +10,7 @@ fn largest_current_and_fault(rig: &mut Rig) -> (f32, Option<Fault>) {
     let mut most = 0.0_f32;
     for _ in 0..(0.05 * rig.rate) as u32 {
         rig.step();
-        most = most.max(rig.peak);
+        most = most.max(rig.peak_current);
         if rig.state() == State::Fault {
             break;
         }

@@ -69,7 +69,7 @@ pub struct Wiring {
     /// Pin that enables the power stages, active high.
     pub enable: Pin,
     /// All pins that lead to a gate, a bridge input or an enable line, also of unused phases and of the brake.
-    pub power: &'static [Pin],
+    pub power_pins: &'static [Pin],
     /// True if the enabled axes brake at idle timer outputs, false if they float.
     pub brakes_when_idle: bool,
     /// Pin that a power stage pulls low to report a fault.
@@ -122,7 +122,7 @@ static ODRIVE_V3: Wiring = Wiring {
         },
     ],
     enable: Pin('B', 12),
-    power: &[
+    power_pins: &[
         Pin('A', 7),
         Pin('A', 8),
         Pin('A', 9),
@@ -164,7 +164,7 @@ static H_BRIDGE_F405: Wiring = Wiring {
         h_bridge(3, [Pin('A', 10), Pin('B', 15)], &[(12, HALL_VOLTS_PER_AMPERE)]),
     ],
     enable: Pin('C', 6),
-    power: &[Pin('A', 8), Pin('A', 9), Pin('A', 10), Pin('B', 13), Pin('B', 14), Pin('B', 15), Pin('C', 6)],
+    power_pins: &[Pin('A', 8), Pin('A', 9), Pin('A', 10), Pin('B', 13), Pin('B', 14), Pin('B', 15), Pin('C', 6)],
     brakes_when_idle: true,
     fault: Pin('B', 12),
     fault_is_break_input: true,
@@ -191,7 +191,7 @@ static H_BRIDGE_F407_DISC1: Wiring = Wiring {
     ],
     enable: Pin('E', 14),
     // PA9 is not a gate. It carries the 5 V of the USB cable.
-    power: &[
+    power_pins: &[
         Pin('A', 9),
         Pin('E', 8),
         Pin('E', 9),

@@ -206,9 +206,9 @@ impl Hardware {
         }
         self.peaks.bridge_was_on |= !self.bridges_float();
         self.peaks.power_pin_was_driven =
-            self.peaks.power_pin_was_driven || wiring.power.iter().any(|&pin| !self.is_untouched(pin));
-        if spans[0].whole > 0 {
-            self.plant.step(&self.faults.drives(self.motor_inputs), spans[0].whole as f64 * 1e-9);
+            self.peaks.power_pin_was_driven || wiring.power_pins.iter().any(|&pin| !self.is_untouched(pin));
+        if spans[0].length_ns > 0 {
+            self.plant.step(&self.faults.drives(self.motor_inputs), spans[0].length_ns as f64 * 1e-9);
             self.peaks.update(&mut *self.plant);
             self.samples += 1;
         }
@@ -221,18 +221,18 @@ impl Hardware {
 
     fn drive(&mut self, wiring: &Wiring, motor: &MotorWires, span: &Span, enabled: bool) -> MotorInput {
         let joined = motor.gates.iter().all(|&gate| self.function(gate) == Some(motor.function));
-        if !enabled || !joined || span.whole == 0 {
+        if !enabled || !joined || span.length_ns == 0 {
             return MotorInput::Floating;
         }
-        if span.driven * 2 < span.whole {
+        if span.enabled_ns * 2 < span.length_ns {
             return if wiring.brakes_when_idle { MotorInput::Duty(0.0) } else { MotorInput::Floating };
         }
         let share = |end| match end {
-            HalfBridge::Channel(n) => span.active[usize::from(n) - 1] as f64,
-            HalfBridge::Complement(n) => (span.driven - span.active[usize::from(n) - 1]) as f64,
+            HalfBridge::Channel(n) => span.active_ns[usize::from(n) - 1] as f64,
+            HalfBridge::Complement(n) => (span.enabled_ns - span.active_ns[usize::from(n) - 1]) as f64,
         };
         let [first, second] = motor.ends;
-        MotorInput::Duty((share(first) - share(second)) / span.whole as f64)
+        MotorInput::Duty((share(first) - share(second)) / span.length_ns as f64)
     }
 
     /// Returns the alternate function that a pin has now.

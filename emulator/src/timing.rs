@@ -31,7 +31,7 @@ pub const TRACED_NS: u64 = 25 * MILLISECOND;
 #[derive(Clone, Debug, PartialEq)]
 pub struct Timing {
     /// Number of measured steps.
-    pub periods: usize,
+    pub steps: usize,
     /// Mean number of instructions of a step.
     pub mean_step: f64,
     /// Number of instructions of the longest step.
@@ -91,7 +91,7 @@ impl Timing {
         let lengths = || works.iter().map(|work| work.len() as u64);
         let longest = works.iter().max_by_key(|work| work.len()).map_or(&[][..], Vec::as_slice);
         Self {
-            periods: works.len(),
+            steps: works.len(),
             mean_step: lengths().sum::<u64>() as f64 * share,
             longest_step: longest.len() as u64,
             shortest_step: lengths().min().unwrap_or(0),

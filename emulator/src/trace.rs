@@ -122,8 +122,8 @@ impl Walker {
 pub struct Tracer {
     code: Code,
     entry: u32,
-    open: Option<(Run, Walker)>,
-    seen: u64,
+    current_run: Option<(Run, Walker)>,
+    last_count: u64,
     runs: Vec<Run>,
 }
 
@@ -131,25 +131,25 @@ impl Tracer {
     /// Returns a tracer of the handler that starts at `entry`.
     #[must_use]
     pub fn new(code: Code, entry: u32) -> Self {
-        Self { code, entry, open: None, seen: 0, runs: Vec::new() }
+        Self { code, entry, current_run: None, last_count: 0, runs: Vec::new() }
     }
 
     /// Handles a hit. If a stop of the emulator reports an instruction twice, it is counted once.
     pub fn feed(&mut self, hit: &Hit) {
-        if std::mem::replace(&mut self.seen, hit.instruction_count) == hit.instruction_count {
+        if std::mem::replace(&mut self.last_count, hit.instruction_count) == hit.instruction_count {
             return;
         }
         let at = hit.address as u32;
-        if let Some((run, walker)) = &mut self.open {
+        if let Some((run, walker)) = &mut self.current_run {
             if !walker.leaves(at) {
                 run.path.push(at);
                 return;
             }
-            self.runs.extend(self.open.take().map(|(run, _)| run));
+            self.runs.extend(self.current_run.take().map(|(run, _)| run));
         }
         if at == self.entry {
             let run = Run { at: hit.at.0, path: vec![at] };
-            self.open = Some((run, Walker::new(self.code.clone(), at)));
+            self.current_run = Some((run, Walker::new(self.code.clone(), at)));
         }
     }
 

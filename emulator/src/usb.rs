@@ -170,19 +170,19 @@ enum Transaction {
 #[derive(Debug)]
 pub struct Host {
     plugged: bool,
-    open: bool,
-    reading: bool,
-    idle: bool,
+    open_requested: bool,
+    reads_port: bool,
+    suspend_requested: bool,
     bus: Bus,
     resets: u32,
     steps: VecDeque<Step>,
     requested: VecDeque<Control>,
     control: Option<Control>,
     port: Option<Port>,
-    opened: bool,
+    port_is_open: bool,
     in_progress: Option<(Transaction, u64)>,
     free_at: u64,
-    out_last: bool,
+    last_was_out: bool,
     to_device: VecDeque<u8>,
     from_device: Vec<u8>,
     replies: Vec<Result<Vec<u8>, [u8; 8]>>,
@@ -195,19 +195,19 @@ impl Default for Host {
     fn default() -> Self {
         Self {
             plugged: true,
-            open: true,
-            reading: true,
-            idle: false,
+            open_requested: true,
+            reads_port: true,
+            suspend_requested: false,
             bus: Bus::Detached,
             resets: 0,
             steps: VecDeque::new(),
             requested: VecDeque::new(),
             control: None,
             port: None,
-            opened: false,
+            port_is_open: false,
             in_progress: None,
             free_at: 0,
-            out_last: false,
+            last_was_out: false,
             to_device: VecDeque::new(),
             from_device: Vec::new(),
             replies: Vec::new(),
@@ -225,17 +225,17 @@ impl Host {
 
     /// Opens or closes the serial port, like a program on a PC.
     pub fn open(&mut self, open: bool) {
-        self.open = open;
+        self.open_requested = open;
     }
 
     /// Reads the port if `reading` is true. Otherwise the device's data stay unread.
     pub fn read_port(&mut self, reading: bool) {
-        self.reading = reading;
+        self.reads_port = reading;
     }
 
     /// Suspends the bus if `idle` is true, like a sleeping PC. Otherwise resumes the bus.
     pub fn suspend(&mut self, idle: bool) {
-        self.idle = idle;
+        self.suspend_requested = idle;
     }
 
     /// Queues bytes for the port.
@@ -267,7 +267,7 @@ impl Host {
     /// Returns true if the port of a configured device is open, so that bytes can be transferred.
     #[must_use]
     pub fn is_ready(&self) -> bool {
-        self.bus == Bus::Active && self.port.is_some() && self.opened
+        self.bus == Bus::Active && self.port.is_some() && self.port_is_open
     }
 
     /// Returns the descriptors that were read during enumeration.
@@ -296,7 +296,7 @@ impl Host {
         self.steps.clear();
         self.in_progress = None;
         self.port = None;
-        self.opened = false;
+        self.port_is_open = false;
         self.to_device.clear();
         self.log.push((at, Event::Left));
     }
@@ -360,8 +360,8 @@ impl Host {
                 self.disconnect(now);
                 core.suspend();
             }
-            Bus::Active if self.idle => self.bus = Bus::GoingIdle(now.0 + IDLE_NS),
-            Bus::Suspended | Bus::GoingIdle(_) if !self.idle => {
+            Bus::Active if self.suspend_requested => self.bus = Bus::GoingIdle(now.0 + IDLE_NS),
+            Bus::Suspended | Bus::GoingIdle(_) if !self.suspend_requested => {
                 core.resume();
                 self.bus = Bus::Resuming(now.0 + RESUME_NS);
             }
@@ -385,14 +385,14 @@ impl Host {
             return Some(self.control_of(step));
         }
         let port = self.port?;
-        if self.open != self.opened {
+        if self.open_requested != self.port_is_open {
             let coding = [0x00, 0xC2, 0x01, 0x00, 0, 0, 8];
             let index = u16::from(port.communication);
-            return Some(if self.open && self.steps.is_empty() && !self.opened {
+            return Some(if self.open_requested && self.steps.is_empty() && !self.port_is_open {
                 self.steps.push_back(Step::LineState(true));
                 Control::write(Step::LineCoding, 0x21, 0x20, 0, index, &coding)
             } else {
-                self.control_of(Step::LineState(self.open))
+                self.control_of(Step::LineState(self.open_requested))
             });
         }
         self.requested.pop_front()
@@ -464,13 +464,13 @@ impl Host {
                 return Some((Transaction::Control(control.stage), bytes));
             }
         }
-        let port = self.port.filter(|_| self.opened)?;
+        let port = self.port.filter(|_| self.port_is_open)?;
         let waiting = self.to_device.len().min(PACKET_BYTES);
         let out = (waiting > 0).then(|| accepted(core.accepts(port.data_out), waiting)).flatten();
-        let input = self.reading.then(|| willing(core.offers(port.data_in))).flatten();
+        let input = self.reads_port.then(|| willing(core.offers(port.data_in))).flatten();
         match (out, input) {
             (Some(bytes), None) => Some((Transaction::Out, bytes)),
-            (Some(bytes), Some(_)) if !self.out_last => Some((Transaction::Out, bytes)),
+            (Some(bytes), Some(_)) if !self.last_was_out => Some((Transaction::Out, bytes)),
             (_, Some(bytes)) => Some((Transaction::In, bytes)),
             (None, None) => None,
         }
@@ -484,13 +484,13 @@ impl Host {
                 if core.out(port.data_out, &packet) == Handshake::Ack(()) {
                     self.to_device.drain(..packet.len());
                 }
-                self.out_last = true;
+                self.last_was_out = true;
             }
             (Transaction::In, Some(port)) => {
                 if let Handshake::Ack(data) = core.take(port.data_in) {
                     self.from_device.extend(data);
                 }
-                self.out_last = false;
+                self.last_was_out = false;
             }
             (_, None) => {}
         }
@@ -577,7 +577,7 @@ impl Host {
             }
             Step::LineCoding => {}
             Step::LineState(on) => {
-                self.opened = on;
+                self.port_is_open = on;
                 self.log.push((now, if on { Event::Opened } else { Event::Closed }));
             }
             Step::Requested => self.replies.push(Ok(control.data)),

@@ -218,7 +218,7 @@ pub struct Rig {
     /// Difference between the two sensors of each current, A.
     pub imbalance: [f32; MAX_JOINTS],
     /// Largest current of motor 0 in the last step, A.
-    pub peak: f32,
+    pub peak_current: f32,
     pub rate: f32,
 }
 
@@ -239,7 +239,7 @@ impl Rig {
             currents: [0.0; MAX_JOINTS],
             resistance: 2.0,
             imbalance: [0.0; MAX_JOINTS],
-            peak: 0.0,
+            peak_current: 0.0,
             rate: RATE_HZ,
         }
     }
@@ -321,7 +321,7 @@ impl Rig {
     pub fn step(&mut self) {
         let first = self.control_loop.frame().step == 0;
         let before = if first { self.samples.counts } else { self.control_loop.frame().counts };
-        self.peak = 0.0;
+        self.peak_current = 0.0;
         let carrier = self.rate.max(20_000.0);
         let carriers = (carrier / self.rate) as u32;
         for nth in 1..=carriers {
@@ -355,7 +355,7 @@ impl Rig {
                     *current = 0.0;
                 }
             }
-            self.peak = self.peak.max(self.currents[0].abs());
+            self.peak_current = self.peak_current.max(self.currents[0].abs());
         }
     }
 

@@ -50,8 +50,8 @@ pub struct Outputs {
     channel4: Level,
     crest: Option<u64>,
     references: [bool; 3],
-    driven: bool,
-    since: u64,
+    main_output_enabled: bool,
+    counted_until: u64,
     span: Span,
 }
 
@@ -59,12 +59,12 @@ pub struct Outputs {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Span {
     /// Length of the span, ns.
-    pub whole: u64,
+    pub length_ns: u64,
     /// Time with enabled main output, ns.
-    pub driven: u64,
+    pub enabled_ns: u64,
     /// Times with active references of channels 1 to 3 and enabled main output, ns. The upper switch is on except for
     /// the dead time.
-    pub active: [u64; 3],
+    pub active_ns: [u64; 3],
 }
 
 impl Outputs {
@@ -83,16 +83,16 @@ impl Outputs {
 
     /// Starts to count time at the end of a reset.
     pub fn begin(&mut self, at: VirtualNanos) {
-        self.since = at.0;
+        self.counted_until = at.0;
     }
 
     fn account(&mut self, now: VirtualNanos) {
-        let passed = now.0.saturating_sub(self.since);
-        self.since = self.since.max(now.0);
-        self.span.whole += passed;
-        if self.driven {
-            self.span.driven += passed;
-            for (active, reference) in self.span.active.iter_mut().zip(self.references) {
+        let passed = now.0.saturating_sub(self.counted_until);
+        self.counted_until = self.counted_until.max(now.0);
+        self.span.length_ns += passed;
+        if self.main_output_enabled {
+            self.span.enabled_ns += passed;
+            for (active, reference) in self.span.active_ns.iter_mut().zip(self.references) {
                 *active += if reference { passed } else { 0 };
             }
         }
@@ -105,7 +105,7 @@ const MOE: u64 = 1 << 15;
 impl Hook<Tim<Advanced>> for Outputs {
     fn after_call(&mut self, timer: &mut Tim<Advanced>, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
         self.account(context.now());
-        self.driven = registers.get(TimRegister::Bdtr) & MOE != 0;
+        self.main_output_enabled = registers.get(TimRegister::Bdtr) & MOE != 0;
         for (number, reference) in (1..).zip(&mut self.references) {
             let channel = Channel::new(number).expect("a timer has four channels");
             *reference = timer.reference(channel) == Level::High;

@@ -237,7 +237,7 @@ fn no_code_can_change_how_gates_are_driven() {
             })
         };
         let before = read_registers(&rig);
-        let power = rig.kind.power;
+        let power = rig.kind.power_pins;
         let changed: Vec<(u32, u32)> = registers
             .iter()
             .zip(&before)

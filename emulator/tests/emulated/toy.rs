@@ -15,7 +15,7 @@ static TOY: Wiring = Wiring {
         sensors: &[(10, 0.2)],
     }],
     enable: Pin('C', 6),
-    power: &[Pin('A', 8), Pin('B', 13), Pin('C', 6)],
+    power_pins: &[Pin('A', 8), Pin('B', 13), Pin('C', 6)],
     brakes_when_idle: true,
     fault: Pin('B', 12),
     fault_is_break_input: false,
