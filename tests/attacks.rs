@@ -179,17 +179,17 @@ fn a_contact_sent_again_while_its_lease_fades_moves_evenly() {
     rig.control_loop.force(&first);
     rig.run(0.01);
     // The 4 N are spread over 10 ms, the time since the last request: 0.02 N per step.
-    let (mut before, mut most) = (force_x(&mut rig), 0.0_f32);
+    let (mut before, mut largest_jump) = (force_x(&mut rig), 0.0_f32);
     for step in 0..200 {
         if step % 10 == 0 {
             rig.control_loop.force(&ForceRequest { sequence: 2 + step, ..second });
         }
         rig.step();
         let now = force_x(&mut rig);
-        most = most.max((now - before).abs());
+        largest_jump = largest_jump.max((now - before).abs());
         before = now;
     }
-    assert!(most < 0.03, "the force jumps by {most} N");
+    assert!(largest_jump < 0.03, "the force jumps by {largest_jump} N");
 }
 
 // ---- 6: a late renewal makes the force jump

@@ -33,11 +33,11 @@ fn armed_paddle_at(rate: f32) -> Rig {
     rig
 }
 
-/// Turns joint 0 at `speed` (rad/s) for at most `most` carrier periods. Returns the period in which the bridges float,
-/// or `None` if they stay on. `shown` are the measured currents, A.
-fn crests_until_off(rig: &mut Rig, speed: f64, most: u32, shown: [f32; 3]) -> Option<u32> {
+/// Turns joint 0 at `speed` (rad/s) for at most `max_periods` carrier periods. Returns the period in which the
+/// bridges float, or `None` if they stay on. `shown` are the measured currents, A.
+fn crests_until_off(rig: &mut Rig, speed: f64, max_periods: u32, shown: [f32; 3]) -> Option<u32> {
     let start = rig.samples.counts[0];
-    (1..=most).find(|nth| {
+    (1..=max_periods).find(|nth| {
         let moved = f64::from(*nth) * speed / 20_000.0 / core::f64::consts::TAU * rig::COUNTS_PER_TURN;
         let counts = Counts([start + moved as i32, 0, 0]);
         !rig.control_loop
@@ -173,7 +173,7 @@ fn a_coarse_count_neither_trips_nor_exceeds_the_force_limit() {
     let mechanism = AnyMechanism::<f32>::new(&coarse).expect("a sound mechanism");
     let home = rig.samples.counts;
     rig.arm();
-    let mut most = 0.0_f32;
+    let mut largest_force = 0.0_f32;
     for moved in 1..=12 {
         let (before, now) = (rig.samples.counts, Counts([home[0] + moved + 1, home[1] - moved, 0]));
         // The commanded torques flow until the counts change, which happens at this pose.
@@ -182,12 +182,12 @@ fn a_coarse_count_neither_trips_nor_exceeds_the_force_limit() {
             (stands_at[i] + counts / COARSE_COUNTS_PER_TURN * core::f64::consts::TAU) as f32
         });
         let torque = rig.currents.map(|current| 0.1 * current);
-        most = most.max(mechanism.leverage::<Libm>(&edge).force_squared(&torque).sqrt());
+        largest_force = largest_force.max(mechanism.leverage::<Libm>(&edge).force_squared(&torque).sqrt());
         rig.samples.counts = now;
         rig.run(0.02);
         assert_eq!(rig.fault(), None, "after {moved} counts");
     }
-    assert!(most > 4.8 && most < 5.05, "{most} N");
+    assert!(largest_force > 4.8 && largest_force < 5.05, "{largest_force} N");
 }
 
 #[test]

@@ -31,8 +31,8 @@ impl Random {
         (self.0 >> 40) as f32 / (1 << 24) as f32
     }
 
-    fn between(&mut self, least: f32, most: f32) -> f32 {
-        least + (most - least) * self.unit_number()
+    fn between(&mut self, low: f32, high: f32) -> f32 {
+        low + (high - low) * self.unit_number()
     }
 
     /// Returns true with a chance of 1 in `rarity`.
@@ -85,11 +85,11 @@ fn the_fast_current_loop_equals_the_general_one() {
                 if random.one_chance_in(100.0) {
                     axis.limit(random.between(0.0, 15.0));
                 }
-                let most = 1.5 * axis.max_torque();
+                let bound = 1.5 * axis.max_torque();
                 axis.command(if random.one_chance_in(200.0) {
                     random.choose(&INVALID_NUMBERS)
                 } else {
-                    random.between(-most, most)
+                    random.between(-bound, bound)
                 });
             }
             let is_invalid = random.one_chance_in(300.0);

@@ -143,10 +143,10 @@ fn late_duties_agree_with_the_model_of_a_motor_like_its_file() {
             let mut winding = Winding { dead_time: 0.0, ..Winding::new(file, 0.0) };
             for target in [0.4, -0.4, 2.0, 0.0, -3.5, 3.5, 0.02, 0.02] {
                 axis.command(0.05 * target);
-                let mut most = 0.0_f32;
+                let mut overshoot = 0.0_f32;
                 let begin = winding.current;
                 winding.run_late(&mut axis, 40, late, |_, current| {
-                    most = most.max((current - target) / (target - begin + 0.001));
+                    overshoot = overshoot.max((current - target) / (target - begin + 0.001));
                 });
                 let (strain, ..) = axis.strain();
                 assert!(strain.abs() < 0.01, "{name}, {inductance} H, {target} A: {strain} V");
@@ -156,7 +156,7 @@ fn late_duties_agree_with_the_model_of_a_motor_like_its_file() {
                     winding.current
                 );
                 let allowed = if name == "always" { 0.01 } else { 0.51 };
-                assert!(most < allowed, "{name}, {inductance} H, {target} A: overshoots by {most}");
+                assert!(overshoot < allowed, "{name}, {inductance} H, {target} A: overshoots by {overshoot}");
             }
         }
     }
@@ -191,17 +191,17 @@ fn no_pattern_of_late_duties_causes_an_over_current() {
 fn a_step_beyond_the_bus_voltage_takes_longer_and_settles() {
     let step = |actual: Motor<f32>| {
         let mut axis = Axis::new(&motor(), &bridge(true), 10.0);
-        let (mut most, mut arrived) = (0.0_f32, None);
+        let (mut peak, mut arrived) = (0.0_f32, None);
         axis.command(0.1);
         Winding::new(actual, 0.0).run(&mut axis, 200, |period, current| {
-            most = most.max(current);
+            peak = peak.max(current);
             arrived = arrived.or((current > 1.8).then_some(period));
         });
-        (most / 2.0, arrived.unwrap_or(usize::MAX))
+        (peak / 2.0, arrived.unwrap_or(usize::MAX))
     };
     // 2 A in 50 µs would need 43 V. The available 22 V need two periods.
-    let (most, arrived) = step(motor());
-    assert!(most < 1.01 && arrived == 2, "{most} of the step, {arrived} periods");
+    let (peak, arrived) = step(motor());
+    assert!(peak < 1.01 && arrived == 2, "{peak} of the step, {arrived} periods");
     // If the inductance is below the file's by a share, the current overshoots by this share until the loop corrects it.
     for (resistance, inductance) in [(1.4, 1.0), (0.7, 1.0), (1.0, 1.3), (1.0, 0.7), (1.4, 0.7)] {
         let expected = motor();
@@ -210,8 +210,8 @@ fn a_step_beyond_the_bus_voltage_takes_longer_and_settles() {
             inductance: inductance * expected.inductance,
             ..expected
         };
-        let (most, arrived) = step(actual);
-        assert!(most < 1.4 && arrived <= 5, "R x {resistance}, L x {inductance}: {most}, {arrived} periods");
+        let (peak, arrived) = step(actual);
+        assert!(peak < 1.4 && arrived <= 5, "R x {resistance}, L x {inductance}: {peak}, {arrived} periods");
     }
 }
 
@@ -237,10 +237,10 @@ fn a_winding_of_unknown_inductance_overshoots_as_documented() {
     for (inductance, documented) in [(0.45e-3, 0.07), (1.2e-3, 0.14), (1.5e-3, 0.16)] {
         let mut axis = Axis::new(&file, &bridge(true), 10.0);
         axis.command(0.1);
-        let mut most = 0.0_f32;
+        let mut peak = 0.0_f32;
         let mut winding = Winding::new(Motor { inductance, ..file }, 0.0);
-        winding.run(&mut axis, 1_000, |_, current| most = most.max(current));
-        let found = f64::from(most) / 2.0 - 1.0;
+        winding.run(&mut axis, 1_000, |_, current| peak = peak.max(current));
+        let found = f64::from(peak) / 2.0 - 1.0;
         let expected = overshoot(f64::from(inductance / file.resistance), bandwidth);
         // The loop is up to 3/4 of a carrier period late. 314 rad/s · 37.5 µs are 1.2 % of the integral's share, which
         // is at most 0.31.

@@ -62,8 +62,8 @@ fn assert_limit(rates: &[f32], begins: impl IntoIterator<Item = u8> + Clone, eve
     for (rate, every) in rates.iter().flat_map(|rate| every.iter().map(move |every| (*rate, *every))) {
         for speed in [2.0, 5.0, 10.0, 20.0, 50.0] {
             for begin in begins.clone() {
-                let most = largest_force(rate, speed, 0.06 * f32::from(begin), every);
-                assert!(most <= 2.02, "{most} N of 2 N: {rate} Hz, {speed} rad/s, begin {begin}, every {every}");
+                let force = largest_force(rate, speed, 0.06 * f32::from(begin), every);
+                assert!(force <= 2.02, "{force} N of 2 N: {rate} Hz, {speed} rad/s, begin {begin}, every {every}");
             }
         }
     }

@@ -9,17 +9,17 @@ use haptic_bridge::model::motor::Motor;
 use haptic_bridge::safety::fault::Fault;
 use proptest::prelude::*;
 
-/// Returns the heat of a cold motor that may carry `most` (A) for 4 s and `steady` (A) continuously.
-fn cold_motor(most: f32, steady: f32) -> Heat {
+/// Returns the heat of a cold motor that may carry `peak` (A) for 4 s and `continuous` (A) continuously.
+fn cold_motor(peak: f32, continuous: f32) -> Heat {
     let mut heat = Heat::default();
-    heat.limit(most, steady);
+    heat.limit(peak, continuous);
     heat
 }
 
-/// Returns the unknown heat of a motor that may carry `most` (A) for 4 s and `steady` (A) continuously.
-fn unknown_heat(most: f32, steady: f32) -> Heat {
+/// Returns the unknown heat of a motor that may carry `peak` (A) for 4 s and `continuous` (A) continuously.
+fn unknown_heat(peak: f32, continuous: f32) -> Heat {
     let mut heat = Heat::UNKNOWN;
-    heat.limit(most, steady);
+    heat.limit(peak, continuous);
     heat
 }
 
@@ -213,16 +213,16 @@ fn heat_is_kept_over_a_restart_completely_or_not_at_all() {
 
 #[derive(Clone, Debug)]
 enum Event {
-    Rules { most: f32, steady: f32 },
+    Rules { peak: f32, continuous: f32 },
     Motor(Option<f32>),
     Restart,
     Flows { share: f32, seconds: f32 },
 }
 
 fn event() -> impl Strategy<Value = Event> {
-    let steady = prop_oneof![Just(0.3_f32), Just(1.0), Just(1.2), Just(2.0), Just(2.9)];
+    let continuous = prop_oneof![Just(0.3_f32), Just(1.0), Just(1.2), Just(2.0), Just(2.9)];
     prop_oneof![
-        (1.5_f32..3.5, steady).prop_map(|(most, steady)| Event::Rules { most, steady }),
+        (1.5_f32..3.5, continuous).prop_map(|(peak, continuous)| Event::Rules { peak, continuous }),
         prop_oneof![Just(None), Just(Some(3.0)), Just(Some(1.0)), Just(Some(20.0))].prop_map(Event::Motor),
         Just(Event::Restart),
         (0.0_f32..1.0, 0.0_f32..8.0).prop_map(|(share, seconds)| Event::Flows { share, seconds }),
@@ -242,7 +242,7 @@ proptest! {
         let dt = 0.01_f32;
         for event in events {
             match event {
-                Event::Rules { most, steady } => rules = (most, steady),
+                Event::Rules { peak, continuous } => rules = (peak, continuous),
                 Event::Motor(of) => motor = of,
                 Event::Restart => heat = restored_heat(&heat),
                 Event::Flows { share, seconds } => {
@@ -258,9 +258,9 @@ proptest! {
                     }
                 }
             }
-            let most = motor.unwrap_or(0.0).min(rules.0);
-            heat.limit(most, rules.1);
-            largest = largest.max(f64::from(rules.1.min(most)));
+            let peak = motor.unwrap_or(0.0).min(rules.0);
+            heat.limit(peak, rules.1);
+            largest = largest.max(f64::from(rules.1.min(peak)));
         }
         // A minute after the last change the present limits apply, so the heat ends.
         heat.limit(3.0, 1.0);

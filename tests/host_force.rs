@@ -108,8 +108,8 @@ fn a_request_is_held_then_fades_evenly_and_ends() {
         let now = rig.torques()[0];
         // The period of a step is rounded, and an age is a sum of periods.
         assert!((now - 0.2 * share).abs() < 0.2 * 1.0e-3, "{now} at {age} s");
-        let most = 0.2 * period / 0.02 * 1.001;
-        assert!(before.is_none_or(|before: f32| (now - before).abs() < most), "{before:?} to {now} at {age} s");
+        let max_change = 0.2 * period / 0.02 * 1.001;
+        assert!(before.is_none_or(|before: f32| (now - before).abs() < max_change), "{before:?} to {now} at {age} s");
         before = Some(now);
         let answer = poll(&mut rig);
         assert!((answer.share - share).abs() < 1.0e-3);
@@ -184,7 +184,7 @@ fn invalid_numbers_are_refused_and_leave_the_present_force() {
     let with = |contact: HostContact| ForceRequest { contact: Some(contact), ..request(2) };
     let mut bad: Vec<(BadForce, ForceRequest)> = Vec::new();
     let invalid = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, f32::MAX];
-    let above = |most: f32| invalid.into_iter().chain([most * 1.000_01, -most * 1.000_01]);
+    let above = |limit: f32| invalid.into_iter().chain([limit * 1.000_01, -limit * 1.000_01]);
     for value in above(MAX_HELD_FORCE) {
         bad.push((BadForce::Force, force_request(2, value, 0.0)));
         bad.push((BadForce::Force, force_request(2, 0.0, value)));

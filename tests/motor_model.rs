@@ -7,15 +7,15 @@ use haptic_bridge::safety::fault::{Fault, State};
 
 /// Returns the fault, if the bridges turn off within 50 ms, and the largest current of motor 0 until then, A.
 fn largest_current_and_fault(rig: &mut Rig) -> (f32, Option<Fault>) {
-    let mut most = 0.0_f32;
+    let mut largest_current = 0.0_f32;
     for _ in 0..(0.05 * rig.rate) as u32 {
         rig.step();
-        most = most.max(rig.peak_current);
+        largest_current = largest_current.max(rig.peak_current);
         if rig.state() == State::Fault {
             break;
         }
     }
-    (most, rig.fault())
+    (largest_current, rig.fault())
 }
 
 #[test]
@@ -24,10 +24,10 @@ fn a_wrong_current_sensor_does_not_let_the_motor_pass_its_limit() {
         for shown in [0.0_f32, 1.0, -2.0] {
             let mut rig = Rig::pressing_in(&at_rate(rate, scene(1, &[wall(-0.005, 250.0)])));
             rig.shown_current = Some(shown);
-            let (most, fault) = largest_current_and_fault(&mut rig);
+            let (largest_current, fault) = largest_current_and_fault(&mut rig);
             assert_eq!(fault, Some(Fault::MotorModel), "{shown} A at {rate} Hz");
             // 1.5 times the limit of 3 A, plus 1 A, is the bound of measured currents.
-            assert!(most < 5.5, "{shown} A at {rate} Hz: {most} A");
+            assert!(largest_current < 5.5, "{shown} A at {rate} Hz: {largest_current} A");
         }
     }
 }

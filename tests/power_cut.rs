@@ -438,7 +438,7 @@ fn count_reads(storage: &mut Storage<'_, &mut Sectors>) -> (usize, usize) {
 fn after_the_start_a_read_needs_no_search_and_no_write() {
     let whole: usize = values_of(0).values().map(Vec::len).sum();
     // A read covers every entry, the catalogue before the entry, their headers, and the bytes read to find them.
-    let most = 2 * whole;
+    let max_bytes = 2 * whole;
     let mut flashes = vec![Sectors::new(), flash_after_saves(9)];
     let is_saved = |key: &u8| *key != 5;
     flashes.push(save(Sectors::new(), &values_of(3).into_iter().filter(|(key, _)| is_saved(key)).collect()));
@@ -460,7 +460,10 @@ fn after_the_start_a_read_needs_no_search_and_no_write() {
         for round in 0..3 {
             let (written, read) = count_reads(&mut storage);
             assert_eq!(written, 0, "flash {nth} of {count}, round {round}: a reader wrote");
-            assert!(read < most, "flash {nth} of {count}, round {round}: {read} bytes read, at most {most} are needed");
+            assert!(
+                read < max_bytes,
+                "flash {nth} of {count}, round {round}: {read} bytes read, at most {max_bytes} are needed"
+            );
         }
     }
 }

@@ -67,15 +67,15 @@ fn board_in(now: BoardState) -> Board {
 
 /// Returns rules in which every limit is `share` of the board's own limit.
 fn rules_with_share(share: f32) -> Rules {
-    let most = Limits::default();
+    let defaults = Limits::default();
     let limits = Limits {
-        torque: most.torque.map(|limit| share * limit),
-        current: most.current.map(|limit| share * limit),
-        continuous_current: most.continuous_current.map(|limit| share * limit),
-        speed: most.speed.map(|limit| share * limit),
-        power: share * most.power,
-        tip_force: share * most.tip_force,
-        ..most
+        torque: defaults.torque.map(|limit| share * limit),
+        current: defaults.current.map(|limit| share * limit),
+        continuous_current: defaults.continuous_current.map(|limit| share * limit),
+        speed: defaults.speed.map(|limit| share * limit),
+        power: share * defaults.power,
+        tip_force: share * defaults.tip_force,
+        ..defaults
     };
     Rules { limits, ..Rules::default() }
 }
@@ -611,31 +611,31 @@ fn a_restore_changes_all_settings_or_none() {
     let now = |board: &mut Board| (board.ask::<GetRules>(&()).unwrap(), board.ask::<GetDevice>(&()).unwrap());
 
     // If the tool ends before its commit, nothing changes, now and after a restart.
-    let mut untouched = board(false);
-    let before = now(&mut untouched);
+    let mut uncommitted = board(false);
+    let before = now(&mut uncommitted);
     assert_eq!(before.0, low);
-    untouched.ask::<Restart>(&()).unwrap().unwrap();
-    assert_eq!(now(&mut untouched), before);
-    assert_eq!(untouched.ask::<CommitEntries>(&both).unwrap(), Err(Refusal::BadEntry), "staged in another run");
+    uncommitted.ask::<Restart>(&()).unwrap().unwrap();
+    assert_eq!(now(&mut uncommitted), before);
+    assert_eq!(uncommitted.ask::<CommitEntries>(&both).unwrap(), Err(Refusal::BadEntry), "staged in another run");
 
     // If the flash fails, neither RAM nor flash changes.
-    let mut failed = board(true);
-    assert_eq!(failed.ask::<CommitEntries>(&both).unwrap(), Err(Refusal::Flash));
-    assert_eq!(now(&mut failed), before);
+    let mut with_failing_flash = board(true);
+    assert_eq!(with_failing_flash.ask::<CommitEntries>(&both).unwrap(), Err(Refusal::Flash));
+    assert_eq!(now(&mut with_failing_flash), before);
 
     // If one setting is refused, no setting changes.
-    let mut refused = board(false);
-    stage_setting(&mut refused, &rules_with_share(1.5)).unwrap();
-    assert_eq!(refused.ask::<CommitEntries>(&both).unwrap(), Err(too_high_refusal(1.5)));
-    assert_eq!(now(&mut refused), before);
+    let mut with_bad_setting = board(false);
+    stage_setting(&mut with_bad_setting, &rules_with_share(1.5)).unwrap();
+    assert_eq!(with_bad_setting.ask::<CommitEntries>(&both).unwrap(), Err(too_high_refusal(1.5)));
+    assert_eq!(now(&mut with_bad_setting), before);
 
     // If all settings fit, all change together.
-    let mut done = board(false);
-    done.ask::<CommitEntries>(&both).unwrap().unwrap();
-    assert_eq!(now(&mut done), (high, Some(heavier_device())));
-    assert!(!done.ask::<GetStatus>(&()).unwrap().homed, "another device must be homed");
-    done.ask::<Restart>(&()).unwrap().unwrap();
-    assert_eq!(now(&mut done), (high, Some(heavier_device())), "after a restart");
+    let mut restored = board(false);
+    restored.ask::<CommitEntries>(&both).unwrap().unwrap();
+    assert_eq!(now(&mut restored), (high, Some(heavier_device())));
+    assert!(!restored.ask::<GetStatus>(&()).unwrap().homed, "another device must be homed");
+    restored.ask::<Restart>(&()).unwrap().unwrap();
+    assert_eq!(now(&mut restored), (high, Some(heavier_device())), "after a restart");
 }
 
 /// A tool stages settings and ends. The next tool tries to commit them, with or without its own settings.

@@ -186,9 +186,9 @@ fn an_amplifier_gets_the_current_of_the_walls_torque() {
 #[test]
 fn limits_and_the_thermal_budget_hold_for_an_amplifier() {
     let mut rig = PressedRig::<SetPoint>::into_a_wall(1.0e6);
-    let most = limits().torque[0];
+    let limit = limits().torque[0];
     assert!(
-        (rig.control_loop.frame().motors.torque[0] - most).abs() < 1.0e-6,
+        (rig.control_loop.frame().motors.torque[0] - limit).abs() < 1.0e-6,
         "{:?}",
         rig.control_loop.frame().motors.torque
     );

@@ -57,18 +57,18 @@ const RATES_HZ: [f32; 14] = [
 
 #[test]
 fn a_scene_has_the_same_prepared_values_after_another_scene() {
-    let mut differ = Vec::new();
+    let mut differences = Vec::new();
     for first in RATES_HZ {
-        for then in RATES_HZ {
-            let y = Scene { gravity_compensation: true, ..at_rate(then, scene(2, &[wall(-0.3, 900.0)])) };
-            let (kept, own) =
+        for second in RATES_HZ {
+            let y = Scene { gravity_compensation: true, ..at_rate(second, scene(2, &[wall(-0.3, 900.0)])) };
+            let (taken_over, fresh) =
                 (load_scenes(Some(&at_rate(first, scene(2, &[]))), &y, |_| ()), load_scenes(None, &y, |_| ()));
-            if prepared_values(&kept) != prepared_values(&own) {
-                differ.push((first, then));
+            if prepared_values(&taken_over) != prepared_values(&fresh) {
+                differences.push((first, second));
             }
         }
     }
-    assert!(differ.is_empty(), "{differ:?}");
+    assert!(differences.is_empty(), "{differences:?}");
 }
 
 #[test]
@@ -124,13 +124,13 @@ fn lowest_tripping_speed(first: Option<f32>, rate: f32) -> f64 {
 
 #[test]
 fn a_rounding_of_the_rate_does_not_move_the_speed_limit() {
-    let mut wrong = Vec::new();
-    for (first, then) in [(1_000.0, 999.999_94), (2_000.0, 1_999.999_9), (4_000.0, 3_999.999_8)] {
-        let (own, kept) = (lowest_tripping_speed(None, then), lowest_tripping_speed(Some(first), then));
-        println!("{first:?} then {then:?}: {own:.1} rad/s by itself, {kept:.1} rad/s after the other");
-        if (kept - own).abs() > 0.15 {
-            wrong.push((first, then, own, kept));
+    let mut differences = Vec::new();
+    for (first, second) in [(1_000.0, 999.999_94), (2_000.0, 1_999.999_9), (4_000.0, 3_999.999_8)] {
+        let (alone, after_first) = (lowest_tripping_speed(None, second), lowest_tripping_speed(Some(first), second));
+        println!("{first:?} then {second:?}: {alone:.1} rad/s by itself, {after_first:.1} rad/s after the other");
+        if (after_first - alone).abs() > 0.15 {
+            differences.push((first, second, alone, after_first));
         }
     }
-    assert!(wrong.is_empty(), "{wrong:?}");
+    assert!(differences.is_empty(), "{differences:?}");
 }

@@ -119,9 +119,9 @@ fn the_response_to_one_count_is_right_although_truncated() {
                 let seen = Seen { moved, pushed: 0.0, unit: 1.0 / (speed * rate) };
                 velocity.step::<Libm>(&found, &seen, 0.0).abs()
             });
-            let most = speed * response.fold(0.0, f64::max);
-            assert!(most > 0.0, "{kind:?}");
-            assert!((known - most).abs() <= 1e-9 * most, "{kind:?} at {cutoff} Hz: {known} for {most}");
+            let peak = speed * response.fold(0.0, f64::max);
+            assert!(peak > 0.0, "{kind:?}");
+            assert!((known - peak).abs() <= 1e-9 * peak, "{kind:?} at {cutoff} Hz: {known} for {peak}");
         }
     }
     // If the window is much shorter than the low-pass, the peak equals the peak of the low-pass's impulse response. For

@@ -179,10 +179,10 @@ fn a_slide_gains_nothing_without_feed_forward_or_with_a_washout() {
 fn the_passivity_controller_bounds_the_energy_of_all_loops() {
     for case in &CASES {
         let LoopEnergies { work, reported, derived } = case.run_loops(FeedForward::Full, true, 5);
-        let most = 0.5 * case.stiffness * case.depth * case.depth + MAX_DEBT;
-        assert!(derived > 3.0 * most, "{}", case.device);
-        assert!(work.iter().sum::<f64>() < 1.02 * most, "{}: {work:?} J", case.device);
-        assert!(reported.iter().all(|reported| *reported > -1.02 * most), "{}: {reported:?} J", case.device);
-        assert!(work[0] > 0.5 * most, "{}: the feed-forward must act up to the bound: {work:?} J", case.device);
+        let bound = 0.5 * case.stiffness * case.depth * case.depth + MAX_DEBT;
+        assert!(derived > 3.0 * bound, "{}", case.device);
+        assert!(work.iter().sum::<f64>() < 1.02 * bound, "{}: {work:?} J", case.device);
+        assert!(reported.iter().all(|reported| *reported > -1.02 * bound), "{}: {reported:?} J", case.device);
+        assert!(work[0] > 0.5 * bound, "{}: the feed-forward must act up to the bound: {work:?} J", case.device);
     }
 }

@@ -138,10 +138,10 @@ pub fn sustains_scenes(case: &Case, rate_hz: u32) -> bool {
         set_free_scene(&mut rig, rate_hz, nth);
         rig.run(20 * MILLISECOND);
         // The status request takes virtual time, so the elapsed time is computed before it.
-        let (steps, passed) = (rig.steps().wrapping_sub(steps), rig.now() - began);
-        let periods = passed as f64 * 1.0e-9 * true_rate(rate_hz);
-        let armed = rig.tool.status().expect("the board replies").state == State::Armed;
-        armed && (f64::from(steps) - periods).abs() < 1.5
+        let (steps, elapsed_ns) = (rig.steps().wrapping_sub(steps), rig.now() - began);
+        let periods = elapsed_ns as f64 * 1.0e-9 * true_rate(rate_hz);
+        let is_armed = rig.tool.status().expect("the board replies").state == State::Armed;
+        is_armed && (f64::from(steps) - periods).abs() < 1.5
     });
     all && overruns(&mut rig) == before
 }
@@ -153,8 +153,8 @@ pub fn sustains_plane(case: &Case, rate_hz: u32) -> bool {
     let plane = HostContact { point: [0.0; 3], normal: [0.0, 1.0, 0.0], stiffness: 300.0, damping: 1.0 };
     let mut rig = case.rig(rate_hz);
     let before = rig.tool.details().expect("the board replies").overruns;
-    let done = exchange::run(&mut rig, (Fields::USUAL, rate_hz / 1000), rate_hz, 200, Some(plane), 1);
-    done.armed && done.rejected == 0 && done.overruns == before
+    let exchanges = exchange::run(&mut rig, (Fields::USUAL, rate_hz / 1000), rate_hz, 200, Some(plane), 1);
+    exchanges.armed && exchanges.rejected == 0 && exchanges.overruns == before
 }
 
 /// Returns true if `case` sustains a rate (Hz) while the tip-force limit, a quarter of the hand's force, reduces the
@@ -167,8 +167,8 @@ pub fn sustains_force_limit(case: &Case, rate_hz: u32) -> bool {
     rig.tool.set_rules(&rules).expect("rules are tightened in contact");
     let before = rig.tool.details().expect("the board replies").overruns;
     rig.run(200 * MILLISECOND);
-    let armed = rig.tool.status().expect("the board replies").state == State::Armed;
-    armed && rig.tool.details().expect("the board replies").overruns == before
+    let is_armed = rig.tool.status().expect("the board replies").state == State::Armed;
+    is_armed && rig.tool.details().expect("the board replies").overruns == before
 }
 
 /// Returns the highest rate (Hz) at which `case` passes the test `sustains`.

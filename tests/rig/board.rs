@@ -81,8 +81,8 @@ impl Machine for RigMachine {
     fn commit(&mut self, keys: &[Key]) -> Result<(), Refusal> {
         self.check_writable()?;
         let mut staged = core::mem::take(&mut self.flash.staged);
-        let named: Option<Vec<_>> = keys.iter().map(|key| staged.remove_entry(&(*key as u8))).collect();
-        self.flash.committed.extend(named.ok_or(Refusal::Flash)?);
+        let entries: Option<Vec<_>> = keys.iter().map(|key| staged.remove_entry(&(*key as u8))).collect();
+        self.flash.committed.extend(entries.ok_or(Refusal::Flash)?);
         Ok(())
     }
     fn load(&mut self, key: Key) -> Option<Entry> {

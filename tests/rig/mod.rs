@@ -373,9 +373,9 @@ impl Rig {
     /// Turns joint `i` at `speed` (rad/s) to `angle` (rad) from home.
     pub fn turn(&mut self, i: usize, angle: f64, speed: f64) {
         let target = (angle / core::f64::consts::TAU * COUNTS_PER_TURN).round() as i32;
-        let most = (speed / f64::from(self.rate) / core::f64::consts::TAU * COUNTS_PER_TURN).max(1.0) as i32;
+        let max_counts = (speed / f64::from(self.rate) / core::f64::consts::TAU * COUNTS_PER_TURN).max(1.0) as i32;
         while self.samples.counts[i] != target && self.state() != State::Fault {
-            self.samples.counts[i] += (target - self.samples.counts[i]).clamp(-most, most);
+            self.samples.counts[i] += (target - self.samples.counts[i]).clamp(-max_counts, max_counts);
             self.step();
         }
     }

@@ -56,12 +56,12 @@ const WALL_SETS: [(bool, [bool; 3]); 6] = [
 /// Returns the largest torque per newton that (4) gives for one wall (m), which scales the bounds of slopes.
 fn lever(device: &Shipped, q: &[f64]) -> f64 {
     let task = device.spec().task;
-    let mut most = 0.0_f64;
+    let mut largest = 0.0_f64;
     for i in 0..64 {
         let n = turned_normal(task, 0.1 * f64::from(i), (f64::from(i) * 0.37).sin() * 2.0);
-        most = most.max(distance(&torque(device, q, &[(n, 1.0, 1.0)], Precision::F64), &vec![0.0; q.len()]));
+        largest = largest.max(distance(&torque(device, q, &[(n, 1.0, 1.0)], Precision::F64), &vec![0.0; q.len()]));
     }
-    most
+    largest
 }
 
 #[test]

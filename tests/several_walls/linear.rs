@@ -176,7 +176,7 @@ pub fn pose(device: &Shipped, random: &mut Random) -> Vec<f64> {
 fn the_feed_forward_makes_no_set_of_walls_less_stable() {
     let mut random = Random(3);
     let critical = critical_stiffness();
-    let (mut most, mut cases) = (0.0_f64, 0);
+    let (mut largest_ratio, mut cases) = (0.0_f64, 0);
     for device in devices() {
         let task = device.spec().task;
         for set in 0..60 {
@@ -195,17 +195,17 @@ fn the_feed_forward_makes_no_set_of_walls_less_stable() {
             }
             let (without, with) = (stability_limit(&plain, critical), stability_limit(&shaped, critical));
             assert!(with >= without * (1.0 - 1.0e-9), "{} {q:?} {walls:?}: {without} to {with}", device.name);
-            most = most.max(with / without);
+            largest_ratio = largest_ratio.max(with / without);
             cases += 1;
         }
     }
-    assert!(cases == 420 && most > 1.5, "the feed-forward has too little effect: {most}");
+    assert!(cases == 420 && largest_ratio > 1.5, "the feed-forward has too little effect: {largest_ratio}");
 }
 
 #[test]
 fn the_feed_forward_of_some_walls_makes_no_set_less_stable() {
     let mut random = Random(9);
-    let (mut most, mut cases) = (0.0_f64, 0);
+    let (mut largest_ratio, mut cases) = (0.0_f64, 0);
     for device in devices() {
         let task = device.spec().task;
         for set in 0..120 {
@@ -223,11 +223,11 @@ fn the_feed_forward_of_some_walls_makes_no_set_less_stable() {
             }
             let name = &device.name;
             assert!(with_some <= without * (1.0 + 1.0e-9), "{name} {q:?} {walls:?} {with:?}: {without}, {with_some}");
-            most = most.max(without / with_some);
+            largest_ratio = largest_ratio.max(without / with_some);
             cases += 1;
         }
     }
-    assert!(cases == 840 && most > 1.5, "the feed-forward has too little effect: {most}");
+    assert!(cases == 840 && largest_ratio > 1.5, "the feed-forward has too little effect: {largest_ratio}");
 }
 
 #[test]
@@ -330,10 +330,10 @@ fn share_of_less_stable_pairs(w: f64) -> (f64, f64) {
 
 #[test]
 fn half_the_weight_costs_little_stability_and_full_weight_none() {
-    let (touched, most) = share_of_less_stable_pairs(0.0);
-    assert!((0.12..0.20).contains(&touched) && most < 1.4, "{touched} {most}");
-    let (half, most) = share_of_less_stable_pairs(0.5);
-    assert!(half < 0.01 && most < 1.09, "{half} {most}");
-    let (full, most) = share_of_less_stable_pairs(1.0);
-    assert!(full == 0.0 && most < 1.0 + 1.0e-9, "{full} {most}");
+    let (share, worst_ratio) = share_of_less_stable_pairs(0.0);
+    assert!((0.12..0.20).contains(&share) && worst_ratio < 1.4, "weight 0: {share} of the pairs, ratio {worst_ratio}");
+    let (share, worst_ratio) = share_of_less_stable_pairs(0.5);
+    assert!(share < 0.01 && worst_ratio < 1.09, "weight 0.5: {share} of the pairs, ratio {worst_ratio}");
+    let (share, worst_ratio) = share_of_less_stable_pairs(1.0);
+    assert!(share == 0.0 && worst_ratio < 1.0 + 1.0e-9, "weight 1: {share} of the pairs, ratio {worst_ratio}");
 }

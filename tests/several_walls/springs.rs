@@ -96,7 +96,7 @@ fn mass_ratio(file: &Shipped, q: &[f64], set: &ForceSet) -> f64 {
 #[test]
 fn the_feed_forward_makes_no_walls_with_springs_less_stable() {
     let mut random = Random(17);
-    let (mut most, mut cases) = (0.0_f64, 0);
+    let (mut largest_ratio, mut cases) = (0.0_f64, 0);
     for device in devices() {
         let task = device.spec().task;
         for set in 0..60 {
@@ -118,11 +118,11 @@ fn the_feed_forward_makes_no_walls_with_springs_less_stable() {
                 })
                 .collect();
             let plane = (set % 3 == 0 || set % 5 == 0).then(|| (random.direction(task), gain(&mut random)));
-            most = most.max(mass_ratio(&device, &q, &ForceSet { walls, springs, plane }));
+            largest_ratio = largest_ratio.max(mass_ratio(&device, &q, &ForceSet { walls, springs, plane }));
             cases += 1;
         }
     }
-    assert!(cases == 420 && most > 1.5, "the feed-forward has too little effect: {most}");
+    assert!(cases == 420 && largest_ratio > 1.5, "the feed-forward has too little effect: {largest_ratio}");
 }
 
 /// Returns the normal n of the demo's wall, and the direction halfway between n and Λ n.
@@ -130,9 +130,9 @@ fn normal_and_oblique(file: &Shipped, q: &[f64]) -> (Vec<f64>, Vec<f64>) {
     let n = unit_vector(75_f64.to_radians());
     let (mass, jacobian) = matrices(file, q).expect("a regular pose");
     let back = jacobian.try_inverse().expect("a square Jacobian");
-    let pulled = back.transpose() * mass * &back * DVector::from_vec(n.clone());
-    let pulled = normalized(pulled.as_slice());
-    let m = normalized(&[n[0] + pulled[0], n[1] + pulled[1]]);
+    let inertial = back.transpose() * mass * &back * DVector::from_vec(n.clone());
+    let inertial = normalized(inertial.as_slice());
+    let m = normalized(&[n[0] + inertial[0], n[1] + inertial[1]]);
     (n, m)
 }
 

@@ -74,11 +74,11 @@ pub fn provoke(fault: Fault) -> Option<Outcome> {
     assert!(listed.iter().any(|listed| listed.fault == fault), "{name}: not listed: {listed:?}");
     // The fault stays latched, the bridges stay off, and arming is refused.
     let _ = rig.tool.rows(Duration::from_millis(50));
-    let refused = rig.tool.arm();
-    let named = matches!(refused, Err(BoardError::Refused(Refusal::Faulted(latched))) if latched == fault);
+    let answer = rig.tool.arm();
+    let names_fault = matches!(answer, Err(BoardError::Refused(Refusal::Faulted(latched))) if latched == fault);
     // After a restart the chip has also lost its device, and refuses for that reason.
-    let refused_after_restart = restarted && matches!(refused, Err(BoardError::Refused(_)));
-    assert!(named || refused_after_restart, "{name}: {refused:?}");
+    let refused_after_restart = restarted && matches!(answer, Err(BoardError::Refused(_)));
+    assert!(names_fault || refused_after_restart, "{name}: {answer:?}");
     assert!(rig.with(bridges_off), "{name}: bridges came on again");
     if fault == Fault::NotFinite {
         // The NaN is still in the scene, and only a new scene removes it.
@@ -93,9 +93,9 @@ pub fn provoke(fault: Fault) -> Option<Outcome> {
         // Neither clearing nor loading the device again after the restart repairs anything.
         rig.load("");
         rig.tool.home().unwrap_or_else(|error| panic!("{name}: {error}"));
-        let refused = rig.tool.check_polarity();
-        let named = matches!(refused, Err(BoardError::Refused(Refusal::Faulted(again))) if again == fault);
-        assert!(named && rig.with(bridges_off), "{name}: {refused:?}");
+        let answer = rig.tool.check_polarity();
+        let names_fault = matches!(answer, Err(BoardError::Refused(Refusal::Faulted(again))) if again == fault);
+        assert!(names_fault && rig.with(bridges_off), "{name}: {answer:?}");
     }
     let periods_from_cause = ((at - began) / (50 * MICROSECOND)) as u32;
     // This fault is detected before the bridges are ever on. The steps since then only waited for the reply.

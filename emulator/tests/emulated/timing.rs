@@ -6,7 +6,7 @@ use haptic_emulator::timing::recorded_lengths;
 
 /// Largest permitted ratio to the recorded instructions. If it is exceeded, find the cause and run `cargo xtask
 /// timing`.
-const MAX_GROWTH: f64 = 1.03;
+const MAX_INSTRUCTION_RATIO: f64 = 1.03;
 
 fn stays_within_record(nth: usize) {
     let case = CASES[nth];
@@ -15,7 +15,7 @@ fn stays_within_record(nth: usize) {
     let timing = case.measure();
     println!("{}: {timing:?}", case.name());
     assert!(timing.steps > 200, "{timing:?}");
-    let allowed = |recorded: u64| (recorded as f64 * MAX_GROWTH) as u64;
+    let allowed = |recorded: u64| (recorded as f64 * MAX_INSTRUCTION_RATIO) as u64;
     assert!(timing.longest_step <= allowed(longest), "{}: {longest} recorded, {timing:?}", case.name());
     assert!(timing.longest_valley <= allowed(valley), "{}: {valley} recorded, {timing:?}", case.name());
 }
