@@ -164,18 +164,18 @@ fn torque_rises_from_zero_after_arming() {
     // The spring makes its full torque from the first step on.
     let mut rig = Rig::ready(&spring_scene(1, [0.02, 0.0, 0.0], 100.0));
     rig.execute(Command::Arm).unwrap();
-    let full = 100.0 * 0.02 * 0.1;
+    let full_torque = 100.0 * 0.02 * 0.1;
     let mut last = 0.0;
     for step in 1..=(ARM_SECONDS * RATE_HZ) as u32 {
         rig.step();
         let torque = rig.torques()[0];
-        let expected = full * step as f32 / (ARM_SECONDS * RATE_HZ);
-        assert!((torque - expected).abs() < 1.0e-3 * full, "step {step}: {torque} for {expected}");
+        let expected = full_torque * step as f32 / (ARM_SECONDS * RATE_HZ);
+        assert!((torque - expected).abs() < 1.0e-3 * full_torque, "step {step}: {torque} for {expected}");
         assert!(torque >= last);
         last = torque;
     }
     rig.step();
-    assert!((rig.torques()[0] - full).abs() < 1.0e-5);
+    assert!((rig.torques()[0] - full_torque).abs() < 1.0e-5);
 }
 
 #[test]

@@ -76,8 +76,8 @@ impl Winding {
     }
 }
 
-fn settled_current(motor: &Motor<f32>, sensed: bool, torque: f32, speed: f32, seconds: f32) -> (f32, Axis) {
-    let mut axis = Axis::new(motor, &bridge(sensed), 10.0);
+fn settled_current(motor: &Motor<f32>, has_sensors: bool, torque: f32, speed: f32, seconds: f32) -> (f32, Axis) {
+    let mut axis = Axis::new(motor, &bridge(has_sensors), 10.0);
     let mut winding = Winding { measured_speed: speed, ..Winding::new(*motor, speed) };
     axis.command(torque);
     winding.run(&mut axis, (seconds * CARRIER_HZ) as usize, |_, _| {});
@@ -202,7 +202,7 @@ fn a_step_beyond_the_bus_voltage_takes_longer_and_settles() {
     // 2 A in 50 µs would need 43 V. The available 22 V need two periods.
     let (peak, arrived) = step(motor());
     assert!(peak < 1.01 && arrived == 2, "{peak} of the step, {arrived} periods");
-    // If the inductance is below the file's by a share, the current overshoots by this share until the loop corrects it.
+    // If the inductance is below the file's by a share, the current overshoots by this share until it is corrected.
     for (resistance, inductance) in [(1.4, 1.0), (0.7, 1.0), (1.0, 1.3), (1.0, 0.7), (1.4, 0.7)] {
         let expected = motor();
         let actual = Motor {
@@ -337,12 +337,12 @@ const TEST_NUMBERS: [f32; 12] = [
 
 #[test]
 fn each_leg_stays_between_4_and_96_percent_for_any_input() {
-    for sensed in [true, false] {
+    for has_sensors in [true, false] {
         for torque in TEST_NUMBERS {
             for speed in TEST_NUMBERS {
                 for bus in TEST_NUMBERS {
                     for current in TEST_NUMBERS {
-                        let mut axis = Axis::new(&motor(), &bridge(sensed), 10.0);
+                        let mut axis = Axis::new(&motor(), &bridge(has_sensors), 10.0);
                         axis.command(torque);
                         for late in [false, true, true, false] {
                             let duty = f32::from(axis.drive(&Supply::of(bus), current, speed, late));

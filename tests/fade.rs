@@ -57,10 +57,10 @@ fn the_limit_holds_for_a_fade_while_the_elbow_stretches() {
             if rig.state() != State::Armed {
                 break;
             }
-            let left = 1.0 - (step + 1) as f32 / 1_000.0;
+            let remaining_share = 1.0 - (step + 1) as f32 / 1_000.0;
             let old = force_at_tip(
                 &rig.control_loop.frame().at.q,
-                Vector2::new(before[0], before[1]).map(|torque| (torque * left).into()),
+                Vector2::new(before[0], before[1]).map(|torque| (torque * remaining_share).into()),
             );
             alone = alone.max(old.norm());
             assert!(
@@ -85,10 +85,10 @@ fn a_lowered_torque_limit_scales_a_fading_force() {
         lower.limits.torque[joint] = 0.1 * torques(&rig)[joint].abs();
         rig.execute(Command::Rules(lower)).expect("lowered while armed");
         rig.step();
-        let left = rig.tip_force();
-        assert!(left.norm() < 0.11 * before.norm(), "{left} of {before}");
-        let aside = (left.x * before.y - left.y * before.x).abs() / before.norm();
-        assert!(aside < 0.01 * before.norm(), "the direction changed: {left} of {before}");
+        let remaining_force = rig.tip_force();
+        assert!(remaining_force.norm() < 0.11 * before.norm(), "{remaining_force} of {before}");
+        let aside = (remaining_force.x * before.y - remaining_force.y * before.x).abs() / before.norm();
+        assert!(aside < 0.01 * before.norm(), "the direction changed: {remaining_force} of {before}");
         let mut raised = rig_with_pull(force_limited_rules(5.0), [4.0, 2.0]);
         raised.load(&five_bar(), &scene(2, &[]), true).expect("free space");
         raised.step();
@@ -115,10 +115,13 @@ fn torques_do_not_jump_when_a_wall_at_the_limit_is_replaced() {
     for step in 0..=1_000 {
         rig.step();
         let now = torques(&rig);
-        let left = 1.0 - (step + 1) as f32 / 1_000.0;
+        let remaining_share = 1.0 - (step + 1) as f32 / 1_000.0;
         for i in 0..2 {
             assert!((now[i] - last[i]).abs() < 3.0e-3 * before[i].abs() + 1.0e-6, "step {step}: {last:?} to {now:?}");
-            assert!((now[i] - left.max(0.0) * before[i]).abs() < 2.0e-3 * before[i].abs() + 1.0e-6, "step {step}");
+            assert!(
+                (now[i] - remaining_share.max(0.0) * before[i]).abs() < 2.0e-3 * before[i].abs() + 1.0e-6,
+                "step {step}"
+            );
         }
         last = now;
     }
@@ -143,11 +146,14 @@ fn a_host_force_ends_with_its_lease_after_a_new_scene() {
             "the torque jumps where the fade begins"
         );
         rig.run(0.04);
-        let left = torques(&rig);
+        let remaining_torques = torques(&rig);
         // 0.041 s of the 0.5 s fade have passed.
         for i in 0..2 {
             let expected = (1.0 - 0.041 / 0.5) * spring[i];
-            assert!((left[i] - expected).abs() < 0.01 * spring[i].abs(), "{left:?}, the spring's torques {spring:?}");
+            assert!(
+                (remaining_torques[i] - expected).abs() < 0.01 * spring[i].abs(),
+                "{remaining_torques:?}, the spring's torques {spring:?}"
+            );
         }
     }
 }
@@ -161,15 +167,15 @@ fn no_force_outlives_its_lease_or_reverses_after_a_new_scene() {
         torque: [torque, 0.0, 0.0],
         ..ForceRequest::default()
     };
-    let free = scene(2, &[]);
+    let free_scene = scene(2, &[]);
     for (first, second) in [(0.005, 1.0), (0.1, 0.0), (0.0, 0.1)] {
-        let mut rig = Rig::with(&five_bar(), &free, hardware(), force_limited_rules(5.0));
+        let mut rig = Rig::with(&five_bar(), &free_scene, hardware(), force_limited_rules(5.0));
         rig.arm();
         assert_eq!(rig.control_loop.force(&push(1, first)).done, ForceDone::Taken);
         rig.step();
         let before = torques(&rig)[0];
         assert_eq!(rig.control_loop.force(&push(2, second)).done, ForceDone::Taken);
-        rig.load(&five_bar(), &free, true).expect("free space");
+        rig.load(&five_bar(), &free_scene, true).expect("free space");
         for _ in 0..80 {
             rig.step();
             let now = torques(&rig)[0];
@@ -183,15 +189,15 @@ fn no_force_outlives_its_lease_or_reverses_after_a_new_scene() {
 fn further_scenes_do_not_prolong_a_host_force() {
     for steps_between in [0, 1, 20] {
         for (torque, push) in [([0.1, -0.05, 0.0], [0.0; 3]), ([0.0; 3], [4.0, 0.0, 0.0])] {
-            let free = scene(2, &[]);
-            let mut rig = Rig::with(&five_bar(), &free, hardware(), force_limited_rules(5.0));
+            let free_scene = scene(2, &[]);
+            let mut rig = Rig::with(&five_bar(), &free_scene, hardware(), force_limited_rules(5.0));
             rig.arm();
             let request =
                 ForceRequest { sequence: 1, hold: 0.02, fade: 0.02, torque, force: push, ..ForceRequest::default() };
             assert_eq!(rig.control_loop.force(&request).done, ForceDone::Taken);
             rig.step();
             for _ in 0..3 {
-                rig.load(&five_bar(), &free, true).expect("free space");
+                rig.load(&five_bar(), &free_scene, true).expect("free space");
                 (0..steps_between).for_each(|_| rig.step());
             }
             rig.run(0.04);
@@ -237,8 +243,8 @@ fn compensated_weight_does_not_count_against_the_limit() {
 #[test]
 fn a_new_scene_at_the_end_of_the_ramp_reverses_no_force() {
     for steps in 998..=1_003 {
-        let free = scene(2, &[]);
-        let mut rig = Rig::with(&five_bar(), &free, hardware(), force_limited_rules(5.0));
+        let free_scene = scene(2, &[]);
+        let mut rig = Rig::with(&five_bar(), &free_scene, hardware(), force_limited_rules(5.0));
         rig.execute(Command::Arm).expect("ready");
         for step in 0..steps {
             // The requested force is four times the tip-force limit.
@@ -247,7 +253,7 @@ fn a_new_scene_at_the_end_of_the_ramp_reverses_no_force() {
             assert_eq!(rig.control_loop.force(&request).done, ForceDone::Taken);
             rig.step();
         }
-        rig.load(&five_bar(), &free, true).expect("free space");
+        rig.load(&five_bar(), &free_scene, true).expect("free space");
         for _ in 0..600 {
             rig.step();
             assert!(rig.tip_force().x > -ROUNDING_N, "a scene after {steps} steps: {} N", rig.tip_force().x);

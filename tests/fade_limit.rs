@@ -23,8 +23,8 @@ fn force_limited_rules(tip_force: f32) -> Rules {
 /// Creates an armed five-bar at home whose tip a spring pulls with the force (x, y), N.
 fn rig_with_pull(rate: f32, [x, y]: [f32; 2], rules: Rules) -> Rig {
     let tip = Rig::with(&five_bar(), &at_rate(rate, scene(2, &[])), hardware(), rules).control_loop.frame().at.tip;
-    let pulled = spring_scene(2, [tip[0] + x / 10.0, tip[1] + y / 10.0, 0.0], 10.0);
-    let mut rig = Rig::with(&five_bar(), &at_rate(rate, pulled), hardware(), rules);
+    let pulling_scene = spring_scene(2, [tip[0] + x / 10.0, tip[1] + y / 10.0, 0.0], 10.0);
+    let mut rig = Rig::with(&five_bar(), &at_rate(rate, pulling_scene), hardware(), rules);
     rig.arm();
     rig
 }
@@ -32,7 +32,7 @@ fn rig_with_pull(rate: f32, [x, y]: [f32; 2], rules: Rules) -> Rig {
 /// Returns the largest tip force (N) while a hand stretches the elbows at `speed` (rad/s). A new scene is loaded after
 /// `begin` (rad) of motion, and then every `every` steps (0: never again).
 fn largest_force(rate: f32, speed: f32, begin: f32, every: u32) -> f64 {
-    let free = at_rate(rate, scene(2, &[]));
+    let free_scene = at_rate(rate, scene(2, &[]));
     let mut rig = rig_with_pull(rate, [1.9, 0.3], force_limited_rules(2.0));
     let (mut turned, mut worst) = (0.0_f32, 0.0_f64);
     let from = rig.samples.counts;
@@ -40,7 +40,7 @@ fn largest_force(rate: f32, speed: f32, begin: f32, every: u32) -> f64 {
     for step in 0..steps {
         let first = (begin / speed * rate) as u32;
         if step == first || (every > 0 && step > first && (step - first).is_multiple_of(every)) {
-            let _ = rig.load(&five_bar(), &free, true);
+            let _ = rig.load(&five_bar(), &free_scene, true);
         }
         turned += speed / rate * 60_000.0 / std::f32::consts::TAU;
         rig.samples.counts[0] = from[0] + turned as i32;

@@ -181,8 +181,8 @@ fn floors_import_lower_floors_only() {
     }
     let uses: usize = library.iter().map(|source| source.uses.len()).sum();
     assert!(uses > 500, "only {uses} uses found");
-    let wrong: Vec<String> = library.iter().flat_map(Source::upward_uses).collect();
-    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+    let violations: Vec<String> = library.iter().flat_map(Source::upward_uses).collect();
+    assert!(violations.is_empty(), "{}", violations.join("\n"));
     // The reader must find a use in each of these forms.
     for code in ["use crate::control::A;", "x: crate::board::B", "use super::super::control::{C, D};", "[crate::board]"]
     {
@@ -219,7 +219,7 @@ fn the_library_names_no_board_and_no_chip() {
 
 #[test]
 fn no_crate_below_the_tool_names_an_option_of_the_tool() {
-    let (mut read, mut wrong) = (0, Vec::new());
+    let (mut read, mut violations) = (0, Vec::new());
     for folder in HOST_FOLDERS.iter().filter(|folder| **folder != "tool/src") {
         for (file, code) in sources(folder) {
             let path = format!("{folder}/{file}");
@@ -229,10 +229,10 @@ fn no_crate_below_the_tool_names_an_option_of_the_tool() {
                 let names_option = |line: &&str| {
                     line.split("--").skip(1).any(|rest| rest.starts_with(|c: char| c.is_ascii_lowercase()))
                 };
-                wrong.extend(own.lines().filter(names_option).map(|line| format!("{path}: {}", line.trim())));
+                violations.extend(own.lines().filter(names_option).map(|line| format!("{path}: {}", line.trim())));
             }
         }
     }
     assert!(read > 100, "only {read} sources");
-    assert_eq!(wrong, Vec::<String>::new(), "let main.rs name the option that makes a `Choice`");
+    assert_eq!(violations, Vec::<String>::new(), "let main.rs name the option that makes a `Choice`");
 }

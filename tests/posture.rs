@@ -39,13 +39,13 @@ fn settled_torque(scene: &Scene<f64>, q: &Vector3<f64>, qd: &Vector3<f64>) -> Ve
 /// With φ = q₀ + q₁ + q₂ and by virtual work, a moment f on the last link is the torque f at every joint.
 #[test]
 fn the_posture_spring_is_a_moment_on_the_last_link() {
-    let held = Posture { orientation: 2.6, stiffness: 0.4, damping: 0.03 };
+    let posture = Posture { orientation: 2.6, stiffness: 0.4, damping: 0.03 };
     for (q, qd) in
         [([0.5, 0.8, 0.7], [0.0; 3]), ([-0.8, 1.4, -2.0], [0.2, 0.5, 0.6]), ([0.4, 0.0, 0.3], [0.1, 0.0, 0.2])]
     {
         let (q, qd) = (Vector3::from(q), Vector3::from(qd));
         let moment = 0.4 * (2.6_f64 - q.sum()).sin() - 0.03 * qd.sum();
-        let error = settled_torque(&scene(Some(held)), &q, &qd) - Vector3::repeat(moment);
+        let error = settled_torque(&scene(Some(posture)), &q, &qd) - Vector3::repeat(moment);
         assert!(error.norm() < 1e-4 * moment.abs(), "{error} of {moment}");
     }
 }
@@ -112,16 +112,16 @@ fn an_arm_that_presses_a_wall_reaches_and_keeps_its_posture() {
 
 #[test]
 fn a_posture_that_cannot_be_held_is_refused() {
-    let held = Posture { orientation: 0.3, stiffness: 0.2, damping: 0.0 };
+    let posture = Posture { orientation: 0.3, stiffness: 0.2, damping: 0.0 };
     let device = Device::<f64>::new("five-bar", &shipped("coupled-five-bar")).expect("a sound device");
     let AnyMechanism::FiveBar(five_bar) = device.mechanism else { panic!("a five-bar") };
-    let made = Controller::<f64, _, Libm, 2>::new(five_bar, &device, &scene(Some(held)));
-    assert_eq!(made.err(), Some(SceneError::Posture));
-    for wrong in [
-        Posture { orientation: f64::NAN, ..held },
-        Posture { stiffness: -1.0, ..held },
-        Posture { damping: f64::INFINITY, ..held },
+    let result = Controller::<f64, _, Libm, 2>::new(five_bar, &device, &scene(Some(posture)));
+    assert_eq!(result.err(), Some(SceneError::Posture));
+    for invalid in [
+        Posture { orientation: f64::NAN, ..posture },
+        Posture { stiffness: -1.0, ..posture },
+        Posture { damping: f64::INFINITY, ..posture },
     ] {
-        assert_eq!(scene(Some(wrong)).check(2), Err(SceneError::Posture));
+        assert_eq!(scene(Some(invalid)).check(2), Err(SceneError::Posture));
     }
 }

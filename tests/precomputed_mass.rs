@@ -109,8 +109,8 @@ fn outside_its_grid_a_table_is_the_closed_form() {
     }
     // NaN and infinite angles must not cause a panic.
     let pose = m.pose::<Libm>(&SVector::from([2.3, 0.8]));
-    for broken in [f64::NAN, f64::INFINITY, -1.0e300] {
-        table.shaping(&m, &SVector::from([broken, 0.8]), &pose, &n);
+    for invalid in [f64::NAN, f64::INFINITY, -1.0e300] {
+        table.shaping(&m, &SVector::from([invalid, 0.8]), &pose, &n);
     }
     // A table must have exactly as many values as its grid.
     assert!(MassModel::table::<FiveBar<f64>>(&grid, &values[1..]).is_none());

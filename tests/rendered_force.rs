@@ -87,12 +87,15 @@ fn the_rendered_force_is_the_static_force_of_the_torques() {
                 |i: usize| f64::from(frame.counts[i]) / COUNTS_PER_TURN * core::f64::consts::TAU + [2.4, 0.7][i];
             let torque = Vector2::new(frame.motors.torque[0], frame.motors.torque[1]).map(f64::from);
             let expected = force_at_tip(&[angle(0) as f32, angle(1) as f32, 0.0], torque).dot(&Vector2::from(n));
-            let got = f64::from(frame.motors.rendered_force);
+            let rendered = f64::from(frame.motors.rendered_force);
             if frame.motors.rendered_force < 0.999 * frame.at.walls.wall_force {
                 assert_eq!((frame.saturation(0), frame.saturation(1)), (1, 1), "one factor reduces both: {frame:?}");
             }
             // 1e-4 covers the f32 rounding of the step (2e-5 of the torque) and of the differences (1e-7).
-            assert!((got - expected).abs() < 1e-4 * (1.0 + expected.abs()), "{got} for {expected}: {frame:?}");
+            assert!(
+                (rendered - expected).abs() < 1e-4 * (1.0 + expected.abs()),
+                "{rendered} for {expected}: {frame:?}"
+            );
             if frame.saturation(0) + frame.saturation(1) > 0 {
                 saturated += 1;
                 // The board reduces the feed-forward before the force.

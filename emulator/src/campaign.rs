@@ -249,8 +249,8 @@ pub fn row(case: &Case, rate: u32, outcomes: &[Outcome]) -> String {
     let names: BTreeSet<&str> = outcomes.iter().map(|outcome| outcome.fault.map_or("nobody", Fault::name)).collect();
     let names: Vec<&str> = names.into_iter().collect();
     let worst = |number: fn(&Outcome) -> f64| outcomes.iter().map(number).fold(0.0, f64::max);
-    let unseen = outcomes.iter().any(|outcome| outcome.fault.is_none());
-    let after = match unseen {
+    let is_missed = outcomes.iter().any(|outcome| outcome.fault.is_none());
+    let after = match is_missed {
         true => "not in 300 ms".to_owned(),
         false => format!("{:.2}", worst(|outcome| outcome.off_after_ns as f64 * 1e-6)),
     };

@@ -131,11 +131,11 @@ where
                         let stiffness = Exact::from_f64(f64::from(stiffness[i]));
                         (normal, stiffness, -(stiffness * distance))
                     });
-                    let right: SVector<f64, N> = cast(&reference_torques(&reference, &angles, &given));
+                    let exact: SVector<f64, N> = cast(&reference_torques(&reference, &angles, &given));
                     let found: SVector<f64, N> = cast(&step.torque);
-                    row.torque[index] = row.torque[index].max((found - right).amax() / right.amax());
+                    row.torque[index] = row.torque[index].max((found - exact).amax() / exact.amax());
                     let plain: SVector<f64, N> = cast(&step.rendered);
-                    row.smallest_shaping = row.smallest_shaping.min((right - plain).amax() / right.amax());
+                    row.smallest_shaping = row.smallest_shaping.min((exact - plain).amax() / exact.amax());
                 }
             }
             row

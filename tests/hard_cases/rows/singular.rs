@@ -251,8 +251,8 @@ where
             row.board.grow(&Errors::new(&routes::<_, BoardMath, _, N>(board, &q, &qd, &n), &exact));
             row.double.grow(&Errors::new(&routes::<_, Libm, _, N>(double, &cast(&q), &cast(&qd), &cast(&n)), &exact));
             let found = whole::<_, FineTable, _, N>(double, &cast(&q), &cast(&qd), &cast(&n));
-            let right = whole::<_, ExactMath, _, N>(reference, &cast(&q), &cast(&qd), &cast(&n));
-            row.whole.grow(&WholeErrors::new(&found, &right));
+            let exact_whole = whole::<_, ExactMath, _, N>(reference, &cast(&q), &cast(&qd), &cast(&n));
+            row.whole.grow(&WholeErrors::new(&found, &exact_whole));
             row.reference = Errors::new(&exact, &exact).all().fold(row.reference, f64::max);
         }
     }

@@ -60,10 +60,10 @@ where
                     let counts = share.map(|x| ((x + f64::from(sign * turns)) * counts_per_turn).round() as i32);
                     let angles =
                         counts.map(|n| Exact::from_f64(f64::from(n)) * two_pi() / Exact::from_f64(counts_per_turn));
-                    let right: SVector<f64, N> = cast(&reference.tip(&reference.pose::<ExactMath>(&angles)));
+                    let exact: SVector<f64, N> = cast(&reference.tip(&reference.pose::<ExactMath>(&angles)));
                     let found: SVector<f64, N> = cast(&controller.step(&counts.into()).tip);
                     for i in 0..task {
-                        row.tip[index] = row.tip[index].max((found[i] - right[i]).abs() / length);
+                        row.tip[index] = row.tip[index].max((found[i] - exact[i]).abs() / length);
                     }
                 }
             }
