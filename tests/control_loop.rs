@@ -110,7 +110,7 @@ fn arming_is_refused_in_walls_outside_limits_and_without_supply() {
         rig.samples.bus_voltage = voltage;
         rig.control_loop.control(&rig.samples);
         let refusal = rig.execute(Command::Arm).unwrap_err();
-        assert!(matches!(refusal, Refusal::BusVoltage | Refusal::Faulted(Fault::NotFinite)), "{voltage}: {refusal}");
+        assert!(matches!(refusal, Refusal::BusVoltage | Refusal::Faulted(Fault::NotFinite)), "{voltage} V: {refusal}");
     }
 }
 

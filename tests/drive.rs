@@ -149,7 +149,7 @@ fn late_duties_agree_with_the_model_of_a_motor_like_its_file() {
                     overshoot = overshoot.max((current - target) / (target - begin + 0.001));
                 });
                 let (strain, ..) = axis.strain();
-                assert!(strain.abs() < 0.01, "{name}, {inductance} H, {target} A: {strain} V");
+                assert!(strain.abs() < 0.01, "{name}, {inductance} H, {target} A: strain {strain} V");
                 assert!(
                     (winding.current - target).abs() < 0.001,
                     "{name}, {inductance} H: {} A of {target} A",
@@ -348,7 +348,7 @@ fn each_leg_stays_between_4_and_96_percent_for_any_input() {
                             let duty = f32::from(axis.drive(&Supply::of(bus), current, speed, late));
                             let legs = [0.5 + 0.5 * duty, 0.5 - 0.5 * duty];
                             let inside = legs.iter().all(|leg| (0.039_999..=0.960_001).contains(leg));
-                            assert!(inside, "{torque} {speed} {bus} {current}: {duty}");
+                            assert!(inside, "{torque} N m, {speed} rad/s, {bus} V, {current} A: duty {duty}");
                         }
                     }
                 }
@@ -374,7 +374,7 @@ fn a_motor_with_any_parameters_gets_a_duty_within_bounds() {
                 axis.command(1.0);
                 for late in [false, true, true, false] {
                     let duty = f32::from(axis.drive(&Supply::of(BUS_VOLTS), 0.5, 1.0, late));
-                    assert!(duty.abs() <= MAX_DUTY, "{a} {b} {c}: {duty}");
+                    assert!(duty.abs() <= MAX_DUTY, "motor {a} {b} {c}: duty {duty}");
                 }
             }
         }
@@ -393,7 +393,11 @@ fn the_current_loop_recovers_from_invalid_numbers() {
                 axis.command(0.1);
                 let mut winding = Winding::new(motor(), 0.0);
                 winding.run(&mut axis, 400, |_, _| {});
-                assert!((winding.current - 2.0).abs() < 0.01, "{torque} {speed} {bus}: {}", winding.current);
+                assert!(
+                    (winding.current - 2.0).abs() < 0.01,
+                    "{torque} N m, {speed} rad/s, {bus} V: {} A",
+                    winding.current
+                );
             }
         }
     }

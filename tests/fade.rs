@@ -138,7 +138,10 @@ fn a_host_force_ends_with_its_lease_after_a_new_scene() {
         assert_eq!(rig.control_loop.force(&request).done, ForceDone::Taken);
         rig.step();
         let both = torques(&rig);
-        assert!((0..2).all(|i| (both[i] - spring[i]).abs() > 0.005), "{spring:?} {both:?}");
+        assert!(
+            (0..2).all(|i| (both[i] - spring[i]).abs() > 0.005),
+            "the request adds no torque: spring {spring:?}, both {both:?}"
+        );
         rig.load(&five_bar(), &scene(2, &[]), true).expect("free space");
         rig.step();
         assert!(
@@ -286,7 +289,7 @@ fn compensated_weight_follows_the_pose_through_many_scenes() {
             }
         }
         for (one, other) in torques(&replaced).iter().zip(torques(&unchanged)) {
-            assert!((one - other).abs() < 1e-6, "{one} {other}");
+            assert!((one - other).abs() < 1e-6, "the torques differ: {one}, {other}");
         }
     }
     let moved = (0..2).map(|i| (torques(&replaced)[i] - began[i]).abs()).fold(0.0, f32::max);

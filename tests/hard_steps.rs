@@ -246,7 +246,7 @@ fn invalid_measurements_never_reach_a_duty() {
             }
             for _ in 0..50 {
                 rig.step();
-                assert!(rig.duties.iter().all(|duty| duty.abs() <= MAX_DUTY), "{poison}: {:?}", rig.duties);
+                assert!(rig.duties.iter().all(|duty| duty.abs() <= MAX_DUTY), "{poison}: duties {:?}", rig.duties);
             }
             let frame = rig.control_loop.frame();
             assert!(frame.motors.torque.iter().all(|t| t.is_finite()), "{poison}: {frame:?}");

@@ -66,7 +66,7 @@ fn a_host_force_is_scaled_to_the_tip_force_limit() {
             let left = force_at_tip(&answer.q, Vector2::new(answer.torque[0], answer.torque[1]).map(f64::from));
             let share = (1.0 / requested.norm()).min(1.0);
             assert!((left - requested * share).norm() < 2.0e-3, "{left} of {requested}, {both:?}, {answer:?}");
-            assert!((f64::from(answer.share) - share).abs() < 2.0e-3, "{share}: {answer:?}");
+            assert!((f64::from(answer.share) - share).abs() < 2.0e-3, "share {share}: {answer:?}");
         }
     }
 }
@@ -84,7 +84,7 @@ fn a_lowered_tip_force_limit_acts_at_the_next_step_and_in_fades() {
         lower.limits.tip_force = limit;
         rig.execute(Command::Rules(lower)).expect("lowered while armed");
         rig.step();
-        assert!((force(&rig) - f64::from(limit)).abs() < 1.0e-3, "{nth}: {} N", force(&rig));
+        assert!((force(&rig) - f64::from(limit)).abs() < 1.0e-3, "limit {nth}: {} N", force(&rig));
     }
     let mut before = force(&rig);
     for _ in 0..80 {
@@ -297,7 +297,7 @@ fn the_torques_of_a_tip_force_do_the_same_virtual_work() {
         let answer = poll(&mut rig);
         let expected = torques(&answer.q, [x, y].map(f64::from));
         for i in 0..2 {
-            assert!((f64::from(answer.torque[i]) - expected[i]).abs() < 1.0e-6, "{answer:?}, {expected}");
+            assert!((f64::from(answer.torque[i]) - expected[i]).abs() < 1.0e-6, "{answer:?}, expected {expected}");
         }
         assert_eq!((answer.force, answer.share), ([x, y, 0.0], 1.0));
     }
@@ -343,9 +343,12 @@ fn the_reply_reports_the_motion_of_tip_and_joints() {
     let passed = (now.step - before.step) as f32 * now.period;
     for i in 0..2 {
         let moved = (now.tip[i] - before.tip[i]) / passed;
-        assert!((now.velocity[i] - moved).abs() < 0.02 * moved.abs().max(0.02), "{now:?} {moved}");
+        assert!(
+            (now.velocity[i] - moved).abs() < 0.02 * moved.abs().max(0.02),
+            "{now:?}, the tip moves at {moved} m/s"
+        );
         let turned = (now.q[i] - before.q[i]) / passed;
-        assert!((now.qd[i] - turned).abs() < 0.02, "{now:?} {turned}");
+        assert!((now.qd[i] - turned).abs() < 0.02, "{now:?}, the joint turns at {turned} rad/s");
     }
 }
 
@@ -428,7 +431,7 @@ fn a_contact_renewed_while_it_fades_returns_smoothly() {
             assert!((now - before).abs() <= 1.0 + 1.0e-3, "{sequence}: from {before} to {now} N");
             before = now;
         }
-        assert!((before - 0.3 * 1e3 * depth).abs() < 0.1 * 1e3 * depth, "{sequence}: {before} N");
+        assert!((before - 0.3 * 1e3 * depth).abs() < 0.1 * 1e3 * depth, "request {sequence}: {before} N");
     }
 }
 

@@ -214,7 +214,7 @@ fn a_field_oriented_motor_has_its_voltage_across_the_field() {
         let drives = rig.control_loop.duties(24.0, &phases, false);
         let expected = [0.0, third, -third].map(|shift| 2.0 * phase(shift) / 24.0);
         for (drive, expected) in drives[0].iter().zip(expected) {
-            assert!((drive - expected).abs() < 1.0e-5, "{angle}: {:?} {expected:?}", drives[0]);
+            assert!((drive - expected).abs() < 1.0e-5, "{angle} rad: {:?}, expected {expected:?}", drives[0]);
         }
         assert!((rig.control_loop.frame().motors.duty[0] - 2.0 * current / 24.0).abs() < 1.0e-5);
     }

@@ -96,7 +96,7 @@ fn libm_computes_angles_beyond_the_fine_table() {
     assert!(fine_errors(3000.0)[0] < 2.7e-16 && fine_errors(-3000.0)[0] < 2.7e-16);
     for angle in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
         let (sine, cosine) = FineTable::sin_cos(angle);
-        assert!(sine.is_nan() && cosine.is_nan(), "{angle}: {sine}, {cosine}");
+        assert!(sine.is_nan() && cosine.is_nan(), "{angle} rad: sine {sine}, cosine {cosine}");
     }
 }
 
@@ -104,7 +104,7 @@ fn libm_computes_angles_beyond_the_fine_table() {
 fn invalid_angles_have_no_finite_sine() {
     for angle in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
         let (sine, cosine) = Minimax::sin_cos(angle);
-        assert!(!sine.is_finite() && !cosine.is_finite(), "{angle}: {sine}, {cosine}");
+        assert!(!sine.is_finite() && !cosine.is_finite(), "{angle} rad: sine {sine}, cosine {cosine}");
     }
     assert!(<Minimax as Math<f32>>::sqrt(-1.0).is_nan());
     assert!(<Minimax as Math<f32>>::sqrt(f32::NAN).is_nan());

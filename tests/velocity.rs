@@ -47,7 +47,7 @@ fn every_estimator_finds_the_slope_of_a_ramp() {
         let coefficients = Coefficients::<f64>::new(kind, 1000.0, 50.0).unwrap();
         let mut velocity = Velocity::resting_at(3.0);
         let last = (0..2000).map(|step| velocity.step(&coefficients, 3.0 + 0.25e-3 * f64::from(step))).last().unwrap();
-        assert!((last - 0.25).abs() < 1e-9, "{kind:?}: {last}");
+        assert!((last - 0.25).abs() < 1e-9, "{kind:?}: last velocity {last}");
     }
 }
 

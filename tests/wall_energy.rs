@@ -181,8 +181,12 @@ fn the_passivity_controller_bounds_the_energy_of_all_loops() {
         let LoopEnergies { work, reported, derived } = case.run_loops(FeedForward::Full, true, 5);
         let bound = 0.5 * case.stiffness * case.depth * case.depth + MAX_DEBT;
         assert!(derived > 3.0 * bound, "{}", case.device);
-        assert!(work.iter().sum::<f64>() < 1.02 * bound, "{}: {work:?} J", case.device);
-        assert!(reported.iter().all(|reported| *reported > -1.02 * bound), "{}: {reported:?} J", case.device);
+        assert!(work.iter().sum::<f64>() < 1.02 * bound, "{}: too much work: {work:?} J", case.device);
+        assert!(
+            reported.iter().all(|reported| *reported > -1.02 * bound),
+            "{}: too much energy given out: {reported:?} J",
+            case.device
+        );
         assert!(work[0] > 0.5 * bound, "{}: the feed-forward must act up to the bound: {work:?} J", case.device);
     }
 }

@@ -87,7 +87,11 @@ fn torque_is_continuous_in_the_angle_between_walls() {
                 // The turning normals of 13 N cause a slope of 13 levers. The shares limit the turning of e₁ to 8
                 // levers per newton.
                 let bound = 8.0 * 13.0 * lever;
-                assert!(fine < bound && coarse < bound, "{} {ratio}: {fine}, {coarse} > {bound}", device.name);
+                assert!(
+                    fine < bound && coarse < bound,
+                    "{}, ratio {ratio}: slope {fine} or {coarse} above {bound}",
+                    device.name
+                );
             }
         }
     }
@@ -114,7 +118,11 @@ fn torque_is_continuous_in_the_ratio_of_stiffness() {
                 // Near equal stiffness the eigenvectors exchange their order.
                 let equal = largest_slope(-1.0e-4, 1.0e-4, 200, &mut f);
                 let bound = 4.0 * 13.0 * lever;
-                assert!(whole < bound && equal < bound, "{} {angle}: {whole}, {equal} > {bound}", device.name);
+                assert!(
+                    whole < bound && equal < bound,
+                    "{}, angle {angle}: slope {whole} or {equal} above {bound}",
+                    device.name
+                );
             }
         }
     }
@@ -178,7 +186,11 @@ fn torque_is_continuous_in_depth() {
                     let bound = 3.0 * lever * (1.6 * stiff + 3.0 * first / TOUCH_DEPTH * (stiff / soft).max(1.0));
                     let whole = largest_slope(-1.0e-4, 5.0e-4, 300, f);
                     let touch = largest_slope(-1.0e-7, 1.0e-7, 20, f);
-                    assert!(whole < bound && touch < bound, "{} {soft} {stiff}: {whole}, {touch} > {bound}", file.name);
+                    assert!(
+                        whole < bound && touch < bound,
+                        "{}, {soft} and {stiff} N/m: slope {whole} or {touch} above {bound}",
+                        file.name
+                    );
                 }
             }
         }
@@ -248,7 +260,11 @@ fn single_precision_suffices_up_to_a_stiffness_ratio_of_1e4() {
                         [Precision::F64, Precision::F32].map(|p| torque(&device, &q, &walls[..count], p));
                     let error = distance(&double, &single) / (13.0 * lever);
                     // A rounding error of 6e-8 turns the soft directions by up to 6e-8 times the root of the ratio.
-                    assert!(error < 5.0e-5, "{} {ratio} {angle} {count}: {error:e}", device.name);
+                    assert!(
+                        error < 5.0e-5,
+                        "{}, ratio {ratio}, angle {angle}, {count} walls: error {error:e}",
+                        device.name
+                    );
                 }
             }
         }
@@ -262,13 +278,17 @@ fn coplanar_walls_are_one_wall_and_the_order_does_not_matter() {
         let n = turned_normal(task, 0.4, 0.3);
         let one = torque(&device, &q, &[(n.clone(), 1.0, 8.0)], Precision::F64);
         let cut = torque(&device, &q, &[(n.clone(), 3.0, 5.0), (n.clone(), 0.1, 3.0)], Precision::F64);
-        assert!(distance(&one, &cut) < 1.0e-12, "{}: {one:?} {cut:?}", device.name);
+        assert!(distance(&one, &cut) < 1.0e-12, "{}: the torques differ: {one:?} {cut:?}", device.name);
         let mut walls =
             vec![(n, 1.0, 5.0), (turned_normal(task, 1.5, 0.3), 4.0, 2.0), (turned_normal(task, -0.7, 0.9), 0.2, 3.0)];
         let forth = torque(&device, &q, &walls, Precision::F64);
         walls.reverse();
         let back = torque(&device, &q, &walls, Precision::F64);
-        assert!(distance(&forth, &back) < 1.0e-10, "{}: {forth:?} {back:?}", device.name);
+        assert!(
+            distance(&forth, &back) < 1.0e-10,
+            "{}: the order of the walls matters: {forth:?} {back:?}",
+            device.name
+        );
         // Torques are linear in the forces.
         let doubled: Vec<_> = walls.iter().map(|(n, k, f)| (n.clone(), *k, 2.0 * f)).collect();
         let twice: Vec<f64> = back.iter().map(|t| 2.0 * t).collect();
@@ -306,7 +326,7 @@ fn the_feed_forward_of_several_walls_fades_near_a_singularity() {
         changed = changed.max((full.torque - off.torque).amax());
         shares.push(full.shaping);
         if full.shaping == 0.0 {
-            assert!((full.torque - off.torque).amax() <= 1.0e-5, "{} {}", full.torque, off.torque);
+            assert!((full.torque - off.torque).amax() <= 1.0e-5, "the torques differ: {} {}", full.torque, off.torque);
         }
         if let Some(last) = last {
             assert!((full.torque - last).amax() < 0.25, "{k}: {} after {last}", full.torque);

@@ -191,7 +191,11 @@ fn the_feed_forward_makes_no_set_of_walls_less_stable() {
                     "{} {q:?} {walls:?}: {mode} is not the inverse of a mass",
                     device.name
                 );
-                assert!(mode.re <= bound * (1.0 + 1.0e-9), "{} {q:?} {walls:?}: {mode}, {bound}", device.name);
+                assert!(
+                    mode.re <= bound * (1.0 + 1.0e-9),
+                    "{} at {q:?}, {walls:?}: mode {mode} above {bound}",
+                    device.name
+                );
             }
             let (without, with) = (stability_limit(&plain, critical), stability_limit(&shaped, critical));
             assert!(with >= without * (1.0 - 1.0e-9), "{} {q:?} {walls:?}: {without} to {with}", device.name);
@@ -287,7 +291,7 @@ fn one_wall_with_feed_forward_does_not_destabilise_the_other() {
             board.levers.set_column(pushing, &DVector::from_vec(lever));
         }
         let mode = ratio(&board);
-        assert!(mode <= 1.0 + 1.0e-6, "{with:?}: {mode}");
+        assert!(mode <= 1.0 + 1.0e-6, "feed-forward {with:?}: ratio {mode}");
         // Every further wall with the feed-forward adds mass.
         assert!(mode <= previous * (1.0 + 1.0e-6), "{with:?}: {mode}, {previous} before");
         previous = mode;

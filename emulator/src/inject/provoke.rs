@@ -59,7 +59,7 @@ pub fn provoke(fault: Fault) -> Option<Outcome> {
     }
     let status = rig.tool.status().expect("the board replies");
     let record = status.fault.unwrap_or_else(|| panic!("{name}: no fault is latched: {status:?}"));
-    assert_eq!((record.fault, status.state), (fault, State::Fault), "{name}: {status:?}");
+    assert_eq!((record.fault, status.state), (fault, State::Fault), "{name}: another fault or state: {status:?}");
     if fault == Fault::SettingsDamaged {
         // The damaged name is replaced by its default, not by an older name. The other settings are kept.
         let details = rig.tool.details().expect("the board replies");
@@ -78,7 +78,7 @@ pub fn provoke(fault: Fault) -> Option<Outcome> {
     let names_fault = matches!(answer, Err(BoardError::Refused(Refusal::Faulted(latched))) if latched == fault);
     // After a restart the chip has also lost its device, and refuses for that reason.
     let refused_after_restart = restarted && matches!(answer, Err(BoardError::Refused(_)));
-    assert!(names_fault || refused_after_restart, "{name}: {answer:?}");
+    assert!(names_fault || refused_after_restart, "{name}: arming was not refused: {answer:?}");
     assert!(rig.with(bridges_off), "{name}: bridges came on again");
     if fault == Fault::NotFinite {
         // The NaN is still in the scene, and only a new scene removes it.
@@ -95,7 +95,7 @@ pub fn provoke(fault: Fault) -> Option<Outcome> {
         rig.tool.home().unwrap_or_else(|error| panic!("{name}: {error}"));
         let answer = rig.tool.check_polarity();
         let names_fault = matches!(answer, Err(BoardError::Refused(Refusal::Faulted(again))) if again == fault);
-        assert!(names_fault && rig.with(bridges_off), "{name}: {answer:?}");
+        assert!(names_fault && rig.with(bridges_off), "{name}: the check was not refused: {answer:?}");
     }
     let periods_from_cause = ((at - began) / (50 * MICROSECOND)) as u32;
     // This fault is detected before the bridges are ever on. The steps since then only waited for the reply.

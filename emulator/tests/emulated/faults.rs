@@ -51,7 +51,7 @@ fn a_gate_driver_that_loses_its_settings_is_never_armed() {
     rig.run(SECOND / 2);
     let status = rig.tool.status().expect("it replies");
     let refused = matches!(outcome, Err(BoardError::Refused(_)));
-    assert!(refused || status.state == State::Fault, "{outcome:?} {status:?}");
+    assert!(refused || status.state == State::Fault, "neither a refusal nor a fault: {outcome:?} {status:?}");
     assert!(!status.polarity);
     let motor_inputs = rig.with(|stopped| stopped.hardware().motor_inputs());
     assert_eq!(motor_inputs, [MotorInput::Floating; 3]);

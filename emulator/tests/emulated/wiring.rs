@@ -113,7 +113,7 @@ fn each_wiring_page_and_drawing_contains_every_pin() {
         });
         for Pin(port, number) in encoders.chain(motors).chain([wiring.enable, wiring.fault, wiring.bus_pin()]) {
             let pin = format!("P{port}{number}");
-            assert!(words.contains(&pin.as_str()), "{}: {pin}", wiring.name);
+            assert!(words.contains(&pin.as_str()), "{}: pin {pin} is not documented", wiring.name);
             let drawn = kind != BoardKind::HBridgeF407Disc1 || drawing.contains(&format!(">{pin}<"));
             assert!(drawn, "docs/drawings/{}.svg: {pin}", wiring.name);
         }
