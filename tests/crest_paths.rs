@@ -186,13 +186,7 @@ impl BoardPair {
             compiled::crest_generally(one, samples, due, &ticks, legs)
         };
         let others = compiled::crest_generally(other, samples, due, &ticks, other_legs);
-        assert_eq!(
-            (drives, &legs),
-            (others, &other_legs),
-            "the two paths differ: {samples:?} {:?} {:?}",
-            one.status(),
-            other.status()
-        );
+        assert_eq!((drives, &legs), (others, &other_legs), "{samples:?} {:?} {:?}", one.status(), other.status());
         // After a crest in one pass the valley records the samples.
         self.apply_to_both(|control_loop| compiled::note(control_loop, samples, None));
         self.assert_equal(samples);

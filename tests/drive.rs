@@ -393,11 +393,7 @@ fn the_current_loop_recovers_from_invalid_numbers() {
                 axis.command(0.1);
                 let mut winding = Winding::new(motor(), 0.0);
                 winding.run(&mut axis, 400, |_, _| {});
-                assert!(
-                    (winding.current - 2.0).abs() < 0.01,
-                    "{torque} N m, {speed} rad/s, {bus} V: {} A",
-                    winding.current
-                );
+                assert!((winding.current - 2.0).abs() < 0.01, "{torque}, {speed}, {bus} V: {} A", winding.current);
             }
         }
     }

@@ -94,12 +94,7 @@ fn the_predicting_observer_has_three_equal_poles() {
         memory.step::<Libm>(&design, &motion_only(noise(n)));
     }
     let errors: Vec<f64> = (0..600).map(|_| memory.step::<Libm>(&design, &motion_only(0.0))).collect();
-    assert!(
-        errors[0].abs() > 1e-3 && errors[599].abs() < 1e-6 * errors[0].abs(),
-        "first error {}, last error {}",
-        errors[0],
-        errors[599]
-    );
+    assert!(errors[0].abs() > 1e-3 && errors[599].abs() < 1e-6 * errors[0].abs(), "{} to {}", errors[0], errors[599]);
     for w in errors.windows(4) {
         let left = w[3] - 3.0 * p * w[2] + 3.0 * p * p * w[1] - p * p * p * w[0];
         assert!(left.abs() < 1e-12, "{left:e}");

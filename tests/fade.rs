@@ -138,10 +138,7 @@ fn a_host_force_ends_with_its_lease_after_a_new_scene() {
         assert_eq!(rig.control_loop.force(&request).done, ForceDone::Taken);
         rig.step();
         let both = torques(&rig);
-        assert!(
-            (0..2).all(|i| (both[i] - spring[i]).abs() > 0.005),
-            "the request adds no torque: spring {spring:?}, both {both:?}"
-        );
+        assert!((0..2).all(|i| (both[i] - spring[i]).abs() > 0.005), "{spring:?}, with the request {both:?}");
         rig.load(&five_bar(), &scene(2, &[]), true).expect("free space");
         rig.step();
         assert!(

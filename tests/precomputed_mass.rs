@@ -136,10 +136,7 @@ fn the_edges_of_a_grid_belong_to_the_table() {
             let n = SVector::from([0.6, 0.8]);
             let exact = m.shaping(&pose, &n).me;
             let found = table.shaping(&m, &SVector::from(at), &pose, &n).me;
-            assert!(
-                (found - exact * 1.1).amax() < 1.0e-12 * exact.amax(),
-                "not 10 % more: {interpolation:?} {corner:?}"
-            );
+            assert!((found - exact * 1.1).amax() < 1.0e-12 * exact.amax(), "{interpolation:?} {corner:?}");
         }
     }
 }

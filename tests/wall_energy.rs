@@ -182,11 +182,7 @@ fn the_passivity_controller_bounds_the_energy_of_all_loops() {
         let bound = 0.5 * case.stiffness * case.depth * case.depth + MAX_DEBT;
         assert!(derived > 3.0 * bound, "{}", case.device);
         assert!(work.iter().sum::<f64>() < 1.02 * bound, "{}: too much work: {work:?} J", case.device);
-        assert!(
-            reported.iter().all(|reported| *reported > -1.02 * bound),
-            "{}: too much energy given out: {reported:?} J",
-            case.device
-        );
+        assert!(reported.iter().all(|reported| *reported > -1.02 * bound), "{}: {reported:?} J of debt", case.device);
         assert!(work[0] > 0.5 * bound, "{}: the feed-forward must act up to the bound: {work:?} J", case.device);
     }
 }

@@ -231,12 +231,7 @@ impl Campaign {
         let off_after_ns = rig.now() - began;
         let peaks = rig.with(|stopped| stopped.hardware().peaks);
         let status = rig.tool.status().expect("the board replies");
-        assert_eq!(
-            floats,
-            status.state == State::Fault,
-            "{}: the bridges and the state disagree: {status:?}",
-            case.name
-        );
+        assert_eq!(floats, status.state == State::Fault, "{}: {status:?}", case.name);
         assert!(!floats || rig.with(bridges_off), "{}: the bridges drive: {status:?}", case.name);
         Outcome { fault: status.fault.map(|record| record.fault), off_after_ns, peaks }
     }

@@ -87,11 +87,7 @@ fn torque_is_continuous_in_the_angle_between_walls() {
                 // The turning normals of 13 N cause a slope of 13 levers. The shares limit the turning of e₁ to 8
                 // levers per newton.
                 let bound = 8.0 * 13.0 * lever;
-                assert!(
-                    fine < bound && coarse < bound,
-                    "{}, ratio {ratio}: slope {fine} or {coarse} above {bound}",
-                    device.name
-                );
+                assert!(fine < bound && coarse < bound, "{} {ratio}: slopes {fine}, {coarse} > {bound}", device.name);
             }
         }
     }
@@ -118,11 +114,7 @@ fn torque_is_continuous_in_the_ratio_of_stiffness() {
                 // Near equal stiffness the eigenvectors exchange their order.
                 let equal = largest_slope(-1.0e-4, 1.0e-4, 200, &mut f);
                 let bound = 4.0 * 13.0 * lever;
-                assert!(
-                    whole < bound && equal < bound,
-                    "{}, angle {angle}: slope {whole} or {equal} above {bound}",
-                    device.name
-                );
+                assert!(whole < bound && equal < bound, "{} {angle}: slopes {whole}, {equal} > {bound}", device.name);
             }
         }
     }
@@ -188,7 +180,7 @@ fn torque_is_continuous_in_depth() {
                     let touch = largest_slope(-1.0e-7, 1.0e-7, 20, f);
                     assert!(
                         whole < bound && touch < bound,
-                        "{}, {soft} and {stiff} N/m: slope {whole} or {touch} above {bound}",
+                        "{} {soft} {stiff}: slopes {whole}, {touch} > {bound}",
                         file.name
                     );
                 }
@@ -260,11 +252,7 @@ fn single_precision_suffices_up_to_a_stiffness_ratio_of_1e4() {
                         [Precision::F64, Precision::F32].map(|p| torque(&device, &q, &walls[..count], p));
                     let error = distance(&double, &single) / (13.0 * lever);
                     // A rounding error of 6e-8 turns the soft directions by up to 6e-8 times the root of the ratio.
-                    assert!(
-                        error < 5.0e-5,
-                        "{}, ratio {ratio}, angle {angle}, {count} walls: error {error:e}",
-                        device.name
-                    );
+                    assert!(error < 5.0e-5, "{} {ratio} {angle}, {count} walls: {error:e}", device.name);
                 }
             }
         }
@@ -284,11 +272,7 @@ fn coplanar_walls_are_one_wall_and_the_order_does_not_matter() {
         let forth = torque(&device, &q, &walls, Precision::F64);
         walls.reverse();
         let back = torque(&device, &q, &walls, Precision::F64);
-        assert!(
-            distance(&forth, &back) < 1.0e-10,
-            "{}: the order of the walls matters: {forth:?} {back:?}",
-            device.name
-        );
+        assert!(distance(&forth, &back) < 1.0e-10, "{}: {forth:?}, reversed {back:?}", device.name);
         // Torques are linear in the forces.
         let doubled: Vec<_> = walls.iter().map(|(n, k, f)| (n.clone(), *k, 2.0 * f)).collect();
         let twice: Vec<f64> = back.iter().map(|t| 2.0 * t).collect();

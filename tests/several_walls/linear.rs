@@ -191,11 +191,7 @@ fn the_feed_forward_makes_no_set_of_walls_less_stable() {
                     "{} {q:?} {walls:?}: {mode} is not the inverse of a mass",
                     device.name
                 );
-                assert!(
-                    mode.re <= bound * (1.0 + 1.0e-9),
-                    "{} at {q:?}, {walls:?}: mode {mode} above {bound}",
-                    device.name
-                );
+                assert!(mode.re <= bound * (1.0 + 1.0e-9), "{} {q:?} {walls:?}: {mode} > {bound}", device.name);
             }
             let (without, with) = (stability_limit(&plain, critical), stability_limit(&shaped, critical));
             assert!(with >= without * (1.0 - 1.0e-9), "{} {q:?} {walls:?}: {without} to {with}", device.name);

@@ -187,11 +187,7 @@ fn torque_is_continuous_in_the_stiffness_of_a_spring() {
                 let next = at(low + step * f64::from(i));
                 let slope = (&next - &last).norm() / step;
                 // The bound allows for the plane's penetration of 1 cm.
-                assert!(
-                    slope < 12.0 * none.norm(),
-                    "{name}, sample {i}: slope {slope} for a torque of {}",
-                    none.norm()
-                );
+                assert!(slope < 12.0 * none.norm(), "{name} {i}: slope {slope}, torque {}", none.norm());
                 last = next;
             }
         }
@@ -211,11 +207,7 @@ fn springs_without_feed_forward_act_through_the_jacobian() {
             let shift = random.direction(task).iter().map(|x| x * 0.01).collect::<Vec<_>>();
             let straight = jacobian.transpose() * stiffness(&set, task) * DVector::from_vec(shift.clone());
             let found = torque(&device, &q, &set, &shift);
-            assert!(
-                (&found - &straight).norm() < 1.0e-6 * straight.norm(),
-                "{}: the torques differ: {found} {straight}",
-                device.name
-            );
+            assert!((&found - &straight).norm() < 1.0e-6 * straight.norm(), "{}: {found} for {straight}", device.name);
         }
     }
 }
