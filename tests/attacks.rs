@@ -11,7 +11,6 @@ use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::safety::limits::Limits;
 use nalgebra::{Matrix2, Vector2};
 
-// ---- 1: two walls with an indefinite mass matrix pull into their corner
 #[test]
 fn an_indefinite_mass_matrix_is_refused_or_pushes_outwards() {
     let device = rig::device(&five_bar());
@@ -68,7 +67,6 @@ fn an_indefinite_mass_matrix_is_refused_or_pushes_outwards() {
     }
 }
 
-// ---- 2, 3: flash and memory differ after a commit
 fn stage<S: settings::Setting>(board: &mut Board, value: &S) {
     let entry = settings::encode(value).unwrap();
     board.ask::<StageEntry>(&WriteEntry { session: 1, key: S::KEY, entry }).unwrap().unwrap();
@@ -155,7 +153,6 @@ fn force_x(rig: &mut Rig) -> f32 {
     rig.control_loop.force(&ForceRequest::default()).force[0]
 }
 
-// ---- 4: two renewals between two steps add up
 #[test]
 fn a_contact_renewed_twice_between_two_steps_returns_smoothly() {
     let mut rig = armed_rig(5_000.0, 1.0e3);
@@ -170,7 +167,6 @@ fn a_contact_renewed_twice_between_two_steps_returns_smoothly() {
     assert!(now >= before && now - before <= 0.4, "from {before} to {now} N");
 }
 
-// ---- 5: a new plane while the lease fades makes the force jump
 #[test]
 fn a_contact_sent_again_while_its_lease_fades_moves_evenly() {
     let mut rig = armed_rig(20_000.0, 1.0e3);
@@ -192,7 +188,6 @@ fn a_contact_sent_again_while_its_lease_fades_moves_evenly() {
     assert!(largest_jump < 0.03, "the force jumps by {largest_jump} N");
 }
 
-// ---- 6: a late renewal makes the force jump
 #[test]
 fn a_late_renewal_causes_no_jump_of_a_contact_force() {
     let mut rig = armed_rig(20_000.0, 1.0e3);
@@ -207,7 +202,6 @@ fn a_late_renewal_causes_no_jump_of_a_contact_force() {
     assert!((now - before).abs() < 0.3, "from {before} to {now} N in 50 us");
 }
 
-// ---- 7: a contact that moves between two planes pushes harder than both planes
 #[test]
 fn a_contact_between_two_planes_pushes_no_more_than_either() {
     let mut rig = armed_rig(20_000.0, 5.0);
@@ -224,7 +218,6 @@ fn a_contact_between_two_planes_pushes_no_more_than_either() {
     }
 }
 
-// ---- 8: a change of the control rate falsifies the age of a force
 #[test]
 fn the_age_of_a_force_is_right_after_a_change_of_rate() {
     let mut rig = armed_rig(200.0, 1.0e3);
@@ -246,7 +239,6 @@ fn the_age_of_a_force_is_right_after_a_change_of_rate() {
     assert_eq!(answer.done, ForceDone::TooOld, "one second old, but its age is {:?} s", answer.age);
 }
 
-// ---- 9: a device is refused because the present scene does not fit it
 #[test]
 fn a_device_loads_although_the_present_scene_does_not_fit_it() {
     use haptic_bridge::model::catalogue::{Kind, MAX_GEOMETRY};
@@ -260,7 +252,6 @@ fn a_device_loads_although_the_present_scene_does_not_fit_it() {
     assert_eq!(board.ask::<SetDevice>(&rig::device(&five_bar())).unwrap(), Ok(()));
 }
 
-// ---- 10: a save hides a fault that came just before
 #[test]
 fn a_fault_is_published_although_a_save_precedes_the_next_poll() {
     let mut board = Board::ready(false, &rig::device(&five_bar()), &scene(2, &[]));

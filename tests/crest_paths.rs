@@ -35,7 +35,6 @@ impl Random {
         low + (high - low) * self.unit_number()
     }
 
-    /// Returns true with a chance of 1 in `rarity`.
     fn one_chance_in(&mut self, rarity: f32) -> bool {
         self.unit_number() * rarity < 1.0
     }

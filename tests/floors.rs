@@ -31,7 +31,6 @@ const FILES_WITH_OPTIONS: [&str; 4] = [
     "crates/flash/src/probe.rs",
 ];
 
-/// Text with which a module of tests starts.
 const TEST_MODULE_START: &str = "#[cfg(test)]\nmod ";
 
 fn level_of(floor: &str) -> Option<usize> {
@@ -42,7 +41,6 @@ fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR"))
 }
 
-/// Appends the source files in `folder` to `found`.
 fn collect_files(folder: &Path, found: &mut Vec<PathBuf>) {
     for entry in read_dir(folder).expect("a readable folder") {
         let path = entry.expect("a readable entry").path();

@@ -16,7 +16,6 @@ use haptic_bridge::with_mechanism;
 use nalgebra::SVector;
 
 const RATE_HZ: f64 = 1_000.0;
-/// Steps in each leg of a loop.
 const STEPS_PER_LEG: u32 = 1_000;
 /// Energy debt above which the passivity controller removes all feed-forward, J (src/render/controller/passivity.rs).
 const MAX_DEBT: f64 = 1.0e-3;
@@ -58,7 +57,6 @@ const CASES: [Case; 2] = [
     },
 ];
 
-/// Energies of loops, J.
 struct LoopEnergies {
     /// Net work of the torques in each loop, J.
     work: Vec<f64>,

@@ -7,7 +7,6 @@ use haptic_bridge::model::mechanism::Mechanism;
 use haptic_bridge::with_mechanism;
 use nalgebra::{DMatrix, DVector, SVector};
 
-/// Control period, s.
 const PERIOD_SECONDS: f64 = 1.0e-3;
 /// Cutoff of the Butterworth low-pass for velocities, Hz.
 const CUTOFF_HZ: f64 = 100.0;

@@ -47,7 +47,6 @@ fn cut_power_at(rig: &Rig, operation: u64) {
     rig.with(move |stopped| stopped.hardware().chip.flash.hook.cut = Some(operation));
 }
 
-/// Returns the number of operations until the power cut.
 fn operations_left(rig: &Rig) -> Option<u64> {
     rig.with(|stopped| stopped.hardware().chip.flash.hook.cut)
 }

@@ -208,9 +208,7 @@ fn store_code(values: &[(u32, u32)], task: u32) -> Vec<u32> {
     code
 }
 
-/// Names and addresses of the advanced timers.
 const TIMERS: [(&str, u32); 2] = [("TIM1", 0x4001_0000), ("TIM8", 0x4001_0400)];
-/// Names and addresses of the ports with gate pins.
 const PORTS: [(&str, u32); 4] =
     [("GPIOA", 0x4002_0000), ("GPIOB", 0x4002_0400), ("GPIOC", 0x4002_0800), ("GPIOE", 0x4002_1000)];
 /// Offsets of CCMR1, CCMR2, CCER and BDTR of a timer.

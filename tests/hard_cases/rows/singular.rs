@@ -59,7 +59,6 @@ pub struct Row {
     pub regularity: f64,
     /// Errors of the board's numbers (f32 with minimax sines).
     pub board: Errors,
-    /// Errors of f64.
     pub double: Errors,
     /// Largest difference between routes in the reference's numbers.
     pub reference: f64,

@@ -26,7 +26,6 @@ pub struct Row {
     pub resting_force_error: f64,
 }
 
-/// Control rate, Hz.
 pub const RATE_HZ: f64 = 20_000.0;
 /// Stiffness of the wall, N/m.
 const WALL_STIFFNESS: f64 = 1e6;
