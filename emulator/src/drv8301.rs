@@ -5,7 +5,6 @@ use rigless::chip::Timeline;
 use rigless::chip::spi::Peer;
 use rigless::snapshot::Store;
 
-/// Bit that makes a frame a read.
 const READ_BIT: u32 = 1 << 15;
 /// Identity of the device, in status register 2.
 const DEVICE_ID: u16 = 1;

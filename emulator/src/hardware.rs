@@ -45,7 +45,6 @@ const PORT_PULLS: u32 = 0x0C;
 const BREAK_AND_DEAD_TIME: u32 = 0x44;
 /// Main output enable bit in `BDTR`.
 const MAIN_OUTPUT: u64 = 1 << 15;
-/// Frequency of the crystal of all boards, Hz.
 const CRYSTAL_HZ: u64 = 8_000_000;
 /// Supply of a bare chip, mV.
 const RAIL_MV: u32 = 3300;

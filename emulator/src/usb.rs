@@ -22,7 +22,6 @@ const IDLE_NS: u64 = 3 * MILLISECOND;
 /// Length of a resume (USB 2.0 section 7.1.7.7), ns.
 const RESUME_NS: u64 = 20 * MILLISECOND;
 
-/// Address that the host assigns to the device.
 const DEVICE_ADDRESS: u8 = 5;
 /// Maximum length of a full-speed bulk packet, bytes.
 const PACKET_BYTES: usize = 64;

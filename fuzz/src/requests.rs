@@ -126,7 +126,7 @@ fn run_operation(board: &mut Board, input: &mut Input) -> u32 {
             0
         }
         7 => {
-            board.machine.flash.broken = input.byte() & 1 == 1;
+            board.machine.flash.fails = input.byte() & 1 == 1;
             0
         }
         _ => spin(board, usize::from(input.byte())),

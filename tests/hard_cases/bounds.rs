@@ -131,7 +131,7 @@ fn a_stiff_wall_is_exact_to_the_last_digit_of_the_tip_position() {
     // sines. The stiffness is 1e6 N/m.
     assert_eq!(STEPS.len(), 5);
     for row in &*STEPS {
-        assert!(row.resting_force_error < 1e-7 * 1e6, "{row:?}");
+        assert!(row.rest_error < 1e-7 * 1e6, "{row:?}");
     }
 }
 

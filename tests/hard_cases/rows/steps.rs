@@ -23,7 +23,7 @@ pub struct Row {
     /// Smallest wall force, N. It must not be negative, because a wall never pulls.
     pub smallest_force: f64,
     /// Error of the wall force at rest, at penetrations of up to 1 mm, N.
-    pub resting_force_error: f64,
+    pub rest_error: f64,
 }
 
 pub const RATE_HZ: f64 = 20_000.0;
@@ -127,14 +127,8 @@ where
 {
     let task = A::SPEC.task;
     let mut random = Random(3);
-    let mut row = Row {
-        device: name,
-        hit_error: 0.0,
-        force: 0.0,
-        speed: 0.0,
-        smallest_force: f64::INFINITY,
-        resting_force_error: 0.0,
-    };
+    let mut row =
+        Row { device: name, hit_error: 0.0, force: 0.0, speed: 0.0, smallest_force: f64::INFINITY, rest_error: 0.0 };
     let mut runs = 0;
     while runs < 10 {
         let (start, n): (SVector<f64, N>, SVector<f64, N>) = (random.vector(3.1), random.normal(task));
@@ -174,7 +168,7 @@ where
             let b =
                 controller::<f32, BoardMath, _, N>(board, device, &scene(task, p, normal, WALL_STIFFNESS, 0.0, off))
                     .step(&counts(&q));
-            row.resting_force_error = row.resting_force_error.max((a.wall_force - f64::from(b.wall_force)).abs());
+            row.rest_error = row.rest_error.max((a.wall_force - f64::from(b.wall_force)).abs());
         }
     }
     row
