@@ -1,5 +1,6 @@
-//! The table "Adding things" of docs/architecture.md: every file that a row names exists, and for every row but one a
-//! test adds a toy through the table or trait that ships. If a row omits a place, that test does not compile.
+//! Checks the table "Adding things" of docs/architecture.md. Every file that a row names must exist. For every row but
+//! "straight step" a test adds a toy through the shipped table or trait. If a row omits a place, that test does not
+//! compile.
 
 use std::path::Path;
 
@@ -18,7 +19,6 @@ const ROWS: [(&str, Option<(&str, &str)>); 11] = [
     ("motor stage", Some(("tests/stages.rs", "an_amplifier_gets_the_current_of_the_walls_torque"))),
 ];
 
-/// Returns true if a path may contain this character.
 fn is_path_char(c: char) -> bool {
     c.is_ascii_alphanumeric() || "_-./".contains(c)
 }
@@ -28,16 +28,16 @@ fn read(path: &str) -> String {
     std::fs::read_to_string(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
 }
 
-/// Returns the first cell and the text of every row of the table.
-fn table() -> Vec<(String, String)> {
+/// Returns every row of the table as its first cell and its full text.
+fn table_rows() -> Vec<(String, String)> {
     let text = read("docs/architecture.md");
     let section = text.split("## Adding things").nth(1).expect("the section");
     let lines = section.lines().filter(|line| line.starts_with("| ")).skip(1);
     lines.map(|line| (line.split('|').nth(1).expect("a first cell").trim().into(), line.into())).collect()
 }
 
-/// Returns the files that a text names, except those whose name the reader chooses.
-fn files(text: &str) -> Vec<&str> {
+/// Returns the file paths in `text`, except paths that contain `NAME`.
+fn file_paths(text: &str) -> Vec<&str> {
     let words = text.split(|c: char| !is_path_char(c)).map(|word| word.trim_end_matches('.'));
     let is_file = |word: &&str| word.contains('/') && Path::new(word).extension().is_some();
     words.filter(is_file).filter(|word| !word.contains("NAME")).collect()
@@ -45,10 +45,10 @@ fn files(text: &str) -> Vec<&str> {
 
 #[test]
 fn every_file_that_the_table_names_exists() {
-    let table = table();
+    let table = table_rows();
     assert_eq!(table.iter().map(|(name, _)| name.as_str()).collect::<Vec<_>>(), ROWS.map(|(name, _)| name));
     for (name, line) in &table {
-        let files = files(line);
+        let files = file_paths(line);
         assert!(!files.is_empty(), "{name} names no file");
         for file in files {
             assert!(Path::new(env!("CARGO_MANIFEST_DIR")).join(file).exists(), "{name}: there is no {file}");
@@ -68,5 +68,5 @@ fn every_row_but_one_has_a_test_that_adds_a_toy() {
 #[test]
 fn the_files_of_a_row_are_found() {
     let row = "| a | `src/NAME.rs` | its line in src/lib.rs, and `b` (.cargo/config.toml). | c |";
-    assert_eq!(files(row), ["src/lib.rs", ".cargo/config.toml"]);
+    assert_eq!(file_paths(row), ["src/lib.rs", ".cargo/config.toml"]);
 }

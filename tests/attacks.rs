@@ -1,4 +1,4 @@
-//! Attacks that once worked, each with valid requests, on the complete service or on the control loop.
+//! Sequences of valid requests that once had dangerous effects, on the complete service or on the control loop.
 
 use crate::rig::board::Board;
 use crate::rig::{self, Rig, at_rate, five_bar, hardware, rules, scene};
@@ -11,7 +11,6 @@ use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::safety::limits::Limits;
 use nalgebra::{Matrix2, Vector2};
 
-// ---- 1: with an indefinite mass matrix two walls pull into their corner
 #[test]
 fn an_indefinite_mass_matrix_is_refused_or_pushes_outwards() {
     let device = rig::device(&five_bar());
@@ -48,7 +47,7 @@ fn an_indefinite_mass_matrix_is_refused_or_pushes_outwards() {
         for step in 0..=400 {
             for i in 0..2 {
                 let angle = turn[i] * f64::from(step) / 400.0;
-                board.samples.counts[i] = (angle / core::f64::consts::TAU * rig::COUNTS).round() as i32;
+                board.samples.counts[i] = (angle / core::f64::consts::TAU * rig::COUNTS_PER_TURN).round() as i32;
             }
             board.tick();
             if board.state() != State::Armed {
@@ -68,7 +67,6 @@ fn an_indefinite_mass_matrix_is_refused_or_pushes_outwards() {
     }
 }
 
-// ---- 2, 3: flash and memory after a commit
 fn stage<S: settings::Setting>(board: &mut Board, value: &S) {
     let entry = settings::encode(value).unwrap();
     board.ask::<StageEntry>(&WriteEntry { session: 1, key: S::KEY, entry }).unwrap().unwrap();
@@ -77,7 +75,7 @@ fn commit(board: &mut Board, keys: &[Key]) {
     board.ask::<CommitEntries>(&Commit { session: 1, keys: keys.iter().copied().collect() }).unwrap().unwrap();
 }
 fn restart(board: &mut Board) -> Board {
-    Board::with_flash(false, core::mem::take(&mut board.machine.flash.kept))
+    Board::with_flash(false, core::mem::take(&mut board.machine.flash.committed))
 }
 
 #[test]
@@ -91,7 +89,7 @@ fn limits_restored_alone_do_not_move_to_another_device() {
         .unwrap()
         .unwrap();
     board.ask::<Save>(&()).unwrap().unwrap();
-    // Another device, not saved, and limits for it.
+    // Loads another device without saving it, and sends limits for that device.
     board
         .ask::<SetDevice>(&haptic_bridge::model::device::Device::new("strong", &rig::paddle()).unwrap())
         .unwrap()
@@ -133,7 +131,7 @@ fn a_device_restored_alone_is_the_same_after_a_restart() {
     assert!(!frozen(&restart(&mut board)), "after a restart the other device has the first device's matrix");
 }
 
-/// Creates an armed five-bar in free space at this control rate, Hz.
+/// Creates an armed five-bar in free space, with a control rate in Hz and a tip-force limit in N.
 fn armed_rig(rate: f32, tip_force: f32) -> Rig {
     let mut rules = rules();
     rules.limits.tip_force = tip_force;
@@ -142,8 +140,8 @@ fn armed_rig(rate: f32, tip_force: f32) -> Rig {
     rig
 }
 
-/// Returns a request of a contact `depth` (m) inside a plane that faces +x.
-fn contact(rig: &Rig, sequence: u32, depth: f32, stiffness: f32, [hold, fade]: [f32; 2]) -> ForceRequest {
+/// Returns a request for a contact with a plane that faces +x. The tip is `depth` m inside the plane.
+fn contact_request(rig: &Rig, sequence: u32, depth: f32, stiffness: f32, [hold, fade]: [f32; 2]) -> ForceRequest {
     let tip = rig.control_loop.status().tip;
     let point = [tip[0] + depth, tip[1], 0.0];
     let contact = Some(HostContact { point, normal: [1.0, 0.0, 0.0], stiffness, damping: 0.0 });
@@ -155,11 +153,10 @@ fn force_x(rig: &mut Rig) -> f32 {
     rig.control_loop.force(&ForceRequest::default()).force[0]
 }
 
-// ---- 4: two renewals between two steps
 #[test]
 fn a_contact_renewed_twice_between_two_steps_returns_smoothly() {
     let mut rig = armed_rig(5_000.0, 1.0e3);
-    let renewed = contact(&rig, 1, 4.0e-3, 1e3, [0.01, 0.05]);
+    let renewed = contact_request(&rig, 1, 4.0e-3, 1e3, [0.01, 0.05]);
     rig.control_loop.force(&renewed);
     rig.run(0.03);
     let before = force_x(&mut rig);
@@ -170,33 +167,31 @@ fn a_contact_renewed_twice_between_two_steps_returns_smoothly() {
     assert!(now >= before && now - before <= 0.4, "from {before} to {now} N");
 }
 
-// ---- 5: a new plane while the lease fades
 #[test]
 fn a_contact_sent_again_while_its_lease_fades_moves_evenly() {
     let mut rig = armed_rig(20_000.0, 1.0e3);
-    let first = contact(&rig, 1, 1.0e-3, 1e3, [0.0, 0.2]);
-    let second = contact(&rig, 2, 5.0e-3, 1e3, [0.0, 0.2]);
+    let first = contact_request(&rig, 1, 1.0e-3, 1e3, [0.0, 0.2]);
+    let second = contact_request(&rig, 2, 5.0e-3, 1e3, [0.0, 0.2]);
     rig.control_loop.force(&first);
     rig.run(0.01);
-    // 4 N more, 10 ms after the last move: 0.02 N per step.
-    let (mut before, mut most) = (force_x(&mut rig), 0.0_f32);
+    // The 4 N are spread over 10 ms, the time since the last request: 0.02 N per step.
+    let (mut before, mut largest_jump) = (force_x(&mut rig), 0.0_f32);
     for step in 0..200 {
         if step % 10 == 0 {
             rig.control_loop.force(&ForceRequest { sequence: 2 + step, ..second });
         }
         rig.step();
         let now = force_x(&mut rig);
-        most = most.max((now - before).abs());
+        largest_jump = largest_jump.max((now - before).abs());
         before = now;
     }
-    assert!(most < 0.03, "the force jumps by {most} N");
+    assert!(largest_jump < 0.03, "the force jumps by {largest_jump} N");
 }
 
-// ---- 6: a late renewal
 #[test]
 fn a_late_renewal_causes_no_jump_of_a_contact_force() {
     let mut rig = armed_rig(20_000.0, 1.0e3);
-    let request = contact(&rig, 1, 4.0e-3, 1e3, [0.01, 0.05]);
+    let request = contact_request(&rig, 1, 4.0e-3, 1e3, [0.01, 0.05]);
     rig.control_loop.force(&request);
     rig.run(0.005);
     let before = force_x(&mut rig);
@@ -207,13 +202,12 @@ fn a_late_renewal_causes_no_jump_of_a_contact_force() {
     assert!((now - before).abs() < 0.3, "from {before} to {now} N in 50 us");
 }
 
-// ---- 7: a contact that moves between two planes
 #[test]
 fn a_contact_between_two_planes_pushes_no_more_than_either() {
     let mut rig = armed_rig(20_000.0, 5.0);
     // 1 mm outside a stiff plane, then 100 mm inside a soft one: 0 N, then 1 N.
-    let stiff = contact(&rig, 1, -1.0e-3, 1.0e4, [0.1, 0.1]);
-    let soft = contact(&rig, 2, 0.1, 10.0, [0.1, 0.1]);
+    let stiff = contact_request(&rig, 1, -1.0e-3, 1.0e4, [0.1, 0.1]);
+    let soft = contact_request(&rig, 2, 0.1, 10.0, [0.1, 0.1]);
     rig.control_loop.force(&stiff);
     rig.run(0.02);
     rig.control_loop.force(&soft);
@@ -224,7 +218,6 @@ fn a_contact_between_two_planes_pushes_no_more_than_either() {
     }
 }
 
-// ---- 8: a change of the control rate
 #[test]
 fn the_age_of_a_force_is_right_after_a_change_of_rate() {
     let mut rig = armed_rig(200.0, 1.0e3);
@@ -246,7 +239,6 @@ fn the_age_of_a_force_is_right_after_a_change_of_rate() {
     assert_eq!(answer.done, ForceDone::TooOld, "one second old, but its age is {:?} s", answer.age);
 }
 
-// ---- 9: a device that the present scene does not fit
 #[test]
 fn a_device_loads_although_the_present_scene_does_not_fit_it() {
     use haptic_bridge::model::catalogue::{Kind, MAX_GEOMETRY};
@@ -260,11 +252,10 @@ fn a_device_loads_although_the_present_scene_does_not_fit_it() {
     assert_eq!(board.ask::<SetDevice>(&rig::device(&five_bar())).unwrap(), Ok(()));
 }
 
-// ---- 10: a save right after a fault
 #[test]
 fn a_fault_is_published_although_a_save_precedes_the_next_poll() {
     let mut board = Board::ready(false, &rig::device(&five_bar()), &scene(2, &[]));
-    board.told = Some((Fault::GateDriver, None, 1.0));
+    board.reported_fault = Some((Fault::GateDriver, None, 1.0));
     board.tick();
     board.ask::<Save>(&()).unwrap().unwrap();
     assert!(board.service.poll(&mut board.machine).is_some());

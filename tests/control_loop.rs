@@ -1,6 +1,6 @@
-//! The control loop's refusals, its memory, and its changes between on and off.
+//! The control loop refuses unsafe commands, keeps its state, and turns the motors on and off without jumps.
 
-use crate::rig::{self, RATE, Rig, five_bar, hardware, limits, paddle, rules, scene, spring_scene, wall};
+use crate::rig::{self, RATE_HZ, Rig, five_bar, hardware, limits, paddle, rules, scene, spring_scene, wall};
 use core::f64::consts::TAU;
 use haptic_bridge::control::joints::{Counts, Torques};
 use haptic_bridge::control::{ARM_SECONDS, Beat, Command, HostAction, Press, Rules};
@@ -12,8 +12,8 @@ use haptic_bridge::safety::fault::{Fault, FaultRecord, State};
 use haptic_bridge::safety::limits::Limits;
 use haptic_bridge::safety::refusal::Refusal;
 
-fn gains(stiffness: f32, damping: f32, feed_forward: FeedForward) -> Command<rig::Held> {
-    let washout = Washout::new(2.0, RATE).unwrap();
+fn gains_command(stiffness: f32, damping: f32, feed_forward: FeedForward) -> Command<rig::BoxedProgram> {
+    let washout = Washout::new(2.0, RATE_HZ).unwrap();
     Command::Gains(Gains { wall: 0, stiffness, damping, feed_forward, washout_hz: 2.0 }, washout)
 }
 
@@ -22,7 +22,7 @@ fn motors_stay_off_without_a_device() {
     let mut rig = Rig::bare(hardware(), rules());
     rig.step();
     assert!(rig.motors_off());
-    for command in [Command::Arm, Command::CheckPolarity, Command::Home, gains(1.0, 0.0, FeedForward::Off)] {
+    for command in [Command::Arm, Command::CheckPolarity, Command::Home, gains_command(1.0, 0.0, FeedForward::Off)] {
         assert_eq!(rig.execute(command), Err(Refusal::NoDevice));
     }
     rig.run(0.1);
@@ -110,7 +110,7 @@ fn arming_is_refused_in_walls_outside_limits_and_without_supply() {
         rig.samples.bus_voltage = voltage;
         rig.control_loop.control(&rig.samples);
         let refusal = rig.execute(Command::Arm).unwrap_err();
-        assert!(matches!(refusal, Refusal::BusVoltage | Refusal::Faulted(Fault::NotFinite)), "{voltage}: {refusal}");
+        assert!(matches!(refusal, Refusal::BusVoltage | Refusal::Faulted(Fault::NotFinite)), "{voltage} V: {refusal}");
     }
 }
 
@@ -129,7 +129,7 @@ fn arming_is_refused_at_a_singular_pose() {
     while rig.execute(Command::Arm).is_ok() && angle < 1.0 {
         rig.execute(Command::Disarm).unwrap();
         angle += 0.001;
-        let counts = (angle / core::f64::consts::TAU * rig::COUNTS) as i32;
+        let counts = (angle / core::f64::consts::TAU * rig::COUNTS_PER_TURN) as i32;
         rig.samples.counts = Counts([counts, -counts, 0]);
         rig.step();
     }
@@ -155,27 +155,27 @@ fn homing_declares_the_pose_of_the_device_file() {
     rig.execute(Command::Home).unwrap();
     rig.step();
     let q = rig.control_loop.status().q;
-    let count = core::f32::consts::TAU / rig::COUNTS as f32;
+    let count = core::f32::consts::TAU / rig::COUNTS_PER_TURN as f32;
     assert!((q[0] - 2.4).abs() <= count && (q[1] - 0.7).abs() <= count, "{q:?}");
 }
 
 #[test]
 fn torque_rises_from_zero_after_arming() {
-    // The spring makes its torque from the first step on.
+    // The spring makes its full torque from the first step on.
     let mut rig = Rig::ready(&spring_scene(1, [0.02, 0.0, 0.0], 100.0));
     rig.execute(Command::Arm).unwrap();
-    let full = 100.0 * 0.02 * 0.1;
+    let full_torque = 100.0 * 0.02 * 0.1;
     let mut last = 0.0;
-    for step in 1..=(ARM_SECONDS * RATE) as u32 {
+    for step in 1..=(ARM_SECONDS * RATE_HZ) as u32 {
         rig.step();
         let torque = rig.torques()[0];
-        let expected = full * step as f32 / (ARM_SECONDS * RATE);
-        assert!((torque - expected).abs() < 1.0e-3 * full, "step {step}: {torque} for {expected}");
+        let expected = full_torque * step as f32 / (ARM_SECONDS * RATE_HZ);
+        assert!((torque - expected).abs() < 1.0e-3 * full_torque, "step {step}: {torque} for {expected}");
         assert!(torque >= last);
         last = torque;
     }
     rig.step();
-    assert!((rig.torques()[0] - full).abs() < 1.0e-5);
+    assert!((rig.torques()[0] - full_torque).abs() < 1.0e-5);
 }
 
 #[test]
@@ -200,7 +200,7 @@ fn a_touched_scene_or_another_rate_is_refused_while_armed() {
     let mut rig = Rig::armed();
     assert_eq!(rig.load(&paddle(), &scene(1, &[wall(0.01, 10.0)]), true), Err(Refusal::InsideWall));
     let mut faster = scene(1, &[]);
-    faster.rate_hz = 2.0 * RATE;
+    faster.rate_hz = 2.0 * RATE_HZ;
     assert_eq!(rig.load(&paddle(), &faster, true), Err(Refusal::Armed));
     assert_eq!(rig.load(&paddle(), &scene(1, &[]), false), Err(Refusal::Armed), "another device");
     assert_eq!(rig.state(), State::Armed);
@@ -303,7 +303,7 @@ fn limits_can_be_lowered_below_the_continuous_current() {
 #[test]
 fn a_lowered_limit_acts_at_the_next_step() {
     type Change = fn(&mut Limits);
-    // The wall makes 2.5 N at an arm of 0.1 m.
+    // The wall makes 2.5 N at an arm of 0.1 m, so 0.25 N m.
     let changes: [(&str, Change, f32); 4] = [
         ("tip force", |limits| limits.tip_force = 2.0, 0.2),
         ("current", |limits| limits.current[0] = 1.5, 0.15),
@@ -325,7 +325,7 @@ fn a_lowered_limit_acts_at_the_next_step() {
 fn a_lowered_tip_force_limits_the_fade_of_the_last_scene() {
     let mut rig = Rig::ready(&spring_scene(1, [0.02, 0.0, 0.0], 100.0));
     rig.arm();
-    // 2 N at an arm of 0.1 m.
+    // The spring makes 2 N at an arm of 0.1 m, so 0.2 N m.
     assert!((rig.torques()[0].abs() - 0.2).abs() < 1.0e-3, "{:?}", rig.torques());
     rig.load(&paddle(), &scene(1, &[]), true).unwrap();
     rig.step();
@@ -336,7 +336,7 @@ fn a_lowered_tip_force_limits_the_fade_of_the_last_scene() {
         rig.step();
         let force = rig.torques()[0].abs() / 0.1;
         assert!(force <= 0.5 * 1.001, "{force} N");
-        // The remaining force of the 2 N continues to fade over half a second.
+        // The earlier 2 N fade over half a second, so the force stays near its limit.
         assert!(force > 0.4, "{force} N");
     }
     assert_eq!(rig.state(), State::Armed);
@@ -348,17 +348,17 @@ fn gains_changed_in_contact_cause_no_other_change_of_torque() {
     rig.arm();
     rig.turn(0, -0.1, 1.0);
     rig.settle();
-    // 5 mm deep: 0.5 N or 0.05 N m at 100 N/m.
+    // The tip is 5 mm deep, so 100 N/m make 0.5 N or 0.05 N m.
     for stiffness in [100.0, 200.0, 150.0, 0.0, 400.0] {
-        rig.execute(gains(stiffness, 0.0, FeedForward::Off)).unwrap();
+        rig.execute(gains_command(stiffness, 0.0, FeedForward::Off)).unwrap();
         rig.step();
         let expected = stiffness * 0.005 * 0.1;
         let torque = rig.torques()[0];
         assert!((torque - expected).abs() < 2.0e-3 * expected.max(0.01), "{stiffness}: {torque} for {expected}");
     }
-    // At rest damping makes no force.
+    // Damping makes no force at rest.
     let before = rig.torques()[0];
-    rig.execute(gains(400.0, 50.0, FeedForward::Off)).unwrap();
+    rig.execute(gains_command(400.0, 50.0, FeedForward::Off)).unwrap();
     rig.step();
     assert!((rig.torques()[0] - before).abs() < 1.0e-3 * before);
 }
@@ -369,7 +369,7 @@ fn invalid_gains_turn_the_motors_off() {
         let mut rig = Rig::ready(&scene(1, &[wall(-0.005, 100.0)]));
         rig.arm();
         rig.turn(0, -0.1, 1.0);
-        rig.execute(gains(stiffness, 0.0, FeedForward::Off)).unwrap();
+        rig.execute(gains_command(stiffness, 0.0, FeedForward::Off)).unwrap();
         rig.step();
         assert!(rig.motors_off());
         assert_eq!(rig.fault(), Some(Fault::NotFinite));
@@ -417,29 +417,29 @@ fn the_polarity_check_waits_for_a_gliding_joint() {
     let mut rig = Rig::with(&five_bar(), &scene(2, &[]), hardware(), rules());
     rig.execute(Command::CheckPolarity).unwrap();
     let mut body = rig::Body::of(&five_bar());
-    body.check_first(&mut rig);
-    // 1.5 s of backward motion, as of a device almost without friction.
+    body.run_first_joint_check(&mut rig);
+    // The joint glides backwards for 1.5 s, like a device almost without friction.
     for _ in 0..(1.5 * rig.rate) as u32 {
         body.qd = [0.0, -0.05, 0.0];
         body.step(&mut rig, 1.0);
     }
     assert_eq!(rig.state(), State::CheckingPolarity, "{:?}", rig.fault());
     body.qd = [0.0; 3];
-    body.check(&mut rig, 1.0);
+    body.run_check(&mut rig, 1.0);
     assert!(rig.control_loop.status().polarity, "{:?}", rig.fault());
 }
 
-/// A hand moves the joint of a motor that has no effect or is wired backwards.
+/// A hand moves the joint, whose motor has no effect or is wired backwards.
 #[test]
 fn a_joint_that_a_hand_moves_fails_the_polarity_check() {
     for (joint, speed) in [(0, 0.012), (0, 0.15), (1, 0.012), (1, 0.15)] {
         let mut rig = Rig::with(&five_bar(), &scene(2, &[]), hardware(), rules());
         rig.execute(Command::CheckPolarity).unwrap();
         if joint == 1 {
-            rig::Body::of(&five_bar()).check_first(&mut rig);
+            rig::Body::of(&five_bar()).run_first_joint_check(&mut rig);
         }
         let counts = rig.samples.counts[joint];
-        let per_step = speed / f64::from(rig.rate) / TAU * rig::COUNTS;
+        let per_step = speed / f64::from(rig.rate) / TAU * rig::COUNTS_PER_TURN;
         for step in 0..(8.0 * rig.rate) as u32 {
             rig.samples.counts[joint] = counts + (f64::from(step) * per_step) as i32;
             rig.step();
@@ -456,7 +456,7 @@ fn the_polarity_check_keeps_the_tip_force_limit_after_homing() {
     let mut rig = Rig::with(&paddle(), &scene(1, &[]), hardware(), gentle);
     rig.turn(0, 0.5, 1.0);
     rig.settle();
-    // Homing changes the angle by half a radian before the next step.
+    // Homing changes the angle by 0.5 rad before the next step.
     rig.execute(Command::Home).expect("at rest");
     rig.execute(Command::CheckPolarity).expect("ready");
     for step in 0..1_200 {
@@ -491,7 +491,7 @@ fn a_joint_that_turns_back_or_not_at_all_fails_the_check() {
     rig.execute(Command::CheckPolarity).unwrap();
     assert!(!rig.control_loop.status().polarity, "a new check discards the earlier result");
     let mut body = rig::Body::of(&paddle());
-    body.check(&mut rig, -1.0);
+    body.run_check(&mut rig, -1.0);
     assert_eq!(rig.fault(), Some(Fault::PolarityWrong));
     rig.execute(Command::Clear).unwrap();
     rig.execute(Command::CheckPolarity).unwrap();
@@ -503,7 +503,7 @@ fn a_joint_that_turns_back_or_not_at_all_fails_the_check() {
 
 #[test]
 fn the_polarity_check_starts_with_a_cleared_power_mean() {
-    // The mean power of an earlier run does not count.
+    // The mean power of the earlier run must not count in the check.
     let mut rig = Rig::ready(&scene(1, &[wall(0.09, 100_000.0)]));
     rig.turn(0, 0.95, 5.0);
     rig.settle();
@@ -533,8 +533,8 @@ fn commands_in_any_order_never_move_a_disarmed_device() {
                 2 => Command::Clear,
                 3 => Command::Home,
                 4 => Command::Beat([Beat::Here, Beat::Held(press), Beat::Released][moved.unsigned_abs() as usize % 3]),
-                5 => gains(number, number, FeedForward::Full),
-                6 => gains(number, 0.0, FeedForward::Washout),
+                5 => gains_command(number, number, FeedForward::Full),
+                6 => gains_command(number, 0.0, FeedForward::Washout),
                 7 => Command::Fault(FaultRecord { fault: Fault::GateDriver, axis: None, value: number, step: 0 }),
                 8 => Command::Rules(Rules { passivity: number > 0.0, ..rules() }),
                 _ => Command::PolarityKnown,

@@ -1,5 +1,5 @@
-//! Instructions are counted for the shipped devices: emulator/counting/devices.rs repeats their numbers, because the
-//! image on the chip cannot read TOML.
+//! The devices whose instructions are counted equal the shipped devices. emulator/counting/devices.rs repeats their
+//! numbers because the image on the chip cannot read TOML.
 
 use crate::common::device_file;
 use haptic_bridge::model::description::{Description, Joint};
@@ -7,13 +7,13 @@ use haptic_bridge::model::description::{Description, Joint};
 #[path = "../emulator/counting/devices.rs"]
 mod devices;
 
-/// Returns the parameters of a joint that the control step uses: inertia, viscous and dry friction, counts per turn.
+/// Returns inertia, viscous friction, dry friction and counts per turn, which are all that the control step uses.
 fn joint_parameters(joint: &Joint) -> [f64; 4] {
     [joint.inertia, joint.viscous, joint.coulomb, joint.encoder.map_or(0.0, |encoder| encoder.counts_per_turn)]
 }
 
-/// Returns true if all numbers are equal up to the rounding of their last decimal places.
-fn equal(counted: &[f64], shipped: &[f64]) -> bool {
+/// Returns true if all numbers are equal within 8 rounding errors.
+fn nearly_equal(counted: &[f64], shipped: &[f64]) -> bool {
     counted.len() == shipped.len()
         && counted.iter().zip(shipped).all(|(a, b)| (a - b).abs() <= 8.0 * f64::EPSILON * a.abs().max(b.abs()))
 }
@@ -40,7 +40,7 @@ fn the_counted_devices_are_the_shipped_devices() {
         };
         assert_eq!(counted.kind, shipped.kind, "{name}");
         assert!(
-            equal(&numbers(&counted), &numbers(&shipped)),
+            nearly_equal(&numbers(&counted), &numbers(&shipped)),
             "{name}: {:?}\n{:?}",
             numbers(&counted),
             numbers(&shipped)

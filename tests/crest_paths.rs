@@ -1,5 +1,5 @@
-//! The fast paths compute the same numbers as the general paths: a crest in one pass against the same crest stage by
-//! stage, and a current loop far from its limits against the general current loop.
+//! The fast paths compute the same numbers as the general paths. The tests compare a crest in one pass with the same
+//! crest stage by stage, and the fast current loop with the general current loop.
 
 use crate::rig::{self, device, five_bar, hardware, paddle, scene, wall};
 use haptic_bridge::control::compiled::{self, BoardControlLoop, Legs};
@@ -19,30 +19,28 @@ use haptic_bridge::render::velocity::{Coefficients, Estimator};
 use haptic_bridge::safety::fault::{Fault, State};
 use std::collections::BTreeSet;
 
-/// A generator of random numbers.
+/// A generator of random numbers, xorshift64 (Marsaglia 2003).
 struct Random(u64);
 
 impl Random {
     /// Draws a number from 0 to 1.
-    fn share(&mut self) -> f32 {
-        // Xorshift64 (Marsaglia 2003).
+    fn unit_number(&mut self) -> f32 {
         self.0 ^= self.0 << 13;
         self.0 ^= self.0 >> 7;
         self.0 ^= self.0 << 17;
         (self.0 >> 40) as f32 / (1 << 24) as f32
     }
 
-    fn between(&mut self, least: f32, most: f32) -> f32 {
-        least + (most - least) * self.share()
+    fn between(&mut self, low: f32, high: f32) -> f32 {
+        low + (high - low) * self.unit_number()
     }
 
-    /// Returns true with a chance of 1 in `rarity`.
     fn one_chance_in(&mut self, rarity: f32) -> bool {
-        self.share() * rarity < 1.0
+        self.unit_number() * rarity < 1.0
     }
 
     fn below(&mut self, end: usize) -> usize {
-        (self.share() * end as f32) as usize % end
+        (self.unit_number() * end as f32) as usize % end
     }
 
     fn choose<T: Copy>(&mut self, values: &[T]) -> T {
@@ -50,13 +48,12 @@ impl Random {
     }
 }
 
-/// Values that a sensor or a command should never have.
-const INVALID: [f32; 8] = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, f32::MAX, -0.0, 1.0e-40, 1.0e3, -1.0e3];
+const INVALID_NUMBERS: [f32; 8] = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, f32::MAX, -0.0, 1.0e-40, 1.0e3, -1.0e3];
 
 /// Number of crests between two comparisons of complete control loops.
 const COMPARISON_INTERVAL: u32 = 50;
 
-/// Returns a complete value as text. Two floats have equal texts only if their bits are equal or both are NaN.
+/// Returns a value as text. The texts of two floats are equal only if their bits are equal or both are NaN.
 fn as_text(value: &impl core::fmt::Debug) -> String {
     format!("{value:?}")
 }
@@ -87,16 +84,17 @@ fn the_fast_current_loop_equals_the_general_one() {
                 if random.one_chance_in(100.0) {
                     axis.limit(random.between(0.0, 15.0));
                 }
-                let most = 1.5 * axis.max_torque();
+                let bound = 1.5 * axis.max_torque();
                 axis.command(if random.one_chance_in(200.0) {
-                    random.choose(&INVALID)
+                    random.choose(&INVALID_NUMBERS)
                 } else {
-                    random.between(-most, most)
+                    random.between(-bound, bound)
                 });
             }
             let is_invalid = random.one_chance_in(300.0);
-            let sample = if is_invalid { random.choose(&INVALID) } else { current + random.between(-0.1, 0.1) };
-            let speed = if random.one_chance_in(300.0) { random.choose(&INVALID) } else { random.between(-30.0, 30.0) };
+            let sample = if is_invalid { random.choose(&INVALID_NUMBERS) } else { current + random.between(-0.1, 0.1) };
+            let speed =
+                if random.one_chance_in(300.0) { random.choose(&INVALID_NUMBERS) } else { random.between(-30.0, 30.0) };
             let supply = Supply::of(if random.one_chance_in(10.0) {
                 random.between(1.0, 10.0)
             } else {
@@ -126,22 +124,22 @@ fn the_fast_current_loop_equals_the_general_one() {
     assert!(enough, "{easy:?} fast steps in time and late, {hard:?} general steps");
 }
 
-fn at_rest() -> Samples {
+fn samples_at_rest() -> Samples {
     Samples { bus_voltage: 24.0, ..Samples::default() }
 }
 
-/// Control rate of the scenes here, Hz. Every crest has a control step.
-const RATE: f32 = 2_000.0;
+/// Control rate of the scenes in this file, Hz. Every crest has a control step.
+const RATE_HZ: f32 = 2_000.0;
 
-/// Two boards: the first runs crests in one pass where it can, the second runs every crest stage by stage.
-struct Pair {
+/// Two boards. The first runs crests in one pass where possible, the second runs every crest stage by stage.
+struct BoardPair {
     control_loops: [BoardControlLoop; 2],
     legs: [Legs; 2],
     carrier: Carrier,
     crests: u32,
 }
 
-impl Pair {
+impl BoardPair {
     fn new(description: &Description, scene: &Scene<f32>, rules: Rules) -> Self {
         let control_loop = || {
             let program = Program::new(&hardware(), &rules.limits, &device(description), scene, false);
@@ -154,23 +152,22 @@ impl Pair {
         Self { control_loops: [control_loop(), control_loop()], legs: [Legs::default(); 2], carrier, crests: 0 }
     }
 
-    /// Sends the same command to both.
     fn execute(&mut self, command: impl Fn() -> Command<compiled::BoardProgram>) {
         let [one, other] = self.control_loops.each_mut().map(|control_loop| control_loop.execute(command()).0);
         assert_eq!(one, other);
     }
 
-    /// Homes at rest and sets the polarity as known.
+    /// Homes both boards at rest and sets the polarity as known.
     fn home(&mut self) {
         for homes in [true, false] {
             for _ in 0..40 {
-                self.crest(&at_rest(), true);
+                self.crest(&samples_at_rest(), true);
             }
             self.execute(|| if homes { Command::Home } else { Command::PolarityKnown });
         }
     }
 
-    fn for_both(&mut self, act: impl Fn(&mut BoardControlLoop)) {
+    fn apply_to_both(&mut self, act: impl Fn(&mut BoardControlLoop)) {
         self.control_loops.iter_mut().for_each(act);
     }
 
@@ -179,7 +176,7 @@ impl Pair {
         self.crests += 1;
         let ticks = self.carrier.ticks();
         if due {
-            self.for_both(|control_loop| compiled::render(control_loop, &samples.counts));
+            self.apply_to_both(|control_loop| compiled::render(control_loop, &samples.counts));
         }
         let ([one, other], [legs, other_legs]) = (&mut self.control_loops, &mut self.legs);
         let drives = if due {
@@ -189,8 +186,8 @@ impl Pair {
         };
         let others = compiled::crest_of_any_kind(other, samples, due, &ticks, other_legs);
         assert_eq!((drives, &legs), (others, &other_legs), "{samples:?} {:?} {:?}", one.status(), other.status());
-        // After a usual step the valley records the samples.
-        self.for_both(|control_loop| compiled::note(control_loop, samples, None));
+        // After a crest in one pass the valley records the samples.
+        self.apply_to_both(|control_loop| compiled::note(control_loop, samples, None));
         self.assert_equal(samples);
         let [one, other] =
             self.control_loops.each_mut().map(|control_loop| compiled::check_slow_faults(control_loop, samples));
@@ -203,7 +200,7 @@ impl Pair {
             .control_loops
             .each_ref()
             .map(|control_loop| (control_loop.frame(), control_loop.status(), *control_loop.heat()));
-        // Texts are slow to compare, but they distinguish 0 from -0, and NaN equals NaN.
+        // Texts are slow to compare, but they distinguish 0 from -0 and treat NaN as equal to NaN.
         if one != other || self.crests.is_multiple_of(COMPARISON_INTERVAL) {
             assert_eq!(as_text(&one), as_text(&other), "{samples:?}");
         }
@@ -213,9 +210,9 @@ impl Pair {
         self.control_loops[0].status().state
     }
 
-    /// Returns two flags: the next crest takes one pass, as far as the control loop knows beforehand; and it does so
-    /// after a step whose torques a limit reduced.
-    fn is_usual(&self) -> [bool; 2] {
+    /// Returns two flags. The first is true if the control loop plans the next crest in one pass. The second is true if
+    /// the crest takes one pass although a limit reduced the last torques.
+    fn one_pass_flags(&self) -> [bool; 2] {
         let text = as_text(&self.control_loops[0]);
         let usual = !text.contains(" usual: 0,");
         let steady = text.contains(" steady: 0,");
@@ -223,7 +220,6 @@ impl Pair {
     }
 }
 
-/// Returns devices with one, two and three joints.
 fn devices() -> [Description; 3] {
     let mut geometry = [0.0; MAX_GEOMETRY];
     geometry[..3].copy_from_slice(&[0.1, 0.1, 0.05]);
@@ -233,9 +229,8 @@ fn devices() -> [Description; 3] {
     [paddle(), heavy, arm]
 }
 
-/// The disturbance of an episode.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-enum Trouble {
+enum Disturbance {
     Nothing,
     Current,
     Bus,
@@ -257,35 +252,35 @@ enum Trouble {
     Weight,
 }
 
-const TROUBLES: [Trouble; 19] = [
-    Trouble::Nothing,
-    Trouble::Current,
-    Trouble::Bus,
-    Trouble::LowBus,
-    Trouble::Imbalance,
-    Trouble::Jump,
-    Trouble::Speed,
-    Trouble::Range,
-    Trouble::Power,
-    Trouble::Mark,
-    Trouble::Reported,
-    Trouble::Push,
-    Trouble::Disarm,
-    Trouble::Silence,
-    Trouble::Mismatch,
-    Trouble::Check,
-    Trouble::Velocity,
-    Trouble::Stretch,
-    Trouble::Weight,
+const DISTURBANCES: [Disturbance; 19] = [
+    Disturbance::Nothing,
+    Disturbance::Current,
+    Disturbance::Bus,
+    Disturbance::LowBus,
+    Disturbance::Imbalance,
+    Disturbance::Jump,
+    Disturbance::Speed,
+    Disturbance::Range,
+    Disturbance::Power,
+    Disturbance::Mark,
+    Disturbance::Reported,
+    Disturbance::Push,
+    Disturbance::Disarm,
+    Disturbance::Silence,
+    Disturbance::Mismatch,
+    Disturbance::Check,
+    Disturbance::Velocity,
+    Disturbance::Stretch,
+    Disturbance::Weight,
 ];
 
-fn random_scene(description: &Description, trouble: Trouble, random: &mut Random) -> Scene<f32> {
+fn random_scene(description: &Description, trouble: Disturbance, random: &mut Random) -> Scene<f32> {
     let task = if description.kind == Kind::Paddle { 1 } else { 2 };
     // A scene without walls reports the tip position at home.
-    let mut bare = Pair::new(description, &scene(task, &[]), rig::rules());
+    let mut bare = BoardPair::new(description, &scene(task, &[]), rig::rules());
     bare.home();
     let tip = bare.control_loops[0].status().tip;
-    let walls: Vec<Wall<f32>> = (0..random.below(3).max(usize::from(trouble == Trouble::Weight)))
+    let walls: Vec<Wall<f32>> = (0..random.below(3).max(usize::from(trouble == Disturbance::Weight)))
         .map(|_| {
             let point = [tip[0] + random.between(-0.002, -0.0002), tip[1], 0.0];
             let feed_forward = random.choose(&[FeedForward::Off, FeedForward::Full, FeedForward::Washout]);
@@ -295,99 +290,101 @@ fn random_scene(description: &Description, trouble: Trouble, random: &mut Random
         })
         .collect();
     let velocity_terms = if random.one_chance_in(2.0) { VelocityTerms::default() } else { VelocityTerms::Off };
-    let gravity_compensation = trouble == Trouble::Weight || random.one_chance_in(2.0);
-    Scene { rate_hz: RATE, velocity_terms, gravity_compensation, ..scene(task, &walls) }
+    let gravity_compensation = trouble == Disturbance::Weight || random.one_chance_in(2.0);
+    Scene { rate_hz: RATE_HZ, velocity_terms, gravity_compensation, ..scene(task, &walls) }
 }
 
-/// Arms a random device and disturbs it. Returns how many of the examined crests took one pass, how many of these
-/// followed a step that a limit reduced, and the fault.
-fn episode(random: &mut Random, trouble: Trouble) -> ([u32; 2], Option<Fault>) {
+/// Arms a random device and disturbs it. Returns the number of compared crests in one pass, the number of crests in one
+/// pass with reduced torques, and the fault.
+fn run_episode(random: &mut Random, trouble: Disturbance) -> ([u32; 2], Option<Fault>) {
     let mut description = random.choose(&devices());
-    if matches!(trouble, Trouble::Stretch | Trouble::Weight) {
+    if matches!(trouble, Disturbance::Stretch | Disturbance::Weight) {
         description = devices()[1];
     }
     let joints = description.joints.iter().take_while(|joint| joint.motor.is_some()).count();
     let mut rules = Rules { host_action: HostAction::Ignore, host_seconds: 0.05, ..rig::rules() };
     rules.limits.tip_force = random.choose(&[1.0e3, 3.0]);
     rules.limits.torque = [random.choose(&[0.3, 0.1, 0.03, 0.01, 0.003]); MAX_JOINTS];
-    if trouble == Trouble::Stretch {
+    if trouble == Disturbance::Stretch {
         rules.limits.torque = [0.003; MAX_JOINTS];
     }
-    if trouble == Trouble::Weight {
-        // About the torques of the device's weight at home.
+    if trouble == Disturbance::Weight {
+        // These limits are close to the torques of the device's weight at home.
         rules.limits.torque = random.choose(&[[0.0261, 0.0266, 0.0], [0.032; MAX_JOINTS]]);
     }
-    if trouble == Trouble::Range {
+    if trouble == Disturbance::Range {
         let home = description.home.expect("every device here has a home");
         for (joint, home) in description.joints.iter_mut().zip(home).take(joints) {
             joint.limits = Some((home - 0.04, home + 0.04));
         }
     }
-    if trouble == Trouble::Power {
+    if trouble == Disturbance::Power {
         rules.limits.power = 0.02;
     }
-    if trouble == Trouble::Silence {
+    if trouble == Disturbance::Silence {
         rules.host_action = random.choose(&[HostAction::Hold, HostAction::Disarm]);
     }
-    if trouble == Trouble::Mark {
+    if trouble == Disturbance::Mark {
         rules.index_period = [60_000; MAX_JOINTS];
     }
-    let mut pair = Pair::new(&description, &random_scene(&description, trouble, random), rules);
+    let mut pair = BoardPair::new(&description, &random_scene(&description, trouble, random), rules);
     pair.home();
-    let mut samples = at_rest();
+    let mut samples = samples_at_rest();
     let checks = random.one_chance_in(10.0);
     pair.execute(|| if checks { Command::CheckPolarity } else { Command::Arm });
     let (mut velocity, mut at, mut usual) = ([0.0_f32; MAX_JOINTS], [0.0_f32; MAX_JOINTS], [0; 2]);
     let (begins, axis) = (1_050 + random.below(600) as u32, random.below(joints));
     let mut fault = None;
     for crest in 0..1_800 {
-        // Every joint moves randomly around its home.
+        // Every joint moves randomly near its home.
         let motors = pair.control_loops[0].frame().motors;
         for i in 0..joints {
             velocity[i] = 0.98 * velocity[i] + random.between(-0.4, 0.4) - 2.0e-4 * at[i];
             at[i] += velocity[i];
             let moved = at[i].round() as i32 - samples.counts[i];
             samples.counts[i] += moved;
-            // 2 ohms, 1 mH and 0.1 V s.
+            // The winding has 2 ohm and 1 mH, and the back-EMF is 0.1 V s/rad.
             let speed = moved as f32 * (core::f32::consts::TAU / 60_000.0 * 20_000.0);
             let current = &mut samples.currents[i];
             *current += (motors.duty[i] * samples.bus_voltage - 2.0 * *current - 0.1 * speed) * 50.0e-6 / 1.0e-3;
         }
-        if crest % 20 == 0 && (trouble != Trouble::Silence || crest < begins) {
+        if crest % 20 == 0 && (trouble != Disturbance::Silence || crest < begins) {
             pair.execute(|| Command::Beat(Beat::Here));
         }
         let mut shown = samples;
         let (now, on) = (crest == begins, crest >= begins);
         match trouble {
-            Trouble::Nothing => {}
-            Trouble::Current if now => shown.currents[axis] = random.choose(&INVALID),
-            Trouble::Bus if now => shown.bus_voltage = random.choose(&[f32::NAN, f32::INFINITY, -24.0, 5.0, 60.0]),
-            Trouble::LowBus if on => samples.bus_voltage = 10.5,
-            Trouble::Imbalance if now => shown.imbalance[axis] = random.choose(&[f32::NAN, 5.0, -5.0]),
-            Trouble::Jump if now => shown.counts[axis] = random.choose(&[i32::MIN, i32::MAX, 100_000, 60, -60]),
-            Trouble::Speed if on => at[axis] += random.between(8.0, 14.0),
-            Trouble::Range if on => at[axis] += 5.0,
+            Disturbance::Nothing => {}
+            Disturbance::Current if now => shown.currents[axis] = random.choose(&INVALID_NUMBERS),
+            Disturbance::Bus if now => shown.bus_voltage = random.choose(&[f32::NAN, f32::INFINITY, -24.0, 5.0, 60.0]),
+            Disturbance::LowBus if on => samples.bus_voltage = 10.5,
+            Disturbance::Imbalance if now => shown.imbalance[axis] = random.choose(&[f32::NAN, 5.0, -5.0]),
+            Disturbance::Jump if now => shown.counts[axis] = random.choose(&[i32::MIN, i32::MAX, 100_000, 60, -60]),
+            Disturbance::Speed if on => at[axis] += random.between(8.0, 14.0),
+            Disturbance::Range if on => at[axis] += 5.0,
             // Both cranks turn outwards until the elbows are stretched.
-            Trouble::Stretch if crest > 1_050 => (velocity, at) = ([0.0; MAX_JOINTS], [at[0] + 7.0, at[1] - 7.0, 0.0]),
-            Trouble::Velocity if now => {
+            Disturbance::Stretch if crest > 1_050 => {
+                (velocity, at) = ([0.0; MAX_JOINTS], [at[0] + 7.0, at[1] - 7.0, 0.0])
+            }
+            Disturbance::Velocity if now => {
                 let rate = random.choose(&[f32::NAN, f32::INFINITY]);
                 let coefficients = Coefficients::new(Estimator::BackwardDifference, rate, 1.0);
                 pair.execute(|| Command::Coefficients(coefficients.expect("a backward difference has no cutoff")));
             }
-            Trouble::Mark if on && random.one_chance_in(20.0) => {
+            Disturbance::Mark if on && random.one_chance_in(20.0) => {
                 let count = shown.counts[axis] + random.choose(&[0, 1, -3, 60_000]);
                 let mut marks = [None; MAX_JOINTS];
                 marks[axis] = Some(count);
-                pair.for_both(|control_loop| control_loop.mark(marks));
+                pair.apply_to_both(|control_loop| control_loop.mark(marks));
             }
-            Trouble::Reported if now => {
-                pair.for_both(|control_loop| control_loop.trip(Fault::GateDriver, None, f32::NAN))
+            Disturbance::Reported if now => {
+                pair.apply_to_both(|control_loop| control_loop.trip(Fault::GateDriver, None, f32::NAN))
             }
-            Trouble::Push | Trouble::Power | Trouble::Weight if on && crest % 30 == 0 => {
+            Disturbance::Push | Disturbance::Power | Disturbance::Weight if on && crest % 30 == 0 => {
                 let mut torque = [0.0; MAX_JOINTS];
                 torque[axis] = random.between(-2.0, 2.0) * rules.limits.torque[axis];
-                if trouble == Trouble::Weight {
-                    // The weight alone exceeds the limits; the pushed torque brings the sum back within them.
+                if trouble == Disturbance::Weight {
+                    // The weight alone exceeds the limits, but weight and requested torque together are within them.
                     torque = [random.between(0.0, 0.02), random.between(-0.02, 0.0), 0.0];
                 }
                 let request =
@@ -395,9 +392,9 @@ fn episode(random: &mut Random, trouble: Trouble) -> ([u32; 2], Option<Fault>) {
                 let [one, other] = pair.control_loops.each_mut().map(|control_loop| control_loop.force(&request));
                 assert_eq!(as_text(&one), as_text(&other));
             }
-            Trouble::Disarm if now => pair.execute(|| Command::Disarm),
-            Trouble::Mismatch if on => shown.currents = Currents([random.between(-4.0, 4.0); MAX_JOINTS]),
-            Trouble::Check if now => pair.execute(|| Command::CheckPolarity),
+            Disturbance::Disarm if now => pair.execute(|| Command::Disarm),
+            Disturbance::Mismatch if on => shown.currents = Currents([random.between(-4.0, 4.0); MAX_JOINTS]),
+            Disturbance::Check if now => pair.execute(|| Command::CheckPolarity),
             _ => {}
         }
         if random.one_chance_in(500.0) {
@@ -405,7 +402,7 @@ fn episode(random: &mut Random, trouble: Trouble) -> ([u32; 2], Option<Fault>) {
         }
         shown.late = random.one_chance_in(20.0);
         if crest % COMPARISON_INTERVAL == 0 {
-            let is_usual = pair.is_usual();
+            let is_usual = pair.one_pass_flags();
             usual.iter_mut().zip(is_usual).for_each(|(sum, one)| *sum += u32::from(one));
         }
         pair.crest(&shown, true);
@@ -426,7 +423,7 @@ fn a_crest_in_one_pass_equals_the_crest_stage_by_stage() {
     let mut random = Random(4);
     let (mut usual, mut cut, mut faults) = (0, 0, BTreeSet::new());
     for nth in 0..342 {
-        let ([one_pass, reduced], fault) = episode(&mut random, TROUBLES[nth % TROUBLES.len()]);
+        let ([one_pass, reduced], fault) = run_episode(&mut random, DISTURBANCES[nth % DISTURBANCES.len()]);
         (usual, cut) = (usual + one_pass, cut + reduced);
         faults.extend(fault.map(Fault::name));
     }

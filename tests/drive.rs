@@ -1,11 +1,11 @@
-//! The drive makes the current for the commanded torque, with duties within the bridge's range.
+//! The motor stage makes the current of the commanded torque, with duties within the bridge's range.
 
 use haptic_bridge::drive::brushed::{Axis, UNKNOWN_INDUCTANCE_SHARE};
 use haptic_bridge::drive::stage::{Bridge, Duty, MAX_DUTY, Stage, Supply};
 use haptic_bridge::model::motor::Motor;
 
-const CARRIER: f32 = 20_000.0;
-const BUS: f32 = 24.0;
+const CARRIER_HZ: f32 = 20_000.0;
+const BUS_VOLTS: f32 = 24.0;
 
 fn motor() -> Motor<f32> {
     Motor {
@@ -19,11 +19,11 @@ fn motor() -> Motor<f32> {
 }
 
 fn bridge(current_sensed: bool) -> Bridge {
-    Bridge { carrier_hz: CARRIER, dead_time: 200.0e-9, bandwidth_hz: 1_000.0, current_sensed }
+    Bridge { carrier_hz: CARRIER_HZ, dead_time: 200.0e-9, bandwidth_hz: 1_000.0, current_sensed }
 }
 
-/// A motor's winding at a constant speed (rad/s), with the dead time (s) of its bridge. The current is exact between
-/// two changes of duty.
+/// A motor's winding at a constant speed (rad/s), driven by a bridge with a dead time (s). The current is computed
+/// exactly between two changes of duty.
 struct Winding {
     motor: Motor<f32>,
     speed: f32,
@@ -31,7 +31,7 @@ struct Winding {
     measured_speed: f32,
     dead_time: f32,
     current: f32,
-    /// Duty of the voltage across the winding.
+    /// Duty of the present voltage across the winding.
     duty: f32,
 }
 
@@ -42,20 +42,20 @@ impl Winding {
 
     /// Applies a duty for this share of a carrier period.
     fn apply(&mut self, duty: f32, share: f32) {
-        let lost = 2.0 * self.dead_time * CARRIER * BUS * self.current.signum();
+        let lost = 2.0 * self.dead_time * CARRIER_HZ * BUS_VOLTS * self.current.signum();
         let emf = self.motor.back_emf * self.speed;
-        let goal = (duty * BUS - lost - emf) / self.motor.resistance;
-        let fade = (-self.motor.resistance / self.motor.inductance / CARRIER * share).exp();
+        let goal = (duty * BUS_VOLTS - lost - emf) / self.motor.resistance;
+        let fade = (-self.motor.resistance / self.motor.inductance / CARRIER_HZ * share).exp();
         self.current = goal + (self.current - goal) * fade;
     }
 
-    /// Runs `periods` carrier periods as on a board: the current is sampled at a crest, and the duty applies from the
-    /// next valley on. Calls `at_valley` with the period and the current at every valley.
+    /// Runs `periods` carrier periods as on a board. The current is sampled at the crest, and the duty applies from the
+    /// next valley on. Calls `at_valley` with the period and the current (A).
     fn run(&mut self, axis: &mut Axis, periods: usize, at_valley: impl FnMut(usize, f32)) {
         self.run_late(axis, periods, |_| false, at_valley);
     }
 
-    /// Like `run`, but the duties of `late` periods apply from the next crest on.
+    /// Like `run`, but the duties of the periods for which `late` is true apply from the next crest on.
     fn run_late(
         &mut self,
         axis: &mut Axis,
@@ -65,8 +65,8 @@ impl Winding {
     ) {
         for period in 0..periods {
             let late = late(period);
-            let next = f32::from(axis.drive(&Supply::of(BUS), self.current, self.measured_speed, late));
-            axis.settle(BUS, self.measured_speed, self.measured_speed, self.measured_speed);
+            let next = f32::from(axis.drive(&Supply::of(BUS_VOLTS), self.current, self.measured_speed, late));
+            axis.settle(BUS_VOLTS, self.measured_speed, self.measured_speed, self.measured_speed);
             self.apply(self.duty, 0.5);
             at_valley(period, self.current);
             self.duty = if late { self.duty } else { next };
@@ -76,11 +76,11 @@ impl Winding {
     }
 }
 
-fn settled_current(motor: &Motor<f32>, sensed: bool, torque: f32, speed: f32, seconds: f32) -> (f32, Axis) {
-    let mut axis = Axis::new(motor, &bridge(sensed), 10.0);
+fn settled_current(motor: &Motor<f32>, has_sensors: bool, torque: f32, speed: f32, seconds: f32) -> (f32, Axis) {
+    let mut axis = Axis::new(motor, &bridge(has_sensors), 10.0);
     let mut winding = Winding { measured_speed: speed, ..Winding::new(*motor, speed) };
     axis.command(torque);
-    winding.run(&mut axis, (seconds * CARRIER) as usize, |_, _| {});
+    winding.run(&mut axis, (seconds * CARRIER_HZ) as usize, |_, _| {});
     (winding.current, axis)
 }
 
@@ -106,7 +106,7 @@ fn the_current_loop_is_right_with_a_wrong_resistance() {
 }
 
 #[test]
-fn a_current_within_the_bus_takes_one_carrier_period() {
+fn a_step_within_the_bus_voltage_takes_one_carrier_period() {
     // 0.4 A in 50 µs need 8 V across 1 mH and at most 2.4 V across 6 ohm.
     for (resistance, inductance) in
         [(1.5, 1.0e-3), (6.0, 1.0e-3), (1.5, 1.0e-4), (1.5, 2.0e-5), (1.5, 1.0e-9), (0.01, 1.0e-3)]
@@ -123,10 +123,10 @@ fn a_current_within_the_bus_takes_one_carrier_period() {
     }
 }
 
-/// A name and a function that returns true for the periods with late duties (steps longer than half a carrier period).
-type Lateness = (&'static str, fn(usize) -> bool);
+/// A name, and a function that returns true for periods with late duties (steps longer than half a carrier period).
+type LatePattern = (&'static str, fn(usize) -> bool);
 
-const LATE: [Lateness; 4] = [
+const LATE_PATTERNS: [LatePattern; 4] = [
     ("always", |_| true),
     ("at every other crest", |period| period.is_multiple_of(2)),
     ("at irregular crests", |period| [0, 1, 3].contains(&(period * period % 7))),
@@ -134,29 +134,29 @@ const LATE: [Lateness; 4] = [
 ];
 
 #[test]
-fn late_duties_do_not_strain_a_motor_that_is_like_its_file() {
+fn late_duties_agree_with_the_model_of_a_motor_like_its_file() {
     let file = Motor { back_emf: 0.0, ..motor() };
     for inductance in [1.0e-3, 1.0e-4, 2.0e-5] {
         let file = Motor { inductance, ..file };
-        for (name, late) in LATE {
+        for (name, late) in LATE_PATTERNS {
             let mut axis = Axis::new(&file, &Bridge { dead_time: 0.0, ..bridge(true) }, 10.0);
             let mut winding = Winding { dead_time: 0.0, ..Winding::new(file, 0.0) };
             for target in [0.4, -0.4, 2.0, 0.0, -3.5, 3.5, 0.02, 0.02] {
                 axis.command(0.05 * target);
-                let mut most = 0.0_f32;
+                let mut overshoot = 0.0_f32;
                 let begin = winding.current;
                 winding.run_late(&mut axis, 40, late, |_, current| {
-                    most = most.max((current - target) / (target - begin + 0.001));
+                    overshoot = overshoot.max((current - target) / (target - begin + 0.001));
                 });
                 let (strain, ..) = axis.strain();
-                assert!(strain.abs() < 0.01, "{name}, {inductance} H, {target} A: {strain} V");
+                assert!(strain.abs() < 0.01, "{name}, {inductance} H, {target} A: strain {strain} V");
                 assert!(
                     (winding.current - target).abs() < 0.001,
                     "{name}, {inductance} H: {} A of {target} A",
                     winding.current
                 );
                 let allowed = if name == "always" { 0.01 } else { 0.51 };
-                assert!(most < allowed, "{name}, {inductance} H, {target} A: overshoots by {most}");
+                assert!(overshoot < allowed, "{name}, {inductance} H, {target} A: overshoots by {overshoot}");
             }
         }
     }
@@ -167,8 +167,8 @@ fn no_pattern_of_late_duties_causes_an_over_current() {
     let limit = 4.0;
     for (resistance, inductance) in [(0.5, 1.0e-4), (0.5, 3.0e-4), (1.5, 1.0e-4), (1.5, 1.0e-3), (0.5, 2.0e-5)] {
         let file = Motor { resistance, inductance, ..motor() };
-        // Reversals every few periods, at every phase of the late duties, with a turning rotor.
-        for (name, late) in LATE {
+        // The torque reverses every few periods, at every phase of the late duties, while the rotor turns.
+        for (name, late) in LATE_PATTERNS {
             for every in 1..9 {
                 let mut axis = Axis::new(&file, &bridge(true), limit);
                 let mut winding = Winding::new(file, 0.0);
@@ -188,22 +188,21 @@ fn no_pattern_of_late_duties_causes_an_over_current() {
 }
 
 #[test]
-fn a_current_beyond_the_bus_takes_longer_and_settles() {
+fn a_step_beyond_the_bus_voltage_takes_longer_and_settles() {
     let step = |actual: Motor<f32>| {
         let mut axis = Axis::new(&motor(), &bridge(true), 10.0);
-        let (mut most, mut arrived) = (0.0_f32, None);
+        let (mut peak, mut arrived) = (0.0_f32, None);
         axis.command(0.1);
         Winding::new(actual, 0.0).run(&mut axis, 200, |period, current| {
-            most = most.max(current);
+            peak = peak.max(current);
             arrived = arrived.or((current > 1.8).then_some(period));
         });
-        (most / 2.0, arrived.unwrap_or(usize::MAX))
+        (peak / 2.0, arrived.unwrap_or(usize::MAX))
     };
-    // 2 A in 50 µs would need 43 V; 22 V take two periods.
-    let (most, arrived) = step(motor());
-    assert!(most < 1.01 && arrived == 2, "{most} of the step, {arrived} periods");
-    // If the inductance is smaller than the file's by a share, the current overshoots by the same share, and the loop
-    // corrects it.
+    // 2 A in 50 µs would need 43 V. The available 22 V need two periods.
+    let (peak, arrived) = step(motor());
+    assert!(peak < 1.01 && arrived == 2, "{peak} of the step, {arrived} periods");
+    // If the inductance is below the file's by a share, the current overshoots by this share until it is corrected.
     for (resistance, inductance) in [(1.4, 1.0), (0.7, 1.0), (1.0, 1.3), (1.0, 0.7), (1.4, 0.7)] {
         let expected = motor();
         let actual = Motor {
@@ -211,19 +210,19 @@ fn a_current_beyond_the_bus_takes_longer_and_settles() {
             inductance: inductance * expected.inductance,
             ..expected
         };
-        let (most, arrived) = step(actual);
-        assert!(most < 1.4 && arrived <= 5, "R x {resistance}, L x {inductance}: {most}, {arrived} periods");
+        let (peak, arrived) = step(actual);
+        assert!(peak < 1.4 && arrived <= 5, "R x {resistance}, L x {inductance}: {peak}, {arrived} periods");
     }
 }
 
-/// Computes the overshoot of the current of a winding L/R (s) if the final voltage is applied at once while a loop of
-/// `bandwidth` (rad/s) integrates the error. With s = L/R d/dt and x = bandwidth L/R the error obeys
-/// e'' + e' + x e = 0, e(0) = 1, e'(0) = -1. The overshoot is its negative minimum, found by numerical integration.
+/// Computes the overshoot of a winding's current, as a share of the final current. The final voltage is applied at once
+/// while a loop of `bandwidth` (rad/s) integrates the error. With s = L/R d/dt, `winding` = L/R (s) and x = bandwidth
+/// L/R the error obeys e'' + e' + x e = 0, e(0) = 1, e'(0) = -1. The overshoot is the negative minimum of e.
 fn overshoot(winding: f64, bandwidth: f64) -> f64 {
     let (x, h) = (bandwidth * winding, 1.0e-4);
     let (mut error, mut rate, mut least) = (1.0_f64, -1.0_f64, 0.0_f64);
     for _ in 0..200_000 {
-        // Midpoint rule; its error over these steps is below 1e-7.
+        // The error of the midpoint rule with these steps is below 1e-7.
         let (middle, middle_rate) = (error + 0.5 * h * rate, rate + 0.5 * h * (-rate - x * error));
         (error, rate) = (error + h * middle_rate, rate + h * (-middle_rate - x * middle));
         least = least.min(error);
@@ -238,13 +237,13 @@ fn a_winding_of_unknown_inductance_overshoots_as_documented() {
     for (inductance, documented) in [(0.45e-3, 0.07), (1.2e-3, 0.14), (1.5e-3, 0.16)] {
         let mut axis = Axis::new(&file, &bridge(true), 10.0);
         axis.command(0.1);
-        let mut most = 0.0_f32;
+        let mut peak = 0.0_f32;
         let mut winding = Winding::new(Motor { inductance, ..file }, 0.0);
-        winding.run(&mut axis, 1_000, |_, current| most = most.max(current));
-        let found = f64::from(most) / 2.0 - 1.0;
+        winding.run(&mut axis, 1_000, |_, current| peak = peak.max(current));
+        let found = f64::from(peak) / 2.0 - 1.0;
         let expected = overshoot(f64::from(inductance / file.resistance), bandwidth);
-        // The loop is up to three quarters of a carrier period late: 314 rad/s · 37.5 µs = 1.2 % of the integral's
-        // share, which is at most 0.31.
+        // The loop is up to 3/4 of a carrier period late. 314 rad/s · 37.5 µs are 1.2 % of the integral's share, which
+        // is at most 0.31.
         assert!((found - expected).abs() < 0.004, "{inductance} H: {found}, not {expected}");
         assert!((found - documented).abs() < 0.005, "{inductance} H: {found}, documented {documented}");
     }
@@ -262,7 +261,7 @@ fn a_winding_of_unknown_inductance_does_not_ring() {
             over |= current > 2.0;
             least = if over { least.min(current) } else { least };
         });
-        // At x = 0.31 the error of `overshoot` swings back by exp(-π/2 / √(x - 1/4)) = 0.2 % of the change.
+        // At x = 0.31 the solution in `overshoot` swings back by exp(-π/2 / √(x - 1/4)) = 0.2 % of the change.
         assert!(least > 0.99 * 2.0, "{inductance} H: falls back to {least} A");
         assert!((winding.current - 2.0).abs() < 0.01, "{inductance} H: {} A", winding.current);
     }
@@ -309,8 +308,8 @@ fn a_motor_without_a_torque_constant_gets_no_current() {
 
 #[test]
 fn the_integrator_does_not_wind_up_at_a_saturated_bus() {
-    // 4 A need 6 V, and 480 rad/s induce 24 V: together far beyond the bus. Once the motor has stopped, the current is
-    // right within 2 ms.
+    // 4 A need 6 V, and 480 rad/s induce 24 V, so the current is far out of reach. Once the motor has stopped, the
+    // current must be right within 2 ms.
     let mut axis = Axis::new(&motor(), &bridge(true), 10.0);
     let mut winding = Winding { measured_speed: 480.0, ..Winding::new(motor(), 480.0) };
     axis.command(0.2);
@@ -321,8 +320,7 @@ fn the_integrator_does_not_wind_up_at_a_saturated_bus() {
     assert!((winding.current - 4.0).abs() < 0.05, "{}", winding.current);
 }
 
-/// Ordinary, extreme and invalid numbers.
-const ANY: [f32; 12] = [
+const TEST_NUMBERS: [f32; 12] = [
     0.0,
     -0.0,
     1.0,
@@ -339,18 +337,18 @@ const ANY: [f32; 12] = [
 
 #[test]
 fn each_leg_stays_between_4_and_96_percent_for_any_input() {
-    for sensed in [true, false] {
-        for torque in ANY {
-            for speed in ANY {
-                for bus in ANY {
-                    for current in ANY {
-                        let mut axis = Axis::new(&motor(), &bridge(sensed), 10.0);
+    for has_sensors in [true, false] {
+        for torque in TEST_NUMBERS {
+            for speed in TEST_NUMBERS {
+                for bus in TEST_NUMBERS {
+                    for current in TEST_NUMBERS {
+                        let mut axis = Axis::new(&motor(), &bridge(has_sensors), 10.0);
                         axis.command(torque);
                         for late in [false, true, true, false] {
                             let duty = f32::from(axis.drive(&Supply::of(bus), current, speed, late));
                             let legs = [0.5 + 0.5 * duty, 0.5 - 0.5 * duty];
                             let inside = legs.iter().all(|leg| (0.039_999..=0.960_001).contains(leg));
-                            assert!(inside, "{torque} {speed} {bus} {current}: {duty}");
+                            assert!(inside, "{torque} N m, {speed} rad/s, {bus} V, {current} A: duty {duty}");
                         }
                     }
                 }
@@ -361,9 +359,9 @@ fn each_leg_stays_between_4_and_96_percent_for_any_input() {
 
 #[test]
 fn a_motor_with_any_parameters_gets_a_duty_within_bounds() {
-    for a in ANY {
-        for b in ANY {
-            for c in ANY {
+    for a in TEST_NUMBERS {
+        for b in TEST_NUMBERS {
+            for c in TEST_NUMBERS {
                 let motor = Motor {
                     torque_constant: a,
                     resistance: b,
@@ -375,8 +373,8 @@ fn a_motor_with_any_parameters_gets_a_duty_within_bounds() {
                 let mut axis = Axis::new(&motor, &bridge(true), c);
                 axis.command(1.0);
                 for late in [false, true, true, false] {
-                    let duty = f32::from(axis.drive(&Supply::of(BUS), 0.5, 1.0, late));
-                    assert!(duty.abs() <= MAX_DUTY, "{a} {b} {c}: {duty}");
+                    let duty = f32::from(axis.drive(&Supply::of(BUS_VOLTS), 0.5, 1.0, late));
+                    assert!(duty.abs() <= MAX_DUTY, "motor {a} {b} {c}: duty {duty}");
                 }
             }
         }
@@ -384,10 +382,10 @@ fn a_motor_with_any_parameters_gets_a_duty_within_bounds() {
 }
 
 #[test]
-fn invalid_numbers_leave_no_trace() {
-    for torque in ANY {
-        for speed in ANY {
-            for bus in ANY {
+fn the_current_loop_recovers_from_invalid_numbers() {
+    for torque in TEST_NUMBERS {
+        for speed in TEST_NUMBERS {
+            for bus in TEST_NUMBERS {
                 let mut axis = Axis::new(&motor(), &bridge(true), 10.0);
                 axis.command(torque);
                 let drives = [true, false, true].map(|late| axis.drive(&Supply::of(bus), torque, speed, late));
@@ -395,7 +393,7 @@ fn invalid_numbers_leave_no_trace() {
                 axis.command(0.1);
                 let mut winding = Winding::new(motor(), 0.0);
                 winding.run(&mut axis, 400, |_, _| {});
-                assert!((winding.current - 2.0).abs() < 0.01, "{torque} {speed} {bus}: {}", winding.current);
+                assert!((winding.current - 2.0).abs() < 0.01, "{torque}, {speed}, {bus} V: {} A", winding.current);
             }
         }
     }
@@ -410,7 +408,7 @@ fn without_supply_there_is_no_duty() {
     }
 }
 
-/// Between two control steps (a hundred crests at 200 Hz) the torque is not commanded again.
+/// A lowered limit must act at once because between two control steps (100 crests at 200 Hz) no torque is commanded.
 #[test]
 fn a_lowered_current_limit_acts_at_the_next_crest() {
     let motor = Motor { max_current: 20.0, ..motor() };
@@ -423,7 +421,7 @@ fn a_lowered_current_limit_acts_at_the_next_crest() {
     assert_eq!(axis.target_current(), -5.0);
 }
 
-/// A limit that is lowered after the device was loaded tightens the motor's model as if it had been set before.
+/// A limit that is lowered after loading must tighten the motor's model like a limit that was set before.
 #[test]
 fn a_lowered_limit_tightens_the_model_of_unknown_inductance() {
     for inductance in [0.0, 1.0e-3] {

@@ -1,5 +1,5 @@
-//! Equation (4) in the complete control step: with the feed-forward the tip accelerates in the rendered directions
-//! only, on flat and curved walls and in corners; with the washout a resting hand gets no sideways force.
+//! Tests equation (4) in the complete control step. With the feed-forward the tip accelerates in the rendered
+//! directions only, on flat and curved walls and in corners. With the washout a resting hand gets no sideways force.
 
 use crate::common::{bilateral_wall, device_file, fine_counts, inverse, with_fine_encoders};
 use haptic_bridge::control::compiled::BoardMath;
@@ -12,8 +12,7 @@ use haptic_bridge::render::scene::{Cylinder, FeedForward, Plane, Scene, Sphere, 
 use haptic_bridge::with_mechanism;
 use nalgebra::SVector;
 
-/// Control rate, Hz.
-const RATE: f64 = 1_000.0;
+const RATE_HZ: f64 = 1_000.0;
 fn shipped(name: &str) -> Description {
     with_fine_encoders(device_file::shipped(name))
 }
@@ -29,7 +28,7 @@ fn controller<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
 ) -> Controller<T, M, K, N> {
     let scene = Scene {
         task: M::SPEC.task as u8,
-        rate_hz: T::from_f64(RATE),
+        rate_hz: T::from_f64(RATE_HZ),
         cutoff_hz: T::from_f64(100.0),
         walls: walls.iter().copied().collect(),
         ..Scene::default()
@@ -38,31 +37,30 @@ fn controller<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
     Controller::new(mechanism, &device, &scene).expect("a sound scene")
 }
 
-/// Motion of the tip under the torques of a control step.
-struct Outcome<const N: usize> {
+/// Motion of the tip under the torques of one control step, and the wall force (N).
+struct TipMotion<const N: usize> {
     position: SVector<f64, N>,
     velocity: SVector<f64, N>,
     acceleration: SVector<f64, N>,
     force: f64,
 }
 
-/// Returns the motion of the tip under the torques of the step after a steady motion through `q` at `qd`.
-fn outcome<M: Mechanism<f64, N>, const N: usize>(
+/// Returns the tip's motion under the torques of the step that ends a steady motion through `q` at `qd`.
+fn tip_motion<M: Mechanism<f64, N>, const N: usize>(
     m: M,
     device: &Description,
     walls: &[Wall<f64>],
     q: &SVector<f64, N>,
     qd: &SVector<f64, N>,
-) -> Outcome<N> {
+) -> TipMotion<N> {
     let mut controller = controller::<f64, Libm, M, N>(m, device, walls);
-    // The motion is steady, and long enough for the joint filters to settle: their lag does not matter at constant
-    // velocity.
-    let last = (-60..=0).map(|k| controller.step(&fine_counts(&(q + qd * (f64::from(k) / RATE))))).last();
+    // Sixty steps let the joint filters settle. At constant velocity their lag does not matter.
+    let last = (-60..=0).map(|k| controller.step(&fine_counts(&(q + qd * (f64::from(k) / RATE_HZ))))).last();
     let step = last.expect("there are steps");
     let pose = m.pose::<Libm>(q);
     let bias = m.coriolis(&pose, qd) + m.gravity(&pose);
     let qdd = inverse(&m.mass(&pose)) * (step.torque - bias);
-    Outcome {
+    TipMotion {
         position: m.tip(&pose),
         velocity: m.velocity(&pose, qd),
         acceleration: m.jacobian(&pose) * qdd + m.jacobian_rate(&pose, qd) * qd,
@@ -70,11 +68,11 @@ fn outcome<M: Mechanism<f64, N>, const N: usize>(
     }
 }
 
-/// Offset of the centre of a round wall from the tip, m.
-const OFFSET: [f64; 3] = [0.03, -0.04, 0.02];
+/// Offset of a round wall's centre from the tip, m.
+const CENTER_OFFSET: [f64; 3] = [0.03, -0.04, 0.02];
 
-/// Returns a sphere or cylinder whose surface passes near `tip`, with the tip outside or inside.
-fn round<const N: usize>(tip: &SVector<f64, N>, offset: [f64; 3], shape: u8, task: usize) -> Surface<f64> {
+/// Returns a sphere or cylinder whose surface passes near `tip`. The tip is outside or inside, depending on `shape`.
+fn round_wall<const N: usize>(tip: &SVector<f64, N>, offset: [f64; 3], shape: u8, task: usize) -> Surface<f64> {
     let point = core::array::from_fn(|i| if i < task.min(N) { tip[i] + offset[i] } else { 0.0 });
     let radius = 0.06;
     match shape {
@@ -84,17 +82,17 @@ fn round<const N: usize>(tip: &SVector<f64, N>, offset: [f64; 3], shape: u8, tas
     }
 }
 
-fn flat(task: usize) -> Surface<f64> {
+fn flat_wall(task: usize) -> Surface<f64> {
     let normal = if task == 2 { [0.8, 0.6, 0.0] } else { [0.36, 0.48, 0.8] };
     Surface::Plane(Plane { point: [0.0; 3], normal })
 }
 
-fn point<const N: usize>(v: &SVector<f64, N>, task: usize) -> SVector<f64, N> {
+fn task_part<const N: usize>(v: &SVector<f64, N>, task: usize) -> SVector<f64, N> {
     SVector::from_fn(|i, _| if i < task { v[i] } else { 0.0 })
 }
 
-/// Returns orthogonal unit vectors across `normal`, including the axes beyond the task.
-fn across<const N: usize>(normal: &SVector<f64, N>) -> Vec<SVector<f64, N>> {
+/// Returns orthogonal unit vectors perpendicular to `normal`, including axes beyond the task.
+fn perpendicular_units<const N: usize>(normal: &SVector<f64, N>) -> Vec<SVector<f64, N>> {
     let mut found: Vec<SVector<f64, N>> = vec![*normal];
     for i in 0..N {
         let mut v = SVector::<f64, N>::zeros();
@@ -109,21 +107,21 @@ fn across<const N: usize>(normal: &SVector<f64, N>) -> Vec<SVector<f64, N>> {
     found.split_off(1)
 }
 
-fn one_wall<M: Mechanism<f64, N>, const N: usize>(m: M, device: &Description, q: &[f64], qd: &[f64]) {
+fn check_one_wall<M: Mechanism<f64, N>, const N: usize>(m: M, device: &Description, q: &[f64], qd: &[f64]) {
     let task = M::SPEC.task;
     let (q, qd) = (SVector::<f64, N>::from_column_slice(q), SVector::<f64, N>::from_column_slice(qd));
     let tip = m.tip(&m.pose::<Libm>(&q));
     let shapes = if task == 3 { 0..5 } else { 0..3 };
     for shape in shapes {
-        let surface = if shape == 0 { flat(task) } else { round(&tip, OFFSET, shape - 1, task) };
-        let o = outcome(m, device, &[wall(surface, FeedForward::Full)], &q, &qd);
-        let (p, v) = (point(&o.position, task), point(&o.velocity, task));
+        let surface = if shape == 0 { flat_wall(task) } else { round_wall(&tip, CENTER_OFFSET, shape - 1, task) };
+        let o = tip_motion(m, device, &[wall(surface, FeedForward::Full)], &q, &qd);
+        let (p, v) = (task_part(&o.position, task), task_part(&o.velocity, task));
         let n = surface.contact::<Libm, N>(&p).normal;
         let n_rate = surface.normal_rate::<Libm, N>(&p, &v);
         assert!(o.force.abs() > 0.1 && v.norm() > 0.1, "{} N at {} m/s", o.force, v.norm());
         assert!(shape == 0 || n_rate.norm() > 0.5, "the normal turns: {n_rate}");
-        for t in across(&n) {
-            // π̇a = t·p̈ + ṫ·ṗ, where t turns with n and does not spin about it.
+        for t in perpendicular_units(&n) {
+            // π̇a = t·p̈ + ṫ·ṗ, where t turns with n without spinning about n.
             let admissible = t.dot(&o.acceleration) - t.dot(&n_rate) * n.dot(&v);
             assert!(admissible.abs() < 2e-3, "{} shape {shape}: {admissible} m/s²", M::SPEC.name);
         }
@@ -134,7 +132,7 @@ fn one_wall<M: Mechanism<f64, N>, const N: usize>(m: M, device: &Description, q:
 #[test]
 fn at_any_wall_the_tip_accelerates_along_the_normal_only() {
     let device = shipped("haply-2diy");
-    with_five_bar(&device, |m| one_wall(m, &device, &[2.4, 0.7], &[1.5, -1.1]));
+    with_five_bar(&device, |m| check_one_wall(m, &device, &[2.4, 0.7], &[1.5, -1.1]));
     for (file, q, qd) in [
         ("fictive-five-bar-turret", [0.3, 2.4, 1.1], [2.0, -1.0, 0.8]),
         ("phantom-premium-1.5", [0.3, 0.9, -0.3], [1.5, -0.7, 1.2]),
@@ -142,9 +140,9 @@ fn at_any_wall_the_tip_accelerates_along_the_normal_only() {
     ] {
         let device = shipped(file);
         match AnyMechanism::<f64>::new(&device).expect("a sound device") {
-            AnyMechanism::FiveBarTurret(m) => one_wall(m, &device, &q, &qd),
-            AnyMechanism::Parallelogram(m) => one_wall(m, &device, &q, &qd),
-            AnyMechanism::Serial3r(m) => one_wall(m, &device, &q, &qd),
+            AnyMechanism::FiveBarTurret(m) => check_one_wall(m, &device, &q, &qd),
+            AnyMechanism::Parallelogram(m) => check_one_wall(m, &device, &q, &qd),
+            AnyMechanism::Serial3r(m) => check_one_wall(m, &device, &q, &qd),
             other => panic!("{other:?} does not have three joints"),
         }
     }
@@ -155,10 +153,10 @@ fn with_five_bar(device: &Description, f: impl Fn(haptic_bridge::model::mechanis
     f(m);
 }
 
-/// Checks two walls that act together: the admissible direction is the line along both. Equally stiff walls at right
-/// angles have one level of two directions; there curved walls show that the line turns with them. Flat walls meet at
-/// any angle and with any ratio of stiffness.
-fn edge<M: Mechanism<f64, 3>>(m: M, device: &Description, q: [f64; 3], qd: [f64; 3]) {
+/// Checks two walls that act together, where the admissible direction is the line along both. Curved walls are tested
+/// at right angles and with equal stiffness, where they show that the line turns. Flat walls are tested at several
+/// angles and ratios of stiffness.
+fn check_edge<M: Mechanism<f64, 3>>(m: M, device: &Description, q: [f64; 3], qd: [f64; 3]) {
     let (q, qd) = (SVector::from(q), SVector::from(qd));
     let tip = m.tip(&m.pose::<Libm>(&q));
     let normals = [SVector::from([0.36, 0.48, 0.8]), SVector::from([0.8, -0.6, 0.0])];
@@ -180,10 +178,10 @@ fn edge<M: Mechanism<f64, 3>>(m: M, device: &Description, q: [f64; 3], qd: [f64;
     ] {
         let mut walls = pair.map(|surface| wall(surface, FeedForward::Full));
         walls[1].stiffness = stiffness;
-        let o = outcome(m, device, &walls, &q, &qd);
+        let o = tip_motion(m, device, &walls, &q, &qd);
         let n = pair.map(|surface| surface.contact::<Libm, 3>(&o.position).normal);
         let rate = pair.map(|surface| surface.normal_rate::<Libm, 3>(&o.position, &o.velocity));
-        // The line is t = n₁ x n₂ / |n₁ x n₂|; its rate follows from the product rule.
+        // The line is t = n₁ x n₂ / |n₁ x n₂|. Its rate follows from the product rule.
         let line = n[0].cross(&n[1]);
         let length = line.norm();
         assert!(length > 0.2, "the walls cross");
@@ -200,14 +198,14 @@ fn edge<M: Mechanism<f64, 3>>(m: M, device: &Description, q: [f64; 3], qd: [f64;
 fn the_tip_does_not_accelerate_along_an_edge_of_two_walls() {
     let device = shipped("fictive-five-bar-turret");
     let Ok(AnyMechanism::FiveBarTurret(m)) = AnyMechanism::new(&device) else { panic!("a turreted five-bar") };
-    edge(m, &device, [0.3, 2.4, 1.1], [2.0, -1.0, 0.8]);
+    check_edge(m, &device, [0.3, 2.4, 1.1], [2.0, -1.0, 0.8]);
     let device = shipped("phantom-premium-1.5");
     let Ok(AnyMechanism::Parallelogram(m)) = AnyMechanism::new(&device) else { panic!("a parallelogram") };
-    edge(m, &device, [0.3, 0.9, -0.3], [1.5, -0.7, 1.2]);
+    check_edge(m, &device, [0.3, 0.9, -0.3], [1.5, -0.7, 1.2]);
 }
 
-/// Computes the sideways force (N per N of wall force) of the board's torques at rest, `seconds` after contact.
-fn sideways<A, B, const N: usize>(
+/// Computes the sideways force per wall force (N/N) of the board's torques at rest, `seconds` after contact.
+fn sideways_force<A, B, const N: usize>(
     double: A,
     board: B,
     device: &Description,
@@ -221,13 +219,13 @@ where
     B: Mechanism<f32, N>,
 {
     let pose = double.pose::<Libm>(q);
-    let tip = point(&double.tip(&pose), A::SPEC.task) + n * 0.01;
+    let tip = task_part(&double.tip(&pose), A::SPEC.task) + n * 0.01;
     let three = |v: &SVector<f64, N>| core::array::from_fn(|i| if i < A::SPEC.task { v[i] as f32 } else { 0.0 });
     let mut plane = wall(Surface::Plane(Plane { point: three(&tip), normal: three(n) }), feed_forward);
     plane.bilateral = false;
     let mut controller = controller::<f32, BoardMath, B, N>(board, device, &[plane]);
     let mut step = controller.step(&fine_counts(q));
-    for _ in 0..(seconds * RATE) as u32 {
+    for _ in 0..(seconds * RATE_HZ) as u32 {
         step = controller.step(&fine_counts(q));
     }
     let torque = step.torque.map(f64::from) - double.gravity(&pose);
@@ -245,12 +243,12 @@ fn with_the_washout_a_resting_hand_gets_no_sideways_force() {
     for k in 0..24 {
         let angle = f64::from(k) / 24.0 * std::f64::consts::TAU;
         let n = SVector::from([0.8 * angle.cos(), angle.sin(), 0.6 * angle.cos()]);
-        let force = |feed_forward, seconds| sideways(double, board, &device, &q, &n, feed_forward, seconds);
+        let force = |feed_forward, seconds| sideways_force(double, board, &device, &q, &n, feed_forward, seconds);
         let (full, fresh) = (force(FeedForward::Full, 3.0), force(FeedForward::Washout, 0.0));
         let (early, rested) = (force(FeedForward::Washout, 0.01), force(FeedForward::Washout, 3.0));
         worst_full = worst_full.max(full);
-        // At contact the washout acts like the full feed-forward, after ten milliseconds almost so, and finally not at
-        // all.
+        // The washout acts like the full feed-forward at contact, almost the same after 10 ms, and not at all in the
+        // end.
         assert!((fresh - full).abs() <= 0.02 * full + 1e-4, "{fresh} at contact, {full} in full");
         assert!(early <= full + 1e-4 && early >= 0.8 * full - 1e-4, "{early} after 10 ms, {full} in full");
         assert!(rested < 1e-4, "{rested} N per N at rest");
@@ -264,12 +262,12 @@ fn a_wall_never_pulls() {
     for file in ["hapkit-paddle", "haply-2diy", "fictive-five-bar-turret", "phantom-premium-1.5", "serial-3r"] {
         let device = shipped(file);
         let mechanism = AnyMechanism::<f32>::new(&device).expect("a sound device");
-        with_mechanism!(mechanism, m => shake(m, &device));
+        with_mechanism!(mechanism, m => check_shaken_wall(m, &device));
     }
 }
 
-/// Shakes the tip in and out of a damped wall and checks the wall's force.
-fn shake<M: Mechanism<f32, N>, const N: usize>(m: M, device: &Description) {
+/// Shakes the tip in and out of a damped wall and checks that the wall never pulls.
+fn check_shaken_wall<M: Mechanism<f32, N>, const N: usize>(m: M, device: &Description) {
     let home = device.home.expect("shipped devices have a home");
     let home = SVector::<f64, N>::from_fn(|i, _| home[i]);
     let task = M::SPEC.task;
@@ -287,12 +285,12 @@ fn shake<M: Mechanism<f32, N>, const N: usize>(m: M, device: &Description) {
         let mut controller = controller::<f32, BoardMath, M, N>(m, device, &[wall]);
         let (mut touched, mut leaving) = (false, false);
         for k in 0..4_000 {
-            let t = f64::from(k) / RATE;
+            let t = f64::from(k) / RATE_HZ;
             let q = home.map(|x| x + 0.05 * (31.0 * t).sin() + 0.03 * (83.0 * t).cos());
             let step = controller.step(&fine_counts(&q));
             assert!(step.wall_force >= 0.0, "{step:?}");
             touched |= step.wall_force > 0.0;
-            // The tip is inside and leaves so fast that damping alone would pull.
+            // The tip is inside and leaves so fast that the damping force alone would pull.
             let unclamped = -100.0 * step.distance - 50.0 * step.normal_velocity;
             if step.distance < 0.0 && unclamped < 0.0 {
                 leaving = true;

@@ -1,4 +1,4 @@
-//! Frames on the wire are the same as those of the `cobs` crate, for any content and any split into pieces.
+//! The library's frames equal those of the `cobs` crate, for any content and any split into pieces.
 
 use crate::common::cases;
 use haptic_bridge::board::framing::{Decoder, encode, max_wire_length};
@@ -6,8 +6,8 @@ use haptic_bridge::board::protocol::MAX_FRAME;
 use proptest::collection::vec;
 use proptest::prelude::*;
 
-/// Encodes a frame, in a buffer of the minimum length and in a longer one with other bytes, which must not matter.
-fn on_wire(frame: &[u8]) -> Vec<u8> {
+/// Encodes a frame in the shortest possible buffer and in a longer buffer with other contents, which must not matter.
+fn encode_frame(frame: &[u8]) -> Vec<u8> {
     let shortest = max_wire_length(frame.len());
     let [short, long] = [vec![0xAA; shortest], vec![0; shortest + 9]].map(|mut wire| {
         wire[1..][..frame.len()].copy_from_slice(frame);
@@ -19,7 +19,7 @@ fn on_wire(frame: &[u8]) -> Vec<u8> {
     short
 }
 
-/// Returns the frames that a decoder finds in a stream that comes in pieces of `piece` bytes.
+/// Decodes a stream that arrives in pieces of `piece` bytes.
 fn decode(stream: &[u8], piece: usize) -> Vec<Vec<u8>> {
     let (mut decoder, mut frames) = (Decoder::default(), Vec::new());
     for mut left in stream.chunks(piece) {
@@ -34,8 +34,8 @@ fn decode(stream: &[u8], piece: usize) -> Vec<Vec<u8>> {
     frames
 }
 
-/// Generates contents of frames: many zeros, and long stretches without zeros.
-fn bytes() -> impl Strategy<Value = Vec<u8>> {
+/// Generates contents of frames with many zeros and with long stretches without zeros.
+fn frame_contents() -> impl Strategy<Value = Vec<u8>> {
     let stretch =
         prop_oneof![vec(Just(0_u8), 0..9), vec(1_u8.., 0..300), vec(any::<u8>(), 0..40), vec(250_u8.., 250..260)];
     vec(stretch, 0..5)
@@ -45,13 +45,13 @@ fn bytes() -> impl Strategy<Value = Vec<u8>> {
 
 #[test]
 fn frames_are_encoded_as_computed_by_hand() {
-    assert_eq!(on_wire(&[]), [1, 0]);
-    assert_eq!(on_wire(&[0]), [1, 1, 0]);
-    assert_eq!(on_wire(&[1, 2, 3, 4, 5, 0, 6]), [6, 1, 2, 3, 4, 5, 2, 6, 0]);
+    assert_eq!(encode_frame(&[]), [1, 0]);
+    assert_eq!(encode_frame(&[0]), [1, 1, 0]);
+    assert_eq!(encode_frame(&[1, 2, 3, 4, 5, 0, 6]), [6, 1, 2, 3, 4, 5, 2, 6, 0]);
     let full = [7; 254];
-    assert_eq!(on_wire(&full), [&[255][..], &full, &[0]].concat());
-    assert_eq!(on_wire(&[&full[..], &[8]].concat()), [&[255][..], &full, &[2, 8, 0]].concat());
-    assert_eq!(on_wire(&[&full[..], &[0]].concat()), [&[255][..], &full, &[1, 1, 0]].concat());
+    assert_eq!(encode_frame(&full), [&[255][..], &full, &[0]].concat());
+    assert_eq!(encode_frame(&[&full[..], &[8]].concat()), [&[255][..], &full, &[2, 8, 0]].concat());
+    assert_eq!(encode_frame(&[&full[..], &[0]].concat()), [&[255][..], &full, &[1, 1, 0]].concat());
 }
 
 #[test]
@@ -63,10 +63,9 @@ fn a_buffer_that_is_too_short_is_rejected() {
 
 #[test]
 fn bytes_that_are_no_frame_are_skipped() {
-    let good = on_wire(&[4, 0, 5]);
-    // A truncated block, empty frames, a frame that is too long, a frame of the maximum length, and one cut off by
-    // `forget`.
-    let (too_long, longest) = (on_wire(&[1; MAX_FRAME + 1]), on_wire(&[1; MAX_FRAME]));
+    let good = encode_frame(&[4, 0, 5]);
+    // The noise is a truncated block, empty frames, a frame that is too long, and a frame whose block is cut off.
+    let (too_long, longest) = (encode_frame(&[1; MAX_FRAME + 1]), encode_frame(&[1; MAX_FRAME]));
     for noise in [&[9, 1, 2, 0][..], &[0, 0, 0], &too_long, &[5, 0]] {
         assert_eq!(decode(&[noise, &good, &longest].concat(), 64), [vec![4, 0, 5], vec![1; MAX_FRAME]], "{noise:?}");
     }
@@ -81,8 +80,8 @@ proptest! {
     #![proptest_config(cases(256))]
 
     #[test]
-    fn the_crate_and_the_library_read_each_others_frames(frame in bytes()) {
-        let wire = on_wire(&frame);
+    fn the_crate_and_the_library_read_each_others_frames(frame in frame_contents()) {
+        let wire = encode_frame(&frame);
         let (content, delimiter) = wire.split_at(wire.len() - 1);
         prop_assert_eq!(delimiter, [0]);
         prop_assert!(!content.contains(&0));
@@ -93,8 +92,8 @@ proptest! {
     }
 
     #[test]
-    fn frames_are_found_in_a_stream_of_any_pieces(frames in vec(bytes(), 0..6), piece in 1_usize..80) {
-        let stream: Vec<u8> = frames.iter().flat_map(|frame| on_wire(frame)).collect();
+    fn frames_are_found_in_a_stream_of_any_pieces(frames in vec(frame_contents(), 0..6), piece in 1_usize..80) {
+        let stream: Vec<u8> = frames.iter().flat_map(|frame| encode_frame(frame)).collect();
         prop_assert_eq!(decode(&stream, piece), frames);
     }
 

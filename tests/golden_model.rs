@@ -1,9 +1,8 @@
-//! The model agrees with independently computed cases: twenty random devices and motions of every mechanism
-//! (tests/golden). The errors must stay below 1e-9 of the largest entry in f64, and below 2e-4 of the largest torque in
-//! f32 with the board's own code.
+//! The model agrees with independently computed cases: twenty random devices and motions per mechanism (tests/golden).
+//! The allowed errors are 1e-9 of the largest entry in f64, and 2e-4 of the largest torque in the board's f32.
 
 use crate::common::device_file::parse;
-use crate::golden::{F32_TOLERANCE, F64_TOLERANCE, Quantity, agree, cases, list, number, text};
+use crate::golden::{F32_TOLERANCE, F64_TOLERANCE, Quantity, assert_agree, cases, list, number, text};
 use haptic_bridge::control::compiled::BoardMath;
 use haptic_bridge::math::{FineTable, Math, Real};
 use haptic_bridge::model::inertia::Inertia;
@@ -13,7 +12,7 @@ use haptic_bridge::with_mechanism;
 use nalgebra::{SMatrix, SVector};
 use serde_json::Value;
 
-/// Computes all quantities of equation (4). With a `side` of -1 the wall's normal and force are reversed.
+/// Computes all quantities of equation (4). A `side` of -1 reverses the wall's normal and force.
 fn quantities<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
     m: &M,
     case: &Value,
@@ -54,7 +53,7 @@ fn double_precision(case: &Value, side: f64) -> Vec<Quantity> {
 #[test]
 fn every_quantity_agrees_in_double_precision() {
     for case in cases() {
-        agree(&case, &double_precision(&case, 1.0), F64_TOLERANCE);
+        assert_agree(&case, &double_precision(&case, 1.0), F64_TOLERANCE);
     }
 }
 
@@ -64,7 +63,7 @@ fn the_boards_code_computes_the_torques_in_single_precision() {
         let mechanism = AnyMechanism::<f32>::new(&parse(text(&case["device"]))).expect("a sound device");
         let mut found = with_mechanism!(&mechanism, m => quantities::<f32, BoardMath, _, _>(m, &case, 1.0));
         found.retain(|(name, _)| name.starts_with("torque"));
-        agree(&case, &found, F32_TOLERANCE);
+        assert_agree(&case, &found, F32_TOLERANCE);
     }
 }
 
@@ -73,6 +72,6 @@ fn weff_and_wrr_are_the_same_on_both_sides_of_the_wall() {
     for case in cases() {
         let mut found = double_precision(&case, -1.0);
         found.retain(|(name, _)| ["w_eff", "w_rr", "torque"].contains(name));
-        agree(&case, &found, F64_TOLERANCE);
+        assert_agree(&case, &found, F64_TOLERANCE);
     }
 }

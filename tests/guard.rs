@@ -1,30 +1,29 @@
 //! Every fault turns the motors off within one control period, stays latched, and clears.
 //!
-//! The control step finds faults in its samples (counts, currents, voltages, time), which these tests change. Faults that
-//! hardware or another part of the firmware finds reach the control loop through `ControlLoop::trip`; the tests of
-//! emulator/ provoke them on the emulated chip. A fault of neither origin does not compile here.
+//! The control step detects faults in its samples (counts, currents, voltages, time), which these tests change. Faults
+//! that hardware or other firmware detects reach the control loop through `ControlLoop::trip`. The tests of emulator/
+//! provoke those faults on the emulated chip. A fault without an origin does not compile here.
 
-use crate::rig::{self, Held, RATE, Rig, five_bar, hardware, paddle, quiet, rules, scene, wall};
+use crate::rig::{self, BoxedProgram, RATE_HZ, Rig, far_wall, five_bar, hardware, paddle, rules, scene, wall};
 use haptic_bridge::control::joints::Counts;
 use haptic_bridge::control::{Beat, Command, HostAction, Press};
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::safety::refusal::Refusal;
 
-/// Origin of a fault.
+/// Place where a fault is detected.
 enum Origin {
-    /// Found by the control step. The function returns an armed board just before that step.
+    /// Detected by the control step. The function returns an armed board just before that step.
     Step(fn() -> Rig),
-    /// Found outside the control step and reported to it.
+    /// Detected outside the control step and reported to the control loop.
     Reported,
 }
 
-/// Runs a polarity check of a motor that makes `factor` times the torque of its file, with a winding of `resistance`
-/// (ohm).
-fn checked(factor: f64, resistance: f32) -> Rig {
-    let mut rig = Rig::ready(&quiet());
+/// Runs a polarity check of a motor with `factor` times the torque of its file and a winding of `resistance` ohm.
+fn run_polarity_check(factor: f64, resistance: f32) -> Rig {
+    let mut rig = Rig::ready(&far_wall());
     rig.resistance = resistance;
     rig.execute(Command::CheckPolarity).unwrap();
-    rig::Body::of(&rig::paddle()).check(&mut rig, factor);
+    rig::Body::of(&rig::paddle()).run_check(&mut rig, factor);
     rig
 }
 
@@ -38,7 +37,7 @@ fn origin(fault: Fault) -> Origin {
         }),
         Fault::EncoderStall => Step(|| {
             let mut rig = Rig::pressing(255.0);
-            let steps = (5.0 * RATE) as u32;
+            let steps = (5.0 * RATE_HZ) as u32;
             for _ in 0..steps {
                 rig.step();
                 if rig.state() == State::Fault {
@@ -50,7 +49,7 @@ fn origin(fault: Fault) -> Origin {
         Fault::EncoderLoss => Step(|| {
             // A hand turns the motor at 10 rad/s, so the current loop must oppose 1 V of back-EMF.
             let mut rig = Rig::armed();
-            for _ in 0..(0.5 * RATE) as u32 {
+            for _ in 0..(0.5 * RATE_HZ) as u32 {
                 rig.shown_current = Some(-0.05);
                 rig.step();
                 if rig.state() == State::Fault {
@@ -79,9 +78,9 @@ fn origin(fault: Fault) -> Origin {
             rig
         }),
         Fault::ForceLimit => Step(|| {
-            // No force is commanded.
+            // The motor has current although no force is commanded.
             let mut rig = Rig::armed_with(|rules| rules.limits.tip_force = 0.02);
-            for _ in 0..(0.01 * RATE) as u32 {
+            for _ in 0..(0.01 * RATE_HZ) as u32 {
                 rig.shown_current = Some(0.2);
                 rig.step();
                 if rig.state() == State::Fault {
@@ -97,7 +96,7 @@ fn origin(fault: Fault) -> Origin {
         }),
         Fault::ThermalBudget => Step(|| {
             let mut rig = Rig::pressing(290.0);
-            rig.tremble(10.0);
+            rig.hold_in_place(10.0);
             rig
         }),
         Fault::BusUnderVoltage => Step(|| {
@@ -119,11 +118,11 @@ fn origin(fault: Fault) -> Origin {
             let description = five_bar();
             let mut rig = Rig::with(&description, &scene(2, &[]), hardware(), rules());
             rig.arm();
-            // Both cranks turn outwards: the elbows move apart until the distal links are in one line.
+            // Both cranks turn outwards until the distal links are in one line.
             let mut angle = 0.0;
             while rig.state() == State::Armed && angle < 1.0 {
                 angle += 0.001;
-                let counts = (angle / core::f64::consts::TAU * rig::COUNTS) as i32;
+                let counts = (angle / core::f64::consts::TAU * rig::COUNTS_PER_TURN) as i32;
                 rig.samples.counts = Counts([counts, -counts, 0]);
                 rig.step();
             }
@@ -145,7 +144,7 @@ fn origin(fault: Fault) -> Origin {
             rig
         }),
         Fault::PowerLimit => Step(|| {
-            // The wall pushes the paddle out with its full torque at 10 rad/s: 3 W of the 2 W allowed.
+            // The wall pushes the paddle out with the full torque at 10 rad/s, which is 3 W of the allowed 2 W.
             let mut rig = Rig::ready(&scene(1, &[wall(0.09, 100_000.0)]));
             rig.turn(0, 0.95, 5.0);
             rig.settle();
@@ -165,19 +164,19 @@ fn origin(fault: Fault) -> Origin {
             rig.run(0.001);
             rig
         }),
-        Fault::PolarityWrong => Step(|| checked(-1.0, 2.0)),
+        Fault::PolarityWrong => Step(|| run_polarity_check(-1.0, 2.0)),
         Fault::PolarityNoMotion => Step(|| {
-            let mut rig = Rig::ready(&quiet());
+            let mut rig = Rig::ready(&far_wall());
             rig.execute(Command::CheckPolarity).unwrap();
             rig.run(2.2);
             rig
         }),
-        Fault::TorqueMismatch => Step(|| checked(1.5, 2.0)),
-        Fault::ResistanceMismatch => Step(|| checked(1.0, 3.0)),
+        Fault::TorqueMismatch => Step(|| run_polarity_check(1.5, 2.0)),
+        Fault::ResistanceMismatch => Step(|| run_polarity_check(1.0, 3.0)),
         Fault::PolarityUnrest => Step(|| {
-            let mut rig = Rig::ready(&quiet());
+            let mut rig = Rig::ready(&far_wall());
             rig.execute(Command::CheckPolarity).unwrap();
-            for step in 0..(5.1 * RATE) as u32 {
+            for step in 0..(5.1 * RATE_HZ) as u32 {
                 rig.samples.counts[0] += i32::from(step % 4 == 0);
                 rig.step();
                 if rig.state() == State::Fault {
@@ -206,8 +205,8 @@ fn origin(fault: Fault) -> Origin {
     }
 }
 
-/// Returns the time until the bridges are off, in words for docs/faults.csv.
-fn off(fault: Fault) -> &'static str {
+/// Returns the time until the bridges are off, as docs/faults.csv describes it.
+fn off_time(fault: Fault) -> &'static str {
     match fault {
         Fault::ControlOverrun
         | Fault::EncoderJump
@@ -249,11 +248,10 @@ fn off(fault: Fault) -> &'static str {
     }
 }
 
-/// Returns the text of docs/faults.csv.
-fn table() -> String {
+fn faults_table() -> String {
     let mut table = String::from("code,fault,what it says,motors off,remedy\n");
     for fault in Fault::ALL {
-        let words = [fault.what(), off(*fault), fault.remedy()];
+        let words = [fault.what(), off_time(*fault), fault.remedy()];
         assert!(words.iter().all(|words| !words.contains('"')), "{words:?}");
         let [what, off, remedy] = words;
         table += &format!("{},{},\"{what}\",\"{off}\",\"{remedy}\"\n", fault.code(), fault.name());
@@ -276,22 +274,23 @@ fn an_index_may_lag_by_the_joints_motion_and_is_set_at_rest() {
         }
         rig.fault()
     };
-    // 8 counts are the width of two pulses; 20 more are the motion of the joint since the pulse.
+    // Two pulses are 8 counts wide. The joint moves another 20 counts after the pulse.
     assert_eq!(fault((0, 1_000), (0, 1_008)), None);
     assert_eq!(fault((0, 1_000), (0, 1_009)), Some(Fault::IndexMismatch));
     assert_eq!(fault((0, 1_000), (20, 1_028)), None);
     assert_eq!(fault((0, 1_000), (20, 1_029)), Some(Fault::IndexMismatch));
-    // The position of a first pulse in fast motion may be wrong by as much.
+    // A first pulse during fast motion does not set the position.
     assert_eq!(fault((20, 1_000), (0, 1_100)), None);
-    // A full turn further is the same position.
+    // An index one turn of 60,000 counts further is the same position.
     assert_eq!(fault((0, 1_000), (0, 61_003)), None);
 }
 
-/// A current sensor's reading while the bridges are off is its later error, which no limit on measured currents bounds.
+/// The offset that a current sensor shows while the bridges are off remains as an error, which no limit on measured
+/// currents bounds.
 #[test]
 fn a_sensor_offset_of_half_the_tip_force_limit_prevents_arming() {
-    let result = |current: f32, command: fn() -> Command<Held>| {
-        let mut rig = Rig::with(&paddle(), &quiet(), hardware(), rules());
+    let result = |current: f32, command: fn() -> Command<BoxedProgram>| {
+        let mut rig = Rig::with(&paddle(), &far_wall(), hardware(), rules());
         // Tip force per ampere, N/A.
         let force = paddle().joints[0].motor.unwrap().torque_constant / paddle().geometry[0];
         rig.rules.limits.tip_force = (2.0 * 0.1 * force) as f32;
@@ -309,7 +308,7 @@ fn a_sensor_offset_of_half_the_tip_force_limit_prevents_arming() {
     }
 }
 
-/// After a limit is lowered, the present currents get time to settle once.
+/// The currents get time to settle after a limit is lowered, but not after every repetition.
 #[test]
 fn repeated_rules_do_not_suspend_the_force_limit() {
     let mut rig = Rig::armed_with(|rules| rules.limits.tip_force = 0.2);
@@ -319,8 +318,8 @@ fn repeated_rules_do_not_suspend_the_force_limit() {
         let rest = all.split_once("settling: ").expect("the settling time").1;
         rest[..rest.find([',', ' ']).expect("its end")].parse::<f32>().expect("a number")
     };
-    for step in 0..(0.02 * RATE) as u32 {
-        if step % (0.002 * RATE) as u32 == 0 {
+    for step in 0..(0.02 * RATE_HZ) as u32 {
+        if step % (0.002 * RATE_HZ) as u32 == 0 {
             let rules = rig.rules;
             rig.execute(Command::Rules(rules)).expect("rules that are not looser");
             assert!(step > 0 || settling(&rig) > 0.0);
@@ -330,24 +329,24 @@ fn repeated_rules_do_not_suspend_the_force_limit() {
     assert!(settling(&rig) <= 0.0, "{}", settling(&rig));
 }
 
-/// `UPDATE_DOCS=1 cargo test guard` rewrites it.
+/// `UPDATE_DOCS=1 cargo test guard` rewrites the table.
 #[test]
 fn the_documented_table_of_faults_agrees_with_the_code() {
     let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/faults.csv");
     if std::env::var_os("UPDATE_DOCS").is_some() {
-        std::fs::write(&path, table()).expect("docs/faults.csv can be written");
+        std::fs::write(&path, faults_table()).expect("docs/faults.csv can be written");
     } else {
         let committed = std::fs::read_to_string(&path).expect("docs/faults.csv exists");
-        assert_eq!(committed, table(), "run UPDATE_DOCS=1 cargo test guard");
+        assert_eq!(committed, faults_table(), "run UPDATE_DOCS=1 cargo test guard");
     }
 }
 
-/// Returns a board with this fault, a few steps after its cause.
-fn provoked(fault: Fault) -> Rig {
+/// Returns a board with this fault, a few steps after the cause.
+fn rig_with_fault(fault: Fault) -> Rig {
     match origin(fault) {
         Origin::Step(prepare) => {
             let mut rig = prepare();
-            // A step of the polarity check acts one crest after its request.
+            // The polarity check acts one crest after its request.
             for _ in 0..3 {
                 if rig.state() != State::Fault {
                     rig.step();
@@ -357,7 +356,7 @@ fn provoked(fault: Fault) -> Rig {
         }
         Origin::Reported => {
             let mut rig = Rig::armed();
-            rig.told = Some((fault, None, 1.0));
+            rig.reported_fault = Some((fault, None, 1.0));
             rig.step();
             rig
         }
@@ -367,7 +366,7 @@ fn provoked(fault: Fault) -> Rig {
 #[test]
 fn every_fault_can_be_provoked_and_is_reported_as_itself() {
     for fault in Fault::ALL {
-        let rig = provoked(*fault);
+        let rig = rig_with_fault(*fault);
         assert_eq!(rig.fault(), Some(*fault), "{}", fault.name());
     }
 }
@@ -375,7 +374,7 @@ fn every_fault_can_be_provoked_and_is_reported_as_itself() {
 #[test]
 fn motors_are_off_in_the_control_period_of_any_fault() {
     for fault in Fault::ALL {
-        let rig = provoked(*fault);
+        let rig = rig_with_fault(*fault);
         assert!(rig.motors_off(), "{}: {:?} {:?}", fault.name(), rig.outputs, rig.duties);
     }
 }
@@ -403,12 +402,12 @@ fn a_sudden_cause_turns_the_motors_off_in_one_step() {
 #[test]
 fn a_fault_outlasts_its_cause_and_the_first_one_is_reported() {
     for fault in Fault::ALL {
-        let mut rig = provoked(*fault);
+        let mut rig = rig_with_fault(*fault);
         let record = rig.control_loop.status().fault;
         rig.shown_current = None;
         rig.samples.bus_voltage = 24.0;
         rig.settle();
-        rig.told = Some((Fault::SensorStale, None, 7.0));
+        rig.reported_fault = Some((Fault::SensorStale, None, 7.0));
         rig.step();
         assert!(rig.motors_off() && rig.state() == State::Fault, "{}", fault.name());
         let reported = rig.control_loop.status().fault;
@@ -425,7 +424,7 @@ fn a_fault_outlasts_its_cause_and_the_first_one_is_reported() {
 #[test]
 fn clearing_ends_every_fault_and_leaves_the_motors_off() {
     for fault in Fault::ALL {
-        let mut rig = provoked(*fault);
+        let mut rig = rig_with_fault(*fault);
         rig.shown_current = None;
         rig.samples.bus_voltage = 24.0;
         rig.execute(Command::Clear).unwrap();
@@ -440,13 +439,13 @@ fn faults_that_lose_counts_lose_homing_too() {
     for fault in
         [Fault::EncoderJump, Fault::EncoderLoss, Fault::EncoderIllegal, Fault::EncoderStall, Fault::IndexMismatch]
     {
-        assert!(!provoked(fault).control_loop.status().homed, "{}", fault.name());
+        assert!(!rig_with_fault(fault).control_loop.status().homed, "{}", fault.name());
     }
-    assert!(provoked(Fault::OverCurrent).control_loop.status().homed);
+    assert!(rig_with_fault(Fault::OverCurrent).control_loop.status().homed);
 }
 
-/// `cargo xtask faults` writes the result of each injection into the image; a fault without an injector does not compile
-/// in emulator/src/inject.rs.
+/// `cargo xtask faults` writes the result of each injection into docs/results/faults.csv. A fault without an injector
+/// does not compile in emulator/src/inject.rs.
 #[test]
 fn every_fault_was_injected_or_its_row_has_a_reason() {
     let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/results/faults.csv");
@@ -455,7 +454,7 @@ fn every_fault_was_injected_or_its_row_has_a_reason() {
         let begin = format!("{},{},", fault.code(), fault.name());
         let mut rows = text.lines().filter_map(|line| line.strip_prefix(&begin));
         let (Some(row), None) = (rows.next(), rows.next()) else { panic!("{} must have one row", fault.name()) };
-        // Only the first of the three cells contains commas.
+        // Only the first of the three cells may contain commas.
         let mut cells = row.rsplitn(3, ',').map(str::trim);
         let [seen, cause, how] = std::array::from_fn(|_| cells.next().unwrap_or_default());
         let complete = match how.strip_prefix("not possible:") {

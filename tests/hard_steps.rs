@@ -2,7 +2,7 @@
 //! infinity.
 
 use crate::common::device_file::shipped;
-use crate::hard_cases::rows::steps::{controller, counts, encoded, scene, three};
+use crate::hard_cases::rows::steps::{controller, counts, pad_to_three, scene, with_encoders};
 use crate::rig::{self, Rig};
 use haptic_bridge::control::Command;
 use haptic_bridge::control::compiled::BoardMath;
@@ -21,9 +21,9 @@ const COUNTS_PER_TURN: i32 = 1_048_576;
 
 type Board = Controller<f32, FiveBar<f32>, BoardMath, 2>;
 
-/// Returns the controller of a Haply whose tip presses into a wall, with all terms on, and the start pose.
-fn haply(feed_forward: FeedForward) -> (Board, Vector2<f64>) {
-    let device = encoded(&shipped("haply-2diy"));
+/// Returns the controller of a Haply whose tip is on a wall, with all terms on, and the start pose.
+fn haply_controller(feed_forward: FeedForward) -> (Board, Vector2<f64>) {
+    let device = with_encoders(&shipped("haply-2diy"));
     let Ok(AnyMechanism::FiveBar(mechanism)) = AnyMechanism::<f32>::new(&device) else { panic!("a sound five-bar") };
     let Ok(AnyMechanism::FiveBar(double)) = AnyMechanism::<f64>::new(&device) else { panic!("a sound five-bar") };
     let q = Vector2::new(2.4, 0.7);
@@ -32,8 +32,8 @@ fn haply(feed_forward: FeedForward) -> (Board, Vector2<f64>) {
     (controller(mechanism, &device, &scene), q)
 }
 
-/// Returns the counts of a periodic motion in and out of that wall.
-fn motion(q: &Vector2<f64>, step: u32) -> [i32; 2] {
+/// Returns the counts of a periodic motion in and out of the wall of [`haply_controller`].
+fn motion_counts(q: &Vector2<f64>, step: u32) -> [i32; 2] {
     let t = f64::from(step % 1_000) / 1_000.0 * std::f64::consts::TAU;
     counts(&Vector2::new(q.x + 0.1 * libm::sin(t), q.y + 0.1 * libm::cos(2.0 * t)))
 }
@@ -44,10 +44,10 @@ fn assert_same(a: &Step<f32, 2>, b: &Step<f32, 2>) {
 
 #[test]
 fn wrapping_counters_change_nothing() {
-    let (mut plain, q) = haply(FeedForward::Washout);
-    let (mut wrapping, _) = haply(FeedForward::Washout);
-    let start = motion(&q, 0);
-    // One raw counter overflows upwards and the other downwards while the tip is in the wall.
+    let (mut plain, q) = haply_controller(FeedForward::Washout);
+    let (mut wrapping, _) = haply_controller(FeedForward::Washout);
+    let start = motion_counts(&q, 0);
+    // One raw counter overflows upwards, the other downwards, while the tip is in the wall.
     let shift = [(i32::MAX - 10).wrapping_sub(start[0]), (i32::MIN + 10).wrapping_sub(start[1])];
     let shifted = |c: [i32; 2]| [c[0].wrapping_add(shift[0]), c[1].wrapping_add(shift[1])];
     let home = [(f64::from(start[0]) / f64::from(COUNTS_PER_TURN) * std::f64::consts::TAU) as f32, q.y as f32 + 0.1];
@@ -55,7 +55,7 @@ fn wrapping_counters_change_nothing() {
     wrapping.home(&shifted(start), &home);
     let mut wrapped = [false; 2];
     for step in 0..3_000 {
-        let c = motion(&q, step);
+        let c = motion_counts(&q, step);
         for i in 0..2 {
             wrapped[i] |= c[i].checked_add(shift[i]).is_none();
         }
@@ -67,15 +67,15 @@ fn wrapping_counters_change_nothing() {
 #[test]
 fn a_pose_many_turns_away_is_the_same_pose() {
     for turns in [1, 7, 1_000, 2_000] {
-        let (mut near, q) = haply(FeedForward::Full);
-        let (mut far, _) = haply(FeedForward::Full);
-        let (mut behind, _) = haply(FeedForward::Full);
+        let (mut near, q) = haply_controller(FeedForward::Full);
+        let (mut far, _) = haply_controller(FeedForward::Full);
+        let (mut behind, _) = haply_controller(FeedForward::Full);
         for step in 0..2_000 {
-            let c = motion(&q, step);
+            let c = motion_counts(&q, step);
             let a = near.step(&c);
             let b = far.step(&c.map(|c| c + turns * COUNTS_PER_TURN));
             assert_eq!((a.torque, a.tip, a.qd), (b.torque, b.tip, b.qd));
-            // Angles on the other side of zero round differently.
+            // Negative angles round differently.
             let b = behind.step(&c.map(|c| c - turns * COUNTS_PER_TURN));
             assert!((a.tip - b.tip).amax() < 1e-7, "{turns} turns");
             assert!((a.torque - b.torque).amax() < 1e-3, "{turns} turns: {} against {}", a.torque, b.torque);
@@ -84,13 +84,13 @@ fn a_pose_many_turns_away_is_the_same_pose() {
 }
 
 #[test]
-fn ten_hours_at_1_khz_leave_no_trace() {
+fn ten_hours_at_1_khz_do_not_change_a_step() {
     const STEPS: u32 = 10 * 3600 * 1000;
-    let (mut long, q) = haply(FeedForward::Washout);
-    let (mut short, _) = haply(FeedForward::Washout);
-    let period: Vec<[i32; 2]> = (0..1_000).map(|step| motion(&q, step)).collect();
+    let (mut long, q) = haply_controller(FeedForward::Washout);
+    let (mut short, _) = haply_controller(FeedForward::Washout);
+    let period: Vec<[i32; 2]> = (0..1_000).map(|step| motion_counts(&q, step)).collect();
     let at = |step: u32| &period[(step % 1_000) as usize];
-    // In the last hundred seconds every filter loses its initial state.
+    // In the last 100 s every filter forgets its initial state.
     const FIRST_COMPARED: u32 = STEPS - 100_000;
     for step in 0..FIRST_COMPARED {
         long.step(at(step));
@@ -108,15 +108,15 @@ fn ten_hours_at_1_khz_leave_no_trace() {
     assert!(worst <= 1e-6 * largest, "{worst} of {largest}");
 }
 
-/// Moves a device with a constant force of about 1 N on its tip along a path of joint angles. Returns the result of
-/// every step, and the sine that scales its feed-forward.
+/// Moves a device along a path of joint angles with a constant force of about 1 N on its tip. Returns the result of
+/// every step, and the sine that scales the feed-forward.
 fn steps_along<M: Mechanism<f32, N>, const N: usize>(
     mechanism: M,
     device: &Description,
     normal: [f64; 3],
     path: impl Iterator<Item = SVector<f64, N>>,
 ) -> Vec<(Step<f32, N>, f32)> {
-    // A wall of 1 N/m with its surface a metre away: the force hardly changes along the path.
+    // The surface of this 1 N/m wall is 1 m away, so the force hardly changes along the path.
     let task = M::SPEC.task;
     let scene = scene(task, normal, normal, 1.0, 0.0, FeedForward::Full);
     let mut controller = controller::<f32, BoardMath, M, N>(mechanism, device, &scene);
@@ -128,8 +128,8 @@ fn steps_along<M: Mechanism<f32, N>, const N: usize>(
     .collect()
 }
 
-/// Asserts that the share of the feed-forward falls from 1 to 0 between the documented limits of the sine, and that the
-/// torque changes little from step to step.
+/// Asserts that the feed-forward fades from 1 to 0 between the documented sines, and that the torque changes little
+/// from step to step.
 fn assert_fades<const N: usize>(name: &str, steps: &[(Step<f32, N>, f32)]) {
     let largest = steps.iter().fold(0.0_f32, |most, (step, _)| most.max(step.torque.amax()));
     for (step, sine) in steps {
@@ -147,50 +147,53 @@ fn assert_fades<const N: usize>(name: &str, steps: &[(Step<f32, N>, f32)]) {
     }
 }
 
-/// Returns a straight path from `start` to `end` in steps of a few counts.
-fn path<const N: usize>(start: SVector<f64, N>, end: SVector<f64, N>) -> impl Iterator<Item = SVector<f64, N>> {
+/// Returns a straight path of joint angles from `start` to `end` in steps of a few counts.
+fn straight_path<const N: usize>(
+    start: SVector<f64, N>,
+    end: SVector<f64, N>,
+) -> impl Iterator<Item = SVector<f64, N>> {
     (0..=40_000).map(move |k| start + (end - start) * (f64::from(k) / 40_000.0))
 }
 
-fn board(file: &str) -> AnyMechanism<f32> {
+fn mechanism_of(file: &str) -> AnyMechanism<f32> {
     AnyMechanism::new(&shipped(file)).expect("a sound device")
 }
 
 #[test]
 fn the_feed_forward_fades_smoothly_near_an_elbow_singularity() {
-    let AnyMechanism::Parallelogram(phantom) = board("phantom-premium-1.5") else { panic!("a parallelogram") };
-    let folding = path(Vector3::new(0.3, 0.9, -0.3), Vector3::new(0.3, 0.9, 0.895));
+    let AnyMechanism::Parallelogram(phantom) = mechanism_of("phantom-premium-1.5") else { panic!("a parallelogram") };
+    let folding = straight_path(Vector3::new(0.3, 0.9, -0.3), Vector3::new(0.3, 0.9, 0.895));
     assert_fades(
         "parallelogram",
-        &steps_along(phantom, &encoded(&shipped("phantom-premium-1.5")), [0.6, 0.8, 0.0], folding),
+        &steps_along(phantom, &with_encoders(&shipped("phantom-premium-1.5")), [0.6, 0.8, 0.0], folding),
     );
-    let AnyMechanism::Serial3r(arm) = board("serial-3r") else { panic!("a serial arm") };
-    let stretching = path(Vector3::new(0.5, 0.8, 0.7), Vector3::new(0.5, 0.005, 0.7));
-    assert_fades("serial-3r", &steps_along(arm, &encoded(&shipped("serial-3r")), [0.6, 0.8, 0.0], stretching));
+    let AnyMechanism::Serial3r(arm) = mechanism_of("serial-3r") else { panic!("a serial arm") };
+    let stretching = straight_path(Vector3::new(0.5, 0.8, 0.7), Vector3::new(0.5, 0.005, 0.7));
+    assert_fades("serial-3r", &steps_along(arm, &with_encoders(&shipped("serial-3r")), [0.6, 0.8, 0.0], stretching));
 }
 
 #[test]
 fn the_feed_forward_fades_smoothly_near_the_turrets_axis() {
-    let AnyMechanism::Parallelogram(phantom) = board("phantom-premium-1.5") else { panic!("a parallelogram") };
-    // The tip reaches the axis if both angles are past the vertical by the same amount.
-    let over = path(Vector3::new(0.3, 1.2, 0.3), Vector3::new(0.3, 2.1, 0.905));
-    assert_fades("axis", &steps_along(phantom, &encoded(&shipped("phantom-premium-1.5")), [0.6, 0.0, 0.8], over));
+    let AnyMechanism::Parallelogram(phantom) = mechanism_of("phantom-premium-1.5") else { panic!("a parallelogram") };
+    // The tip reaches the turret's axis when both arm angles are past the vertical by the same amount.
+    let over = straight_path(Vector3::new(0.3, 1.2, 0.3), Vector3::new(0.3, 2.1, 0.905));
+    assert_fades("axis", &steps_along(phantom, &with_encoders(&shipped("phantom-premium-1.5")), [0.6, 0.0, 0.8], over));
 }
 
 #[test]
 fn the_feed_forward_fades_smoothly_near_a_parallel_singularity() {
-    let mut device = encoded(&shipped("coupled-five-bar"));
+    let mut device = with_encoders(&shipped("coupled-five-bar"));
     device.geometry[0] = 0.1;
     let Ok(AnyMechanism::FiveBar(wide)) = AnyMechanism::<f32>::new(&device) else { panic!("a five-bar") };
-    // Both arms swing outwards until the rods are almost in line: base + 2 l cos = 2 r.
-    let outwards = path(Vector2::new(2.0, 1.141_592_65), Vector2::new(2.497_592_65, 0.644));
+    // Both arms swing outwards until the rods are almost in line, where base + 2 l cos = 2 r.
+    let outwards = straight_path(Vector2::new(2.0, 1.141_592_65), Vector2::new(2.497_592_65, 0.644));
     assert_fades("rods", &steps_along(wide, &device, [0.6, 0.8, 0.0], outwards));
 }
 
 #[test]
 fn torques_are_finite_at_any_count() {
     for feed_forward in [FeedForward::Off, FeedForward::Full, FeedForward::Washout] {
-        let (mut controller, _) = haply(feed_forward);
+        let (mut controller, _) = haply_controller(feed_forward);
         let extremes = [0, 1, -1, i32::MAX, i32::MIN, i32::MAX / 3, i32::MIN / 7, COUNTS_PER_TURN / 2];
         for a in extremes {
             for b in extremes {
@@ -205,11 +208,11 @@ fn torques_are_finite_at_any_count() {
 #[test]
 fn torques_are_finite_at_every_pose_of_every_shipped_device() {
     fn sweep<M: Mechanism<f32, N>, const N: usize>(mechanism: M, file: &str) {
-        let device = encoded(&shipped(file));
-        let n = three(&SVector::<f64, N>::from_element(1.0 / (M::SPEC.task as f64).sqrt()), M::SPEC.task);
+        let device = with_encoders(&shipped(file));
+        let n = pad_to_three(&SVector::<f64, N>::from_element(1.0 / (M::SPEC.task as f64).sqrt()), M::SPEC.task);
         let scene = scene(M::SPEC.task, n, n, 1e6, 100.0, FeedForward::Full);
         let mut controller = controller::<f32, BoardMath, M, N>(mechanism, &device, &scene);
-        // Right angles, straight lines and impossible closures; some poses are exactly singular.
+        // The angles include right angles, straight lines, closures that do not exist, and exactly singular poses.
         let angles: Vec<i32> = (0..16).map(|k| k * (COUNTS_PER_TURN / 16)).collect();
         for k in 0..16_usize.pow(N as u32) {
             let at: [i32; N] = core::array::from_fn(|i| angles[k / 16_usize.pow(i as u32) % 16]);
@@ -220,31 +223,30 @@ fn torques_are_finite_at_every_pose_of_every_shipped_device() {
         }
     }
     for file in ["hapkit-paddle", "haply-2diy", "coupled-five-bar", "pantograph-mk2", "serial-3r"] {
-        haptic_bridge::with_mechanism!(board(file), m => sweep(m, file));
+        haptic_bridge::with_mechanism!(mechanism_of(file), m => sweep(m, file));
     }
     for file in ["fictive-five-bar-turret", "phantom-premium-1.5", "woodenhaptics"] {
-        haptic_bridge::with_mechanism!(board(file), m => sweep(m, file));
+        haptic_bridge::with_mechanism!(mechanism_of(file), m => sweep(m, file));
     }
 }
 
-/// Invalid or extreme values.
-const POISON: [f32; 7] =
+const INVALID_NUMBERS: [f32; 7] =
     [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, f32::MAX, f32::MIN_POSITIVE / 8.0, -1.0e-45, -0.0];
 
 #[test]
 fn invalid_measurements_never_reach_a_duty() {
-    for poison in POISON {
+    for poison in INVALID_NUMBERS {
         for field in 0..4 {
             let mut rig = Rig::armed();
             match field {
                 0 => rig.samples.bus_voltage = poison,
                 1 => rig.shown_current = Some(poison),
                 2 => rig.resistance = poison,
-                _ => rig.told = Some((haptic_bridge::safety::fault::Fault::GateDriver, None, poison)),
+                _ => rig.reported_fault = Some((haptic_bridge::safety::fault::Fault::GateDriver, None, poison)),
             }
             for _ in 0..50 {
                 rig.step();
-                assert!(rig.duties.iter().all(|duty| duty.abs() <= MAX_DUTY), "{poison}: {:?}", rig.duties);
+                assert!(rig.duties.iter().all(|duty| duty.abs() <= MAX_DUTY), "{poison}: duties {:?}", rig.duties);
             }
             let frame = rig.control_loop.frame();
             assert!(frame.motors.torque.iter().all(|t| t.is_finite()), "{poison}: {frame:?}");
@@ -259,7 +261,7 @@ fn a_device_with_an_invalid_number_is_refused_or_harmless() {
     let mut buffer = [0; 1024];
     let bytes = postcard::to_slice(&sound, &mut buffer).expect("a device can be sent").to_vec();
     let (mut loaded, mut refused) = (0, 0);
-    for poison in POISON {
+    for poison in INVALID_NUMBERS {
         for place in 0..bytes.len() - 4 {
             let mut spoilt = bytes.clone();
             spoilt[place..place + 4].copy_from_slice(&poison.to_le_bytes());

@@ -9,27 +9,27 @@ use haptic_bridge::model::motor::Motor;
 use haptic_bridge::safety::fault::Fault;
 use proptest::prelude::*;
 
-/// Returns the heat of a cold motor that may carry `most` (A) for 4 s and `steady` (A) continuously.
-fn cold_motor(most: f32, steady: f32) -> Heat {
+/// Returns the heat of a cold motor that may carry `peak` (A) for 4 s and `continuous` (A) continuously.
+fn cold_motor(peak: f32, continuous: f32) -> Heat {
     let mut heat = Heat::default();
-    heat.limit(most, steady);
+    heat.limit(peak, continuous);
     heat
 }
 
-/// Returns the heat of the same motor if its heat is unknown.
-fn unknown_heat(most: f32, steady: f32) -> Heat {
+/// Returns the unknown heat of a motor that may carry `peak` (A) for 4 s and `continuous` (A) continuously.
+fn unknown_heat(peak: f32, continuous: f32) -> Heat {
     let mut heat = Heat::UNKNOWN;
-    heat.limit(most, steady);
+    heat.limit(peak, continuous);
     heat
 }
 
-/// Returns the time after which `current` (A) uses up the budget; `None` if it takes longer than `seconds`.
+/// Returns the time after which `current` (A) uses up the budget, or `None` if that takes longer than `seconds`.
 fn time_to_trip(heat: &mut Heat, current: f32, seconds: f32) -> Option<f32> {
     let dt = 1.0e-3;
     (0..(seconds / dt).round() as u32).find(|_| heat.warm(current * current * dt, dt)).map(|step| step as f32 * dt)
 }
 
-fn restart(heat: &Heat) -> Heat {
+fn restored_heat(heat: &Heat) -> Heat {
     Heat::from_words(heat.words())
 }
 
@@ -42,8 +42,9 @@ fn a_motor_carries_its_peak_for_4_s_and_its_continuous_current() {
 
 #[test]
 fn the_smallest_heat_of_a_step_is_counted() {
-    // At 50 kHz, a hundredth above the continuous current and with most of the budget used, a step adds less than the
-    // last digit of the sum. The budget is (4² - 1²)·4 A² s, 59 are used, and (1.01² - 1) A² use the rest in 50 s.
+    // At 50 kHz, 1 % above the continuous current and with most of the budget used, a step adds less than the last
+    // digit of the sum. The budget is (4² - 1²) · 4 = 60 A² s, of which 59 are used. (1.01² - 1) A² use the rest in 50
+    // s.
     let mut heat = cold_motor(4.0, 1.0);
     let dt = 1.0 / 50_000.0;
     for _ in 0..(59.0_f32 / 15.0 / dt) as u32 {
@@ -59,9 +60,9 @@ fn the_smallest_heat_of_a_step_is_counted() {
 #[test]
 fn a_larger_continuous_current_applies_once_the_motor_is_cold() {
     let mut heat = cold_motor(4.0, 1.0);
-    // (4² - 1²) A² for a second.
+    // 4 A for 1 s add (4² - 1²) A² s.
     assert_eq!(time_to_trip(&mut heat, 4.0, 1.0), None);
-    let mut next = restart(&heat);
+    let mut next = restored_heat(&heat);
     for heat in [&mut heat, &mut next] {
         heat.limit(4.0, 3.0);
         assert_eq!(time_to_trip(heat, 0.0, 5.0), None);
@@ -74,7 +75,7 @@ fn a_larger_continuous_current_applies_once_the_motor_is_cold() {
 
 #[test]
 fn a_larger_continuous_current_applies_after_a_minute() {
-    // The continuous current is 10 mA by mistake: after heat from 0.5 A the motor would take seven hours to cool.
+    // The continuous current is 10 mA by mistake, so a motor warmed by 0.5 A would take seven hours to cool.
     let mut heat = cold_motor(3.0, 0.01);
     assert_eq!(time_to_trip(&mut heat, 0.5, 10.0), None);
     heat.limit(3.0, 1.0);
@@ -87,16 +88,16 @@ fn a_larger_continuous_current_applies_after_a_minute() {
 
 #[test]
 fn a_smaller_continuous_current_does_not_prolong_a_peak() {
-    // 0.01 A instead of 2.9 A after half of the time: the other half of 4 s is left.
+    // After half of the 4 s the continuous current is set from 2.9 A to 0.01 A. The other half must be left.
     let mut heat = cold_motor(3.0, 2.9);
     assert_eq!(time_to_trip(&mut heat, 3.0, 2.0), None);
-    let mut next = restart(&heat);
+    let mut next = restored_heat(&heat);
     for heat in [&mut heat, &mut next] {
         heat.limit(3.0, 0.01);
         let more = time_to_trip(heat, 3.0, 20.0).unwrap();
         assert!((more - 2.0).abs() < 0.01, "{more} s more");
     }
-    // The same with many small reductions.
+    // Many small reductions must not prolong the peak either.
     let (mut heat, mut current, mut seconds) = (cold_motor(3.0, 2.99), 2.99_f32, 0.0_f32);
     while !heat.warm(9.0e-3, 1.0e-3) {
         seconds += 1.0e-3;
@@ -108,16 +109,16 @@ fn a_smaller_continuous_current_does_not_prolong_a_peak() {
 
 #[test]
 fn unknown_heat_is_half_of_a_budget_once_there_is_a_budget() {
-    // Every allowed current may flow continuously, so there is no budget.
+    // There is no budget because every allowed current may flow continuously.
     let heat = unknown_heat(3.0, 3.0);
     assert!(heat.held().is_nan());
-    assert!(restart(&heat).held().is_nan(), "still unknown after a restart");
-    for mut heat in [heat, restart(&heat)] {
+    assert!(restored_heat(&heat).held().is_nan(), "still unknown after a restart");
+    for mut heat in [heat, restored_heat(&heat)] {
         heat.limit(3.0, 1.0);
-        // (3² - 1²) A² for 4 s.
+        // Half of the budget (3² - 1²) A² · 4 s.
         assert_eq!(heat.held(), 16.0);
     }
-    // A device without the motor does not change the motor's heat.
+    // A device without this motor does not change the motor's heat.
     let mut absent = Heat::UNKNOWN;
     absent.limit(0.0, 1.0);
     assert_eq!(time_to_trip(&mut absent, 0.01, 10.0), None);
@@ -130,16 +131,16 @@ fn unknown_heat_is_at_most_half_of_the_budget_in_force() {
     // A device with motors of 20 A is loaded first, by mistake.
     let heat = unknown_heat(20.0, 5.0);
     assert_eq!(heat.held(), 0.5 * 4.0 * 375.0);
-    for mut heat in [heat, restart(&heat)] {
+    for mut heat in [heat, restored_heat(&heat)] {
         heat.limit(3.0, 5.0);
         heat.limit(3.0, 1.0);
         assert!((heat.held() - 16.0).abs() < 0.01, "more heat would trip until a power cycle: {heat:?}");
-        // Cooling counts, also when a larger budget raises the estimate.
+        // The motor cools, also when a larger budget raises the estimate.
         assert_eq!(time_to_trip(&mut heat, 0.0, 4.0), None);
         assert!((heat.held() - 12.0).abs() < 0.01, "{heat:?}");
         heat.limit(4.0, 1.0);
         assert!((heat.held() - 26.0).abs() < 0.01, "{heat:?}");
-        // 6 A² s of known heat are added; no budget reduces them.
+        // 6 A² s of known heat are added, and no budget reduces known heat.
         assert_eq!(time_to_trip(&mut heat, 2.0, 2.0), None);
         heat.limit(2.0, 1.0);
         assert!((heat.held() - 12.0).abs() < 0.01, "half of 12, and 6: {heat:?}");
@@ -175,7 +176,7 @@ fn an_unlimited_peak_does_not_extend_the_budget() {
     let mut heat = cold_motor(3.0, 1.0);
     heat.warm(31.0, 0.0);
     heat.limit(3.0, 3.0);
-    // 1 A² s of 32 is left, at (3² - 1²) A².
+    // 1 A² s of the 32 is left, and 3 A use (3² - 1²) A².
     let lasted = time_to_trip(&mut heat, 3.0, 10.0).unwrap();
     assert!((0.12..0.13).contains(&lasted), "{lasted} s");
 }
@@ -184,7 +185,7 @@ fn an_unlimited_peak_does_not_extend_the_budget() {
 fn invalid_words_are_unknown_heat() {
     let mut sound = cold_motor(3.0, 1.0);
     sound.warm(5.0, 0.0);
-    assert_eq!(restart(&sound), sound);
+    assert_eq!(restored_heat(&sound), sound);
     for place in 0..WORDS {
         for bits in [f32::NAN.to_bits(), u32::MAX] {
             let mut words = sound.words();
@@ -202,7 +203,7 @@ fn heat_is_kept_over_a_restart_completely_or_not_at_all() {
     heat[0].warm(5.0, 0.0);
     store_heat(&heat, &memory);
     assert_eq!(stored_heat(&memory), heat);
-    // A restart during the next write.
+    // A restart during the next write leaves one wrong word.
     for place in 0..STORED_WORDS {
         let before = memory[place].fetch_xor(1 << (place % 32), Ordering::Relaxed);
         assert_eq!(stored_heat(&memory), [Heat::UNKNOWN; 3], "word {place}");
@@ -212,16 +213,16 @@ fn heat_is_kept_over_a_restart_completely_or_not_at_all() {
 
 #[derive(Clone, Debug)]
 enum Event {
-    Rules { most: f32, steady: f32 },
+    Rules { peak: f32, continuous: f32 },
     Motor(Option<f32>),
     Restart,
     Flows { share: f32, seconds: f32 },
 }
 
 fn event() -> impl Strategy<Value = Event> {
-    let steady = prop_oneof![Just(0.3_f32), Just(1.0), Just(1.2), Just(2.0), Just(2.9)];
+    let continuous = prop_oneof![Just(0.3_f32), Just(1.0), Just(1.2), Just(2.0), Just(2.9)];
     prop_oneof![
-        (1.5_f32..3.5, steady).prop_map(|(most, steady)| Event::Rules { most, steady }),
+        (1.5_f32..3.5, continuous).prop_map(|(peak, continuous)| Event::Rules { peak, continuous }),
         prop_oneof![Just(None), Just(Some(3.0)), Just(Some(1.0)), Just(Some(20.0))].prop_map(Event::Motor),
         Just(Event::Restart),
         (0.0_f32..1.0, 0.0_f32..8.0).prop_map(|(share, seconds)| Event::Flows { share, seconds }),
@@ -231,7 +232,7 @@ fn event() -> impl Strategy<Value = Event> {
 proptest! {
     #![proptest_config(cases(500))]
 
-    /// The oracle is a lower bound of the heat: the integral of i² - c² with the largest continuous current c that was
+    /// The oracle is a lower bound of the heat: the integral of i² - c², where c is the largest continuous current
     /// allowed so far.
     #[test]
     fn no_request_cools_a_motor_sooner(events in proptest::collection::vec(event(), 1..60)) {
@@ -241,9 +242,9 @@ proptest! {
         let dt = 0.01_f32;
         for event in events {
             match event {
-                Event::Rules { most, steady } => rules = (most, steady),
+                Event::Rules { peak, continuous } => rules = (peak, continuous),
                 Event::Motor(of) => motor = of,
-                Event::Restart => heat = restart(&heat),
+                Event::Restart => heat = restored_heat(&heat),
                 Event::Flows { share, seconds } => {
                     let current = share * motor.unwrap_or(0.0).min(rules.0);
                     for _ in 0..(seconds / dt) as u32 {
@@ -257,15 +258,16 @@ proptest! {
                     }
                 }
             }
-            let most = motor.unwrap_or(0.0).min(rules.0);
-            heat.limit(most, rules.1);
-            largest = largest.max(f64::from(rules.1.min(most)));
+            let peak = motor.unwrap_or(0.0).min(rules.0);
+            heat.limit(peak, rules.1);
+            largest = largest.max(f64::from(rules.1.min(peak)));
         }
-        // The heat also ends: a minute after the last change the present limits apply.
+        // A minute after the last change the present limits apply, so the heat ends.
         heat.limit(3.0, 1.0);
         let rest = |heat: &mut Heat, seconds: f32| (0..(seconds / dt) as u32).for_each(|_| _ = heat.warm(0.0, dt));
         rest(&mut heat, 61.0);
-        // 1 A² s per second, times (3² - 2.9²) / (3² - 1²) if 2.9 A were allowed while the heat was added.
+        // The heat falls by 1 A² s per second, times (3² - 2.9²) / (3² - 1²) if 2.9 A were allowed when the heat was
+        // added.
         let seconds = heat.held() / 0.0737 + 1.0;
         rest(&mut heat, seconds);
         prop_assert_eq!(heat.held(), 0.0);
@@ -273,10 +275,10 @@ proptest! {
     }
 }
 
-/// Presses a paddle into a wall at 2.9 A of 3 A until it trips; 1 A may flow continuously.
+/// Presses a paddle into a wall at 2.9 A until the thermal budget trips. 3 A are allowed, 1 A continuously.
 fn tripped_rig() -> Rig {
     let mut rig = Rig::pressing(290.0);
-    rig.tremble(10.0);
+    rig.hold_in_place(10.0);
     assert_eq!(rig.fault(), Some(Fault::ThermalBudget));
     rig
 }
@@ -328,14 +330,14 @@ fn a_tighter_continuous_current_while_armed_prolongs_no_peak() {
         rig.press_wall();
         let began = rig.control_loop.steps();
         while rig.fault().is_none() {
-            rig.tremble(0.05);
+            rig.hold_in_place(0.05);
             if tighten && rules.limits.continuous_current[0] > 0.3 {
                 rules.limits.continuous_current[0] -= 0.05;
                 rig.execute(Command::Rules(rules)).expect("tightening is allowed while armed");
             }
         }
         assert_eq!(rig.fault(), Some(Fault::ThermalBudget));
-        (rig.control_loop.steps() - began) as f32 / rig::RATE
+        (rig.control_loop.steps() - began) as f32 / rig::RATE_HZ
     };
     let (plain, tightened) = (lasts(false), lasts(true));
     assert!(tightened <= plain, "{plain} s, tightened {tightened} s");
@@ -369,12 +371,12 @@ fn a_hot_motor_cools_while_off_and_stays_hot_through_a_load() {
     rig.prepare(&paddle(), &scene(1, &[wall(-0.005, 290.0)]));
     let press = |rig: &mut Rig, seconds: f32| {
         rig.press_wall();
-        rig.tremble(seconds);
+        rig.hold_in_place(seconds);
     };
     press(&mut rig, 0.5);
     assert_eq!(rig.fault(), Some(Fault::ThermalBudget), "the motor had no time to cool");
 
-    // The budget is (3² - 1²) A² for 4 s; at rest it regains 1 A² s per second.
+    // The budget is (3² - 1²) A² for 4 s, and at rest the motor regains 1 A² s per second.
     rig.execute(Command::Clear).unwrap();
     rig.turn(0, 0.0, 1.0);
     rig.run(33.0);
@@ -382,26 +384,26 @@ fn a_hot_motor_cools_while_off_and_stays_hot_through_a_load() {
     assert_eq!(rig.fault(), None, "the motor has cooled");
 }
 
-/// Returns the seconds until a paddle at 2.9 A of 3 A trips, on a board that starts with this heat in its motors; 1 A
-/// may flow continuously.
+/// Returns the seconds until a paddle at 2.9 A trips, on a board that starts with this heat in its motors. 3 A are
+/// allowed, 1 A continuously.
 fn pressing_time(heat: Heat) -> f32 {
     let mut rig = Rig::bare(hardware(), rules());
     rig.control_loop.start_heat([heat; 3]);
     rig.prepare(&paddle(), &scene(1, &[wall(-0.005, 290.0)]));
     rig.press_wall();
     let began = rig.control_loop.frame().step;
-    rig.tremble(10.0);
+    rig.hold_in_place(10.0);
     assert_eq!(rig.fault(), Some(Fault::ThermalBudget));
-    (rig.control_loop.frame().step - began) as f32 / rig::RATE
+    (rig.control_loop.frame().step - began) as f32 / rig::RATE_HZ
 }
 
 #[test]
 fn a_reset_keeps_the_heat_and_unknown_heat_is_half_the_budget() {
-    // (2.9² - 1) A² use up the budget of (3² - 1) A² times 4 s in 4.3 s.
+    // (2.9² - 1) A² use up the budget of (3² - 1) A² · 4 s in 4.3 s.
     let cold = pressing_time(Heat::default());
     assert!((4.2..4.5).contains(&cold), "{cold} s");
     let hot = tripped_rig().control_loop.heat()[0];
-    // A second of homing and arming cools by 1 A² s, the heat of 0.14 s at 2.9 A.
+    // The motor cools for 1 s while homing and arming, by the heat of 0.14 s at 2.9 A.
     let after = pressing_time(hot);
     assert!(after < 0.3, "{after} s");
     let warm = pressing_time(Heat::UNKNOWN);

@@ -1,8 +1,8 @@
-//! Force from the host: its lease, the refusals and their reasons, the limits that it shares with the walls, and
-//! contacts that move without jumps of force.
+//! Forces from the host: their leases, refusals with reasons, limits shared with the walls, and contacts that move
+//! without force jumps.
 
 use crate::rig::statics::{force_at_tip, torques};
-use crate::rig::{self, RATE, Rig, five_bar, hardware, rules, scene, wall};
+use crate::rig::{self, RATE_HZ, Rig, five_bar, hardware, rules, scene, wall};
 use haptic_bridge::board::protocol::{BadForce, ForceAnswer, ForceDone, ForceRequest, HostContact};
 use haptic_bridge::control::host_force::{
     MAX_CONTACT_DAMPING, MAX_CONTACT_DISTANCE, MAX_CONTACT_STIFFNESS, MAX_HELD_FORCE, MAX_HELD_TORQUE, MAX_LEASE,
@@ -14,10 +14,9 @@ use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::safety::limits::Limits;
 use nalgebra::Vector2;
 
-/// Rounding error of a torque that is converted to a current and back, N m.
-const ROUNDING: f32 = 1.0e-5;
+/// Rounding error of a torque after its conversion to a current and back, N m.
+const ROUNDING_NM: f32 = 1.0e-5;
 
-/// Creates an armed five-bar at rest in free space.
 fn armed_rig() -> Rig {
     let mut rig = Rig::with(&five_bar(), &scene(2, &[]), hardware(), rules());
     rig.arm();
@@ -28,15 +27,14 @@ fn request(sequence: u32) -> ForceRequest {
     ForceRequest { sequence, hold: 0.01, fade: 0.02, ..ForceRequest::default() }
 }
 
-fn torque(sequence: u32, torque: f32) -> ForceRequest {
+fn torque_request(sequence: u32, torque: f32) -> ForceRequest {
     ForceRequest { torque: [torque, 0.0, 0.0], ..request(sequence) }
 }
 
-fn force(sequence: u32, x: f32, y: f32) -> ForceRequest {
+fn force_request(sequence: u32, x: f32, y: f32) -> ForceRequest {
     ForceRequest { force: [x, y, 0.0], hold: MAX_LEASE, ..request(sequence) }
 }
 
-/// Requests the state of the device without a force.
 fn poll(rig: &mut Rig) -> ForceAnswer {
     rig.control_loop.force(&ForceRequest::default())
 }
@@ -45,7 +43,7 @@ fn poll(rig: &mut Rig) -> ForceAnswer {
 fn a_host_force_is_scaled_to_the_tip_force_limit() {
     let gentle = Rules { limits: Limits { tip_force: 1.0, ..rules().limits }, ..rules() };
     let tip = poll(&mut armed_rig()).tip;
-    // A wall 1 mm deep at the tip that pushes with 0.6 N along x.
+    // The tip is 1 mm deep in a wall that pushes with 0.6 N along x.
     let bilateral = Wall { bilateral: true, ..wall(tip[0] + 1.0e-3, 600.0) };
     for (walls, push, size) in
         [(&[][..], 0.0, 0.25), (&[], 0.0, 0.02), (&[], 0.7, 0.2), (&[bilateral], 0.0, 0.2), (&[bilateral], 0.5, 0.1)]
@@ -55,8 +53,10 @@ fn a_host_force_is_scaled_to_the_tip_force_limit() {
         let wall = if walls.is_empty() { 0.0 } else { 0.6 };
         for nth in 0..12_u32 {
             let (sin, cos) = (0.5 * nth as f32).sin_cos();
-            let both =
-                ForceRequest { torque: [size * cos, size * sin, 0.0], ..force(nth + 1, push * sin, -push * cos) };
+            let both = ForceRequest {
+                torque: [size * cos, size * sin, 0.0],
+                ..force_request(nth + 1, push * sin, -push * cos)
+            };
             assert_eq!(rig.control_loop.force(&both).done, ForceDone::Taken);
             rig.step();
             let answer = poll(&mut rig);
@@ -66,7 +66,7 @@ fn a_host_force_is_scaled_to_the_tip_force_limit() {
             let left = force_at_tip(&answer.q, Vector2::new(answer.torque[0], answer.torque[1]).map(f64::from));
             let share = (1.0 / requested.norm()).min(1.0);
             assert!((left - requested * share).norm() < 2.0e-3, "{left} of {requested}, {both:?}, {answer:?}");
-            assert!((f64::from(answer.share) - share).abs() < 2.0e-3, "{share}: {answer:?}");
+            assert!((f64::from(answer.share) - share).abs() < 2.0e-3, "share {share}: {answer:?}");
         }
     }
 }
@@ -84,7 +84,7 @@ fn a_lowered_tip_force_limit_acts_at_the_next_step_and_in_fades() {
         lower.limits.tip_force = limit;
         rig.execute(Command::Rules(lower)).expect("lowered while armed");
         rig.step();
-        assert!((force(&rig) - f64::from(limit)).abs() < 1.0e-3, "{nth}: {} N", force(&rig));
+        assert!((force(&rig) - f64::from(limit)).abs() < 1.0e-3, "limit {nth}: {} N", force(&rig));
     }
     let mut before = force(&rig);
     for _ in 0..80 {
@@ -98,22 +98,22 @@ fn a_lowered_tip_force_limit_acts_at_the_next_step_and_in_fades() {
 #[test]
 fn a_request_is_held_then_fades_evenly_and_ends() {
     let mut rig = armed_rig();
-    assert_eq!(rig.control_loop.force(&torque(1, 0.2)).done, ForceDone::Taken);
-    let period = 1.0 / RATE;
+    assert_eq!(rig.control_loop.force(&torque_request(1, 0.2)).done, ForceDone::Taken);
+    let period = 1.0 / RATE_HZ;
     let mut before = None;
     for step in 1..=80 {
         rig.step();
         let age = step as f32 * period;
         let share = ((0.03 - age) / 0.02).clamp(0.0, 1.0);
         let now = rig.torques()[0];
-        // The period of a step is rounded, and ages are sums of periods.
+        // The period of a step is rounded, and an age is a sum of periods.
         assert!((now - 0.2 * share).abs() < 0.2 * 1.0e-3, "{now} at {age} s");
-        let most = 0.2 * period / 0.02 * 1.001;
-        assert!(before.is_none_or(|before: f32| (now - before).abs() < most), "{before:?} to {now} at {age} s");
+        let max_change = 0.2 * period / 0.02 * 1.001;
+        assert!(before.is_none_or(|before: f32| (now - before).abs() < max_change), "{before:?} to {now} at {age} s");
         before = Some(now);
         let answer = poll(&mut rig);
         assert!((answer.share - share).abs() < 1.0e-3);
-        // At the end of the lease rounding decides.
+        // Rounding decides on which step the lease ends.
         let ending = (age - 0.03).abs() < 0.5 * period;
         assert!(ending || answer.age.is_some() == (age < 0.03), "{age} s: {answer:?}");
     }
@@ -126,39 +126,39 @@ fn a_late_request_has_only_the_rest_of_its_lease() {
     let mut rig = armed_rig();
     let seen = poll(&mut rig).step;
     rig.run(0.02);
-    // 20 ms of 30 have passed, and half of the fade.
-    let half = ForceRequest { seen: Some(seen), ..torque(1, 0.2) };
+    // 20 ms of the 30 ms lease have passed, which is half of the fade.
+    let half = ForceRequest { seen: Some(seen), ..torque_request(1, 0.2) };
     assert_eq!(rig.control_loop.force(&half).done, ForceDone::Taken);
     rig.step();
     let now = rig.torques()[0];
-    let share = (0.03 - 0.02 - 1.0 / RATE) / 0.02;
+    let share = (0.03 - 0.02 - 1.0 / RATE_HZ) / 0.02;
     assert!((now - 0.2 * share).abs() < 1.0e-4, "{now}");
     rig.run(0.02);
     let answer = rig.control_loop.force(&ForceRequest { sequence: 2, ..half });
     assert_eq!((answer.done, answer.age), (ForceDone::TooOld, None));
     rig.step();
     assert_eq!(rig.torques(), Torques::default());
-    let future = ForceRequest { seen: Some(answer.step + 10), ..torque(3, 0.2) };
+    let future = ForceRequest { seen: Some(answer.step + 10), ..torque_request(3, 0.2) };
     assert_eq!(rig.control_loop.force(&future).done, ForceDone::Bad(BadForce::Seen));
 }
 
 #[test]
 fn repeated_and_reordered_requests_change_nothing() {
     let mut rig = armed_rig();
-    assert_eq!(rig.control_loop.force(&torque(u32::MAX, 0.1)).done, ForceDone::Taken);
+    assert_eq!(rig.control_loop.force(&torque_request(u32::MAX, 0.1)).done, ForceDone::Taken);
     for old in [u32::MAX, u32::MAX - 1, u32::MAX / 2 + 10] {
-        let answer = rig.control_loop.force(&torque(old, 0.2));
+        let answer = rig.control_loop.force(&torque_request(old, 0.2));
         assert_eq!((answer.sequence, answer.done), (old, ForceDone::NotNewer));
         rig.step();
-        assert!((rig.torques()[0] - 0.1).abs() < ROUNDING);
+        assert!((rig.torques()[0] - 0.1).abs() < ROUNDING_NM);
     }
     // The sequence number wraps.
-    assert_eq!(rig.control_loop.force(&torque(0, 0.2)).done, ForceDone::Taken);
+    assert_eq!(rig.control_loop.force(&torque_request(0, 0.2)).done, ForceDone::Taken);
     rig.step();
-    assert!((rig.torques()[0] - 0.2).abs() < ROUNDING);
-    // Another host program may use any sequence number once the last lease has ended.
+    assert!((rig.torques()[0] - 0.2).abs() < ROUNDING_NM);
+    // After the last lease has ended, another host program may start with any sequence number.
     rig.run(0.05);
-    assert_eq!(rig.control_loop.force(&torque(u32::MAX - 7, 0.1)).done, ForceDone::Taken);
+    assert_eq!(rig.control_loop.force(&torque_request(u32::MAX - 7, 0.1)).done, ForceDone::Taken);
 }
 
 #[test]
@@ -166,15 +166,15 @@ fn lost_requests_are_bridged_while_the_last_one_is_held() {
     let mut rig = armed_rig();
     let mut sequence = 0;
     for millisecond in 0..100 {
-        // At 1 kHz seven of every eight requests are lost: 8 ms between two requests, each held for 10 ms.
+        // At 1 kHz seven of eight requests are lost, so 8 ms pass between requests that are held for 10 ms.
         if millisecond % 8 == 0 {
             sequence += 1;
-            assert_eq!(rig.control_loop.force(&torque(sequence, 0.1)).done, ForceDone::Taken);
+            assert_eq!(rig.control_loop.force(&torque_request(sequence, 0.1)).done, ForceDone::Taken);
         }
         rig.step();
         rig.step();
         let now = rig.torques()[0];
-        assert!((now - 0.1).abs() < ROUNDING, "{now} after {millisecond} ms");
+        assert!((now - 0.1).abs() < ROUNDING_NM, "{now} after {millisecond} ms");
     }
 }
 
@@ -184,17 +184,17 @@ fn invalid_numbers_are_refused_and_leave_the_present_force() {
     let with = |contact: HostContact| ForceRequest { contact: Some(contact), ..request(2) };
     let mut bad: Vec<(BadForce, ForceRequest)> = Vec::new();
     let invalid = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, f32::MAX];
-    let above = |most: f32| invalid.into_iter().chain([most * 1.000_01, -most * 1.000_01]);
+    let above = |limit: f32| invalid.into_iter().chain([limit * 1.000_01, -limit * 1.000_01]);
     for value in above(MAX_HELD_FORCE) {
-        bad.push((BadForce::Force, force(2, value, 0.0)));
-        bad.push((BadForce::Force, force(2, 0.0, value)));
+        bad.push((BadForce::Force, force_request(2, value, 0.0)));
+        bad.push((BadForce::Force, force_request(2, 0.0, value)));
     }
     // A planar device has no third direction and no third joint.
     bad.push((BadForce::Force, ForceRequest { force: [0.0, 0.0, 1.0], ..request(2) }));
     bad.push((BadForce::Torque, ForceRequest { torque: [0.0, 0.0, 0.1], ..request(2) }));
     bad.push((BadForce::Normal, with(HostContact { normal: [0.0, 0.0, 1.0], ..contact })));
     for value in above(MAX_HELD_TORQUE) {
-        bad.push((BadForce::Torque, torque(2, value)));
+        bad.push((BadForce::Torque, torque_request(2, value)));
     }
     for value in above(MAX_LEASE).chain([-0.01]) {
         bad.push((BadForce::Lease, ForceRequest { hold: value, ..request(2) }));
@@ -214,12 +214,12 @@ fn invalid_numbers_are_refused_and_leave_the_present_force() {
     }
     for (reason, request) in bad {
         let mut rig = armed_rig();
-        assert_eq!(rig.control_loop.force(&torque(1, 0.1)).done, ForceDone::Taken);
+        assert_eq!(rig.control_loop.force(&torque_request(1, 0.1)).done, ForceDone::Taken);
         let answer = rig.control_loop.force(&request);
         assert_eq!(answer.done, ForceDone::Bad(reason), "{request:?}");
         assert!(answer.done.to_string().contains("not taken"), "{}", answer.done);
         rig.step();
-        assert!((rig.torques()[0] - 0.1).abs() < ROUNDING, "{request:?}");
+        assert!((rig.torques()[0] - 0.1).abs() < ROUNDING_NM, "{request:?}");
     }
 }
 
@@ -234,26 +234,26 @@ fn the_largest_accepted_numbers_are_harmless() {
             damping: MAX_CONTACT_DAMPING,
         }),
         torque: [MAX_HELD_TORQUE, -MAX_HELD_TORQUE, 0.0],
-        ..force(1, MAX_HELD_FORCE, -MAX_HELD_FORCE)
+        ..force_request(1, MAX_HELD_FORCE, -MAX_HELD_FORCE)
     });
     assert_eq!(answer.done, ForceDone::Taken);
     for _ in 0..100 {
         rig.step();
-        assert!(rig.torques().iter().all(|torque| torque.abs() <= 0.3 * (1.0 + ROUNDING)));
+        assert!(rig.torques().iter().all(|torque| torque.abs() <= 0.3 * (1.0 + ROUNDING_NM)));
     }
     assert_eq!(rig.state(), State::Armed);
 }
 
 #[test]
-fn only_armed_motors_take_force_and_turning_them_off_ends_it() {
+fn only_armed_motors_accept_force_and_disarming_ends_it() {
     let mut rig = Rig::with(&five_bar(), &scene(2, &[]), hardware(), rules());
-    let answer = rig.control_loop.force(&torque(1, 0.1));
+    let answer = rig.control_loop.force(&torque_request(1, 0.1));
     assert_eq!((answer.done, answer.state), (ForceDone::NotArmed, State::Disarmed));
     assert_eq!(poll(&mut rig).done, ForceDone::Looked);
     assert_eq!(answer.tip, rig.control_loop.status().tip, "a disarmed board reports its state too");
     for by_fault in [false, true] {
         rig.arm();
-        assert_eq!(rig.control_loop.force(&force(1, 1.0, 0.0)).done, ForceDone::Taken);
+        assert_eq!(rig.control_loop.force(&force_request(1, 1.0, 0.0)).done, ForceDone::Taken);
         rig.step();
         assert_ne!(rig.torques(), Torques::default());
         if by_fault {
@@ -265,7 +265,7 @@ fn only_armed_motors_take_force_and_turning_them_off_ends_it() {
         assert_eq!((answer.age, answer.force, answer.share), (None, [0.0; 3], 0.0));
         rig.step();
         assert!(rig.motors_off());
-        // Armed again at once, well within the request's lease.
+        // The motors are armed again at once, within the lease of the request.
         rig.execute(Command::Clear).unwrap();
         rig.execute(Command::Arm).unwrap();
         for _ in 0..20 {
@@ -280,8 +280,8 @@ fn only_armed_motors_take_force_and_turning_them_off_ends_it() {
 fn a_force_grows_with_the_ramp_after_arming() {
     let mut rig = Rig::with(&five_bar(), &scene(2, &[]), hardware(), rules());
     rig.execute(Command::Arm).unwrap();
-    assert_eq!(rig.control_loop.force(&force(1, 1.0, 0.0)).done, ForceDone::Taken);
-    // A fifth of the ramp of 0.5 s.
+    assert_eq!(rig.control_loop.force(&force_request(1, 1.0, 0.0)).done, ForceDone::Taken);
+    // 0.1 s are a fifth of the 0.5 s ramp.
     rig.run(0.1);
     let answer = poll(&mut rig);
     assert!((answer.share - 0.2).abs() < 0.01, "{answer:?}");
@@ -292,12 +292,12 @@ fn a_force_grows_with_the_ramp_after_arming() {
 fn the_torques_of_a_tip_force_do_the_same_virtual_work() {
     for (x, y) in [(1.0, 0.0), (0.0, 1.0), (-0.7, 0.4)] {
         let mut rig = armed_rig();
-        rig.control_loop.force(&force(1, x, y));
+        rig.control_loop.force(&force_request(1, x, y));
         rig.step();
         let answer = poll(&mut rig);
         let expected = torques(&answer.q, [x, y].map(f64::from));
         for i in 0..2 {
-            assert!((f64::from(answer.torque[i]) - expected[i]).abs() < 1.0e-6, "{answer:?}, {expected}");
+            assert!((f64::from(answer.torque[i]) - expected[i]).abs() < 1.0e-6, "{answer:?}, expected {expected}");
         }
         assert_eq!((answer.force, answer.share), ([x, y, 0.0], 1.0));
     }
@@ -305,13 +305,13 @@ fn the_torques_of_a_tip_force_do_the_same_virtual_work() {
 
 #[test]
 fn walls_and_host_are_scaled_by_the_same_share_at_a_limit() {
-    // A bilateral wall facing +x pushes the tip, 1 mm deep, with 2 N. The host requests 12 N across.
+    // The tip is 1 mm deep in a bilateral wall that pushes with 2 N along x. The host requests 12 N along y.
     let mut rig = armed_rig();
     let tip = poll(&mut rig).tip;
     let bilateral = Wall { bilateral: true, ..wall(tip[0] + 1.0e-3, 2_000.0) };
     let mut rig = Rig::with(&five_bar(), &scene(2, &[bilateral]), hardware(), rules());
     rig.arm();
-    rig.control_loop.force(&force(1, 0.0, 12.0));
+    rig.control_loop.force(&force_request(1, 0.0, 12.0));
     rig.step();
     let answer = poll(&mut rig);
     assert!((rig.control_loop.frame().at.walls.wall_force - 2.0).abs() < 1.0e-3);
@@ -329,7 +329,7 @@ fn walls_and_host_are_scaled_by_the_same_share_at_a_limit() {
 #[test]
 fn the_reply_reports_the_motion_of_tip_and_joints() {
     let mut rig = armed_rig();
-    let counts = (rig::COUNTS / core::f64::consts::TAU / f64::from(RATE)).round() as i32;
+    let counts = (rig::COUNTS_PER_TURN / core::f64::consts::TAU / f64::from(RATE_HZ)).round() as i32;
     let mut turn = |steps: u32| {
         for _ in 0..steps {
             rig.samples.counts[0] += counts;
@@ -337,15 +337,15 @@ fn the_reply_reports_the_motion_of_tip_and_joints() {
         }
         poll(&mut rig)
     };
-    // At 1 rad/s, long enough for the filters to settle.
+    // Joint 0 turns at 1 rad/s, first until the filters have settled.
     let (before, now) = (turn(200), turn(5));
     assert_eq!(now.step, before.step + 5);
     let passed = (now.step - before.step) as f32 * now.period;
     for i in 0..2 {
         let moved = (now.tip[i] - before.tip[i]) / passed;
-        assert!((now.velocity[i] - moved).abs() < 0.02 * moved.abs().max(0.02), "{now:?} {moved}");
+        assert!((now.velocity[i] - moved).abs() < 0.02 * moved.abs().max(0.02), "{now:?} for {moved} m/s");
         let turned = (now.q[i] - before.q[i]) / passed;
-        assert!((now.qd[i] - turned).abs() < 0.02, "{now:?} {turned}");
+        assert!((now.qd[i] - turned).abs() < 0.02, "{now:?}, the joint turns at {turned} rad/s");
     }
 }
 
@@ -371,7 +371,7 @@ fn a_contact_pushes_along_its_normal_and_never_pulls() {
 fn a_contact_that_jumps_tilts_or_appears_causes_no_force_jump() {
     let mut rig = armed_rig();
     let tip = poll(&mut rig).tip;
-    // From zero to 2 N, then by up to 4 N and 0.4 rad every 5 ms, and finally removed.
+    // The contact appears with 2 N, changes by up to 4 N and 0.4 rad every 5 ms, and is removed.
     let plane = |depth: f32, angle: f32| {
         let normal = [angle.cos(), angle.sin(), 0.0];
         let point = core::array::from_fn(|i| tip[i] + normal[i] * depth);
@@ -404,7 +404,7 @@ fn a_contact_that_jumps_tilts_or_appears_causes_no_force_jump() {
         }
     }
     assert_eq!(before, [0.0; 3]);
-    // The first contact takes 1 ms (two steps of this rig) for its 2 N; the others take 5 ms for at most 4 N.
+    // The first 2 N rise within 1 ms (two steps of this rig), and later changes of at most 4 N take 5 ms.
     assert!(largest <= 1.0 + 1.0e-3, "the force jumps by {largest} N");
 }
 
@@ -417,18 +417,18 @@ fn a_contact_renewed_while_it_fades_returns_smoothly() {
         let contact = HostContact { point, normal: [1.0, 0.0, 0.0], stiffness: 1e3, damping: 0.0 };
         ForceRequest { contact: Some(contact), hold: 0.01, fade: 0.05, ..request(0) }
     };
-    // Held for 10 ms, then 35 of 50 ms of its fade; renewed at the same place, then a millimetre further.
+    // Each request is held for 10 ms and fades for 35 of 50 ms. It is renewed at the same place, then 1 mm further.
     for (sequence, depth) in [(1, 2.0e-3), (2, 2.0e-3), (3, 3.0e-3)] {
         let mut before = poll(&mut rig).force[0];
         rig.control_loop.force(&ForceRequest { sequence, ..contact(depth) });
-        for _ in 0..(0.045 * RATE) as usize {
+        for _ in 0..(0.045 * RATE_HZ) as usize {
             rig.step();
             let now = poll(&mut rig).force[0];
-            // 2 N in 1 ms (two steps of this rig), or 3 N in 20 ms.
+            // The force changes by 2 N in 1 ms (two steps of this rig) or by 3 N in 20 ms.
             assert!((now - before).abs() <= 1.0 + 1.0e-3, "{sequence}: from {before} to {now} N");
             before = now;
         }
-        assert!((before - 0.3 * 1e3 * depth).abs() < 0.1 * 1e3 * depth, "{sequence}: {before} N");
+        assert!((before - 0.3 * 1e3 * depth).abs() < 0.1 * 1e3 * depth, "request {sequence}: {before} N");
     }
 }
 
@@ -443,7 +443,8 @@ fn a_repeated_contact_continues_its_move() {
     };
     rig.control_loop.force(&ForceRequest { sequence: 1, ..plane(1.0e-3) });
     rig.run(0.01);
-    // The second contact comes 10 ms after the first, so the move takes 10 ms, whatever is sent meanwhile.
+    // The second contact comes 10 ms after the first, so the move takes 10 ms. Repeated requests must not restart the
+    // move.
     for sequence in 2..22 {
         rig.control_loop.force(&ForceRequest { sequence, ..plane(3.0e-3) });
         rig.step();
@@ -457,7 +458,7 @@ fn force_requests_count_as_signs_of_life() {
     let mut rig = Rig::with(&five_bar(), &scene(2, &[]), hardware(), watched);
     rig.arm();
     for sequence in 1..100 {
-        assert_eq!(rig.control_loop.force(&torque(sequence, 0.01)).done, ForceDone::Taken);
+        assert_eq!(rig.control_loop.force(&torque_request(sequence, 0.01)).done, ForceDone::Taken);
         rig.run(0.01);
         assert_eq!(rig.state(), State::Armed);
     }
@@ -465,7 +466,7 @@ fn force_requests_count_as_signs_of_life() {
     assert_eq!((rig.state(), rig.fault()), (State::Fault, Some(Fault::HostLost)));
 }
 
-/// Advances the step count by about `steps`, in parts that are small for the board's own age checks.
+/// Advances the step count by about `steps`, in parts that are too small to expire anything.
 fn skip_steps(rig: &mut Rig, mut steps: u64) {
     while steps > 0 {
         let hop = steps.min(1 << 28) as u32;
@@ -481,14 +482,14 @@ fn a_host_can_push_after_the_count_of_steps_wraps() {
     let push_now = |rig: &mut Rig, sequence: u32| {
         let seen = poll(rig).step;
         rig.step();
-        let answer = rig.control_loop.force(&ForceRequest { seen: Some(seen), ..torque(sequence, 0.1) });
+        let answer = rig.control_loop.force(&ForceRequest { seen: Some(seen), ..torque_request(sequence, 0.1) });
         assert_eq!(answer.done, ForceDone::Taken, "at step {}", answer.step);
         rig.run(0.05);
-        let late = ForceRequest { seen: Some(seen), ..torque(sequence + 1, 0.1) };
+        let late = ForceRequest { seen: Some(seen), ..torque_request(sequence + 1, 0.1) };
         assert_eq!(rig.control_loop.force(&late).done, ForceDone::TooOld, "50 ms is more than the lease of 30 ms");
     };
     push_now(&mut rig, 1);
-    // 29.8 h at 20 kHz, then 59.7 h, when the count of steps wraps, and then the same again.
+    // Half of the 32-bit range is 29.8 h at 20 kHz. The count wraps after 59.7 h, and again after another 59.7 h.
     for sequence in [3, 5, 7, 9] {
         let left = (1 << 31) - u64::from(rig.control_loop.steps() & ((1 << 31) - 1));
         skip_steps(&mut rig, left - 1_000);
@@ -499,26 +500,26 @@ fn a_host_can_push_after_the_count_of_steps_wraps() {
     assert_eq!(rig.state(), State::Armed);
 }
 
-/// A refused request does not count as a sign of life: a host whose requests are all late or wrong has lost the device.
-/// A poll counts if it names the step of an earlier reply.
+/// A refused request is no sign of life, because a host with only late or wrong requests has lost the device. A poll is
+/// a sign of life if it names the step of an earlier reply.
 #[test]
 fn only_taken_requests_and_following_polls_are_signs_of_life() {
     let watched = Rules { host_action: HostAction::Disarm, host_seconds: 0.5, ..rules() };
     let scene = scene(2, &[]);
     for (refused, why) in [
         (ForceRequest { hold: 0.0, fade: 0.0, ..request(2) }, ForceDone::Looked),
-        (torque(1, 0.1), ForceDone::NotNewer),
-        (torque(2, f32::NAN), ForceDone::Bad(BadForce::Torque)),
+        (torque_request(1, 0.1), ForceDone::NotNewer),
+        (torque_request(2, f32::NAN), ForceDone::Bad(BadForce::Torque)),
         (ForceRequest { hold: 0.0, fade: 0.001, seen: Some(0), ..request(2) }, ForceDone::TooOld),
     ] {
         let mut rig = Rig::with(&five_bar(), &scene, hardware(), watched);
         rig.arm();
         for _ in 0..4 {
-            assert_eq!(rig.control_loop.force(&force(1, 0.0, 0.0)).done, ForceDone::Taken);
+            assert_eq!(rig.control_loop.force(&force_request(1, 0.0, 0.0)).done, ForceDone::Taken);
             rig.run(0.45);
         }
         assert_eq!(rig.state(), State::Armed, "taken");
-        assert_eq!(rig.control_loop.force(&force(1, 0.0, 0.0)).done, ForceDone::Taken);
+        assert_eq!(rig.control_loop.force(&force_request(1, 0.0, 0.0)).done, ForceDone::Taken);
         for _ in 0..6 {
             if why != ForceDone::NotNewer || poll(&mut rig).age.is_some() {
                 assert_eq!(rig.control_loop.force(&refused).done, why);

@@ -1,6 +1,6 @@
-//! A silent host, on which the board acts as the rules say, and a dead man's key, which acts under all rules.
+//! A silent host, to which the board reacts as the rules say, and a dead man's key, which acts under all rules.
 
-use crate::rig::{RATE, Rig, paddle, quiet};
+use crate::rig::{RATE_HZ, Rig, far_wall, paddle};
 use haptic_bridge::control::{Beat, Command, HostAction, KEY_SECONDS, Press, Rules};
 use haptic_bridge::render::scene::Scene;
 use haptic_bridge::safety::fault::{Fault, State};
@@ -52,12 +52,13 @@ impl Rig {
         self.execute(Command::Beat(beat)).expect("never refused");
     }
 
-    /// Returns the message of a tool that sees its key pressed at this step.
+    /// Returns the message of a tool whose key is pressed at this step.
     fn press(&self) -> Press {
         Press { holder: 1, seen: self.control_loop.steps() }
     }
 
-    /// Holds the key for `tenths` tenths of a second, with a message at the start of each. Returns the last message.
+    /// Presses the key for `tenths` tenths of a second, with a message at the start of each tenth. Returns the last
+    /// message.
     fn hold_key(&mut self, tenths: u32) -> Press {
         let mut press = self.press();
         for _ in 0..tenths {
@@ -69,8 +70,8 @@ impl Rig {
     }
 }
 
-/// Returns a rig that is armed and held by a key, with the longest host time that the rules allow, and the
-/// last message of the key.
+/// Returns a rig that was armed with a key, and the last message of the key. The host time is the longest that the
+/// rules allow.
 fn armed_with_key(action: HostAction) -> (Rig, Press) {
     let host_seconds = Rules::HOST_SECONDS.1;
     let mut rig = Rig::armed_with(|rules| (rules.host_action, rules.host_seconds) = (action, host_seconds));
@@ -82,10 +83,10 @@ fn armed_with_key(action: HostAction) -> (Rig, Press) {
 #[test]
 fn motors_go_off_without_new_messages_of_the_key() {
     type Sender = fn(&Rig, Press) -> Option<Beat>;
-    // A queue or thread that no longer reads the key repeats the last message or sends an earlier one.
+    // A queue or thread that no longer reads the key repeats the last message or sends an earlier message.
     let same: Sender = |_, last| Some(Beat::Held(last));
     let earlier: Sender = |_, last| Some(Beat::Held(Press { seen: last.seen - 10, ..last }));
-    // A key has one holder; messages of other holders, and of tools without a key, do not count for it.
+    // A key has one holder, so messages of other holders and of tools without a key do not count.
     let another: Sender = |rig, _| Some(Beat::Held(Press { holder: 2, ..rig.press() }));
     let keyless: Sender = |_, _| Some(Beat::Here);
     let silence: Sender = |_, _| None;
@@ -117,23 +118,22 @@ fn a_released_key_disarms_without_a_fault() {
     let (mut rig, _) = armed_with_key(HostAction::Disarm);
     rig.beat(Beat::Released);
     assert_eq!((rig.state(), rig.fault()), (State::Disarmed, None));
-    // The key belongs to one arming. The next arming, without a key, does not need it.
+    // The key belongs to one arming, so the next arming without a key does not need it.
     rig.hold_key(1);
     rig.execute(Command::Arm).unwrap();
     rig.run(2.0);
     assert_eq!((rig.state(), rig.fault()), (State::Armed, None));
 }
 
-/// Creates a disarmed board that can be armed.
 fn disarmed_rig() -> Rig {
     let mut rig = Rig::armed();
     rig.execute(Command::Disarm).unwrap();
     rig
 }
 
-/// A stopped tool or a stalled link can delay the request after the press.
+/// A stopped tool or a slow link can delay the request after the press.
 #[test]
-fn a_press_counts_from_its_reading_and_too_late_it_does_not_arm() {
+fn a_press_counts_from_its_step_and_an_old_press_does_not_arm() {
     let mut rig = disarmed_rig();
     let press = rig.press();
     rig.run(0.4);
@@ -152,10 +152,10 @@ fn a_press_counts_from_its_reading_and_too_late_it_does_not_arm() {
     rig.beat(Beat::Held(press));
     assert_eq!(rig.execute(Command::ArmHeld(press)), refused);
     assert_eq!(rig.execute(Command::ArmHeld(Press { seen: rig.press().seen + 1, ..press })), refused, "in the future");
-    // After a change of rate the age of the press is unknown.
+    // After a change of the control rate the age of the press is unknown.
     let press = rig.press();
     rig.run(0.1);
-    rig.load(&paddle(), &Scene { rate_hz: 2.0 * RATE, ..quiet() }, true).unwrap();
+    rig.load(&paddle(), &Scene { rate_hz: 2.0 * RATE_HZ, ..far_wall() }, true).unwrap();
     rig.settle();
     assert_eq!(rig.execute(Command::ArmHeld(press)), refused);
     assert!(rig.motors_off());
@@ -164,12 +164,12 @@ fn a_press_counts_from_its_reading_and_too_late_it_does_not_arm() {
     assert_eq!(rig.state(), State::Armed);
 }
 
-/// The link is slow in both directions. The tool's view of the board is late by one way, and the board's view of the
-/// key by both ways.
+/// The link is slow in both directions. The tool sees the board one delay late, and the board learns about the key two
+/// delays late.
 #[test]
 fn motors_are_off_half_a_second_after_a_release_on_any_link() {
-    let steps = |seconds: f32| (seconds * RATE) as u32;
-    // Delay of one way, s: in the first second, and later.
+    let steps = |seconds: f32| (seconds * RATE_HZ) as u32;
+    // Delay in each direction, in the first second and later, s.
     for (at_first, later) in [(0.0, 0.0), (0.1, 0.1), (0.1, 0.2), (0.0, 0.26), (0.05, 2.0), (0.26, 0.26), (2.0, 2.0)] {
         let mut rig = disarmed_rig();
         let began = rig.control_loop.steps();

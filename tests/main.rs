@@ -1,4 +1,4 @@
-//! Tests of the shared control library. Each module is named after the subject that it tests.
+//! Tests of the shared control library. The name of a module is the subject of its tests.
 
 mod common;
 mod golden;

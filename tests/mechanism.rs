@@ -1,4 +1,4 @@
-//! A mechanism needs only its own file: a toy mechanism renders a wall.
+//! A toy mechanism, defined in one file, renders a wall.
 
 use crate::rig;
 use haptic_bridge::control::compiled::BoardMath;
@@ -10,12 +10,12 @@ use haptic_bridge::render::controller::Controller;
 use haptic_bridge::render::scene::FeedForward;
 use nalgebra::{SMatrix, SVector};
 
-/// Two crossed slides on screws: the tip's x and y are the joint angles times the leads.
+/// Two crossed slides on screws. The tip's x and y are the joint angles times the leads.
 #[derive(Clone, Copy, Debug)]
 struct Gantry<T> {
     /// Lead of each screw, m/rad.
     lead: [T; 2],
-    /// Inertia of screw and slide about each joint, kg m².
+    /// Inertia of screw and slide, as seen at each joint, kg m².
     inertia: [T; 2],
 }
 
@@ -66,7 +66,7 @@ impl<T: Real> Mechanism<T, 2> for Gantry<T> {
 fn a_toy_mechanism_is_one_impl_and_renders_walls() {
     let device = rig::device(&Description { home: None, ..rig::five_bar() });
     let gantry = Gantry { lead: [0.01, 0.02], inertia: [1.0e-4, 3.0e-4] };
-    // A wall through the origin with the normal (3, 4)/5; the tip is 2 mm deep along x.
+    // The wall goes through the origin with the normal (3, 4)/5. The tip is 2 mm away along -x.
     let (k, n) = (1_000.0_f32, [0.6_f32, 0.8]);
     let mut wall = rig::wall(0.0, k);
     wall.surface = haptic_bridge::render::scene::Surface::Plane(haptic_bridge::render::scene::Plane {
@@ -84,8 +84,8 @@ fn a_toy_mechanism_is_one_impl_and_renders_walls() {
         let x = f32::from(counts as i16) * device.joints[0].radians_per_count * 0.01;
         let force = -k * n[0] * x;
         assert!((step.wall_force / force - 1.0).abs() < 1e-3, "{} is not {force} N", step.wall_force);
-        // Jᵀ n f, or M E f/Wrr with E = J⁻¹ n. The inertias at the tip are 1 and 0.75 kg, so Wrr is
-        // 0.36 + 0.64 x 0.75 = 0.84 kg.
+        // The torques are Jᵀ n f, or M E f/Wrr with E = J⁻¹ n. The inertias at the tip are 1 and 0.75 kg, so Wrr is
+        // 0.36 + 0.64 · 0.75 = 0.84 kg.
         let expected = match feed_forward {
             FeedForward::Off => [0.01 * n[0] * force, 0.02 * n[1] * force],
             _ => [0.01 * n[0] * force / 0.84, 0.02 * 0.75 * n[1] * force / 0.84],

@@ -1,10 +1,9 @@
-//! Properties of every mechanism at regular poses of random devices.
-//!
-//! Mass matrix, gravity and tip are compared with separate rigid bodies (common/bodies.rs), velocity terms with
-//! derivatives of the mass matrix, and each hand-written kernel of the control step with the matrices that it replaces.
+//! Properties of every mechanism at regular poses of random devices. Mass matrix, gravity and tip are compared with
+//! separate rigid bodies (common/bodies.rs). Velocity terms are compared with derivatives of the mass matrix, and each
+//! hand-written kernel of the control step with the matrices that it replaces.
 
 use crate::common::bodies::{derivative, dynamics, place_bodies};
-use crate::common::{Draw, NUMBERS, cases, determinant, device, inverse};
+use crate::common::{Draw, NUMBERS_PER_CASE, cases, determinant, inverse, random_device};
 use haptic_bridge::control::compiled::BoardMath;
 use haptic_bridge::math::Libm;
 use haptic_bridge::model::catalogue::Kind;
@@ -17,18 +16,18 @@ use nalgebra::{SMatrix, SVector};
 use proptest::prelude::*;
 use proptest::test_runner::TestCaseError;
 
-type Outcome = Result<(), TestCaseError>;
+type TestResult = Result<(), TestCaseError>;
 
-/// Smallest sine of a regular pose. tests/hard_cases tests poses nearer to a singularity.
-const REGULAR: f64 = 0.15;
+/// Smallest sine of a regular pose. tests/hard_cases covers poses nearer to a singularity.
+const MIN_SINE: f64 = 0.15;
 
-/// A moving mechanism, with a unit vector and a vector of its task space.
+/// A moving mechanism, with a unit vector `n` and a vector `v` of its task space.
 struct Case<M, const N: usize> {
     m: M,
     device: Description,
     q: SVector<f64, N>,
     qd: SVector<f64, N>,
-    /// Unit vector, zero beyond the task dimension.
+    /// Unit vector, with zeros beyond the task dimension.
     n: SVector<f64, N>,
     v: SVector<f64, N>,
 }
@@ -42,7 +41,7 @@ impl<M: Mechanism<f64, N>, const N: usize> Case<M, N> {
             n[i] = 0.0;
         }
         let Regularity { serial, parallel } = m.regularity(&m.pose::<Libm>(&q));
-        (serial.min(parallel) > REGULAR && n.norm() > 0.1).then(|| Self { m, device, q, qd, n: n.normalize(), v })
+        (serial.min(parallel) > MIN_SINE && n.norm() > 0.1).then(|| Self { m, device, q, qd, n: n.normalize(), v })
     }
 
     fn pose(&self) -> M::Pose {
@@ -55,20 +54,20 @@ impl<M: Mechanism<f64, N>, const N: usize> Case<M, N> {
     }
 }
 
-/// Checks that `a` equals `b` within `tolerance` of the largest entry of `b` (at least `floor`).
+/// Checks that `a` equals `b` within `tolerance` times the largest entry of `b` (or `floor` if that is larger).
 fn check_equal<const R: usize, const C: usize>(
     name: &str,
     a: &SMatrix<f64, R, C>,
     b: &SMatrix<f64, R, C>,
     tolerance: f64,
     floor: f64,
-) -> Outcome {
+) -> TestResult {
     let error = (a - b).amax() / b.amax().max(floor);
     prop_assert!(error <= tolerance, "{name}: {a} against {b}, error {error:e}");
     Ok(())
 }
 
-fn tip_and_jacobian_are_those_of_the_links<M: Mechanism<f64, N>, const N: usize>(case: &Case<M, N>) -> Outcome {
+fn tip_and_jacobian_are_those_of_the_links<M: Mechanism<f64, N>, const N: usize>(case: &Case<M, N>) -> TestResult {
     let task = |q: &SVector<f64, N>| {
         let (_, tip) = place_bodies(&case.device, q.as_slice());
         SVector::<f64, N>::from_fn(|i, _| tip[i])
@@ -86,22 +85,22 @@ fn tip_and_jacobian_are_those_of_the_links<M: Mechanism<f64, N>, const N: usize>
     check_equal("J", &case.m.jacobian(&case.pose()), &differences, 1e-6, 1e-3)
 }
 
-fn jacobian_rate_is_the_rate_of_the_jacobian<M: Mechanism<f64, N>, const N: usize>(case: &Case<M, N>) -> Outcome {
+fn jacobian_rate_is_the_rate_of_the_jacobian<M: Mechanism<f64, N>, const N: usize>(case: &Case<M, N>) -> TestResult {
     let differences = derivative(2e-5, |t| case.m.jacobian(&case.pose_after(t)));
     check_equal("J̇", &case.m.jacobian_rate(&case.pose(), &case.qd), &differences, 1e-6, 1e-2)
 }
 
-fn mass_and_gravity_are_those_of_the_bodies<M: Mechanism<f64, N>, const N: usize>(case: &Case<M, N>) -> Outcome {
+fn mass_and_gravity_are_those_of_the_bodies<M: Mechanism<f64, N>, const N: usize>(case: &Case<M, N>) -> TestResult {
     let (mass, gravity) = dynamics(&case.device, case.q.as_slice());
     let pose = case.pose();
     check_equal("M", &case.m.mass(&pose), &SMatrix::from_fn(|i, j| mass[i][j]), 1e-6, 0.0)?;
     check_equal("g", &case.m.gravity(&pose), &SVector::from_fn(|i, _| gravity[i]), 1e-6, 1e-3)
 }
 
-fn mass_is_symmetric_and_positive_definite<M: Mechanism<f64, N>, const N: usize>(case: &Case<M, N>) -> Outcome {
+fn mass_is_symmetric_and_positive_definite<M: Mechanism<f64, N>, const N: usize>(case: &Case<M, N>) -> TestResult {
     let mass = case.m.mass(&case.pose());
     prop_assert_eq!(mass, mass.transpose());
-    // Sylvester's criterion: every leading minor is positive.
+    // Every leading minor must be positive (Sylvester's criterion).
     for size in 1..=N {
         let minor = SMatrix::<f64, N, N>::from_fn(|i, j| {
             if i < size && j < size { mass[(i, j)] } else { f64::from(u8::from(i == j)) }
@@ -111,12 +110,12 @@ fn mass_is_symmetric_and_positive_definite<M: Mechanism<f64, N>, const N: usize>
     Ok(())
 }
 
-fn coriolis_forces_agree_with_the_rate_of_m<M: Mechanism<f64, N>, const N: usize>(case: &Case<M, N>) -> Outcome {
+fn coriolis_forces_agree_with_the_rate_of_m<M: Mechanism<f64, N>, const N: usize>(case: &Case<M, N>) -> TestResult {
     let pose = case.pose();
     let (m, qd) = (&case.m, &case.qd);
     let mass_rate = derivative(2e-5, |t| m.mass(&case.pose_after(t)));
     let scale = mass_rate.amax().max(m.mass(&pose).amax());
-    // c is quadratic in q̇. C(q, q̇) x is its polar form, and its columns are C from Christoffel's symbols.
+    // c is quadratic in q̇. The columns are C from Christoffel's symbols, computed with the polar form of c.
     let mut c = SMatrix::<f64, N, N>::zeros();
     for i in 0..N {
         let mut unit = SVector::<f64, N>::zeros();
@@ -126,7 +125,7 @@ fn coriolis_forces_agree_with_the_rate_of_m<M: Mechanism<f64, N>, const N: usize
     }
     let skew = mass_rate - c * 2.0;
     check_equal("Ṁ - 2C", &(skew + skew.transpose()), &SMatrix::zeros(), 1e-6, scale)?;
-    // Lagrange: c = Ṁ q̇ - ½ ∂(q̇ᵀ M q̇)/∂q.
+    // Lagrange's equation: c = Ṁ q̇ - ½ ∂(q̇ᵀ M q̇)/∂q.
     let gradient = SVector::<f64, N>::from_fn(|i, _| {
         derivative(1e-4, |h| {
             let mut q = case.q;
@@ -137,7 +136,7 @@ fn coriolis_forces_agree_with_the_rate_of_m<M: Mechanism<f64, N>, const N: usize
     check_equal("c", &m.coriolis(&pose, qd), &(mass_rate * qd - gradient * 0.5), 1e-6, scale)
 }
 
-fn free_motion_keeps_its_energy<M: Mechanism<f64, N>, const N: usize>(case: &Case<M, N>) -> Outcome {
+fn free_motion_keeps_its_energy<M: Mechanism<f64, N>, const N: usize>(case: &Case<M, N>) -> TestResult {
     let m = &case.m;
     let rate = |q: &SVector<f64, N>, qd: &SVector<f64, N>| {
         let pose = m.pose::<Libm>(q);
@@ -146,11 +145,11 @@ fn free_motion_keeps_its_energy<M: Mechanism<f64, N>, const N: usize>(case: &Cas
     let energy = |q: &SVector<f64, N>, qd: &SVector<f64, N>| 0.5 * qd.dot(&(m.mass(&m.pose::<Libm>(q)) * qd));
     let (mut q, mut qd) = (case.q, case.qd);
     let before = energy(&q, &qd);
-    // Fourth-order Runge-Kutta, until the motion comes near a singularity.
+    // Integrates by fourth-order Runge-Kutta until the motion comes near a singularity.
     let h = 2e-5;
     for _ in 0..500 {
         let Regularity { serial, parallel } = m.regularity(&m.pose::<Libm>(&q));
-        if serial.min(parallel) < 0.5 * REGULAR {
+        if serial.min(parallel) < 0.5 * MIN_SINE {
             break;
         }
         let k1 = rate(&q, &qd);
@@ -168,7 +167,7 @@ fn free_motion_keeps_its_energy<M: Mechanism<f64, N>, const N: usize>(case: &Cas
     Ok(())
 }
 
-fn kernels_agree_with_the_matrices<M: Mechanism<f64, N>, const N: usize>(case: &Case<M, N>) -> Outcome {
+fn kernels_agree_with_the_matrices<M: Mechanism<f64, N>, const N: usize>(case: &Case<M, N>) -> TestResult {
     let (m, pose, qd, n, v) = (&case.m, case.pose(), &case.qd, &case.n, &case.v);
     let (jacobian, mass) = (m.jacobian(&pose), m.mass(&pose));
     let jacobian_inverse = inverse(&jacobian);
@@ -189,8 +188,8 @@ fn kernels_agree_with_the_matrices<M: Mechanism<f64, N>, const N: usize>(case: &
     Ok(())
 }
 
-/// Compares every field of [`Inertia`] with the paper's equations (1) to (4) for one wall, in matrices.
-fn inertia_agrees_with_the_paper<M: Mechanism<f64, N>, const N: usize>(case: &Case<M, N>) -> Outcome {
+/// Compares every field of [`Inertia`] with the paper's equations (1) to (4) in matrix form, for one wall.
+fn inertia_agrees_with_the_paper<M: Mechanism<f64, N>, const N: usize>(case: &Case<M, N>) -> TestResult {
     let (m, pose, qd) = (&case.m, case.pose(), &case.qd);
     let (jacobian, mass) = (m.jacobian(&pose), m.mass(&pose));
     let force = 2.5;
@@ -221,13 +220,13 @@ fn inertia_agrees_with_the_paper<M: Mechanism<f64, N>, const N: usize>(case: &Ca
     check_equal("τ without", &found.torque_without_feed_forward, &(row * force), 1e-10, 0.0)
 }
 
-/// Checks the same for walls along the axes with the first joint at 0. One of these walls is across the plane of a
-/// turret's arms, which then do not move.
-fn inertia_agrees_with_the_paper_along_the_axes<M: Mechanism<f64, N>, const N: usize>(case: &Case<M, N>) -> Outcome {
+/// Compares [`Inertia`] with the paper for walls along the axes and the first joint at 0. One of these walls is
+/// perpendicular to the plane of a turret's arms, which then do not move.
+fn inertia_agrees_with_the_paper_along_the_axes<M: Mechanism<f64, N>, const N: usize>(case: &Case<M, N>) -> TestResult {
     let mut q = case.q;
     q[0] = 0.0;
     let Regularity { serial, parallel } = case.m.regularity(&case.m.pose::<Libm>(&q));
-    for axis in (0..M::SPEC.task).filter(|_| serial.min(parallel) > REGULAR) {
+    for axis in (0..M::SPEC.task).filter(|_| serial.min(parallel) > MIN_SINE) {
         let n = SVector::from_fn(|i, _| if i == axis { 1.0 } else { 0.0 });
         inertia_agrees_with_the_paper(&Case { q, n, ..*case })?;
     }
@@ -236,7 +235,7 @@ fn inertia_agrees_with_the_paper_along_the_axes<M: Mechanism<f64, N>, const N: u
 
 fn effective_inertia_is_at_most_the_rendered_inertia<M: Mechanism<f64, N>, const N: usize>(
     case: &Case<M, N>,
-) -> Outcome {
+) -> TestResult {
     let (m, pose) = (&case.m, case.pose());
     let row = m.transpose(&pose, &case.n);
     let mobility = row.dot(&(inverse(&m.mass(&pose)) * row));
@@ -247,7 +246,7 @@ fn effective_inertia_is_at_most_the_rendered_inertia<M: Mechanism<f64, N>, const
 
 fn with_feed_forward_the_tip_accelerates_along_the_normal<M: Mechanism<f64, N>, const N: usize>(
     case: &Case<M, N>,
-) -> Outcome {
+) -> TestResult {
     let (m, pose, qd, n) = (&case.m, case.pose(), &case.qd, &case.n);
     let b = m.velocity_torque(&pose, qd) + m.gravity(&pose);
     let shaping = m.shaping(&pose, n);
@@ -262,11 +261,11 @@ fn with_feed_forward_the_tip_accelerates_along_the_normal<M: Mechanism<f64, N>, 
 
 fn torque_does_not_depend_on_the_admissible_directions<M: Mechanism<f64, N>, const N: usize>(
     case: &Case<M, N>,
-) -> Outcome {
+) -> TestResult {
     let (m, pose, qd, n) = (&case.m, case.pose(), &case.qd, &case.n);
     let b = m.velocity_torque(&pose, qd) + m.gravity(&pose);
     let torque = m.shaping(&pose, n).torque(case.v[0], &b, &b);
-    // Equation (4) as written, with directions across n that are neither orthogonal to each other nor unit vectors.
+    // Equation (4) as written, with admissible directions that are neither orthogonal nor unit vectors.
     let mut directions = SMatrix::<f64, N, N>::identity();
     directions.set_column(0, n);
     for i in 1..N {
@@ -287,7 +286,11 @@ fn torque_does_not_depend_on_the_admissible_directions<M: Mechanism<f64, N>, con
     check_equal("τ", &torque, &t.tr_mul(&f), 1e-7, 1e-3)
 }
 
-fn every_property<M: Mechanism<f64, N>, const N: usize>(m: M, device: Description, draw: &mut Draw<'_>) -> Outcome {
+fn check_every_property<M: Mechanism<f64, N>, const N: usize>(
+    m: M,
+    device: Description,
+    draw: &mut Draw<'_>,
+) -> TestResult {
     let Some(case) = Case::new(m, device, draw) else {
         return Err(TestCaseError::reject("too near a singularity"));
     };
@@ -305,8 +308,8 @@ fn every_property<M: Mechanism<f64, N>, const N: usize>(m: M, device: Descriptio
     torque_does_not_depend_on_the_admissible_directions(&case)
 }
 
-/// Computes the error of the torque of (4) on the board (f32, minimax sines, angles rounded to f32) against f64, as a
-/// share of the largest entry.
+/// Computes the error of the torque of (4) on the board (f32, minimax sines, angles rounded to f32), as a share of the
+/// largest f64 entry.
 fn board_error<A, B, const N: usize>(exact: &A, board: &B, case: &Case<A, N>) -> f64
 where
     A: Mechanism<f64, N>,
@@ -325,13 +328,13 @@ where
     (f64s(&torque) - expected).amax() / expected.amax()
 }
 
-fn board_matches<A, B, const N: usize>(
+fn check_board_error<A, B, const N: usize>(
     exact: A,
     board: AnyMechanism<f32>,
     device: Description,
     draw: &mut Draw<'_>,
     as_board: impl Fn(AnyMechanism<f32>) -> Option<B>,
-) -> Outcome
+) -> TestResult
 where
     A: Mechanism<f64, N>,
     B: Mechanism<f32, N>,
@@ -345,25 +348,25 @@ where
     Ok(())
 }
 
-fn check(kind: Kind, numbers: &[f64]) -> Outcome {
+fn check_properties(kind: Kind, numbers: &[f64]) -> TestResult {
     let draw = &mut Draw::new(numbers);
-    let device = device(kind, draw);
+    let device = random_device(kind, draw);
     let Ok(mechanism) = AnyMechanism::<f64>::new(&device) else {
         return Err(TestCaseError::reject("the mechanism cannot close"));
     };
-    with_mechanism!(mechanism, m => every_property(m, device, draw))
+    with_mechanism!(mechanism, m => check_every_property(m, device, draw))
 }
 
-fn check_board(kind: Kind, numbers: &[f64]) -> Outcome {
+fn check_board(kind: Kind, numbers: &[f64]) -> TestResult {
     let draw = &mut Draw::new(numbers);
-    let device = device(kind, draw);
+    let device = random_device(kind, draw);
     let (Ok(exact), Ok(board)) = (AnyMechanism::<f64>::new(&device), AnyMechanism::<f32>::new(&device)) else {
         return Err(TestCaseError::reject("the mechanism cannot close"));
     };
     macro_rules! pair {
         ($($Variant:ident)*) => {
             match exact {
-                $(AnyMechanism::$Variant(m) => board_matches(m, board, device, draw, |any| match any {
+                $(AnyMechanism::$Variant(m) => check_board_error(m, board, device, draw, |any| match any {
                     AnyMechanism::$Variant(m) => Some(m),
                     _ => None,
                 }),)*
@@ -379,11 +382,11 @@ macro_rules! properties {
             #![proptest_config(ProptestConfig { max_global_rejects: 8192, ..cases(96) })]
             $(
                 #[test]
-                fn $exact(numbers in prop::collection::vec(0.0..1.0, NUMBERS)) {
-                    check(Kind::$kind, &numbers)?;
+                fn $exact(numbers in prop::collection::vec(0.0..1.0, NUMBERS_PER_CASE)) {
+                    check_properties(Kind::$kind, &numbers)?;
                 }
                 #[test]
-                fn $board(numbers in prop::collection::vec(0.0..1.0, NUMBERS)) {
+                fn $board(numbers in prop::collection::vec(0.0..1.0, NUMBERS_PER_CASE)) {
                     check_board(Kind::$kind, &numbers)?;
                 }
             )*

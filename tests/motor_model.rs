@@ -1,52 +1,51 @@
-//! The model of a motor finds faults (wrong current sensors, open windings) and accepts sound motors: warm windings,
-//! missing sensors, encoders at rest.
+//! The motor's model finds wrong current sensors and open windings, and accepts warm windings, missing sensors and
+//! encoders at rest.
 
-use crate::rig::{RATES, Rig, at_rate, hardware, paddle, quiet, rules, scene, wall};
+use crate::rig::{RATES_HZ, Rig, at_rate, far_wall, hardware, paddle, rules, scene, wall};
 use haptic_bridge::control::Command;
 use haptic_bridge::safety::fault::{Fault, State};
 
-/// Returns the largest current of motor 0 until the bridges are off, A, and the fault; `None` if they stay on for 50
-/// ms.
-fn worst_current(rig: &mut Rig) -> (f32, Option<Fault>) {
-    let mut most = 0.0_f32;
+/// Returns the fault, if the bridges turn off within 50 ms, and the largest current of motor 0 until then, A.
+fn largest_current_and_fault(rig: &mut Rig) -> (f32, Option<Fault>) {
+    let mut largest_current = 0.0_f32;
     for _ in 0..(0.05 * rig.rate) as u32 {
         rig.step();
-        most = most.max(rig.peak);
+        largest_current = largest_current.max(rig.peak_current);
         if rig.state() == State::Fault {
             break;
         }
     }
-    (most, rig.fault())
+    (largest_current, rig.fault())
 }
 
 #[test]
 fn a_wrong_current_sensor_does_not_let_the_motor_pass_its_limit() {
-    for rate in RATES {
+    for rate in RATES_HZ {
         for shown in [0.0_f32, 1.0, -2.0] {
             let mut rig = Rig::pressing_in(&at_rate(rate, scene(1, &[wall(-0.005, 250.0)])));
             rig.shown_current = Some(shown);
-            let (most, fault) = worst_current(&mut rig);
+            let (largest_current, fault) = largest_current_and_fault(&mut rig);
             assert_eq!(fault, Some(Fault::MotorModel), "{shown} A at {rate} Hz");
-            // 1.5 times the limit of 3 A, plus 1 A: the bound of a measured current.
-            assert!(most < 5.5, "{shown} A at {rate} Hz: {most} A");
+            // 1.5 times the limit of 3 A, plus 1 A, is the bound of measured currents.
+            assert!(largest_current < 5.5, "{shown} A at {rate} Hz: {largest_current} A");
         }
     }
 }
 
 #[test]
 fn an_open_winding_is_found_when_it_should_carry_current() {
-    for rate in RATES {
+    for rate in RATES_HZ {
         let mut rig = Rig::pressing_in(&at_rate(rate, scene(1, &[wall(-0.005, 250.0)])));
         rig.resistance = f32::INFINITY;
-        let (_, fault) = worst_current(&mut rig);
+        let (_, fault) = largest_current_and_fault(&mut rig);
         assert_eq!(fault, Some(Fault::MotorModel), "{rate} Hz");
     }
 }
 
 #[test]
 fn a_sound_motor_never_trips() {
-    // Hot and cold windings that hit and leave walls at speed, at every rate.
-    for rate in RATES {
+    // Hot and cold windings hit and leave walls at speed, at every rate.
+    for rate in RATES_HZ {
         for resistance in [1.7, 2.0, 2.8] {
             let mut rig = Rig::ready(&at_rate(rate, scene(1, &[wall(-0.005, 250.0)])));
             rig.resistance = resistance;
@@ -60,8 +59,8 @@ fn a_sound_motor_never_trips() {
 }
 
 #[test]
-fn a_stall_is_judged_by_the_limited_torque() {
-    // The torque limit is a tenth of the motor's torque: a long press at this limit does not indicate a lost encoder.
+fn a_press_at_a_low_torque_limit_is_not_an_encoder_stall() {
+    // The torque limit is a tenth of the motor's torque, so a long press at the limit does not prove a lost encoder.
     let mut rules = rules();
     rules.limits.torque = [0.03; 3];
     let mut rig = Rig::with(&paddle(), &scene(1, &[wall(-0.005, 10_000.0)]), hardware(), rules);
@@ -73,7 +72,7 @@ fn a_stall_is_judged_by_the_limited_torque() {
 
 #[test]
 fn a_warm_winding_pressed_against_a_wall_does_not_trip() {
-    // Copper at 100 °C has a third more resistance than the 2 ohm of the data sheet.
+    // Copper at 100 °C has 1.35 times the data sheet's 2 ohm.
     let mut rig = Rig::ready(&scene(1, &[wall(-0.005, 250.0)]));
     rig.resistance = 2.7;
     rig.arm();
@@ -88,7 +87,7 @@ fn unmeasured_voltages_and_currents_are_ignored() {
     let mut board = hardware();
     board.bus_sensed = false;
     board.bridge.current_sensed = false;
-    let mut rig = Rig::with(&paddle(), &quiet(), board, rules());
+    let mut rig = Rig::with(&paddle(), &far_wall(), board, rules());
     rig.samples.bus_voltage = f32::NAN;
     rig.shown_current = Some(f32::NAN);
     rig.arm();
@@ -100,7 +99,7 @@ fn unmeasured_voltages_and_currents_are_ignored() {
 fn a_board_without_bus_voltage_reports_no_lost_encoder() {
     let mut board = hardware();
     board.bus_sensed = false;
-    let mut rig = Rig::with(&paddle(), &quiet(), board, rules());
+    let mut rig = Rig::with(&paddle(), &far_wall(), board, rules());
     rig.samples.bus_voltage = 0.0;
     rig.shown_current = Some(2.0);
     rig.execute(Command::Arm).unwrap();

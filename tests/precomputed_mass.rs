@@ -1,4 +1,4 @@
-//! Frozen and tabulated mass matrices: their error against the closed form, and the refusal of damaged ones.
+//! Frozen and tabulated mass matrices are accurate against the closed form, and damaged ones are refused.
 
 use crate::common::device_file::shipped;
 use haptic_bridge::control::compiled::BoardMath;
@@ -16,8 +16,8 @@ fn mechanism(name: &str) -> AnyMechanism<f64> {
     AnyMechanism::new(&shipped(name)).expect("a sound device")
 }
 
-/// Returns the largest difference of M E between a table and the closed form, relative to the largest entry, on a grid
-/// of 63 x 63 poses around home. The grid includes the centres of all cells of 4 x 4 and of 8 x 8 cells.
+/// Returns the largest difference of M E between a table and the closed form, as a share of the largest entry, on a
+/// grid of 63 x 63 poses around home. The grid includes the centres of all cells of 4 x 4 and of 8 x 8 cells.
 fn worst_error<M: Mechanism<f64, N>, const N: usize>(
     mechanism: &M,
     home: &[f64; 3],
@@ -56,7 +56,6 @@ fn worst_error<M: Mechanism<f64, N>, const N: usize>(
     worst
 }
 
-/// Returns the worst error for every device.
 fn worst_errors(interpolation: Interpolation, points: u8) -> Vec<f64> {
     DEVICES
         .iter()
@@ -72,8 +71,8 @@ fn the_error_of_a_bilinear_table_is_of_second_order() {
     for (coarse, fine) in
         worst_errors(Interpolation::Bilinear, 5).into_iter().zip(worst_errors(Interpolation::Bilinear, 9))
     {
-        // Half the spacing divides the error by four, less an effect of the fourth derivatives: measured 3.38 to 3.81.
-        // A first-order error would have the ratio 2, a third-order error 8.
+        // Half the spacing divides a second-order error by four. Measured are 3.38 to 3.81, because of the fourth
+        // derivatives. A first-order error would give 2, a third-order error 8.
         assert!(fine > 0.0 && (3.3..4.0).contains(&(coarse / fine)), "{coarse} against {fine}");
     }
 }
@@ -89,7 +88,7 @@ fn a_bicubic_table_is_better_than_a_bilinear_table() {
 
 #[test]
 fn a_table_that_fits_the_memory_has_an_error_below_a_thousandth() {
-    // This table fits even for a mechanism with six distinct entries.
+    // A table of 10 x 10 points fits even for a mechanism with six distinct entries.
     for error in worst_errors(Interpolation::Bicubic, 10) {
         assert!(error < 1.0e-3, "{error}");
     }
@@ -108,10 +107,10 @@ fn outside_its_grid_a_table_is_the_closed_form() {
         let (found, exact) = (table.shaping(&m, &q, &pose, &n).me, m.shaping(&pose, &n).me);
         assert!((found - exact).amax() < 1.0e-12 * exact.amax(), "{found} against {exact}");
     }
-    // NaN and infinite angles cause no panic.
+    // NaN and infinite angles must not cause a panic.
     let pose = m.pose::<Libm>(&SVector::from([2.3, 0.8]));
-    for broken in [f64::NAN, f64::INFINITY, -1.0e300] {
-        table.shaping(&m, &SVector::from([broken, 0.8]), &pose, &n);
+    for invalid in [f64::NAN, f64::INFINITY, -1.0e300] {
+        table.shaping(&m, &SVector::from([invalid, 0.8]), &pose, &n);
     }
     // A table must have exactly as many values as its grid.
     assert!(MassModel::table::<FiveBar<f64>>(&grid, &values[1..]).is_none());
@@ -119,15 +118,15 @@ fn outside_its_grid_a_table_is_the_closed_form() {
 }
 
 #[test]
-fn the_edges_of_the_grid_belong_to_it() {
+fn the_edges_of_a_grid_belong_to_the_table() {
     let AnyMechanism::FiveBar(m) = mechanism("haply-2diy") else { panic!() };
     for interpolation in [Interpolation::Bilinear, Interpolation::Bicubic] {
-        // Spacing and corners are exact in binary.
+        // The spacing and the corners are exact in binary.
         let grid = Grid::new(interpolation, [6, 6], [2.0, 0.5], [2.5, 1.0], 3).unwrap();
         let grid = Grid { spacing: [0.125; 2], low: grid.low.map(|x: f64| (x * 8.0).round() / 8.0), ..grid };
         let mut values = vec![0.0; grid.values(3)];
         tabulate::<f64, Libm, _, 2>(&m, &grid, |index, value| values[index] = value);
-        // Values increased by a tenth show that the result comes from the table.
+        // All values are 10 % too large, to show that the result comes from the table.
         let increased: Vec<f64> = values.iter().map(|value| value * 1.1).collect();
         let table = MassModel::table::<FiveBar<f64>>(&grid, &increased).unwrap();
         let margin = if interpolation == Interpolation::Bicubic { 1 } else { 0 };
@@ -183,7 +182,7 @@ fn a_table_needs_all_chunks_in_order_and_unchanged() {
     assert!(!changed.is_complete(150, crc));
     assert!(!TableReceiver::default().take(0, &[f32::NAN]));
     assert!(!TableReceiver::default().take(0, &vec![0.0; TABLE_VALUES + 1]));
-    // A new transfer discards the old one.
+    // A new transfer discards the old values.
     assert!(receiving.take(0, &values[..64]));
     assert!(!receiving.is_complete(150, crc));
 }

@@ -1,7 +1,7 @@
-//! The record contains the requested wall force, the rendered force, and the motors that saturated.
+//! The record contains the requested wall force, the rendered force, and marks for saturated motors.
 
 use crate::rig::statics::{force_at_tip, tip};
-use crate::rig::{COUNTS, RATE, Rig, five_bar, hardware, rules, scene, wall};
+use crate::rig::{COUNTS_PER_TURN, RATE_HZ, Rig, five_bar, hardware, rules, scene, wall};
 use haptic_bridge::control::frame::{Motors, StepRecord};
 use haptic_bridge::control::{Command, Rules};
 use haptic_bridge::render::controller::Gains;
@@ -10,7 +10,7 @@ use haptic_bridge::render::velocity::Washout;
 use haptic_bridge::safety::limits::Limits;
 use nalgebra::Vector2;
 
-/// Presses a paddle of 0.1 m `depth` (m) into a wall of 1 kN/m at -0.05 m. Its motor may make 0.3 N m, which is 3 N.
+/// Presses a paddle of 0.1 m `depth` (m) into a wall of 1 kN/m at -0.05 m. The motor may make 0.3 N m, which is 3 N.
 fn pressed_paddle(depth: f64) -> Rig {
     let mut rig = Rig::armed();
     rig.turn(0, -(0.05 + depth) / 0.1, 2.0);
@@ -56,7 +56,7 @@ fn the_rendered_force_is_zero_when_off_and_reduced_in_the_ramp() {
 
     let mut rig = Rig::ready(&scene(1, &[wall(-0.05, 1_000.0)]));
     rig.execute(Command::Arm).unwrap();
-    // After 0.03 s of the ramp of 0.5 s the tip is 2 mm deep.
+    // After 0.03 s of the 0.5 s ramp the tip is 2 mm deep.
     rig.turn(0, -0.52, 18.0);
     let ramp = rig.control_loop.frame();
     assert!(ramp.at.walls.wall_force > 1.9 && ramp.motors.rendered_force > 0.0, "{ramp:?}");
@@ -64,7 +64,7 @@ fn the_rendered_force_is_zero_when_off_and_reduced_in_the_ramp() {
 }
 
 #[test]
-fn with_two_joints_it_is_the_static_force_of_the_torques() {
+fn the_rendered_force_is_the_static_force_of_the_torques() {
     for feed_forward in [FeedForward::Off, FeedForward::Full] {
         let n = [0.28, 0.96];
         let home = tip([2.4, 0.7]);
@@ -76,25 +76,29 @@ fn with_two_joints_it_is_the_static_force_of_the_torques() {
         rig.arm();
         let mut saturated = 0;
         for _ in 0..40 {
-            // Into the wall: the left arm turns outwards and the right arm inwards.
+            // The left arm turns outwards and the right arm inwards, into the wall.
             for (i, turn) in [(0, 30), (1, -30)] {
                 rig.samples.counts[i] += turn;
             }
             rig.run(0.02);
             let frame = rig.control_loop.frame();
-            // Angles from the counts: 2.4 and 0.7 rad at home.
-            let angle = |i: usize| f64::from(frame.counts[i]) / COUNTS * core::f64::consts::TAU + [2.4, 0.7][i];
+            // The home is at 2.4 and 0.7 rad.
+            let angle =
+                |i: usize| f64::from(frame.counts[i]) / COUNTS_PER_TURN * core::f64::consts::TAU + [2.4, 0.7][i];
             let torque = Vector2::new(frame.motors.torque[0], frame.motors.torque[1]).map(f64::from);
             let expected = force_at_tip(&[angle(0) as f32, angle(1) as f32, 0.0], torque).dot(&Vector2::from(n));
-            let got = f64::from(frame.motors.rendered_force);
+            let rendered = f64::from(frame.motors.rendered_force);
             if frame.motors.rendered_force < 0.999 * frame.at.walls.wall_force {
                 assert_eq!((frame.saturation(0), frame.saturation(1)), (1, 1), "one factor reduces both: {frame:?}");
             }
-            // 1e-4 allows for f32 in the step (2e-5 of the torque) and for the differences (1e-7).
-            assert!((got - expected).abs() < 1e-4 * (1.0 + expected.abs()), "{got} for {expected}: {frame:?}");
+            // 1e-4 covers the f32 rounding of the step (2e-5 of the torque) and of the differences (1e-7).
+            assert!(
+                (rendered - expected).abs() < 1e-4 * (1.0 + expected.abs()),
+                "{rendered} for {expected}: {frame:?}"
+            );
             if frame.saturation(0) + frame.saturation(1) > 0 {
                 saturated += 1;
-                // The feed-forward is reduced before the force.
+                // The board reduces the feed-forward before the force.
                 let reduced = frame.motors.rendered_force < 0.999 * frame.at.walls.wall_force;
                 assert!(reduced || feed_forward == FeedForward::Full, "{frame:?}");
             }
@@ -107,9 +111,9 @@ fn with_two_joints_it_is_the_static_force_of_the_torques() {
 fn a_duty_at_its_limit_has_its_own_mark() {
     let mut rig = pressed_paddle(0.001);
     assert_eq!(rig.control_loop.frame().saturation(0), 0);
-    // 2 N more within one step would need 44 V across a winding of 1 mH for a carrier period.
+    // 2 N more within one step would need 44 V across the 1 mH winding for a carrier period.
     let gains = Gains { wall: 0, stiffness: 2_900.0, damping: 0.0, feed_forward: FeedForward::Off, washout_hz: 2.0 };
-    rig.execute(Command::Gains(gains, Washout::new(2.0, RATE).unwrap())).unwrap();
+    rig.execute(Command::Gains(gains, Washout::new(2.0, RATE_HZ).unwrap())).unwrap();
     rig.control_loop.control(&rig.samples);
     rig.control_loop.duties(24.0, &rig.samples.currents, false);
     let frame = rig.control_loop.frame();

@@ -1,8 +1,6 @@
-//! The inertia that a wall renders beyond the paper's (4): moving linkages, gains other than 1, and other held
-//! coordinates.
-//!
-//! The oracle solves M q̈ + c + g = τ with the controller's torque, and computes inertias from J and M by elimination.
-//! It does not use the library's inertia module.
+//! The inertia that a wall renders in cases beyond the paper's (4): moving linkages, gains other than 1, and other held
+//! coordinates. The oracle solves M q̈ + c + g = τ with the controller's torque, and computes inertias from J and M by
+//! elimination, without the library's inertia module.
 
 use crate::common::{bilateral_wall, device_file, fine_counts, inverse, with_fine_encoders};
 use haptic_bridge::math::Libm;
@@ -14,9 +12,9 @@ use haptic_bridge::render::scene::{Admissible, Plane, Scene, SceneError, Sphere,
 use haptic_bridge::with_mechanism;
 use nalgebra::SVector;
 
-const RATE: f64 = 50_000.0;
+const RATE_HZ: f64 = 50_000.0;
 
-/// A shipped device, its pose (rad), joint velocities (rad/s), and the normal of a wall.
+/// A shipped device, its pose (rad), joint velocities (rad/s), and the wall's normal.
 type Case = (&'static str, [f64; 3], [f64; 3], [f64; 3]);
 
 const CASES: [Case; 4] = [
@@ -26,16 +24,16 @@ const CASES: [Case; 4] = [
     ("serial-3r", [0.5, 0.8, 0.7], [1.0, -0.8, 1.3], [0.6, 0.8, 0.0]),
 ];
 
-/// The effect of one controller step on the device.
-struct Outcome {
-    /// n·p̈ + ṅ·ṗ, m/s².
+struct StepEffect {
+    /// Rendered acceleration n·p̈ + ṅ·ṗ, m/s².
     rendered: f64,
     /// The wall's force, N.
     force: f64,
-    /// Eᵀ b of the paper: zr, N.
+    /// Eᵀ b, the paper's zr, N.
     z_r: f64,
-    /// Weff and Wrr with φ held, kg.
+    /// Weff, kg.
     w_eff: f64,
+    /// Wrr with φ held, kg.
     w_rr: f64,
     /// Accelerations of the coordinates that can be held (joints 0 to 2 and φ), rad/s².
     held: [f64; 4],
@@ -43,13 +41,13 @@ struct Outcome {
     null_torque: f64,
 }
 
-fn outcome(
+fn step_effect(
     name: &str,
     q: [f64; 3],
     qd: [f64; 3],
     surface: impl Fn([f64; 3], usize) -> Surface<f64>,
     with: impl Fn(&mut Scene<f64>),
-) -> Outcome {
+) -> StepEffect {
     fn run<M: Mechanism<f64, N>, const N: usize>(
         m: M,
         device: &Device<f64>,
@@ -57,18 +55,18 @@ fn outcome(
         qd: [f64; 3],
         surface: &dyn Fn([f64; 3], usize) -> Surface<f64>,
         with: &dyn Fn(&mut Scene<f64>),
-    ) -> Outcome {
+    ) -> StepEffect {
         let task = M::SPEC.task;
         let (q, qd) = (SVector::<f64, N>::from_fn(|i, _| q[i]), SVector::<f64, N>::from_fn(|i, _| qd[i]));
         let pose = m.pose::<Libm>(&q);
         let tip = m.tip(&pose);
         let surface = surface(core::array::from_fn(|i| if i < task { tip[i] } else { 0.0 }), task);
-        let mut scene = Scene { task: task as u8, rate_hz: RATE, cutoff_hz: 5_000.0, ..Scene::default() };
+        let mut scene = Scene { task: task as u8, rate_hz: RATE_HZ, cutoff_hz: 5_000.0, ..Scene::default() };
         scene.walls.push(bilateral_wall(surface, 300.0)).expect("room");
         with(&mut scene);
         let mut controller = Controller::<f64, M, Libm, N>::new(m, device, &scene).expect("a sound scene");
-        // A steady motion through the pose, long enough for the joint filters to settle.
-        let last = (-60..=0).map(|k| controller.step(&fine_counts(&(q + qd * (f64::from(k) / RATE))))).last();
+        // The steady motion through the pose lets the joint filters settle.
+        let last = (-60..=0).map(|k| controller.step(&fine_counts(&(q + qd * (f64::from(k) / RATE_HZ))))).last();
         let step = last.expect("steps");
 
         let (jacobian, rate, mass) = (m.jacobian(&pose), m.jacobian_rate(&pose, &qd), m.mass(&pose));
@@ -81,7 +79,7 @@ fn outcome(
         }
         let n = surface.contact::<Libm, N>(&position).normal;
         let n_rate = surface.normal_rate::<Libm, N>(&position, &velocity);
-        // φ is not a position and its acceleration is not rendered, so n has no component along φ.
+        // φ is an orientation and its acceleration is not rendered, so n has no component along φ.
         let acceleration = jacobian * qdd + rate * qd;
         let mut without_phi = rate * qd;
         (task..N).for_each(|i| without_phi[i] = 0.0);
@@ -89,7 +87,7 @@ fn outcome(
         let b = bias - mass * (inverse(&jacobian) * without_phi);
         let row = jacobian.transpose() * n;
         let null = inverse(&jacobian) * SVector::<f64, N>::from_fn(|i, _| if i + 1 == N { 1.0 } else { 0.0 });
-        Outcome {
+        StepEffect {
             rendered: n.dot(&acceleration) + n_rate.dot(&velocity),
             force: step.wall_force,
             z_r: e.dot(&b),
@@ -99,7 +97,7 @@ fn outcome(
             null_torque: null.dot(&step.torque),
         }
     }
-    // Without gravity only the walls' forces act.
+    // Gravity is off, so that only the walls' forces act.
     let description = Description { gravity: [0.0; 3], ..with_fine_encoders(device_file::shipped(name)) };
     let device = Device::<f64>::new("test", &description).expect("a sound device");
     let mechanism = AnyMechanism::<f64>::new(&description).expect("a sound device");
@@ -107,15 +105,15 @@ fn outcome(
 }
 
 /// Returns a plane 2 cm from the tip.
-fn flat(normal: [f64; 3]) -> impl Fn([f64; 3], usize) -> Surface<f64> {
+fn plane_near_tip(normal: [f64; 3]) -> impl Fn([f64; 3], usize) -> Surface<f64> {
     move |tip, task| {
         let normal = core::array::from_fn(|i| if i < task { normal[i] } else { 0.0 });
         Surface::Plane(Plane { point: core::array::from_fn(|i| tip[i] + 0.02 * normal[i]), normal })
     }
 }
 
-/// Returns a sphere with a radius of 6 cm whose surface passes near the tip.
-fn ball(tip: [f64; 3], task: usize) -> Surface<f64> {
+/// Returns a sphere of 6 cm radius whose surface passes near the tip.
+fn sphere_near_tip(tip: [f64; 3], task: usize) -> Surface<f64> {
     let offset = [0.03, -0.04, 0.02];
     let center = core::array::from_fn(|i| if i < task { tip[i] + offset[i] } else { 0.0 });
     Surface::Sphere(Sphere { center, radius: 0.06, inside: false })
@@ -126,13 +124,13 @@ fn only_the_rendered_force_accelerates_a_moving_tip() {
     let mut largest_z_r = 0.0_f64;
     for (name, q, qd, normal) in CASES {
         for round in [false, true] {
-            let surface = |tip, task| if round { ball(tip, task) } else { flat(normal)(tip, task) };
+            let surface =
+                |tip, task| if round { sphere_near_tip(tip, task) } else { plane_near_tip(normal)(tip, task) };
             let force_error = |terms| {
-                let o = outcome(name, q, qd, surface, |scene| scene.velocity_terms = terms);
+                let o = step_effect(name, q, qd, surface, |scene| scene.velocity_terms = terms);
                 (o.w_rr * o.rendered - o.force, o.z_r)
             };
-            // The bound is 2e-3 m/s² as in tests/feed_forward.rs, because the tip's acceleration disturbs the joint
-            // filters.
+            // The bound of 2e-3 N allows for the joint filters, which the tip's acceleration disturbs.
             let (error, _) = force_error(VelocityTerms::Rendered);
             assert!(error.abs() < 2e-3, "{name}, round {round}: {error} N");
             if !round {
@@ -142,7 +140,7 @@ fn only_the_rendered_force_accelerates_a_moving_tip() {
             }
         }
     }
-    // The effect must be ten times the tolerance.
+    // The effect must be ten times larger than the tolerance.
     assert!(largest_z_r > 0.02, "zr is too small to test: {largest_z_r} N");
 }
 
@@ -151,7 +149,7 @@ fn a_gain_changes_the_inertia_and_is_limited_below_its_pole() {
     let mut limited = 0;
     for (name, q, _, normal) in CASES {
         for gain in [0.0, 0.5, 1.0, 1.1, 2.0, 3.0] {
-            let o = outcome(name, q, [0.0; 3], flat(normal), |scene| scene.feed_forward_gain = gain);
+            let o = step_effect(name, q, [0.0; 3], plane_near_tip(normal), |scene| scene.feed_forward_gain = gain);
             let coupling = 1.0 - o.w_eff / o.w_rr;
             let pole = 1.0 / coupling;
             let effective = gain.min(0.5 * (1.0 + pole));
@@ -167,10 +165,10 @@ fn a_gain_changes_the_inertia_and_is_limited_below_its_pole() {
 
 #[test]
 fn the_demos_wall_has_the_documented_inertias() {
-    // Independent computation: 0.2116 kg without the feed-forward, 0.2659 kg with it, 0.357 kg with α = 2.
+    // Independent computation gives 0.2116 kg without the feed-forward, 0.2659 kg with it, and 0.357 kg with α = 2.
     let (name, q, _, normal) = CASES[0];
     let inertia = |gain| {
-        let o = outcome(name, q, [0.0; 3], flat(normal), |scene| scene.feed_forward_gain = gain);
+        let o = step_effect(name, q, [0.0; 3], plane_near_tip(normal), |scene| scene.feed_forward_gain = gain);
         o.force / o.rendered
     };
     for (gain, kilograms) in [(0.0, 0.211), (1.0, 0.265), (2.0, 0.357)] {
@@ -183,7 +181,7 @@ fn a_gain_beyond_its_limits_is_refused() {
     let scene = |gain, walls: usize| {
         let mut scene = Scene::<f64> { task: 2, feed_forward_gain: gain, ..Scene::default() };
         for _ in 0..walls {
-            scene.walls.push(bilateral_wall(flat([0.6, 0.8, 0.0])([0.0; 3], 2), 300.0)).expect("room");
+            scene.walls.push(bilateral_wall(plane_near_tip([0.6, 0.8, 0.0])([0.0; 3], 2), 300.0)).expect("room");
         }
         scene.check(2)
     };
@@ -197,7 +195,7 @@ fn a_gain_beyond_its_limits_is_refused() {
 #[test]
 fn a_redundant_arm_holds_the_coordinate_of_the_scene() {
     let (name, q, qd, normal) = CASES[3];
-    // Wrr/Weff by independent computation.
+    // The ratios Wrr/Weff come from an independent computation.
     for (admissible, held, ratio) in [
         (Admissible::Orientation, Some(3), 3.99),
         (Admissible::Joint0, Some(0), 1.29),
@@ -205,11 +203,11 @@ fn a_redundant_arm_holds_the_coordinate_of_the_scene() {
         (Admissible::Joint2, Some(2), 2.38),
         (Admissible::Consistent, None, 1.22),
     ] {
-        let at_rest = outcome(name, q, [0.0; 3], flat(normal), |scene| scene.admissible = admissible);
+        let at_rest = step_effect(name, q, [0.0; 3], plane_near_tip(normal), |scene| scene.admissible = admissible);
         let found = at_rest.force / at_rest.rendered / at_rest.w_eff;
         assert!((found - ratio).abs() < 0.006, "{admissible:?}: Wrr/Weff is {found}");
         for speeds in [[0.0; 3], qd] {
-            let o = outcome(name, q, speeds, flat(normal), |scene| scene.admissible = admissible);
+            let o = step_effect(name, q, speeds, plane_near_tip(normal), |scene| scene.admissible = admissible);
             match held {
                 Some(coordinate) => assert!(o.held[coordinate].abs() < 0.02, "{admissible:?}: {:?}", o.held),
                 None => assert!(o.null_torque.abs() < 1e-6, "{admissible:?}: {} N m", o.null_torque),
@@ -223,18 +221,18 @@ fn a_redundant_arm_holds_the_coordinate_of_the_scene() {
 
 #[test]
 fn a_joint_without_null_motion_is_released_smoothly() {
-    // If the third link is in line with the second, or the arm bends the other way, a joint's share of the null motion
-    // passes zero. The torque must stay bounded.
+    // A joint's share of the null motion passes zero if the third link is in line with the second, or if the arm bends
+    // the other way. The torque must stay bounded there.
     let (name, _, _, normal) = CASES[3];
     for admissible in [Admissible::Joint0, Admissible::Joint1, Admissible::Joint2] {
         let share = |third: f64| {
             let q = [0.5, 0.8, third];
-            let o = outcome(name, q, [0.0; 3], flat(normal), |scene| scene.admissible = admissible);
+            let o = step_effect(name, q, [0.0; 3], plane_near_tip(normal), |scene| scene.admissible = admissible);
             let share = o.rendered / o.force * o.w_eff;
             assert!(share > 0.0 && share <= 1.0 + 1e-9, "{admissible:?} at {q:?}: Weff/Wrr is {share}");
             share
         };
-        // The largest change over a grid, and then over a grid fifty times as fine at that place.
+        // The largest change on a grid is compared with the largest change on a grid fifty times as fine at that place.
         let steepest = |low: f64, step: f64, count: i32| {
             let values: Vec<f64> = (0..=count).map(|k| share(low + step * f64::from(k))).collect();
             let changes = values.windows(2).enumerate().map(|(k, pair)| ((pair[1] - pair[0]).abs(), k));

@@ -1,8 +1,8 @@
-//! Every request of the protocol in every state of a board, through the dispatcher as the link calls it: its reply or its
-//! refusal with the reason. A refused request changes nothing.
+//! Every request of the protocol, in every state of a board, through the dispatcher like a request from the link. Each
+//! request must have its reply, or a refusal with a reason. A refused request must change nothing.
 //!
-//! After each request the board of tests/rig/board.rs asserts the safety invariants: no torque unless the motors are on,
-//! and no limit raised, no flash written and no timer set while they are on.
+//! After each request the board of tests/rig/board.rs asserts the safety invariants. There is no torque unless the
+//! motors are on. While the motors are on, no limit is raised, no flash is written and no timer is set.
 
 use crate::rig::board::{Board, frame};
 use crate::rig::{self, device, five_bar};
@@ -23,54 +23,59 @@ use postcard_rpc::Endpoint;
 use postcard_rpc::header::VarHeader;
 use postcard_rpc::standard_icd::WireError;
 
-/// State of a board.
 #[derive(Clone, Copy, Debug, PartialEq)]
-enum Now {
-    /// New, without settings.
+enum BoardState {
     Bare,
-    /// Device and scene, motors that are not real.
+    /// Board with device and scene, and with motors that are not real.
     Ready,
-    /// Real motors, not homed yet.
+    /// Board with real motors that is not homed yet.
     Unhomed,
     Armed,
     Checking,
     Faulty,
 }
 
-const STATES: [Now; 6] = [Now::Bare, Now::Ready, Now::Unhomed, Now::Armed, Now::Checking, Now::Faulty];
+const STATES: [BoardState; 6] = [
+    BoardState::Bare,
+    BoardState::Ready,
+    BoardState::Unhomed,
+    BoardState::Armed,
+    BoardState::Checking,
+    BoardState::Faulty,
+];
 
-fn quiet() -> Scene<f32> {
+fn far_wall() -> Scene<f32> {
     rig::scene(1, &[rig::wall(-0.05, 500.0)])
 }
 
-fn board(now: Now) -> Board {
+fn board_in(now: BoardState) -> Board {
     let device = rig::device(&rig::paddle());
     let mut board = match now {
-        Now::Bare => return Board::new(true),
-        Now::Unhomed => return Board::ready(true, &device, &quiet()),
-        _ => Board::ready(false, &device, &quiet()),
+        BoardState::Bare => return Board::new(true),
+        BoardState::Unhomed => return Board::ready(true, &device, &far_wall()),
+        _ => Board::ready(false, &device, &far_wall()),
     };
     match now {
-        Now::Armed => board.ask::<Arm>(&()).unwrap().unwrap(),
-        Now::Checking => board.ask::<CheckPolarity>(&()).unwrap().unwrap(),
-        Now::Faulty => board.told = Some((Fault::GateDriver, None, 1.0)),
+        BoardState::Armed => board.ask::<Arm>(&()).unwrap().unwrap(),
+        BoardState::Checking => board.ask::<CheckPolarity>(&()).unwrap().unwrap(),
+        BoardState::Faulty => board.reported_fault = Some((Fault::GateDriver, None, 1.0)),
         _ => {}
     }
     board.tick();
     board
 }
 
-/// Returns rules with every limit at this share of the board's own limit.
-fn rules(share: f32) -> Rules {
-    let most = Limits::default();
+/// Returns rules in which every limit is `share` of the board's own limit.
+fn rules_with_share(share: f32) -> Rules {
+    let defaults = Limits::default();
     let limits = Limits {
-        torque: most.torque.map(|limit| share * limit),
-        current: most.current.map(|limit| share * limit),
-        continuous_current: most.continuous_current.map(|limit| share * limit),
-        speed: most.speed.map(|limit| share * limit),
-        power: share * most.power,
-        tip_force: share * most.tip_force,
-        ..most
+        torque: defaults.torque.map(|limit| share * limit),
+        current: defaults.current.map(|limit| share * limit),
+        continuous_current: defaults.continuous_current.map(|limit| share * limit),
+        speed: defaults.speed.map(|limit| share * limit),
+        power: share * defaults.power,
+        tip_force: share * defaults.tip_force,
+        ..defaults
     };
     Rules { limits, ..Rules::default() }
 }
@@ -80,7 +85,6 @@ fn gains(wall: u8, stiffness: f32) -> GainsRequest {
     GainsRequest { wall: Some(gains), estimator: None }
 }
 
-/// A function that sends a request to the board.
 type Ask = fn(&mut Board) -> Result<(), Refusal>;
 
 macro_rules! ask {
@@ -92,24 +96,24 @@ macro_rules! ask {
     };
 }
 
-/// A request by name, and its reply in each of [`STATES`].
+/// Name of a request, a function that sends the request, and the reply in each of [`STATES`].
 type RequestCase = (&'static str, Ask, [Result<(), Refusal>; 6]);
 
-/// Session of the tool that changes settings here.
+/// Session of the tool that changes settings in these tests.
 const SESSION: u32 = 4;
 
-fn commit(keys: &[Key]) -> Commit {
+fn commit_request(keys: &[Key]) -> Commit {
     Commit { session: SESSION, keys: keys.iter().copied().collect() }
 }
 
-fn staged<S: settings::Setting>(board: &mut Board, value: &S) -> Result<(), Refusal> {
+fn stage_setting<S: settings::Setting>(board: &mut Board, value: &S) -> Result<(), Refusal> {
     let entry = settings::encode(value).expect("the value fits an entry");
     board.ask::<StageEntry>(&WriteEntry { session: SESSION, key: S::KEY, entry }).expect("a reply")
 }
 
 fn restore_rules(board: &mut Board) -> Result<(), Refusal> {
-    staged(board, &rules(0.5))?;
-    board.ask::<CommitEntries>(&commit(&[Key::Rules])).expect("a reply")
+    stage_setting(board, &rules_with_share(0.5))?;
+    board.ask::<CommitEntries>(&commit_request(&[Key::Rules])).expect("a reply")
 }
 
 /// Returns the message of a tool whose key is pressed now.
@@ -122,13 +126,14 @@ fn arm_held(board: &mut Board) -> Result<(), Refusal> {
     board.ask::<ArmHeld>(&press).expect("a reply")
 }
 
-/// Returns the board's refusal of [`rules`] with a share above 1, which names the first entry of the first limit.
-fn too_high(share: f32) -> Refusal {
+/// Returns the refusal of [`rules_with_share`] with a share above 1. The refusal names the first entry of the first
+/// limit.
+fn too_high_refusal(share: f32) -> Refusal {
     let value = share * Limits::default().torque[0];
     Refusal::BadLimit(BadLimit { limit: Limit::Torque, joint: Some(0), value, least: 0.0, most: 5.0 })
 }
 
-fn table() -> Vec<RequestCase> {
+fn request_cases() -> Vec<RequestCase> {
     use Refusal::{Armed as On, BadTable, NoDevice, NotHomed};
     let ok = Ok(());
     let fault = Err(Refusal::Faulted(Fault::GateDriver));
@@ -142,10 +147,10 @@ fn table() -> Vec<RequestCase> {
         ("disarm", ask!(Disarm), always),
         ("clear", ask!(Clear), always),
         ("device", ask!(SetDevice, rig::device(&rig::paddle())), while_off),
-        ("scene", ask!(SetScene, quiet()), [Err(NoDevice), ok, ok, ok, Err(On), ok]),
+        ("scene", ask!(SetScene, far_wall()), [Err(NoDevice), ok, ok, ok, Err(On), ok]),
         (
             "scene of another rate",
-            ask!(SetScene, Scene { rate_hz: 4_000.0, ..quiet() }),
+            ask!(SetScene, Scene { rate_hz: 4_000.0, ..far_wall() }),
             [Err(NoDevice), ok, ok, Err(On), Err(On), ok],
         ),
         ("mass model", ask!(SetMassModel, MassModelData::Exact), while_off),
@@ -156,15 +161,19 @@ fn table() -> Vec<RequestCase> {
             [Err(BadTable), Err(BadTable), Err(BadTable), Err(On), Err(On), Err(BadTable)],
         ),
         ("gains", ask!(SetGains, gains(0, 300.0)), [Err(NoDevice), ok, ok, ok, ok, ok]),
-        ("unchanged rules", ask!(SetRules, rules(1.0)), always),
-        ("lower limits", ask!(SetRules, rules(0.5)), always),
-        ("limits above the board's", ask!(SetRules, rules(1.01)), [Err(too_high(1.01)); 6]),
+        ("unchanged rules", ask!(SetRules, rules_with_share(1.0)), always),
+        ("lower limits", ask!(SetRules, rules_with_share(0.5)), always),
+        ("limits above the board's", ask!(SetRules, rules_with_share(1.01)), [Err(too_high_refusal(1.01)); 6]),
         ("save", ask!(Save), while_off),
         (
             "stage a setting",
             ask!(
                 StageEntry,
-                WriteEntry { session: SESSION, key: Key::Rules, entry: settings::encode(&rules(0.5)).unwrap() }
+                WriteEntry {
+                    session: SESSION,
+                    key: Key::Rules,
+                    entry: settings::encode(&rules_with_share(0.5)).unwrap()
+                }
             ),
             while_off,
         ),
@@ -176,7 +185,7 @@ fn table() -> Vec<RequestCase> {
         ("restore", restore_rules, while_off),
         (
             "restore a setting that was not staged",
-            ask!(CommitEntries, Commit { session: SESSION + 1, ..commit(&[Key::Rules]) }),
+            ask!(CommitEntries, Commit { session: SESSION + 1, ..commit_request(&[Key::Rules]) }),
             [Refusal::BadEntry, Refusal::BadEntry, Refusal::BadEntry, On, On, Refusal::BadEntry].map(Err),
         ),
         ("name", ask!(SetName, "paddle".chars().collect::<Name>()), always),
@@ -186,7 +195,6 @@ fn table() -> Vec<RequestCase> {
     ]
 }
 
-/// Returns all settings that a tool can read.
 fn configuration(board: &mut Board) -> (Option<DeviceData>, Option<SceneData>, Rules, Vec<MaybeEntry>) {
     let entries = Key::ALL.map(|key| board.ask::<ReadEntry>(&key).unwrap()).to_vec();
     let device = board.ask::<GetDevice>(&()).unwrap();
@@ -195,9 +203,9 @@ fn configuration(board: &mut Board) -> (Option<DeviceData>, Option<SceneData>, R
 
 #[test]
 fn every_request_in_every_state_has_the_right_reply() {
-    for (name, ask, answers) in table() {
+    for (name, ask, answers) in request_cases() {
         for (now, expected) in STATES.into_iter().zip(answers) {
-            let mut board = board(now);
+            let mut board = board_in(now);
             let before = (configuration(&mut board), board.state());
             let answer = ask(&mut board);
             assert_eq!(answer, expected, "{name} while {now:?}");
@@ -214,34 +222,34 @@ fn every_request_in_every_state_has_the_right_reply() {
 #[test]
 fn reading_requests_change_no_state() {
     for now in STATES {
-        let mut board = board(now);
+        let mut board = board_in(now);
         let before = (configuration(&mut board), board.state());
         board.ask::<GetInfo>(&()).unwrap();
         board.ask::<GetDetails>(&()).unwrap();
         board.ask::<GetFaults>(&()).unwrap();
         board.ask::<Heartbeat>(&Beat::Here).unwrap();
-        // No force, and a lease of no time.
+        // A request without a force and without a lease only reads.
         board.ask::<Force>(&ForceRequest::default()).unwrap();
         assert_eq!(board.ask::<GetStatus>(&()).unwrap().state, before.1);
         assert_eq!((configuration(&mut board), board.state()), before, "{now:?}");
     }
 }
 
-/// A board prepares its gate drivers only if the control loop will not refuse to arm, so it asks first.
+/// Before a board prepares its gate drivers, it asks the control loop whether arming would be refused.
 #[test]
 fn asking_to_arm_has_the_reply_of_arming_and_changes_nothing() {
-    fn not_yet(press: Press) -> Press {
+    fn future_press(press: Press) -> Press {
         Press { seen: press.seen + 1, ..press }
     }
     type Commands = [fn(Press) -> Command<Box<Program<BoardMath>>>; 2];
     let pairs: [Commands; 4] = [
         [|_| Command::MayArm, |_| Command::Arm],
         [Command::MayArmHeld, Command::ArmHeld],
-        [|press| Command::MayArmHeld(not_yet(press)), |press| Command::ArmHeld(not_yet(press))],
+        [|press| Command::MayArmHeld(future_press(press)), |press| Command::ArmHeld(future_press(press))],
         [|_| Command::MayCheckPolarity, |_| Command::CheckPolarity],
     ];
     for (now, [may, does]) in STATES.into_iter().flat_map(|now| pairs.map(|pair| (now, pair))) {
-        let mut board = board(now);
+        let mut board = board_in(now);
         let press = press(&mut board);
         let before = (configuration(&mut board), board.ask::<GetStatus>(&()).unwrap());
         let answer = board.machine.control_loop.execute(may(press)).0;
@@ -250,14 +258,14 @@ fn asking_to_arm_has_the_reply_of_arming_and_changes_nothing() {
     }
 }
 
-/// Returns the endpoints of this board, without those of postcard-rpc, which the board does not serve.
+/// Returns the board's endpoints without those of postcard-rpc, which the board does not serve.
 fn own_endpoints() -> impl Iterator<Item = (&'static str, postcard_rpc::Key)> {
     ENDPOINTS.endpoints.iter().map(|(path, key, _)| (*path, *key)).filter(|(path, _)| path.starts_with("haptic/"))
 }
 
 #[test]
 fn the_tests_of_requests_cover_every_endpoint() {
-    // The two tests before have 19 endpoints that change something and 10 that read.
+    // The two tests above cover 19 endpoints that change something and 10 that only read.
     assert_eq!(own_endpoints().count(), 29, "an endpoint was added: add it to the tests of this file");
 }
 
@@ -272,18 +280,17 @@ fn limits_beyond_the_boards_own_and_invalid_numbers_are_refused() {
         (Limit::Power, 20.0, |limits, _, to| limits.power = to),
         (Limit::TipForce, 1_000.0, |limits, _, to| limits.tip_force = to),
     ];
-    /// Returns the refused limit.
     fn refused(answer: Result<(), Refusal>) -> BadLimit {
         match answer {
             Err(Refusal::BadLimit(bad)) => bad,
             other => panic!("{other:?}"),
         }
     }
-    let mut board = board(Now::Ready);
+    let mut board = board_in(BoardState::Ready);
     for (name, most, set) in sets {
         for axis in 0..3 {
             for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, f32::MAX, 0.0, -0.0, -1.0, 1.000_001 * most] {
-                let mut invalid = rules(0.5);
+                let mut invalid = rules_with_share(0.5);
                 set(&mut invalid.limits, axis, bad);
                 let bad_limit = refused(board.ask::<SetRules>(&invalid).unwrap());
                 let joint = (name != Limit::Power && name != Limit::TipForce).then_some(axis as u8);
@@ -293,31 +300,30 @@ fn limits_beyond_the_boards_own_and_invalid_numbers_are_refused() {
                 let text = Refusal::BadLimit(bad_limit).to_string();
                 assert!(text.contains(words) && text.contains(&format!("at most {most}{unit}")), "{text}");
             }
-            let mut edge = rules(0.5);
+            let mut edge = rules_with_share(0.5);
             set(&mut edge.limits, axis, most);
             assert_eq!(board.ask::<SetRules>(&edge).unwrap(), Ok(()), "{name:?} at the board's own limit");
         }
     }
     for (low, high) in [(7.9, 24.0), (10.0, 28.1), (20.0, 20.0), (f32::NAN, 24.0), (10.0, f32::NAN)] {
-        let mut invalid = rules(0.5);
+        let mut invalid = rules_with_share(0.5);
         (invalid.limits.bus_min, invalid.limits.bus_max) = (low, high);
         let bad_limit = refused(board.ask::<SetRules>(&invalid).unwrap());
         assert!(matches!(bad_limit.limit, Limit::BusMin | Limit::BusMax), "{low} to {high} V: {bad_limit}");
     }
     for host_seconds in [f32::NAN, f32::INFINITY, 0.0, -1.0, 0.009, 60.1] {
-        let invalid = Rules { host_seconds, ..rules(0.5) };
+        let invalid = Rules { host_seconds, ..rules_with_share(0.5) };
         assert_eq!(refused(board.ask::<SetRules>(&invalid).unwrap()).limit, Limit::HostSeconds, "{host_seconds} s");
     }
 }
 
-/// Invalid or extreme values.
-const POISON: [f32; 7] =
+const INVALID_NUMBERS: [f32; 7] =
     [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, f32::MAX, f32::MIN_POSITIVE / 8.0, -1.0e-45, -0.0];
 
-/// Sends a message with one of [`POISON`] at every place of its bytes to a ready board and to an armed board, arms if the
-/// board accepts that, and pushes through the wall. The board asserts its invariants. Returns how often it accepted and
-/// refused.
-fn poisoned<E: Endpoint>(message: &E::Request) -> (usize, usize)
+/// Sends a message to a ready board and to an armed board, with each of [`INVALID_NUMBERS`] written at every place of
+/// the message's bytes. Then arms if possible and pushes through the wall, while the board asserts its invariants.
+/// Returns the numbers of accepted and refused messages.
+fn check_invalid_numbers<E: Endpoint>(message: &E::Request) -> (usize, usize)
 where
     E::Request: serde::Serialize + Sized,
 {
@@ -327,12 +333,12 @@ where
         postcard::from_bytes::<Outcome>(body).unwrap_or(Err(Refusal::NotSupported)).is_ok()
     };
     let (mut accepted, mut refused) = (0, 0);
-    for now in [Now::Ready, Now::Armed] {
-        for poison in POISON {
+    for now in [BoardState::Ready, BoardState::Armed] {
+        for poison in INVALID_NUMBERS {
             for place in 0..=sound.len().saturating_sub(4) {
                 let mut bytes = sound.clone();
                 bytes[place..place + 4].copy_from_slice(&poison.to_le_bytes());
-                let mut board = board(now);
+                let mut board = board_in(now);
                 match outcome(&board.answer(&frame(E::REQ_KEY, &bytes)).unwrap()) {
                     true => accepted += 1,
                     false => refused += 1,
@@ -350,10 +356,10 @@ where
 
 #[test]
 fn a_message_with_an_invalid_number_is_refused_or_harmless() {
-    let scene = poisoned::<SetScene>(&quiet());
-    let gains = poisoned::<SetGains>(&gains(0, 300.0));
-    let rules = poisoned::<SetRules>(&rules(0.5));
-    let mass = poisoned::<SetMassModel>(&MassModelData::Frozen([1e-3; 6]));
+    let scene = check_invalid_numbers::<SetScene>(&far_wall());
+    let gains = check_invalid_numbers::<SetGains>(&gains(0, 300.0));
+    let rules = check_invalid_numbers::<SetRules>(&rules_with_share(0.5));
+    let mass = check_invalid_numbers::<SetMassModel>(&MassModelData::Frozen([1e-3; 6]));
     for (accepted, refused) in [scene, gains, rules, mass] {
         assert!(accepted > 10 && refused > 10, "{accepted} accepted, {refused} refused");
     }
@@ -373,15 +379,15 @@ fn a_force_with_an_invalid_number_is_refused_or_harmless() {
     };
     let sound = postcard::to_stdvec(&request).unwrap();
     let mut seen = Vec::new();
-    for poison in POISON {
+    for poison in INVALID_NUMBERS {
         for place in 0..=sound.len() - 4 {
             let mut bytes = sound.clone();
             bytes[place..place + 4].copy_from_slice(&poison.to_le_bytes());
-            let mut board = board(Now::Armed);
+            let mut board = board_in(BoardState::Armed);
             let answer = board.answer(&frame(Force::REQ_KEY, &bytes)).unwrap();
             let (_, body) = VarHeader::take_from_slice(&answer).unwrap();
             seen.push(postcard::from_bytes::<ForceAnswer>(body).map(|answer| answer.done).ok());
-            // The board asserts its own torques.
+            // The board asserts the limits of its own torques.
             (0..60).for_each(|_| board.tick());
             assert_eq!(board.state(), State::Armed, "{poison} at byte {place}");
         }
@@ -393,7 +399,7 @@ fn a_force_with_an_invalid_number_is_refused_or_harmless() {
 
 #[test]
 fn a_frame_without_a_request_gets_an_error_or_no_reply() {
-    let mut board = board(Now::Ready);
+    let mut board = board_in(BoardState::Ready);
     let error = |answer: Option<Vec<u8>>| {
         let answer = answer.expect("a reply");
         let (_, body) = VarHeader::take_from_slice(&answer).unwrap();
@@ -403,7 +409,7 @@ fn a_frame_without_a_request_gets_an_error_or_no_reply() {
     assert_eq!(board.answer(&[0xFF]), None);
     let unknown = postcard_rpc::Key::for_path::<()>("haptic/unheard-of");
     assert_eq!(error(board.answer(&frame(unknown, &[]))), WireError::UnknownKey);
-    // Too long for a request without a body, and invalid for the others.
+    // This body is too long for a request without a body, and invalid for every other request.
     for (path, key) in own_endpoints() {
         let before = board.state();
         assert_eq!(error(board.answer(&frame(key, &[0xFF; 700]))), WireError::DeserFailed, "{path}");
@@ -415,21 +421,21 @@ fn a_frame_without_a_request_gets_an_error_or_no_reply() {
 
 #[test]
 fn a_flash_failure_is_reported_and_changes_no_setting() {
-    let mut board = board(Now::Ready);
+    let mut board = board_in(BoardState::Ready);
     let before = configuration(&mut board);
-    board.machine.flash.broken = true;
+    board.machine.flash.fails = true;
     assert_eq!(board.ask::<Save>(&()).unwrap(), Err(Refusal::Flash));
     assert_eq!(configuration(&mut board), before);
-    board.machine.flash.broken = false;
+    board.machine.flash.fails = false;
     assert_eq!(board.ask::<Save>(&()).unwrap(), Ok(()));
-    assert!(board.machine.flash.kept.len() >= 4);
+    assert!(board.machine.flash.committed.len() >= 4);
 }
 
 #[test]
 fn saved_settings_are_in_force_after_a_restart_with_motors_off() {
-    let mut board = board(Now::Ready);
+    let mut board = board_in(BoardState::Ready);
     board.ask::<SetName>(&"left hand".chars().collect::<Name>()).unwrap().unwrap();
-    board.ask::<SetRules>(&rules(0.25)).unwrap().unwrap();
+    board.ask::<SetRules>(&rules_with_share(0.25)).unwrap().unwrap();
     board.ask::<Save>(&()).unwrap().unwrap();
     board.ask::<Arm>(&()).unwrap().unwrap();
     let before = configuration(&mut board);
@@ -440,19 +446,20 @@ fn saved_settings_are_in_force_after_a_restart_with_motors_off() {
     assert_eq!(settings::decode::<BoardName>(before.3[5].as_ref().unwrap()).unwrap().0.as_str(), "left hand");
 }
 
-/// Returns a paddle whose motor makes no back-EMF, because on this board the commanded currents flow at any speed.
+/// Returns a paddle without back-EMF, because the test board lets the commanded currents flow at any speed.
 fn paddle_without_back_emf() -> Description {
     let mut paddle = rig::paddle();
     paddle.joints[0].motor.as_mut().unwrap().back_emf = 0.0;
     paddle
 }
 
-/// Homes and checks the polarity of a paddle with some friction that turns with its torque (`way` 1) or against it (-1).
+/// Homes a paddle with some friction and runs the polarity check. The motor turns with its torque if `way` is 1, and
+/// against its torque if `way` is -1.
 fn polarity_check(board: &mut Board, way: f64) {
     board.ask::<Home>(&()).unwrap().unwrap();
     board.ask::<CheckPolarity>(&()).unwrap().unwrap();
     let from = board.samples.counts[0];
-    let (mut q, mut qd, rate) = (0.0, 0.0, f64::from(rig::RATE));
+    let (mut q, mut qd, rate) = (0.0, 0.0, f64::from(rig::RATE_HZ));
     for step in 0..(20.0 * rate) as u32 {
         if !board.state().drives() {
             break;
@@ -463,7 +470,7 @@ fn polarity_check(board: &mut Board, way: f64) {
         let torque = board.machine.control_loop.frame().motors.torque[0];
         qd += (way * f64::from(torque) - 2.0e-3 * qd) / 1.0e-4 / rate;
         q += qd / rate;
-        board.samples.counts[0] = from + (q / core::f64::consts::TAU * rig::COUNTS).round() as i32;
+        board.samples.counts[0] = from + (q / core::f64::consts::TAU * rig::COUNTS_PER_TURN).round() as i32;
         board.tick();
     }
     let _ = board.service.poll(&mut board.machine);
@@ -476,7 +483,7 @@ fn a_polarity_check_counts_for_the_checked_device_only() {
     if let Some(encoder) = &mut inverted.joints[0].encoder {
         encoder.inverted = true;
     }
-    let mut board = Board::ready(true, &device, &quiet());
+    let mut board = Board::ready(true, &device, &far_wall());
     polarity_check(&mut board, 1.0);
     for (loaded, known) in [(rig::device(&inverted), false), (rig::device(&rig::five_bar()), false), (device, true)] {
         board.ask::<SetDevice>(&loaded).unwrap().unwrap();
@@ -486,21 +493,20 @@ fn a_polarity_check_counts_for_the_checked_device_only() {
     }
 }
 
-/// Returns the checksum at the end of a device's entry.
-fn sum(device: &DeviceData) -> u32 {
+fn entry_checksum(device: &DeviceData) -> u32 {
     u32::from_le_bytes(*settings::encode(device).unwrap().last_chunk().unwrap())
 }
 
-/// Returns the device with a name that gives its entry this checksum. A CRC is linear, so letters with five free bits
-/// each are chosen whose changes sum to the missing difference.
-fn forged(device: &DeviceData, wanted: u32) -> DeviceData {
+/// Returns the device with a name that gives its entry the checksum `wanted`. A CRC is linear, so the name is built
+/// from letters with five free bits each, whose changes add up to the missing difference.
+fn with_checksum(device: &DeviceData, wanted: u32) -> DeviceData {
     let mut free = vec![];
     let named = |letters: &[u8; 10]| DeviceData { name: letters.map(char::from).iter().collect(), ..device.clone() };
-    let plain = sum(&named(&[b'@'; 10]));
+    let plain = entry_checksum(&named(&[b'@'; 10]));
     for bit in 0..50 {
         let mut letters = [0; 10];
         letters[bit / 5] = 1 << (bit % 5);
-        free.push((sum(&named(&letters.map(|changed| b'@' ^ changed))) ^ plain, letters));
+        free.push((entry_checksum(&named(&letters.map(|changed| b'@' ^ changed))) ^ plain, letters));
     }
     let (mut missing, mut chosen) = (plain ^ wanted, [b'@'; 10]);
     let add = |to: &mut [u8; 10], letters: &[u8; 10]| to.iter_mut().zip(letters).for_each(|(a, b)| *a ^= b);
@@ -526,19 +532,19 @@ fn a_device_with_a_forged_checksum_does_not_count_as_checked() {
     if let Some(encoder) = &mut inverted.joints[0].encoder {
         encoder.inverted = true;
     }
-    let inverted = forged(&rig::device(&inverted), sum(&device));
-    assert!(sum(&inverted) == sum(&device) && inverted.joints != device.joints);
+    let inverted = with_checksum(&rig::device(&inverted), entry_checksum(&device));
+    assert!(entry_checksum(&inverted) == entry_checksum(&device) && inverted.joints != device.joints);
     let known = |board: &mut Board| board.ask::<GetStatus>(&()).unwrap().polarity;
 
-    let mut board = Board::ready(true, &device, &quiet());
+    let mut board = Board::ready(true, &device, &far_wall());
     polarity_check(&mut board, 1.0);
     board.ask::<SetDevice>(&inverted).unwrap().unwrap();
     assert!(!known(&mut board), "loaded as {:?}", inverted.name);
     board.ask::<SetDevice>(&device).unwrap().unwrap();
     assert!(known(&mut board));
-    let restored = commit(&[Key::Device]);
+    let restored = commit_request(&[Key::Device]);
     for (device, expected) in [(&inverted, false), (&device, true)] {
-        staged(&mut board, device).unwrap();
+        stage_setting(&mut board, device).unwrap();
         board.ask::<CommitEntries>(&restored).unwrap().unwrap();
         assert_eq!(known(&mut board), expected, "restored as {:?}", device.name);
     }
@@ -551,18 +557,18 @@ fn a_device_with_a_forged_checksum_does_not_count_as_checked() {
 #[test]
 fn an_older_polarity_check_does_not_undo_a_failed_one() {
     let device = rig::device(&paddle_without_back_emf());
-    let mut board = Board::ready(true, &device, &quiet());
+    let mut board = Board::ready(true, &device, &far_wall());
     polarity_check(&mut board, 1.0);
     assert_eq!((board.state(), board.ask::<GetStatus>(&()).unwrap().polarity), (State::Disarmed, true));
-    // The motor's wires are swapped; the next check finds it.
+    // The motor's wires are swapped, which the next check must find.
     (0..200).for_each(|_| board.tick());
     polarity_check(&mut board, -1.0);
     let fault = board.ask::<GetStatus>(&()).unwrap().fault.map(|record| record.fault);
     assert_eq!(fault, Some(Fault::PolarityWrong));
     board.ask::<Clear>(&()).unwrap().unwrap();
-    // The polarity stays unknown if the same device is loaded, now and after a restart.
+    // The polarity must stay unknown if the same device is loaded, now and after a restart.
     board.ask::<SetDevice>(&device).unwrap().unwrap();
-    board.ask::<SetScene>(&quiet()).unwrap().unwrap();
+    board.ask::<SetScene>(&far_wall()).unwrap().unwrap();
     (0..200).for_each(|_| board.tick());
     board.ask::<Home>(&()).unwrap().unwrap();
     assert_eq!(board.ask::<Arm>(&()).unwrap(), Err(Refusal::PolarityUnchecked));
@@ -575,15 +581,15 @@ fn an_older_polarity_check_does_not_undo_a_failed_one() {
 
 #[test]
 fn a_fault_with_an_invalid_value_is_published_once() {
-    let mut board = board(Now::Ready);
-    board.told = Some((Fault::NotFinite, None, f32::NAN));
+    let mut board = board_in(BoardState::Ready);
+    board.reported_fault = Some((Fault::NotFinite, None, f32::NAN));
     board.tick();
     let published = (0..5).filter(|_| board.service.poll(&mut board.machine).is_some()).count();
     assert_eq!((published, board.service.faults().len()), (1, 1));
 }
 
-/// Returns the board's device with another mass, as from the backup of another board.
-fn heavier() -> DeviceData {
+/// Returns the board's device with twice the inertia, like a device from another board's backup.
+fn heavier_device() -> DeviceData {
     let mut description = paddle_without_back_emf();
     description.joints[0].inertia *= 2.0;
     rig::device(&description)
@@ -591,67 +597,67 @@ fn heavier() -> DeviceData {
 
 #[test]
 fn a_restore_changes_all_settings_or_none() {
-    let (low, high) = (rules(0.2), rules(0.9));
-    let board = |broken: bool| {
-        let mut board = board(Now::Ready);
+    let (low, high) = (rules_with_share(0.2), rules_with_share(0.9));
+    let board = |fails: bool| {
+        let mut board = board_in(BoardState::Ready);
         board.ask::<SetRules>(&low).unwrap().unwrap();
         board.ask::<Save>(&()).unwrap().unwrap();
-        staged(&mut board, &high).unwrap();
-        staged(&mut board, &heavier()).unwrap();
-        board.machine.flash.broken = broken;
+        stage_setting(&mut board, &high).unwrap();
+        stage_setting(&mut board, &heavier_device()).unwrap();
+        board.machine.flash.fails = fails;
         board
     };
-    let both = commit(&[Key::Rules, Key::Device]);
+    let both = commit_request(&[Key::Rules, Key::Device]);
     let now = |board: &mut Board| (board.ask::<GetRules>(&()).unwrap(), board.ask::<GetDevice>(&()).unwrap());
 
     // If the tool ends before its commit, nothing changes, now and after a restart.
-    let mut untouched = board(false);
-    let before = now(&mut untouched);
+    let mut uncommitted = board(false);
+    let before = now(&mut uncommitted);
     assert_eq!(before.0, low);
-    untouched.ask::<Restart>(&()).unwrap().unwrap();
-    assert_eq!(now(&mut untouched), before);
-    assert_eq!(untouched.ask::<CommitEntries>(&both).unwrap(), Err(Refusal::BadEntry), "staged in another run");
+    uncommitted.ask::<Restart>(&()).unwrap().unwrap();
+    assert_eq!(now(&mut uncommitted), before);
+    assert_eq!(uncommitted.ask::<CommitEntries>(&both).unwrap(), Err(Refusal::BadEntry), "staged in another run");
 
     // If the flash fails, neither RAM nor flash changes.
-    let mut failed = board(true);
-    assert_eq!(failed.ask::<CommitEntries>(&both).unwrap(), Err(Refusal::Flash));
-    assert_eq!(now(&mut failed), before);
+    let mut with_failing_flash = board(true);
+    assert_eq!(with_failing_flash.ask::<CommitEntries>(&both).unwrap(), Err(Refusal::Flash));
+    assert_eq!(now(&mut with_failing_flash), before);
 
-    // If one setting is refused, none changes.
-    let mut refused = board(false);
-    staged(&mut refused, &rules(1.5)).unwrap();
-    assert_eq!(refused.ask::<CommitEntries>(&both).unwrap(), Err(too_high(1.5)));
-    assert_eq!(now(&mut refused), before);
+    // If one setting is refused, no setting changes.
+    let mut with_bad_setting = board(false);
+    stage_setting(&mut with_bad_setting, &rules_with_share(1.5)).unwrap();
+    assert_eq!(with_bad_setting.ask::<CommitEntries>(&both).unwrap(), Err(too_high_refusal(1.5)));
+    assert_eq!(now(&mut with_bad_setting), before);
 
-    // All settings fit and change together.
-    let mut done = board(false);
-    done.ask::<CommitEntries>(&both).unwrap().unwrap();
-    assert_eq!(now(&mut done), (high, Some(heavier())));
-    assert!(!done.ask::<GetStatus>(&()).unwrap().homed, "another device must be homed");
-    done.ask::<Restart>(&()).unwrap().unwrap();
-    assert_eq!(now(&mut done), (high, Some(heavier())), "after a restart");
+    // If all settings fit, all change together.
+    let mut restored = board(false);
+    restored.ask::<CommitEntries>(&both).unwrap().unwrap();
+    assert_eq!(now(&mut restored), (high, Some(heavier_device())));
+    assert!(!restored.ask::<GetStatus>(&()).unwrap().homed, "another device must be homed");
+    restored.ask::<Restart>(&()).unwrap().unwrap();
+    assert_eq!(now(&mut restored), (high, Some(heavier_device())), "after a restart");
 }
 
-/// A tool ends after it staged settings. The next tool commits them, or stages others and commits.
+/// A tool stages settings and ends. The next tool tries to commit them, with or without its own settings.
 #[test]
 fn a_tool_cannot_commit_the_settings_of_another_tool() {
-    let mut board = board(Now::Ready);
+    let mut board = board_in(BoardState::Ready);
     let before = board.ask::<GetRules>(&()).unwrap();
-    staged(&mut board, &rules(0.9)).unwrap();
-    let another = |keys: &[Key]| Commit { session: SESSION + 1, ..commit(keys) };
+    stage_setting(&mut board, &rules_with_share(0.9)).unwrap();
+    let another = |keys: &[Key]| Commit { session: SESSION + 1, ..commit_request(keys) };
     assert_eq!(board.ask::<CommitEntries>(&another(&[Key::Rules])).unwrap(), Err(Refusal::BadEntry));
-    let entry = settings::encode(&heavier()).unwrap();
+    let entry = settings::encode(&heavier_device()).unwrap();
     board.ask::<StageEntry>(&WriteEntry { session: SESSION + 1, key: Key::Device, entry }).unwrap().unwrap();
     let both = another(&[Key::Rules, Key::Device]);
     assert_eq!(board.ask::<CommitEntries>(&both).unwrap(), Err(Refusal::BadEntry));
     assert_eq!(board.ask::<GetRules>(&()).unwrap(), before);
-    // The first tool cannot commit either, after another tool has begun.
-    assert_eq!(board.ask::<CommitEntries>(&commit(&[Key::Rules])).unwrap(), Err(Refusal::BadEntry));
+    // The first tool cannot commit either, because another tool has begun.
+    assert_eq!(board.ask::<CommitEntries>(&commit_request(&[Key::Rules])).unwrap(), Err(Refusal::BadEntry));
     board.ask::<CommitEntries>(&another(&[Key::Device])).unwrap().unwrap();
-    assert_eq!(board.ask::<GetDevice>(&()).unwrap(), Some(heavier()));
+    assert_eq!(board.ask::<GetDevice>(&()).unwrap(), Some(heavier_device()));
 }
 
-/// A tool of any version can stop a board of any version, so these bytes must never change.
+/// These bytes must never change, because a tool of any version must be able to stop a board of any version.
 #[test]
 fn the_request_to_disarm_is_the_same_in_every_version() {
     use postcard_rpc::Endpoint as _;
@@ -665,7 +671,7 @@ fn a_board_with_real_motors_starts_with_a_limit_of_5_newtons() {
     let limits = |real| Board::new(real).ask::<GetRules>(&()).unwrap().limits;
     assert_eq!(limits(true), Limits { tip_force: 5.0, ..Limits::default() });
     assert_eq!(limits(false), Limits::default(), "without motors no limit is needed");
-    // The rules can raise the limit, up to the board's own.
+    // The rules can raise the limit up to the board's own limit.
     let mut board = Board::new(true);
     let stronger = Limits { tip_force: 9.0, ..limits(true) };
     let rules = Rules { limits: stronger, ..board.ask::<GetRules>(&()).unwrap() };
@@ -691,18 +697,18 @@ fn a_refused_chunk_leaves_the_table_in_force() {
     let grid = Grid { interpolation: Interpolation::Bilinear, points: [2, 2], low: [0.0; 2], spacing: [0.5; 2] };
     let table = MassModelData::Table(grid, checksum(&values));
     service.set_mass_model(&mut machine, table.clone()).unwrap();
-    // Every new program sets the carrier.
-    let installed = machine.retimed;
+    // Every new program sets the carrier, which `carrier_sets` counts.
+    let installed = machine.carrier_sets;
     for bad in [chunk(7, &[1.0]), chunk(0, &[f32::NAN]), chunk(0, &[f32::INFINITY; 12])] {
         let refused = service.receive_table(&mut machine, &bad);
         assert_eq!(refused, Err(Refusal::BadTable), "{bad:?}");
-        assert_eq!(machine.retimed, installed, "{bad:?} put another mass model in force");
+        assert_eq!(machine.carrier_sets, installed, "{bad:?} put another mass model in force");
         assert_eq!(service.set_mass_model(&mut machine, table.clone()), Ok(()), "{bad:?} made the table incomplete");
-        machine.retimed = installed;
+        machine.carrier_sets = installed;
     }
 }
 
-/// A table belongs to one device's mass matrix, so another device does not accept it.
+/// A table belongs to one device's mass matrix, so another device must not accept it.
 #[test]
 fn a_table_sent_before_a_device_is_not_accepted_for_it() {
     let values = [[1.0e-3_f32, 1.0e-4, 1.0e-3]; 4].concat();
@@ -712,25 +718,25 @@ fn a_table_sent_before_a_device_is_not_accepted_for_it() {
     let (first, second) = (device(&five_bar()), DeviceData { weight: true, ..device(&five_bar()) });
     let loaded = |board: &mut Board| board.ask::<SetDevice>(&second).unwrap().unwrap();
     let restored = |board: &mut Board| {
-        staged(board, &second).unwrap();
-        board.ask::<CommitEntries>(&commit(&[Key::Device])).unwrap().unwrap();
+        stage_setting(board, &second).unwrap();
+        board.ask::<CommitEntries>(&commit_request(&[Key::Device])).unwrap().unwrap();
     };
     for another in [&loaded as &dyn Fn(&mut Board), &restored] {
-        let mut board = board(Now::Bare);
+        let mut board = board_in(BoardState::Bare);
         board.ask::<SetDevice>(&first).unwrap().unwrap();
         board.ask::<SendTable>(&chunk).unwrap().unwrap();
         another(&mut board);
         assert_eq!(board.ask::<SetMassModel>(&table).unwrap(), Err(Refusal::BadTable));
-        // The device accepts the table if it is sent again.
+        // The second device accepts the table if it is sent again.
         board.ask::<SendTable>(&chunk).unwrap().unwrap();
         assert_eq!(board.ask::<SetMassModel>(&table).unwrap(), Ok(()));
     }
 }
 
-/// A saved mass model belongs to the saved scene, so a start puts both in force.
+/// A saved mass model belongs to the saved scene, so a start must put both in force.
 #[test]
 fn a_start_restores_a_frozen_mass_matrix_with_its_scene() {
-    let mut board = board(Now::Ready);
+    let mut board = board_in(BoardState::Ready);
     let frozen = MassModelData::Frozen([1.0e-3; 6]);
     assert_eq!(board.ask::<SetMassModel>(&frozen).unwrap(), Ok(()));
     assert_eq!(board.ask::<Save>(&()).unwrap(), Ok(()));

@@ -1,4 +1,4 @@
-//! Settings decode to the encoded value or are refused. The tests fail if a layout changes without its version.
+//! Settings decode to the encoded value or are refused. A changed layout without a new version fails these tests.
 
 use crate::rig;
 use haptic_bridge::board::settings::{BoardName, Damage, Key, LONGEST_SETTING, Polarity, Setting, decode, encode};
@@ -50,15 +50,15 @@ fn full_rules() -> Rules {
     }
 }
 
-/// Returns a device as the first firmware stored it: its joint angles at count 0 are those of the description, even if
-/// home is between two counts. Boards in the field have such entries.
+/// Returns a device like those that the first firmware stored. The angles at count 0 equal the description's home, even
+/// if it is between two counts. Boards in the field have such entries.
 fn stored_device() -> Device<f32> {
     let five_bar = rig::five_bar();
     let home = five_bar.home.map(|home| home.map(|q| q as f32));
     Device { home, ..rig::device(&Description { home: None, ..five_bar }) }
 }
 
-/// Returns one encoded value of every setting with its key.
+/// Returns one encoded value of every setting, with the setting's key.
 fn specimens() -> Vec<(Key, Vec<u8>)> {
     fn entry<S: Setting>(value: &S) -> (Key, Vec<u8>) {
         (S::KEY, encode(value).expect("the value fits an entry").to_vec())
@@ -128,7 +128,7 @@ fn a_shortened_or_extended_entry_is_refused() {
     }
 }
 
-/// Changes the body of an entry and adds the matching checksum.
+/// Changes the body of an entry and appends the matching checksum.
 fn with_changed_body(entry: &[u8], change: impl Fn(&mut Vec<u8>)) -> Vec<u8> {
     let mut body = entry[..entry.len() - 4].to_vec();
     change(&mut body);
@@ -187,7 +187,7 @@ fn a_scene_of_version_1_keeps_its_velocity_terms() {
 
 #[test]
 fn rules_without_a_tip_force_limit_get_a_low_limit() {
-    // The entry `rules 1` of tests/golden/settings.txt when version 1 was the newest.
+    // This is the entry `rules 1` of tests/golden/settings.txt from the time when version 1 was the newest.
     let hex = "03019a99993e9a99993e9a99993e0000404000004040000040400000803f0000803f0000803f0000a0410000a0410000a041\
                00000040000020410000e041010000803e01c0a907018040cea6abd0";
     let entry: Vec<u8> =
@@ -202,7 +202,7 @@ fn rules_without_a_tip_force_limit_get_a_low_limit() {
     assert_eq!(serde_json::from_value::<Rules>(json).expect("readable rules"), rules);
 }
 
-/// Reads the entry of a scene of an earlier version from tests/golden.
+/// Reads a scene's entry of an earlier version from tests/golden.
 fn earlier_scene_entry(version: u8) -> Vec<u8> {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("tests/golden/scene-{version}.txt"));
     let hex = std::fs::read_to_string(path).expect("the golden file is there");
@@ -252,7 +252,7 @@ fn a_scene_of_version_1_reads_from_a_json_backup() {
     assert!(serde_json::from_value::<Scene<f32>>(wrong).is_err());
 }
 
-/// Boards in the field have these bytes. They must always decode to the same values, or their version must change.
+/// Boards in the field have these bytes, which must always decode to the same values unless the version changes.
 /// `UPDATE_GOLDEN=1 cargo test settings` rewrites the file after a version was raised.
 #[test]
 fn entries_are_byte_for_byte_those_of_earlier_firmware() {

@@ -1,11 +1,11 @@
-//! A shape of a wall needs only its own file: a toy shape, and functions that follow from a shape's list of keys.
+//! A toy wall shape, defined in one impl, and the functions that follow from a shape's list of keys.
 
 use haptic_bridge::math::{Libm, Math, Real};
 use haptic_bridge::render::scene::shape::{Meaning, Shape, ShapeSpec, Values};
 use haptic_bridge::render::scene::{Contact, Cylinder, Plane, Sphere, Surface};
 use nalgebra::{SVector, Vector3};
 
-/// A slab: all points within half the thickness of a plane.
+/// A slab: all points within half the thickness from a plane.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Slab<T> {
     middle: [T; 3],

@@ -1,7 +1,7 @@
-//! Any implementation of `Stage` can be between a joint's torque and its motor: two toy stages run in the shipped
-//! control loop. Limits, fault checks and the thermal budget hold for them as for a brushed motor.
+//! Two toy motor stages run in the shipped control loop, because any `Stage` may be between a joint's torque and its
+//! motor. Limits, fault checks and the thermal budget hold for them as for a brushed motor.
 
-use crate::rig::{COUNTS, device, hardware, limits, paddle, rules, scene, wall};
+use crate::rig::{COUNTS_PER_TURN, device, hardware, limits, paddle, rules, scene, wall};
 use haptic_bridge::control::compiled::BoardMath;
 use haptic_bridge::control::frame::Samples;
 use haptic_bridge::control::joints::Currents;
@@ -17,7 +17,7 @@ use haptic_bridge::safety::fault::{Fault, State};
 #[derive(Clone, Copy, Debug, Default)]
 struct SetPoint {
     torque_constant: f32,
-    /// Current of a set-point of 1, A.
+    /// Current at a set-point of 1, A.
     full_scale: f32,
     max_current: f32,
     target: f32,
@@ -65,14 +65,15 @@ impl Stage for SetPoint {
     }
 }
 
-/// Samples of a motor with three phases: two currents, A, and the rotor's electrical angle, rad.
+/// Samples of a three-phase motor: two currents (A), and the rotor's electrical angle (rad).
 #[derive(Clone, Copy, Debug, Default)]
 struct Phases {
     currents: [f32; 2],
     angle: f32,
 }
 
-/// A synchronous motor with its current across the rotor's field: a proportional loop in the rotor's frame.
+/// A synchronous motor with a proportional current loop in the rotor's frame. The current is perpendicular to the
+/// field.
 #[derive(Clone, Copy, Debug, Default)]
 struct FieldOriented {
     set_point: SetPoint,
@@ -127,13 +128,13 @@ impl Stage for FieldOriented {
     }
 }
 
-/// An armed paddle with this kind of motor stage, its tip 1 cm deep in a wall.
-struct Pressed<S: Stage> {
+/// An armed paddle with a motor stage of type `S` and its tip 1 cm deep in a wall.
+struct PressedRig<S: Stage> {
     control_loop: ControlLoop<Box<Program<BoardMath, S>>, S>,
     samples: Samples,
 }
 
-impl<S: Stage> Pressed<S> {
+impl<S: Stage> PressedRig<S> {
     fn into_a_wall(stiffness: f32) -> Self {
         let control_loop = ControlLoop::new(hardware(), rules());
         let mut rig = Self { control_loop, samples: Samples { bus_voltage: 24.0, ..Samples::default() } };
@@ -146,7 +147,7 @@ impl<S: Stage> Pressed<S> {
         rig.run(100);
         rig.execute(Command::Arm);
         rig.run(1_200);
-        let target = (-0.15 / std::f64::consts::TAU * COUNTS) as i32;
+        let target = (-0.15 / std::f64::consts::TAU * COUNTS_PER_TURN) as i32;
         while self::State::Armed == rig.control_loop.status().state && rig.samples.counts[0] > target {
             rig.samples.counts[0] -= 5;
             rig.run(1);
@@ -158,12 +159,11 @@ impl<S: Stage> Pressed<S> {
         assert_eq!(self.control_loop.execute(command).0, Ok(()));
     }
 
-    /// Runs `steps` control steps.
     fn run(&mut self, steps: u32) {
         for _ in 0..steps {
-            // The commanded current flows.
+            // The measured current equals the commanded current.
             self.samples.currents = Currents(self.control_loop.frame().motors.torque.map(|torque| torque / 0.1));
-            // A carrier of 20 kHz and a control rate of 2 kHz.
+            // Ten carrier periods of 20 kHz make one control step at 2 kHz.
             for _ in 0..10 {
                 self.control_loop.guard(&self.samples);
                 self.control_loop.check_slow_faults(&self.samples);
@@ -175,8 +175,8 @@ impl<S: Stage> Pressed<S> {
 
 #[test]
 fn an_amplifier_gets_the_current_of_the_walls_torque() {
-    // 1 cm at 250 N/m and an arm of 0.1 m: 0.25 N m, 2.5 A of 3 A.
-    let mut rig = Pressed::<SetPoint>::into_a_wall(250.0);
+    // 1 cm at 250 N/m and an arm of 0.1 m is 0.25 N m, or 2.5 A of 3 A.
+    let mut rig = PressedRig::<SetPoint>::into_a_wall(250.0);
     let drives = rig.control_loop.duties(24.0, &[(); MAX_JOINTS], false);
     assert!((drives[0] - 2.5 / 3.0).abs() < 0.01, "{drives:?}");
     rig.execute(Command::Disarm);
@@ -185,14 +185,14 @@ fn an_amplifier_gets_the_current_of_the_walls_torque() {
 
 #[test]
 fn limits_and_the_thermal_budget_hold_for_an_amplifier() {
-    let mut rig = Pressed::<SetPoint>::into_a_wall(1.0e6);
-    let most = limits().torque[0];
+    let mut rig = PressedRig::<SetPoint>::into_a_wall(1.0e6);
+    let limit = limits().torque[0];
     assert!(
-        (rig.control_loop.frame().motors.torque[0] - most).abs() < 1.0e-6,
+        (rig.control_loop.frame().motors.torque[0] - limit).abs() < 1.0e-6,
         "{:?}",
         rig.control_loop.frame().motors.torque
     );
-    // (3² - 1²) A² for 4 s at 2 kHz; the count alternates, so that the encoder does not look stuck.
+    // 3 A use up the budget of (3² - 1²) A² in 4 s. The count alternates so that the encoder does not look stuck.
     for step in 0..8_400 {
         rig.samples.counts[0] += if step % 2 == 0 { 1 } else { -1 };
         rig.run(1);
@@ -203,19 +203,18 @@ fn limits_and_the_thermal_budget_hold_for_an_amplifier() {
 
 #[test]
 fn a_field_oriented_motor_has_its_voltage_across_the_field() {
-    let mut rig = Pressed::<FieldOriented>::into_a_wall(250.0);
+    let mut rig = PressedRig::<FieldOriented>::into_a_wall(250.0);
     for angle in [0.0_f32, 1.0, 2.5, -2.0] {
         let current = rig.control_loop.frame().motors.torque[0] / 0.1;
-        // 2.5 A flow across the field.
+        // 2.5 A flow perpendicular to the field.
         let phase = |shift: f32| -current * (angle - shift).sin();
         let third = std::f32::consts::TAU / 3.0;
         let mut phases = [Phases::default(); MAX_JOINTS];
         phases[0] = Phases { currents: [phase(0.0), phase(third)], angle };
         let drives = rig.control_loop.duties(24.0, &phases, false);
-        // The resistance is 2 ohm.
         let expected = [0.0, third, -third].map(|shift| 2.0 * phase(shift) / 24.0);
         for (drive, expected) in drives[0].iter().zip(expected) {
-            assert!((drive - expected).abs() < 1.0e-5, "{angle}: {:?} {expected:?}", drives[0]);
+            assert!((drive - expected).abs() < 1.0e-5, "{angle} rad: {:?}, expected {expected:?}", drives[0]);
         }
         assert!((rig.control_loop.frame().motors.duty[0] - 2.0 * current / 24.0).abs() < 1.0e-5);
     }

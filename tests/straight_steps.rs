@@ -1,8 +1,8 @@
-//! Straight steps against the general step, for random devices, scenes and motions. All numbers are equal bit for bit
-//! except torques and forces, which a straight step may sum in another order: these are within a few roundings of their
-//! parts.
+//! Compares straight steps with the general step for random devices, scenes and motions. All numbers are equal bit for
+//! bit, except torques and forces. A straight step may sum them in another order, so they may differ by a few roundings
+//! of their parts.
 
-use crate::common::{Draw, NUMBERS, device};
+use crate::common::{Draw, NUMBERS_PER_CASE, random_device};
 use haptic_bridge::control::compiled::BoardMath;
 use haptic_bridge::math::{Libm, Math, Real};
 use haptic_bridge::model::catalogue::Kind;
@@ -15,15 +15,14 @@ use haptic_bridge::render::velocity::{Estimator, Washout};
 use haptic_bridge::with_mechanism;
 use nalgebra::SVector;
 
-const CASES: usize = 200;
-const STEPS: usize = 100;
+const CASES_PER_MECHANISM: usize = 200;
+const STEPS_PER_CASE: usize = 100;
 const COUNTS_PER_TURN: f64 = 20_000.0;
-const RATE: f64 = 20_000.0;
+const RATE_HZ: f64 = 20_000.0;
 
-/// The host's force in each direction, N.
-const PUSH: f64 = 0.3;
+const PUSH_N: f64 = 0.3;
 
-/// Numbers in [0, 1), the same in every run (upper half of Knuth's 64-bit linear congruential generator).
+/// Numbers in [0, 1), the same in every run (the upper half of Knuth's 64-bit linear congruential generator).
 struct Stream(u64);
 
 impl Stream {
@@ -33,49 +32,45 @@ impl Stream {
     }
 
     fn list(&mut self) -> Vec<f64> {
-        (0..NUMBERS).map(|_| self.next().min(0.999_999)).collect()
+        (0..NUMBERS_PER_CASE).map(|_| self.next().min(0.999_999)).collect()
     }
 }
 
-/// Number of steps of each kind that straight steps handle specially.
+/// Number of steps for each condition that straight steps handle specially.
 #[derive(Default, Debug)]
 struct Coverage {
-    empty: usize,
-    free: usize,
-    one: usize,
-    several: usize,
-    round: usize,
-    spring: usize,
-    /// Steps with one round wall whose velocity terms follow its normal.
-    turning: usize,
-    /// Steps with touched walls and springs.
-    with_spring: usize,
-    /// Steps with touched walls and the host's plane.
-    with_plane: usize,
-    faded: usize,
-    off: usize,
-    damped: usize,
-    owed: usize,
-    /// Steps of scenes that have a straight step.
-    straight: usize,
-    /// Largest difference of torques in roundings.
-    difference: f64,
+    no_walls: usize,
+    no_contact: usize,
+    one_contact: usize,
+    several_contacts: usize,
+    only_round_walls: usize,
+    springs: usize,
+    /// Steps with one round wall whose velocity terms follow the turning normal.
+    turning_normal: usize,
+    shaped_with_spring: usize,
+    shaped_with_plane: usize,
+    partly_shaped: usize,
+    unshaped: usize,
+    passivity_damped: usize,
+    energy_debt: usize,
+    straight_steps: usize,
+    largest_difference: f64,
 }
 
-/// Draws a scene with flat or round walls near `place`, with all features of straight steps and some that only the
-/// general step has.
+/// Draws a scene with flat or round walls near `place`, with all features of straight steps and some features that only
+/// the general step has.
 fn scene<T: Real>(draw: &mut Draw<'_>, place: &[f64], task: usize) -> Scene<T> {
     let choice = |draw: &mut Draw<'_>, count: usize| (draw.within(0.0, count as f64) as usize).min(count - 1);
     let mut scene = Scene::<f64> {
         task: task as u8,
-        rate_hz: RATE,
+        rate_hz: RATE_HZ,
         velocity_terms: [VelocityTerms::Off, VelocityTerms::Paper, VelocityTerms::Rendered][choice(draw, 3)],
         estimator: [Estimator::Butterworth, Estimator::FirstOrder, Estimator::BackwardDifference][choice(draw, 3)],
         gravity_compensation: choice(draw, 2) == 0,
         ..Scene::default()
     };
     let [first, flat, spring] = [choice(draw, 4), choice(draw, 2), choice(draw, 6)];
-    // Sometimes two facets of nearly one wall, sometimes the same wall twice.
+    // Some scenes have two facets of nearly one wall, some have the same wall twice.
     let nearly = [0.0, 0.01, 1.0, 1.0][choice(draw, 4)];
     let mut before: Option<[f64; 3]> = None;
     for _ in 0..[0, 1, 2, 3][first] {
@@ -109,7 +104,7 @@ fn scene<T: Real>(draw: &mut Draw<'_>, place: &[f64], task: usize) -> Scene<T> {
     if spring == 0 {
         scene.field_damping = 0.3;
     }
-    // Adds up to two springs, to points or lines. A quarter of the springs have only damping.
+    // Up to two springs lead to points or lines. Some have only damping.
     for _ in 0..[1, 2, 0, 0, 1, 0][spring] {
         let away = draw.within(-0.02, 0.02);
         let point = core::array::from_fn(|i| place.get(i).map_or(0.0, |x| if i < task { x + away } else { 0.0 }));
@@ -121,11 +116,11 @@ fn scene<T: Real>(draw: &mut Draw<'_>, place: &[f64], task: usize) -> Scene<T> {
     scene.cast()
 }
 
-/// Draws a plane of the host near `place`. A fifth of the planes have only damping.
+/// Draws a plane of the host near `place`. Some planes have only damping.
 fn pushed_plane<T: Real>(draw: &mut Draw<'_>, place: &[f64], task: usize) -> PushedPlane<T> {
     let direction: [f64; 3] = draw.list(-1.0, 1.0);
     let length = direction.iter().take(task).map(|x| x * x).sum::<f64>().sqrt().max(1.0e-3);
-    // The normal is shorter than 1 while the plane moves between two others.
+    // A plane that moves between two others has a normal shorter than 1.
     let size = draw.within(0.5, 1.0) / length;
     let normal: [f64; 3] = core::array::from_fn(|i| if i < task { direction[i] * size } else { 0.0 });
     let at = normal.iter().zip(place).map(|(n, x)| n * x).sum::<f64>() + draw.within(-0.01, 0.02);
@@ -134,8 +129,8 @@ fn pushed_plane<T: Real>(draw: &mut Draw<'_>, place: &[f64], task: usize) -> Pus
     PushedPlane { normal: normal.map(T::from_f64), offset, stiffness, damping }
 }
 
-/// Returns the sum of the sizes of all forces except the walls' (N), and the tip's acceleration from turning normals,
-/// m/s².
+/// Returns the sum of the sizes of all forces except wall forces (N), and the tip's acceleration from turning normals
+/// (m/s²).
 fn other_forces<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize>(
     mechanism: &M,
     scene: &Scene<T>,
@@ -160,12 +155,11 @@ fn other_forces<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize>(
     (springs.sum::<f64>() + plane + scene.field_damping.to_f64() * speed, bends.sum())
 }
 
-/// Allowed error in roundings of the size of a torque's parts. About forty operations lead from the parts to the torque
-/// of one wall, and twice as many for several walls; the largest measured error is 6.
-const ROUNDINGS: f64 = 16.0;
+/// Allowed error in roundings of a torque's parts. About forty operations lead from the parts to the torque of one
+/// wall, and twice as many for several walls. The largest measured error is 6.
+const MAX_ROUNDINGS: f64 = 16.0;
 
-/// Computes the difference of torques and forces in roundings.
-fn roundings<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize>(
+fn difference_in_roundings<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize>(
     mechanism: &M,
     fast: &Step<T, N>,
     slow: &Step<T, N>,
@@ -173,8 +167,7 @@ fn roundings<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize>(
 ) -> f64 {
     let pose = mechanism.pose::<K>(&slow.q);
     let largest = |v: &SVector<T, N>| v.iter().fold(0.0_f64, |most, x| most.max(x.to_f64().abs()));
-    // The parts through Jᵀ in each direction may be much larger than their sum, and so may the parts of the inertia in
-    // each direction.
+    // The parts in each direction, through Jᵀ or of the inertia, may be much larger than their sum.
     let (mut through, mut shaped, mut inertial) = (0.0, 0.0, 0.0);
     for i in 0..M::SPEC.task {
         let mut unit = SVector::<T, N>::zeros();
@@ -185,7 +178,7 @@ fn roundings<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize>(
         inertial += largest(&shaping.me);
     }
     let force =
-        other + slow.force_squared.to_f64().max(0.0).sqrt() + slow.wall_force.to_f64().abs() + 3.0_f64.sqrt() * PUSH;
+        other + slow.force_squared.to_f64().max(0.0).sqrt() + slow.wall_force.to_f64().abs() + 3.0_f64.sqrt() * PUSH_N;
     let moving = largest(&mechanism.velocity_torque(&pose, &slow.qd));
     let parts = largest(&slow.gravity) + (through + shaped) * force + moving + inertial * turning;
     let apart = largest(&(fast.torque - slow.torque)).max(largest(&(fast.rendered - slow.rendered)));
@@ -194,7 +187,7 @@ fn roundings<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize>(
     (apart / (unit * parts)).max(force_difference / (unit * force * force))
 }
 
-/// Returns the state of a controller as text, without the commanded torques, which may differ by some roundings.
+/// Returns a controller's state as text, without the commanded torques, which may differ by some roundings.
 fn state_text(controller: &impl std::fmt::Debug) -> String {
     let all = format!("{controller:?}");
     let (before, rest) = all.split_once("held: ").expect("the walls' torques");
@@ -224,8 +217,8 @@ fn compare_steps<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize>(
     let plane = if draw.within(0.0, 1.0) < 0.5 { plane } else { PushedPlane::default() };
     let (mut push, mut variant) = (None, String::new());
     let mut going: [f64; N] = draw.list(-1.0, 1.0);
-    for nth in 0..STEPS {
-        if let (true, Some(wall)) = (nth == STEPS / 2, scene.walls.first()) {
+    for nth in 0..STEPS_PER_CASE {
+        if let (true, Some(wall)) = (nth == STEPS_PER_CASE / 2, scene.walls.first()) {
             let (feed_forward, washout_hz) = (FeedForward::Washout, wall.washout_hz);
             let half = T::from_f64(0.5);
             let gains =
@@ -233,9 +226,9 @@ fn compare_steps<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize>(
             let washout = Washout::new(washout_hz, scene.rate_hz).expect("a corner");
             straight.set_gains(&gains, &washout);
         }
-        if nth % (STEPS / 4) == 0 {
+        if nth % (STEPS_PER_CASE / 4) == 0 {
             // The host pushes in every second quarter of the motion, sometimes with a plane.
-            push = (nth / (STEPS / 4) % 2 == 1).then_some(Push { force: [T::from_f64(PUSH); 3], plane });
+            push = (nth / (STEPS_PER_CASE / 4) % 2 == 1).then_some(Push { force: [T::from_f64(PUSH_N); 3], plane });
             straight.set_push(push.as_ref());
         }
         for (count, going) in counts.iter_mut().zip(&mut going) {
@@ -243,41 +236,43 @@ fn compare_steps<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize>(
             *count += pace * *going;
         }
         let at = counts.map(|count| count as i32);
-        // Both start from the same state, because the walls' energy depends on the torques of the previous step.
+        // Both controllers start from the same state, because the wall energy depends on the torques of the previous
+        // step.
         let mut general = straight.clone();
         let (fast, slow): (Step<T, N>, Step<T, N>) = (straight.step(&at), general.step_generally(&at));
-        if nth % (STEPS / 4) == STEPS / 4 - 1 {
+        if nth % (STEPS_PER_CASE / 4) == STEPS_PER_CASE / 4 - 1 {
             assert_eq!(state_text(&straight), state_text(&general), "{}: the states differ", M::SPEC.name);
         }
-        if nth % (STEPS / 4) == 0 {
+        if nth % (STEPS_PER_CASE / 4) == 0 {
             variant = format!("{straight:?}");
         }
         let other = other_forces::<T, M, K, N>(mechanism, &scene, push.as_ref(), &slow);
-        let apart = roundings::<T, M, K, N>(mechanism, &fast, &slow, other);
-        assert!(apart <= ROUNDINGS, "{}: {apart} roundings at {at:?} of {scene:?}", M::SPEC.name);
-        coverage.difference = coverage.difference.max(apart);
-        // The sum of several walls' forces may have another order, too.
+        let apart = difference_in_roundings::<T, M, K, N>(mechanism, &fast, &slow, other);
+        assert!(apart <= MAX_ROUNDINGS, "{}: {apart} roundings at {at:?} of {scene:?}", M::SPEC.name);
+        coverage.largest_difference = coverage.largest_difference.max(apart);
+        // The straight step may sum the forces of several walls in another order too.
         let fast = Step { torque: slow.torque, rendered: slow.rendered, force_squared: slow.force_squared, ..fast };
         assert_eq!(fast, slow, "{} at {at:?} of {scene:?}", M::SPEC.name);
-        coverage.straight +=
+        coverage.straight_steps +=
             usize::from(["variant: Wall", "variant: Round", "variant: Several"].iter().any(|it| variant.contains(it)));
         let round = |wall: &Wall<T>| matches!(wall.surface, Surface::Sphere(_));
-        coverage.empty += usize::from(scene.walls.is_empty());
-        coverage.free += usize::from(slow.contacts == 0);
-        coverage.one += usize::from(slow.contacts == 1);
-        coverage.several += usize::from(slow.contacts > 1);
-        coverage.round += usize::from(slow.contacts > 0 && scene.walls.iter().all(round));
-        coverage.spring += usize::from(!scene.springs.is_empty());
+        coverage.no_walls += usize::from(scene.walls.is_empty());
+        coverage.no_contact += usize::from(slow.contacts == 0);
+        coverage.one_contact += usize::from(slow.contacts == 1);
+        coverage.several_contacts += usize::from(slow.contacts > 1);
+        coverage.only_round_walls += usize::from(slow.contacts > 0 && scene.walls.iter().all(round));
+        coverage.springs += usize::from(!scene.springs.is_empty());
         let shaped = slow.contacts > 0
             && scene.walls.iter().any(|wall| wall.feed_forward != FeedForward::Off)
             && variant.contains("variant: Several");
-        coverage.turning += usize::from(slow.contacts > 0 && variant.contains("variant: Round"));
-        coverage.with_spring += usize::from(shaped && scene.springs.iter().any(|spring| spring.stiffness > T::zero()));
-        coverage.with_plane += usize::from(shaped && push.is_some_and(|push| push.plane.stiffness > T::zero()));
-        coverage.faded += usize::from(slow.shaping > T::zero() && slow.shaping < T::one());
-        coverage.off += usize::from(slow.shaping == T::zero());
-        coverage.damped += usize::from(slow.passivity_damping > T::zero());
-        coverage.owed += usize::from(slow.energy < T::zero() && scene.walls.iter().all(|wall| !wall.bilateral));
+        coverage.turning_normal += usize::from(slow.contacts > 0 && variant.contains("variant: Round"));
+        coverage.shaped_with_spring +=
+            usize::from(shaped && scene.springs.iter().any(|spring| spring.stiffness > T::zero()));
+        coverage.shaped_with_plane += usize::from(shaped && push.is_some_and(|push| push.plane.stiffness > T::zero()));
+        coverage.partly_shaped += usize::from(slow.shaping > T::zero() && slow.shaping < T::one());
+        coverage.unshaped += usize::from(slow.shaping == T::zero());
+        coverage.passivity_damped += usize::from(slow.passivity_damping > T::zero());
+        coverage.energy_debt += usize::from(slow.energy < T::zero() && scene.walls.iter().all(|wall| !wall.bilateral));
     }
 }
 
@@ -292,10 +287,10 @@ fn a_straight_step_equals_the_general_step_up_to_roundings() {
         (Kind::Serial3r, true),
     ] {
         let mut coverage = Coverage::default();
-        // Devices with two joints have their own straight steps.
-        for _ in 0..if kind == Kind::FiveBar { 4 * CASES } else { CASES } {
+        // Devices with two joints have their own straight steps, so more cases are drawn.
+        for _ in 0..if kind == Kind::FiveBar { 4 * CASES_PER_MECHANISM } else { CASES_PER_MECHANISM } {
             let numbers = stream.list();
-            let mut description = device(kind, &mut Draw::new(&numbers));
+            let mut description = random_device(kind, &mut Draw::new(&numbers));
             for joint in &mut description.joints {
                 joint.encoder = Some(Encoder { counts_per_turn: COUNTS_PER_TURN, offset: 0.0, inverted: false });
             }
@@ -306,19 +301,19 @@ fn a_straight_step_equals_the_general_step_up_to_roundings() {
         }
         println!("{kind:?}: {coverage:?}");
         let ways = [
-            coverage.empty,
-            coverage.free,
-            coverage.one,
-            coverage.several,
-            coverage.round,
-            coverage.spring,
-            coverage.damped,
-            coverage.owed,
+            coverage.no_walls,
+            coverage.no_contact,
+            coverage.one_contact,
+            coverage.several_contacts,
+            coverage.only_round_walls,
+            coverage.springs,
+            coverage.passivity_damped,
+            coverage.energy_debt,
         ];
         assert!(ways.iter().all(|times| *times > 100), "{kind:?}: {coverage:?}");
-        let planar = [coverage.turning, coverage.with_spring, coverage.with_plane];
+        let planar = [coverage.turning_normal, coverage.shaped_with_spring, coverage.shaped_with_plane];
         assert!(kind != Kind::FiveBar || planar.iter().all(|times| *times > 100), "{kind:?}: {coverage:?}");
-        assert!(coverage.straight > 2000, "{kind:?}: {coverage:?}");
-        assert!(!fade_reached || (coverage.faded > 10 && coverage.off > 10), "{kind:?}: {coverage:?}");
+        assert!(coverage.straight_steps > 2000, "{kind:?}: {coverage:?}");
+        assert!(!fade_reached || (coverage.partly_shaped > 10 && coverage.unshaped > 10), "{kind:?}: {coverage:?}");
     }
 }

@@ -1,7 +1,7 @@
-//! A program that replaces another keeps the values that do not change with a scene. They are the same as if the
-//! program had been the first.
+//! A program that replaces another keeps the values that do not change with a scene. These values must equal the values
+//! of a program that is loaded first.
 
-use crate::rig::{COUNTS, Rig, at_rate, five_bar, hardware, limits, paddle, quiet, rules, scene, wall};
+use crate::rig::{COUNTS_PER_TURN, Rig, at_rate, far_wall, five_bar, hardware, limits, paddle, rules, scene, wall};
 use haptic_bridge::control::frame::Samples;
 use haptic_bridge::control::joints::Counts;
 use haptic_bridge::control::{Command, Rules};
@@ -15,7 +15,7 @@ use haptic_bridge::safety::limits::Limits;
 fn prepared_values(rig: &Rig) -> String {
     let all = format!("{:?}", rig.control_loop);
     let part = |from: &str, to: &str| {
-        // The program has fields of the same names; the last ones belong to the control loop.
+        // The program has fields of the same names, but the last ones belong to the control loop.
         let begin = all.rfind(from).unwrap_or_else(|| panic!("{from}"));
         let end = begin + all[begin..].find(to).unwrap_or_else(|| panic!("{to}"));
         format!("{}\n", &all[begin..end])
@@ -38,7 +38,7 @@ fn load_scenes(first: Option<&Scene<f32>>, then: &Scene<f32>, change: impl Fn(&m
     rig
 }
 
-const RATES: [f32; 14] = [
+const RATES_HZ: [f32; 14] = [
     200.0,
     500.0,
     499.999_97,
@@ -57,18 +57,18 @@ const RATES: [f32; 14] = [
 
 #[test]
 fn a_scene_has_the_same_prepared_values_after_another_scene() {
-    let mut differ = Vec::new();
-    for first in RATES {
-        for then in RATES {
-            let y = Scene { gravity_compensation: true, ..at_rate(then, scene(2, &[wall(-0.3, 900.0)])) };
-            let (kept, own) =
+    let mut differences = Vec::new();
+    for first in RATES_HZ {
+        for second in RATES_HZ {
+            let y = Scene { gravity_compensation: true, ..at_rate(second, scene(2, &[wall(-0.3, 900.0)])) };
+            let (taken_over, fresh) =
                 (load_scenes(Some(&at_rate(first, scene(2, &[]))), &y, |_| ()), load_scenes(None, &y, |_| ()));
-            if prepared_values(&kept) != prepared_values(&own) {
-                differ.push((first, then));
+            if prepared_values(&taken_over) != prepared_values(&fresh) {
+                differences.push((first, second));
             }
         }
     }
-    assert!(differ.is_empty(), "{differ:?}");
+    assert!(differences.is_empty(), "{differences:?}");
 }
 
 #[test]
@@ -80,7 +80,7 @@ fn limits_changed_between_two_scenes_apply_to_the_second() {
     for rate in [200.0, 1_000.0, 7_000.0, 20_000.0, 50_000.0] {
         let (x, y) = (at_rate(rate, scene(2, &[])), at_rate(rate, scene(2, &[wall(-0.3, 900.0)])));
         for before in [true, false] {
-            // Like a restore: the program is built with the new rules, which are loaded after it.
+            // As in a restore, the program is built with the new rules, which are loaded after the program.
             let with = |first: Option<&Scene<f32>>| {
                 let mut rig = load_scenes(first, &y, |rig| {
                     rig.rules = other;
@@ -96,7 +96,7 @@ fn limits_changed_between_two_scenes_apply_to_the_second() {
     }
 }
 
-/// Returns the lowest speed (rad/s) that trips the limit of 20 rad/s, sampled at every crest of the true carrier.
+/// Returns the lowest speed (rad/s) that trips the limit of 20 rad/s, with samples at every crest of the true carrier.
 fn lowest_tripping_speed(first: Option<f32>, rate: f32) -> f64 {
     let limited = Rules { limits: Limits { power: 1.0e3, ..limits() }, ..rules() };
     let mut description = paddle();
@@ -104,12 +104,12 @@ fn lowest_tripping_speed(first: Option<f32>, rate: f32) -> f64 {
     let carrier_hz = f64::from(Carrier::for_rate(hardware().timer_hz, rate).carrier_hz());
     for tenths in 150..400 {
         let speed = f64::from(tenths) * 0.1;
-        let mut rig = Rig::with(&description, &at_rate(first.unwrap_or(rate), quiet()), hardware(), limited);
+        let mut rig = Rig::with(&description, &at_rate(first.unwrap_or(rate), far_wall()), hardware(), limited);
         if first.is_some() {
-            rig.load(&description, &at_rate(rate, quiet()), true).expect("a scene");
+            rig.load(&description, &at_rate(rate, far_wall()), true).expect("a scene");
         }
         rig.execute(Command::Arm).expect("everything is in place");
-        let counts_per_crest = COUNTS / std::f64::consts::TAU * speed / carrier_hz;
+        let counts_per_crest = COUNTS_PER_TURN / std::f64::consts::TAU * speed / carrier_hz;
         for crest in 0..(0.05 * carrier_hz) as i32 {
             let counts = Counts([(counts_per_crest * f64::from(crest)) as i32, 0, 0]);
             rig.control_loop.guard(&Samples { counts, ..rig.samples });
@@ -124,13 +124,13 @@ fn lowest_tripping_speed(first: Option<f32>, rate: f32) -> f64 {
 
 #[test]
 fn a_rounding_of_the_rate_does_not_move_the_speed_limit() {
-    let mut wrong = Vec::new();
-    for (first, then) in [(1_000.0, 999.999_94), (2_000.0, 1_999.999_9), (4_000.0, 3_999.999_8)] {
-        let (own, kept) = (lowest_tripping_speed(None, then), lowest_tripping_speed(Some(first), then));
-        println!("{first:?} then {then:?}: {own:.1} rad/s by itself, {kept:.1} rad/s after the other");
-        if (kept - own).abs() > 0.15 {
-            wrong.push((first, then, own, kept));
+    let mut differences = Vec::new();
+    for (first, second) in [(1_000.0, 999.999_94), (2_000.0, 1_999.999_9), (4_000.0, 3_999.999_8)] {
+        let (alone, after_first) = (lowest_tripping_speed(None, second), lowest_tripping_speed(Some(first), second));
+        println!("{first:?} then {second:?}: {alone:.1} rad/s by itself, {after_first:.1} rad/s after the other");
+        if (after_first - alone).abs() > 0.15 {
+            differences.push((first, second, alone, after_first));
         }
     }
-    assert!(wrong.is_empty(), "{wrong:?}");
+    assert!(differences.is_empty(), "{differences:?}");
 }

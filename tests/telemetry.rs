@@ -1,4 +1,4 @@
-//! Telemetry has a row for every step that it keeps, and the number of missing rows is known exactly.
+//! Telemetry has a row for every step that the stream keeps, and reports the exact number of missing rows.
 
 use crate::common::cases;
 use haptic_bridge::board::telemetry::{BATCH_BYTES, Batch, Field, Fields, Frames, Packer, StreamRequest};
@@ -44,7 +44,7 @@ fn a_row_holds_its_fields_in_their_order() {
     let batch = packer.flush().unwrap().clone();
     assert_eq!(batch.stream, 41, "the stream of the rows");
     assert_eq!((batch.first_step, batch.axes, width(&batch)), (9, 2, 4 + 4 + 4 + 4 + 1));
-    // IEEE 754: 9 = 1.125 * 2^3, 0.5 = 1 * 2^-1.
+    // IEEE 754: 9 = 1.125 · 2^3, 0.5 = 1 · 2^-1.
     assert_eq!(batch.rows[..8], [0, 0, 0x10, 0x41, 0, 0, 0, 0x3F]);
     assert_eq!(batch.rows[8..12], [0xF9, 0xFF, 0xFF, 0xFF], "-7");
     assert_eq!(batch.rows[12..16], [1, 0, 0, 1], "16777217, more than a float could hold");
@@ -108,7 +108,8 @@ proptest! {
         divider in 1_u32..5,
         start in prop_oneof![Just(0_u32), Just(u32::MAX - 100), any::<u32>()],
         fields in 1_u32..(1 << 17),
-        // For each row: 0 if the board drops it, and 0 if the link loses a batch that leaves with it.
+        // For each row two numbers. A first 0 makes the board drop the row, a second 0 makes the link lose a full
+        // batch.
         events in proptest::collection::vec((0_u8..8, 0_u8..6), 1..300),
     ) {
         let mut packer = packer(Fields(fields), divider, 2);
@@ -138,7 +139,7 @@ proptest! {
         let received: usize = arrived.iter().map(|batch| batch.rows.len() / width(batch)).sum();
         prop_assert_eq!(received + lost_on_link, sent);
         prop_assert_eq!(sent + dropped as usize, events.len());
-        // Rows have the steps that the batch states, and lost batches leave a gap in the numbers.
+        // Rows belong to the steps that the batch states, and lost batches leave a gap in the numbers.
         for batch in &arrived {
             if Fields(fields).has(Field::Angle) {
                 for (row, step) in (0..).zip(0..batch.rows.len() / width(batch)) {
@@ -157,10 +158,9 @@ proptest! {
     }
 }
 
-/// Queue of frames for a task.
-struct Queue(VecDeque<StepRecord>);
+struct FrameQueue(VecDeque<StepRecord>);
 
-impl Frames for Queue {
+impl Frames for FrameQueue {
     fn first(&self) -> Option<&StepRecord> {
         self.0.front()
     }
@@ -173,7 +173,7 @@ impl Frames for Queue {
 #[test]
 fn queued_frames_leave_in_order_and_the_rest_when_late() {
     let mut packer = packer(Fields(Field::Angle.bit()), 2, 1);
-    let mut queue = Queue((0..400).map(frame).collect());
+    let mut queue = FrameQueue((0..400).map(frame).collect());
     let full = packer.drain(&mut queue, 7, false).expect("200 rows are more than a batch").clone();
     assert_eq!((full.number, full.first_step, full.rows.len(), full.dropped), (0, 0, BATCH_BYTES, 7));
     assert!(packer.drain(&mut queue, 7, false).is_none());

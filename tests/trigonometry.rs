@@ -1,9 +1,9 @@
-//! The board's elementary functions against double precision.
+//! Compares the board's elementary functions with double precision.
 
 use haptic_bridge::math::{Angle, BinaryAngle, FineTable, Libm, Math, Minimax, Tabulated};
 use std::f64::consts::FRAC_PI_2;
 
-/// Returns the largest absolute error of sine and cosine for angles from -`turns` to `turns` turns.
+/// Returns the largest absolute error of sine and cosine for angles between -`turns` and `turns` turns.
 fn worst_error<K: Math<f32>>(turns: f32) -> f64 {
     let steps = 200_000;
     (-steps..=steps)
@@ -22,9 +22,9 @@ fn the_polynomials_have_errors_below_1_2e_7() {
     assert!(worst_error::<Libm>(1.0) < 1.2e-7, "{}", worst_error::<Libm>(1.0));
 }
 
-/// Computes the error of the board's sine and cosine of an encoder's angle.
+/// Computes the error of the board's sine and cosine for an encoder angle.
 fn table_error(parts: u32) -> f64 {
-    // The table ignores the radians, which are wrong here.
+    // The radians are wrong here, because the table must ignore them.
     let (sine, cosine) = Tabulated::sin_cos_of(Angle { radians: 7.0, binary: Some(BinaryAngle(parts)) });
     let exact = f64::from(parts) / 4_294_967_296.0 * core::f64::consts::TAU;
     (f64::from(sine) - exact.sin()).abs().max((f64::from(cosine) - exact.cos()).abs())
@@ -32,7 +32,7 @@ fn table_error(parts: u32) -> f64 {
 
 #[test]
 fn the_table_with_its_series_has_errors_below_1e_7() {
-    // Every 4099th angle, and the angles around the limits between entries of the table.
+    // Every 4099th angle is checked, and the angles at the limits between table entries.
     let limits = (0..256_u32).flat_map(|entry| {
         let end = (entry << 24) + (1 << 23);
         [end - 1, end, end + 1, entry << 24]
@@ -56,7 +56,7 @@ fn an_angle_without_parts_of_a_turn_is_in_radians() {
     assert_eq!((known(5) - Angle::from_radians(1.0)).binary, None);
 }
 
-/// Computes the error of the analysis' sine and cosine: absolute, and relative.
+/// Computes the absolute and the relative error of the sine and cosine that the analysis uses.
 fn fine_errors(angle: f64) -> [f64; 2] {
     let (sine, cosine) = FineTable::sin_cos(angle);
     let (exact_sine, exact_cosine) = angle.sin_cos();
@@ -66,12 +66,12 @@ fn fine_errors(angle: f64) -> [f64; 2] {
 
 #[test]
 fn sines_of_the_analysis_are_right_to_the_last_digits() {
-    // The error measured against 50 digits is 1.6e-16. The oracle here has an error of half a unit itself, 1.1e-16.
+    // The error against 50 digits is 1.6e-16. The oracle of this test has an error of half a unit itself (1.1e-16).
     let all_around = (-200_000..=200_000).map(|step| f64::from(step) * 1.5e-2);
     let worst = all_around.map(|angle| fine_errors(angle)[0]).fold(0.0, f64::max);
     assert!(worst < 2.7e-16, "{worst:e}");
     assert!(worst > 1.0e-17, "{worst:e}: no angle was checked");
-    // Near a zero the relative error counts, because a mechanism divides by the sine.
+    // The relative error counts near a zero, because a mechanism divides by the sine.
     for quarter in -64..=64 {
         for step in 1..=10_000 {
             let offset = f64::from(step) * 1.0e-6;
@@ -96,7 +96,7 @@ fn libm_computes_angles_beyond_the_fine_table() {
     assert!(fine_errors(3000.0)[0] < 2.7e-16 && fine_errors(-3000.0)[0] < 2.7e-16);
     for angle in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
         let (sine, cosine) = FineTable::sin_cos(angle);
-        assert!(sine.is_nan() && cosine.is_nan(), "{angle}: {sine}, {cosine}");
+        assert!(sine.is_nan() && cosine.is_nan(), "{angle} rad: sine {sine}, cosine {cosine}");
     }
 }
 
@@ -104,7 +104,7 @@ fn libm_computes_angles_beyond_the_fine_table() {
 fn invalid_angles_have_no_finite_sine() {
     for angle in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
         let (sine, cosine) = Minimax::sin_cos(angle);
-        assert!(!sine.is_finite() && !cosine.is_finite(), "{angle}: {sine}, {cosine}");
+        assert!(!sine.is_finite() && !cosine.is_finite(), "{angle} rad: sine {sine}, cosine {cosine}");
     }
     assert!(<Minimax as Math<f32>>::sqrt(-1.0).is_nan());
     assert!(<Minimax as Math<f32>>::sqrt(f32::NAN).is_nan());
@@ -112,8 +112,8 @@ fn invalid_angles_have_no_finite_sine() {
 
 #[test]
 fn the_square_root_is_correctly_rounded() {
-    // Every 1009th non-negative number, including subnormal ones and infinity. A root in double precision can be
-    // rounded again without an error, because it has more than twice the digits.
+    // Every 1009th non-negative number is checked, including subnormal numbers and infinity. A double-precision root
+    // has more than twice the digits, so rounding it again adds no error.
     for bits in (0..=f32::INFINITY.to_bits()).step_by(1009).chain([1, f32::INFINITY.to_bits()]) {
         let value = f32::from_bits(bits);
         assert_eq!(<Minimax as Math<f32>>::sqrt(value), f64::from(value).sqrt() as f32, "{value:e}");

@@ -8,8 +8,8 @@ use haptic_bridge::render::velocity::{
 };
 
 /// Computes the direct-form coefficients (b0, b1, b2, a1, a2) of a 2nd-order digital Butterworth low-pass from its
-/// definition: the prewarped bilinear transform of 1/(s² + √2 s + 1).
-fn butter(cutoff: f64, rate: f64) -> [f64; 5] {
+/// definition, the prewarped bilinear transform of 1/(s² + √2 s + 1).
+fn butterworth_coefficients(cutoff: f64, rate: f64) -> [f64; 5] {
     let g = (std::f64::consts::PI * cutoff / rate).tan();
     let norm = 1.0 / (1.0 + std::f64::consts::SQRT_2 * g + g * g);
     let b = g * g * norm;
@@ -20,7 +20,7 @@ fn butter(cutoff: f64, rate: f64) -> [f64; 5] {
 fn the_butterworth_filter_agrees_with_the_direct_form() {
     for (rate, cutoff) in [(200.0, 20.0), (1000.0, 20.0), (20_000.0, 500.0), (50_000.0, 20_000.0)] {
         let coefficients = Coefficients::<f64>::new(Estimator::Butterworth, rate, cutoff).unwrap();
-        let [b0, b1, b2, a1, a2] = butter(cutoff, rate);
+        let [b0, b1, b2, a1, a2] = butterworth_coefficients(cutoff, rate);
         let mut filter = LowPass::default();
         let (mut x, mut y) = ([0.0; 2], [0.0; 2]);
         for step in 0..2000 {
@@ -47,7 +47,7 @@ fn every_estimator_finds_the_slope_of_a_ramp() {
         let coefficients = Coefficients::<f64>::new(kind, 1000.0, 50.0).unwrap();
         let mut velocity = Velocity::resting_at(3.0);
         let last = (0..2000).map(|step| velocity.step(&coefficients, 3.0 + 0.25e-3 * f64::from(step))).last().unwrap();
-        assert!((last - 0.25).abs() < 1e-9, "{kind:?}: {last}");
+        assert!((last - 0.25).abs() < 1e-9, "{kind:?}: last velocity {last}");
     }
 }
 
@@ -57,7 +57,7 @@ fn the_lag_at_constant_acceleration_is_as_reported() {
         for (rate, cutoff) in [(200.0, 20.0), (1_000.0, 100.0), (1_000.0, 400.0), (20_000.0, 500.0)] {
             let coefficients = Coefficients::<f64>::new(kind, rate, cutoff).unwrap();
             let mut filter = LowPass::default();
-            // x = t²/2, so the velocity equals the time.
+            // With x = t²/2 the velocity equals the time.
             let position = |k: f64| 0.5 * (k / rate).powi(2);
             let last = 2_000.0;
             let mut estimate = 0.0;
@@ -98,7 +98,7 @@ fn a_slow_washout_removes_a_constant_force_in_single_precision() {
     assert!(left.abs() < 1e-4, "{left}");
 }
 
-/// The estimated response to a single count is computed over a shorter time than the four seconds of this test.
+/// The library computes the response to a single count over a shorter time than the 4 s of this test.
 #[test]
 fn the_response_to_one_count_is_right_although_truncated() {
     let device: Device<f64> = rig::device(&rig::five_bar()).cast();
@@ -119,13 +119,13 @@ fn the_response_to_one_count_is_right_although_truncated() {
                 let seen = JointSample { moved, pushed: 0.0, unit: 1.0 / (speed * rate) };
                 velocity.step::<Libm>(&found, &seen, 0.0).abs()
             });
-            let most = speed * response.fold(0.0, f64::max);
-            assert!(most > 0.0, "{kind:?}");
-            assert!((known - most).abs() <= 1e-9 * most, "{kind:?} at {cutoff} Hz: {known} for {most}");
+            let peak = speed * response.fold(0.0, f64::max);
+            assert!(peak > 0.0, "{kind:?}");
+            assert!((known - peak).abs() <= 1e-9 * peak, "{kind:?} at {cutoff} Hz: {known} for {peak}");
         }
     }
-    // If the window is much shorter than the low-pass, the peak is that of the low-pass's impulse response: for a
-    // 2nd-order Butterworth √2 e^(-π/4) sin(π/4) 2πf counts per second.
+    // If the window is much shorter than the low-pass, the peak equals the peak of the low-pass's impulse response. For
+    // a 2nd-order Butterworth filter that is √2 e^(-π/4) sin(π/4) 2πf counts per second.
     let found = Coefficients::of_device::<Libm>((Estimator::Difference(filtered(3)), 20_000.0, 20.0), &device).unwrap();
     let peak = 2f64.sqrt() * (-std::f64::consts::FRAC_PI_4).exp() * (0.5f64.sqrt()) * 40.0 * std::f64::consts::PI;
     let expected = device.joints[0].radians_per_count.abs() * peak;

@@ -1,4 +1,4 @@
-//! Passes arguments to the linker, and the chip's memory map: memory.x at the root of the repository.
+//! Passes linker arguments and the chip's memory map (memory.x at the root of the repository) to the linker.
 
 use std::{env, fs, path::PathBuf};
 

@@ -1,7 +1,5 @@
-//! Devices of the counting image: one shipped device file per mechanism, as numbers.
-//!
-//! The image has no TOML reader, so the numbers are repeated here; tests/counted_devices.rs compares them with the
-//! files.
+//! Devices of the counting image, one shipped device per mechanism. The image has no TOML reader, so the numbers of the
+//! device files are repeated here. tests/counted_devices.rs compares both.
 
 use haptic_bridge::model::catalogue::Kind;
 use haptic_bridge::model::catalogue::{MAX_JOINTS, MAX_LINKS};
@@ -32,7 +30,7 @@ const NO_JOINT: Joint = Joint {
     modes: [None; MAX_MODES],
 };
 
-/// `devices/hapkit-paddle.toml`
+/// The device of `devices/hapkit-paddle.toml`.
 pub const PADDLE: Description = Description {
     kind: Kind::Paddle,
     gravity: [0.0; 3],
@@ -43,7 +41,7 @@ pub const PADDLE: Description = Description {
     home: Some([0.0; MAX_JOINTS]),
 };
 
-/// `devices/haply-2diy.toml`
+/// The device of `devices/haply-2diy.toml`.
 pub const FIVE_BAR: Description = Description {
     kind: Kind::FiveBar,
     gravity: [0.0; 3],
@@ -59,7 +57,7 @@ pub const FIVE_BAR: Description = Description {
     home: Some([2.3, 0.84159265358979, 0.0]),
 };
 
-/// `devices/fictive-five-bar-turret.toml`
+/// The device of `devices/fictive-five-bar-turret.toml`.
 pub const FIVE_BAR_TURRET: Description = Description {
     kind: Kind::FiveBarTurret,
     gravity: [0.0, 0.0, -9.81],
@@ -79,7 +77,7 @@ pub const FIVE_BAR_TURRET: Description = Description {
     home: Some([0.0, 2.2, 0.94159265358979]),
 };
 
-/// `devices/phantom-premium-1.5.toml`
+/// The device of `devices/phantom-premium-1.5.toml`.
 pub const PARALLELOGRAM: Description = Description {
     kind: Kind::Parallelogram,
     gravity: [0.0, -9.80665, 0.0],
@@ -99,7 +97,7 @@ pub const PARALLELOGRAM: Description = Description {
     home: Some([0.0, 1.2, -0.1]),
 };
 
-/// `devices/serial-3r.toml`
+/// The device of `devices/serial-3r.toml`.
 pub const SERIAL_3R: Description = Description {
     kind: Kind::Serial3r,
     gravity: [0.0, -9.81, 0.0],

@@ -1,8 +1,8 @@
-//! The counting image: every variant of the control step on the chip, between the markers of the emulator's `count`.
+//! The counting image runs every variant of the control step on the chip, between markers for the emulator's `count`.
 //!
-//! Only the core runs: no board, no clock set-up, no interrupt. `cargo xtask bench` builds the image, counts it on the
-//! emulated chip and stores the counts in crates/predict/src/bench/counts.json. A variant's name is
-//! `mechanism/trigonometry/mass model/terms`; a variant with another velocity estimator ends with its name. Each
+//! Only the core runs, without board, clock set-up and interrupts. `cargo xtask bench` builds the image, counts its
+//! instructions on the emulated chip and stores the counts in crates/predict/src/bench/counts.json. A variant's name is
+//! `mechanism/trigonometry/mass model/terms`, followed by the velocity estimator if it is not the usual one. Each
 //! variant is called at several poses with the tip inside the walls, after a few steps of motion.
 #![no_std]
 #![no_main]
@@ -32,21 +32,21 @@ static mut BENCH_NAME: [u32; 2] = [0; 2];
 #[unsafe(no_mangle)]
 #[inline(never)]
 extern "C" fn bench_begin() {
-    // SAFETY: only an instruction without effect, which makes the three markers different functions.
+    // SAFETY: the instruction has no effect. It makes the three markers different functions.
     unsafe { core::arch::asm!("nop") };
 }
 
 #[unsafe(no_mangle)]
 #[inline(never)]
 extern "C" fn bench_end() {
-    // SAFETY: see `bench_begin`.
+    // SAFETY: the instructions have no effect, as in `bench_begin`.
     unsafe { core::arch::asm!("nop", "nop") };
 }
 
 #[unsafe(no_mangle)]
 #[inline(never)]
 extern "C" fn bench_done() {
-    // SAFETY: see `bench_begin`.
+    // SAFETY: the instructions have no effect, as in `bench_begin`.
     unsafe { core::arch::asm!("nop", "nop", "nop") };
 }
 
@@ -57,24 +57,21 @@ fn panic(_: &PanicInfo<'_>) -> ! {
     }
 }
 
-/// Poses relative to home, rad; all of them are regular for every device below.
+/// Poses relative to home, rad. Every pose is regular for every device of this image.
 const POSES: [[f32; MAX_JOINTS]; 6] =
     [[0.0; 3], [0.15, 0.2, -0.1], [-0.2, -0.15, 0.25], [0.3, 0.1, 0.2], [-0.1, 0.25, -0.2], [0.1, -0.2, -0.15]];
-/// Content of the scene.
 #[derive(Clone, Copy, PartialEq)]
 enum Walls {
     None,
     One,
-    /// Two crossing planes, both touched.
+    /// Two crossing planes that the tip touches.
     Two,
     Ball,
-    /// A spring without a wall.
     Spring,
-    /// A plane and a spring.
     OneAndSpring,
 }
 
-/// Terms of the step: name, content of the scene, feed-forward, velocity terms.
+/// Name, contents of the scene, feed-forward and velocity terms of each variant.
 const TERMS: &[(&str, Walls, FeedForward, VelocityTerms)] = &[
     ("none", Walls::One, FeedForward::Off, VelocityTerms::Off),
     ("feed-forward", Walls::One, FeedForward::Full, VelocityTerms::Off),
@@ -91,23 +88,24 @@ const TERMS: &[(&str, Walls, FeedForward, VelocityTerms)] = &[
     ("spring beside, none", Walls::OneAndSpring, FeedForward::Off, VelocityTerms::Off),
     ("spring beside, washout", Walls::OneAndSpring, FeedForward::Washout, VelocityTerms::Off),
 ];
-/// Number of points of a table along each coordinate, and half the width of the table around home, rad.
-const POINTS: u8 = 10;
-const RANGE: f32 = 0.6;
-/// Steps before the counted step: the joints start a few counts away, so velocities are not zero. The longest run-up
-/// also fills an estimator's window.
+/// Number of points of a table along each coordinate.
+const TABLE_POINTS: u8 = 10;
+/// Half the width of a table around home, rad.
+const TABLE_HALF_WIDTH: f32 = 0.6;
+/// Steps before the counted step. They start a few counts away, so velocities are not zero.
 const RUN_UP: i32 = 3;
+/// Steps before the counted step that also fill an estimator's longest window.
 const LONG_RUN_UP: i32 = MAX_WINDOW as i32 + RUN_UP;
 
 #[cortex_m_rt::entry]
 fn main() -> ! {
-    // The variants use much stack (several controllers at once), so the stack starts at the end of the RAM.
-    // SAFETY: nothing of this function is used afterwards, and nothing else is stored there (memory.x).
+    // The variants need much stack (several controllers at once), so the stack starts at the end of the RAM.
+    // SAFETY: nothing of this function is used after the jump, and no data is stored in this part of RAM (memory.x).
     unsafe { core::arch::asm!("mov sp, {top}", "b {run}", top = in(reg) 0x2002_0000, run = sym run, options(noreturn)) }
 }
 
 extern "C" fn run() -> ! {
-    name("empty");
+    set_name("empty");
     bench_begin();
     bench_end();
     for description in
@@ -125,13 +123,13 @@ extern "C" fn run() -> ! {
 #[inline(never)]
 fn count_with_every_math(device: &Device<f32>, description: &Description) {
     with_mechanism!(&device.mechanism, mechanism => {
-        variants::<_, Tabulated, _>(mechanism, device, description);
-        variants::<_, Minimax, _>(mechanism, device, description);
+        count_variants::<_, Tabulated, _>(mechanism, device, description);
+        count_variants::<_, Minimax, _>(mechanism, device, description);
     });
 }
 
 #[inline(never)]
-fn variants<M: Mechanism<f32, N>, K: Math<f32>, const N: usize>(
+fn count_variants<M: Mechanism<f32, N>, K: Math<f32>, const N: usize>(
     mechanism: &M,
     device: &Device<f32>,
     description: &Description,
@@ -142,8 +140,11 @@ fn variants<M: Mechanism<f32, N>, K: Math<f32>, const N: usize>(
     let entries = M::MASS_ENTRIES.len();
     let [first, second] = mechanism.shape(&SVector::from_fn(|i, _| home[i] as f32));
     let grid = |interpolation| {
-        let (low, high) = ([first - RANGE, second - RANGE], [first + RANGE, second + RANGE]);
-        Grid::new(interpolation, [POINTS; 2], low, high, entries)
+        let (low, high) = (
+            [first - TABLE_HALF_WIDTH, second - TABLE_HALF_WIDTH],
+            [first + TABLE_HALF_WIDTH, second + TABLE_HALF_WIDTH],
+        );
+        Grid::new(interpolation, [TABLE_POINTS; 2], low, high, entries)
     };
     for kind in ["exact", "bilinear", "bicubic", "frozen"] {
         let interpolation = if kind == "bilinear" { Interpolation::Bilinear } else { Interpolation::Bicubic };
@@ -156,8 +157,8 @@ fn variants<M: Mechanism<f32, N>, K: Math<f32>, const N: usize>(
             _ => MassModel::table::<M>(&grid, &values).unwrap_or_default(),
         };
         for (term, walls, feed_forward, velocity_terms) in TERMS {
-            // Scenes other than one plane are counted only with the board's own trigonometry and, except the ball, only
-            // with the exact mass matrix.
+            // Only the board's own trigonometry is counted for scenes other than one plane, and except for the ball
+            // only the exact mass matrix.
             let shipped = K::NAME == Tabulated::NAME && (kind == "exact" || *walls == Walls::Ball);
             if *walls != Walls::One && !shipped {
                 continue;
@@ -166,7 +167,7 @@ fn variants<M: Mechanism<f32, N>, K: Math<f32>, const N: usize>(
             count::<M, K, N>(mechanism, device, &scene, &mass, &home, &[kind, "/", term], RUN_UP);
         }
     }
-    // Estimators of the wall's velocity, with the board's own trigonometry and the longest windows.
+    // Velocity estimators are counted with the board's own trigonometry and the longest windows.
     if K::NAME == Tabulated::NAME {
         for (estimator, usual) in Estimator::ALL {
             let longest = |chosen| match usual.spec().and_then(|spec| spec.key).filter(|key| key.unit == "samples") {
@@ -181,7 +182,7 @@ fn variants<M: Mechanism<f32, N>, K: Math<f32>, const N: usize>(
     }
 }
 
-/// Counts the step of a scene at every pose; the variant's name is mechanism, trigonometry and `rest`.
+/// Counts the step of a scene at every pose. The variant's name is mechanism, trigonometry and `rest`.
 #[inline(never)]
 fn count<M: Mechanism<f32, N>, K: Math<f32>, const N: usize>(
     mechanism: &M,
@@ -198,7 +199,7 @@ fn count<M: Mechanism<f32, N>, K: Math<f32>, const N: usize>(
     for part in [M::SPEC.name, "/", K::NAME, "/"].iter().chain(rest) {
         let _ = text.push_str(part);
     }
-    name(&text);
+    set_name(&text);
     for offset in POSES {
         step_at::<M, K, N>(&mut controller, device, home, &offset, run_up);
     }
@@ -226,17 +227,16 @@ fn step_at<M: Mechanism<f32, N>, K: Math<f32>, const N: usize>(
         if counted {
             bench_begin();
         }
-        control::<M, K, N>(controller, counts, black_box(&mut result));
+        control_step::<M, K, N>(controller, counts, black_box(&mut result));
         if counted {
             bench_end();
         }
     }
 }
 
-/// The control step, not inlined, as in the interrupt. Leaves its results where the control loop and telemetry read
-/// them.
+/// Runs the control step like the interrupt. The results are left where the control loop and telemetry read them.
 #[inline(never)]
-fn control<M: Mechanism<f32, N>, K: Math<f32>, const N: usize>(
+fn control_step<M: Mechanism<f32, N>, K: Math<f32>, const N: usize>(
     controller: &mut Controller<f32, M, K, N>,
     counts: &[i32; N],
     found: &mut StepResult<f32>,
@@ -244,7 +244,7 @@ fn control<M: Mechanism<f32, N>, K: Math<f32>, const N: usize>(
     controller.render(counts, &[0.0; MAX_JOINTS], found);
 }
 
-/// Returns a scene whose walls are placed so that every pose is inside them.
+/// Returns a scene in which every pose is inside the walls.
 fn scene<M: Mechanism<f32, N>, const N: usize>(
     tip: &SVector<f32, N>,
     walls: Walls,
@@ -270,7 +270,7 @@ fn scene<M: Mechanism<f32, N>, const N: usize>(
         }
     };
     let mut scene = Scene { task: task as u8, velocity_terms, ..Scene::default() };
-    // The walls have different stiffness, because equal walls need no shaping.
+    // The stiffness differs, because equal walls need no shaping.
     for (surface, stiffness) in surfaces.into_iter().flatten().zip([1000.0, 500.0]) {
         let _ = scene.walls.push(Wall {
             surface,
@@ -289,7 +289,7 @@ fn scene<M: Mechanism<f32, N>, const N: usize>(
     scene
 }
 
-fn name(text: &str) {
-    // SAFETY: one thread. The write is volatile because the emulator reads it.
+fn set_name(text: &str) {
+    // SAFETY: there is only one thread. The write is volatile because the emulator reads it.
     unsafe { write_volatile(addr_of_mut!(BENCH_NAME), [text.as_ptr() as u32, text.len() as u32]) };
 }

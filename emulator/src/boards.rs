@@ -1,14 +1,14 @@
-//! The wiring of each board, for the virtual hardware around the chip. The pins are a second transcription of
-//! docs/wiring-*.md, so that a pin swapped in the firmware is detected.
+//! The wiring of each board, for the virtual hardware around the chip. The pins are transcribed again from
+//! docs/wiring-*.md, so that a swapped pin in the firmware is detected.
 
 pub use haptic_predict::boards::BoardKind;
 
-/// A port pin: the port's letter and the pin's number.
+/// A port pin, made of the port's letter and the pin's number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Pin(pub char, pub u8);
 
 impl Pin {
-    /// Returns the pin of a converter's channel.
+    /// Returns the pin of a converter channel.
     #[must_use]
     pub fn of_channel(channel: u8) -> Self {
         match channel {
@@ -19,12 +19,12 @@ impl Pin {
     }
 }
 
-/// Wires of an encoder: its timer (TIM2 to TIM5), its two pins and their alternate function.
+/// The wires of an encoder.
 #[derive(Clone, Copy, Debug)]
 pub struct EncoderWires {
     /// Number of the timer, 2 to 5.
     pub timer: u8,
-    /// Channel A at the timer's channel 1, channel B at its channel 2.
+    /// Pins of channels A and B, at the timer's channels 1 and 2.
     pub pins: [Pin; 2],
     /// Alternate function that connects the pins to the timer.
     pub function: u8,
@@ -32,12 +32,12 @@ pub struct EncoderWires {
     pub index: Pin,
 }
 
-/// One end of a motor: a switched half bridge.
+/// A switched half bridge at one end of a motor.
 #[derive(Clone, Copy, Debug)]
 pub enum HalfBridge {
-    /// The upper switch follows a timer channel (1 to 3), the lower one its complement.
+    /// The upper switch follows a timer channel (1 to 3), and the lower switch follows the complement.
     Channel(u8),
-    /// The upper switch follows the complement of a channel.
+    /// The upper switch follows the complement of a timer channel (1 to 3).
     Complement(u8),
 }
 
@@ -46,18 +46,18 @@ pub enum HalfBridge {
 pub struct MotorWires {
     /// Number of the advanced timer that drives the motor: 1 or 8.
     pub timer: u8,
-    /// Half bridges at the two ends; current flows from the first to the second at positive duty.
+    /// Half bridges at the two ends. Current flows from the first to the second at positive duty.
     pub ends: [HalfBridge; 2],
     /// Pins of the gate signals.
     pub gates: [Pin; 4],
     /// Alternate function that connects `gates` to the timer.
     pub function: u8,
-    /// Current sensors: converter channel, and volts per ampere (from first end to second). If the amplifier's gain is
-    /// programmable, this value is that of the shunt; the driver's gain multiplies it.
+    /// Current sensors as converter channel and volts per ampere, positive from the first end to the second. Where the
+    /// amplifier's gain is programmable, the value is the shunt's, and the driver's gain multiplies it.
     pub sensors: &'static [(u8, f64)],
 }
 
-/// A board.
+/// Wiring of a board.
 #[derive(Clone, Copy, Debug)]
 pub struct Wiring {
     /// Name of the board and of its image.
@@ -68,36 +68,36 @@ pub struct Wiring {
     pub motors: &'static [MotorWires],
     /// Pin that enables the power stages, active high.
     pub enable: Pin,
-    /// All pins that lead to a gate, an input of a bridge or an enable line, of used and unused phases and of the brake.
-    pub power: &'static [Pin],
-    /// State of all axes while enabled with idle timer outputs: true if they brake, false if they float.
-    pub idle_brakes: bool,
-    /// Pin that a power stage pulls low for a fault.
+    /// All pins that lead to a gate, a bridge input or an enable line, also of unused phases and of the brake.
+    pub power_pins: &'static [Pin],
+    /// True if the enabled axes brake at idle timer outputs, false if they float.
+    pub brakes_when_idle: bool,
+    /// Pin that a power stage pulls low to report a fault.
     pub fault: Pin,
     /// True if `fault` is TIM1's break input.
-    pub fault_breaks: bool,
+    pub fault_is_break_input: bool,
     /// Converter channel and divider of the bus voltage.
     pub bus: (u8, f64),
-    /// Pins that the board holds high with any wiring, in addition to that of the bus divider.
-    pub held: &'static [Pin],
-    /// Supply of the chip and reference of the converters, mV.
+    /// Pins that the board holds high with any wiring, in addition to the pin of the bus divider.
+    pub pins_held_high: &'static [Pin],
+    /// Supply voltage of the chip, which is the reference of the converters, mV.
     pub supply_mv: u32,
-    /// Chip selects of the gate drivers, on SPI3.
-    pub drivers: &'static [Pin],
+    /// Chip-select pins of the gate drivers on SPI3.
+    pub driver_selects: &'static [Pin],
     /// Nominal bus voltage, V.
     pub bus_voltage: f64,
-    /// Zero offset of each current sensor, V: a few millivolts for shunt amplifiers; Hall sensors are trimmed.
+    /// Zero offset of each current sensor, V. Shunt amplifiers have a few millivolts. Hall sensors are trimmed to zero.
     pub sensor_offsets: [f64; 4],
-    /// Dead time, s, with both switches of a half bridge off, which costs voltage. Zero if half bridges are modules.
+    /// Dead time with both switches of a half bridge off, s. It costs voltage. Zero if half bridges are modules.
     pub dead_time: f64,
 }
 
 /// Resistance of the shunts under phases B and C, ohm.
-const SHUNT: f64 = 500e-6;
+const SHUNT_OHMS: f64 = 500e-6;
 /// Scale of a 185 mV/A Hall sensor behind a divider from 5 V to 3.3 V, V/A.
-const HALL: f64 = 0.185 * 0.66;
-/// Scale of the same sensor behind a divider to 3.0 V, V/A.
-const HALL_OF_3V: f64 = 0.185 * 0.6;
+const HALL_VOLTS_PER_AMPERE: f64 = 0.185 * 0.66;
+/// Scale of a 185 mV/A Hall sensor behind a divider from 5 V to 3.0 V, V/A.
+const HALL_3V_VOLTS_PER_AMPERE: f64 = 0.185 * 0.6;
 
 static ODRIVE_V3: Wiring = Wiring {
     name: BoardKind::OdriveV3.name(),
@@ -111,18 +111,18 @@ static ODRIVE_V3: Wiring = Wiring {
             ends: [HalfBridge::Channel(2), HalfBridge::Channel(3)],
             gates: [Pin('A', 9), Pin('A', 10), Pin('B', 14), Pin('B', 15)],
             function: 1,
-            sensors: &[(10, SHUNT), (11, -SHUNT)],
+            sensors: &[(10, SHUNT_OHMS), (11, -SHUNT_OHMS)],
         },
         MotorWires {
             timer: 8,
             ends: [HalfBridge::Channel(2), HalfBridge::Channel(3)],
             gates: [Pin('C', 7), Pin('C', 8), Pin('B', 0), Pin('B', 1)],
             function: 3,
-            sensors: &[(13, SHUNT), (12, -SHUNT)],
+            sensors: &[(13, SHUNT_OHMS), (12, -SHUNT_OHMS)],
         },
     ],
     enable: Pin('B', 12),
-    power: &[
+    power_pins: &[
         Pin('A', 7),
         Pin('A', 8),
         Pin('A', 9),
@@ -139,13 +139,13 @@ static ODRIVE_V3: Wiring = Wiring {
         Pin('C', 7),
         Pin('C', 8),
     ],
-    idle_brakes: false,
+    brakes_when_idle: false,
     fault: Pin('D', 2),
-    fault_breaks: false,
+    fault_is_break_input: false,
     bus: (6, 19.0),
-    held: &[Pin('C', 5)],
+    pins_held_high: &[Pin('C', 5)],
     supply_mv: 3300,
-    drivers: &[Pin('C', 13), Pin('C', 14)],
+    driver_selects: &[Pin('C', 13), Pin('C', 14)],
     bus_voltage: 24.0,
     sensor_offsets: [0.008, -0.005, 0.003, -0.011],
     dead_time: 20.0 / 168e6,
@@ -159,19 +159,19 @@ static H_BRIDGE_F405: Wiring = Wiring {
         EncoderWires { timer: 4, pins: [Pin('B', 6), Pin('B', 7)], function: 2, index: Pin('C', 9) },
     ],
     motors: &[
-        h_bridge(1, [Pin('A', 8), Pin('B', 13)], &[(10, HALL)]),
-        h_bridge(2, [Pin('A', 9), Pin('B', 14)], &[(11, HALL)]),
-        h_bridge(3, [Pin('A', 10), Pin('B', 15)], &[(12, HALL)]),
+        h_bridge(1, [Pin('A', 8), Pin('B', 13)], &[(10, HALL_VOLTS_PER_AMPERE)]),
+        h_bridge(2, [Pin('A', 9), Pin('B', 14)], &[(11, HALL_VOLTS_PER_AMPERE)]),
+        h_bridge(3, [Pin('A', 10), Pin('B', 15)], &[(12, HALL_VOLTS_PER_AMPERE)]),
     ],
     enable: Pin('C', 6),
-    power: &[Pin('A', 8), Pin('A', 9), Pin('A', 10), Pin('B', 13), Pin('B', 14), Pin('B', 15), Pin('C', 6)],
-    idle_brakes: true,
+    power_pins: &[Pin('A', 8), Pin('A', 9), Pin('A', 10), Pin('B', 13), Pin('B', 14), Pin('B', 15), Pin('C', 6)],
+    brakes_when_idle: true,
     fault: Pin('B', 12),
-    fault_breaks: true,
+    fault_is_break_input: true,
     bus: (13, 11.0),
-    held: &[],
+    pins_held_high: &[],
     supply_mv: 3300,
-    drivers: &[],
+    driver_selects: &[],
     bus_voltage: 24.0,
     sensor_offsets: [0.0; 4],
     dead_time: 0.0,
@@ -185,13 +185,13 @@ static H_BRIDGE_F407_DISC1: Wiring = Wiring {
         EncoderWires { timer: 4, pins: [Pin('B', 6), Pin('B', 7)], function: 2, index: Pin('C', 9) },
     ],
     motors: &[
-        h_bridge(1, [Pin('E', 9), Pin('E', 8)], &[(11, HALL_OF_3V)]),
-        h_bridge(2, [Pin('E', 11), Pin('E', 10)], &[(12, HALL_OF_3V)]),
-        h_bridge(3, [Pin('E', 13), Pin('E', 12)], &[(1, HALL_OF_3V)]),
+        h_bridge(1, [Pin('E', 9), Pin('E', 8)], &[(11, HALL_3V_VOLTS_PER_AMPERE)]),
+        h_bridge(2, [Pin('E', 11), Pin('E', 10)], &[(12, HALL_3V_VOLTS_PER_AMPERE)]),
+        h_bridge(3, [Pin('E', 13), Pin('E', 12)], &[(1, HALL_3V_VOLTS_PER_AMPERE)]),
     ],
     enable: Pin('E', 14),
-    // PA9 is not a gate: it has the cable's 5 V.
-    power: &[
+    // PA9 is not a gate. It carries the 5 V of the USB cable.
+    power_pins: &[
         Pin('A', 9),
         Pin('E', 8),
         Pin('E', 9),
@@ -201,13 +201,13 @@ static H_BRIDGE_F407_DISC1: Wiring = Wiring {
         Pin('E', 13),
         Pin('E', 14),
     ],
-    idle_brakes: true,
+    brakes_when_idle: true,
     fault: Pin('E', 15),
-    fault_breaks: true,
+    fault_is_break_input: true,
     bus: (14, 12.0),
-    held: &[Pin('B', 9)],
+    pins_held_high: &[Pin('B', 9)],
     supply_mv: 3000,
-    drivers: &[],
+    driver_selects: &[],
     bus_voltage: 24.0,
     sensor_offsets: [0.0; 4],
     dead_time: 0.0,
@@ -219,9 +219,9 @@ const fn h_bridge(channel: u8, [p, n]: [Pin; 2], sensors: &'static [(u8, f64)]) 
 }
 
 impl Wiring {
-    /// Returns half of the chip's supply, V: the output of a current sensor without current.
+    /// Returns the output of a current sensor at zero current, which is half of the chip's supply, V.
     #[must_use]
-    pub fn middle(&self) -> f64 {
+    pub fn zero_current_volts(&self) -> f64 {
         0.5e-3 * f64::from(self.supply_mv)
     }
 

@@ -1,10 +1,10 @@
-//! Devices and scenes whose control interrupt is measured and tested under load.
+//! Devices and scenes with which the control interrupt is measured and tested under load.
 
 use crate::boards::BoardKind;
 use crate::contact::WallAt;
 use crate::rig::Rig;
 
-/// Scene of a case. Walls have the full feed-forward unless noted.
+/// Contents of a scene. Walls have the full feed-forward unless another one is mentioned.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SceneKind {
     /// No walls, springs or fields.
@@ -41,7 +41,6 @@ impl SceneKind {
         }
     }
 
-    /// Returns the scene's walls.
     fn walls(self) -> Vec<WallAt> {
         let one = WallAt::facing([0.0, -1.0, 0.0]);
         match self {
@@ -65,7 +64,7 @@ impl SceneKind {
     }
 }
 
-/// A device in a scene on a board: the tip is pushed into the walls, and telemetry of every step is streamed.
+/// A device in a scene on a board. The tip is pushed into the walls, and telemetry of every step is streamed.
 #[derive(Clone, Copy, Debug)]
 pub struct Case {
     /// The board.
@@ -110,11 +109,7 @@ impl Case {
         format!("{}, {}, {}, {} kHz", self.board.name(), self.device, self.scene_kind.name(), self.rate_hz / 1000)
     }
 
-    /// Returns a rig at `rate_hz` whose tip is in contact with the walls of this case.
-    ///
-    /// # Panics
-    ///
-    /// If the board refuses a request.
+    /// Returns a rig at `rate_hz` whose tip touches the walls of this case.
     #[must_use]
     pub fn rig(&self, rate_hz: u32) -> Rig {
         let mut head = format!("rate_hz = {rate_hz}\ngravity_compensation = true\n");

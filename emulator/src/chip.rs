@@ -1,11 +1,11 @@
 //! The microcontroller: rigless' model of the STM32F427, changed to the STM32F405 of the boards.
 //!
-//! Unchanged from rigless: the core, RCC, PWR, GPIO, timers, converters, SPI, DMA, watchdog. Replaced: the memory
-//! sizes, the contents of the flash array ([`flash`]), the USB core in device mode ([`otg`]), and the connections from
-//! timer triggers to converters and from TIM1 to TIM8 ([`trigger`]).
+//! The core, RCC, PWR, GPIO, timers, converters, SPI, DMA and watchdog are those of rigless. Our models replace the
+//! memory sizes, the contents of the flash array ([`flash`]), the USB core in device mode ([`otg`]), and the
+//! connections from timer triggers to converters and from TIM1 to TIM8 ([`trigger`]).
 //!
-//! rigless builds its part with its own bus. Here the part runs on a bus of *our* description ([`map`]) that holds the
-//! part's own slots, in the same order. A system reset first returns the original bus to the part.
+//! rigless builds its part with its own bus. The part then runs on a bus of *our* description ([`map`]), which holds
+//! the part's own slots in the same order. Before a system reset, the part gets its original bus back.
 
 pub mod flash;
 pub mod hook;
@@ -28,16 +28,16 @@ use flash::FlashUnit;
 use otg::Otg;
 use trigger::{Converter, MasterTimer};
 
-/// Blocks into which the vendor's file splits the USB core, in address order.
+/// Names of the blocks of the USB core in the vendor's file, in address order.
 pub const OTG_BLOCKS: [&str; 4] = ["OTG_FS_GLOBAL", "OTG_FS_HOST", "OTG_FS_DEVICE", "OTG_FS_PWRCLK"];
 
-/// Our model that replaces the part's model of a slot.
+/// The model of ours that replaces the part's model in a slot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum OwnModel {
     None,
     Otg(usize),
     Flash,
-    /// Our register table without a model.
+    /// Our register table, without a model.
     Exti,
     Advanced(usize),
     Converter(usize),
@@ -47,7 +47,7 @@ enum OwnModel {
 #[derive(Debug)]
 pub struct Chip {
     part: Stm32f427,
-    /// The bus that the part was built with, without its slots.
+    /// The inactive bus: the bus that the part was built with, without its slots.
     parked: Bus,
     own_models: Vec<OwnModel>,
     otg_slot: usize,
@@ -77,16 +77,13 @@ impl DerefMut for Chip {
 }
 
 impl Chip {
-    /// Returns the chip after power-on with unconnected pins.
-    ///
-    /// # Errors
-    ///
-    /// If the description of the part is wrong, which is a bug here.
+    /// Returns the chip after power-on, with unconnected pins.
+    /// Returns an error if the description of the part is wrong, which is a bug in this crate.
     pub fn new() -> Result<Self, Error> {
         let part = Stm32f427::new()?;
         let bus = map::bus(part.bus())?;
         let bus_slot = bus.slot(OTG_BLOCKS[0])?;
-        let own_models = bus.slots().iter().map(|slot| owner(slot.peripheral().name)).collect();
+        let own_models = bus.slots().iter().map(|slot| own_model_of(slot.peripheral().name)).collect();
         let mut chip = Self {
             part,
             parked: bus,
@@ -98,13 +95,13 @@ impl Chip {
             advanced: std::array::from_fn(trigger::timer),
             converters: std::array::from_fn(trigger::converter),
         };
-        chip.exchange();
+        chip.swap_buses();
         chip.check()?;
         chip.set_device_id(VirtualNanos(0));
         Ok(chip)
     }
 
-    /// Sets the identity that programs read: STM32F405, revision Y (RM0090 section 38.6.1).
+    /// Sets the identity that programs read to STM32F405, revision Y (RM0090 section 38.6.1).
     fn set_device_id(&mut self, at: VirtualNanos) {
         let slot = self.bus().slot_of("DBG").expect("the part has a debug component");
         let (registers, _) = self.part.bus_mut().drive(at, slot);
@@ -112,8 +109,8 @@ impl Chip {
     }
 
     /// Swaps the active bus with the parked bus. The slots of the part's own models move along, so their contents,
-    /// gates and corrections are equal on both.
-    fn exchange(&mut self) {
+    /// gates and corrections are equal on both buses.
+    fn swap_buses(&mut self) {
         let Self { part, parked, own_models, .. } = self;
         for (index, owner) in own_models.iter().enumerate() {
             if !matches!(owner, OwnModel::Otg(_) | OwnModel::Exti) {
@@ -123,18 +120,14 @@ impl Chip {
         std::mem::swap(parked, part.bus_mut());
     }
 
-    /// Returns the bus and the advanced timers separately, to drive a timer's input.
+    /// Returns the bus and the advanced timers separately, so that a timer's input can be driven.
     pub fn bus_and_timers(&mut self) -> (&mut Bus, &mut [MasterTimer]) {
         (self.part.bus_mut(), &mut self.advanced)
     }
 
-    /// Applies a rising edge to pin `line` of port `port` (0 for A). The edge is latched if the firmware selected the
-    /// port for the line (SYSCFG) and enabled rising edges and the request (RM0090 section 12.3). rigless has no model
-    /// for this.
-    ///
-    /// # Panics
-    ///
-    /// If the part has no such controller, which is a bug here.
+    /// Applies a rising edge to pin `line` of port `port` (0 for A). rigless has no model for this. The edge is latched
+    /// if the firmware selected the port for the line (SYSCFG) and enabled rising edges and the request (RM0090 section
+    /// 12.3).
     pub fn rising_edge(&mut self, at: VirtualNanos, port: usize, line: u32) {
         let selected = self.register("SYSCFG", 0x08 + 4 * (line / 4)) >> (4 * (line % 4)) & 0xF;
         let enabled = self.register("EXTI", map::exti::RISING) & self.register("EXTI", map::exti::MASK) & (1 << line);
@@ -145,20 +138,16 @@ impl Chip {
         }
     }
 
-    /// Stops the crystal. Returns true if the clock security system was on: it sets its flag and switches to the chip's
-    /// internal oscillator (RM0090 section 7.2.7). Its connection to the core's non-maskable interrupt is not modelled.
+    /// Stops the crystal. Returns true if the clock security system was on. It then sets its flag and switches to the
+    /// chip's internal oscillator (RM0090 section 7.2.7). Its connection to the non-maskable interrupt is not modelled.
     pub fn stop_crystal(&mut self, at: VirtualNanos) -> bool {
         self.part.drive_clocks(at, |clocks, registers, context| clocks.fail_hse(registers, context));
         self.register("RCC", map::rcc::INTERRUPTS) & map::rcc::CLOCK_FAILED != 0
     }
 
-    /// Sets the chip's supply voltage. Returns true if the supply monitor requests its interrupt: the monitor's output
-    /// has risen on line 16 with enabled rising edges and requests (RM0090 sections 5.2.2 and 12.2.5). rigless does not
-    /// connect the two.
-    ///
-    /// # Panics
-    ///
-    /// If the part has no such controller, which is a bug here.
+    /// Sets the chip's supply voltage. Returns true if the supply monitor requests its interrupt, which rigless does
+    /// not model. The monitor's output must have risen on line 16, with rising edges and requests enabled (RM0090
+    /// sections 5.2.2 and 12.2.5).
     pub fn supply(&mut self, at: VirtualNanos, millivolts: u32) -> bool {
         let low = |chip: &Self| chip.register("PWR", map::power::STATUS) & map::power::SUPPLY_LOW != 0;
         let before = low(self);
@@ -173,23 +162,14 @@ impl Chip {
         true
     }
 
-    /// Changes a word of the flash as age or radiation would, bypassing the interface. Takes effect when the run
-    /// continues.
-    ///
-    /// # Panics
-    ///
-    /// If the part has no flash interface, which is a bug here.
+    /// Changes a word of the flash directly, like age or radiation. The change takes effect when the run continues.
     pub fn corrupt_flash(&mut self, at: VirtualNanos, address: u64, word: u32) {
         let slot = self.bus().slot_of("FLASH").expect("the part has a flash interface");
         let (_, mut context) = self.part.bus_mut().drive(at, slot);
         context.program(address, Width::W32, u64::from(word), flash::WRITTEN);
     }
 
-    /// Returns a register of the instance called `name`.
-    ///
-    /// # Panics
-    ///
-    /// If the part has no such instance, which is a bug of the caller.
+    /// Returns the register at `offset` of the instance `name`.
     #[must_use]
     pub fn register(&self, name: &str, offset: u32) -> u64 {
         let bus = self.part.bus();
@@ -201,7 +181,7 @@ impl Chip {
     }
 }
 
-fn owner(instance: &str) -> OwnModel {
+fn own_model_of(instance: &str) -> OwnModel {
     if let Some(block) = OTG_BLOCKS.iter().position(|&name| name == instance) {
         return OwnModel::Otg(block);
     }
@@ -228,12 +208,12 @@ impl Mcu for Chip {
     }
 
     fn reset(&mut self, at: VirtualNanos, cause: ResetCause) {
-        self.exchange();
-        // Our previous bus, with the count of events that models may still wait for.
+        self.swap_buses();
+        // The previous bus of ours, with the count of events for which models may still wait.
         let before = std::mem::replace(&mut self.parked, map::bus(self.part.bus()).expect("a valid description"));
         self.part.reset(at, cause);
         self.parked.keep_added(&before).expect("the same description");
-        self.exchange();
+        self.swap_buses();
         self.set_device_id(at);
         self.restarts += 1;
         self.otg.chip_reset();
@@ -250,7 +230,7 @@ impl Mcu for Chip {
     }
 
     fn poll(&mut self, now: VirtualNanos) {
-        // The part's own poll concerns only its serial ports, which are not connected.
+        // The part's own poll is not needed because it serves only serial ports, which are not connected.
         let Self { part, otg, otg_slot, .. } = self;
         let (_, mut context) = part.bus_mut().drive(now, *otg_slot);
         otg.update_host(&mut context);
@@ -260,7 +240,7 @@ impl Mcu for Chip {
         let Self { part, own_models, otg, flash, advanced, converters, .. } = self;
         let model: &mut dyn ErasedDevice = match own_models.get(slot) {
             None | Some(OwnModel::None | OwnModel::Exti) => return part.split(slot),
-            Some(&OwnModel::Otg(block)) => otg.answering_for(block),
+            Some(&OwnModel::Otg(block)) => otg.model_of_block(block),
             Some(OwnModel::Flash) => flash,
             Some(&OwnModel::Advanced(nth)) => &mut advanced[nth],
             Some(&OwnModel::Converter(nth)) => &mut converters[nth],

@@ -1,4 +1,4 @@
-//! A device whose tip is in front of walls, pushed into them by a hand.
+//! A device whose tip a hand pushes into walls.
 
 use std::time::Duration;
 
@@ -16,7 +16,7 @@ use crate::run::{MILLISECOND, SECOND};
 pub struct WallAt {
     /// Unit normal towards the free side.
     pub normal: [f64; 3],
-    /// Radius of a sphere, m; `None` for a plane.
+    /// Radius of a sphere, m, or `None` for a plane.
     pub radius: Option<f64>,
     /// Distance from the tip to the wall at the start, m.
     pub gap: f64,
@@ -24,7 +24,7 @@ pub struct WallAt {
     pub stiffness: f64,
     /// Damping, N s/m.
     pub damping: f64,
-    /// `off`, `full` or `washout`.
+    /// Feed-forward: `off`, `full` or `washout`.
     pub feed_forward: &'static str,
 }
 
@@ -36,7 +36,8 @@ impl WallAt {
     }
 }
 
-/// Returns the scene file with `head` and `walls` in front of a tip at `tip`, in a task of `task` dimensions.
+/// Returns the text of a scene file with `head` and with `walls` in front of a tip at `tip`. `task` is the task
+/// dimension.
 #[must_use]
 pub fn scene(head: &str, tip: [f64; 3], task: usize, walls: &[WallAt]) -> String {
     let list = |values: [f64; 3]| values.iter().take(task).map(|x| format!("{x:?}")).collect::<Vec<_>>().join(", ");
@@ -56,11 +57,7 @@ pub fn scene(head: &str, tip: [f64; 3], task: usize, walls: &[WallAt]) -> String
 
 impl Rig {
     /// Returns an armed board whose device is homed in front of `walls`. A hand has pushed the tip into the walls for
-    /// half a second with `newtons` along each normal.
-    ///
-    /// # Panics
-    ///
-    /// If the board refuses a request.
+    /// 0.5 s, with `newtons` along each normal.
     #[must_use]
     pub fn in_contact(
         kind: impl Into<&'static Wiring>,
@@ -77,12 +74,8 @@ impl Rig {
         rig
     }
 
-    /// Loads the device with a scene without walls, homes the device at rest and checks its polarity. Then a
-    /// firm hand holds the device. Returns the counts at homing.
-    ///
-    /// # Panics
-    ///
-    /// If the board refuses a request.
+    /// Loads the device with a scene without walls, homes the device at rest and checks its polarity. Afterwards a firm
+    /// hand holds the device. Returns the counts at homing.
     pub fn prepare(&mut self, head: &str) -> [i32; 3] {
         self.load(head);
         self.with_simulated(|device| device.set_support(Support::Held));
@@ -95,17 +88,13 @@ impl Rig {
     }
 
     /// Checks the polarity while a rubber band carries the device.
-    ///
-    /// # Panics
-    ///
-    /// If the board refuses the request, or the check fails.
     pub fn check_polarity_suspended(&mut self) {
         self.with_simulated(suspend_device);
         self.check_polarity();
         self.with_simulated(|device| device.set_support(Support::None));
     }
 
-    /// Returns the encoder counts of the board, which do not include motion before the board started.
+    /// Returns the board's encoder counts. Motion before the board's start is not included.
     fn counts(&mut self) -> [i32; 3] {
         self.tool.start_stream(Fields(Field::Counts.bit()), 1).expect("a stream starts");
         let mut rows = Vec::new();
@@ -117,12 +106,8 @@ impl Rig {
         std::array::from_fn(|i| counts.get(i).map_or(0, |count| *count as i32))
     }
 
-    /// Prepares the device, loads `walls` in front of the tip at its position after the polarity check, and arms.
-    /// Returns the scene's text.
-    ///
-    /// # Panics
-    ///
-    /// If the board refuses a request.
+    /// Prepares the device, loads `walls` in front of the tip where it is after the polarity check, and arms. Returns
+    /// the text of the scene.
     pub fn arm_before(&mut self, head: &str, walls: &[WallAt]) -> String {
         self.prepare(head);
         let tip = self.with_simulated(|device| device.tip());

@@ -1,8 +1,8 @@
 //! Counts the instructions between the markers of a counting image on the emulated chip. The counts are exact and equal
-//! on every run.
+//! in every run.
 //!
-//! The image is any ELF file for the chip with these symbols (`#[unsafe(no_mangle)]`, `#[inline(never)]`, and bodies
-//! that differ from each other, because the linker merges equal functions):
+//! The image is any ELF file for the chip with these symbols. They need `#[unsafe(no_mangle)]`, `#[inline(never)]` and
+//! different bodies, because the linker merges equal functions.
 //!
 //! | symbol | what it is |
 //! |---|---|
@@ -10,12 +10,12 @@
 //! | `bench_done` | a function called once, at the end |
 //! | `BENCH_NAME` | a `[u32; 2]`, address and length of the variant's name (a `&'static str`), written before `bench_begin` |
 //!
-//! Pass inputs and outputs between the markers through `core::hint::black_box`, because the compiler may move other
-//! work outside: `bench_begin(); let y = black_box(f(black_box(x))); bench_end();`.
+//! Inputs and outputs between the markers must pass through `core::hint::black_box`, because the compiler may move
+//! other work outside: `bench_begin(); let y = black_box(f(black_box(x))); bench_end();`.
 //!
-//! A call of a variant counts the instructions from entering `bench_begin` to entering `bench_end`. The variant `empty`
-//! (nothing between the markers) gives the cost of the markers, which is subtracted from the other variants. Variants
-//! are reported in the order of their first call, each with the longest of its calls.
+//! For each call of a variant, the instructions from entering `bench_begin` to entering `bench_end` count. The variant
+//! `empty` has nothing between the markers, so its count is the cost of the markers, which is subtracted from the other
+//! variants. Variants are reported in the order of their first call, each with its longest call.
 
 use std::fmt::Display;
 
@@ -27,12 +27,9 @@ use rigless::time::VirtualNanos;
 use crate::hardware::Hardware;
 use crate::image::{Firmware, Symbol};
 
-/// Runs `firmware` until it calls `bench_done`, at most `seconds` of virtual time. Returns the name of every variant and
-/// the instructions of its longest call.
-///
-/// # Errors
-///
-/// If the image has no markers or does not finish.
+/// Runs `firmware` until it calls `bench_done`, for at most `seconds` of virtual time. Returns the name of every
+/// variant and the instructions of its longest call.
+/// Returns an error if the image has no markers or does not finish.
 pub fn count(firmware: &Firmware, seconds: u64) -> Result<Vec<(String, u64)>, String> {
     let driver = Counter {
         begin: firmware.symbol("bench_begin")?.address,
@@ -40,20 +37,20 @@ pub fn count(firmware: &Firmware, seconds: u64) -> Result<Vec<(String, u64)>, St
         done: firmware.symbol("bench_done")?.address,
         name: firmware.symbol("BENCH_NAME")?,
         until: VirtualNanos(seconds * 1_000_000_000),
-        armed: false,
-        open: None,
+        watches_are_set: false,
+        open_call: None,
         finished: false,
-        broken: None,
+        violation: None,
         variants: Vec::new(),
     };
     let emulator = |error: &dyn Display| format!("the emulator stopped: {error}");
     let hardware = Hardware::bare().map_err(|error| emulator(&error))?;
-    // Watches can be set only while the emulator is stopped, so it stops first after 1 ns.
+    // Watches can be set only while the emulator is stopped, so the first stop is after 1 ns.
     let session = Session::new(Box::new(hardware), 0, VirtualNanos(1)).map_err(|error| emulator(&error))?;
     let images = [firmware.image().map_err(|error| emulator(&error))?];
     let finished = emulator::run(session, &Start::new(&images), driver).map_err(|error| emulator(&error))?;
-    let Counter { broken, finished, mut variants, .. } = finished.driver;
-    if let Some(reason) = broken {
+    let Counter { violation, finished, mut variants, .. } = finished.driver;
+    if let Some(reason) = violation {
         return Err(format!("the image breaks the marker convention: {reason}"));
     }
     if !finished {
@@ -72,11 +69,11 @@ struct Counter {
     done: u64,
     name: Symbol,
     until: VirtualNanos,
-    armed: bool,
-    open: Option<(String, u64)>,
+    watches_are_set: bool,
+    open_call: Option<(String, u64)>,
     finished: bool,
-    broken: Option<&'static str>,
-    /// Name and longest call of each variant, with the markers.
+    violation: Option<&'static str>,
+    /// Name of each variant, and the instructions of its longest call including the markers.
     variants: Vec<(String, u64)>,
 }
 
@@ -84,12 +81,12 @@ impl Counter {
     fn on_hit(&mut self, hit: Hit, host: &mut dyn Host) {
         if hit.address == self.begin {
             match variant_name(self.name, host) {
-                Some(name) => self.open = Some((name, hit.instruction_count)),
-                None => self.broken = Some("BENCH_NAME does not point at text"),
+                Some(name) => self.open_call = Some((name, hit.instruction_count)),
+                None => self.violation = Some("BENCH_NAME does not point at text"),
             }
         } else if hit.address == self.end {
-            let Some((name, from)) = self.open.take() else {
-                self.broken = Some("bench_end without bench_begin");
+            let Some((name, from)) = self.open_call.take() else {
+                self.violation = Some("bench_end without bench_begin");
                 return;
             };
             let instructions = hit.instruction_count - from;
@@ -107,20 +104,20 @@ impl Driver<Hardware> for Counter {
     fn on_settled(&mut self, session: &mut Session<Hardware>, host: &mut dyn Host, settled: Settled) {
         if let Settled::Hit(hit) = settled {
             self.on_hit(hit, host);
-            if self.finished || self.broken.is_some() {
+            if self.finished || self.violation.is_some() {
                 session.run_until(hit.at);
             }
         }
     }
 
     fn on_stop(&mut self, session: &mut Session<Hardware>, stop: Stop, _host: &mut dyn Host) -> Option<VirtualNanos> {
-        if !self.armed {
-            self.armed = true;
+        if !self.watches_are_set {
+            self.watches_are_set = true;
             for address in [self.begin, self.end, self.done] {
                 session.watch(Watch::Instruction(address));
             }
         }
-        let over = self.finished || self.broken.is_some() || stop.at >= self.until;
+        let over = self.finished || self.violation.is_some() || stop.at >= self.until;
         (!over).then_some(self.until)
     }
 }

@@ -2,21 +2,22 @@
 //! STM32F405 at 168 MHz.
 //!
 //! The core follows the instruction timings of ARM's Cortex-M4 technical reference manual (r0p1, sections 3.3 and
-//! 7.2.3). A load after a load is pipelined; a taken branch refills the pipeline in two cycles (one to three in
-//! the manual); a skipped instruction counts as executed. The flash has five wait states per line of sixteen bytes, and
-//! an accelerator that hides them (RM0090 sections 3.5.1 and 3.5.2): a cache of 64 instruction lines, a cache of 8
-//! lines of constants, and a prefetch of the line after the present line. A running fetch ends before the next begins.
-//! The caches are empty at the first instruction. SRAM and registers reply at once; the bus load of DMA and USB is not
-//! included.
+//! 7.2.3). A load after a load is pipelined. A taken branch refills the pipeline in two cycles (one to three in the
+//! manual). A skipped instruction counts as executed.
+//!
+//! The flash has five wait states per line of 16 bytes, which an accelerator hides (RM0090 sections 3.5.1 and 3.5.2).
+//! The accelerator has a cache of 64 instruction lines, a cache of 8 constant lines, and a prefetch of the next line. A
+//! running fetch ends before the next begins. The caches are empty at the first instruction. SRAM and registers reply
+//! at once. The bus load of DMA and USB is not included.
 
 use std::collections::VecDeque;
 
 use crate::trace::Code;
 
-/// Model of the flash's delay.
+/// A model of the flash's delay.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Flash {
-    /// No wait states: the time of the core alone.
+    /// No wait states, so that only the core needs time.
     AtOnce,
     /// Wait states with both caches and prefetch.
     Accelerated,
@@ -31,91 +32,90 @@ impl Flash {
 
 /// Wait states at 168 MHz and 2.7 to 3.6 V (RM0090 table 10).
 const WAIT_STATES: u64 = 5;
-const LINE: u32 = 16;
+const LINE_BYTES: u32 = 16;
 const INSTRUCTION_LINES: usize = 64;
 const DATA_LINES: usize = 8;
 /// Cycles to refill the pipeline after a taken branch.
-const REFILL: u64 = 2;
+const REFILL_CYCLES: u64 = 2;
 /// Cycles to enter and leave the exception, and to save and restore the FPU's registers (Cortex-M4 manual, section 3.9;
 /// ARM application note 298).
-pub const EXCEPTION: u64 = 12 + 12 + 17 + 17;
+pub const EXCEPTION_CYCLES: u64 = 12 + 12 + 17 + 17;
 
-/// Cost of a single instruction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Cost {
-    /// Bytes of the instruction.
+    /// Length of the instruction, bytes.
     length: u32,
     cycles: u64,
-    /// True for a single load, which overlaps with a following load.
-    load: bool,
+    /// True for a single load, which overlaps with a load that follows.
+    is_load: bool,
     /// Address of the constant that the instruction loads from the code.
     constant: Option<u32>,
-    /// FPU registers: the register that its arithmetic writes, and the registers that it reads.
+    /// FPU register that arithmetic writes.
     writes: Option<u16>,
+    /// FPU registers that arithmetic reads.
     reads: [Option<u16>; 2],
 }
 
 impl Cost {
     fn of(length: u32, cycles: u64) -> Self {
-        Self { length, cycles, load: false, constant: None, writes: None, reads: [None; 2] }
+        Self { length, cycles, is_load: false, constant: None, writes: None, reads: [None; 2] }
     }
 
     fn load(length: u32, constant: Option<u32>) -> Self {
-        Self { load: true, constant, ..Self::of(length, 2) }
+        Self { is_load: true, constant, ..Self::of(length, 2) }
     }
 }
 
 /// Returns the address from which a PC-relative load at `at` with an offset of `words` words reads.
-fn constant(at: u32, words: u16) -> Option<u32> {
+fn literal_address(at: u32, words: u16) -> Option<u32> {
     Some((at & !3).wrapping_add(4).wrapping_add(4 * u32::from(words)))
 }
 
-/// Returns the cost of the instruction at `at`. Encodings: ARMv7-M Architecture Reference Manual, chapters A5 and A6.
+/// Returns the cost of the instruction at `at`, decoded as in the ARMv7-M Architecture Reference Manual (A5, A6).
 fn cost(code: &Code, at: u32) -> Cost {
     let first = code.half(at);
     if first >> 11 >= 0b11101 {
-        return wide(first, code.half(at + 2), at);
+        return wide_cost(first, code.half(at + 2), at);
     }
     match first {
-        0x4800..0x5000 => Cost::load(2, constant(at, first & 0xFF)),
+        0x4800..0x5000 => Cost::load(2, literal_address(at, first & 0xFF)),
         0x5600..0x6000 => Cost::load(2, None),
         0x6000..0xA000 if first & 0x0800 != 0 => Cost::load(2, None),
-        // PUSH, POP, STM, LDM
+        // PUSH and POP, then STM and LDM.
         0xB400..0xB600 | 0xBC00..0xBE00 => Cost::of(2, 1 + u64::from((first & 0x1FF).count_ones())),
         0xC000..0xD000 => Cost::of(2, 1 + u64::from((first & 0xFF).count_ones())),
         _ => Cost::of(2, 1),
     }
 }
 
-fn wide(first: u16, second: u16, at: u32) -> Cost {
+fn wide_cost(first: u16, second: u16, at: u32) -> Cost {
     let loads = first & 0x10 != 0;
     match first {
-        // LDM, STM; TBB; LDRD, STRD and the exclusive variants.
+        // LDM and STM, then TBB, then LDRD, STRD and the exclusive variants.
         _ if first & 0xFE40 == 0xE800 => Cost::of(4, 1 + u64::from(second.count_ones())),
         0xE8D0..=0xE8DF if second & 0xFFE0 == 0xF000 => Cost::of(4, 2),
         _ if first & 0xFE40 == 0xE840 => Cost::of(4, 3),
-        // VLDR, VSTR; VMOV of two registers; VLDM, VSTM.
+        // VLDR and VSTR, then VMOV of two registers, then VLDM and VSTM.
         _ if first & 0xFF20 == 0xED00 => match (loads, first & 0xF) {
-            (true, 0xF) => Cost::load(4, constant(at, second & 0xFF)),
+            (true, 0xF) => Cost::load(4, literal_address(at, second & 0xFF)),
             (true, _) => Cost::load(4, None),
             (false, _) => Cost::of(4, 2),
         },
         _ if first & 0xFFE0 == 0xEC40 => Cost::of(4, 2),
         _ if first & 0xFE00 == 0xEC00 => Cost::of(4, 1 + u64::from(second & 0xFF)),
-        _ if first & 0xFF00 == 0xEE00 && second & 0x10 == 0 => arithmetic(first, second),
-        // LDR; LDR of a constant.
+        _ if first & 0xFF00 == 0xEE00 && second & 0x10 == 0 => fpu_cost(first, second),
+        // LDR, also of a constant.
         _ if first & 0xFE00 == 0xF800 && loads => {
             let relative = first & 0xF == 0xF && first & 0x80 != 0;
             Cost::load(4, relative.then(|| (at & !3).wrapping_add(4 + u32::from(second & 0xFFF))))
         }
-        // SDIV and UDIV: the longest time.
+        // SDIV and UDIV in their longest time.
         _ if first & 0xFFD0 == 0xFB90 => Cost::of(4, 12),
         _ => Cost::of(4, 1),
     }
 }
 
-/// Returns the cost of an FPU instruction.
-fn arithmetic(first: u16, second: u16) -> Cost {
+fn fpu_cost(first: u16, second: u16) -> Cost {
     let register = |number: u16, low: u16| Some((number & 0xF) << 1 | low & 1);
     let unary = first & 0xFFB0 == 0xEEB0;
     let cycles = match first & 0xFFB0 {
@@ -133,12 +133,12 @@ fn arithmetic(first: u16, second: u16) -> Cost {
     }
 }
 
-/// Most recently used lines, newest first.
+/// Cached lines, the most recently used line first.
 #[derive(Debug, Default)]
 struct Lines(VecDeque<u32>);
 
 impl Lines {
-    /// Returns true if `line` is cached. Makes it the newest line; the cache holds at most `capacity` lines.
+    /// Makes `line` the newest of at most `capacity` cached lines. Returns true if it was cached before.
     fn use_line(&mut self, line: u32, capacity: usize) -> bool {
         let place = self.0.iter().position(|&kept| kept == line);
         if let Some(place) = place {
@@ -156,22 +156,22 @@ struct FlashState {
     flash: Flash,
     now: u64,
     /// Time at which the flash array is free again.
-    free: u64,
+    free_at: u64,
     line: Option<u32>,
-    ahead: Option<u32>,
+    prefetched_line: Option<u32>,
     instructions: Lines,
     constants: Lines,
 }
 
 impl FlashState {
-    /// Reads a line of the flash array and waits for it.
+    /// Reads a line of the flash array and waits until it arrives.
     fn read(&mut self) {
-        self.now = self.now.max(self.free) + WAIT_STATES;
-        self.free = self.now;
+        self.now = self.now.max(self.free_at) + WAIT_STATES;
+        self.free_at = self.now;
     }
 
     fn instruction(&mut self, at: u32) {
-        let line = at / LINE;
+        let line = at / LINE_BYTES;
         if self.flash == Flash::AtOnce || self.line.replace(line) == Some(line) {
             return;
         }
@@ -179,35 +179,35 @@ impl FlashState {
             return self.read();
         }
         if !self.instructions.use_line(line, INSTRUCTION_LINES) {
-            if self.ahead == Some(line) {
-                self.now = self.now.max(self.free);
+            if self.prefetched_line == Some(line) {
+                self.now = self.now.max(self.free_at);
             } else {
                 self.read();
             }
         }
-        if !self.instructions.0.contains(&(line + 1)) && self.ahead != Some(line + 1) {
-            self.ahead = Some(line + 1);
-            self.free = self.now.max(self.free) + 1 + WAIT_STATES;
+        if !self.instructions.0.contains(&(line + 1)) && self.prefetched_line != Some(line + 1) {
+            self.prefetched_line = Some(line + 1);
+            self.free_at = self.now.max(self.free_at) + 1 + WAIT_STATES;
         }
     }
 
-    fn constant(&mut self, at: u32) {
-        let is_cached = self.constants.use_line(at / LINE, DATA_LINES) && self.flash == Flash::Accelerated;
+    fn load_constant(&mut self, at: u32) {
+        let is_cached = self.constants.use_line(at / LINE_BYTES, DATA_LINES) && self.flash == Flash::Accelerated;
         if self.flash != Flash::AtOnce && !is_cached {
             self.read();
         }
     }
 }
 
-/// Returns the cycles of an exception whose handler executes the instructions at `path`, in this order.
+/// Returns the cycles of an exception whose handler executes the instructions at the addresses in `path`, in order.
 #[must_use]
 pub fn estimate(code: &Code, path: &[u32], flash: Flash) -> u64 {
     let mut state = FlashState {
         flash,
-        now: EXCEPTION,
-        free: 0,
+        now: EXCEPTION_CYCLES,
+        free_at: 0,
         line: None,
-        ahead: None,
+        prefetched_line: None,
         instructions: Lines::default(),
         constants: Lines::default(),
     };
@@ -217,12 +217,12 @@ pub fn estimate(code: &Code, path: &[u32], flash: Flash) -> u64 {
         state.instruction(at);
         state.instruction(at + cost.length - 1);
         if let Some(constant) = cost.constant {
-            state.constant(constant);
+            state.load_constant(constant);
         }
-        let overlaps = u64::from(before.load && cost.load);
+        let overlaps = u64::from(before.is_load && cost.is_load);
         let waits = u64::from(before.writes.is_some() && cost.reads.contains(&before.writes));
         let is_taken = path.get(nth + 1).is_some_and(|&next| next != at + cost.length);
-        state.now += cost.cycles - overlaps + waits + if is_taken { REFILL } else { 0 };
+        state.now += cost.cycles - overlaps + waits + if is_taken { REFILL_CYCLES } else { 0 };
         before = cost;
     }
     state.now
@@ -234,27 +234,27 @@ mod tests {
 
     const NOP: u16 = 0xBF00;
 
-    fn straight(halves: &[u16], path: &[u32], flash: Flash) -> u64 {
-        estimate(&Code::at(0x1000, halves), path, flash) - EXCEPTION
+    fn cycles_of(halves: &[u16], path: &[u32], flash: Flash) -> u64 {
+        estimate(&Code::at(0x1000, halves), path, flash) - EXCEPTION_CYCLES
     }
 
     #[test]
     fn prefetch_hides_all_lines_but_the_first() {
         let path: Vec<u32> = (0..24).map(|nth| 0x1000 + 2 * nth).collect();
         let code = [NOP; 24];
-        assert_eq!(straight(&code, &path, Flash::AtOnce), 24);
-        // Three lines, each with its wait states.
-        assert_eq!(straight(&code, &path, Flash::Bare), 24 + 3 * 5);
-        // Only the first line: a fetch takes six cycles, the execution of the line before it eight.
-        assert_eq!(straight(&code, &path, Flash::Accelerated), 24 + 5);
+        assert_eq!(cycles_of(&code, &path, Flash::AtOnce), 24);
+        // All three lines have their wait states.
+        assert_eq!(cycles_of(&code, &path, Flash::Bare), 24 + 3 * 5);
+        // Only the first line is late. A fetch takes six cycles, and executing the line before it takes eight.
+        assert_eq!(cycles_of(&code, &path, Flash::Accelerated), 24 + 5);
     }
 
     #[test]
     fn wide_instructions_are_faster_than_the_prefetch() {
-        // movw r0, #0, four per line: each further line arrives two cycles late.
+        // With four `movw r0, #0` per line, each further line arrives two cycles late.
         let code = [[0xF240, 0x0000]; 12].concat();
         let path: Vec<u32> = (0..12).map(|nth| 0x1000 + 4 * nth).collect();
-        assert_eq!(straight(&code, &path, Flash::Accelerated), 12 + 5 + 2 * 2);
+        assert_eq!(cycles_of(&code, &path, Flash::Accelerated), 12 + 5 + 2 * 2);
     }
 
     #[test]
@@ -262,14 +262,14 @@ mod tests {
         // nop; b 0x1000
         let code = [NOP, 0xE7FD];
         let path: Vec<u32> = [0x1000, 0x1002].repeat(10);
-        let core = 20 + 9 * REFILL;
-        assert_eq!(straight(&code, &path, Flash::AtOnce), core);
-        assert_eq!(straight(&code, &path, Flash::Accelerated), core + 5);
+        let core = 20 + 9 * REFILL_CYCLES;
+        assert_eq!(cycles_of(&code, &path, Flash::AtOnce), core);
+        assert_eq!(cycles_of(&code, &path, Flash::Accelerated), core + 5);
     }
 
     #[test]
     fn instructions_have_the_costs_of_the_manual() {
-        let alone = |halves: &[u16]| straight(halves, &[0x1000], Flash::AtOnce);
+        let alone = |halves: &[u16]| cycles_of(halves, &[0x1000], Flash::AtOnce);
         assert_eq!(alone(&[0x6808]), 2, "ldr r0, [r1]");
         assert_eq!(alone(&[0x6008]), 1, "str r0, [r1]");
         assert_eq!(alone(&[0xB5F0]), 6, "push {{r4-r7, lr}}");

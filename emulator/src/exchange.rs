@@ -1,9 +1,8 @@
-//! A host that sends force requests as fast as the board replies: the number of exchanges per second of the chip's
-//! time.
+//! A host that sends force requests as fast as the board replies, to count the exchanges per second of the chip's time.
 //!
-//! The bus is modelled as in usb.rs: full speed, 13 bytes of overhead per packet, no frame boundaries, no other device;
-//! a packet begins as soon as the chip offers or accepts it. The simulated computer polls every [`POLL_INTERVAL`] and
-//! replies at once; a real computer adds the delays of its USB and scheduler.
+//! The bus is modelled as in usb.rs, at full speed, with 13 bytes of overhead per packet, without frame boundaries and
+//! other devices. A packet begins as soon as the chip offers or accepts it. The simulated computer polls every
+//! [`POLL_INTERVAL_NS`] and replies at once, whereas a real computer adds delays of its USB and scheduler.
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -17,7 +16,7 @@ use crate::rig::Rig;
 use crate::run::{MICROSECOND, MILLISECOND};
 
 /// Longest time from the last byte of a reply to the next request, ns.
-pub const POLL_INTERVAL: u64 = 5 * MICROSECOND;
+pub const POLL_INTERVAL_NS: u64 = 5 * MICROSECOND;
 
 /// Result of a series of exchanges.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -25,9 +24,9 @@ pub struct Exchanges {
     /// Number of requests with a reply, per second.
     pub per_second: f64,
     /// Median time from a request to its reply, s.
-    pub median: f64,
+    pub median_seconds: f64,
     /// Longest time from a request to its reply, s.
-    pub longest: f64,
+    pub longest_seconds: f64,
     /// Number of rejected requests.
     pub rejected: usize,
     /// Number of control steps.
@@ -43,12 +42,8 @@ pub struct Exchanges {
 }
 
 /// Sends a small force, different in every exchange, together with `contact` for `milliseconds`. Meanwhile the board
-/// streams `fields` of every `divider`th step (no stream if 0). `ahead` is the maximum number of requests without a
-/// reply; 1 waits for each reply.
-///
-/// # Panics
-///
-/// If the link breaks.
+/// streams `fields` of every `divider`th step (0: no stream). At most `ahead` requests wait for a reply, so 1 waits for
+/// each reply.
 pub fn run(
     rig: &mut Rig,
     (fields, divider): (Fields, u32),
@@ -69,8 +64,8 @@ pub fn run(
     times.sort_unstable();
     Exchanges {
         per_second: count as f64 / seconds(ended - began),
-        median: seconds(times[count / 2]),
-        longest: seconds(times[count - 1]),
+        median_seconds: seconds(times[count / 2]),
+        longest_seconds: seconds(times[count - 1]),
         rejected,
         steps: after.wrapping_sub(before),
         periods: ((ended - began) * u64::from(rate_hz) / 1_000_000_000) as u32,
@@ -80,9 +75,9 @@ pub fn run(
     }
 }
 
-/// Connects a computer that polls often, and starts its stream.
+/// Connects a computer that polls every [`POLL_INTERVAL_NS`], and starts its stream.
 fn start(rig: &mut Rig, (fields, divider): (Fields, u32)) {
-    rig.tool = Board::over(rig.shared.wire_polled_every(POLL_INTERVAL), "virtual").expect("the board replies");
+    rig.tool = Board::over(rig.shared.wire_polled_every(POLL_INTERVAL_NS), "virtual").expect("the board replies");
     if divider > 0 {
         rig.tool.start_stream(fields, divider).expect("a stream starts");
     }
@@ -90,13 +85,13 @@ fn start(rig: &mut Rig, (fields, divider): (Fields, u32)) {
     rig.tool.rows(Duration::ZERO).expect("the link holds");
 }
 
-/// Sends requests. Returns the duration of each exchange, ns, and the number of rejected requests.
+/// Sends requests. Returns the duration of each exchange (ns), and the number of rejected requests.
 fn push(rig: &mut Rig, milliseconds: u64, contact: Option<HostContact>, ahead: usize) -> (Vec<u64>, usize) {
     let began = rig.now();
     let end = began + milliseconds * MILLISECOND;
     let (mut times, mut seen, mut rejected) = (Vec::new(), None, 0);
     let (mut in_flight, mut sent_count) = (VecDeque::new(), 0);
-    // Sequence numbers are newer than those of an earlier run.
+    // The sequence numbers must be newer than those of an earlier run.
     let first = (began / MICROSECOND) as u32;
     while rig.now() < end {
         let sequence = first.wrapping_add(sent_count);

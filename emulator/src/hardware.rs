@@ -1,10 +1,10 @@
 //! The board around the chip: crystal, supply, power stages, sensors and encoders, wired as in [`crate::boards`].
 //!
-//! At every crest and valley of the carrier, the on-times of the switches since the last extreme give the motors'
-//! voltages. The plant advances by the elapsed time, and its sensor values are applied to the chip's pins: quadrature
-//! edges one after another, microvolts at the converters, levels at the fault and index pins. Between two extremes the
-//! mean of a centre-aligned carrier is its duty, so the motor sees the duty and not the carrier; ripple is not
-//! simulated. If the carrier stands still, the plant advances every [`PHYSICS_STEP`].
+//! At every crest and valley of the carrier, the motor voltages are computed from the on-times of the switches since
+//! the last extreme. The plant advances by the elapsed time, and its sensor values are applied to the chip's pins: one
+//! quadrature edge after another, microvolts at the converters, and levels at the fault and index pins. Between two
+//! extremes the mean of a centre-aligned carrier is its duty, so ripple is not simulated. While the carrier stands
+//! still, the plant advances every [`PHYSICS_STEP_NS`].
 
 use std::num::{NonZeroU32, NonZeroU64};
 
@@ -26,24 +26,25 @@ use crate::chip::trigger::{REFERENCE_UV, Span};
 use crate::drv8301::Drv8301;
 use crate::plant::{Dummy, Peaks, Plant};
 
-/// Instructions per second of virtual time: 168 MHz at two cycles per instruction. A cycle estimate of a control step
-/// on a Cortex-M4F with hidden flash wait states gives 1.9 to 2.3.
+/// Instructions per second of virtual time, from 168 MHz and two cycles per instruction. A cycle estimate of a control
+/// step on a Cortex-M4F with hidden flash wait states gives 1.9 to 2.3 cycles.
 pub const INSTRUCTIONS_PER_SECOND: NonZeroU64 = NonZeroU64::new(84_000_000).expect("not zero");
 
-/// Time between two steps of the plant without a carrier, ns: half a period of the slowest carrier.
-pub const PHYSICS_STEP: u64 = 25_000;
-/// Time between two edges of one encoder, ns, longer than the 95 ns of its input filter.
-const EDGE_SPACING: u64 = 250;
+/// Time between two steps of the plant without a carrier, which is half a period of the slowest carrier, ns.
+pub const PHYSICS_STEP_NS: u64 = 25_000;
+/// Time between two edges of one encoder, ns. It is longer than the 95 ns of the timer's input filter.
+const EDGE_SPACING_NS: u64 = 250;
 
 /// Offset of `ARR` of a timer.
-const AUTO_RELOAD: u32 = 0x2C;
-/// Offsets of `MODER` and `PUPDR` of a port.
+const AUTO_RELOAD_OFFSET: u32 = 0x2C;
+/// Offset of `MODER` of a port.
 const PORT_MODE: u32 = 0x00;
+/// Offset of `PUPDR` of a port.
 const PORT_PULLS: u32 = 0x0C;
-/// Offset of `BDTR` of an advanced timer, and its main output enable.
+/// Offset of `BDTR` of an advanced timer.
 const BREAK_AND_DEAD_TIME: u32 = 0x44;
+/// Main output enable bit in `BDTR`.
 const MAIN_OUTPUT: u64 = 1 << 15;
-/// The 8 MHz crystal of all boards.
 const CRYSTAL_HZ: u64 = 8_000_000;
 /// Supply of a bare chip, mV.
 const RAIL_MV: u32 = 3300;
@@ -59,35 +60,35 @@ const QUADRATURE: [[Level; 2]; 4] =
 pub struct Hardware {
     /// The microcontroller.
     pub chip: Chip,
-    /// Wiring of the board; `None` for a bare chip.
+    /// Wiring of the board, or `None` for a bare chip.
     pub wiring: Option<&'static Wiring>,
-    /// Plant on the board's connectors.
+    /// The plant at the board's connectors.
     pub plant: Box<dyn Plant>,
     /// True if the fault line is held low from outside.
     pub fault_line_shorted: bool,
-    /// For each encoder, true if its plug is pulled: its lines do not change.
+    /// True for each encoder that is unplugged, so that its lines do not change.
     pub encoders_unplugged: [bool; 3],
-    /// Number of edges of each encoder that its timer will still miss.
+    /// Number of edges of each encoder that its timer will miss.
     pub edges_lost: [u32; 3],
-    /// True if the wire from the bus divider to the chip's pin is cut; takes effect at the next start.
+    /// True if the wire from the bus divider to the chip's pin is cut. Takes effect at the next start.
     pub bus_cut: bool,
     /// Other injected errors.
-    pub broken: BoardFaults,
-    /// Largest current, speed and travel since the last reset of this field.
+    pub faults: BoardFaults,
+    /// Largest values since the last reset of this field.
     pub peaks: Peaks,
     encoders: [EncoderDrive; 3],
     /// Number of times that the encoders were sampled.
     samples: u64,
     next_step: u64,
-    drives: [MotorInput; 3],
+    motor_inputs: [MotorInput; 3],
     break_level: Option<Level>,
     restarts_seen: Option<u64>,
 }
 
 #[derive(Clone, Copy, Debug, Default)]
 struct EncoderDrive {
-    shown: i32,
-    wanted: i32,
+    shown_count: i32,
+    wanted_count: i32,
 }
 
 /// Not stored in snapshots, because a run starts at power-on.
@@ -95,10 +96,7 @@ impl Store for Hardware {}
 
 impl Hardware {
     /// Returns a bare chip with a crystal and a supply, for images that need no board.
-    ///
-    /// # Errors
-    ///
-    /// If the description of the part is wrong, which is a bug here.
+    /// Returns an error if the description of the part is wrong, which is a bug in this crate.
     pub fn bare() -> Result<Self, rigless::soc::Error> {
         let mut chip = Chip::new()?;
         chip.rcc.attach_crystals(CRYSTAL_HZ, 0);
@@ -111,27 +109,24 @@ impl Hardware {
             encoders_unplugged: [false; 3],
             edges_lost: [0; 3],
             bus_cut: false,
-            broken: BoardFaults::default(),
+            faults: BoardFaults::default(),
             peaks: Peaks::default(),
             encoders: [EncoderDrive::default(); 3],
             samples: 0,
             next_step: 0,
-            drives: [MotorInput::Floating; 3],
+            motor_inputs: [MotorInput::Floating; 3],
             break_level: None,
             restarts_seen: None,
         })
     }
 
     /// Returns a board with `plant` at its connectors.
-    ///
-    /// # Errors
-    ///
-    /// If the description of the part is wrong, which is a bug here.
+    /// Returns an error if the description of the part is wrong, which is a bug in this crate.
     pub fn new(wiring: impl Into<&'static Wiring>, plant: Box<dyn Plant>) -> Result<Self, rigless::soc::Error> {
         let wiring = wiring.into();
         let mut hardware = Self { wiring: Some(wiring), plant, ..Self::bare()? };
         hardware.chip.set_supply(wiring.supply_mv);
-        for select in wiring.drivers {
+        for select in wiring.driver_selects {
             let (port, pin) = port_and_pin(*select);
             let select = Select { port: PORT_NAMES[port], pin, active: Level::Low };
             hardware.chip.spi[SPI3].attach_selected(Drv8301::default(), select);
@@ -140,21 +135,18 @@ impl Hardware {
     }
 
     /// Returns the nth gate driver.
-    ///
-    /// # Panics
-    ///
-    /// If the board does not have this driver.
     pub fn driver(&mut self, nth: usize) -> &mut Drv8301 {
         self.chip.spi[SPI3].chip_mut(nth).expect("the board has this driver")
     }
 
-    /// Returns the inputs of the motors in the last step.
+    /// Returns the motor inputs of the last step.
     #[must_use]
-    pub fn drives(&self) -> [MotorInput; 3] {
-        self.drives
+    pub fn motor_inputs(&self) -> [MotorInput; 3] {
+        self.motor_inputs
     }
 
-    /// Returns true if no bridge drives its motor now: no timer's main output is enabled, and the enable line is low.
+    /// Returns true if no bridge drives its motor now, because the main outputs are disabled and the enable line is
+    /// low.
     pub fn bridges_float(&mut self) -> bool {
         let driven =
             ["TIM1", "TIM8"].iter().any(|timer| self.chip.register(timer, BREAK_AND_DEAD_TIME) & MAIN_OUTPUT != 0);
@@ -162,14 +154,14 @@ impl Hardware {
         !driven && enable.is_none_or(|enable| self.level(enable) == Level::Low)
     }
 
-    /// Returns the level that the chip or the board puts on `pin`.
+    /// Returns the level that the chip or the board applies to `pin`.
     pub fn level(&mut self, pin: Pin) -> Level {
         let (port, pin) = port_and_pin(pin);
         let (model, registers) = self.chip.port(port);
         model.level(pin, registers)
     }
 
-    /// Advances the board to the time `at` of a stop. Returns the time of the next stop that the board needs.
+    /// Advances the board to the time `at` of a stop. Returns the time at which the board needs the next stop.
     pub fn step(&mut self, at: VirtualNanos) -> Option<VirtualNanos> {
         let wiring = self.wiring?;
         if self.restarts_seen != Some(self.chip.restarts) {
@@ -179,23 +171,23 @@ impl Hardware {
             for (axis, wires) in wiring.encoders.iter().enumerate() {
                 self.show_phase(at, axis, wires);
             }
-            let bus_level = Level::from(self.plant.bus_voltage() / wiring.bus.1 > wiring.middle());
+            let bus_level = Level::from(self.plant.bus_voltage() / wiring.bus.1 > wiring.zero_current_volts());
             self.drive_pin(wiring.bus_pin(), (!self.bus_cut).then_some(bus_level), at);
-            wiring.held.iter().for_each(|&pin| self.set_pin(pin, Level::High, at));
+            wiring.pins_held_high.iter().for_each(|&pin| self.set_pin(pin, Level::High, at));
         }
         if at.0 >= self.next_step {
             self.advance_plant(wiring, at);
-            self.next_step = self.next_extreme(at.0).unwrap_or(at.0 - at.0 % PHYSICS_STEP + PHYSICS_STEP);
+            self.next_step = self.next_extreme(at.0).unwrap_or(at.0 - at.0 % PHYSICS_STEP_NS + PHYSICS_STEP_NS);
         }
         let moving = self.drive_encoders(wiring, at);
-        Some(VirtualNanos(if moving { at.0 + EDGE_SPACING } else { self.next_step }))
+        Some(VirtualNanos(if moving { at.0 + EDGE_SPACING_NS } else { self.next_step }))
     }
 
-    /// Returns the time of the first crest or valley of TIM1 after `at`, if the timer runs.
+    /// Returns the time of the first crest or valley of TIM1 after `at`, ns, or `None` if the timer does not run.
     fn next_extreme(&self, at: u64) -> Option<u64> {
         let crest = self.chip.advanced[0].hook.crest()?;
-        let top = self.chip.register("TIM1", AUTO_RELOAD);
-        // Ticks of 125/21 ns: the timer counts at 168 MHz.
+        let top = self.chip.register("TIM1", AUTO_RELOAD_OFFSET);
+        // The timer counts at 168 MHz, so a tick takes 125/21 ns.
         let passed = at.saturating_sub(crest) * 21 / (125 * top.max(1));
         // If the crest did not come again two slopes later, the timer has stopped.
         let next = crest + (((passed + 1) * top + 1) * 125).div_ceil(21);
@@ -205,21 +197,22 @@ impl Hardware {
     fn advance_plant(&mut self, wiring: &Wiring, at: VirtualNanos) {
         let spans = [0, 1].map(|nth| self.chip.advanced[nth].hook.take_span(at));
         let enabled = self.level(wiring.enable) == Level::High;
-        for nth in 0..wiring.drivers.len() {
+        for nth in 0..wiring.driver_selects.len() {
             self.driver(nth).enable(enabled);
         }
         for (axis, motor) in wiring.motors.iter().enumerate() {
-            self.drives[axis] = self.drive(wiring, motor, &spans[usize::from(motor.timer == 8)], enabled);
+            self.motor_inputs[axis] = self.drive(wiring, motor, &spans[usize::from(motor.timer == 8)], enabled);
         }
-        self.peaks.driven |= !self.bridges_float();
-        self.peaks.touched = self.peaks.touched || wiring.power.iter().any(|&pin| !self.is_untouched(pin));
-        if spans[0].whole > 0 {
-            self.plant.step(&self.broken.drives(self.drives), spans[0].whole as f64 * 1e-9);
-            self.peaks.take(&mut *self.plant);
+        self.peaks.bridge_was_on |= !self.bridges_float();
+        self.peaks.power_pin_was_driven =
+            self.peaks.power_pin_was_driven || wiring.power_pins.iter().any(|&pin| !self.is_untouched(pin));
+        if spans[0].length_ns > 0 {
+            self.plant.step(&self.faults.drives(self.motor_inputs), spans[0].length_ns as f64 * 1e-9);
+            self.peaks.update(&mut *self.plant);
             self.samples += 1;
         }
-        for (encoder, counts) in self.encoders.iter_mut().zip(self.broken.counts(self.plant.counts(), self.samples)) {
-            encoder.wanted = counts;
+        for (encoder, counts) in self.encoders.iter_mut().zip(self.faults.counts(self.plant.counts(), self.samples)) {
+            encoder.wanted_count = counts;
         }
         self.show_analog(wiring);
         self.show_levels(wiring, at);
@@ -227,21 +220,21 @@ impl Hardware {
 
     fn drive(&mut self, wiring: &Wiring, motor: &MotorWires, span: &Span, enabled: bool) -> MotorInput {
         let joined = motor.gates.iter().all(|&gate| self.function(gate) == Some(motor.function));
-        if !enabled || !joined || span.whole == 0 {
+        if !enabled || !joined || span.length_ns == 0 {
             return MotorInput::Floating;
         }
-        if span.driven * 2 < span.whole {
-            return if wiring.idle_brakes { MotorInput::Duty(0.0) } else { MotorInput::Floating };
+        if span.enabled_ns * 2 < span.length_ns {
+            return if wiring.brakes_when_idle { MotorInput::Duty(0.0) } else { MotorInput::Floating };
         }
         let share = |end| match end {
-            HalfBridge::Channel(n) => span.active[usize::from(n) - 1] as f64,
-            HalfBridge::Complement(n) => (span.driven - span.active[usize::from(n) - 1]) as f64,
+            HalfBridge::Channel(n) => span.active_ns[usize::from(n) - 1] as f64,
+            HalfBridge::Complement(n) => (span.enabled_ns - span.active_ns[usize::from(n) - 1]) as f64,
         };
         let [first, second] = motor.ends;
-        MotorInput::Duty((share(first) - share(second)) / span.whole as f64)
+        MotorInput::Duty((share(first) - share(second)) / span.length_ns as f64)
     }
 
-    /// Returns the selected alternate function of a pin.
+    /// Returns the alternate function that a pin has now.
     fn function(&mut self, pin: Pin) -> Option<u8> {
         let (port, pin) = port_and_pin(pin);
         let (_, registers) = self.chip.port(port);
@@ -252,24 +245,24 @@ impl Hardware {
         let currents = self.plant.currents();
         let mut nth = 0;
         for (axis, motor) in wiring.motors.iter().enumerate() {
-            let gain = if wiring.drivers.is_empty() { Some(1.0) } else { self.driver(axis).gain() };
+            let gain = if wiring.driver_selects.is_empty() { Some(1.0) } else { self.driver(axis).gain() };
             for &(channel, volts_per_ampere) in motor.sensors {
-                let current = self.broken.current(&currents, axis, nth);
+                let current = self.faults.current(&currents, axis, nth);
                 let volts = gain.map_or(0.0, |gain| {
-                    wiring.middle() + wiring.sensor_offsets[nth] + gain * volts_per_ampere * current
+                    wiring.zero_current_volts() + wiring.sensor_offsets[nth] + gain * volts_per_ampere * current
                 });
                 self.show_volts(wiring, channel, volts);
                 nth += 1;
             }
         }
         let (channel, divider) = wiring.bus;
-        self.show_volts(wiring, channel, self.broken.bus_reading.unwrap_or(self.plant.bus_voltage()) / divider);
+        self.show_volts(wiring, channel, self.faults.bus_reading.unwrap_or(self.plant.bus_voltage()) / divider);
     }
 
     fn show_volts(&mut self, wiring: &Wiring, channel: u8, volts: f64) {
         let channel = AnalogChannel::new(channel).expect("a pin channel");
         // A float-to-int `as` saturates, like an input that is clamped to its rails. The converters have only one
-        // reference voltage, so the input is scaled by this board's reference.
+        // reference voltage, so the input is scaled by the board's reference.
         let share = volts / (1e-3 * f64::from(wiring.supply_mv));
         let microvolts = ((share * f64::from(REFERENCE_UV)) as u32).min(REFERENCE_UV);
         for converter in &mut self.chip.converters {
@@ -278,9 +271,10 @@ impl Hardware {
     }
 
     fn show_levels(&mut self, wiring: &Wiring, at: VirtualNanos) {
-        let pulled = self.fault_line_shorted || (0..wiring.drivers.len()).any(|nth| self.driver(nth).pulls_fault());
+        let pulled =
+            self.fault_line_shorted || (0..wiring.driver_selects.len()).any(|nth| self.driver(nth).pulls_fault());
         self.set_pin(wiring.fault, Level::from(!pulled), at);
-        if wiring.fault_breaks {
+        if wiring.fault_is_break_input {
             let level = Level::from(!pulled);
             if self.break_level != Some(level) && self.function(wiring.fault) == Some(1) {
                 self.break_level = Some(level);
@@ -306,7 +300,7 @@ impl Hardware {
         self.drive_pin(pin, Some(level), at);
     }
 
-    /// Holds a pin of the chip at a level from outside, or releases the pin.
+    /// Holds a pin of the chip at a level from outside, or releases the pin for `None`.
     fn drive_pin(&mut self, pin: Pin, level: Option<Level>, at: VirtualNanos) {
         let (port, pin) = port_and_pin(pin);
         self.chip.drive_port(at, port, |port, registers, context| {
@@ -314,24 +308,24 @@ impl Hardware {
         });
     }
 
-    /// Returns true if a pin is configured as after reset: an input without pull-up.
+    /// Returns true if a pin is still configured as after a reset, as an input without pull-up.
     fn is_untouched(&self, Pin(port, number): Pin) -> bool {
         let port = PORT_NAMES[(port as usize) - ('A' as usize)];
         let field = |register| self.chip.register(port, register) >> (2 * number) & 0b11;
         field(PORT_MODE) == 0 && field(PORT_PULLS) != 0b01
     }
 
-    /// Makes one edge of each encoder with remaining counts. Returns true if counts remain.
+    /// Makes one edge of each encoder that has counts left. Returns true if counts are left afterwards.
     fn drive_encoders(&mut self, wiring: &Wiring, at: VirtualNanos) -> bool {
         let mut moving = false;
         for (axis, wires) in wiring.encoders.iter().enumerate() {
             let encoder = &mut self.encoders[axis];
-            let step = (encoder.wanted - encoder.shown).signum();
+            let step = (encoder.wanted_count - encoder.shown_count).signum();
             if step == 0 {
                 continue;
             }
-            encoder.shown += step;
-            moving |= encoder.shown != encoder.wanted;
+            encoder.shown_count += step;
+            moving |= encoder.shown_count != encoder.wanted_count;
             if self.edges_lost[axis] > 0 {
                 self.edges_lost[axis] -= 1;
                 continue;
@@ -346,7 +340,7 @@ impl Hardware {
     }
 
     fn show_phase(&mut self, at: VirtualNanos, axis: usize, wires: &EncoderWires) {
-        let levels = QUADRATURE[self.encoders[axis].shown.rem_euclid(4) as usize];
+        let levels = QUADRATURE[self.encoders[axis].shown_count.rem_euclid(4) as usize];
         for (channel, level) in (1..).zip(levels) {
             let channel = Channel::new(channel).expect("a timer has four channels");
             self.chip.drive_timer(at, usize::from(wires.timer) - 2, |timer, registers, context| {

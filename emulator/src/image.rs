@@ -1,4 +1,4 @@
-//! An ELF file for the chip: contents for the emulator's memory, and addresses of symbols.
+//! An ELF file for the chip, with contents for the emulator's memory and addresses of symbols.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -8,15 +8,15 @@ use std::process::{Command, Stdio};
 use object::{Object, ObjectSection, ObjectSymbol, SectionKind, SymbolKind};
 
 /// Flash sectors that memory.x reserves for the settings.
-pub const SETTINGS: Range<u64> = 0x0800_4000..0x0800_C000;
+pub const SETTINGS_RANGE: Range<u64> = 0x0800_4000..0x0800_C000;
 
 /// Flash sectors of the code.
-pub const CODE: Range<u64> = 0x0800_C000..0x0806_C000;
+pub const CODE_RANGE: Range<u64> = 0x0800_C000..0x0806_C000;
 
-/// Handler of the control interrupt in the vector table.
+/// Name of the control interrupt's handler in the vector table.
 pub const CONTROL_INTERRUPT: &str = "TIM1_UP_TIM10";
 
-/// A firmware image from a build, loaded into the emulator without changes.
+/// A firmware image of a build, which the emulator loads without changes.
 #[derive(Clone, Debug)]
 pub struct Firmware {
     path: PathBuf,
@@ -25,21 +25,18 @@ pub struct Firmware {
     text: (u64, u64),
 }
 
-/// Address (of a function: without the Thumb bit) and size of a symbol.
+/// Address and size of a symbol. The address of a function has no Thumb bit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Symbol {
     /// Address of the first byte.
     pub address: u64,
-    /// Size in bytes; 0 if the linker gave none.
+    /// Size in bytes, or 0 if the linker gave none.
     pub size: u64,
 }
 
 impl Firmware {
     /// Reads the ELF file at `path`.
-    ///
-    /// # Errors
-    ///
-    /// If the file does not exist or is not ELF.
+    /// Returns an error if the file does not exist or is not ELF.
     pub fn read(path: impl AsRef<Path>) -> Result<Self, String> {
         let path = path.as_ref().to_owned();
         let bytes = std::fs::read(&path)
@@ -60,12 +57,9 @@ impl Firmware {
         Ok(Self { path, symbols, text, bytes })
     }
 
-    /// Returns the release image of the board called `name`, as `cargo xtask fw` builds it. An up-to-date image is not
-    /// built again. If `HAPTIC_FIRMWARE_DIR` is set, the image is read from that directory.
-    ///
-    /// # Errors
-    ///
-    /// If the image cannot be built or read.
+    /// Returns the release image of the board `name`, built by `cargo xtask fw`. An up-to-date image is not built
+    /// again. If `HAPTIC_FIRMWARE_DIR` is set, the image is read from that directory.
+    /// Returns an error if the image cannot be built or read.
     pub fn of(name: &str) -> Result<Self, String> {
         if let Some(directory) = std::env::var_os("HAPTIC_FIRMWARE_DIR") {
             return Self::read(Path::new(&directory).join(format!("haptic-firmware-{name}.elf")));
@@ -85,7 +79,7 @@ impl Firmware {
         }
     }
 
-    /// Returns the file's bytes, for a hash or a decoder of its log.
+    /// Returns the bytes of the file.
     #[must_use]
     pub fn bytes(&self) -> &[u8] {
         &self.bytes
@@ -104,32 +98,29 @@ impl Firmware {
     }
 
     /// Returns the symbol `name`.
-    ///
-    /// # Errors
-    ///
-    /// If the image does not have it.
+    /// Returns an error if the image has no such symbol.
     pub fn symbol(&self, name: &str) -> Result<Symbol, String> {
         self.find(name).ok_or_else(|| format!("{} has no symbol {name}", self.path.display()))
     }
 
-    /// Returns the symbol `name`, if the image has it.
+    /// Returns the symbol `name`, or `None` if the image does not have it.
     #[must_use]
     pub fn find(&self, name: &str) -> Option<Symbol> {
         self.symbols.get(name).copied()
     }
 
-    /// Returns the only symbol whose name ends with `ending`: a static of the firmware by its mangled path, such as
+    /// Returns the only symbol whose name ends with `ending`, the end of a static's mangled path such as
     /// `9interrupt7CONTROL`.
     #[must_use]
     pub fn find_ending(&self, ending: &str) -> Option<Symbol> {
-        // If the compiler split a static, the number of the part follows the name.
+        // If the compiler splits a static, the number of the part follows the name.
         let plain =
             |name: &str| name.trim_end_matches(|letter: char| letter.is_ascii_digit()).ends_with(&format!("{ending}."));
         let mut matches = self.symbols.iter().filter(|(name, _)| name.ends_with(ending) || plain(name));
         matches.next().map(|(_, symbol)| *symbol).filter(|_| matches.next().is_none())
     }
 
-    /// Returns the code of the function `symbol`, or `None` if the image has no code there.
+    /// Returns the code of the function `symbol`, or `None` if the image has no code at this address.
     #[must_use]
     pub fn code(&self, symbol: Symbol) -> Option<Vec<u8>> {
         let elf = object::File::parse(&*self.bytes).ok()?;
@@ -139,16 +130,13 @@ impl Firmware {
         })
     }
 
-    /// Returns all symbols with their names, by name.
+    /// Returns all symbols and their names, sorted by name.
     pub fn symbols(&self) -> impl Iterator<Item = (&str, Symbol)> {
         self.symbols.iter().map(|(name, &symbol)| (name.as_str(), symbol))
     }
 
-    /// Returns the file's contents in the form that the emulator loads into memory.
-    ///
-    /// # Errors
-    ///
-    /// Any error of rigless over the ELF file.
+    /// Returns the contents of the file in the form that the emulator loads into memory.
+    /// Returns any error of rigless about the ELF file.
     pub fn image(&self) -> Result<rigless::image::Image, rigless::image::Error> {
         rigless::image::Image::new(&self.path, self.bytes.clone(), None)
     }

@@ -1,7 +1,7 @@
-//! Injections of all faults into the unmodified image on the emulated chip. provoke.rs checks their effect, report.rs
+//! Injects all faults into the unmodified image on the emulated chip. provoke.rs checks their effect, and report.rs
 //! describes it.
 //!
-//! The match over all faults is exhaustive: a fault without an injection does not compile. Faults that the boards
+//! The match over all faults is exhaustive, so a fault without an injection does not compile. Faults that the boards
 //! cannot detect are marked.
 
 use std::f64::consts::PI;
@@ -16,8 +16,8 @@ use rigless::time::VirtualNanos;
 
 use crate::boards::BoardKind;
 use crate::contact::WallAt;
-use crate::hands::{firm, hold, push, wander};
-use crate::image::{CODE, SETTINGS};
+use crate::hands::{firm_settings, hold, move_to_and_fro, push};
+use crate::image::{CODE_RANGE, SETTINGS_RANGE};
 use crate::rig::{Rig, device_file, firmware};
 use crate::run::{MICROSECOND, MILLISECOND, SECOND, StoppedBoard};
 
@@ -36,28 +36,28 @@ pub enum Injection {
     Chip {
         /// Description of the cause.
         description: &'static str,
-        /// Creates a board immediately before the fault.
+        /// Creates a board just before the fault.
         create: fn() -> Rig,
         /// Causes the fault.
         cause: fn(&mut Rig),
         /// Longest time until the fault is detected, ms.
         within_ms: u64,
     },
-    /// Undetectable on the boards, with the reason.
+    /// Not detectable on the boards, for this reason.
     Undetectable(&'static str),
 }
 
 const FIVE_BAR: &str = "pantograph-mk2";
-/// A stiffness, N/m, whose bit pattern no other word in RAM has.
+/// Stiffness whose bit pattern no other word in RAM has, N/m.
 const MARKER_STIFFNESS: f32 = 517.25;
-/// Address of a word of the stack.
+/// Address of a word on the stack.
 const STACK_WORD: u64 = 0x2000_4000;
 
 fn rig_in_contact() -> Rig {
     pressed_rig(0.8)
 }
 
-/// Returns a rig whose tip a hand presses into a wall with this force, N.
+/// Returns a rig whose tip a hand presses into a wall with `newtons`.
 fn pressed_rig(newtons: f64) -> Rig {
     Rig::in_contact(BoardKind::OdriveV3, FIVE_BAR, "", &[WallAt::facing([0.0, -1.0, 0.0])], newtons)
 }
@@ -80,7 +80,7 @@ fn disarmed_rig() -> Rig {
     rig
 }
 
-fn rules(rig: &mut Rig, change: impl FnOnce(&mut Rules)) {
+fn change_rules(rig: &mut Rig, change: impl FnOnce(&mut Rules)) {
     let mut rules = rig.tool.rules().expect("the board replies");
     change(&mut rules);
     rig.tool.set_rules(&rules).expect("limits are lowered");
@@ -90,14 +90,13 @@ fn push_tip(rig: &Rig, force: [f64; 3]) {
     rig.with_simulated(move |device| push(device, force, 0.05));
 }
 
-/// Returns an armed rig in contact, with the clock security system connected to the core's non-maskable interrupt.
+/// Returns an armed rig in contact whose clock security system is connected to the core's non-maskable interrupt.
 fn rig_with_nmi_wire() -> Rig {
     let rig = rig_in_contact();
     wire_to_nmi(&rig);
     rig
 }
 
-/// Changes a board and presses its reset button.
 fn change_and_reset(rig: &mut Rig, cause: impl FnOnce(&mut StoppedBoard<'_>) + Send + 'static) {
     rig.with(cause);
     rig.run(MICROSECOND);
@@ -115,9 +114,9 @@ pub fn injection(fault: Fault) -> Injection {
             rig_in_contact,
             |rig| {
                 after_crest(rig, 5);
-                rig.with(|stopped| stopped.hold(true));
+                rig.with(|stopped| stopped.hold_core(true));
                 rig.run(55 * MICROSECOND);
-                rig.with(|stopped| stopped.hold(false));
+                rig.with(|stopped| stopped.hold_core(false));
             },
             5,
         ),
@@ -125,7 +124,7 @@ pub fn injection(fault: Fault) -> Injection {
             "0.4 rad of encoder edges, four a microsecond",
             || {
                 let mut rig = rig_in_contact();
-                rules(&mut rig, |rules| rules.limits.speed = [20.0; 3]);
+                change_rules(&mut rig, |rules| rules.limits.speed = [20.0; 3]);
                 after_crest(&rig, 10);
                 rig
             },
@@ -142,7 +141,7 @@ pub fn injection(fault: Fault) -> Injection {
             rig_in_contact,
             |rig| {
                 rig.with(|stopped| stopped.hardware().encoders_unplugged = [true; 3]);
-                rules(rig, |rules| rules.limits.current = [0.15; 3]);
+                change_rules(rig, |rules| rules.limits.current = [0.15; 3]);
             },
             6_000,
         ),
@@ -150,7 +149,7 @@ pub fn injection(fault: Fault) -> Injection {
             "encoders unplugged while a hand moves the device",
             free_rig,
             |rig| {
-                rules(rig, |rules| rules.limits.speed = [4.0; 3]);
+                change_rules(rig, |rules| rules.limits.speed = [4.0; 3]);
                 rig.with(|stopped| stopped.hardware().encoders_unplugged = [true; 3]);
                 push_tip(rig, [3.0, 3.0, 0.0]);
             },
@@ -162,7 +161,7 @@ pub fn injection(fault: Fault) -> Injection {
             rig_with_index,
             |rig| {
                 rig.with(|stopped| stopped.hardware().edges_lost[0] = 20);
-                rig.with_simulated(|device| sweep(device, -SWEEP, SWEEP));
+                rig.with_simulated(|device| sweep(device, -HALF_SWEEP_METRES, HALF_SWEEP_METRES));
             },
             2_000,
         ),
@@ -176,7 +175,7 @@ pub fn injection(fault: Fault) -> Injection {
             "a hand moves the device faster than 0.5 rad/s",
             free_rig,
             |rig| {
-                rules(rig, |rules| rules.limits.speed = [0.5; 3]);
+                change_rules(rig, |rules| rules.limits.speed = [0.5; 3]);
                 push_tip(rig, [3.0, 0.0, 0.0]);
             },
             2_000,
@@ -185,7 +184,7 @@ pub fn injection(fault: Fault) -> Injection {
             "a current sensor shows 8 A too much",
             rig_in_contact,
             |rig| {
-                rig.with(|stopped| stopped.hardware().broken.sensor_offset[..2].fill(8.0));
+                rig.with(|stopped| stopped.hardware().faults.sensor_offset[..2].fill(8.0));
             },
             5,
         ),
@@ -194,7 +193,7 @@ pub fn injection(fault: Fault) -> Injection {
             rig_in_contact,
             |rig| {
                 let currents = rig.with_simulated(|device| device.currents());
-                rules(rig, |rules| {
+                change_rules(rig, |rules| {
                     for (limit, current) in rules.limits.current.iter_mut().zip(currents) {
                         *limit = (current.abs() as f32 / 0.95).max(0.05);
                     }
@@ -223,7 +222,7 @@ pub fn injection(fault: Fault) -> Injection {
             "a gate driver pulls its fault line",
             rig_in_contact,
             |rig| {
-                rig.with(|stopped| stopped.hardware().driver(1).fail(1 << 2));
+                rig.with(|stopped| stopped.hardware().driver(1).latch_fault(1 << 2));
             },
             5,
         ),
@@ -254,7 +253,7 @@ pub fn injection(fault: Fault) -> Injection {
             "no message from the host for the 0.1 s that the rules allow",
             rig_in_contact,
             |rig| {
-                rules(rig, |rules| {
+                change_rules(rig, |rules| {
                     rules.host_action = HostAction::Disarm;
                     rules.host_seconds = 0.1;
                 })
@@ -285,7 +284,7 @@ pub fn injection(fault: Fault) -> Injection {
             |rig| {
                 let handler =
                     firmware(rig.kind).find_ending("5reset12record_panic").expect("the panic handler").address as u32;
-                // ldr.w pc, [pc, #0], and the address.
+                // The code is `ldr.w pc, [pc, #0]`, then the address.
                 run_instead(rig, SUPERVISOR, |_| vec![0xF000_F8DF, handler | 1]);
             },
             500,
@@ -303,7 +302,7 @@ pub fn injection(fault: Fault) -> Injection {
                 rig
             },
             |rig| {
-                change_and_reset(rig, |stopped| stopped.flip_in_flash(SETTINGS, b"second name"));
+                change_and_reset(rig, |stopped| stopped.flip_in_flash(SETTINGS_RANGE, b"second name"));
             },
             500,
         ),
@@ -319,7 +318,7 @@ pub fn injection(fault: Fault) -> Injection {
             "a hand that releases a wall while 1 mW is allowed",
             rig_in_contact,
             |rig| {
-                rules(rig, |rules| rules.limits.power = 0.001);
+                change_rules(rig, |rules| rules.limits.power = 0.001);
                 rig.with_simulated(|device| device.set_hand(Hand::none()));
             },
             500,
@@ -328,11 +327,11 @@ pub fn injection(fault: Fault) -> Injection {
             "a key that is not reported as held again",
             rig_in_contact,
             |rig| {
-                rules(rig, |rules| rules.host_seconds = 0.1);
+                change_rules(rig, |rules| rules.host_seconds = 0.1);
                 let known_step = rig.tool.status().expect("the board replies").step;
                 rig.tool.hold_key(known_step).expect("a beat is never refused");
                 rig.run(60 * MILLISECOND);
-                // The host is alive, but reports the same state of the key.
+                // The host is alive, but reports an old state of the key.
                 rig.tool.hold_key(known_step).expect("a beat is never refused");
             },
             500,
@@ -360,7 +359,7 @@ pub fn injection(fault: Fault) -> Injection {
             "current sensors that show two thirds of the current, in the polarity check",
             disarmed_rig,
             |rig| {
-                rig.with(|stopped| stopped.hardware().broken.sensor_gain[..2].fill(0.67));
+                rig.with(|stopped| stopped.hardware().faults.sensor_gain[..2].fill(0.67));
                 rig.tool.check_polarity().expect("the check starts");
             },
             30_000,
@@ -375,7 +374,7 @@ pub fn injection(fault: Fault) -> Injection {
             "a hand that moves the tip to and fro",
             disarmed_rig,
             |rig| {
-                rig.with_simulated(|device| wander(device, 0.004, 6.0));
+                rig.with_simulated(|device| move_to_and_fro(device, 0.004, 6.0));
                 rig.tool.check_polarity().expect("the check starts");
                 rig.run(MILLISECOND);
             },
@@ -393,12 +392,12 @@ pub fn injection(fault: Fault) -> Injection {
             "current sensors show 0.5 A too much while 0.1 N is allowed at the tip",
             || {
                 let mut rig = free_rig();
-                rules(&mut rig, |rules| rules.limits.tip_force = 0.1);
+                change_rules(&mut rig, |rules| rules.limits.tip_force = 0.1);
                 rig.run(20 * MILLISECOND);
                 rig
             },
             |rig| {
-                rig.with(|stopped| stopped.hardware().broken.sensor_offset[..2].fill(0.5));
+                rig.with(|stopped| stopped.hardware().faults.sensor_offset[..2].fill(0.5));
             },
             5,
         ),
@@ -406,7 +405,7 @@ pub fn injection(fault: Fault) -> Injection {
             "one of a motor's two shunts shows nothing while a hand pushes with 2.5 N",
             || pressed_rig(2.5),
             |rig| {
-                rig.with(|stopped| stopped.hardware().broken.sensor_gain[0] = 0.0);
+                rig.with(|stopped| stopped.hardware().faults.sensor_gain[0] = 0.0);
             },
             5,
         ),
@@ -415,8 +414,8 @@ pub fn injection(fault: Fault) -> Injection {
             rig_in_contact,
             |rig| {
                 rig.with(|stopped| {
-                    stopped.hardware().broken.sensor_gain[0] = 0.0;
-                    stopped.hardware().broken.sensor_gain[1] = 0.0;
+                    stopped.hardware().faults.sensor_gain[0] = 0.0;
+                    stopped.hardware().faults.sensor_gain[1] = 0.0;
                 });
             },
             50,
@@ -425,7 +424,7 @@ pub fn injection(fault: Fault) -> Injection {
             "a gate driver that loses its settings while nothing pushes",
             free_rig,
             |rig| {
-                rig.with(|stopped| stopped.hardware().driver(0).forget());
+                rig.with(|stopped| stopped.hardware().driver(0).reset_control_registers());
             },
             50,
         ),
@@ -433,7 +432,7 @@ pub fn injection(fault: Fault) -> Injection {
             "a bridge stuck at a duty of 20 % before arming",
             disarmed_rig,
             |rig| {
-                rig.with(|stopped| stopped.hardware().broken.stuck_on[0] = Some(0.2));
+                rig.with(|stopped| stopped.hardware().faults.stuck_on[0] = Some(0.2));
                 let _ = rig.tool.check_polarity();
             },
             500,
@@ -455,16 +454,16 @@ pub fn injection(fault: Fault) -> Injection {
             "the chip's 3.3 V fall to 2.7 V for 100 µs",
             rig_in_contact,
             |rig| {
-                rig.with(|stopped| stopped.supply(2700));
+                rig.with(|stopped| stopped.set_supply(2700));
                 rig.run(100 * MICROSECOND);
-                rig.with(|stopped| stopped.supply(3300));
+                rig.with(|stopped| stopped.set_supply(3300));
             },
             5,
         ),
         Fault::ImageDamaged => chip(
             "one bit of the image in flash flipped, then a reset",
             disarmed_rig,
-            |rig| change_and_reset(rig, |stopped| stopped.flip_in_flash(CODE, b"odrive-v3")),
+            |rig| change_and_reset(rig, |stopped| stopped.flip_in_flash(CODE_RANGE, b"odrive-v3")),
             500,
         ),
         Fault::WrongBoard => chip(
@@ -489,7 +488,6 @@ pub fn injection(fault: Fault) -> Injection {
     }
 }
 
-/// Returns a rig whose joints may turn by 0.1 rad.
 fn rig_with_narrow_limits() -> Rig {
     free_rig_within(0.1)
 }
@@ -499,7 +497,7 @@ fn rig_without_limits() -> Rig {
     free_rig_within(PI)
 }
 
-/// Returns an armed rig without a hand, whose joints may turn by `angle` (rad) in both directions.
+/// Returns an armed rig without a hand, whose joints may turn by `angle` (rad) in each direction.
 fn free_rig_within(angle: f64) -> Rig {
     let mut file = device_file(FIVE_BAR);
     let home = file.description.home.expect("a home pose");
@@ -513,16 +511,16 @@ fn free_rig_within(angle: f64) -> Rig {
 }
 
 /// Half the distance by which a hand moves the tip to turn a joint past its index mark, m.
-const SWEEP: f64 = 0.015;
+const HALF_SWEEP_METRES: f64 = 0.015;
 
 /// Starts a firm hand that moves the tip sideways, from `from` to `to` (m) relative to their midpoint.
 fn sweep(device: &mut SimulatedDevice, from: f64, to: f64) {
     let [x, y, z] = device.tip();
     let path = [(0.0, x), (0.5, x + to - from)].map(|(time, x)| Waypoint { time, value: [x, y, z] });
-    device.set_hand(Hand::new(firm(), Intent::Follow(path.to_vec()), device.tip(), device.time()));
+    device.set_hand(Hand::new(firm_settings(), Intent::Follow(path.to_vec()), device.tip(), device.time()));
 }
 
-/// Returns an armed rig whose first joint a hand has turned past its index mark once.
+/// Returns an armed rig whose first joint was turned past its index mark once.
 fn rig_with_index() -> Rig {
     let mut file = device_file(FIVE_BAR);
     let home = file.description.home.expect("a home pose");
@@ -535,15 +533,15 @@ fn rig_with_index() -> Rig {
     }
     let mut rig = Rig::with_file(BoardKind::OdriveV3, file, |_| ());
     rig.arm_before("", &[WallAt { gap: 0.2, ..WallAt::facing([0.0, -1.0, 0.0]) }]);
-    rules(&mut rig, |rules| rules.index_period = [period, period, 0]);
-    rig.with_simulated(|device| sweep(device, 0.0, SWEEP));
+    change_rules(&mut rig, |rules| rules.index_period = [period, period, 0]);
+    rig.with_simulated(|device| sweep(device, 0.0, HALF_SWEEP_METRES));
     rig.run(SECOND);
-    rig.with_simulated(|device| sweep(device, SWEEP, -SWEEP));
+    rig.with_simulated(|device| sweep(device, HALF_SWEEP_METRES, -HALF_SWEEP_METRES));
     rig.run(SECOND);
     rig
 }
 
-/// Returns a rig whose first motor turns against the direction in its device file.
+/// Returns a rig whose first motor turns against the direction in the device file.
 fn rig_with_swapped_motor() -> Rig {
     rig_with_other_motor(|motor| {
         motor.torque_constant = -motor.torque_constant;
@@ -563,11 +561,7 @@ fn rig_with_other_motor(change: impl FnOnce(&mut Motor<f64>)) -> Rig {
     rig
 }
 
-/// Runs to `microseconds` after a crest.
-///
-/// # Panics
-///
-/// If the carrier stands still.
+/// Runs until `microseconds` after a crest.
 pub fn after_crest(rig: &Rig, microseconds: u64) {
     let now = rig.now();
     let crest = rig.with(|stopped| stopped.hardware().chip.advanced[0].hook.crest()).expect("the carrier runs");

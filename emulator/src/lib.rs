@@ -1,8 +1,10 @@
-//! The virtual board: the unmodified firmware image on an emulated STM32F405, with the hardware that a board puts
-//! around the chip.
+//! The virtual board: the unmodified firmware image on an emulated STM32F405, with the hardware of a board around the
+//! chip.
 //!
-//! [`chip`] is the microcontroller, [`hardware`] the board around it, [`image`] the ELF file that runs on it. [`count`]
-//! counts the instructions between the markers of a counting image.
+//! [`chip`] is the microcontroller, [`hardware`] is the board around it, and [`image`] is the ELF file that runs on it.
+//! [`count`] counts the instructions between the markers of a counting image.
+//!
+//! Functions that prepare or drive a board panic if the board refuses a request or the image lacks a symbol.
 
 pub mod boards;
 pub mod campaign;
@@ -32,7 +34,7 @@ pub mod wire;
 
 use std::path::{Path, PathBuf};
 
-/// Returns the path of the table NAME.csv.
+/// Returns the path of the table docs/results/`name`.csv.
 #[must_use]
 pub fn results(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../docs/results/{name}.csv"))

@@ -1,5 +1,4 @@
-//! A board under full load: in contact, with streaming telemetry and changing settings. It must not miss a control
-//! period.
+//! A board under full load, in contact, with streaming telemetry and changing settings, must not miss a control period.
 
 use std::time::Duration;
 
@@ -30,35 +29,35 @@ pub struct Load {
     pub overruns: u32,
     /// Losses of telemetry.
     pub losses: Losses,
-    /// Rows of telemetry that were due.
-    pub due: u64,
+    /// Number of telemetry rows that were due.
+    pub due_rows: u64,
     /// True if the walls were still rendered at the end.
     pub armed: bool,
     /// The latched fault.
     pub fault: Option<FaultRecord>,
-    /// Stack that was never used since boot, bytes.
+    /// Stack that was never used since the start, bytes.
     pub stack_free: u32,
 }
 
 impl Load {
     /// Returns true if every period had its step.
     #[must_use]
-    pub fn in_time(&self) -> bool {
+    pub fn is_in_time(&self) -> bool {
         self.armed && self.overruns == 0 && self.steps.abs_diff(self.periods) <= 1
     }
 }
 
-/// Returns gains of the first wall that alternate between two values with `nth`.
-fn gains(nth: u64) -> Gains<f32> {
+/// Returns gains of the first wall, which alternate between two values with `nth`.
+fn alternating_gains(nth: u64) -> Gains<f32> {
     let stiffness = if nth.is_multiple_of(2) { 450.0 } else { 550.0 };
     Gains { wall: 0, stiffness, damping: 1.0, feed_forward: FeedForward::Full, washout_hz: 2.0 }
 }
 
-/// Makes the nth change of a setting: gains, rules and velocity filters, in turn.
-fn change(rig: &mut Rig, nth: u64) {
+/// Makes the nth change of a setting, which is in turn a change of gains, rules or the velocity filter.
+fn change_setting(rig: &mut Rig, nth: u64) {
     let odd = !(nth / 3).is_multiple_of(2);
     match nth % 3 {
-        0 => rig.tool.set_wall_gains(gains(nth / 3)).expect("gains change in contact"),
+        0 => rig.tool.set_wall_gains(alternating_gains(nth / 3)).expect("gains change in contact"),
         1 => {
             // Rules are only tightened, because protective rules cannot be loosened while the motors are on.
             let mut rules = rig.tool.rules().expect("the board replies");
@@ -73,12 +72,8 @@ fn change(rig: &mut Rig, nth: u64) {
     }
 }
 
-/// Runs a rig that is in contact for `milliseconds`, with every `divider`th step's `fields` streaming and ten changes
-/// of a setting per second.
-///
-/// # Panics
-///
-/// If the link breaks.
+/// Runs a rig that is in contact for `milliseconds`. Meanwhile `fields` of every `divider`th step are streamed, and a
+/// setting changes ten times per second.
 pub fn run(rig: &mut Rig, (fields, divider): (Fields, u32), rate_hz: u32, milliseconds: u64) -> Load {
     rig.tool.start_stream(fields, divider).expect("a stream starts");
     rig.run(5 * MILLISECOND);
@@ -92,7 +87,7 @@ pub fn run(rig: &mut Rig, (fields, divider): (Fields, u32), rate_hz: u32, millis
     while rig.now() < end {
         let now = rig.now();
         if now >= began + changes * 100 * MILLISECOND {
-            change(rig, changes);
+            change_setting(rig, changes);
             changes += 1;
         }
         let rows = rig.tool.rows(Duration::from_millis(10)).expect("rows come");
@@ -106,27 +101,23 @@ pub fn run(rig: &mut Rig, (fields, divider): (Fields, u32), rate_hz: u32, millis
     let status = rig.tool.status().expect("the board replies");
     Load {
         steps: after.wrapping_sub(before),
-        // The timer divides its clock by integers: the actual rate for 45 kHz is about 2 in 10,000 lower.
+        // The timer divides its clock by integers, so the true rate for 45 kHz is about 0.02 % lower.
         periods: ((ended - began) as f64 * 1.0e-9 * true_rate(rate_hz)) as u32,
         overruns: details.overruns.wrapping_sub(overruns),
         losses,
-        due: u64::from(last.wrapping_sub(first) / divider) + 1,
+        due_rows: u64::from(last.wrapping_sub(first) / divider) + 1,
         armed: status.state == State::Armed,
         fault: status.fault,
         stack_free: details.stack_free,
     }
 }
 
-/// Returns the actual rate of a board for a requested rate, Hz.
+/// Returns the true control rate of a board for a requested rate, Hz.
 fn true_rate(rate_hz: u32) -> f64 {
     f64::from(Carrier::for_rate(TIMER_HZ, rate_hz as f32).rate_hz())
 }
 
-/// Replaces the scene of an armed `rig` with a scene of one or two walls (by `nth`) that are far from the tip.
-///
-/// # Panics
-///
-/// If the board refuses the scene.
+/// Replaces the scene of an armed rig with a scene of one or two walls, depending on `nth`, far from the tip.
 pub fn set_free_scene(rig: &mut Rig, rate_hz: u32, nth: usize) {
     let task = rig.file.as_ref().map_or(2, |file| file.spec().task);
     let tip = rig.with_simulated(|device| device.tip());
@@ -136,11 +127,7 @@ pub fn set_free_scene(rig: &mut Rig, rate_hz: u32, nth: usize) {
     rig.set_scene(&scene(&head, tip, task, &walls[..1 + nth % 2]));
 }
 
-/// Returns true if `case` accepts new scenes at a rate while the motors are on, without missing a period.
-///
-/// # Panics
-///
-/// If the board refuses a request.
+/// Returns true if `case` accepts new scenes at a rate (Hz) while the motors are on, without missing a period.
 #[must_use]
 pub fn sustains_scenes(case: &Case, rate_hz: u32) -> bool {
     let mut rig = case.rig(rate_hz);
@@ -150,36 +137,28 @@ pub fn sustains_scenes(case: &Case, rate_hz: u32) -> bool {
         let (began, steps) = (rig.now(), rig.steps());
         set_free_scene(&mut rig, rate_hz, nth);
         rig.run(20 * MILLISECOND);
-        // The status request takes virtual time, so the elapsed time is read before it.
-        let (steps, passed) = (rig.steps().wrapping_sub(steps), rig.now() - began);
-        let periods = passed as f64 * 1.0e-9 * true_rate(rate_hz);
-        let armed = rig.tool.status().expect("the board replies").state == State::Armed;
-        armed && (f64::from(steps) - periods).abs() < 1.5
+        // The status request takes virtual time, so the elapsed time is computed before it.
+        let (steps, elapsed_ns) = (rig.steps().wrapping_sub(steps), rig.now() - began);
+        let periods = elapsed_ns as f64 * 1.0e-9 * true_rate(rate_hz);
+        let is_armed = rig.tool.status().expect("the board replies").state == State::Armed;
+        is_armed && (f64::from(steps) - periods).abs() < 1.5
     });
     all && overruns(&mut rig) == before
 }
 
-/// Returns true if `case` renders a host's plane in addition to its own walls at a rate without missing a period, with
-/// requests as fast as the board replies and a row of telemetry per millisecond.
-///
-/// # Panics
-///
-/// If the link breaks.
+/// Returns true if `case` renders a host's plane in addition to its own walls at a rate (Hz) without missing a period.
+/// The host sends requests as fast as the board replies, and streams a row per millisecond.
 #[must_use]
 pub fn sustains_plane(case: &Case, rate_hz: u32) -> bool {
     let plane = HostContact { point: [0.0; 3], normal: [0.0, 1.0, 0.0], stiffness: 300.0, damping: 1.0 };
     let mut rig = case.rig(rate_hz);
     let before = rig.tool.details().expect("the board replies").overruns;
-    let done = exchange::run(&mut rig, (Fields::USUAL, rate_hz / 1000), rate_hz, 200, Some(plane), 1);
-    done.armed && done.rejected == 0 && done.overruns == before
+    let exchanges = exchange::run(&mut rig, (Fields::USUAL, rate_hz / 1000), rate_hz, 200, Some(plane), 1);
+    exchanges.armed && exchanges.rejected == 0 && exchanges.overruns == before
 }
 
-/// Returns true if `case` sustains a rate while the force limit at the tip, a quarter of the hand's force, reduces the
+/// Returns true if `case` sustains a rate (Hz) while the tip-force limit, a quarter of the hand's force, reduces the
 /// force in every step.
-///
-/// # Panics
-///
-/// If the link breaks.
 #[must_use]
 pub fn sustains_force_limit(case: &Case, rate_hz: u32) -> bool {
     let mut rig = case.rig(rate_hz);
@@ -188,40 +167,40 @@ pub fn sustains_force_limit(case: &Case, rate_hz: u32) -> bool {
     rig.tool.set_rules(&rules).expect("rules are tightened in contact");
     let before = rig.tool.details().expect("the board replies").overruns;
     rig.run(200 * MILLISECOND);
-    let armed = rig.tool.status().expect("the board replies").state == State::Armed;
-    armed && rig.tool.details().expect("the board replies").overruns == before
+    let is_armed = rig.tool.status().expect("the board replies").state == State::Armed;
+    is_armed && rig.tool.details().expect("the board replies").overruns == before
 }
 
-/// Returns the highest rate at which `case` passes the test `sustains`.
+/// Returns the highest rate (Hz) at which `case` passes the test `sustains`.
 #[must_use]
 pub fn highest_for(case: &Case, sustains: fn(&Case, u32) -> bool) -> Option<u32> {
-    RATES.into_iter().find(|&rate_hz| {
+    RATES_HZ.into_iter().find(|&rate_hz| {
         let case = *case;
         std::thread::spawn(move || sustains(&case, rate_hz)).join().unwrap_or(false)
     })
 }
 
 /// Tested rates, Hz, highest first.
-const RATES: [u32; 9] = [50_000, 45_000, 40_000, 35_000, 30_000, 25_000, 20_000, 15_000, 10_000];
-/// Tested dividers of a stream.
+const RATES_HZ: [u32; 9] = [50_000, 45_000, 40_000, 35_000, 30_000, 25_000, 20_000, 15_000, 10_000];
+/// Tested dividers of a stream, lowest first.
 const DIVIDERS: [u32; 7] = [1, 2, 3, 4, 5, 10, 20];
 
-/// Runs `case` on its own thread: an overloaded board may stop replying, and the panic then ends only this attempt.
+/// Runs `case` on its own thread, because an overloaded board may stop replying and then only this attempt panics.
 fn attempt(case: &Case, rate_hz: u32, divider: u32, milliseconds: u64) -> Option<Load> {
     let case = *case;
     let ran = std::thread::spawn(move || run(&mut case.rig(rate_hz), (Fields::USUAL, divider), rate_hz, milliseconds));
-    ran.join().ok().filter(Load::in_time)
+    ran.join().ok().filter(Load::is_in_time)
 }
 
-/// Returns the highest tested rate, Hz, at which `case` misses no period for 200 ms while the default telemetry of
-/// every step is streamed.
+/// Returns the highest tested rate (Hz) at which `case` misses no period in 200 ms while it streams the default
+/// telemetry of every step.
 #[must_use]
 pub fn highest_rate(case: &Case) -> Option<u32> {
-    RATES.into_iter().find(|rate_hz| attempt(case, *rate_hz, 1, 200).is_some())
+    RATES_HZ.into_iter().find(|rate_hz| attempt(case, *rate_hz, 1, 200).is_some())
 }
 
-/// Returns the rows of default telemetry per second that arrive without a loss while `case` runs at its rate for a
-/// second, which is long enough to fill all queues.
+/// Returns the rows of default telemetry per second that arrive without a loss while `case` runs at its rate. The run
+/// of 1 s is long enough to fill all queues.
 #[must_use]
 pub fn rows_without_loss(case: &Case) -> Option<u32> {
     let clean = |divider| attempt(case, case.rate_hz, divider, 1_000).is_some_and(|load| load.losses.missing == 0);

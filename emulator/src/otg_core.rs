@@ -1,8 +1,8 @@
-//! The USB OTG full-speed core in device mode (RM0090 rev 22 chapter 34), as far as `embassy-usb-synopsys-otg` uses it:
-//! registers and FIFOs, accessed by the firmware and by a host's transactions.
+//! The USB OTG full-speed core in device mode (RM0090 rev 22 chapter 34), as far as `embassy-usb-synopsys-otg` uses it.
+//! The registers and FIFOs are accessed by the firmware and by a host's transactions.
 //!
-//! A packet is one event: a transaction takes its bus time at 12 Mbit/s and takes effect at its end. A NAK takes no
-//! time, because the simulated host waits until an endpoint is ready, where a real host repeats the transaction.
+//! A packet is one event. A transaction takes its bus time at 12 Mbit/s and takes effect at its end. A NAK takes no
+//! time, because the simulated host waits until an endpoint is ready, while a real host repeats the transaction.
 
 use std::collections::VecDeque;
 
@@ -12,7 +12,7 @@ use rigless::time::VirtualNanos;
 /// Number of endpoints in each direction.
 pub const ENDPOINTS: usize = 4;
 
-/// Offset of each block from the core's base.
+/// Offset of each block from the base of the core.
 pub const BLOCK_OFFSETS: [u32; 4] = [0x000, 0x400, 0x800, 0xE00];
 
 const GAHBCFG: u32 = 0x008;
@@ -20,7 +20,7 @@ const GRSTCTL: u32 = 0x010;
 const GINTSTS: u32 = 0x014;
 const GINTMSK: u32 = 0x018;
 const GRXSTSR: u32 = 0x01C;
-/// Reading this register pops the received status.
+/// Register whose read removes the received status from its FIFO.
 pub const GRXSTSP: u32 = 0x020;
 const GRXFSIZ: u32 = 0x024;
 const DIEPTXF0: u32 = 0x028;
@@ -35,7 +35,7 @@ const DAINTMSK: u32 = 0x81C;
 const DIEPEMPMSK: u32 = 0x834;
 const IN_ENDPOINTS: u32 = 0x900;
 const OUT_ENDPOINTS: u32 = 0xB00;
-/// Offset of the first FIFO; the others follow.
+/// Offset of the first FIFO. The other FIFOs follow.
 pub const FIFOS: u32 = 0x1000;
 
 const CTL: u32 = 0x00;
@@ -76,7 +76,7 @@ pub struct Core {
     received: VecDeque<u32>,
     receive_fifo: VecDeque<u32>,
     transmit_fifo: [VecDeque<u32>; ENDPOINTS],
-    /// True if the firmware has reset the core: its pull-up was off for a moment.
+    /// True if the firmware has reset the core, so that the pull-up was off for a moment.
     pub soft_reset: bool,
 }
 
@@ -143,7 +143,7 @@ impl Core {
 
     /// Returns true if the firmware has enabled the pull-up, which signals a device.
     #[must_use]
-    pub fn connected(&self) -> bool {
+    pub fn is_connected(&self) -> bool {
         self.get(DCTL) & (1 << 1) == 0
     }
 
@@ -161,12 +161,12 @@ impl Core {
         self.raise(GINTSTS, USBRST);
     }
 
-    /// Ends the reset of the bus; the speed is known.
+    /// Ends the reset of the bus, after which the speed is known.
     pub fn enumeration_done(&mut self) {
         self.raise(GINTSTS, ENUMDNE);
     }
 
-    /// Suspends the device after 3 ms without traffic on the bus.
+    /// Suspends the device, which a host does by 3 ms without traffic.
     pub fn suspend(&mut self) {
         self.raise(DSTS, 1);
         self.raise(GINTSTS, USBSUSP);
@@ -190,14 +190,14 @@ impl Core {
         self.received.push_back(SETUP_DONE << 17);
     }
 
-    /// Returns the handshake that an OUT packet to `number` would get now.
+    /// Returns the handshake that an OUT packet to endpoint `number` would get now.
     #[must_use]
     pub fn accepts(&self, number: usize) -> Handshake<()> {
         let control = self.get(endpoint(OUT_ENDPOINTS, number, CTL));
         let packets = (self.get(endpoint(OUT_ENDPOINTS, number, TSIZ)) >> 19) & 0x3FF;
-        // A queued packet needs its words and a status word, RM0090 section 34.13.
+        // A queued packet needs its words and a status word (RM0090 section 34.13).
         let full = self.receive_fifo.len() + self.received.len() + 18 > (self.get(GRXFSIZ) & 0xFFFF) as usize;
-        // The driver arms an endpoint again only by clearing NAK, and endpoint 0 without a packet count.
+        // The driver arms an endpoint again by clearing NAK only, endpoint 0 even without a packet count.
         let armed = if number == 0 { control & NAKSTS == 0 } else { packets > 0 };
         if control & STALL != 0 {
             Handshake::Stall
@@ -229,7 +229,7 @@ impl Core {
         Handshake::Ack(())
     }
 
-    /// Returns the handshake that an IN token to `number` would get now, with the length of the packet.
+    /// Returns the handshake that an IN token to endpoint `number` would get now, with the length of the packet.
     #[must_use]
     pub fn offers(&self, number: usize) -> Handshake<usize> {
         let control = self.get(endpoint(IN_ENDPOINTS, number, CTL));
@@ -376,7 +376,7 @@ impl Core {
         let mut new = value & !(NAKSTS | CNAK | SNAK | EPDIS | EPENA | 3 << 28);
         new |= old & (NAKSTS | EPENA);
         if number == 0 {
-            // The firmware sets STALL of the control endpoint; a SETUP clears it.
+            // The firmware sets STALL of the control endpoint, and a SETUP packet clears it.
             new |= USBAEP | (old & STALL);
         }
         if value & SNAK != 0 {

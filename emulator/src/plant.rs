@@ -1,4 +1,4 @@
-//! The plant on the board's connectors: motors that turn a device, and encoders.
+//! The plant at the board's connectors: motors that move a device, and encoders.
 
 use std::fmt::Debug;
 
@@ -6,13 +6,13 @@ use haptic_sim::{MotorInput, SimulatedDevice};
 
 /// A device at the board's connectors, with up to three axes.
 pub trait Plant: Debug + Send {
-    /// Advances by `dt` seconds with these inputs of the motors.
+    /// Advances by `dt` (s) with these motor inputs.
     fn step(&mut self, drives: &[MotorInput; 3], dt: f64);
-    /// Returns the encoder counts since power-on (quadrature edges).
+    /// Returns the encoder counts (quadrature edges) since power-on.
     fn counts(&self) -> [i32; 3];
-    /// Returns, for each encoder, true if its index mark is at the sensor.
+    /// Returns true for each encoder whose index mark is at the sensor.
     fn index(&self) -> [bool; 3];
-    /// Returns the winding currents, A, positive with positive duty.
+    /// Returns the winding currents, A. A positive duty makes a positive current.
     fn currents(&self) -> [f64; 3];
     /// Returns the bus voltage, V.
     fn bus_voltage(&self) -> f64;
@@ -43,18 +43,18 @@ impl Plant for SimulatedDevice {
     }
 }
 
-/// A plant that does not move: the encoders keep their counts, and the motors' inputs are recorded.
+/// A plant that does not move. The encoders keep their counts, and the motor inputs are recorded.
 #[derive(Clone, Debug)]
 pub struct Dummy {
     /// Counts of the encoders.
     pub counts: [i32; 3],
-    /// For each encoder, true if its index mark is at the sensor.
+    /// True for each encoder whose index mark is at the sensor.
     pub index: [bool; 3],
     /// Currents at the sensors, A.
     pub currents: [f64; 3],
     /// Bus voltage, V.
     pub bus_voltage: f64,
-    /// Inputs of the motors in the last step.
+    /// Motor inputs of the last step.
     pub drives: [MotorInput; 3],
 }
 
@@ -91,30 +91,30 @@ impl Plant for Dummy {
 /// Largest values since the last reset.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Peaks {
-    /// Current of a winding, A.
+    /// Largest current of a winding, A.
     pub current: f64,
-    /// Speed of a joint, rad/s.
+    /// Largest speed of a joint, rad/s.
     pub speed: f64,
-    /// Distance of the tip from its first position, m.
+    /// Largest distance of the tip from its first position, m.
     pub travel: f64,
     /// True if a bridge was on.
-    pub driven: bool,
+    pub bridge_was_on: bool,
     /// True if the chip drove a pin of the power stage or pulled it up.
-    pub touched: bool,
-    from: Option<[f64; 3]>,
+    pub power_pin_was_driven: bool,
+    first_tip: Option<[f64; 3]>,
 }
 
 impl Peaks {
     /// Updates the peaks with the present values.
-    pub fn take(&mut self, plant: &mut dyn Plant) {
+    pub fn update(&mut self, plant: &mut dyn Plant) {
         let currents = plant.currents();
         let Some(device) = plant.device() else { return };
         let largest = |values: [f64; 3]| values.iter().fold(0.0, |max: f64, value| max.max(value.abs()));
         self.current = self.current.max(largest(currents));
         self.speed = self.speed.max(largest(device.qd()));
         let tip = device.tip();
-        let from = *self.from.get_or_insert(tip);
-        let way = tip.iter().zip(from).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt();
+        let first = *self.first_tip.get_or_insert(tip);
+        let way = tip.iter().zip(first).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt();
         self.travel = self.travel.max(way);
     }
 }

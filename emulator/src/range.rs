@@ -1,5 +1,5 @@
-//! The paper's experiment on the emulated chip: the range of stable walls of the unmodified image, measured by
-//! `haptic_predict::measure` through the protocol and compared with the sampled-data theory of `haptic range` for the
+//! The paper's experiment on the emulated chip. `haptic_predict::measure` measures the range of stable walls of the
+//! unmodified image through the protocol. The result is compared with the sampled-data theory of `haptic range` for the
 //! delay that the board reports.
 //!
 //! The rigid device is the shipped coupled-five-bar without friction and with fine encoders, at the pose and normal
@@ -29,12 +29,12 @@ use crate::hands::hold;
 use crate::rig::{Rig, device_file};
 use crate::run::MILLISECOND;
 
-/// Pose at which the wall is touched, rad: the pose of the figures in docs/results.md.
+/// Pose in which the wall is touched, as in the figures of docs/results.md, rad.
 pub const POSE: [f64; 3] = [2.6, 1.75, 0.0];
-/// Encoder counts per turn, large enough that quantization does not affect the measurement.
+/// Encoder counts per turn, so many that quantization does not affect the measurement.
 const COUNTS_PER_TURN: f64 = (1 << 20) as f64;
-/// A direct drive instead of the placeholder in the shipped file. One step of the board's current sensors, 7 mA, is
-/// then 0.2 mN m instead of 4 mN m, which would keep the softly held tip moving.
+/// A direct drive instead of the placeholder in the shipped file. One step of the board's current sensors (7 mA) is 0.2
+/// mN m with this motor. With the placeholder it is 4 mN m, which would keep the softly held tip moving.
 const MOTOR: Motor<f64> = Motor {
     torque_constant: 0.033,
     resistance: 0.5,
@@ -44,7 +44,7 @@ const MOTOR: Motor<f64> = Motor {
     verified: true,
 };
 /// Torque at 12 A, N m.
-const TORQUE_LIMIT: f64 = 0.4;
+const TORQUE_LIMIT_NM: f64 = 0.4;
 /// A board without dead time, because dead time acts like friction on a small swing.
 pub const BOARD: BoardKind = BoardKind::HBridgeF405;
 
@@ -66,19 +66,15 @@ pub struct Rate {
     pub cutoff_hz: f64,
 }
 
-/// Measured rates: the tests' rate, then a rate at which the drive's lag is an eighth of a sample.
+/// Measured rates: the rate of the tests, and a rate at which the drive's lag is an eighth of a sample.
 pub const RATES: [Rate; 2] = [Rate { rate_hz: 1000.0, cutoff_hz: 20.0 }, Rate { rate_hz: 5000.0, cutoff_hz: 100.0 }];
-/// Bandwidth of a current loop that lags like the board's, which reaches its current within a carrier period, Hz: the
-/// default of `haptic range --drive current`.
-const CURRENT_BANDWIDTH: f64 = 6400.0;
+/// Bandwidth of a current loop that lags like the board's loop (which reaches its current within a carrier period), Hz.
+/// It is the default of `haptic range --drive current`.
+const CURRENT_BANDWIDTH_HZ: f64 = 6400.0;
 
-/// Returns the coupled-five-bar, rigid.
-///
-/// # Panics
-///
-/// If the shipped file is missing.
+/// Returns the coupled-five-bar as a rigid device, and its wall.
 #[must_use]
-pub fn rigid() -> TestDevice {
+pub fn rigid_device() -> TestDevice {
     let mut file = device_file("coupled-five-bar");
     file.description.home = Some(POSE);
     for joint in &mut file.description.joints[..2] {
@@ -89,19 +85,15 @@ pub fn rigid() -> TestDevice {
         }
         joint.motor = Some(MOTOR);
     }
-    // Unit normal with the largest Wrr/Weff at the pose.
+    // The normal has the largest Wrr/Weff at the pose.
     let any = unit_normal(&[1.0, 0.0], 2, 2).expect("a unit vector");
     let point = map::at_holding(&file.description, &POSE[..2], &any, Admissible::default());
     let normal = point.expect("a sound device").expect("a regular pose").worst_ratio.normal;
     TestDevice { file, normal }
 }
 
-/// Returns the board with the device, homed at the pose, with checked polarity and a hand that holds the device at the
-/// pose.
-///
-/// # Panics
-///
-/// If the board refuses a request.
+/// Returns the board with the device, homed at the pose, with checked polarity, and with a hand that holds the device
+/// at the pose.
 #[must_use]
 pub fn rig(test_device: &TestDevice) -> Rig {
     let mut rig = Rig::with_file(BOARD, test_device.file.clone(), |options| {
@@ -109,7 +101,7 @@ pub fn rig(test_device: &TestDevice) -> Rig {
         options.start = test_device.file.description.home;
     });
     rig.prepare("");
-    // Return to the pose before the polarity check.
+    // The polarity check has moved the device, so place it at the pose again.
     rig.with_simulated(|device| {
         device.place(POSE);
         hold(device);
@@ -121,12 +113,9 @@ pub fn rig(test_device: &TestDevice) -> Rig {
     rig
 }
 
-/// Measures on `rig`, which has the device of `test_device`. `job` receives the prepared board; no hand holds the
-/// device, only the motor torques of the wall.
-///
-/// # Errors
-///
-/// The error that ends a measurement early.
+/// Measures on `rig`, which has the device of `test_device`. `job` receives the prepared board. No hand holds the
+/// device, so only the wall's motor torques move it.
+/// Returns the error that ends a measurement early.
 pub fn measure_on<T>(
     rig: &mut Rig,
     test_device: &TestDevice,
@@ -138,7 +127,7 @@ pub fn measure_on<T>(
         rate_hz: rate.rate_hz,
         cutoff_hz: rate.cutoff_hz,
         washout_hz: 2.0,
-        torque_limit: TORQUE_LIMIT,
+        torque_limit: TORQUE_LIMIT_NM,
         largest_pull: 1e-3,
         law: Law::default(),
     };
@@ -152,19 +141,15 @@ pub fn measure_on<T>(
     Ok(outcome)
 }
 
-/// Returns the theory's boundary of the same loop at the dampings `kd` (N s/m), or the entire boundary without `kd`.
-/// `delay_samples` is the delay that the board reports.
-///
-/// # Panics
-///
-/// If the theory rejects the loop.
+/// Returns the boundary that theory predicts for the same loop at the dampings `kd` (N s/m), or the entire boundary
+/// without `kd`. `delay_samples` is the delay that the board reports.
 #[must_use]
 pub fn predicted(test_device: &TestDevice, rate: Rate, delay_samples: f64, kd: Option<&[f64]>) -> Range {
     let control_loop = Loop {
         rate_hz: rate.rate_hz,
         delay_samples,
         estimator: LinearEstimator::Butterworth(rate.cutoff_hz),
-        drive: Drive::Current { bandwidth_hz: CURRENT_BANDWIDTH },
+        drive: Drive::Current { bandwidth_hz: CURRENT_BANDWIDTH_HZ },
         damping_compensation: false,
     };
     let linear =
@@ -172,38 +157,30 @@ pub fn predicted(test_device: &TestDevice, rate: Rate, delay_samples: f64, kd: O
     predict(&linear, &control_loop, kd, None).expect("the loop can be analysed")
 }
 
-/// Number of dampings of a complete measurement.
-pub const POINTS: usize = 12;
-/// Pulls at each of these dampings, relative to the largest pull.
-pub const PULLS: [f64; 5] = [1.0, -1.0, 0.7, -0.7, 0.85];
+/// Number of dampings in a complete measurement.
+pub const DAMPING_COUNT: usize = 12;
+/// Pulls at each damping, as multiples of the largest pull.
+pub const RELATIVE_PULLS: [f64; 5] = [1.0, -1.0, 0.7, -0.7, 0.85];
 
-/// Returns the delay in samples that the board reports at `rate`.
-///
-/// # Panics
-///
-/// If the board does not reply.
+/// Returns the delay that the board reports at `rate`, in samples.
 #[must_use]
 pub fn delay_samples(rig: &mut Rig, rate: Rate) -> f64 {
     rig.set_scene(&format!("rate_hz = {}\n", rate.rate_hz));
     f64::from(rig.tool.details().expect("the board replies").delay_samples)
 }
 
-/// Measures the complete range at `rate` with this feed-forward: [`POINTS`] dampings up to the end of the range, with
-/// all [`PULLS`]. Returns the result and the delay that the board reports. Calls `report` with the number of finished
-/// boundaries.
-///
-/// # Errors
-///
-/// The error that ends a measurement early.
+/// Measures the complete range at `rate` with the feed-forward `mode`: [`DAMPING_COUNT`] dampings up to the end of the
+/// range, with all [`RELATIVE_PULLS`]. Returns the result and the delay that the board reports. Calls `report` with the
+/// number of finished boundaries. Returns the error that ends a measurement early.
 pub fn measure_range(
     rate: Rate,
     mode: FeedForward,
     mut report: impl FnMut(usize),
 ) -> Result<(Progress, f64), MeasureError> {
-    let test_device = rigid();
+    let test_device = rigid_device();
     let mut rig = rig(&test_device);
     let delay = delay_samples(&mut rig, rate);
-    let plan = Plan { modes: vec![mode], kd: None, points: POINTS, repeats: 1, pulls: PULLS.to_vec() };
+    let plan = Plan { modes: vec![mode], kd: None, points: DAMPING_COUNT, repeats: 1, pulls: RELATIVE_PULLS.to_vec() };
     let mut progress = Progress::new("the emulated chip");
     measure_on(&mut rig, &test_device, rate, |prepared| {
         campaign::run(prepared, &plan, &mut progress, |_, done| {
@@ -214,14 +191,14 @@ pub fn measure_range(
     Ok((progress, delay))
 }
 
-/// Returns ∫ kp dkd of medians at the centres of equal cells, N² s/m².
+/// Returns ∫ kp dkd of the medians at the centres of equal cells, N² s/m².
 fn area(progress: &Progress, mode: FeedForward) -> f64 {
-    let cell = progress.end(mode).unwrap_or(0.0) / POINTS as f64;
+    let cell = progress.end(mode).unwrap_or(0.0) / DAMPING_COUNT as f64;
     progress.of(mode).iter().map(|point| point.median() * cell).sum()
 }
 
-/// Head of docs/results/range-chip.csv, with the rows of [`section`].
-pub const HEAD: [&str; 9] = [
+/// Column names of docs/results/range-chip.csv.
+pub const COLUMN_NAMES: [&str; 9] = [
     "rate (Hz)",
     "cutoff (Hz)",
     "feed-forward",
@@ -233,10 +210,10 @@ pub const HEAD: [&str; 9] = [
     "apart (%)",
 ];
 
-/// Returns the rows of a complete measurement at `rate`, its summary for docs/results.md, and its picture.
+/// Returns the rows of a complete measurement at `rate`, the summary for docs/results.md, and the picture.
 #[must_use]
 pub fn section(rate: Rate, progress: &Progress, delay: f64) -> (String, String, Picture) {
-    let test_device = rigid();
+    let test_device = rigid_device();
     let Rate { rate_hz, cutoff_hz } = rate;
     let range = predicted(&test_device, rate, delay, None);
     let mut rows = String::new();

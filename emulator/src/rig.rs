@@ -21,11 +21,7 @@ use crate::plant::{Dummy, Plant};
 use crate::run::{MILLISECOND, SECOND, StoppedBoard, VirtualBoard};
 use crate::wire::Shared;
 
-/// Returns the release image of `board`, built once per process.
-///
-/// # Panics
-///
-/// If the image cannot be built; the reason is printed.
+/// Returns the release image of `board`, which is built once per process.
 pub fn firmware(board: impl Into<&'static Wiring>) -> &'static Firmware {
     static IMAGES: Mutex<BTreeMap<&str, &Firmware>> = Mutex::new(BTreeMap::new());
     let name = board.into().name;
@@ -41,12 +37,8 @@ pub fn devices() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../devices")
 }
 
-/// Returns the device file called `name`, with motors marked as verified and wide joint limits where the file has none,
-/// as after a check by a person.
-///
-/// # Panics
-///
-/// If there is no such file.
+/// Returns the device file `name` as if a person had checked it, with verified motors, and with wide joint limits where
+/// the file has none.
 #[must_use]
 pub fn device_file(name: &str) -> DeviceFile {
     let path = devices().join(format!("{name}.toml"));
@@ -60,54 +52,38 @@ pub fn device_file(name: &str) -> DeviceFile {
     file
 }
 
-/// A board, and the tool connected to the board.
+/// A board, and a tool that is connected to the board.
 pub struct Rig {
-    /// Board that the image is for.
+    /// Board for which the image was built.
     pub kind: &'static Wiring,
     /// The board.
     pub shared: Shared,
     /// The tool's client.
     pub tool: Board,
-    /// Device at the board's connectors.
+    /// Device at the board's connectors, if any.
     pub file: Option<DeviceFile>,
 }
 
 impl Rig {
     /// Boots `kind` with only encoders at rest at its connectors.
-    ///
-    /// # Panics
-    ///
-    /// If USB is not ready within two virtual seconds, or a bridge is on before.
     #[must_use]
     pub fn empty(kind: impl Into<&'static Wiring>) -> Self {
         Self::with_plant(kind.into(), Box::new(Dummy::default()), None)
     }
 
     /// Boots the image of `kind` on another board, with only encoders at rest at its connectors.
-    ///
-    /// # Panics
-    ///
-    /// As [`Rig::empty`].
     #[must_use]
     pub fn on_other_board(kind: impl Into<&'static Wiring>, board: impl Into<&'static Wiring>, device: &str) -> Self {
         Self::boot(kind.into(), board.into(), Box::new(Dummy::default()), Some(device_file(device)))
     }
 
-    /// Boots `kind` with the simulated device of the shipped file `name`; `change` sets the options.
-    ///
-    /// # Panics
-    ///
-    /// If there is no such device, or the firmware does not boot.
+    /// Boots `kind` with the simulated device of the shipped file `name`. `change` sets the simulation's options.
     #[must_use]
     pub fn with_device(kind: impl Into<&'static Wiring>, name: &str, change: impl FnOnce(&mut Options)) -> Self {
         Self::with_file(kind, device_file(name), change)
     }
 
-    /// Boots `kind` with the device of `file`, as [`Rig::with_device`].
-    ///
-    /// # Panics
-    ///
-    /// If the device cannot be simulated, or the firmware does not boot.
+    /// Boots `kind` with the simulated device of `file`. `change` sets the simulation's options.
     #[must_use]
     pub fn with_file(kind: impl Into<&'static Wiring>, file: DeviceFile, change: impl FnOnce(&mut Options)) -> Self {
         let kind = kind.into();
@@ -128,8 +104,11 @@ impl Rig {
     fn boot(kind: &'static Wiring, board: &'static Wiring, plant: Box<dyn Plant>, file: Option<DeviceFile>) -> Self {
         let hardware = Hardware::new(board, plant).expect("the board's description is sound");
         let mut board = VirtualBoard::start(firmware(kind), hardware).unwrap_or_else(|error| panic!("{error}"));
-        assert!(board.run_until(2 * SECOND, MILLISECOND, |stopped| stopped.usb().ready()), "no USB after two seconds");
-        assert!(!board.with(|stopped| stopped.hardware().peaks.driven), "a bridge was on before USB was ready");
+        assert!(
+            board.run_until(2 * SECOND, MILLISECOND, |stopped| stopped.usb().is_ready()),
+            "no USB after two seconds"
+        );
+        assert!(!board.with(|stopped| stopped.hardware().peaks.bridge_was_on), "a bridge was on before USB was ready");
         let shared = Shared::new(board);
         let tool = Board::over(shared.wire(), "virtual").unwrap_or_else(|error| panic!("{error}"));
         let mut rig = Self { kind, shared, tool, file };
@@ -138,18 +117,17 @@ impl Rig {
     }
 
     /// Presses the board's reset button and connects the tool again.
-    ///
-    /// # Panics
-    ///
-    /// If the firmware does not boot again.
     #[must_use]
-    pub fn restarted(self) -> Self {
+    pub fn restart(self) -> Self {
         let Self { kind, shared, file, .. } = self;
         {
             let mut board = shared.board();
             board.with(|stopped| stopped.reset());
             board.run(MILLISECOND);
-            assert!(board.run_until(2 * SECOND, MILLISECOND, |stopped| stopped.usb().ready()), "no USB after a reset");
+            assert!(
+                board.run_until(2 * SECOND, MILLISECOND, |stopped| stopped.usb().is_ready()),
+                "no USB after a reset"
+            );
             board.with(|stopped| stopped.usb().take());
         }
         let tool = Board::over(shared.wire(), "virtual").unwrap_or_else(|error| panic!("{error}"));
@@ -158,23 +136,15 @@ impl Rig {
         rig
     }
 
-    /// Loosens the rules for tests, in which no person can be hurt: the board does not watch the host, because virtual
-    /// time passes without messages, and the force limit at the tip is the largest.
-    ///
-    /// # Panics
-    ///
-    /// If the board refuses the rules.
+    /// Loosens the rules for tests, in which nobody can be hurt. The board ignores a silent host, because virtual time
+    /// passes without messages. The tip-force limit is the largest possible.
     pub fn relax_rules(&mut self) {
         let rules = self.tool.rules().expect("the board replies");
         let limits = Limits { tip_force: MAX_TIP_FORCE, ..rules.limits };
         self.tool.set_rules(&Rules { limits, host_action: HostAction::Ignore, ..rules }).expect("the motors are off");
     }
 
-    /// Loads the device at the connectors, and a scene.
-    ///
-    /// # Panics
-    ///
-    /// If the board refuses either.
+    /// Loads the device at the connectors and a scene.
     pub fn load(&mut self, scene: &str) {
         let file = self.file.as_ref().expect("a device at the connectors");
         let device = DeviceData::new(&file.name, &file.description).expect("a device of the board's size");
@@ -183,10 +153,6 @@ impl Rig {
     }
 
     /// Loads a scene.
-    ///
-    /// # Panics
-    ///
-    /// If the board refuses the scene.
     pub fn set_scene(&mut self, scene: &str) {
         let task = self.file.as_ref().expect("a device at the connectors").spec().task;
         let scene = SceneFile::parse(scene, "scene", task).unwrap_or_else(|error| panic!("{error}"));
@@ -194,10 +160,6 @@ impl Rig {
     }
 
     /// Homes the device in place, checks its polarity, arms, and waits until torque has ramped up.
-    ///
-    /// # Panics
-    ///
-    /// If the board refuses a request or latches a fault.
     pub fn ready(&mut self) {
         self.tool.home().expect("the device can be homed");
         self.check_polarity();
@@ -205,10 +167,6 @@ impl Rig {
     }
 
     /// Arms and waits until torque has ramped up.
-    ///
-    /// # Panics
-    ///
-    /// If the board refuses or latches a fault.
     pub fn arm(&mut self) {
         self.tool.arm().expect("the board arms");
         self.run(SECOND);
@@ -217,10 +175,6 @@ impl Rig {
     }
 
     /// Checks the polarity of every joint.
-    ///
-    /// # Panics
-    ///
-    /// If the board refuses, or the check fails.
     pub fn check_polarity(&mut self) {
         self.tool.check_polarity().expect("the polarity check starts");
         for _ in 0..300 {
@@ -245,15 +199,11 @@ impl Rig {
     }
 
     /// Runs `job` with the simulated device.
-    ///
-    /// # Panics
-    ///
-    /// If the plant is not a simulated device.
     pub fn with_simulated<T: Send + 'static>(&self, job: impl FnOnce(&mut SimulatedDevice) -> T + Send + 'static) -> T {
         self.with(|stopped| job(stopped.hardware().plant.device().expect("a simulated device")))
     }
 
-    /// Describes a board that no longer replies: the history of its port and its restarts.
+    /// Describes a board that no longer replies, with the history of its port and its restarts.
     #[must_use]
     pub fn post_mortem(&self) -> String {
         let (at, port, restarts) =
@@ -267,14 +217,10 @@ impl Rig {
         self.shared.board().now()
     }
 
-    /// Returns the number of control steps since boot, read from the chip's memory while the board stands still.
-    ///
-    /// # Panics
-    ///
-    /// If the image has no such count.
+    /// Returns the number of control steps since the start, read from the chip's memory while the board stands still.
     #[must_use]
     pub fn steps(&self) -> u32 {
-        // The count is the first field of the shared state.
+        // The count of steps is the first field of the shared state.
         let address = firmware(self.kind).find_ending("9interrupt7CONTROL").expect("the count of steps").address;
         self.with(move |stopped| stopped.word(address)).expect("RAM")
     }

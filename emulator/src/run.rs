@@ -1,7 +1,7 @@
-//! A running virtual board: the emulator on its own thread, in lockstep with the owner of the [`VirtualBoard`].
+//! A running virtual board. The emulator has its own thread, in lockstep with the owner of the [`VirtualBoard`].
 //!
-//! The board stands still except during [`VirtualBoard::run`], so a test that writes, runs and reads sees the same
-//! bytes at the same virtual times on every machine, independent of its speed.
+//! The board runs only during [`VirtualBoard::run`]. A test that writes, runs and reads therefore gets the same bytes
+//! at the same virtual times on every machine, however fast the machine is.
 
 use std::fmt;
 use std::ops::Range;
@@ -27,16 +27,16 @@ pub const MILLISECOND: u64 = 1_000_000;
 /// Nanoseconds in a second of virtual time.
 pub const SECOND: u64 = 1_000_000_000;
 
-/// Interrupt of the chip's supply monitor.
+/// Interrupt line of the chip's supply monitor.
 const SUPPLY_MONITOR: InterruptLine = InterruptLine::new(1).expect("a line of the part");
 
-/// The board at a stop: everything on it can be inspected and changed.
+/// A board that stands still, so that everything on it can be inspected and changed.
 pub struct StoppedBoard<'a> {
     session: &'a mut Session<Hardware>,
     memory: &'a mut dyn emulator::Host,
-    /// Virtual nanoseconds since power-on.
+    /// Virtual time since power-on, ns.
     pub at: u64,
-    /// Instructions executed since power-on.
+    /// Number of instructions executed since power-on.
     pub instructions: u64,
     tracer: &'a mut Option<Tracer>,
     rtt: &'a mut Rtt,
@@ -53,31 +53,22 @@ impl StoppedBoard<'_> {
         &mut self.session.board_mut().chip.otg.host
     }
 
-    /// Returns the word at `address` of the chip's memory, or `None` if there is no memory.
+    /// Returns the word at `address` of the chip's memory, or `None` if there is no memory at this address.
     pub fn word(&mut self, address: u64) -> Option<u32> {
         self.memory.read(address, Width::W32).ok().map(|value| value as u32)
     }
 
-    /// Overwrites the word at `address` of the chip's RAM. Returns true if there is RAM.
+    /// Overwrites the word at `address` of the chip's RAM. Returns true if there is RAM at this address.
     pub fn poke(&mut self, address: u64, value: u32) -> bool {
         self.memory.write(address, Width::W32, u64::from(value)).is_ok()
     }
 
     /// Returns the words in a range of the flash.
-    ///
-    /// # Panics
-    ///
-    /// If there is no memory.
     pub fn flash(&mut self, place: Range<u64>) -> Vec<u32> {
         place.step_by(4).map(|at| self.word(at).expect("there is flash")).collect()
     }
 
-    /// Writes `words` to the flash, beginning at `start`, as a programming tool does. Takes effect when the run
-    /// continues.
-    ///
-    /// # Panics
-    ///
-    /// If there is no memory.
+    /// Writes `words` to the flash from `start` on, like a programming tool. Takes effect when the run continues.
     pub fn set_flash(&mut self, start: u64, words: &[u32]) {
         let at = VirtualNanos(self.at);
         for (address, word) in (start..).step_by(4).zip(words) {
@@ -87,11 +78,7 @@ impl StoppedBoard<'_> {
         }
     }
 
-    /// Flips a bit of the first byte of the last `text` in a range of the flash. Takes effect when the run continues.
-    ///
-    /// # Panics
-    ///
-    /// If the range does not contain the text.
+    /// Flips a bit in the first byte of the last `text` in a range of the flash. Takes effect when the run continues.
     pub fn flip_in_flash(&mut self, place: Range<u64>, text: &[u8]) {
         let bytes: Vec<u8> = self.flash(place.clone()).into_iter().flat_map(u32::to_le_bytes).collect();
         let offset = bytes.windows(text.len()).rposition(|window| window == text).expect("the text is in flash");
@@ -101,31 +88,31 @@ impl StoppedBoard<'_> {
         self.hardware().chip.corrupt_flash(at, word, flipped);
     }
 
-    /// Sets the chip's supply voltage, and passes the supply monitor's request to the core (line 1, RM0090 table 61).
-    pub fn supply(&mut self, millivolts: u32) {
+    /// Sets the chip's supply voltage and passes the supply monitor's request to the core (line 1, RM0090 table 61).
+    pub fn set_supply(&mut self, millivolts: u32) {
         let at = VirtualNanos(self.at);
         let asks = self.hardware().chip.supply(at, millivolts);
         self.memory.set_interrupt(SUPPLY_MONITOR, Level::from(asks));
     }
 
-    /// Holds the core, so that it executes nothing while time passes, or releases it.
-    pub fn hold(&mut self, held: bool) {
+    /// Holds the core, so that it executes nothing while time passes, or releases the core.
+    pub fn hold_core(&mut self, held: bool) {
         self.memory.hold(held);
     }
 
-    /// Starts to record every instruction of the handler that starts at `entry`. Slow: a virtual second takes minutes.
+    /// Starts to record every instruction of the handler at `entry`. This is slow: a virtual second takes minutes.
     pub fn trace(&mut self, code: &Code, entry: u64) {
         code.addresses().for_each(|address| self.session.watch(Watch::Instruction(address)));
         *self.tracer = Some(Tracer::new(code.clone(), entry as u32));
     }
 
-    /// Ends the recording of [`StoppedBoard::trace`] and returns the handler's complete runs.
+    /// Ends the recording of [`StoppedBoard::trace`] and returns the complete runs of the handler.
     pub fn take_trace(&mut self, code: &Code) -> Vec<Run> {
         code.addresses().for_each(|address| self.session.unwatch(Watch::Instruction(address)));
         self.tracer.take().map(Tracer::finish).unwrap_or_default()
     }
 
-    /// Takes the raw log that the firmware wrote since the last call (RTT up-channel 0), as a debug probe would.
+    /// Returns the raw log that the firmware wrote since the last call (RTT up-channel 0), like a debug probe.
     pub fn take_log(&mut self) -> Vec<u8> {
         self.rtt.drain(self.memory);
         self.rtt.take()
@@ -143,10 +130,10 @@ impl StoppedBoard<'_> {
         self.session.reset_by_pin(at, count, self.memory);
     }
 
-    /// Returns the firmware's accesses for which the virtual chip has no model, one line each. Empty if a model handled
-    /// every access.
+    /// Returns the firmware's accesses for which the virtual chip has no model, one per line. The list is empty if a
+    /// model handled every access.
     #[must_use]
-    pub fn gaps(&self) -> Vec<String> {
+    pub fn unmodelled_accesses(&self) -> Vec<String> {
         let unmapped = self.session.unmapped().into_iter().map(|gap| gap.to_string());
         let refused = self.session.refused().iter().map(|(at, why)| format!("refused at={at:#x} {why}"));
         let files =
@@ -172,7 +159,7 @@ enum Reply {
     Stopped { at: u64, instructions: u64 },
 }
 
-/// A board that runs only on request.
+/// A virtual board that runs only on request.
 #[derive(Debug)]
 pub struct VirtualBoard {
     commands: Option<Sender<Command>>,
@@ -183,11 +170,8 @@ pub struct VirtualBoard {
 }
 
 impl VirtualBoard {
-    /// Powers on a board with `firmware` in its flash. The board stops at its first instruction.
-    ///
-    /// # Errors
-    ///
-    /// If the emulator rejects the image.
+    /// Powers on a board with `firmware` in its flash, and stops at the first instruction.
+    /// Returns an error if the emulator rejects the image.
     pub fn start(firmware: &Firmware, hardware: Hardware) -> Result<Self, String> {
         let emulator = |error: &dyn fmt::Display| format!("the emulator stopped: {error}");
         let session = Session::new(Box::new(hardware), 0, VirtualNanos(1)).map_err(|error| emulator(&error))?;
@@ -216,33 +200,26 @@ impl VirtualBoard {
     }
 
     /// Runs for `span` nanoseconds of virtual time.
-    ///
-    /// # Panics
-    ///
-    /// If the emulator stopped; the message contains the reason.
     pub fn run(&mut self, span: u64) {
         let until = self.at + span;
-        match self.order(Command::RunUntil(until)) {
+        match self.send_command(Command::RunUntil(until)) {
             Reply::Stopped { at, instructions } => (self.at, self.instructions) = (at, instructions),
             Reply::Done => unreachable!("a run replies with the time of its stop"),
         }
     }
 
     /// Runs `job` while the board stands still, and returns its result.
-    ///
-    /// # Panics
-    ///
-    /// If the emulator stopped; the message contains the reason.
     pub fn with<T: Send + 'static>(&mut self, job: impl FnOnce(&mut StoppedBoard<'_>) -> T + Send + 'static) -> T {
         let (result, outcome) = channel();
-        self.order(Command::With(Box::new(move |stopped| {
+        self.send_command(Command::With(Box::new(move |stopped| {
             // The receiver below outlives the job.
             let _ = result.send(job(stopped));
         })));
         outcome.recv().expect("the job was done")
     }
 
-    /// Runs until `done` returns true, checked every `step` nanoseconds, for at most `span`. Returns true if it did.
+    /// Runs for at most `span` (ns) until `done` returns true, which is checked every `step` (ns). Returns true if
+    /// `done` returned true.
     pub fn run_until(
         &mut self,
         span: u64,
@@ -262,7 +239,7 @@ impl VirtualBoard {
         false
     }
 
-    fn order(&mut self, command: Command) -> Reply {
+    fn send_command(&mut self, command: Command) -> Reply {
         let sent = self.commands.as_ref().is_some_and(|commands| commands.send(command).is_ok());
         let reply = if sent { self.replies.recv().ok() } else { None };
         match reply {
@@ -285,7 +262,7 @@ impl Drop for VirtualBoard {
     fn drop(&mut self) {
         self.commands = None;
         if let Some(thread) = self.thread.take() {
-            // The call that met a panic of the board's thread has already reported it.
+            // If the board's thread panicked, the call that noticed the panic has already reported it.
             let _ = thread.join();
         }
     }
@@ -301,7 +278,7 @@ struct Runner {
 }
 
 impl Runner {
-    /// Serves commands at a requested stop until a command continues the run; `None` if the owner is gone.
+    /// Serves commands at a requested stop until a command continues the run. Returns `None` if the owner is gone.
     fn serve(&mut self, session: &mut Session<Hardware>, memory: &mut dyn emulator::Host, stop: Stop) -> Option<()> {
         if std::mem::take(&mut self.waiting) {
             let (at, instructions) = (stop.at.0, stop.instruction_count);

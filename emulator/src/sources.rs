@@ -1,7 +1,7 @@
-//! Source functions and source files of an image's instructions, from its debug information.
+//! Finds the source functions and source files of an image's instructions in its debug information.
 //!
 //! The compiler inlines most of the control interrupt into a few functions. The debug information of the unmodified
-//! image lists the source functions of every instruction.
+//! image names the source functions of every instruction.
 
 use std::collections::HashMap;
 
@@ -13,20 +13,19 @@ use crate::image::Firmware;
 use crate::trace::Run;
 
 /// Function that runs at every crest and at no valley.
-const CREST: &str = "::update_counts";
-/// Function that runs only if a task sent a request.
-const REQUEST: &str = "InterruptState::carry_out";
+const CREST_FUNCTION: &str = "::update_counts";
+/// Function that runs only if a task has sent a request.
+const REQUEST_FUNCTION: &str = "InterruptState::carry_out";
 /// Function in which the interrupt only waits for the converters.
-const WAITING: &str = "adc::wait";
+const WAIT_FUNCTION: &str = "adc::wait";
 
 type Reader<'a> = EndianSlice<'a, LittleEndian>;
 
-/// Source of an instruction.
 #[derive(Debug, Default)]
 struct Source {
-    /// Paths of its functions, innermost first, without generic arguments.
+    /// Paths of the instruction's functions, innermost first, without generic arguments.
     functions: Vec<String>,
-    /// Innermost file of this repository.
+    /// Innermost source file of this repository.
     file: Option<String>,
 }
 
@@ -37,7 +36,7 @@ pub struct Sources<'a> {
 }
 
 impl<'a> Sources<'a> {
-    /// Reads the debug information of `firmware`; `None` if it has none or they cannot be read.
+    /// Reads the debug information of `firmware`. Returns `None` if there is none or it cannot be read.
     #[must_use]
     pub fn of(firmware: &'a Firmware) -> Option<Self> {
         let elf = object::File::parse(firmware.bytes()).ok()?;
@@ -54,7 +53,9 @@ impl<'a> Sources<'a> {
             let mut source = Source::default();
             if let Ok(mut frames) = self.context.find_frames(u64::from(address)).skip_all_loads() {
                 while let Ok(Some(frame)) = frames.next() {
-                    let name = frame.function.and_then(|function| function.demangle().ok().map(|name| plain(&name)));
+                    let name = frame
+                        .function
+                        .and_then(|function| function.demangle().ok().map(|name| without_generics(&name)));
                     source.functions.extend(name);
                     // xtask/src/toolchain.rs replaces the path of the repository by `..`.
                     let file = frame.location.and_then(|location| location.file?.strip_prefix("../"));
@@ -69,37 +70,37 @@ impl<'a> Sources<'a> {
         self.source(address).functions.iter().any(|name| name.ends_with(function))
     }
 
-    fn runs(&mut self, run: &Run, function: &str) -> bool {
+    fn executes(&mut self, run: &Run, function: &str) -> bool {
         run.path.iter().any(|at| self.is_in(*at, function))
     }
 
-    /// Returns true if a run of the control interrupt is a crest, false if it is a valley.
+    /// Returns true if a run of the control interrupt belongs to a crest, false if it belongs to a valley.
     pub fn is_crest(&mut self, run: &Run) -> bool {
-        self.runs(run, CREST)
+        self.executes(run, CREST_FUNCTION)
     }
 
     /// Returns true if a run carries out a request of a task.
     pub fn has_request(&mut self, run: &Run) -> bool {
-        self.runs(run, REQUEST)
+        self.executes(run, REQUEST_FUNCTION)
     }
 
-    /// Returns the instructions of a run without those that wait for the converters.
-    pub fn work(&mut self, run: &Run) -> Vec<u32> {
-        run.path.iter().copied().filter(|at| !self.is_in(*at, WAITING)).collect()
+    /// Returns the instructions of a run, without the instructions that wait for the converters.
+    pub fn instructions_without_waiting(&mut self, run: &Run) -> Vec<u32> {
+        run.path.iter().copied().filter(|at| !self.is_in(*at, WAIT_FUNCTION)).collect()
     }
 
-    /// Returns the source file of an instruction; code that the compiler shares between functions may have none.
+    /// Returns the source file of an instruction. Code that the compiler shares between functions may have no file.
     pub fn file(&mut self, address: u32) -> &str {
         self.source(address).file.as_deref().unwrap_or("no file of this repository")
     }
 }
 
-/// Removes generic arguments from a path: `<a::B<C> as d::E<F>>::g` becomes `a::B::g`.
-fn plain(name: &str) -> String {
+/// Removes generic arguments from a path, so that `<a::B<C> as d::E<F>>::g` becomes `a::B::g`.
+fn without_generics(name: &str) -> String {
     let mut out = String::new();
     let mut depth = 0_u32;
     let mut skipping = false;
-    // The implementing type is in angle brackets at the front; the trait does not matter.
+    // The implementing type is in angle brackets at the front, and the trait is removed.
     let path = name.trim_start_matches('<');
     for (at, letter) in path.char_indices() {
         match letter {
@@ -116,13 +117,13 @@ fn plain(name: &str) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::plain;
+    use super::without_generics;
 
     #[test]
     fn paths_lose_their_generic_arguments() {
         let controller = "<haptic_bridge::render::controller::Controller<f32, a::B, c::D, 2>>::step";
-        assert_eq!(plain(controller), "haptic_bridge::render::controller::Controller::step");
-        assert_eq!(plain("<a::B<C> as d::E<F>>::g"), "a::B::g");
-        assert_eq!(plain("a::padded::<i32>"), "a::padded");
+        assert_eq!(without_generics(controller), "haptic_bridge::render::controller::Controller::step");
+        assert_eq!(without_generics("<a::B<C> as d::E<F>>::g"), "a::B::g");
+        assert_eq!(without_generics("a::padded::<i32>"), "a::padded");
     }
 }

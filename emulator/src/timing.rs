@@ -1,8 +1,8 @@
-//! Duration of the control interrupt, entry to exit, in instructions of the unmodified image: mean, worst, jitter, and
-//! share of each source file.
+//! Duration of the control interrupt from entry to exit, in instructions of the unmodified image, with the share of
+//! each source file.
 //!
-//! `cargo xtask timing` measures every [`Case`] and writes the tables of docs/results/timing.md; a test measures some
-//! of them again and compares.
+//! `cargo xtask timing` measures every [`Case`] and writes the tables of docs/results/timing.md. A test repeats some
+//! measurements and compares.
 
 use std::collections::BTreeMap;
 
@@ -22,7 +22,7 @@ use crate::run::MILLISECOND;
 use crate::sources::Sources;
 use crate::trace::{Code, Run};
 
-/// Value of the state in a row of telemetry while armed.
+/// Value of the state in a row of telemetry while the board is armed.
 const ARMED: f64 = 1.0;
 /// Traced time of each case, ns: 500 periods at 20 kHz, with a request of the tasks every 20 ms.
 pub const TRACED_NS: u64 = 25 * MILLISECOND;
@@ -31,18 +31,18 @@ pub const TRACED_NS: u64 = 25 * MILLISECOND;
 #[derive(Clone, Debug, PartialEq)]
 pub struct Timing {
     /// Number of measured steps.
-    pub periods: usize,
-    /// Mean instructions of the steps.
-    pub mean: f64,
-    /// Instructions of the longest step.
-    pub longest: u64,
-    /// Instructions of the shortest step.
-    pub shortest: u64,
-    /// Mean instructions of the valleys without a request of the tasks.
+    pub steps: usize,
+    /// Mean number of instructions of a step.
+    pub mean_step: f64,
+    /// Number of instructions of the longest step.
+    pub longest_step: u64,
+    /// Number of instructions of the shortest step.
+    pub shortest_step: u64,
+    /// Mean number of instructions of a valley without a request of the tasks.
     pub valley_mean: f64,
-    /// Instructions of the longest valley, with or without a request.
-    pub valley: u64,
-    /// Mean instructions of a step in each source file.
+    /// Number of instructions of the longest valley, with or without a request.
+    pub longest_valley: u64,
+    /// Mean number of instructions of a step in each source file.
     pub files: BTreeMap<String, f64>,
     /// Estimated cycles of the longest step, for each of [`Flash::ALL`].
     pub cycles: [u64; Flash::ALL.len()],
@@ -50,10 +50,6 @@ pub struct Timing {
 
 impl Case {
     /// Measures the case at its rate for [`TRACED_NS`].
-    ///
-    /// # Panics
-    ///
-    /// If the image lacks the handler or its debug information, or the tip is not in contact all the time.
     #[must_use]
     pub fn measure(&self) -> Timing {
         let mut rig = self.rig(self.rate_hz);
@@ -75,14 +71,14 @@ impl Case {
 impl Timing {
     fn of(runs: &[Run], code: &Code, sources: &mut Sources<'_>) -> Self {
         let (mut works, mut files) = (Vec::new(), BTreeMap::new());
-        let (mut valley, mut quiet, mut quiet_sum) = (0, 0_u32, 0);
+        let (mut longest_valley, mut quiet, mut quiet_sum) = (0, 0_u32, 0);
         for run in runs {
             let length = run.path.len() as u64;
             if sources.is_crest(run) {
-                works.push(sources.work(run));
+                works.push(sources.instructions_without_waiting(run));
                 continue;
             }
-            valley = valley.max(length);
+            longest_valley = longest_valley.max(length);
             if !sources.has_request(run) {
                 quiet += 1;
                 quiet_sum += length;
@@ -95,12 +91,12 @@ impl Timing {
         let lengths = || works.iter().map(|work| work.len() as u64);
         let longest = works.iter().max_by_key(|work| work.len()).map_or(&[][..], Vec::as_slice);
         Self {
-            periods: works.len(),
-            mean: lengths().sum::<u64>() as f64 * share,
-            longest: longest.len() as u64,
-            shortest: lengths().min().unwrap_or(0),
+            steps: works.len(),
+            mean_step: lengths().sum::<u64>() as f64 * share,
+            longest_step: longest.len() as u64,
+            shortest_step: lengths().min().unwrap_or(0),
             valley_mean: quiet_sum as f64 / f64::from(quiet.max(1)),
-            valley,
+            longest_valley,
             files,
             cycles: Flash::ALL.map(|flash| estimate(code, longest, flash)),
         }
@@ -109,20 +105,12 @@ impl Timing {
 
 impl Rig {
     /// Returns all complete runs of the control interrupt during `span` ns.
-    ///
-    /// # Panics
-    ///
-    /// If the image has no such handler.
     #[must_use]
     pub fn trace_control(&mut self, span: u64) -> Vec<Run> {
         self.trace_control_during(|rig| rig.run(span))
     }
 
     /// Returns all complete runs of the control interrupt during `work`.
-    ///
-    /// # Panics
-    ///
-    /// If the image has no such handler.
     #[must_use]
     pub fn trace_control_during(&mut self, work: impl FnOnce(&mut Self)) -> Vec<Run> {
         let image = firmware(self.kind);
@@ -130,7 +118,7 @@ impl Rig {
         self.trace_function_during(entry, work)
     }
 
-    /// Returns all complete runs of the function at `entry`, which must not be interrupted, during `work`.
+    /// Returns all complete runs of the function at `entry` during `work`. The function must not be interrupted.
     fn trace_function_during(&mut self, entry: u64, work: impl FnOnce(&mut Self)) -> Vec<Run> {
         let code = Code::of(firmware(self.kind)).expect("an image with code");
         let watched = code.clone();
@@ -140,7 +128,7 @@ impl Rig {
     }
 }
 
-/// Devices and scenes whose control step is counted again in every run of the gate.
+/// Devices and scenes whose control step is counted in every run of the tests.
 const STEPS: [(&str, SceneKind); 6] = [
     ("hapkit-paddle", SceneKind::Wall),
     ("haply-2diy", SceneKind::Wall),
@@ -150,12 +138,8 @@ const STEPS: [(&str, SceneKind); 6] = [
     ("haply-2diy", SceneKind::Nothing),
 ];
 
-/// Returns the instructions of the control step of a release image, with motors off and constant encoder counts, by
-/// device and scene: timing-steps.csv.
-///
-/// # Panics
-///
-/// If the board refuses a request.
+/// Returns timing-steps.csv, the instructions of the control step by device and scene. The image is a release image,
+/// the motors are off and the encoder counts constant.
 #[must_use]
 pub fn steps() -> String {
     let mut text = csv_line(["device", "the tip meets", "instructions"]);
@@ -180,10 +164,12 @@ pub fn steps() -> String {
     text
 }
 
-const LONGEST: &str = "longest";
-const VALLEY: &str = "longest at a valley, a request";
+/// Name of the row with the longest step.
+const LONGEST_ROW: &str = "longest";
+/// Name of the row with the longest valley.
+const VALLEY_ROW: &str = "longest at a valley, a request";
 
-/// Returns the table of the timings of [`CASES`], one column per case: timing.csv.
+/// Returns timing.csv, the table of the timings of [`CASES`] with one column per case.
 #[must_use]
 pub fn table(timings: &[Timing]) -> String {
     let mut text = csv_line(std::iter::once("instructions".to_owned()).chain(CASES.iter().map(Case::name)));
@@ -191,29 +177,29 @@ pub fn table(timings: &[Timing]) -> String {
         text += &csv_line(std::iter::once(name.to_owned()).chain(cells));
     };
     let each = |value: fn(&Timing) -> u64| timings.iter().map(|timing| value(timing).to_string()).collect();
-    row("mean", timings.iter().map(|timing| format!("{:.0}", timing.mean)).collect());
-    row("shortest", each(|timing| timing.shortest));
-    row(LONGEST, each(|timing| timing.longest));
-    row("jitter", each(|timing| timing.longest - timing.shortest));
+    row("mean", timings.iter().map(|timing| format!("{:.0}", timing.mean_step)).collect());
+    row("shortest", each(|timing| timing.shortest_step));
+    row(LONGEST_ROW, each(|timing| timing.longest_step));
+    row("jitter", each(|timing| timing.longest_step - timing.shortest_step));
     let target = |(case, timing): (&Case, &Timing)| case.verdict(timing);
     row("aimed at, mean", CASES.iter().zip(timings).map(target).collect());
     row("valley: mean, no request", timings.iter().map(|timing| format!("{:.0}", timing.valley_mean)).collect());
     row(
         "crest and valley, mean",
-        timings.iter().map(|timing| format!("{:.0}", timing.mean + timing.valley_mean)).collect(),
+        timings.iter().map(|timing| format!("{:.0}", timing.mean_step + timing.valley_mean)).collect(),
     );
-    row(VALLEY, each(|timing| timing.valley));
-    let names = ["the core alone", "with the flash as the firmware sets it", "with a flash that nothing accelerates"];
+    row(VALLEY_ROW, each(|timing| timing.longest_valley));
+    let names = ["core alone", "flash as the firmware sets it", "flash without cache and prefetch"];
     for (nth, name) in names.into_iter().enumerate() {
         row(
-            &format!("cycles of the longest, estimated, {name}"),
+            &format!("estimated cycles of the longest step, {name}"),
             timings.iter().map(|timing| timing.cycles[nth].to_string()).collect(),
         );
     }
     text
 }
 
-/// Returns the table of all other kinds of scenes on a five-bar, from the timings of [`SCENES`]: timing-scenes.csv.
+/// Returns timing-scenes.csv, the table of the timings of [`SCENES`] on a five-bar.
 #[must_use]
 pub fn scenes(timings: &[Timing]) -> String {
     let mut text = csv_line([
@@ -227,9 +213,9 @@ pub fn scenes(timings: &[Timing]) -> String {
     for (case, timing) in SCENES.iter().zip(timings) {
         text += &csv_line([
             case.scene_kind.name(),
-            &format!("{:.0}", timing.mean),
-            &timing.shortest.to_string(),
-            &timing.longest.to_string(),
+            &format!("{:.0}", timing.mean_step),
+            &timing.shortest_step.to_string(),
+            &timing.longest_step.to_string(),
             &case.verdict(timing),
             &timing.cycles[1].to_string(),
         ]);
@@ -239,12 +225,12 @@ pub fn scenes(timings: &[Timing]) -> String {
 
 impl Case {
     fn verdict(&self, timing: &Timing) -> String {
-        let (target, mean) = (self.target, timing.mean.round() as u64);
+        let (target, mean) = (self.target, timing.mean_step.round() as u64);
         if mean <= target { format!("{target}: met") } else { format!("{target}: missed by {}", mean - target) }
     }
 }
 
-/// Measures the replacement of a scene while the motors are on, for 5 ms from the request: timing-new-scenes.csv.
+/// Returns timing-new-scenes.csv. Each measurement takes 5 ms from the request for a new scene while the motors are on.
 #[must_use]
 pub fn replacements() -> String {
     let mut text = csv_line(["case", "longest at a valley", "longest step", "median step"]);
@@ -269,7 +255,7 @@ pub fn replacements() -> String {
     text
 }
 
-/// Measures the rates that a five-bar and two three-joint devices sustain: timing-rates.csv.
+/// Returns timing-rates.csv, the rates that a five-bar and two three-joint devices sustain.
 #[must_use]
 pub fn rates() -> String {
     let mut text = csv_line([
@@ -292,14 +278,14 @@ pub fn rates() -> String {
     text
 }
 
-/// Returns the longest step of `case` in a table `text` from [`table`], and its longest valley.
+/// Returns the longest step and the longest valley of `case` in a table from [`table`].
 #[must_use]
-pub fn recorded(text: &str, case: &Case) -> Option<(u64, u64)> {
+pub fn recorded_lengths(text: &str, case: &Case) -> Option<(u64, u64)> {
     let column = CASES.iter().position(|other| other.name() == case.name())?;
     let number = |name: &str| {
         // Numeric cells contain no commas.
         let cells = text.lines().find_map(|line| line.strip_prefix(&csv_line([name]).replace('\n', ",")))?;
         cells.split(',').nth(column)?.parse().ok()
     };
-    Some((number(LONGEST)?, number(VALLEY)?))
+    Some((number(LONGEST_ROW)?, number(VALLEY_ROW)?))
 }

@@ -1,9 +1,9 @@
-//! Records every instruction of an interrupt handler, run by run, from the first to the return from the exception.
+//! Records every instruction of an interrupt handler, run by run, from the first instruction to the exception return.
 //!
-//! Watches all code and keeps the handler's part. The end of a run is detected, not assumed: a return at call depth
-//! zero that goes to an unexpected address. This covers handlers whose last instructions the compiler moved into a
-//! shared function. Instructions of an interrupt that preempts the handler would be counted as well, but the control
-//! interrupt has the highest priority.
+//! All code is watched, and the handler's part is kept. A run ends where a return at call depth zero goes to an
+//! unexpected address. This also covers a handler whose last instructions the compiler moved into a shared function.
+//! Instructions of an interrupt that preempts the handler would be counted too, but nothing preempts the control
+//! interrupt.
 
 use std::sync::Arc;
 
@@ -16,21 +16,20 @@ use crate::image::Firmware;
 pub struct Run {
     /// Virtual time of the first instruction, ns.
     pub at: u64,
-    /// The address of every instruction, in order.
+    /// Address of every instruction, in order.
     pub path: Vec<u32>,
 }
 
-/// Code of an image, to distinguish calls and returns from other instructions.
+/// Code of an image, in which calls and returns can be told from other instructions.
 #[derive(Clone, Debug)]
 pub struct Code {
     base: u32,
     bytes: Arc<[u8]>,
 }
 
-/// Kind of an instruction, as far as the trace needs it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Kind {
-    /// BL, BLX.
+    /// BL or BLX.
     Call,
     /// BX lr, or the program counter loaded from the stack.
     Return,
@@ -46,7 +45,7 @@ impl Code {
         Some(Self { base: from as u32, bytes: firmware.code(symbol)?.into() })
     }
 
-    /// Returns code that consists of these half-words, starting at `base`.
+    /// Returns code that consists of `halves`, starting at `base`.
     #[cfg(test)]
     pub(crate) fn at(base: u32, halves: &[u16]) -> Self {
         Self { base, bytes: halves.iter().flat_map(|half| half.to_le_bytes()).collect() }
@@ -64,7 +63,7 @@ impl Code {
         self.bytes.get(offset..offset + 2).map_or(0, |pair| u16::from_le_bytes([pair[0], pair[1]]))
     }
 
-    /// Returns kind and length in bytes (ARMv7-M Architecture Reference Manual, chapter A5).
+    /// Returns the kind and the length (bytes) of the instruction at `at` (ARMv7-M Architecture Reference Manual, A5).
     fn decode(&self, at: u32) -> (Kind, u32) {
         let first = self.half(at);
         if first >> 11 < 0b11101 {
@@ -96,13 +95,13 @@ struct Walker {
 }
 
 impl Walker {
-    /// Returns a walker that stands at `entry` and has executed nothing.
+    /// Returns a walker at `entry` that has executed nothing.
     fn new(code: Code, entry: u32) -> Self {
         Self { code, last: entry, returns: Vec::new() }
     }
 
-    /// Advances to the instruction at `next`. Returns true if this step returns from the first function: the handler's
-    /// end.
+    /// Advances to the instruction at `next`. Returns true if this step returns from the first function, which ends the
+    /// handler.
     fn leaves(&mut self, next: u32) -> bool {
         let (kind, length) = self.code.decode(self.last);
         let following = self.last + length;
@@ -118,13 +117,13 @@ impl Walker {
     }
 }
 
-/// Collects the runs of a handler from the hits of watches on all code.
+/// Collects the runs of a handler from hits of watches on all code.
 #[derive(Debug)]
 pub struct Tracer {
     code: Code,
     entry: u32,
-    open: Option<(Run, Walker)>,
-    seen: u64,
+    current_run: Option<(Run, Walker)>,
+    last_count: u64,
     runs: Vec<Run>,
 }
 
@@ -132,29 +131,29 @@ impl Tracer {
     /// Returns a tracer of the handler that starts at `entry`.
     #[must_use]
     pub fn new(code: Code, entry: u32) -> Self {
-        Self { code, entry, open: None, seen: 0, runs: Vec::new() }
+        Self { code, entry, current_run: None, last_count: 0, runs: Vec::new() }
     }
 
-    /// Handles a hit. A stop of the emulator may report an instruction twice; it is counted once.
+    /// Handles a hit. If a stop of the emulator reports an instruction twice, it is counted once.
     pub fn feed(&mut self, hit: &Hit) {
-        if std::mem::replace(&mut self.seen, hit.instruction_count) == hit.instruction_count {
+        if std::mem::replace(&mut self.last_count, hit.instruction_count) == hit.instruction_count {
             return;
         }
         let at = hit.address as u32;
-        if let Some((run, walker)) = &mut self.open {
+        if let Some((run, walker)) = &mut self.current_run {
             if !walker.leaves(at) {
                 run.path.push(at);
                 return;
             }
-            self.runs.extend(self.open.take().map(|(run, _)| run));
+            self.runs.extend(self.current_run.take().map(|(run, _)| run));
         }
         if at == self.entry {
             let run = Run { at: hit.at.0, path: vec![at] };
-            self.open = Some((run, Walker::new(self.code.clone(), at)));
+            self.current_run = Some((run, Walker::new(self.code.clone(), at)));
         }
     }
 
-    /// Returns the complete runs so far, without an unfinished run.
+    /// Returns the complete runs so far. An unfinished run is dropped.
     #[must_use]
     pub fn finish(self) -> Vec<Run> {
         self.runs

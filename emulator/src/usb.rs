@@ -1,8 +1,8 @@
-//! The computer at the other end of the USB cable: it enumerates a device as a PC does, opens its serial port, and
-//! transfers bytes in both directions. Tests can do with it everything that a user can do: unplug, suspend, close, stop
-//! reading, write garbage.
+//! The computer at the other end of the USB cable. It enumerates a device like a PC, opens its serial port, and
+//! transfers bytes in both directions. Tests can use it like a user: unplug, suspend, close, stop reading, and write
+//! garbage.
 //!
-//! Sources: USB 2.0 chapters 5, 8, 9; CDC PSTN 1.2 section 6.3 (line coding, control line state).
+//! Sources: USB 2.0 chapters 5, 8 and 9, and CDC PSTN 1.2 section 6.3 (line coding, control line state).
 
 use std::collections::VecDeque;
 
@@ -11,32 +11,33 @@ use rigless::time::VirtualNanos;
 use crate::otg_core::{Core, Handshake};
 
 const MILLISECOND: u64 = 1_000_000;
-/// Time from the pull-up to the first reset, length of each reset, and recovery time: the minimum of USB 2.0 sections
-/// 7.1.7.3 and 7.1.7.5. A PC waits longer.
-const DEBOUNCE: u64 = 100 * MILLISECOND;
-const RESET: u64 = 10 * MILLISECOND;
-const RECOVERY: u64 = 10 * MILLISECOND;
-/// Idle time after which a device counts as suspended, section 7.1.7.6, and length of a resume, section 7.1.7.7.
-const IDLE: u64 = 3 * MILLISECOND;
-const RESUME: u64 = 20 * MILLISECOND;
+/// Time from the pull-up to the first reset, the minimum of USB 2.0 section 7.1.7.3, ns. A PC waits longer.
+const DEBOUNCE_NS: u64 = 100 * MILLISECOND;
+/// Length of a reset, the minimum of USB 2.0 section 7.1.7.5, ns.
+const RESET_NS: u64 = 10 * MILLISECOND;
+/// Recovery time after a reset, the minimum of USB 2.0 section 7.1.7.5, ns.
+const RECOVERY_NS: u64 = 10 * MILLISECOND;
+/// Idle time after which a device counts as suspended (USB 2.0 section 7.1.7.6), ns.
+const IDLE_NS: u64 = 3 * MILLISECOND;
+/// Length of a resume (USB 2.0 section 7.1.7.7), ns.
+const RESUME_NS: u64 = 20 * MILLISECOND;
 
-/// Address of the device.
-const ADDRESS: u8 = 5;
+const DEVICE_ADDRESS: u8 = 5;
 /// Maximum length of a full-speed bulk packet, bytes.
-const PACKET: usize = 64;
+const PACKET_BYTES: usize = 64;
 
-/// Returns the duration of a packet of `bytes` on the bus at 12 Mbit/s, ns. Token, data and handshake packets with
-/// their gaps add about 13 bytes.
+/// Returns the duration on the bus of a packet of `bytes` bytes at 12 Mbit/s, ns. Token, data and handshake packets and
+/// the gaps add about 13 bytes.
 fn bus_time(bytes: usize) -> u64 {
     (bytes as u64 + 13) * 8 * 1000 / 12
 }
 
-/// An event at the host, recorded for tests.
+/// An event at the host, which is recorded for tests.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Event {
-    /// A pull-up appeared.
+    /// The device enabled its pull-up.
     Connected,
-    /// The device disconnected: unplugged, or its pull-up disappeared.
+    /// The device was unplugged, or its pull-up went off.
     Left,
     /// The bus was reset.
     Reset,
@@ -44,7 +45,7 @@ pub enum Event {
     Addressed,
     /// The device is configured and has a serial port.
     Configured,
-    /// The port was opened, with terminal ready set.
+    /// The port was opened (terminal ready is set).
     Opened,
     /// The port was closed.
     Closed,
@@ -68,7 +69,7 @@ pub struct Descriptors {
 }
 
 impl Descriptors {
-    /// Returns vendor and product id.
+    /// Returns the vendor id and the product id.
     #[must_use]
     pub fn ids(&self) -> (u16, u16) {
         let word = |at: usize| {
@@ -81,7 +82,6 @@ impl Descriptors {
     }
 }
 
-/// Serial port of a configuration descriptor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Port {
     communication: u8,
@@ -165,23 +165,23 @@ enum Transaction {
     In,
 }
 
-/// The host.
+/// The host computer.
 #[derive(Debug)]
 pub struct Host {
     plugged: bool,
-    open: bool,
-    reading: bool,
-    idle: bool,
+    open_requested: bool,
+    reads_port: bool,
+    suspend_requested: bool,
     bus: Bus,
     resets: u32,
     steps: VecDeque<Step>,
     requested: VecDeque<Control>,
     control: Option<Control>,
     port: Option<Port>,
-    opened: bool,
+    port_is_open: bool,
     in_progress: Option<(Transaction, u64)>,
     free_at: u64,
-    out_last: bool,
+    last_was_out: bool,
     to_device: VecDeque<u8>,
     from_device: Vec<u8>,
     replies: Vec<Result<Vec<u8>, [u8; 8]>>,
@@ -189,24 +189,24 @@ pub struct Host {
     log: Vec<(VirtualNanos, Event)>,
 }
 
-/// A host with a plugged cable that has opened the port and reads: a PC with the tool running.
+/// A PC with a running tool: the cable is plugged, the port is open, and the host reads.
 impl Default for Host {
     fn default() -> Self {
         Self {
             plugged: true,
-            open: true,
-            reading: true,
-            idle: false,
+            open_requested: true,
+            reads_port: true,
+            suspend_requested: false,
             bus: Bus::Detached,
             resets: 0,
             steps: VecDeque::new(),
             requested: VecDeque::new(),
             control: None,
             port: None,
-            opened: false,
+            port_is_open: false,
             in_progress: None,
             free_at: 0,
-            out_last: false,
+            last_was_out: false,
             to_device: VecDeque::new(),
             from_device: Vec::new(),
             replies: Vec::new(),
@@ -222,54 +222,54 @@ impl Host {
         self.plugged = plugged;
     }
 
-    /// Opens or closes the serial port, as a program on a PC does.
+    /// Opens or closes the serial port, like a program on a PC.
     pub fn open(&mut self, open: bool) {
-        self.open = open;
+        self.open_requested = open;
     }
 
-    /// Reads the port, or leaves the device's data unread.
+    /// Reads the port if `reading` is true. Otherwise the device's data stay unread.
     pub fn read_port(&mut self, reading: bool) {
-        self.reading = reading;
+        self.reads_port = reading;
     }
 
-    /// Suspends the bus, as a sleeping PC does, or resumes it.
+    /// Suspends the bus if `idle` is true, like a sleeping PC. Otherwise resumes the bus.
     pub fn suspend(&mut self, idle: bool) {
-        self.idle = idle;
+        self.suspend_requested = idle;
     }
 
-    /// Queues bytes to write to the port.
+    /// Queues bytes for the port.
     pub fn write(&mut self, bytes: &[u8]) {
         self.to_device.extend(bytes);
     }
 
-    /// Drops bytes that are queued and not sent yet.
+    /// Drops queued bytes that are not sent yet.
     pub fn discard(&mut self) {
         self.to_device.clear();
     }
 
-    /// Takes the bytes received since the last call.
+    /// Returns the bytes that were received since the last call.
     pub fn take(&mut self) -> Vec<u8> {
         std::mem::take(&mut self.from_device)
     }
 
-    /// Queues any control request, valid or not: the setup packet, with `data` for a write.
+    /// Queues any control request, valid or not, as a setup packet and the `data` of a write.
     pub fn request(&mut self, setup: [u8; 8], data: &[u8]) {
         let (step, data) = (Step::Requested, data.to_vec());
         self.requested.push_back(Control { step, setup, data, stage: Stage::Setup });
     }
 
-    /// Takes the replies to those requests, in order: the data read, or the setup packet of a stalled request.
+    /// Returns the replies to queued control requests, in order: the data of a read, or the setup packet if stalled.
     pub fn take_replies(&mut self) -> Vec<Result<Vec<u8>, [u8; 8]>> {
         std::mem::take(&mut self.replies)
     }
 
-    /// Returns true if the port is open on a configured device, so that bytes can be transferred.
+    /// Returns true if the port of a configured device is open, so that bytes can be transferred.
     #[must_use]
-    pub fn ready(&self) -> bool {
-        self.bus == Bus::Active && self.port.is_some() && self.opened
+    pub fn is_ready(&self) -> bool {
+        self.bus == Bus::Active && self.port.is_some() && self.port_is_open
     }
 
-    /// Returns the descriptors read during enumeration.
+    /// Returns the descriptors that were read during enumeration.
     #[must_use]
     pub fn descriptors(&self) -> &Descriptors {
         &self.descriptors
@@ -281,7 +281,7 @@ impl Host {
         &self.log
     }
 
-    /// Handles a disconnect without a movement of the cable: the device's chip restarted.
+    /// Handles a disconnect without a movement of the cable, because the device's chip restarted.
     pub fn device_disconnected(&mut self) {
         if self.bus != Bus::Detached {
             let at = self.log.last().map_or(VirtualNanos(0), |&(at, _)| at);
@@ -295,13 +295,13 @@ impl Host {
         self.steps.clear();
         self.in_progress = None;
         self.port = None;
-        self.opened = false;
+        self.port_is_open = false;
         self.to_device.clear();
         self.log.push((at, Event::Left));
     }
 
-    /// Continues with all transactions that are possible at `now`. Returns the time of the next action, or
-    /// `None` if the next action depends on the device.
+    /// Continues with all transactions that are possible at `now`. Returns the time of the next action, or `None` if
+    /// the next action depends on the device.
     pub fn advance(&mut self, core: &mut Core, now: VirtualNanos) -> Option<VirtualNanos> {
         self.follow_cable(core, now);
         let due = |at: u64| now.0 >= at;
@@ -310,12 +310,12 @@ impl Host {
             Bus::Debounce(at) if due(at) => {
                 core.bus_reset();
                 self.log.push((now, Event::Reset));
-                self.wait(Bus::Reset, now, RESET)
+                self.wait(Bus::Reset, now, RESET_NS)
             }
             Bus::Reset(at) if due(at) => {
                 core.enumeration_done();
                 self.resets += 1;
-                self.wait(Bus::Recovery, now, RECOVERY)
+                self.wait(Bus::Recovery, now, RECOVERY_NS)
             }
             Bus::Recovery(at) if due(at) => {
                 self.bus = Bus::Active;
@@ -346,23 +346,23 @@ impl Host {
     }
 
     fn follow_cable(&mut self, core: &mut Core, now: VirtualNanos) {
-        let is_present = self.plugged && core.connected();
+        let is_present = self.plugged && core.is_connected();
         match self.bus {
             Bus::Detached if is_present => {
                 self.log.push((now, Event::Connected));
                 self.resets = 0;
-                self.bus = Bus::Debounce(now.0 + DEBOUNCE);
+                self.bus = Bus::Debounce(now.0 + DEBOUNCE_NS);
             }
             Bus::Detached => {}
             _ if !is_present => {
-                // A device that does not sense the bus voltage sees only an idle bus.
+                // A device that does not sense the bus voltage only notices an idle bus.
                 self.disconnect(now);
                 core.suspend();
             }
-            Bus::Active if self.idle => self.bus = Bus::GoingIdle(now.0 + IDLE),
-            Bus::Suspended | Bus::GoingIdle(_) if !self.idle => {
+            Bus::Active if self.suspend_requested => self.bus = Bus::GoingIdle(now.0 + IDLE_NS),
+            Bus::Suspended | Bus::GoingIdle(_) if !self.suspend_requested => {
                 core.resume();
-                self.bus = Bus::Resuming(now.0 + RESUME);
+                self.bus = Bus::Resuming(now.0 + RESUME_NS);
             }
             _ => {}
         }
@@ -384,14 +384,14 @@ impl Host {
             return Some(self.control_of(step));
         }
         let port = self.port?;
-        if self.open != self.opened {
+        if self.open_requested != self.port_is_open {
             let coding = [0x00, 0xC2, 0x01, 0x00, 0, 0, 8];
             let index = u16::from(port.communication);
-            return Some(if self.open && self.steps.is_empty() && !self.opened {
+            return Some(if self.open_requested && self.steps.is_empty() && !self.port_is_open {
                 self.steps.push_back(Step::LineState(true));
                 Control::write(Step::LineCoding, 0x21, 0x20, 0, index, &coding)
             } else {
-                self.control_of(Step::LineState(self.open))
+                self.control_of(Step::LineState(self.open_requested))
             });
         }
         self.requested.pop_front()
@@ -404,7 +404,7 @@ impl Host {
         let write = |request, value| Control::write(step, 0x00, request, value, 0, &[]);
         match step {
             Step::DeviceHead => read(0x0100, 0, 64),
-            Step::SetAddress => write(5, u16::from(ADDRESS)),
+            Step::SetAddress => write(5, u16::from(DEVICE_ADDRESS)),
             Step::Device => read(0x0100, 0, 18),
             Step::ConfigurationHead => read(0x0200, 0, 9),
             Step::Configuration => read(0x0200, 0, total),
@@ -440,7 +440,7 @@ impl Host {
         }
     }
 
-    /// Returns the next transaction that the device would not reject, with its number of bytes.
+    /// Returns the next transaction that the device would not reject, and its number of bytes.
     fn next_transaction(&mut self, core: &Core) -> Option<(Transaction, usize)> {
         let willing = |answer: Handshake<usize>| match answer {
             Handshake::Ack(bytes) => Some(bytes),
@@ -456,20 +456,20 @@ impl Host {
             let bytes = match control.stage {
                 Stage::Setup => Some(8),
                 Stage::DataIn | Stage::StatusIn => willing(core.offers(0)),
-                Stage::DataOut => accepted(core.accepts(0), control.data.len().min(PACKET)),
+                Stage::DataOut => accepted(core.accepts(0), control.data.len().min(PACKET_BYTES)),
                 Stage::StatusOut => accepted(core.accepts(0), 0),
             };
             if let Some(bytes) = bytes {
                 return Some((Transaction::Control(control.stage), bytes));
             }
         }
-        let port = self.port.filter(|_| self.opened)?;
-        let waiting = self.to_device.len().min(PACKET);
+        let port = self.port.filter(|_| self.port_is_open)?;
+        let waiting = self.to_device.len().min(PACKET_BYTES);
         let out = (waiting > 0).then(|| accepted(core.accepts(port.data_out), waiting)).flatten();
-        let input = self.reading.then(|| willing(core.offers(port.data_in))).flatten();
+        let input = self.reads_port.then(|| willing(core.offers(port.data_in))).flatten();
         match (out, input) {
             (Some(bytes), None) => Some((Transaction::Out, bytes)),
-            (Some(bytes), Some(_)) if !self.out_last => Some((Transaction::Out, bytes)),
+            (Some(bytes), Some(_)) if !self.last_was_out => Some((Transaction::Out, bytes)),
             (_, Some(bytes)) => Some((Transaction::In, bytes)),
             (None, None) => None,
         }
@@ -479,17 +479,17 @@ impl Host {
         match (transaction, self.port) {
             (Transaction::Control(_), _) => self.complete_control(core, now),
             (Transaction::Out, Some(port)) => {
-                let packet: Vec<u8> = self.to_device.iter().take(PACKET).copied().collect();
+                let packet: Vec<u8> = self.to_device.iter().take(PACKET_BYTES).copied().collect();
                 if core.out(port.data_out, &packet) == Handshake::Ack(()) {
                     self.to_device.drain(..packet.len());
                 }
-                self.out_last = true;
+                self.last_was_out = true;
             }
             (Transaction::In, Some(port)) => {
                 if let Handshake::Ack(data) = core.take(port.data_in) {
                     self.from_device.extend(data);
                 }
-                self.out_last = false;
+                self.last_was_out = false;
             }
             (_, None) => {}
         }
@@ -509,14 +509,14 @@ impl Host {
             Stage::DataIn => match core.take(0) {
                 Handshake::Ack(packet) => {
                     control.data.extend(&packet);
-                    let over = packet.len() < PACKET || control.data.len() >= control.length();
+                    let over = packet.len() < PACKET_BYTES || control.data.len() >= control.length();
                     Some(if over { Stage::StatusOut } else { Stage::DataIn })
                 }
                 Handshake::Nak => Some(Stage::DataIn),
                 Handshake::Stall => None,
             },
             Stage::DataOut => {
-                let length = control.data.len().min(PACKET);
+                let length = control.data.len().min(PACKET_BYTES);
                 match core.out(0, &control.data[..length]) {
                     Handshake::Ack(()) => {
                         control.data.drain(..length);
@@ -576,7 +576,7 @@ impl Host {
             }
             Step::LineCoding => {}
             Step::LineState(on) => {
-                self.opened = on;
+                self.port_is_open = on;
                 self.log.push((now, if on { Event::Opened } else { Event::Closed }));
             }
             Step::Requested => self.replies.push(Ok(control.data)),
@@ -635,6 +635,6 @@ mod tests {
 
     #[test]
     fn a_frame_has_room_for_nineteen_full_packets() {
-        assert_eq!(1_000_000 / bus_time(PACKET), 19);
+        assert_eq!(1_000_000 / bus_time(PACKET_BYTES), 19);
     }
 }

@@ -1,5 +1,5 @@
-//! The emulated USB port as a wire of the tool's own client: `haptic_host::link::Board` over it talks to the real
-//! firmware, in lock step and in the board's virtual time.
+//! The emulated USB port as a wire of the tool's client. Over this wire `haptic_host::link::Board` talks to the real
+//! firmware, in lockstep and in the board's virtual time.
 
 use std::io;
 use std::sync::{Arc, Mutex, MutexGuard};
@@ -9,10 +9,10 @@ use haptic_host::link::Wire;
 
 use crate::run::{MICROSECOND, VirtualBoard};
 
-/// Default time between two polls of the port: ten polls per millisecond.
-const POLL_INTERVAL: u64 = 100 * MICROSECOND;
+/// Default interval between two polls of the port, ns.
+const POLL_INTERVAL_NS: u64 = 100 * MICROSECOND;
 
-/// A board shared by a test and a wire.
+/// A board that a test and a wire share.
 #[derive(Clone, Debug)]
 pub struct Shared(Arc<Mutex<VirtualBoard>>);
 
@@ -23,11 +23,7 @@ impl Shared {
         Self(Arc::new(Mutex::new(board)))
     }
 
-    /// Returns the board, locked, so that nothing else runs it meanwhile.
-    ///
-    /// # Panics
-    ///
-    /// If another user of the board panicked while it held the lock.
+    /// Locks the board, so that nothing else runs it meanwhile.
     pub fn board(&self) -> MutexGuard<'_, VirtualBoard> {
         self.0.lock().expect("no holder of the board panicked")
     }
@@ -35,18 +31,17 @@ impl Shared {
     /// Returns a wire to the board's USB port.
     #[must_use]
     pub fn wire(&self) -> Box<dyn Wire> {
-        self.wire_polled_every(POLL_INTERVAL)
+        self.wire_polled_every(POLL_INTERVAL_NS)
     }
 
-    /// Returns a wire to the board's USB port for a computer that polls at this interval, ns. The
-    /// computer reacts up to one interval late.
+    /// Returns a wire to the board's USB port, for a computer that polls every `interval` (ns) and reacts up to one
+    /// interval late.
     #[must_use]
     pub fn wire_polled_every(&self, interval: u64) -> Box<dyn Wire> {
         Box::new(UsbWire { shared: self.clone(), waiting: Vec::new(), interval })
     }
 }
 
-/// Serial port of the emulated board.
 struct UsbWire {
     shared: Shared,
     waiting: Vec<u8>,
@@ -58,7 +53,7 @@ impl Wire for UsbWire {
         let bytes = bytes.to_vec();
         let sent = self.shared.board().with(move |stopped| {
             let usb = stopped.usb();
-            let ready = usb.ready();
+            let ready = usb.is_ready();
             if ready {
                 usb.write(&bytes);
             }

@@ -110,7 +110,7 @@ fn run_operation(board: &mut Board, input: &mut Input) -> u32 {
         }
         4 => {
             let fault = Fault::ALL[usize::from(input.byte()) % Fault::ALL.len()];
-            board.told = Some((fault, Some(input.byte()), 1.0));
+            board.reported_fault = Some((fault, Some(input.byte()), 1.0));
             board.tick();
             assert!(!board.bridges, "bridges drive after {fault:?}");
             1
@@ -126,7 +126,7 @@ fn run_operation(board: &mut Board, input: &mut Input) -> u32 {
             0
         }
         7 => {
-            board.machine.flash.broken = input.byte() & 1 == 1;
+            board.machine.flash.fails = input.byte() & 1 == 1;
             0
         }
         _ => spin(board, usize::from(input.byte())),

@@ -1,9 +1,9 @@
-//! The mechanics of rigid bodies from first principles: slow and simple.
+//! The mechanics of rigid bodies from first principles.
 //!
-//! Every link of a description is placed in space (centre of mass, principal axes) directly from the section on
-//! mechanisms in docs/model.md, distal angles included. Velocities are differences of placements, the mass matrix is Σ
-//! m JvᵀJv + JωᵀIJω, and gravity's torques are the gradient of potential energy. No term is lumped or in closed form,
-//! so the code shares no algebra with the library.
+//! Every link is placed in space (centre of mass, principal axes) directly from the section on mechanisms in
+//! docs/model.md, with its distal angle. Velocities are differences of placements, the mass matrix is Σ m JvᵀJv +
+//! JωᵀIJω, and gravity's torques are the gradient of the potential energy. The code shares no algebra with the library,
+//! because no term is lumped or in closed form.
 
 use haptic_bridge::model::catalogue::Kind;
 use haptic_bridge::model::description::Description;
@@ -57,7 +57,7 @@ pub fn place_bodies(device: &Description, q: &[f64]) -> (Vec<Body>, Vector3<f64>
             (links, end)
         }
     };
-    // Axes of the arms' plane in the world.
+    // The axes of the arms' plane, in world coordinates.
     let (s, c) = turret.sin_cos();
     let plane = match device.kind {
         Kind::FiveBarTurret => Matrix3::new(1.0, 0.0, 0.0, 0.0, c, -s, 0.0, s, c),
@@ -85,7 +85,7 @@ pub fn place_bodies(device: &Description, q: &[f64]) -> (Vec<Body>, Vector3<f64>
     (bodies, task)
 }
 
-/// Computes the derivative of `f` at 0 by central differences with Richardson extrapolation; the error is of order
+/// Computes the derivative of `f` at 0 by central differences with Richardson extrapolation. The error is of order
 /// step⁴.
 pub fn derivative<V>(step: f64, f: impl Fn(f64) -> V) -> V
 where
@@ -105,7 +105,7 @@ pub fn dynamics(device: &Description, q: &[f64]) -> (Vec<Vec<f64>>, Vec<f64>) {
     };
     let (here, _) = place_bodies(device, q);
     let step = 1.0e-4;
-    // Linear and angular velocity of every body per unit velocity of every joint.
+    // Linear and angular velocity of each body per unit velocity of each joint.
     let rates: Vec<Vec<(Vector3<f64>, Vector3<f64>)>> = (0..n)
         .map(|i| {
             (0..here.len())

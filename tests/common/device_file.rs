@@ -6,13 +6,12 @@ use haptic_bridge::model::description::{Description, Encoder, EncoderAt, Joint, 
 use haptic_bridge::model::motor::Motor;
 use toml::{Table, Value};
 
-/// Reads the shipped device of this name.
 pub fn shipped(name: &str) -> Description {
     let path = format!("{}/devices/{name}.toml", env!("CARGO_MANIFEST_DIR"));
     parse(&std::fs::read_to_string(&path).unwrap_or_else(|error| panic!("{path}: {error}")))
 }
 
-/// Reads a device from the text of a file.
+/// Reads a device from the text of a file. Panics at an unknown key.
 pub fn parse(text: &str) -> Description {
     let file: Table = text.parse().expect("a device file is TOML");
     assert_known_keys(&file, &["name", "mechanism", "gravity", "geometry", "link", "joint", "handle", "home"]);
@@ -96,7 +95,7 @@ fn number(table: &Table, key: &str) -> Option<f64> {
     table.get(key).map(|value| numbers(value).next().expect("a number"))
 }
 
-/// Returns the entries of a list, or the number itself.
+/// Returns the entries of a list, or the single number.
 fn numbers(value: &Value) -> impl Iterator<Item = f64> {
     let list = value.as_array().map_or(std::slice::from_ref(value), Vec::as_slice);
     list.iter().map(|value| value.as_float().or(value.as_integer().map(|whole| whole as f64)).expect("a number"))
@@ -107,7 +106,7 @@ fn tables<'a>(file: &'a Table, key: &str) -> impl Iterator<Item = &'a Table> {
     list.iter().map(|value| value.as_table().expect("a table"))
 }
 
-/// Fills an array with the values, and the remaining entries with the default.
+/// Fills an array with the values and pads it with the default.
 fn to_array<T: Copy + Default, const N: usize>(values: impl Iterator<Item = T>) -> [T; N] {
     let mut array = [T::default(); N];
     values.enumerate().for_each(|(i, value)| array[i] = value);

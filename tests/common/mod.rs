@@ -1,4 +1,4 @@
-//! Helpers of several tests: shipped and random devices, the mechanics of rigid bodies, and the seeds of random cases.
+//! Helpers of several tests: shipped and random devices, rigid bodies, and the seeds of random cases.
 
 pub mod bodies;
 pub mod device_file;
@@ -11,8 +11,8 @@ use nalgebra::{DMatrix, SMatrix, SVector};
 use proptest::test_runner::{Config, RngSeed};
 use std::hash::{BuildHasher, RandomState};
 
-/// Configures a property test with `cases` cases, the same in every run. If `HAPTIC_FRESH_SEEDS` is set, every run has
-/// other cases. `PROPTEST_RNG_SEED` repeats the cases of a printed seed.
+/// Configures a property test with `cases` cases, which are the same in every run. With `HAPTIC_FRESH_SEEDS` the cases
+/// differ in every run. `PROPTEST_RNG_SEED` repeats the cases of a printed seed.
 pub fn cases(cases: u32) -> Config {
     let default = Config::default();
     let rng_seed = match default.rng_seed {
@@ -24,11 +24,11 @@ pub fn cases(cases: u32) -> Config {
     Config { cases, rng_seed, failure_persistence: None, ..default }
 }
 
-/// A stream of numbers in [0, 1). A test case is a list of such numbers, so that proptest can shrink it.
+/// A stream of numbers in [0, 1). A test case is a list of numbers, so that proptest can shrink it.
 pub struct Draw<'a>(pub std::slice::Iter<'a, f64>);
 
 impl<'a> Draw<'a> {
-    /// Starts with the first number of a test case.
+    /// Starts at the first number of a test case.
     pub fn new(numbers: &'a [f64]) -> Self {
         Self(numbers.iter())
     }
@@ -49,12 +49,12 @@ impl<'a> Draw<'a> {
     }
 }
 
-/// Count of numbers that suffices for one device and one pose.
-pub const NUMBERS: usize = 80;
+/// Number of random numbers that suffice for one device and one pose.
+pub const NUMBERS_PER_CASE: usize = 80;
 
-/// Draws a link that can be built: its centre of mass lies between a counterweight and the far end, and its inertias
-/// are those of a real body.
-fn link(draw: &mut Draw<'_>, length: f64) -> Link {
+/// Draws a link that can be built. The centre of mass lies between a counterweight and the far end, and the inertias
+/// belong to a real body.
+fn random_link(draw: &mut Draw<'_>, length: f64) -> Link {
     let mass = draw.within_log(0.002, 0.5);
     let squared = |extent: f64| mass * extent * extent / 12.0;
     let thick = draw.within(0.02, 0.5) * length;
@@ -68,7 +68,7 @@ fn link(draw: &mut Draw<'_>, length: f64) -> Link {
 }
 
 /// Draws a hand-sized device of this kind for which every term of the equations of motion matters.
-pub fn device(kind: Kind, draw: &mut Draw<'_>) -> Description {
+pub fn random_device(kind: Kind, draw: &mut Draw<'_>) -> Description {
     let mut geometry = [0.0; MAX_GEOMETRY];
     let mut links = [Link::default(); MAX_LINKS];
     let mut place = |index: usize, link: Link| links[index] = link;
@@ -79,20 +79,20 @@ pub fn device(kind: Kind, draw: &mut Draw<'_>) -> Description {
             geometry[0] = draw.within(0.0, 0.08);
             for i in 0..4 {
                 geometry[i + 1] = length(draw) * if i < 2 { 1.0 } else { 1.4 };
-                place(i, link(draw, geometry[i + 1]));
+                place(i, random_link(draw, geometry[i + 1]));
             }
             geometry[5] = if draw.within(0.0, 1.0) < 0.5 { 1.0 } else { -1.0 };
         }
         Kind::Parallelogram => {
             geometry[..3].copy_from_slice(&[length(draw), length(draw), draw.within(0.02, 0.06)]);
             for (i, reach) in [geometry[0], geometry[1], geometry[2], geometry[0]].into_iter().enumerate() {
-                place(i, link(draw, reach));
+                place(i, random_link(draw, reach));
             }
         }
         Kind::Serial3r => {
             for (i, arm) in geometry[..3].iter_mut().enumerate() {
                 *arm = length(draw);
-                place(i, link(draw, *arm));
+                place(i, random_link(draw, *arm));
             }
         }
     }
@@ -104,25 +104,22 @@ pub fn device(kind: Kind, draw: &mut Draw<'_>) -> Description {
     Description { kind, gravity, geometry, links, joints, handle_mass: draw.within_log(1.0e-3, 0.3), home: None }
 }
 
-/// Returns the inverse of a regular matrix, by nalgebra's decomposition.
 pub fn inverse<const N: usize>(matrix: &SMatrix<f64, N, N>) -> SMatrix<f64, N, N> {
-    let inverse = dynamic(matrix).try_inverse().expect("a regular matrix");
+    let inverse = to_dynamic(matrix).try_inverse().expect("a regular matrix");
     SMatrix::from_fn(|i, j| inverse[(i, j)])
 }
 
-/// Returns the determinant of a matrix, by nalgebra's decomposition.
 pub fn determinant<const N: usize>(matrix: &SMatrix<f64, N, N>) -> f64 {
-    dynamic(matrix).determinant()
+    to_dynamic(matrix).determinant()
 }
 
-fn dynamic<const N: usize>(matrix: &SMatrix<f64, N, N>) -> DMatrix<f64> {
+fn to_dynamic<const N: usize>(matrix: &SMatrix<f64, N, N>) -> DMatrix<f64> {
     DMatrix::from_fn(N, N, |i, j| matrix[(i, j)])
 }
 
-/// Counts per turn of fine encoders: quantisation does not matter.
+/// Counts per turn of encoders so fine that quantisation does not matter.
 pub const FINE_COUNTS: f64 = 1.0e9;
 
-/// Gives every joint of a device a fine encoder.
 pub fn with_fine_encoders(mut device: Description) -> Description {
     for joint in &mut device.joints {
         joint.encoder = Some(Encoder { counts_per_turn: FINE_COUNTS, offset: 0.0, inverted: false });
@@ -135,7 +132,7 @@ pub fn fine_counts<const N: usize>(q: &SVector<f64, N>) -> [i32; N] {
     q.map(|angle| (angle / std::f64::consts::TAU * FINE_COUNTS).round() as i32).into()
 }
 
-/// Returns a wall that acts on both sides, with the full feed-forward and without damping. The stiffness is in N/m.
+/// Returns a bilateral wall with the full feed-forward and without damping. The stiffness is in N/m.
 pub fn bilateral_wall<T: Real>(surface: Surface<T>, stiffness: f64) -> Wall<T> {
     Wall {
         surface,

@@ -1,17 +1,17 @@
-//! The golden cases of one wall (model.json): twenty random devices and motions of every mechanism. They were computed
+//! The golden cases of one wall (model.json): twenty random devices and motions per mechanism. They were computed
 //! outside this repository and have the keys of `haptic model --json`.
 
 use haptic_bridge::model::catalogue::Kind;
 use serde_json::Value;
 
-/// Largest error of f64 as a share of the largest entry, and of the board's f32 as a share of the largest torque.
+/// Largest error of f64, as a share of the quantity's largest entry.
 pub const F64_TOLERANCE: f64 = 1.0e-9;
+/// Largest error of the board's f32, as a share of the largest torque.
 pub const F32_TOLERANCE: f64 = 2.0e-4;
 
-/// Key of a quantity in the golden file, and its entries in row-major order.
+/// Key of a quantity in the golden file, and the quantity's entries in row-major order.
 pub type Quantity = (&'static str, Vec<f64>);
 
-/// Reads all cases.
 pub fn cases() -> Vec<Value> {
     let mut document: Value = serde_json::from_str(include_str!("model.json")).expect("the golden file is JSON");
     let Value::Array(cases) = document["cases"].take() else { panic!("no cases") };
@@ -22,28 +22,26 @@ pub fn cases() -> Vec<Value> {
     cases
 }
 
-/// Reads a string of a case.
 pub fn text(value: &Value) -> &str {
     value.as_str().expect("a string")
 }
 
-/// Reads a number of a case.
 pub fn number(value: &Value) -> f64 {
     value.as_f64().expect("a number")
 }
 
-/// Reads a list or matrix of numbers in row-major order.
+/// Returns the numbers of a list or matrix in row-major order.
 pub fn list(value: &Value) -> Vec<f64> {
     value.as_array().map_or_else(|| vec![number(value)], |entries| entries.iter().flat_map(list).collect())
 }
 
-/// Asserts that every quantity is as the case expects. `tolerance` is a share of the largest expected entry, or the
-/// largest error itself if all expected entries are zero.
-pub fn agree(case: &Value, found: &[Quantity], tolerance: f64) {
+/// Asserts that every quantity equals the case's value. `tolerance` is a share of the largest expected entry, or an
+/// absolute error if all expected entries are zero.
+pub fn assert_agree(case: &Value, found: &[Quantity], tolerance: f64) {
     for (name, found) in found {
         let expected = list(&case["expect"][*name]);
         assert_eq!(found.len(), expected.len(), "{name}");
-        // The coupling is a difference of two inertias, so its rounding error is theirs.
+        // The coupling is a difference of two inertias, so its rounding error is relative to them.
         let scale = if *name == "coupling" { list(&case["expect"]["w_rr"]) } else { expected.clone() };
         let largest = scale.iter().fold(0.0_f64, |largest, value| largest.max(value.abs()));
         let error = found.iter().zip(&expected).fold(0.0_f64, |error, (a, b)| error.max((a - b).abs()));

@@ -1,17 +1,16 @@
-//! Bounds on the errors of f32, and of the board's ways of computation in f32, against the reference.
+//! Bounds on the errors of f32, in each route that the board takes, against the reference.
 
 use super::rows::singular::{Row, Singularity, Target};
 use super::rows::{DOUBLE, EXTREMES, FILTERS, SEVERAL, SINGULAR, STEPS, TURNS};
 
-/// Largest error of torques where the feed-forward acts in full: four digits must be right.
-const USABLE: f64 = 1e-4;
+/// Largest torque error where the feed-forward acts in full, as a share of the largest torque.
+const FULL_FEED_FORWARD_TOLERANCE: f64 = 1e-4;
 
-/// Returns true if the row is near a serial singularity.
-pub fn serial(row: &&Row) -> bool {
+pub fn is_serial(row: &&Row) -> bool {
     row.singularity != Singularity::Rods
 }
 
-/// Returns the condition number that the row has as its target, or 0.
+/// Returns the row's target condition number, or 0 if the target is a sine.
 fn condition_number(row: &Row) -> f64 {
     match row.target {
         Target::Condition(condition) => condition,
@@ -24,12 +23,12 @@ fn every_singularity_is_reached_up_to_cond_1e4() {
     for name in ["five-bar (haply-2diy)", "five-bar-turret", "parallelogram (Phantom)", "serial-3r"] {
         for condition in [1e1, 1e2, 1e3, 1e4, 1e5] {
             let met =
-                SINGULAR.iter().any(|row| row.device == name && condition_number(row) == condition && serial(&row));
+                SINGULAR.iter().any(|row| row.device == name && condition_number(row) == condition && is_serial(&row));
             assert!(met, "{name} at cond J {condition:e}");
         }
     }
     for condition in [1e1, 1e2, 1e3, 1e4] {
-        let met = SINGULAR.iter().filter(|row| condition_number(row) == condition && !serial(row)).count();
+        let met = SINGULAR.iter().filter(|row| condition_number(row) == condition && !is_serial(row)).count();
         assert_eq!(met, 2, "parallel singularities at cond J {condition:e}");
     }
 }
@@ -44,24 +43,24 @@ fn the_full_feed_forward_keeps_four_digits_of_torque() {
         edges += 1;
         let board = &row.board;
         for error in [board.w_rr_kernel, board.plain, board.torque, board.torque_moving] {
-            assert!(error < USABLE, "{row:?}");
+            assert!(error < FULL_FEED_FORWARD_TOLERANCE, "{row:?}");
         }
     }
     assert_eq!(edges, 8, "one edge per singularity");
 }
 
 #[test]
-fn without_feed_forward_a_serial_singularity_costs_nothing() {
-    let rows: Vec<_> = SINGULAR.iter().filter(serial).collect();
+fn without_feed_forward_a_serial_singularity_loses_no_digits() {
+    let rows: Vec<_> = SINGULAR.iter().filter(is_serial).collect();
     assert_eq!(rows.len(), 42, "six ways into a serial singularity, seven rows each");
     for row in rows {
-        assert!(row.board.plain < USABLE, "{row:?}");
+        assert!(row.board.plain < FULL_FEED_FORWARD_TOLERANCE, "{row:?}");
     }
 }
 
 #[test]
 fn only_joint_space_keeps_digits_at_serial_singularities() {
-    let rows: Vec<_> = SINGULAR.iter().filter(serial).filter(|row| condition_number(row) >= 1e3).collect();
+    let rows: Vec<_> = SINGULAR.iter().filter(is_serial).filter(|row| condition_number(row) >= 1e3).collect();
     assert_eq!(rows.len(), 18, "six ways into a serial singularity, three decades each");
     for row in rows {
         assert!(row.board.w_eff_schur > 1e-2, "{row:?}");
@@ -71,7 +70,7 @@ fn only_joint_space_keeps_digits_at_serial_singularities() {
 
 #[test]
 fn only_task_space_keeps_digits_at_parallel_singularities() {
-    let rows: Vec<_> = SINGULAR.iter().filter(|row| !serial(row) && condition_number(row) >= 1e3).collect();
+    let rows: Vec<_> = SINGULAR.iter().filter(|row| !is_serial(row) && condition_number(row) >= 1e3).collect();
     assert_eq!(rows.len(), 6, "two kinds of closed loop, three decades each");
     for row in rows {
         assert!(row.board.w_rr_kernel * 10.0 < row.board.w_rr_joint, "{row:?}");
@@ -99,7 +98,8 @@ fn a_million_times_the_effective_inertia_keeps_five_digits() {
         let requested: f64 = row.case.rsplit(' ').next().and_then(|text| text.parse().ok()).expect("a ratio");
         assert!((row.ratio / requested - 1.0).abs() < 0.05, "{row:?}");
         assert!(row.board.w_eff_joint < 1e-5 && row.board.w_rr_kernel < 1e-5 && row.board.torque < 1e-5, "{row:?}");
-        // In motion the velocity terms of the heavy joint cancel; their rounding error grows with the ratio's root.
+        // In motion the velocity terms of the heavy joint cancel, and the rounding error grows with the root of the
+        // ratio.
         assert!(row.board.torque_moving < 3e-6 * requested.sqrt(), "{row:?}");
     }
 }
@@ -119,19 +119,19 @@ fn velocity_filters_keep_four_digits_at_any_cutoff() {
 fn a_hit_at_10_m_per_s_keeps_four_digits_and_never_pulls() {
     assert_eq!(STEPS.len(), 5);
     for row in &*STEPS {
-        assert!(row.hit < 1e-4, "{row:?}");
-        assert!(row.least >= 0.0, "{row:?}");
+        assert!(row.hit_error < 1e-4, "{row:?}");
+        assert!(row.smallest_force >= 0.0, "{row:?}");
         assert!(row.force > 1e3 && (9.0..12.0).contains(&row.speed), "{row:?}");
     }
 }
 
 #[test]
 fn a_stiff_wall_is_exact_to_the_last_digit_of_the_tip_position() {
-    // The position of a tip at 0.4 m has an error of 0.1 µm: two units in the last place of f32, and the error of the
-    // sines.
+    // The position of a tip at 0.4 m has an error of 0.1 µm, two units in the last place of f32 and the error of the
+    // sines. The stiffness is 1e6 N/m.
     assert_eq!(STEPS.len(), 5);
     for row in &*STEPS {
-        assert!(row.press < 1e-7 * 1e6, "{row:?}");
+        assert!(row.rest_error < 1e-7 * 1e6, "{row:?}");
     }
 }
 
@@ -142,17 +142,17 @@ fn walls_at_small_angles_or_unequal_stiffness_keep_five_digits() {
         for error in row.torque {
             assert!(error < 1e-5, "{row:?}");
         }
-        // Jᵀ F alone would have a hundred times that error.
-        assert!(row.shaped > 1e-3, "{row:?}");
+        // Without the feed-forward (Jᵀ F alone) the error would be a hundred times larger.
+        assert!(row.smallest_shaping > 1e-3, "{row:?}");
     }
 }
 
 #[test]
-fn thousands_of_turns_of_a_fractional_encoder_cost_nothing() {
+fn thousands_of_turns_of_a_fractional_encoder_lose_no_digits() {
     assert_eq!(TURNS.len(), 8, "two mechanisms, four encoders");
     for row in &*TURNS {
-        // The last digit of an angle below 2π is 4.8e-7: three joints with two roundings each, and arms of up to three
-        // mean lengths. The error is the same far from home.
+        // An angle below 2π has a last digit of 4.8e-7. Three joints round twice each, and arms have up to three mean
+        // lengths.
         for error in row.tip {
             assert!(error < 5e-6, "{row:?}");
         }
@@ -167,6 +167,6 @@ fn two_singularities_at_once_keep_four_digits() {
         assert!(row.poses >= 20, "{row:?}");
         assert!(double.torque < 1e-10 && double.torque_moving < 1e-10, "{row:?}");
         let worst = [board.w_rr_kernel, board.plain, board.torque, board.torque_moving].into_iter().fold(0.0, f64::max);
-        assert!(worst < if row.share == 1.0 { USABLE } else { 0.1 }, "{row:?}");
+        assert!(worst < if row.share == 1.0 { FULL_FEED_FORWARD_TOLERANCE } else { 0.1 }, "{row:?}");
     }
 }

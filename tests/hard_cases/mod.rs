@@ -1,12 +1,10 @@
-//! Cases that are hard to compute: the board's f32 against f64. tool/tests/deep/hard_cases asserts the same bounds
-//! against a reference of 106 bits, also for f64.
+//! Cases that are hard to compute, with the board's f32 against f64. tool/tests/deep/hard_cases asserts the same
+//! bounds, also for f64, against a reference of 106 bits.
 
 mod bounds;
 pub mod rows;
 
 use crate::common::device_file::shipped;
 
-/// Number type of the reference.
 type Exact = f64;
-/// Trigonometry of the reference.
 type ExactMath = haptic_bridge::math::Libm;

@@ -1,8 +1,8 @@
-//! An image for the chip with the control step of every mechanism and nothing else.
+//! An image for the chip that contains only the control step of every mechanism.
 //!
-//! The panic handler calls a function that does not exist. If a path from the step to a panic is left after
-//! optimisation, the handler needs the missing function and linking fails. `cargo xtask no-panic` builds this image and
-//! then checks its machine code: no indirect calls, no recursion, a bounded stack.
+//! The panic handler calls a function that does not exist. If a path from the step to a panic remains after
+//! optimisation, the handler remains too and linking fails. `cargo xtask no-panic` builds this image and then checks
+//! that its machine code has no indirect calls, no recursion and a bounded stack.
 #![no_std]
 #![no_main]
 
@@ -14,7 +14,7 @@ use haptic_bridge::control::joints::Counts;
 use haptic_bridge::drive::carrier::Ticks;
 
 unsafe extern "C" {
-    /// Does not exist; its name appears in the linker's error.
+    /// Does not exist. The name appears in the linker's error.
     safe fn the_control_step_can_panic() -> !;
 }
 
@@ -23,21 +23,21 @@ fn panic(_: &core::panic::PanicInfo) -> ! {
     the_control_step_can_panic()
 }
 
-/// One control step, as the simulated board calls it.
+/// Runs one control step like the simulated board.
 // SAFETY: no other symbol of the image has this name.
 #[unsafe(no_mangle)]
 pub extern "C" fn control_step(control_loop: &mut OnBoard, samples: &Samples, outputs: &mut Outputs) {
     *outputs = control_loop.control(samples);
 }
 
-/// The interrupt's call when only the encoder counts are known.
+/// Renders like the interrupt when only the encoder counts are known.
 // SAFETY: no other symbol of the image has this name.
 #[unsafe(no_mangle)]
 pub extern "C" fn carrier_render(control_loop: &mut OnBoard, counts: &Counts) {
     compiled::render(control_loop, counts);
 }
 
-/// The rest of a crest with a control step, as the interrupt calls it.
+/// Runs the rest of a crest with a control step, like the interrupt.
 // SAFETY: no other symbol of the image has this name.
 #[unsafe(no_mangle)]
 pub extern "C" fn carrier_crest(control_loop: &mut OnBoard, seen: &Samples, ticks: &Ticks, legs: &mut Legs) -> bool {
@@ -49,7 +49,7 @@ pub extern "C" fn carrier_crest(control_loop: &mut OnBoard, seen: &Samples, tick
     on
 }
 
-/// Any crest, as the interrupt calls it.
+/// Runs any crest, like the interrupt.
 // SAFETY: no other symbol of the image has this name.
 #[unsafe(no_mangle)]
 pub extern "C" fn carrier_generally(
@@ -62,7 +62,7 @@ pub extern "C" fn carrier_generally(
     compiled::crest_of_any_kind(control_loop, seen, due, ticks, legs)
 }
 
-/// The interrupt's call at a valley that records the last step.
+/// Records the last step, like the interrupt at a valley.
 // SAFETY: no other symbol of the image has this name.
 #[unsafe(no_mangle)]
 pub extern "C" fn carrier_notes(
@@ -73,7 +73,7 @@ pub extern "C" fn carrier_notes(
     compiled::note(control_loop, seen, frame);
 }
 
-/// The interrupt's call at a valley that checks slow faults.
+/// Checks slow faults, like the interrupt at a valley.
 // SAFETY: no other symbol of the image has this name.
 #[unsafe(no_mangle)]
 pub extern "C" fn carrier_sums(control_loop: &mut OnBoard, seen: &Samples, outputs: &mut Outputs) {

@@ -1,5 +1,5 @@
-//! A board made of the control loop, the service and the dispatcher: frames in, frames out, one call per control step.
-//! The safety tests and the fuzzer use it. After every step and every request it asserts the safety invariants.
+//! A board made of the control loop, the service and the dispatcher, with one call per control step. Requests and
+//! replies are frames. After every step and every request the board asserts the safety invariants.
 #![allow(dead_code, reason = "the library's tests, the tool's tests and the fuzzer each use a part")]
 
 use haptic_bridge::board::dispatch::{self, After, Described};
@@ -25,29 +25,27 @@ use postcard_rpc::standard_icd::{ERROR_KEY, WireError};
 use serde::{Serialize, de::DeserializeOwned};
 use std::collections::BTreeMap;
 
-/// Settings in memory, by key.
 #[derive(Default)]
 pub struct Flash {
     /// Committed settings, which the next start reads.
-    pub kept: BTreeMap<u8, Entry>,
-    /// True if every write fails.
-    pub broken: bool,
+    pub committed: BTreeMap<u8, Entry>,
+    pub fails: bool,
     staged: BTreeMap<u8, Entry>,
 }
 
-/// The service's machine: the control loop, and settings in memory. It panics if the service writes flash or sets the
+/// The service's machine: the control loop, and settings in memory. Panics if the service writes flash or sets the
 /// timer while the motors are on.
 pub struct RigMachine {
     pub control_loop: ControlLoop<Box<Program<BoardMath>>>,
     pub flash: Flash,
-    /// Number of times that the carrier was set: once for every program that came into force.
-    pub retimed: u32,
+    /// Number of times that the carrier was set, once for every program that came into force.
+    pub carrier_sets: u32,
 }
 
 impl RigMachine {
     fn check_writable(&self) -> Result<(), Refusal> {
         assert!(!self.control_loop.status().state.drives(), "flash is written while the motors are on");
-        if self.flash.broken { Err(Refusal::Flash) } else { Ok(()) }
+        if self.flash.fails { Err(Refusal::Flash) } else { Ok(()) }
     }
 }
 
@@ -70,7 +68,7 @@ impl Machine for RigMachine {
     fn release(&mut self, _held: Self::Held) {}
     fn retime(&mut self, _rate_hz: f32) {
         assert!(!self.control_loop.status().state.drives(), "the timer is set while the motors are on");
-        self.retimed += 1;
+        self.carrier_sets += 1;
     }
     fn stage(&mut self, key: Key, entry: &[u8]) -> Result<(), Refusal> {
         self.check_writable()?;
@@ -83,12 +81,12 @@ impl Machine for RigMachine {
     fn commit(&mut self, keys: &[Key]) -> Result<(), Refusal> {
         self.check_writable()?;
         let mut staged = core::mem::take(&mut self.flash.staged);
-        let named: Option<Vec<_>> = keys.iter().map(|key| staged.remove_entry(&(*key as u8))).collect();
-        self.flash.kept.extend(named.ok_or(Refusal::Flash)?);
+        let entries: Option<Vec<_>> = keys.iter().map(|key| staged.remove_entry(&(*key as u8))).collect();
+        self.flash.committed.extend(entries.ok_or(Refusal::Flash)?);
         Ok(())
     }
     fn load(&mut self, key: Key) -> Option<Entry> {
-        self.flash.kept.get(&(key as u8)).cloned()
+        self.flash.committed.get(&(key as u8)).cloned()
     }
 }
 
@@ -106,7 +104,7 @@ impl Described for RigMachine {
     }
 }
 
-/// Returns true if any protection is weaker in the rules `now` than in the rules `before`.
+/// Returns true if any protection is weaker in `now` than in `before`.
 fn is_looser(now: &Rules, before: &Rules) -> bool {
     let higher = |now: &[f32; MAX_JOINTS], before: &[f32; MAX_JOINTS]| now.iter().zip(before).any(|(a, b)| a > b);
     let (limits, old) = (&now.limits, &before.limits);
@@ -130,7 +128,6 @@ fn is_looser(now: &Rules, before: &Rules) -> bool {
         || now.index_period.iter().zip(&before.index_period).any(|(now, before)| *before != 0 && now != before)
 }
 
-/// A board without hardware.
 pub struct Board {
     pub machine: RigMachine,
     pub service: Service,
@@ -138,18 +135,18 @@ pub struct Board {
     /// Index pulses that arrive before the next control step.
     pub marks: Option<[Option<i32>; MAX_JOINTS]>,
     /// Fault that the firmware reports at the next control step.
-    pub told: Option<(Fault, Option<u8>, f32)>,
+    pub reported_fault: Option<(Fault, Option<u8>, f32)>,
     pub bridges: bool,
     pub duties: [f32; MAX_JOINTS],
     pub packer: Packer,
     hardware: Hardware,
-    most: Limits,
-    /// See [`Board::renders_forces_only`].
+    board_limits: Limits,
+    /// State of [`Board::renders_forces_only`].
     forces_only: bool,
 }
 
 impl Board {
-    /// Creates a board without settings. With `real` motors, arming has all its conditions.
+    /// Creates a board without settings. Motors that are `real` are armed under all conditions of a real device.
     pub fn new(real: bool) -> Self {
         Self::with_flash(real, BTreeMap::new())
     }
@@ -158,22 +155,22 @@ impl Board {
     pub fn with_flash(real: bool, flash: BTreeMap<u8, Entry>) -> Self {
         let bridge = Bridge { carrier_hz: 20_000.0, dead_time: 200e-9, bandwidth_hz: 1_000.0, current_sensed: true };
         let hardware = Hardware { axes: MAX_JOINTS, real, bus_sensed: true, bridge, timer_hz: 168_000_000 };
-        let most = Limits::default();
+        let board_limits = Limits::default();
         let mut board = Self {
             machine: RigMachine {
                 control_loop: ControlLoop::new(hardware, Rules::default()),
-                flash: Flash { kept: flash, ..Flash::default() },
-                retimed: 0,
+                flash: Flash { committed: flash, ..Flash::default() },
+                carrier_sets: 0,
             },
-            service: Service::new(hardware, most),
+            service: Service::new(hardware, board_limits),
             samples: Samples { bus_voltage: 24.0, ..Samples::default() },
             marks: None,
-            told: None,
+            reported_fault: None,
             bridges: false,
             duties: [0.0; MAX_JOINTS],
             packer: Packer::default(),
             hardware,
-            most,
+            board_limits,
             forces_only: false,
         };
         board.service.boot(&mut board.machine);
@@ -194,10 +191,9 @@ impl Board {
         self.machine.control_loop.status().state
     }
 
-    /// Runs one control step.
     pub fn tick(&mut self) {
         let samples = self.measured_samples();
-        if let Some((fault, axis, value)) = self.told.take() {
+        if let Some((fault, axis, value)) = self.reported_fault.take() {
             self.machine.control_loop.trip(fault, axis, value);
         }
         if let Some(marks) = self.marks.take() {
@@ -212,7 +208,7 @@ impl Board {
         }
         self.check_invariants();
         self.check_slow_faults(&samples);
-        // Checked here and not after a request, because a lowered limit acts at the next control step.
+        // The torques are checked here and not after a request, because a lowered limit acts at the next control step.
         let (torque, limits) = (frame.motors.torque, self.service.rules().limits);
         let within = torque.iter().zip(&limits.torque).all(|(torque, limit)| torque.abs() <= limit * 1.000_01);
         assert!(within, "torque {torque:?} above {limits:?}");
@@ -225,7 +221,8 @@ impl Board {
         }
     }
 
-    /// Returns true if all torques since arming come from rendered forces: no weight, no feed-forward, no compensation.
+    /// Returns true if all torques since arming come from rendered forces, without weight, feed-forward or
+    /// compensation.
     fn renders_forces_only(&mut self) -> bool {
         let (device, scene) = (self.service.device(), self.service.scene());
         let forces_only = device.is_some_and(|device| !device.weight)
@@ -237,7 +234,7 @@ impl Board {
         self.forces_only && self.state() == State::Armed
     }
 
-    /// Returns the samples, in which every current is the commanded current plus the sensor's offset.
+    /// Returns samples in which every current is the commanded current plus the sensor's offset.
     fn measured_samples(&self) -> Samples {
         let mut samples = self.samples;
         let torque = self.machine.control_loop.frame().motors.torque;
@@ -249,17 +246,17 @@ impl Board {
         samples
     }
 
-    /// Runs the valley after a crest. A fault found there turns the bridges off, whatever their duties are.
+    /// Runs the valley after a crest. A fault found at the valley turns the bridges off, whatever the duties are.
     fn check_slow_faults(&mut self, samples: &Samples) {
         self.bridges &= self.machine.control_loop.check_slow_faults(samples).bridges;
         assert!(!self.bridges || self.state().drives(), "bridges drive while {:?}", self.state());
     }
 
-    /// Asserts what must hold after every control step and every request.
+    /// Asserts the conditions that hold after every control step and every request.
     pub fn check_invariants(&self) {
         let state = self.state();
         let limits = self.service.rules().limits;
-        assert!(limits.within(&self.most), "limits above the board's own: {limits:?}");
+        assert!(limits.within(&self.board_limits), "limits above the board's own: {limits:?}");
         let duties = self.duties;
         assert!(duties.iter().all(|duty| duty.abs() <= MAX_DUTY), "{duties:?} with {:?}", self.samples);
         if !state.drives() {
@@ -292,13 +289,13 @@ impl Board {
             After::Stream(request, axes) => self.packer.start(&request, axes),
             After::BootLoader | After::Restart => {
                 assert!(!self.state().drives(), "the board restarts with its motors on");
-                *self = Self::with_flash(self.hardware.real, core::mem::take(&mut self.machine.flash.kept));
+                *self = Self::with_flash(self.hardware.real, core::mem::take(&mut self.machine.flash.committed));
             }
         }
         answer
     }
 
-    /// Sends one request of the protocol. Returns its reply or the dispatcher's error.
+    /// Sends one request of the protocol. Returns the reply or the dispatcher's error.
     pub fn ask<E: Endpoint>(&mut self, request: &E::Request) -> Result<E::Response, WireError>
     where
         E::Request: Serialize + Sized,
@@ -315,7 +312,7 @@ impl Board {
     }
 }
 
-/// Returns a frame with this key and body, not yet encoded.
+/// Returns a frame with this key and body, before COBS encoding.
 pub fn frame(key: postcard_rpc::Key, body: &[u8]) -> Vec<u8> {
     let header = VarHeader { key: VarKey::Key8(key), seq_no: VarSeq::Seq2(7) };
     let mut head = [0; 16];

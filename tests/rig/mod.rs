@@ -1,4 +1,4 @@
-//! A control loop with a device and a scene for the tests of the safety logic: no hardware, one call per control step.
+//! A control loop with a device and a scene for tests of the safety logic, without hardware and with one call per step.
 #![allow(dead_code, reason = "every test file uses a part")]
 
 use crate::common::bilateral_wall;
@@ -22,14 +22,13 @@ use haptic_bridge::safety::refusal::Refusal;
 pub mod board;
 pub mod statics;
 
-pub type Held = Box<Program<BoardMath>>;
+pub type BoxedProgram = Box<Program<BoardMath>>;
 
-/// Control rate of the scenes here, Hz.
-pub const RATE: f32 = 2_000.0;
+/// Control rate of the scenes in this module, Hz.
+pub const RATE_HZ: f32 = 2_000.0;
 /// Control rates at which limits and checks are tested, Hz.
-pub const RATES: [f32; 3] = [200.0, 1_000.0, 20_000.0];
-/// Encoder counts per turn of a joint.
-pub const COUNTS: f64 = 60_000.0;
+pub const RATES_HZ: [f32; 3] = [200.0, 1_000.0, 20_000.0];
+pub const COUNTS_PER_TURN: f64 = 60_000.0;
 
 /// Returns a board with three axes and all sensors.
 pub fn hardware() -> Hardware {
@@ -42,7 +41,7 @@ pub fn hardware() -> Hardware {
     }
 }
 
-/// Returns rules whose every limit a test can reach.
+/// Returns rules with limits that a test can reach, and no reaction to a silent host.
 pub fn rules() -> Rules {
     Rules { limits: limits(), host_action: HostAction::Ignore, ..Rules::default() }
 }
@@ -64,7 +63,7 @@ fn joint() -> Joint {
     Joint {
         inertia: 1.0e-4,
         limits: Some((-1.0, 1.0)),
-        encoder: Some(Encoder { counts_per_turn: COUNTS, offset: 0.0, inverted: false }),
+        encoder: Some(Encoder { counts_per_turn: COUNTS_PER_TURN, offset: 0.0, inverted: false }),
         motor: Some(Motor {
             torque_constant: 0.1,
             resistance: 2.0,
@@ -77,7 +76,7 @@ fn joint() -> Joint {
     }
 }
 
-/// Returns a paddle of 0.1 m, so that 1 rad is 0.1 m and 1 N is 0.1 N m. Gravity does not act.
+/// Returns a paddle of 0.1 m without gravity, so that 1 rad is 0.1 m and 1 N is 0.1 N m.
 pub fn paddle() -> Description {
     let mut geometry = [0.0; MAX_GEOMETRY];
     geometry[0] = 0.1;
@@ -107,7 +106,7 @@ pub fn five_bar() -> Description {
     }
 }
 
-/// A device that its motors move, starting at home: M q̈ = τ - B q̇, with B = 2 mN m s/rad in every joint.
+/// A device that starts at home and is moved by its motors: M q̈ = τ - B q̇, with B = 2 mN m s/rad in every joint.
 pub struct Body {
     mechanism: AnyMechanism<f32>,
     home: [f64; MAX_JOINTS],
@@ -124,7 +123,7 @@ impl Body {
         Self { mechanism, home, joints, q: home, qd: [0.0; MAX_JOINTS] }
     }
 
-    /// Runs one control step, in which every motor makes `factor` times the torque of its file.
+    /// Runs one control step in which every motor makes `factor` times the torque of its file.
     pub fn step(&mut self, rig: &mut Rig, factor: f64) {
         let q = self.q.map(|angle| angle as f32);
         let inertia = self.mechanism.inertia::<Libm>(&q);
@@ -139,13 +138,14 @@ impl Body {
         for i in 0..self.joints {
             self.qd[i] += accelerated[i] / f64::from(rig.rate);
             self.q[i] += self.qd[i] / f64::from(rig.rate);
-            rig.samples.counts[i] = ((self.q[i] - self.home[i]) / core::f64::consts::TAU * COUNTS).round() as i32;
+            rig.samples.counts[i] =
+                ((self.q[i] - self.home[i]) / core::f64::consts::TAU * COUNTS_PER_TURN).round() as i32;
         }
         rig.step();
     }
 
     /// Runs until the polarity check waits for the second joint.
-    pub fn check_first(&mut self, rig: &mut Rig) {
+    pub fn run_first_joint_check(&mut self, rig: &mut Rig) {
         let (mut pushed, mut waits) = (false, 0);
         while waits < 50 {
             self.step(rig, 1.0);
@@ -156,8 +156,7 @@ impl Body {
         }
     }
 
-    /// Runs until the polarity check ends.
-    pub fn check(&mut self, rig: &mut Rig, factor: f64) {
+    pub fn run_check(&mut self, rig: &mut Rig, factor: f64) {
         for _ in 0..(20.0 * rig.rate) as u32 {
             if rig.state() != State::CheckingPolarity {
                 return;
@@ -168,30 +167,29 @@ impl Body {
     }
 }
 
-/// Returns a plane wall facing +x with its surface at `x` (m).
+/// Returns a plane wall that faces +x, with its surface at `x` (m).
 pub fn wall(x: f32, stiffness: f32) -> Wall<f32> {
     let plane = Surface::Plane(Plane { point: [x, 0.0, 0.0], normal: [1.0, 0.0, 0.0] });
     Wall { feed_forward: FeedForward::Off, bilateral: false, ..bilateral_wall(plane, stiffness.into()) }
 }
 
-/// Returns a scene for task dimension `task` with these walls.
 pub fn scene(task: u8, walls: &[Wall<f32>]) -> Scene<f32> {
-    Scene { task, rate_hz: RATE, cutoff_hz: 200.0, walls: walls.iter().copied().collect(), ..Scene::default() }
+    Scene { task, rate_hz: RATE_HZ, cutoff_hz: 200.0, walls: walls.iter().copied().collect(), ..Scene::default() }
 }
 
-/// Returns a scene for task dimension `task` with a spring to a point, m.
+/// Returns a scene with a spring to a point (m) and no walls.
 pub fn spring_scene(task: u8, point: [f32; 3], stiffness: f32) -> Scene<f32> {
     let spring = Spring { point, direction: [0.0; 3], stiffness, damping: 0.0 };
     Scene { springs: [spring].into_iter().collect(), ..scene(task, &[]) }
 }
 
-/// Returns the scene at another control rate, Hz.
+/// Returns the scene with another control rate, Hz.
 pub fn at_rate(rate_hz: f32, scene: Scene<f32>) -> Scene<f32> {
     Scene { rate_hz, cutoff_hz: 0.2 * rate_hz, ..scene }
 }
 
-/// Returns a scene with a stiff wall at -0.05 m, far from the paddle's home.
-pub fn quiet() -> Scene<f32> {
+/// Returns a scene with a stiff wall at -0.05 m, which the paddle at home does not touch.
+pub fn far_wall() -> Scene<f32> {
     scene(1, &[wall(-0.05, 1_000.0)])
 }
 
@@ -199,34 +197,32 @@ pub fn device(description: &Description) -> Device<f32> {
     Device::new("test", description).expect("a sound device")
 }
 
-/// The control loop, its inputs at the next step, and its outputs of the last step.
+/// The control loop, its inputs at the next step, and its outputs at the last step.
 pub struct Rig {
-    pub control_loop: ControlLoop<Held>,
+    pub control_loop: ControlLoop<BoxedProgram>,
     pub samples: Samples,
     /// Index pulses that arrive before the next step.
     pub marks: Option<[Option<i32>; MAX_JOINTS]>,
     /// Fault that the firmware reports at the next step.
-    pub told: Option<(Fault, Option<u8>, f32)>,
+    pub reported_fault: Option<(Fault, Option<u8>, f32)>,
     pub outputs: Outputs,
     pub duties: [f32; MAX_JOINTS],
     pub hardware: Hardware,
     pub rules: Rules,
-    /// The current sensors' reading of axis 0 instead of the motor's current, A.
+    /// Reading of the current sensor of axis 0 instead of the true current, A.
     pub shown_current: Option<f32>,
     /// The motors' currents, A.
     pub currents: [f32; MAX_JOINTS],
     /// Resistance of the motors' windings, ohm.
     pub resistance: f32,
-    /// Difference of the two sensors of each current, A.
+    /// Difference between the two sensors of each current, A.
     pub imbalance: [f32; MAX_JOINTS],
     /// Largest current of motor 0 in the last step, A.
-    pub peak: f32,
-    /// Control rate of the scene, Hz.
+    pub peak_current: f32,
     pub rate: f32,
 }
 
 impl Rig {
-    /// Creates a board without a device.
     pub fn bare(hardware: Hardware, rules: Rules) -> Self {
         let samples = Samples { bus_voltage: 24.0, ..Samples::default() };
         let control_loop = ControlLoop::new(hardware, rules);
@@ -234,7 +230,7 @@ impl Rig {
             control_loop,
             samples,
             marks: None,
-            told: None,
+            reported_fault: None,
             outputs: Outputs::default(),
             duties: [0.0; MAX_JOINTS],
             hardware,
@@ -243,8 +239,8 @@ impl Rig {
             currents: [0.0; MAX_JOINTS],
             resistance: 2.0,
             imbalance: [0.0; MAX_JOINTS],
-            peak: 0.0,
-            rate: RATE,
+            peak_current: 0.0,
+            rate: RATE_HZ,
         }
     }
 
@@ -253,7 +249,7 @@ impl Rig {
         Self::with(&paddle(), scene, hardware(), rules())
     }
 
-    /// Like [`Rig::ready`], for any device, board and rules.
+    /// Like [`Rig::ready`], with any device, board and rules.
     pub fn with(description: &Description, scene: &Scene<f32>, hardware: Hardware, rules: Rules) -> Self {
         let mut rig = Self::bare(hardware, rules);
         rig.prepare(description, scene);
@@ -269,34 +265,33 @@ impl Rig {
         self.execute(Command::PolarityKnown).expect("cannot be refused");
     }
 
-    /// Creates an armed paddle that presses 1 cm deep into a wall: 2.5 A of 3 A at 250 N/m.
+    /// Creates an armed paddle that presses 1 cm deep into a wall. 250 N/m need 2.5 A of the allowed 3 A.
     pub fn pressing(stiffness: f32) -> Self {
         Self::pressing_in(&scene(1, &[wall(-0.005, stiffness)]))
     }
 
-    /// Like [`Rig::pressing`], in a scene with such a wall.
+    /// Like [`Rig::pressing`], in a scene with a wall at -0.005 m.
     pub fn pressing_in(scene: &Scene<f32>) -> Self {
         let mut rig = Self::ready(scene);
         rig.press_wall();
         rig
     }
 
-    /// Arms and turns the paddle 1 cm deep into that wall.
+    /// Arms and turns the paddle 1 cm deep into a wall at -0.005 m.
     pub fn press_wall(&mut self) {
         self.arm();
         self.turn(0, -0.15, 1.0);
     }
 
-    /// Creates an armed paddle in free space, far from a stiff wall at -0.05 m, after the ramp.
+    /// Creates an armed paddle at home in the scene [`far_wall`], after the ramp.
     pub fn armed() -> Self {
         Self::armed_with(|_| ())
     }
 
-    /// Like [`Rig::armed`], with changed rules.
     pub fn armed_with(change: impl Fn(&mut Rules)) -> Self {
         let mut rules = rules();
         change(&mut rules);
-        let mut rig = Self::with(&paddle(), &quiet(), hardware(), rules);
+        let mut rig = Self::with(&paddle(), &far_wall(), hardware(), rules);
         rig.arm();
         rig
     }
@@ -318,21 +313,21 @@ impl Rig {
         self.execute(Command::Program(Box::new(program)))
     }
 
-    pub fn execute(&mut self, command: Command<Held>) -> Result<(), Refusal> {
+    pub fn execute(&mut self, command: Command<BoxedProgram>) -> Result<(), Refusal> {
         self.control_loop.execute(command).0
     }
 
-    /// Runs one control step, in which the currents of the windings follow the duties of every carrier period.
+    /// Runs one control step. The currents of the windings follow the duties of every carrier period.
     pub fn step(&mut self) {
         let first = self.control_loop.frame().step == 0;
         let before = if first { self.samples.counts } else { self.control_loop.frame().counts };
-        self.peak = 0.0;
+        self.peak_current = 0.0;
         let carrier = self.rate.max(20_000.0);
         let carriers = (carrier / self.rate) as u32;
         for nth in 1..=carriers {
             let mut measured = self.currents;
             measured[0] = self.shown_current.unwrap_or(measured[0]);
-            // The joint turns evenly from sample to sample. A control step is due at the last crest.
+            // The joint turns evenly between two samples. A control step is due at the last crest.
             let counts = Counts::from_fn(|i| {
                 let moved = i64::from(self.samples.counts[i].wrapping_sub(before[i]));
                 before[i].wrapping_add((moved * i64::from(nth) / i64::from(carriers)) as i32)
@@ -343,7 +338,7 @@ impl Rig {
             let due = nth == carriers;
             if due {
                 self.samples.currents = measured;
-                if let Some((fault, axis, value)) = self.told.take() {
+                if let Some((fault, axis, value)) = self.reported_fault.take() {
                     self.control_loop.trip(fault, axis, value);
                 }
                 if let Some(marks) = self.marks.take() {
@@ -354,17 +349,16 @@ impl Rig {
             self.outputs = self.control_loop.check_slow_faults(&crest);
             for (i, current) in self.currents.iter_mut().enumerate() {
                 let turned = self.samples.counts[i].wrapping_sub(before[i]) as f32 * core::f32::consts::TAU;
-                let voltage = self.duties[i] * 24.0 - 0.1 * turned / COUNTS as f32 * self.rate;
+                let voltage = self.duties[i] * 24.0 - 0.1 * turned / COUNTS_PER_TURN as f32 * self.rate;
                 *current += (voltage - self.resistance * *current) / 1.0e-3 / carrier;
                 if !self.outputs.bridges || self.resistance.is_infinite() {
                     *current = 0.0;
                 }
             }
-            self.peak = self.peak.max(self.currents[0].abs());
+            self.peak_current = self.peak_current.max(self.currents[0].abs());
         }
     }
 
-    /// Runs for this many seconds with unchanged inputs.
     pub fn run(&mut self, seconds: f32) {
         for _ in 0..(seconds * self.rate).round() as u32 {
             self.step();
@@ -376,21 +370,21 @@ impl Rig {
         self.run(0.05);
     }
 
-    /// Turns joint `i` to `angle` (rad) from home at `speed` (rad/s).
+    /// Turns joint `i` at `speed` (rad/s) to `angle` (rad) from home.
     pub fn turn(&mut self, i: usize, angle: f64, speed: f64) {
-        let target = (angle / core::f64::consts::TAU * COUNTS).round() as i32;
-        let most = (speed / f64::from(self.rate) / core::f64::consts::TAU * COUNTS).max(1.0) as i32;
+        let target = (angle / core::f64::consts::TAU * COUNTS_PER_TURN).round() as i32;
+        let max_counts = (speed / f64::from(self.rate) / core::f64::consts::TAU * COUNTS_PER_TURN).max(1.0) as i32;
         while self.samples.counts[i] != target && self.state() != State::Fault {
-            self.samples.counts[i] += (target - self.samples.counts[i]).clamp(-most, most);
+            self.samples.counts[i] += (target - self.samples.counts[i]).clamp(-max_counts, max_counts);
             self.step();
         }
     }
 
-    /// Keeps joint 0 in place for this many seconds, or until a fault. The encoder moves by one count, so that only the
-    /// motor's heat can cause a fault.
-    pub fn tremble(&mut self, seconds: f32) {
+    /// Keeps joint 0 in place for `seconds` or until a fault. The encoder moves by one count so that it does not look
+    /// stuck, and only the motor's heat can cause a fault.
+    pub fn hold_in_place(&mut self, seconds: f32) {
         let there = self.samples.counts[0];
-        for step in 0..(seconds * RATE) as i32 {
+        for step in 0..(seconds * RATE_HZ) as i32 {
             self.samples.counts[0] = there + step % 2;
             self.step();
             if self.state() == State::Fault {
@@ -404,7 +398,6 @@ impl Rig {
         self.control_loop.status().state
     }
 
-    /// Returns the torques of the last step, N m.
     pub fn torques(&self) -> Torques {
         self.control_loop.frame().motors.torque
     }

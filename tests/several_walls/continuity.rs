@@ -1,7 +1,7 @@
-//! Torques never jump: their slopes over the angle between walls, over the stiffness ratio and over the penetration
+//! Torques never jump. Their slopes over the angle between walls, over the stiffness ratio and over the penetration
 //! stay below bounds that do not depend on the sampling.
 
-use super::{Precision, Shipped, device, first_step, normalized, three, torque, torque_with_flags, unit_vector};
+use super::{Precision, Shipped, device, first_step, normalized, pad_to_three, torque, torque_with_flags, unit_vector};
 use crate::common::{bilateral_wall, fine_counts, with_fine_encoders};
 use haptic_bridge::control::compiled::BoardMath;
 use haptic_bridge::model::device::Device;
@@ -14,8 +14,8 @@ fn distance(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum::<f64>().sqrt()
 }
 
-/// Returns the largest slope of `f` from `low` to `high` in `steps` steps.
-fn slope(low: f64, high: f64, steps: u32, mut f: impl FnMut(f64) -> Vec<f64>) -> f64 {
+/// Returns the largest slope of `f` between `low` and `high`, sampled in `steps` steps.
+fn largest_slope(low: f64, high: f64, steps: u32, mut f: impl FnMut(f64) -> Vec<f64>) -> f64 {
     let step = (high - low) / f64::from(steps);
     let mut last = f(low);
     (1..=steps).fold(0.0, |worst: f64, i| {
@@ -26,7 +26,6 @@ fn slope(low: f64, high: f64, steps: u32, mut f: impl FnMut(f64) -> Vec<f64>) ->
     })
 }
 
-/// Returns devices and poses.
 fn device_poses() -> Vec<(Shipped, Vec<f64>)> {
     vec![
         (device("coupled-five-bar"), vec![2.6, 1.75]),
@@ -36,7 +35,7 @@ fn device_poses() -> Vec<(Shipped, Vec<f64>)> {
     ]
 }
 
-/// Returns a unit vector that turns with `angle`, in a plane or on a cone.
+/// Returns a unit vector that turns with `angle` (rad), in the plane or on a cone.
 fn turned_normal(task: usize, angle: f64, tilt: f64) -> Vec<f64> {
     match task {
         2 => unit_vector(0.3 + angle),
@@ -44,7 +43,7 @@ fn turned_normal(task: usize, angle: f64, tilt: f64) -> Vec<f64> {
     }
 }
 
-/// Cases: true if there is a third wall, and true for each wall with the feed-forward.
+/// Sets of walls. The first flag is true if there is a third wall, the others are true for walls with the feed-forward.
 const WALL_SETS: [(bool, [bool; 3]); 6] = [
     (false, [true, true, true]),
     (true, [true, true, true]),
@@ -54,15 +53,15 @@ const WALL_SETS: [(bool, [bool; 3]); 6] = [
     (true, [true, false, true]),
 ];
 
-/// Returns the largest torque per newton by (4) along one direction, m. Slopes are multiples of this lever.
+/// Returns the largest torque per newton that (4) gives for one wall (m), which scales the bounds of slopes.
 fn lever(device: &Shipped, q: &[f64]) -> f64 {
     let task = device.spec().task;
-    let mut most = 0.0_f64;
+    let mut largest = 0.0_f64;
     for i in 0..64 {
         let n = turned_normal(task, 0.1 * f64::from(i), (f64::from(i) * 0.37).sin() * 2.0);
-        most = most.max(distance(&torque(device, q, &[(n, 1.0, 1.0)], Precision::F64), &vec![0.0; q.len()]));
+        largest = largest.max(distance(&torque(device, q, &[(n, 1.0, 1.0)], Precision::F64), &vec![0.0; q.len()]));
     }
-    most
+    largest
 }
 
 #[test]
@@ -81,13 +80,14 @@ fn torque_is_continuous_in_the_angle_between_walls() {
                     }
                     torque_with_flags(&device, &q, &walls, &with[..walls.len()], Precision::F64)
                 };
-                // From parallel walls, through 1 mrad, where the span of the normals would jump, to more than 90°.
-                let fine = slope(-2.0e-3, 2.0e-3, 400, f);
-                let coarse = slope(-0.3, 2.0, 800, f);
-                // The normals turn the torque of 13 N with a slope of 13 levers. The shares limit the turning of e₁ to
-                // 8 levers per newton.
+                // The fine range passes parallel walls, where the span of the normals would jump. The coarse range ends
+                // above 90°.
+                let fine = largest_slope(-2.0e-3, 2.0e-3, 400, f);
+                let coarse = largest_slope(-0.3, 2.0, 800, f);
+                // The turning normals of 13 N cause a slope of 13 levers. The shares limit the turning of e₁ to 8
+                // levers per newton.
                 let bound = 8.0 * 13.0 * lever;
-                assert!(fine < bound && coarse < bound, "{} {ratio}: {fine}, {coarse} > {bound}", device.name);
+                assert!(fine < bound && coarse < bound, "{} {ratio}: slopes {fine}, {coarse} > {bound}", device.name);
             }
         }
     }
@@ -110,22 +110,22 @@ fn torque_is_continuous_in_the_ratio_of_stiffness() {
                     torque_with_flags(&device, &q, &walls, &with[..walls.len()], Precision::F64)
                 };
                 let (low, high) = (1.0e-4_f64.ln(), 1.0e4_f64.ln());
-                let whole = slope(low, high, 1_500, &mut f);
-                // Around equal stiffness the eigenvectors exchange their order.
-                let equal = slope(-1.0e-4, 1.0e-4, 200, &mut f);
+                let whole = largest_slope(low, high, 1_500, &mut f);
+                // Near equal stiffness the eigenvectors exchange their order.
+                let equal = largest_slope(-1.0e-4, 1.0e-4, 200, &mut f);
                 let bound = 4.0 * 13.0 * lever;
-                assert!(whole < bound && equal < bound, "{} {angle}: {whole}, {equal} > {bound}", device.name);
+                assert!(whole < bound && equal < bound, "{} {angle}: slopes {whole}, {equal} > {bound}", device.name);
             }
         }
     }
 }
 
-/// Computes the torques of the board's first step at a pose for walls (normal, stiffness, penetration in m), with the
-/// feed-forward for the walls whose entry in `with` is true.
-fn step(file: &Shipped, q: &[f64], walls: &[(Vec<f64>, f64, f64)], with: &[bool]) -> Vec<f64> {
+/// Computes the torques of the board's first step at a pose for walls (normal, stiffness, penetration in m). Walls
+/// whose flag in `with` is true have the feed-forward.
+fn board_torques(file: &Shipped, q: &[f64], walls: &[(Vec<f64>, f64, f64)], with: &[bool]) -> Vec<f64> {
     first_step(file, q, &|tip| {
         let walls = walls.iter().zip(with).map(|((normal, stiffness, depth), with)| {
-            let normal = three(normal);
+            let normal = pad_to_three(normal);
             let point = core::array::from_fn(|i| tip[i] + depth * normal[i]);
             let feed_forward = if *with { FeedForward::Full } else { FeedForward::Off };
             let plane = Surface::Plane(Plane { point, normal });
@@ -135,8 +135,8 @@ fn step(file: &Shipped, q: &[f64], walls: &[(Vec<f64>, f64, f64)], with: &[bool]
     })
 }
 
-/// Computes the torque per newton of wall `pushing`, m, from the board's steps at penetrations of 1 and 1.1 mm, where
-/// all walls count in full.
+/// Computes the torque per newton of the wall `pushing` (m) from the board's steps at penetrations of 1 and 1.1 mm,
+/// where all walls count in full.
 pub fn lever_of_the_board(
     file: &Shipped,
     q: &[f64],
@@ -147,7 +147,7 @@ pub fn lever_of_the_board(
     let at = |pushed: f64| {
         let depth = |i: usize| if i == pushing { pushed } else { 1.0e-3 };
         let walls: Vec<_> = walls.iter().enumerate().map(|(i, (n, k))| (n.clone(), *k, depth(i))).collect();
-        step(file, q, &walls, with)
+        board_torques(file, q, &walls, with)
     };
     let newtons = walls[pushing].1 * 1.0e-4;
     at(1.1e-3).iter().zip(at(1.0e-3)).map(|(far, near)| (far - near) / newtons).collect()
@@ -160,7 +160,7 @@ fn torque_is_continuous_in_depth() {
         for (soft, stiff) in [(2_000.0, 2_000.0), (5_000.0, 20_000.0), (20.0, 200_000.0), (20_000.0, 2.0)] {
             for angle in [0.05, 0.8, std::f64::consts::FRAC_PI_2] {
                 for (third, with) in WALL_SETS {
-                    // 2 mm deep in the first wall, with a growing penetration of the second.
+                    // The first wall is 2 mm deep, and the penetration of the second wall grows.
                     let f = |depth: f64| {
                         let mut walls = vec![
                             (turned_normal(task, 0.0, 0.4), soft, 2.0e-3),
@@ -169,16 +169,20 @@ fn torque_is_continuous_in_depth() {
                         if third {
                             walls.push((turned_normal(task, 0.7, -0.3), 0.3 * stiff, depth - 1.0e-4));
                         }
-                        step(&file, &q, &walls, &with)
+                        board_torques(&file, &q, &walls, &with)
                     };
                     // Each wall's own force contributes its stiffness times a lever. The shaping of the first wall
-                    // changes over the depth in which the weight of the second grows: ∂w/∂x ≤ 2 · 1.5 k₂/k₁ over
-                    // TOUCH_DEPTH, times the first wall's force.
+                    // changes over the depth in which the weight of the second wall grows. That is ∂w/∂x ≤ 2 · 1.5
+                    // k₂/k₁ over TOUCH_DEPTH, times the first wall's force.
                     let first = soft * 2.0e-3;
                     let bound = 3.0 * lever * (1.6 * stiff + 3.0 * first / TOUCH_DEPTH * (stiff / soft).max(1.0));
-                    let whole = slope(-1.0e-4, 5.0e-4, 300, f);
-                    let touch = slope(-1.0e-7, 1.0e-7, 20, f);
-                    assert!(whole < bound && touch < bound, "{} {soft} {stiff}: {whole}, {touch} > {bound}", file.name);
+                    let whole = largest_slope(-1.0e-4, 5.0e-4, 300, f);
+                    let touch = largest_slope(-1.0e-7, 1.0e-7, 20, f);
+                    assert!(
+                        whole < bound && touch < bound,
+                        "{} {soft} {stiff}: slopes {whole}, {touch} > {bound}",
+                        file.name
+                    );
                 }
             }
         }
@@ -203,7 +207,7 @@ fn board_and_model_agree_on_walls_with_and_without_feed_forward() {
                     .collect();
                 let model = torque_with_flags(&device, &q, &set, &with, Precision::F64);
                 let board = lever_of_the_board(&device, &q, &walls, &with, pushing);
-                // The board's angles are rounded to counts.
+                // The tolerance allows for the board's angles, which are rounded to counts.
                 let error = distance(&model, &board) / distance(&model, &vec![0.0; q.len()]);
                 assert!(error < 1.0e-6, "{} {with:?} {pushing}: {board:?} is not {model:?}", device.name);
             }
@@ -215,11 +219,11 @@ fn board_and_model_agree_on_walls_with_and_without_feed_forward() {
 fn touching_a_second_wall_causes_no_jump_of_torque() {
     for (file, q) in device_poses() {
         let task = file.spec().task;
-        let with = |walls: &[(Vec<f64>, f64, f64)]| step(&file, &q, walls, &[true; 2]);
+        let with = |walls: &[(Vec<f64>, f64, f64)]| board_torques(&file, &q, walls, &[true; 2]);
         let first = (turned_normal(task, 0.0, 0.4), 5_000.0, 2.0e-3);
         let alone = with(std::slice::from_ref(&first));
         for angle in [0.05, 0.8, std::f64::consts::FRAC_PI_2] {
-            // At 10 nm a wall of 5 kN/m pushes with 0.05 mN.
+            // A wall of 5 kN/m pushes with 0.05 mN at 10 nm.
             let touched = with(&[first.clone(), (turned_normal(task, angle, 0.4), 5_000.0, 1.0e-8)]);
             let step = distance(&alone, &touched) / distance(&alone, &vec![0.0; q.len()]);
             assert!(step < 1.0e-4, "{}: the torque jumps by {step:e}", file.name);
@@ -247,8 +251,8 @@ fn single_precision_suffices_up_to_a_stiffness_ratio_of_1e4() {
                     let [double, single] =
                         [Precision::F64, Precision::F32].map(|p| torque(&device, &q, &walls[..count], p));
                     let error = distance(&double, &single) / (13.0 * lever);
-                    // A rounding of 6e-8 turns the soft directions by up to the root of the ratio times as much.
-                    assert!(error < 5.0e-5, "{} {ratio} {angle} {count}: {error:e}", device.name);
+                    // A rounding error of 6e-8 turns the soft directions by up to 6e-8 times the root of the ratio.
+                    assert!(error < 5.0e-5, "{} {ratio} {angle}, {count} walls: {error:e}", device.name);
                 }
             }
         }
@@ -262,13 +266,13 @@ fn coplanar_walls_are_one_wall_and_the_order_does_not_matter() {
         let n = turned_normal(task, 0.4, 0.3);
         let one = torque(&device, &q, &[(n.clone(), 1.0, 8.0)], Precision::F64);
         let cut = torque(&device, &q, &[(n.clone(), 3.0, 5.0), (n.clone(), 0.1, 3.0)], Precision::F64);
-        assert!(distance(&one, &cut) < 1.0e-12, "{}: {one:?} {cut:?}", device.name);
+        assert!(distance(&one, &cut) < 1.0e-12, "{}: the torques differ: {one:?} {cut:?}", device.name);
         let mut walls =
             vec![(n, 1.0, 5.0), (turned_normal(task, 1.5, 0.3), 4.0, 2.0), (turned_normal(task, -0.7, 0.9), 0.2, 3.0)];
         let forth = torque(&device, &q, &walls, Precision::F64);
         walls.reverse();
         let back = torque(&device, &q, &walls, Precision::F64);
-        assert!(distance(&forth, &back) < 1.0e-10, "{}: {forth:?} {back:?}", device.name);
+        assert!(distance(&forth, &back) < 1.0e-10, "{}: {forth:?}, reversed {back:?}", device.name);
         // Torques are linear in the forces.
         let doubled: Vec<_> = walls.iter().map(|(n, k, f)| (n.clone(), *k, 2.0 * f)).collect();
         let twice: Vec<f64> = back.iter().map(|t| 2.0 * t).collect();
@@ -278,7 +282,7 @@ fn coplanar_walls_are_one_wall_and_the_order_does_not_matter() {
 
 #[test]
 fn the_feed_forward_of_several_walls_fades_near_a_singularity() {
-    // Near a stretched elbow the share is below one, and the torque is between Jᵀ F and the shaped torque.
+    // Near a stretched elbow the feed-forward is reduced, so the torque is between Jᵀ F and the shaped torque.
     let file = device("coupled-five-bar");
     let Ok(AnyMechanism::FiveBar(m)) = AnyMechanism::<f32>::new(&file.description) else { panic!("a five-bar") };
     let device = Device::<f32>::new("device", &with_fine_encoders(file.description)).expect("a sound device");
@@ -306,7 +310,7 @@ fn the_feed_forward_of_several_walls_fades_near_a_singularity() {
         changed = changed.max((full.torque - off.torque).amax());
         shares.push(full.shaping);
         if full.shaping == 0.0 {
-            assert!((full.torque - off.torque).amax() <= 1.0e-5, "{} {}", full.torque, off.torque);
+            assert!((full.torque - off.torque).amax() <= 1.0e-5, "the torques differ: {} {}", full.torque, off.torque);
         }
         if let Some(last) = last {
             assert!((full.torque - last).amax() < 0.25, "{k}: {} after {last}", full.torque);

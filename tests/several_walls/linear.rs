@@ -1,20 +1,18 @@
-//! Stability of sampled loops with several walls: built from M and J alone, and checked by eigenvalues.
+//! Stability of sampled loops with several walls, built from M and J alone and checked by eigenvalues.
 
 use super::continuity::lever_of_the_board;
-use super::{Precision, Random, Shipped, device, largest, normalized, torque_with_flags, unit_vector};
+use super::{Precision, Random, Shipped, device, largest_norm, normalized, torque_with_flags, unit_vector};
 use haptic_bridge::math::Libm;
 use haptic_bridge::model::mechanism::Mechanism;
 use haptic_bridge::with_mechanism;
 use nalgebra::{DMatrix, DVector, SVector};
 
-/// Control period, s.
-const PERIOD: f64 = 1.0e-3;
-/// Cutoff of the velocities' Butterworth low-pass, Hz.
-const CUTOFF: f64 = 100.0;
-/// Damping over stiffness, s.
+const PERIOD_SECONDS: f64 = 1.0e-3;
+/// Cutoff of the Butterworth low-pass for velocities, Hz.
+const CUTOFF_HZ: f64 = 100.0;
 const DAMPING_SECONDS: f64 = 3.0e-3;
 
-/// Computes M and the tip rows of J at a pose; `None` near a singularity.
+/// Computes M and the tip rows of J at a pose. Returns `None` near a singularity.
 pub fn matrices(device: &Shipped, q: &[f64]) -> Option<(DMatrix<f64>, DMatrix<f64>)> {
     fn compute<const N: usize, M: Mechanism<f64, N>>(m: &M, q: &[f64]) -> Option<(DMatrix<f64>, DMatrix<f64>)> {
         let pose = m.pose::<Libm>(&SVector::from_column_slice(q));
@@ -31,21 +29,21 @@ pub fn matrices(device: &Shipped, q: &[f64]) -> Option<(DMatrix<f64>, DMatrix<f6
 #[derive(Clone)]
 pub struct Case {
     mass: DMatrix<f64>,
-    /// Derivative of each wall's distance by the joint angles, m/rad.
+    /// Derivative of each wall's distance with respect to the joint angles, m/rad.
     rows: DMatrix<f64>,
-    /// Torques per newton of each wall, m.
+    /// Torques per newton of each wall's force, m.
     pub levers: DMatrix<f64>,
-    /// Each wall's share of the stiffness.
+    /// Share of each wall in the total stiffness.
     share: Vec<f64>,
 }
 
 impl Case {
-    /// Creates a case of walls (normal, stiffness), all with the feed-forward or all through Jᵀ.
+    /// Creates a case of walls (normal, stiffness) that all have the feed-forward, or all act through Jᵀ.
     pub fn new(device: &Shipped, q: &[f64], walls: &[(Vec<f64>, f64)], feed_forward: bool) -> Option<Self> {
         Self::with_flags(device, q, walls, &vec![feed_forward; walls.len()])
     }
 
-    /// Like [`Case::new`], with the feed-forward for the walls whose entry in `with` is true.
+    /// Like [`Case::new`]. Only walls whose flag in `with` is true have the feed-forward.
     pub fn with_flags(device: &Shipped, q: &[f64], walls: &[(Vec<f64>, f64)], with: &[bool]) -> Option<Self> {
         let (mass, jacobian) = matrices(device, q)?;
         let task = jacobian.nrows();
@@ -69,7 +67,7 @@ impl Case {
         Some(Self { mass, rows, levers, share })
     }
 
-    /// Returns the eigenvalues of the walls' mobility times their shares, 1/kg: the inverse mass of each mode.
+    /// Returns the inverse mass of each mode, 1/kg: the eigenvalues of the walls' mobility times their shares.
     pub fn modes(&self) -> Vec<nalgebra::Complex<f64>> {
         let inverse = self.mass.clone().try_inverse().expect("a mass matrix");
         let mobility =
@@ -77,15 +75,15 @@ impl Case {
         mobility.complex_eigenvalues().iter().copied().collect()
     }
 
-    /// Returns the largest |z| of the sampled loop at a total stiffness (N/m), without the motions along all walls (z =
-    /// 1).
-    pub fn radius(&self, stiffness: f64) -> f64 {
+    /// Returns the largest |z| of the sampled loop at a total stiffness (N/m). Motions along all walls (z = 1) do not
+    /// count.
+    pub fn spectral_radius(&self, stiffness: f64) -> f64 {
         let (walls, joints) = self.rows.shape();
         // The states are q, q̇ T, and for every wall the last distance and two filter states.
         let size = 2 * joints + 3 * walls;
         let inverse = self.mass.clone().try_inverse().expect("a mass matrix");
-        // The usual design: prewarped bilinear transform, in transposed direct form II.
-        let warped = (std::f64::consts::PI * CUTOFF * PERIOD).tan();
+        // The filter has the usual design: prewarped bilinear transform, transposed direct form II.
+        let warped = (std::f64::consts::PI * CUTOFF_HZ * PERIOD_SECONDS).tan();
         let scale = 1.0 / (1.0 + std::f64::consts::SQRT_2 * warped + warped * warped);
         let b0 = warped * warped * scale;
         let (a1, a2) = (
@@ -108,9 +106,9 @@ impl Case {
                 next[at] = x[i];
                 next[at + 1] = 2.0 * b0 * difference - a1 * y + s[at + 2];
                 next[at + 2] = b0 * difference - a2 * y;
-                force[i] = -self.share[i] * stiffness * (x[i] + DAMPING_SECONDS / PERIOD * y);
+                force[i] = -self.share[i] * stiffness * (x[i] + DAMPING_SECONDS / PERIOD_SECONDS * y);
             }
-            let acceleration = &inverse * (&self.levers * force) * (PERIOD * PERIOD);
+            let acceleration = &inverse * (&self.levers * force) * (PERIOD_SECONDS * PERIOD_SECONDS);
             next.rows_mut(0, joints).copy_from(&(&q + &moved + &acceleration * 0.5));
             next.rows_mut(joints, joints).copy_from(&(&moved + &acceleration));
             matrix.set_column(column, &next);
@@ -120,7 +118,7 @@ impl Case {
     }
 }
 
-/// Returns the total stiffness (N/m) at which a mode with a mass of 1 kg leaves the unit circle.
+/// Returns the total stiffness (N/m) above which a mode with a mass of 1 kg is unstable.
 fn critical_stiffness() -> f64 {
     let one = Case {
         mass: DMatrix::from_element(1, 1, 1.0),
@@ -129,20 +127,20 @@ fn critical_stiffness() -> f64 {
         share: vec![1.0],
     };
     let (mut low, mut high) = (1.0, 1.0e8);
-    assert!(one.radius(low) < 1.0 && one.radius(high) > 1.0);
+    assert!(one.spectral_radius(low) < 1.0 && one.spectral_radius(high) > 1.0);
     while high - low > 1.0e-9 * high {
         let middle = (low + high) / 2.0;
-        if one.radius(middle) < 1.0 { low = middle } else { high = middle }
+        if one.spectral_radius(middle) < 1.0 { low = middle } else { high = middle }
     }
     low
 }
 
-/// Returns the largest stable total stiffness, N/m, from the modes, and checks it against the sampled loop on both
-/// sides.
-pub fn limit(case: &Case, critical: f64) -> f64 {
-    let found = critical / largest(&case.modes());
+/// Returns the largest stable total stiffness (N/m) from the modes. Asserts that the sampled loop is stable just below
+/// and unstable just above.
+pub fn stability_limit(case: &Case, critical: f64) -> f64 {
+    let found = critical / largest_norm(&case.modes());
     assert!(
-        case.radius(found * 0.995) < 1.0 + 1.0e-9 && case.radius(found * 1.005) > 1.0,
+        case.spectral_radius(found * 0.995) < 1.0 + 1.0e-9 && case.spectral_radius(found * 1.005) > 1.0,
         "the sampled loop has another limit"
     );
     found
@@ -162,7 +160,7 @@ pub fn devices() -> Vec<Shipped> {
     .into()
 }
 
-/// Draws a regular pose near the device's home.
+/// Draws a regular pose near home.
 pub fn pose(device: &Shipped, random: &mut Random) -> Vec<f64> {
     let home = device.description.home.expect("a shipped device has a home");
     loop {
@@ -177,7 +175,7 @@ pub fn pose(device: &Shipped, random: &mut Random) -> Vec<f64> {
 fn the_feed_forward_makes_no_set_of_walls_less_stable() {
     let mut random = Random(3);
     let critical = critical_stiffness();
-    let (mut most, mut cases) = (0.0_f64, 0);
+    let (mut largest_ratio, mut cases) = (0.0_f64, 0);
     for device in devices() {
         let task = device.spec().task;
         for set in 0..60 {
@@ -185,50 +183,50 @@ fn the_feed_forward_makes_no_set_of_walls_less_stable() {
             let walls = random.walls(task, set, 4.0);
             let plain = Case::new(&device, &q, &walls, false).expect("a regular pose");
             let shaped = Case::new(&device, &q, &walls, true).expect("a regular pose");
-            let bound = largest(&plain.modes());
+            let bound = largest_norm(&plain.modes());
             for mode in shaped.modes() {
                 assert!(
                     mode.im.abs() <= 1.0e-7 * bound,
                     "{} {q:?} {walls:?}: {mode} is not the inverse of a mass",
                     device.name
                 );
-                assert!(mode.re <= bound * (1.0 + 1.0e-9), "{} {q:?} {walls:?}: {mode}, {bound}", device.name);
+                assert!(mode.re <= bound * (1.0 + 1.0e-9), "{} {q:?} {walls:?}: {mode} > {bound}", device.name);
             }
-            let (without, with) = (limit(&plain, critical), limit(&shaped, critical));
+            let (without, with) = (stability_limit(&plain, critical), stability_limit(&shaped, critical));
             assert!(with >= without * (1.0 - 1.0e-9), "{} {q:?} {walls:?}: {without} to {with}", device.name);
-            most = most.max(with / without);
+            largest_ratio = largest_ratio.max(with / without);
             cases += 1;
         }
     }
-    assert!(cases == 420 && most > 1.5, "the feed-forward has too little effect: {most}");
+    assert!(cases == 420 && largest_ratio > 1.5, "the feed-forward has too little effect: {largest_ratio}");
 }
 
 #[test]
 fn the_feed_forward_of_some_walls_makes_no_set_less_stable() {
     let mut random = Random(9);
-    let (mut most, mut cases) = (0.0_f64, 0);
+    let (mut largest_ratio, mut cases) = (0.0_f64, 0);
     for device in devices() {
         let task = device.spec().task;
         for set in 0..120 {
             let q = pose(&device, &mut random);
             let walls = random.walls(task, set, if set % 4 < 2 { 1.0 } else { 4.0 });
-            // At least one wall with the feed-forward and at least one without.
+            // At least one wall has the feed-forward, and at least one wall has none.
             let mut with: Vec<bool> = walls.iter().map(|_| random.between(0.0, 1.0) < 0.5).collect();
             with[0] = !with[1];
             let plain = Case::new(&device, &q, &walls, false).expect("a regular pose");
             let some = Case::with_flags(&device, &q, &walls, &with).expect("a regular pose");
-            let (without, with_some) = (largest(&plain.modes()), largest(&some.modes()));
+            let (without, with_some) = (largest_norm(&plain.modes()), largest_norm(&some.modes()));
             for mode in some.modes() {
                 let real = mode.im.abs() <= 1.0e-7 * without && mode.re >= -1.0e-9 * without;
                 assert!(real, "{} {q:?} {walls:?} {with:?}: {mode} is not the inverse of a mass", device.name);
             }
             let name = &device.name;
             assert!(with_some <= without * (1.0 + 1.0e-9), "{name} {q:?} {walls:?} {with:?}: {without}, {with_some}");
-            most = most.max(without / with_some);
+            largest_ratio = largest_ratio.max(without / with_some);
             cases += 1;
         }
     }
-    assert!(cases == 840 && most > 1.5, "the feed-forward has too little effect: {most}");
+    assert!(cases == 840 && largest_ratio > 1.5, "the feed-forward has too little effect: {largest_ratio}");
 }
 
 #[test]
@@ -242,12 +240,12 @@ fn facets_within_ten_degrees_are_as_stable_as_one_wall() {
             let n = random.direction(task);
             let shares: Vec<f64> = (0..2 + set % 2).map(|_| random.between(0.2, 1.0)).collect();
             let facets: Vec<(Vec<f64>, f64)> =
-                shares.iter().map(|share| (random.near(&n, 5_f64.to_radians()), *share)).collect();
-            // One wall: the sum of the stiffness along the facets' mean normal.
+                shares.iter().map(|share| (random.direction_near(&n, 5_f64.to_radians()), *share)).collect();
+            // The single wall has the total stiffness along the facets' mean normal.
             let mean = (0..task).map(|j| facets.iter().map(|(n, k)| n[j] * k).sum()).collect::<Vec<f64>>();
             let one_wall = [(normalized(&mean), shares.iter().sum())];
-            let cut = limit(&Case::new(&device, &q, &facets, true).expect("a regular pose"), critical);
-            let uncut = limit(&Case::new(&device, &q, &one_wall, true).expect("a regular pose"), critical);
+            let cut = stability_limit(&Case::new(&device, &q, &facets, true).expect("a regular pose"), critical);
+            let uncut = stability_limit(&Case::new(&device, &q, &one_wall, true).expect("a regular pose"), critical);
             assert!(cut >= 0.97 * uncut, "{} {q:?} {facets:?}: {uncut} as one wall, {cut} as facets", device.name);
         }
     }
@@ -255,12 +253,12 @@ fn facets_within_ten_degrees_are_as_stable_as_one_wall() {
 
 #[test]
 fn facets_two_degrees_apart_have_the_range_of_one_wall() {
-    // 2 x 10 kN/m around the demo's normal, a case that once oscillated with 48 N.
+    // Two walls of 10 kN/m near the demo's normal once oscillated with 48 N.
     let critical = critical_stiffness();
     let (device, q) = (device("coupled-five-bar"), [2.6, 1.75]);
     let middle = 75_f64.to_radians();
     let range = |walls: &[(Vec<f64>, f64)], feed_forward| {
-        limit(&Case::new(&device, &q, walls, feed_forward).expect("a regular pose"), critical)
+        stability_limit(&Case::new(&device, &q, walls, feed_forward).expect("a regular pose"), critical)
     };
     let facet = |degrees: f64| (unit_vector(middle + degrees.to_radians()), 1.0);
     let (whole, off) = (range(&[facet(0.0)], true), range(&[facet(0.0)], false));
@@ -271,15 +269,15 @@ fn facets_two_degrees_apart_have_the_range_of_one_wall() {
     );
 }
 
-/// Of two walls only the first has the feed-forward; the torques are the board's. If the force of the second acted
-/// through Jᵀ alone, the stiffest mode would have 1.0566 times less mass than without any feed-forward: the worst of
+/// Only the first of two walls has the feed-forward, and the torques are the board's. If the second wall acted through
+/// Jᵀ alone, the stiffest mode would have 1/1.0566 of its mass without any feed-forward. This pair is the worst of
 /// 3,000 random pairs in an independent computation.
 #[test]
 fn one_wall_with_feed_forward_does_not_destabilise_the_other() {
     let (device, q) = (device("coupled-five-bar"), [2.6, 1.75]);
     let walls = [(normalized(&[-0.194_558, -0.980_891]), 5_967.2), (normalized(&[0.706_391, -0.707_822]), 10_000.0)];
     let plain = Case::new(&device, &q, &walls, false).expect("a regular pose");
-    let ratio = |case: &Case| largest(&case.modes()) / largest(&plain.modes());
+    let ratio = |case: &Case| largest_norm(&case.modes()) / largest_norm(&plain.modes());
     let mut previous = f64::INFINITY;
     for with in [[false, false], [true, false], [true, true]] {
         let mut board = plain.clone();
@@ -288,7 +286,7 @@ fn one_wall_with_feed_forward_does_not_destabilise_the_other() {
             board.levers.set_column(pushing, &DVector::from_vec(lever));
         }
         let mode = ratio(&board);
-        assert!(mode <= 1.0 + 1.0e-6, "{with:?}: {mode}");
+        assert!(mode <= 1.0 + 1.0e-6, "feed-forward {with:?}: ratio {mode}");
         // Every further wall with the feed-forward adds mass.
         assert!(mode <= previous * (1.0 + 1.0e-6), "{with:?}: {mode}, {previous} before");
         previous = mode;
@@ -300,9 +298,9 @@ fn one_wall_with_feed_forward_does_not_destabilise_the_other() {
     assert!((ratio(&through_jacobian) - 1.0566).abs() < 1.0e-3, "{}", ratio(&through_jacobian));
 }
 
-/// Checks a statement of docs/model.md about a second wall, in the plane, that acts with its full stiffness and has the
-/// weight `w`. Returns the share of random pairs that are more than 1 % less stable than without the feed-forward, and
-/// the worst ratio.
+/// Checks a statement of docs/model.md about a second wall, in the plane, with full stiffness and the weight `w`.
+/// Returns the share of random pairs that are more than 1 % less stable than without the feed-forward, and the worst
+/// ratio.
 fn share_of_less_stable_pairs(w: f64) -> (f64, f64) {
     let mut random = Random(21);
     let (sets, mut worse, mut worst) = (20_000, 0, 0.0_f64);
@@ -321,7 +319,7 @@ fn share_of_less_stable_pairs(w: f64) -> (f64, f64) {
         let along = &e * e.transpose();
         let inertia_along = (e.transpose() * &inertia * &e)[(0, 0)];
         let shaped = &mobility - &mobility * &along * share + &along * (share / inertia_along);
-        let size = |map: &DMatrix<f64>| largest((map * (&first + &second)).complex_eigenvalues().as_slice());
+        let size = |map: &DMatrix<f64>| largest_norm((map * (&first + &second)).complex_eigenvalues().as_slice());
         let ratio = size(&shaped) / size(&mobility);
         worse += u32::from(ratio > 1.01);
         worst = worst.max(ratio);
@@ -331,10 +329,10 @@ fn share_of_less_stable_pairs(w: f64) -> (f64, f64) {
 
 #[test]
 fn half_the_weight_costs_little_stability_and_full_weight_none() {
-    let (touched, most) = share_of_less_stable_pairs(0.0);
-    assert!((0.12..0.20).contains(&touched) && most < 1.4, "{touched} {most}");
-    let (half, most) = share_of_less_stable_pairs(0.5);
-    assert!(half < 0.01 && most < 1.09, "{half} {most}");
-    let (full, most) = share_of_less_stable_pairs(1.0);
-    assert!(full == 0.0 && most < 1.0 + 1.0e-9, "{full} {most}");
+    let (share, worst_ratio) = share_of_less_stable_pairs(0.0);
+    assert!((0.12..0.20).contains(&share) && worst_ratio < 1.4, "weight 0: {share} of the pairs, ratio {worst_ratio}");
+    let (share, worst_ratio) = share_of_less_stable_pairs(0.5);
+    assert!(share < 0.01 && worst_ratio < 1.09, "weight 0.5: {share} of the pairs, ratio {worst_ratio}");
+    let (share, worst_ratio) = share_of_less_stable_pairs(1.0);
+    assert!(share == 0.0 && worst_ratio < 1.0 + 1.0e-9, "weight 1: {share} of the pairs, ratio {worst_ratio}");
 }

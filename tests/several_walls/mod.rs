@@ -1,6 +1,6 @@
-//! Walls that meet at an angle, as in docs/model.md section 2. The loops and bounds here are independent of the code
-//! under test, except for the torques of the feed-forward. tool/tests/deep/ranges/sets_of_walls.rs has simulated
-//! devices that press such walls.
+//! Walls that meet at an angle (docs/model.md section 2). The loops and bounds are independent of the code under test,
+//! except for the torques of the feed-forward. Simulated devices that press sets of walls are in
+//! tool/tests/deep/ranges/sets_of_walls.rs.
 
 mod continuity;
 mod linear;
@@ -20,7 +20,6 @@ use haptic_bridge::render::scene::Scene;
 use haptic_bridge::with_mechanism;
 use nalgebra::{Complex, SVector};
 
-/// A shipped device.
 struct Shipped {
     name: &'static str,
     description: Description,
@@ -33,37 +32,34 @@ impl Shipped {
     }
 }
 
-/// Reads the shipped device of this name.
 fn device(name: &'static str) -> Shipped {
     let description = device_file::shipped(name);
     Shipped { name, description, mechanism: AnyMechanism::new(&description).expect("a sound device") }
 }
 
-/// Floating-point precision of a computation.
 #[derive(Clone, Copy)]
 enum Precision {
-    /// The board's precision.
+    /// Precision of the board.
     F32,
     F64,
 }
 
-/// Returns a unit vector at this angle, rad.
+/// Returns the unit vector at `angle`, rad.
 fn unit_vector(angle: f64) -> Vec<f64> {
     vec![angle.cos(), angle.sin()]
 }
 
-/// Returns the unit vector along `v`.
 fn normalized(v: &[f64]) -> Vec<f64> {
     let length = v.iter().map(|x| x * x).sum::<f64>().sqrt();
     v.iter().map(|x| x / length).collect()
 }
 
-/// Computes the joint torques for walls (normal, stiffness, force) at rest and without the device's weight.
+/// Computes the joint torques for walls (normal, stiffness, force) at rest, without the device's weight.
 fn torque(device: &Shipped, q: &[f64], walls: &[(Vec<f64>, f64, f64)], precision: Precision) -> Vec<f64> {
     torque_with_flags(device, q, walls, &vec![true; walls.len()], precision)
 }
 
-/// Like [`torque`], with the feed-forward for the walls whose entry in `with` is true.
+/// Like [`torque`]. Only walls whose flag in `with` is true have the feed-forward.
 fn torque_with_flags(
     device: &Shipped,
     q: &[f64],
@@ -98,20 +94,19 @@ fn torque_with_flags(
     }
 }
 
-/// Pads a vector of the task space with zeros.
-fn three(v: &[f64]) -> [f64; 3] {
+fn pad_to_three(v: &[f64]) -> [f64; 3] {
     core::array::from_fn(|i| v.get(i).copied().unwrap_or(0.0))
 }
 
-/// Returns the largest size of a mode.
-fn largest(modes: &[Complex<f64>]) -> f64 {
+/// Returns the largest absolute value of the modes.
+fn largest_norm(modes: &[Complex<f64>]) -> f64 {
     modes.iter().map(|mode| mode.norm()).fold(0.0, f64::max)
 }
 
-/// Walls and springs of the device, and forces of the host.
+/// A function from the tip position (m) to a scene and a push of the host.
 type SceneAt<'a> = &'a dyn Fn([f64; 3]) -> (Scene<f64>, Option<Push<f64>>);
 
-/// Computes the torques of the board's first step in the scene for its tip position.
+/// Computes the torques of the board's first step in the scene for the tip position.
 fn first_step(file: &Shipped, q: &[f64], scene: SceneAt<'_>) -> Vec<f64> {
     fn run<M: Mechanism<f64, N>, const N: usize>(m: M, file: &Shipped, q: &[f64], scene: SceneAt<'_>) -> Vec<f64> {
         let counts = fine_counts(&SVector::<f64, N>::from_column_slice(q));
@@ -127,7 +122,7 @@ fn first_step(file: &Shipped, q: &[f64], scene: SceneAt<'_>) -> Vec<f64> {
     with_mechanism!(file.mechanism, m => run(m, file, q, scene))
 }
 
-/// A generator of pseudo-random numbers, the same on every machine.
+/// A generator of pseudo-random numbers that are the same on every machine.
 struct Random(u64);
 
 impl Random {
@@ -146,19 +141,18 @@ impl Random {
         }
     }
 
-    /// Draws 2 to 4 walls (normal, stiffness), for every second `set` near one normal. Stiffnesses are spread over
-    /// `decades`.
+    /// Draws 2 to 4 walls (normal, stiffness), near one normal if `set` is odd. The stiffness is spread over `decades`.
     fn walls(&mut self, task: usize, set: usize, decades: f64) -> Vec<(Vec<f64>, f64)> {
         let base = self.direction(task);
         let wall = |_| {
-            let normal = if set.is_multiple_of(2) { self.direction(task) } else { self.near(&base, 0.5) };
+            let normal = if set.is_multiple_of(2) { self.direction(task) } else { self.direction_near(&base, 0.5) };
             (normal, 10_f64.powf(self.between(0.0, decades)))
         };
         (0..2 + set % 3).map(wall).collect()
     }
 
     /// Draws a unit vector within `angle` (rad) of `n`.
-    fn near(&mut self, n: &[f64], angle: f64) -> Vec<f64> {
+    fn direction_near(&mut self, n: &[f64], angle: f64) -> Vec<f64> {
         loop {
             let side = self.direction(n.len());
             let v: Vec<f64> = n.iter().zip(&side).map(|(a, b)| a + angle.tan() * b).collect();

@@ -1,8 +1,8 @@
-//! The flash array behind rigless' flash interface: programming clears bits, a sector erase sets them (RM0090 chapter
-//! 3).
+//! The flash array behind rigless' flash interface. Programming clears bits, and a sector erase sets them (RM0090
+//! chapter 3).
 //!
-//! On silicon, code running from flash stalls during a sector erase and while a word is programmed. Here it runs on,
-//! and only the busy flag stays set for that time.
+//! On silicon, code that runs from flash stalls during a sector erase and while a word is programmed. Here the code
+//! runs on, and only the busy flag stays set for that time.
 
 use std::collections::VecDeque;
 
@@ -19,33 +19,34 @@ const PG: u64 = 1 << 0;
 const SER: u64 = 1 << 1;
 const LOCK: u64 = 1 << 31;
 const BUSY: u64 = 1 << 16;
-/// Tokens of our own accesses, different from the model's tokens.
+/// Token of our own read accesses, different from all tokens of the model.
 const READ: u64 = 1 << 62;
+/// Token of our own write accesses, different from all tokens of the model.
 pub(super) const WRITTEN: u64 = READ + 1;
 
 /// The flash interface and its array.
 pub type FlashUnit = Hooked<Flash, Array>;
 
-/// Returns the flash as after power-on. The array's contents are memory, which outlives a reset.
+/// Returns the flash as after power-on. The array's contents are in memory, which outlives a reset.
 #[must_use]
 pub fn unit() -> FlashUnit {
     Hooked { inner: Flash::with_clock(HSI_HZ), hook: Array::default() }
 }
 
-/// Operations on the array: pending, done, and interrupted by a loss of power.
+/// Operations on the array, and a cut of the power during one of them.
 #[derive(Debug, Default)]
 pub struct Array {
     busy: bool,
     stores: VecDeque<(u64, Width, u64)>,
-    /// Sectors erased since power-on, in order.
+    /// Sectors that were erased since power-on, in order.
     pub erased: Vec<u64>,
-    /// Number of the coming operation (sector erase or programmed word) at which the power fails: half of this
-    /// operation is done, and nothing after it. 0 once the power has failed; `None` for never.
+    /// Number of operations (sector erases or programmed words) until the power fails, or `None` for never. The last of
+    /// these operations is half done, and no operation after it has an effect. 0 once the power has failed.
     pub cut: Option<u64>,
 }
 
 impl Array {
-    /// Begins an operation. Returns the number of its two halves that are done.
+    /// Begins an operation. Returns how many of its two halves are done.
     fn operate(&mut self) -> u64 {
         match &mut self.cut {
             None => 2,
@@ -59,7 +60,7 @@ impl Array {
 }
 
 impl Hook<Flash> for Array {
-    fn after(&mut self, _: &mut Flash, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
+    fn after_call(&mut self, _: &mut Flash, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
         let busy = registers.get(Register::Sr) & BUSY != 0;
         let began = busy && !self.busy;
         self.busy = busy;
@@ -74,7 +75,7 @@ impl Hook<Flash> for Array {
         }
     }
 
-    fn answered(&mut self, token: u64, value: u64, context: &mut DeviceContext<'_>) -> bool {
+    fn handle_reply(&mut self, token: u64, value: u64, context: &mut DeviceContext<'_>) -> bool {
         if token == READ
             && let Some((address, width, wanted)) = self.stores.pop_front()
         {
@@ -83,7 +84,7 @@ impl Hook<Flash> for Array {
         token == READ || token == WRITTEN
     }
 
-    fn store(
+    fn handle_store(
         &mut self,
         store: (u64, Width, u64),
         registers: &mut RegisterFile,

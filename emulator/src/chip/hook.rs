@@ -1,4 +1,4 @@
-//! A model of rigless with an addition: every call goes to the model, then to the hook.
+//! A model of rigless with an addition. Every call goes to the model and then to the hook.
 
 use std::fmt::Debug;
 
@@ -8,19 +8,19 @@ use rigless::time::{EventId, VirtualNanos};
 
 /// An addition to the model `D`.
 pub trait Hook<D>: Debug {
-    /// Called after every call of the model.
-    fn after(&mut self, _: &mut D, _: &mut RegisterFile, _: &mut DeviceContext<'_>) {}
+    /// Acts after every call of the model.
+    fn after_call(&mut self, _: &mut D, _: &mut RegisterFile, _: &mut DeviceContext<'_>) {}
 
-    /// Handles a request of another instance before the model.
+    /// Handles a request from another instance, before the model does.
     fn request(&mut self, _: RequestChange, _: &mut D, _: &mut RegisterFile, _: &mut DeviceContext<'_>) {}
 
-    /// Handles the reply to an access. Returns true if the access was the hook's own.
-    fn answered(&mut self, _token: u64, _value: u64, _: &mut DeviceContext<'_>) -> bool {
+    /// Handles the reply to an access. Returns true if the access belongs to the hook.
+    fn handle_reply(&mut self, _token: u64, _value: u64, _: &mut DeviceContext<'_>) -> bool {
         false
     }
 
     /// Handles a store of `value` to memory that the instance programs. Returns true if the hook accepted it.
-    fn store(&mut self, _: (u64, Width, u64), _: &mut RegisterFile, _: &mut DeviceContext<'_>) -> bool {
+    fn handle_store(&mut self, _: (u64, Width, u64), _: &mut RegisterFile, _: &mut DeviceContext<'_>) -> bool {
         false
     }
 }
@@ -42,7 +42,7 @@ impl<D: Device + 'static, H: Hook<D>> ErasedDevice for Hooked<D, H> {
     fn read(&mut self, row: usize, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) -> Option<u64> {
         let register = D::Register::from_index(row)?;
         let answer = self.inner.read(register, registers, context);
-        self.hook.after(&mut self.inner, registers, context);
+        self.hook.after_call(&mut self.inner, registers, context);
         answer
     }
 
@@ -53,19 +53,19 @@ impl<D: Device + 'static, H: Hook<D>> ErasedDevice for Hooked<D, H> {
     fn write(&mut self, row: usize, value: u64, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
         if let Some(register) = D::Register::from_index(row) {
             self.inner.write(register, value, registers, context);
-            self.hook.after(&mut self.inner, registers, context);
+            self.hook.after_call(&mut self.inner, registers, context);
         }
     }
 
     fn on_event(&mut self, event: EventId, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
         self.inner.on_event(event, registers, context);
-        self.hook.after(&mut self.inner, registers, context);
+        self.hook.after_call(&mut self.inner, registers, context);
     }
 
     fn on_request(&mut self, request: RequestChange, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
         self.hook.request(request, &mut self.inner, registers, context);
         self.inner.on_request(request, registers, context);
-        self.hook.after(&mut self.inner, registers, context);
+        self.hook.after_call(&mut self.inner, registers, context);
     }
 
     fn on_clock(&mut self, hz: u64, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
@@ -85,7 +85,7 @@ impl<D: Device + 'static, H: Hook<D>> ErasedDevice for Hooked<D, H> {
     }
 
     fn on_access(&mut self, token: u64, value: u64, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
-        if !self.hook.answered(token, value, context) {
+        if !self.hook.handle_reply(token, value, context) {
             self.inner.on_access(token, value, registers, context);
         }
     }
@@ -98,7 +98,7 @@ impl<D: Device + 'static, H: Hook<D>> ErasedDevice for Hooked<D, H> {
         registers: &mut RegisterFile,
         context: &mut DeviceContext<'_>,
     ) -> bool {
-        self.hook.store((address, width, value), registers, context)
+        self.hook.handle_store((address, width, value), registers, context)
     }
 
     fn on_refused(&mut self, token: u64, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {

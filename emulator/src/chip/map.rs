@@ -1,4 +1,4 @@
-//! Memory map of the STM32F405 and the bus that connects its peripherals (RM0090 rev 22: section 2.3, tables 5, 43,
+//! Memory map of the STM32F405, and the bus that connects its peripherals (RM0090 rev 22, section 2.3, tables 5, 43 and
 //! 63).
 
 use std::num::{NonZeroU32, NonZeroU64};
@@ -11,7 +11,7 @@ use rigless::soc::{
 
 use super::OTG_BLOCKS;
 
-/// Flash in its twelve sectors (table 5), core-coupled RAM, system memory, SRAM1 and SRAM2, backup SRAM.
+/// Flash with twelve sectors (table 5), core-coupled RAM, system memory, SRAM1 and SRAM2, and backup SRAM.
 pub static MEMORY: [Region; 5] = [
     Region::flash("flash", 0x0800_0000, 1 << 20).erased_in(&SECTORS).erased_to(0xFF).programmed_by("FLASH"),
     Region::ram("ccm", 0x1000_0000, 64 << 10),
@@ -29,7 +29,7 @@ const fn blocks(count: u32, kib: u64) -> EraseBlocks {
     }
 }
 
-/// Returns the first address and the size in bytes of flash sector `number`, 0 to 11.
+/// Returns the first address and the size (bytes) of the flash sector `number`, 0 to 11.
 #[must_use]
 pub const fn sector(number: u64) -> (u64, u64) {
     const KIB: u64 = 1 << 10;
@@ -41,7 +41,7 @@ pub const fn sector(number: u64) -> (u64, u64) {
     (0x0800_0000 + offset, size)
 }
 
-/// Reset bits that our drivers pulse (sections 6.3.5 to 6.3.9).
+/// Reset bits that our drivers use (sections 6.3.5 to 6.3.9).
 const RESET_LINES: [(&str, &str, &str); 15] = [
     ("ADC1", "APB2RSTR", "ADCRST"),
     ("ADC2", "APB2RSTR", "ADCRST"),
@@ -60,14 +60,11 @@ const RESET_LINES: [(&str, &str, &str); 15] = [
     ("PWR", "APB1RSTR", "PWRRST"),
 ];
 
-/// Returns a bus of our description whose slots have the order of `stock`, the bus that rigless builds.
-///
-/// # Errors
-///
-/// Any error of [`rigless::soc::Builder::build`], which is a bug in the description.
+/// Returns a bus of our description. Its slots have the order of `stock`, the bus that rigless builds.
+/// Returns any error of [`rigless::soc::Builder::build`], which is a bug in the description.
 pub fn bus(stock: &Bus) -> Result<Bus, Error> {
-    // Clocks and request readers come from the stock description; tables, gates and corrections come with the slots
-    // that `Chip` moves over.
+    // Clocks and request readers come from the stock description. Tables, gates and corrections come with the slots
+    // that `Chip` moves to this bus.
     let described = builder().build()?;
     let peripherals: Vec<Peripheral> = stock.peripherals().map(with_our_tables).collect();
     let mut builder = Bus::builder(CPU, &MEMORY, peripherals);
@@ -98,10 +95,10 @@ fn with_our_tables(stock: &Peripheral) -> Peripheral {
     }
 }
 
-/// Interrupt line of the USB core, table 63.
+/// Interrupt number of the USB core (table 63).
 const OTG_LINE: u16 = 67;
 
-/// Returns the register table of one of the USB core's blocks: a plain word at every offset. [`super::otg`] implements
+/// Returns the register table of a block of the USB core, with a plain word at every offset. [`super::otg`] implements
 /// the registers.
 #[must_use]
 pub fn otg_table(block: usize) -> &'static [RegisterSpec] {
@@ -140,13 +137,13 @@ const fn words<const N: usize>() -> [RegisterSpec; N] {
     table
 }
 
-/// The external interrupt controller. Its flags are cleared by writing 1, which the vendor's file does not contain.
+/// The external interrupt controller. A flag is cleared by writing 1, which the vendor's file does not describe.
 pub mod exti {
     use super::{RegisterSpec, WriteModify};
 
-    /// IMR: lines whose interrupt request is enabled.
+    /// Offset of IMR, the lines whose interrupt request is enabled.
     pub const MASK: u32 = 0x00;
-    /// RTSR: lines that pend on a rising edge.
+    /// Offset of RTSR, the lines that react to a rising edge.
     pub const RISING: u32 = 0x08;
 
     pub(super) static TABLE: [RegisterSpec; 6] = [
@@ -165,21 +162,21 @@ pub mod exti {
 
 /// Registers of the clock controller (RM0090 section 7.3.4).
 pub mod rcc {
-    /// CIR.
+    /// Offset of CIR.
     pub const INTERRUPTS: u32 = 0x0C;
-    /// CSSF: the crystal failed.
+    /// CSSF bit: the crystal failed.
     pub const CLOCK_FAILED: u64 = 1 << 7;
 }
 
 /// Registers of the power controller (section 5.4.2).
 pub mod power {
-    /// CSR.
+    /// Offset of CSR.
     pub const STATUS: u32 = 0x04;
-    /// PVDO: the supply is below the monitor's level.
+    /// PVDO bit: the supply is below the monitor's level.
     pub const SUPPLY_LOW: u64 = 1 << 2;
 }
 
-/// Returns the table of the power and clock gating register and the first word of each endpoint's FIFO window.
+/// Returns the table with the power and clock gating register and the first word of each endpoint's FIFO window.
 const fn power() -> [RegisterSpec; 17] {
     let mut table = [word(0); 17];
     let mut row = 1;
@@ -190,7 +187,7 @@ const fn power() -> [RegisterSpec; 17] {
     table
 }
 
-/// A register by its row in its instance's table, to read a register without its layout type.
+/// Row of a register in its instance's table, to read a register without its layout type.
 #[derive(Clone, Copy, Debug)]
 pub struct Row(pub usize);
 

@@ -1,4 +1,4 @@
-//! The USB OTG full-speed core at its addresses, with a computer at the cable's other end: the transactions of [`Host`]
+//! The USB OTG full-speed core at its addresses, with a computer at the cable's other end. The transactions of [`Host`]
 //! reach the endpoints at their own times.
 
 use rigless::device::{DeviceContext, ErasedDevice, Level, RegisterFile, RequestChange};
@@ -20,20 +20,20 @@ pub struct Otg {
 }
 
 impl Otg {
-    /// Returns the model for accesses to one of the core's four blocks.
-    pub fn answering_for(&mut self, block: usize) -> &mut dyn ErasedDevice {
+    /// Returns the model for accesses to `block`, one of the core's four blocks.
+    pub fn model_of_block(&mut self, block: usize) -> &mut dyn ErasedDevice {
         self.block = block;
         self
     }
 
-    /// Resets the core, because the chip restarted: the pull-up is gone, and the host sees the device disconnect.
+    /// Resets the core after a restart of the chip. The pull-up goes off, so the host sees the device disconnect.
     pub fn chip_reset(&mut self) {
         self.core = Core::default();
         self.line = Level::Low;
         self.host.device_disconnected();
     }
 
-    /// Lets the host process new requests and the device's state.
+    /// Lets the host process new requests and the state of the device.
     pub fn update_host(&mut self, context: &mut DeviceContext<'_>) {
         self.advance(context);
     }

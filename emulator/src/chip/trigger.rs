@@ -1,5 +1,5 @@
 //! Connections between peripherals that rigless does not model: timer triggers that start conversions (RM0090 tables 68
-//! and 69) and the start of TIM8 by TIM1 (table 93, `ITR0`).
+//! and 69), and the start of TIM8 by TIM1 (table 93, `ITR0`).
 
 use rigless::device::{Device, DeviceContext, Level, RegisterFile, RequestChange};
 use rigless::soc::stm32f427::generated::adc1::Register;
@@ -12,13 +12,12 @@ use rigless::time::VirtualNanos;
 
 use super::hook::{Hook, Hooked};
 
-/// VREF+ in microvolts. Inputs of the converters are set in this unit, because rigless' millivolts are coarser than a
-/// bit.
+/// VREF+, µV. The inputs of the converters are set in µV, because rigless' millivolts are coarser than one bit.
 pub const REFERENCE_UV: u32 = 3_300_000;
 
-/// Request number of the trigger output, not used by rigless' models.
+/// Request number of the trigger output, which rigless' models do not use.
 const TRGO: usize = 100;
-/// Request number of channel 4's reference, not used by rigless' models.
+/// Request number of the reference of channel 4, which rigless' models do not use.
 const CC4: usize = 101;
 
 /// TIM1 or TIM8 with connected trigger outputs.
@@ -26,7 +25,7 @@ pub type MasterTimer = Hooked<Tim<Advanced>, Outputs>;
 /// A converter with connected external triggers.
 pub type Converter = Hooked<Adc, ExternalTrigger>;
 
-/// Returns the nth advanced timer as after a reset.
+/// Returns the nth advanced timer after a reset.
 #[must_use]
 pub fn timer(nth: usize) -> MasterTimer {
     let inner = Tim::with_clock(HSI_HZ, ADVANCED_TIMERS[nth].counter).breaks_on("RCC", rcc::CLOCK_FAILURE);
@@ -34,7 +33,7 @@ pub fn timer(nth: usize) -> MasterTimer {
     Hooked { inner, hook }
 }
 
-/// Returns the nth converter as after a reset, with VREF+ and inputs in microvolts (see [`crate::hardware`]).
+/// Returns the nth converter after a reset, with VREF+ and inputs in µV (see [`crate::hardware`]).
 #[must_use]
 pub fn converter(nth: usize) -> Converter {
     let mut inner = Adc::with_clock(HSI_HZ / 2);
@@ -42,7 +41,7 @@ pub fn converter(nth: usize) -> Converter {
     Hooked { inner, hook: ExternalTrigger { instance: CONVERTERS[nth], stopped: false } }
 }
 
-/// Last outputs of a timer, and their durations.
+/// Latest outputs of a timer, and their durations.
 #[derive(Debug, Default)]
 pub struct Outputs {
     slave_of_tim1: bool,
@@ -51,61 +50,62 @@ pub struct Outputs {
     channel4: Level,
     crest: Option<u64>,
     references: [bool; 3],
-    driven: bool,
-    since: u64,
+    main_output_enabled: bool,
+    counted_until: u64,
     span: Span,
 }
 
-/// On-times of a timer's channels within a time span, ns.
+/// On-times of a timer's channels within a time span.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Span {
-    /// Length of the span.
-    pub whole: u64,
-    /// Time with enabled main output.
-    pub driven: u64,
-    /// Times with active and driven references of channels 1 to 3: the upper switch is on, except for dead time.
-    pub active: [u64; 3],
+    /// Length of the span, ns.
+    pub length_ns: u64,
+    /// Time with enabled main output, ns.
+    pub enabled_ns: u64,
+    /// Times with active references of channels 1 to 3 and enabled main output, ns. The upper switch is on except for
+    /// the dead time.
+    pub active_ns: [u64; 3],
 }
 
 impl Outputs {
-    /// Returns the on-times since the last call, up to `now`.
+    /// Returns the on-times from the last call until `now`.
     pub fn take_span(&mut self, now: VirtualNanos) -> Span {
         self.account(now);
         std::mem::take(&mut self.span)
     }
 
-    /// Returns the time of the last rising edge of channel 4's reference, ns: on these boards a tick before the crest
-    /// of the carrier.
+    /// Returns the time of the last rising edge of channel 4's reference, ns. On these boards that is one tick before
+    /// the crest.
     #[must_use]
     pub fn crest(&self) -> Option<u64> {
         self.crest
     }
 
-    /// Starts to count time at `at`, the end of a reset.
+    /// Starts to count time at the end of a reset.
     pub fn begin(&mut self, at: VirtualNanos) {
-        self.since = at.0;
+        self.counted_until = at.0;
     }
 
     fn account(&mut self, now: VirtualNanos) {
-        let passed = now.0.saturating_sub(self.since);
-        self.since = self.since.max(now.0);
-        self.span.whole += passed;
-        if self.driven {
-            self.span.driven += passed;
-            for (active, reference) in self.span.active.iter_mut().zip(self.references) {
+        let passed = now.0.saturating_sub(self.counted_until);
+        self.counted_until = self.counted_until.max(now.0);
+        self.span.length_ns += passed;
+        if self.main_output_enabled {
+            self.span.enabled_ns += passed;
+            for (active, reference) in self.span.active_ns.iter_mut().zip(self.references) {
                 *active += if reference { passed } else { 0 };
             }
         }
     }
 }
 
-/// Main output enable, in `BDTR`.
+/// Main output enable bit in `BDTR`.
 const MOE: u64 = 1 << 15;
 
 impl Hook<Tim<Advanced>> for Outputs {
-    fn after(&mut self, timer: &mut Tim<Advanced>, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
+    fn after_call(&mut self, timer: &mut Tim<Advanced>, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
         self.account(context.now());
-        self.driven = registers.get(TimRegister::Bdtr) & MOE != 0;
+        self.main_output_enabled = registers.get(TimRegister::Bdtr) & MOE != 0;
         for (number, reference) in (1..).zip(&mut self.references) {
             let channel = Channel::new(number).expect("a timer has four channels");
             *reference = timer.reference(channel) == Level::High;
@@ -143,7 +143,7 @@ impl Hook<Tim<Advanced>> for Outputs {
     }
 }
 
-/// Start of conversions by a timer.
+/// External triggers that start conversions of a converter.
 #[derive(Debug)]
 pub struct ExternalTrigger {
     instance: &'static str,
@@ -151,8 +151,9 @@ pub struct ExternalTrigger {
     pub stopped: bool,
 }
 
-/// `JSWSTART` and `SWSTART` start a group as its trigger does.
+/// Bit that starts the injected group like a trigger.
 const JSWSTART: u64 = 1 << 22;
+/// Bit that starts the regular group like a trigger.
 const SWSTART: u64 = 1 << 30;
 
 impl Hook<Adc> for ExternalTrigger {
@@ -189,7 +190,7 @@ impl Hook<Adc> for ExternalTrigger {
     }
 }
 
-/// `JEXTSEL`, table 69.
+/// Returns the trigger that `JEXTSEL` selects (table 69).
 fn injected_source(select: u64) -> Option<(&'static str, usize)> {
     match select {
         0 => Some(("TIM1", CC4)),
@@ -199,7 +200,7 @@ fn injected_source(select: u64) -> Option<(&'static str, usize)> {
     }
 }
 
-/// `EXTSEL`, table 68. TIM1's trigger output does not start a regular group on this chip.
+/// Returns the trigger that `EXTSEL` selects (table 68). TIM1's trigger output does not start a regular group.
 fn regular_source(select: u64) -> Option<(&'static str, usize)> {
     match select {
         14 => Some(("TIM8", TRGO)),

@@ -16,11 +16,11 @@ use crate::run::{MICROSECOND, MILLISECOND, SECOND, StoppedBoard};
 pub struct Outcome {
     /// The latched fault.
     pub record: FaultRecord,
-    /// Control periods from the cause until the bridges float.
-    pub from_cause: u32,
-    /// Control periods from the step that detected the fault until the bridges float; `None` if the chip restarted,
-    /// which resets the count.
-    pub from_seen: Option<u32>,
+    /// Number of control periods from the cause until the bridges float.
+    pub periods_from_cause: u32,
+    /// Number of control periods from the step that detected the fault until the bridges float. `None` if the chip
+    /// restarted, because a restart resets the count.
+    pub periods_from_detection: Option<u32>,
 }
 
 /// Returns true if every bridge floats and the power stages are disabled.
@@ -28,12 +28,8 @@ pub fn bridges_off(stopped: &mut StoppedBoard<'_>) -> bool {
     stopped.hardware().bridges_float()
 }
 
-/// Causes `fault` and checks the reaction: latched, bridges off, arming refused, cleared only on request. `None` for
-/// faults that the boards cannot detect.
-///
-/// # Panics
-///
-/// If the reaction is wrong.
+/// Causes `fault` and checks that it is latched, that the bridges are off, that arming is refused, and that only a
+/// request clears it. Returns `None` for faults that the boards cannot detect.
 #[must_use]
 pub fn provoke(fault: Fault) -> Option<Outcome> {
     let Injection::Chip { create, cause, within_ms, .. } = injection(fault) else { return None };
@@ -54,8 +50,8 @@ pub fn provoke(fault: Fault) -> Option<Outcome> {
     let (at, steps) =
         off_at.unwrap_or_else(|| panic!("{name}: bridges are still on after {within_ms} ms: {:?}", rig.tool.status()));
     rig.run(20 * MILLISECOND);
-    // A chip that restarted must be enumerated again.
-    let ready_again = rig.shared.board().run_until(2 * SECOND, MILLISECOND, |stopped| stopped.usb().ready());
+    // After a restart the host must enumerate the chip again.
+    let ready_again = rig.shared.board().run_until(2 * SECOND, MILLISECOND, |stopped| stopped.usb().is_ready());
     assert!(ready_again, "{name}: the port is gone");
     let restarted = rig.with(|stopped| stopped.resets().len()) > resets;
     if restarted {
@@ -63,9 +59,9 @@ pub fn provoke(fault: Fault) -> Option<Outcome> {
     }
     let status = rig.tool.status().expect("the board replies");
     let record = status.fault.unwrap_or_else(|| panic!("{name}: no fault is latched: {status:?}"));
-    assert_eq!((record.fault, status.state), (fault, State::Fault), "{name}: {status:?}");
+    assert_eq!((record.fault, status.state), (fault, State::Fault), "{name}: another fault or state: {status:?}");
     if fault == Fault::SettingsDamaged {
-        // The damaged name is replaced by its default, not by an older name; the other settings are kept.
+        // The damaged name is replaced by its default, not by an older name. The other settings are kept.
         let details = rig.tool.details().expect("the board replies");
         assert_eq!(details.damage.as_slice(), [(Key::Name, Damage::Corrupt)]);
         assert_eq!((details.name.as_str(), details.device.is_some()), ("", true), "{details:?}");
@@ -78,14 +74,14 @@ pub fn provoke(fault: Fault) -> Option<Outcome> {
     assert!(listed.iter().any(|listed| listed.fault == fault), "{name}: not listed: {listed:?}");
     // The fault stays latched, the bridges stay off, and arming is refused.
     let _ = rig.tool.rows(Duration::from_millis(50));
-    let refused = rig.tool.arm();
-    let named = matches!(refused, Err(BoardError::Refused(Refusal::Faulted(latched))) if latched == fault);
-    // A chip that restarted has also lost its device, and refuses for that reason.
-    let refused_after_restart = restarted && matches!(refused, Err(BoardError::Refused(_)));
-    assert!(named || refused_after_restart, "{name}: {refused:?}");
+    let answer = rig.tool.arm();
+    let names_fault = matches!(answer, Err(BoardError::Refused(Refusal::Faulted(latched))) if latched == fault);
+    // After a restart the chip has also lost its device, and refuses for that reason.
+    let refused_after_restart = restarted && matches!(answer, Err(BoardError::Refused(_)));
+    assert!(names_fault || refused_after_restart, "{name}: arming was not refused: {answer:?}");
     assert!(rig.with(bridges_off), "{name}: bridges came on again");
     if fault == Fault::NotFinite {
-        // The NaN is still there: only a new scene removes it.
+        // The NaN is still in the scene, and only a new scene removes it.
         rig.set_scene("");
     }
     rig.tool.clear().unwrap_or_else(|error| panic!("{name}: {error}"));
@@ -94,19 +90,19 @@ pub fn provoke(fault: Fault) -> Option<Outcome> {
     assert_eq!((status.state, status.fault), (State::Disarmed, None), "{name} is not cleared");
     assert!(rig.with(bridges_off), "{name}: clearing turned the bridges on");
     if matches!(fault, Fault::ImageDamaged | Fault::RamDamaged | Fault::WrongBoard) {
-        // Clearing repairs nothing, and neither does loading the device again after the restart.
+        // Neither clearing nor loading the device again after the restart repairs anything.
         rig.load("");
         rig.tool.home().unwrap_or_else(|error| panic!("{name}: {error}"));
-        let refused = rig.tool.check_polarity();
-        let named = matches!(refused, Err(BoardError::Refused(Refusal::Faulted(again))) if again == fault);
-        assert!(named && rig.with(bridges_off), "{name}: {refused:?}");
+        let answer = rig.tool.check_polarity();
+        let names_fault = matches!(answer, Err(BoardError::Refused(Refusal::Faulted(again))) if again == fault);
+        assert!(names_fault && rig.with(bridges_off), "{name}: the check was not refused: {answer:?}");
     }
-    let from_cause = ((at - began) / (50 * MICROSECOND)) as u32;
-    // This fault is detected before the bridges are ever on; the steps since then only waited for the reply.
+    let periods_from_cause = ((at - began) / (50 * MICROSECOND)) as u32;
+    // This fault is detected before the bridges are ever on. The steps since then only waited for the reply.
     let never_on = fault == Fault::StrayCurrent;
-    // A step is counted at its end, long after its bridges went off.
+    // A step is counted when it ends, long after its bridges went off.
     let since = (steps.wrapping_sub(record.step) as i32).max(0) as u32;
-    let from_seen = (!restarted).then_some(if never_on { 0 } else { since });
+    let periods_from_detection = (!restarted).then_some(if never_on { 0 } else { since });
     assert!(before <= steps || restarted, "{name}: steps went back");
-    Some(Outcome { record, from_cause, from_seen })
+    Some(Outcome { record, periods_from_cause, periods_from_detection })
 }

@@ -5,7 +5,7 @@ use haptic_host::output::csv_line;
 
 use super::{Injection, Outcome, injection};
 
-/// Describes the way to cause `fault`, or the reason why that is impossible.
+/// Describes how `fault` is caused, or why that is impossible.
 #[must_use]
 pub fn describe(fault: Fault) -> String {
     match injection(fault) {
@@ -14,8 +14,8 @@ pub fn describe(fault: Fault) -> String {
     }
 }
 
-/// Returns the row for `fault`. Values and periods that depend on the image's speed are omitted, such as the time at
-/// which a moving hand trips a limit.
+/// Returns the row for `fault`. Values and periods that depend on the image's speed are omitted, for example the time
+/// at which a moving hand trips a limit.
 #[must_use]
 pub fn row(fault: Fault, outcome: Option<&Outcome>) -> String {
     let slow = matches!(injection(fault), Injection::Chip { within_ms, .. } if within_ms > 5);
@@ -25,12 +25,12 @@ pub fn row(fault: Fault, outcome: Option<&Outcome>) -> String {
         Some(outcome) => {
             let cause = if slow {
                 "later"
-            } else if outcome.from_cause <= 3 {
+            } else if outcome.periods_from_cause <= 3 {
                 "at most 3"
             } else {
                 "more than 3"
             };
-            let detection = match outcome.from_seen {
+            let detection = match outcome.periods_from_detection {
                 None => "before the restart".to_owned(),
                 Some(0 | 1) => "at most 1".to_owned(),
                 Some(periods) => periods.to_string(),

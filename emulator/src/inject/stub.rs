@@ -1,4 +1,4 @@
-//! Code in RAM that runs instead of one of the firmware's tasks.
+//! Code in RAM that runs instead of a task of the firmware.
 
 use crate::rig::{Rig, firmware};
 use crate::run::MILLISECOND;
@@ -6,15 +6,11 @@ use crate::run::MILLISECOND;
 /// Address of the stub's code, above all RAM that the firmware uses.
 const FREE_RAM: u64 = 0x2001_F000;
 
-/// Mangled name of the supervisor's task, which feeds the watchdog.
+/// End of the mangled name of the supervisor's task, which feeds the watchdog.
 pub(super) const SUPERVISOR: &str = "10supervisor9supervise4POOL";
 
-/// Writes code to free RAM and makes the task in `pool` enter it at its next poll. `code` receives the address of the
-/// task's poll function.
-///
-/// # Panics
-///
-/// If the image has no such task.
+/// Writes code to free RAM and makes the task in `pool` run it at the task's next poll. `code` receives the address of
+/// the task's poll function.
 pub fn run_instead(rig: &Rig, pool: &str, code: impl FnOnce(u32) -> Vec<u32>) {
     let image = firmware(rig.kind);
     let pool = image.find_ending(pool).expect("the task");
@@ -34,16 +30,17 @@ pub fn run_instead(rig: &Rig, pool: &str, code: impl FnOnce(u32) -> Vec<u32>) {
     });
 }
 
-/// Word that the stub waits for, and word that is 1 while it waits.
+/// Address of the word that the stub waits for.
 pub(super) const NMI_FLAG: u64 = FREE_RAM + 0x100;
+/// Address of the word that is 1 while the stub waits.
 const NMI_WAITS: u64 = NMI_FLAG + 4;
 
-/// Makes one of the board's tasks act as the connection from the clock security system to the core: it waits for the
-/// flag's word and writes it to ICSR, whose top bit pends the non-maskable interrupt.
+/// Makes a task of the board connect the clock security system to the core. The task waits for a value in [`NMI_FLAG`]
+/// and writes it to ICSR, whose top bit pends the non-maskable interrupt.
 pub(super) fn wire_to_nmi(rig: &Rig) {
     rig.with(|stopped| [NMI_FLAG, NMI_WAITS].map(|at| assert!(stopped.poke(at, 0), "there is RAM")));
-    // ldr r2, =flag; movs r3, #1; str r3, [r2, #4]; again: ldr r3, [r2]; cmp r3, #0; beq again; ldr r2, =ICSR;
-    // str r3, [r2]; b .; nop; and the two addresses.
+    // The code is: ldr r2, =flag; movs r3, #1; str r3, [r2, #4]; again: ldr r3, [r2]; cmp r3, #0; beq again; ldr r2,
+    // =ICSR; str r3, [r2]; b .; nop. The two addresses follow.
     let stub = vec![0x2301_4A04, 0x6813_6053, 0xD0FC_2B00, 0x6013_4A02, 0xBF00_E7FE, NMI_FLAG as u32, 0xE000_ED04];
     run_instead(rig, SUPERVISOR, |_| stub);
     let waits =

@@ -1,24 +1,24 @@
-//! The bridges begin to drive at an extreme of the carrier. If they began between two extremes, a bridge whose ends
-//! follow one channel and its complement would apply the rest of that half period to the motor: almost an ampere per
-//! microsecond.
+//! The bridges begin to drive at an extreme of the carrier. If they began between two extremes, a bridge with one
+//! channel and its complement would apply the rest of the half period to the motor. The current would rise by almost 1
+//! A/µs.
 
 use haptic_bridge::board::telemetry::Fields;
 use haptic_bridge::safety::fault::Fault;
 use haptic_emulator::cases::CASES;
 use haptic_emulator::contact::{WallAt, scene};
-use haptic_emulator::range::{BOARD, rigid};
+use haptic_emulator::range::{BOARD, rigid_device};
 use haptic_emulator::rig::Rig;
 use haptic_emulator::run::{MILLISECOND, SECOND};
 use haptic_sim::Support;
 
-/// Largest current before any torque is commanded, A: the interrupt switches the bridges on some ticks after the
-/// extreme.
-const MAX_CURRENT: f64 = 0.2;
+/// Largest current before any torque is commanded, A. It is not 0 because the interrupt switches the bridges on some
+/// ticks after the extreme.
+const MAX_CURRENT_AMPERES: f64 = 0.2;
 
 #[test]
 fn no_current_flows_when_the_bridges_begin_to_drive() {
-    // Windings of 0.1 mH, in which currents rise quickly.
-    let test_device = rigid();
+    // The windings of this device have 0.1 mH, so currents rise quickly.
+    let test_device = rigid_device();
     for rate in [200, 1000, 7000, 20_000] {
         let mut rig = Rig::with_file(BOARD, test_device.file.clone(), |options| {
             options.start = test_device.file.description.home;
@@ -26,7 +26,7 @@ fn no_current_flows_when_the_bridges_begin_to_drive() {
         rig.load(&format!("rate_hz = {rate}\n"));
         rig.with_simulated(|device| device.set_support(Support::Held));
         rig.tool.home().expect("the device can be homed");
-        // Different pauses arm the board at different phases of carrier and step.
+        // The pauses arm the board at different phases of carrier and step.
         for pause in [0, 3, 11] {
             rig.run(pause * MILLISECOND / 100);
             rig.with(|stopped| stopped.hardware().peaks = haptic_emulator::plant::Peaks::default());
@@ -37,7 +37,7 @@ fn no_current_flows_when_the_bridges_begin_to_drive() {
                 rig.with(|stopped| (stopped.hardware().peaks.current, !stopped.hardware().bridges_float()));
             let status = rig.tool.status().expect("the board replies");
             assert!(driven && status.fault.is_none(), "at {rate} Hz: {status:?}");
-            assert!(peak < MAX_CURRENT, "{peak} A at {rate} Hz");
+            assert!(peak < MAX_CURRENT_AMPERES, "{peak} A at {rate} Hz");
             rig.tool.disarm().expect("the board disarms");
             rig.run(5 * MILLISECOND);
         }
@@ -62,7 +62,7 @@ fn arming_at_too_high_a_rate_causes_an_overrun() {
     }
 }
 
-/// The rates are the documented highest; telemetry of every step is streamed.
+/// The rates are the highest documented rates. Telemetry of every step is streamed.
 #[test]
 fn boards_arm_at_their_highest_rates_while_streaming() {
     for (case, rate_hz) in [(CASES[0], 45_000), (CASES[2], 35_000), (CASES[4], 35_000)] {

@@ -1,4 +1,4 @@
-//! From power-on to a configured serial port.
+//! A board starts from power-on to a configured serial port.
 
 use haptic_emulator::boards::BoardKind;
 use haptic_emulator::rig::{Rig, firmware};
@@ -25,15 +25,15 @@ fn check_serial_port(rig: &Rig) {
     let at = |wanted: &Event| log.iter().find(|(_, event)| event == wanted).map(|(at, _)| at.0);
     let connected = at(&Event::Connected).expect("a pull-up");
     let opened = at(&Event::Opened).expect("an open port");
-    // RAM and the image are tested first: 81 ms as compiled by Rust 1.95.
+    // RAM and the image are tested first, which takes 81 ms as compiled by Rust 1.95.
     assert!(connected < 100 * MILLISECOND, "the pull-up comes {connected} ns after power-on");
     assert!(opened - connected < 200 * MILLISECOND, "enumeration takes {} ns", opened - connected);
 }
 
 fn check_register_models(rig: &Rig) {
-    let gaps = rig.with(|stopped| stopped.gaps());
-    // At boot the firmware switches the bridges off before their clocks run; a chip ignores these writes. SYSCFG and
-    // EXTI only store values that the hardware around the chip reads.
+    let gaps = rig.with(|stopped| stopped.unmodelled_accesses());
+    // At the start the firmware switches the bridges off before their clocks run, and a chip ignores these writes.
+    // SYSCFG and EXTI only store values that the hardware around the chip reads.
     let real: Vec<_> = gaps
         .into_iter()
         .filter(|gap| !["SYSCFG", "EXTI", "BDTR is gated", "BSRR is gated"].iter().any(|known| gap.contains(known)))
@@ -61,7 +61,7 @@ fn the_tasks_clock_counts_the_time_since_its_start() {
     let read = || rig.with(move |stopped| (stopped.word(address).expect("RAM"), stopped.at / MILLISECOND));
     let (mut before, mut signs) = (read().0, 0);
     let mut started = None;
-    // Includes several overflows of the clock's 16-bit count of microseconds.
+    // The time includes several overflows of the clock's 16-bit count of microseconds.
     for _ in 0..1_000 {
         rig.run(MILLISECOND);
         let (shown, now) = read();

@@ -1,4 +1,4 @@
-//! The board agrees with the library: the chip computes the same torques as the same code on this computer.
+//! The chip computes the same torques as the library on this computer, bit for bit.
 
 use std::time::Duration;
 
@@ -18,7 +18,7 @@ use haptic_host::link::Row;
 use haptic_host::scene_file::SceneFile;
 use haptic_sim::{Hand, HandSettings, Intent, Waypoint};
 
-/// Armed state, in the first column of [`Field::State`].
+/// Armed state, as in the first column of [`Field::State`].
 const ARMED: f64 = 1.0;
 
 fn is_armed(row: &Row) -> bool {
@@ -46,7 +46,7 @@ fn torques_on_the_chip_equal_the_librarys_bit_for_bit() {
             axes(&[0.0, -1.0, 0.0])
         );
         rig.set_scene(&scene);
-        // The device is at rest, and its estimators have settled.
+        // The device comes to rest, and its estimators settle.
         rig.run(SECOND / 2);
         let fields =
             [Field::Angle, Field::Speed, Field::Tip, Field::Torque, Field::Distance, Field::WallForce, Field::Shaping];
@@ -67,8 +67,8 @@ fn torques_on_the_chip_equal_the_librarys_bit_for_bit() {
         while rows.len() < 5_000 {
             rows.extend(rig.tool.rows(Duration::from_millis(300)).expect("rows come"));
         }
-        // Arming needs 35 ms to make the gate drivers ready. Meanwhile the link is not served and the device is at
-        // rest, so only rows of this time may be lost.
+        // Only rows of the time until arming may be lost. During the 35 ms that the gate drivers need, the link is not
+        // served and the device is at rest.
         let arming = rows.iter().position(is_armed).expect("it arms");
         assert!(rows[arming..].windows(2).all(|pair| pair[1].step == pair[0].step + 1), "{name}: a step is missing");
 
@@ -96,7 +96,7 @@ fn torques_on_the_chip_equal_the_librarys_bit_for_bit() {
         };
         let three = |values: Vec<f64>| -> [f64; 3] { std::array::from_fn(|i| values.get(i).copied().unwrap_or(0.0)) };
         control_loop.execute(Command::Program(Box::new(program))).0.expect("loaded");
-        // Homes in place, then repeats the first row, at rest, until every estimator is zero.
+        // Homes in place, then repeats the first row (at rest) until every estimator is zero.
         control_loop.control(&Samples { counts: Counts(home), bus_voltage: 24.0, ..Samples::default() });
         control_loop.execute(Command::Home).0.expect("homed");
         control_loop.execute(Command::PolarityKnown).0.expect("known");
@@ -134,8 +134,8 @@ fn torques_on_the_chip_equal_the_librarys_bit_for_bit() {
                 }
             };
             for field in fields {
-                // What remains on the chip of motions before the trace (the polarity check) has decayed below the
-                // normal numbers and is not compared.
+                // The chip still has remains of motions before the trace (the polarity check). They have decayed below
+                // the normal numbers and are not compared.
                 let settled = |value: f32| if value.abs() < f32::MIN_POSITIVE { 0 } else { value.to_bits() };
                 let chip = three(of(row, field)).map(|value| settled(value as f32));
                 let pc = library_values(field).map(settled);

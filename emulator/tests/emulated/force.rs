@@ -1,14 +1,14 @@
-//! Force from the host: rate of the board's replies with a wall at 20 kHz and running telemetry (docs/host-force.md).
+//! Forces from the host: rate of the board's replies with a wall at 20 kHz and telemetry (docs/host-force.md).
 
 use haptic_bridge::board::protocol::HostContact;
 use haptic_bridge::board::telemetry::Fields;
 use haptic_emulator::cases::CASES;
 use haptic_emulator::exchange::run;
 
-/// A plane that the tip does not touch; it only gives the requests their full length.
+/// A plane that the tip does not touch, with which the requests have their full length.
 const PLANE: HostContact = HostContact { point: [0.0; 3], normal: [0.0, 1.0, 0.0], stiffness: 300.0, damping: 1.0 };
 
-/// The smallest accepted rates of exchanges are a tenth below the rates measured on 2026-11-25.
+/// The smallest accepted rates are 10 % below the rates measured on 2026-11-25.
 #[test]
 fn fast_force_requests_are_all_accepted_without_missed_periods() {
     let case = CASES[0];

@@ -1,5 +1,5 @@
 //! One session with each release image, from power-on to a fault. Of the tests on the chip, only these are part of
-//! every test run; the other modules test the same functions in detail.
+//! every test run. The other modules test the same functions in detail.
 
 use std::time::Duration;
 
@@ -15,16 +15,16 @@ use haptic_emulator::inject::bridges_off;
 use haptic_emulator::results;
 use haptic_emulator::rig::Rig;
 use haptic_emulator::run::{MICROSECOND, MILLISECOND, SECOND};
-use haptic_emulator::timing::{recorded, steps};
+use haptic_emulator::timing::{recorded_lengths, steps};
 use haptic_host::link::{BoardError, Row};
 use haptic_sim::MotorInput;
 
-/// Force of the hand on the wall, N.
-const PUSH: f64 = 1.0;
-/// A row per millisecond, which fits the link under all conditions.
-const DIVIDER: u32 = 20;
+/// Force of the hand against the wall, N.
+const PUSH_N: f64 = 1.0;
+/// Divider of the stream. It gives one row per millisecond, which always fits the link.
+const ROW_DIVIDER: u32 = 20;
 
-/// Runs a session on a board that latches `fault` if its power stage's fault line is low.
+/// Runs a session with a board that latches `fault` when the fault line of its power stage is low.
 fn session(kind: BoardKind, device: &str, fault: Fault) {
     let mut rig = Rig::with_device(kind, device, |options| {
         options.friction = false;
@@ -35,31 +35,31 @@ fn session(kind: BoardKind, device: &str, fault: Fault) {
     assert_eq!(usize::from(details.axes), Wiring::of(kind).motors.len());
     assert!(details.real && details.device.is_none(), "{details:?}");
 
-    assert_eq!(refused(rig.tool.arm()), Refusal::NoDevice);
+    assert_eq!(refusal_of(rig.tool.arm()), Refusal::NoDevice);
     rig.load("");
-    assert_eq!(refused(rig.tool.arm()), Refusal::NotHomed);
+    assert_eq!(refusal_of(rig.tool.arm()), Refusal::NotHomed);
     rig.tool.home().expect("the device can be homed");
-    assert_eq!(refused(rig.tool.arm()), Refusal::PolarityUnchecked);
+    assert_eq!(refusal_of(rig.tool.arm()), Refusal::PolarityUnchecked);
 
     let head = "gravity_compensation = true\n";
     rig.prepare(head);
     let fields =
         [Field::State, Field::Distance, Field::WallForce, Field::Torque].iter().fold(0, |set, field| set | field.bit());
-    rig.tool.start_stream(Fields(fields), DIVIDER).expect("a stream starts");
+    rig.tool.start_stream(Fields(fields), ROW_DIVIDER).expect("a stream starts");
     let start = rig.with_simulated(|device| device.tip());
     let wall = WallAt { damping: 3.0, ..WallAt::facing([0.0, -1.0, 0.0]) };
     rig.set_scene(&scene(head, start, rig.file.as_ref().map_or(2, |file| file.spec().task), &[wall]));
     rig.arm();
-    rig.with_simulated(|device| push(device, [0.0, PUSH, 0.0], 0.2));
+    rig.with_simulated(|device| push(device, [0.0, PUSH_N, 0.0], 0.2));
     rig.run(SECOND);
     if let Some(case) =
         CASES.iter().find(|case| (case.board, case.device, case.scene_kind) == (kind, device, SceneKind::Wall))
     {
         let mut runs: Vec<u64> = rig.trace_control(MILLISECOND).iter().map(|run| run.path.len() as u64).collect();
         runs.sort_unstable();
-        // Crests are the longer half of the interrupts. The median leaves out the crest that checks the host, twice a second.
+        // The longer half of the interrupts are crests. Their median is no crest that checks the host (twice a second).
         let crest = runs.get(runs.len() * 3 / 4).copied();
-        let (limit, _) = recorded(&record("timing"), case).expect("the case is in the table");
+        let (limit, _) = recorded_lengths(&recorded_table("timing"), case).expect("the case is in the table");
         assert!(
             crest.is_some_and(|crest| is_within_record(crest, limit)),
             "a crest takes {crest:?} instructions, {limit} recorded"
@@ -67,29 +67,29 @@ fn session(kind: BoardKind, device: &str, fault: Fault) {
     }
     let depth = rig.with_simulated(|device| device.tip())[1] - start[1] - wall.gap;
     // The tolerance covers current sensors, encoder steps and a trembling hand.
-    assert!((depth * wall.stiffness - PUSH).abs() < 0.08 * PUSH, "{depth} m deep");
+    assert!((depth * wall.stiffness - PUSH_N).abs() < 0.08 * PUSH_N, "{depth} m deep");
 
     rig.with(|stopped| stopped.hardware().fault_line_shorted = true);
     rig.run(100 * MICROSECOND);
     assert!(rig.with(bridges_off), "the bridges are on");
     rig.run(10 * MILLISECOND);
-    assert_eq!(rig.with(|stopped| stopped.hardware().drives()), [MotorInput::Floating; 3]);
-    assert_eq!(refused(rig.tool.arm()), Refusal::Faulted(fault));
+    assert_eq!(rig.with(|stopped| stopped.hardware().motor_inputs()), [MotorInput::Floating; 3]);
+    assert_eq!(refusal_of(rig.tool.arm()), Refusal::Faulted(fault));
     let status = rig.tool.status().expect("the board replies");
     assert_eq!((status.state, status.fault.map(|record| record.fault)), (State::Fault, Some(fault)));
 
     rig.tool.stop_stream().expect("the stream stops");
     let rows = rig.tool.rows(Duration::ZERO).expect("rows came");
     check_rows(&rows, wall.stiffness);
-    assert!(rows.windows(2).all(|pair| pair[1].step == pair[0].step + DIVIDER), "a row is missing");
+    assert!(rows.windows(2).all(|pair| pair[1].step == pair[0].step + ROW_DIVIDER), "a row is missing");
     let (losses, details) = (rig.tool.losses(), rig.tool.details().expect("the board replies"));
     assert_eq!((losses.received, losses.missing, losses.garbled), (rows.len() as u64, 0, 0), "{losses:?}");
     assert_eq!(details.overruns, 0);
     assert!(rig.with(|stopped| stopped.resets().is_empty()), "{}", rig.post_mortem());
 }
 
-/// Checks the telemetry of the entire session: the states off, armed, off; no force outside the wall, and inside it the
-/// force of its stiffness.
+/// Checks the telemetry of the entire session. The states are off, armed, off. Outside the wall there is no force, and
+/// inside the wall the force is that of the stiffness.
 fn check_rows(rows: &[Row], stiffness: f64) {
     let state = |row: &Row| row.get(Field::State)[0];
     let mut states: Vec<f64> = rows.iter().map(state).collect();
@@ -99,7 +99,7 @@ fn check_rows(rows: &[Row], stiffness: f64) {
     let mean = |field| pressing.clone().map(|row| row.get(field)[0]).sum::<f64>() / 200.0;
     let (force, depth) = (mean(Field::WallForce), -mean(Field::Distance));
     assert!(
-        (force - PUSH).abs() < 0.08 * PUSH && (depth * stiffness - force).abs() < 0.02 * PUSH,
+        (force - PUSH_N).abs() < 0.08 * PUSH_N && (depth * stiffness - force).abs() < 0.02 * PUSH_N,
         "{force} N, {depth} m"
     );
     for row in rows {
@@ -110,7 +110,7 @@ fn check_rows(rows: &[Row], stiffness: f64) {
 }
 
 /// Returns a committed table of docs/results, which `cargo xtask timing` writes.
-fn record(name: &str) -> String {
+fn recorded_table(name: &str) -> String {
     std::fs::read_to_string(results(name)).expect("the table exists")
 }
 
@@ -119,14 +119,14 @@ fn is_within_record(now: u64, recorded: u64) -> bool {
     100 * now <= 101 * recorded
 }
 
-/// With `UPDATE_DOCS=1` this test writes the table again, as `cargo xtask timing` does.
+/// With `UPDATE_DOCS=1` this test writes the table again, like `cargo xtask timing`.
 #[test]
 fn control_steps_stay_within_the_recorded_instructions() {
     let now = steps();
     if std::env::var_os("UPDATE_DOCS").is_some() {
         return std::fs::write(results("timing-steps"), now).expect("the table can be written");
     }
-    let recorded = record("timing-steps");
+    let recorded = recorded_table("timing-steps");
     let number = |line: &str| line.rsplit(',').next().and_then(|cell| cell.parse::<u64>().ok());
     assert_eq!(recorded.lines().count(), now.lines().count());
     for (recorded, now) in recorded.lines().zip(now.lines()).skip(1) {
@@ -135,8 +135,7 @@ fn control_steps_stay_within_the_recorded_instructions() {
     }
 }
 
-/// Returns the refusal of a board.
-pub fn refused(outcome: Result<(), BoardError>) -> Refusal {
+pub fn refusal_of(outcome: Result<(), BoardError>) -> Refusal {
     match outcome {
         Err(BoardError::Refused(refusal)) => refusal,
         other => panic!("a refusal was expected, not {other:?}"),

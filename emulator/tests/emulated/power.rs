@@ -1,23 +1,22 @@
-//! Power cuts within the flash operations of a save, on the release image. Afterwards the board boots with the old or
-//! the new scene and all other settings, and the next save works. tests/power_cut.rs does the same with only a model of
-//! the flash, in many more states of the flash.
+//! Power cuts within the flash operations of a save, on the release image. Afterwards the board must start with the old
+//! or the new scene and all other settings, and the next save must work. tests/power_cut.rs tests many more states of
+//! the flash, with a model of the flash only.
 
 use haptic_bridge::board::protocol::SceneData;
 use haptic_emulator::boards::BoardKind;
-use haptic_emulator::image::SETTINGS;
+use haptic_emulator::image::SETTINGS_RANGE;
 use haptic_emulator::rig::Rig;
 use haptic_emulator::run::MILLISECOND;
 
-/// A number of flash operations larger than any save has.
+/// A number of flash operations that no save reaches.
 const MANY_OPERATIONS: u64 = 1 << 40;
 
-/// Loads a wall of this stiffness and saves it. Returns true if the board confirms the save.
+/// Loads a wall of `stiffness` (N/m) and saves it. Returns true if the board confirms the save.
 fn save(rig: &mut Rig, stiffness: u32) -> bool {
     rig.set_scene(&format!("[[wall]]\npoint = [0.0, 0.13]\nnormal = [0.0, -1.0]\nstiffness = {stiffness}\n"));
     rig.tool.save().is_ok()
 }
 
-/// Returns a rig with all settings saved in flash.
 fn saved_rig() -> Rig {
     let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |_| ());
     rig.load("");
@@ -26,7 +25,7 @@ fn saved_rig() -> Rig {
     rig
 }
 
-/// Returns the scene of a board, and checks that all other settings are kept.
+/// Returns the scene of a board. Asserts that all other settings are kept.
 fn scene(rig: &mut Rig) -> SceneData {
     let details = rig.tool.details().expect("the board replies");
     assert!(details.damage.is_empty(), "{:?}", details.damage);
@@ -38,39 +37,38 @@ fn scene(rig: &mut Rig) -> SceneData {
 /// Restarts the board with `words` in the sectors of its settings.
 fn restart_with(words: &[u32], rig: Rig) -> Rig {
     let words = words.to_vec();
-    rig.with(move |stopped| stopped.set_flash(SETTINGS.start, &words));
+    rig.with(move |stopped| stopped.set_flash(SETTINGS_RANGE.start, &words));
     rig.run(MILLISECOND);
-    rig.restarted()
+    rig.restart()
 }
 
-/// Cuts the power within the flash operation of this number, counted from now.
-fn cut(rig: &Rig, operation: u64) {
+/// Cuts the power within the flash operation number `operation`, counted from now.
+fn cut_power_at(rig: &Rig, operation: u64) {
     rig.with(move |stopped| stopped.hardware().chip.flash.hook.cut = Some(operation));
 }
 
-/// Returns the number of operations before the power cut.
-fn remaining(rig: &Rig) -> Option<u64> {
+fn operations_left(rig: &Rig) -> Option<u64> {
     rig.with(|stopped| stopped.hardware().chip.flash.hook.cut)
 }
 
 /// Cuts the power within every `step`th operation of a save that changes the scene. Returns the number of operations.
-fn test_cuts(step: usize, mut rig: Rig) -> u64 {
-    let flash = rig.with(|stopped| stopped.flash(SETTINGS));
+fn check_cuts(step: usize, mut rig: Rig) -> u64 {
+    let flash = rig.with(|stopped| stopped.flash(SETTINGS_RANGE));
     let old = scene(&mut rig);
-    cut(&rig, MANY_OPERATIONS);
+    cut_power_at(&rig, MANY_OPERATIONS);
     assert!(save(&mut rig, 600));
-    let operations = MANY_OPERATIONS - remaining(&rig).expect("it was set");
+    let operations = MANY_OPERATIONS - operations_left(&rig).expect("it was set");
     let new = scene(&mut rig);
     assert_ne!(old, new);
     let mut found_new = 0;
     for operation in (1..=operations).step_by(step) {
         rig = restart_with(&flash, rig);
         assert_eq!(scene(&mut rig), old);
-        cut(&rig, operation);
+        cut_power_at(&rig, operation);
         // Without power, the reply may be anything.
         save(&mut rig, 600);
-        assert_eq!(remaining(&rig), Some(0), "the power was not cut in operation {operation} of {operations}");
-        rig = rig.restarted();
+        assert_eq!(operations_left(&rig), Some(0), "the power was not cut in operation {operation} of {operations}");
+        rig = rig.restart();
         let after = scene(&mut rig);
         assert!(after == old || after == new, "after a cut in operation {operation} of {operations}: {after:?}");
         found_new += u32::from(after == new);
@@ -82,21 +80,21 @@ fn test_cuts(step: usize, mut rig: Rig) -> u64 {
     operations
 }
 
-/// Cuts every fifth operation; no pattern of the entries has this period. tests/power_cut.rs cuts every operation on a
-/// PC.
+/// Cuts every fifth operation, because no pattern of the entries has the period 5. tests/power_cut.rs cuts every
+/// operation on a PC.
 #[test]
 fn a_power_cut_in_a_save_leaves_the_old_or_the_new_scene() {
-    assert!(test_cuts(5, saved_rig()) > 20);
+    assert!(check_cuts(5, saved_rig()) > 20);
 }
 
 #[test]
 fn a_power_cut_in_a_save_with_an_erase_leaves_old_or_new() {
     let mut rig = saved_rig();
     let erased = |rig: &Rig| rig.with(|stopped| stopped.hardware().chip.flash.hook.erased.len());
-    // Saves until the next save needs an erase.
+    // Saves until a save has erased a sector.
     let mut before = Vec::new();
     for nth in 0..400 {
-        before = rig.with(|stopped| stopped.flash(SETTINGS));
+        before = rig.with(|stopped| stopped.flash(SETTINGS_RANGE));
         assert!(save(&mut rig, 500 + nth % 2), "save {nth}");
         if erased(&rig) > 0 {
             break;
@@ -104,5 +102,5 @@ fn a_power_cut_in_a_save_with_an_erase_leaves_old_or_new() {
     }
     assert_eq!(erased(&rig), 1);
     assert!(rig.with(|stopped| stopped.resets().is_empty()), "the board restarted");
-    assert!(test_cuts(37, restart_with(&before, rig)) > 100);
+    assert!(check_cuts(37, restart_with(&before, rig)) > 100);
 }

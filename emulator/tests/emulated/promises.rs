@@ -1,5 +1,5 @@
-//! The promises of docs/safety.md about the chip: off until requested, off without the processor, and a watchdog that
-//! needs all parts of the firmware.
+//! The promises of docs/safety.md about the chip: motors are off until requested and without the processor, and the
+//! watchdog needs all parts of the firmware.
 
 use std::time::Duration;
 
@@ -14,10 +14,10 @@ use haptic_emulator::plant::{Dummy, Peaks};
 use haptic_emulator::rig::{Rig, firmware};
 use haptic_emulator::run::{MICROSECOND, MILLISECOND, SECOND, VirtualBoard};
 
-use crate::gate::refused;
+use crate::gate::refusal_of;
 use crate::session::WALL;
 
-fn armed(kind: BoardKind) -> Rig {
+fn armed_rig(kind: BoardKind) -> Rig {
     let mut rig = Rig::with_device(kind, "pantograph-mk2", |_| ());
     rig.load(WALL);
     rig.ready();
@@ -27,19 +27,23 @@ fn armed(kind: BoardKind) -> Rig {
 #[test]
 fn a_reset_of_an_armed_board_leaves_the_bridges_off() {
     for kind in BoardKind::ALL {
-        let rig = armed(kind);
+        let rig = armed_rig(kind);
         assert!(!rig.with(bridges_off), "the bridges float before the reset");
         rig.with(|stopped| stopped.reset());
         rig.run(20 * MICROSECOND);
         assert!(rig.with(bridges_off), "{}", kind.name());
         rig.with(|stopped| stopped.hardware().peaks = Peaks::default());
         rig.run(40 * MILLISECOND);
-        assert!(!rig.with(|stopped| stopped.hardware().peaks.driven), "{}: within 40 ms after the reset", kind.name());
+        assert!(
+            !rig.with(|stopped| stopped.hardware().peaks.bridge_was_on),
+            "{}: within 40 ms after the reset",
+            kind.name()
+        );
     }
 }
 
-/// A current loop that runs while its bridge floats winds up. If the bridges waited for the next control step, the loop
-/// would run with a floating bridge for up to a hundred carrier periods at 200 Hz.
+/// A current loop that runs while its bridge floats winds up. If bridges waited for the next control step, the loop
+/// would run with a floating bridge for up to 100 carrier periods at 200 Hz.
 #[test]
 fn an_armed_board_drives_from_the_next_crest_at_every_rate() {
     for rate in [200, 1_000] {
@@ -57,10 +61,13 @@ fn an_armed_board_drives_from_the_next_crest_at_every_rate() {
     }
 }
 
-/// DBGMCU's freeze registers of the two peripheral buses, and their bits (RM0090 sections 38.16.4 and 38.16.5).
+/// Offset of DBGMCU's freeze register for peripheral bus 1 (RM0090 section 38.16.4).
 const APB1_FREEZE: u32 = 0x08;
+/// Offset of DBGMCU's freeze register for peripheral bus 2 (RM0090 section 38.16.5).
 const APB2_FREEZE: u32 = 0x0C;
+/// Bit that stops the watchdog while the core is halted.
 const WATCHDOG_STOPS: u64 = 1 << 12;
+/// Bits that stop TIM1 and TIM8 while the core is halted.
 const CARRIERS_STOP: u64 = 0b11;
 
 #[test]
@@ -76,17 +83,19 @@ fn a_halted_core_stops_the_carriers_and_the_watchdog() {
     }
 }
 
-/// TIM1's break and dead-time register, and its main output enable.
+/// Offset of TIM1's break and dead-time register.
 const BREAK_AND_DEAD_TIME: u32 = 0x44;
-const OUTPUTS: u64 = 1 << 15;
+/// Main output enable bit of the break and dead-time register.
+const MAIN_OUTPUT_ENABLE: u64 = 1 << 15;
 
 #[test]
 fn the_break_input_works_without_the_processor() {
-    let rig = armed(BoardKind::HBridgeF405);
-    let outputs = || rig.with(|stopped| stopped.hardware().chip.register("TIM1", BREAK_AND_DEAD_TIME) & OUTPUTS);
+    let rig = armed_rig(BoardKind::HBridgeF405);
+    let outputs =
+        || rig.with(|stopped| stopped.hardware().chip.register("TIM1", BREAK_AND_DEAD_TIME) & MAIN_OUTPUT_ENABLE);
     let executed = || rig.shared.board().instructions();
-    assert_eq!(outputs(), OUTPUTS);
-    rig.with(|stopped| stopped.hold(true));
+    assert_eq!(outputs(), MAIN_OUTPUT_ENABLE);
+    rig.with(|stopped| stopped.hold_core(true));
     rig.run(MICROSECOND);
     let before = executed();
     rig.with(|stopped| stopped.hardware().fault_line_shorted = true);
@@ -95,26 +104,29 @@ fn the_break_input_works_without_the_processor() {
     assert_eq!(executed(), before, "the processor executed instructions");
 }
 
-/// Tests each image on every other board. PB12 is EN_GATE on one board and the break input, pulled up, on
-/// another; PC6 is an axis's gate or the enable line; PA9 is a gate or has the cable's 5 V. On a Discovery board with a
-/// 3.3 V supply, an accelerometer may hold the pin of an ODrive's divider, and a microphone the pin of a module's.
+/// Tests each image on every other board. PB12 is EN_GATE on one board and the pulled-up break input on another. PC6 is
+/// an axis's gate or the enable line. PA9 is a gate or carries the cable's 5 V. On a Discovery board with a 3.3 V
+/// supply, an accelerometer may hold the pin of an ODrive's divider, and a microphone the pin of a module's divider.
 #[test]
 fn an_image_on_the_wrong_board_does_not_touch_its_power_stage() {
     let [odrive, module, discovery] = [BoardKind::OdriveV3, BoardKind::HBridgeF405, BoardKind::HBridgeF407Disc1];
     let [odrive_wires, module_wires, discovery_wires] = [odrive, module, discovery].map(Wiring::of);
-    let with = |held| -> &'static Wiring { Box::leak(Box::new(Wiring { held, supply_mv: 3300, ..*discovery_wires })) };
+    let with = |pins_held_high| -> &'static Wiring {
+        Box::leak(Box::new(Wiring { pins_held_high, supply_mv: 3300, ..*discovery_wires }))
+    };
     for (kind, board, strange) in [
         (odrive, module_wires, 0x06),
         (module, odrive_wires, 0x23),
-        (odrive, with(discovery_wires.held), 0x06),
+        (odrive, with(discovery_wires.pins_held_high), 0x06),
         (odrive, with(&[Pin('B', 9), Pin('A', 6)]), 0x25),
-        (module, with(discovery_wires.held), 0x23),
+        (module, with(discovery_wires.pins_held_high), 0x23),
         (module, with(&[Pin('B', 9), Pin('C', 3)]), 0x19),
         (discovery, odrive_wires, 0x24),
         (discovery, module_wires, 0x24),
     ] {
         let mut rig = Rig::on_other_board(kind, board, "pantograph-mk2");
-        let untouched = |rig: &Rig| rig.with(|stopped| !stopped.hardware().peaks.touched && bridges_off(stopped));
+        let untouched =
+            |rig: &Rig| rig.with(|stopped| !stopped.hardware().peaks.power_pin_was_driven && bridges_off(stopped));
         assert!(untouched(&rig), "{} on {}", kind.name(), board.name);
         let fault_of = |rig: &mut Rig| {
             let status = rig.tool.status().expect("the board replies");
@@ -123,21 +135,21 @@ fn an_image_on_the_wrong_board_does_not_touch_its_power_stage() {
         assert_eq!(fault_of(&mut rig), Some((Fault::WrongBoard, strange)), "{} on {}", kind.name(), board.name);
         assert_eq!(rig.tool.info().board.as_str(), kind.name());
         rig.load("");
-        assert_eq!(refused(rig.tool.arm()), Refusal::Faulted(Fault::WrongBoard));
-        // The board stays wrong after clearing. An image that reads the bus voltage from the wrong pin may also refuse
+        assert_eq!(refusal_of(rig.tool.arm()), Refusal::Faulted(Fault::WrongBoard));
+        // The board is still wrong after clearing. An image that reads the bus voltage from the wrong pin may refuse
         // for that reason.
         rig.tool.clear().expect("the fault clears");
         rig.tool.home().expect("homed");
-        let again = refused(rig.tool.check_polarity());
+        let again = refusal_of(rig.tool.check_polarity());
         assert!(matches!(again, Refusal::Faulted(Fault::WrongBoard) | Refusal::BusVoltage), "{again}");
         rig.run(SECOND / 10);
-        rig = rig.restarted();
+        rig = rig.restart();
         assert_eq!(fault_of(&mut rig), Some((Fault::WrongBoard, strange)));
         assert!(untouched(&rig), "{} on {}", kind.name(), board.name);
     }
 }
 
-/// Images for boards with 3.3 V wait for a higher supply voltage than a Discovery board (3 V) has.
+/// Images for 3.3 V boards wait for a higher supply voltage than the 3 V of a Discovery board.
 #[test]
 fn images_of_other_boards_do_not_start_at_three_volts() {
     let wires = Wiring::of(BoardKind::HBridgeF407Disc1);
@@ -145,18 +157,19 @@ fn images_of_other_boards_do_not_start_at_three_volts() {
         let hardware = Hardware::new(wires, Box::new(Dummy::default())).expect("the board's description is sound");
         let mut board = VirtualBoard::start(firmware(kind), hardware).expect("the image starts");
         board.run(SECOND);
-        let (ready, touched) = board.with(|stopped| (stopped.usb().ready(), stopped.hardware().peaks.touched));
+        let (ready, touched) =
+            board.with(|stopped| (stopped.usb().is_ready(), stopped.hardware().peaks.power_pin_was_driven));
         assert!(!ready && !touched, "{}", kind.name());
     }
 }
 
-/// Only an interrupt of the supply monitor is this fast: the running step could last up to a period.
+/// Only the supply monitor's interrupt is this fast, because the running step could last up to a period.
 #[test]
 fn a_falling_supply_floats_the_bridges_within_a_control_step() {
     for kind in BoardKind::ALL {
-        let rig = armed(kind);
+        let rig = armed_rig(kind);
         after_crest(&rig, 3);
-        rig.with(|stopped| stopped.supply(2_600));
+        rig.with(|stopped| stopped.set_supply(2_600));
         let fell = rig.now();
         while !rig.with(bridges_off) {
             rig.run(MICROSECOND / 10);
@@ -166,12 +179,12 @@ fn a_falling_supply_floats_the_bridges_within_a_control_step() {
     }
 }
 
-/// A held core executes nothing while carrier and duties continue, like a core that is locked up.
+/// A held core executes nothing while carrier and duties continue, like a locked-up core.
 #[test]
 fn a_halted_core_is_reset_within_twenty_milliseconds() {
     for kind in BoardKind::ALL {
-        let rig = armed(kind);
-        rig.with(|stopped| stopped.hold(true));
+        let rig = armed_rig(kind);
+        rig.with(|stopped| stopped.hold_core(true));
         rig.run(20 * MILLISECOND);
         assert_eq!(rig.with(|stopped| stopped.resets().len()), 1, "{}", kind.name());
         assert!(rig.with(bridges_off), "{}", kind.name());
@@ -179,34 +192,34 @@ fn a_halted_core_is_reset_within_twenty_milliseconds() {
 }
 
 /// Returns code that stores each value at its address and then continues with the task.
-fn stores(values: &[(u32, u32)], task: u32) -> Vec<u32> {
+fn store_code(values: &[(u32, u32)], task: u32) -> Vec<u32> {
     let mut code = Vec::new();
     let literals = 2 * values.len() as u32 + 1;
     for nth in 0..values.len() as u32 {
-        // Offset in words from the program counter, which is a word ahead, to the literals.
+        // The offset to the literals is in words, from the program counter, which is one word ahead.
         let to = literals + 2 * nth - (2 * nth + 1);
-        // ldr r2, [pc, #value]; ldr r3, [pc, #address]; str r2, [r3]; nop.
+        // The code is `ldr r2, [pc, #value]; ldr r3, [pc, #address]; str r2, [r3]; nop`.
         code.extend([(0x4B00 | (to + 1)) << 16 | 0x4A00 | to, 0xBF00_601A]);
     }
-    // ldr.w pc, [pc, #task].
+    // The code is `ldr.w pc, [pc, #task]`.
     code.push((0xF000 | (8 * values.len() as u32)) << 16 | 0xF8DF);
     code.extend(values.iter().flat_map(|(value, address)| [*value, *address]));
     code.push(task);
     code
 }
 
-/// Addresses of the advanced timers and of the ports with gate pins.
 const TIMERS: [(&str, u32); 2] = [("TIM1", 0x4001_0000), ("TIM8", 0x4001_0400)];
 const PORTS: [(&str, u32); 4] =
     [("GPIOA", 0x4002_0000), ("GPIOB", 0x4002_0400), ("GPIOC", 0x4002_0800), ("GPIOE", 0x4002_1000)];
-/// CCMR1, CCMR2, CCER and BDTR of a timer; MODER and PUPDR of a port.
+/// Offsets of CCMR1, CCMR2, CCER and BDTR of a timer.
 const TIMER_DRIVE_REGISTERS: [u32; 4] = [0x18, 0x1C, 0x20, BREAK_AND_DEAD_TIME];
+/// Offsets of MODER and PUPDR of a port.
 const PIN_DRIVE_REGISTERS: [u32; 2] = [0x00, 0x0C];
 
 #[test]
 fn no_code_can_change_how_gates_are_driven() {
     for kind in BoardKind::ALL {
-        let mut rig = armed(kind);
+        let mut rig = armed_rig(kind);
         rig.tool.disarm().expect("the board disarms");
         let timers = if kind == BoardKind::OdriveV3 { &TIMERS[..] } else { &TIMERS[..1] };
         let registers = timers.iter().map(|timer| (timer, &TIMER_DRIVE_REGISTERS[..]));
@@ -222,7 +235,7 @@ fn no_code_can_change_how_gates_are_driven() {
             })
         };
         let before = read_registers(&rig);
-        let power = rig.kind.power;
+        let power = rig.kind.power_pins;
         let changed: Vec<(u32, u32)> = registers
             .iter()
             .zip(&before)
@@ -230,30 +243,30 @@ fn no_code_can_change_how_gates_are_driven() {
                 let pins = power.iter().filter(|pin| name.ends_with(pin.0)).map(|pin| 0b11 << (2 * pin.1));
                 let fields = pins.fold(0, |all, field| all | field);
                 let value = match *at {
-                    // CCER: inverted outputs; BDTR: no dead time and no break.
+                    // CCER: inverted outputs. BDTR: no dead time and no break.
                     0x20 => value ^ 0xAAA,
                     BREAK_AND_DEAD_TIME => 0,
-                    // CCMR: channels active at every count.
+                    // CCMR: channels that are active at every count.
                     at if !name.starts_with("GPIO") => value | if at == 0x18 { 0x5050 } else { 0x0050 },
-                    // MODER: outputs; PUPDR: pull-ups.
+                    // MODER: outputs. PUPDR: pull-ups.
                     _ => value & !fields | fields & 0x5555_5555,
                 };
                 (value, *address)
             })
             .collect();
-        run_instead(&rig, "10supervisor9supervise4POOL", move |task| stores(&changed, task));
+        run_instead(&rig, "10supervisor9supervise4POOL", move |task| store_code(&changed, task));
         rig.run(50 * MILLISECOND);
         assert_eq!(read_registers(&rig), before, "{}", kind.name());
     }
 }
 
-/// Replaces a task of an armed board: the watchdog must reset the board after `least` to `most` ms, and the board must
-/// report this.
+/// Replaces the task `task` of an armed board by `code`. The watchdog must reset the board after `least` to `most` ms,
+/// and the board must report the reset.
 fn check_watchdog(task: &'static str, code: impl FnOnce(u32) -> Vec<u32>, least: u64, most: u64) {
     check_watchdog_at(20_000, task, code, least, most);
 }
 
-/// Like [`check_watchdog`], at another control rate (Hz).
+/// Like [`check_watchdog`], at the control rate `rate` (Hz).
 fn check_watchdog_at(rate: u32, task: &'static str, code: impl FnOnce(u32) -> Vec<u32>, least: u64, most: u64) {
     let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |_| ());
     rig.load(&format!("rate_hz = {rate}\ncutoff_hz = 50\n{WALL}"));
@@ -268,7 +281,7 @@ fn check_watchdog_at(rate: u32, task: &'static str, code: impl FnOnce(u32) -> Ve
     assert!(rig.now() > began + least * MILLISECOND, "a reset after {} ns", rig.now() - began);
     rig.run(MILLISECOND);
     assert!(rig.with(bridges_off), "bridges are on after the reset");
-    let ready = rig.shared.board().run_until(2 * SECOND, MILLISECOND, |stopped| stopped.usb().ready());
+    let ready = rig.shared.board().run_until(2 * SECOND, MILLISECOND, |stopped| stopped.usb().is_ready());
     assert!(ready, "the port is gone");
     rig.tool = haptic_host::link::Board::over(rig.shared.wire(), "again").expect("the board replies");
     let status = rig.tool.status().expect("the board replies");
@@ -276,33 +289,33 @@ fn check_watchdog_at(rate: u32, task: &'static str, code: impl FnOnce(u32) -> Ve
 }
 
 #[test]
-fn the_watchdog_bites_when_the_control_interrupt_stops() {
-    // Disables interrupt 25 of the controller (TIM1's update, RM0090 table 61), then continues with the task: ldr r2,
-    // [pc, #8]; ldr r3, [pc, #12]; str r2, [r3]; nop; ldr.w pc, [pc, #8].
+fn a_stopped_control_interrupt_causes_a_watchdog_reset() {
+    // The code disables interrupt 25 (TIM1's update, RM0090 table 61) and then continues with the task: ldr r2, [pc,
+    // #8]; ldr r3, [pc, #12]; str r2, [r3]; nop; ldr.w pc, [pc, #8].
     let stub = |task| vec![0x4B03_4A02, 0xBF00_601A, 0xF008_F8DF, 1 << 25, 0xE000_E180, task];
     check_watchdog("10supervisor9supervise4POOL", stub, 3, 30);
 }
 
 #[test]
-fn the_watchdog_bites_when_the_link_task_stops() {
-    // bx lr: the task returns without a sign of life. The watchdog allows this task a second without one.
+fn a_stopped_link_task_causes_a_watchdog_reset() {
+    // The code `bx lr` returns without a sign of life. The watchdog allows this task a second without one.
     check_watchdog("4link5serve4POOL", |_| vec![0x4770_4770], 900, 2_000);
 }
 
 #[test]
-fn the_watchdog_bites_when_the_control_interrupt_is_too_fast() {
-    // Changes TIM1's carrier from 20 to 25 kHz with its auto-reload register, and starts the converters a tick before
-    // the crest with channel 4's compare register (subs r2, #1; str r2, [r3, #20]); then continues with the task, as
-    // above.
+fn a_fast_control_interrupt_causes_a_watchdog_reset() {
+    // The code changes TIM1's carrier from 20 to 25 kHz with the auto-reload register. It also starts the converters a
+    // tick before the crest with channel 4's compare register (subs r2, #1; str r2, [r3, #20]). Then it continues with
+    // the task.
     let stub = |task| vec![0x4B04_4A03, 0x3A01_601A, 0xBF00_615A, 0xF008_F8DF, 3360, 0x4001_002C, task];
     check_watchdog("10supervisor9supervise4POOL", stub, 40, 300);
-    // A check after 20 ms then has 20 steps, 5 too many: detected over 80 steps.
+    // A check every 20 ms then counts 25 steps instead of 20, which is detected over 80 steps.
     check_watchdog_at(1_000, "10supervisor9supervise4POOL", stub, 40, 400);
 }
 
 #[test]
-fn the_watchdog_bites_when_the_control_interrupt_is_too_slow() {
-    // As above, with a carrier of 16 kHz.
+fn a_slow_control_interrupt_causes_a_watchdog_reset() {
+    // The code is that of the test for 25 kHz, with a carrier of 16 kHz.
     let stub = |task| vec![0x4B04_4A03, 0x3A01_601A, 0xBF00_615A, 0xF008_F8DF, 5250, 0x4001_002C, task];
     check_watchdog("10supervisor9supervise4POOL", stub, 40, 300);
     check_watchdog_at(1_000, "10supervisor9supervise4POOL", stub, 40, 400);
@@ -310,34 +323,37 @@ fn the_watchdog_bites_when_the_control_interrupt_is_too_slow() {
 
 #[test]
 fn a_board_with_a_low_supply_stays_off_and_reports_it() {
-    let mut rig = armed(BoardKind::OdriveV3);
-    rig.with(|stopped| stopped.supply(2700));
+    let mut rig = armed_rig(BoardKind::OdriveV3);
+    rig.with(|stopped| stopped.set_supply(2700));
     rig.run(100 * MICROSECOND);
     let steps = rig.with(|stopped| stopped.resets().len());
     for _ in 0..1_000 {
         assert!(rig.with(bridges_off), "bridges are on after {} ns", rig.now());
         rig.run(100 * MICROSECOND);
     }
-    let (resets, ready) = rig.with(|stopped| (stopped.resets().len(), stopped.usb().ready()));
+    let (resets, ready) = rig.with(|stopped| (stopped.resets().len(), stopped.usb().is_ready()));
     assert!(resets == steps && !ready, "{resets} resets; the board runs with a low supply");
-    rig.with(|stopped| stopped.supply(3300));
-    assert!(rig.shared.board().run_until(2 * SECOND, MILLISECOND, |stopped| stopped.usb().ready()), "the port is gone");
+    rig.with(|stopped| stopped.set_supply(3300));
+    assert!(
+        rig.shared.board().run_until(2 * SECOND, MILLISECOND, |stopped| stopped.usb().is_ready()),
+        "the port is gone"
+    );
     rig.tool = haptic_host::link::Board::over(rig.shared.wire(), "again").expect("the board replies");
     let status = rig.tool.status().expect("the board replies");
     assert_eq!((status.state, status.fault.map(|record| record.fault)), (State::Fault, Some(Fault::SupplyDip)));
 }
 
 #[test]
-fn the_watchdog_does_not_bite_an_idle_board() {
-    let mut rig = armed(BoardKind::OdriveV3);
+fn an_idle_board_has_no_watchdog_reset() {
+    let mut rig = armed_rig(BoardKind::OdriveV3);
     let _ = rig.tool.rows(Duration::from_millis(10));
     rig.run(2 * SECOND);
     assert_eq!(rig.with(|stopped| stopped.resets().len()), 0);
     assert_eq!(rig.tool.status().expect("the board replies").state, State::Armed);
 }
 
-/// The board computes the effect of a single count on a velocity by simulation when the request arrives, and does not
-/// feed the watchdog meanwhile.
+/// When the request arrives, the board simulates the effect of a single count on a velocity. It does not feed the
+/// watchdog meanwhile.
 #[test]
 fn a_request_for_the_slowest_velocities_is_fast_enough() {
     let slow = |window| Estimator::Difference(Chosen { value: window, filtered: true });
@@ -355,7 +371,7 @@ fn a_request_for_the_slowest_velocities_is_fast_enough() {
 
 #[test]
 fn limits_are_raised_only_while_the_motors_are_off() {
-    let mut rig = armed(BoardKind::OdriveV3);
+    let mut rig = armed_rig(BoardKind::OdriveV3);
     let own = rig.tool.rules().expect("the board replies");
     let with_torque = |factor: f32| {
         let mut rules = own;
@@ -363,11 +379,11 @@ fn limits_are_raised_only_while_the_motors_are_off() {
         rules
     };
     rig.tool.set_rules(&with_torque(0.5)).expect("lowered while armed");
-    assert_eq!(refused(rig.tool.set_rules(&own)), Refusal::Armed);
+    assert_eq!(refusal_of(rig.tool.set_rules(&own)), Refusal::Armed);
     assert_eq!(rig.tool.rules().expect("the board replies"), with_torque(0.5), "a refused request changed the rules");
     rig.tool.disarm().expect("the board disarms");
     rig.tool.set_rules(&own).expect("raised with the motors off");
-    let raised = refused(rig.tool.set_rules(&with_torque(1.01)));
+    let raised = refusal_of(rig.tool.set_rules(&with_torque(1.01)));
     assert!(matches!(raised, Refusal::BadLimit(bad) if bad.joint == Some(0)), "above the board's limits: {raised}");
 }
 
@@ -375,7 +391,7 @@ fn limits_are_raised_only_while_the_motors_are_off() {
 fn torque_rises_over_half_a_second_after_arming() {
     let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |_| ());
     rig.prepare("");
-    // A spring to a point 2 cm away from a held tip: its torque is constant except for the ramp.
+    // A spring to a point 2 cm away from a held tip has a constant torque except for the ramp.
     let [x, y, _] = rig.with_simulated(|device| device.tip());
     rig.set_scene(&format!("[[spring]]\npoint = [{:?}, {y:?}]\nstiffness = 20.0\ndamping = 0.0\n", x + 0.02));
     rig.tool.start_stream(Fields(Field::Torque.bit()), 20).expect("a stream starts");
@@ -388,7 +404,7 @@ fn torque_rises_over_half_a_second_after_arming() {
     let armed = torques.iter().position(|torque| *torque > 0.0).expect("torque after arming");
     let full = torques[armed + 600];
     assert!(full > 1e-3, "{full} N m");
-    // One row per millisecond.
+    // There is one row per millisecond.
     for (after, share) in [(5, 0.01), (50, 0.1), (250, 0.5), (450, 0.9), (550, 1.0)] {
         let risen = torques[armed + after] / full;
         assert!((risen - share).abs() < 0.02, "{risen} of the torque after {after} ms");

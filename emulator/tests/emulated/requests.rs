@@ -1,5 +1,5 @@
-//! A refused request changes nothing: sends the firmware every request that its state refuses, and checks the bridges'
-//! pins and the board's data. Tests of the library (tests/service.rs) check the text of each refusal.
+//! A refused request changes nothing. The firmware gets every request that its state refuses, and the bridges' pins and
+//! the board's data are checked. tests/service.rs checks the text of each refusal.
 
 use haptic_bridge::board::protocol::TableChunk;
 use haptic_bridge::board::settings::{self, Key};
@@ -16,33 +16,32 @@ use haptic_host::link::{Board, BoardError};
 
 use crate::session::WALL;
 
-/// A request with its name.
+/// Name of a request, and a function that sends the request.
 type Request = (&'static str, fn(&mut Board) -> Result<(), BoardError>);
 
 fn gains(wall: u8, stiffness: f32) -> Gains<f32> {
     Gains { wall, stiffness, damping: 1.0, feed_forward: FeedForward::Full, washout_hz: 2.0 }
 }
 
-/// Sends the present rules with a change.
 fn rules_with(board: &mut Board, change: impl Fn(&mut Rules)) -> Result<(), BoardError> {
     let mut rules = board.rules()?;
     change(&mut rules);
     board.set_rules(&rules)
 }
 
-/// Sends the present scene with another rate.
-fn another_rate(board: &mut Board) -> Result<(), BoardError> {
+/// Sends the present scene with half the control rate.
+fn set_half_rate(board: &mut Board) -> Result<(), BoardError> {
     let mut scene = board.scene()?.expect("a scene");
     scene.rate_hz *= 0.5;
     board.set_scene(&scene)
 }
 
-fn table(board: &mut Board) -> Result<(), BoardError> {
+fn set_unsent_table(board: &mut Board) -> Result<(), BoardError> {
     let grid = Grid { interpolation: Interpolation::Bilinear, points: [2, 2], low: [0.0; 2], spacing: [0.5; 2] };
     board.set_mass_model(&MassModelData::Table(grid, 1))
 }
 
-fn stage(board: &mut Board) -> Result<(), BoardError> {
+fn stage_rules(board: &mut Board) -> Result<(), BoardError> {
     let rules = board.rules()?;
     board.stage_entry(Key::Rules, settings::encode(&rules).expect("rules fit an entry"))
 }
@@ -53,7 +52,7 @@ const ALWAYS_REFUSED: &[Request] = &[
     ("rules that are not numbers", |board| rules_with(board, |rules| rules.limits.power = f32::NAN)),
     ("gains of a wall that does not exist", |board| board.set_wall_gains(gains(9, 300.0))),
     ("gains that are not numbers", |board| board.set_wall_gains(gains(0, f32::NAN))),
-    ("a table that was not sent", table),
+    ("a table that was not sent", set_unsent_table),
     ("a table that starts in its middle", |board| {
         board.send_table(&TableChunk { offset: 7, values: [1.0].into_iter().collect() })
     }),
@@ -61,7 +60,7 @@ const ALWAYS_REFUSED: &[Request] = &[
     ("a damaged entry", |board| board.stage_entry(Key::Rules, [1, 2, 3].into_iter().collect())),
 ];
 
-/// Requests that turn the motors on or prepare the board for that. They require motors off, no fault, and a device.
+/// Requests that turn the motors on or prepare for that. They require motors off, no fault, and a device.
 const NEED_READINESS: &[Request] =
     &[("arm", Board::arm), ("check polarity", Board::check_polarity), ("home", Board::home)];
 
@@ -74,8 +73,8 @@ const NEED_MOTORS_OFF: &[Request] = &[
     }),
     ("mass model", |board| board.set_mass_model(&MassModelData::Exact)),
     ("piece of a table", |board| board.send_table(&TableChunk { offset: 0, values: [1.0].into_iter().collect() })),
-    ("stage", stage),
-    ("scene of another rate", another_rate),
+    ("stage", stage_rules),
+    ("scene of another rate", set_half_rate),
     ("more power", |board| rules_with(board, |rules| rules.limits.power *= 2.0)),
     ("more speed", |board| rules_with(board, |rules| rules.limits.speed = rules.limits.speed.map(|speed| 2.0 * speed))),
     ("more current", |board| {
@@ -83,7 +82,7 @@ const NEED_MOTORS_OFF: &[Request] = &[
     }),
 ];
 
-/// Returns everything that a tool can read from a board, except the time.
+/// Returns everything that a tool can read from a board, except times.
 fn contents(board: &mut Board) -> String {
     let status = board.status().expect("the board replies");
     let state = (status.state, status.homed, status.polarity, status.fault);
@@ -94,7 +93,7 @@ fn contents(board: &mut Board) -> String {
     format!("{state:?} {device:?} {scene:?} {rules:?} {entries:?}")
 }
 
-/// Sends requests that the board must refuse, and checks its pins and data after each.
+/// Sends requests that the board must refuse, and checks the board's pins and data after each request.
 fn check_refused(rig: &mut Rig, state: State, requests: &[Request]) {
     assert_eq!(rig.tool.status().expect("the board replies").state, state);
     let driving = state.drives();
@@ -110,7 +109,7 @@ fn check_refused(rig: &mut Rig, state: State, requests: &[Request]) {
     }
 }
 
-fn ready(kind: BoardKind) -> Rig {
+fn homed_rig(kind: BoardKind) -> Rig {
     let mut rig = Rig::with_device(kind, "pantograph-mk2", |_| ());
     rig.load(WALL);
     rig.tool.home().expect("the device can be homed");
@@ -129,14 +128,14 @@ fn refused_requests_change_neither_pins_nor_data() {
         rig.load(WALL);
         check_refused(&mut rig, State::Disarmed, &[("arm, not homed", Board::arm)]);
 
-        let mut rig = ready(kind);
+        let mut rig = homed_rig(kind);
         check_refused(&mut rig, State::Disarmed, ALWAYS_REFUSED);
         rig.tool.check_polarity().expect("the polarity check starts");
         rig.run(20 * MILLISECOND);
         check_refused(&mut rig, State::CheckingPolarity, NEED_READINESS);
         check_refused(&mut rig, State::CheckingPolarity, NEED_MOTORS_OFF);
 
-        let mut rig = ready(kind);
+        let mut rig = homed_rig(kind);
         rig.check_polarity();
         rig.arm();
         check_refused(&mut rig, State::Armed, ALWAYS_REFUSED);

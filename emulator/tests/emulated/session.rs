@@ -1,4 +1,4 @@
-//! The settings that a board stores, and the free stack in the largest session.
+//! Saved settings survive a reset, and the largest session leaves stack free.
 
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::precomputed::{Interpolation, TableChunk};
@@ -21,7 +21,7 @@ fn settings_survive_a_reset() {
         let (device, scene) = (rig.tool.device().expect("it replies"), rig.tool.scene().expect("it replies"));
         rig.tool.save().expect("the settings are written");
 
-        let mut rig = rig.restarted();
+        let mut rig = rig.restart();
         let details = rig.tool.details().expect("the board replies");
         assert_eq!(details.name.as_str(), "left hand");
         assert!(details.damage.is_empty(), "{:?}", details.damage);
@@ -36,11 +36,10 @@ fn unsaved_changes_are_lost_in_a_reset() {
     let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |_| ());
     rig.load(WALL);
     rig.run(SECOND / 10);
-    let mut rig = rig.restarted();
+    let mut rig = rig.restart();
     assert_eq!(rig.tool.device().expect("it replies"), None);
 }
 
-/// Sends a table of masses of the largest size.
 fn send_largest_table(rig: &mut Rig) {
     let file = rig.file.as_ref().expect("a device at the connectors");
     let device = Device::<f64>::new(&file.name, &file.description).expect("a device");

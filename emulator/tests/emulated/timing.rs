@@ -1,23 +1,23 @@
-//! The control interrupt takes at most 3 % more instructions than recorded in docs/results/timing.csv.
+//! The control interrupt takes at most 3 % more instructions than docs/results/timing.csv records.
 
 use haptic_emulator::cases::CASES;
 use haptic_emulator::results;
-use haptic_emulator::timing::recorded;
+use haptic_emulator::timing::recorded_lengths;
 
-/// Largest permitted ratio to the recorded instructions. If it is exceeded, examine the cause and run
-/// `cargo xtask timing`.
-const GROWTH: f64 = 1.03;
+/// Largest permitted ratio to the recorded instructions. If it is exceeded, find the cause and run `cargo xtask
+/// timing`.
+const MAX_INSTRUCTION_RATIO: f64 = 1.03;
 
 fn stays_within_record(nth: usize) {
     let case = CASES[nth];
     let text = std::fs::read_to_string(results("timing")).expect("docs/results/timing.csv exists");
-    let (longest, valley) = recorded(&text, &case).expect("the case is in the table");
+    let (longest, valley) = recorded_lengths(&text, &case).expect("the case is in the table");
     let timing = case.measure();
     println!("{}: {timing:?}", case.name());
-    assert!(timing.periods > 200, "{timing:?}");
-    let allowed = |recorded: u64| (recorded as f64 * GROWTH) as u64;
-    assert!(timing.longest <= allowed(longest), "{}: {longest} recorded, {timing:?}", case.name());
-    assert!(timing.valley <= allowed(valley), "{}: {valley} recorded, {timing:?}", case.name());
+    assert!(timing.steps > 200, "{timing:?}");
+    let allowed = |recorded: u64| (recorded as f64 * MAX_INSTRUCTION_RATIO) as u64;
+    assert!(timing.longest_step <= allowed(longest), "{}: {longest} recorded, {timing:?}", case.name());
+    assert!(timing.longest_valley <= allowed(valley), "{}: {valley} recorded, {timing:?}", case.name());
 }
 
 #[test]

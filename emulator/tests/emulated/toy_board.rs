@@ -1,6 +1,6 @@
-//! The smallest board: one H-bridge on channel 1 of TIM1, one encoder on TIM4, one current sensor. The firmware
-//! compiles this file with its feature `toy-board`; `toy.rs` runs the image. An example of a board's implementation,
-//! not a wiring for real motors: it has no break input.
+//! The smallest board: one H-bridge on channel 1 of TIM1, one encoder on TIM4, and one current sensor. The firmware
+//! compiles this file with its feature `toy-board`, and `toy.rs` runs the image. The file is an example of an
+//! implementation, not a wiring for real motors, because it has no break input.
 
 use embassy_stm32::gpio::{Flex, Level, Output, Speed};
 use embassy_stm32::{Peripherals, pac, peripherals, rcc};
@@ -20,27 +20,26 @@ use crate::index;
 use crate::pwm;
 use crate::zeros::{Zeroing, Zeros, learn_or_check_zeros};
 
-/// Amperes per count of the converter: 0.2 V/A.
+/// Amperes per count of the converter, from 0.2 V/A.
 const AMPERES_PER_COUNT: f32 = adc::REFERENCE_V / adc::FULL_SCALE / 0.2;
 
-/// Volts per count of the converter: a divider of 11:1.
+/// Volts per count of the converter, from a divider of 11:1.
 const VOLTS_PER_COUNT: f32 = adc::REFERENCE_V / adc::FULL_SCALE * 11.0;
 
 /// Largest deviation of the current sensor's zero from the middle of the range, counts.
 const ZERO_MAX: u16 = 136;
 
-/// Index input: a bit of port C.
+/// Bit of the index input in port C.
 const INDEX_LINES: [u32; 1] = [1 << 9];
 
 /// Bit of the bridge's enable line in port C.
 const ENABLE: usize = 6;
 
-/// This board.
 pub struct ToyBoard;
 
 impl Board for ToyBoard {
     const NAME: &'static str = "toy-board";
-    /// Pin of the bus divider.
+    /// The pin of the bus divider identifies the board.
     const IDENTITY: IdentityPins = IdentityPins { held: &[Pin::new('C', 3)], open: &[] };
     const AXES: usize = 1;
     const BRIDGE: Bridge =
@@ -90,7 +89,7 @@ impl Board for ToyBoard {
 /// The hardware that the control interrupt owns.
 pub struct Pins {
     zeros: Zeros<1>,
-    /// Offset of the sensor's reading, A.
+    /// Offset of the current sensor's reading, A.
     offset: f32,
     carrier: Carrier,
 }
@@ -161,7 +160,7 @@ impl Io for Pins {
     }
 }
 
-/// The hardware that tasks own. Only the current sensor's zero must be made ready.
+/// The hardware that tasks own. Only the current sensor's zero must be measured before arming.
 pub struct EnableLine;
 
 impl Gate for EnableLine {

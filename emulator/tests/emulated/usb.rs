@@ -1,4 +1,4 @@
-//! Events at the USB cable and the computer that must not disturb a board.
+//! Events at the USB cable and the computer must not disturb a board.
 
 use std::io;
 use std::sync::{Arc, Mutex};
@@ -18,12 +18,12 @@ use haptic_sim::{MotorInput, NoisyWire, Random};
 
 use crate::session::WALL;
 
-fn replies(rig: &Rig) -> bool {
+fn is_replying(rig: &Rig) -> bool {
     Board::over(rig.shared.wire(), "again").is_ok()
 }
 
 fn wait_until_ready(rig: &Rig) {
-    let ready = rig.shared.board().run_until(2 * SECOND, MILLISECOND, |stopped| stopped.usb().ready());
+    let ready = rig.shared.board().run_until(2 * SECOND, MILLISECOND, |stopped| stopped.usb().is_ready());
     assert!(ready, "no port after two seconds: {:?}", rig.with(|stopped| stopped.usb().log().to_vec()));
 }
 
@@ -35,7 +35,7 @@ fn a_board_replies_after_each_replug() {
         rig.run(200 * MILLISECOND);
         rig.with(|stopped| stopped.usb().plug(true));
         wait_until_ready(&rig);
-        assert!(replies(&rig));
+        assert!(is_replying(&rig));
     }
     let resets = rig.with(|stopped| stopped.resets().len());
     assert_eq!(resets, 0, "the chip itself never restarted");
@@ -48,7 +48,7 @@ fn a_board_resumes_with_its_computer() {
     rig.run(500 * MILLISECOND);
     rig.with(|stopped| stopped.usb().suspend(false));
     rig.run(100 * MILLISECOND);
-    assert!(replies(&rig));
+    assert!(is_replying(&rig));
     let log = rig.with(|stopped| stopped.usb().log().to_vec());
     assert!(log.iter().any(|(_, event)| *event == Event::Suspended), "{log:?}");
     assert!(log.iter().any(|(_, event)| *event == Event::Resumed), "{log:?}");
@@ -64,7 +64,7 @@ fn usb_requests_unknown_to_serial_ports_are_stalled() {
     let refused = rig.with(|stopped| stopped.usb().take_replies());
     assert_eq!(refused.len(), 3);
     assert!(refused.iter().all(Result::is_err), "{refused:?}");
-    assert!(replies(&rig));
+    assert!(is_replying(&rig));
     assert_eq!(rig.with(|stopped| stopped.resets().len()), 0);
 }
 
@@ -80,7 +80,7 @@ fn a_board_keeps_running_if_its_computer_stops_reading() {
     rig.with(|stopped| stopped.usb().read_port(true));
     rig.run(200 * MILLISECOND);
     let status = rig.tool.status().expect("the board replies");
-    // At least 1.2 s at 20 kHz: the control step did not wait.
+    // 24,000 steps are 1.2 s at 20 kHz, so the control step did not wait.
     assert!(status.step - before > 24_000, "{} steps", status.step - before);
     assert_eq!(status.fault, None);
     assert_eq!(rig.tool.details().expect("it replies").overruns, 0);
@@ -91,7 +91,7 @@ fn a_board_keeps_running_if_its_computer_stops_reading() {
 }
 
 /// The board waits at most 100 ms for an entire frame. Without this limit, a host that takes one packet every 90 ms
-/// would hold the link task for a second per frame, and the watchdog would bite.
+/// would hold the link task for a second per frame until the watchdog resets the board.
 #[test]
 fn a_board_keeps_running_if_its_computer_reads_slowly() {
     let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |_| ());
@@ -115,11 +115,11 @@ fn a_board_keeps_running_if_its_computer_reads_slowly() {
 
 /// Requests that arrive faster than their replies leave time for the other tasks, which feed the watchdog.
 #[test]
-fn a_flood_of_requests_starves_no_task() {
+fn a_flood_of_requests_leaves_time_for_every_task() {
     let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |_| ());
     rig.load(WALL);
     rig.ready();
-    let frames = recorded(&mut rig, |rig| {
+    let frames = frames_sent_during(&mut rig, |rig| {
         rig.tool.status().expect("it replies");
     });
     let flood = frames.last().expect("a request was sent").repeat(3000);
@@ -133,15 +133,15 @@ fn a_flood_of_requests_starves_no_task() {
     assert_eq!((status.state, status.fault), (State::Armed, None));
 }
 
-/// If a board is disarmed before a control step has connected the bridges, the next arming still reads the drivers'
-/// registers and measures the sensors' zeros again, which takes 34 ms.
+/// If a board is disarmed before a control step has connected the bridges, the next arming must still read the drivers'
+/// registers and measure the sensors' zeros, which takes 34 ms.
 #[test]
 fn every_arming_makes_the_drivers_ready_again() {
     let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |_| ());
     rig.load(&format!("rate_hz = 200\n{WALL}"));
     rig.ready();
     rig.tool.disarm().expect("the board disarms");
-    let frames = recorded(&mut rig, |rig| {
+    let frames = frames_sent_during(&mut rig, |rig| {
         rig.tool.arm().expect("the board arms");
         rig.tool.disarm().expect("the board disarms");
     });
@@ -160,7 +160,6 @@ fn every_arming_makes_the_drivers_ready_again() {
     assert_eq!(rig.with(|stopped| stopped.resets().len()), 0);
 }
 
-/// A wire that records the sent bytes.
 struct RecordingWire {
     wire: Box<dyn Wire>,
     sent: Arc<Mutex<Vec<u8>>>,
@@ -181,8 +180,8 @@ impl Wire for RecordingWire {
     }
 }
 
-/// Returns the frames that a tool sends to the board while it connects and during `work`.
-fn recorded(rig: &mut Rig, work: impl FnOnce(&mut Rig)) -> Vec<Vec<u8>> {
+/// Returns the frames that a tool sends while it connects and during `work`.
+fn frames_sent_during(rig: &mut Rig, work: impl FnOnce(&mut Rig)) -> Vec<Vec<u8>> {
     let sent = Arc::new(Mutex::new(Vec::new()));
     let wire = RecordingWire { wire: rig.shared.wire(), sent: sent.clone() };
     rig.tool = Board::over(Box::new(wire), "recorded").expect("the board replies");
@@ -191,11 +190,11 @@ fn recorded(rig: &mut Rig, work: impl FnOnce(&mut Rig)) -> Vec<Vec<u8>> {
     sent.split_inclusive(|byte| *byte == 0).filter(|frame| frame.len() > 1).map(<[u8]>::to_vec).collect()
 }
 
-/// Returns a burst of one of five kinds: silence, noise, random frames, changed requests, or some changed requests
-/// among unchanged ones.
+/// Returns a burst of one of five kinds: silence, noise, random frames, changed requests, or a mixture of changed and
+/// unchanged requests.
 fn burst(random: &mut Random, requests: &[Vec<u8>]) -> Vec<u8> {
     let mut below = |end: usize| random.bits() as usize % end;
-    // The longest burst is longer than the port can transfer until the next.
+    // The longest burst is longer than the port can transfer until the next burst.
     let length = below(3000);
     let mut bytes = Vec::new();
     match below(5) {
@@ -220,13 +219,13 @@ fn burst(random: &mut Random, requests: &[Vec<u8>]) -> Vec<u8> {
     bytes
 }
 
-/// Random bytes, random frames and changed requests do not make a disarmed board drive, and it works afterwards.
+/// Random bytes, random frames and changed requests must not make a disarmed board drive. It must work afterwards.
 #[test]
 fn a_minute_of_random_bytes_has_no_effect() {
     let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |options| options.substep = 25e-6);
     let rules = rig.tool.rules().expect("the board replies");
     // None of these requests moves a motor or writes flash.
-    let requests = recorded(&mut rig, |rig| {
+    let requests = frames_sent_during(&mut rig, |rig| {
         rig.load(WALL);
         rig.tool.details().expect("the board replies");
         rig.tool.status().expect("the board replies");
@@ -243,14 +242,15 @@ fn a_minute_of_random_bytes_has_no_effect() {
         let burst = burst(&mut random, &requests);
         sent += burst.len();
         rig.with(move |stopped| {
-            // Drops the unsent bytes of the last burst, so a burst may also begin within a frame.
+            // The unsent bytes of the last burst are dropped, so a burst may also begin within a frame.
             stopped.usb().discard();
             stopped.usb().write(&burst);
         });
         rig.run(10 * MILLISECOND);
-        let (replies, drives) = rig.with(|stopped| (stopped.usb().take().len(), stopped.hardware().drives()));
+        let (replies, motor_inputs) =
+            rig.with(|stopped| (stopped.usb().take().len(), stopped.hardware().motor_inputs()));
         received += replies;
-        assert_eq!(drives, [MotorInput::Floating; 3], "burst {nth}");
+        assert_eq!(motor_inputs, [MotorInput::Floating; 3], "burst {nth}");
         // A changed scene may have the lowest rate, at which a burst still lasts two steps.
         let now = rig.steps();
         assert_ne!(now, std::mem::replace(&mut steps, now), "no control step during burst {nth}");
@@ -261,7 +261,7 @@ fn a_minute_of_random_bytes_has_no_effect() {
     rig.with(|stopped| stopped.usb().take());
     assert_eq!(rig.with(|stopped| stopped.resets().len()), 0);
     rig.tool = Board::over(rig.shared.wire(), "again").expect("the board replies again");
-    // A changed scene may contain numbers too large to compute with.
+    // A changed scene may contain numbers that are too large to compute with.
     let faults = rig.tool.faults().expect("the board replies");
     assert!(faults.iter().all(|record| record.fault == Fault::NotFinite), "{faults:?}");
     assert!(!rig.tool.status().expect("the board replies").state.drives());
@@ -298,8 +298,8 @@ fn a_board_survives_repeated_arming_and_replugging() {
     assert_eq!(rig.tool.details().expect("it replies").overruns, 0);
     rig.tool.disarm().expect("the board disarms");
     rig.run(MILLISECOND);
-    let (drives, resets) = rig.with(|stopped| (stopped.hardware().drives(), stopped.resets().len()));
-    assert_eq!((drives, resets), ([MotorInput::Floating; 3], 0));
+    let (motor_inputs, resets) = rig.with(|stopped| (stopped.hardware().motor_inputs(), stopped.resets().len()));
+    assert_eq!((motor_inputs, resets), ([MotorInput::Floating; 3], 0));
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! A hand pushes on a wall: the board's force agrees with the wall's stiffness and with the simulation on the PC.
+//! A hand pushes on a wall. The board's force must agree with the wall's stiffness and with the simulation on the PC.
 
 use std::time::Duration;
 
@@ -9,7 +9,7 @@ use haptic_bridge::render::scene::FeedForward;
 use haptic_bridge::safety::limits::Limits;
 use haptic_emulator::boards::BoardKind;
 use haptic_emulator::contact::{WallAt, scene};
-use haptic_emulator::hands::{firm, hold, push as push_into, suspend_device};
+use haptic_emulator::hands::{firm_settings, hold, push as push_into, suspend_device};
 use haptic_emulator::rig::Rig;
 use haptic_emulator::run::{MILLISECOND, SECOND};
 use haptic_host::link::Board;
@@ -18,8 +18,8 @@ use haptic_sim::{BoardOptions, Options, SharedBoard, SimulatedBoard};
 use haptic_sim::{Hand, HandSettings, Intent, Waypoint};
 use haptic_stability::analysis::plant::Linearised;
 
-/// Returns a rig armed in front of a wall at `distance` (m), and the wall's y coordinate (m). Friction is off,
-/// so that only the wall holds the hand.
+/// Returns a rig that is armed in front of a wall at `distance` (m), and the wall's y coordinate (m). Without friction,
+/// only the wall holds the hand.
 fn armed_near_wall(feed_forward: &str, distance: f64) -> (Rig, f64) {
     let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |options| options.friction = false);
     let tip = rig.with_simulated(|device| device.tip());
@@ -32,7 +32,7 @@ fn armed_near_wall(feed_forward: &str, distance: f64) -> (Rig, f64) {
     (rig, height)
 }
 
-/// Lets a hand push the tip along +y with `newtons`, reached within half a second.
+/// Makes a hand push the tip along +y with a force that rises to `newtons` within 0.5 s.
 fn push(rig: &Rig, newtons: f64) {
     rig.with_simulated(move |device| {
         let path = vec![Waypoint { time: 0.0, value: [0.0; 3] }, Waypoint { time: 0.5, value: [0.0, newtons, 0.0] }];
@@ -57,7 +57,7 @@ fn a_wall_holds_a_hand_at_the_depth_of_its_stiffness() {
         let status = rig.tool.status().expect("the board replies");
         assert_eq!(status.fault, None, "{feed_forward:?}");
         let depth = tip[1] - height;
-        // 2 N at 2000 N/m are 1 mm; current sensors and encoder steps leave an uncertainty of 8 %.
+        // 2 N at 2000 N/m are 1 mm. The tolerance of 8 % covers current sensors and encoder steps.
         assert!((depth - 0.001).abs() < 8e-5, "{feed_forward:?}: {depth} m deep, tip {tip:?} at {tip_velocity:?}");
     }
 }
@@ -73,7 +73,7 @@ fn a_wall_never_pulls() {
     while rows.len() < 25_000 {
         rows.extend(rig.tool.rows(Duration::from_millis(200)).expect("rows come"));
     }
-    // Columns: distance, force.
+    // The columns are distance and force.
     assert!(rows.iter().any(|row| row.values[1] > 1.0), "the wall was not touched");
     assert!(rows.iter().all(|row| row.values[1] >= 0.0), "a force pulls");
     assert!(rows.iter().all(|row| row.values[0] < 0.0 || row.values[1] == 0.0), "a force outside the wall");
@@ -81,7 +81,7 @@ fn a_wall_never_pulls() {
     assert!(tip[1] < height, "the hand is held back: {tip:?}");
 }
 
-/// Returns the depth of the tip in each of `walls`, m; the tip started at `start`.
+/// Returns the depth of the tip in each wall, m. The tip started at `start`.
 fn depths(walls: &[WallAt], start: [f64; 3], tip: [f64; 3]) -> Vec<f64> {
     let depth =
         |wall: &WallAt| -> f64 { (0..3).map(|i| -wall.normal[i] * (tip[i] - start[i])).sum::<f64>() - wall.gap };
@@ -96,7 +96,7 @@ fn depths_when_pushed(kind: BoardKind, name: &str, walls: &[WallAt], newtons: f6
     let mut rig = Rig::with_device(kind, name, |options| options.friction = false);
     let scene = rig.arm_before("gravity_compensation = true\n", walls);
     let (start, q) = rig.with_simulated(move |device| (device.tip(), device.q()));
-    // A firm hand still holds the tip at its position when the walls were placed.
+    // A firm hand still holds the tip where it was when the walls were placed.
     rig.with_simulated(move |device| push_into(device, force, 0.3));
     let mut chip = Vec::new();
     for _ in 0..SAMPLES {
@@ -126,7 +126,7 @@ fn depths_when_pushed(kind: BoardKind, name: &str, walls: &[WallAt], newtons: f6
     [chip, pc]
 }
 
-/// Checks that the chip's depths agree with the PC's within `share` of the largest depth.
+/// Checks that the chip's depths agree with the PC's depths within `share` of the largest depth.
 fn check_depths(kind: BoardKind, name: &str, walls: &[WallAt], newtons: f64, share: f64) {
     let [chip, pc] = depths_when_pushed(kind, name, walls, newtons);
     for wall in 0..walls.len() {
@@ -169,8 +169,8 @@ fn gains_changed_in_contact_change_the_torque_in_proportion() {
         }
     }
     assert_eq!(rig.tool.losses().missing, 0);
-    // Columns: torques, distance, velocity, force. Each step of the force comes from a change of the stiffness, and the
-    // torque changes in proportion.
+    // The columns are torques, distance, velocity and force. Each jump of the force comes from a change of the
+    // stiffness, and the torque changes in proportion.
     let mut steps = 0;
     for pair in rows.windows(2) {
         let [a, b] = [&pair[0].values, &pair[1].values];
@@ -189,7 +189,7 @@ fn gains_changed_in_contact_change_the_torque_in_proportion() {
 fn the_chips_feed_forward_equals_the_analysis() {
     for (kind, name) in [(BoardKind::OdriveV3, "pantograph-mk2"), (BoardKind::HBridgeF405, "phantom-premium-1.5")] {
         let normal = [-0.6, -0.8, 0.0];
-        // Without gravity compensation, the hand also carries the weight.
+        // Without gravity compensation the hand also carries the weight.
         let mut rig = Rig::in_contact(kind, name, "gravity_compensation = false\n", &[WallAt::facing(normal)], 1.6);
         let file = rig.file.clone().expect("a device");
         let (joints, task) = (file.spec().joints, file.spec().task);
@@ -198,7 +198,7 @@ fn the_chips_feed_forward_equals_the_analysis() {
             .expect("a stream");
         for feed_forward in [FeedForward::Full, FeedForward::Off] {
             rig.tool.set_wall_gains(gains(feed_forward, 500.0, 1.0)).expect("gains change in contact");
-            // Measures before the tip slides along the wall.
+            // The measurement must come before the tip slides along the wall.
             rig.run(10 * MILLISECOND);
             let rows = rig.tool.rows(Duration::from_millis(300)).expect("rows come");
             let row = &rows.last().expect("a row").values;
@@ -224,23 +224,25 @@ fn the_chips_feed_forward_equals_the_analysis() {
     }
 }
 
-/// Forces of a wall at one depth: means over 80 ms of the measured and the reported forces.
+/// Forces of a wall at one depth, as means over 80 ms of measured and reported forces.
 #[derive(Clone, Debug, Default)]
 struct Sample {
     /// Depth of the tip, m.
     depth: f64,
-    /// Force of the wall before and after the limits, according to telemetry, N.
+    /// Wall force before the limits, from telemetry, N.
     unlimited: f64,
+    /// Wall force after the limits, from telemetry, N.
     rendered: f64,
-    /// Force of the device on the hand along the normal and across it, N.
+    /// Force of the device on the hand along the normal, N.
     along: f64,
+    /// Force of the device on the hand perpendicular to the normal, N.
     across: f64,
-    /// Smallest and largest value of the field `saturated` of each joint.
+    /// Smallest and largest value of the field `saturated`, for each joint.
     saturated: Vec<(f64, f64)>,
 }
 
-/// Measures samples while a firm hand slowly leads the tip 6 mm into a wall of 2 kN/m, with motors limited to `torque`
-/// (N m).
+/// Measures samples while a firm hand slowly leads the tip 6 mm into a wall of 2 kN/m. The motors are limited to
+/// `torque` (N m).
 fn measure_pressed(
     kind: BoardKind,
     name: &str,
@@ -248,7 +250,7 @@ fn measure_pressed(
     feed_forward: &'static str,
     torque: f32,
 ) -> Vec<Sample> {
-    const DEEP: f64 = 0.006;
+    const MAX_DEPTH: f64 = 0.006;
     const SAMPLES: usize = 30;
     const ROWS: usize = 40;
     let mut rig = Rig::with_device(kind, name, |options| options.friction = false);
@@ -261,13 +263,13 @@ fn measure_pressed(
     let task = rig.file.as_ref().expect("a device").spec().task;
     rig.set_scene(&scene("gravity_compensation = true\n", start, task, &[wall]));
     rig.arm();
-    let goal = std::array::from_fn(|i| start[i] - (wall.gap + DEEP) * normal[i]);
+    let goal = std::array::from_fn(|i| start[i] - (wall.gap + MAX_DEPTH) * normal[i]);
     rig.with_simulated(move |device| {
         let path = vec![Waypoint { time: 0.0, value: start }, Waypoint { time: 0.08 * SAMPLES as f64, value: goal }];
-        device.set_hand(Hand::new(firm(), Intent::Follow(path), device.tip(), device.time()));
+        device.set_hand(Hand::new(firm_settings(), Intent::Follow(path), device.tip(), device.time()));
     });
     let fields = Fields(Field::WallForce.bit() | Field::RenderedForce.bit() | Field::Saturated.bit());
-    // A row every 2 ms.
+    // The stream has a row every 2 ms.
     rig.tool.start_stream(fields, 40).expect("a stream starts");
     let mut samples = Vec::new();
     for _ in 0..SAMPLES {

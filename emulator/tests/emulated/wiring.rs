@@ -13,7 +13,6 @@ use haptic_emulator::run::MILLISECOND;
 
 use crate::session::WALL;
 
-/// Returns a device that uses every axis of a board.
 fn device_of(kind: BoardKind) -> &'static str {
     match kind {
         BoardKind::OdriveV3 => "pantograph-mk2",
@@ -21,7 +20,7 @@ fn device_of(kind: BoardKind) -> &'static str {
     }
 }
 
-fn latest(rig: &mut Rig, field: Field) -> Vec<f64> {
+fn latest_values(rig: &mut Rig, field: Field) -> Vec<f64> {
     rig.tool.start_stream(Fields(field.bit()), 20).expect("a stream starts");
     rig.run(5 * MILLISECOND);
     let rows = rig.tool.rows(Duration::from_millis(100)).expect("rows come");
@@ -44,7 +43,7 @@ fn each_encoder_counts_its_own_axis_up_and_down() {
             });
             expected[axis] = f64::from(moved);
             rig.run(MILLISECOND);
-            assert_eq!(latest(&mut rig, Field::Counts), expected, "{} axis {axis}", kind.name());
+            assert_eq!(latest_values(&mut rig, Field::Counts), expected, "{} axis {axis}", kind.name());
         }
     }
 }
@@ -97,7 +96,7 @@ fn the_bus_voltage_is_exact_within_a_converter_step() {
     }
 }
 
-/// If a page had another pin than the tests, users would wire a pin that no test covers.
+/// If a page showed another pin than the tests use, users would wire a pin that no test covers.
 #[test]
 fn each_wiring_page_and_drawing_contains_every_pin() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs");
@@ -114,7 +113,7 @@ fn each_wiring_page_and_drawing_contains_every_pin() {
         });
         for Pin(port, number) in encoders.chain(motors).chain([wiring.enable, wiring.fault, wiring.bus_pin()]) {
             let pin = format!("P{port}{number}");
-            assert!(words.contains(&pin.as_str()), "{}: {pin}", wiring.name);
+            assert!(words.contains(&pin.as_str()), "{}: pin {pin} is not documented", wiring.name);
             let drawn = kind != BoardKind::HBridgeF407Disc1 || drawing.contains(&format!(">{pin}<"));
             assert!(drawn, "docs/drawings/{}.svg: {pin}", wiring.name);
         }

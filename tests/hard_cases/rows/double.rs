@@ -1,4 +1,4 @@
-//! Both kinds of singularity at once: the elbow is almost stretched or folded and the rods are almost in one line.
+//! Both kinds of singularity at once: the elbow is almost stretched or folded, and the rods are almost in one line.
 
 use super::routes::{Errors, routes};
 use super::shipped;
@@ -11,21 +11,19 @@ use haptic_bridge::model::mechanism::Mechanism;
 use haptic_bridge::render::controller::{FULL_REGULARITY, PARALLEL_REGULARITY};
 use nalgebra::SVector;
 
-/// Both sines as multiples of the sines at which the feed-forward begins to fade.
+/// Both sines, as multiples of the sines at which the feed-forward begins to fade.
 pub const SHARES: [f64; 3] = [1.0, 0.4, 0.1];
 const POSES: usize = 30;
 const NORMALS: usize = 5;
 
-/// One row of the table.
 #[derive(Clone, Debug)]
 pub struct Row {
     pub device: &'static str,
-    /// Ratio of the sines to those at which the feed-forward begins to fade, 0.05 and 0.15.
+    /// Both sines as a multiple of the sines at which the feed-forward begins to fade (0.05 and 0.15).
     pub share: f64,
     pub poses: usize,
     /// Errors of f32 with minimax sines.
     pub board: Errors,
-    /// Errors of f64.
     pub double: Errors,
 }
 
@@ -95,7 +93,7 @@ fn rows(name: &'static str, device: &Description) -> Vec<Row> {
         .to_vec()
 }
 
-/// Returns the rows of every closed loop.
+/// Returns the rows of every mechanism with a closed loop.
 pub fn all() -> Vec<Row> {
     let turret = shipped("fictive-five-bar-turret");
     rows("five-bar (wide base)", &wide_five_bar()).into_iter().chain(rows("five-bar-turret", &turret)).collect()

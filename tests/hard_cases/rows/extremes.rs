@@ -1,4 +1,4 @@
-//! Inertia ratios up to a million, links of a millimetre and of ten metres, masses of a milligram and of 100 kg.
+//! Inertia ratios up to a million, links of 1 mm and 10 m, and masses of 1 mg and 100 kg.
 
 use super::routes::{Errors, Routes, routes};
 use super::singular::{Random, cast};
@@ -9,23 +9,22 @@ use haptic_bridge::model::description::Description;
 use haptic_bridge::model::mechanism::Mechanism;
 use nalgebra::SVector;
 
-/// Poses per row, each with its own normals.
+/// Poses per row. Every pose has its own normals.
 const POSES: usize = 40;
-/// Random normals per pose; the normal with the largest Wrr/Weff is measured.
+/// Random normals per pose. Only the normal with the largest Wrr/Weff is measured.
 const NORMALS: usize = 20;
 
-/// One row of the table.
 #[derive(Clone, Debug)]
 pub struct Row {
     pub device: &'static str,
     pub case: String,
-    /// Largest Wrr/Weff among the poses.
+    /// Largest Wrr/Weff of all poses.
     pub ratio: f64,
     pub board: Errors,
     pub double: Errors,
 }
 
-/// Computes the errors at regular poses of a device, at the normals with the largest Wrr/Weff.
+/// Computes the largest errors at regular poses of a device, at the normals with the largest Wrr/Weff.
 fn row<A, B, C, const N: usize>((double, board, reference): (&A, &B, &C), device: &'static str, case: String) -> Row
 where
     A: Mechanism<f64, N>,
@@ -58,7 +57,6 @@ fn measured_row(name: &'static str, device: &Description, case: String) -> Row {
     in_three_precisions!(device, (a, b, c) => row((&a, &b, &c), name, case))
 }
 
-/// Multiplies every length and every mass of a device.
 fn scale_device(device: &Description, length: f64, mass: f64) -> Description {
     let mut scaled = *device;
     let spec = device.kind.spec();
@@ -86,20 +84,19 @@ fn scale_device(device: &Description, length: f64, mass: f64) -> Description {
     scaled
 }
 
-/// Scales a device to a longest link of `length` (m) and a heaviest link or handle of `mass` (kg).
+/// Scales a device so that its longest link has `length` (m) and its heaviest link or handle has `mass` (kg).
 fn resize_device(device: &Description, length: f64, mass: f64) -> Description {
     let lengths = device.kind.spec().joints.max(2) + 2;
     let longest = device.geometry[..lengths.min(5)].iter().fold(0.0_f64, |most, l| most.max(*l));
     let heaviest = device.links.iter().fold(device.handle_mass, |most, link| most.max(link.mass));
-    // A paddle is lumped into its joint: its mass is the inertia over the square of the length.
+    // The mass of a paddle is lumped into its joint, so it is the inertia over the square of the length.
     let heaviest = if heaviest > 0.0 { heaviest } else { device.joints[0].inertia / (longest * longest) };
     scale_device(device, length / longest, mass / heaviest)
 }
 
-/// Target ratios, reached with a heavier joint 0.
+/// Target ratios Wrr/Weff, reached with a heavier joint 0.
 const RATIOS: [f64; 3] = [1e2, 1e4, 1e6];
 
-/// Returns every row.
 pub fn all() -> Vec<Row> {
     let mut rows = Vec::new();
     for (name, file) in DEVICES {
@@ -110,10 +107,10 @@ pub fn all() -> Vec<Row> {
             rows.push(measured_row(name, &resize_device(&device, length, mass), format!("{unit}, {weight}")));
         }
         if device.kind.spec().joints == 1 {
-            continue; // A paddle has no admissible direction: Wrr = Weff.
+            continue; // A paddle has no admissible direction, so Wrr = Weff.
         }
         for ratio in RATIOS {
-            // Once the heavy joint dominates, Wrr/Weff is proportional to its inertia, so few corrections suffice.
+            // If the heavy joint dominates, Wrr/Weff is proportional to its inertia, so few corrections suffice.
             let heavier = |factor: f64| {
                 let mut heavy = device;
                 heavy.joints[0].inertia *= factor;

@@ -1,4 +1,4 @@
-//! Velocity estimators in f32, with cutoffs from a ten-thousandth to almost half of the rate.
+//! Velocity estimators in f32, with cutoffs from 1e-4 to 0.45 of the control rate.
 //!
 //! The library's state-variable form is compared with the usual direct form of the same transfer function. Both are in
 //! f32 and receive the same rounded positions. The oracle is the direct form in the reference's numbers.
@@ -7,36 +7,34 @@ use super::{Exact, ExactMath};
 use haptic_bridge::math::{Math, Real};
 use haptic_bridge::render::velocity::{Coefficients, Estimator, Velocity};
 
-/// One row of the table.
 #[derive(Clone, Debug)]
 pub struct Row {
-    /// Cutoff as a share of the rate.
+    /// Cutoff as a share of the control rate.
     pub ratio: f64,
-    /// Error of the board's estimate in a swing across the workspace, as a share of the largest velocity.
+    /// Error of the board's estimate during a swing across the workspace, as a share of the largest velocity.
     pub swing: f64,
-    /// The same at constant speed, after settling: the error of the gain.
+    /// Error of the board's estimate at constant speed after settling, as a share of the speed.
     pub gain: f64,
     /// `swing` of the direct form in f32.
     pub direct_swing: f64,
     /// `gain` of the direct form in f32.
     pub direct_gain: f64,
-    /// Difference of the two forms in the reference.
+    /// Difference between the two forms in the reference's numbers.
     pub reference: f64,
 }
 
-/// Control rate, Hz.
-const RATE: f64 = 20_000.0;
+const RATE_HZ: f64 = 20_000.0;
 
 /// Second-order Butterworth low-pass by the prewarped bilinear transform, in direct form II transposed.
-struct Direct<T> {
+struct DirectForm<T> {
     b: [T; 3],
     a: [T; 2],
     s: [T; 2],
     last: Option<T>,
 }
 
-impl<T: Real> Direct<T> {
-    /// Computes the coefficients in the reference's numbers and rounds them.
+impl<T: Real> DirectForm<T> {
+    /// Computes the coefficients in the reference's numbers and rounds the results.
     fn new(ratio: f64, rounded: impl Fn(Exact) -> T) -> Self {
         let exact = Exact::from_f64;
         let one = exact(1.0);
@@ -51,7 +49,7 @@ impl<T: Real> Direct<T> {
     }
 
     fn step(&mut self, position: T) -> T {
-        let input = (position - self.last.replace(position).unwrap_or(position)) * T::from_f64(RATE);
+        let input = (position - self.last.replace(position).unwrap_or(position)) * T::from_f64(RATE_HZ);
         let output = self.b[0] * input + self.s[0];
         self.s[0] = self.b[1] * input - self.a[0] * output + self.s[1];
         self.s[1] = self.b[2] * input - self.a[1] * output;
@@ -59,18 +57,19 @@ impl<T: Real> Direct<T> {
     }
 }
 
-/// Computes the largest errors over the last half of a motion, as shares of the largest velocity: state variable in
-/// f32, direct form in f32, state variable in the reference.
+/// Computes the largest errors over the second half of a motion, as shares of the largest velocity. They belong to the
+/// state-variable form in f32, the direct form in f32, and the state-variable form in the reference's numbers.
 fn errors(ratio: f64, motion: impl Fn(f64) -> f64) -> [f64; 3] {
     let steps = (20.0 / ratio).clamp(4_000.0, 100_000.0) as u32;
     let kind = Estimator::Butterworth;
     let valid = "a cutoff below half the rate";
-    let board = Coefficients::<f32>::new(kind, RATE as f32, (ratio * RATE) as f32).expect(valid);
-    let exact = Coefficients::<Exact>::new(kind, Exact::from_f64(RATE), Exact::from_f64(ratio * RATE)).expect(valid);
+    let board = Coefficients::<f32>::new(kind, RATE_HZ as f32, (ratio * RATE_HZ) as f32).expect(valid);
+    let exact =
+        Coefficients::<Exact>::new(kind, Exact::from_f64(RATE_HZ), Exact::from_f64(ratio * RATE_HZ)).expect(valid);
     let begin = motion(0.0) as f32;
     let (mut v, mut check) = (Velocity::resting_at(begin), Velocity::resting_at(Exact::from_f64(f64::from(begin))));
     let (mut direct, mut reference) =
-        (Direct::<f32>::new(ratio, |x| x.to_f64() as f32), Direct::<Exact>::new(ratio, |x| x));
+        (DirectForm::<f32>::new(ratio, |x| x.to_f64() as f32), DirectForm::<Exact>::new(ratio, |x| x));
     let (mut worst, mut largest) = ([0.0_f64; 3], 0.0_f64);
     for k in 0..steps {
         let x = motion(f64::from(k) / f64::from(steps)) as f32;
@@ -87,7 +86,6 @@ fn errors(ratio: f64, motion: impl Fn(f64) -> f64) -> [f64; 3] {
     worst.map(|error| error / largest)
 }
 
-/// Returns every row.
 pub fn all() -> Vec<Row> {
     [1e-4, 3e-4, 1e-3, 1e-2, 0.025, 0.1, 0.3, 0.45]
         .into_iter()

@@ -1,5 +1,5 @@
-//! The rows that bounds.rs asserts and docs/hard-cases/ lists. The results of f32 with the board's coefficients, and of
-//! f64, are compared with a reference: the library's own code in the `Exact` numbers of the including module.
+//! The rows that bounds.rs asserts and docs/hard-cases/ lists. Results in the board's f32 and in f64 are compared with
+//! a reference, which is the library's own code in the `Exact` numbers of the including module.
 #![allow(dead_code, reason = "only the tables use all of them")]
 
 use super::{Exact, ExactMath, shipped};
@@ -24,7 +24,7 @@ pub mod singular;
 pub mod steps;
 pub mod turns;
 
-/// A shipped device of every mechanism.
+/// Name in the tables and device file of one shipped device per mechanism.
 const DEVICES: [(&str, &str); 5] = [
     ("paddle", "hapkit-paddle"),
     ("five-bar", "haply-2diy"),

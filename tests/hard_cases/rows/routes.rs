@@ -1,6 +1,5 @@
-//! The ways to compute the rendered and the effective inertia, in any precision.
-//!
-//! In exact arithmetic all are equal (docs/model.md section 2). In f32 they lose different digits.
+//! The routes to the rendered and the effective inertia, in any precision. In exact arithmetic all routes are equal
+//! (docs/model.md section 2), but in f32 they lose different digits.
 
 use haptic_bridge::math::{Math, Real};
 use haptic_bridge::model::inertia::{Inertia, Split};
@@ -9,30 +8,30 @@ use haptic_bridge::model::principal::Pull;
 use haptic_bridge::model::solve::solve_symmetric;
 use nalgebra::{SMatrix, SVector};
 
-/// Inertias along one normal by every route, kg, and the torques of the board.
+/// Inertias along one normal by every route (kg), and the board's torques.
 #[derive(Clone, Copy, Debug)]
 pub struct Routes<T: Real, const N: usize> {
-    /// Wrr from W = T⁻ᵀ M T⁻¹ with T⁻¹ by elimination: the joint-space route.
+    /// Wrr from W = T⁻ᵀ M T⁻¹ with T⁻¹ by elimination (the joint-space route).
     pub w_rr_joint: T,
-    /// Wrr = nᵀ Λ n with Λ from the closed-form J⁻¹.
+    /// Wrr = nᵀ Λ n, with Λ from the closed form of J⁻¹.
     pub w_rr_task: T,
-    /// Wrr of the board's kernel, `Mechanism::shaping`.
+    /// Wrr of the board's kernel (`Mechanism::shaping`).
     pub w_rr_kernel: T,
-    /// Weff = Wrr - Wra Waa⁻¹ War: the Schur form.
+    /// Weff = Wrr - Wra Waa⁻¹ War (the Schur form).
     pub w_eff_schur: T,
     /// Weff = 1/(Jr M⁻¹ Jrᵀ).
     pub w_eff_joint: T,
     /// Weff = 1/(nᵀ Λ⁻¹ n).
     pub w_eff_task: T,
-    /// Jᵀ n: a wall force of 1 N without the feed-forward, N m.
+    /// Jᵀ n, the torques of a 1 N wall force without the feed-forward, N m.
     pub plain: SVector<T, N>,
-    /// (4) for a wall force of 1 N at rest, N m.
+    /// Torques of equation (4) for a 1 N wall force at rest, N m.
     pub torque: SVector<T, N>,
-    /// (4) with z for a wall force of 1 N, in motion, N m.
+    /// Torques of equation (4) with z for a 1 N wall force in motion, N m.
     pub torque_moving: SVector<T, N>,
 }
 
-/// Computes A⁻¹ by Gauss-Jordan elimination with pivoting, as a general-purpose library does.
+/// Computes A⁻¹ by Gauss-Jordan elimination with pivoting, like a general-purpose library.
 pub fn inverse<T: Real, const N: usize>(matrix: &SMatrix<T, N, N>) -> SMatrix<T, N, N> {
     let (mut a, mut inverse) = (*matrix, SMatrix::<T, N, N>::identity());
     for k in 0..N {
@@ -56,8 +55,8 @@ pub fn inverse<T: Real, const N: usize>(matrix: &SMatrix<T, N, N>) -> SMatrix<T,
     inverse
 }
 
-/// Computes every route at the pose `q` for the unit normal `n`. `torque_moving` is at the joint velocities `qd`
-/// (rad/s).
+/// Computes every route at the pose `q` for the unit normal `n`. Only `torque_moving` depends on the joint velocities
+/// `qd` (rad/s).
 pub fn routes<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
     m: &M,
     q: &SVector<T, N>,
@@ -66,13 +65,13 @@ pub fn routes<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
 ) -> Routes<T, N> {
     let pose = m.pose::<K>(q);
     let (mass, jacobian) = (m.mass(&pose), m.jacobian(&pose));
-    // Normalised in this precision, the same for every route.
+    // The normal is normalised in this precision, so every route gets the same normal.
     let n = &(n / K::sqrt(n.dot(n)));
     let split = Split::new::<K>(n, M::SPEC.task);
 
     let t_inverse = inverse(&(split.basis.transpose() * jacobian));
     let w = t_inverse.transpose() * mass * t_inverse;
-    // Waa in a separate matrix; the rendered row is decoupled, with 1 on the diagonal.
+    // Waa in a matrix of full size. The rendered row is decoupled by 1 on the diagonal.
     let (mut w_aa, mut w_ar) = (w, SVector::<T, N>::zeros());
     for i in 1..N {
         w_ar[i] = w[(i, 0)];
@@ -100,7 +99,7 @@ pub fn routes<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
     }
 }
 
-/// Defines a struct of errors, in the order of the table's columns.
+/// Defines a struct of errors in the order of the table's columns.
 macro_rules! errors {
     ($doc:literal $Name:ident: $($field:ident)*) => {
         #[doc = $doc]
@@ -110,12 +109,10 @@ macro_rules! errors {
         }
 
         impl $Name {
-            /// Returns all errors in the order of the table's columns.
             pub fn all(&self) -> impl Iterator<Item = f64> {
                 [$(self.$field),*].into_iter()
             }
 
-            /// Keeps the larger error of each entry.
             pub fn grow(&mut self, other: &Self) {
                 $(self.$field = self.$field.max(other.$field);)*
             }
@@ -132,9 +129,9 @@ errors! {
 }
 
 impl Errors {
-    /// Computes the errors of `found` against `exact`, for torques as a share of the largest entry.
+    /// Computes the errors of `found` against `exact`. The torque errors are shares of the largest entry.
     pub fn new<A: Real, B: Real, const N: usize>(found: &Routes<A, N>, exact: &Routes<B, N>) -> Self {
-        let relative = |a: A, b: B| share(&SVector::from([a]), &SVector::from([b]));
+        let relative = |a: A, b: B| relative_error(&SVector::from([a]), &SVector::from([b]));
         Self {
             w_rr_joint: relative(found.w_rr_joint, exact.w_rr_kernel),
             w_rr_task: relative(found.w_rr_task, exact.w_rr_kernel),
@@ -142,28 +139,27 @@ impl Errors {
             w_eff_schur: relative(found.w_eff_schur, exact.w_eff_joint),
             w_eff_joint: relative(found.w_eff_joint, exact.w_eff_joint),
             w_eff_task: relative(found.w_eff_task, exact.w_eff_joint),
-            plain: share(&found.plain, &exact.plain),
-            torque: share(&found.torque, &exact.torque),
-            torque_moving: share(&found.torque_moving, &exact.torque_moving),
+            plain: relative_error(&found.plain, &exact.plain),
+            torque: relative_error(&found.torque, &exact.torque),
+            torque_moving: relative_error(&found.torque_moving, &exact.torque_moving),
         }
     }
 }
 
 impl WholeErrors {
-    /// Computes the errors of `found` against `exact`.
     pub fn new<A: Real, B: Real, const N: usize>(found: &Inertia<A, N>, exact: &Inertia<B, N>) -> Self {
         Self {
-            w: share(&found.w, &exact.w),
-            w_eff: share(&found.w_eff, &exact.w_eff),
-            z: share(&found.z, &exact.z),
-            f_a: share(&found.f_a, &exact.f_a),
-            torque: share(&found.torque, &exact.torque),
+            w: relative_error(&found.w, &exact.w),
+            w_eff: relative_error(&found.w_eff, &exact.w_eff),
+            z: relative_error(&found.z, &exact.z),
+            f_a: relative_error(&found.f_a, &exact.f_a),
+            torque: relative_error(&found.torque, &exact.torque),
         }
     }
 }
 
-/// Computes all quantities of equation (4) as the analysis does, for one wall with the unit normal `n` and a force of
-/// 1 N, at the pose `q` and the joint velocities `qd` (rad/s).
+/// Computes all quantities of equation (4) like the analysis, for one wall with the unit normal `n` and a force of 1 N,
+/// at the pose `q` and the joint velocities `qd` (rad/s).
 pub fn whole<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
     m: &M,
     q: &SVector<T, N>,
@@ -175,8 +171,8 @@ pub fn whole<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
     Inertia::new::<K, M>(m, &m.pose::<K>(q), qd, &[wall], &n)
 }
 
-/// Computes the largest error as a share of the largest entry; infinity instead of NaN.
-fn share<A: Real, B: Real, const R: usize, const C: usize>(a: &SMatrix<A, R, C>, b: &SMatrix<B, R, C>) -> f64 {
+/// Computes the largest error as a share of the largest entry. Returns infinity instead of NaN.
+fn relative_error<A: Real, B: Real, const R: usize, const C: usize>(a: &SMatrix<A, R, C>, b: &SMatrix<B, R, C>) -> f64 {
     let (a, b) = (a.map(|x| x.to_f64()), b.map(|x| x.to_f64()));
     let error = (a - b).amax() / b.amax();
     if error.is_nan() { f64::INFINITY } else { error }

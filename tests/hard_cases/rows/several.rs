@@ -1,10 +1,10 @@
-//! Two walls at a small angle or of very different stiffness: the control step in f32 against the law of docs/model.md
-//! section 2. The oracle computes the law in accelerations, with the eigenvectors of two walls in closed form, in the
-//! reference's numbers.
+//! Two walls at a small angle or of very different stiffness. The control step in f32 is compared with the law of
+//! docs/model.md section 2. The oracle computes the law in accelerations in the reference's numbers, with the
+//! eigenvectors of two walls in closed form.
 
 use super::routes::inverse;
 use super::singular::{Random, cast};
-use super::steps::{controller, counts, encoded, scene, three};
+use super::steps::{controller, counts, pad_to_three, scene, with_encoders};
 use super::{DEVICES, Exact, ExactMath, shipped};
 use haptic_bridge::control::compiled::BoardMath;
 use haptic_bridge::math::{Libm, Math, Real};
@@ -15,11 +15,10 @@ use nalgebra::SVector;
 
 /// Angles between the walls, rad.
 pub const ANGLES: [f64; 4] = [1e-4, 1e-3, 1e-2, 1e-1];
-/// Stiffness of the first wall as a multiple of the stiffness of the second wall.
+/// Ratios of the first wall's stiffness to the second wall's stiffness.
 pub const RATIOS: [f64; 3] = [1.0, 1e2, 1e4];
 const POSES: usize = 40;
 
-/// One row of the table.
 #[derive(Clone, Debug)]
 pub struct Row {
     pub device: &'static str,
@@ -27,12 +26,12 @@ pub struct Row {
     pub angle: f64,
     /// Largest torque error as a share of the largest torque, for each of [`RATIOS`].
     pub torque: [f64; 3],
-    /// Smallest share of the torque that differs from Jᵀ F: the error of the row if the step used Jᵀ F.
-    pub shaped: f64,
+    /// Smallest difference between the torque and Jᵀ F, as a share of the largest torque.
+    pub smallest_shaping: f64,
 }
 
-/// Computes the joint torques for two walls (normal, stiffness, force) at rest: M J⁻¹ A F.
-fn law<M: Mechanism<Exact, N>, const N: usize>(
+/// Computes the joint torques M J⁻¹ A F for two walls (normal, stiffness, force) at rest.
+fn reference_torques<M: Mechanism<Exact, N>, const N: usize>(
     m: &M,
     q: &SVector<Exact, N>,
     walls: &[(SVector<Exact, N>, Exact, Exact); 2],
@@ -43,7 +42,7 @@ fn law<M: Mechanism<Exact, N>, const N: usize>(
     let lambda = back.transpose() * mass * back;
     let mobility = inverse(&lambda);
 
-    // K = k₁ n₁ n₁ᵀ + k₂ n₂ n₂ᵀ in the frame (a, b) of the plane of the two normals.
+    // K = k₁ n₁ n₁ᵀ + k₂ n₂ n₂ᵀ in the frame (a, b) of the plane that both normals span.
     let [(n1, k1, f1), (n2, k2, f2)] = *walls;
     let length = |v: &SVector<Exact, N>| ExactMath::sqrt(v.dot(v));
     let a = n1 / length(&n1);
@@ -59,7 +58,7 @@ fn law<M: Mechanism<Exact, N>, const N: usize>(
     let e1 = e1 / length(&e1);
     let e2 = b * a.dot(&e1) - a * b.dot(&e1);
 
-    // A_R = Q (Qᵀ Λ Q)⁻¹ Qᵀ. A third direction has no stiffness, so s₂ = 1; a planar device has no level 2.
+    // A_R = Q (Qᵀ Λ Q)⁻¹ Qᵀ. A third direction has no stiffness, so s₂ = 1. A planar device has no level 2.
     let s1 = one - soft / stiff * (soft / stiff);
     let first = e1 / e1.dot(&(lambda * e1));
     let second = |e: &SVector<Exact, N>| {
@@ -86,7 +85,7 @@ where
     ANGLES
         .map(|angle| {
             let mut random = Random(11);
-            let mut row = Row { device: name, angle, torque: [0.0; 3], shaped: f64::INFINITY };
+            let mut row = Row { device: name, angle, torque: [0.0; 3], smallest_shaping: f64::INFINITY };
             let mut poses = 0;
             while poses < POSES {
                 let q: SVector<f64, N> = random.vector(3.1);
@@ -101,8 +100,8 @@ where
                 n /= n.norm();
                 t -= n * n.dot(&t);
                 t /= t.norm();
-                // Surfaces are a metre away and stiffnesses at most 1 N/m, so that errors come from the law and not
-                // from the penetration, which has its own table.
+                // The surfaces are 1 m away and the stiffness is at most 1 N/m, so that the errors come from the law
+                // and not from the penetration.
                 let normals = [n, n * angle.cos() + t * angle.sin()].map(|n| cast::<f64, f32, N>(&n));
                 let tip = double.tip(&pose);
                 for (index, ratio) in RATIOS.into_iter().enumerate() {
@@ -112,7 +111,7 @@ where
                     (scene.velocity_terms, scene.gravity_compensation) = (VelocityTerms::Off, false);
                     let planes = normals.map(|n| {
                         let n = cast::<f32, f64, N>(&n);
-                        let [point, normal] = [tip + n, n].map(|v| three(&v, task).map(|x| x as f32));
+                        let [point, normal] = [tip + n, n].map(|v| pad_to_three(&v, task).map(|x| x as f32));
                         Plane { point, normal }
                     });
                     let first = Wall { damping_compensation: false, bilateral: true, ..scene.walls[0] };
@@ -120,7 +119,7 @@ where
                         [0, 1].map(|i| Wall { surface: Surface::Plane(planes[i]), stiffness: stiffness[i], ..first });
                     scene.walls = walls.into_iter().collect();
                     let step = controller::<f32, BoardMath, _, N>(board, device, &scene).step(&counts(&q));
-                    // The oracle uses the same rounded angles and planes as the board.
+                    // The oracle uses the board's rounded angles and planes.
                     let angles: SVector<Exact, N> = cast(&step.q);
                     let tip = reference.tip(&reference.pose::<ExactMath>(&angles));
                     let given = [0, 1].map(|i| {
@@ -132,11 +131,11 @@ where
                         let stiffness = Exact::from_f64(f64::from(stiffness[i]));
                         (normal, stiffness, -(stiffness * distance))
                     });
-                    let right: SVector<f64, N> = cast(&law(&reference, &angles, &given));
+                    let exact: SVector<f64, N> = cast(&reference_torques(&reference, &angles, &given));
                     let found: SVector<f64, N> = cast(&step.torque);
-                    row.torque[index] = row.torque[index].max((found - right).amax() / right.amax());
+                    row.torque[index] = row.torque[index].max((found - exact).amax() / exact.amax());
                     let plain: SVector<f64, N> = cast(&step.rendered);
-                    row.shaped = row.shaped.min((right - plain).amax() / right.amax());
+                    row.smallest_shaping = row.smallest_shaping.min((exact - plain).amax() / exact.amax());
                 }
             }
             row
@@ -150,7 +149,7 @@ pub fn all() -> Vec<Row> {
         .into_iter()
         .skip(1)
         .flat_map(|(name, file)| {
-            let device = encoded(&shipped(file));
+            let device = with_encoders(&shipped(file));
             in_three_precisions!(&device, (a, b, c) => row(a, b, c, name, &device))
         })
         .collect()

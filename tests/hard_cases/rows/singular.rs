@@ -1,4 +1,5 @@
-//! Poses with a chosen condition number of J near each kind of singularity, and the errors of the routes there.
+//! Poses with a chosen condition number of J near each kind of singularity, and the errors of the routes at these
+//! poses.
 
 use super::routes::{Errors, WholeErrors, routes, whole};
 use super::shipped;
@@ -10,34 +11,32 @@ use haptic_bridge::model::mechanism::Mechanism;
 use haptic_bridge::render::controller::{FULL_REGULARITY, NO_REGULARITY, PARALLEL_REGULARITY};
 use nalgebra::{DMatrix, SVector};
 
-/// Kind of singularity.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Singularity {
-    /// An arm stretches or folds: serial.
+    /// Serial singularity in which an arm is stretched or folded.
     Elbow,
-    /// The tip reaches the turret's axis: serial.
+    /// Serial singularity in which the tip is on the turret's axis.
     Axis,
-    /// The closed loop stretches: parallel.
+    /// Parallel singularity in which the distal rods of a closed loop lie in one line.
     Rods,
 }
 
-/// Target distance to a singularity.
+/// Target of the search for poses near a singularity.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Target {
-    /// Condition number of J.
     Condition(f64),
-    /// Sine that the board checks (`Regularity`).
+    /// Sine of the angle to the singularity, as in `Regularity`.
     Sine(f64),
 }
 
 impl Singularity {
-    /// Returns the sine at which the board's feed-forward begins to fade, and the sine at which it is off.
+    /// Returns two sines: the feed-forward begins to fade at the first and is off at the second.
     pub fn fade(self) -> [f64; 2] {
         let scale = if self == Self::Rods { PARALLEL_REGULARITY } else { 1.0 };
         [FULL_REGULARITY, NO_REGULARITY].map(|sine| sine * scale)
     }
 
-    /// Returns the targets of the table's rows: the two ends of the fade, then growing condition numbers.
+    /// Returns the targets of the table's rows: the two sines of the fade, then growing condition numbers.
     fn targets(self) -> Vec<Target> {
         let conditions = [1e1, 1e2, 1e3, 1e4, 1e5].map(Target::Condition);
         self.fade().map(Target::Sine).into_iter().chain(conditions).collect()
@@ -48,26 +47,22 @@ impl Singularity {
 const POSES: usize = 60;
 /// Maximum number of random paths per row.
 const TRIES: usize = 4_000;
-/// Normals per pose.
 const NORMALS: usize = 5;
 
-/// One row of the table.
 #[derive(Clone, Debug)]
 pub struct Row {
     pub device: &'static str,
     pub singularity: Singularity,
     pub target: Target,
-    /// Number of poses.
     pub poses: usize,
-    /// Smallest regularity (sine) among them.
+    /// Smallest regularity (sine) of the poses.
     pub regularity: f64,
-    /// Errors of the board's numbers: f32 with minimax sines.
+    /// Errors of the board's numbers (f32 with minimax sines).
     pub board: Errors,
-    /// Errors of double precision.
     pub double: Errors,
-    /// Largest difference of the routes in the reference's numbers.
+    /// Largest difference between routes in the reference's numbers.
     pub reference: f64,
-    /// Errors of all quantities of (4) in double precision.
+    /// Errors of all quantities of equation (4) in f64.
     pub whole: WholeErrors,
 }
 
@@ -75,7 +70,6 @@ pub struct Row {
 pub struct Random(pub u64);
 
 impl Random {
-    /// Draws a number from `low..high`.
     pub fn within(&mut self, low: f64, high: f64) -> f64 {
         self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
         let mut z = self.0;
@@ -84,18 +78,16 @@ impl Random {
         low + (high - low) * ((z ^ (z >> 31)) >> 11) as f64 / (1_u64 << 53) as f64
     }
 
-    /// Draws every entry from `-bound..bound`.
     pub fn vector<const N: usize>(&mut self, bound: f64) -> SVector<f64, N> {
         SVector::from_fn(|_, _| self.within(-bound, bound))
     }
 
-    /// Draws a vector of the task space, at most 1 long in every direction.
+    /// Draws a task-space vector with entries from -1 to 1.
     pub fn normal<const N: usize>(&mut self, task: usize) -> SVector<f64, N> {
         let n = self.vector::<N>(1.0);
         SVector::from_fn(|i, _| if i < task { n[i] } else { 0.0 })
     }
 
-    /// Draws a pose far from every singularity.
     pub fn regular_pose<M: Mechanism<f64, N>, const N: usize>(&mut self, m: &M) -> SVector<f64, N> {
         loop {
             let q = self.vector(3.1);
@@ -107,18 +99,19 @@ impl Random {
     }
 }
 
-/// Computes the ratio of the largest to the smallest singular value of J. A row of φ is in lengths of `scale` metres.
-fn condition<M: Mechanism<f64, N>, const N: usize>(m: &M, q: &SVector<f64, N>, scale: f64) -> f64 {
+/// Computes the ratio of J's largest to its smallest singular value. A row for φ is multiplied by the length `scale`,
+/// m.
+fn jacobian_condition<M: Mechanism<f64, N>, const N: usize>(m: &M, q: &SVector<f64, N>, scale: f64) -> f64 {
     let jacobian = m.jacobian(&m.pose::<Libm>(q));
     let unit = |row: usize| if row < M::SPEC.task { 1.0 } else { scale };
     let values = DMatrix::from_fn(N, N, |i, j| jacobian[(i, j)] * unit(i)).singular_values();
     values.max() / values.min()
 }
 
-/// Returns a number that is 1 at the target and larger nearer to the singularity.
+/// Returns a number that is 1 at the target and grows towards the singularity.
 fn nearness<M: Mechanism<f64, N>, const N: usize>(m: &M, q: &SVector<f64, N>, target: Target, scale: f64) -> f64 {
     match target {
-        Target::Condition(most) => condition(m, q, scale) / most,
+        Target::Condition(most) => jacobian_condition(m, q, scale) / most,
         Target::Sine(least) => {
             let r = m.regularity(&m.pose::<Libm>(q));
             least / r.serial.min(r.parallel)
@@ -134,7 +127,7 @@ fn side<M: Mechanism<f64, N>, const N: usize>(m: &M, q: &SVector<f64, N>, singul
         q[0] = 0.0;
     }
     let pose = m.pose::<Libm>(&q);
-    // With the turret at zero the tip's distance from the axis is the world's y or x, and J's turret column is along z.
+    // With the turret at zero, J's turret column is along z and contains the tip's distance from the axis.
     let radius = m.jacobian(&pose)[(N - 1, 0)];
     match singularity {
         Singularity::Axis => radius,
@@ -145,14 +138,14 @@ fn side<M: Mechanism<f64, N>, const N: usize>(m: &M, q: &SVector<f64, N>, singul
             match (N, turret) {
                 (2, _) => minor(0, 0),
                 (_, true) => minor(0, 1),
-                // The redundant arm: sin q₂.
+                // The elbow of the redundant arm is stretched or folded where sin q₂ = 0.
                 _ => q[1].sin(),
             }
         }
     }
 }
 
-/// Searches along a random path from a regular pose for a pose at the target near this kind of singularity only.
+/// Searches along a random path from a regular pose for a pose at the target and near this kind of singularity only.
 fn pose_near<M: Mechanism<f64, N>, const N: usize>(
     m: &M,
     singularity: Singularity,
@@ -183,7 +176,7 @@ fn pose_near<M: Mechanism<f64, N>, const N: usize>(
     };
     let singular = bisect(crossing - step, crossing, &|t| side(m, &at(t), singularity) * before <= 0.0);
     let pose = bisect(0.0, singular, &|t| nearness(m, &at(t), target, scale) > 1.0);
-    // One singularity at a time: all others must be far away.
+    // The pose must be far from all other singularities.
     let r = m.regularity(&m.pose::<Libm>(&at(pose)));
     let clear = |other: Singularity| {
         other == singularity || side(m, &at(pose), other).abs() > 0.2 * side(m, &start, other).abs()
@@ -196,8 +189,8 @@ fn pose_near<M: Mechanism<f64, N>, const N: usize>(
     (alone && (nearness(m, &at(pose), target, scale) - 1.0).abs() < 0.01).then(|| at(pose))
 }
 
-/// Scales joint velocities down to a tip speed of at most 0.5 m/s, the speed of a hand: near a parallel singularity a
-/// slow joint moves the tip fast.
+/// Scales joint velocities down to a tip speed of at most 0.5 m/s (a hand), because a slow joint moves the tip fast
+/// near a parallel singularity.
 pub fn at_hand_speed<M: Mechanism<f64, N>, const N: usize>(
     m: &M,
     q: &SVector<f64, N>,
@@ -208,13 +201,12 @@ pub fn at_hand_speed<M: Mechanism<f64, N>, const N: usize>(
     qd * (0.5 / speed).min(1.0)
 }
 
-/// Converts a vector to another precision.
 pub fn cast<A: Real, B: Real, const N: usize>(v: &SVector<A, N>) -> SVector<B, N> {
     v.map(|x| B::from_f64(x.to_f64()))
 }
 
-/// Computes the errors near one kind of singularity. The exact pose has angles rounded to f32. Poses that this rounding
-/// moves too far from the target are left out.
+/// Computes the errors near one kind of singularity, at poses with angles rounded to f32. Skips poses that this
+/// rounding moves too far from the target.
 fn row<A, B, C, const N: usize>(
     (double, board, reference): (&A, &B, &C),
     device: &'static str,
@@ -258,15 +250,14 @@ where
             row.board.grow(&Errors::new(&routes::<_, BoardMath, _, N>(board, &q, &qd, &n), &exact));
             row.double.grow(&Errors::new(&routes::<_, Libm, _, N>(double, &cast(&q), &cast(&qd), &cast(&n)), &exact));
             let found = whole::<_, FineTable, _, N>(double, &cast(&q), &cast(&qd), &cast(&n));
-            let right = whole::<_, ExactMath, _, N>(reference, &cast(&q), &cast(&qd), &cast(&n));
-            row.whole.grow(&WholeErrors::new(&found, &right));
+            let exact_whole = whole::<_, ExactMath, _, N>(reference, &cast(&q), &cast(&qd), &cast(&n));
+            row.whole.grow(&WholeErrors::new(&found, &exact_whole));
             row.reference = Errors::new(&exact, &exact).all().fold(row.reference, f64::max);
         }
     }
     row
 }
 
-/// Returns all rows of one device and singularity.
 pub fn rows(name: &'static str, device: &Description, singularity: Singularity) -> Vec<Row> {
     let scale = device.geometry[..3].iter().sum::<f64>() / 3.0;
     let targets = singularity.targets().into_iter();
@@ -283,7 +274,6 @@ pub fn wide_five_bar() -> Description {
     device
 }
 
-/// Returns the rows of every singularity of every mechanism.
 pub fn all() -> Vec<Row> {
     [
         ("five-bar (haply-2diy)", shipped("haply-2diy"), Singularity::Elbow),

@@ -1,4 +1,4 @@
-//! The complete control step in hard cases: a hit at 10 m/s on a wall of 1e6 N/m, and a press into such a wall.
+//! The complete control step in hard cases: a hit at 10 m/s on a wall of 1e6 N/m, and a press into this wall.
 
 use super::singular::Random;
 use super::{DEVICES, shipped};
@@ -11,47 +11,45 @@ use haptic_bridge::render::controller::{Controller, FULL_REGULARITY, PARALLEL_RE
 use haptic_bridge::render::scene::{FeedForward, Plane, Scene, Surface, Wall};
 use nalgebra::SVector;
 
-/// One row of the table.
 #[derive(Clone, Debug)]
 pub struct Row {
     pub device: &'static str,
-    /// Largest torque error of the hit as a share of its largest torque.
-    pub hit: f64,
+    /// Largest torque error of the hit, as a share of the hit's largest torque.
+    pub hit_error: f64,
     /// Largest wall force of the hit, N.
     pub force: f64,
     /// Largest estimated speed along the normal, m/s.
     pub speed: f64,
-    /// Smallest wall force, N: a wall never pulls.
-    pub least: f64,
-    /// Error of the wall's force at rest at penetrations of up to 1 mm, N.
-    pub press: f64,
+    /// Smallest wall force, N. It must not be negative, because a wall never pulls.
+    pub smallest_force: f64,
+    /// Error of the wall force at rest, at penetrations of up to 1 mm, N.
+    pub rest_error: f64,
 }
 
-/// Control rate, Hz.
-pub const RATE: f64 = 20_000.0;
+pub const RATE_HZ: f64 = 20_000.0;
 /// Stiffness of the wall, N/m.
-const STIFFNESS: f64 = 1e6;
+const WALL_STIFFNESS: f64 = 1e6;
 /// Speed of the hit, m/s.
-const SPEED: f64 = 10.0;
-/// Counts per turn, fine enough for penetrations in micrometres.
-const COUNTS: f64 = 1_048_576.0;
+const HIT_SPEED: f64 = 10.0;
+/// Counts per turn of encoders that resolve penetrations in micrometres.
+const COUNTS_PER_TURN: f64 = 1_048_576.0;
 
-/// Returns the device with such an encoder at every joint. Count 0 is the angle 0, because the device has no home that
-/// would shift the angles to the nearest count.
-pub fn encoded(device: &Description) -> Description {
+/// Returns the device with an encoder of [`COUNTS_PER_TURN`] at every joint. The home is removed so that count 0 is the
+/// angle 0.
+pub fn with_encoders(device: &Description) -> Description {
     let mut device = Description { home: None, ..*device };
     for joint in &mut device.joints {
-        joint.encoder = Some(Encoder { counts_per_turn: COUNTS, offset: 0.0, inverted: false });
+        joint.encoder = Some(Encoder { counts_per_turn: COUNTS_PER_TURN, offset: 0.0, inverted: false });
     }
     device
 }
 
-/// Returns the encoder counts of joint angles.
+/// Returns the encoder counts of joint angles in rad.
 pub fn counts<const N: usize>(q: &SVector<f64, N>) -> [i32; N] {
-    core::array::from_fn(|i| (q[i] * COUNTS / std::f64::consts::TAU).round() as i32)
+    core::array::from_fn(|i| (q[i] * COUNTS_PER_TURN / std::f64::consts::TAU).round() as i32)
 }
 
-/// Returns a scene with one plane wall through `point` (m) facing along `normal`, with all terms on.
+/// Returns a scene with one plane wall through `point` (m) that faces along `normal`, and with all terms on.
 pub fn scene<T: Real>(
     task: usize,
     point: [f64; 3],
@@ -72,14 +70,13 @@ pub fn scene<T: Real>(
     };
     Scene {
         task: task as u8,
-        rate_hz: r(RATE),
+        rate_hz: r(RATE_HZ),
         cutoff_hz: r(500.0),
         walls: [wall].into_iter().collect(),
         ..Scene::default()
     }
 }
 
-/// Creates a controller of `mechanism` in `scene`.
 pub fn controller<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
     mechanism: M,
     device: &Description,
@@ -89,8 +86,8 @@ pub fn controller<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
     Controller::new(mechanism, &device, scene).expect("a sound scene")
 }
 
-/// Returns the entries of the task, padded with zeros.
-pub fn three<const N: usize>(v: &SVector<f64, N>, task: usize) -> [f64; 3] {
+/// Returns the task-space entries of a vector, padded with zeros.
+pub fn pad_to_three<const N: usize>(v: &SVector<f64, N>, task: usize) -> [f64; 3] {
     core::array::from_fn(|i| if i < task.min(N) { v[i] } else { 0.0 })
 }
 
@@ -100,8 +97,8 @@ fn is_usable<M: Mechanism<f64, N>, const N: usize>(m: &M, q: &SVector<f64, N>) -
     r.serial.min(r.parallel / PARALLEL_REGULARITY) > 2.0 * FULL_REGULARITY
 }
 
-/// Returns the joint angles at every step of a straight run against `n` at [`SPEED`], from 2 cm outside the surface to
-/// 1 cm inside, and a point of the surface. `None` if the run leaves the regular workspace.
+/// Returns the joint angles of a straight run against `n` at [`HIT_SPEED`], from 2 cm outside the surface to 1 cm
+/// inside, and a point of the surface. Returns `None` if the run leaves the regular workspace.
 fn run_up<M: Mechanism<f64, N>, const N: usize>(
     m: &M,
     start: &SVector<f64, N>,
@@ -109,11 +106,11 @@ fn run_up<M: Mechanism<f64, N>, const N: usize>(
 ) -> Option<(Vec<SVector<f64, N>>, SVector<f64, N>)> {
     let mut q = *start;
     let mut run = Vec::new();
-    let (steps, fine) = ((0.03 / SPEED * RATE) as usize, 50);
+    let (steps, fine) = ((0.03 / HIT_SPEED * RATE_HZ) as usize, 50);
     for _ in 0..steps {
         run.push(q);
         for _ in 0..fine {
-            q += m.inverse(&m.pose::<Libm>(&q), &(n * (-SPEED / RATE / fine as f64)));
+            q += m.inverse(&m.pose::<Libm>(&q), &(n * (-HIT_SPEED / RATE_HZ / fine as f64)));
         }
         if !is_usable(m, &q) {
             return None;
@@ -130,7 +127,8 @@ where
 {
     let task = A::SPEC.task;
     let mut random = Random(3);
-    let mut row = Row { device: name, hit: 0.0, force: 0.0, speed: 0.0, least: f64::INFINITY, press: 0.0 };
+    let mut row =
+        Row { device: name, hit_error: 0.0, force: 0.0, speed: 0.0, smallest_force: f64::INFINITY, rest_error: 0.0 };
     let mut runs = 0;
     while runs < 10 {
         let (start, n): (SVector<f64, N>, SVector<f64, N>) = (random.vector(3.1), random.normal(task));
@@ -140,11 +138,12 @@ where
         }
         let Some((run, surface)) = run_up(&double, &start, &n) else { continue };
         runs += 1;
-        let (p, normal) = (three(&surface, task), three(&n, task));
+        let (p, normal) = (pad_to_three(&surface, task), pad_to_three(&n, task));
         let full = FeedForward::Full;
-        let mut exact = controller::<f64, Libm, _, N>(double, device, &scene(task, p, normal, STIFFNESS, 100.0, full));
+        let mut exact =
+            controller::<f64, Libm, _, N>(double, device, &scene(task, p, normal, WALL_STIFFNESS, 100.0, full));
         let mut found =
-            controller::<f32, BoardMath, _, N>(board, device, &scene(task, p, normal, STIFFNESS, 100.0, full));
+            controller::<f32, BoardMath, _, N>(board, device, &scene(task, p, normal, WALL_STIFFNESS, 100.0, full));
         let (mut worst, mut largest) = (0.0_f64, 0.0_f64);
         for q in &run {
             let (a, b): (Step<f64, N>, Step<f32, N>) = (exact.step(&counts(q)), found.step(&counts(q)));
@@ -152,11 +151,11 @@ where
             largest = largest.max(a.torque.amax());
             row.force = row.force.max(a.wall_force);
             row.speed = row.speed.max(-a.normal_velocity);
-            row.least = row.least.min(a.wall_force).min(f64::from(b.wall_force));
+            row.smallest_force = row.smallest_force.min(a.wall_force).min(f64::from(b.wall_force));
         }
-        row.hit = row.hit.max(worst / largest);
+        row.hit_error = row.hit_error.max(worst / largest);
 
-        // The same wall at rest without damping: a new controller at every penetration up to 1 mm.
+        // The same wall at rest without damping, with a new controller at every penetration up to 1 mm.
         let off = FeedForward::Off;
         for depth in (0..100).map(|k| 1e-5 * f64::from(k)) {
             let mut q = start;
@@ -164,21 +163,21 @@ where
                 let missing = surface - n * depth - double.tip(&double.pose::<Libm>(&q));
                 q += double.inverse(&double.pose::<Libm>(&q), &missing);
             }
-            let a = controller::<f64, Libm, _, N>(double, device, &scene(task, p, normal, STIFFNESS, 0.0, off))
+            let a = controller::<f64, Libm, _, N>(double, device, &scene(task, p, normal, WALL_STIFFNESS, 0.0, off))
                 .step(&counts(&q));
-            let b = controller::<f32, BoardMath, _, N>(board, device, &scene(task, p, normal, STIFFNESS, 0.0, off))
-                .step(&counts(&q));
-            row.press = row.press.max((a.wall_force - f64::from(b.wall_force)).abs());
+            let b =
+                controller::<f32, BoardMath, _, N>(board, device, &scene(task, p, normal, WALL_STIFFNESS, 0.0, off))
+                    .step(&counts(&q));
+            row.rest_error = row.rest_error.max((a.wall_force - f64::from(b.wall_force)).abs());
         }
     }
     row
 }
 
-/// Returns the rows of every mechanism.
 pub fn all() -> Vec<Row> {
     DEVICES
         .map(|(name, file)| {
-            let device = encoded(&shipped(file));
+            let device = with_encoders(&shipped(file));
             let mechanism = AnyMechanism::<f64>::new(&device).expect("a sound device");
             haptic_bridge::with_mechanism!(mechanism, m => row(m, m.cast::<f32>(), name, &device))
         })

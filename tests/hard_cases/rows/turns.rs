@@ -1,9 +1,9 @@
-//! Fractional counts per turn over thousands of turns: the tip position of the f32 step, against angles n 2π/C that
-//! only the sines reduce.
+//! Encoders with fractional counts per turn, over thousands of turns. The tip position of the f32 step is compared with
+//! the tip at the angles n 2π/C, which only the sine function reduces to one turn.
 
 use super::shipped;
 use super::singular::{Random, cast};
-use super::steps::{controller, encoded, scene, three};
+use super::steps::{controller, pad_to_three, scene, with_encoders};
 use super::{Exact, ExactMath};
 use haptic_bridge::control::compiled::BoardMath;
 use haptic_bridge::math::Real;
@@ -12,22 +12,21 @@ use haptic_bridge::model::mechanism::Mechanism;
 use haptic_bridge::render::scene::FeedForward;
 use nalgebra::SVector;
 
-/// Half a count per turn, 20,000 counts behind gears of 7:3 and √1.1:1, and a measured value.
-pub const COUNTS: [f64; 4] = [10_752.5, 140_000.0 / 3.0, 20_976.176_963_403_03, 16_384.07];
-/// Whole turns from home.
+/// Counts per turn: with half a count, 20,000 counts behind gears of 7:3 and √1.1:1, and a measured value.
+pub const ENCODER_COUNTS: [f64; 4] = [10_752.5, 140_000.0 / 3.0, 20_976.176_963_403_03, 16_384.07];
+/// Whole turns away from home.
 pub const TURNS: [i32; 4] = [0, 100, 1_000, 10_000];
 
-/// One row of the table.
 #[derive(Clone, Debug)]
 pub struct Row {
     pub device: &'static str,
     pub counts_per_turn: f64,
-    /// Largest error of the tip in mean link lengths, for each of [`TURNS`].
+    /// Largest error of the tip position, in mean link lengths, for each of [`TURNS`].
     pub tip: [f64; 4],
 }
 
 /// Returns 2π with more digits than f64.
-fn turn() -> Exact {
+fn two_pi() -> Exact {
     Exact::from_f64(std::f64::consts::TAU) + Exact::from_f64(2.449_293_598_294_706_4e-16)
 }
 
@@ -39,15 +38,15 @@ where
 {
     let task = A::SPEC.task;
     let length = device.geometry[..3].iter().sum::<f64>() / 3.0;
-    COUNTS
+    ENCODER_COUNTS
         .map(|counts_per_turn| {
-            let mut device = encoded(device);
+            let mut device = with_encoders(device);
             for joint in &mut device.joints {
                 if let Some(encoder) = &mut joint.encoder {
                     encoder.counts_per_turn = counts_per_turn;
                 }
             }
-            let far = three(&SVector::<f64, N>::from_element(10.0), task);
+            let far = pad_to_three(&SVector::<f64, N>::from_element(10.0), task);
             let up = [1.0, 0.0, 0.0];
             let far_wall = scene(task, far.map(|x| -x), up, 1.0, 0.0, FeedForward::Off);
             let mut controller = controller::<f32, BoardMath, _, N>(board, &device, &far_wall);
@@ -60,11 +59,11 @@ where
                     let share = q / std::f64::consts::TAU;
                     let counts = share.map(|x| ((x + f64::from(sign * turns)) * counts_per_turn).round() as i32);
                     let angles =
-                        counts.map(|n| Exact::from_f64(f64::from(n)) * turn() / Exact::from_f64(counts_per_turn));
-                    let right: SVector<f64, N> = cast(&reference.tip(&reference.pose::<ExactMath>(&angles)));
+                        counts.map(|n| Exact::from_f64(f64::from(n)) * two_pi() / Exact::from_f64(counts_per_turn));
+                    let exact: SVector<f64, N> = cast(&reference.tip(&reference.pose::<ExactMath>(&angles)));
                     let found: SVector<f64, N> = cast(&controller.step(&counts.into()).tip);
                     for i in 0..task {
-                        row.tip[index] = row.tip[index].max((found[i] - right[i]).abs() / length);
+                        row.tip[index] = row.tip[index].max((found[i] - exact[i]).abs() / length);
                     }
                 }
             }
@@ -73,7 +72,6 @@ where
         .to_vec()
 }
 
-/// Returns the rows of a closed loop and of a serial arm.
 pub fn all() -> Vec<Row> {
     [("five-bar", "haply-2diy"), ("serial-3r", "serial-3r")]
         .into_iter()

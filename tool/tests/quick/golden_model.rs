@@ -9,7 +9,7 @@ use haptic_stability::model::{Precision, WallForce, evaluate};
 mod device_file;
 #[path = "../../../tests/golden/mod.rs"]
 mod golden;
-use golden::{F32_TOLERANCE, F64_TOLERANCE, agree, cases, list, number, text};
+use golden::{F32_TOLERANCE, F64_TOLERANCE, assert_agree, cases, list, number, text};
 
 #[test]
 fn the_report_has_every_quantity_under_its_name() {
@@ -35,12 +35,12 @@ fn the_report_has_every_quantity_under_its_name() {
             ("torque", double.torque),
             ("torque_without_feed_forward", double.torque_without_feed_forward),
         ];
-        agree(&case, &quantities, F64_TOLERANCE);
+        assert_agree(&case, &quantities, F64_TOLERANCE);
         let condition = number(&case["condition_jacobian"]);
         assert!((double.condition.jacobian / condition - 1.0).abs() < 1.0e-9, "{}: {:?}", case["id"], double.condition);
         let single = report(Precision::F32);
         let torques = [("torque", single.torque), ("torque_without_feed_forward", single.torque_without_feed_forward)];
-        agree(&case, &torques, F32_TOLERANCE);
+        assert_agree(&case, &torques, F32_TOLERANCE);
     }
 }
 

@@ -1,15 +1,15 @@
-//! `count IMAGE.elf`: prints the instructions and the name of each variant of a counting image, a line each.
+//! `count IMAGE.elf`: prints the instructions and the name of each variant of a counting image, one variant per line.
 //! `haptic_emulator::count` describes the convention for images.
 //!
-//! Exit code 1: the image could not be counted; 2: the command is wrong.
+//! Exit codes: 1 if the image could not be counted, 2 if the command is wrong.
 
 use std::process::ExitCode;
 
 use haptic_emulator::count::count;
 use haptic_emulator::image::Firmware;
 
-/// Virtual seconds until an image must be done.
-const SECONDS: u64 = 60;
+/// Virtual time after which an unfinished image fails, s.
+const MAX_VIRTUAL_SECONDS: u64 = 60;
 
 fn main() -> ExitCode {
     let mut arguments = std::env::args().skip(1);
@@ -17,7 +17,7 @@ fn main() -> ExitCode {
         eprintln!("usage: count IMAGE.elf");
         return ExitCode::from(2);
     };
-    match Firmware::read(&path).and_then(|firmware| count(&firmware, SECONDS)) {
+    match Firmware::read(&path).and_then(|firmware| count(&firmware, MAX_VIRTUAL_SECONDS)) {
         Ok(variants) => {
             variants.iter().for_each(|(name, instructions)| println!("{instructions} {name}"));
             ExitCode::SUCCESS

@@ -1,9 +1,9 @@
-//! `faults`: causes every fault on the emulated chip and writes docs/results/faults.csv, then writes the effects of
-//! injected errors in sensors and motors at three control rates to broken.csv. `faults lying` writes only broken.csv,
-//! `faults FAULT …` only causes the faults with these codes or names and prints the results, `faults list` prints how
-//! each fault is caused, or the reason why it cannot be. `cargo xtask faults` runs it.
+//! `faults` causes every fault on the emulated chip and writes docs/results/faults.csv. Then it injects errors in
+//! sensors and motors at three control rates and writes broken.csv. `faults lying` writes only broken.csv. `faults
+//! FAULT …` only causes the faults with these codes or names and prints the results. `faults list` prints how each
+//! fault is caused, or why it cannot be caused. `cargo xtask faults` runs this program.
 //!
-//! Exit code 1: a table could not be written. Exit code 2: there is no such fault.
+//! Exit codes: 1 if a table could not be written, 2 if there is no such fault.
 
 use std::io;
 use std::process::ExitCode;

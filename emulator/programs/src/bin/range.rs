@@ -1,12 +1,12 @@
-//! `range`: measures the entire range of stable walls on the emulated chip, without and with the feed-forward, and
-//! writes docs/results/range-chip.csv and its pictures. `cargo xtask range` runs it; it takes about ten minutes.
+//! `range` measures the entire range of stable walls on the emulated chip, without and with the feed-forward. It writes
+//! docs/results/range-chip.csv and the pictures in about ten minutes. `cargo xtask range` runs this program.
 //!
-//! Exit code 1: a measurement or a file failed.
+//! Exit code: 1 if a measurement failed or a file could not be written.
 
 use std::process::ExitCode;
 
 use haptic_bridge::render::scene::FeedForward;
-use haptic_emulator::range::{HEAD, POINTS, PULLS, RATES, Rate, measure_range, section};
+use haptic_emulator::range::{COLUMN_NAMES, DAMPING_COUNT, RATES, RELATIVE_PULLS, Rate, measure_range, section};
 use haptic_emulator::results;
 use haptic_host::output::csv_line;
 use haptic_predict::measure::progress::Progress;
@@ -22,7 +22,7 @@ fn main() -> ExitCode {
 }
 
 fn run() -> Result<(), Box<dyn std::error::Error>> {
-    let mut table = csv_line(HEAD);
+    let mut table = csv_line(COLUMN_NAMES);
     for rate in RATES {
         let (progress, delay) = measure_both(rate)?;
         let (rows, summary, picture) = section(rate, &progress, delay);
@@ -34,13 +34,15 @@ fn run() -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-/// Measures both feed-forwards at `rate`, each on its own board. Returns the results and the delay that the board
-/// reports.
+/// Measures at `rate` without and with the feed-forward, each on its own board. Returns the results and the delay that
+/// the board reports.
 fn measure_both(rate: Rate) -> Result<(Progress, f64), String> {
     let parts = std::thread::scope(|scope| {
         let running = [FeedForward::Off, FeedForward::Full].map(|mode| {
             scope.spawn(move || {
-                let report = |done| eprintln!("{} Hz, {mode:?}: {done} of {}", rate.rate_hz, POINTS * PULLS.len());
+                let report = |done| {
+                    eprintln!("{} Hz, {mode:?}: {done} of {}", rate.rate_hz, DAMPING_COUNT * RELATIVE_PULLS.len())
+                };
                 measure_range(rate, mode, report).map_err(|error| error.to_string())
             })
         });

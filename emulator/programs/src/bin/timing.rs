@@ -1,7 +1,7 @@
-//! `timing`: measures the control interrupt of two boards, prints its instructions in each source file, and writes each
-//! table of docs/results/timing.md as soon as it is measured. `cargo xtask timing` runs it.
+//! `timing` measures the control interrupt of two boards, prints its instructions in each source file, and writes each
+//! table of docs/results/timing.md as soon as the table is measured. `cargo xtask timing` runs this program.
 //!
-//! Exit code 1: a table could not be written.
+//! Exit code: 1 if a table could not be written.
 
 use std::process::ExitCode;
 
@@ -9,13 +9,13 @@ use haptic_emulator::cases::{CASES, Case, SCENES};
 use haptic_emulator::results;
 use haptic_emulator::timing::{Timing, rates, replacements, scenes, steps, table};
 
-/// Name of a table, and its measurement.
+/// Name of a table, and the function that measures the table.
 type Table = (&'static str, fn() -> String);
 
-fn measured(cases: &[Case]) -> Vec<Timing> {
+fn measure_cases(cases: &[Case]) -> Vec<Timing> {
     let measured = cases.iter().map(|case| {
         let timing = case.measure();
-        println!("{}: longest {}, at a valley {}", case.name(), timing.longest, timing.valley);
+        println!("{}: longest {}, at a valley {}", case.name(), timing.longest_step, timing.longest_valley);
         timing.files.iter().for_each(|(file, instructions)| println!("{instructions:8.0} {file}"));
         timing
     });
@@ -24,12 +24,12 @@ fn measured(cases: &[Case]) -> Vec<Timing> {
 
 fn main() -> ExitCode {
     let tables: [Table; 5] = [
-        ("timing", || table(&measured(&CASES))),
-        ("timing-scenes", || scenes(&measured(&SCENES))),
+        ("timing", || table(&measure_cases(&CASES))),
+        ("timing-scenes", || scenes(&measure_cases(&SCENES))),
         ("timing-steps", steps),
         ("timing-new-scenes", replacements),
         ("timing-rates", || {
-            // A rate that is too high ends in a panic on its own thread, which counts as not sustained.
+            // A rate that is too high ends in a panic on its own thread, and the rate counts as not sustained.
             std::panic::set_hook(Box::new(|_| ()));
             rates()
         }),

@@ -14,7 +14,7 @@ mod sliding;
 mod tables;
 
 use crate::common::document;
-use bounds::serial;
+use bounds::is_serial;
 use double_double::{DoubleDouble as Exact, Series as ExactMath};
 use haptic_bridge::model::description::Description;
 use haptic_bridge::render::scene::VelocityTerms;
@@ -68,7 +68,7 @@ fn the_analysis_of_equation_4_keeps_five_digits_everywhere() {
             assert!(error < most, "{row:?}");
         }
         // A serial singularity does not affect Weff.
-        assert!(!serial(&row) || row.whole.w_eff < 1e-12, "{row:?}");
+        assert!(!is_serial(&row) || row.whole.w_eff < 1e-12, "{row:?}");
     }
 }
 

@@ -6,7 +6,7 @@
 use super::double_double::{DoubleDouble, Series};
 use super::rows::routes::inverse;
 use super::rows::singular::{Random, cast};
-use super::rows::steps::{RATE, controller, encoded, scene, three};
+use super::rows::steps::{RATE_HZ, controller, pad_to_three, scene, with_encoders};
 use super::shipped;
 use crate::common::prelude::*;
 use haptic_bridge::control::compiled::BoardMath;
@@ -99,7 +99,7 @@ where
         let qd = double.inverse(&pose, &(t / t.norm() * SPEED));
         // The feed-forward acts in full along the complete path.
         let regular = |k: u32| {
-            let q = start + qd * (f64::from(STEPS) / RATE * f64::from(k) / 10.0);
+            let q = start + qd * (f64::from(STEPS) / RATE_HZ * f64::from(k) / 10.0);
             let r = double.regularity(&double.pose::<Libm>(&q));
             r.serial.min(r.parallel) > 0.2
         };
@@ -110,13 +110,13 @@ where
         // 1 m deep in a wall of 5 N/m: the force hardly changes, and rounding hardly changes the depth.
         let surface = double.tip(&pose) + n;
         for (index, counts_per_turn) in COUNTS.into_iter().enumerate() {
-            let mut device = encoded(device);
+            let mut device = with_encoders(device);
             for joint in &mut device.joints {
                 joint.encoder.as_mut().expect("every joint has an encoder").counts_per_turn = counts_per_turn;
                 joint.viscous = 0.0;
             }
             device.gravity = [0.0; 3];
-            let (p, normal) = (three(&surface, task), three(&n, task));
+            let (p, normal) = (pad_to_three(&surface, task), pad_to_three(&n, task));
             let mut wide = scene::<f64>(task, p, normal, 5.0, 0.0, FeedForward::Full);
             wide.velocity_terms = terms;
             let mut narrow = scene::<f32>(task, p, normal, 5.0, 0.0, FeedForward::Full);
@@ -125,7 +125,7 @@ where
             let mut found = controller::<f32, BoardMath, _, N>(board, &device, &narrow);
             let (mut largest, mut size, mut rounding, mut estimated) = (0.0_f64, 0.0_f64, 0.0_f64, 0.0_f64);
             for step in 0..STEPS {
-                let q = start + qd * (f64::from(step) / RATE);
+                let q = start + qd * (f64::from(step) / RATE_HZ);
                 let counts = q.map(|x| (x / std::f64::consts::TAU * counts_per_turn).round() as i32).into();
                 let (a, b) = (exact.step(&counts), found.step(&counts));
                 let torque: SVector<f64, N> = cast(&b.torque);
@@ -155,7 +155,7 @@ pub fn all() -> Vec<Row> {
     .into_iter()
     .flat_map(|(name, file)| {
         // The weight would add the same torque on both sides.
-        let mut device = encoded(&shipped(file));
+        let mut device = with_encoders(&shipped(file));
         device.gravity = [0.0; 3];
         in_three_precisions!(&device, (a, b, c) => VelocityTerms::ALL.map(|(_, terms)| row((a, b, c), name, &device, terms)))
     })

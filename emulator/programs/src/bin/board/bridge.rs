@@ -1,7 +1,5 @@
-//! Connects the emulated board to other programs: its serial port as a TCP port and, on systems that have them, as a
-//! pseudo-terminal.
-//!
-//! Virtual time follows the wall clock, as far as the emulator is fast enough.
+//! Connects the emulated board's serial port to other programs, through a TCP port and, where the system has them, a
+//! pseudo-terminal. Virtual time follows the wall clock as far as the emulator is fast enough.
 
 use std::io::{self, Read, Write};
 use std::net::{TcpListener, TcpStream};
@@ -11,25 +9,24 @@ use std::time::{Duration, Instant};
 
 use haptic_sim::door::turn_away;
 
-/// Time for which a second tool waits for the first to disconnect, so that commands can follow each other directly.
-const GRACE: Duration = Duration::from_millis(500);
-/// Time for which a tool that disarms through another tool's connection receives the board's reply.
-const GUEST: Duration = Duration::from_secs(1);
+/// Time that a second tool waits for the first to disconnect, so that one command can follow another directly.
+const SECOND_TOOL_WAIT: Duration = Duration::from_millis(500);
+/// Time during which a tool that disarms through another tool's connection receives the board's replies.
+const GUEST_REPLY_TIME: Duration = Duration::from_secs(1);
 
-/// A request to disarm, and the tool that sent it.
 type Disarm = (Vec<u8>, TcpStream);
 
-/// A program's end of the board's serial port.
+/// The other end of the board's serial port.
 pub trait Outlet {
     /// Returns true if a program holds the port open.
     fn open(&mut self) -> bool;
     /// Returns the bytes that the program has written since the last call.
     fn read(&mut self) -> Vec<u8>;
-    /// Sends bytes to the program; bytes that it does not accept are lost.
+    /// Sends bytes to the program. Bytes that the program does not accept are lost.
     fn write(&mut self, bytes: &[u8]);
 }
 
-/// A TCP port for one program at a time. A second program receives a refusal, but its request to disarm is passed on.
+/// A TCP port for one program at a time. A second program is refused, but its request to disarm is passed on.
 #[derive(Debug)]
 pub struct TcpOutlet {
     listener: TcpListener,
@@ -41,11 +38,8 @@ pub struct TcpOutlet {
 }
 
 impl TcpOutlet {
-    /// Listens on `port` of this machine only; 0 selects any free port.
-    ///
-    /// # Errors
-    ///
-    /// If the port is in use.
+    /// Listens on `port` of this machine only. Port 0 selects any free port.
+    /// Returns an error if the port is in use.
     pub fn listen(port: u16) -> io::Result<Self> {
         let listener = TcpListener::bind(("127.0.0.1", port))?;
         listener.set_nonblocking(true)?;
@@ -54,10 +48,7 @@ impl TcpOutlet {
     }
 
     /// Returns the port number.
-    ///
-    /// # Errors
-    ///
-    /// If the socket is closed.
+    /// Returns an error if the socket is closed.
     pub fn port(&self) -> io::Result<u16> {
         Ok(self.listener.local_addr()?.port())
     }
@@ -73,7 +64,7 @@ impl Outlet for TcpOutlet {
                 let usable = stream.set_nonblocking(true).is_ok() && stream.set_nodelay(true).is_ok();
                 self.stream = usable.then_some(stream);
             }
-            Some((stream, since)) if since.elapsed() > GRACE => {
+            Some((stream, since)) if since.elapsed() > SECOND_TOOL_WAIT => {
                 let disarm = self.disarm.clone();
                 if stream.set_nonblocking(false).is_ok() {
                     thread::spawn(move || {
@@ -109,7 +100,7 @@ impl Outlet for TcpOutlet {
     }
 
     fn write(&mut self, bytes: &[u8]) {
-        self.guests.retain_mut(|(guest, since)| since.elapsed() < GUEST && guest.write_all(bytes).is_ok());
+        self.guests.retain_mut(|(guest, since)| since.elapsed() < GUEST_REPLY_TIME && guest.write_all(bytes).is_ok());
         if let Some(stream) = &mut self.stream
             && stream.write_all(bytes).is_err_and(|error| error.kind() != io::ErrorKind::WouldBlock)
         {
@@ -134,17 +125,14 @@ mod terminal {
     #[derive(Debug)]
     pub struct TerminalOutlet {
         master: OwnedFd,
-        /// Kept open, so that a program that closes the terminal does not hang it up.
+        /// Kept open so that the terminal does not hang up when a program closes it.
         _slave: OwnedFd,
         path: String,
     }
 
     impl TerminalOutlet {
         /// Opens a pseudo-terminal.
-        ///
-        /// # Errors
-        ///
-        /// If the system has no pseudo-terminals, or none is free.
+        /// Returns an error if the system has no pseudo-terminals or no free one.
         pub fn new() -> io::Result<Self> {
             let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY)?;
             grantpt(&master)?;
@@ -158,7 +146,6 @@ mod terminal {
             Ok(Self { master, _slave: slave, path })
         }
 
-        /// Returns the device file for programs to open.
         #[must_use]
         pub fn path(&self) -> &str {
             &self.path
@@ -178,7 +165,7 @@ mod terminal {
         }
 
         fn write(&mut self, bytes: &[u8]) {
-            // A full terminal means that no program reads: the bytes are lost, as on a serial line.
+            // A terminal is full if no program reads. The bytes are lost then, as on a serial line.
             let _ = rustix::io::write(&self.master, bytes);
         }
     }
@@ -212,7 +199,7 @@ mod tests {
             heard.extend(outlet.read());
         }
         assert_eq!(heard, b"still here");
-        // When the first disconnects, the next gets the port.
+        // When the first program disconnects, the next program gets the port.
         drop(first);
         let mut third = TcpStream::connect(("127.0.0.1", port)).expect("it listens");
         third.write_all(b"!").expect("it is connected");

@@ -1,10 +1,10 @@
-//! Decodes the firmware's log: defmt frames with the image's own strings.
+//! Decodes the firmware's log, which consists of defmt frames with strings from the image.
 
 use defmt_decoder::{DecodeError, Table};
 
 use haptic_emulator::image::Firmware;
 
-/// Strings of the log, from an image.
+/// The log's strings from an image.
 pub struct Decoder {
     table: Table,
 }
@@ -16,20 +16,19 @@ impl Decoder {
         Table::parse(firmware.bytes()).ok().flatten().map(|table| Self { table })
     }
 
-    /// Returns a reader that converts raw bytes to lines.
     #[must_use]
     pub fn reader(&self) -> Reader<'_> {
         Reader { stream: self.table.new_stream_decoder() }
     }
 }
 
-/// A log that is being received.
+/// A log whose bytes arrive in parts.
 pub struct Reader<'a> {
     stream: Box<dyn defmt_decoder::StreamDecoder + Send + Sync + 'a>,
 }
 
 impl Reader<'_> {
-    /// Receives bytes and returns the lines that they complete.
+    /// Receives bytes and returns the lines that these bytes complete.
     pub fn feed(&mut self, raw: &[u8]) -> Vec<String> {
         self.stream.received(raw);
         let mut lines = Vec::new();

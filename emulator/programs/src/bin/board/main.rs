@@ -1,9 +1,9 @@
-//! `board [BOARD] [--device FILE.toml] [--tcp PORT] [--fast]`: runs the real firmware on an emulated board with a
-//! simulated device, for manual use. `cargo xtask board` runs it.
+//! `board [BOARD] [--device FILE.toml] [--tcp PORT] [--fast]` runs the real firmware on an emulated board with a
+//! simulated device, for manual use. `cargo xtask board` runs this program.
 //!
-//! Prints the ports for `haptic --port …`, and the firmware's log as it arrives. Ctrl-C stops it. With `--fast`,
-//! virtual time runs as fast as the emulator can instead of following the clock.
-//! Exit code 1: the board could not be started; 2: the command is wrong.
+//! Prints the ports for `haptic --port …`, and the firmware's log as it arrives. Ctrl-C stops the board. With `--fast`,
+//! virtual time runs as fast as the emulator can. Otherwise it follows the clock.
+//! Exit codes: 1 if the board could not be started, 2 if the command is wrong.
 
 mod bridge;
 mod log;
@@ -31,7 +31,7 @@ struct Arguments {
 }
 
 fn main() -> ExitCode {
-    let Some(arguments) = parse(std::env::args().skip(1)) else {
+    let Some(arguments) = parse_arguments(std::env::args().skip(1)) else {
         let boards = BoardKind::ALL.map(BoardKind::name).join("|");
         eprintln!("usage: board [{boards}] [--device FILE.toml] [--tcp PORT] [--fast]");
         return ExitCode::from(2);
@@ -45,7 +45,7 @@ fn main() -> ExitCode {
     }
 }
 
-fn parse(mut words: impl Iterator<Item = String>) -> Option<Arguments> {
+fn parse_arguments(mut words: impl Iterator<Item = String>) -> Option<Arguments> {
     let device = rig::devices().join("pantograph-mk2.toml");
     let mut arguments = Arguments { board: BoardKind::OdriveV3, device, port: 0, fast: false };
     while let Some(word) = words.next() {
@@ -59,8 +59,8 @@ fn parse(mut words: impl Iterator<Item = String>) -> Option<Arguments> {
     Some(arguments)
 }
 
-/// Writes a copy of the device file at `path` that can be armed: with motor data marked as verified, and with joint
-/// limits where the file has none. This is safe because the board has no real motors.
+/// Writes a copy of the device file at `path` that can be armed, with verified motors, and with joint limits where the
+/// file has none. This is safe because the board has no real motors.
 fn ready_to_arm(path: &Path, file: &DeviceFile) -> std::io::Result<PathBuf> {
     let text = std::fs::read_to_string(path)?;
     let mut joints = file.description.joints.iter();
@@ -94,8 +94,8 @@ fn run(arguments: &Arguments) -> Result<(), Box<dyn std::error::Error>> {
     let mut log = decoder.as_ref().map(Decoder::reader);
     let mut board = VirtualBoard::start(&firmware, Hardware::new(wiring, Box::new(device))?)?;
 
-    // The ports appear only once the board has tested itself and replies.
-    if !board.run_until(2 * SECOND, MILLISECOND, |stopped| stopped.usb().ready()) {
+    // The ports are printed only when the board has tested itself and replies.
+    if !board.run_until(2 * SECOND, MILLISECOND, |stopped| stopped.usb().is_ready()) {
         return Err("the firmware did not open its USB port within 2 s".into());
     }
 
