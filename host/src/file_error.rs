@@ -1,6 +1,6 @@
-//! Errors in files: every error that a device or scene file can contain, with its remedy.
+//! Errors in device and scene files, with their remedies.
 //!
-//! One line each: `file:line:column: problem; remedy`. All errors that can be found in one pass are reported at once.
+//! Each error is one line: `file:line:column: problem; remedy`. All errors that one pass can find are reported at once.
 
 use core::fmt;
 use std::path::PathBuf;
@@ -19,14 +19,14 @@ pub struct FileError {
 }
 
 impl FileError {
-    /// Creates an error without others.
+    /// Creates an error without further errors.
     pub fn new(path: PathBuf, position: Option<(usize, usize)>, problem: Problem) -> Self {
         Self { path, position, problem: Box::new(problem), others: Vec::new() }
     }
 
-    /// Joins the errors of one file in the order of their lines; `None` if there are no errors. Drops the error about a
-    /// missing key if the key is only misspelt or in the wrong table.
-    pub fn together(mut errors: Vec<Self>) -> Option<Self> {
+    /// Joins the errors of one file in the order of their lines; `None` without errors. Drops the error about a missing
+    /// key if the key is misspelt or in the wrong table.
+    pub fn join(mut errors: Vec<Self>) -> Option<Self> {
         let unknown: Vec<Problem> = errors.iter().map(|error| (*error.problem).clone()).collect();
         let explained = |missing: &Problem| unknown.iter().any(|problem| problem.explains(missing));
         errors.retain(|error| !explained(&error.problem));
@@ -47,8 +47,8 @@ impl FileError {
 pub enum Problem {
     /// The file cannot be read.
     Unreadable(String),
-    /// Not a file of this kind: a pipe, a device, too long.
-    Unfit(String),
+    /// Not a regular file, or a file that is too long.
+    NotReadableFile(String),
     /// Not UTF-8 text.
     NotText,
     /// Not TOML.
@@ -59,7 +59,7 @@ pub enum Problem {
     UnknownKey {
         /// The key as written.
         key: String,
-        /// Its table.
+        /// Table of the key.
         place: String,
         /// The most similar known key.
         nearest: Option<String>,
@@ -72,7 +72,7 @@ pub enum Problem {
     MissingKey {
         /// The key.
         key: String,
-        /// Its table.
+        /// Table of the key.
         place: String,
         /// An example of the missing line.
         example: String,
@@ -81,7 +81,7 @@ pub enum Problem {
     WrongType {
         /// The key.
         key: String,
-        /// Its table.
+        /// Table of the key.
         place: String,
         /// A description of the expected value.
         expected: String,
@@ -92,7 +92,7 @@ pub enum Problem {
     WrongLength {
         /// The key.
         key: String,
-        /// Its table.
+        /// Table of the key.
         place: String,
         /// The required length.
         expected: usize,
@@ -105,14 +105,14 @@ pub enum Problem {
     NotFinite {
         /// The key.
         key: String,
-        /// Its table.
+        /// Table of the key.
         place: String,
     },
     /// A number outside its range.
     OutOfRange {
         /// The key.
         key: String,
-        /// Its table.
+        /// Table of the key.
         place: String,
         /// The number.
         found: f64,
@@ -123,7 +123,7 @@ pub enum Problem {
     UnknownWord {
         /// The key.
         key: String,
-        /// Its table.
+        /// Table of the key.
         place: String,
         /// The word as written.
         found: String,
@@ -151,7 +151,7 @@ pub enum Problem {
 }
 
 impl Problem {
-    /// Returns true if this unknown key is the `missing` key, misspelt or in the wrong table.
+    /// Returns true if `self` is an unknown key that is the `missing` key, misspelt or in the wrong table.
     fn explains(&self, missing: &Self) -> bool {
         let (Self::UnknownKey { key: unknown, place, on_top, .. }, Self::MissingKey { key, place: lacking, .. }) =
             (self, missing)
@@ -166,7 +166,7 @@ impl Problem {
     pub fn remedy(&self) -> String {
         match self {
             Self::Unreadable(_) => "check the path and its permissions".into(),
-            Self::Unfit(_) => "name a TOML file".into(),
+            Self::NotReadableFile(_) => "name a TOML file".into(),
             Self::NotText => "save the file as UTF-8 text".into(),
             Self::Syntax(_) => "correct the TOML at this place".into(),
             Self::Foreign(format) => format.instead.into(),
@@ -195,8 +195,8 @@ impl Problem {
     }
 }
 
-/// Words of data sheets and other projects that are no keys, a part of the name of each table where they have this
-/// meaning, and the remedy.
+/// Words of data sheets and other projects that are not keys. Each row has the words, a part of the name of the tables
+/// to which the row applies, and the remedy.
 const SHEET_WORDS: &[(&[&str], &str, &str)] = &[
     (
         &[
@@ -245,19 +245,19 @@ const SHEET_WORDS: &[(&[&str], &str, &str)] = &[
     (
         &["cpr", "resolution", "ticks", "ticks_per_turn", "counts_per_rev", "counts_per_revolution"],
         "encoder",
-        "write counts_per_turn = the edges of A and B in one motor turn x gear ratio (4 x the lines, where the sheet counts \
-         lines)",
+        "write counts_per_turn = the edges of A and B in one motor turn x gear ratio (4 x the lines, if the data sheet \
+         counts lines)",
     ),
     (
         &["type", "absolute", "bits", "sensor", "chip", "spi", "i2c", "pwm", "analog"],
         "encoder",
-        "boards read incremental encoders with A and B only; an absolute or analog one cannot be described yet: use its A and \
-         B outputs where it has them (docs/devices.md)",
+        "boards read incremental encoders with A and B only; an absolute or analog encoder cannot be described yet: \
+         use its A and B outputs, if it has them (docs/devices.md)",
     ),
     (
         &["index", "index_offset", "index_angle"],
         "encoder",
-        "an index mark needs no key: write offset = the joint angle at which it passes",
+        "there is no key for an index mark: set `offset` to the joint angle at the index mark",
     ),
     (
         &["noise", "jitter", "backlash", "play", "slip", "hysteresis"],
@@ -282,7 +282,7 @@ const SHEET_WORDS: &[(&[&str], &str, &str)] = &[
     (&["no_load_current"], "", "write the joint's coulomb = no-load current x torque_constant, in N m"),
 ];
 
-/// Returns the remedy for a data sheet's word.
+/// Returns the remedy for a data sheet's word `key` in the table `place`.
 fn instead_of(key: &str, place: &str) -> Option<&'static str> {
     let key = key.to_lowercase().replace('-', "_");
     let meant = |(words, part, _): &&(&[&str], &str, &str)| words.contains(&key.as_str()) && place.contains(part);
@@ -335,7 +335,7 @@ fn at(key: &str, place: &str) -> String {
 impl fmt::Display for Problem {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Unreadable(why) | Self::Unfit(why) => write!(f, "cannot be read: {why}"),
+            Self::Unreadable(why) | Self::NotReadableFile(why) => write!(f, "cannot be read: {why}"),
             Self::NotText => write!(f, "not UTF-8 text"),
             Self::Syntax(why) => write!(f, "not valid TOML: {why}"),
             Self::Foreign(format) => write!(f, "this is {}, which cannot be read yet, and not TOML", format.name),

@@ -7,19 +7,19 @@ use serde::Serialize;
 /// Lowest bin edge, s. The edges follow a 1-2-5 series.
 const FIRST_EDGE: f64 = 1.0e-5;
 
-/// Relative tolerance of an edge: whole control periods fall on edges, and the board's period is in single precision.
+/// Relative tolerance of an edge, because whole control periods fall on edges and the board's period is an `f32`.
 const EDGE_TOLERANCE: f64 = 1.0e-6;
 
-/// Statistics of many exchanges.
+/// Statistics of many requests and their replies.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Latency {
-    /// Exchanges per second of the wire's clock.
+    /// Number of exchanges per second of the wire's clock.
     pub per_second: f64,
     /// Time from the first byte of a request to the last byte of its reply, on the computer's clock; for a board
     /// simulated in this process, on the clock of the board.
     pub round_trip: Spread,
-    /// Age of a state when the board receives the request computed from it: time between two states, on the board's
-    /// clock.
+    /// Age of a state when the board receives the request computed from this state, on the board's clock. The age is
+    /// the time between two states.
     pub age: Spread,
 }
 
@@ -28,15 +28,15 @@ pub struct Latency {
 pub struct Spread {
     /// Number of times.
     pub count: usize,
-    /// The shortest.
+    /// The shortest time.
     pub min: f64,
-    /// The median.
+    /// The median of the times.
     pub median: f64,
     /// The 99 % quantile.
     pub p99: f64,
     /// The 99.9 % quantile.
     pub p999: f64,
-    /// The longest.
+    /// The longest time.
     pub max: f64,
     /// Adjacent bins, from the first to the last that is not empty.
     pub histogram: Vec<Bin>,

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use haptic_bridge::board::protocol::{EnterDfu, GetInfo};
 use haptic_bridge::board::settings::Key;
-use haptic_host::backup::{Backup, Restored, restore, unsaved};
+use haptic_host::backup::{Backup, RestoreMethod, restore, unsaved};
 use haptic_host::link::{Board, BoardError, BoardPort, Client, LinkError, PortSpec, SerialWire, boards};
 use haptic_host::output;
 
@@ -99,7 +99,7 @@ impl Surroundings for Bus {
 
     fn restore_settings(&mut self, serial: &str, saved: &Backup) -> Result<Vec<String>, String> {
         restore_settings(serial, saved).map_err(|why| {
-            let file = output::unused(Path::new(&format!("haptic-backup-{serial}.json")));
+            let file = output::unused_path(Path::new(&format!("haptic-backup-{serial}.json")));
             match output::write(&file, saved.to_text().as_bytes(), output::Overwrite::Never) {
                 Ok(()) => format!("{why}; the settings are in {}, a backup to restore", file.display()),
                 Err(error) => format!("{why}; they could not be written to a file either: {error}"),
@@ -136,6 +136,6 @@ pub fn restore_lost_settings(board: &mut Board, saved: &Backup) -> Result<Vec<St
     // Restores all of them, because a new device resets the settings that depend on it.
     let ready = saved.ready().map_err(to_text)?;
     restore(board, &ready).map_err(to_text)?;
-    let back = ready.iter().filter(|setting| setting.how != Restored::NotRestored);
+    let back = ready.iter().filter(|setting| setting.how != RestoreMethod::NotRestored);
     Ok(back.map(|setting| setting.key.name().to_string()).collect())
 }

@@ -16,7 +16,7 @@ pub enum LinkError {
         /// Serial ports that are not boards.
         others: Vec<String>,
     },
-    /// Several boards, and the user chose none of them.
+    /// Several boards without a choice by the user.
     #[error("several boards found: {}; choose one by its port or its serial number", .0.join(", "))]
     SeveralBoards(Vec<String>),
     /// No port or board has this name.
@@ -64,14 +64,13 @@ pub enum LinkError {
         /// The request's path.
         what: &'static str,
     },
-    /// No reply to a force: a frame was lost, or the computer was busy. The earlier force ends with its lease; the next
-    /// request is independent.
+    /// No reply to a force, because a frame was lost or the computer was busy. The earlier force ends with its lease.
     #[error("no reply to a force within {} ms: the force or the reply was lost; send the next force", waited.as_millis())]
     Unanswered {
         /// Time waited.
         waited: std::time::Duration,
     },
-    /// The board decoded the frame but not the message.
+    /// The board could not decode the message of a valid frame.
     #[error(
         "the board rejected the message {what}: {error}; flash the firmware that came with this tool: haptic flash"
     )]
@@ -87,9 +86,9 @@ pub enum LinkError {
         /// The message's path.
         what: &'static str,
     },
-    /// Tool and board speak different versions of the protocol.
+    /// Tool and board have different versions of the protocol.
     #[error(
-        "the board speaks protocol version {board} and this tool version {tool}; \
+        "the board has protocol version {board} and this tool has version {tool}; \
          {}",
         if board < tool { "flash it: haptic flash" } else { "update this tool: it is older than the board's firmware" }
     )]

@@ -1,5 +1,4 @@
-//! Opens the board that `--port` names. A simulated board has no wire: `haptic-sim` opens it, and calls these functions
-//! for all others.
+//! Opens the board that `--port` names, except a simulated board in this process, which `haptic-sim` opens.
 
 use super::board::{Board, Stopped};
 use super::error::{BoardError, LinkError};
