@@ -110,7 +110,7 @@ pub fn open(path: &Path, overwrite: Overwrite) -> Result<(File, bool), Failure> 
     opened.map_err(|error| write_failure(path, &error))
 }
 
-/// Returns an unused_path name: `name.svg`, `name-2.svg`, `name-3.svg`.
+/// Returns a path that does not exist yet: `name.svg`, `name-2.svg`, `name-3.svg`.
 pub fn unused_path(path: &Path) -> PathBuf {
     let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
     let ending = path.extension().map_or(String::new(), |ending| format!(".{}", ending.to_string_lossy()));
@@ -157,7 +157,7 @@ fn temporary(target: &Path, bytes: &[u8]) -> io::Result<NamedTempFile> {
         builder.permissions(std::fs::Permissions::from_mode(0o666));
     }
     let mut temporary = builder.tempfile_in(folder_of(target))?;
-    // Not through `NamedTempFile`, whose errors contain the temporary name, which means nothing to the user.
+    // Writes to the inner file, because errors of `NamedTempFile` contain the temporary name.
     temporary.as_file_mut().write_all(bytes)?;
     temporary.as_file().sync_all()?;
     if let Ok(about) = std::fs::metadata(target) {

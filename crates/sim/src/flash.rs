@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 /// The committed entries by key, and staged entries.
 #[derive(Clone, Debug, Default)]
 pub struct SettingsFlash {
-    /// The committed entries, which the next start reads.
+    /// The committed entries, which the board reads at its next start.
     pub kept: BTreeMap<u8, Entry>,
     /// True if writing fails.
     pub broken: bool,
@@ -34,7 +34,7 @@ impl SettingsFlash {
         self.staged.get(&(key as u8)).cloned()
     }
 
-    /// Commits the staged entries of these settings, all or none, and drops the others.
+    /// Commits the staged entries of these settings, all or none, and drops the other staged entries.
     pub fn commit(&mut self, keys: &[Key]) -> Result<(), Refusal> {
         if self.broken || keys.iter().any(|key| !self.staged.contains_key(&(*key as u8))) {
             return Err(Refusal::Flash);

@@ -1,4 +1,4 @@
-//! Seeded random numbers (SplitMix64; Steele, Lea and Flood 2014): small, portable, and the same on every machine.
+//! Seeded random numbers (SplitMix64; Steele, Lea and Flood 2014), the same on every machine.
 
 /// A stream of random numbers that depends only on its seed.
 #[derive(Clone, Debug)]

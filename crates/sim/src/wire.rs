@@ -1,4 +1,5 @@
-//! A simulated board in this process, in lock step with its caller: its time passes only while the caller waits.
+//! A simulated board in this process, in lock step with its caller: simulated time advances only while the caller
+//! waits.
 
 use super::board::{BoardOptions, SimulatedBoard};
 use super::device::DeviceError;
@@ -55,11 +56,12 @@ impl Wire for SimulatedWire {
     }
 }
 
-/// Creates a simulated board with the supply and the device of `file`, and loads the device if the board accepts it.
+/// Creates a simulated board with the supply and the device of `file`, and loads the device unless the board refuses
+/// it.
 pub fn ready_board(file: &DeviceFile, mut options: BoardOptions) -> Result<SimulatedBoard, DeviceError> {
     options.device.bridge.bus_voltage = file.supply.unwrap_or(options.device.bridge.bus_voltage);
     let mut board = SimulatedBoard::new(&file.description, options)?;
-    // The tool reports the refusal when it loads the device again.
+    // Ignores a refusal, which the tool reports when it loads the device again.
     let _ = board.load(&file.name, &file.description, None);
     Ok(board)
 }
