@@ -1,7 +1,7 @@
-//! DfuSe update files, which `cargo xtask images` and `cargo xtask dfu` write: the segments of an image and the name of
-//! its board.
+//! DfuSe update files, which contain the segments of an image and the name of its board. `cargo xtask images` and
+//! `cargo xtask dfu` write them.
 //!
-//! Format: STMicroelectronics UM0391, "DfuSe file format specification". All numbers are little-endian.
+//! The format is STMicroelectronics UM0391, "DfuSe file format specification". All numbers are little-endian.
 
 use haptic_bridge::checksum::crc32;
 
@@ -19,7 +19,7 @@ pub enum BadFile {
     /// The file is too short, or its lengths contradict its contents.
     #[error("it is damaged: its lengths contradict its contents")]
     Lengths,
-    /// The file is for several memories, but these boards have one.
+    /// The file is for several memories, but a board has only one.
     #[error("it is for {0} memories, not for one")]
     Targets(u8),
     /// The image cannot be flashed.
@@ -27,7 +27,8 @@ pub enum BadFile {
     Image(#[from] BadImage),
 }
 
-/// Parses a file. The board is the name in the file; the file does not contain versions.
+/// Parses a file. The board of the image is the name in the file. The versions are `None`, because no file contains
+/// them.
 pub fn parse(file: &[u8]) -> Result<Image, BadFile> {
     if !file.starts_with(b"DfuSe\x01") {
         return Err(BadFile::NotDfuse);
@@ -55,7 +56,7 @@ pub fn parse(file: &[u8]) -> Result<Image, BadFile> {
     if !prefix.starts_with(b"Target") || size as usize != rest.len() {
         return Err(BadFile::Lengths);
     }
-    // "Target", the alternate setting, the flag for a name, the name.
+    // The prefix is "Target", the alternate setting, the flag for a name, and the name from byte 11.
     let board = prefix[11..].split(|byte| *byte == 0).next().unwrap_or_default();
     let mut segments = Vec::new();
     for _ in 0..elements {

@@ -18,7 +18,7 @@ fn refused(site: &Site, image: &haptic_flash::Image) -> haptic_flash::FlashError
     let before = site.0.borrow().flash.clone();
     let error = attempt(site, None, image).unwrap_err();
     assert!(before == site.0.borrow().flash, "{error}");
-    assert!(error.to_string().contains("nothing was changed") && !error.erased(), "{error}");
+    assert!(error.to_string().contains("nothing was changed") && !error.is_erased(), "{error}");
     error
 }
 
@@ -82,7 +82,7 @@ fn a_protected_chip_is_left_alone() {
 fn a_boot_loader_that_cannot_be_opened_names_the_remedy() {
     for (error, word) in [(UsbError::Forbidden, "haptic udev"), (UsbError::Busy, "dfu-util")] {
         let site = Site::running(&old());
-        site.change(|board| board.opening = Some(error));
+        site.change(|board| board.open_error = Some(error));
         let error = refused(&site, &new());
         assert!(error.phase == Phase::Open && error.to_string().contains(word), "{error}");
     }
