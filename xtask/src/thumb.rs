@@ -1,5 +1,5 @@
-//! A decoder of the part of the Thumb-2 instruction set (ARMv7-M Architecture Reference Manual, chapter A7.7) that
-//! shows the calls in a linked image, the indirect calls, and the stack of each function.
+//! Decodes the Thumb-2 instructions (ARMv7-M Architecture Reference Manual, chapter A7.7) that show the calls, the
+//! indirect calls and the stack of each function in a linked image.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -16,7 +16,7 @@ pub struct Function {
     pub calls: BTreeSet<u32>,
     /// Addresses of the calls and jumps through a register or a pointer.
     pub indirect: Vec<u32>,
-    /// Upper bound of the stack, bytes: the sum over all instructions that lower the stack pointer.
+    /// Upper bound of the stack, bytes: the sum of all decrements of the stack pointer.
     pub stack: u32,
 }
 
@@ -59,8 +59,8 @@ impl Image {
         Ok(Self(functions))
     }
 
-    /// Follows the calls from the functions of these names. Returns the number of functions, their indirect jumps, and
-    /// the deepest stack of each root. Fails on recursion, and on a call to an address without a function.
+    /// Follows the calls from the functions `roots`. Returns the number of functions, their indirect jumps, and the
+    /// deepest stack of each root. Fails on recursion, and on a call to an address without a function.
     pub fn reach(&self, roots: &[&str]) -> Result<Reach> {
         let mut depths = BTreeMap::new();
         let mut stack = Vec::new();
@@ -101,13 +101,13 @@ impl Image {
 pub struct Reach {
     /// Number of functions.
     pub functions: usize,
-    /// Jumps through a register or a pointer: function and address.
+    /// Function and address of each jump through a register or a pointer.
     pub indirect: Vec<String>,
     /// Deepest stack of each root, bytes.
     pub stack: Vec<(String, u32)>,
 }
 
-/// Decodes the code of one function at `start`. `is_code` returns false for the tables between instructions.
+/// Decodes the code of the function at the address `start`. `is_code` returns false for tables between instructions.
 fn decode(code: &[u8], start: u32, is_code: impl Fn(u32) -> bool) -> Function {
     let mut function = Function::default();
     let end = start + code.len() as u32;
@@ -178,7 +178,7 @@ fn decode(code: &[u8], start: u32, is_code: impl Fn(u32) -> bool) -> Function {
     function
 }
 
-/// Returns the target of a branch; the program counter is four bytes ahead.
+/// Returns the target of a branch at `at`, relative to the program counter, which is four bytes ahead.
 fn offset(at: u32, by: i32) -> u32 {
     at.wrapping_add(4).wrapping_add_signed(by)
 }

@@ -11,8 +11,8 @@ use std::path::PathBuf;
 
 /// Rows of telemetry with named columns.
 ///
-/// `recording["tip_x_m"]` is one column, shape (rows,); `recording.data` is all of them, shape (rows, columns). Column
-/// names end with their unit; `step` counts control periods since the board started. A state is 0 disarmed, 1 armed, 2
+/// `recording["tip_x_m"]` is one column, shape (rows,); `recording.data` has all columns, shape (rows, columns). Column
+/// names end with their unit. `step` counts control periods since the board started. A state is 0 disarmed, 1 armed, 2
 /// checking polarity, 3 fault. `pandas.DataFrame(dict(recording))` converts to pandas.
 #[pyclass(frozen, module = "haptic_bridge")]
 pub struct Recording {
@@ -42,7 +42,7 @@ impl Recording {
         self.about.clone()
     }
 
-    /// True if the file ended within a line, which is left out.
+    /// True if the file ended within a line, which was skipped.
     #[getter]
     fn torn(&self) -> bool {
         self.torn
@@ -77,9 +77,8 @@ impl Recording {
     }
 }
 
-/// Reads a recording of `haptic record`, MCAP or CSV.
-///
-/// If its writer was killed, a file is read up to its last complete line or chunk (`torn`).
+/// Reads a recording of `haptic record`, MCAP or CSV. An incomplete file is read up to its last complete line or chunk,
+/// and `torn` is then true.
 #[pyfunction]
 pub fn read_recording(py: Python<'_>, path: PathBuf) -> PyResult<Recording> {
     let HostRecording { about, columns, rows, torn } = py.detach(|| HostRecording::load(&path)).map_err(failure)?;
