@@ -51,7 +51,6 @@ impl SavedSetting {
     pub fn of<S: Setting>(value: &S) -> Option<Self> {
         Some(saved_setting(S::KEY, &encode(value).ok()?))
     }
-
     /// Decodes the bytes if this tool knows their version, otherwise reads the JSON value.
     pub fn read<S: Setting>(&self) -> Result<S, BackupError> {
         let (entry, _) = usable_entry_as::<S>(self)?;
@@ -132,7 +131,6 @@ impl Backup {
         // A map with string keys always serialises to JSON.
         serde_json::to_string_pretty(self).unwrap_or_default() + "\n"
     }
-
     /// Parses the text of a file.
     pub fn parse(text: &str) -> Result<Self, BackupError> {
         let value: Value = serde_json::from_str(text).map_err(|error| BackupError::NotABackup(error.to_string()))?;

@@ -46,24 +46,20 @@ impl DeviceFile {
     pub fn load(path: impl AsRef<Path>) -> Result<Self, FileError> {
         Self::read(&Document::load(path.as_ref())?)
     }
-
     /// Reads and checks a text. Error messages name `origin` as the file.
     pub fn parse(text: &str, origin: impl Into<PathBuf>) -> Result<Self, FileError> {
         Self::read(&Document::new(text, origin))
     }
-
     /// Returns the number of joints and links, and the task dimension, of this device's mechanism.
     pub fn spec(&self) -> Spec {
         self.description.kind.spec()
     }
-
     /// Returns the device as a board receives it: lumped in double precision, rounded once.
     ///
     /// Errors: those of [`AnyMechanism::new`], which never occur for a device that this module has read.
     pub fn device<T: Real>(&self) -> Result<Device<T>, DescriptionError> {
         Device::new(&self.name, &self.description)
     }
-
     /// Returns the entries that a real board still needs before it arms, each with the key to write.
     pub fn missing_for_board(&self) -> Vec<String> {
         let mut missing = Vec::new();

@@ -60,51 +60,37 @@ impl Failure {
     pub fn impossible(reason: impl fmt::Display) -> Self {
         Self { blame: Blame::World, reason: reason.to_string(), remedy: None, choice: None, further_lines: Vec::new() }
     }
-
     /// Creates a failure of a wrong command or file (exit code 2).
     pub fn wrong(reason: impl fmt::Display) -> Self {
-        Self {
-            blame: Blame::Request,
-            reason: reason.to_string(),
-            remedy: None,
-            choice: None,
-            further_lines: Vec::new(),
-        }
+        Self { blame: Blame::Request, ..Self::impossible(reason) }
     }
-
     /// Creates the failure of a comparison (exit code 3).
     pub fn different(reason: impl fmt::Display) -> Self {
         Self { blame: Blame::Difference, ..Self::impossible(reason) }
     }
-
     /// Adds the remedy.
     pub fn remedy(mut self, remedy: impl fmt::Display) -> Self {
         self.remedy = Some(remedy.to_string());
         self
     }
-
     /// Adds the option that the user may change.
     pub fn choose(mut self, choice: Choice) -> Self {
         self.choice = Some(choice);
         self
     }
-
     /// Adds further errors, one line each.
     pub fn also(mut self, lines: impl IntoIterator<Item = String>) -> Self {
         self.further_lines.extend(lines);
         self
     }
-
     /// Returns the option that the user may change.
     pub fn choice(&self) -> Option<Choice> {
         self.choice
     }
-
     /// Returns the cause of the failure.
     pub fn blame(&self) -> Blame {
         self.blame
     }
-
     /// Returns the exit code of the process.
     pub fn exit_code(&self) -> ExitCode {
         ExitCode::from(match self.blame {

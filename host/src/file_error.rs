@@ -23,7 +23,6 @@ impl FileError {
     pub fn new(path: PathBuf, position: Option<(usize, usize)>, problem: Problem) -> Self {
         Self { path, position, problem: Box::new(problem), others: Vec::new() }
     }
-
     /// Joins the errors of one file in the order of their lines; `None` without errors. Drops the error about a missing
     /// key if the key is misspelt or in the wrong table.
     pub fn join(mut errors: Vec<Self>) -> Option<Self> {

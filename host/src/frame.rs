@@ -29,7 +29,6 @@ impl Axes {
     pub fn to_chai3d(self, task: [f64; 3]) -> [f64; 3] {
         self.0.map(|axis| axis.map_or(0.0, |(index, sign)| sign * task[index]))
     }
-
     /// Converts a vector from CHAI3D's frame to the task frame. Drops components along axes that the device lacks.
     pub fn to_task(self, chai3d: [f64; 3]) -> [f64; 3] {
         let mut task = [0.0; 3];

@@ -31,11 +31,9 @@ impl Places {
     pub fn new(max_places: usize, per_address: usize) -> Self {
         Self { max_places, per_address, connections: Arc::default() }
     }
-
     fn lock(&self) -> MutexGuard<'_, Vec<Connection>> {
         self.connections.lock().unwrap_or_else(PoisonError::into_inner)
     }
-
     /// Returns a place for a connection; `None` if the connection has already ended.
     ///
     /// If no place is free, closes another connection: of the same address if it is at its limit, otherwise of the

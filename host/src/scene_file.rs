@@ -57,12 +57,10 @@ impl SceneFile {
     pub fn load(path: impl AsRef<Path>, task: usize) -> Result<Self, FileError> {
         Self::read(&Document::load(path.as_ref())?, task)
     }
-
     /// Reads and checks a text. Error messages name `origin` as the file.
     pub fn parse(text: &str, origin: impl Into<PathBuf>, task: usize) -> Result<Self, FileError> {
         Self::read(&Document::new(text, origin), task)
     }
-
     /// Returns the indices of the one-sided walls that contain the tip at joint angles `q` (rad).
     pub fn walls_entered(&self, device: &DeviceFile, q: &[f64; MAX_JOINTS]) -> Vec<usize> {
         fn entered<const N: usize, M: Mechanism<f64, N>>(

@@ -53,17 +53,14 @@ impl Document {
     pub fn new(text: impl Into<String>, origin: impl Into<PathBuf>) -> Self {
         Self { path: origin.into(), text: text.into() }
     }
-
     /// Returns the path of the file.
     pub fn path(&self) -> &Path {
         &self.path
     }
-
     /// Returns the text.
     pub fn text(&self) -> &str {
         &self.text
     }
-
     /// Parses the text and calls `read` with its top table.
     pub fn read<T>(&self, read: impl FnOnce(&Table<'_>) -> Result<T, FileError>) -> Result<T, FileError> {
         let root = DeTable::parse(&self.text).map_err(|error| {
@@ -143,17 +140,14 @@ impl<'a> Table<'a> {
         self.place = place.into();
         self
     }
-
     /// Returns the table's name for messages.
     pub fn place(&self) -> &str {
         &self.place
     }
-
     /// Creates an error at the table's own line.
     pub fn error_here(&self, problem: Problem) -> FileError {
         self.document.error(self.span.clone(), problem)
     }
-
     /// Creates an error at the value of `key`, or at the table if the key is missing.
     pub fn error_at(&self, key: &str, problem: Problem) -> FileError {
         match self.entries.get(key) {
@@ -185,7 +179,6 @@ impl<'a> Table<'a> {
     pub fn check_no_errors(&self) -> Result<(), FileError> {
         self.shared.borrow_mut().errors.pop().map_or(Ok(()), Err)
     }
-
     /// Stores an error for every key that is not in `known`. Returns true if every key is known.
     pub fn refuse_unknown_keys(&self, known: &[&str]) -> bool {
         let mut shared = self.shared.borrow_mut();
@@ -216,12 +209,10 @@ impl<'a> Table<'a> {
     pub fn has(&self, key: &str) -> bool {
         self.entries.contains_key(key)
     }
-
     /// Returns true if the value of the key is a string.
     pub fn is_string(&self, key: &str) -> bool {
         self.entries.get(key).is_some_and(|value| matches!(value.get_ref(), DeValue::String(_)))
     }
-
     /// Returns the value. If `value` is `None`, returns an error with `example` as the line to add.
     pub fn required<T>(&self, key: &str, value: Option<T>, example: impl Into<String>) -> Result<T, FileError> {
         value.ok_or_else(|| {
@@ -233,17 +224,14 @@ impl<'a> Table<'a> {
     pub fn needed(&self, key: &str, must: Must, example: impl Into<String>) -> f64 {
         self.keep(self.number(key, must).and_then(|value| self.required(key, value, example)), f64::NAN)
     }
-
     /// Reads a number. Returns `usual` if it is missing or wrong (see [`Table::keep`]).
     pub fn number_or(&self, key: &str, must: Must, usual: f64) -> f64 {
         self.keep(self.number(key, must), None).unwrap_or(usual)
     }
-
     /// Reads `true` or `false`. Returns `usual` if it is missing or wrong (see [`Table::keep`]).
     pub fn flag_or(&self, key: &str, usual: bool) -> bool {
         self.keep(self.flag(key), None).unwrap_or(usual)
     }
-
     fn wrong_type(&self, key: &str, expected: impl Into<String>, value: &Spanned<DeValue<'_>>) -> FileError {
         let problem = Problem::WrongType {
             key: key.into(),
@@ -297,7 +285,6 @@ impl<'a> Table<'a> {
     pub fn number(&self, key: &str, must: Must) -> Result<Option<f64>, FileError> {
         self.entries.get(key).map(|value| self.numeric(key, value, must, "a number")).transpose()
     }
-
     /// Reads a list of exactly `count` numbers. Error messages describe the numbers by `meaning`.
     pub fn numbers(&self, key: &str, count: usize, must: Must, meaning: &str) -> Result<Option<Vec<f64>>, FileError> {
         let Some(value) = self.entries.get(key) else { return Ok(None) };

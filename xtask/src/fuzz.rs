@@ -52,7 +52,6 @@ impl Options {
     pub fn short(seconds: u32) -> Self {
         Self { targets: Vec::new(), seconds, record: false }
     }
-
     fn targets(&self) -> Vec<&'static str> {
         TARGETS.into_iter().filter(|name| self.targets.is_empty() || self.targets.iter().any(|t| t == name)).collect()
     }

@@ -112,7 +112,6 @@ impl Image {
         let inside = |segment: &&Segment| address.wrapping_sub(segment.address) < segment.bytes.len() as u32;
         self.segments.iter().find(inside).map_or(0xFF, |segment| segment.bytes[(address - segment.address) as usize])
     }
-
     /// Returns the RAM of statics and reserved stack, bytes.
     pub fn ram(&self) -> u64 {
         self.statics + self.stack

@@ -155,7 +155,6 @@ impl HdDevice {
         self.session.as_ref()?;
         Some(self.axes.to_chai3d(self.last.velocity.map(f64::from)))
     }
-
     /// Sends a force (N), waits for the next tick and reads the state. Sends zero and returns false for an invalid
     /// force. While the board is lost, tries to reopen it every [`RETRY_TICKS`] calls.
     pub fn force(&mut self, force: [f64; 3]) -> bool {

@@ -72,7 +72,6 @@ impl Choice {
     fn file(&self) -> Result<Option<DeviceFile>, Failure> {
         Ok(self.device.map(|device| DeviceFile::parse(device, self.name)).transpose()?)
     }
-
     fn world(&self) -> Result<World, Failure> {
         let Some(file) = self.file()? else { return World::demo() };
         let task = file.spec().task;

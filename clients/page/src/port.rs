@@ -32,11 +32,9 @@ impl Wire for PagePort {
     fn now(&self) -> Duration {
         Duration::try_from_secs_f64(1e-3 * worker::now()).unwrap_or_default()
     }
-
     fn slack(&self) -> Duration {
         PAGE_SLACK
     }
-
     // Uses the worker's numbers, because the standard library draws the same numbers in every browser.
     fn draw(&mut self) -> u32 {
         worker::draw()

@@ -138,7 +138,6 @@ impl Board {
     pub fn of(session: Session) -> Self {
         Self(Mutex::new(Some(OpenBoard { session, stream: None })))
     }
-
     fn with<T: Send>(
         &self,
         py: Python<'_>,
@@ -199,22 +198,18 @@ impl Board {
     fn __enter__(slf: PyRef<'_, Self>) -> PyRef<'_, Self> {
         slf
     }
-
     #[pyo3(signature = (*_error))]
     fn __exit__(&self, py: Python<'_>, _error: &Bound<'_, pyo3::types::PyTuple>) {
         self.close(py);
     }
-
     fn __repr__(&self, py: Python<'_>) -> String {
         let port = self.with(py, |open| Ok(open.session.port().to_owned()));
         port.map_or_else(|_| "<Board, closed>".into(), |port| format!("<Board at {port}>"))
     }
-
     /// Disarms the board and closes it. Closing it again has no effect.
     fn close(&self, py: Python<'_>) {
         py.detach(|| drop(self.0.lock().unwrap_or_else(PoisonError::into_inner).take()));
     }
-
     /// Description of the board: a dict with board, serial, firmware, protocol and port.
     #[getter]
     fn info<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
@@ -233,13 +228,11 @@ impl Board {
     fn state(&self, py: Python<'_>) -> PyResult<&'static str> {
         self.with(py, |open| Ok(STATES[open.session.status()?.state as usize]))
     }
-
     /// Latched fault with its remedy; None without a fault.
     #[getter]
     fn fault(&self, py: Python<'_>) -> PyResult<Option<String>> {
         self.with(py, |open| Ok(open.session.status()?.fault.as_ref().map(fault_text)))
     }
-
     /// Loads a device and a scene (without a scene, free space). The motors must be off. The device must be homed
     /// again. The polarity check stays valid if the same device is loaded again and homed close to its earlier home.
     #[pyo3(signature = (device, scene = None))]
@@ -265,7 +258,6 @@ impl Board {
     fn home(&self, py: Python<'_>) -> PyResult<()> {
         self.with(py, |open| open.session.home())
     }
-
     /// Checks that every motor turns its joint in the direction in which the encoder counts. Moves each joint a little
     /// and waits for the end of the check. Raises RefusedError if a joint fails or another program ends the check.
     fn check_polarity(&self, py: Python<'_>) -> PyResult<()> {
@@ -281,17 +273,14 @@ impl Board {
     fn arm(&self, py: Python<'_>) -> PyResult<()> {
         self.with(py, |open| open.session.arm())
     }
-
     /// Turns the motors off.
     fn disarm(&self, py: Python<'_>) -> PyResult<()> {
         self.with(py, |open| open.session.disarm())
     }
-
     /// Clears a latched fault.
     fn clear(&self, py: Python<'_>) -> PyResult<()> {
         self.with(py, |open| open.session.clear())
     }
-
     /// Changes one wall's stiffness (N/m) and damping (N s/m), also while it is in contact.
     fn set_gains(&self, py: Python<'_>, wall: u8, stiffness: f32, damping: f32) -> PyResult<()> {
         let result = self.with(py, |open| {
@@ -322,7 +311,6 @@ impl Board {
     fn look(&self, py: Python<'_>) -> PyResult<State> {
         self.exchange(py, ForceRequest::default())
     }
-
     /// Pushes with a force (N) at the tip, up to 3 entries in the task frame, which replaces the previous request.
     ///
     /// hold_s: time for which the request acts in full, 0 to 0.2 s; fade_s: time in which it then fades to zero, 0 to
@@ -358,7 +346,6 @@ impl Board {
         let torque = vector("the torques", &torque)?;
         self.exchange(py, ForceRequest { hold: hold_s, fade: fade_s, torque, ..ForceRequest::default() })
     }
-
     /// Starts a stream of fields (names of docs/telemetry.md separated by commas, or "usual", "all") at every
     /// `divider`-th control period. Returns the column names of `rows`.
     #[pyo3(signature = (fields = "usual", divider = 1))]
@@ -398,7 +385,6 @@ impl Board {
     fn stop_stream(&self, py: Python<'_>) -> PyResult<()> {
         self.with(py, |open| open.session.stop_stream())
     }
-
     /// Losses of the stream so far: a dict with received, missing, dropped_by_board, batches_lost and garbled.
     #[getter]
     fn losses<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {

@@ -147,60 +147,50 @@ impl PyDevice {
     fn new(path: PathBuf) -> PyResult<Self> {
         read(Document::load(&path).map_err(failure)?)
     }
-
     /// Reads a device from a text. Error messages name `origin` as the file.
     #[staticmethod]
     #[pyo3(signature = (text, origin = "device.toml"))]
     fn parse(text: &str, origin: &str) -> PyResult<Self> {
         read(Document::new(text, origin))
     }
-
     /// Pickles the text of the device file, which can be unpickled on another computer.
     fn __reduce__<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyAny>, (String, String))> {
         let parse = py.get_type::<Self>().getattr("parse")?;
         Ok((parse, (self.document.text().to_owned(), self.document.path().display().to_string())))
     }
-
     /// Name of the device.
     #[getter]
     fn name(&self) -> &str {
         &self.file.name
     }
-
     /// Kind of mechanism: paddle, five-bar, five-bar-turret, parallelogram or serial-3r.
     #[getter]
     fn mechanism(&self) -> &'static str {
         self.file.spec().name
     }
-
     /// Number of joints N.
     #[getter]
     fn joints(&self) -> usize {
         self.file.spec().joints
     }
-
     /// Task dimension d.
     #[getter]
     fn task(&self) -> usize {
         self.file.spec().task
     }
-
     /// Home pose, rad, shape (N,); None if the file has no home.
     #[getter]
     fn home<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyArrayDyn<f64>>>> {
         self.file.description.home.map(|home| list(py, &home[..self.joints()])).transpose()
     }
-
     /// Entries that the file must have before a real board arms; empty if the file is complete.
     #[getter]
     fn lacks(&self) -> Vec<String> {
         self.file.missing_for_board()
     }
-
     fn __repr__(&self) -> String {
         format!("<Device {}: {}, {} joints>", self.file.name, self.mechanism(), self.joints())
     }
-
     /// Computes the model at poses, like `haptic model`.
     ///
     /// q: (..., N) rad. qd: (..., N) rad/s, by default zero. With the normal (d,) or (..., d) of a wall, of any length,
@@ -459,7 +449,6 @@ impl PyDevice {
     fn unit_normals(&self, given: &Bound<'_, PyAny>, poses: &Rows) -> PyResult<Vec<Vec<f64>>> {
         self.to_unit_vectors(rows("normal", given, self.task())?.broadcast_to("normal", poses)?)
     }
-
     /// Converts normals to unit vectors.
     pub fn to_unit_vectors(&self, normals: Vec<Vec<f64>>) -> PyResult<Vec<Vec<f64>>> {
         let (n, d) = (self.joints(), self.task());
@@ -488,26 +477,22 @@ impl Scene {
     fn new(path: PathBuf, task: usize) -> PyResult<Self> {
         Ok(Self { file: SceneFile::load(path, task).map_err(failure)? })
     }
-
     /// Reads a scene from a text. Error messages name `origin` as the file.
     #[staticmethod]
     #[pyo3(signature = (text, task, origin = "scene.toml"))]
     fn parse(text: &str, task: usize, origin: &str) -> PyResult<Self> {
         Ok(Self { file: SceneFile::parse(text, origin, task).map_err(failure)? })
     }
-
     /// Number of walls.
     #[getter]
     fn walls(&self) -> usize {
         self.file.scene.walls.len()
     }
-
     /// Rate of the control steps, Hz.
     #[getter]
     fn rate_hz(&self) -> f64 {
         self.file.scene.rate_hz
     }
-
     fn __repr__(&self) -> String {
         format!("<Scene: {} walls at {} Hz>", self.walls(), self.rate_hz())
     }

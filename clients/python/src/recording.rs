@@ -29,29 +29,24 @@ impl Recording {
     fn columns(&self) -> Vec<String> {
         self.columns.clone()
     }
-
     /// All numbers, shape (rows, columns).
     #[getter]
     fn data<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
         array(py, self.rows.concat(), &[self.rows.len(), self.columns.len()])
     }
-
     /// The comment lines of the file.
     #[getter]
     fn about(&self) -> Vec<String> {
         self.about.clone()
     }
-
     /// True if the file ended within a line, which was skipped.
     #[getter]
     fn torn(&self) -> bool {
         self.torn
     }
-
     fn __len__(&self) -> usize {
         self.rows.len()
     }
-
     fn __getitem__<'py>(&self, py: Python<'py>, name: &str) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
         let Some(column) = self.columns.iter().position(|column| column == name) else {
             return Err(PyKeyError::new_err(format!("no column {name}; there are {}", self.columns.join(", "))));
@@ -63,15 +58,12 @@ impl Recording {
     fn keys(&self) -> Vec<String> {
         self.columns.clone()
     }
-
     fn __iter__<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyIterator>> {
         PyList::new(py, &self.columns)?.try_iter()
     }
-
     fn __contains__(&self, name: &str) -> bool {
         self.columns.iter().any(|column| column == name)
     }
-
     fn __repr__(&self) -> String {
         format!("<Recording: {} rows of {}>", self.rows.len(), self.columns.join(", "))
     }

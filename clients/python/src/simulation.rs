@@ -54,7 +54,6 @@ impl Simulation {
     fn board(&self) -> PyResult<Board> {
         Ok(Board::of(Session::of(Linked::over(self.shared.wire(), "sim").map_err(errors::link)?)))
     }
-
     /// Advances simulated time by `seconds`. Ctrl-C ends the call early.
     fn run(&self, py: Python<'_>, seconds: f64) -> PyResult<()> {
         let end = self.shared.lock().time() + seconds;
@@ -74,7 +73,6 @@ impl Simulation {
         let board = self.shared.lock();
         format!("<Simulation: {} s, tip {:?} m>", board.time(), &board.device().tip()[..self.task])
     }
-
     /// Runs one control period with the device at rest at q (N,) rad, and returns the motors' torques, N m, shape (N,).
     /// With this function another program can simulate the device. The encoders round q to counts, and the board
     /// estimates the velocities.

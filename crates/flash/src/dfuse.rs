@@ -172,12 +172,10 @@ impl<T: Transport> Dfuse<T> {
     pub fn transfer(&self) -> usize {
         usize::from(self.transfer)
     }
-
     /// Erases the sector that begins at this address.
     pub fn erase(&mut self, address: u32) -> Result<(), DfuError> {
         self.command(ERASE, address, || format!("erase the sector at {address:#010x}"))
     }
-
     /// Writes at most [`Dfuse::transfer`] bytes to erased flash.
     pub fn write(&mut self, address: u32, bytes: &[u8]) -> Result<(), DfuError> {
         self.set_address(address)?;
@@ -247,7 +245,6 @@ impl<T: Transport> Dfuse<T> {
     fn set_address(&mut self, address: u32) -> Result<(), DfuError> {
         self.command(SET_ADDRESS, address, || format!("set the address {address:#010x}"))
     }
-
     fn command(&mut self, command: u8, address: u32, doing: impl Fn() -> String) -> Result<(), DfuError> {
         let mut data = vec![command];
         data.extend(address.to_le_bytes());

@@ -189,12 +189,10 @@ impl FlashError {
     fn new(phase: Phase, cause: impl Into<Cause>, flash: Flash) -> Self {
         Self { phase, cause: cause.into(), flash }
     }
-
     /// Returns true if the flash holds no image that starts.
     pub fn is_erased(&self) -> bool {
         self.flash == Flash::Erased
     }
-
     /// Returns the remedy.
     pub fn remedy(&self) -> String {
         let first = match &self.cause {

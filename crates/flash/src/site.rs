@@ -67,15 +67,12 @@ impl Surroundings for Bus {
     fn boot_loaders(&mut self) -> Result<Vec<BootLoader>, UsbError> {
         usb::boot_loaders()
     }
-
     fn open(&mut self, which: &BootLoader) -> Result<Opened<UsbBootLoader>, UsbError> {
         usb::open(which)
     }
-
     fn boards(&mut self) -> Vec<String> {
         boards().0.into_iter().map(|board| board.serial).collect()
     }
-
     fn identify(&mut self, serial: &str) -> Result<Identity, String> {
         let info = client(serial)?.call::<GetInfo>(&(), REPLY).map_err(to_text)?;
         Ok(Identity {
@@ -90,7 +87,6 @@ impl Surroundings for Bus {
         let board = open_same_protocol(serial).map_err(to_text)?;
         board.map(|mut board| Backup::read(&mut board)).transpose().map_err(to_text)
     }
-
     fn enter_boot_loader(&mut self, serial: &str) -> Result<(), String> {
         // A board with another protocol version may refuse this request as unknown.
         let outcome = client(serial)?.call::<EnterDfu>(&(), REPLY).map_err(to_text)?;
@@ -110,7 +106,6 @@ impl Surroundings for Bus {
     fn now(&mut self) -> Duration {
         self.began.elapsed()
     }
-
     fn wait(&mut self, time: Duration) {
         sleep(time);
     }

@@ -99,7 +99,6 @@ impl Transport for UsbBootLoader {
     fn wait(&mut self, time: Duration) {
         std::thread::sleep(time);
     }
-
     fn now(&self) -> Duration {
         self.began.elapsed()
     }

@@ -214,12 +214,10 @@ impl SimulatedBoard {
     pub fn carrier(&mut self) {
         self.carrier_period(1);
     }
-
     /// Returns the carrier frequency, Hz.
     pub fn carrier_hz(&self) -> f64 {
         self.machine.carrier.carrier_hz().into()
     }
-
     /// Advances by one control period.
     pub fn control_period(&mut self) {
         match self.options.drive {
@@ -409,7 +407,6 @@ impl SimulatedBoard {
     pub fn run(&mut self, seconds: f64) {
         self.run_until(self.device.time() + seconds);
     }
-
     /// Receives bytes from a host. Carries out every completed request after two control periods, because control
     /// continues while a request is on its way.
     pub fn receive(&mut self, bytes: &[u8]) {
@@ -424,23 +421,19 @@ impl SimulatedBoard {
     pub fn take_bytes(&mut self, buffer: &mut [u8]) -> usize {
         self.link.take_out(buffer)
     }
-
     /// Returns true if bytes wait for the host.
     pub fn has_bytes(&self) -> bool {
         !self.link.is_empty()
     }
-
     /// Disconnects the host: drops all bytes on the link and stops the stream.
     pub fn hang_up(&mut self) {
         self.packer = Packer::default();
         self.link.clear();
     }
-
     /// Injects a fault of the hardware, which the next control step reports.
     pub fn inject(&mut self, fault: Fault, axis: Option<u8>, value: f32) {
         self.injected = Some((fault, axis, value));
     }
-
     /// Returns the time since the host's last heartbeat, or since a dead man's key was last seen down, and the time
     /// after which the board acts, s. Returns `None` while the board would not act.
     pub fn host_silence(&self) -> Option<(f64, f64)> {
@@ -454,12 +447,10 @@ impl SimulatedBoard {
     pub fn faults_mut(&mut self) -> &mut BoardFaults {
         &mut self.options.faults
     }
-
     /// Returns the number of encoder readings.
     pub fn readings(&self) -> u64 {
         self.readings
     }
-
     /// Returns the device.
     pub fn device(&self) -> &SimulatedDevice {
         &self.device
@@ -476,7 +467,6 @@ impl SimulatedBoard {
     pub fn status(&self) -> Status {
         self.machine.control_loop.status()
     }
-
     fn reply(&mut self, frame: &[u8]) {
         let mut out = [0; MAX_FRAME];
         let (reply, after) = dispatch::answer(&mut self.service, &mut self.machine, frame, &mut out);

@@ -172,7 +172,6 @@ impl SimulatedDevice {
     pub fn support(&self) -> Support {
         self.support
     }
-
     /// Changes the support. A held device stops at once.
     pub fn set_support(&mut self, support: Support) {
         if support == Support::Held {
@@ -205,12 +204,10 @@ impl SimulatedDevice {
     pub fn set_bus_voltage(&mut self, volts: f64) {
         self.bridge.bus_voltage = volts;
     }
-
     /// Returns the joint angles at power-on, rad.
     pub fn start(&self) -> [f64; 3] {
         self.start
     }
-
     /// Returns the number of joints N.
     pub fn joints(&self) -> usize {
         self.plant.joints()

@@ -210,7 +210,6 @@ impl Holder {
     fn lock(&self) -> MutexGuard<'_, Option<Connection>> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
-
     /// Gives the board to this connection if the board becomes free in time. A connection that sends bytes also takes
     /// the board of a silent holder.
     fn admit(&self, stream: &TcpStream, place: &Place, patience: Patience) -> Admission {

@@ -21,25 +21,21 @@ impl EncoderModel {
         let sign = if encoder.inverted { -1.0 } else { 1.0 };
         Self { counts_per_rad: sign * encoder.counts_per_turn / TAU, origin, index: encoder.offset }
     }
-
     /// Returns the count at the angle `q` (rad).
     pub fn counts(&self, q: f64) -> i32 {
         // `as` saturates, and converts NaN to 0.
         ((q - self.origin) * self.counts_per_rad).round() as i32
     }
-
     /// Returns true if the index mark is under the sensor, within half a count of the description's `offset` in each
     /// turn.
     pub fn at_index(&self, q: f64) -> bool {
         let turns = (q - self.index) / TAU;
         ((turns - turns.round()) * TAU * self.counts_per_rad).abs() <= 0.5
     }
-
     /// Returns the encoder with its edges shifted by `share` of one count.
     pub fn shifted(&self, share: f64) -> Self {
         Self { origin: self.origin + share * self.resolution(), ..*self }
     }
-
     /// Returns the angle of one count, rad.
     pub fn resolution(&self) -> f64 {
         1.0 / self.counts_per_rad.abs()

@@ -74,14 +74,12 @@ impl BoardFaults {
     fn sign(&self, axis: usize) -> f64 {
         if self.reversed[axis] { -1.0 } else { 1.0 }
     }
-
     /// Returns the reading of the axis's sensor `nth` for these motor currents, A.
     #[must_use]
     pub fn current(&self, currents: &[f64; 3], axis: usize, nth: usize) -> f64 {
         let current = self.sensor_frozen[axis].unwrap_or(currents[self.motors[axis]] * self.sign(axis));
         self.sensor_gain[nth] * current + self.sensor_offset[nth]
     }
-
     /// Returns the encoders' `nth` reading for the true `counts`.
     #[must_use]
     pub fn counts(&self, mut counts: [i32; 3], nth: u64) -> [i32; 3] {

@@ -19,7 +19,6 @@ impl SettingsFlash {
     pub fn holding(kept: BTreeMap<u8, Entry>) -> Self {
         Self { kept, ..Self::default() }
     }
-
     /// Stages an entry.
     pub fn stage(&mut self, key: Key, entry: &[u8]) -> Result<(), Refusal> {
         if self.broken {
@@ -33,7 +32,6 @@ impl SettingsFlash {
     pub fn staged(&self, key: Key) -> Option<Entry> {
         self.staged.get(&(key as u8)).cloned()
     }
-
     /// Commits the staged entries of these settings, all or none, and drops the other staged entries.
     pub fn commit(&mut self, keys: &[Key]) -> Result<(), Refusal> {
         if self.broken || keys.iter().any(|key| !self.staged.contains_key(&(*key as u8))) {
@@ -48,7 +46,6 @@ impl SettingsFlash {
     pub fn load(&self, key: Key) -> Option<Entry> {
         self.kept.get(&(key as u8)).cloned()
     }
-
     /// Drops staged entries, as a restart does.
     pub fn restart(&mut self) {
         self.staged.clear();

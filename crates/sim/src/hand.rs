@@ -114,17 +114,14 @@ impl Hand {
         (self.intent, self.began) = (intent, now);
         (self.aim, self.aim_velocity) = (self.position, [0.0; 3]);
     }
-
     /// Returns the position of the hand, m; `None` if the hand has let go of the tip.
     pub fn position(&self) -> Option<[f64; 3]> {
         (self.intent != Intent::LetGo).then_some(self.position)
     }
-
     /// Creates a hand that does not hold the tip.
     pub fn none() -> Self {
         Self::new(HandSettings::default(), Intent::LetGo, [0.0; 3], 0.0)
     }
-
     /// Advances the hand by `h` (s) and returns its force on the tip, N. `task` is the task dimension.
     pub fn step(&mut self, tip: &[f64; 3], tip_velocity: &[f64; 3], task: usize, now: f64, h: f64) -> [f64; 3] {
         let mut force = [0.0; 3];

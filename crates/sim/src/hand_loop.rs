@@ -64,16 +64,13 @@ impl HandLoop {
     fn corners(&self) -> [Vector3<f64>; 4] {
         [self.along, -self.across, -self.along, self.across].map(|direction| self.centre + direction * HALF_SIZE)
     }
-
     fn is_within_reach(&self, file: &DeviceFile) -> bool {
         self.corners().iter().all(|corner| is_within_reach(file, corner))
     }
-
     /// Returns the intent of the hand while the motors are off: to stay at home, outside the walls.
     pub fn wait(&self) -> Intent {
         Intent::Lead(self.rest)
     }
-
     /// Returns the path of the hand, which starts at home and lasts an hour.
     pub fn intent(&self) -> Intent {
         let corners = self.corners().map(Into::into);

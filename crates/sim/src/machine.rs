@@ -88,7 +88,6 @@ impl Described for LocalMachine {
     fn info(&self) -> Info {
         self.info.clone()
     }
-
     fn measured(&mut self) -> Measured {
         let delay = self.delay / f64::from(self.carrier.divider);
         Measured { carrier_hz: self.carrier.carrier_hz(), delay_samples: delay as f32, ..Measured::default() }

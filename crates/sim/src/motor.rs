@@ -49,12 +49,10 @@ impl MotorModel {
     pub fn new(motor: Motor<f64>) -> Self {
         Self { motor, current: 0.0 }
     }
-
     /// Returns the winding current, A.
     pub fn current(&self) -> f64 {
         self.current
     }
-
     /// Advances by `h` (s) at the speed `omega` (rad/s). Returns the torque (N m) and a damping (N m s/rad). The
     /// damping is the back-EMF of a winding without inductance, so that the integrator is stable for any step.
     pub fn step(&mut self, drive: MotorInput, omega: f64, bridge: &PowerStage, h: f64) -> (f64, f64) {

@@ -172,7 +172,6 @@ impl Plant {
     pub fn add_soft_stop(&mut self) {
         self.add_stop(SingularityStop::SOFT);
     }
-
     fn add_stop(&mut self, stop: SingularityStop) {
         self.singularity_stop = stop;
         self.refresh();
@@ -222,7 +221,6 @@ impl Plant {
     pub fn tip_velocity(&self) -> [f64; 3] {
         self.tip_velocity
     }
-
     /// Moves the device to `q` (rad) with velocities `qd` (rad/s).
     pub fn place(&mut self, q: [f64; 3], qd: [f64; 3]) {
         self.q = q;
@@ -284,7 +282,6 @@ impl Plant {
     pub fn gravity(&self) -> [f64; 3] {
         with_mechanism!(&self.mechanism, m => array(&m.gravity(&m.pose::<Libm>(&vector(&self.q)))))
     }
-
     /// Advances by `h` seconds under a constant load.
     pub fn step(&mut self, load: &Load, h: f64) {
         // Copies the mechanism, so that the match arm may change the rest of the plant.

@@ -24,7 +24,6 @@ impl Port {
     pub(super) fn new(capacity: usize) -> Self {
         Self { deframer: Deframer::default(), out: VecDeque::new(), capacity, sequence: 0 }
     }
-
     /// Returns the frames that these bytes complete.
     pub(super) fn take_in(&mut self, bytes: &[u8]) -> Vec<Vec<u8>> {
         let mut frames = Vec::new();
@@ -45,12 +44,10 @@ impl Port {
     pub(super) fn is_empty(&self) -> bool {
         self.out.is_empty()
     }
-
     /// Returns true if the buffer has room for more telemetry.
     pub(super) fn has_room(&self) -> bool {
         self.out.len() < self.capacity
     }
-
     /// Drops all bytes, and begins the next output with a delimiter, because the host may have a partial frame.
     pub(super) fn clear(&mut self) {
         self.deframer = Deframer::default();

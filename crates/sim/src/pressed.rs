@@ -146,7 +146,6 @@ impl PressedBoard {
     pub fn pose(&self, depth: f64) -> [f64; 3] {
         core::array::from_fn(|i| self.q[i] + self.inward[i] * depth)
     }
-
     /// Measures the forces after `steps` control steps at a depth (m).
     pub fn forces_at(&mut self, depth: f64, steps: u32) -> PressForces {
         let q = self.pose(depth);
@@ -171,7 +170,6 @@ impl PressedBoard {
     pub fn force(&self, q: &[f64; 3], torque: &[f64; 3]) -> (f64, f64) {
         with_mechanism!(&self.mechanism, m => tip_force(m, q, torque, &self.normal))
     }
-
     fn hold(&mut self, q: &[f64; 3], steps: u32) {
         let counts = Counts(q.map(|q| (q / std::f64::consts::TAU * FINE_COUNTS_PER_TURN).round() as i32));
         for _ in 0..steps {

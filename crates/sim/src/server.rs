@@ -87,13 +87,11 @@ impl<'a> Server<'a> {
         let start = board.time();
         Self { board, pace, tools: Tools::default(), start, skipped: 0.0, silent_since: (0.0, 0.0) }
     }
-
     /// Returns the delay of the board behind the clock, s. Negative if the board is ahead, because requests take time
     /// and a slice ends with a control period.
     fn delay(&self, now: f64) -> f64 {
         now - self.skipped - (self.board.time() - self.start)
     }
-
     fn next_action(&mut self, now: f64) -> NextAction {
         let idle = match self.pace {
             Pace::RealTime if self.delay(now) < -SLICE_S => return NextAction::Nothing,
@@ -165,7 +163,6 @@ impl Tools {
     fn has_no_reader(&self) -> bool {
         self.guests.is_empty() && (self.holder.is_none() || self.waiting.is_some())
     }
-
     /// Sends the board's bytes to the tools until the holder accepts no more. For a guest, continues and drops the
     /// blocks that the holder does not accept.
     fn send_blocks(&mut self, board: &mut SimulatedBoard) {

@@ -21,13 +21,11 @@ impl SharedBoard {
     pub fn new(board: SimulatedBoard) -> Self {
         Self(Arc::new(Mutex::new(board)))
     }
-
     /// Locks the board until the guard is dropped.
     pub fn lock(&self) -> MutexGuard<'_, SimulatedBoard> {
         // After a panic in another thread the board is still valid, because it holds only numbers.
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
-
     /// Returns a wire to the board.
     pub fn wire(&self) -> Box<dyn Wire> {
         Box::new(SimulatedWire(self.clone()))
@@ -41,7 +39,6 @@ impl Wire for SimulatedWire {
         self.0.lock().receive(bytes);
         Ok(())
     }
-
     fn receive(&mut self, buffer: &mut [u8], timeout: Duration) -> io::Result<usize> {
         let mut board = self.0.lock();
         let until = board.time() + timeout.as_secs_f64();

@@ -89,7 +89,6 @@ impl Board {
     pub fn over(wire: Box<dyn Wire>, port: impl Into<String>) -> Result<Self, LinkError> {
         Self::handshake(Self::connect(wire)?, port.into())
     }
-
     fn connect(wire: Box<dyn Wire>) -> Result<Client, LinkError> {
         let mut client = Client::new(wire);
         // A killed tool may have left a partial request in the board's buffer: end it first.
@@ -147,7 +146,6 @@ impl Board {
     pub fn now(&self) -> Duration {
         self.client.now()
     }
-
     fn call<E: Endpoint>(&mut self, request: &E::Request, patience: Patience) -> Result<E::Response, LinkError>
     where
         E::Request: Serialize,
@@ -337,12 +335,10 @@ impl Board {
     pub fn restart(&mut self) -> Result<(), BoardError> {
         self.change::<p::Restart>(&())
     }
-
     /// Enables heartbeats, which this `Board` then sends every 50 ms while it waits for telemetry or a reply.
     pub fn keep_alive(&mut self) {
         self.client.sends_heartbeats = true;
     }
-
     /// Waits for the end of the polarity check that [`Board::check_polarity`] started, and returns its outcome. Sends
     /// heartbeats meanwhile.
     pub fn wait_for_polarity(&mut self) -> Result<PolarityOutcome, BoardError> {
@@ -391,7 +387,6 @@ impl Board {
     pub fn stop_stream(&mut self) -> Result<(), BoardError> {
         self.change::<p::Stream>(&StreamRequest { fields: Fields(0), divider: 0, stream: 0 })
     }
-
     /// Returns the received rows, and waits at most `timeout` for the first row. Stores reported faults for
     /// [`Board::take_reported_faults`].
     pub fn rows(&mut self, timeout: Duration) -> Result<Vec<Row>, LinkError> {
@@ -425,7 +420,6 @@ impl Board {
         let losses = self.rows.losses();
         Losses { garbled: losses.garbled + self.client.garbled() - self.garbled_before, ..losses }
     }
-
     fn heartbeat_if_due(&mut self) -> Result<(), LinkError> {
         let now = self.client.now();
         if self.client.sends_heartbeats && self.last_heartbeat.is_none_or(|last| now.saturating_sub(last) >= HEARTBEAT)

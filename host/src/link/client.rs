@@ -110,32 +110,26 @@ impl Client {
     pub fn now(&self) -> Duration {
         self.wire.now()
     }
-
     /// Returns the extra time that a reply may take, see [`Wire::slack`].
     pub fn slack(&self) -> Duration {
         self.wire.slack()
     }
-
     /// Draws a random number, see [`Wire::draw`].
     pub fn draw(&mut self) -> u32 {
         self.wire.draw()
     }
-
     /// Returns the number of byte sequences between delimiters that were not valid frames.
     pub fn garbled(&self) -> u64 {
         self.deframer.garbled
     }
-
     /// Sends a delimiter, which ends a partial frame that an earlier tool may have sent.
     pub fn end_frame(&mut self) -> Result<(), LinkError> {
         self.wire.send(&[0]).map_err(LinkError::Lost)
     }
-
     /// Returns true if the server has reported that another tool is connected.
     pub fn is_occupied(&self) -> bool {
         self.topics.iter().any(|topic| topic.key == VarKey::Key8(Occupied::TOPIC_KEY))
     }
-
     /// Sends a request of endpoint `E` and waits for its reply. Because frames may be corrupted, sends the request
     /// again with the same number after the retry interval or half of the time waited, whichever is longer. Keeps the
     /// topic messages that come meanwhile.
@@ -219,7 +213,6 @@ impl Client {
         self.pending.retain(|(number, _)| *number != sent.0);
         self.replies.retain(|frame| frame.header.seq_no != sent.0);
     }
-
     fn read<E: Endpoint<Response: DeserializeOwned>>(
         &mut self,
         sent: SentRequest,
@@ -243,7 +236,6 @@ impl Client {
     fn index_of(&self, number: VarSeq) -> Option<usize> {
         self.pending.iter().position(|(other, _)| *other == number)
     }
-
     /// Waits for the reply to a request, or the error in its place.
     fn wait_for_reply(
         &mut self,

@@ -12,7 +12,6 @@ impl Board {
         let (wire, name) = wire(port)?;
         Self::over(wire, name)
     }
-
     /// Turns the motors of the board at `port` off, in any version of the protocol. Fails if another tool holds the
     /// port itself; then use [`super::disarm_held_board`].
     pub fn stop(port: &PortSpec) -> Result<Stopped, BoardError> {

@@ -48,59 +48,49 @@ impl Session {
     pub fn open(port: &PortSpec) -> Result<Self, LinkError> {
         Ok(Self::of(Board::open(port)?))
     }
-
     /// Creates a session with an open board.
     pub fn of(board: Board) -> Self {
         Self { board, sequence: 0, seen: None, fault: None, patience: PATIENCE, lease: (HOLD, FADE) }
     }
-
     /// Turns the motors on and enables heartbeats while this session waits for telemetry. Forces and state requests act
     /// as heartbeats too.
     pub fn arm(&mut self) -> Result<(), BoardError> {
         self.board.keep_alive();
         self.board.arm()
     }
-
     /// Clears a latched fault.
     pub fn clear(&mut self) -> Result<(), BoardError> {
         self.fault = None;
         self.board.clear()
     }
-
     /// Returns the latched fault according to the latest reply.
     pub fn fault(&self) -> Option<FaultRecord> {
         self.fault
     }
-
     /// Sets the longest wait for a reply, and sends each request only once. For the default, see [`PATIENCE`].
     pub fn wait_for_forces(&mut self, patience: Duration) {
         self.patience = patience;
         self.board.wait_for_forces(patience);
     }
-
     /// Reads the device's state: tip (m), velocity (m/s), joint angles (rad).
     pub fn read_state(&mut self) -> Result<ForceAnswer, LinkError> {
         self.exchange(ForceRequest::default())
     }
-
     /// Pushes with a force (N) at the tip, in the task frame, which replaces the previous request. A refused force is
     /// not an error: [`ForceAnswer::done`] gives the reason.
     pub fn force(&mut self, force: [f32; 3]) -> Result<ForceAnswer, LinkError> {
         self.push(force, None)
     }
-
     /// Pushes with a force (N) at the tip and has the board render a plane.
     pub fn push(&mut self, force: [f32; 3], contact: Option<HostContact>) -> Result<ForceAnswer, LinkError> {
         let (hold, fade) = self.lease;
         self.exchange(ForceRequest { hold, fade, force, contact, ..ForceRequest::default() })
     }
-
     /// Pushes with torques (N m) at the joints, which replaces the previous request.
     pub fn torque(&mut self, torque: [f32; 3]) -> Result<ForceAnswer, LinkError> {
         let (hold, fade) = self.lease;
         self.exchange(ForceRequest { hold, fade, torque, ..ForceRequest::default() })
     }
-
     /// Sends any request, numbered and stamped with the latest received state.
     pub fn exchange(&mut self, request: ForceRequest) -> Result<ForceAnswer, LinkError> {
         let began = self.board.now();

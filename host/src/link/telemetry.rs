@@ -147,7 +147,6 @@ impl Rows {
     pub(super) fn of(stream: u32, fields: Fields, divider: u32) -> Self {
         Self { stream, fields, divider, losses: Losses::default(), next: None, corrupted: 0 }
     }
-
     /// Counts a corrupted batch and returns the number of consecutive corrupted batches.
     pub(super) fn count_corrupted(&mut self) -> u32 {
         self.losses.garbled += 1;
@@ -158,7 +157,6 @@ impl Rows {
     pub(super) fn losses(&self) -> Losses {
         self.losses
     }
-
     /// Appends the rows of a batch. Rejects a batch whose step and number contradict the previous batches, because the
     /// batch was corrupted. Gaps are accepted if the board dropped the rows or if batches of at least one row each were
     /// lost.

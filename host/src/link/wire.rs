@@ -88,7 +88,6 @@ impl Wire for SerialWire {
     fn now(&self) -> Duration {
         self.start.elapsed()
     }
-
     fn slack(&self) -> Duration {
         self.slack
     }
@@ -124,7 +123,6 @@ impl Wire for SharedWire {
     fn send(&mut self, bytes: &[u8]) -> io::Result<()> {
         self.terminal.write_all(bytes)
     }
-
     fn receive(&mut self, buffer: &mut [u8], timeout: Duration) -> io::Result<usize> {
         use rustix::event::{PollFd, PollFlags, Timespec, poll};
         let limit = Timespec { tv_sec: timeout.as_secs() as i64, tv_nsec: timeout.subsec_nanos().into() };
@@ -156,7 +154,6 @@ impl Wire for TcpWire {
     fn send(&mut self, bytes: &[u8]) -> io::Result<()> {
         self.stream.write_all(bytes)
     }
-
     fn receive(&mut self, buffer: &mut [u8], timeout: Duration) -> io::Result<usize> {
         self.stream.set_read_timeout(Some(timeout.max(MIN_TIMEOUT)))?;
         match self.stream.read(buffer) {
@@ -170,7 +167,6 @@ impl Wire for TcpWire {
     fn now(&self) -> Duration {
         self.start.elapsed()
     }
-
     fn slack(&self) -> Duration {
         PROCESS_SLACK
     }

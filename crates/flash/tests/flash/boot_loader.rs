@@ -131,12 +131,10 @@ impl BootLoader {
         (self.state, self.status, self.pending) = (State::Idle, Status::Ok, None);
         Reply::Bytes(Vec::new())
     }
-
     fn stall(&mut self, status: Status) -> Reply {
         (self.state, self.status, self.pending) = (State::Error, status, None);
         Reply::Stall
     }
-
     fn download(&mut self, value: u16, data: &[u8]) -> Reply {
         let address = |data: &[u8]| u32::from_le_bytes([data[1], data[2], data[3], data[4]]);
         if data.is_empty() {
@@ -225,7 +223,6 @@ impl BootLoader {
         let [low, middle, high, _] = pause.to_le_bytes();
         vec![self.status as u8, low, middle, high, self.state as u8, 0]
     }
-
     /// Carries out an operation. Returns its status and its duration, ms (typical times of the STM32F405 data sheet).
     fn carry_out(&mut self, pending: Pending, flash: &mut [u8], share: f32) -> (Status, u32) {
         let part = |length: usize| (length as f32 * share) as usize;

@@ -160,18 +160,15 @@ impl Board {
         self.chip = if self.starts() && !self.fails_to_start { Chip::Firmware } else { Chip::Dead };
         self.visible_from = self.now + Duration::from_millis(900);
     }
-
     fn word(&self, address: u32) -> u32 {
         let at = (address - FLASH.start) as usize;
         u32::from_le_bytes([self.flash[at], self.flash[at + 1], self.flash[at + 2], self.flash[at + 3]])
     }
-
     /// Returns true if the flash contains a valid stack pointer and reset vector.
     pub fn starts(&self) -> bool {
         let (stack, entry) = (self.word(FLASH.start), self.word(FLASH.start + 4));
         (0x2000_0000..=0x2002_0000).contains(&stack) && FLASH.contains(&entry) && entry % 2 == 1
     }
-
     /// Returns true if the firmware starts and would arm because its checksum is right.
     pub fn arms(&self) -> bool {
         let (code, length) = ((CODE_START - FLASH.start) as usize, self.word(CODE_START) as usize);
@@ -192,7 +189,6 @@ impl Board {
     pub fn settings(&self) -> Vec<u8> {
         self.flash[(SETTINGS.start - FLASH.start) as usize..(SETTINGS.end - FLASH.start) as usize].to_vec()
     }
-
     fn identity(&self) -> Option<Identity> {
         if !self.plugged || self.now < self.visible_from || !matches!(self.chip, Chip::Firmware) {
             return None;
@@ -257,7 +253,6 @@ impl Transport for Cable {
     fn send(&mut self, request: u8, value: u16, data: &[u8]) -> Result<(), UsbError> {
         self.0.borrow_mut().request((request, value), data, 0).map(|_| ())
     }
-
     fn receive(&mut self, request: u8, value: u16, length: u16) -> Result<Vec<u8>, UsbError> {
         let mut board = self.0.borrow_mut();
         let reply_delay = board.reply_delay;
@@ -268,7 +263,6 @@ impl Transport for Cable {
     fn wait(&mut self, time: Duration) {
         self.0.borrow_mut().now += time;
     }
-
     fn now(&self) -> Duration {
         self.0.borrow().now
     }
@@ -297,15 +291,12 @@ impl Surroundings for Site {
     fn boards(&mut self) -> Vec<String> {
         self.0.borrow().identity().map(|identity| identity.serial).into_iter().collect()
     }
-
     fn identify(&mut self, _: &str) -> Result<Identity, String> {
         self.0.borrow().identity().ok_or("the board does not reply".into())
     }
-
     fn read_settings(&mut self, _: &str) -> Result<Option<Vec<u8>>, String> {
         Ok(Some(self.0.borrow().settings()))
     }
-
     fn enter_boot_loader(&mut self, _: &str) -> Result<(), String> {
         let mut board = self.0.borrow_mut();
         if !board.ignores_restart {
@@ -318,11 +309,9 @@ impl Surroundings for Site {
         self.0.borrow_mut().restored_settings = Some(settings.clone());
         Ok(vec!["rules".into()])
     }
-
     fn now(&mut self) -> Duration {
         self.0.borrow().now
     }
-
     fn wait(&mut self, time: Duration) {
         self.0.borrow_mut().now += time;
     }
