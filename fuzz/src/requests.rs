@@ -41,7 +41,6 @@ pub fn bytes(data: &[u8]) {
     assert!(matches!(&request[..], [frame] if board.answer(frame).is_some()), "the board does not reply");
 }
 
-/// Returns the frames that a packet completes.
 fn completed_frames(decoder: &mut Decoder, mut packet: &[u8]) -> Vec<Vec<u8>> {
     let mut frames = Vec::new();
     while !packet.is_empty() {

@@ -10,8 +10,7 @@ use core::f64::consts::TAU;
 use haptic_bridge::control::compiled::BoardMath;
 use haptic_bridge::drive::stage::MAX_DUTY;
 use haptic_bridge::math::{Libm, Real};
-use haptic_bridge::model::catalogue::{Kind, Spec};
-use haptic_bridge::model::catalogue::{MAX_GEOMETRY, MAX_JOINTS, MAX_LINKS};
+use haptic_bridge::model::catalogue::{Kind, MAX_GEOMETRY, MAX_JOINTS, MAX_LINKS, Spec};
 use haptic_bridge::model::description::{
     Cogging, Description, DescriptionError, Encoder, EncoderAt, Joint, Link, MAX_MODES, Stribeck, StructuralMode,
     Transmission,
@@ -158,7 +157,7 @@ fn device(top: &Table<'_>) -> Result<(String, Description, AnyMechanism<f64>, Op
         return Err(top.error_here(impossible(reason, "check the numbers and their units (SI: m, kg, s)")));
     }
     if let Some(q) = home
-        && !reachable(&mechanism, &q)
+        && !linkage_closes(&mechanism, &q)
         && let Some(table) = top.table("home")?
     {
         let reason = "at the home pose the linkage cannot close: the links do not reach each other";
@@ -180,7 +179,7 @@ fn impossible(reason: impl Into<String>, remedy: impl Into<String>) -> Problem {
     Problem::Impossible { reason: reason.into(), remedy: remedy.into() }
 }
 
-/// Reads the numbers of [geometry] in the order of the mechanism's [`Spec`].
+/// Reads the numbers of `[geometry]` in the order of the mechanism's [`Spec`].
 fn geometry(table: &Table<'_>, spec: &Spec) -> [f64; MAX_GEOMETRY] {
     let known: Vec<&str> = spec.geometry.iter().map(|(key, _)| *key).collect();
     table.refuse_unknown_keys(&known);
@@ -440,7 +439,7 @@ fn joint_without_remaining_inertia(description: &Description, q: &[f64; MAX_JOIN
         let pose = mechanism.pose::<Libm>(&SVector::<f64, N>::from_fn(|index, _| q[index]));
         let mut mass = mechanism.mass(&pose);
         if mass.iter().any(|entry| !entry.is_finite()) {
-            // The linkage cannot close in this pose, and `reachable` reports the error.
+            // The linkage cannot close in this pose, and `linkage_closes` reports the error.
             return None;
         }
         (0..N).find(|&joint| {
@@ -457,12 +456,12 @@ fn joint_without_remaining_inertia(description: &Description, q: &[f64; MAX_JOIN
 }
 
 /// Returns true if the linkage closes at these joint angles.
-fn reachable(mechanism: &AnyMechanism<f64>, q: &[f64; MAX_JOINTS]) -> bool {
-    fn regular<const N: usize, M: Mechanism<f64, N>>(mechanism: &M, q: &[f64; MAX_JOINTS]) -> bool {
+fn linkage_closes(mechanism: &AnyMechanism<f64>, q: &[f64; MAX_JOINTS]) -> bool {
+    fn is_regular<const N: usize, M: Mechanism<f64, N>>(mechanism: &M, q: &[f64; MAX_JOINTS]) -> bool {
         let angles = SVector::<f64, N>::from_fn(|index, _| q[index]);
         mechanism.regularity(&mechanism.pose::<Libm>(&angles)).parallel > 0.0
     }
-    with_mechanism!(mechanism, m => regular(m, q))
+    with_mechanism!(mechanism, m => is_regular(m, q))
 }
 
 /// Converts an error of the mechanism to an error at the key that causes the error.

@@ -17,7 +17,7 @@ pub(crate) fn shorten(number: f64) -> f64 {
     if short.to_string().len() < number.to_string().len() { short } else { number }
 }
 
-/// Returns the document with every number shortened by [`shorten`].
+/// Returns the document with every single-precision number in the fewest digits.
 pub fn shortest(document: Value) -> Value {
     match document {
         Value::Number(number) if number.is_f64() => {

@@ -53,7 +53,7 @@ pub enum Problem {
     /// Not TOML.
     Syntax(String),
     /// A file in another format.
-    Foreign(&'static Foreign),
+    Foreign(&'static ForeignFormat),
     /// An unknown key in a table.
     UnknownKey {
         /// The key as written.
@@ -290,12 +290,12 @@ fn instead_of(key: &str, place: &str) -> Option<&'static str> {
 
 /// Another file format.
 #[derive(Debug, PartialEq, Eq)]
-pub struct Foreign {
+pub struct ForeignFormat {
     name: &'static str,
     instead: &'static str,
 }
 
-impl Foreign {
+impl ForeignFormat {
     /// Detects the format of a text that is not TOML by its first line.
     pub fn of(text: &str) -> Option<&'static Self> {
         const DESCRIBE: &str = "begin with `haptic new KIND -o mine.toml` and take lengths, masses, centres of mass, inertias and \

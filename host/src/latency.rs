@@ -5,7 +5,7 @@ use haptic_bridge::board::protocol::ForceRequest;
 use serde::Serialize;
 
 /// Lowest bin edge, s. The edges follow a 1-2-5 series.
-const FIRST_EDGE: f64 = 1.0e-5;
+const FIRST_EDGE_S: f64 = 1.0e-5;
 
 /// Relative tolerance of an edge, because whole control periods fall on edges and the board's period is an `f32`.
 const EDGE_TOLERANCE: f64 = 1.0e-6;
@@ -93,12 +93,11 @@ impl Spread {
     }
 }
 
-/// Counts sorted times in bins.
 fn histogram(times: &[f64]) -> Vec<Bin> {
     let mut bins = Vec::new();
     let mut from = 0.0;
     let mut left = times;
-    for edge in (0..).flat_map(|decade| [1.0, 2.0, 5.0].map(|step| step * FIRST_EDGE * 10.0_f64.powi(decade))) {
+    for edge in (0..).flat_map(|decade| [1.0, 2.0, 5.0].map(|step| step * FIRST_EDGE_S * 10.0_f64.powi(decade))) {
         let count = left.partition_point(|time| *time <= edge * (1.0 + EDGE_TOLERANCE));
         if count > 0 || !bins.is_empty() {
             bins.push(Bin { from, to: edge, count });
@@ -124,7 +123,7 @@ mod tests {
         assert_eq!(counts, [1, 1, 2]);
         let edges: Vec<f64> = spread.histogram.iter().map(|bin| (bin.from * 1e6).round()).collect();
         assert_eq!(edges, [20.0, 50.0, 100.0]);
-        // Two periods of 50 us on either clock.
+        // Two control periods of 50 us fall into the same bin on the board's clock and on the computer's.
         let twice = |seconds: f64| Spread::of(vec![seconds]).histogram[0].to;
         assert_eq!(twice(2.0 * f64::from(5.0e-5_f32)), twice(std::time::Duration::from_micros(100).as_secs_f64()));
         assert!(spread.histogram.windows(2).all(|pair| pair[0].to == pair[1].from));

@@ -22,6 +22,6 @@ pub use disarm::disarm_held_board;
 pub use error::{BoardError, LinkError};
 pub use framing::{Deframer, MAX_FRAME, Packet, encode, envelope};
 pub use ports::{BoardPort, PortSpec, USB_PRODUCT, USB_PRODUCT_NAME, USB_VENDOR, boards};
-pub use session::{FADE, HOLD, PATIENCE, Session};
+pub use session::{FADE_S, HOLD_S, PATIENCE, Session};
 pub use telemetry::{Column, Losses, Row, columns, fields, max_rows_per_second};
-pub use wire::{SerialWire, TcpWire, Wire, nothing_yet};
+pub use wire::{SerialWire, TcpWire, Wire, should_retry};

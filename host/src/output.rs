@@ -166,7 +166,6 @@ fn temporary(target: &Path, bytes: &[u8]) -> io::Result<NamedTempFile> {
     Ok(temporary)
 }
 
-/// Moves the temporary file to `target`.
 fn rename_to(temporary: NamedTempFile, target: &Path, overwrite: Overwrite) -> io::Result<()> {
     match overwrite {
         Overwrite::Never => temporary.persist_noclobber(target).map_err(|error| error.error)?,

@@ -90,7 +90,7 @@ impl fmt::Display for Difference {
     }
 }
 
-/// Returns the differences between two lists of entries, in their order.
+/// Returns the differences between two lists of entries, in the order of the entries.
 pub fn differences(from: &[Entry], to: &[Entry]) -> Vec<Difference> {
     let same = |a: &Entry, b: &Entry| (a.table, a.index, &a.key) == (b.table, b.index, &b.key);
     let difference = |entry: &Entry, from: Option<&Entry>, to: Option<&Entry>| Difference {

@@ -5,7 +5,7 @@
 //! reported at once.
 
 pub use crate::file_error::{FileError, Problem};
-use crate::file_error::{Foreign, nearest};
+use crate::file_error::{ForeignFormat, nearest};
 use core::ops::Range;
 use std::cell::RefCell;
 use std::path::{Path, PathBuf};
@@ -64,7 +64,7 @@ impl Document {
     /// Parses the text and calls `read` with its top table.
     pub fn read<T>(&self, read: impl FnOnce(&Table<'_>) -> Result<T, FileError>) -> Result<T, FileError> {
         let root = DeTable::parse(&self.text).map_err(|error| {
-            if let Some(format) = Foreign::of(&self.text) {
+            if let Some(format) = ForeignFormat::of(&self.text) {
                 return FileError::new(self.path.clone(), None, Problem::Foreign(format));
             }
             let span = error.span().unwrap_or(0..0);
@@ -118,7 +118,6 @@ fn position(text: &str, offset: usize) -> (usize, usize) {
 /// State that all tables of a document share.
 #[derive(Debug, Default)]
 struct Shared {
-    /// The errors found so far.
     errors: Vec<FileError>,
     /// Known keys at the top of the file.
     on_top: Vec<String>,

@@ -150,7 +150,7 @@ mod tests {
     }
 
     #[test]
-    fn sizes_get_the_prefix_that_fits() {
+    fn byte_counts_get_a_fitting_prefix() {
         let texts = [17, 1_234, 3_600_000, 2_500_000_000].map(bytes_in_words);
         assert_eq!(texts.join(", "), "17 bytes, 1.2 kB, 3.6 MB, 2.50 GB");
     }

@@ -25,11 +25,8 @@ use crate::{images, playground};
 /// Time stamp of every file in archive and wheel, s since 1970: 1980-01-01, the earliest time that a wheel can store.
 const FILE_TIME: u64 = 315_532_800;
 
-/// Paths of the release files.
 pub struct ReleaseFiles {
-    /// Path of the archive.
     pub archive: PathBuf,
-    /// Path of the wheel.
     pub wheel: PathBuf,
 }
 

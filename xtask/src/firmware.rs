@@ -27,7 +27,6 @@ fn for_board(mut command: Command, board: &str) -> Command {
     command
 }
 
-/// Returns the directory of the images.
 pub fn directory() -> PathBuf {
     target_directory().join(TARGET).join("firmware")
 }
@@ -44,7 +43,6 @@ pub fn build(board: &str) -> Result<PathBuf> {
     Ok(image)
 }
 
-/// Builds all images.
 pub fn build_all() -> Result<Vec<PathBuf>> {
     BOARDS.into_iter().map(build).collect()
 }

@@ -125,7 +125,6 @@ fn build(out: &Path) -> Result<PathBuf> {
     Ok(out.join(host).join("release/haptic-fuzz"))
 }
 
-/// Runs one target.
 fn fuzz(program: &Path, target: &str, out: &Path, options: &Options) -> Result<Outcome> {
     let corpus = out.join("corpus").join(target);
     fs::create_dir_all(&corpus).with_context(|| format!("cannot make {}", corpus.display()))?;

@@ -48,11 +48,9 @@ pub fn seal(path: &Path) -> Result<()> {
     fs::write(path, data).with_context(|| format!("cannot write {}", path.display()))
 }
 
-/// A contiguous part of an image.
 pub struct Segment {
     /// First address in flash.
     pub address: u32,
-    /// Contents.
     pub bytes: Vec<u8>,
 }
 
@@ -69,7 +67,6 @@ pub struct Image {
 }
 
 impl Image {
-    /// Reads an ELF file.
     pub fn read(path: &Path) -> Result<Self> {
         let data = fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
         let header = FileHeader32::<Endianness>::parse(&*data).context("not a 32-bit ELF file")?;

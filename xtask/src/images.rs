@@ -17,7 +17,7 @@ use crate::toolchain::run;
 /// Folder from which crates/flash/build.rs reads the images, relative to the root.
 const IMAGES_FOLDER: &str = "crates/flash/images";
 
-/// Builds every image and writes it into [`IMAGES_FOLDER`].
+/// Builds every image and writes it into crates/flash/images.
 pub fn build_all() -> Result<()> {
     let place = root().join(IMAGES_FOLDER);
     fs::create_dir_all(&place).with_context(|| format!("cannot make {}", place.display()))?;
@@ -43,12 +43,11 @@ fn write(path: &Path, bytes: &[u8]) -> Result<()> {
     fs::write(path, bytes).with_context(|| format!("cannot write {}", path.display()))
 }
 
-/// Computes the SHA-256 in hexadecimal.
+/// Returns the SHA-256 of `bytes` in hexadecimal.
 pub fn sha256(bytes: &[u8]) -> String {
     Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// Reads the firmware's version.
 fn version() -> Result<String> {
     declared_version("firmware/Cargo.toml", &["package"])
 }

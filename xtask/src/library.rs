@@ -13,36 +13,36 @@ pub const CRATES: [&str; 6] =
     ["haptic-host", "haptic-flash", "haptic-sim", "haptic-stability", "haptic-predict", "haptic-show"];
 
 /// Dependencies that only the tool needs.
-const TOOL: &[&str] =
+const TOOL_CRATES: &[&str] =
     &["clap", "clap_complete", "clap_mangen", "crossterm", "ctrlc", "dejavu", "indicatif", "resvg", "tungstenite"];
 /// Dependencies of recordings, drawings and the page.
-const SHOWING: &[&str] = &["haptic-show", "mcap", "prost-reflect"];
+const SHOW_CRATES: &[&str] = &["haptic-show", "mcap", "prost-reflect"];
 /// The crate that computes the stable walls.
-const THEORY: &[&str] = &["haptic-stability"];
+const STABILITY_CRATES: &[&str] = &["haptic-stability"];
 /// Crate that measures, tunes and designs.
-const PREDICTING: &[&str] = &["haptic-predict"];
+const PREDICT_CRATES: &[&str] = &["haptic-predict"];
 /// Crate of simulated boards.
-const SIMULATING: &[&str] = &["haptic-sim"];
+const SIM_CRATES: &[&str] = &["haptic-sim"];
 /// Crates for flashing boards.
-const FLASHING: &[&str] = &["haptic-flash", "nusb"];
+const FLASH_CRATES: &[&str] = &["haptic-flash", "nusb"];
 
 /// Packages, and the dependencies that each must not have.
 const FORBIDDEN: [(&str, &[&[&str]]); 9] = [
-    ("haptic-host", &[TOOL, SHOWING, PREDICTING, THEORY, SIMULATING, FLASHING]),
-    ("haptic-flash", &[TOOL, SHOWING, PREDICTING, THEORY, SIMULATING]),
-    ("haptic-sim", &[TOOL, SHOWING, PREDICTING, THEORY, FLASHING]),
-    ("haptic-stability", &[TOOL, SHOWING, PREDICTING, SIMULATING, FLASHING]),
-    ("haptic-predict", &[TOOL, SHOWING, FLASHING]),
-    ("haptic-show", &[FLASHING]),
-    ("haptic-c", &[TOOL, SHOWING, PREDICTING, THEORY, FLASHING]),
-    ("haptic-chai3d", &[TOOL, SHOWING, PREDICTING, FLASHING]),
-    ("haptic-python", &[TOOL, FLASHING]),
+    ("haptic-host", &[TOOL_CRATES, SHOW_CRATES, PREDICT_CRATES, STABILITY_CRATES, SIM_CRATES, FLASH_CRATES]),
+    ("haptic-flash", &[TOOL_CRATES, SHOW_CRATES, PREDICT_CRATES, STABILITY_CRATES, SIM_CRATES]),
+    ("haptic-sim", &[TOOL_CRATES, SHOW_CRATES, PREDICT_CRATES, STABILITY_CRATES, FLASH_CRATES]),
+    ("haptic-stability", &[TOOL_CRATES, SHOW_CRATES, PREDICT_CRATES, SIM_CRATES, FLASH_CRATES]),
+    ("haptic-predict", &[TOOL_CRATES, SHOW_CRATES, FLASH_CRATES]),
+    ("haptic-show", &[FLASH_CRATES]),
+    ("haptic-c", &[TOOL_CRATES, SHOW_CRATES, PREDICT_CRATES, STABILITY_CRATES, FLASH_CRATES]),
+    ("haptic-chai3d", &[TOOL_CRATES, SHOW_CRATES, PREDICT_CRATES, FLASH_CRATES]),
+    ("haptic-python", &[TOOL_CRATES, FLASH_CRATES]),
 ];
 
 /// Checks that the crates compile alone and do not have the forbidden dependencies.
 pub fn check() -> Result<()> {
     let tool = dependencies("haptic")?;
-    for name in [TOOL, SHOWING, PREDICTING, THEORY, SIMULATING, FLASHING].concat() {
+    for name in [TOOL_CRATES, SHOW_CRATES, PREDICT_CRATES, STABILITY_CRATES, SIM_CRATES, FLASH_CRATES].concat() {
         ensure!(tool.contains(name), "the tool no longer needs {name}: remove it from xtask/src/library.rs");
     }
     for (package, without) in FORBIDDEN {

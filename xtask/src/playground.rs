@@ -14,10 +14,8 @@ use crate::tools::{self, Tool};
 const POLICY: &str = "default-src 'none'; script-src 'unsafe-inline' 'wasm-unsafe-eval'; worker-src blob:; \
                       style-src 'unsafe-inline'; img-src data:; base-uri 'none'; form-action 'none'";
 
-/// The page's folder.
 const PAGE: &str = "crates/show/src/view/page";
 
-/// Builds the file and returns its path.
 pub fn build() -> Result<PathBuf> {
     tools::check(&[Tool::Browsers])?;
     let mut command = cargo_for("rustc", BROWSERS);

@@ -19,7 +19,6 @@ mod tests {
     use serde_json::Value;
     use std::collections::BTreeMap;
 
-    /// Returns the packages of the workspace by name.
     fn packages() -> BTreeMap<String, Value> {
         let mut command = cargo();
         command.current_dir(root()).args(["metadata", "--no-deps", "--offline", "--format-version", "1"]);

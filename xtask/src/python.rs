@@ -19,7 +19,6 @@ struct Manifest {
     project: Project,
 }
 
-/// Build requirements of the package.
 #[derive(Deserialize)]
 struct Build {
     requires: Vec<String>,

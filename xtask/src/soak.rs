@@ -25,7 +25,6 @@ fn hours(text: &str) -> Result<f64, String> {
     number.ok_or_else(|| "must be a number from 0.05 to 1000".into())
 }
 
-/// Runs a soak test.
 pub fn run(options: &Options) -> Result<()> {
     let hours = options.hours;
     let date_and_commit = report::date_and_commit();

@@ -3,7 +3,7 @@
 mod header;
 
 use haptic_host::device_file::DeviceFile;
-use haptic_host::link::{Board as Linked, Session};
+use haptic_host::link::{Board as HostBoard, Session};
 use haptic_sim::{BoardOptions, SHIPPED_DEVICE, SharedBoard, door, ready_board, server};
 use hapticbridge::{
     Board, HB_ARMED, HB_BAD, HB_BAD_ARGUMENT, HB_DISARMED, HB_FAILED, HB_FAULT, HB_OK, HB_UNANSWERED, HB_VERSION,
@@ -86,7 +86,7 @@ fn a_program_starts_a_strict_board_and_clears_its_fault() {
     }
     let options = BoardOptions { strict: true, ..BoardOptions::default() };
     let shared = SharedBoard::new(ready_board(&file, options).unwrap());
-    let board = Board::of(Session::of(Linked::over(shared.wire(), "sim").unwrap()));
+    let board = Board::of(Session::of(HostBoard::over(shared.wire(), "sim").unwrap()));
     let mut state = State::default();
     // SAFETY: every pointer is valid for its type, and no call uses the board after hb_close().
     unsafe {

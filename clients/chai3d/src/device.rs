@@ -19,7 +19,7 @@ pub const TICK: Duration = Duration::from_millis(1);
 /// Number of angles per joint that are sampled for the size of the workspace.
 const ANGLES_PER_JOINT: usize = 24;
 /// Smallest radius of the workspace, m, which is not 0 because CHAI3D divides by the radius.
-const MIN_RADIUS: f64 = 0.01;
+const MIN_RADIUS_M: f64 = 0.01;
 
 /// Number of ticks between two attempts to reopen a lost board (0.5 s).
 const RETRY_TICKS: u32 = 500;
@@ -156,7 +156,7 @@ impl HdDevice {
         Some(self.axes.to_chai3d(self.last.velocity.map(f64::from)))
     }
     /// Sends a force (N), waits for the next tick and reads the state. Sends zero and returns false for an invalid
-    /// force. While the board is lost, tries to reopen it every [`RETRY_TICKS`] calls.
+    /// force. While the board is lost, tries to reopen it every 0.5 s.
     pub fn force(&mut self, force: [f64; 3]) -> bool {
         let is_valid = force.iter().all(|newtons| newtons.abs() <= f64::from(MAX_HELD_FORCE));
         if !is_valid && !self.is_invalid_force_reported {
@@ -262,7 +262,7 @@ fn workspace(device: &BoardDevice<f64>, here: [f64; 3]) -> ([f64; 3], f64) {
         }
     }
     let spans = (0..task).map(|i| (high[i] - centre[i]).min(centre[i] - low[i]));
-    (centre, spans.fold(f64::INFINITY, f64::min).max(MIN_RADIUS))
+    (centre, spans.fold(f64::INFINITY, f64::min).max(MIN_RADIUS_M))
 }
 
 #[cfg(test)]

@@ -317,7 +317,7 @@ impl Board {
     /// 0.2 s. contact: (point (m), unit normal, stiffness (N/m), damping (N s/m)) of a plane that the board renders at
     /// its own rate. An invalid number raises RequestError. For a request that is refused for another reason,
     /// State.done gives the reason and nothing is raised.
-    #[pyo3(signature = (force, *, contact = None, hold_s = link::HOLD, fade_s = link::FADE))]
+    #[pyo3(signature = (force, *, contact = None, hold_s = link::HOLD_S, fade_s = link::FADE_S))]
     fn force(
         &self,
         py: Python<'_>,
@@ -341,7 +341,7 @@ impl Board {
     }
 
     /// Pushes with torques (N m) at the joints, which replaces the previous request. See force for hold_s and fade_s.
-    #[pyo3(signature = (torque, *, hold_s = link::HOLD, fade_s = link::FADE))]
+    #[pyo3(signature = (torque, *, hold_s = link::HOLD_S, fade_s = link::FADE_S))]
     fn torque(&self, py: Python<'_>, torque: Vec<f64>, hold_s: f32, fade_s: f32) -> PyResult<State> {
         let torque = vector("the torques", &torque)?;
         self.exchange(py, ForceRequest { hold: hold_s, fade: fade_s, torque, ..ForceRequest::default() })

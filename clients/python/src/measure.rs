@@ -8,7 +8,7 @@ use haptic_host::device_file::DeviceFile;
 use haptic_host::haptic_bridge::model::admissible::Admissible;
 use haptic_host::haptic_bridge::model::device::Device as DeviceData;
 use haptic_host::haptic_bridge::render::scene::FeedForward;
-use haptic_host::link::Board as Linked;
+use haptic_host::link::Board as HostBoard;
 use haptic_predict::measure::campaign::Plan;
 use haptic_predict::measure::occasion::{self, Occasion};
 use haptic_predict::measure::progress::{Point, Progress};
@@ -37,7 +37,7 @@ struct MeasurementRequest {
 }
 
 /// The result of a measurement.
-struct Measured {
+struct MeasurementResult {
     progress: Progress,
     around: Loop,
     /// Smallest motion of the tip that the encoders detect, m.
@@ -172,7 +172,7 @@ pub fn measure_range<'py>(
         None => py.detach(|| {
             let shared = request.world.board(&request.file, rate_hz);
             let shared = shared.map_err(|error| RequestError::new_err(error.to_string()))?;
-            let mut board = Linked::over(shared.wire(), "sim").map_err(errors::link)?;
+            let mut board = HostBoard::over(shared.wire(), "sim").map_err(errors::link)?;
             request.measure(&mut board, told.as_ref(), false)
         })?,
     };
@@ -219,7 +219,12 @@ fn pose(file: &DeviceFile, q: &[f64], walls: &[Member]) -> PyResult<[f64; 3]> {
 }
 
 impl MeasurementRequest {
-    fn measure(&self, board: &mut Linked, told: Option<&Py<PyAny>>, is_external: bool) -> PyResult<Measured> {
+    fn measure(
+        &self,
+        board: &mut HostBoard,
+        told: Option<&Py<PyAny>>,
+        is_external: bool,
+    ) -> PyResult<MeasurementResult> {
         let what = occasion::what(&self.file.name, &self.setup, &self.plan.pulls, &self.world);
         let path = self.progress.as_deref();
         let wrong = |error| measurement(MeasureError::Progress(error));
@@ -267,7 +272,7 @@ impl MeasurementRequest {
         restored.map_err(wrong)?;
         match loop_and_step {
             Some((around, encoder_step)) if progress.points.iter().any(|point| !point.repeats.is_empty()) => {
-                Ok(Measured { progress, around, encoder_step })
+                Ok(MeasurementResult { progress, around, encoder_step })
             }
             _ => {
                 let open = progress.points.iter().find_map(|point| point.open.as_ref());
@@ -278,7 +283,7 @@ impl MeasurementRequest {
     }
 
     /// Checks that the board has this device, and that the user has agreed to the motion of a real device.
-    fn check_agreement(&self, board: &mut Linked) -> PyResult<()> {
+    fn check_agreement(&self, board: &mut HostBoard) -> PyResult<()> {
         let device = DeviceData::new(&self.file.name, &self.file.description)
             .map_err(|error| RequestError::new_err(error.to_string()))?;
         if let Some(found) = occasion::another(board, &device).map_err(errors::link)? {
@@ -308,8 +313,12 @@ fn measurement(error: MeasureError) -> PyErr {
 }
 
 /// Converts the results of a measurement to arrays.
-fn as_arrays<'py>(py: Python<'py>, request: &MeasurementRequest, measured: &Measured) -> PyResult<Bound<'py, PyDict>> {
-    let Measured { progress, around, encoder_step } = measured;
+fn as_arrays<'py>(
+    py: Python<'py>,
+    request: &MeasurementRequest,
+    measured: &MeasurementResult,
+) -> PyResult<Bound<'py, PyDict>> {
+    let MeasurementResult { progress, around, encoder_step } = measured;
     let found = PyDict::new(py);
     found.set_item("q", list(py, &progress.q)?)?;
     found.set_item("encoder_step_m", encoder_step)?;

@@ -5,7 +5,7 @@ use crate::board::Board;
 use crate::device::{PyDevice, Scene};
 use crate::errors::{self, RequestError};
 use haptic_host::haptic_bridge::render::scene::Scene as BoardScene;
-use haptic_host::link::{Board as Linked, Session};
+use haptic_host::link::{Board as HostBoard, Session};
 use haptic_host::vectors::padded;
 use haptic_sim::{BoardOptions, DriveModel, Hand, HandSettings, Intent, Options, SharedBoard, Waypoint, ready_board};
 use numpy::PyArrayDyn;
@@ -45,14 +45,14 @@ impl Simulation {
             Some(scene) => scene.file.scene().map_err(|error| wrong(&error))?,
             None => BoardScene { task: spec.task as u8, ..BoardScene::default() },
         };
-        let mut session = Session::of(Linked::over(shared.wire(), "sim").map_err(errors::link)?);
+        let mut session = Session::of(HostBoard::over(shared.wire(), "sim").map_err(errors::link)?);
         session.set_scene(&scene).map_err(errors::board)?;
         Ok(Self { shared, joints: spec.joints, task: spec.task })
     }
 
     /// Opens the board. Only one Board of a simulation may be open at a time.
     fn board(&self) -> PyResult<Board> {
-        Ok(Board::of(Session::of(Linked::over(self.shared.wire(), "sim").map_err(errors::link)?)))
+        Ok(Board::of(Session::of(HostBoard::over(self.shared.wire(), "sim").map_err(errors::link)?)))
     }
     /// Advances simulated time by `seconds`. Ctrl-C ends the call early.
     fn run(&self, py: Python<'_>, seconds: f64) -> PyResult<()> {

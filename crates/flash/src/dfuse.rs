@@ -80,7 +80,7 @@ pub enum DfuError {
         /// State number of the DFU class.
         state: u8,
     },
-    /// The command exceeds [`MAX_COMMAND_TIME`].
+    /// The command takes more than 20 s.
     #[error("the boot loader does not finish the command to {0}")]
     Endless(String),
     /// A short reply.
@@ -138,7 +138,6 @@ const MAX_COMMAND_TIME: Duration = Duration::from_secs(20);
 /// Shortest interval between two status requests.
 const MIN_PAUSE: Duration = Duration::from_millis(2);
 
-/// The reply to a status request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Status {
     status: u8,

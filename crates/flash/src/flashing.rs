@@ -41,7 +41,7 @@ pub enum FlashTarget {
 }
 
 /// An open boot loader.
-pub struct Opened<L> {
+pub struct OpenBootLoader<L> {
     /// The connection to the boot loader.
     pub loader: L,
     /// The boot loader's description of the flash.
@@ -60,7 +60,7 @@ pub trait Surroundings {
     /// Lists the boot loaders.
     fn boot_loaders(&mut self) -> Result<Vec<BootLoader>, UsbError>;
     /// Opens a boot loader.
-    fn open(&mut self, which: &BootLoader) -> Result<Opened<Self::Loader>, UsbError>;
+    fn open(&mut self, which: &BootLoader) -> Result<OpenBootLoader<Self::Loader>, UsbError>;
     /// Returns the serial numbers of the running boards.
     fn boards(&mut self) -> Vec<String>;
     /// Reads the identity of a running board, or returns the reason of a failure.

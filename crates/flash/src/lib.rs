@@ -26,7 +26,7 @@ pub use dfuse::{DfuError, Transport, UsbError};
 pub use embedded::{Embedded, WITHOUT_IMAGES, embedded};
 pub use flash_sequence::{Block, FlashSequence, Misfit, flash_sequence};
 pub use flashing::{
-    BootLoader, Cause, FlashError, FlashSummary, FlashTarget, Identity, Opened, Phase, Progress, Surroundings,
+    BootLoader, Cause, FlashError, FlashSummary, FlashTarget, Identity, OpenBootLoader, Phase, Progress, Surroundings,
     find_board, flash,
 };
 pub use image::{BadImage, FLASH_START, Image, SETTINGS, Segment};

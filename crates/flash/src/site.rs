@@ -11,7 +11,7 @@ use haptic_host::link::{Board, BoardError, BoardPort, Client, LinkError, PortSpe
 use haptic_host::output;
 
 use crate::dfuse::UsbError;
-use crate::flashing::{BootLoader, Identity, Opened, Surroundings};
+use crate::flashing::{BootLoader, Identity, OpenBootLoader, Surroundings};
 use crate::usb::{self, UsbBootLoader};
 
 /// Retry interval and longest wait for a board's reply.
@@ -67,7 +67,7 @@ impl Surroundings for Bus {
     fn boot_loaders(&mut self) -> Result<Vec<BootLoader>, UsbError> {
         usb::boot_loaders()
     }
-    fn open(&mut self, which: &BootLoader) -> Result<Opened<UsbBootLoader>, UsbError> {
+    fn open(&mut self, which: &BootLoader) -> Result<OpenBootLoader<UsbBootLoader>, UsbError> {
         usb::open(which)
     }
     fn boards(&mut self) -> Vec<String> {

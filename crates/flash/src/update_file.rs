@@ -1,5 +1,4 @@
-//! DfuSe update files, which contain the segments of an image and the name of its board. `cargo xtask images` and
-//! `cargo xtask dfu` write them.
+//! DfuSe update files, which contain the segments of an image and the name of its board. `cargo xtask` writes them.
 //!
 //! The format is STMicroelectronics UM0391, "DfuSe file format specification". All numbers are little-endian.
 

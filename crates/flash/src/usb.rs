@@ -6,7 +6,7 @@ use nusb::transfer::{ControlIn, ControlOut, ControlType, Recipient, TransferErro
 use nusb::{DeviceInfo, ErrorKind, Interface, MaybeFuture as _};
 
 use crate::dfuse::{Transport, UsbError};
-use crate::flashing::{BootLoader, Opened};
+use crate::flashing::{BootLoader, OpenBootLoader};
 use crate::udev::BOOT_LOADER;
 
 /// Number of the boot loader's only interface.
@@ -26,7 +26,7 @@ pub fn boot_loaders() -> Result<Vec<BootLoader>, UsbError> {
 }
 
 /// Opens a boot loader.
-pub fn open(which: &BootLoader) -> Result<Opened<UsbBootLoader>, UsbError> {
+pub fn open(which: &BootLoader) -> Result<OpenBootLoader<UsbBootLoader>, UsbError> {
     let device = devices()?.find(|device| serial(device) == which.serial).ok_or(UsbError::Gone)?;
     let device = device.open().wait().map_err(from_system)?;
     let interface = device.claim_interface(INTERFACE).wait().map_err(from_system)?;
@@ -47,7 +47,7 @@ pub fn open(which: &BootLoader) -> Result<Opened<UsbBootLoader>, UsbError> {
         Some([_, _, _, _, _, low, high, ..]) => u16::from_le_bytes([*low, *high]),
         _ => DEFAULT_TRANSFER_BYTES,
     };
-    Ok(Opened { loader: UsbBootLoader { interface, began: Instant::now() }, memory, transfer })
+    Ok(OpenBootLoader { loader: UsbBootLoader { interface, began: Instant::now() }, memory, transfer })
 }
 
 fn devices() -> Result<impl Iterator<Item = DeviceInfo>, UsbError> {

@@ -85,7 +85,7 @@ impl Default for BoardOptions {
 
 /// Speed of the fastest joint while a user returns the device to its power-on pose, rad/s: so fast that the board does
 /// not consider the device at rest.
-const RETURN_SPEED: f64 = 1.0;
+const RETURN_SPEED_RAD_S: f64 = 1.0;
 
 /// Interval at which the service polls the control loop, s.
 const POLL_SECONDS: f64 = 0.02;
@@ -350,7 +350,7 @@ impl SimulatedBoard {
             let to = self.device.start();
             let distance: [f64; 3] = core::array::from_fn(|i| to[i] - from[i]);
             let longest = distance.iter().fold(0.0_f64, |longest, distance| longest.max(distance.abs()));
-            let share = (time - since) * RETURN_SPEED / longest.max(1e-9);
+            let share = (time - since) * RETURN_SPEED_RAD_S / longest.max(1e-9);
             if share < 1.0 {
                 self.device.place(core::array::from_fn(|i| from[i] + share * distance[i]));
             } else {

@@ -5,7 +5,7 @@
 //! carried out.
 
 use haptic_bridge::board::protocol::Disarm;
-use haptic_host::link::{Deframer, Occupied, encode, nothing_yet};
+use haptic_host::link::{Deframer, Occupied, encode, should_retry};
 use haptic_host::places::{Place, Places};
 use postcard_rpc::Endpoint as _;
 use postcard_rpc::Topic;
@@ -18,7 +18,6 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// An event on a port.
 pub(super) enum Event {
     Connected(Outgoing),
     Bytes(Vec<u8>),
@@ -101,7 +100,7 @@ pub fn pseudo_terminal() -> io::Result<ToolListener> {
                         return;
                     }
                 }
-                Err(error) if nothing_yet(&error) => {}
+                Err(error) if should_retry(&error) => {}
                 _ => {
                     if std::mem::take(&mut connected) && send.send(Event::Gone).is_err() {
                         return;
@@ -146,7 +145,6 @@ pub fn tcp(address: SocketAddr, patience: Patience) -> io::Result<ToolListener> 
     Ok(ToolListener { port, events, stops })
 }
 
-/// The first bytes of a new connection.
 enum FirstBytes {
     Nothing,
     /// Bytes other than a request to disarm.
@@ -172,7 +170,7 @@ fn wait_for_first_bytes(stream: &TcpStream, place: &Place) -> FirstBytes {
             thread::sleep(pause);
             FirstBytes::Other
         }
-        Err(error) if nothing_yet(&error) => FirstBytes::Nothing,
+        Err(error) if should_retry(&error) => FirstBytes::Nothing,
         Err(_) => FirstBytes::Gone,
     }
 }
@@ -342,7 +340,7 @@ fn outgoing(mut sink: impl Write + Send + 'static, loss_policy: LossPolicy) -> O
             while !rest.is_empty() {
                 match sink.write(rest) {
                     Ok(count @ 1..) => rest = &rest[count..],
-                    Err(error) if nothing_yet(&error) => {}
+                    Err(error) if should_retry(&error) => {}
                     _ if loss_policy == LossPolicy::Block => break,
                     _ => return,
                 }

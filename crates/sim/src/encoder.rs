@@ -60,7 +60,7 @@ mod tests {
     }
 
     #[test]
-    fn the_index_passes_once_a_turn_at_the_offset() {
+    fn the_index_mark_is_passed_once_per_turn_at_the_offset() {
         let encoder = Encoder { counts_per_turn: 4000.0, offset: 0.3, inverted: true };
         let model = EncoderModel::new(&encoder, 1.0);
         let hits = (0..4000).filter(|i| model.at_index(0.3 + f64::from(*i) * TAU / 4000.0)).count();

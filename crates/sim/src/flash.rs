@@ -15,10 +15,6 @@ pub struct SettingsFlash {
 }
 
 impl SettingsFlash {
-    /// Creates a flash with these entries.
-    pub fn holding(kept: BTreeMap<u8, Entry>) -> Self {
-        Self { kept, ..Self::default() }
-    }
     /// Stages an entry.
     pub fn stage(&mut self, key: Key, entry: &[u8]) -> Result<(), Refusal> {
         if self.broken {

@@ -31,7 +31,7 @@ pub enum Intent {
 
 /// Natural frequency of the critically damped filter from a led hand's goal to its aim, rad/s. Its lag of 50 ms is
 /// about the lag of an arm behind a mouse, and smooths the 60 positions per second of a mouse.
-const LEAD_RATE: f64 = 40.0;
+const LEAD_RATE_RAD_S: f64 = 40.0;
 
 /// The mechanics of a hand.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -53,7 +53,7 @@ pub struct HandSettings {
 }
 
 impl Default for HandSettings {
-    /// A relaxed pen grip and forearm (orders of magnitude after Kuchenbecker, Park and Niemeyer 2003).
+    /// Returns a relaxed pen grip and forearm (orders of magnitude after Kuchenbecker, Park and Niemeyer 2003).
     fn default() -> Self {
         Self {
             mass: 0.12,
@@ -142,7 +142,8 @@ impl Hand {
                         + s.arm_damping * (aim_velocity - self.velocity[axis])
                 }
                 Intent::Lead(goal) => {
-                    let lag = LEAD_RATE * (LEAD_RATE * (goal[axis] - self.aim[axis]) - 2.0 * self.aim_velocity[axis]);
+                    let lag = LEAD_RATE_RAD_S
+                        * (LEAD_RATE_RAD_S * (goal[axis] - self.aim[axis]) - 2.0 * self.aim_velocity[axis]);
                     self.aim_velocity[axis] += h * lag;
                     self.aim[axis] += h * self.aim_velocity[axis];
                     s.arm_stiffness * (self.aim[axis] + tremor[axis] - self.position[axis])

@@ -10,11 +10,11 @@ use haptic_host::device_file::DeviceFile;
 use nalgebra::{DMatrix, DVector, SVector, Vector3};
 
 /// Half of the length and of the width of the loop, m.
-const HALF_SIZE: f64 = 0.015;
+const HALF_SIZE_M: f64 = 0.015;
 /// Largest condition number of the Jacobian on the path, because a board may trip closer to a singular pose.
 const MAX_CONDITION: f64 = 30.0;
 /// Largest distance of a path's end from the goal, m.
-const MAX_GOAL_ERROR: f64 = 1e-5;
+const MAX_GOAL_ERROR_M: f64 = 1e-5;
 
 /// An endless loop, 3 cm across, that takes 4 s per round.
 #[derive(Clone, Debug, PartialEq)]
@@ -54,7 +54,7 @@ impl HandLoop {
         });
         places.find(|place| place.is_within_reach(file)).unwrap_or(Self {
             rest,
-            centre: tip + Vector3::y() * HALF_SIZE,
+            centre: tip + Vector3::y() * HALF_SIZE_M,
             across: Vector3::y(),
             along: Vector3::x(),
             on_a_wall: false,
@@ -62,7 +62,7 @@ impl HandLoop {
     }
 
     fn corners(&self) -> [Vector3<f64>; 4] {
-        [self.along, -self.across, -self.along, self.across].map(|direction| self.centre + direction * HALF_SIZE)
+        [self.along, -self.across, -self.along, self.across].map(|direction| self.centre + direction * HALF_SIZE_M)
     }
     fn is_within_reach(&self, file: &DeviceFile) -> bool {
         self.corners().iter().all(|corner| is_within_reach(file, corner))
@@ -101,7 +101,7 @@ fn is_within_reach(file: &DeviceFile, goal: &Vector3<f64>) -> bool {
                 return false;
             }
             let error = &target - tip;
-            if error.norm() < MAX_GOAL_ERROR {
+            if error.norm() < MAX_GOAL_ERROR_M {
                 let limits = file.description.joints.iter().map(|joint| joint.limits);
                 return q
                     .iter()

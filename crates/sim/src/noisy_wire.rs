@@ -13,8 +13,7 @@ use std::time::Duration;
 pub struct NoisyWire {
     wire: Box<dyn Wire>,
     random: Random,
-    /// Number of frames that still pass unchanged. The first frames do, because a corrupted value in a request might
-    /// not be detected.
+    /// Number of next frames that pass unchanged, because a corrupted value in a first request might not be detected.
     unchanged: u32,
 }
 

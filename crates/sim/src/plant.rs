@@ -119,7 +119,7 @@ impl SingularityStop {
 
 /// Step of the finite difference of the distance from singularities, rad. It is a tenth of the angle from
 /// [`SingularityStop::HARD`] to the singularity.
-const DIFFERENCE_STEP: f64 = 1e-7;
+const DIFFERENCE_STEP_RAD: f64 = 1e-7;
 
 fn vector<const N: usize>(values: &[f64; 3]) -> SVector<f64, N> {
     SVector::from_fn(|i, _| values[i])
@@ -317,9 +317,9 @@ impl Plant {
         // Differentiates the square, which is smooth even where the distance has a corner or an infinite slope.
         let away = SVector::<f64, N>::from_fn(|i, _| {
             let mut turned = q;
-            turned[i] += DIFFERENCE_STEP;
+            turned[i] += DIFFERENCE_STEP_RAD;
             let there = self.singularity_stop.distance(&m.regularity(&m.pose::<Libm>(&turned)));
-            (there.powi(2) - self.distance.powi(2)) / (2.0 * self.distance * DIFFERENCE_STEP)
+            (there.powi(2) - self.distance.powi(2)) / (2.0 * self.distance * DIFFERENCE_STEP_RAD)
         });
         let response = m.mass(&pose).try_inverse().unwrap_or_else(SMatrix::zeros) * away;
         let qd: SVector<f64, N> = vector(&self.qd);

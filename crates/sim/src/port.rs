@@ -40,7 +40,6 @@ impl Port {
         count
     }
 
-    /// Returns true if no bytes wait for the host.
     pub(super) fn is_empty(&self) -> bool {
         self.out.is_empty()
     }

@@ -22,7 +22,7 @@ use serde::de::DeserializeOwned;
 use std::time::Duration;
 
 /// Number of values of a table in one message.
-const TABLE_CHUNK: usize = 64;
+const VALUES_PER_MESSAGE: usize = 64;
 /// Retry interval and longest wait for a reply. The interval allows several retries within the 0.5 s after which a
 /// board may consider its host lost. [`Wire::slack`] is added to the wait.
 const REPLY: Patience = (Duration::from_millis(100), Duration::from_secs(2));
@@ -368,7 +368,7 @@ impl Board {
         if *mass == MassModelData::Exact {
             return Ok(());
         }
-        for (offset, values) in (0_u16..).step_by(TABLE_CHUNK).zip(values.chunks(TABLE_CHUNK)) {
+        for (offset, values) in (0_u16..).step_by(VALUES_PER_MESSAGE).zip(values.chunks(VALUES_PER_MESSAGE)) {
             self.send_table(&TableChunk { offset, values: values.iter().copied().collect() })?;
         }
         self.set_mass_model(mass)

@@ -232,7 +232,6 @@ impl Client {
         reply
     }
 
-    /// Returns the index of a pending request.
     fn index_of(&self, number: VarSeq) -> Option<usize> {
         self.pending.iter().position(|(other, _)| *other == number)
     }

@@ -153,7 +153,6 @@ fn open_error(path: String, error: &serialport::Error) -> LinkError {
     }
 }
 
-/// Connects to `HOST:PORT`.
 pub(super) fn open_tcp(address: &str) -> Result<Box<dyn Wire>, LinkError> {
     let not_listening = |error| LinkError::NotListening { address: address.into(), error };
     let mut last = io::Error::new(io::ErrorKind::NotFound, "the host has no address");

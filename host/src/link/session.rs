@@ -10,9 +10,9 @@ use std::ops::{Deref, DerefMut};
 use std::time::Duration;
 
 /// Time for which a request acts in full, s: longer than a frame of a game at 60 Hz (0.017 s).
-pub const HOLD: f32 = 0.02;
-/// Time over which the request then fades to zero, s.
-pub const FADE: f32 = 0.05;
+pub const HOLD_S: f32 = 0.02;
+/// Time over which a request fades to zero after acting in full, s.
+pub const FADE_S: f32 = 0.05;
 
 /// Time after which a request without a reply counts as unanswered. Until then the request is sent again every
 /// [`FORCE_PATIENCE`](super::FORCE_PATIENCE), so that a briefly busy computer or board does not end a program's loop.
@@ -50,7 +50,7 @@ impl Session {
     }
     /// Creates a session with an open board.
     pub fn of(board: Board) -> Self {
-        Self { board, sequence: 0, seen: None, fault: None, patience: PATIENCE, lease: (HOLD, FADE) }
+        Self { board, sequence: 0, seen: None, fault: None, patience: PATIENCE, lease: (HOLD_S, FADE_S) }
     }
     /// Turns the motors on and enables heartbeats while this session waits for telemetry. Forces and state requests act
     /// as heartbeats too.

@@ -214,7 +214,6 @@ fn unpack(fields: Fields, axes: usize, mut packed: &[u8]) -> Vec<f64> {
     values
 }
 
-/// Decodes a number.
 fn number(kind: Kind, bytes: &[u8]) -> f64 {
     let mut four = [0; 4];
     four.iter_mut().zip(bytes).for_each(|(to, from)| *to = *from);

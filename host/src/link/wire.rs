@@ -37,7 +37,7 @@ const SEND_TIMEOUT: Duration = Duration::from_secs(3);
 const MIN_TIMEOUT: Duration = Duration::from_millis(1);
 
 /// Returns true if a read should be repeated: it timed out, or a signal interrupted it.
-pub fn nothing_yet(error: &io::Error) -> bool {
+pub fn should_retry(error: &io::Error) -> bool {
     matches!(error.kind(), io::ErrorKind::TimedOut | io::ErrorKind::WouldBlock | io::ErrorKind::Interrupted)
 }
 
@@ -80,7 +80,7 @@ impl Wire for SerialWire {
         match self.port.read(buffer) {
             Ok(0) => Err(closed_error("the port has closed")),
             Ok(count) => Ok(count),
-            Err(error) if nothing_yet(&error) => Ok(0),
+            Err(error) if should_retry(&error) => Ok(0),
             Err(error) => Err(error),
         }
     }
@@ -159,7 +159,7 @@ impl Wire for TcpWire {
         match self.stream.read(buffer) {
             Ok(0) => Err(closed_error("the connection was closed")),
             Ok(count) => Ok(count),
-            Err(error) if nothing_yet(&error) => Ok(0),
+            Err(error) if should_retry(&error) => Ok(0),
             Err(error) => Err(error),
         }
     }

@@ -88,7 +88,7 @@ const CORNERS_HZ: [&str; 6] = ["0.5", "1", "2", "5", "10", "20"];
 const MAPS: [(&str, &str); 2] = [("coupled-five-bar", "1,0"), ("phantom-premium-1.5", "1,1,0")];
 
 /// Number of processes that run in parallel.
-const PARALLEL: usize = 2;
+const PARALLEL_RUNS: usize = 2;
 
 /// Returns the command line of a case, which stores the measurement in the file `progress` and replaces the published
 /// picture.
@@ -103,7 +103,6 @@ fn progress_file(case: &Case) -> String {
     format!("{kind}{}.json", case.name.replace([' ', '.'], "-").replace(',', ""))
 }
 
-/// Returns the command line of a map.
 fn map_line((device, normal): (&str, &str)) -> String {
     format!("haptic map devices/{device}.toml --normal {normal} --png docs/results/map-{device}.png --force")
 }
@@ -122,7 +121,7 @@ fn run_json(root: &Path, line: &str) -> Result<Value, Error> {
     Ok(serde_json::from_slice(&output.stdout)?)
 }
 
-/// Measures the cases of a group, [`PARALLEL`] at a time.
+/// Measures the cases of a group, [`PARALLEL_RUNS`] at a time.
 fn measure(root: &Path, group: &'static [Case], wanted: &[String]) -> Result<Vec<(&'static Case, Value)>, Error> {
     // Uses a path relative to the repository, because blanks in the absolute path would split the command line.
     let folder = format!("target/figures-{}", std::process::id());
@@ -131,7 +130,7 @@ fn measure(root: &Path, group: &'static [Case], wanted: &[String]) -> Result<Vec
         group.iter().filter(|case| wanted.is_empty() || wanted.iter().any(|name| name == case.name)).collect();
     let (next, found) = (AtomicUsize::new(0), Mutex::new(Vec::new()));
     std::thread::scope(|scope| {
-        for _ in 0..PARALLEL {
+        for _ in 0..PARALLEL_RUNS {
             scope.spawn(|| {
                 while let Some(case) = cases.get(next.fetch_add(1, Ordering::SeqCst)) {
                     let answer = run_json(root, &command_line(case, &format!("{folder}/{}", progress_file(case))));

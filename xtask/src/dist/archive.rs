@@ -67,7 +67,6 @@ pub fn write_archive(place: &Path, name: &str, tool: &Path, page: &Path) -> Resu
     Ok(path)
 }
 
-/// Collects all files in the folder.
 fn collect_files(folder: &Path, tool: &Path, page: &Path) -> Result<()> {
     let copy = |from: &Path| {
         let to = folder.join(from.file_name().unwrap_or_default());

@@ -43,7 +43,6 @@ fn dependency_licenses() -> Result<String> {
     Ok(list)
 }
 
-/// A crate with its licenses.
 #[derive(PartialEq, Eq, PartialOrd, Ord)]
 struct Crate {
     name: String,

@@ -11,7 +11,6 @@ use crate::paths::{root, target_directory};
 use crate::python;
 use crate::toolchain::run;
 
-/// Writes the wheel.
 pub fn write_wheel(place: &Path, tool: &Path) -> Result<PathBuf> {
     let scratch = target_directory().join("wheel");
     let [built, inside] = ["built", "inside"].map(|name| scratch.join(name));

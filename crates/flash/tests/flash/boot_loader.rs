@@ -6,7 +6,6 @@ use std::time::Duration;
 
 /// Addresses of the flash.
 pub const FLASH: std::ops::Range<u32> = 0x0800_0000..0x0810_0000;
-/// The description of the flash.
 pub const MEMORY: &str = "@Internal Flash  /0x08000000/04*016Kg,01*064Kg,07*128Kg";
 
 // Request numbers (DFU 1.1, table 3.2).
@@ -51,7 +50,6 @@ enum Pending {
     Write { address: u32, bytes: Vec<u8> },
 }
 
-/// The result of a request.
 #[derive(Debug, PartialEq)]
 pub enum Reply {
     Bytes(Vec<u8>),
@@ -69,7 +67,6 @@ pub struct BootLoader {
     pending: Option<Pending>,
     /// Time before which a status request is an error.
     busy: Duration,
-    /// Outcome of the operation.
     outcome: Status,
     /// Number of status replies of an operation that each announce 5 ms more.
     pub late: u32,

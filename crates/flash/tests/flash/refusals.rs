@@ -68,7 +68,7 @@ fn another_chip_is_refused() {
 }
 
 #[test]
-fn a_protected_chip_is_left_alone() {
+fn a_protected_chip_is_refused_and_unchanged() {
     let site = Site::running(&old());
     site.change(|board| board.protected = true);
     let text = refused(&site, &new()).to_string();
@@ -89,7 +89,7 @@ fn a_boot_loader_that_cannot_be_opened_names_the_remedy() {
 }
 
 #[test]
-fn a_board_that_stays_out_of_its_boot_loader_names_the_remedy() {
+fn a_board_that_does_not_enter_its_boot_loader_is_reported() {
     let site = Site::running(&old());
     site.change(|board| board.ignores_restart = true);
     let error = refused(&site, &new());

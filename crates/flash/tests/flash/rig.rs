@@ -6,7 +6,8 @@ use std::time::Duration;
 
 use haptic_bridge::checksum::Crc32;
 use haptic_flash::{
-    BootLoader as BootLoaderOnUsb, Identity, Image, Opened, SETTINGS, Segment, Surroundings, Transport, UsbError,
+    BootLoader as BootLoaderOnUsb, Identity, Image, OpenBootLoader, SETTINGS, Segment, Surroundings, Transport,
+    UsbError,
 };
 
 use crate::boot_loader::{BootLoader, FLASH, MEMORY, Reply};
@@ -38,7 +39,6 @@ pub fn image(board: &str, version: &str, protocol: u16) -> Image {
     Image { board: board.into(), version: Some(version.into()), protocol: Some(protocol), segments }
 }
 
-/// An interruption.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Cut {
     /// The cable is pulled before this request; the chip stays powered.
@@ -68,7 +68,6 @@ pub struct Board {
     pub boot_pins: bool,
     pub protected: bool,
     pub memory: &'static str,
-    /// Number of requests so far.
     pub requests: usize,
     /// Request number and kind of the interruption.
     pub cut: Option<(usize, Cut)>,
@@ -88,7 +87,6 @@ pub struct Board {
     pub erased: Vec<usize>,
 }
 
-/// Shared access to the board.
 #[derive(Clone)]
 pub struct Site(pub Rc<RefCell<Board>>);
 
@@ -278,14 +276,14 @@ impl Surroundings for Site {
         Ok(if is_there { vec![BootLoaderOnUsb { serial: SERIAL.into() }] } else { Vec::new() })
     }
 
-    fn open(&mut self, which: &BootLoaderOnUsb) -> Result<Opened<Cable>, UsbError> {
+    fn open(&mut self, which: &BootLoaderOnUsb) -> Result<OpenBootLoader<Cable>, UsbError> {
         if let Some(error) = &self.0.borrow().open_error {
             return Err(error.clone());
         }
         if !self.boot_loaders()?.contains(which) {
             return Err(UsbError::Gone);
         }
-        Ok(Opened { loader: Cable(self.0.clone()), memory: self.0.borrow().memory.into(), transfer: 2048 })
+        Ok(OpenBootLoader { loader: Cable(self.0.clone()), memory: self.0.borrow().memory.into(), transfer: 2048 })
     }
 
     fn boards(&mut self) -> Vec<String> {
