@@ -60,14 +60,12 @@ impl SavedSetting {
 
 /// The reason why a backup cannot be used.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum BackupError {
-    /// Not JSON, or JSON of another structure.
     #[error("this is not a backup of a board: {0}")]
     NotABackup(String),
-    /// A format of a later tool.
     #[error("the backup has format {0}, and this tool knows {FORMAT}: update the tool")]
     Format(u32),
-    /// An unknown setting.
     #[error("the backup holds a setting {0:?} that this tool does not know: update the tool")]
     UnknownSetting(String),
     /// The value and the bytes of a setting differ because one of them was edited.
@@ -76,7 +74,6 @@ pub enum BackupError {
         undo the edit, or change the setting with a device file, a scene file or `haptic rules`"
     )]
     ValueAndBytesDiffer(&'static str),
-    /// Neither the bytes nor the value of a setting can be used.
     #[error("the setting {0:?} in the backup is damaged: {1}")]
     Damaged(&'static str, String),
 }

@@ -41,110 +41,71 @@ impl FileError {
     }
 }
 
-/// A problem in a file. `place` is the table, such as `[geometry]` or `[[link]] 1 (proximal-2)`, counted from 0.
+/// A problem in a file. `key` is the key, `place` the table of the key, such as `[geometry]` or `[[link]] 1
+/// (proximal-2)` (counted from 0), `found` the value in the file, `expected` or `must` the requirement, `meaning` the
+/// meaning of the numbers or tables, and `example` the missing line. `on_top` is true if the key belongs at the top of
+/// the file.
 #[derive(Clone, Debug, PartialEq)]
+#[allow(missing_docs)]
 pub enum Problem {
-    /// The file cannot be read.
     Unreadable(String),
     /// Not a regular file, or a file that is too long.
     NotReadableFile(String),
-    /// Not UTF-8 text.
     NotText,
-    /// Not TOML.
     Syntax(String),
     /// A file in another format.
     Foreign(&'static ForeignFormat),
-    /// An unknown key in a table.
     UnknownKey {
-        /// The key as written.
         key: String,
-        /// Table of the key.
         place: String,
-        /// The most similar known key.
         nearest: Option<String>,
-        /// All known keys of the table.
         known: Vec<String>,
-        /// True if the key belongs at the top of the file.
         on_top: bool,
     },
-    /// A missing key.
     MissingKey {
-        /// The key.
         key: String,
-        /// Table of the key.
         place: String,
-        /// An example of the missing line.
         example: String,
     },
-    /// A value of the wrong type.
     WrongType {
-        /// The key.
         key: String,
-        /// Table of the key.
         place: String,
-        /// A description of the expected value.
         expected: String,
-        /// The type of the value in the file.
         found: &'static str,
     },
-    /// A list of the wrong length.
     WrongLength {
-        /// The key.
         key: String,
-        /// Table of the key.
         place: String,
-        /// The required length.
         expected: usize,
-        /// The length in the file.
         found: usize,
-        /// The meaning of the numbers.
         meaning: String,
     },
     /// A number that is infinite, NaN or too large for the board's 32-bit floats.
     NotFinite {
-        /// The key.
         key: String,
-        /// Table of the key.
         place: String,
     },
-    /// A number outside its range.
     OutOfRange {
-        /// The key.
         key: String,
-        /// Table of the key.
         place: String,
-        /// The number.
         found: f64,
-        /// The condition on the number, with the unit or the reason.
         must: String,
     },
-    /// An unknown word for a key with a fixed set of words.
     UnknownWord {
-        /// The key.
         key: String,
-        /// Table of the key.
         place: String,
-        /// The word as written.
         found: String,
-        /// All known words.
         known: Vec<String>,
     },
-    /// The wrong number of repeated tables.
     WrongCount {
-        /// The table, such as `[[link]]`.
         table: String,
-        /// The required number of entries.
         expected: String,
-        /// The number of entries found.
         found: usize,
-        /// The meaning of the entries, in order.
         meaning: String,
     },
     /// Values that are valid alone but contradict each other.
     Impossible {
-        /// The contradiction.
         reason: String,
-        /// The change to make.
         remedy: String,
     },
 }

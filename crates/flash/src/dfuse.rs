@@ -22,23 +22,18 @@ pub mod request {
 
 /// A failed transfer.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum UsbError {
-    /// The device refused the request.
     #[error("the device refused the request")]
     Stalled,
-    /// The device is gone.
     #[error("the device left USB")]
     Gone,
-    /// The device did not reply in time.
     #[error("the device does not reply")]
     Silent,
-    /// The user has no permission to open the device.
     #[error("no permission to open the device")]
     Forbidden,
-    /// Another program has the device open.
     #[error("another program has the device open")]
     Busy,
-    /// Any other error of the operating system.
     #[error("{0}")]
     Other(String),
 }
@@ -55,42 +50,22 @@ pub trait Transport {
     fn now(&self) -> Duration;
 }
 
-/// A failed command of the boot loader.
+/// A failed command of the boot loader. `doing` is the command, `status` and `state` are numbers of the DFU class.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum DfuError {
-    /// A transfer failed.
     #[error("the connection to the boot loader is lost: {0}")]
     Usb(#[from] UsbError),
-    /// The flash is protected.
     #[error("the chip's flash is protected against being read")]
     Protected,
-    /// The command failed.
     #[error("the boot loader could not {doing}: {}", status_text(*.status))]
-    Failed {
-        /// The command.
-        doing: String,
-        /// Status number of the DFU class.
-        status: u8,
-    },
-    /// The boot loader is in an unexpected state.
+    Failed { doing: String, status: u8 },
     #[error("the boot loader is in state {state} after the command to {doing}, but should be ready")]
-    Lost {
-        /// The command.
-        doing: String,
-        /// State number of the DFU class.
-        state: u8,
-    },
-    /// The command takes more than 20 s.
+    Lost { doing: String, state: u8 },
     #[error("the boot loader does not finish the command to {0}")]
     Endless(String),
-    /// A short reply.
     #[error("the boot loader sent {got} bytes instead of {wanted}")]
-    Short {
-        /// Number of received bytes.
-        got: usize,
-        /// Number of expected bytes.
-        wanted: usize,
-    },
+    Short { got: usize, wanted: usize },
 }
 
 /// Describes a status (DFU 1.1, section 6.1.2).

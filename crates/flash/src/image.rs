@@ -38,20 +38,16 @@ pub struct Image {
 
 /// An image that cannot be flashed.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum BadImage {
-    /// The image has no bytes.
     #[error("the image is empty")]
     Empty,
-    /// The image would not start.
     #[error("the image has no vectors at {FLASH_START:#010x}, where the chip starts")]
     NoVectors,
-    /// The image overlaps the settings.
     #[error("the image would overwrite the board's settings at {:#010x}", SETTINGS.start)]
     OverSettings,
-    /// Two segments overlap.
     #[error("two segments of the image overlap at {0:#010x}")]
     Overlap(u32),
-    /// A segment exceeds the 32-bit address range.
     #[error("a segment of the image at {0:#010x} does not fit into a chip's addresses")]
     TooLong(u32),
 }

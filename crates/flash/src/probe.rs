@@ -9,25 +9,20 @@ use crate::image::Image;
 /// probe-rs's name for the boards' chip.
 const CHIP: &str = "STM32F405RGTx";
 
-/// A failure to flash with a probe.
+/// A failure to flash with a probe. `step` is the subcommand of probe-rs.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum ProbeError {
-    /// probe-rs is not installed.
     #[error(
         "probe-rs is not installed; `cargo install probe-rs-tools --locked` installs it, or leave the probe out to flash \
          over USB"
     )]
     NotInstalled,
-    /// probe-rs failed.
     #[error(
         "probe-rs {step} failed; its own message is above. A board with an incomplete image does not arm: check the \
          probe's cable and the board's power, and run this again"
     )]
-    Failed {
-        /// Subcommand of probe-rs.
-        step: &'static str,
-    },
-    /// The image could not be written to a file.
+    Failed { step: &'static str },
     #[error("the image cannot be written for probe-rs: {0}")]
     File(#[from] io::Error),
 }

@@ -8,20 +8,16 @@ use crate::image::{BadImage, Image, Segment};
 
 /// A file that is not a valid update file.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum BadFile {
-    /// Another kind of file, or another version of the format.
     #[error("it is not a DfuSe update file (.dfu), such as `cargo xtask dfu BOARD` writes")]
     NotDfuse,
-    /// The checksum is wrong.
     #[error("it is damaged: its checksum is wrong")]
     Damaged,
-    /// The file is too short, or its lengths contradict its contents.
     #[error("it is damaged: its lengths contradict its contents")]
     Lengths,
-    /// The file is for several memories, but a board has only one.
     #[error("it is for {0} memories, not for one")]
     Targets(u8),
-    /// The image cannot be flashed.
     #[error(transparent)]
     Image(#[from] BadImage),
 }

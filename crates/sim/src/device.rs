@@ -62,22 +62,18 @@ pub enum Support {
 
 /// A description that cannot be simulated.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum DeviceError {
-    /// The description itself is wrong.
     #[error(transparent)]
     Description(#[from] DescriptionError),
-    /// The joint with this index has no encoder.
     #[error("joint {0} has no [joint.encoder]: a board cannot measure its motion; add one to the device file")]
     NoEncoder(usize),
-    /// The joint with this index has no motor.
     #[error("joint {0} has no [joint.motor]: a board cannot drive it; add one to the device file")]
     NoMotor(usize),
-    /// The description has no home, and the options contain no power-on pose.
     #[error(
         "the device has no [home]: the simulation does not know in which pose it starts; add one to the device file"
     )]
     NoStart,
-    /// The integration step is not a positive number.
     #[error("the integration step must be a positive number of seconds")]
     Substep,
 }
