@@ -105,6 +105,6 @@ pub fn check() -> Result<()> {
             wrong.join("\n  ")
         );
     }
-    println!("{} variants within 1 % of counts.json, {less} of them lower", counted.len());
+    println!("{} variants within 1 % of counts.json, of which {less} are lower", counted.len());
     Ok(())
 }

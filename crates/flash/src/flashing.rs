@@ -182,8 +182,8 @@ impl fmt::Display for FlashError {
 }
 
 /// Instructions to enter the boot loader without firmware.
-const MANUAL_ENTRY: &str =
-    "by hand: its DIP switch to DFU (ODrive v3.6), or BOOT0 high, then the power off and on with USB plugged in";
+const MANUAL_ENTRY: &str = "by hand: set the DIP switch to DFU (ODrive v3.6) or BOOT0 high, and switch the power off \
+                            and on with USB plugged in";
 
 impl FlashError {
     fn new(phase: Phase, cause: impl Into<Cause>, flash: Flash) -> Self {
@@ -196,8 +196,8 @@ impl FlashError {
     /// Returns the remedy.
     pub fn remedy(&self) -> String {
         let first = match &self.cause {
-            Cause::NoBoard => format!("plug one in, or bring it into its boot loader {MANUAL_ENTRY}"),
-            Cause::Several(_) => "choose one by its serial number".into(),
+            Cause::NoBoard => format!("plug in a board, or enter its boot loader {MANUAL_ENTRY}"),
+            Cause::Several(_) => "choose a board by its serial number".into(),
             Cause::NotThere(_) => {
                 "`haptic list` shows the running boards; a boot loader has the serial number of its board".into()
             }
@@ -205,15 +205,13 @@ impl FlashError {
             Cause::Image(_) | Cause::Misfit(_) | Cause::Layout(_) => {
                 "check that the image is complete and made for this kind of board".into()
             }
-            Cause::Board(_) if self.phase != Phase::RestoreSettings => {
-                format!("bring it into its boot loader {MANUAL_ENTRY}")
-            }
+            Cause::Board(_) if self.phase != Phase::RestoreSettings => format!("enter the boot loader {MANUAL_ENTRY}"),
             Cause::NoBootLoader => format!(
-                "check the cable; on Linux, `haptic udev` writes the rule that lets a user open it; or \
+                "check the cable; on Linux, `haptic udev` writes the rule that lets a user open the boot loader; or \
                  enter the boot loader {MANUAL_ENTRY}"
             ),
             Cause::Usb(UsbError::Forbidden) => {
-                "`haptic udev` writes the rule that lets you open it; on Windows, install WinUSB for it with Zadig"
+                "`haptic udev` writes the rule that lets you open the device; on Windows, install WinUSB with Zadig"
                     .into()
             }
             Cause::Usb(UsbError::Busy) => "close the other program (dfu-util, another `haptic`)".into(),
@@ -222,7 +220,7 @@ impl FlashError {
                  0x08000000:unprotect:force`, then run this again"
                     .into()
             }
-            Cause::SettingsChanged => "restore them from a backup once the board runs".into(),
+            Cause::SettingsChanged => "restore the settings from a backup when the board runs".into(),
             Cause::OtherVersion { .. } => {
                 "another board may have replied: plug in only this board and flash it again".into()
             }
