@@ -55,10 +55,10 @@ macro_rules! shipped {
     };
 }
 
-/// The devices to choose from; the first is the demo, as of `haptic view --port sim`. Links to the page use the name
-/// before the colon.
+/// Devices that the user can choose. The first is the device of `haptic view --port sim`. Links to the page contain the
+/// name before the colon.
 const CHOICES: [Choice; 8] = [
-    Choice { name: "coupled-five-bar: a wall that the feed-forward quiets", device: None, scene: None },
+    Choice { name: "coupled-five-bar: a wall with feed-forward", device: None, scene: None },
     shipped!("haply-2diy" / "disc": "a disc"),
     shipped!("haply-2diy" / "groove": "a groove"),
     shipped!("pantograph-mk2" / "corner": "a corner"),
@@ -187,7 +187,7 @@ pub extern "C" fn open_board() -> bool {
     start(connected_world())
 }
 
-/// Ends with the motors off. A `lost` board turns its motors off by itself.
+/// Ends the session with the motors off. A `lost` board turns its motors off by itself.
 #[unsafe(no_mangle)]
 pub extern "C" fn finish(lost: bool) {
     if let Some(mut stage) = STAGE.take() {
@@ -348,7 +348,7 @@ mod tests {
         assert_eq!(other.scene().unwrap().unwrap().walls[0].stiffness, 123.0);
     }
 
-    /// While the page hangs, no turn runs, so that the stage receives no step of the board.
+    /// While the page hangs, the stage receives no step of the board.
     #[test]
     fn a_page_that_hung_has_released_its_key() {
         let board = plug_in();

@@ -71,17 +71,17 @@ pub enum DfuError {
 /// Describes a status (DFU 1.1, section 6.1.2).
 fn status_text(status: u8) -> &'static str {
     match status {
-        0x01 => "it has no such memory (errTARGET)",
+        0x01 => "no such memory (errTARGET)",
         0x03 => "writing failed (errWRITE)",
         0x04 => "erasing failed (errERASE)",
-        0x05 => "it is not empty after being erased (errCHECK_ERASED)",
+        0x05 => "the flash is not empty after erasing (errCHECK_ERASED)",
         0x06 => "programming failed (errPROG)",
         0x07 => "the written bytes differ (errVERIFY)",
         0x08 => "the address is out of range (errADDRESS)",
-        0x0A => "its firmware is broken (errFIRMWARE)",
-        STATUS_VENDOR => "it has no permission (errVENDOR)",
-        0x0F => "it did not expect the request (errSTALLEDPKT)",
-        _ => "it gives no reason",
+        0x0A => "the firmware is corrupted (errFIRMWARE)",
+        STATUS_VENDOR => "the boot loader has no permission (errVENDOR)",
+        0x0F => "the request was not expected (errSTALLEDPKT)",
+        _ => "the reason is unknown",
     }
 }
 

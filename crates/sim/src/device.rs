@@ -48,13 +48,13 @@ impl Options {
     }
 }
 
-/// Support of a device by a user.
+/// The way in which a user supports a device.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Support {
     /// No support, so that a device with weight falls.
     #[default]
     None,
-    /// The user carries the device's weight and lets it move.
+    /// The user carries the weight, and the device can move.
     Carried,
     /// The user holds the device still.
     Held,

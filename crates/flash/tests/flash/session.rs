@@ -120,5 +120,5 @@ fn an_address_without_memory_is_reported() {
     let (_, cable) = cable();
     let mut dfuse = Dfuse::begin(cable, 2048).unwrap();
     let error = dfuse.erase(FLASH.end).unwrap_err().to_string();
-    assert_eq!(error, "the boot loader could not erase the sector at 0x08100000: it has no such memory (errTARGET)");
+    assert_eq!(error, "the boot loader could not erase the sector at 0x08100000: no such memory (errTARGET)");
 }
