@@ -1,5 +1,5 @@
-//! Sets the name of the shared library, so that a linked program does not store its path and loads the version of its
-//! header: HB_VERSION.
+//! Sets the soname of the shared library, whose number is HB_VERSION, so that a linked program stores this name instead
+//! of a path.
 
 fn main() {
     println!("cargo:rerun-if-changed=build.rs");

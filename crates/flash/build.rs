@@ -1,5 +1,5 @@
-//! Embeds the images in images/: each is an update file with its description, `BOARD.dfu` and `BOARD.toml`. Without
-//! images the crate builds and reports that it has none.
+//! Embeds the images in images/. An image is an update file `BOARD.dfu` with its description `BOARD.toml`. The crate
+//! also builds without images.
 
 use std::path::{Path, PathBuf};
 use std::{env, fs};
@@ -8,7 +8,7 @@ fn main() {
     println!("cargo::rerun-if-changed=build.rs");
     let directory =
         Path::new(&env::var_os("CARGO_MANIFEST_DIR").expect("cargo names the package's folder")).join("images");
-    // Watching a missing folder would run this script at every build.
+    // Does not watch a missing folder, because Cargo would then run this script at every build.
     let watched = if directory.is_dir() { directory.as_path() } else { Path::new(".") };
     println!("cargo::rerun-if-changed={}", watched.display());
     let mut files: Vec<PathBuf> = match fs::read_dir(&directory) {

@@ -1,4 +1,4 @@
-//! The tool's end of the link: a board that replies with random bytes. Every call must end with a value or an error.
+//! Fuzzes the tool's end of the link by a board that sends random bytes. Every call must end with a value or an error.
 
 use haptic_bridge::board::protocol::{ENDPOINTS, GetInfo, Info, PROTOCOL, TOPICS_OUT};
 use haptic_bridge::board::settings::Key;
@@ -11,7 +11,7 @@ use std::collections::VecDeque;
 use std::io;
 use std::time::Duration;
 
-/// Runs the link's calls against a board that sends `data`. `data` consists of pieces: an operation, a length and
+/// Calls the functions of the link with a board that sends `data`, which consists of pieces: an operation, a length and
 /// bytes.
 pub fn answers(data: &[u8]) {
     let wire =
@@ -42,7 +42,7 @@ pub fn answers(data: &[u8]) {
 /// A wire to a board that sends pieces of the input.
 struct RandomBoard {
     rest: VecDeque<u8>,
-    /// Headers of requests without a reply.
+    /// Headers of the requests that have no reply yet.
     requests: VecDeque<VarHeader>,
     deframer: Deframer,
     clock: u64,
@@ -56,7 +56,7 @@ impl RandomBoard {
         let body: Vec<u8> = self.rest.drain(..length.min(self.rest.len())).collect();
         let request = self.requests.pop_front();
         Some(match operation & 0x7F {
-            // A reply to the oldest request.
+            // Replies to the oldest request.
             0..=63 => match request {
                 Some(VarHeader { key, seq_no }) => {
                     let endpoint = ENDPOINTS.endpoints.iter().find(|(_, request, _)| VarKey::Key8(*request) == key);
@@ -87,7 +87,7 @@ impl Wire for RandomBoard {
 
     fn receive(&mut self, buffer: &mut [u8], timeout: Duration) -> io::Result<usize> {
         self.clock += timeout.as_micros() as u64 + 1;
-        // Half of the inputs get a valid reply to the first request, which the fuzzer could hardly guess.
+        // Sends a valid reply to the first request for half of the inputs, because the fuzzer could hardly guess it.
         let first = self.requests.front().filter(|request| request.key == VarKey::Key8(GetInfo::REQ_KEY));
         let bytes = match first.filter(|_| self.rest.front().is_some_and(|byte| byte & 1 == 0)) {
             Some(request) => {

@@ -1,5 +1,5 @@
-//! Input of the tool from a user: device and scene files, backups, recordings and campaigns, command lines. The tool
-//! must accept or refuse each input without a panic.
+//! Fuzzes the tool's input from a user: device and scene files, backups, recordings, measurements and command lines.
+//! The tool must accept or refuse each input without a panic.
 
 use crate::cli;
 use haptic_bridge::model::device::Device;
@@ -10,7 +10,7 @@ use haptic_host::scene_file::SceneFile;
 use haptic_predict::measure::progress::Progress;
 use haptic_show::recorder::Recording;
 
-/// Parses a device file. An accepted file must make a device.
+/// Parses a device file. An accepted file must result in a device.
 pub fn device_file(data: &[u8]) {
     let Ok(text) = core::str::from_utf8(data) else { return };
     match DeviceFile::parse(text, "fuzz.toml") {
@@ -22,7 +22,7 @@ pub fn device_file(data: &[u8]) {
     }
 }
 
-/// Parses a scene file for each task dimension. An accepted file must make a scene that the board accepts.
+/// Parses a scene file for each task dimension. An accepted file must result in a scene that the board accepts.
 pub fn scene_file(data: &[u8]) {
     let Ok(text) = core::str::from_utf8(data) else { return };
     for task in 1..=3 {
@@ -36,7 +36,7 @@ pub fn scene_file(data: &[u8]) {
     }
 }
 
-/// Parses files that the tool writes and reads again.
+/// Parses backups, recordings and measurements, which the tool writes and reads again.
 pub fn kept_file(data: &[u8]) {
     let Ok(text) = core::str::from_utf8(data) else { return };
     if let Ok(backup) = Backup::parse(text) {

@@ -20,10 +20,10 @@ mod shipped;
 use libfuzzer_sys::fuzz_target;
 use std::sync::OnceLock;
 
-/// Function that processes random bytes.
+/// Function that processes an input of random bytes.
 type Target = fn(&[u8]);
 
-/// Every target by its name, which is also the name of its folder of seeds.
+/// All targets by their names, which are also the names of their folders of seeds.
 const TARGETS: [(&str, Target); 8] = [
     ("bytes", requests::bytes),
     ("requests", |data| {

@@ -1,4 +1,4 @@
-//! The board's end of the link: random bytes, and random requests in any order, with random events at encoders, supply
+//! Fuzzes the board's end of the link by random bytes, and by random requests with random events at encoders, supply
 //! and motors. tests/rig/board.rs asserts the invariants.
 
 use super::board::{Board, frame};
@@ -15,11 +15,11 @@ use haptic_host::link::Deframer;
 use postcard_rpc::Endpoint;
 use serde::Serialize;
 
-/// Maximum number of control steps per input, so that long inputs stay fast.
+/// Number of control steps after which an input ends, so that long inputs stay fast.
 const MAX_TICKS: u32 = 2_000;
 
-/// Feeds bytes to a board with a device, and to the tool's decoder, which must find the same frames. The first byte
-/// selects the device.
+/// Passes bytes to a board, whose device the first byte selects, and to the tool's decoder, which must find the same
+/// frames.
 pub fn bytes(data: &[u8]) {
     let [which, data @ ..] = data else { return };
     let mut board = board_with_device(*which);
@@ -30,18 +30,17 @@ pub fn bytes(data: &[u8]) {
             board.answer(frame);
             board.tick();
         }
-        // The tool may decode or skip frames that are a few bytes longer than the maximum.
+        // Ignores frames near the maximum length, which the tool may decode or skip.
         frames.retain(|frame| frame.len() <= MAX_FRAME - 8);
         deframer.feed_plain(packet, |frame| assert!(frame.len() > MAX_FRAME - 8 || frame == frames.remove(0)));
         assert!(frames.is_empty(), "the tool missed frames: {frames:?}");
     }
-    // After a zero byte the board decodes the next request, regardless of the bytes before.
+    // After a zero byte the board must decode the next request, regardless of the bytes before.
     completed_frames(&mut decoder, &[0]);
     let request = completed_frames(&mut decoder, &haptic_host::link::envelope(&frame(GetStatus::REQ_KEY, &[])));
     assert!(matches!(&request[..], [frame] if board.answer(frame).is_some()), "the board does not reply");
 }
 
-/// Returns the frames that a packet completes.
 fn completed_frames(decoder: &mut Decoder, mut packet: &[u8]) -> Vec<Vec<u8>> {
     let mut frames = Vec::new();
     while !packet.is_empty() {
@@ -54,8 +53,7 @@ fn completed_frames(decoder: &mut Decoder, mut packet: &[u8]) -> Vec<Vec<u8>> {
     frames
 }
 
-/// Runs a script of operations with their arguments, read from the input until it ends. Returns the number of
-/// operations after which the motors were on.
+/// Runs the operations that the input encodes. Returns the number of operations after which the motors were on.
 pub fn requests(data: &[u8]) -> u32 {
     let mut input = Input(data);
     let mut board = board_with_device(input.byte());
@@ -64,7 +62,7 @@ pub fn requests(data: &[u8]) -> u32 {
         ticks += run_operation(&mut board, &mut input);
         driven += u32::from(board.state().drives());
     }
-    // After any script, disarming works at once and the board reports its state.
+    // After any operations, the board must disarm at once and report its state.
     board.ask::<Disarm>(&()).expect("a reply").expect("disarming is never refused");
     assert!(!board.state().drives());
     board.tick();
@@ -80,7 +78,7 @@ fn board_with_device(which: u8) -> Board {
     Board::ready(which & 0x80 != 0, &shipped.device, &shipped.scenes[0])
 }
 
-/// Runs one operation of a script. Returns the number of its control steps.
+/// Reads and runs one operation. Returns the number of its control steps.
 fn run_operation(board: &mut Board, input: &mut Input) -> u32 {
     let operation = usize::from(input.byte());
     let Some(extra) = operation.checked_sub(TEMPLATES.len()) else {
@@ -133,13 +131,13 @@ fn run_operation(board: &mut Board, input: &mut Input) -> u32 {
     }
 }
 
-/// Turns a joint at twice its speed limit for at least 10 ms and a dozen counts. After any requests an armed board must
-/// turn its motors off. Returns the number of control steps.
+/// Turns a joint of an armed board at twice the speed limit, for at least 500 control steps and 12 counts. The board
+/// must turn its motors off. Returns the number of control steps.
 fn spin(board: &mut Board, which: usize) -> u32 {
     let Some(device) = board.service.device() else { return 0 };
     let axis = which % device.axes().max(1);
     let (step, limit) = (device.joints[axis].radians_per_count.abs(), board.service.rules().limits.speed[axis]);
-    // The rig checks the limits at every crest of a carrier of at least 20 kHz.
+    // The board checks the limits at every crest of a carrier of at least 20 kHz.
     let counts = 2.0 * limit / step / 20_000.0;
     let ticks = (12.0 / counts).max(500.0);
     if board.state() != State::Armed || !ticks.is_finite() || ticks >= 2_000.0 {
@@ -160,13 +158,13 @@ fn send(board: &mut Board, key: postcard_rpc::Key, body: &[u8]) -> u32 {
     assert!(answer.is_some(), "every frame with a header has a reply");
     let may_drive = [Arm::REQ_KEY, ArmHeld::REQ_KEY, CheckPolarity::REQ_KEY].contains(&key);
     assert!(before || may_drive || !board.state().drives(), "motors on without a request");
-    // Without a tick, the next request arrives before the next control step.
+    // With 0 ticks, the next request arrives before the next control step.
     let ticks = body.first().map_or(2, |byte| byte % 3);
     (0..ticks).for_each(|_| board.tick());
     ticks.into()
 }
 
-/// Changes some bytes of a message, and may cut its end or append bytes; one input byte selects these changes.
+/// Changes some bytes of a message, and may cut the message or append bytes. One input byte selects the changes.
 fn patch(mut body: Vec<u8>, input: &mut Input) -> Vec<u8> {
     let changes = input.byte();
     for _ in 0..changes & 0x0F {
@@ -187,7 +185,7 @@ fn patch(mut body: Vec<u8>, input: &mut Input) -> Vec<u8> {
     body
 }
 
-/// The unread rest of the input. After its end, all bytes read as zero.
+/// The unread rest of the input, which returns zeros after its end.
 struct Input<'d>(&'d [u8]);
 
 impl Input<'_> {
@@ -260,7 +258,7 @@ pub const TEMPLATES: &[Template] = &[
         bytes_of(&match which % 4 {
             0 => MassModelData::Exact,
             1 => MassModelData::Frozen([2e-3, 1e-4, 2e-3, 1e-4, 1e-4, 2e-3]),
-            // One to three values per point, as some devices need; SendTable below sends the same values.
+            // A table has one to three values per point. The template of SendTable sends the same values.
             entries => MassModelData::Table(grid, checksum(&table(16 * usize::from(entries)))),
         })
     }),
@@ -279,7 +277,7 @@ pub const TEMPLATES: &[Template] = &[
         let cutoff = [200.0, 1e-6, 1.0, 50.0, 99.0, 900.0, 9_999.0, 0.0][usize::from(which >> 5)];
         bytes_of(&GainsRequest { wall, estimator: Some((scene(which).estimator, cutoff)) })
     }),
-    // Each variant tightens one other rule, so a variant after another also loosens the rule of the previous variant.
+    // Each variant tightens another rule, so that a later variant loosens the rule of the previous variant.
     (SetRules::REQ_KEY, |which| {
         let mut rules = Rules::default();
         let share = 1.0 / f32::from(2 + (which >> 3) % 8);

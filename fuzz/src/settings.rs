@@ -1,5 +1,5 @@
-//! Entries from flash or from a backup are decoded or refused. Decoded values do not change
-//! when they are stored, and a board that boots from them keeps its motors off.
+//! Fuzzes the settings from flash or from a backup. Decoded values must not change when they are stored, and a board
+//! that starts with these settings must keep its motors off.
 
 use crate::board::Board;
 use haptic_bridge::board::settings::{BoardName, Entry, Key, Polarity, Setting, decode, encode};
@@ -11,8 +11,8 @@ use haptic_bridge::render::scene::Scene;
 use haptic_bridge::safety::fault::State;
 use std::collections::BTreeMap;
 
-/// Decodes entries, each after a byte for its key and two for its length. The highest bit of the key adds the right
-/// checksum, which the fuzzer could not guess.
+/// Decodes entries, each of which follows a byte with its key and two bytes with its length. If the highest bit of the
+/// key is set, adds the right checksum, because the fuzzer could not guess it.
 pub fn settings(data: &[u8]) {
     let mut flash = BTreeMap::new();
     let mut rest = data;
@@ -40,7 +40,7 @@ pub fn settings(data: &[u8]) {
 
 fn check_round_trip<S: Setting>(entry: &[u8]) {
     let Ok(value) = decode::<S>(entry) else { return };
-    // In the encoding of this version a value may be longer than its entry, and too long to store.
+    // Ignores a value that is too long to store in the encoding of this version.
     let Ok(once) = encode(&value) else { return };
     let twice = decode::<S>(&once).and_then(|value| encode(&value));
     assert_eq!(Ok(once), twice, "a setting changes when it is stored");

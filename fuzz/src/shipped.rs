@@ -1,4 +1,4 @@
-//! Shipped devices and scenes for the scripts, read once.
+//! Shipped devices and scenes for the requests, read once.
 
 use haptic_bridge::model::device::Device;
 use haptic_bridge::render::scene::Scene;

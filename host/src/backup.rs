@@ -22,7 +22,7 @@ pub const FORMAT: u32 = 1;
 /// The content of a backup file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Backup {
-    /// [`FORMAT`].
+    /// Version of the file layout, [`FORMAT`].
     #[serde(rename = "haptic-backup")]
     pub format: u32,
     /// Version of the board's firmware.
@@ -35,14 +35,14 @@ pub struct Backup {
     pub settings: BTreeMap<String, SavedSetting>,
 }
 
-/// One setting.
+/// A setting in a backup.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SavedSetting {
     /// Version of the encoding of `bytes`.
     pub version: u8,
     /// The decoded value; `None` if this tool could not decode the bytes.
     pub value: Option<Value>,
-    /// The bytes, in hexadecimal.
+    /// The setting as the board stores it, in hexadecimal.
     pub bytes: String,
 }
 
@@ -51,8 +51,7 @@ impl SavedSetting {
     pub fn of<S: Setting>(value: &S) -> Option<Self> {
         Some(saved_setting(S::KEY, &encode(value).ok()?))
     }
-
-    /// Decodes the bytes if they are of this version, otherwise reads the JSON value.
+    /// Decodes the bytes if this tool knows their version, otherwise reads the JSON value.
     pub fn read<S: Setting>(&self) -> Result<S, BackupError> {
         let (entry, _) = usable_entry_as::<S>(self)?;
         decode(&entry).map_err(|damage| damage_error(S::KEY, damage))
@@ -61,14 +60,12 @@ impl SavedSetting {
 
 /// The reason why a backup cannot be used.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum BackupError {
-    /// Not JSON, or JSON of another structure.
     #[error("this is not a backup of a board: {0}")]
     NotABackup(String),
-    /// A format of a later tool.
     #[error("the backup has format {0}, and this tool knows {FORMAT}: update the tool")]
     Format(u32),
-    /// An unknown setting.
     #[error("the backup holds a setting {0:?} that this tool does not know: update the tool")]
     UnknownSetting(String),
     /// The value and the bytes of a setting differ because one of them was edited.
@@ -76,33 +73,31 @@ pub enum BackupError {
         "the setting {0:?} in the backup has a \"value\" that differs from its \"bytes\", and the board would get the bytes: \
         undo the edit, or change the setting with a device file, a scene file or `haptic rules`"
     )]
-    Disagree(&'static str),
-    /// Neither the bytes nor the value of a setting can be used.
+    ValueAndBytesDiffer(&'static str),
     #[error("the setting {0:?} in the backup is damaged: {1}")]
     Damaged(&'static str, String),
 }
 
-/// The way a setting is restored.
+/// The way in which a setting is restored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Restored {
+pub enum RestoreMethod {
     /// The bytes of the backup, unchanged.
     Unchanged,
-    /// Encoded again from the value, because the backup's bytes are of another version.
+    /// The value, encoded again because the backup's bytes have another version.
     Translated,
-    /// Not restored: a polarity check is valid only for the wiring that was checked, and the present wiring is
-    /// unchecked.
+    /// Not restored, because a polarity check is valid only for the wiring that was checked.
     NotRestored,
 }
 
-/// A setting ready to be sent.
+/// A setting that is ready to be sent to a board.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Ready {
+pub struct PreparedSetting {
     /// Key of the setting.
     pub key: Key,
-    /// Bytes of the setting in this version.
+    /// The setting in this tool's encoding.
     pub entry: Entry,
-    /// Source of the bytes.
-    pub how: Restored,
+    /// The way in which the setting is restored.
+    pub how: RestoreMethod,
 }
 
 /// The order in which settings are restored, because a new device resets the settings that depend on it.
@@ -133,7 +128,6 @@ impl Backup {
         // A map with string keys always serialises to JSON.
         serde_json::to_string_pretty(self).unwrap_or_default() + "\n"
     }
-
     /// Parses the text of a file.
     pub fn parse(text: &str) -> Result<Self, BackupError> {
         let value: Value = serde_json::from_str(text).map_err(|error| BackupError::NotABackup(error.to_string()))?;
@@ -146,7 +140,7 @@ impl Backup {
     }
 
     /// Returns every setting in this version's encoding, in the order to send them.
-    pub fn ready(&self) -> Result<Vec<Ready>, BackupError> {
+    pub fn ready(&self) -> Result<Vec<PreparedSetting>, BackupError> {
         if let Some(unknown) = self.settings.keys().find(|name| Key::ALL.iter().all(|key| key.name() != **name)) {
             return Err(BackupError::UnknownSetting(unknown.clone()));
         }
@@ -156,14 +150,14 @@ impl Backup {
                 Some(saved) => {
                     let (entry, mut how) = usable_entry(key, saved)?;
                     if key == Key::Polarity {
-                        how = Restored::NotRestored;
+                        how = RestoreMethod::NotRestored;
                     }
-                    ready.push(Ready { key, entry, how });
+                    ready.push(PreparedSetting { key, entry, how });
                 }
                 // Prevents a restored device from using the mass model that the board keeps for another device.
                 None if key == Key::MassModel && self.settings.contains_key(Key::Device.name()) => {
                     let entry = encode(&MassModelData::Exact).map_err(|error| damage_error(key, error))?;
-                    ready.push(Ready { key, entry, how: Restored::Unchanged });
+                    ready.push(PreparedSetting { key, entry, how: RestoreMethod::Unchanged });
                 }
                 None => {}
             }
@@ -172,20 +166,19 @@ impl Backup {
     }
 }
 
-/// Sends prepared settings to a board and applies and saves them as one change: if the link or the power fails, the
-/// board has all of them or none. Motors must be off.
-pub fn restore(board: &mut Board, ready: &[Ready]) -> Result<(), BoardError> {
+/// Sends prepared settings to a board, then applies and saves them as one change. If the link or the power fails, the
+/// board has all of the settings or none. The motors must be off.
+pub fn restore(board: &mut Board, ready: &[PreparedSetting]) -> Result<(), BoardError> {
     let mut keys = KeyList::new();
-    for setting in ready.iter().filter(|setting| setting.how != Restored::NotRestored) {
+    for setting in ready.iter().filter(|setting| setting.how != RestoreMethod::NotRestored) {
         board.stage_entry(setting.key, setting.entry.clone())?;
-        // A backup has each key once.
+        // The list has room for every key, and a backup contains each key once.
         let _ = keys.push(setting.key);
     }
     board.commit_entries(&keys)
 }
 
-/// Names the settings that a board would lose in a restart: an unsaved device, scene or name, and rules that differ
-/// from the saved rules.
+/// Returns the names of the settings that a board would lose in a restart, because they differ from the saved settings.
 pub fn unsaved(board: &mut Board) -> Result<Vec<&'static str>, BoardError> {
     fn differs<S: Setting + PartialEq>(board: &mut Board, now: &S) -> Result<bool, BoardError> {
         let saved = board.read_entry(S::KEY)?.and_then(|entry| decode::<S>(&entry).ok());
@@ -239,7 +232,7 @@ fn saved_setting(key: Key, entry: &[u8]) -> SavedSetting {
     SavedSetting { version: entry.get(1).copied().unwrap_or(0), value, bytes }
 }
 
-fn usable_entry(key: Key, saved: &SavedSetting) -> Result<(Entry, Restored), BackupError> {
+fn usable_entry(key: Key, saved: &SavedSetting) -> Result<(Entry, RestoreMethod), BackupError> {
     match key {
         Key::Device => usable_entry_as::<Device<f32>>(saved),
         Key::Scene => usable_entry_as::<Scene<f32>>(saved),
@@ -251,22 +244,22 @@ fn usable_entry(key: Key, saved: &SavedSetting) -> Result<(Entry, Restored), Bac
 }
 
 /// Returns the bytes if this version can decode them, otherwise the value in this version's encoding.
-fn usable_entry_as<S: Setting>(saved: &SavedSetting) -> Result<(Entry, Restored), BackupError> {
+fn usable_entry_as<S: Setting>(saved: &SavedSetting) -> Result<(Entry, RestoreMethod), BackupError> {
     let bytes = from_hex(&saved.bytes).ok_or_else(|| damage_error(S::KEY, Damage::Corrupt))?;
     match decode::<S>(&bytes) {
         Ok(value) => {
             let decoded = serde_json::to_value(&value).ok().map(shortest);
             if saved.value.clone().is_some_and(|written| Some(shortest(written)) != decoded) {
-                return Err(BackupError::Disagree(S::KEY.name()));
+                return Err(BackupError::ValueAndBytesDiffer(S::KEY.name()));
             }
             let entry = Entry::from_slice(&bytes).map_err(|_| damage_error(S::KEY, Damage::TooLong))?;
-            Ok((entry, Restored::Unchanged))
+            Ok((entry, RestoreMethod::Unchanged))
         }
         Err(Damage::UnknownVersion(version)) => {
             let value = saved.value.clone().ok_or_else(|| damage_error(S::KEY, Damage::UnknownVersion(version)))?;
             let value: S = serde_json::from_value(value)
                 .map_err(|error| BackupError::Damaged(S::KEY.name(), error.to_string()))?;
-            Ok((encode(&value).map_err(|error| damage_error(S::KEY, error))?, Restored::Translated))
+            Ok((encode(&value).map_err(|error| damage_error(S::KEY, error))?, RestoreMethod::Translated))
         }
         Err(other) => Err(damage_error(S::KEY, other)),
     }

@@ -10,8 +10,7 @@ use core::f64::consts::TAU;
 use haptic_bridge::control::compiled::BoardMath;
 use haptic_bridge::drive::stage::MAX_DUTY;
 use haptic_bridge::math::{Libm, Real};
-use haptic_bridge::model::catalogue::{Kind, Spec};
-use haptic_bridge::model::catalogue::{MAX_GEOMETRY, MAX_JOINTS, MAX_LINKS};
+use haptic_bridge::model::catalogue::{Kind, MAX_GEOMETRY, MAX_JOINTS, MAX_LINKS, Spec};
 use haptic_bridge::model::description::{
     Cogging, Description, DescriptionError, Encoder, EncoderAt, Joint, Link, MAX_MODES, Stribeck, StructuralMode,
     Transmission,
@@ -34,10 +33,10 @@ pub struct DeviceFile {
     pub description: Description,
     /// The device's lumped coefficients in double precision.
     pub mechanism: AnyMechanism<f64>,
-    /// Supply voltage of the board, V, if the file gives one. It limits every motor's `max_current` in `description` to
-    /// the current that it can drive through the motor at rest.
+    /// Supply voltage of the board, V, if the file contains the voltage. Every motor's `max_current` in `description`
+    /// is at most the current that the supply can drive through the motor at rest.
     pub supply: Option<f64>,
-    /// `max_current` of each joint in the file, A, if `supply` can drive only less.
+    /// `max_current` in the file, A, of each motor for which the supply reduces the current.
     pub max_current_in_file: [Option<f64>; MAX_JOINTS],
 }
 
@@ -46,25 +45,21 @@ impl DeviceFile {
     pub fn load(path: impl AsRef<Path>) -> Result<Self, FileError> {
         Self::read(&Document::load(path.as_ref())?)
     }
-
-    /// Checks a text; messages call its file `origin`.
+    /// Reads and checks a text. Error messages name `origin` as the file.
     pub fn parse(text: &str, origin: impl Into<PathBuf>) -> Result<Self, FileError> {
         Self::read(&Document::new(text, origin))
     }
-
     /// Returns the number of joints and links, and the task dimension, of this device's mechanism.
     pub fn spec(&self) -> Spec {
         self.description.kind.spec()
     }
-
     /// Returns the device as a board receives it: lumped in double precision, rounded once.
     ///
     /// Errors: those of [`AnyMechanism::new`], which never occur for a device that this module has read.
     pub fn device<T: Real>(&self) -> Result<Device<T>, DescriptionError> {
         Device::new(&self.name, &self.description)
     }
-
-    /// Lists the entries that a real board still needs before it arms, each with the key to write. Empty if complete.
+    /// Returns the entries that a real board still needs before it arms, each with the key to write.
     pub fn missing_for_board(&self) -> Vec<String> {
         let mut missing = Vec::new();
         for (index, joint) in self.description.joints.iter().take(self.spec().joints).enumerate() {
@@ -138,8 +133,8 @@ fn device(top: &Table<'_>) -> Result<(String, Description, AnyMechanism<f64>, Op
         handle.needed("mass", Must::NotBeNegative, "mass = 0.01")
     });
     let home = top.keep(home(top, &spec, &joints), None);
-    // The checks below combine several values.
-    top.sound()?;
+    // The following checks need values without errors.
+    top.check_no_errors()?;
     let geometry_table = geometry_table.unwrap_or_else(|| top.clone());
 
     let description = Description { kind, gravity: padded(&gravity), geometry, links, joints, handle_mass, home };
@@ -162,7 +157,7 @@ fn device(top: &Table<'_>) -> Result<(String, Description, AnyMechanism<f64>, Op
         return Err(top.error_here(impossible(reason, "check the numbers and their units (SI: m, kg, s)")));
     }
     if let Some(q) = home
-        && !reachable(&mechanism, &q)
+        && !linkage_closes(&mechanism, &q)
         && let Some(table) = top.table("home")?
     {
         let reason = "at the home pose the linkage cannot close: the links do not reach each other";
@@ -184,7 +179,7 @@ fn impossible(reason: impl Into<String>, remedy: impl Into<String>) -> Problem {
     Problem::Impossible { reason: reason.into(), remedy: remedy.into() }
 }
 
-/// Reads the geometry's numbers in the order of the mechanism.
+/// Reads the numbers of `[geometry]` in the order of the mechanism's [`Spec`].
 fn geometry(table: &Table<'_>, spec: &Spec) -> [f64; MAX_GEOMETRY] {
     let known: Vec<&str> = spec.geometry.iter().map(|(key, _)| *key).collect();
     table.refuse_unknown_keys(&known);
@@ -212,7 +207,7 @@ fn links(top: &Table<'_>, spec: &Spec) -> Result<[Link; MAX_LINKS], FileError> {
     top.keep(check_count(top, &tables, "link", spec.links.len(), meaning), ());
     let mut links = [Link::default(); MAX_LINKS];
     for ((index, table), name) in tables.into_iter().enumerate().zip(spec.links) {
-        let table = table.called(format!("[[link]] {index} ({name})"));
+        let table = table.with_place(format!("[[link]] {index} ({name})"));
         table.refuse_unknown_keys(&["mass", "com", "inertia", "inertia_axial", "inertia_transverse"]);
         let inertia = table.needed("inertia", Must::NotBeNegative, "inertia = 1.0e-5");
         links[index] = Link {
@@ -226,7 +221,7 @@ fn links(top: &Table<'_>, spec: &Spec) -> Result<[Link; MAX_LINKS], FileError> {
     Ok(links)
 }
 
-/// Refuses a wrong number of `[[key]]` tables, at the first surplus table or else at the last table.
+/// Refuses a wrong number of `[[key]]` tables. The error is at the first surplus table, otherwise at the last table.
 fn check_count(
     top: &Table<'_>,
     tables: &[Table<'_>],
@@ -255,7 +250,7 @@ fn joints(top: &Table<'_>, spec: &Spec) -> Result<[Joint; MAX_JOINTS], FileError
     let mut joints = [Joint::default(); MAX_JOINTS];
     for ((index, table), joint) in tables.into_iter().enumerate().zip(&mut joints).take(spec.joints) {
         let place = format!("[[joint]] {index}");
-        *joint = joint_of(&table.called(place), includes_body_inertia(spec, index));
+        *joint = joint_of(&table.with_place(place), includes_body_inertia(spec, index));
     }
     Ok(joints)
 }
@@ -274,10 +269,10 @@ fn joint_of(table: &Table<'_>, includes_body: bool) -> Joint {
         "cogging",
         "mode",
     ]);
-    // An optional table of the joint.
+    // Returns an optional table of the joint.
     let part = |key: &str| {
         let place = format!("[joint.{key}] of {}", table.place());
-        table.keep(table.table(key), None).map(|part| part.called(place))
+        table.keep(table.table(key), None).map(|part| part.with_place(place))
     };
     let inertia = table.needed("inertia", Must::NotBeNegative, "inertia = 2.0e-6");
     let coulomb = table.number_or("coulomb", Must::NotBeNegative, 0.0);
@@ -303,19 +298,18 @@ fn joint_of(table: &Table<'_>, includes_body: bool) -> Joint {
     }
 }
 
-/// Returns true if the joint's own inertia includes that of the body it turns, in addition to its rotor's: a paddle's
-/// and a turret's joint.
+/// Returns true if the joint's `inertia` includes the body that the joint turns, as for a paddle or a turret.
 pub fn includes_body_inertia(spec: &Spec, joint: usize) -> bool {
     joint == 0 && (spec.links.is_empty() || spec.task == 3)
 }
 
-/// Reads a transmission of a joint with this `inertia`. All of it is the motor's by default, except if `includes_body`.
+/// Reads the transmission of a joint with this `inertia`, kg m². By default the motor has all of the inertia, except if
+/// `includes_body`.
 fn transmission_of(table: &Table<'_>, inertia: f64, includes_body: bool) -> Result<Transmission, FileError> {
     table.refuse_unknown_keys(&["stiffness", "damping", "motor_inertia", "encoder_at"]);
     let stiffness = table.needed("stiffness", Must::BePositive, "stiffness = 50.0");
     let damping = table.number_or("damping", Must::NotBeNegative, 0.0);
-    let given = table.number("motor_inertia", Must::BePositive)?;
-    let motor_inertia = match given {
+    let motor_inertia = match table.number("motor_inertia", Must::BePositive)? {
         None if includes_body => table.required("motor_inertia", None, "motor_inertia = 1.0e-5")?,
         None if inertia == 0.0 => {
             let reason = "a transmission needs a motor with inertia on one side, and this joint has no inertia";
@@ -325,7 +319,7 @@ fn transmission_of(table: &Table<'_>, inertia: f64, includes_body: bool) -> Resu
         None => inertia,
         Some(part) if part > inertia => {
             let reason = format!("motor_inertia is {part} kg m², more than all of the joint's inertia ({inertia})");
-            let remedy = "write the part of the joint's `inertia` that the motor's side has";
+            let remedy = "write the part of the joint's `inertia` that is on the motor's side";
             return Err(table.error_at("motor_inertia", impossible(reason, remedy)));
         }
         Some(part) => part,
@@ -335,7 +329,7 @@ fn transmission_of(table: &Table<'_>, inertia: f64, includes_body: bool) -> Resu
     Ok(Transmission { stiffness, damping, motor_inertia, encoder_at })
 }
 
-/// Reads friction at rest. `coulomb` is the joint's, N m.
+/// Reads the friction at rest of a joint with Coulomb friction `coulomb`, N m.
 fn friction_of(table: &Table<'_>, coulomb: f64) -> Result<Stribeck, FileError> {
     table.refuse_unknown_keys(&["static", "stribeck_speed"]);
     let rest = table.needed("static", Must::NotBeNegative, format!("static = {:?}", 1.5 * coulomb));
@@ -365,7 +359,7 @@ fn modes(joint: &Table<'_>) -> Result<[Option<StructuralMode>; MAX_MODES], FileE
     }
     let mut modes = [None; MAX_MODES];
     for (index, table) in tables.into_iter().enumerate() {
-        let table = table.called(format!("[[joint.mode]] {index} of {}", joint.place()));
+        let table = table.with_place(format!("[[joint.mode]] {index} of {}", joint.place()));
         table.refuse_unknown_keys(&["frequency", "damping", "inertia"]);
         modes[index] = Some(StructuralMode {
             frequency: table.needed("frequency", Must::BePositive, "frequency = 150.0"),
@@ -434,8 +428,8 @@ fn home(top: &Table<'_>, spec: &Spec, joints: &[Joint]) -> Result<Option<[f64; M
     Ok(Some(padded(&q)))
 }
 
-/// Returns the first joint whose modes, with the modes of the joints before it, leave the links no inertia at angles
-/// `q`.
+/// Returns the first joint whose modes, together with the modes of the joints before this joint, leave the links no
+/// inertia at the angles `q`, rad.
 fn joint_without_remaining_inertia(description: &Description, q: &[f64; MAX_JOINTS]) -> Option<usize> {
     fn first<const N: usize, M: Mechanism<f64, N>>(
         mechanism: &M,
@@ -445,7 +439,7 @@ fn joint_without_remaining_inertia(description: &Description, q: &[f64; MAX_JOIN
         let pose = mechanism.pose::<Libm>(&SVector::<f64, N>::from_fn(|index, _| q[index]));
         let mut mass = mechanism.mass(&pose);
         if mass.iter().any(|entry| !entry.is_finite()) {
-            // Not a pose of this device; another check reports it.
+            // The linkage cannot close in this pose, and `linkage_closes` reports the error.
             return None;
         }
         (0..N).find(|&joint| {
@@ -462,15 +456,15 @@ fn joint_without_remaining_inertia(description: &Description, q: &[f64; MAX_JOIN
 }
 
 /// Returns true if the linkage closes at these joint angles.
-fn reachable(mechanism: &AnyMechanism<f64>, q: &[f64; MAX_JOINTS]) -> bool {
-    fn regular<const N: usize, M: Mechanism<f64, N>>(mechanism: &M, q: &[f64; MAX_JOINTS]) -> bool {
+fn linkage_closes(mechanism: &AnyMechanism<f64>, q: &[f64; MAX_JOINTS]) -> bool {
+    fn is_regular<const N: usize, M: Mechanism<f64, N>>(mechanism: &M, q: &[f64; MAX_JOINTS]) -> bool {
         let angles = SVector::<f64, N>::from_fn(|index, _| q[index]);
         mechanism.regularity(&mechanism.pose::<Libm>(&angles)).parallel > 0.0
     }
-    with_mechanism!(mechanism, m => regular(m, q))
+    with_mechanism!(mechanism, m => is_regular(m, q))
 }
 
-/// Converts an error of the mechanism to an error at the key that causes it.
+/// Converts an error of the mechanism to an error at the key that causes the error.
 fn description_error(error: DescriptionError, top: &Table<'_>, geometry: &Table<'_>, spec: &Spec) -> FileError {
     let problem = |remedy: &str| impossible(error.to_string(), remedy);
     match error {

@@ -6,8 +6,8 @@ use serde_json::ser::{CompactFormatter, Formatter};
 use serde_json::{Number, Value};
 use std::io;
 
-/// Returns the number with the fewest digits that round to the same `f32`: an `f32` widened to `f64` has digits without
-/// meaning. Returns the number unchanged if it is not an `f32` or is shorter in double precision.
+/// Returns the number with the fewest digits that rounds to the same `f32`, because an `f32` widened to `f64` has
+/// digits without meaning. Returns `number` unchanged if it is not an `f32` or is shorter in double precision.
 pub(crate) fn shorten(number: f64) -> f64 {
     let single = number as f32;
     if f64::from(single) != number {
@@ -17,7 +17,7 @@ pub(crate) fn shorten(number: f64) -> f64 {
     if short.to_string().len() < number.to_string().len() { short } else { number }
 }
 
-/// Returns the document with every number shortened to the fewest digits of its single-precision value.
+/// Returns the document with every single-precision number in the fewest digits.
 pub fn shortest(document: Value) -> Value {
     match document {
         Value::Number(number) if number.is_f64() => {

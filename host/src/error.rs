@@ -10,15 +10,15 @@ use std::process::ExitCode;
 /// The cause of a failure.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Blame {
-    /// The request was valid but could not be carried out: no board, a singular pose, a full disk. Exit code 1.
+    /// A valid request could not be carried out, as without a board or on a full disk. Exit code 1.
     World,
-    /// The command line or a file is wrong; repeating the command does not help. Exit code 2.
+    /// The command line or a file is wrong. Exit code 2.
     Request,
     /// Two things that were compared differ. Exit code 3.
     Difference,
 }
 
-/// An option that the user may change to avoid the failure; each program has its own name for it.
+/// An option that the user may change to avoid the failure. Each program has its own name for the option.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Choice {
     /// The joint angles of the pose.
@@ -36,9 +36,9 @@ pub enum Choice {
     /// The board.
     Board,
     /// The file that keeps results between runs.
-    Kept,
+    ResultsFile,
     /// The signals of a recording to draw.
-    Shown,
+    DrawnSignals,
     /// The contents of a recording.
     Fields,
     /// The firmware to flash.
@@ -52,7 +52,6 @@ pub struct Failure {
     reason: String,
     remedy: Option<String>,
     choice: Option<Choice>,
-    /// Further lines.
     further_lines: Vec<String>,
 }
 
@@ -61,51 +60,37 @@ impl Failure {
     pub fn impossible(reason: impl fmt::Display) -> Self {
         Self { blame: Blame::World, reason: reason.to_string(), remedy: None, choice: None, further_lines: Vec::new() }
     }
-
     /// Creates a failure of a wrong command or file (exit code 2).
     pub fn wrong(reason: impl fmt::Display) -> Self {
-        Self {
-            blame: Blame::Request,
-            reason: reason.to_string(),
-            remedy: None,
-            choice: None,
-            further_lines: Vec::new(),
-        }
+        Self { blame: Blame::Request, ..Self::impossible(reason) }
     }
-
     /// Creates the failure of a comparison (exit code 3).
     pub fn different(reason: impl fmt::Display) -> Self {
         Self { blame: Blame::Difference, ..Self::impossible(reason) }
     }
-
     /// Adds the remedy.
     pub fn remedy(mut self, remedy: impl fmt::Display) -> Self {
         self.remedy = Some(remedy.to_string());
         self
     }
-
     /// Adds the option that the user may change.
     pub fn choose(mut self, choice: Choice) -> Self {
         self.choice = Some(choice);
         self
     }
-
     /// Adds further errors, one line each.
     pub fn also(mut self, lines: impl IntoIterator<Item = String>) -> Self {
         self.further_lines.extend(lines);
         self
     }
-
     /// Returns the option that the user may change.
     pub fn choice(&self) -> Option<Choice> {
         self.choice
     }
-
     /// Returns the cause of the failure.
     pub fn blame(&self) -> Blame {
         self.blame
     }
-
     /// Returns the exit code of the process.
     pub fn exit_code(&self) -> ExitCode {
         ExitCode::from(match self.blame {
@@ -117,7 +102,6 @@ impl Failure {
 }
 
 impl fmt::Display for Failure {
-    /// Joins the lines of a reason with several lines.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let one_line = |text: &str| text.split_whitespace().collect::<Vec<_>>().join(" ");
         f.write_str(&one_line(&self.reason))?;
@@ -130,8 +114,8 @@ impl fmt::Display for Failure {
 
 impl std::error::Error for Failure {}
 
-/// Makes a text safe for a terminal: control characters, such as the ESC in a name from a file or a board, are escaped
-/// as in JSON. Newlines and tabs stay.
+/// Makes a text safe for a terminal: escapes control characters, such as an ESC in a board's name, as in JSON. Keeps
+/// newlines and tabs.
 pub fn visible(text: &str) -> Cow<'_, str> {
     escaped(text, &['\n', '\t'])
 }
@@ -142,7 +126,7 @@ pub fn on_one_line(name: &str) -> Cow<'_, str> {
 }
 
 fn escaped<'t>(text: &'t str, allowed: &[char]) -> Cow<'t, str> {
-    // Control characters, direction marks and line separators.
+    // Direction marks and line separators.
     let marks = |c: char| matches!(c, '\u{200e}' | '\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}');
     let is_unsafe = |c: char| (c.is_control() || marks(c)) && !allowed.contains(&c);
     if !text.contains(is_unsafe) {
@@ -172,13 +156,13 @@ pub fn print(document: &str) -> Result<(), Failure> {
     }
 }
 
-/// Writes to standard error, escaped by [`visible`]. Ignores write errors: a closed pipe (`haptic … 2>&1 | head`) or a
-/// full disk must not stop a command that still has to turn motors off.
+/// Writes to standard error, escaped by [`visible`]. Ignores write errors, because a closed pipe (`haptic … 2>&1 |
+/// head`) or a full disk must not stop a command that still has to turn motors off.
 pub fn say(text: fmt::Arguments<'_>) {
     write_error(&visible(&text.to_string()));
 }
 
-/// Like [`say`], but overwrites the terminal's present line; `clear` leaves the line empty afterwards.
+/// Like [`say`], but overwrites the terminal's present line. If `clear`, empties the line afterwards.
 pub fn overwrite_line(text: fmt::Arguments<'_>, clear: bool) {
     let end = if clear { "\x1b[2K\r" } else { "" };
     write_error(&format!("\r{}{end}", visible(&text.to_string())));

@@ -1,6 +1,6 @@
-//! Errors in files: every error that a device or scene file can contain, with its remedy.
+//! Errors in device and scene files, with their remedies.
 //!
-//! One line each: `file:line:column: problem; remedy`. All errors that can be found in one pass are reported at once.
+//! Each error is one line: `file:line:column: problem; remedy`. All errors that one pass can find are reported at once.
 
 use core::fmt;
 use std::path::PathBuf;
@@ -19,14 +19,13 @@ pub struct FileError {
 }
 
 impl FileError {
-    /// Creates an error without others.
+    /// Creates an error without further errors.
     pub fn new(path: PathBuf, position: Option<(usize, usize)>, problem: Problem) -> Self {
         Self { path, position, problem: Box::new(problem), others: Vec::new() }
     }
-
-    /// Joins the errors of one file in the order of their lines; `None` if there are no errors. Drops the error about a
-    /// missing key if the key is only misspelt or in the wrong table.
-    pub fn together(mut errors: Vec<Self>) -> Option<Self> {
+    /// Joins the errors of one file in the order of their lines; `None` without errors. Drops the error about a missing
+    /// key if the key is misspelt or in the wrong table.
+    pub fn join(mut errors: Vec<Self>) -> Option<Self> {
         let unknown: Vec<Problem> = errors.iter().map(|error| (*error.problem).clone()).collect();
         let explained = |missing: &Problem| unknown.iter().any(|problem| problem.explains(missing));
         errors.retain(|error| !explained(&error.problem));
@@ -42,116 +41,77 @@ impl FileError {
     }
 }
 
-/// A problem in a file. `place` is the table, such as `[geometry]` or `[[link]] 1 (proximal-2)`, counted from 0.
+/// A problem in a file. `key` is the key, `place` the table of the key, such as `[geometry]` or `[[link]] 1
+/// (proximal-2)` (counted from 0), `found` the value in the file, `expected` or `must` the requirement, `meaning` the
+/// meaning of the numbers or tables, and `example` the missing line. `on_top` is true if the key belongs at the top of
+/// the file.
 #[derive(Clone, Debug, PartialEq)]
+#[allow(missing_docs)]
 pub enum Problem {
-    /// The file cannot be read.
     Unreadable(String),
-    /// Not a file of this kind: a pipe, a device, too long.
-    Unfit(String),
-    /// Not UTF-8 text.
+    /// Not a regular file, or a file that is too long.
+    NotReadableFile(String),
     NotText,
-    /// Not TOML.
     Syntax(String),
     /// A file in another format.
-    Foreign(&'static Foreign),
-    /// An unknown key in a table.
+    Foreign(&'static ForeignFormat),
     UnknownKey {
-        /// The key as written.
         key: String,
-        /// Its table.
         place: String,
-        /// The most similar known key.
         nearest: Option<String>,
-        /// All known keys of the table.
         known: Vec<String>,
-        /// True if the key belongs at the top of the file.
         on_top: bool,
     },
-    /// A missing key.
     MissingKey {
-        /// The key.
         key: String,
-        /// Its table.
         place: String,
-        /// An example of the missing line.
         example: String,
     },
-    /// A value of the wrong type.
     WrongType {
-        /// The key.
         key: String,
-        /// Its table.
         place: String,
-        /// A description of the expected value.
         expected: String,
-        /// The type of the value in the file.
         found: &'static str,
     },
-    /// A list of the wrong length.
     WrongLength {
-        /// The key.
         key: String,
-        /// Its table.
         place: String,
-        /// The required length.
         expected: usize,
-        /// The length in the file.
         found: usize,
-        /// The meaning of the numbers.
         meaning: String,
     },
     /// A number that is infinite, NaN or too large for the board's 32-bit floats.
     NotFinite {
-        /// The key.
         key: String,
-        /// Its table.
         place: String,
     },
-    /// A number outside its range.
     OutOfRange {
-        /// The key.
         key: String,
-        /// Its table.
         place: String,
-        /// The number.
         found: f64,
-        /// The condition on the number, with the unit or the reason.
         must: String,
     },
-    /// An unknown word for a key with a fixed set of words.
     UnknownWord {
-        /// The key.
         key: String,
-        /// Its table.
         place: String,
-        /// The word as written.
         found: String,
-        /// All known words.
         known: Vec<String>,
     },
-    /// The wrong number of repeated tables.
     WrongCount {
-        /// The table, such as `[[link]]`.
         table: String,
-        /// The required number of entries.
         expected: String,
-        /// The number of entries found.
         found: usize,
-        /// The meaning of the entries, in order.
         meaning: String,
     },
     /// Values that are valid alone but contradict each other.
     Impossible {
-        /// The contradiction.
         reason: String,
-        /// The change to make.
         remedy: String,
     },
 }
 
 impl Problem {
-    /// Returns true if this unknown key is the `missing` key, misspelt or in the wrong table.
+    /// Returns true if `self` is an unknown key that is the `missing` key, misspelt or in the wrong table.
     fn explains(&self, missing: &Self) -> bool {
         let (Self::UnknownKey { key: unknown, place, on_top, .. }, Self::MissingKey { key, place: lacking, .. }) =
             (self, missing)
@@ -166,7 +126,7 @@ impl Problem {
     pub fn remedy(&self) -> String {
         match self {
             Self::Unreadable(_) => "check the path and its permissions".into(),
-            Self::Unfit(_) => "name a TOML file".into(),
+            Self::NotReadableFile(_) => "name a TOML file".into(),
             Self::NotText => "save the file as UTF-8 text".into(),
             Self::Syntax(_) => "correct the TOML at this place".into(),
             Self::Foreign(format) => format.instead.into(),
@@ -195,8 +155,8 @@ impl Problem {
     }
 }
 
-/// Words of data sheets and other projects that are no keys, a part of the name of each table where they have this
-/// meaning, and the remedy.
+/// Words of data sheets and other projects that are not keys. Each row has the words, a part of the name of the tables
+/// to which the row applies, and the remedy.
 const SHEET_WORDS: &[(&[&str], &str, &str)] = &[
     (
         &[
@@ -245,19 +205,19 @@ const SHEET_WORDS: &[(&[&str], &str, &str)] = &[
     (
         &["cpr", "resolution", "ticks", "ticks_per_turn", "counts_per_rev", "counts_per_revolution"],
         "encoder",
-        "write counts_per_turn = the edges of A and B in one motor turn x gear ratio (4 x the lines, where the sheet counts \
-         lines)",
+        "write counts_per_turn = the edges of A and B in one motor turn x gear ratio (4 x the lines, if the data sheet \
+         counts lines)",
     ),
     (
         &["type", "absolute", "bits", "sensor", "chip", "spi", "i2c", "pwm", "analog"],
         "encoder",
-        "boards read incremental encoders with A and B only; an absolute or analog one cannot be described yet: use its A and \
-         B outputs where it has them (docs/devices.md)",
+        "boards read incremental encoders with A and B only; an absolute or analog encoder cannot be described yet: \
+         use its A and B outputs, if it has them (docs/devices.md)",
     ),
     (
         &["index", "index_offset", "index_angle"],
         "encoder",
-        "an index mark needs no key: write offset = the joint angle at which it passes",
+        "there is no key for an index mark: set `offset` to the joint angle at the index mark",
     ),
     (
         &["noise", "jitter", "backlash", "play", "slip", "hysteresis"],
@@ -282,7 +242,7 @@ const SHEET_WORDS: &[(&[&str], &str, &str)] = &[
     (&["no_load_current"], "", "write the joint's coulomb = no-load current x torque_constant, in N m"),
 ];
 
-/// Returns the remedy for a data sheet's word.
+/// Returns the remedy for a data sheet's word `key` in the table `place`.
 fn instead_of(key: &str, place: &str) -> Option<&'static str> {
     let key = key.to_lowercase().replace('-', "_");
     let meant = |(words, part, _): &&(&[&str], &str, &str)| words.contains(&key.as_str()) && place.contains(part);
@@ -291,12 +251,12 @@ fn instead_of(key: &str, place: &str) -> Option<&'static str> {
 
 /// Another file format.
 #[derive(Debug, PartialEq, Eq)]
-pub struct Foreign {
+pub struct ForeignFormat {
     name: &'static str,
     instead: &'static str,
 }
 
-impl Foreign {
+impl ForeignFormat {
     /// Detects the format of a text that is not TOML by its first line.
     pub fn of(text: &str) -> Option<&'static Self> {
         const DESCRIBE: &str = "begin with `haptic new KIND -o mine.toml` and take lengths, masses, centres of mass, inertias and \
@@ -335,7 +295,7 @@ fn at(key: &str, place: &str) -> String {
 impl fmt::Display for Problem {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Unreadable(why) | Self::Unfit(why) => write!(f, "cannot be read: {why}"),
+            Self::Unreadable(why) | Self::NotReadableFile(why) => write!(f, "cannot be read: {why}"),
             Self::NotText => write!(f, "not UTF-8 text"),
             Self::Syntax(why) => write!(f, "not valid TOML: {why}"),
             Self::Foreign(format) => write!(f, "this is {}, which cannot be read yet, and not TOML", format.name),

@@ -1,5 +1,5 @@
-//! Converts between a device's task frame and the operator's frame, which other programs use: CHAI3D's has x towards
-//! the operator, y to the right and z up.
+//! Converts between a device's task frame and CHAI3D's frame, which has x towards the operator, y to the right and z
+//! up.
 
 use haptic_bridge::model::catalogue::Kind;
 use std::str::FromStr;
@@ -9,14 +9,14 @@ use std::str::FromStr;
 pub struct Axes(pub [Option<(usize, f64)>; 3]);
 
 impl Axes {
-    /// Returns the axes of a mechanism in its usual position. A planar device stands upright if it has weight and
-    /// otherwise lies on the table.
-    pub fn of(kind: Kind, weight: bool) -> Self {
+    /// Returns the axes of a mechanism in its usual position. A planar device stands upright if `has_weight`, otherwise
+    /// it lies on the table.
+    pub fn of(kind: Kind, has_weight: bool) -> Self {
         let (x, y, z) = (Some((0, 1.0)), Some((1, 1.0)), Some((2, 1.0)));
         let back = |axis: Option<(usize, f64)>| axis.map(|(index, sign)| (index, -sign));
         match kind {
             Kind::Paddle => Self([None, x, None]),
-            Kind::FiveBar | Kind::Serial3r if weight => Self([None, x, y]),
+            Kind::FiveBar | Kind::Serial3r if has_weight => Self([None, x, y]),
             Kind::FiveBar | Kind::Serial3r => Self([y, back(x), None]),
             // The y axis is vertical, and the arm reaches along x towards the operator.
             Kind::Parallelogram => Self([x, back(z), y]),
@@ -25,13 +25,11 @@ impl Axes {
         }
     }
 
-    /// Converts a vector from the task frame to CHAI3D's.
+    /// Converts a vector from the task frame to CHAI3D's frame.
     pub fn to_chai3d(self, task: [f64; 3]) -> [f64; 3] {
         self.0.map(|axis| axis.map_or(0.0, |(index, sign)| sign * task[index]))
     }
-
-    /// Converts a vector from CHAI3D's frame to the task frame; drops components along axes that the device does not
-    /// have.
+    /// Converts a vector from CHAI3D's frame to the task frame. Drops components along axes that the device lacks.
     pub fn to_task(self, chai3d: [f64; 3]) -> [f64; 3] {
         let mut task = [0.0; 3];
         for (axis, value) in self.0.iter().zip(chai3d) {
@@ -81,8 +79,8 @@ mod tests {
     #[test]
     fn axes_are_right_handed_and_convert_both_ways() {
         for kind in Kind::ALL {
-            for weight in [false, true] {
-                let axes = Axes::of(*kind, weight);
+            for has_weight in [false, true] {
+                let axes = Axes::of(*kind, has_weight);
                 let entries = kind.spec().task;
                 let task: [f64; 3] = std::array::from_fn(|i| if i < entries { 1.0 + i as f64 } else { 0.0 });
                 assert_eq!(axes.to_task(axes.to_chai3d(task)), task, "{kind:?}");

@@ -3,30 +3,30 @@
 use std::io::{Error, Read};
 use std::path::Path;
 
-/// Size limit of a file, bytes. The largest shipped file has four thousand.
-pub const LARGEST: u64 = 1 << 20;
+/// Size limit of a file, bytes. The largest shipped file has 4000 bytes.
+pub const MAX_FILE_BYTES: u64 = 1 << 20;
 
 /// Size limit of a recording, bytes: 15 minutes of all fields at 20 kHz.
-pub const LARGEST_RECORDING: u64 = 2 << 30;
+pub const MAX_RECORDING_BYTES: u64 = 2 << 30;
 
-/// Reads a regular file (following links) of at most [`LARGEST`] bytes. Refuses a pipe or a device before opening it,
+/// Reads a regular file (following links) of at most [`MAX_FILE_BYTES`] bytes. Refuses a pipe or a device before opening it,
 /// because reading it might block or never end.
 pub fn read(path: &Path) -> Result<Vec<u8>, Error> {
-    let bytes = read_limited(path, LARGEST + 1)?;
-    if bytes.len() as u64 > LARGEST {
+    let bytes = read_limited(path, MAX_FILE_BYTES + 1)?;
+    if bytes.len() as u64 > MAX_FILE_BYTES {
         return Err(Error::other("it has more than 1 MiB, too much for a file of this kind"));
     }
     Ok(bytes)
 }
 
-/// Reads a recording of at most [`LARGEST_RECORDING`] bytes. Refuses a larger file before reading it.
+/// Reads a recording of at most [`MAX_RECORDING_BYTES`] bytes. Refuses a larger file before reading it.
 pub fn read_recording(path: &Path) -> Result<Vec<u8>, Error> {
-    if std::fs::metadata(path)?.len() > LARGEST_RECORDING {
+    if std::fs::metadata(path)?.len() > MAX_RECORDING_BYTES {
         return Err(Error::other(
             "it has more than 2 GiB, too much to read into memory: record fewer fields or every nth row, or plot a part of it",
         ));
     }
-    read_limited(path, LARGEST_RECORDING)
+    read_limited(path, MAX_RECORDING_BYTES)
 }
 
 /// Reads a regular file of any size that this tool wrote.

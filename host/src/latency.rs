@@ -5,21 +5,21 @@ use haptic_bridge::board::protocol::ForceRequest;
 use serde::Serialize;
 
 /// Lowest bin edge, s. The edges follow a 1-2-5 series.
-const FIRST_EDGE: f64 = 1.0e-5;
+const FIRST_EDGE_S: f64 = 1.0e-5;
 
-/// Relative tolerance of an edge: whole control periods fall on edges, and the board's period is in single precision.
+/// Relative tolerance of an edge, because whole control periods fall on edges and the board's period is an `f32`.
 const EDGE_TOLERANCE: f64 = 1.0e-6;
 
-/// Statistics of many exchanges.
+/// Statistics of many requests and their replies.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Latency {
-    /// Exchanges per second of the wire's clock.
+    /// Number of exchanges per second of the wire's clock.
     pub per_second: f64,
     /// Time from the first byte of a request to the last byte of its reply, on the computer's clock; for a board
     /// simulated in this process, on the clock of the board.
     pub round_trip: Spread,
-    /// Age of a state when the board receives the request computed from it: time between two states, on the board's
-    /// clock.
+    /// Age of a state when the board receives the request computed from this state, on the board's clock. The age is
+    /// the time between two states.
     pub age: Spread,
 }
 
@@ -28,15 +28,15 @@ pub struct Latency {
 pub struct Spread {
     /// Number of times.
     pub count: usize,
-    /// The shortest.
+    /// The shortest time.
     pub min: f64,
-    /// The median.
+    /// The median of the times.
     pub median: f64,
     /// The 99 % quantile.
     pub p99: f64,
     /// The 99.9 % quantile.
     pub p999: f64,
-    /// The longest.
+    /// The longest time.
     pub max: f64,
     /// Adjacent bins, from the first to the last that is not empty.
     pub histogram: Vec<Bin>,
@@ -93,12 +93,11 @@ impl Spread {
     }
 }
 
-/// Counts sorted times in bins.
 fn histogram(times: &[f64]) -> Vec<Bin> {
     let mut bins = Vec::new();
     let mut from = 0.0;
     let mut left = times;
-    for edge in (0..).flat_map(|decade| [1.0, 2.0, 5.0].map(|step| step * FIRST_EDGE * 10.0_f64.powi(decade))) {
+    for edge in (0..).flat_map(|decade| [1.0, 2.0, 5.0].map(|step| step * FIRST_EDGE_S * 10.0_f64.powi(decade))) {
         let count = left.partition_point(|time| *time <= edge * (1.0 + EDGE_TOLERANCE));
         if count > 0 || !bins.is_empty() {
             bins.push(Bin { from, to: edge, count });
@@ -124,7 +123,7 @@ mod tests {
         assert_eq!(counts, [1, 1, 2]);
         let edges: Vec<f64> = spread.histogram.iter().map(|bin| (bin.from * 1e6).round()).collect();
         assert_eq!(edges, [20.0, 50.0, 100.0]);
-        // Two periods of 50 us on either clock.
+        // Two control periods of 50 us fall into the same bin on the board's clock and on the computer's.
         let twice = |seconds: f64| Spread::of(vec![seconds]).histogram[0].to;
         assert_eq!(twice(2.0 * f64::from(5.0e-5_f32)), twice(std::time::Duration::from_micros(100).as_secs_f64()));
         assert!(spread.histogram.windows(2).all(|pair| pair[0].to == pair[1].from));

@@ -1,7 +1,7 @@
 //! Talks to a haptic-bridge board: finds its port, sends the requests of its protocol, receives its telemetry, and
-//! reads and writes device and scene files. The bindings for C, Python and CHAI3D are built on this crate too, so it
-//! contains no code that draws, predicts or simulates. A [`link::Board`] has one method for every request; a program
-//! that sends forces to a board uses a [`link::Session`].
+//! reads and writes device and scene files. The bindings for C, Python and CHAI3D use this crate, so the crate contains
+//! no code that draws, predicts or simulates. A [`link::Board`] has one method for every request. A program that sends
+//! forces to a board uses a [`link::Session`].
 //!
 //! ```no_run
 //! use haptic_host::{device_file::DeviceFile, link::Board, scene_file::SceneFile};
@@ -29,7 +29,7 @@
 //! | measure the round-trip time to a board | [`latency`] |
 //! | convert to the axes of another program | [`frame`] |
 //!
-//! Crates on top of this one: `haptic-flash` (firmware on a board), `haptic-sim` (a board without hardware),
+//! Crates that use this crate: `haptic-flash` (firmware on a board), `haptic-sim` (a board without hardware),
 //! `haptic-stability` (which walls are stable), `haptic-predict` (measuring, tuning, design), `haptic-show`
 //! (recordings, drawings, the page) and the tool `haptic`. The programs in `examples/` press a wall, follow telemetry,
 //! push and predict a range in about twenty lines each. [`haptic_bridge`] is the code that runs on the board itself;

@@ -1,8 +1,8 @@
 //! Writes files. An existing file is replaced only if the caller allows it, and no partial file remains.
 //!
-//! A document is written to a temporary file in the same folder and then moved to its name, so a full disk or a killed
-//! tool leaves the old file unchanged. A link is refused, because the user did not name its target. A device node or a
-//! pipe is written directly, also through a link such as /dev/stdout.
+//! A document is written to a temporary file in the same folder and then renamed, so that a full disk or a killed tool
+//! leaves the old file unchanged. A link is refused, because the user did not name its target. A device node or a pipe
+//! is written directly, also through a link such as /dev/stdout.
 
 use crate::error::{Choice, Failure};
 use std::fs::{File, OpenOptions};
@@ -28,12 +28,12 @@ enum Place {
     Special,
 }
 
-/// Checks a path before the work for its file: refuses a file that may not be replaced, and a path that cannot be a
-/// file.
+/// Checks a path before the computation of its file. Refuses a file that may not be replaced and a path that cannot be
+/// a file.
 pub fn check(path: &Path, overwrite: Overwrite) -> Result<(), Failure> {
     match place(path, overwrite)? {
         Place::Special => Ok(()),
-        Place::File => std::fs::metadata(folder_of(path)).map(drop).map_err(|error| refused(path, &error)),
+        Place::File => std::fs::metadata(folder_of(path)).map(drop).map_err(|error| write_failure(path, &error)),
     }
 }
 
@@ -73,22 +73,22 @@ pub fn write(path: &Path, bytes: &[u8], overwrite: Overwrite) -> Result<(), Fail
             // A closed pipe (`--svg /dev/stdout | head`) is not an error.
             written.or_else(|error| if error.kind() == io::ErrorKind::BrokenPipe { Ok(()) } else { Err(error) })
         }
-        Place::File => temporary(path, bytes).and_then(|temporary| put(temporary, path, overwrite)),
+        Place::File => temporary(path, bytes).and_then(|temporary| rename_to(temporary, path, overwrite)),
     }
-    .map_err(|error| refused(path, &error))
+    .map_err(|error| write_failure(path, &error))
 }
 
-/// Writes several documents, all or none: all are stored in temporary files before the first one gets its name.
+/// Writes several documents, all or none. All are stored in temporary files before the first file is renamed.
 pub fn write_together(files: &[(&Path, &[u8])], overwrite: Overwrite) -> Result<(), Failure> {
     let mut ready = Vec::new();
     for (path, bytes) in files {
         match place(path, overwrite)? {
             Place::Special => write(path, bytes, overwrite)?,
-            Place::File => ready.push((path, temporary(path, bytes).map_err(|error| refused(path, &error))?)),
+            Place::File => ready.push((path, temporary(path, bytes).map_err(|error| write_failure(path, &error))?)),
         }
     }
     for (path, temporary) in ready {
-        put(temporary, path, overwrite).map_err(|error| refused(path, &error))?;
+        rename_to(temporary, path, overwrite).map_err(|error| write_failure(path, &error))?;
     }
     Ok(())
 }
@@ -107,11 +107,11 @@ pub fn open(path: &Path, overwrite: Overwrite) -> Result<(File, bool), Failure> 
             options.open(path).map(|file| (file, true))
         }
     };
-    opened.map_err(|error| refused(path, &error))
+    opened.map_err(|error| write_failure(path, &error))
 }
 
-/// Returns an unused name: `name.svg`, `name-2.svg`, `name-3.svg`.
-pub fn unused(path: &Path) -> PathBuf {
+/// Returns a path that does not exist yet: `name.svg`, `name-2.svg`, `name-3.svg`.
+pub fn unused_path(path: &Path) -> PathBuf {
     let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
     let ending = path.extension().map_or(String::new(), |ending| format!(".{}", ending.to_string_lossy()));
     let numbered = (2..10_000).map(|number| path.with_file_name(format!("{stem}-{number}{ending}")));
@@ -153,11 +153,11 @@ fn temporary(target: &Path, bytes: &[u8]) -> io::Result<NamedTempFile> {
     #[cfg(unix)]
     {
         use std::os::unix::fs::PermissionsExt;
-        // The usual permissions of a new file, reduced by the user's mask.
+        // The usual permissions of a new file, which the user's mask reduces.
         builder.permissions(std::fs::Permissions::from_mode(0o666));
     }
     let mut temporary = builder.tempfile_in(folder_of(target))?;
-    // Write to the unnamed file: errors of `NamedTempFile` contain the temporary name, which means nothing to the user.
+    // Writes to the inner file, because errors of `NamedTempFile` contain the temporary name.
     temporary.as_file_mut().write_all(bytes)?;
     temporary.as_file().sync_all()?;
     if let Ok(about) = std::fs::metadata(target) {
@@ -166,8 +166,7 @@ fn temporary(target: &Path, bytes: &[u8]) -> io::Result<NamedTempFile> {
     Ok(temporary)
 }
 
-/// Moves the temporary file to `target`.
-fn put(temporary: NamedTempFile, target: &Path, overwrite: Overwrite) -> io::Result<()> {
+fn rename_to(temporary: NamedTempFile, target: &Path, overwrite: Overwrite) -> io::Result<()> {
     match overwrite {
         Overwrite::Never => temporary.persist_noclobber(target).map_err(|error| error.error)?,
         Overwrite::Replace => temporary.persist(target).map_err(|error| error.error)?,
@@ -176,7 +175,7 @@ fn put(temporary: NamedTempFile, target: &Path, overwrite: Overwrite) -> io::Res
 }
 
 /// Describes why a file could not be written, with the remedy.
-pub fn refused(path: &Path, error: &io::Error) -> Failure {
+pub fn write_failure(path: &Path, error: &io::Error) -> Failure {
     let remedy = match error.kind() {
         io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded | io::ErrorKind::FileTooLarge => {
             "free space, or choose another place"
@@ -184,7 +183,7 @@ pub fn refused(path: &Path, error: &io::Error) -> Failure {
         io::ErrorKind::NotFound => "make the folder first, or choose another",
         _ => "check the path and its permissions",
     };
-    // An error that wraps another error contains the temporary name, which means nothing to the user.
+    // Shows only the kind of a wrapped error, whose text contains the temporary name.
     let why = match error.raw_os_error() {
         _ if error.kind() == io::ErrorKind::NotFound => "there is no such folder".into(),
         None if error.kind() != io::ErrorKind::Other => error.kind().to_string(),
@@ -204,12 +203,12 @@ mod tests {
 
     #[cfg(target_os = "linux")]
     #[test]
-    fn a_closed_pipe_is_no_error() {
+    fn a_closed_pipe_is_not_an_error() {
         use std::io::Read;
         use std::os::fd::AsRawFd;
         let (mut reader, writer) = io::pipe().unwrap();
         let path = format!("/proc/self/fd/{}", writer.as_raw_fd());
-        // More than a pipe holds: the writer blocks until the reader has gone.
+        // 1 MiB exceeds the buffer of a pipe, so the writer blocks until the reader has gone.
         let reader = std::thread::spawn(move || reader.read_exact(&mut [0; 300]).unwrap());
         write(Path::new(&path), &vec![b'x'; 1 << 20], Overwrite::Never).unwrap();
         reader.join().unwrap();
@@ -240,7 +239,7 @@ mod tests {
         write(&path, b"two", Overwrite::Replace).unwrap();
         assert_eq!(std::fs::read(&path).unwrap(), b"two");
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "the temporary file is gone");
-        assert_eq!(unused(&path), folder.path().join("a-2.txt"));
+        assert_eq!(unused_path(&path), folder.path().join("a-2.txt"));
     }
 
     #[test]

@@ -1,17 +1,16 @@
-//! Places for unauthenticated connections. A new connection always gets a place: if all are taken, the oldest
-//! connection is closed. An unauthenticated client can therefore not block others, and all use a bounded number of threads and
-//! sockets.
+//! Places for unauthenticated connections. A new connection always gets a place, because a full list closes its oldest
+//! connection. An unauthenticated client can therefore not block others or exhaust threads and sockets.
 
 use std::net::{IpAddr, Ipv4Addr, Shutdown, TcpStream};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-/// A number of places, with a limit per address.
+/// A limited number of places for connections, with a limit per address.
 #[derive(Clone)]
 pub struct Places {
-    most: usize,
+    max_places: usize,
     per_address: usize,
-    taken: Arc<Mutex<Vec<Connection>>>,
+    connections: Arc<Mutex<Vec<Connection>>>,
 }
 
 struct Connection {
@@ -21,59 +20,58 @@ struct Connection {
     is_active: bool,
 }
 
-/// A connection's place, freed when it is dropped.
+/// A connection's place, which becomes free when this value is dropped.
 pub struct Place {
     number: u64,
     places: Places,
 }
 
 impl Places {
-    /// Creates `most` places, at most `per_address` for each address.
-    pub fn new(most: usize, per_address: usize) -> Self {
-        Self { most, per_address, taken: Arc::default() }
+    /// Creates `max_places` places, at most `per_address` for each address.
+    pub fn new(max_places: usize, per_address: usize) -> Self {
+        Self { max_places, per_address, connections: Arc::default() }
     }
-
     fn lock(&self) -> MutexGuard<'_, Vec<Connection>> {
-        self.taken.lock().unwrap_or_else(PoisonError::into_inner)
+        self.connections.lock().unwrap_or_else(PoisonError::into_inner)
     }
-
     /// Returns a place for a connection; `None` if the connection has already ended.
     ///
-    /// If no place is free, another connection is closed: one from the same address if that address is at its limit,
-    /// otherwise one from the address with the most places. Silent connections are closed first, then the oldest.
+    /// If no place is free, closes another connection: of the same address if it is at its limit, otherwise of the
+    /// address with the most places. Closes silent connections first, then the oldest.
     pub fn enter(&self, stream: &TcpStream) -> Option<Place> {
         static NUMBERS: AtomicU64 = AtomicU64::new(0);
         let address = stream.peer_addr().ok()?.ip();
         let stream = stream.try_clone().ok()?;
         let number = NUMBERS.fetch_add(1, Ordering::SeqCst);
-        let mut taken = self.lock();
-        let count =
-            |taken: &[Connection], address: IpAddr| taken.iter().filter(|other| other.address == address).count();
-        while count(&taken, address) >= self.per_address {
-            close_oldest(&mut taken, address);
+        let mut connections = self.lock();
+        let count = |connections: &[Connection], address: IpAddr| {
+            connections.iter().filter(|other| other.address == address).count()
+        };
+        while count(&connections, address) >= self.per_address {
+            close_oldest(&mut connections, address);
         }
-        while taken.len() >= self.most {
-            let fullest = taken.iter().map(|other| other.address).max_by_key(|other| count(&taken, *other));
-            close_oldest(&mut taken, fullest.unwrap_or(Ipv4Addr::LOCALHOST.into()));
+        while connections.len() >= self.max_places {
+            let fullest = connections.iter().map(|other| other.address).max_by_key(|other| count(&connections, *other));
+            close_oldest(&mut connections, fullest.unwrap_or(Ipv4Addr::LOCALHOST.into()));
         }
-        taken.push(Connection { number, address, stream, is_active: false });
+        connections.push(Connection { number, address, stream, is_active: false });
         Some(Place { number, places: self.clone() })
     }
 }
 
-fn close_oldest(taken: &mut Vec<Connection>, address: IpAddr) {
+fn close_oldest(connections: &mut Vec<Connection>, address: IpAddr) {
     let oldest =
-        |is_active: bool| taken.iter().position(|other| other.address == address && other.is_active == is_active);
-    // The index is valid, because the caller has counted this address.
+        |is_active: bool| connections.iter().position(|other| other.address == address && other.is_active == is_active);
+    // The address has a connection, because the caller has counted its connections.
     let at = oldest(false).or_else(|| oldest(true)).unwrap_or(0);
-    let _ = taken.remove(at).stream.shutdown(Shutdown::Both);
+    let _ = connections.remove(at).stream.shutdown(Shutdown::Both);
 }
 
 impl Place {
-    /// Marks the connection as having sent data: it is closed after the silent ones.
+    /// Marks the connection as active because it has sent data, so that silent connections are closed first.
     pub fn mark_active(&self) {
-        let mut taken = self.places.lock();
-        taken.iter_mut().filter(|other| other.number == self.number).for_each(|own| own.is_active = true);
+        let mut connections = self.places.lock();
+        connections.iter_mut().filter(|other| other.number == self.number).for_each(|own| own.is_active = true);
     }
 }
 

@@ -1,8 +1,8 @@
 //! Writes a board's scene as a file and its device as text (docs/files.md), and lists the differences between two such
 //! files or texts.
 //!
-//! A board that reads such a scene file gets the same numbers to the bit. A device has no such file, because its links
-//! are lumped into the coefficients of the equations of motion; the text lists these.
+//! A board that loads the written scene file gets the same numbers to the bit. A board's device cannot be written as a
+//! file, because its links are lumped into the coefficients of the equations of motion, which the text lists.
 
 use crate::digits::shorten;
 use crate::error::on_one_line;
@@ -29,8 +29,8 @@ pub enum Value {
     Flag(bool),
 }
 
-/// Formats the value as TOML.
 impl fmt::Display for Value {
+    /// Formats the value as TOML.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Number(number) => write!(f, "{number:?}"),
@@ -76,9 +76,9 @@ pub struct Difference {
     pub key: String,
     /// Unit of a number, otherwise empty.
     pub unit: &'static str,
-    /// Value in the first file, `None` if it is missing there.
+    /// Value in the first file; `None` if the key is missing.
     pub from: Option<Value>,
-    /// Value in the second file, `None` if it is missing there.
+    /// Value in the second file; `None` if the key is missing.
     pub to: Option<Value>,
 }
 
@@ -90,7 +90,7 @@ impl fmt::Display for Difference {
     }
 }
 
-/// Returns the differences between two lists of entries, in their order.
+/// Returns the differences between two lists of entries, in the order of the entries.
 pub fn differences(from: &[Entry], to: &[Entry]) -> Vec<Difference> {
     let same = |a: &Entry, b: &Entry| (a.table, a.index, &a.key) == (b.table, b.index, &b.key);
     let difference = |entry: &Entry, from: Option<&Entry>, to: Option<&Entry>| Difference {
@@ -163,7 +163,7 @@ fn widened(values: &[f32]) -> Vec<f64> {
     values.iter().map(|value| shorten(f64::from(*value))).collect()
 }
 
-/// Returns the entries of a scene's file.
+/// Returns the entries of the file of a scene.
 pub fn scene(scene: &Scene<f32>) -> Vec<Entry> {
     let mut entries = Vec::new();
     let task = usize::from(scene.task).min(3);
@@ -174,7 +174,7 @@ pub fn scene(scene: &Scene<f32>) -> Vec<Entry> {
     if let (Some(key), Some(chosen)) = (spec.and_then(|spec| spec.key), chosen) {
         top.number(key.name, chosen.value.into(), key.unit);
     }
-    // A file without a cutoff, because a cutoff would add a low-pass to such an estimator.
+    // Omits the cutoff, because a cutoff in the file would add a low-pass to this estimator.
     let unfiltered = spec.is_some_and(|spec| spec.cutoff == CutoffMeaning::LowPassAfter)
         && chosen.is_some_and(|chosen| !chosen.filtered);
     if !unfiltered {
@@ -232,14 +232,14 @@ fn put_wall(into: &mut Writer, wall: &Wall<f32>, task: usize) {
     into.flag("bilateral", wall.bilateral);
 }
 
-/// Returns the interval of numbers that round to this single-precision number.
-fn rounds_to(number: f32) -> (f64, f64) {
+/// Returns the interval of the f64 numbers that round to this f32 number.
+fn rounding_interval(number: f32) -> (f64, f64) {
     let middle = |other: f32| 0.5 * (f64::from(number) + f64::from(other));
     (middle(number.next_down()), middle(number.next_up()))
 }
 
-/// Returns a vector whose unit vector, computed in double precision, rounds to `rounded`. The length of `rounded` is
-/// not exactly 1, so all entries move by the same share of their rounding intervals until the length is 1.
+/// Returns a vector whose unit vector, computed in double precision, rounds to `rounded`. Because the length of
+/// `rounded` is not exactly 1, moves all entries by the same share of their rounding intervals until the length is 1.
 fn direction(rounded: &[f32; 3], task: usize) -> Vec<f64> {
     let rounded = &rounded[..task];
     let short = widened(rounded);
@@ -249,11 +249,11 @@ fn direction(rounded: &[f32; 3], task: usize) -> Vec<f64> {
     if rounds_back(&short) {
         return short;
     }
-    let length = |values: &[f64]| values.iter().map(|value| value * value).sum::<f64>();
+    let squared_length = |values: &[f64]| values.iter().map(|value| value * value).sum::<f64>();
     let exact: Vec<f64> = rounded.iter().map(|value| f64::from(*value)).collect();
-    let grows = length(&exact) < 1.0;
+    let grows = squared_length(&exact) < 1.0;
     let interval = rounded.iter().map(|value| {
-        let (low, high) = rounds_to(*value);
+        let (low, high) = rounding_interval(*value);
         let end = if grows == (*value > 0.0) { high } else { low };
         if *value == 0.0 { 0.0 } else { end - f64::from(*value) }
     });
@@ -263,7 +263,7 @@ fn direction(rounded: &[f32; 3], task: usize) -> Vec<f64> {
     let (mut low, mut high) = (0.0, 1.0);
     for _ in 0..60 {
         let middle = 0.5 * (low + high);
-        if (length(&at_share(middle)) < 1.0) == grows { low = middle } else { high = middle }
+        if (squared_length(&at_share(middle)) < 1.0) == grows { low = middle } else { high = middle }
     }
     at_share(low)
 }
@@ -295,9 +295,9 @@ fn put_joint(entries: &mut Vec<Entry>, index: usize, joint: &Joint<f32>) {
     }
 }
 
-/// Returns the entries of a device as a board stores it. The mechanism's entries are the coefficients of the equations
-/// of motion, by their names in src/model/mechanism.
-pub fn running(device: &Device<f32>) -> Vec<Entry> {
+/// Returns the entries of a device as a board stores it. The entries of the mechanism are the coefficients of the
+/// equations of motion, with their names in src/model/mechanism.
+pub fn device_entries(device: &Device<f32>) -> Vec<Entry> {
     let spec = device.mechanism.kind().spec();
     let mut entries = Vec::new();
     let mut top = table(&mut entries, "", 0);
@@ -330,7 +330,7 @@ fn put_coefficients(into: &mut Writer, mechanism: &AnyMechanism<f32>) {
     whole.as_object().into_iter().flatten().for_each(|(_, fields)| collect("", fields, into));
 }
 
-/// Returns the unit of a coefficient; empty if the name is unknown.
+/// Returns the unit of a coefficient; empty for an unknown name.
 fn unit(coefficient: &str) -> &'static str {
     let name = coefficient.trim_start_matches("plane.").split('.').next().unwrap_or_default();
     match name {

@@ -1,7 +1,7 @@
 //! Scene files (docs/files.md): TOML in, a checked [`Scene`] out, or an error that names the line.
 //!
-//! A scene uses the task coordinates of a device, so it is read for a task dimension: normals, points and directions
-//! must have exactly that many entries. Directions become unit vectors. Defaults:
+//! Normals, points and directions must have as many entries as the task dimension of the device. Directions become unit
+//! vectors. Defaults:
 //! | key | default |
 //! |---|---|
 //! | `rate_hz` | 20000 |
@@ -34,9 +34,11 @@ use haptic_bridge::with_mechanism;
 use nalgebra::SVector;
 use std::path::{Path, PathBuf};
 
-/// Default cutoff, Hz, at rates from 5 kHz; below, the default is a tenth of the rate (the paper's 20 Hz at 200 Hz).
+/// Default cutoff at rates from 5 kHz, Hz. At lower rates the default is a tenth of the rate, as in the paper (20 Hz at
+/// 200 Hz).
 pub const DEFAULT_CUTOFF_HZ: f64 = 500.0;
-/// Default corner of the washout, Hz: keeps 99 % of the gained stable area at 20 kHz (docs/model.md section 3).
+/// Default corner frequency of the washout, Hz, which keeps 99 % of the gained stable area at 20 kHz (docs/model.md
+/// section 3).
 pub const DEFAULT_WASHOUT_HZ: f64 = 2.0;
 
 /// A checked scene file.
@@ -46,7 +48,7 @@ pub struct SceneFile {
     pub path: PathBuf,
     /// The scene in double precision.
     pub scene: Scene<f64>,
-    /// Speed of the hand that a plan assumes for the scene, m/s.
+    /// Speed of the hand, m/s, that a plan assumes for the scene.
     pub hand_speed: Option<f64>,
 }
 
@@ -55,12 +57,10 @@ impl SceneFile {
     pub fn load(path: impl AsRef<Path>, task: usize) -> Result<Self, FileError> {
         Self::read(&Document::load(path.as_ref())?, task)
     }
-
-    /// Checks a text; messages call its file `origin`.
+    /// Reads and checks a text. Error messages name `origin` as the file.
     pub fn parse(text: &str, origin: impl Into<PathBuf>, task: usize) -> Result<Self, FileError> {
         Self::read(&Document::new(text, origin), task)
     }
-
     /// Returns the indices of the one-sided walls that contain the tip at joint angles `q` (rad).
     pub fn walls_entered(&self, device: &DeviceFile, q: &[f64; MAX_JOINTS]) -> Vec<usize> {
         fn entered<const N: usize, M: Mechanism<f64, N>>(
@@ -116,7 +116,7 @@ fn scene(top: &Table<'_>, task: usize) -> Result<Scene<f64>, FileError> {
         "field",
     ];
     top.refuse_unknown_keys(&[&common[..], own.as_slice()].concat());
-    // NaN if the rate is wrong: comparisons with it then report no further errors.
+    // A wrong rate becomes NaN, so that comparisons with the rate report no further errors.
     let rate_hz = top.keep(rate(top), f64::NAN);
     let cutoff_hz = top.number_or("cutoff_hz", Must::BePositive, DEFAULT_CUTOFF_HZ.min(0.1 * rate_hz));
     top.keep(below_half_the_rate(top, "cutoff_hz", cutoff_hz, rate_hz), ());
@@ -146,9 +146,9 @@ fn scene(top: &Table<'_>, task: usize) -> Result<Scene<f64>, FileError> {
         table.refuse_unknown_keys(&["damping"]);
         scene.field_damping += table.needed("damping", Must::NotBeNegative, "damping = 2.0");
     }
-    top.sound()?;
-    let shaped = scene.walls.iter().filter(|wall| wall.feed_forward != FeedForward::Off).count();
-    if scene.feed_forward_gain > 1.0 && shaped > 1 {
+    top.check_no_errors()?;
+    let with_feed_forward = scene.walls.iter().filter(|wall| wall.feed_forward != FeedForward::Off).count();
+    if scene.feed_forward_gain > 1.0 && with_feed_forward > 1 {
         let must = "at most 1 where several walls have a feed-forward";
         return Err(out_of_range(top, "feed_forward_gain", scene.feed_forward_gain, must));
     }
@@ -182,7 +182,7 @@ fn estimator_with_key(top: &Table<'_>, estimator: Estimator) -> Result<Estimator
     Ok(estimator.with_options(Chosen { value, filtered }))
 }
 
-/// Reads α, by default 1. Its limit for several walls is checked with the scene.
+/// Reads the gain α of the feed-forward, by default 1. The limit of α for several walls is checked with the scene.
 fn feed_forward_gain(top: &Table<'_>) -> Result<f64, FileError> {
     let gain = top.number("feed_forward_gain", Must::NotBeNegative)?.unwrap_or(1.0);
     if gain > MAX_FEED_FORWARD_GAIN {
@@ -212,14 +212,14 @@ fn below_half_the_rate(table: &Table<'_>, key: &str, found: f64, rate_hz: f64) -
     Err(out_of_range(table, key, found, &format!("below half the rate of {rate_hz} Hz")))
 }
 
-/// Reads a wall; `None` if an unknown key makes its contents uncertain.
+/// Reads a wall. Returns `None` if the table has an unknown key.
 fn wall(table: &Table<'_>, task: usize, rate_hz: f64) -> Result<Option<Wall<f64>>, FileError> {
     let shapes: Vec<(&str, ShapeSpec)> = Surface::<f64>::SPECS.iter().map(|spec| (spec.name, *spec)).collect();
     let shape = table.word("shape", &shapes)?.unwrap_or(shapes[0].1);
-    let table = table.clone().called(format!("{} ({})", table.place(), shape.name));
+    let table = table.clone().with_place(format!("{} ({})", table.place(), shape.name));
     let common = ["shape", "stiffness", "damping", "feed_forward", "washout_hz", "damping_compensation", "bilateral"];
     let own: Vec<&str> = shape.keys.iter().map(|(key, _)| *key).collect();
-    // An unknown key may belong to another shape, or be `shape` misspelt: the rest of the table is then uncertain.
+    // Ignores the rest of the table, because an unknown key may belong to another shape.
     if !table.refuse_unknown_keys(&[&own[..], &common].concat()) {
         return Ok(None);
     }
@@ -245,7 +245,7 @@ fn wall(table: &Table<'_>, task: usize, rate_hz: f64) -> Result<Option<Wall<f64>
     }))
 }
 
-/// Reads the shape from the table's own keys.
+/// Reads the surface of a wall from the keys of its shape.
 fn surface(table: &Table<'_>, shape: &ShapeSpec, task: usize) -> Surface<f64> {
     let mut values = Vec::with_capacity(SHAPE_VALUES);
     for (key, meaning) in shape.keys {
@@ -260,7 +260,8 @@ fn surface(table: &Table<'_>, shape: &ShapeSpec, task: usize) -> Surface<f64> {
         .expect("the name comes from the shape's own spec, and the values fit into SHAPE_VALUES")
 }
 
-/// Returns the first key of a shape with this meaning, and the index of its first number among the shape's values.
+/// Returns the first key of a shape with this meaning, and the index of the key's first number among the shape's
+/// values.
 pub fn place_of(shape: &ShapeSpec, meaning: Meaning) -> Option<(&'static str, usize)> {
     let mut next = 0;
     shape.keys.iter().find_map(|(key, of)| {

@@ -1,18 +1,18 @@
-//! TOML files whose values know their positions, so that every error names the file, the line and the remedy.
+//! TOML files whose values have positions, so that every error names the file, the line and the remedy.
 //!
 //! [`Document`] parses a text; [`Table`] returns typed values and refuses unknown keys. Device files and scene files
 //! are read with both. [`Table::keep`] stores an error and lets reading continue, so that all errors of a file are
 //! reported at once.
 
 pub use crate::file_error::{FileError, Problem};
-use crate::file_error::{Foreign, nearest};
+use crate::file_error::{ForeignFormat, nearest};
 use core::ops::Range;
 use std::cell::RefCell;
 use std::path::{Path, PathBuf};
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
-/// The condition on a number.
+/// The condition that a number must meet.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Must {
     /// Any finite number.
@@ -37,7 +37,7 @@ impl Document {
         let bytes = crate::input::read(path).map_err(|error| {
             let why = error.to_string();
             whole(if error.kind() == std::io::ErrorKind::Other {
-                Problem::Unfit(why)
+                Problem::NotReadableFile(why)
             } else {
                 Problem::Unreadable(why)
             })
@@ -49,25 +49,22 @@ impl Document {
         })
     }
 
-    /// Creates a document from a text; messages call its file `origin`.
+    /// Creates a document from a text. Error messages name `origin` as the file.
     pub fn new(text: impl Into<String>, origin: impl Into<PathBuf>) -> Self {
         Self { path: origin.into(), text: text.into() }
     }
-
     /// Returns the path of the file.
     pub fn path(&self) -> &Path {
         &self.path
     }
-
     /// Returns the text.
     pub fn text(&self) -> &str {
         &self.text
     }
-
     /// Parses the text and calls `read` with its top table.
     pub fn read<T>(&self, read: impl FnOnce(&Table<'_>) -> Result<T, FileError>) -> Result<T, FileError> {
         let root = DeTable::parse(&self.text).map_err(|error| {
-            if let Some(format) = Foreign::of(&self.text) {
+            if let Some(format) = ForeignFormat::of(&self.text) {
                 return FileError::new(self.path.clone(), None, Problem::Foreign(format));
             }
             let span = error.span().unwrap_or(0..0);
@@ -78,11 +75,11 @@ impl Document {
         let found = read(&Table { document: self, shared: &shared, place: String::new(), span: 0..0, entries });
         let mut errors = shared.into_inner().errors;
         errors.extend(found.as_ref().err().cloned());
-        FileError::together(errors).map_or(found, Err)
+        FileError::join(errors).map_or(found, Err)
     }
 
-    /// Returns line and column of a key's value: in `part` of the `index`-th table `table` (either may be empty). If
-    /// the key is missing, returns the position of the table.
+    /// Returns line and column of the value of a key, in `part` of the `index`-th table `table`. `part` and `table` may
+    /// be empty. If the key is missing, returns the position of the table.
     pub fn find(&self, table: &str, index: Option<usize>, part: &str, key: &str) -> Option<(usize, usize)> {
         let root = DeTable::parse(&self.text).ok()?;
         let mut here = root.get_ref();
@@ -121,7 +118,6 @@ fn position(text: &str, offset: usize) -> (usize, usize) {
 /// State that all tables of a document share.
 #[derive(Debug, Default)]
 struct Shared {
-    /// The errors found so far.
     errors: Vec<FileError>,
     /// Known keys at the top of the file.
     on_top: Vec<String>,
@@ -138,22 +134,19 @@ pub struct Table<'a> {
 }
 
 impl<'a> Table<'a> {
-    /// Renames the table for messages, such as to `[[link]] 1 (proximal-2)`.
-    pub fn called(mut self, place: impl Into<String>) -> Self {
+    /// Changes the table's name in messages, such as to `[[link]] 1 (proximal-2)`.
+    pub fn with_place(mut self, place: impl Into<String>) -> Self {
         self.place = place.into();
         self
     }
-
     /// Returns the table's name for messages.
     pub fn place(&self) -> &str {
         &self.place
     }
-
     /// Creates an error at the table's own line.
     pub fn error_here(&self, problem: Problem) -> FileError {
         self.document.error(self.span.clone(), problem)
     }
-
     /// Creates an error at the value of `key`, or at the table if the key is missing.
     pub fn error_at(&self, key: &str, problem: Problem) -> FileError {
         match self.entries.get(key) {
@@ -172,8 +165,8 @@ impl<'a> Table<'a> {
         }
     }
 
-    /// Returns the value; stores an error and returns `instead`, so that reading continues. The file is refused at the
-    /// end.
+    /// Returns the value. If `value` is an error, stores the error, which refuses the file at the end, and returns
+    /// `instead` so that reading continues.
     pub fn keep<T>(&self, value: Result<T, FileError>, instead: T) -> T {
         value.unwrap_or_else(|error| {
             self.shared.borrow_mut().errors.push(error);
@@ -181,12 +174,11 @@ impl<'a> Table<'a> {
         })
     }
 
-    /// Returns an error if an error was stored so far: the checks that follow need valid values.
-    pub fn sound(&self) -> Result<(), FileError> {
+    /// Returns the last stored error, if any, because the checks that follow need valid values.
+    pub fn check_no_errors(&self) -> Result<(), FileError> {
         self.shared.borrow_mut().errors.pop().map_or(Ok(()), Err)
     }
-
-    /// Stores an error for every key that is not in `known`; returns true if every key is known.
+    /// Stores an error for every key that is not in `known`. Returns true if every key is known.
     pub fn refuse_unknown_keys(&self, known: &[&str]) -> bool {
         let mut shared = self.shared.borrow_mut();
         let before = shared.errors.len();
@@ -216,34 +208,29 @@ impl<'a> Table<'a> {
     pub fn has(&self, key: &str) -> bool {
         self.entries.contains_key(key)
     }
-
     /// Returns true if the value of the key is a string.
     pub fn is_string(&self, key: &str) -> bool {
         self.entries.get(key).is_some_and(|value| matches!(value.get_ref(), DeValue::String(_)))
     }
-
-    /// Returns the value, or an error with `example` as the line to add if it is `None`.
+    /// Returns the value. If `value` is `None`, returns an error with `example` as the line to add.
     pub fn required<T>(&self, key: &str, value: Option<T>, example: impl Into<String>) -> Result<T, FileError> {
         value.ok_or_else(|| {
             self.error_here(Problem::MissingKey { key: key.into(), place: self.place.clone(), example: example.into() })
         })
     }
 
-    /// Reads a required number; NaN if it is missing or wrong (see [`Table::keep`]).
+    /// Reads a required number. Returns NaN if it is missing or wrong (see [`Table::keep`]).
     pub fn needed(&self, key: &str, must: Must, example: impl Into<String>) -> f64 {
         self.keep(self.number(key, must).and_then(|value| self.required(key, value, example)), f64::NAN)
     }
-
-    /// Reads a number; `usual` if it is missing or wrong (see [`Table::keep`]).
+    /// Reads a number. Returns `usual` if it is missing or wrong (see [`Table::keep`]).
     pub fn number_or(&self, key: &str, must: Must, usual: f64) -> f64 {
         self.keep(self.number(key, must), None).unwrap_or(usual)
     }
-
-    /// Reads `true` or `false`; `usual` if it is missing or wrong (see [`Table::keep`]).
+    /// Reads `true` or `false`. Returns `usual` if it is missing or wrong (see [`Table::keep`]).
     pub fn flag_or(&self, key: &str, usual: bool) -> bool {
         self.keep(self.flag(key), None).unwrap_or(usual)
     }
-
     fn wrong_type(&self, key: &str, expected: impl Into<String>, value: &Spanned<DeValue<'_>>) -> FileError {
         let problem = Problem::WrongType {
             key: key.into(),
@@ -265,7 +252,7 @@ impl<'a> Table<'a> {
         }
     }
 
-    /// Reads a word of a fixed set and returns its meaning.
+    /// Reads a word of a fixed set and returns the meaning of the word.
     pub fn word<T: Copy>(&self, key: &str, words: &[(&str, T)]) -> Result<Option<T>, FileError> {
         let Some(found) = self.string(key)? else { return Ok(None) };
         match words.iter().find(|(word, _)| *word == found) {
@@ -293,12 +280,11 @@ impl<'a> Table<'a> {
         }
     }
 
-    /// Reads a number; integers are numbers too.
+    /// Reads a number, which may be written as an integer.
     pub fn number(&self, key: &str, must: Must) -> Result<Option<f64>, FileError> {
         self.entries.get(key).map(|value| self.numeric(key, value, must, "a number")).transpose()
     }
-
-    /// Reads a list of exactly `count` numbers; `meaning` describes them.
+    /// Reads a list of exactly `count` numbers. Error messages describe the numbers by `meaning`.
     pub fn numbers(&self, key: &str, count: usize, must: Must, meaning: &str) -> Result<Option<Vec<f64>>, FileError> {
         let Some(value) = self.entries.get(key) else { return Ok(None) };
         let expected = || match count {
@@ -334,7 +320,7 @@ impl<'a> Table<'a> {
             _ => return Err(self.wrong_type(key, expected, value)),
         };
         let error = |problem| Err(self.document.error(value.span(), problem));
-        // The board computes in 32-bit floats; larger numbers would be infinite there.
+        // Refuses numbers that would be infinite in the board's 32-bit floats.
         if !(number as f32).is_finite() {
             return error(Problem::NotFinite { key: key.into(), place: self.place.clone() });
         }
@@ -346,7 +332,7 @@ impl<'a> Table<'a> {
         };
         match must {
             Must::NotBeNegative if number < 0.0 => error(out_of_range("zero or more")),
-            // A number that rounds to 0 in the board's 32-bit floats is refused too.
+            // Refuses also numbers that round to 0 in the board's 32-bit floats.
             Must::BePositive if number as f32 <= 0.0 => error(out_of_range("more than zero")),
             _ => Ok(number),
         }

@@ -8,7 +8,7 @@ pub fn padded<const N: usize>(values: &[f64]) -> [f64; N] {
     core::array::from_fn(|index| values.get(index).copied().unwrap_or(0.0))
 }
 
-/// Like [`padded`], for a length at run time.
+/// Like [`padded`], for a length that is known at run time.
 #[must_use]
 pub fn padded_to(length: usize, values: &[f64]) -> DVector<f64> {
     DVector::from_fn(length, |index, _| values.get(index).copied().unwrap_or(0.0))
@@ -17,9 +17,8 @@ pub fn padded_to(length: usize, values: &[f64]) -> DVector<f64> {
 /// Returns the unit vector along `values`; `None` if they are zero or not finite.
 #[must_use]
 pub fn unit(values: &[f64]) -> Option<Vec<f64>> {
-    // Scaled first, so that the squares of tiny or huge entries neither underflow nor overflow.
     let largest = values.iter().fold(0.0_f64, |largest, value| largest.max(value.abs()));
-    // A power of two keeps every digit: 0.6 and 0.8 stay 0.6 and 0.8.
+    // Scales by a power of two, which is exact, so that squares of tiny or huge entries neither underflow nor overflow.
     let scale = 2.0_f64.powi(largest.log2().floor().clamp(-1000.0, 1000.0) as i32);
     let scaled: Vec<f64> = values.iter().map(|value| value / scale).collect();
     let length = scaled.iter().map(|value| value * value).sum::<f64>().sqrt();

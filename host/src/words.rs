@@ -9,7 +9,7 @@ pub fn commands_to_calls(text: &str, calls: &[(&str, &str)]) -> String {
     calls.iter().fold(text.into(), |text, (command, call)| text.replace(&format!("`haptic {command}`"), call))
 }
 
-/// Formats a fault with its joint and its remedy.
+/// Formats a fault with the joint and the remedy.
 pub fn fault_and_remedy(record: &FaultRecord) -> String {
     let joint = record.axis.map_or(String::new(), |axis| format!(" (joint {axis})"));
     format!("{}{joint}; {}", record.fault, record.fault.remedy())
@@ -43,12 +43,12 @@ pub fn short(value: f32) -> String {
         let rounded: f32 = format!("{value:.4e}").parse().unwrap_or(value);
         return format!("{rounded:e}");
     }
-    // `Display` writes the fewest digits that round to the value; a precision would add digits without meaning.
+    // Without a precision, `Display` writes the fewest digits that round to the value.
     let text = if digits == 0 { value.round().to_string() } else { format!("{value:.digits$}") };
     if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').into() } else { text }
 }
 
-/// Formats a number of bytes with a prefix.
+/// Formats a number of bytes in bytes, kB, MB or GB.
 pub fn bytes_in_words(bytes: u64) -> String {
     match bytes as f64 {
         size if size < 1e3 => format!("{size} bytes"),
@@ -63,8 +63,8 @@ pub fn digits(value: f64) -> String {
     format!("{value:.5e}").parse::<f64>().unwrap_or(value).to_string()
 }
 
-/// Formats a ratio in per cent with `decimals` decimals and, if `signed`, its sign; a result that rounds to zero is
-/// never negative.
+/// Formats a ratio in per cent with `decimals` decimals, and with a plus sign if `signed`. A result that rounds to zero
+/// has no minus sign.
 pub fn percent(share: f64, decimals: i32, signed: bool) -> String {
     let shown = decimals.max(0) as usize;
     let rounded = (100.0 * share * 10.0_f64.powi(decimals)).round() / 10.0_f64.powi(decimals) + 0.0;
@@ -86,7 +86,7 @@ pub fn listed(items: &[String]) -> String {
     }
 }
 
-/// Formats a number to three significant digits, with a prefix if the unit takes one.
+/// Formats a number to three significant digits, with an SI prefix except for grams and kilograms.
 pub fn with_unit(value: f64, unit: &str) -> String {
     let size = value.abs();
     let (factor, prefix) = match unit {
@@ -150,7 +150,7 @@ mod tests {
     }
 
     #[test]
-    fn sizes_get_the_prefix_that_fits() {
+    fn byte_counts_get_a_fitting_prefix() {
         let texts = [17, 1_234, 3_600_000, 2_500_000_000].map(bytes_in_words);
         assert_eq!(texts.join(", "), "17 bytes, 1.2 kB, 3.6 MB, 2.50 GB");
     }

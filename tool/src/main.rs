@@ -19,8 +19,8 @@ fn option(choice: Choice) -> &'static str {
         Choice::Wall => "--wall",
         Choice::Overwriting => "--force",
         Choice::Board => "--port or HAPTIC_PORT",
-        Choice::Kept => "--continue",
-        Choice::Shown => "--show",
+        Choice::ResultsFile => "--continue",
+        Choice::DrawnSignals => "--show",
         Choice::Fields => "--fields",
         Choice::Image => "--file",
     }

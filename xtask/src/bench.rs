@@ -1,5 +1,5 @@
-//! Instruction counts of every variant of the control step: counted on the emulated chip, stored in
-//! crates/predict/src/bench/counts.json, and compared with that file.
+//! Counts the instructions of every variant of the control step on the emulated chip, and stores them in
+//! crates/predict/src/bench/counts.json or compares them with this file.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -16,9 +16,9 @@ use crate::tools::{self, Tool};
 
 const BINARY: &str = "haptic-counting";
 /// Largest allowed ratio of a variant's instructions to the stored count.
-const GROWTH: f64 = 1.01;
+const MAX_GROWTH: f64 = 1.01;
 
-/// Returns the file of the stored counts, in the package that includes it.
+/// Returns the path of the stored counts.
 fn counts_file() -> PathBuf {
     root().join("crates/predict/src/bench/counts.json")
 }
@@ -47,7 +47,7 @@ fn count() -> Result<Vec<(String, u64)>> {
     counted.filter(|counted| !counted.is_empty()).context("the counter printed no counts")
 }
 
-/// Counts everything, stores the counts, and writes the report.
+/// Counts all variants, stores the counts, and writes the report.
 pub fn refresh() -> Result<()> {
     let counted = count()?;
     let variants: Vec<String> = counted
@@ -73,7 +73,7 @@ pub fn refresh() -> Result<()> {
     ]))
 }
 
-/// Counts everything again. Fails if a variant has over 1 % more instructions than stored.
+/// Counts all variants. Fails if a variant has over 1 % more instructions than the stored count.
 pub fn check() -> Result<()> {
     let stored: Value =
         serde_json::from_str(&fs::read_to_string(counts_file()).context("counts.json cannot be read")?)?;
@@ -89,7 +89,7 @@ pub fn check() -> Result<()> {
     for (name, now) in &counted {
         match stored.get(name.as_str()) {
             None => wrong.push(format!("{name}: not in counts.json")),
-            Some(then) if *now as f64 > *then as f64 * GROWTH => {
+            Some(then) if *now as f64 > *then as f64 * MAX_GROWTH => {
                 wrong.push(format!("{name}: {then} before, {now} now"))
             }
             Some(then) => less += usize::from(now < then),
@@ -105,6 +105,6 @@ pub fn check() -> Result<()> {
             wrong.join("\n  ")
         );
     }
-    println!("{} variants within 1 % of counts.json, {less} of them lower", counted.len());
+    println!("{} variants within 1 % of counts.json, of which {less} are lower", counted.len());
     Ok(())
 }

@@ -1,12 +1,13 @@
-//! DfuSe update files: an image in segments, so that the flash between them (the settings) is neither sent nor erased.
+//! DfuSe update files, which contain an image in segments, so that the settings between the segments are not erased.
 //!
-//! Format: STMicroelectronics UM0391, "DfuSe file format specification". All numbers are little-endian.
+//! The format is STMicroelectronics UM0391, "DfuSe file format specification". All numbers are little-endian.
 
 use crate::checksum::crc32;
 use crate::image::Segment;
 
-/// USB vendor and product id of the STM32's boot loader.
+/// USB vendor id of the STM32's boot loader.
 const VENDOR_ID: u16 = 0x0483;
+/// USB product id of the STM32's boot loader.
 const PRODUCT_ID: u16 = 0xDF11;
 
 /// Returns an update file of these segments for the boot loader's internal flash (alternate setting 0), with the
@@ -45,7 +46,7 @@ pub fn file(segments: &[Segment], name: &str) -> Vec<u8> {
     file.extend(0x011A_u16.to_le_bytes());
     file.extend(b"UFD");
     file.push(16);
-    // The suffix has the CRC without the final inversion.
+    // The suffix contains the CRC without its final inversion.
     let check = !crc32(&file);
     file.extend(check.to_le_bytes());
     file
@@ -60,7 +61,8 @@ mod tests {
         let segments =
             [Segment { address: 0x0800_0000, bytes: vec![1; 8] }, Segment { address: 0x0800_C000, bytes: vec![2; 4] }];
         let file = file(&segments, "odrive-v3");
-        // Prefix 11, target prefix 274, two element headers of 8, the bytes, suffix 16.
+        // The file has a prefix of 11 bytes, a target prefix of 274, two element headers of 8, the bytes, and a suffix
+        // of 16.
         assert_eq!(file.len(), 11 + 274 + 2 * 8 + 8 + 4 + 16);
         let size = u32::from_le_bytes(file[6..10].try_into().unwrap());
         assert_eq!(size as usize, file.len() - 16);

@@ -1,5 +1,6 @@
 //! Release files for users without a compiler, for this kind of computer: an archive of the tool with its files, a
-//! wheel for Python that also contains the tool, and their checksums. Neither contains paths or times of this computer.
+//! wheel for Python that also contains the tool, and their checksums. The files contain no paths or times of this
+//! computer.
 
 mod archive;
 mod check;
@@ -21,18 +22,15 @@ use crate::toolchain::{cargo, host, run, rust_flags};
 use crate::tools::{self, Tool};
 use crate::{images, playground};
 
-/// Time stamp of every file in archive and wheel: 1980-01-01, the earliest that a wheel can store.
+/// Time stamp of every file in archive and wheel, s since 1970: 1980-01-01, the earliest time that a wheel can store.
 const FILE_TIME: u64 = 315_532_800;
 
-/// Paths of the release files.
 pub struct ReleaseFiles {
-    /// Path of the archive.
     pub archive: PathBuf,
-    /// Path of the wheel.
     pub wheel: PathBuf,
 }
 
-/// Builds everything whose source has changed and writes the release files into an empty target/dist.
+/// Builds tool, firmware, page and wheel, and writes the release files into an empty target/dist.
 pub fn make() -> Result<ReleaseFiles> {
     tools::check(&[Tool::Chip, Tool::Browsers, Tool::Python])?;
     let version = version()?;
@@ -58,7 +56,7 @@ pub fn make() -> Result<ReleaseFiles> {
     Ok(ReleaseFiles { archive, wheel })
 }
 
-/// Makes a build independent of the computer and the day.
+/// Makes the result of a build independent of the computer and the day.
 fn make_portable(command: &mut Command) -> &mut Command {
     command.env("CARGO_ENCODED_RUSTFLAGS", rust_flags().join("\x1f")).env("SOURCE_DATE_EPOCH", FILE_TIME.to_string())
 }
@@ -78,7 +76,7 @@ fn megabytes(file: &Path) -> Result<String> {
     Ok(format!("{:.1} MB", 1e-6 * bytes as f64))
 }
 
-/// Creates an empty folder.
+/// Creates or empties a folder.
 fn create_empty(folder: &Path) -> Result<()> {
     if folder.exists() {
         fs::remove_dir_all(folder).with_context(|| format!("cannot empty {}", folder.display()))?;

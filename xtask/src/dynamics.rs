@@ -1,5 +1,5 @@
-//! The time of the equations of motion and of equation (4) on this computer, compared with Pinocchio, which computes
-//! the same at the same states (tool/benches/pinocchio.cpp).
+//! Measures the time of the equations of motion and of equation (4) on this computer, and compares it with Pinocchio at
+//! the same states (tool/benches/pinocchio.cpp).
 
 use std::collections::BTreeMap;
 use std::env;
@@ -12,14 +12,14 @@ use anyhow::{Context as _, Result, ensure};
 use crate::paths::{root, target_directory};
 use crate::toolchain::{cargo, run};
 
-/// Number of rounds; in each round both programs run once.
+/// Number of rounds, in each of which both programs run once.
 const ROUNDS: usize = 7;
 
-/// Time of the fastest round by mechanism and row, ns.
+/// Shortest time of all rounds by mechanism and row, ns.
 type Times = BTreeMap<(String, String), f64>;
 
-/// Prints a table in Markdown: nanoseconds for one state, and the ratio of Pinocchio's time. `pinocchio` is the folder
-/// of its headers and library.
+/// Prints a Markdown table of the times for one state and their ratios to Pinocchio's times. `pinocchio` is the folder
+/// of Pinocchio's headers and library.
 pub fn compare(pinocchio: &Path) -> Result<()> {
     let theirs = build_pinocchio(pinocchio)?;
     let states = target_directory().join("dynamics-states.txt");
@@ -47,8 +47,7 @@ fn benchmark() -> Command {
     command
 }
 
-/// Builds Pinocchio's program for the instructions of this processor (`-march=native`); this repository's benchmark is
-/// built without.
+/// Builds the program with Pinocchio with `-march=native`, which this repository's benchmark does not use.
 fn build_pinocchio(pinocchio: &Path) -> Result<PathBuf> {
     ensure!(
         ["pinocchio", "eigen3"].iter().all(|headers| pinocchio.join("include").join(headers).is_dir()),
@@ -76,7 +75,8 @@ fn build_pinocchio(pinocchio: &Path) -> Result<PathBuf> {
     Ok(executable)
 }
 
-/// Runs a program and adds its times. Each line of its output has a mechanism, nanoseconds and a row up to a colon.
+/// Runs a program and adds its times. Each line of the output has a mechanism, nanoseconds, and a row that ends at a
+/// colon.
 fn add_times(command: &mut Command, times: &mut Times) -> Result<()> {
     let output = command.stderr(Stdio::inherit()).output()?;
     ensure!(output.status.success(), "{} failed", command.get_program().display());

@@ -1,4 +1,4 @@
-//! Building, measuring, linting and flashing the firmware images.
+//! Builds, measures, lints and flashes the firmware images.
 
 use std::path::PathBuf;
 use std::process::Command;
@@ -14,7 +14,7 @@ use crate::tools::{self, Tool};
 /// All boards by the names of their Cargo features.
 pub const BOARDS: [&str; 3] = ["odrive-v3", "h-bridge-f405", "h-bridge-f407-disc1"];
 
-/// The toy board of a test on the emulated chip: one file, compiled into an image that is not released.
+/// Name of a toy board, whose image only a test on the emulated chip uses.
 pub const TOY: &str = "toy-board";
 
 const BINARY: &str = "haptic-firmware";
@@ -27,7 +27,6 @@ fn for_board(mut command: Command, board: &str) -> Command {
     command
 }
 
-/// Returns the directory of the images.
 pub fn directory() -> PathBuf {
     target_directory().join(TARGET).join("firmware")
 }
@@ -44,7 +43,6 @@ pub fn build(board: &str) -> Result<PathBuf> {
     Ok(image)
 }
 
-/// Builds all images.
 pub fn build_all() -> Result<Vec<PathBuf>> {
     BOARDS.into_iter().map(build).collect()
 }
@@ -73,7 +71,7 @@ pub fn size() -> Result<()> {
     Ok(())
 }
 
-/// Lints the code for the chip: the library, the firmware, the image that counts instructions.
+/// Lints the code for the chip: the library, the firmware and the image that counts instructions.
 pub fn clippy() -> Result<()> {
     tools::check(&[Tool::Chip])?;
     for board in BOARDS.into_iter().chain([TOY]) {

@@ -1,5 +1,4 @@
-//! Formatting of every source: `cargo fmt` finds files by module declarations and so misses files that a macro or a
-//! `#[path]` declares.
+//! Checks the format of every source, because `cargo fmt` misses files that a macro or a `#[path]` declares.
 
 use std::process::Command;
 
@@ -8,7 +7,7 @@ use anyhow::{Context as _, Result, ensure};
 use crate::paths::root;
 use crate::toolchain::run;
 
-/// Checks every Rust file that git lists with rustfmt.
+/// Checks the format of every Rust file that git lists.
 pub fn check() -> Result<()> {
     let listed = Command::new("git").current_dir(root()).args(["ls-files", "-z", "*.rs"]).output();
     let listed = String::from_utf8(listed.context("cannot run git")?.stdout).context("a file's name is not UTF-8")?;

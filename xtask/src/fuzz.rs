@@ -1,5 +1,5 @@
-//! Fuzzing: the targets of fuzz/ under libFuzzer, guided by coverage. Stable compilers have the pass for the
-//! instrumentation, so no other toolchain is needed. libFuzzer itself needs a C++ compiler.
+//! Runs the targets of fuzz/ under libFuzzer, guided by coverage. Stable compilers can instrument the program, but
+//! libFuzzer needs a C++ compiler.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -19,21 +19,21 @@ use crate::tools::{self, Tool};
 const TARGETS: [&str; 8] =
     ["bytes", "requests", "answers", "settings", "device_file", "scene_file", "kept_file", "command_line"];
 
-/// Text of the document about the targets; fuzz/src describes each.
+/// Text about the invariants of all targets in docs/results/fuzz.md.
 const INVARIANTS: &str = "\
-No target panics. After every request and every control step of the firmware's service, dispatcher and control loop
-(tests/rig/board.rs): duties and torques are zero unless the motors are on, motors turn on only by the requests for it,
-limits hold and are not raised while the motors are on, no flash is written meanwhile, and disarming works. Files are
-refused with a message, or the board accepts them as well. fuzz/src describes each target.
+No target panics. These invariants hold after every request and every control step (tests/rig/board.rs): duties and
+torques are zero unless the motors are on; motors turn on only by arming and by the polarity check; limits hold and are
+not raised while the motors are on; flash is not written while the motors are on; disarming works. The board accepts
+every file that the tool accepts. fuzz/src describes each target.
 ";
 
-/// Compiler options for libFuzzer's instrumentation (its documentation, "Advanced features"; the same as in
-/// cargo-fuzz).
+/// Compiler options for the instrumentation, the same as in cargo-fuzz (libFuzzer's documentation, "Advanced
+/// features").
 const INSTRUMENTATION: &str = "-Cpasses=sancov-module -Cllvm-args=-sanitizer-coverage-level=4 \
     -Cllvm-args=-sanitizer-coverage-inline-8bit-counters -Cllvm-args=-sanitizer-coverage-pc-table \
     -Cllvm-args=-sanitizer-coverage-trace-compares";
 
-/// The targets and the time for each.
+/// Options of `cargo xtask fuzz`.
 #[derive(Debug, PartialEq, clap::Args)]
 pub struct Options {
     /// Targets to fuzz [default: all]
@@ -52,7 +52,6 @@ impl Options {
     pub fn short(seconds: u32) -> Self {
         Self { targets: Vec::new(), seconds, record: false }
     }
-
     fn targets(&self) -> Vec<&'static str> {
         TARGETS.into_iter().filter(|name| self.targets.is_empty() || self.targets.iter().any(|t| t == name)).collect()
     }
@@ -67,7 +66,7 @@ struct Outcome {
     corpus: u64,
 }
 
-/// Builds the targets and runs them, one per processor at a time. A crash is an error, and its input is stored.
+/// Builds the targets and runs one target per processor at a time. Stores the input of a crash and returns an error.
 pub fn run(options: &Options) -> Result<()> {
     tools::check(&[Tool::Cpp])?;
     let date_and_commit = report::date_and_commit();
@@ -120,13 +119,12 @@ fn build(out: &Path) -> Result<PathBuf> {
     let host = host()?;
     let mut build = cargo();
     build.current_dir(root().join("fuzz")).args(["build", "--locked", "--release", "--target", &host, "--target-dir"]);
-    // Because of `--target`, the flags do not apply to build scripts and macros.
+    // With `--target`, the flags do not apply to build scripts and macros.
     build.arg(out).env("RUSTFLAGS", INSTRUMENTATION).env_remove("CARGO_ENCODED_RUSTFLAGS");
     run_command(&mut build)?;
     Ok(out.join(host).join("release/haptic-fuzz"))
 }
 
-/// Runs one target.
 fn fuzz(program: &Path, target: &str, out: &Path, options: &Options) -> Result<Outcome> {
     let corpus = out.join("corpus").join(target);
     fs::create_dir_all(&corpus).with_context(|| format!("cannot make {}", corpus.display()))?;
@@ -151,7 +149,7 @@ fn fuzz(program: &Path, target: &str, out: &Path, options: &Options) -> Result<O
     outcome(&log).with_context(|| format!("cannot read libFuzzer's report:\n{log}"))
 }
 
-/// Returns the folder with the initial inputs of a target: for files, the shipped ones.
+/// Returns the folder with the initial inputs of a target, which are the shipped files for device and scene files.
 fn seeds(target: &str) -> PathBuf {
     match target {
         "device_file" | "scene_file" => root().join("devices"),

@@ -1,4 +1,4 @@
-//! Reads the flash and RAM that an image occupies from its ELF file, and checks that it does not overwrite the
+//! Reads the size of an image in flash and RAM from its ELF file, and checks that the image does not overwrite the
 //! settings.
 
 use std::fs;
@@ -12,22 +12,21 @@ use object::{Endianness, Object as _, ObjectSection as _, ObjectSymbol as _, Sec
 
 use crate::checksum::crc32;
 
-/// Flash of the STM32F405RG.
+/// Addresses of the flash of the STM32F405RG.
 const FLASH: Range<u64> = 0x0800_0000..0x0810_0000;
-/// RAM of the STM32F405RG without the core-coupled memory.
+/// Addresses of the RAM of the STM32F405RG without the core-coupled memory.
 const RAM: Range<u64> = 0x2000_0000..0x2002_0000;
-/// Sectors 1 and 2, which contain the settings.
+/// Addresses of the settings, sectors 1 and 2.
 const SETTINGS: Range<u64> = 0x0800_4000..0x0800_C000;
 
-/// Maximum flash of an image: less than half of the chip's flash, quick to send over USB, and large enough for readable
-/// code.
+/// Maximum size of an image in flash, bytes: less than half of the chip's flash.
 pub const FLASH_LIMIT: u64 = 384 * 1024;
-/// Maximum RAM of statics and reserved stack together: three quarters of the chip's SRAM.
+/// Maximum size of statics and reserved stack together, bytes: three quarters of the chip's SRAM.
 pub const RAM_LIMIT: u64 = 96 * 1024;
 
-/// Writes an image's checksum into the word that memory.x reserves for it; the firmware checks it at every start. It is
-/// the CRC-32 of the vectors up to that word and of everything from the first instruction to the last initial value of
-/// a static.
+/// Writes an image's checksum, which the firmware checks at every start, into the word that memory.x reserves. The
+/// checksum is the CRC-32 of the vectors up to this word, and of all bytes from the first instruction to the last
+/// initial value of a static.
 pub fn seal(path: &Path) -> Result<()> {
     let mut data = fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
     let image = Image::read(path)?;
@@ -49,11 +48,9 @@ pub fn seal(path: &Path) -> Result<()> {
     fs::write(path, data).with_context(|| format!("cannot write {}", path.display()))
 }
 
-/// A contiguous part of an image.
 pub struct Segment {
     /// First address in flash.
     pub address: u32,
-    /// Contents.
     pub bytes: Vec<u8>,
 }
 
@@ -70,7 +67,6 @@ pub struct Image {
 }
 
 impl Image {
-    /// Reads an ELF file.
     pub fn read(path: &Path) -> Result<Self> {
         let data = fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
         let header = FileHeader32::<Endianness>::parse(&*data).context("not a 32-bit ELF file")?;
@@ -108,12 +104,11 @@ impl Image {
         Ok(Self { segments, flash, statics, stack: stack.0 - stack.1 })
     }
 
-    /// Returns a byte of flash after the image is written; bytes between segments are erased.
+    /// Returns the byte at this address after the image is written. Bytes between segments are erased (0xFF).
     fn byte(&self, address: u32) -> u8 {
         let inside = |segment: &&Segment| address.wrapping_sub(segment.address) < segment.bytes.len() as u32;
         self.segments.iter().find(inside).map_or(0xFF, |segment| segment.bytes[(address - segment.address) as usize])
     }
-
     /// Returns the RAM of statics and reserved stack, bytes.
     pub fn ram(&self) -> u64 {
         self.statics + self.stack

@@ -1,5 +1,5 @@
-//! The images that the tool contains: update files, each with a file of its version, protocol and SHA-256. They are not
-//! in the source; `cargo xtask images` makes them, and the next build of the tool includes them.
+//! Makes the images that the tool contains: update files, each with a file of its version, protocol and SHA-256. The
+//! next build of the tool includes the images that `cargo xtask images` has made.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -17,7 +17,7 @@ use crate::toolchain::run;
 /// Folder from which crates/flash/build.rs reads the images, relative to the root.
 const IMAGES_FOLDER: &str = "crates/flash/images";
 
-/// Builds every image and writes it into the folder.
+/// Builds every image and writes it into crates/flash/images.
 pub fn build_all() -> Result<()> {
     let place = root().join(IMAGES_FOLDER);
     fs::create_dir_all(&place).with_context(|| format!("cannot make {}", place.display()))?;
@@ -36,24 +36,23 @@ pub fn build_all() -> Result<()> {
 }
 
 fn write(path: &Path, bytes: &[u8]) -> Result<()> {
-    // An unchanged file keeps its time stamp, so that the tool is not built again.
+    // Does not write an unchanged file, whose time stamp would cause a build of the tool.
     if fs::read(path).is_ok_and(|present| present == bytes) {
         return Ok(());
     }
     fs::write(path, bytes).with_context(|| format!("cannot write {}", path.display()))
 }
 
-/// Computes the SHA-256 in hexadecimal.
+/// Returns the SHA-256 of `bytes` in hexadecimal.
 pub fn sha256(bytes: &[u8]) -> String {
     Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// Reads the firmware's version.
 fn version() -> Result<String> {
     declared_version("firmware/Cargo.toml", &["package"])
 }
 
-/// Reads the version from a table of a manifest; the path is relative to the root.
+/// Reads the version from a table of a manifest. `path` is relative to the root.
 pub fn declared_version(path: &str, table: &[&str]) -> Result<String> {
     let text = fs::read_to_string(root().join(path)).with_context(|| format!("cannot read {path}"))?;
     let manifest: toml::Value = toml::from_str(&text).with_context(|| format!("bad manifest {path}"))?;
@@ -69,8 +68,7 @@ fn protocol() -> Result<u16> {
     number.and_then(|number| number.parse().ok()).with_context(|| format!("{} has no PROTOCOL", path.display()))
 }
 
-/// Builds this commit's images in two clean checkouts at paths of different lengths. Fails if a byte differs. Both
-/// builds have the same date: to compare builds of different days, compare the printed checksums.
+/// Builds this commit's images in two clean checkouts at paths of different lengths. Fails if a byte differs.
 pub fn compare_checkouts() -> Result<()> {
     let place = target_directory().join("twice");
     if place.exists() {
@@ -116,7 +114,7 @@ mod tests {
 
     #[test]
     fn the_sha256_agrees_with_its_standard() {
-        // FIPS 180-4, the example "abc".
+        // The example "abc" of FIPS 180-4.
         assert_eq!(sha256(b"abc"), "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad");
     }
 }

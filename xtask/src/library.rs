@@ -1,5 +1,5 @@
-//! Checks the crates on which other programs build: they compile without the tool and do not depend on crates that only
-//! the tool needs.
+//! Checks that the crates for other programs compile without the tool and do not depend on crates that only the tool
+//! needs.
 
 use std::collections::BTreeSet;
 
@@ -8,44 +8,44 @@ use anyhow::{Result, bail, ensure};
 use crate::paths::root;
 use crate::toolchain::{cargo, run};
 
-/// The crates on which the tool builds; each depends only on crates before it.
+/// The crates that the tool uses. Each crate depends only on earlier crates of this list.
 pub const CRATES: [&str; 6] =
     ["haptic-host", "haptic-flash", "haptic-sim", "haptic-stability", "haptic-predict", "haptic-show"];
 
 /// Dependencies that only the tool needs.
-const TOOL: &[&str] =
+const TOOL_CRATES: &[&str] =
     &["clap", "clap_complete", "clap_mangen", "crossterm", "ctrlc", "dejavu", "indicatif", "resvg", "tungstenite"];
 /// Dependencies of recordings, drawings and the page.
-const SHOWING: &[&str] = &["haptic-show", "mcap", "prost-reflect"];
-/// Crate that computes the stable walls.
-const THEORY: &[&str] = &["haptic-stability"];
+const SHOW_CRATES: &[&str] = &["haptic-show", "mcap", "prost-reflect"];
+/// The crate that computes the stable walls.
+const STABILITY_CRATES: &[&str] = &["haptic-stability"];
 /// Crate that measures, tunes and designs.
-const PREDICTING: &[&str] = &["haptic-predict"];
+const PREDICT_CRATES: &[&str] = &["haptic-predict"];
 /// Crate of simulated boards.
-const SIMULATING: &[&str] = &["haptic-sim"];
+const SIM_CRATES: &[&str] = &["haptic-sim"];
 /// Crates for flashing boards.
-const FLASHING: &[&str] = &["haptic-flash", "nusb"];
+const FLASH_CRATES: &[&str] = &["haptic-flash", "nusb"];
 
 /// Packages, and the dependencies that each must not have.
-const WITHOUT: [(&str, &[&[&str]]); 9] = [
-    ("haptic-host", &[TOOL, SHOWING, PREDICTING, THEORY, SIMULATING, FLASHING]),
-    ("haptic-flash", &[TOOL, SHOWING, PREDICTING, THEORY, SIMULATING]),
-    ("haptic-sim", &[TOOL, SHOWING, PREDICTING, THEORY, FLASHING]),
-    ("haptic-stability", &[TOOL, SHOWING, PREDICTING, SIMULATING, FLASHING]),
-    ("haptic-predict", &[TOOL, SHOWING, FLASHING]),
-    ("haptic-show", &[FLASHING]),
-    ("haptic-c", &[TOOL, SHOWING, PREDICTING, THEORY, FLASHING]),
-    ("haptic-chai3d", &[TOOL, SHOWING, PREDICTING, FLASHING]),
-    ("haptic-python", &[TOOL, FLASHING]),
+const FORBIDDEN: [(&str, &[&[&str]]); 9] = [
+    ("haptic-host", &[TOOL_CRATES, SHOW_CRATES, PREDICT_CRATES, STABILITY_CRATES, SIM_CRATES, FLASH_CRATES]),
+    ("haptic-flash", &[TOOL_CRATES, SHOW_CRATES, PREDICT_CRATES, STABILITY_CRATES, SIM_CRATES]),
+    ("haptic-sim", &[TOOL_CRATES, SHOW_CRATES, PREDICT_CRATES, STABILITY_CRATES, FLASH_CRATES]),
+    ("haptic-stability", &[TOOL_CRATES, SHOW_CRATES, PREDICT_CRATES, SIM_CRATES, FLASH_CRATES]),
+    ("haptic-predict", &[TOOL_CRATES, SHOW_CRATES, FLASH_CRATES]),
+    ("haptic-show", &[FLASH_CRATES]),
+    ("haptic-c", &[TOOL_CRATES, SHOW_CRATES, PREDICT_CRATES, STABILITY_CRATES, FLASH_CRATES]),
+    ("haptic-chai3d", &[TOOL_CRATES, SHOW_CRATES, PREDICT_CRATES, FLASH_CRATES]),
+    ("haptic-python", &[TOOL_CRATES, FLASH_CRATES]),
 ];
 
-/// Checks that the crates compile alone and lack the forbidden dependencies.
+/// Checks that the crates compile alone and do not have the forbidden dependencies.
 pub fn check() -> Result<()> {
     let tool = dependencies("haptic")?;
-    for name in [TOOL, SHOWING, PREDICTING, THEORY, SIMULATING, FLASHING].concat() {
+    for name in [TOOL_CRATES, SHOW_CRATES, PREDICT_CRATES, STABILITY_CRATES, SIM_CRATES, FLASH_CRATES].concat() {
         ensure!(tool.contains(name), "the tool no longer needs {name}: remove it from xtask/src/library.rs");
     }
-    for (package, without) in WITHOUT {
+    for (package, without) in FORBIDDEN {
         let found = dependencies(package)?;
         if let Some(name) = without.iter().copied().flatten().find(|name| found.contains(**name)) {
             bail!("{package} depends on {name}, which it does not need");

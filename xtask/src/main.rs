@@ -60,14 +60,14 @@ enum Command {
         #[arg(value_parser = PossibleValuesParser::new(BOARDS))]
         board: String,
     },
-    /// Build and write a .dfu update file that leaves the settings alone
+    /// Build and write a .dfu update file that does not change the settings
     Dfu {
         #[arg(value_parser = PossibleValuesParser::new(BOARDS))]
         board: String,
     },
-    /// Build every image into crates/flash/images with its version and SHA-256, where the build of the tool includes it
+    /// Build all images into crates/flash/images, from which the build of the tool includes them
     Images {
-        /// Instead build this commit from two clean checkouts at two paths, and compare every byte (half an hour)
+        /// Only build this commit in two clean checkouts at different paths, and compare every byte (half an hour)
         #[arg(long)]
         twice: bool,
     },
@@ -77,7 +77,7 @@ enum Command {
     NoPanic,
     /// Count the instructions of every variant of the control step and rewrite the report
     Bench {
-        /// Only compare: fail if a variant has over 1 % more instructions than in the stored counts
+        /// Only fail if a variant has over 1 % more instructions than the stored count
         #[arg(long)]
         check: bool,
     },
@@ -86,12 +86,12 @@ enum Command {
         /// Folder of Pinocchio with its include and lib folders
         pinocchio: PathBuf,
     },
-    /// Test the library, the tool and all images, each once on the emulated board; ten minutes from a clean checkout
+    /// Test the library and the tool, and each image on the emulated board (ten minutes from a clean checkout)
     Test {
-        /// Instead run the longer tests: all parts, or one part
+        /// Run the longer tests instead, all parts or one part
         #[arg(long, value_name = "PART", num_args = 0..=1, value_parser = deep_part())]
         deep: Option<Option<String>>,
-        /// With one part: further arguments for its program
+        /// Further arguments for the program of one part
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
         rest: Vec<String>,
     },
@@ -99,7 +99,7 @@ enum Command {
     Timing,
     /// Fuzz everything that reads input, guided by coverage
     Fuzz(fuzz::Options),
-    /// Run the library's tests under the address sanitizer
+    /// Run the library's tests with the address sanitizer
     Sanitize {
         /// Further arguments of `cargo test`
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
@@ -122,8 +122,8 @@ enum Command {
     Range,
     /// Cause every fault on the emulated board, into docs/results/faults.csv and broken.csv (an hour)
     Faults {
-        /// Only these faults, by code or name, and only print the results; `list`: print how each fault is caused, or
-        /// why it cannot be; `lying`: only broken.csv
+        /// Cause only these faults, by code or name, and print the results; `list` prints how each fault is caused;
+        /// `lying` writes only broken.csv
         faults: Vec<String>,
     },
     /// Run the real firmware on an emulated board with a simulated device, for a host to connect to
@@ -139,7 +139,7 @@ fn deep_part() -> PossibleValuesParser {
     PossibleValuesParser::new(tests::PARTS.iter().map(|part| PossibleValue::new(part.name).help(part.description)))
 }
 
-/// Returns the shipped boards, and the toy board of a test, which help does not show.
+/// Returns the shipped boards, and the toy board of a test, which the help hides.
 fn any_image() -> PossibleValuesParser {
     let shipped = BOARDS.into_iter().map(PossibleValue::new);
     PossibleValuesParser::new(shipped.chain([PossibleValue::new(TOY).hide(true)]))

@@ -1,5 +1,5 @@
-//! The proof that the control step cannot panic, with further properties of its machine code: no indirect calls, no
-//! recursion, a bounded stack.
+//! Proves that the control step cannot panic, and that its machine code has no indirect calls, no recursion and a
+//! bounded stack.
 
 use std::process::Command;
 
@@ -10,17 +10,17 @@ use crate::thumb::Image;
 use crate::toolchain::{TARGET, chip_cargo, run};
 use crate::tools::{self, Tool};
 
-/// Maximum stack of the control step, bytes: a nineteenth of the reservation in memory.x.
+/// Maximum stack of the control step, bytes: a nineteenth of the stack that memory.x reserves.
 const STACK_LIMIT: u32 = 2800;
 
-/// Name of an undefined function that a panic would call; it appears in the linker's message.
-const MISSING: &str = "the_control_step_can_panic";
+/// Name of an undefined function that a panic would call, which the linker then reports.
+const PANIC_FUNCTION: &str = "the_control_step_can_panic";
 
 fn cargo(feature: &str) -> Command {
     let mut command = chip_cargo();
     command.current_dir(root().join("firmware")).arg("--target-dir").arg(target_directory());
     command.args(["--locked", "--bin", "no-panic", "--profile", "firmware", "--features", feature]);
-    // The same optimisation as for the library.
+    // The same optimisation level as in the library's build.
     command.args(["--", "-Copt-level=3"]);
     command
 }
@@ -46,11 +46,11 @@ pub fn prove() -> Result<()> {
     ensure!(reach.indirect.is_empty(), "indirect jumps in the control step:\n    {}", reach.indirect.join("\n    "));
     println!("no indirect calls");
 
-    // The proof must be able to fail: with one unbounded index the same image must not link.
+    // Checks that the proof can fail: with one unbounded index the image must not link.
     let broken = cargo("broken").output().context("cannot run cargo")?;
     let message = String::from_utf8_lossy(&broken.stderr);
     ensure!(
-        !broken.status.success() && message.contains(MISSING),
+        !broken.status.success() && message.contains(PANIC_FUNCTION),
         "the proof does not detect a step that can panic: xtask/src/no_panic.rs is broken"
     );
     println!("the proof can fail: with one unbounded index the step does not link");

@@ -1,5 +1,4 @@
-//! Builds the page of `haptic view` as one file: the page that the tool serves, with clients/page/ compiled to
-//! WebAssembly in it.
+//! Builds the page of `haptic view` as one file, which contains clients/page/ compiled to WebAssembly.
 
 use std::fs;
 use std::path::PathBuf;
@@ -10,15 +9,13 @@ use crate::paths::{root, target_directory};
 use crate::toolchain::{BROWSERS, cargo_for, run};
 use crate::tools::{self, Tool};
 
-/// Content security policy of the file: it may run its own contents, including worker and library, and may not use the
+/// Content security policy of the file, which may run its own contents, including worker and library, but not use the
 /// network.
 const POLICY: &str = "default-src 'none'; script-src 'unsafe-inline' 'wasm-unsafe-eval'; worker-src blob:; \
                       style-src 'unsafe-inline'; img-src data:; base-uri 'none'; form-action 'none'";
 
-/// The page's folder.
 const PAGE: &str = "crates/show/src/view/page";
 
-/// Builds the file and returns its path.
 pub fn build() -> Result<PathBuf> {
     tools::check(&[Tool::Browsers])?;
     let mut command = cargo_for("rustc", BROWSERS);
@@ -83,7 +80,7 @@ fn base64(bytes: &[u8]) -> String {
 mod tests {
     use super::*;
 
-    /// RFC 4648, section 10.
+    /// The examples are those of RFC 4648, section 10.
     #[test]
     fn base64_agrees_with_its_standard() {
         for (bytes, text) in [("", ""), ("f", "Zg=="), ("fo", "Zm8="), ("foo", "Zm9v"), ("foobar", "Zm9vYmFy")] {

@@ -1,4 +1,4 @@
-//! Checks of the published packages: their metadata, and a dry run of publishing.
+//! Checks the metadata of the published packages, and publishes them in a dry run.
 
 use anyhow::Result;
 
@@ -6,8 +6,7 @@ use crate::images;
 use crate::paths::root;
 use crate::toolchain::{cargo, run};
 
-/// Packs all packages, including the tool's images, and builds each from the packed sources as after publishing.
-/// Uploads nothing.
+/// Packs all packages, including the tool's images, and builds each from its packed sources. Uploads nothing.
 pub fn dry_run() -> Result<()> {
     images::build_all()?;
     run(cargo().current_dir(root()).args(["publish", "--workspace", "--dry-run", "--locked", "--allow-dirty"]))
@@ -20,7 +19,6 @@ mod tests {
     use serde_json::Value;
     use std::collections::BTreeMap;
 
-    /// Returns the packages of the workspace by name.
     fn packages() -> BTreeMap<String, Value> {
         let mut command = cargo();
         command.current_dir(root()).args(["metadata", "--no-deps", "--offline", "--format-version", "1"]);

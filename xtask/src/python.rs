@@ -1,4 +1,4 @@
-//! The tests of the Python package, in a separate virtual environment.
+//! Tests the Python package in a separate virtual environment.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -19,7 +19,6 @@ struct Manifest {
     project: Project,
 }
 
-/// Build requirements of the package.
 #[derive(Deserialize)]
 struct Build {
     requires: Vec<String>,
@@ -43,7 +42,7 @@ struct Optional {
 pub fn test(arguments: &[String]) -> Result<()> {
     tools::check(&[Tool::Python])?;
     let package = root().join("clients/python");
-    // One cargo call, so that the library is built once.
+    // Uses one cargo call, so that the library is built only once.
     run(cargo().current_dir(root()).args(["build", "--locked", "--package", "haptic", "--package", "haptic-python"]))?;
     let built = target_directory().join("debug");
     let place = target_directory().join("python");

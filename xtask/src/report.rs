@@ -1,4 +1,4 @@
-//! Common parts of dated reports: the date, the commit and the folder.
+//! Writes reports with their date and commit into docs/results.
 
 use std::fs;
 use std::process::Command;
@@ -24,8 +24,8 @@ pub fn figures(cases: &[String]) -> Result<()> {
     if cases.is_empty() { record("ranges", "cargo xtask figures") } else { Ok(()) }
 }
 
-/// Records in docs/results/made.csv that `command` has just made the figures called `name`, with commit and compiler,
-/// and updates the documents' tables.
+/// Records in docs/results/made.csv the date, commit and compiler with which `command` has just made the figures
+/// `name`. Also updates the documents' tables.
 pub fn record(name: &str, command: &str) -> Result<()> {
     let path = root().join("docs/results/made.csv");
     let compiler =

@@ -1,4 +1,4 @@
-//! Updates tables in documents whose rows come from linked CSV files, after a program has written such a file.
+//! Updates the tables of documents from their linked CSV files.
 
 use std::fs;
 
@@ -26,8 +26,8 @@ pub fn refresh() -> Result<()> {
     Ok(())
 }
 
-/// Updates the tables in `text` whose columns are all columns of a file. Replaces each row by the row of the file with
-/// the most equal cells from the left, if at least one is equal.
+/// Updates the tables in `text` all of whose columns are columns of a file. Replaces a row by the row of the file with
+/// the most equal cells from the left, if at least the first cell is equal.
 fn with_rows_of(files: &[tables::Table], text: &str) -> String {
     let (mut in_table, mut source) = (false, None);
     let lines = text.lines().map(|line| {

@@ -1,4 +1,4 @@
-//! Long soak tests with dated reports: tool/tests/deep/soak.rs on the simulated board.
+//! Runs the soak test tool/tests/deep/soak.rs on the simulated board for hours, and writes a report.
 
 use std::fs;
 
@@ -8,7 +8,7 @@ use crate::paths::{root, target_directory};
 use crate::report;
 use crate::toolchain::{cargo, run as run_command};
 
-/// Duration of a soak.
+/// Options of `cargo xtask soak`.
 #[derive(clap::Args)]
 pub struct Options {
     /// Simulated hours, 0.05 to 1000
@@ -19,13 +19,12 @@ pub struct Options {
     record: bool,
 }
 
-/// Parses the duration. The test needs a twentieth of an hour to learn the normal values.
+/// Parses the duration, h. The test needs 0.05 h to measure the normal values.
 fn hours(text: &str) -> Result<f64, String> {
     let number = text.parse().ok().filter(|hours| (0.05..=1000.0).contains(hours));
     number.ok_or_else(|| "must be a number from 0.05 to 1000".into())
 }
 
-/// Runs a soak.
 pub fn run(options: &Options) -> Result<()> {
     let hours = options.hours;
     let date_and_commit = report::date_and_commit();

@@ -1,5 +1,5 @@
-//! The test runs: the gate (`cargo xtask test`), which every change must pass, and the longer tests in named parts
-//! (`cargo xtask test --deep [PART]`). `cargo test` is the first stage of the gate.
+//! Runs the gate (`cargo xtask test`), which every change must pass, and the longer tests in named parts (`cargo xtask
+//! test --deep [PART]`). `cargo test` is the first stage of the gate.
 
 use std::env;
 use std::process::Command;
@@ -11,12 +11,12 @@ use crate::toolchain::{cargo, haptic_emulator, run};
 use crate::tools::{self, Tool};
 use crate::{bench, dist, firmware, fuzz, library, no_panic, paths, playground, python, report};
 
-/// Arguments of cargo for the tests of the tool, flashing, C and CHAI3D.
-const TOOL: [&str; 10] =
+/// Arguments of cargo that select the tests of the tool, flashing, C and CHAI3D.
+const TOOL_TESTS: [&str; 10] =
     ["--lib", "--bins", "--test", "quick", "--test", "flash", "--test", "c", "--test", "as_chai3d_does"];
 /// Environment variable with the folder of the images, for tests and programs of the virtual board.
-const IMAGES: &str = "HAPTIC_FIRMWARE_DIR";
-/// Seconds of fuzzing for each target in the deep tests.
+const IMAGES_VARIABLE: &str = "HAPTIC_FIRMWARE_DIR";
+/// Duration of fuzzing of each target in the deep tests, s.
 const FUZZ_SECONDS: u32 = 20;
 
 /// A named part of the deep tests.
@@ -63,29 +63,29 @@ pub const PARTS: [Part; 16] = [
 /// Runs the tests that every change must pass.
 pub fn gate(arguments: &[String]) -> Result<()> {
     ensure!(arguments.is_empty(), "`cargo xtask test` takes only --deep, not: {}", arguments.join(" "));
-    // Checked before the first compile, because a late stage would report a missing tool only after minutes.
+    // Checks the tool before the first compile, because a late stage would report a missing tool only after minutes.
     tools::check(&[Tool::Chip])?;
     let began = Instant::now();
-    // The images occupy one compiler thread for minutes, so they are built in parallel with the other tests.
+    // Builds the images in parallel with the other tests, because they occupy one compiler thread for minutes.
     std::thread::scope(|scope| {
         let images = scope.spawn(|| {
             stage("images and their sizes", firmware::size)?;
             stage("no panic in the control step", no_panic::prove)
         });
         stage("library", || run(cargo().current_dir(paths::root()).args(["test", "--locked"])))?;
-        // Together with the emulated chip, so that cargo compiles common dependencies once.
+        // Includes the emulated chip, so that cargo compiles common dependencies once.
         stage("compiling tool, C, CHAI3D and emulated chip", || run(gate_tests().arg("--no-run")))?;
-        stage("tool, C and CHAI3D", || run(&mut tests(&TOOL)))?;
+        stage("tool, C and CHAI3D", || run(&mut tests(&TOOL_TESTS)))?;
         images.join().map_err(|_| anyhow!("the images' stages panicked"))?
     })?;
     stage("images on the emulated chip", || {
-        run(gate_tests().args(["--", "gate::"]).env(IMAGES, firmware::directory()))
+        run(gate_tests().args(["--", "gate::"]).env(IMAGES_VARIABLE, firmware::directory()))
     })?;
     println!("-- all stages: {} s", began.elapsed().as_secs());
     Ok(())
 }
 
-/// Runs one part of the deep tests, or all parts; with all parts, the others run even if one fails.
+/// Runs one part of the deep tests, or all parts, even if one of them fails.
 pub fn deep(part: Option<&str>, arguments: &[String]) -> Result<()> {
     if let Some(part) = PARTS.iter().find(|known| Some(known.name) == part) {
         stage(part.name, || (part.run)(arguments))?;
@@ -146,7 +146,7 @@ fn browser(arguments: &[String]) -> Result<()> {
     tools::check(&[Tool::Chromium, Tool::Chip])?;
     let page = playground::build()?;
     run(cargo().current_dir(paths::root()).args(["test", "--locked", "--package", "haptic-page"]))?;
-    // A test of the page connects to the real image on the emulated chip.
+    // Builds an image, because a test of the page connects to the image on the emulated chip.
     firmware::build("odrive-v3")?;
     let board =
         ["build", "--locked", "--ignore-rust-version", "--package", "haptic-emulator-programs", "--bin", "board"];
@@ -155,7 +155,7 @@ fn browser(arguments: &[String]) -> Result<()> {
     let mut tests = cargo();
     tests.current_dir(paths::root()).args(test).args(arguments).env("HAPTIC_PLAYGROUND", page);
     tests.env("HAPTIC_VIRTUAL_BOARD", paths::target_directory().join("debug/board"));
-    run(tests.env(IMAGES, firmware::directory()))
+    run(tests.env(IMAGES_VARIABLE, firmware::directory()))
 }
 
 fn fuzzing(_: &[String]) -> Result<()> {
@@ -166,18 +166,18 @@ fn fuzzing(_: &[String]) -> Result<()> {
 fn emulated_suite(arguments: &[String]) -> Result<()> {
     firmware::build_all()?;
     firmware::build(firmware::TOY)?;
-    run(tests(&["--test", "emulated"]).args(arguments).env(IMAGES, firmware::directory()))
+    run(tests(&["--test", "emulated"]).args(arguments).env(IMAGES_VARIABLE, firmware::directory()))
 }
 
-/// Returns the cargo call for all tests of the gate except the library's.
+/// Returns the cargo call for all tests of the gate except the tests of the library.
 fn gate_tests() -> Command {
-    let mut all = tests(&TOOL);
+    let mut all = tests(&TOOL_TESTS);
     all.args(["--test", "emulated"]);
     all
 }
 
-/// Returns the cargo call for tests of the tool and the virtual board. The packages are always the same, so that the
-/// features of their dependencies are the same and each is compiled once.
+/// Returns the cargo call for tests of the tool and the virtual board. All calls have the same packages, so that the
+/// dependencies have the same features and are compiled once.
 fn tests(targets: &[&str]) -> Command {
     let others = ["haptic", "haptic-c", "haptic-chai3d", "haptic-emulator", "xtask"];
     let packages = library::CRATES.iter().chain(&others).flat_map(|name| ["--package", *name]);
@@ -201,6 +201,6 @@ pub fn measure(name: &str, arguments: &[String]) -> Result<()> {
 fn program(name: &str) -> Result<Command> {
     firmware::build_all()?;
     let mut command = haptic_emulator(name);
-    command.env(IMAGES, firmware::directory());
+    command.env(IMAGES_VARIABLE, firmware::directory());
     Ok(command)
 }

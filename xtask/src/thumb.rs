@@ -1,5 +1,5 @@
-//! A decoder of the part of the Thumb-2 instruction set (ARMv7-M Architecture Reference Manual, chapter A7.7) that
-//! shows the calls in a linked image, the indirect calls, and the stack of each function.
+//! Decodes the Thumb-2 instructions (ARMv7-M Architecture Reference Manual, chapter A7.7) that show the calls, the
+//! indirect calls and the stack of each function in a linked image.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -10,13 +10,12 @@ use object::{Object as _, ObjectSection as _, ObjectSymbol as _, SymbolKind};
 /// A function's stack use and calls.
 #[derive(Debug, Default, PartialEq)]
 pub struct Function {
-    /// Symbol name.
     pub name: String,
     /// Addresses of calls and jumps to other functions.
     pub calls: BTreeSet<u32>,
     /// Addresses of the calls and jumps through a register or a pointer.
     pub indirect: Vec<u32>,
-    /// Upper bound of the stack, bytes: the sum over all instructions that lower the stack pointer.
+    /// Upper bound of the stack, bytes: the sum of all decrements of the stack pointer.
     pub stack: u32,
 }
 
@@ -59,8 +58,8 @@ impl Image {
         Ok(Self(functions))
     }
 
-    /// Follows the calls from the functions of these names. Returns the number of functions, their indirect jumps, and
-    /// the deepest stack of each root. Fails on recursion, and on a call to an address without a function.
+    /// Follows the calls from the functions `roots`. Returns the number of functions, their indirect jumps, and the
+    /// deepest stack of each root. Fails on recursion, and on a call to an address without a function.
     pub fn reach(&self, roots: &[&str]) -> Result<Reach> {
         let mut depths = BTreeMap::new();
         let mut stack = Vec::new();
@@ -99,15 +98,14 @@ impl Image {
 
 /// Result of [`Image::reach`].
 pub struct Reach {
-    /// Number of functions.
     pub functions: usize,
-    /// Jumps through a register or a pointer: function and address.
+    /// Function and address of each jump through a register or a pointer.
     pub indirect: Vec<String>,
     /// Deepest stack of each root, bytes.
     pub stack: Vec<(String, u32)>,
 }
 
-/// Decodes the code of one function at `start`. `is_code` returns false for the tables between instructions.
+/// Decodes the code of the function at the address `start`. `is_code` returns false for tables between instructions.
 fn decode(code: &[u8], start: u32, is_code: impl Fn(u32) -> bool) -> Function {
     let mut function = Function::default();
     let end = start + code.len() as u32;
@@ -132,9 +130,9 @@ fn decode(code: &[u8], start: u32, is_code: impl Fn(u32) -> bool) -> Function {
         if !wide {
             match first {
                 // B (T2), B<c> (T1)
-                _ if first & 0xF800 == 0xE000 => jump(offset(at, sign(first & 0x7FF, 11) * 2), false),
+                _ if first & 0xF800 == 0xE000 => jump(branch_target(at, sign_extend(first & 0x7FF, 11) * 2), false),
                 _ if first & 0xF000 == 0xD000 && first & 0x0F00 < 0x0E00 => {
-                    jump(offset(at, sign(first & 0xFF, 8) * 2), false);
+                    jump(branch_target(at, sign_extend(first & 0xFF, 8) * 2), false);
                 }
                 // BLX register, BX register except the link register, MOV to the program counter
                 _ if first & 0xFF87 == 0x4780 => function.indirect.push(at),
@@ -151,11 +149,11 @@ fn decode(code: &[u8], start: u32, is_code: impl Fn(u32) -> bool) -> Function {
             let long =
                 s << 24 | (1 ^ j1 ^ s) << 23 | (1 ^ j2 ^ s) << 22 | (first & 0x3FF) << 12 | (second & 0x7FF) << 1;
             match second & 0x5000 {
-                0x5000 => jump(offset(at, sign(long, 25)), true),  // BL
-                0x1000 => jump(offset(at, sign(long, 25)), false), // B (T4)
+                0x5000 => jump(branch_target(at, sign_extend(long, 25)), true), // BL
+                0x1000 => jump(branch_target(at, sign_extend(long, 25)), false), // B (T4)
                 0x0000 if first & 0x0380 != 0x0380 => {
                     let near = s << 20 | j2 << 19 | j1 << 18 | (first & 0x3F) << 12 | (second & 0x7FF) << 1;
-                    jump(offset(at, sign(near, 21)), false); // B<c> (T3)
+                    jump(branch_target(at, sign_extend(near, 21)), false); // B<c> (T3)
                 }
                 _ => {}
             }
@@ -166,7 +164,9 @@ fn decode(code: &[u8], start: u32, is_code: impl Fn(u32) -> bool) -> Function {
                 0xED2D | 0xED6D => function.stack += 4 * (second & 0xFF), // VPUSH
                 0xF84D if second & 0x0F00 == 0x0D00 => function.stack += second & 0xFF, // STR before sp
                 0xE96D => function.stack += 4 * (second & 0xFF),          // STRD before sp
-                _ if first & 0xFBEF == 0xF1AD && second & 0x0F00 == 0x0D00 => function.stack += expand(modified),
+                _ if first & 0xFBEF == 0xF1AD && second & 0x0F00 == 0x0D00 => {
+                    function.stack += expand_immediate(modified)
+                }
                 _ if first & 0xFBFF == 0xF2AD && second & 0x0F00 == 0x0D00 => function.stack += modified,
                 // LDR to the program counter, except a return from the stack
                 _ if first & 0xFF70 == 0xF850 && second >> 12 == 15 && first & 0xF != 13 => function.indirect.push(at),
@@ -178,17 +178,17 @@ fn decode(code: &[u8], start: u32, is_code: impl Fn(u32) -> bool) -> Function {
     function
 }
 
-/// Returns the target of a branch; the program counter is four bytes ahead.
-fn offset(at: u32, by: i32) -> u32 {
+/// Returns the target of a branch at `at`, relative to the program counter, which is four bytes ahead.
+fn branch_target(at: u32, by: i32) -> u32 {
     at.wrapping_add(4).wrapping_add_signed(by)
 }
 
-fn sign(value: u32, bits: u32) -> i32 {
+fn sign_extend(value: u32, bits: u32) -> i32 {
     (value << (32 - bits)) as i32 >> (32 - bits)
 }
 
 /// Expands a modified immediate constant (ARMv7-M ARM, A5.3.2).
-fn expand(modified: u32) -> u32 {
+fn expand_immediate(modified: u32) -> u32 {
     let byte = modified & 0xFF;
     match modified >> 8 {
         0 => byte,

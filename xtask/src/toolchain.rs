@@ -1,5 +1,4 @@
-//! Calls of cargo and of the compiler for the chip and for browsers: the toolchain that runs this program, with rustup's
-//! targets.
+//! Calls of cargo and of the compiler for the chip and for browsers, with the toolchain that runs this program.
 
 use std::env;
 use std::fs;
@@ -31,8 +30,8 @@ pub fn cargo_for(subcommand: &str, target: &str) -> Command {
     command
 }
 
-/// Returns the caller's flags, and flags that remove the computer-dependent part of source paths: an image or a tool
-/// contains the paths of files with panics, and must be the same on every computer.
+/// Returns the caller's flags, and flags that remove the computer-dependent part of source paths. Images and tool
+/// contain the paths of files with panics, but must be the same on every computer.
 pub fn rust_flags() -> Vec<String> {
     let mut flags: Vec<String> = match env::var("CARGO_ENCODED_RUSTFLAGS") {
         Ok(flags) => flags.split('\x1f').map(String::from).collect(),
@@ -48,9 +47,9 @@ pub fn rust_flags() -> Vec<String> {
     }
     // Names the library's files relative to firmware/, as cargo names the firmware's own files.
     flags.push(format!("--remap-path-prefix={}=..", root().display()));
-    // The emulator's tests find functions and statics by these names.
+    // The emulator's tests find functions and statics by names in this mangling.
     flags.push("-Csymbol-mangling-version=v0".into());
-    // Code that build scripts write is in the target directory.
+    // Build scripts write code into the target directory.
     flags.push(format!("--remap-path-prefix={}=target", target_directory().display()));
     flags
 }
@@ -60,7 +59,8 @@ pub fn cargo() -> Command {
     Command::new(env::var_os("CARGO").unwrap_or_else(|| "cargo".into()))
 }
 
-/// Returns a cargo call of a program of the virtual board. The emulator declares a newer compiler than it needs.
+/// Returns a cargo call of a program of the virtual board. Ignores the compiler version that the emulator declares,
+/// because the emulator works with an older compiler.
 pub fn haptic_emulator(name: &str) -> Command {
     let mut command = cargo();
     command.current_dir(root()).args(["run", "--quiet", "--locked", "--ignore-rust-version"]);

@@ -1,5 +1,4 @@
-//! The programs that the tests need on this computer: checks that each runs, and prints how to install missing
-//! programs. The check comes before the first compile.
+//! Checks that the programs that a task needs run on this computer, and prints how to install missing programs.
 
 use std::env;
 use std::fs;
@@ -25,7 +24,7 @@ pub enum Tool {
 }
 
 impl Tool {
-    /// Tools of `cargo xtask test --deep`.
+    /// All tools, which `cargo xtask test --deep` needs.
     pub const ALL: [Self; 5] = [Self::Chip, Self::Browsers, Self::Cpp, Self::Chromium, Self::Python];
 
     /// Returns the name of the tool and the command that installs it.
@@ -53,7 +52,7 @@ impl Tool {
             Self::Chip => has_target(TARGET),
             Self::Browsers => has_target(BROWSERS),
             Self::Cpp => version(&env::var("CXX").unwrap_or_else(|_| "c++".into())),
-            // The names that tool/tests/browser tries.
+            // The same names as in tool/tests/browser.
             Self::Chromium => ["chromium", "chromium-browser", "google-chrome"].into_iter().any(version),
             Self::Python => {
                 succeeds("python3", &["-c", "import ensurepip, sys, venv; sys.exit(sys.version_info < (3, 11))"])
@@ -62,11 +61,8 @@ impl Tool {
     }
 }
 
-/// Checks that these tools run. Adds missing targets with rustup, if rustup is installed.
-///
-/// # Errors
-///
-/// The missing tools, each with a remedy.
+/// Checks that these tools run, after adding missing targets with rustup. Returns an error with the missing tools and
+/// their remedies.
 pub fn check(tools: &[Tool]) -> Result<()> {
     for (tool, target) in [(Tool::Chip, TARGET), (Tool::Browsers, BROWSERS)] {
         if tools.contains(&tool) && !tool.runs() {
@@ -88,7 +84,7 @@ fn succeeds(program: &str, arguments: &[&str]) -> bool {
     Command::new(program).args(arguments).output().is_ok_and(|output| output.status.success())
 }
 
-/// Returns true if the toolchain that runs this program has a target's core library.
+/// Returns true if the toolchain that runs this program has the core library of a target.
 fn has_target(target: &str) -> bool {
     let rustc = env::var("RUSTC").unwrap_or_else(|_| "rustc".into());
     let output = Command::new(rustc).args(["--print", "target-libdir", "--target", target]).output();

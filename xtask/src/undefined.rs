@@ -1,4 +1,4 @@
-//! Tests for undefined behaviour. Library and tool have no `unsafe` of their own, so only dependencies can cause it.
+//! Tests for undefined behaviour, which only dependencies can cause, because library and tool have no `unsafe` code.
 
 use std::process::Command;
 
@@ -7,20 +7,19 @@ use anyhow::{Result, bail};
 use crate::paths;
 use crate::toolchain::{cargo, host, run};
 
-/// Runs the library's tests under the address sanitizer, an unstable option of the compiler. Further arguments go to
-/// `cargo test`.
+/// Runs the library's tests with the address sanitizer. Further arguments go to `cargo test`.
 pub fn sanitize(arguments: &[String]) -> Result<()> {
     let mut test = cargo();
     test.current_dir(paths::root()).args(["test", "--locked", "--package", "haptic-bridge", "--lib", "--tests"]);
-    // A separate directory, because everything is compiled again. With `--target` the flag does not apply to build
+    // Uses a separate directory, because everything is compiled again. With `--target` the flag does not apply to build
     // scripts.
     test.args(["--target", &host()?, "--target-dir"]).arg(paths::target_directory().join("sanitize"));
     test.env("RUSTC_BOOTSTRAP", "1").env("RUSTFLAGS", "-Zsanitizer=address").env_remove("CARGO_ENCODED_RUSTFLAGS");
     run(test.args(arguments))
 }
 
-/// Tests for Miri, which is a thousand times slower than the processor: prefixes of the names of the library's tests. Tests
-/// in double precision are left out, because on a PC they use assembly, which Miri cannot run.
+/// Prefixes of the names of the library's tests that run under Miri, a thousand times slower than without Miri. Tests
+/// in double precision are excluded, because they use assembly on a PC, which Miri cannot run.
 const UNDER_MIRI: [&str; 18] = [
     "settings::another_key",
     "settings::another_version",
@@ -42,8 +41,8 @@ const UNDER_MIRI: [&str; 18] = [
     "control_loop::a_device_whose",
 ];
 
-/// Runs tests of the library under Miri, which finds undefined behaviour of any kind in the dependencies' `unsafe`: the
-/// link, the settings, requests, and the control step in single precision.
+/// Runs tests of the library under Miri, which detects undefined behaviour in the `unsafe` code of dependencies. The
+/// tests cover the link, the settings, requests, and the control step in single precision.
 pub fn miri() -> Result<()> {
     // Removes the inherited variable, because it names another toolchain.
     let miri = || {
@@ -57,7 +56,7 @@ pub fn miri() -> Result<()> {
     let mut test = miri();
     test.args(["test", "--locked", "--package", "haptic-bridge", "--test", "library", "--target-dir"]);
     test.arg(paths::target_directory().join("miri")).arg("--").args(UNDER_MIRI);
-    // Tests may read files and the clock, sums round as on a processor, and a property has few cases.
+    // Tests may read files and the clock, floats round as on a processor, and each property has few cases.
     test.env("MIRIFLAGS", "-Zmiri-disable-isolation -Zmiri-deterministic-floats").env("PROPTEST_CASES", "4");
     run(&mut test)
 }

@@ -1,10 +1,9 @@
-//! A wrapper of the compiler for the chip that makes one argument the same on every computer.
+//! Makes images the same on every computer, by a wrapper of the compiler for the chip.
 //!
-//! Cargo gives every crate a number (`-C metadata`) that becomes part of its symbols and so decides the order of
-//! functions in an image. For a crate in the workspace or from a registry the number is the same on every computer. The
-//! library is outside the firmware's workspace: its number depends on its absolute path, and the firmware's number
-//! depends on the library's. So cargo calls this program in place of the compiler, and this program derives the numbers
-//! of this repository's crates from their names.
+//! Cargo gives every crate a number (`-C metadata`), which determines its symbols and the order of functions in an
+//! image. The library is outside the firmware's workspace, so that its number, and therefore the firmware's number,
+//! would depend on its absolute path. Cargo calls this program instead of the compiler, and this program derives the
+//! numbers of this repository's crates from their names.
 
 use std::env;
 use std::ffi::OsString;
@@ -12,17 +11,17 @@ use std::process::{Command, ExitCode};
 
 use anyhow::{Context as _, Result};
 
-/// Environment variable that is set if cargo calls this program in place of the compiler.
+/// Environment variable that is set if cargo calls this program instead of the compiler.
 const WRAPS_COMPILER: &str = "HAPTIC_XTASK_AS_RUSTC";
 
-/// Makes a cargo call compile through this program. If the system does not report this program's path, nothing changes.
+/// Makes a cargo call compile through this program, if the system reports the path of this program.
 pub fn wrap_compiler(command: &mut Command) {
     if let Ok(this) = env::current_exe() {
         command.env("RUSTC_WRAPPER", this).env(WRAPS_COMPILER, "1");
     }
 }
 
-/// Runs the compiler and returns its exit code if cargo called this program in place of the compiler.
+/// Runs the compiler and returns its exit code, if cargo has called this program instead of the compiler.
 pub fn compile_if_wrapped() -> Option<Result<ExitCode>> {
     env::var_os(WRAPS_COMPILER)?;
     let mut arguments = env::args_os().skip(1);
@@ -36,7 +35,7 @@ fn compile(compiler: OsString, arguments: Vec<OsString>) -> Result<ExitCode> {
     Ok(ExitCode::from(status.code().and_then(|code| u8::try_from(code).ok()).unwrap_or(1)))
 }
 
-/// Returns the arguments, with the number of a crate of this repository derived from its name alone.
+/// Replaces the number of a crate of this repository by a number that depends only on the crate's name.
 fn renumber_crate(mut arguments: Vec<OsString>) -> Vec<OsString> {
     let name = arguments.iter().position(|argument| argument == "--crate-name").and_then(|at| arguments.get(at + 1));
     let Some(name) = name.and_then(|name| name.to_str()).filter(|name| name.starts_with("haptic_")) else {

@@ -26,7 +26,7 @@ int main(int count, char **arguments) {
     }
     const float from[2] = {state.tip_m[0], state.tip_m[1]};
     const uint32_t began = state.step;
-    /* Half a second for the ramp, half a second to come to rest. */
+    /* The torque ramps up for 0.5 s, then the tip comes to rest within 0.5 s. */
     while ((float)(state.step - began) * state.period_s < 1.0f) {
         hb_request request = {.hold_s = 0.02f, .fade_s = 0.05f};
         request.force_n[0] = 0.5f - 100.0f * (state.tip_m[0] - from[0]) - 2.0f * state.velocity_m_s[0];
@@ -38,7 +38,7 @@ int main(int count, char **arguments) {
     }
     const double moved[2] = {(double)(state.tip_m[0] - from[0]), (double)(state.tip_m[1] - from[1])};
     printf("moved %.5f %.5f done %d state %d\n", moved[0], moved[1], state.done, state.state);
-    /* For the test that compares this header with the library. */
+    /* A test compares these numbers with the library's. */
     printf("sizes %zu %zu offsets %zu %zu\n", sizeof(hb_request), sizeof(hb_state), offsetof(hb_request, damping_ns_m),
            offsetof(hb_state, fault));
     hb_close(board);

@@ -1,8 +1,8 @@
 /* haptic-bridge boards for programs in C: libhapticbridge.
  *
  * Functions that can fail return HB_OK or another code; hb_error() then returns the message. Every function may
- * be called from any thread; calls on one board wait for each other. SI units; vectors are in the task frame or have
- * one entry per joint, with zeros in entries that the device does not have.
+ * be called from any thread; calls on one board wait for each other. All numbers are in SI units. Vectors are in the
+ * task frame or have one entry per joint, with zeros in entries that the device does not have.
  *
  * Generated from clients/c/src/lib.rs by cbindgen. */
 
@@ -22,57 +22,57 @@
 #define HB_OK 0
 
 /*
- Not possible: no board, a refusal, a wrong file.
+ Return value of a function: failure, such as no board, a refusal or a wrong file.
  */
 #define HB_FAILED 1
 
 /*
- An argument is NULL, not UTF-8, not finite or out of range.
+ Return value of a function: an argument is NULL, not UTF-8, not finite or out of range.
  */
 #define HB_BAD_ARGUMENT 2
 
 /*
- A defect of the library, which has disarmed the board.
+ Return value of a function: a defect of the library, which has disarmed the board.
  */
 #define HB_BROKEN 3
 
 /*
- No reply in time: the board or the computer was busy, or a frame was lost. The next call is independent.
+ Return value of a function: no reply in time, because the board or the computer was busy or a frame was lost.
  */
 #define HB_UNANSWERED 4
 
 /*
- The board was unplugged or the connection was lost: close the board, and open it again once it is back.
+ Return value of a function: the connection was lost. Close the board, and open it once it is connected again.
  */
 #define HB_LOST 5
 
 /*
- hb_state.done, the outcome of a request (docs/host-force.md): the request acts.
+ hb_state.done: the request acts (docs/host-force.md).
  */
 #define HB_TAKEN 0
 
 /*
- hold and fade are 0: the request only read the state.
+ hb_state.done: hold and fade are 0, so the request only read the state.
  */
 #define HB_LOOKED 1
 
 /*
- The motors are off.
+ hb_state.done: the request does not act, because the motors are off.
  */
 #define HB_NOT_ARMED 2
 
 /*
- A request with this or a later number already acts.
+ hb_state.done: the request does not act, because a request with the same or a later number acts.
  */
 #define HB_NOT_NEWER 3
 
 /*
- More time than hold and fade has passed since the last call.
+ hb_state.done: the request does not act, because more time than hold and fade has passed since the last call.
  */
 #define HB_TOO_OLD 4
 
 /*
- A number of the request is invalid: hb_error() names it.
+ hb_state.done: the request does not act, because one of its numbers is invalid. hb_error() names the number.
  */
 #define HB_BAD 5
 
@@ -82,17 +82,17 @@
 #define HB_DISARMED 0
 
 /*
- The motors are on.
+ hb_state.state: the motors are on.
  */
 #define HB_ARMED 1
 
 /*
- The motors are on with a small torque, one after the other.
+ hb_state.state: the polarity check turns the motors on one after the other, with a small torque.
  */
 #define HB_CHECKING_POLARITY 2
 
 /*
- The motors are off until hb_clear(): hb_state.fault and hb_error() give the reason.
+ hb_state.state: the motors are off until hb_clear(). hb_state.fault and hb_error() give the reason.
  */
 #define HB_FAULT 3
 
@@ -102,7 +102,7 @@
 typedef struct hb_board hb_board;
 
 /*
- A request to the motors, which replaces the previous request. All zeros only reads the state.
+ A request to the motors, which replaces the previous request. A request of zeros only reads the state.
  */
 typedef struct {
   /*
@@ -122,7 +122,7 @@ typedef struct {
    */
   float torque_nm[3];
   /*
-   1 if the board renders the plane below, otherwise 0.
+   1 if the board renders the plane of the next four fields, otherwise 0.
    */
   int32_t has_contact;
   /*
@@ -130,7 +130,7 @@ typedef struct {
    */
   float point_m[3];
   /*
-   Unit normal of the plane, out of the solid.
+   Unit normal of the plane, which points out of the solid.
    */
   float normal[3];
   /*
@@ -156,7 +156,7 @@ typedef struct {
    */
   int32_t state;
   /*
-   Number of control steps since boot; wraps.
+   Number of control steps since the board started, which wraps at 2^32.
    */
   uint32_t step;
   /*
@@ -211,13 +211,13 @@ extern "C" {
 uint32_t hb_version(void);
 
 /*
- Returns the message of the last failed call of this thread; after hb_exchange() also the number of a HB_BAD request,
- or the latched fault. Never NULL; the pointer stays the same for the life of the thread.
+ Returns the message of the last failed call of this thread. After hb_exchange() the message can also be the reason
+ of HB_BAD or the latched fault. The pointer is never NULL and stays the same for the life of the thread.
  */
 const char *hb_error(void);
 
 /*
- Returns the meaning and the remedy of a fault code from hb_state.fault. Always valid; empty for an unknown code.
+ Returns the meaning and the remedy of a fault code from hb_state.fault; an empty text for an unknown code.
  */
 const char *hb_fault_text(int32_t fault);
 
@@ -233,13 +233,13 @@ hb_board *hb_open(const char *port);
 void hb_close(hb_board *board);
 
 /*
- Loads a device file and a scene file; a NULL scene is free space. Motors must be off. The device must be homed
+ Loads a device file and a scene file; a NULL scene is free space. The motors must be off. The device must be homed
  again. The polarity check stays valid if the same device is loaded again and homed close to its earlier home.
  */
 int32_t hb_load(const hb_board *board, const char *device_file, const char *scene_file);
 
 /*
- Loads a scene file for the present device, which stays homed; NULL is free space. Motors must be off.
+ Loads a scene file for the present device, which stays homed; NULL is free space. The motors must be off.
  */
 int32_t hb_set_scene(const hb_board *board, const char *scene_file);
 
@@ -249,14 +249,14 @@ int32_t hb_set_scene(const hb_board *board, const char *scene_file);
 int32_t hb_home(const hb_board *board);
 
 /*
- Checks that every motor turns its joint in the direction that its encoder counts. Moves each joint a little and
- waits for the end of the check; returns HB_OK only if all joints pass.
+ Checks that every motor turns its joint in the direction in which the encoder counts. Moves each joint a little and
+ waits for the end of the check. Returns HB_OK only if all joints pass.
  */
 int32_t hb_check_polarity(const hb_board *board);
 
 /*
- Turns the motors on; torque ramps up over half a second. hb_exchange(), also with NULL, must then be called as often
- as the board's rules require a heartbeat: by default every half second.
+ Turns the motors on; the torque ramps up over 0.5 s. hb_exchange(), also with NULL, must then be called as often as
+ the board's rules require a heartbeat, by default every 0.5 s.
  */
 int32_t hb_arm(const hb_board *board);
 
@@ -271,16 +271,15 @@ int32_t hb_disarm(const hb_board *board);
 int32_t hb_clear(const hb_board *board);
 
 /*
- Sets the time for which hb_exchange() waits for its reply, s. By default it waits for 0.1 and retries for one second
- in total. A program with a faster loop sets a shorter time, which limits the delay by a lost frame.
+ Sets the time for which hb_exchange() waits for its reply, s. By default it waits for 0.1 s and retries for 1 s in
+ total. A program with a faster loop sets a shorter time, which limits the delay by a lost frame.
  */
 int32_t hb_wait_for_forces(const hb_board *board, double seconds);
 
 /*
- Sends a request (NULL only reads the state) and waits for the reply, usually less than a millisecond. Without a
- reply it returns HB_UNANSWERED, see hb_wait_for_forces(), and the next request is independent. A refused request is
- not a failure: hb_state.done gives the reason. Allocates no memory after the first calls, except for messages for
- hb_error().
+ Sends a request (NULL only reads the state) and waits for the reply, usually less than a millisecond. Returns
+ HB_UNANSWERED without a reply, see hb_wait_for_forces(). A refused request is not a failure; hb_state.done gives the
+ reason. Allocates no memory after the first calls, except for messages for hb_error().
  */
 int32_t hb_exchange(const hb_board *board, const hb_request *request, hb_state *state);
 

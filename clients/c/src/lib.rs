@@ -1,7 +1,7 @@
-//! haptic-bridge boards for programs in C. cbindgen generates `include/hapticbridge.h` from this file, with its
-//! documentation: `UPDATE_DOCS=1 cargo test -p haptic-c header`.
+//! haptic-bridge boards for programs in C. `UPDATE_DOCS=1 cargo test -p haptic-c header` generates
+//! `include/hapticbridge.h` from this file by cbindgen.
 //!
-//! No panic crosses the C interface: it becomes [`HB_BROKEN`], and dropping a session disarms its board.
+//! A panic becomes [`HB_BROKEN`] instead of crossing the C interface, and drops the session, which disarms the board.
 
 #![allow(clippy::missing_safety_doc, reason = "the header documents the conditions for pointers")]
 
@@ -24,50 +24,50 @@ pub const HB_VERSION: u32 = 2;
 
 /// Return value of a function: success.
 pub const HB_OK: i32 = 0;
-/// Not possible: no board, a refusal, a wrong file.
+/// Return value of a function: failure, such as no board, a refusal or a wrong file.
 pub const HB_FAILED: i32 = 1;
-/// An argument is NULL, not UTF-8, not finite or out of range.
+/// Return value of a function: an argument is NULL, not UTF-8, not finite or out of range.
 pub const HB_BAD_ARGUMENT: i32 = 2;
-/// A defect of the library, which has disarmed the board.
+/// Return value of a function: a defect of the library, which has disarmed the board.
 pub const HB_BROKEN: i32 = 3;
-/// No reply in time: the board or the computer was busy, or a frame was lost. The next call is independent.
+/// Return value of a function: no reply in time, because the board or the computer was busy or a frame was lost.
 pub const HB_UNANSWERED: i32 = 4;
-/// The board was unplugged or the connection was lost: close the board, and open it again once it is back.
+/// Return value of a function: the connection was lost. Close the board, and open it once it is connected again.
 pub const HB_LOST: i32 = 5;
 
-/// hb_state.done, the outcome of a request (docs/host-force.md): the request acts.
+/// hb_state.done: the request acts (docs/host-force.md).
 pub const HB_TAKEN: i32 = 0;
-/// hold and fade are 0: the request only read the state.
+/// hb_state.done: hold and fade are 0, so the request only read the state.
 pub const HB_LOOKED: i32 = 1;
-/// The motors are off.
+/// hb_state.done: the request does not act, because the motors are off.
 pub const HB_NOT_ARMED: i32 = 2;
-/// A request with this or a later number already acts.
+/// hb_state.done: the request does not act, because a request with the same or a later number acts.
 pub const HB_NOT_NEWER: i32 = 3;
-/// More time than hold and fade has passed since the last call.
+/// hb_state.done: the request does not act, because more time than hold and fade has passed since the last call.
 pub const HB_TOO_OLD: i32 = 4;
-/// A number of the request is invalid: hb_error() names it.
+/// hb_state.done: the request does not act, because one of its numbers is invalid. hb_error() names the number.
 pub const HB_BAD: i32 = 5;
 
 /// hb_state.state: the motors are off.
 pub const HB_DISARMED: i32 = 0;
-/// The motors are on.
+/// hb_state.state: the motors are on.
 pub const HB_ARMED: i32 = 1;
-/// The motors are on with a small torque, one after the other.
+/// hb_state.state: the polarity check turns the motors on one after the other, with a small torque.
 pub const HB_CHECKING_POLARITY: i32 = 2;
-/// The motors are off until hb_clear(): hb_state.fault and hb_error() give the reason.
+/// hb_state.state: the motors are off until hb_clear(). hb_state.fault and hb_error() give the reason.
 pub const HB_FAULT: i32 = 3;
 
 /// A board that this program holds.
 pub struct Board(Mutex<Option<Session>>);
 
 impl Board {
-    /// Creates a board for C, which frees it with [`hb_close`].
+    /// Creates a board for a program in C, which frees the board with [`hb_close`].
     pub fn of(session: Session) -> *mut Self {
         Box::into_raw(Box::new(Self(Mutex::new(Some(session)))))
     }
 }
 
-/// A request to the motors, which replaces the previous request. All zeros only reads the state.
+/// A request to the motors, which replaces the previous request. A request of zeros only reads the state.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Request {
@@ -79,11 +79,11 @@ pub struct Request {
     pub force_n: [f32; 3],
     /// Joint torques.
     pub torque_nm: [f32; 3],
-    /// 1 if the board renders the plane below, otherwise 0.
+    /// 1 if the board renders the plane of the next four fields, otherwise 0.
     pub has_contact: i32,
     /// A point on the plane.
     pub point_m: [f32; 3],
-    /// Unit normal of the plane, out of the solid.
+    /// Unit normal of the plane, which points out of the solid.
     pub normal: [f32; 3],
     /// Stiffness of the plane.
     pub stiffness_n_m: f32,
@@ -99,7 +99,7 @@ pub struct State {
     pub done: i32,
     /// HB_DISARMED, HB_ARMED, HB_CHECKING_POLARITY or HB_FAULT.
     pub state: i32,
-    /// Number of control steps since boot; wraps.
+    /// Number of control steps since the board started, which wraps at 2^32.
     pub step: u32,
     /// Period of the control steps.
     pub period_s: f32,
@@ -213,7 +213,7 @@ const CALLS: [(&str, &str); 6] = [
 const BUFFER_SIZE: usize = 1024;
 
 thread_local! {
-    /// The buffer never moves, so a pointer to it always shows the latest error.
+    /// Buffer for `hb_error`. It never moves, so that a pointer to it always shows the latest message.
     static ERROR: UnsafeCell<[u8; BUFFER_SIZE]> = const { UnsafeCell::new([0; BUFFER_SIZE]) };
 }
 
@@ -229,10 +229,13 @@ fn store_message(message: &str) {
     });
 }
 
-/// Runs `work`; converts a failure or a panic to a code and stores its message.
+/// Runs `work`. Converts a failure or a panic to a code, and stores the message.
 fn catch_failure<T>(work: impl FnOnce() -> Result<T, Failure>) -> Result<T, i32> {
     let done = catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|_| {
-        Err(Failure(HB_BROKEN, "a defect of libhapticbridge: please report it with the call".into()))
+        Err(Failure(
+            HB_BROKEN,
+            "a defect of libhapticbridge: please report it and name the function that was called".into(),
+        ))
     });
     done.map_err(|Failure(code, message)| {
         store_message(&message);
@@ -252,7 +255,7 @@ unsafe fn text<'a>(text: *const c_char, name: &'static str) -> Result<&'a str, F
     unsafe { CStr::from_ptr(text) }.to_str().map_err(|_| Failure::argument(name, "not UTF-8"))
 }
 
-/// Runs `work` with a board's session. A panic in it drops the session, which disarms the board.
+/// Runs `work` with the session of a board. A panic of `work` drops the session, which disarms the board.
 ///
 /// # Safety
 /// `board` is NULL or came from [`hb_open`] and has not been closed.
@@ -261,8 +264,12 @@ unsafe fn with(board: *const Board, work: impl FnOnce(&mut Session) -> Result<()
         // SAFETY: as the caller promises.
         let board = unsafe { board.as_ref() }.ok_or_else(|| Failure::argument("the board", "NULL"))?;
         let mut session_slot = board.0.lock().unwrap_or_else(PoisonError::into_inner);
-        let mut session =
-            session_slot.take().ok_or_else(|| Failure(HB_BROKEN, "the board was released after a defect".into()))?;
+        let mut session = session_slot.take().ok_or_else(|| {
+            Failure(
+                HB_BROKEN,
+                "the board was released after a defect of libhapticbridge: close it and open it again".into(),
+            )
+        })?;
         let done = work(&mut session);
         *session_slot = Some(session);
         done
@@ -276,14 +283,14 @@ pub extern "C" fn hb_version() -> u32 {
     HB_VERSION
 }
 
-/// Returns the message of the last failed call of this thread; after hb_exchange() also the number of a HB_BAD request,
-/// or the latched fault. Never NULL; the pointer stays the same for the life of the thread.
+/// Returns the message of the last failed call of this thread. After hb_exchange() the message can also be the reason
+/// of HB_BAD or the latched fault. The pointer is never NULL and stays the same for the life of the thread.
 #[unsafe(no_mangle)]
 pub extern "C" fn hb_error() -> *const c_char {
     ERROR.with(|error| error.get().cast_const().cast())
 }
 
-/// Returns the meaning and the remedy of a fault code from hb_state.fault. Always valid; empty for an unknown code.
+/// Returns the meaning and the remedy of a fault code from hb_state.fault; an empty text for an unknown code.
 #[unsafe(no_mangle)]
 pub extern "C" fn hb_fault_text(fault: i32) -> *const c_char {
     static TEXTS: LazyLock<Vec<(i32, CString)>> = LazyLock::new(|| {
@@ -322,7 +329,7 @@ pub unsafe extern "C" fn hb_close(board: *mut Board) {
     }
 }
 
-/// Loads a device file and a scene file; a NULL scene is free space. Motors must be off. The device must be homed
+/// Loads a device file and a scene file; a NULL scene is free space. The motors must be off. The device must be homed
 /// again. The polarity check stays valid if the same device is loaded again and homed close to its earlier home.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn hb_load(board: *const Board, device_file: *const c_char, scene_file: *const c_char) -> i32 {
@@ -337,7 +344,7 @@ pub unsafe extern "C" fn hb_load(board: *const Board, device_file: *const c_char
     }
 }
 
-/// Loads a scene file for the present device, which stays homed; NULL is free space. Motors must be off.
+/// Loads a scene file for the present device, which stays homed; NULL is free space. The motors must be off.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn hb_set_scene(board: *const Board, scene_file: *const c_char) -> i32 {
     // SAFETY: as the caller promises.
@@ -368,8 +375,8 @@ pub unsafe extern "C" fn hb_home(board: *const Board) -> i32 {
     unsafe { with(board, |session| Ok(session.home()?)) }
 }
 
-/// Checks that every motor turns its joint in the direction that its encoder counts. Moves each joint a little and
-/// waits for the end of the check; returns HB_OK only if all joints pass.
+/// Checks that every motor turns its joint in the direction in which the encoder counts. Moves each joint a little and
+/// waits for the end of the check. Returns HB_OK only if all joints pass.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn hb_check_polarity(board: *const Board) -> i32 {
     let check = |session: &mut Session| {
@@ -380,8 +387,8 @@ pub unsafe extern "C" fn hb_check_polarity(board: *const Board) -> i32 {
     unsafe { with(board, check) }
 }
 
-/// Turns the motors on; torque ramps up over half a second. hb_exchange(), also with NULL, must then be called as often
-/// as the board's rules require a heartbeat: by default every half second.
+/// Turns the motors on; the torque ramps up over 0.5 s. hb_exchange(), also with NULL, must then be called as often as
+/// the board's rules require a heartbeat, by default every 0.5 s.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn hb_arm(board: *const Board) -> i32 {
     // SAFETY: as the caller promises.
@@ -402,8 +409,8 @@ pub unsafe extern "C" fn hb_clear(board: *const Board) -> i32 {
     unsafe { with(board, |session| Ok(session.clear()?)) }
 }
 
-/// Sets the time for which hb_exchange() waits for its reply, s. By default it waits for 0.1 and retries for one second
-/// in total. A program with a faster loop sets a shorter time, which limits the delay by a lost frame.
+/// Sets the time for which hb_exchange() waits for its reply, s. By default it waits for 0.1 s and retries for 1 s in
+/// total. A program with a faster loop sets a shorter time, which limits the delay by a lost frame.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn hb_wait_for_forces(board: *const Board, seconds: f64) -> i32 {
     // SAFETY: as the caller promises.
@@ -417,10 +424,9 @@ pub unsafe extern "C" fn hb_wait_for_forces(board: *const Board, seconds: f64) -
     }
 }
 
-/// Sends a request (NULL only reads the state) and waits for the reply, usually less than a millisecond. Without a
-/// reply it returns HB_UNANSWERED, see hb_wait_for_forces(), and the next request is independent. A refused request is
-/// not a failure: hb_state.done gives the reason. Allocates no memory after the first calls, except for messages for
-/// hb_error().
+/// Sends a request (NULL only reads the state) and waits for the reply, usually less than a millisecond. Returns
+/// HB_UNANSWERED without a reply, see hb_wait_for_forces(). A refused request is not a failure; hb_state.done gives the
+/// reason. Allocates no memory after the first calls, except for messages for hb_error().
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn hb_exchange(board: *const Board, request: *const Request, state: *mut State) -> i32 {
     // SAFETY: as the caller promises.

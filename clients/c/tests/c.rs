@@ -1,9 +1,9 @@
-//! A program in C, compiled with the header and run with the shared library.
+//! Tests of the C interface, by a program in C and by direct calls.
 
 mod header;
 
 use haptic_host::device_file::DeviceFile;
-use haptic_host::link::{Board as Linked, Session};
+use haptic_host::link::{Board as HostBoard, Session};
 use haptic_sim::{BoardOptions, SHIPPED_DEVICE, SharedBoard, door, ready_board, server};
 use hapticbridge::{
     Board, HB_ARMED, HB_BAD, HB_BAD_ARGUMENT, HB_DISARMED, HB_FAILED, HB_FAULT, HB_OK, HB_UNANSWERED, HB_VERSION,
@@ -42,7 +42,7 @@ fn the_example_compiles_without_warnings_and_pushes_a_board() {
         .output()
         .expect("gcc: `apt-get install gcc`");
     assert!(compiled.status.success(), "{}", String::from_utf8_lossy(&compiled.stderr));
-    // Installing the library creates this link.
+    // Creates the link that an installation of the library has.
     let soname = format!("libhapticbridge.so.{HB_VERSION}");
     let _ = std::fs::remove_file(folder.join(&soname));
     std::os::unix::fs::symlink("libhapticbridge.so", folder.join(&soname)).unwrap();
@@ -52,7 +52,8 @@ fn the_example_compiles_without_warnings_and_pushes_a_board() {
     assert!(ran.status.success(), "{output}{}", String::from_utf8_lossy(&ran.stderr));
     let lines: Vec<&str> = output.lines().collect();
     let numbers: Vec<f64> = lines[0].split(' ').filter_map(|word| word.parse().ok()).collect();
-    // 0.5 N against 100 N/m, less friction of the joints (0.005 N m on 0.1 m arms, twice). State: taken, armed.
+    // 0.5 N against 100 N/m are 5 mm, less the friction of two joints (0.005 N m on 0.1 m arms). 0 is taken, 1 is
+    // armed.
     assert!((numbers[0] - 0.005).abs() < 0.001 && numbers[1].abs() < 0.001, "{output}");
     assert_eq!(numbers[2..], [0.0, 1.0], "{output}");
     let sizes = [size_of::<Request>(), size_of::<State>()];
@@ -60,7 +61,7 @@ fn the_example_compiles_without_warnings_and_pushes_a_board() {
     let expected = format!("sizes {} {} offsets {} {}", sizes[0], sizes[1], offsets[0], offsets[1]);
     assert_eq!(lines[1], expected, "header and library have the same structures");
     assert!(lines[2].starts_with("cannot connect to 127.0.0.1:1"), "{output}");
-    // A linked program finds the library by its name, independent of its earlier path.
+    // A linked program finds the library by this name, independent of the path at link time.
     let dynamic = Command::new("readelf").arg("-d").arg(folder.join("libhapticbridge.so")).output().unwrap();
     assert!(String::from_utf8_lossy(&dynamic.stdout).contains(&format!("soname: [{soname}]")));
     let package = std::fs::read_to_string(here.join("hapticbridge.pc")).unwrap();
@@ -85,7 +86,7 @@ fn a_program_starts_a_strict_board_and_clears_its_fault() {
     }
     let options = BoardOptions { strict: true, ..BoardOptions::default() };
     let shared = SharedBoard::new(ready_board(&file, options).unwrap());
-    let board = Board::of(Session::of(Linked::over(shared.wire(), "sim").unwrap()));
+    let board = Board::of(Session::of(HostBoard::over(shared.wire(), "sim").unwrap()));
     let mut state = State::default();
     // SAFETY: every pointer is valid for its type, and no call uses the board after hb_close().
     unsafe {
@@ -95,7 +96,7 @@ fn a_program_starts_a_strict_board_and_clears_its_fault() {
         };
         assert_eq!((hb_set_scene(board, null()), hb_home(board)), (HB_OK, HB_OK), "{}", error());
         assert_eq!(hb_check_polarity(board), HB_OK, "{}", error());
-        // Homing and polarity stay valid with another scene.
+        // Homing and polarity check stay valid with another scene.
         assert_eq!((hb_set_scene(board, null()), hb_arm(board)), (HB_OK, HB_OK), "{}", error());
         for _ in 0..4 {
             shared.lock().run(0.4);
@@ -124,12 +125,12 @@ fn errors_name_functions_and_arguments() {
     let device = CString::new(device).unwrap();
     // SAFETY: every pointer is NULL or valid for its type, and no call uses the board after hb_close().
     unsafe {
-        // A pointer from an earlier call shows the latest message.
+        // A pointer from an earlier call must show the latest message.
         let before = hb_error();
         assert_eq!((hb_arm(null()), words(before)), (HB_BAD_ARGUMENT, "the board is NULL".into()));
         let board = hb_open(c"sim".as_ptr());
         assert_eq!((hb_load(board, device.as_ptr(), null()), hb_home(board)), (HB_OK, HB_OK), "{}", error());
-        // The check has ended when the call returns: otherwise the board would refuse to arm.
+        // If the check had not ended when the call returns, the board would refuse to arm.
         assert_eq!((hb_check_polarity(board), hb_arm(board)), (HB_OK, HB_OK), "{}", error());
         assert_eq!(hb_load(board, device.as_ptr(), null()), HB_FAILED);
         assert_eq!(error(), "the board refuses: the motors are armed: hb_disarm() first");
@@ -148,14 +149,14 @@ fn errors_name_functions_and_arguments() {
 }
 
 /// The system's allocator, which counts the allocations of each thread.
-struct Counting;
+struct CountingAllocator;
 
 thread_local! {
     static ALLOCATIONS: Cell<u32> = const { Cell::new(0) };
 }
 
-// SAFETY: the system's allocator does the work.
-unsafe impl GlobalAlloc for Counting {
+// SAFETY: all calls are passed to the system's allocator.
+unsafe impl GlobalAlloc for CountingAllocator {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         ALLOCATIONS.set(ALLOCATIONS.get() + 1);
         // SAFETY: as the caller promises.
@@ -168,7 +169,7 @@ unsafe impl GlobalAlloc for Counting {
 }
 
 #[global_allocator]
-static COUNTING: Counting = Counting;
+static COUNTING: CountingAllocator = CountingAllocator;
 
 #[test]
 fn an_exchange_allocates_nothing() {

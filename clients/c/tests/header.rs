@@ -1,12 +1,12 @@
-//! The header must be cbindgen's output for the source.
+//! Checks that the header is the output of cbindgen for the source.
 
 use std::path::Path;
 
 const BEGIN: &str = "/* haptic-bridge boards for programs in C: libhapticbridge.
  *
  * Functions that can fail return HB_OK or another code; hb_error() then returns the message. Every function may
- * be called from any thread; calls on one board wait for each other. SI units; vectors are in the task frame or have
- * one entry per joint, with zeros in entries that the device does not have.
+ * be called from any thread; calls on one board wait for each other. All numbers are in SI units. Vectors are in the
+ * task frame or have one entry per joint, with zeros in entries that the device does not have.
  *
  * Generated from clients/c/src/lib.rs by cbindgen. */";
 

@@ -1,4 +1,4 @@
-//! The only device that CHAI3D sees: a board, in CHAI3D's frame, with a tick of a millisecond.
+//! The only device that CHAI3D finds: a board, in CHAI3D's frame, with a tick of 1 ms.
 
 use haptic_host::frame::Axes;
 use haptic_host::haptic_bridge::board::protocol::{DeviceData, ForceAnswer};
@@ -13,15 +13,15 @@ use haptic_stability::analysis::map::Reachable;
 use haptic_stability::analysis::pose::TaskPose;
 use std::time::{Duration, Instant};
 
-/// Period of a tick, as for CHAI3D's other devices.
+/// Period of a tick, the same as of CHAI3D's other devices.
 pub const TICK: Duration = Duration::from_millis(1);
 
 /// Number of angles per joint that are sampled for the size of the workspace.
 const ANGLES_PER_JOINT: usize = 24;
-/// Smallest radius, m, because CHAI3D divides by it.
-const MIN_RADIUS: f64 = 0.01;
+/// Smallest radius of the workspace, m, which is not 0 because CHAI3D divides by the radius.
+const MIN_RADIUS_M: f64 = 0.01;
 
-/// Ticks between two attempts to reopen a lost board: half a second.
+/// Number of ticks between two attempts to reopen a lost board (0.5 s).
 const RETRY_TICKS: u32 = 500;
 /// Commands of the tool, and the actions of a program that replace them.
 const CALLS: [(&str, &str); 1] = [("faults --clear", "close and open the device")];
@@ -32,7 +32,7 @@ type OpenBoard = Box<dyn FnMut() -> Result<Session, String> + Send>;
 /// A board for a program made with CHAI3D.
 pub struct HdDevice {
     open: OpenBoard,
-    /// `None` while the board is gone.
+    /// `None` while the board is lost.
     session: Option<Session>,
     /// The board's device. A reopened board with another device is refused.
     device_data: DeviceData,
@@ -45,17 +45,17 @@ pub struct HdDevice {
     pub name: String,
     last: ForceAnswer,
     tick: Instant,
-    /// Ticks since the board was lost.
-    gone: u32,
-    /// True for a simulated board, whose time passes only while a caller waits for it.
+    /// Number of ticks since the board was lost.
+    lost_ticks: u32,
+    /// True for a simulated board, whose time advances only while a caller waits.
     simulated: bool,
     /// True if the present state of the motors has been reported.
     is_reported: bool,
     /// True if an invalid force has been reported.
-    is_absurd_reported: bool,
-    /// True if the motors are on, as far as the program knows.
+    is_invalid_force_reported: bool,
+    /// True if the motors are on according to the latest reply.
     armed: bool,
-    /// True if a fault occurred while the motors were on: opening the device again clears this fault, but no other.
+    /// True if a fault occurred while the motors were on, which opening the device again clears.
     tripped: bool,
 }
 
@@ -72,7 +72,7 @@ fn read_device(session: &mut Session) -> Result<(DeviceData, ForceAnswer), Strin
 }
 
 impl HdDevice {
-    /// Opens the board at HAPTIC_PORT, by default a simulated one. An error is a message for the user.
+    /// Opens the board at HAPTIC_PORT, by default a simulated board. Returns an error message for the user.
     pub fn open() -> Result<Self, String> {
         let port = std::env::var("HAPTIC_PORT").unwrap_or_else(|_| "sim".into());
         let spec = port.parse::<PortSpec>()?;
@@ -106,10 +106,10 @@ impl HdDevice {
             radius,
             last,
             tick: Instant::now(),
-            gone: 0,
+            lost_ticks: 0,
             simulated,
             is_reported: false,
-            is_absurd_reported: false,
+            is_invalid_force_reported: false,
             armed: false,
             tripped: false,
         })
@@ -127,7 +127,7 @@ impl HdDevice {
                 (self.tick, self.is_reported, self.armed, self.tripped) = (Instant::now(), false, true, false);
                 true
             }
-            // It is unknown whether the motors are on.
+            // The motors may be on or off.
             Err(BoardError::Link(error)) => self.handle_link_error(&error),
             Err(refused) => {
                 self.report(format!("the motors stay off: {refused}"));
@@ -143,33 +143,32 @@ impl HdDevice {
         off
     }
 
-    /// Returns the position of the tip at the last tick, m; `None` while the board is gone.
+    /// Returns the position of the tip at the last tick, m; `None` while the board is lost.
     pub fn position(&self) -> Option<[f64; 3]> {
         let tip = self.last.tip.map(f64::from);
         self.session.as_ref()?;
         Some(self.axes.to_chai3d(std::array::from_fn(|i| tip[i] - self.centre[i])))
     }
 
-    /// Returns the velocity of the tip, m/s; `None` while the board is gone.
+    /// Returns the velocity of the tip at the last tick, m/s; `None` while the board is lost.
     pub fn velocity(&self) -> Option<[f64; 3]> {
         self.session.as_ref()?;
         Some(self.axes.to_chai3d(self.last.velocity.map(f64::from)))
     }
-
-    /// Sends a force (N), waits for the next tick and reads the state. An invalid force is replaced by zero, and the
-    /// call fails. While the board is gone, tries to reopen it from time to time.
+    /// Sends a force (N), waits for the next tick and reads the state. Sends zero and returns false for an invalid
+    /// force. While the board is lost, tries to reopen it every 0.5 s.
     pub fn force(&mut self, force: [f64; 3]) -> bool {
-        let usable = force.iter().all(|newtons| newtons.abs() <= f64::from(MAX_HELD_FORCE));
-        if !usable && !self.is_absurd_reported {
+        let is_valid = force.iter().all(|newtons| newtons.abs() <= f64::from(MAX_HELD_FORCE));
+        if !is_valid && !self.is_invalid_force_reported {
             haptic_host::tell!("haptic-bridge: a force of {force:?} N is invalid: the motors get 0 N");
-            self.is_absurd_reported = true;
+            self.is_invalid_force_reported = true;
         }
-        let force = self.axes.to_task(if usable { force } else { [0.0; 3] });
+        let force = self.axes.to_task(if is_valid { force } else { [0.0; 3] });
         let Some(session) = &mut self.session else {
-            // Without the wait, a program without a device would spin.
+            // Waits, because a program without a board would otherwise load the CPU.
             std::thread::sleep(TICK);
-            self.gone += 1;
-            if self.gone.is_multiple_of(RETRY_TICKS) {
+            self.lost_ticks += 1;
+            if self.lost_ticks.is_multiple_of(RETRY_TICKS) {
                 self.reopen();
             }
             return false;
@@ -195,13 +194,13 @@ impl HdDevice {
         let now = Instant::now();
         match self.tick.checked_duration_since(now) {
             Some(left) => std::thread::sleep(left),
-            // The time of a late tick is not caught up.
+            // A late tick does not shorten the later ticks.
             None => self.tick = now,
         }
         match self.session.as_mut().map(Session::read_state) {
             Some(Ok(state)) => {
                 self.last = state;
-                usable
+                is_valid
             }
             Some(Err(error)) => self.handle_link_error(&error),
             None => false,
@@ -209,22 +208,23 @@ impl HdDevice {
     }
 
     fn handle_link_error(&mut self, error: &LinkError) -> bool {
-        // A lost frame does not affect the next force.
+        // The next force may succeed after a lost frame.
         if matches!(error, LinkError::Unanswered { .. }) {
             return false;
         }
-        (self.session, self.gone, self.is_reported) = (None, 0, false);
+        (self.session, self.lost_ticks, self.is_reported) = (None, 0, false);
         self.report("the board is lost: plug it in, and it is opened again".into());
         false
     }
 
-    /// Reopens a lost board if it is back. Its motors stay as they are, because the user who plugs it in may be holding
-    /// it.
+    /// Reopens a lost board if it is connected again. Does not turn the motors on, because the user who plugs the board
+    /// in may be holding the device.
     fn reopen(&mut self) {
         let Ok(mut session) = (self.open)() else { return };
         match read_device(&mut session) {
             Ok((device_data, last)) if device_data == self.device_data => {
-                // The program may clear HostLost, which its own absence caused; the user must check any other fault.
+                // Lets the program clear HostLost, which the lost connection caused. The user must check any other
+                // fault.
                 if let Some(record) = session.status().ok().and_then(|status| status.fault) {
                     self.tripped = std::mem::take(&mut self.armed) && record.fault == Fault::HostLost;
                 }
@@ -237,7 +237,7 @@ impl HdDevice {
         }
     }
 
-    /// Reports a message to the user, once until the state changes.
+    /// Reports a message to the user, unless a message was reported since the last change of state.
     fn report(&mut self, words: String) {
         if !self.is_reported {
             haptic_host::tell!("haptic-bridge: {words}");
@@ -246,8 +246,8 @@ impl HdDevice {
     }
 }
 
-/// Returns the tip at home (without a home, `here`), and the smallest distance from there to the edge of the workspace
-/// along an axis, m.
+/// Returns the tip at home (`here` without a home), and the smallest distance along an axis from this tip to the edge
+/// of the workspace, m.
 fn workspace(device: &BoardDevice<f64>, here: [f64; 3]) -> ([f64; 3], f64) {
     let task = device.mechanism.kind().spec().task;
     let tip = |q: &[f64]| TaskPose::of(&device.mechanism, q).map(|pose| pose.position);
@@ -262,7 +262,7 @@ fn workspace(device: &BoardDevice<f64>, here: [f64; 3]) -> ([f64; 3], f64) {
         }
     }
     let spans = (0..task).map(|i| (high[i] - centre[i]).min(centre[i] - low[i]));
-    (centre, spans.fold(f64::INFINITY, f64::min).max(MIN_RADIUS))
+    (centre, spans.fold(f64::INFINITY, f64::min).max(MIN_RADIUS_M))
 }
 
 #[cfg(test)]
@@ -362,7 +362,7 @@ mod tests {
         assert_eq!((device.position(), device.velocity()), (None, None), "the last position is outdated");
         assert!(!device.disarm() && !device.arm());
         plugged.store(true, Ordering::Relaxed);
-        // Meanwhile the board has detected the lost host.
+        // After 0.6 s the board has detected the lost host.
         board.lock().run(0.6);
         while device.position().is_none() {
             assert!(!device.force([0.0; 3]));

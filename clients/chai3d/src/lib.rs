@@ -1,8 +1,8 @@
-//! haptic-bridge boards for programs made with CHAI3D 3.3, which need not be changed or rebuilt: the 14 functions that
-//! its `CPhantomDevices.cpp` looks up in `libhdPhantom.so`, with its units, axes and order (docs/chai3d.md).
+//! haptic-bridge boards for unchanged programs that were made with CHAI3D 3.3: the 14 functions that CHAI3D's
+//! `CPhantomDevices.cpp` looks up in `libhdPhantom.so`, with its units, axes and order (docs/chai3d.md).
 //!
-//! HAPTIC_PORT names the board; by default it is a simulated one. Functions return 0, or -1 on failure; messages go to
-//! standard error. No panic crosses the C interface, and the motors go off when the program ends.
+//! HAPTIC_PORT names the board; the default is a simulated board. Functions return 0, or -1 on failure, and write
+//! messages to standard error. No panic crosses the C interface, and the motors go off when the program ends.
 
 #![allow(non_snake_case, reason = "CHAI3D's names")]
 
@@ -15,25 +15,24 @@ use std::sync::{Mutex, PoisonError};
 
 /// The state of the board: not opened yet, failed to open, or open.
 enum Connection {
-    NotYet,
+    NotOpened,
     Failed,
     Open(Box<HdDevice>),
 }
 
-static CONNECTION: Mutex<Connection> = Mutex::new(Connection::NotYet);
+static CONNECTION: Mutex<Connection> = Mutex::new(Connection::NotOpened);
 
 const DONE: c_int = 0;
 const FAILED: c_int = -1;
 
-/// Runs `work` with the board and opens the board first if necessary. After a panic the board is dropped, which disarms
-/// it.
+/// Runs `work` with the board, which is opened first if necessary. A panic of `work` drops the board, which disarms it.
 fn with(id: c_int, work: impl FnOnce(&mut HdDevice) -> bool) -> c_int {
     if id != 0 {
         return FAILED;
     }
     let done = catch_unwind(AssertUnwindSafe(|| {
         let mut connection = CONNECTION.lock().unwrap_or_else(PoisonError::into_inner);
-        if matches!(*connection, Connection::NotYet) {
+        if matches!(*connection, Connection::NotOpened) {
             *connection = match HdDevice::open() {
                 Ok(device) => Connection::Open(Box::new(device)),
                 Err(message) => {
@@ -52,8 +51,8 @@ fn with(id: c_int, work: impl FnOnce(&mut HdDevice) -> bool) -> c_int {
     if done.unwrap_or(false) { DONE } else { FAILED }
 }
 
-/// Turns the motors off when the program ends, even if it closes no device. If the program is killed, the board disarms
-/// because it watches its host.
+/// Turns the motors off when a program ends without closing the device. A killed program does not run this function;
+/// the board then disarms because it watches its host.
 extern "C" fn disarm_at_exit() {
     let _ = catch_unwind(|| {
         if let Ok(mut connection) = CONNECTION.try_lock() {
@@ -112,7 +111,7 @@ pub extern "C" fn hdPhantomClose(id: c_int) -> c_int {
     with(id, HdDevice::disarm)
 }
 
-/// Reads the tip, m; fails while the board is gone.
+/// Reads the position of the tip, m. Fails while the board is lost.
 ///
 /// # Safety
 /// Each pointer is NULL or valid for writing a number.
@@ -122,7 +121,7 @@ pub unsafe extern "C" fn hdPhantomGetPosition(id: c_int, x: *mut f64, y: *mut f6
     with(id, |device| device.position().is_some_and(|position| unsafe { write_numbers([x, y, z], position) }))
 }
 
-/// Reads the tip's velocity, m/s; fails while the board is gone.
+/// Reads the velocity of the tip, m/s. Fails while the board is lost.
 ///
 /// # Safety
 /// Each pointer is NULL or valid for writing a number.
@@ -132,7 +131,7 @@ pub unsafe extern "C" fn hdPhantomGetLinearVelocity(id: c_int, x: *mut f64, y: *
     with(id, |device| device.velocity().is_some_and(|velocity| unsafe { write_numbers([x, y, z], velocity) }))
 }
 
-/// Reads the rows of the orientation: the identity, because no device measures orientation.
+/// Reads the rotation matrix of the handle, which is always the identity because no device measures orientation.
 ///
 /// # Safety
 /// Each pointer is NULL or valid for writing a number.
@@ -164,7 +163,7 @@ pub extern "C" fn hdPhantomGetButtons(_id: c_int) -> c_int {
     0
 }
 
-/// Pushes with a force (N) and returns at the next tick, a millisecond after the previous one.
+/// Pushes with a force (N) and returns at the next tick, 1 ms after the previous tick.
 ///
 /// # Safety
 /// Each pointer is NULL or valid for reading a number.
@@ -211,7 +210,7 @@ pub unsafe extern "C" fn hdPhantomGetWorkspaceRadius(id: c_int, radius: *mut f64
     with(id, |device| unsafe { write_numbers([radius; 3], [device.radius; 3]) })
 }
 
-/// Reads the name of the device, at most 254 bytes and a zero: CHAI3D's buffer has 255.
+/// Reads the name of the device, at most 254 bytes and a zero, because CHAI3D's buffer has 255 bytes.
 ///
 /// # Safety
 /// `name` is NULL or valid for writing 255 bytes.
@@ -235,6 +234,6 @@ pub unsafe extern "C" fn hdPhantomGetType(id: c_int, name: *mut c_char) -> c_int
 #[unsafe(no_mangle)]
 pub extern "C" fn hdPhantomStartServo() {}
 
-/// See [`hdPhantomStartServo`]; the motors go off with [`hdPhantomClose`].
+/// Does nothing, because [`hdPhantomClose`] turns the motors off.
 #[unsafe(no_mangle)]
 pub extern "C" fn hdPhantomStopServo() {}

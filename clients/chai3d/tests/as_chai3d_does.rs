@@ -1,12 +1,13 @@
-//! A program that loads the library like CHAI3D, with simulated boards.
+//! Tests of the library with simulated boards, by a program that loads it like CHAI3D.
 #![cfg(target_os = "linux")]
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-/// Compiles the program and puts the library next to it, under both names.
+/// Compiles the program and links the library, under both names, next to the program. Returns the program and its
+/// folder.
 fn compile_program(name: &str) -> (PathBuf, PathBuf) {
-    // Refers to the crate, so that cargo builds it.
+    // Uses the crate, so that cargo builds it.
     assert_eq!(hdPhantom::hdPhantomGetButtons(0), 0);
     let built = std::env::current_exe().unwrap().parent().unwrap().to_path_buf();
     let folder = built.join(format!("chai3d-{name}"));
@@ -34,7 +35,7 @@ fn run(program: &Path, folder: &Path, port: &str, axes: Option<&str>) -> Output 
     command.envs(axes.map(|axes| ("HAPTIC_AXES", axes))).output().unwrap()
 }
 
-/// Returns the program's output: name, radius, first and last distance from the sphere's middle, tip, seconds, buttons.
+/// Returns the program's output: name, radius, first and last distance from the sphere's centre, tip, seconds, buttons.
 fn output_fields(output: &Output) -> Vec<String> {
     let text = String::from_utf8_lossy(&output.stdout).into_owned();
     assert!(output.status.success(), "{:?}: {text}{}", output.status, String::from_utf8_lossy(&output.stderr));
@@ -51,7 +52,7 @@ fn a_sphere_pushes_the_tip_out_at_1000_ticks_per_second() {
         ("sim", "haptic-bridge coupled-five-bar", Some("-x,y,0")),
         (&phantom, "haptic-bridge phantom-premium-1.5", None),
     ];
-    // Each program waits for its ticks, so they run in parallel.
+    // Runs the programs in parallel, because each waits for its ticks.
     let outputs = std::thread::scope(|scope| {
         let (program, folder) = (&program, &folder);
         all.map(|(port, _, axes)| scope.spawn(move || run(program, folder, port, axes))).map(|run| run.join().unwrap())
@@ -61,18 +62,18 @@ fn a_sphere_pushes_the_tip_out_at_1000_ticks_per_second() {
         let number = |field: usize| output_fields[field].parse::<f64>().unwrap();
         assert_eq!(output_fields[0], name);
         assert!((0.02..0.4).contains(&number(1)), "radius {}", output_fields[1]);
-        // The tip begins at the origin (its home), 10 mm from the middle of a sphere of 20 mm.
+        // The tip begins at the origin (its home), 10 mm from the centre of a sphere with a radius of 20 mm.
         assert!((number(2) - 0.01).abs() < 1e-4, "{output_fields:?}");
         // A tick takes at least a millisecond; on a busy computer it may be late.
         assert!(number(5) > 1.499, "{output_fields:?}");
         assert_eq!(output_fields[6], "0");
         if port != "sim" {
-            // This device falls before its motors are on, because no hand holds it.
+            // Skips this device, which falls before its motors are on because no hand holds it.
             continue;
         }
-        // At the end 0.3 N press the tip into 300 N/m, less friction of up to 0.2 N.
+        // At the end 0.3 N press the tip 1 mm into 300 N/m, less friction of up to 0.2 N.
         assert!((number(3) - 0.019).abs() < 0.7e-3, "{output_fields:?}");
-        // The tip has moved radially away from the middle.
+        // The tip has moved radially away from the centre.
         let tip: Vec<f64> = output_fields[4].split(' ').map(|number| number.parse().unwrap()).collect();
         let (along, across) = (0.6 * tip[0] - 0.8 * tip[1], 0.8 * tip[0] + 0.6 * tip[1]);
         assert!((along - 0.009).abs() < 2e-3 && across.abs() < 4e-3 && tip[2].abs() < 4e-3, "{output_fields:?}");

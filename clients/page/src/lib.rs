@@ -1,18 +1,18 @@
-//! The page of `haptic view` as a file that needs no tool: the library, compiled to WebAssembly, runs behind the page
-//! in a worker of the browser. `cargo xtask playground` combines page, worker (src/worker.js), the code that carries
-//! messages between the two (src/page.js) and this library.
+//! The page of `haptic view` as a file that needs no tool. This library, compiled to WebAssembly, runs in a worker of
+//! the browser. `cargo xtask playground` combines the page, the worker (src/worker.js), the code that carries messages
+//! between the two (src/page.js) and this library.
 //!
-//! The page has the same stage as in the tool: board, boundary, oscilloscope, the rules of the key. A browser provides
-//! neither threads nor a clock, so the worker passes the time to each [`turn`]. Recordings are left out.
+//! The page has the same stage as in the tool, without recordings. The worker passes the time to each [`turn`], because
+//! a WebAssembly library has neither threads nor a clock.
 //!
-//! A board behind a serial port of the browser uses the tool's own client, which waits for replies. While it waits, the
-//! browser suspends this library until bytes arrive (JavaScript Promise Integration). Until then no function that may
-//! wait is called again ([`open_board`], [`turn`], [`finish`]); [`said`] and [`room`] may be called, and the page's
-//! messages go to the hub meanwhile, as in the tool. A page that hangs carries no bytes either, so the stage waits as
-//! long as the page is silent and cannot detect the silence: [`said`] detects it by the page's own clock.
+//! The tool's client talks to a board behind a serial port of the browser. While the client waits for a reply, the
+//! browser suspends this library until bytes arrive (JavaScript Promise Integration). Meanwhile the worker must not
+//! call functions that may wait ([`open_board`], [`turn`], [`finish`]), but may call [`said`] and [`room`], which pass
+//! the page's messages to the hub. A page that hangs carries no bytes, so that the stage waits and cannot detect the
+//! silence of the page; [`said`] detects it by the page's clock.
 //!
-//! Functions can pass only numbers, so text and bytes are in one buffer: the caller of [`room`] writes it, and every
-//! other function leaves its result in it.
+//! Because functions can pass only numbers, text and bytes are in one buffer. The caller of [`room`] writes the buffer,
+//! and every other function writes its result into the buffer.
 
 mod port;
 
@@ -55,9 +55,10 @@ macro_rules! shipped {
     };
 }
 
-/// The worlds to choose from; the first is that of `haptic view --port sim`. Links use the name before the colon.
+/// Devices that the user can choose. The first is the device of `haptic view --port sim`. Links to the page contain the
+/// name before the colon.
 const CHOICES: [Choice; 8] = [
-    Choice { name: "coupled-five-bar: a wall that the feed-forward quiets", device: None, scene: None },
+    Choice { name: "coupled-five-bar: a wall with feed-forward", device: None, scene: None },
     shipped!("haply-2diy" / "disc": "a disc"),
     shipped!("haply-2diy" / "groove": "a groove"),
     shipped!("pantograph-mk2" / "corner": "a corner"),
@@ -71,7 +72,6 @@ impl Choice {
     fn file(&self) -> Result<Option<DeviceFile>, Failure> {
         Ok(self.device.map(|device| DeviceFile::parse(device, self.name)).transpose()?)
     }
-
     fn world(&self) -> Result<World, Failure> {
         let Some(file) = self.file()? else { return World::demo() };
         let task = file.spec().task;
@@ -83,7 +83,7 @@ impl Choice {
     }
 }
 
-/// Returns the world of the board that the page has opened. Its links are drawn if it has the device of a shipped file.
+/// Returns the world of the board that the page has opened. The links are drawn if the board has a shipped device.
 fn connected_world() -> Result<World, Failure> {
     let mut board = Board::over(Box::new(port::PagePort), "USB")?;
     let loaded = board.device()?;
@@ -93,20 +93,20 @@ fn connected_world() -> Result<World, Failure> {
     Ok(World::of(board, files.into_iter().find(is_loaded)))
 }
 
-/// The page, as seen by the stage.
+/// The page's connection to the stage.
 struct Page {
     hub: Hub,
     id: PageId,
-    /// Messages that the page has not fetched.
+    /// Messages that the page has not fetched yet.
     waiting: VecDeque<Message>,
-    /// True if the page carries the bytes of a board.
+    /// True if the page carries the bytes of a real board.
     has_board: bool,
-    /// Time of the page's last message about its key, by its own clock.
+    /// Time of the page's last message about its key, by the page's clock.
     key_time: Duration,
 }
 
 impl Page {
-    /// Queues a message of the page. `at`: time of sending, by the page's clock.
+    /// Queues a message of the page that was sent at the time `at` of the page's clock.
     fn receive(&mut self, at: Duration, mut message: Result<FromPage, String>) {
         let before = match message {
             Ok(FromPage::Arm { .. } | FromPage::Hold { .. }) => std::mem::replace(&mut self.key_time, at),
@@ -120,7 +120,7 @@ impl Page {
 }
 
 thread_local! {
-    // Two cells, because the page sends messages while the stage waits for a board.
+    // Separate cells, because the page sends messages while the stage waits for a board.
     static STAGE: RefCell<Option<Stage>> = const { RefCell::new(None) };
     static PAGE: RefCell<Option<Page>> = const { RefCell::new(None) };
     static BUFFER: RefCell<Vec<u8>> = const { RefCell::new(Vec::new()) };
@@ -130,12 +130,12 @@ fn set_buffer(bytes: impl Into<Vec<u8>>) {
     BUFFER.replace(bytes.into());
 }
 
-/// Applies `apply` to a cell's content; `None` if the cell is empty.
+/// Applies `apply` to the content of a cell. Returns `None` if the cell is empty.
 fn with<T, R>(cell: &'static LocalKey<RefCell<Option<T>>>, apply: impl FnOnce(&mut T) -> R) -> Option<R> {
     cell.with_borrow_mut(|content| content.as_mut().map(apply))
 }
 
-/// Starts with a world; after a failure the buffer has the reason.
+/// Starts with a world. Returns false after a failure, with the reason in the buffer.
 fn start(world: Result<World, Failure>) -> bool {
     let result = world.and_then(|world| {
         let hub = Hub::default();
@@ -148,7 +148,7 @@ fn start(world: Result<World, Failure>) -> bool {
     result.map_err(|failure| set_buffer(failure.to_string())).is_ok()
 }
 
-/// Makes room for `bytes` bytes and returns the address.
+/// Replaces the buffer by a buffer of `bytes` bytes and returns its address.
 #[unsafe(no_mangle)]
 pub extern "C" fn room(bytes: usize) -> *mut u8 {
     set_buffer(vec![0; bytes]);
@@ -167,47 +167,48 @@ pub extern "C" fn length() -> usize {
     BUFFER.with_borrow(Vec::len)
 }
 
-/// Writes the names of the worlds into the buffer, one per line.
+/// Writes the names of the devices to choose from into the buffer, one per line.
 #[unsafe(no_mangle)]
 pub extern "C" fn choices() {
     set_buffer(CHOICES.map(|choice| choice.name).join("\n"));
 }
 
-/// Starts with the world of this number; after a failure the buffer has the reason.
+/// Starts with the device of this number. Returns false after a failure, with the reason in the buffer.
 #[unsafe(no_mangle)]
 pub extern "C" fn open(choice: usize) -> bool {
     let choice = CHOICES.get(choice).ok_or_else(|| Failure::wrong(format!("there is no choice {choice}")));
     start(choice.and_then(Choice::world))
 }
 
-/// Starts with the board behind the port that the page has opened; after a failure the buffer has the reason.
+/// Starts with the board behind the port that the page has opened. Returns false after a failure, with the reason in
+/// the buffer.
 #[unsafe(no_mangle)]
 pub extern "C" fn open_board() -> bool {
     start(connected_world())
 }
 
-/// Ends with the motors off, unless the board was `lost`, which then turns them off itself.
+/// Ends the session with the motors off. A `lost` board turns its motors off by itself.
 #[unsafe(no_mangle)]
 pub extern "C" fn finish(lost: bool) {
     if let Some(mut stage) = STAGE.take() {
-        // A board that does not receive the disarm request receives no key messages either.
+        // Ignores an error, because a board without a connection receives no key messages and turns its motors off.
         let _ = stage.end(lost);
     }
 }
 
-/// Queues the page's message in the buffer, sent at this time of the page's clock.
+/// Queues the page's message in the buffer, which was sent at this time of the page's clock.
 #[unsafe(no_mangle)]
 pub extern "C" fn said(milliseconds: f64) {
     let text = String::from_utf8(BUFFER.take()).map_err(|_| "not a message of this page: it is not text".to_string());
     with(&PAGE, |page| page.receive(duration(milliseconds), text.and_then(|text| FromPage::parse(&text))));
 }
 
-/// Converts milliseconds; a time that is not finite becomes zero.
+/// Converts milliseconds to a duration, and a time that is not finite to zero.
 fn duration(milliseconds: f64) -> Duration {
     Duration::try_from_secs_f64(1e-3 * milliseconds).unwrap_or_default()
 }
 
-/// Runs one turn, `milliseconds` after the start. Returns 1 if there may be more to catch up, 0 if simulated time is up
+/// Runs one turn of the stage, `milliseconds` after the start. Returns 1 if simulated time may be late, 0 if it is up
 /// to date, and 2 if the board is lost, with the reason in the buffer.
 #[unsafe(no_mangle)]
 pub extern "C" fn turn(milliseconds: f64) -> u32 {
@@ -259,11 +260,11 @@ mod tests {
         said(milliseconds);
     }
 
-    /// Plays for `milliseconds` from `from` on. Returns the newest picture, and all refusals.
+    /// Runs the stage for `milliseconds` after the time `from`, ms. Returns the newest picture, and all refusals.
     fn play(from: u32, milliseconds: u32) -> (String, Vec<String>) {
         let (mut picture, mut refused) = (String::new(), Vec::new());
         for millisecond in 0..milliseconds {
-            // Like the worker, repeats until simulated time is up to date. A board has its own time.
+            // Like the worker, repeats until simulated time is up to date, except for a board, which has its own time.
             let mut turned = 1;
             while turned == 1 {
                 turned = turn(f64::from(from + millisecond));
@@ -307,7 +308,7 @@ mod tests {
         assert!(String::from_utf8(BUFFER.take()).unwrap().contains("there is no choice 8"));
     }
 
-    /// Plugs in a simulated board with a device of the list and a wall, as the page's port.
+    /// Plugs a simulated board with a shipped device and a wall into the page's port.
     fn plug_in() -> SharedBoard {
         let file = CHOICES[1].file().unwrap().unwrap();
         let board = SharedBoard::new(ready_board(&file, BoardOptions::default()).unwrap());
@@ -339,7 +340,7 @@ mod tests {
         arm(&picture);
         let (armed, refused) = play(100, 100);
         assert!(armed.contains(r#""state":"Armed""#) && refused.is_empty(), "{armed} {refused:?}");
-        // The page is gone together with its worker: no function is called any more.
+        // The page and its worker end, so that no function is called any more.
         board.lock().run(1.0);
         let status = board.lock().status();
         assert_eq!(status.fault.map(|record| record.fault), Some(Fault::KeyReleased));
@@ -347,7 +348,7 @@ mod tests {
         assert_eq!(other.scene().unwrap().unwrap().walls[0].stiffness, 123.0);
     }
 
-    /// While the page hangs, no turn is called, so the stage receives no step of the board.
+    /// While the page hangs, the stage receives no step of the board.
     #[test]
     fn a_page_that_hung_has_released_its_key() {
         let board = plug_in();
@@ -396,7 +397,7 @@ mod tests {
         assert!(words.contains("haptic scene"), "{words}");
     }
 
-    /// A browser lists the ports by these numbers only.
+    /// A browser lists only ports with the numbers that the page requests.
     #[test]
     fn the_page_requests_boards_by_their_usb_numbers() {
         let filter = format!("usbVendorId: {USB_VENDOR:#06x}, usbProductId: {USB_PRODUCT:#06x}");

@@ -1,6 +1,5 @@
 "use strict";
-// Carries the messages of this page: to a worker instead of a WebSocket, and between the worker and a board over a
-// serial port of this browser.
+// Carries messages between this page and a worker, and bytes between the worker and a board on a serial port.
 {
   const CANNOT = "This browser cannot open a board: Chrome or Edge on a desktop can. The simulation continues.";
   const REAL = "A board with real motors: Space turns them on. Keep an emergency stop in their supply.";
@@ -15,8 +14,8 @@
   device.id = "choice"; lesson.id = "lesson"; open.id = "open"; open.textContent = "Open a board";
   device.setAttribute("aria-label", "Device"); lesson.setAttribute("aria-label", "Set-up of a lesson");
   document.querySelector("header .grow").before(device, lesson, open);
-  // The port of the open board, if there is one; the function that closes the present world; the notice to show after
-  // the first picture.
+  // `port` is the port of the open board, `leave` closes the present device, and `news` is the notice to show after the
+  // first picture.
   let port = null, leave = () => {}, news = null;
   window.playground = () => {
     const choice = Math.max(0, device.selectedIndex), board = port !== null, thread = new Worker(worker);
@@ -29,7 +28,7 @@
       if (before === 1) up();
       carrier.readyState = 3;
       if (!board) { close(); console.error(why); carrier.onclose(); }
-      // If a board was shown, a simulation replaces it only on request.
+      // A lost board stays on the page until the user chooses a simulation.
       else if (before === 1) {
         port = null;
         open.textContent = "Open a board";
@@ -63,7 +62,7 @@
     thread.postMessage({ library, choice, board });
     return carrier;
   };
-  // Returns the index of a link's device, or of its first scene; -1 if it is not requested or not known.
+  // Returns the index of the device in the page's link, or of its first scene; -1 for no device or an unknown device.
   function wanted() {
     const name = view.wanted?.device;
     if (!name) return -1;
@@ -73,8 +72,8 @@
   }
   const lessonShown = () => { lesson.selectedIndex = +(/lesson=(\d)/.exec(location.hash)?.[1] || 0); };
   window.playground.follow = () => { lessonShown(); if (!port && wanted() >= 0 && wanted() !== device.selectedIndex) { device.selectedIndex = wanted(); begin(null); } };
-  // Carries bytes between an open port and a worker. After a temporary error a port has a new stream; an unplugged port
-  // has none.
+  // Carries bytes between an open port and a worker. A port has a new stream after a temporary error, and no stream
+  // after it was unplugged.
   function connected(port, thread) {
     const writer = port.writable.getWriter();
     let reader = null, stream = null, pulled = false;
@@ -112,13 +111,13 @@
     if (port) return begin(null);
     if (!navigator.serial || !WebAssembly.Suspending) return notice(CANNOT);
     let chosen;
-    // The user closed the browser's list without a choice.
+    // Fails if the user closes the browser's list without a choice.
     try { chosen = await navigator.serial.requestPort(BOARDS); } catch { return; }
     try {
       await chosen.open({ baudRate: 115200, bufferSize: 1 << 18 });
       await chosen.setSignals({ dataTerminalReady: true });
     } catch (error) {
-      // An open port that is not used would lock out other programs.
+      // Closes the port, because an open port is locked for other programs.
       await chosen.close().catch(() => {});
       const why = `The port cannot be opened (${error.message}): close the program that uses it.`;
       return notice(`${why} The simulation continues.`);

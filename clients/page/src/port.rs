@@ -1,15 +1,14 @@
-//! The serial port of a board that the page has opened: the worker (src/worker.js) carries its bytes.
+//! The serial port of a board that the page has opened. The worker (src/worker.js) carries its bytes.
 
 use crate::{BUFFER, set_buffer};
 use haptic_host::link::Wire;
 use std::io;
 use std::time::Duration;
 
-/// Extra time for a reply in addition to that of the tool's own ports, because the page's thread carries the bytes and
-/// may be busy.
-const PAGE: Duration = Duration::from_secs(3);
+/// Extra time that a reply may take, because the page's thread, which carries the bytes, may be busy.
+const PAGE_SLACK: Duration = Duration::from_secs(3);
 
-/// The only port.
+/// The port that the page has opened.
 pub struct PagePort;
 
 impl Wire for PagePort {
@@ -33,12 +32,10 @@ impl Wire for PagePort {
     fn now(&self) -> Duration {
         Duration::try_from_secs_f64(1e-3 * worker::now()).unwrap_or_default()
     }
-
     fn slack(&self) -> Duration {
-        PAGE
+        PAGE_SLACK
     }
-
-    // The standard library draws the same numbers in every browser, so the worker draws them.
+    // Uses the worker's numbers, because the standard library draws the same numbers in every browser.
     fn draw(&mut self) -> u32 {
         worker::draw()
     }
@@ -52,16 +49,16 @@ mod worker {
         /// Sends the contents of the buffer.
         pub safe fn send();
         /// Waits at most `milliseconds` for bytes and puts at most `most` bytes into the buffer. Returns false if the
-        /// port is lost: the buffer has the reason.
+        /// port is lost, with the reason in the buffer.
         pub safe fn receive(most: usize, milliseconds: f64) -> bool;
-        /// Returns the time, ms.
+        /// Returns the time of the worker's clock, ms.
         pub safe fn now() -> f64;
         /// Draws a random number.
         pub safe fn draw() -> u32;
     }
 }
 
-/// Another port for tests.
+/// A replacement of the worker for tests.
 #[cfg(not(target_arch = "wasm32"))]
 pub mod worker {
     use crate::{BUFFER, set_buffer};

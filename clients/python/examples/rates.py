@@ -1,4 +1,4 @@
-"""Measures the exchanges per second between a Python program and a board, and their duration: python rates.py [PORT]."""
+"""Measures rate and duration of exchanges between a Python program and a board: python rates.py [PORT]."""
 
 import sys
 import time

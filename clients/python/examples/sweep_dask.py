@@ -1,10 +1,10 @@
-"""Computes how much the feed-forward increases the stable area of walls, over poses and normals, on one or more computers.
+"""Computes the increase of the stable area of walls by the feed-forward, over poses and normals, on one or more computers.
 
     python sweep_dask.py devices/coupled-five-bar.toml                   # on two processes of this computer
     python sweep_dask.py devices/coupled-five-bar.toml tcp://HOST:8786   # on a running cluster
 
-The work is distributed in chunks of poses. A chunk depends only on its arguments, so a chunk of a killed worker is computed
-again elsewhere with the same result.
+The work is distributed in chunks of poses. Another worker repeats the chunk of a killed worker with the same result, because
+a chunk depends only on its arguments.
 """
 
 import sys
@@ -26,7 +26,7 @@ def grid(device, points, angles):
 
 
 def chunk(device_text, q, normals):
-    """Returns (n, 3): Weff, Wrr and the gain in area. Runs on a worker, which needs haptic_bridge but no files."""
+    """Returns (n, 3): Weff, Wrr and the ratio of the areas. Runs on a worker, which needs haptic_bridge but no files."""
     device = hb.Device.parse(device_text)
     found = device.range(q, normals, rate_hz=20_000, cutoff_hz=500, delay=0.5, kd=[], singular="nan")
     return np.stack([found["w_eff"], found["w_rr"], found["area_ratio"]], axis=-1)
@@ -57,7 +57,7 @@ def main(path, address=None):
     with open(path) as file:
         text = file.read()
     q, normals = grid(hb.Device.parse(text), points=100, angles=12)
-    # A cluster that was already running keeps running.
+    # Closes only the local cluster.
     with (nullcontext(address) if address else local()) as cluster, Client(cluster) as client:
         found = on_a_cluster(client, text, q, normals)
     median, most = np.nanquantile(found[:, 2], [0.5, 0.9])

@@ -1,10 +1,10 @@
-//! Conversion between numpy arrays and plain numbers.
+//! Converts between numpy arrays and Rust numbers.
 
 use crate::errors::RequestError;
 use numpy::{IxDyn, PyArray, PyArrayDyn, PyArrayMethods, PyReadonlyArrayDyn, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 
-/// Rows of `width` numbers; `shape` is the leading part of the array's shape [..., width].
+/// Rows of numbers from an array of shape [..., width], where `shape` is the shape without its last dimension.
 pub struct Rows {
     pub shape: Vec<usize>,
     pub rows: Vec<Vec<f64>>,
@@ -12,7 +12,7 @@ pub struct Rows {
 
 /// Reads rows of `width` numbers from anything that numpy can convert.
 pub fn rows(what: &str, input: &Bound<'_, PyAny>, width: usize) -> PyResult<Rows> {
-    // Arrays that were received over a network may be unaligned.
+    // Requires an aligned array in C order, because an array that was received over a network may be unaligned.
     let array = input.py().import("numpy")?.call_method1("require", (input, "float64", ["C", "A"]))?;
     let array: PyReadonlyArrayDyn<'_, f64> = array.extract()?;
     let shape = array.shape().to_vec();
@@ -29,13 +29,13 @@ pub fn rows(what: &str, input: &Bound<'_, PyAny>, width: usize) -> PyResult<Rows
 }
 
 impl Rows {
-    /// Returns one row for each of `poses`; a single row applies to all.
+    /// Returns one row for each of `poses`, to all of which a single row applies.
     pub fn broadcast_to(self, what: &str, poses: &Rows) -> PyResult<Vec<Vec<f64>>> {
         match self.rows.len() {
             1 if self.shape.is_empty() => Ok(vec![self.rows[0].clone(); poses.rows.len()]),
             _ if self.shape == poses.shape => Ok(self.rows),
             _ => Err(RequestError::new_err(format!(
-                "{what} has the shape {:?} but the poses {:?}; give one, or one for each pose",
+                "{what} has the shape {:?}, but the poses have {:?}; give one, or one for each pose",
                 self.shape, poses.shape
             ))),
         }

@@ -1,4 +1,4 @@
-//! Boards: real ones, and simulated ones in this process.
+//! Real boards, and boards that are simulated in this process.
 
 use crate::arrays::{array, list};
 use crate::device::{PyDevice, Scene};
@@ -22,8 +22,8 @@ use std::time::Duration;
 /// Longest wait for telemetry between two checks for Ctrl-C.
 const SIGNAL_INTERVAL: Duration = Duration::from_millis(100);
 
-/// The device's state in the reply to a request (docs/host-force.md). Arrays have three entries, 0 for axes that the
-/// device does not have.
+/// The device's state in the reply to a request (docs/host-force.md). Arrays have three entries, which are 0 for axes
+/// that the device lacks.
 #[pyclass(frozen, module = "haptic_bridge")]
 pub struct State {
     reply: ForceAnswer,
@@ -37,12 +37,12 @@ impl State {
     fn done(&self) -> String {
         self.reply.done.to_string()
     }
-    /// True if the request acts.
+    /// True if the board has accepted the request, which then acts.
     #[getter]
     fn taken(&self) -> bool {
         self.reply.done == ForceDone::Taken
     }
-    /// Disarmed, Armed, CheckingPolarity or Fault.
+    /// State of the board: Disarmed, Armed, CheckingPolarity or Fault.
     #[getter]
     fn state(&self) -> &'static str {
         STATES[self.reply.state as usize]
@@ -67,7 +67,7 @@ impl State {
     fn share(&self) -> f32 {
         self.reply.share
     }
-    /// Tip, m, shape (3,).
+    /// Position of the tip, m, shape (3,).
     #[getter]
     fn tip<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
         list(py, &self.reply.tip)
@@ -127,10 +127,10 @@ struct OpenBoard {
 
 /// A board that this program holds.
 ///
-/// Board(port): a serial port or serial number, "tcp:HOST:PORT", "sim" or "sim:DEVICE.toml"; by default the only
-/// connected board. Use it in a `with` block: the motors go off when the block ends for any reason, and when the Board
-/// is deleted. Calls from several threads wait for each other; none holds the interpreter's lock while it waits for the
-/// board.
+/// Board(port): port is a serial port or serial number, "tcp:HOST:PORT", "sim" or "sim:DEVICE.toml"; by default the
+/// only connected board. Use a Board in a `with` block, so that the motors go off when the block ends for any reason.
+/// They also go off when the Board is deleted. Calls from several threads wait for each other, and release the
+/// interpreter's lock while they wait for the board.
 #[pyclass(frozen, module = "haptic_bridge")]
 pub struct Board(Mutex<Option<OpenBoard>>);
 
@@ -138,7 +138,6 @@ impl Board {
     pub fn of(session: Session) -> Self {
         Self(Mutex::new(Some(OpenBoard { session, stream: None })))
     }
-
     fn with<T: Send>(
         &self,
         py: Python<'_>,
@@ -151,7 +150,7 @@ impl Board {
         })
     }
 
-    /// Runs `work` with the board, and ends the stream first.
+    /// Ends the stream, then runs `work` with the board.
     pub fn with_board<T: Send>(
         &self,
         py: Python<'_>,
@@ -169,14 +168,14 @@ impl Board {
             Ok(State { reply, fault: open.session.fault() })
         })?;
         match state.reply.done {
-            // `Seen` is no error: a restarted board does not know the step, and the next request is independent.
+            // `Seen` is not an error, because a restarted board does not know the step and may accept the next request.
             ForceDone::Bad(bad) if bad != BadForce::Seen => Err(RequestError::new_err(state.reply.done.to_string())),
             _ => Ok(state),
         }
     }
 }
 
-/// Pads a vector to three entries; it must have 1 to 3.
+/// Pads a vector of 1 to 3 entries to three entries.
 fn vector(what: &str, entries: &[f64]) -> PyResult<[f32; 3]> {
     if entries.is_empty() || entries.len() > 3 {
         return Err(RequestError::new_err(format!("{what} has {} entries, but must have 1 to 3", entries.len())));
@@ -199,23 +198,19 @@ impl Board {
     fn __enter__(slf: PyRef<'_, Self>) -> PyRef<'_, Self> {
         slf
     }
-
     #[pyo3(signature = (*_error))]
     fn __exit__(&self, py: Python<'_>, _error: &Bound<'_, pyo3::types::PyTuple>) {
         self.close(py);
     }
-
     fn __repr__(&self, py: Python<'_>) -> String {
         let port = self.with(py, |open| Ok(open.session.port().to_owned()));
         port.map_or_else(|_| "<Board, closed>".into(), |port| format!("<Board at {port}>"))
     }
-
     /// Disarms the board and closes it. Closing it again has no effect.
     fn close(&self, py: Python<'_>) {
         py.detach(|| drop(self.0.lock().unwrap_or_else(PoisonError::into_inner).take()));
     }
-
-    /// Description of the board: a dict of board, serial, firmware, protocol and port.
+    /// Description of the board: a dict with board, serial, firmware, protocol and port.
     #[getter]
     fn info<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let (info, port) = self.with(py, |open| Ok((open.session.info().clone(), open.session.port().to_owned())))?;
@@ -228,20 +223,18 @@ impl Board {
         Ok(dict)
     }
 
-    /// Disarmed, Armed, CheckingPolarity or Fault.
+    /// State of the board: Disarmed, Armed, CheckingPolarity or Fault.
     #[getter]
     fn state(&self, py: Python<'_>) -> PyResult<&'static str> {
         self.with(py, |open| Ok(STATES[open.session.status()?.state as usize]))
     }
-
     /// Latched fault with its remedy; None without a fault.
     #[getter]
     fn fault(&self, py: Python<'_>) -> PyResult<Option<String>> {
         self.with(py, |open| Ok(open.session.status()?.fault.as_ref().map(fault_text)))
     }
-
-    /// Loads a device and a scene; without a scene, free space. Motors must be off. The device must be homed again; the
-    /// polarity check stays valid if the same device is loaded again and homed close to its earlier home.
+    /// Loads a device and a scene (without a scene, free space). The motors must be off. The device must be homed
+    /// again. The polarity check stays valid if the same device is loaded again and homed close to its earlier home.
     #[pyo3(signature = (device, scene = None))]
     fn load(&self, py: Python<'_>, device: &PyDevice, scene: Option<&Scene>) -> PyResult<()> {
         let data = device.file.device().map_err(|error| RequestError::new_err(error.to_string()))?;
@@ -249,7 +242,7 @@ impl Board {
         self.set_scene(py, scene)
     }
 
-    /// Loads a scene for the present device, which stays homed; without a scene, free space. Motors must be off.
+    /// Loads a scene (without a scene, free space) for the present device, which stays homed. The motors must be off.
     #[pyo3(signature = (scene = None))]
     fn set_scene(&self, py: Python<'_>, scene: Option<&Scene>) -> PyResult<()> {
         let scene = scene.map(|scene| scene.file.scene()).transpose();
@@ -265,9 +258,8 @@ impl Board {
     fn home(&self, py: Python<'_>) -> PyResult<()> {
         self.with(py, |open| open.session.home())
     }
-
-    /// Checks that every motor turns its joint in the direction that its encoder counts. Moves each joint a little and
-    /// waits for the end of the check. Raises RefusedError if a joint fails or the check was ended early.
+    /// Checks that every motor turns its joint in the direction in which the encoder counts. Moves each joint a little
+    /// and waits for the end of the check. Raises RefusedError if a joint fails or another program ends the check.
     fn check_polarity(&self, py: Python<'_>) -> PyResult<()> {
         let outcome = self.with(py, |open| {
             open.session.check_polarity()?;
@@ -276,22 +268,19 @@ impl Board {
         outcome.passed().map_err(|failure| errors::refused(&failure.to_string()))
     }
 
-    /// Turns the motors on; torque ramps up over half a second. Then call look, force or torque as often as the board's
-    /// rules require a heartbeat: by default every half second.
+    /// Turns the motors on; the torque ramps up over 0.5 s. Then call look, force or torque as often as the board's
+    /// rules require a heartbeat, by default every 0.5 s.
     fn arm(&self, py: Python<'_>) -> PyResult<()> {
         self.with(py, |open| open.session.arm())
     }
-
     /// Turns the motors off.
     fn disarm(&self, py: Python<'_>) -> PyResult<()> {
         self.with(py, |open| open.session.disarm())
     }
-
     /// Clears a latched fault.
     fn clear(&self, py: Python<'_>) -> PyResult<()> {
         self.with(py, |open| open.session.clear())
     }
-
     /// Changes one wall's stiffness (N/m) and damping (N s/m), also while it is in contact.
     fn set_gains(&self, py: Python<'_>, wall: u8, stiffness: f32, damping: f32) -> PyResult<()> {
         let result = self.with(py, |open| {
@@ -307,8 +296,8 @@ impl Board {
             .map_err(|walls| RequestError::new_err(format!("the scene has {walls} walls, so there is no wall {wall}")))
     }
 
-    /// Sets the time for which look, force and torque wait for their reply, s. By default they wait for 0.1 and retry
-    /// for one second in total. Without a reply they raise UnansweredError, and the next request is independent.
+    /// Sets the time for which look, force and torque wait for their reply, s. By default they wait for 0.1 s and retry
+    /// for 1 s in total. Without a reply they raise UnansweredError; the next request may succeed.
     fn wait_for_forces(&self, py: Python<'_>, seconds: f64) -> PyResult<()> {
         let patience = Duration::try_from_secs_f64(seconds)
             .map_err(|_| RequestError::new_err(format!("a time must be at least 0 s, not {seconds}")))?;
@@ -318,18 +307,17 @@ impl Board {
         })
     }
 
-    /// Reads the device's state without a request to the motors; counts as a heartbeat.
+    /// Reads the device's state without a request to the motors. The call is also a heartbeat.
     fn look(&self, py: Python<'_>) -> PyResult<State> {
         self.exchange(py, ForceRequest::default())
     }
-
     /// Pushes with a force (N) at the tip, up to 3 entries in the task frame, which replaces the previous request.
     ///
-    /// hold_s: time for which it acts in full; fade_s: time in which it then fades to zero; 0 to 0.2 s each. contact:
-    /// (point (m), unit normal, stiffness (N/m), damping (N s/m)) of a plane that the board renders at its own rate. An
-    /// invalid number raises RequestError; a request that is refused for another reason raises nothing: State.done
-    /// gives the reason.
-    #[pyo3(signature = (force, *, contact = None, hold_s = link::HOLD, fade_s = link::FADE))]
+    /// hold_s: time for which the request acts in full, 0 to 0.2 s; fade_s: time in which it then fades to zero, 0 to
+    /// 0.2 s. contact: (point (m), unit normal, stiffness (N/m), damping (N s/m)) of a plane that the board renders at
+    /// its own rate. An invalid number raises RequestError. For a request that is refused for another reason,
+    /// State.done gives the reason and nothing is raised.
+    #[pyo3(signature = (force, *, contact = None, hold_s = link::HOLD_S, fade_s = link::FADE_S))]
     fn force(
         &self,
         py: Python<'_>,
@@ -352,15 +340,14 @@ impl Board {
         self.exchange(py, ForceRequest { hold: hold_s, fade: fade_s, force, contact, ..ForceRequest::default() })
     }
 
-    /// Pushes with torques (N m) at the joints, which replaces the previous request; hold_s and fade_s as for force.
-    #[pyo3(signature = (torque, *, hold_s = link::HOLD, fade_s = link::FADE))]
+    /// Pushes with torques (N m) at the joints, which replaces the previous request. See force for hold_s and fade_s.
+    #[pyo3(signature = (torque, *, hold_s = link::HOLD_S, fade_s = link::FADE_S))]
     fn torque(&self, py: Python<'_>, torque: Vec<f64>, hold_s: f32, fade_s: f32) -> PyResult<State> {
         let torque = vector("the torques", &torque)?;
         self.exchange(py, ForceRequest { hold: hold_s, fade: fade_s, torque, ..ForceRequest::default() })
     }
-
-    /// Starts a stream of every `divider`-th control period's fields (names of docs/telemetry.md separated by commas,
-    /// or "usual", "all"). Returns the column names of `rows`.
+    /// Starts a stream of fields (names of docs/telemetry.md separated by commas, or "usual", "all") at every
+    /// `divider`-th control period. Returns the column names of `rows`.
     #[pyo3(signature = (fields = "usual", divider = 1))]
     fn start_stream(&self, py: Python<'_>, fields: &str, divider: u32) -> PyResult<Vec<String>> {
         let fields = link::fields(fields).map_err(RequestError::new_err)?;
@@ -372,7 +359,8 @@ impl Board {
         })
     }
 
-    /// Returns the rows that have come, shape (rows, columns), `step` first; waits at most timeout_s for the first.
+    /// Returns the received rows, shape (rows, columns), with `step` as first column. Waits at most timeout_s (s) for
+    /// the first row.
     #[pyo3(signature = (timeout_s = 0.1))]
     fn rows<'py>(&self, py: Python<'py>, timeout_s: f64) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
         let timeout =
@@ -397,8 +385,7 @@ impl Board {
     fn stop_stream(&self, py: Python<'_>) -> PyResult<()> {
         self.with(py, |open| open.session.stop_stream())
     }
-
-    /// Losses of the stream so far: a dict of received, missing, dropped_by_board, batches_lost, garbled.
+    /// Losses of the stream so far: a dict with received, missing, dropped_by_board, batches_lost and garbled.
     #[getter]
     fn losses<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let losses = self.with(py, |open| Ok(open.session.losses()))?;
@@ -411,7 +398,7 @@ impl Board {
         Ok(dict)
     }
 
-    /// Records the board for `seconds` of its own time and returns a Recording, with `step` as first column.
+    /// Records the board for `seconds` of the board's time and returns a Recording with `step` as first column.
     #[pyo3(signature = (seconds, fields = "usual", divider = 1))]
     fn record(&self, py: Python<'_>, seconds: f64, fields: &str, divider: u32) -> PyResult<Recording> {
         let columns = self.start_stream(py, fields, divider)?;
@@ -443,7 +430,7 @@ fn row_with_step(row: &Row) -> Vec<f64> {
     std::iter::once(f64::from(row.step)).chain(row.values.iter().copied()).collect()
 }
 
-/// Lists the connected boards: dicts with port, serial and board.
+/// Returns the connected boards as dicts with port, serial and board.
 #[pyfunction]
 pub fn boards(py: Python<'_>) -> PyResult<Vec<Bound<'_, PyDict>>> {
     let (found, _) = py.detach(link::boards);

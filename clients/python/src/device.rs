@@ -1,4 +1,4 @@
-//! Devices: model, range and map as arrays.
+//! The model, range and map of a device as arrays.
 
 use crate::arrays::{Rows, array, list, rows};
 use crate::errors::{ImpossibleError, RequestError, failure};
@@ -36,7 +36,7 @@ pub fn parse_word<T: Copy>(what: &str, given: &str, all: &[(&str, T)]) -> PyResu
     })
 }
 
-/// Unwraps the result of each pose. If `keep`, an impossible pose becomes `None`; any other error ends the call.
+/// Unwraps the result of each pose. An impossible pose becomes `None` if `keep`. Any other error is returned.
 fn unwrap_poses<T>(found: Vec<Result<T, Failure>>, keep: bool) -> PyResult<Vec<Option<T>>> {
     let many = found.len() > 1;
     found
@@ -59,12 +59,12 @@ fn unwrap_poses<T>(found: Vec<Result<T, Failure>>, keep: bool) -> PyResult<Vec<O
         .collect()
 }
 
-/// Maximum number of poses whose model is computed in the caller's thread, in microseconds each: starting two threads
-/// takes longer, and a controller requests one pose at a time.
+/// Maximum number of poses whose model is computed in the caller's thread, because the model of a pose takes
+/// microseconds, less than the start of a thread.
 const MAX_IN_CALLER: usize = 64;
 
-/// Computes the results of `count` poses with the interpreter's lock released: at most `alone` poses in this thread,
-/// more on all cores, where Ctrl-C ends the computation.
+/// Computes the results of `count` poses with the interpreter's lock released. Up to `alone` poses are computed in this
+/// thread, more poses on all cores, where Ctrl-C ends the computation.
 fn compute_poses<T: Send>(
     py: Python<'_>,
     count: usize,
@@ -83,7 +83,7 @@ fn compute_poses<T: Send>(
     })
 }
 
-/// Runs `work` with the interpreter's lock released; Ctrl-C sets its stop flag and ends the call.
+/// Runs `work` with the interpreter's lock released. Ctrl-C sets the stop flag of `work` and ends the call.
 fn run_until_ctrl_c<T: Send>(py: Python<'_>, work: impl FnOnce(&AtomicBool) -> T + Send) -> PyResult<T> {
     let (stop, done) = (AtomicBool::new(false), AtomicBool::new(false));
     py.detach(|| {
@@ -107,7 +107,7 @@ fn run_until_ctrl_c<T: Send>(py: Python<'_>, work: impl FnOnce(&AtomicBool) -> T
     })
 }
 
-/// Collects columns over the poses: `tail` numbers each, NaN for a pose without a result.
+/// Writes columns over the poses into a dict: `tail` numbers for each pose, NaN for a pose without a result.
 struct Columns<'py, 'a, T> {
     into: Bound<'py, PyDict>,
     shape: &'a [usize],
@@ -125,13 +125,13 @@ impl<T> Columns<'_, '_, T> {
 
 /// A device from a checked device file (docs/files.md).
 ///
-/// N joints, d task dimensions; SI units, angles in rad. Poses are arrays of shape (..., N): one pose (N,) or any
-/// number of them; results have the same leading shape. The interpreter's lock is released during the computation; many
-/// poses are computed on all cores.
+/// The device has N joints and d task dimensions. All numbers are in SI units, angles in rad. Poses are arrays of shape
+/// (..., N), also a single pose (N,). Results have the same leading shape. Many poses are computed on all cores,
+/// without the interpreter's lock.
 #[pyclass(name = "Device", frozen, module = "haptic_bridge")]
 pub struct PyDevice {
     pub file: DeviceFile,
-    /// Text of the file, for pickling.
+    /// Text of the file, which is pickled.
     document: Document,
 }
 
@@ -147,69 +147,60 @@ impl PyDevice {
     fn new(path: PathBuf) -> PyResult<Self> {
         read(Document::load(&path).map_err(failure)?)
     }
-
-    /// Reads a device from a text; messages call its file `origin`.
+    /// Reads a device from a text. Error messages name `origin` as the file.
     #[staticmethod]
     #[pyo3(signature = (text, origin = "device.toml"))]
     fn parse(text: &str, origin: &str) -> PyResult<Self> {
         read(Document::new(text, origin))
     }
-
-    /// For pickle: the text of the device file, which can be unpickled on another computer.
+    /// Pickles the text of the device file, which can be unpickled on another computer.
     fn __reduce__<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyAny>, (String, String))> {
         let parse = py.get_type::<Self>().getattr("parse")?;
         Ok((parse, (self.document.text().to_owned(), self.document.path().display().to_string())))
     }
-
     /// Name of the device.
     #[getter]
     fn name(&self) -> &str {
         &self.file.name
     }
-
     /// Kind of mechanism: paddle, five-bar, five-bar-turret, parallelogram or serial-3r.
     #[getter]
     fn mechanism(&self) -> &'static str {
         self.file.spec().name
     }
-
     /// Number of joints N.
     #[getter]
     fn joints(&self) -> usize {
         self.file.spec().joints
     }
-
     /// Task dimension d.
     #[getter]
     fn task(&self) -> usize {
         self.file.spec().task
     }
-
-    /// Pose that homing declares, rad, shape (N,); None if the file has none.
+    /// Home pose, rad, shape (N,); None if the file has no home.
     #[getter]
     fn home<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyArrayDyn<f64>>>> {
         self.file.description.home.map(|home| list(py, &home[..self.joints()])).transpose()
     }
-
-    /// Entries that must be added before a real board arms; empty if the file is complete.
+    /// Entries that the file must have before a real board arms; empty if the file is complete.
     #[getter]
     fn lacks(&self) -> Vec<String> {
         self.file.missing_for_board()
     }
-
     fn __repr__(&self) -> String {
         format!("<Device {}: {}, {} joints>", self.file.name, self.mechanism(), self.joints())
     }
-
     /// Computes the model at poses, like `haptic model`.
     ///
-    /// q: (..., N) rad. qd: (..., N) rad/s, zero by default. With a wall's normal (d,) or (..., d) of any length and
-    /// its force in N, the result includes the terms of equation (4). precision "f32" uses a board's mechanism and
-    /// sines.
+    /// q: (..., N) rad. qd: (..., N) rad/s, by default zero. With the normal (d,) or (..., d) of a wall, of any length,
+    /// and its force (N), the result includes the terms of equation (4). With precision "f32" the mechanism and the
+    /// sines are computed as on a board.
     ///
-    /// Returns a dict of arrays: position (..., d) m, jacobian (..., d, N) m/rad, mass (..., N, N) kg m², bias (..., N)
-    /// N m: c + g; condition_jacobian, condition_mass (...). With a normal: w_rr, w_eff, coupling (...) kg, w_ra (...,
-    /// N-1), w_aa (..., N-1, N-1), z_r (...) N, z_a, f_a (..., N-1), torque, torque_without_feed_forward (..., N) N m.
+    /// Returns a dict of arrays: position (..., d) m, jacobian (..., d, N) m/rad, mass (..., N, N) kg m², bias c + g
+    /// (..., N) N m; condition_jacobian, condition_mass (...). With a normal: w_rr, w_eff, coupling (...) kg, w_ra
+    /// (..., N-1), w_aa (..., N-1, N-1), z_r (...) N, z_a, f_a (..., N-1), torque, torque_without_feed_forward (..., N)
+    /// N m.
     ///
     /// A singular pose raises ImpossibleError, or becomes NaN with singular="nan".
     #[pyo3(signature = (q, *, qd = None, normal = None, force = 0.0, precision = "f64", admissible = "orientation", singular = "raise"))]
@@ -275,15 +266,15 @@ impl PyDevice {
     /// Predicts which walls are stable at poses, like `haptic range` (rates and cutoffs in Hz, delay in control
     /// samples).
     ///
-    /// q: (..., N) rad; normal: (d,) or (..., d). kd: the k dampings (N s/m) of the boundary's points; by default k is
-    /// 200, in even steps up to kd_max. estimator: butterworth, first-order, backward-difference or predicted. drive:
-    /// ideal, voltage or current. hand: (kg, N s/m, N/m). posture: stiffness and damping that hold a redundant device's
-    /// posture, (N m/rad, N m s/rad). host_rate_hz and host_delay_s (s, by default one request's time) add the analysis
-    /// of a wall that a program on a computer renders.
+    /// q: (..., N) rad; normal: (d,) or (..., d). kd: the k dampings (N s/m) of the boundary's points, by default 200
+    /// in even steps up to kd_max. estimator: butterworth, first-order, backward-difference or predicted. drive: ideal,
+    /// voltage or current. hand: mass, damping and stiffness (kg, N s/m, N/m). posture: stiffness and damping (N m/rad,
+    /// N m s/rad) that hold the posture of a redundant device. host_rate_hz and host_delay_s (s, by default one
+    /// request's time) add the analysis of a wall that a program on a computer renders.
     ///
-    /// Returns a dict: w_eff, w_rr (...) kg, area_ratio (...), and for each of "off", "full", "washout" (with
-    /// washout_hz) and "host" a dict of area (...) N² s/m², kd_max (...) N s/m, kd and kp (..., k) in N s/m and N/m.
-    /// Stable islands above the boundary are not included.
+    /// Returns a dict: w_eff, w_rr (...) kg, area_ratio (...), and for each of "off", "full", "washout" (if washout_hz
+    /// is set) and "host" (if host_rate_hz is set) a dict of area (...) N² s/m², kd_max (...) N s/m, kd (..., k) N s/m
+    /// and kp (..., k) N/m. Stable islands above the boundary are not included.
     ///
     /// A singular pose raises ImpossibleError, or becomes NaN with singular="nan".
     #[pyo3(signature = (
@@ -344,14 +335,14 @@ impl PyDevice {
         let hand = hand.map_or(Hand::default(), |(mass, damping, stiffness)| Hand { mass, damping, stiffness });
         if [hand.mass, hand.damping, hand.stiffness].iter().any(|number| !(number.is_finite() && *number >= 0.0)) {
             return Err(RequestError::new_err(
-                "a hand is mass (kg), damping (N s/m) and stiffness (N/m), none negative",
+                "hand must be mass (kg), damping (N s/m) and stiffness (N/m), none negative",
             ));
         }
         let posture = posture.map(|(stiffness, damping)| Posture { stiffness, damping });
         if let Some(held) = posture {
             if ![held.stiffness, held.damping].iter().all(|number| number.is_finite() && *number >= 0.0) {
                 return Err(RequestError::new_err(
-                    "a posture is stiffness (N m/rad) and damping (N m s/rad), none negative",
+                    "posture must be stiffness (N m/rad) and damping (N m s/rad), none negative",
                 ));
             }
             if self.joints() == self.task() {
@@ -362,7 +353,7 @@ impl PyDevice {
             }
         }
         if host_delay_s.is_some() && host_rate_hz.is_none() {
-            return Err(RequestError::new_err("host_delay_s without host_rate_hz"));
+            return Err(RequestError::new_err("host_delay_s needs host_rate_hz too"));
         }
         let host = host_rate_hz.map(|hz| Host { rate_hz: hz, delay_s: host_delay_s.unwrap_or(1.0 / hz) });
         let keep = keeps_singular(singular)?;
@@ -414,12 +405,12 @@ impl PyDevice {
         Ok(columns.into)
     }
 
-    /// Computes the inertia over the reachable workspace, like `haptic map`, on a grid of about `points` poses. M poses
-    /// are reachable.
+    /// Computes the inertia at the M reachable poses of a grid of about `points` poses, like `haptic map`.
     ///
     /// Returns a dict of arrays: q (M, N) rad, position (M, d) m, w_eff, w_rr, coupling (M,) kg along the normal (d,),
     /// condition_jacobian, condition_mass (M,), worst_ratio (M,), worst_ratio_normal (M, d), worst_coupling (M,) kg,
-    /// worst_coupling_normal (M, d), eigenvalues (M, d) kg ascending, eigenvectors (M, d, d), the k-th at [:, k].
+    /// worst_coupling_normal (M, d), eigenvalues (M, d) kg ascending, eigenvectors (M, d, d) of which the k-th is [:,
+    /// k].
     #[pyo3(signature = (normal, *, points = 2000, admissible = "orientation"))]
     fn map<'py>(
         &self,
@@ -454,11 +445,10 @@ impl PyDevice {
 }
 
 impl PyDevice {
-    /// Reads unit normals, one for each pose.
+    /// Reads normals and converts them to unit normals, one for each pose.
     fn unit_normals(&self, given: &Bound<'_, PyAny>, poses: &Rows) -> PyResult<Vec<Vec<f64>>> {
         self.to_unit_vectors(rows("normal", given, self.task())?.broadcast_to("normal", poses)?)
     }
-
     /// Converts normals to unit vectors.
     pub fn to_unit_vectors(&self, normals: Vec<Vec<f64>>) -> PyResult<Vec<Vec<f64>>> {
         let (n, d) = (self.joints(), self.task());
@@ -487,26 +477,22 @@ impl Scene {
     fn new(path: PathBuf, task: usize) -> PyResult<Self> {
         Ok(Self { file: SceneFile::load(path, task).map_err(failure)? })
     }
-
-    /// Reads a scene from a text; messages call its file `origin`.
+    /// Reads a scene from a text. Error messages name `origin` as the file.
     #[staticmethod]
     #[pyo3(signature = (text, task, origin = "scene.toml"))]
     fn parse(text: &str, task: usize, origin: &str) -> PyResult<Self> {
         Ok(Self { file: SceneFile::parse(text, origin, task).map_err(failure)? })
     }
-
     /// Number of walls.
     #[getter]
     fn walls(&self) -> usize {
         self.file.scene.walls.len()
     }
-
     /// Rate of the control steps, Hz.
     #[getter]
     fn rate_hz(&self) -> f64 {
         self.file.scene.rate_hz
     }
-
     fn __repr__(&self) -> String {
         format!("<Scene: {} walls at {} Hz>", self.walls(), self.rate_hz())
     }

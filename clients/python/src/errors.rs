@@ -11,14 +11,9 @@ create_exception!(
     haptic_bridge,
     HapticError,
     PyException,
-    "A failed operation of haptic-bridge; its text gives the reason."
+    "A failed operation of haptic-bridge, with the reason as its text."
 );
-create_exception!(
-    haptic_bridge,
-    RequestError,
-    HapticError,
-    "A file or an argument is wrong; repeating the call does not help."
-);
+create_exception!(haptic_bridge, RequestError, HapticError, "A file or an argument is wrong.");
 create_exception!(
     haptic_bridge,
     ImpossibleError,
@@ -30,7 +25,7 @@ create_exception!(
     haptic_bridge,
     UnansweredError,
     LinkError,
-    "A reply did not come in time: the board or the computer was busy. The next request is independent."
+    "A reply did not come in time, because the board or the computer was busy. The next request may succeed."
 );
 create_exception!(haptic_bridge, RefusedError, HapticError, "The board refused the request.");
 
@@ -44,7 +39,7 @@ const CALLS: [(&str, &str); 6] = [
     ("faults --clear", "Board.clear()"),
 ];
 
-/// Converts a failure of the tool.
+/// Converts a failure of the tool to an exception.
 pub fn failure(failure: impl Into<Failure>) -> PyErr {
     let failure = failure.into();
     match failure.blame() {
@@ -53,7 +48,7 @@ pub fn failure(failure: impl Into<Failure>) -> PyErr {
     }
 }
 
-/// Converts an error of a board.
+/// Converts an error of a board to an exception.
 pub fn board(error: BoardError) -> PyErr {
     match error {
         BoardError::Link(error) => link(error),
@@ -61,7 +56,7 @@ pub fn board(error: BoardError) -> PyErr {
     }
 }
 
-/// Creates a RefusedError.
+/// Creates a RefusedError with this message.
 pub fn refused(message: &str) -> PyErr {
     RefusedError::new_err(in_calls(message))
 }
@@ -71,7 +66,7 @@ pub fn in_calls(message: &str) -> String {
     commands_to_calls(message, &CALLS)
 }
 
-/// Converts an error of the link to a board.
+/// Converts an error of the link to a board to an exception.
 pub fn link(error: HostLinkError) -> PyErr {
     match error {
         HostLinkError::CannotSimulate(_) => RequestError::new_err(error.to_string()),

@@ -1,5 +1,5 @@
-//! haptic-bridge for Python: the module `haptic_bridge._native`, whose classes and functions `haptic_bridge` exports.
-//! Arguments and results are documented at their functions and typed in `haptic_bridge/_native.pyi`.
+//! The module `haptic_bridge._native`, whose classes and functions the Python package `haptic_bridge` exports.
+//! `haptic_bridge/_native.pyi` has the types of arguments and results.
 #![forbid(unsafe_code)]
 
 mod arrays;

@@ -1,4 +1,4 @@
-//! Measurement of the stable range on a board.
+//! Measures the stable range of walls on a board.
 
 use crate::arrays::{array, list, rows};
 use crate::board::Board;
@@ -8,7 +8,7 @@ use haptic_host::device_file::DeviceFile;
 use haptic_host::haptic_bridge::model::admissible::Admissible;
 use haptic_host::haptic_bridge::model::device::Device as DeviceData;
 use haptic_host::haptic_bridge::render::scene::FeedForward;
-use haptic_host::link::Board as Linked;
+use haptic_host::link::Board as HostBoard;
 use haptic_predict::measure::campaign::Plan;
 use haptic_predict::measure::occasion::{self, Occasion};
 use haptic_predict::measure::progress::{Point, Progress};
@@ -37,43 +37,43 @@ struct MeasurementRequest {
 }
 
 /// The result of a measurement.
-struct Measured {
+struct MeasurementResult {
     progress: Progress,
     around: Loop,
     /// Smallest motion of the tip that the encoders detect, m.
     encoder_step: f64,
 }
 
-/// Measures which walls are stable on a board, like `haptic measure-range`; moves the motors.
+/// Measures which walls are stable on a board, like `haptic measure-range`. The motors move the device: take the hand
+/// off.
 ///
 /// For every damping the stiffness is raised until the telemetry shows a motion that grows or continues as a vibration.
 /// The stiffness is then reduced at once, and the boundary is bisected. No theory is used. The board's earlier scene
-/// and rules are restored. Take the hand off the device. Ctrl-C and any exception turn the motors off.
+/// and rules are restored. Ctrl-C and any exception turn the motors off.
 ///
-/// Without a board the device is simulated in this process, as fast as the computer can, with: q, its pose, shape (N,)
-/// rad (default: home); friction "all", "viscous", "coulomb" or "none"; ideal_drive, whose torques act at once; counts
-/// per turn of every encoder (default: the device file's); grip, a relaxed hand at the tip. A board is measured in its
-/// present pose and state: it must hold this device, and a real one needs yes=True, which confirms that you know that
-/// it will move.
+/// Without a board the device is simulated in this process, with: q, its pose, shape (N,) rad (default: home); friction
+/// "all", "viscous", "coulomb" or "none"; ideal_drive, whose torques act without delay; counts per turn of every
+/// encoder (default: as in the device file); grip, a relaxed hand at the tip. A board must have this device, and is
+/// measured in its present pose and state. A real board needs yes=True, with which you agree that the device moves.
 ///
-/// normal: (d,), a wall at the tip; or (W, d), walls that act together with the shares share, shape (W,) (default:
-/// equal), those listed in no_feed_forward (counted from 0) without feed-forward; stiffness and damping are then the
-/// totals. feed_forward: "both" (off and full), "all" (washout as well), "off", "full" or "washout". kd: the dampings,
-/// N s/m (default: `points` even steps up to the end of the range). torque_limit_nm: largest joint torque, N m; pull_m:
-/// largest distance to which the tip is pulled aside, m; every repeat pulls in the same direction.
+/// normal: (d,), the normal of a wall at the tip; or (W, d), the normals of walls that act together. share (W,) are the
+/// walls' shares of the total stiffness and damping (default: equal); no_feed_forward lists the walls, counted from 0,
+/// without feed-forward. feed_forward: "both" (off and full), "all" (also washout), "off", "full" or "washout". kd: the
+/// dampings, N s/m (default: `points` even steps up to the end of the range). torque_limit_nm: largest joint torque, N
+/// m. pull_m: largest distance by which the tip is pulled aside, m; every repeat pulls in the same direction.
 ///
-/// progress: a file that is written after every repeat; the same call with it continues an interrupted measurement.
-/// told: called with (repeats done, total repeats); it must not use the board.
+/// progress: a file that is written after every repeat. The same call with this file continues an interrupted
+/// measurement. told: a function that is called with (repeats done, total repeats) and must not use the board.
 ///
 /// Returns a dict: q (N,) rad; encoder_step_m; loop, the keywords with which Device.range predicts the same loop, as in
-/// device.range(found["q"], normal, kd=found["off"]["kd"], **found["loop"]); and for each measured one of "off",
-/// "full", "washout" a dict over its k dampings, ascending: kd (k,) N s/m; kp (k,) N/m, the median of repeats (k, R),
-/// with R the largest number of repeats of any damping; low, high (k,) their bounds; vibration_m (k,), the peak-to-peak
-/// vibration just beyond, NaN if the motion grew; stable_up_to (k,) N/m and why (k texts, otherwise None) if the
-/// boundary was not found, and kp may then be NaN; kd_max, the end of the range, NaN if it was not measured; and
-/// kd_max_open, the reason why it was not found, or None.
+/// device.range(found["q"], normal, kd=found["off"]["kd"], **found["loop"]). "off", "full" and "washout", if measured,
+/// are dicts over k ascending dampings: kd (k,) N s/m; repeats (k, R) N/m, with R the largest number of repeats; kp
+/// (k,) N/m, the median of the repeats; low and high (k,) N/m, the bounds of the repeats; vibration_m (k,), the
+/// peak-to-peak vibration just above kp, NaN if the motion grew; stable_up_to (k,) N/m and why (k,), a text, if no
+/// boundary was found (kp may then be NaN), otherwise NaN and None; kd_max N s/m, the end of the range, NaN if it was
+/// not measured; kd_max_open, the reason why the end was not found, or None.
 ///
-/// Raises ImpossibleError if no boundary was found at all, LinkError, RefusedError.
+/// Raises ImpossibleError if no boundary was found, LinkError, RefusedError.
 #[pyfunction]
 #[pyo3(signature = (
     device, normal, *, board = None, rate_hz = 1000.0, cutoff_hz = 20.0, kd = None, points = 12, repeats = 5, feed_forward = "both",
@@ -129,7 +129,7 @@ pub fn measure_range<'py>(
         );
     }
     if kd.as_ref().is_some_and(|kd| kd.is_empty() || kd.iter().any(|kd| !(*kd >= 0.0 && kd.is_finite()))) {
-        return wrong("kd must have at least one damping, and each must be not negative");
+        return wrong("kd must have at least one damping, and each must be zero or more, not negative");
     }
     if !(1..=200).contains(&points) || !(1..=100).contains(&repeats) {
         return wrong("points must be 1 to 200, and repeats 1 to 100");
@@ -172,14 +172,14 @@ pub fn measure_range<'py>(
         None => py.detach(|| {
             let shared = request.world.board(&request.file, rate_hz);
             let shared = shared.map_err(|error| RequestError::new_err(error.to_string()))?;
-            let mut board = Linked::over(shared.wire(), "sim").map_err(errors::link)?;
+            let mut board = HostBoard::over(shared.wire(), "sim").map_err(errors::link)?;
             request.measure(&mut board, told.as_ref(), false)
         })?,
     };
     as_arrays(py, &request, &measured)
 }
 
-/// Returns the walls that are measured together.
+/// Checks and returns the walls that are measured together.
 fn walls(
     device: &PyDevice,
     normal: &Bound<'_, PyAny>,
@@ -192,7 +192,7 @@ fn walls(
     let wrong = |reason: String| Err(RequestError::new_err(reason));
     if normals.shape.len() > 1 || count == 0 || count > most {
         return wrong(format!(
-            "normal must be one wall or up to {most}: the board needs further walls to hold the tip"
+            "normal must have 1 to {most} walls, because the board needs further walls to hold the tip"
         ));
     }
     let share = share.unwrap_or_else(|| vec![1.0; count]);
@@ -208,7 +208,7 @@ fn walls(
     Ok(normals.into_iter().zip(share).enumerate().map(member).collect())
 }
 
-/// Checks the pose of a simulated device.
+/// Checks and returns the pose of a simulated device.
 fn pose(file: &DeviceFile, q: &[f64], walls: &[Member]) -> PyResult<[f64; 3]> {
     let joints = file.spec().joints;
     if q.len() != joints || q.iter().any(|angle| !angle.is_finite()) {
@@ -219,7 +219,12 @@ fn pose(file: &DeviceFile, q: &[f64], walls: &[Member]) -> PyResult<[f64; 3]> {
 }
 
 impl MeasurementRequest {
-    fn measure(&self, board: &mut Linked, told: Option<&Py<PyAny>>, is_external: bool) -> PyResult<Measured> {
+    fn measure(
+        &self,
+        board: &mut HostBoard,
+        told: Option<&Py<PyAny>>,
+        is_external: bool,
+    ) -> PyResult<MeasurementResult> {
         let what = occasion::what(&self.file.name, &self.setup, &self.plan.pulls, &self.world);
         let path = self.progress.as_deref();
         let wrong = |error| measurement(MeasureError::Progress(error));
@@ -229,7 +234,7 @@ impl MeasurementRequest {
         }
         let before = occasion::before(board, &progress).map_err(errors::board)?;
         let remembers = is_external && path.is_some();
-        // An exception in Python: Ctrl-C, or an exception of the function `told`.
+        // An exception in Python, from Ctrl-C or from the function `told`.
         let raised = OnceCell::new();
         let last_check = Cell::new(Instant::now());
         let call = |work: &dyn Fn(Python<'_>) -> PyResult<()>| {
@@ -267,7 +272,7 @@ impl MeasurementRequest {
         restored.map_err(wrong)?;
         match loop_and_step {
             Some((around, encoder_step)) if progress.points.iter().any(|point| !point.repeats.is_empty()) => {
-                Ok(Measured { progress, around, encoder_step })
+                Ok(MeasurementResult { progress, around, encoder_step })
             }
             _ => {
                 let open = progress.points.iter().find_map(|point| point.open.as_ref());
@@ -277,24 +282,25 @@ impl MeasurementRequest {
         }
     }
 
-    /// Checks that the board holds the device, and that the user has agreed to move a real one.
-    fn check_agreement(&self, board: &mut Linked) -> PyResult<()> {
+    /// Checks that the board has this device, and that the user has agreed to the motion of a real device.
+    fn check_agreement(&self, board: &mut HostBoard) -> PyResult<()> {
         let device = DeviceData::new(&self.file.name, &self.file.description)
             .map_err(|error| RequestError::new_err(error.to_string()))?;
         if let Some(found) = occasion::another(board, &device).map_err(errors::link)? {
-            let text = format!("the board holds {found}, the file is {}; load it first", self.file.name);
+            let text =
+                format!("the board holds {found}, the file is {}; load the device of the file first", self.file.name);
             return Err(ImpossibleError::new_err(text));
         }
         if board.details().map_err(errors::link)?.real && !self.yes {
             return Err(RequestError::new_err(
-                "this moves the motors by themselves: keep the hand off the device and clear of it, and agree with yes=True",
+                "the motors will move the device: keep hands away from it, and agree with yes=True",
             ));
         }
         Ok(())
     }
 }
 
-/// Converts the error of a measurement.
+/// Converts the error of a measurement to an exception.
 fn measurement(error: MeasureError) -> PyErr {
     match error {
         MeasureError::Board(error) => errors::board(error),
@@ -306,9 +312,13 @@ fn measurement(error: MeasureError) -> PyErr {
     }
 }
 
-/// Converts the measurement to arrays.
-fn as_arrays<'py>(py: Python<'py>, request: &MeasurementRequest, measured: &Measured) -> PyResult<Bound<'py, PyDict>> {
-    let Measured { progress, around, encoder_step } = measured;
+/// Converts the results of a measurement to arrays.
+fn as_arrays<'py>(
+    py: Python<'py>,
+    request: &MeasurementRequest,
+    measured: &MeasurementResult,
+) -> PyResult<Bound<'py, PyDict>> {
+    let MeasurementResult { progress, around, encoder_step } = measured;
     let found = PyDict::new(py);
     found.set_item("q", list(py, &progress.q)?)?;
     found.set_item("encoder_step_m", encoder_step)?;

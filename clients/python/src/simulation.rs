@@ -5,20 +5,20 @@ use crate::board::Board;
 use crate::device::{PyDevice, Scene};
 use crate::errors::{self, RequestError};
 use haptic_host::haptic_bridge::render::scene::Scene as BoardScene;
-use haptic_host::link::{Board as Linked, Session};
+use haptic_host::link::{Board as HostBoard, Session};
 use haptic_host::vectors::padded;
 use haptic_sim::{BoardOptions, DriveModel, Hand, HandSettings, Intent, Options, SharedBoard, Waypoint, ready_board};
 use numpy::PyArrayDyn;
 use pyo3::prelude::*;
 
-/// Simulated time between two checks for Ctrl-C, s: a few milliseconds of computing.
-const SIGNAL_INTERVAL: f64 = 0.02;
+/// Simulated time between two checks for Ctrl-C, s, which takes a few milliseconds to compute.
+const SIGNAL_INTERVAL_S: f64 = 0.02;
 
 /// A simulated board with a device: the firmware's code with a simulated linkage, motors and encoders.
 ///
-/// Simulation(device, scene=None, *, ideal=False, friction=True, strict=False): without a scene, free space; ideal
-/// motors make the commanded torque at once; a strict board requires homing, the polarity check and verified motors,
-/// like a real one. Time passes only in `run`, in `drive` and while a Board of the simulation waits for a reply.
+/// Simulation(device, scene=None, *, ideal=False, friction=True, strict=False): without a scene, the device is in free
+/// space. Ideal motors make the commanded torque without delay. A strict board requires homing, the polarity check and
+/// verified motors, as a real board does. Time advances only in `run`, in `drive` and while a Board waits for a reply.
 #[pyclass(frozen, module = "haptic_bridge")]
 pub struct Simulation {
     shared: SharedBoard,
@@ -45,22 +45,21 @@ impl Simulation {
             Some(scene) => scene.file.scene().map_err(|error| wrong(&error))?,
             None => BoardScene { task: spec.task as u8, ..BoardScene::default() },
         };
-        let mut session = Session::of(Linked::over(shared.wire(), "sim").map_err(errors::link)?);
+        let mut session = Session::of(HostBoard::over(shared.wire(), "sim").map_err(errors::link)?);
         session.set_scene(&scene).map_err(errors::board)?;
         Ok(Self { shared, joints: spec.joints, task: spec.task })
     }
 
-    /// Opens the board; one at a time.
+    /// Opens the board. Only one Board of a simulation may be open at a time.
     fn board(&self) -> PyResult<Board> {
-        Ok(Board::of(Session::of(Linked::over(self.shared.wire(), "sim").map_err(errors::link)?)))
+        Ok(Board::of(Session::of(HostBoard::over(self.shared.wire(), "sim").map_err(errors::link)?)))
     }
-
-    /// Advances by `seconds`; Ctrl-C ends it earlier.
+    /// Advances simulated time by `seconds`. Ctrl-C ends the call early.
     fn run(&self, py: Python<'_>, seconds: f64) -> PyResult<()> {
         let end = self.shared.lock().time() + seconds;
         let slice = || {
             let mut board = self.shared.lock();
-            let until = end.min(board.time() + SIGNAL_INTERVAL);
+            let until = end.min(board.time() + SIGNAL_INTERVAL_S);
             board.run_until(until);
             board.time() < end
         };
@@ -74,10 +73,9 @@ impl Simulation {
         let board = self.shared.lock();
         format!("<Simulation: {} s, tip {:?} m>", board.time(), &board.device().tip()[..self.task])
     }
-
-    /// Runs one control period with the device at rest at q (N,) rad, and returns the motors' torques, N m, shape (N,),
-    /// so that another program can simulate the device. The encoders round q to their counts; the velocities are the
-    /// board's estimates.
+    /// Runs one control period with the device at rest at q (N,) rad, and returns the motors' torques, N m, shape (N,).
+    /// With this function another program can simulate the device. The encoders round q to counts, and the board
+    /// estimates the velocities.
     fn drive<'py>(&self, py: Python<'py>, q: Vec<f64>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
         let q = self.angles(&q)?;
         let torque = py.detach(|| {
@@ -89,15 +87,15 @@ impl Simulation {
         list(py, &torque[..self.joints])
     }
 
-    /// Moves the device to rest at q (N,) rad, with its encoders.
+    /// Moves the device and its encoders to q (N,) rad, at rest.
     fn place(&self, q: Vec<f64>) -> PyResult<()> {
         let q = self.angles(&q)?;
         self.shared.lock().device_mut().place(q);
         Ok(())
     }
 
-    /// Puts a hand on the tip that follows waypoints [(seconds from now, x, y, ..), ...], in m, in smooth strokes; with
-    /// push=True they are forces in N. An empty list removes it.
+    /// Puts a hand on the tip that follows the waypoints [(seconds from now, x, y, ..), ...], in m, smoothly. With
+    /// push=True the waypoints are forces in N. An empty list removes the hand.
     #[pyo3(signature = (waypoints, *, push = false))]
     fn hand(&self, waypoints: Vec<Vec<f64>>, push: bool) -> PyResult<()> {
         let point = |numbers: Vec<f64>| match numbers.split_first() {
@@ -126,7 +124,7 @@ impl Simulation {
     fn q<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
         list(py, &self.shared.lock().device().q()[..self.joints])
     }
-    /// Tip without measurement error, m, shape (d,).
+    /// Position of the tip without measurement error, m, shape (d,).
     #[getter]
     fn tip<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
         list(py, &self.shared.lock().device().tip()[..self.task])

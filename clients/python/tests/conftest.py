@@ -31,7 +31,7 @@ def vouched():
 
 @pytest.fixture
 def ctrl_c():
-    """Presses Ctrl-C during a call, even if the parent process ignores it; a call that does not end aborts the tests."""
+    """Interrupts a call as Ctrl-C does, even if the parent process ignores Ctrl-C. A call that does not end aborts the tests."""
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     faulthandler.dump_traceback_later(120, exit=True)
 

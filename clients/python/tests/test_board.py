@@ -1,4 +1,4 @@
-"""Boards: simulated ones in this process, and one on a port."""
+"""Boards that are simulated in this process, and a board on a port."""
 
 import gc
 import os
@@ -82,7 +82,7 @@ def test_the_fault_of_a_strict_board_is_read_and_cleared(vouched):
     with simulation.board() as board:
         board.home()
         board.check_polarity()
-        board.set_scene()  # homing and polarity stay valid
+        board.set_scene()  # homing and polarity check stay valid
         board.arm()
         for _ in range(4):
             simulation.run(0.4)
@@ -133,7 +133,7 @@ def test_a_recording_has_every_step_by_name(five_bar, tmp_path):
     with armed(hb.Simulation(five_bar)) as board:
         recording = board.record(0.1, "tip,torque,state", 10)
         assert recording.columns == ["step", "tip_x_m", "tip_y_m", "torque0_n_m", "torque1_n_m", "state", "contacts"]
-        # 20 kHz, every tenth step; the last few rows are still on their way.
+        # 0.1 s at 20 kHz, every tenth step, are 200 rows, of which the last rows have not arrived yet.
         assert len(recording) > 180 and recording.data.shape == (len(recording), 7)
         assert set(np.diff(recording["step"])) == {10}
         assert board.losses["missing"] == 0 and (recording["state"] == 1).all()
@@ -158,7 +158,7 @@ def test_recordings_of_the_tool_are_read(tmp_path):
 def test_recordings_of_either_format_are_read(tmp_path):
     tool = os.environ.get("HAPTIC_TOOL")
     if not tool:
-        pytest.skip("HAPTIC_TOOL does not say where `haptic` is")
+        pytest.skip("HAPTIC_TOOL must be the path of `haptic`")
     read = []
     for name in ("a.mcap", "a.csv"):
         order = [tool, "record", name, "--port", "sim", "--seconds", "0.01", "--fields", "tip,state"]
@@ -172,7 +172,7 @@ def test_a_wall_holds_a_pressing_hand(five_bar):
     simulation = hb.Simulation(five_bar)
     with simulation.board() as board:
         tip = simulation.tip
-        # In front of the tip, so that the board arms.
+        # The wall is in front of the tip, so that the board arms.
         scene = hb.Scene.parse(
             f"[[wall]]\npoint = [0.0, {tip[1] + 0.005}]\nnormal = [0.0, -1.0]\nstiffness = 3000.0\ndamping = 10.0\n", 2
         )
@@ -195,7 +195,7 @@ def test_a_board_on_a_port(five_bar):
     """Uses `haptic sim --tcp` if the tool was built."""
     tool = os.environ.get("HAPTIC_TOOL")
     if not tool:
-        pytest.skip("HAPTIC_TOOL does not say where `haptic` is")
+        pytest.skip("HAPTIC_TOOL must be the path of `haptic`")
     with subprocess.Popen([tool, "sim", "--tcp", "0"], stdout=subprocess.PIPE, text=True) as server:
         try:
             port = server.stdout.readline().split()[-1]

@@ -35,7 +35,7 @@ class KillingClient:
 
 
 def test_a_sweep_has_the_same_numbers_although_a_worker_dies(devices, monkeypatch):
-    # A script's own functions are sent to the workers; functions of a module are imported there.
+    # The workers import the functions of the module `sweep_dask`, so they need its path.
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([EXAMPLES, os.environ.get("PYTHONPATH", "")]))
     text = (devices / "coupled-five-bar.toml").read_text()
     q, normals = sweep.grid(hb.Device.parse(text), points=49, angles=8)

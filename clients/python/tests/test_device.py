@@ -123,7 +123,7 @@ def test_wrong_arguments_are_refused_without_command_options(five_bar, call, wor
 
 
 def test_the_lock_is_released_while_poses_are_computed(five_bar):
-    """Another thread runs meanwhile; with the lock held it would not run once."""
+    """Checks that another thread runs meanwhile, which it could not with the lock held."""
     q = np.tile(five_bar.home, (24, 1))
     ticks, busy = 0, threading.Event()
 
@@ -162,7 +162,7 @@ def test_a_device_is_pickled_with_its_file(five_bar):
 @pytest.mark.parametrize(
     "call",
     [
-        lambda device: device.range(np.tile(device.home, (1_000_000, 1)), NORMAL),  # a quarter of an hour
+        lambda device: device.range(np.tile(device.home, (1_000_000, 1)), NORMAL),  # takes a quarter of an hour
         lambda device: device.map(NORMAL, points=4_000_000),
         lambda device: hb.Simulation(device).run(1e6),
         lambda device: hb.Simulation(device).board().rows(1e6),
@@ -174,7 +174,7 @@ def test_ctrl_c_ends_a_call(five_bar, ctrl_c, call):
 
 @pytest.mark.parametrize("count, waits", [(1, False), (64, False), (65, True)])
 def test_the_model_of_a_few_poses_is_computed_in_the_caller(five_bar, count, waits):
-    """A caller that waits for another thread yields its processor; a caller that computes does not."""
+    """Counts how often the caller yields its processor, which it does only to wait for another thread."""
     resource = pytest.importorskip("resource")
     q = np.tile(five_bar.home, (count, 1))
     before = resource.getrusage(resource.RUSAGE_THREAD).ru_nvcsw

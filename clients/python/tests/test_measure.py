@@ -10,7 +10,7 @@ import pytest
 import haptic_bridge as hb
 
 POSE, NORMAL = [2.6, 1.75], [0.94, -0.34]
-# Slow enough that friction and encoder steps let the tip come to rest before every trial.
+# Settings with which the tip comes to rest before every trial, despite friction and encoder steps.
 GENTLE = {"rate_hz": 1000.0, "cutoff_hz": 20.0, "kd": [15.0], "feed_forward": "off", "pull_m": 2e-3}
 
 
@@ -26,14 +26,13 @@ def test_measurement_and_prediction_agree_on_an_ideal_device(five_bar):
         assert measured["repeats"].shape == (2, 2) and measured["why"] == [None, None]
         assert (measured["low"] <= measured["kp"]).all() and (measured["kp"] <= measured["high"]).all()
         predicted = five_bar.range(POSE, NORMAL, kd=measured["kd"], **found["loop"])[mode]["kp"]
-        # Measured: 0.2 to 1.2 %. With the feed-forward, two repeats with different pulls differ by up to 4 %. Without the
-        # board's delay of 25 us, the prediction is off by 1.3 to 1.9 %.
+        # The measured deviations are 0.2 to 1.2 %. A prediction without the board's delay of 25 us deviates by 1.3 to 1.9 %.
         np.testing.assert_allclose(measured["kp"], predicted, rtol=0.0125)
     assert (found["full"]["kp"] > 1.05 * found["off"]["kp"]).all()
 
 
 def test_ctrl_c_turns_the_motors_off_and_other_threads_run(five_bar):
-    # A shell's background jobs ignore Ctrl-C.
+    # Sets the handler, because a background job of a shell ignores Ctrl-C.
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     simulation = hb.Simulation(five_bar)
     ticks, over = [0], threading.Event()

@@ -1,8 +1,8 @@
-//! One session with a DfuSe boot loader: set the address, erase, write, read, leave.
+//! A session with a DfuSe boot loader: sets the address, erases, writes, reads and leaves.
 //!
-//! A command is sent with one request. The first status request afterwards starts it, and a later status reports its
-//! end; each status contains the time to wait before the next one (AN2662). Numbers of requests, states and statuses:
-//! DFU 1.1, sections 3 and 6.1.
+//! One request sends a command. The next status request starts the command, and a later status reports its end. Each
+//! status contains the time to wait before the next status request (AN2662). The numbers of requests, states and
+//! statuses are those of DFU 1.1, sections 3 and 6.1.
 
 use std::time::Duration;
 
@@ -22,23 +22,18 @@ pub mod request {
 
 /// A failed transfer.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum UsbError {
-    /// The device refused the request.
-    #[error("it refused the request")]
+    #[error("the device refused the request")]
     Stalled,
-    /// The device is gone.
-    #[error("it left USB")]
+    #[error("the device left USB")]
     Gone,
-    /// The device did not reply in time.
-    #[error("it does not reply")]
+    #[error("the device does not reply")]
     Silent,
-    /// The user has no permission to open the device.
-    #[error("this user may not open it")]
+    #[error("no permission to open the device")]
     Forbidden,
-    /// Another program has the device open.
-    #[error("another program has it open")]
+    #[error("another program has the device open")]
     Busy,
-    /// Any other error of the operating system.
     #[error("{0}")]
     Other(String),
 }
@@ -55,65 +50,45 @@ pub trait Transport {
     fn now(&self) -> Duration;
 }
 
-/// A failed command of the boot loader.
+/// A failed command of the boot loader. `doing` is the command, `status` and `state` are numbers of the DFU class.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum DfuError {
-    /// A transfer failed.
-    #[error("the boot loader is lost: {0}")]
+    #[error("the connection to the boot loader is lost: {0}")]
     Usb(#[from] UsbError),
-    /// The flash is protected.
     #[error("the chip's flash is protected against being read")]
     Protected,
-    /// The command failed.
     #[error("the boot loader could not {doing}: {}", status_text(*.status))]
-    Failed {
-        /// The command.
-        doing: String,
-        /// Status number of the DFU class.
-        status: u8,
-    },
-    /// The boot loader is in an unexpected state.
+    Failed { doing: String, status: u8 },
     #[error("the boot loader is in state {state} after the command to {doing}, but should be ready")]
-    Lost {
-        /// The command.
-        doing: String,
-        /// State number of the DFU class.
-        state: u8,
-    },
-    /// The command takes longer than any command can.
+    Lost { doing: String, state: u8 },
     #[error("the boot loader does not finish the command to {0}")]
     Endless(String),
-    /// A short reply.
     #[error("the boot loader sent {got} bytes instead of {wanted}")]
-    Short {
-        /// Number of received bytes.
-        got: usize,
-        /// Number of expected bytes.
-        wanted: usize,
-    },
+    Short { got: usize, wanted: usize },
 }
 
 /// Describes a status (DFU 1.1, section 6.1.2).
 fn status_text(status: u8) -> &'static str {
     match status {
-        0x01 => "it has no such memory (errTARGET)",
+        0x01 => "no such memory (errTARGET)",
         0x03 => "writing failed (errWRITE)",
         0x04 => "erasing failed (errERASE)",
-        0x05 => "it is not empty after being erased (errCHECK_ERASED)",
+        0x05 => "the flash is not empty after erasing (errCHECK_ERASED)",
         0x06 => "programming failed (errPROG)",
         0x07 => "the written bytes differ (errVERIFY)",
         0x08 => "the address is out of range (errADDRESS)",
-        0x0A => "its firmware is broken (errFIRMWARE)",
-        VENDOR => "it has no permission (errVENDOR)",
-        0x0F => "it did not expect the request (errSTALLEDPKT)",
-        _ => "it gives no reason",
+        0x0A => "the firmware is corrupted (errFIRMWARE)",
+        STATUS_VENDOR => "the boot loader has no permission (errVENDOR)",
+        0x0F => "the request was not expected (errSTALLEDPKT)",
+        _ => "the reason is unknown",
     }
 }
 
-/// The status of a chip whose flash is protected, errVENDOR of DFU 1.1, section 6.1.2.
-const VENDOR: u8 = 0x0B;
+/// Status number of a chip whose flash is protected: errVENDOR (DFU 1.1, section 6.1.2).
+const STATUS_VENDOR: u8 = 0x0B;
 
-/// States, DFU 1.1, section 6.1.2.
+/// State numbers (DFU 1.1, section 6.1.2).
 mod state {
     pub const IDLE: u8 = 2;
     pub const DNLOAD_SYNC: u8 = 3;
@@ -125,19 +100,19 @@ mod state {
     pub const ERROR: u8 = 10;
 }
 
-/// The block number at which memory begins; lower numbers are commands.
+/// Number of the first memory block, because lower block numbers are commands.
 const FIRST_BLOCK: u16 = 2;
-/// ST's commands, as the first byte of block 0.
+/// First byte of block 0 of ST's command to set the address.
 const SET_ADDRESS: u8 = 0x21;
+/// First byte of block 0 of ST's command to erase a sector.
 const ERASE: u8 = 0x41;
 
-/// Longer than any command takes: a sector of 128 KB is erased in 4 s at the chip's lowest supply (STM32F405 data
-/// sheet, table "Flash memory programming").
+/// Timeout of a command. The longest command erases a sector of 128 KB in 4 s at the chip's lowest supply (STM32F405
+/// data sheet, table "Flash memory programming").
 const MAX_COMMAND_TIME: Duration = Duration::from_secs(20);
 /// Shortest interval between two status requests.
-const PAUSE: Duration = Duration::from_millis(2);
+const MIN_PAUSE: Duration = Duration::from_millis(2);
 
-/// The reply to a status request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Status {
     status: u8,
@@ -154,11 +129,12 @@ pub struct Dfuse<T> {
 }
 
 impl<T: Transport> Dfuse<T> {
-    /// Begins a session in any state of the boot loader; `transfer` is its `wTransferSize`.
+    /// Begins a session in any state of the boot loader, whose `wTransferSize` is `transfer`, bytes.
     pub fn begin(transport: T, transfer: u16) -> Result<Self, DfuError> {
-        // The chip's boot loader has 2048 bytes, and its smallest transfer is two bytes.
+        // Rounds down to whole words. The chip's boot loader reports 2048 bytes.
         let mut dfuse = Self { transport, transfer: transfer.max(4) & !3 };
-        // Abort first: a status request would start the program if an earlier session had commanded it.
+        // Aborts first, because a status request would carry out a pending command of an earlier session to start the
+        // program.
         match dfuse.transport.send(request::ABORT, 0, &[]) {
             Ok(()) | Err(UsbError::Stalled) => dfuse.go_to_idle()?,
             Err(error) => return Err(error.into()),
@@ -170,12 +146,10 @@ impl<T: Transport> Dfuse<T> {
     pub fn transfer(&self) -> usize {
         usize::from(self.transfer)
     }
-
     /// Erases the sector that begins at this address.
     pub fn erase(&mut self, address: u32) -> Result<(), DfuError> {
         self.command(ERASE, address, || format!("erase the sector at {address:#010x}"))
     }
-
     /// Writes at most [`Dfuse::transfer`] bytes to erased flash.
     pub fn write(&mut self, address: u32, bytes: &[u8]) -> Result<(), DfuError> {
         self.set_address(address)?;
@@ -183,8 +157,8 @@ impl<T: Transport> Dfuse<T> {
         self.wait_for_end(|| format!("write {} bytes at {address:#010x}", bytes.len()))
     }
 
-    /// Reads flash. The address of a block is its number times the requested length (AN2662), so a shorter last block
-    /// needs its own address.
+    /// Reads flash. Sets the address again for a shorter last block, because the offset of a block is its number times
+    /// its length (AN2662).
     pub fn read(&mut self, address: u32, length: usize) -> Result<Vec<u8>, DfuError> {
         let mut bytes = Vec::with_capacity(length);
         let whole = length - length % self.transfer();
@@ -193,7 +167,7 @@ impl<T: Transport> Dfuse<T> {
                 continue;
             }
             self.set_address(address + from as u32)?;
-            // Memory can be read in the idle state, but not between two writes.
+            // Returns to idle, because memory cannot be read between two writes.
             self.transport.send(request::ABORT, 0, &[])?;
             for (number, start) in (FIRST_BLOCK..=u16::MAX).zip((from..to).step_by(self.transfer())) {
                 let wanted = (to - start).min(self.transfer());
@@ -245,7 +219,6 @@ impl<T: Transport> Dfuse<T> {
     fn set_address(&mut self, address: u32) -> Result<(), DfuError> {
         self.command(SET_ADDRESS, address, || format!("set the address {address:#010x}"))
     }
-
     fn command(&mut self, command: u8, address: u32, doing: impl Fn() -> String) -> Result<(), DfuError> {
         let mut data = vec![command];
         data.extend(address.to_le_bytes());
@@ -269,7 +242,7 @@ impl<T: Transport> Dfuse<T> {
 
     /// Waits before the next status request. Fails if the command and its replies have taken too long since `began`.
     fn pause(&mut self, requested: Duration, began: Duration, doing: impl Fn() -> String) -> Result<(), DfuError> {
-        let pause = requested.max(PAUSE);
+        let pause = requested.max(MIN_PAUSE);
         if self.transport.now() - began + pause > MAX_COMMAND_TIME {
             return Err(DfuError::Endless(doing()));
         }
@@ -288,7 +261,7 @@ impl<T: Transport> Dfuse<T> {
         }
     }
 
-    /// Converts a refusal to the reason that the status gives, if the boot loader still replies.
+    /// Converts a stalled request to the error that the status reports, if the boot loader still replies.
     fn explain_refusal<O>(&mut self, error: UsbError) -> Result<O, DfuError> {
         if error == UsbError::Stalled
             && let Ok(Status { state: state::ERROR, status, .. }) = self.status()
@@ -301,7 +274,7 @@ impl<T: Transport> Dfuse<T> {
 
 fn status_error(status: u8, doing: impl Fn() -> String) -> DfuError {
     match status {
-        VENDOR => DfuError::Protected,
+        STATUS_VENDOR => DfuError::Protected,
         status => DfuError::Failed { doing: doing(), status },
     }
 }

@@ -1,4 +1,4 @@
-//! The images that are embedded in this program: `cargo xtask images` puts them into crates/flash/images, and the build
+//! The images that are embedded in this program. `cargo xtask images` writes them to crates/flash/images, and the build
 //! script embeds them.
 
 use serde::Deserialize;
@@ -9,7 +9,7 @@ use crate::update_file::parse;
 
 include!(concat!(env!("OUT_DIR"), "/images.rs"));
 
-/// Message of a program without images.
+/// Error message of a program without images.
 pub const WITHOUT_IMAGES: &str = "this tool was built without images: in a checkout of its source, run `cargo xtask \
                                   images` and build it again, or name an update file";
 
@@ -38,15 +38,15 @@ pub fn embedded() -> &'static [Embedded] {
 }
 
 impl Embedded {
-    /// Checks the checksum and returns the image. An error occurs only in a broken build.
+    /// Checks the checksum and returns the image. Returns an error only in a broken build.
     pub fn image(&self) -> Result<Image, String> {
         let about: About = toml::from_str(self.about).map_err(|error| error.to_string())?;
         if sha256(self.file) != about.sha256 {
-            return Err("it does not match its SHA-256".into());
+            return Err("the embedded image does not match its SHA-256".into());
         }
         let image = parse(self.file).map_err(|error| error.to_string())?;
         if image.board != self.board {
-            return Err(format!("it is for {}", image.board));
+            return Err(format!("the embedded image is for the board {}", image.board));
         }
         Ok(Image { version: Some(about.version), protocol: Some(about.protocol), ..image })
     }

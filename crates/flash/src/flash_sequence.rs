@@ -1,8 +1,8 @@
-//! The flash sequence: which sectors are erased, and which blocks are written and compared, in which order.
+//! The flash sequence: the sectors to erase and the blocks to write and compare, in their order.
 //!
-//! The sector of the vectors is erased first and written last. Until the end, the chip finds no vectors and starts no
-//! program, so an interrupted board keeps its bridges off. After a power cut while the vectors are written, the
-//! checksum behind them is missing, and the firmware refuses to arm (`ImageDamaged`).
+//! The sector of the vectors is erased first and written last. Before the end the chip finds no vectors and starts no
+//! program, so that an interrupted board keeps its bridges off. After a power cut while the vectors are written, the
+//! checksum behind the vectors is missing, and the firmware refuses to arm (`ImageDamaged`).
 
 use crate::image::{FLASH_START, Image, SETTINGS};
 use crate::layout::{Layout, Sector};
@@ -23,7 +23,7 @@ pub struct FlashSequence {
     pub erase: Vec<Sector>,
     /// Blocks to write and compare first, ascending.
     pub code: Vec<Block>,
-    /// Blocks to write and compare last: the sector of the vectors in descending order, so that the vectors come last.
+    /// Blocks of the vectors' sector to write and compare last, descending, so that the vectors come last.
     pub vectors: Vec<Block>,
 }
 
@@ -33,7 +33,7 @@ pub enum Misfit {
     /// The chip has no flash at this address.
     #[error("the image needs flash at {0:#010x}, and this chip has none there: it is not the chip of this board")]
     NoFlash(u32),
-    /// The sectors differ from the expected ones, so that erasing them could erase settings.
+    /// The sectors differ from an STM32F405's sectors, so that erasing them could erase settings.
     #[error("the sectors of this chip are not those of an STM32F405: it is not the chip of this board")]
     OtherChip,
 }

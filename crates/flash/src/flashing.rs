@@ -1,8 +1,7 @@
-//! Flashes a board that runs or is in its boot loader: finds it, identifies it, reads its settings, enters the boot
-//! loader, erases, writes, reads back, leaves, waits for the board, compares versions, restores settings.
+//! Flashes a board, running or in its boot loader, in the order of [`Phase`].
 //!
-//! At any interruption the board has its complete old image, its complete new image, or no image that starts and arms
-//! ([`crate::flash_sequence`]); the error says which, with the remedy.
+//! After any interruption the board has its complete old image, the complete new image, or no image that starts and
+//! arms ([`crate::flash_sequence`]). The error reports the case and the remedy.
 
 use std::fmt;
 use std::time::Duration;
@@ -17,7 +16,7 @@ use crate::layout::{BadLayout, Layout};
 pub struct Identity {
     /// Kind of board.
     pub board: String,
-    /// Version of its firmware.
+    /// Version of the firmware.
     pub firmware: String,
     /// Version of the protocol.
     pub protocol: u16,
@@ -28,24 +27,24 @@ pub struct Identity {
 /// A boot loader on USB.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct BootLoader {
-    /// Serial number, equal to that of the firmware on the same chip.
+    /// Serial number, equal to the firmware's serial number on the same chip.
     pub serial: String,
 }
 
 /// The board to flash.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum FlashTarget {
-    /// Its firmware is running.
+    /// A board whose firmware is running.
     Running(Identity),
-    /// It is in its boot loader, which does not know the kind of board.
+    /// A board in its boot loader, which does not report the kind of board.
     BootLoader(BootLoader),
 }
 
 /// An open boot loader.
-pub struct Opened<L> {
-    /// The connection to it.
+pub struct OpenBootLoader<L> {
+    /// The connection to the boot loader.
     pub loader: L,
-    /// Its description of the flash.
+    /// The boot loader's description of the flash.
     pub memory: String,
     /// Maximum size of one transfer, bytes.
     pub transfer: u16,
@@ -61,7 +60,7 @@ pub trait Surroundings {
     /// Lists the boot loaders.
     fn boot_loaders(&mut self) -> Result<Vec<BootLoader>, UsbError>;
     /// Opens a boot loader.
-    fn open(&mut self, which: &BootLoader) -> Result<Opened<Self::Loader>, UsbError>;
+    fn open(&mut self, which: &BootLoader) -> Result<OpenBootLoader<Self::Loader>, UsbError>;
     /// Returns the serial numbers of the running boards.
     fn boards(&mut self) -> Vec<String>;
     /// Reads the identity of a running board, or returns the reason of a failure.
@@ -154,9 +153,9 @@ pub enum Cause {
 /// The contents of the flash.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Flash {
-    /// The old contents. The board is running, or is in the boot loader as before.
+    /// The old contents, on a board that was not restarted.
     Untouched,
-    /// The old contents. The board has been restarted into its boot loader.
+    /// The old contents, on a board that was restarted into its boot loader.
     Entered,
     /// No image that starts.
     Erased,
@@ -183,24 +182,22 @@ impl fmt::Display for FlashError {
 }
 
 /// Instructions to enter the boot loader without firmware.
-const BY_HAND: &str =
-    "by hand: its DIP switch to DFU (ODrive v3.6), or BOOT0 high, then the power off and on with USB plugged in";
+const MANUAL_ENTRY: &str = "by hand: set the DIP switch to DFU (ODrive v3.6) or BOOT0 high, and switch the power off \
+                            and on with USB plugged in";
 
 impl FlashError {
     fn new(phase: Phase, cause: impl Into<Cause>, flash: Flash) -> Self {
         Self { phase, cause: cause.into(), flash }
     }
-
     /// Returns true if the flash holds no image that starts.
-    pub fn erased(&self) -> bool {
+    pub fn is_erased(&self) -> bool {
         self.flash == Flash::Erased
     }
-
     /// Returns the remedy.
     pub fn remedy(&self) -> String {
         let first = match &self.cause {
-            Cause::NoBoard => format!("plug one in, or bring it into its boot loader {BY_HAND}"),
-            Cause::Several(_) => "choose one by its serial number".into(),
+            Cause::NoBoard => format!("plug in a board, or enter its boot loader {MANUAL_ENTRY}"),
+            Cause::Several(_) => "choose a board by its serial number".into(),
             Cause::NotThere(_) => {
                 "`haptic list` shows the running boards; a boot loader has the serial number of its board".into()
             }
@@ -208,15 +205,14 @@ impl FlashError {
             Cause::Image(_) | Cause::Misfit(_) | Cause::Layout(_) => {
                 "check that the image is complete and made for this kind of board".into()
             }
-            Cause::Board(_) if self.phase != Phase::RestoreSettings => {
-                format!("bring it into its boot loader {BY_HAND}")
-            }
+            Cause::Board(_) if self.phase != Phase::RestoreSettings => format!("enter the boot loader {MANUAL_ENTRY}"),
             Cause::NoBootLoader => format!(
-                "check the cable; on Linux, `haptic udev` writes the rule that lets a user open it; or \
-                 enter the boot loader {BY_HAND}"
+                "check the cable; on Linux, `haptic udev` writes the rule that lets a user open the boot loader; or \
+                 enter the boot loader {MANUAL_ENTRY}"
             ),
             Cause::Usb(UsbError::Forbidden) => {
-                "`haptic udev` writes the rule that lets you open it; on Windows, Zadig installs WinUSB for it".into()
+                "`haptic udev` writes the rule that lets you open the device; on Windows, install WinUSB with Zadig"
+                    .into()
             }
             Cause::Usb(UsbError::Busy) => "close the other program (dfu-util, another `haptic`)".into(),
             Cause::Dfu(DfuError::Protected) => {
@@ -224,7 +220,7 @@ impl FlashError {
                  0x08000000:unprotect:force`, then run this again"
                     .into()
             }
-            Cause::SettingsChanged => "restore them from a backup once the board runs".into(),
+            Cause::SettingsChanged => "restore the settings from a backup when the board runs".into(),
             Cause::OtherVersion { .. } => {
                 "another board may have replied: plug in only this board and flash it again".into()
             }
@@ -237,7 +233,7 @@ impl FlashError {
             }
             Flash::Erased => format!(
                 "the board has no firmware that starts, and its motors stay off: leave its power on, check the cable \
-                 and run this again; if the power was off, enter the boot loader {BY_HAND}"
+                 and run this again; if the power was off, enter the boot loader {MANUAL_ENTRY}"
             ),
             Flash::Written if self.phase == Phase::RestoreSettings => "the image is written and runs".into(),
             Flash::Written => "the image is written and read back: set the DIP switch back to RUN (or BOOT0 low) and \
@@ -255,14 +251,14 @@ pub enum Progress {
     Begins(Phase),
     /// Finished and total amount of a phase.
     Done(Phase, usize, usize),
-    /// The board does not restart by itself: the user must switch its power off and on.
+    /// The board does not restart, so the user must switch its power off and on.
     PowerCycle,
 }
 
 /// Summary of a completed flash.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct FlashSummary {
-    /// Identity of the board afterwards.
+    /// Identity that the board reports after flashing.
     pub identity: Identity,
     /// Names of the restored settings.
     pub restored: Vec<String>,
@@ -276,14 +272,14 @@ pub struct FlashSummary {
 const RESTART_TIMEOUT: Duration = Duration::from_secs(10);
 /// Longest time for the user to switch the power off and on.
 const POWER_CYCLE_TIMEOUT: Duration = Duration::from_secs(60);
-/// Interval between polls.
-const POLL: Duration = Duration::from_millis(100);
+/// Interval between polls of the USB bus.
+const POLL_INTERVAL: Duration = Duration::from_millis(100);
 
 /// Finds the board with this serial number, or the only board.
 pub fn find_board<S: Surroundings>(site: &mut S, serial: Option<&str>) -> Result<FlashTarget, FlashError> {
     let wrong = |cause: Cause| FlashError::new(Phase::Find, cause, Flash::Untouched);
     let mut boards = site.boards();
-    // A system without USB, or without permission to list it, may still have a serial port with a board.
+    // Ignores an error if boards were found, because a system may list serial ports but not USB.
     let loaders = site.boot_loaders();
     if let (Err(error), true) = (&loaders, boards.is_empty()) {
         return Err(wrong(error.clone().into()));
@@ -310,7 +306,7 @@ pub fn find_board<S: Surroundings>(site: &mut S, serial: Option<&str>) -> Result
     }
 }
 
-/// Flashes a board. Its motors go off when it restarts. For a bare boot loader, the caller must know the kind of board.
+/// Flashes a board, whose motors go off. For a bare boot loader, the caller must know the kind of board.
 pub fn flash<S: Surroundings>(
     site: &mut S,
     target: &FlashTarget,
@@ -347,7 +343,7 @@ pub fn flash<S: Surroundings>(
     // udev may apply its rule a moment after the device appears.
     let opened = match site.open(&loader) {
         Err(UsbError::Forbidden) => {
-            site.wait(POLL * 5);
+            site.wait(POLL_INTERVAL * 5);
             site.open(&loader)
         }
         opened => opened,
@@ -357,7 +353,7 @@ pub fn flash<S: Surroundings>(
     let mut dfuse = Dfuse::begin(opened.loader, opened.transfer).map_err(|error| opening(error.into()))?;
     let sequence = flash_sequence(&image, &layout, dfuse.transfer()).map_err(|error| opening(error.into()))?;
     let settings_size = (SETTINGS.end - SETTINGS.start) as usize;
-    // A protected chip refuses this read, before anything is erased.
+    // Reads before erasing, because a protected chip refuses to be read.
     let settings = dfuse.read(SETTINGS.start, settings_size).map_err(|error| opening(error.into()))?;
 
     let (sectors, bytes) =
@@ -407,10 +403,10 @@ pub fn flash<S: Surroundings>(
     tell(Progress::Begins(Phase::Compare));
     let comparing = at(Phase::Compare, Flash::Written);
     let mut identity = site.identify(&loader.serial);
-    // A board may appear on USB before it replies.
+    // Retries, because a board may appear on USB before it replies.
     for _ in 0..20 {
         if identity.is_err() {
-            site.wait(POLL);
+            site.wait(POLL_INTERVAL);
             identity = site.identify(&loader.serial);
         }
     }
@@ -432,13 +428,13 @@ pub fn flash<S: Surroundings>(
     let mut restored = Vec::new();
     if let Some(saved) = saved {
         tell(Progress::Begins(Phase::RestoreSettings));
-        let given = site.restore_settings(&loader.serial, &saved);
-        restored = given.map_err(|why| at(Phase::RestoreSettings, Flash::Written)(Cause::Board(why)))?;
+        let outcome = site.restore_settings(&loader.serial, &saved);
+        restored = outcome.map_err(|why| at(Phase::RestoreSettings, Flash::Written)(Cause::Board(why)))?;
     }
     Ok(FlashSummary { identity, restored, sectors, bytes })
 }
 
-/// Waits until `condition` is true, at most for `longest`. Returns true if it became true.
+/// Waits until `condition` is true, at most for `longest`. Returns true if `condition` became true.
 fn wait_until<S: Surroundings>(site: &mut S, longest: Duration, mut condition: impl FnMut(&mut S) -> bool) -> bool {
     let end = site.now() + longest;
     loop {
@@ -448,6 +444,6 @@ fn wait_until<S: Surroundings>(site: &mut S, longest: Duration, mut condition: i
         if site.now() >= end {
             return false;
         }
-        site.wait(POLL);
+        site.wait(POLL_INTERVAL);
     }
 }

@@ -4,7 +4,7 @@ use std::ops::Range;
 
 /// First address of flash and of every image, where the chip reads its vectors.
 pub const FLASH_START: u32 = 0x0800_0000;
-/// Addresses of the settings, which no image touches (memory.x): sectors 1 and 2.
+/// Addresses of the settings in sectors 1 and 2, which no image may overwrite (memory.x).
 pub const SETTINGS: Range<u32> = 0x0800_4000..0x0800_C000;
 
 /// Consecutive bytes of an image.
@@ -30,7 +30,7 @@ pub struct Image {
     pub board: String,
     /// Version of the firmware, if known.
     pub version: Option<String>,
-    /// Version of its protocol, if known.
+    /// Version of the firmware's protocol, if known.
     pub protocol: Option<u16>,
     /// Segments in ascending order.
     pub segments: Vec<Segment>,
@@ -38,20 +38,16 @@ pub struct Image {
 
 /// An image that cannot be flashed.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum BadImage {
-    /// The image has no bytes.
     #[error("the image is empty")]
     Empty,
-    /// The image would not start.
     #[error("the image has no vectors at {FLASH_START:#010x}, where the chip starts")]
     NoVectors,
-    /// The image overlaps the settings.
     #[error("the image would overwrite the board's settings at {:#010x}", SETTINGS.start)]
     OverSettings,
-    /// Two segments overlap.
     #[error("two segments of the image overlap at {0:#010x}")]
     Overlap(u32),
-    /// A segment exceeds the address range.
     #[error("a segment of the image at {0:#010x} does not fit into a chip's addresses")]
     TooLong(u32),
 }
@@ -62,12 +58,12 @@ impl Image {
         self.segments.retain(|segment| !segment.bytes.is_empty());
         self.segments.sort_by_key(|segment| segment.address);
         let first = self.segments.first().ok_or(BadImage::Empty)?;
-        // The initial stack pointer and the reset vector are two words.
+        // The chip reads the initial stack pointer and the reset vector, two words.
         if first.address != FLASH_START || first.bytes.len() < 8 {
             return Err(BadImage::NoVectors);
         }
         for segment in &self.segments {
-            // The bytes will be padded to words.
+            // Adds 4, because the bytes are padded to words later.
             if u64::from(segment.address) + segment.bytes.len() as u64 + 4 > u64::from(u32::MAX) {
                 return Err(BadImage::TooLong(segment.address));
             }

@@ -1,7 +1,7 @@
-//! The sectors of a memory, as the boot loader describes them in the name of its interface.
+//! The sectors of a memory, as described in the name of the boot loader's interface (UM0424 section 10.3.2).
 //!
-//! `@Internal Flash  /0x08000000/04*016Kg,01*064Kg,07*128Kg`: a name, then an address and the sectors from there;
-//! further pairs of address and sectors may follow. Format: UM0424 section 10.3.2.
+//! `@Internal Flash  /0x08000000/04*016Kg,01*064Kg,07*128Kg` contains a name, and one or more pairs of an address and
+//! the sectors from this address.
 
 /// One sector.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -66,7 +66,7 @@ fn read(text: &str) -> Option<Layout> {
                 if sectors.len() == MAX_SECTORS {
                     return None;
                 }
-                // 'a' to 'g': bit 0 means readable, bit 1 erasable, bit 2 writable.
+                // In the letters 'a' to 'g', bit 0 means readable, bit 1 erasable, bit 2 writable.
                 sectors.push(Sector { start, length, usable: kind == b'g' });
                 start = start.checked_add(length)?;
             }

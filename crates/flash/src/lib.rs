@@ -1,14 +1,12 @@
-//! Flashes firmware onto a board through the boot loader that ST put into the chip.
+//! Flashes firmware onto a board through ST's boot loader in the chip.
 //!
-//! The boot loader speaks DfuSe: the USB DFU class (version 1.1a) with ST's commands. The source is AN2662, which
-//! describes a program that flashes through it; ST's AN3156, which specifies the commands, was not available. [`dfuse`]
-//! is one session with the boot loader over a [`Transport`], [`flash_sequence`] returns the blocks to erase and write
-//! in their order, and [`flash`] takes a running board through the boot loader to the new image. No USB stack is
-//! required: the feature `usb` adds one, and tests use a scripted boot loader instead.
+//! The protocol of the boot loader is DfuSe, the USB DFU class (version 1.1a) with ST's commands. The source is AN2662;
+//! ST's AN3156, which specifies the commands, was not available. [`dfuse`] is a session with the boot loader over a
+//! [`Transport`], [`flash_sequence`] returns the blocks to erase and write, and [`flash`] flashes a board. The feature
+//! `usb` adds a USB stack; tests use a scripted boot loader instead.
 //!
-//! `dfu-core` 0.11 and `dfu-nusb` 0.2 do not fit. They write one segment and then leave the boot loader, but an image
-//! has two segments with the settings between them. They cannot read back, they erase all sectors from the first
-//! address to the last, and `dfu-nusb` needs an executor.
+//! The crates `dfu-core` 0.11 and `dfu-nusb` 0.2 are not used, because they write only one segment, cannot read back,
+//! and erase all sectors from the first address to the last. An image has two segments with the settings between them.
 
 pub mod dfuse;
 mod embedded;
@@ -28,7 +26,7 @@ pub use dfuse::{DfuError, Transport, UsbError};
 pub use embedded::{Embedded, WITHOUT_IMAGES, embedded};
 pub use flash_sequence::{Block, FlashSequence, Misfit, flash_sequence};
 pub use flashing::{
-    BootLoader, Cause, FlashError, FlashSummary, FlashTarget, Identity, Opened, Phase, Progress, Surroundings,
+    BootLoader, Cause, FlashError, FlashSummary, FlashTarget, Identity, OpenBootLoader, Phase, Progress, Surroundings,
     find_board, flash,
 };
 pub use image::{BadImage, FLASH_START, Image, SETTINGS, Segment};

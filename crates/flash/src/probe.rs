@@ -1,5 +1,5 @@
-//! Flashes through a debug probe with an installed probe-rs. The image is passed as Intel HEX, which contains
-//! addresses, so the settings between its segments stay.
+//! Flashes through a debug probe with an installed probe-rs. The image is passed as Intel HEX, whose addresses exclude
+//! the settings between the segments.
 
 use std::io::{self, Write as _};
 use std::process::{Command, Stdio};
@@ -9,25 +9,20 @@ use crate::image::Image;
 /// probe-rs's name for the boards' chip.
 const CHIP: &str = "STM32F405RGTx";
 
-/// A failure to flash with a probe.
+/// A failure to flash with a probe. `step` is the subcommand of probe-rs.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum ProbeError {
-    /// probe-rs is not installed.
     #[error(
         "probe-rs is not installed; `cargo install probe-rs-tools --locked` installs it, or leave the probe out to flash \
          over USB"
     )]
     NotInstalled,
-    /// probe-rs failed.
     #[error(
         "probe-rs {step} failed; its own message is above. A board with an incomplete image does not arm: check the \
          probe's cable and the board's power, and run this again"
     )]
-    Failed {
-        /// Subcommand of probe-rs.
-        step: &'static str,
-    },
-    /// The image could not be written to a file.
+    Failed { step: &'static str },
     #[error("the image cannot be written for probe-rs: {0}")]
     File(#[from] io::Error),
 }
@@ -55,7 +50,7 @@ pub fn hex(image: &Image) -> String {
                 upper = Some(at >> 16);
                 record(4, 0, &((at >> 16) as u16).to_be_bytes());
             }
-            // No record crosses a 64 KB boundary.
+            // A record must not cross a 64 KB boundary.
             let length = rest.len().min(16).min(0x1_0000 - (at & 0xFFFF) as usize);
             let (now, after) = rest.split_at(length);
             record(0, at as u16, now);
@@ -66,7 +61,7 @@ pub fn hex(image: &Image) -> String {
     text
 }
 
-/// Flashes, verifies and restarts. `program` is the probe-rs executable.
+/// Flashes, verifies and restarts a board. `program` is the probe-rs executable.
 pub fn flash(program: &str, image: &Image) -> Result<(), ProbeError> {
     let mut file = tempfile::Builder::new().suffix(".hex").tempfile()?;
     file.write_all(hex(image).as_bytes())?;

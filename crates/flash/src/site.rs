@@ -6,12 +6,12 @@ use std::time::{Duration, Instant};
 
 use haptic_bridge::board::protocol::{EnterDfu, GetInfo};
 use haptic_bridge::board::settings::Key;
-use haptic_host::backup::{Backup, Restored, restore, unsaved};
+use haptic_host::backup::{Backup, RestoreMethod, restore, unsaved};
 use haptic_host::link::{Board, BoardError, BoardPort, Client, LinkError, PortSpec, SerialWire, boards};
 use haptic_host::output;
 
 use crate::dfuse::UsbError;
-use crate::flashing::{BootLoader, Identity, Opened, Surroundings};
+use crate::flashing::{BootLoader, Identity, OpenBootLoader, Surroundings};
 use crate::usb::{self, UsbBootLoader};
 
 /// Retry interval and longest wait for a board's reply.
@@ -29,8 +29,8 @@ impl Bus {
     }
 }
 
-/// Returns true if the motors of a running board are on, with the names of settings that a restart would lose. `None`
-/// if the board has another version of the protocol, so that it cannot report them.
+/// Returns true if the motors of a running board are on, and the names of the settings that a restart would lose.
+/// Returns `None` if the board has another version of the protocol.
 pub fn motors_and_unsaved(serial: &str) -> Result<Option<(bool, Vec<&'static str>)>, BoardError> {
     let Some(mut board) = open_same_protocol(serial)? else { return Ok(None) };
     let drives = board.status()?.state.drives();
@@ -47,7 +47,7 @@ fn open_same_protocol(serial: &str) -> Result<Option<Board>, LinkError> {
 /// Opens a client of a board with any protocol version.
 fn client(serial: &str) -> Result<Client, String> {
     let port = boards().0.into_iter().find(|board| board.serial == serial);
-    let BoardPort { path, .. } = port.ok_or("it is not on USB any more")?;
+    let BoardPort { path, .. } = port.ok_or("the board is not on USB any more")?;
     let wire = SerialWire::open(&path);
     let wire =
         wire.map_err(|error| format!("{path} cannot be opened ({error}): close the program that has it open"))?;
@@ -67,15 +67,12 @@ impl Surroundings for Bus {
     fn boot_loaders(&mut self) -> Result<Vec<BootLoader>, UsbError> {
         usb::boot_loaders()
     }
-
-    fn open(&mut self, which: &BootLoader) -> Result<Opened<UsbBootLoader>, UsbError> {
+    fn open(&mut self, which: &BootLoader) -> Result<OpenBootLoader<UsbBootLoader>, UsbError> {
         usb::open(which)
     }
-
     fn boards(&mut self) -> Vec<String> {
         boards().0.into_iter().map(|board| board.serial).collect()
     }
-
     fn identify(&mut self, serial: &str) -> Result<Identity, String> {
         let info = client(serial)?.call::<GetInfo>(&(), REPLY).map_err(to_text)?;
         Ok(Identity {
@@ -90,19 +87,18 @@ impl Surroundings for Bus {
         let board = open_same_protocol(serial).map_err(to_text)?;
         board.map(|mut board| Backup::read(&mut board)).transpose().map_err(to_text)
     }
-
     fn enter_boot_loader(&mut self, serial: &str) -> Result<(), String> {
-        // Another version of the protocol may have another request; the board then refuses this one as unknown.
+        // A board with another protocol version may refuse this request as unknown.
         let outcome = client(serial)?.call::<EnterDfu>(&(), REPLY).map_err(to_text)?;
         outcome.map_err(|refusal| format!("the board refuses: {refusal}"))
     }
 
     fn restore_settings(&mut self, serial: &str, saved: &Backup) -> Result<Vec<String>, String> {
         restore_settings(serial, saved).map_err(|why| {
-            let file = output::unused(Path::new(&format!("haptic-backup-{serial}.json")));
+            let file = output::unused_path(Path::new(&format!("haptic-backup-{serial}.json")));
             match output::write(&file, saved.to_text().as_bytes(), output::Overwrite::Never) {
-                Ok(()) => format!("{why}; the settings are in {}, a backup to restore", file.display()),
-                Err(error) => format!("{why}; they could not be written to a file either: {error}"),
+                Ok(()) => format!("{why}; the settings are in the backup {}: restore it", file.display()),
+                Err(error) => format!("{why}; the settings could not be written to a file either: {error}"),
             }
         })
     }
@@ -110,7 +106,6 @@ impl Surroundings for Bus {
     fn now(&mut self) -> Duration {
         self.began.elapsed()
     }
-
     fn wait(&mut self, time: Duration) {
         sleep(time);
     }
@@ -133,9 +128,9 @@ pub fn restore_lost_settings(board: &mut Board, saved: &Backup) -> Result<Vec<St
     if !Key::ALL.iter().any(lost) {
         return Ok(Vec::new());
     }
-    // Restores all of them, because a new device resets the settings that depend on it.
+    // Restores all settings, because a restored device resets the settings that depend on it.
     let ready = saved.ready().map_err(to_text)?;
     restore(board, &ready).map_err(to_text)?;
-    let back = ready.iter().filter(|setting| setting.how != Restored::NotRestored);
+    let back = ready.iter().filter(|setting| setting.how != RestoreMethod::NotRestored);
     Ok(back.map(|setting| setting.key.name().to_string()).collect())
 }

@@ -2,17 +2,19 @@
 
 /// USB vendor and product id of the boot loader in ST's chips (AN2606).
 pub const BOOT_LOADER: (u16, u16) = (0x0483, 0xDF11);
-/// USB vendor and product id of the boards, and the product name that distinguishes them in this test id.
+/// USB vendor and product id of the boards, and the product name that distinguishes the boards from other devices with
+/// this test id.
 pub const BOARD: (u16, u16, &str) = (0x1209, 0x0001, "haptic-bridge");
-/// Path of the rule; its number must be lower than 73, the number of the rules that read its tag.
-pub const PLACE: &str = "/etc/udev/rules.d/70-haptic-bridge.rules";
+/// Path of the rule file. Its number must be lower than 73, the number of the system's rules that read the tag
+/// `uaccess`.
+pub const RULE_PATH: &str = "/etc/udev/rules.d/70-haptic-bridge.rules";
 
 /// Returns the contents of the rule file.
 pub fn rule() -> String {
     let (vendor, product) = BOOT_LOADER;
     let (board_vendor, board_product, name) = BOARD;
     format!(
-        "# haptic-bridge boards, for the local user of this computer; ModemManager ignores them. {PLACE}\n\
+        "# haptic-bridge boards, for the local user of this computer; ModemManager ignores them. {RULE_PATH}\n\
          # The boot loader in the chip:\n\
          SUBSYSTEM==\"usb\", ATTR{{idVendor}}==\"{vendor:04x}\", ATTR{{idProduct}}==\"{product:04x}\", \
          TAG+=\"uaccess\"\n\

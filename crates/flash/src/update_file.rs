@@ -1,7 +1,6 @@
-//! DfuSe update files, which `cargo xtask images` and `cargo xtask dfu` write: the segments of an image and the name of
-//! its board.
+//! DfuSe update files, which contain the segments of an image and the name of its board. `cargo xtask` writes them.
 //!
-//! Format: STMicroelectronics UM0391, "DfuSe file format specification". All numbers are little-endian.
+//! The format is STMicroelectronics UM0391, "DfuSe file format specification". All numbers are little-endian.
 
 use haptic_bridge::checksum::crc32;
 
@@ -9,25 +8,22 @@ use crate::image::{BadImage, Image, Segment};
 
 /// A file that is not a valid update file.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum BadFile {
-    /// Another kind of file, or another version of the format.
     #[error("it is not a DfuSe update file (.dfu), such as `cargo xtask dfu BOARD` writes")]
     NotDfuse,
-    /// The checksum is wrong.
     #[error("it is damaged: its checksum is wrong")]
     Damaged,
-    /// The file is too short, or its lengths contradict its contents.
     #[error("it is damaged: its lengths contradict its contents")]
     Lengths,
-    /// The file is for several memories, but these boards have one.
     #[error("it is for {0} memories, not for one")]
     Targets(u8),
-    /// The image cannot be flashed.
     #[error(transparent)]
     Image(#[from] BadImage),
 }
 
-/// Parses a file. The board is the name in the file; the file does not contain versions.
+/// Parses a file. The board of the image is the name in the file. The versions are `None`, because no file contains
+/// them.
 pub fn parse(file: &[u8]) -> Result<Image, BadFile> {
     if !file.starts_with(b"DfuSe\x01") {
         return Err(BadFile::NotDfuse);
@@ -55,7 +51,7 @@ pub fn parse(file: &[u8]) -> Result<Image, BadFile> {
     if !prefix.starts_with(b"Target") || size as usize != rest.len() {
         return Err(BadFile::Lengths);
     }
-    // "Target", the alternate setting, the flag for a name, the name.
+    // The prefix is "Target", the alternate setting, the flag for a name, and the name from byte 11.
     let board = prefix[11..].split(|byte| *byte == 0).next().unwrap_or_default();
     let mut segments = Vec::new();
     for _ in 0..elements {

@@ -12,7 +12,7 @@ mod request;
 pub use inverse3::Inverse3;
 pub use request::{Basis, ProgramRequest};
 
-use haptic_host::link::{BoardError, nothing_yet};
+use haptic_host::link::{BoardError, should_retry};
 use haptic_host::places::{Place, Places};
 use serde_json::{Value, json};
 use std::fmt::Display;
@@ -324,7 +324,7 @@ fn converse(stream: TcpStream, device_use: &DeviceUse<'_>) -> tungstenite::Resul
             }
             Ok(Message::Close(_)) => return Ok(()),
             Ok(_) => {}
-            Err(tungstenite::Error::Io(error)) if nothing_yet(&error) => {}
+            Err(tungstenite::Error::Io(error)) if should_retry(&error) => {}
             Err(error) => return Err(error),
         }
     }

@@ -161,7 +161,7 @@ impl Recorder {
         let gathered = std::mem::take(&mut self.gathered);
         let failed = |path: &Path, error: io::Error| match error.kind() {
             io::ErrorKind::BrokenPipe => RecordError::ReaderGone,
-            _ => RecordError::Failed(output::refused(path, &error)),
+            _ => RecordError::Failed(output::write_failure(path, &error)),
         };
         match &mut self.sink {
             Sink::StandardOutput => {

@@ -1,7 +1,8 @@
 //! The simulated board: the firmware's control loop, service and protocol around a simulated device.
 //!
-//! Time is a count of carrier periods, so a run is the same on every machine. A period runs as on the chip: samples at
-//! the carrier's crest, control at every `divider`-th crest, duties in force half a carrier period later.
+//! Time is a count of carrier periods, so that a run is the same on every machine. As on the chip, the board samples at
+//! every crest, evaluates the controller at every `divider`-th crest, and applies the duties half a carrier period
+//! later.
 
 use super::device::{DeviceError, Options, SimulatedDevice, Support};
 use super::faults::BoardFaults;
@@ -36,7 +37,7 @@ pub enum DriveModel {
     /// Duty, bus and winding are simulated, and the current loop has its real performance.
     #[default]
     Electric,
-    /// The commanded torque acts at once, as linear theory and the golden values assume.
+    /// The commanded torque acts without delay, as linear theory and the golden values assume.
     Ideal,
 }
 
@@ -49,17 +50,18 @@ pub struct BoardOptions {
     pub drive: DriveModel,
     /// Time from sampling to the duty in force, in carrier periods, 0 to 1. The real boards have 0.5.
     pub delay: f64,
-    /// True if the board requires the same steps as a real one: verified motors, limits, homing, polarity check. Its
-    /// encoders then start at zero in any pose of the device; otherwise they know their angle.
+    /// True if the board requires verified motors, limits, homing and a polarity check, as a real board does. The
+    /// encoders then start at zero in any pose of the device; otherwise they start at the joint angles.
     pub strict: bool,
-    /// Support by a user from power-on until the motors carry the device, as docs/bring-up.md requires: the user carries
-    /// the device's weight during a polarity check, then returns and holds it while the torque ramps up after arming.
+    /// Support by a user from power-on until the motors carry the device (docs/bring-up.md). The user carries the
+    /// device's weight during a polarity check, then returns the device and holds it while the torque ramps up after
+    /// arming.
     pub support: Support,
     /// Number of motor axes.
     pub axes: usize,
     /// The faults present at power-on.
     pub faults: BoardFaults,
-    /// Size of the send buffer, bytes; telemetry beyond it is dropped and counted.
+    /// Size of the send buffer, bytes. A full buffer drops telemetry and counts the dropped rows.
     pub send_buffer: usize,
     /// Serial number.
     pub serial: String,
@@ -81,14 +83,14 @@ impl Default for BoardOptions {
     }
 }
 
-/// Speed of the fastest joint while a moved device is returned to the pose where it is held, rad/s: so fast that the
-/// board does not consider the device at rest.
-const BACK_SPEED: f64 = 1.0;
+/// Speed of the fastest joint while a user returns the device to its power-on pose, rad/s: so fast that the board does
+/// not consider the device at rest.
+const RETURN_SPEED_RAD_S: f64 = 1.0;
 
 /// Interval at which the service polls the control loop, s.
 const POLL_SECONDS: f64 = 0.02;
 
-/// Name of a board with an ideal drive, by which predictions of its range recognise the drive.
+/// Name of a board with an ideal drive. Predictions of stable gains recognise the drive by this name.
 pub const IDEAL_BOARD: &str = "simulated-ideal";
 
 /// Returns the identification of a board with these options.
@@ -97,7 +99,7 @@ fn info(options: &BoardOptions) -> Info {
         DriveModel::Electric => "simulated",
         DriveModel::Ideal => IDEAL_BOARD,
     };
-    // `take` cuts longer text, but these names are short.
+    // These names are shorter than the limits of the protocol at which `take` cuts.
     Info {
         protocol: PROTOCOL,
         firmware: env!("CARGO_PKG_VERSION").chars().take(16).collect(),
@@ -106,11 +108,11 @@ fn info(options: &BoardOptions) -> Info {
     }
 }
 
-/// Returns the hard limits of a simulation with this supply (V). If its motors count as real, the tip force is limited as
-/// on a real board.
+/// Returns the hard limits of a simulated board with this supply, V. If `hardware` counts as real, the tip force is
+/// limited as on a real board.
 fn hard_limits(hardware: Hardware, supply: f64) -> Limits {
     let limits = Limits::default();
-    // The limits have the same ratio to the supply as the usual limits to the usual supply.
+    // Scales the bus limits with the ratio of this supply to the default supply.
     let share = (supply / PowerStage::default().bus_voltage) as f32;
     let (bus_min, bus_max) = (limits.bus_min * share.min(1.0), limits.bus_max * share.max(1.0));
     let tip_force = if hardware.real { MAX_TIP_FORCE } else { limits.tip_force };
@@ -137,8 +139,9 @@ pub struct SimulatedBoard {
     packer: Packer,
     dropped: u32,
     link: Port,
-    /// The path of the hand while the motors are on, and true if the hand follows it now.
+    /// Path of the hand while the motors are on.
     hand_loop: Option<HandLoop>,
+    /// True if the hand follows the path now.
     follows_loop: bool,
     /// Time at which the motors were armed, s.
     armed_at: Option<f64>,
@@ -147,7 +150,7 @@ pub struct SimulatedBoard {
 }
 
 impl SimulatedBoard {
-    /// Creates a board without settings, with the device of `description` wired to it.
+    /// Creates a board without settings that is wired to the device of `description`.
     pub fn new(description: &Description, options: BoardOptions) -> Result<Self, DeviceError> {
         let device = SimulatedDevice::new(
             description,
@@ -162,7 +165,7 @@ impl SimulatedBoard {
             bridge: Bridge {
                 carrier_hz: bridge.carrier_hz as f32,
                 dead_time: bridge.dead_time as f32,
-                // The drive is slower if the inductance is unknown; the simulated winding then has no inductance.
+                // Without inductances the drive is slower, because a board does not know the current's time constant.
                 bandwidth_hz: if wound { 1_500.0 } else { 1_500.0 / UNKNOWN_INDUCTANCE_SHARE },
                 // An ideal drive has no voltage or winding to compare with a model.
                 current_sensed: options.drive == DriveModel::Electric,
@@ -206,16 +209,15 @@ impl SimulatedBoard {
         }
     }
 
-    /// Advances by one carrier period. Do not mix with [`SimulatedBoard::control_period`] within a control period.
+    /// Advances by one carrier period. Must not be mixed with [`SimulatedBoard::control_period`] within a control
+    /// period.
     pub fn carrier(&mut self) {
         self.carrier_period(1);
     }
-
     /// Returns the carrier frequency, Hz.
     pub fn carrier_hz(&self) -> f64 {
         self.machine.carrier.carrier_hz().into()
     }
-
     /// Advances by one control period.
     pub fn control_period(&mut self) {
         match self.options.drive {
@@ -228,7 +230,7 @@ impl SimulatedBoard {
         }
     }
 
-    /// Advances by `carriers` carrier periods as one, with one sample and one set of duties.
+    /// Advances by `carriers` carrier periods with one sample and one set of duties.
     fn carrier_period(&mut self, carriers: u32) {
         let carrier = 1.0 / f64::from(self.machine.carrier.carrier_hz());
         let period = carrier * f64::from(carriers);
@@ -289,8 +291,8 @@ impl SimulatedBoard {
         }
     }
 
-    /// Puts a hand on the tip that follows a loop, from its start, whenever the motors are armed. While they are off, the
-    /// hand waits outside the walls, because a board whose tip is inside a wall does not arm.
+    /// Puts a hand on the tip, which starts to follow `hand_loop` when the motors are armed. While the motors are off,
+    /// the hand waits outside the walls, because a board does not arm with the tip inside a wall.
     pub fn set_hand_loop(&mut self, settings: HandSettings, hand_loop: HandLoop) {
         let hand = Hand::new(settings, hand_loop.wait(), self.device.tip(), self.device.time());
         self.device.set_hand(hand);
@@ -308,7 +310,7 @@ impl SimulatedBoard {
         }
     }
 
-    /// Resets the support of the device to that at power-on; a held device returns to its start.
+    /// Resets the support of the device to the support at power-on. A held device returns to its power-on pose.
     fn reset_support(&mut self) {
         let support = self.options.support;
         if support == Support::Held {
@@ -319,14 +321,14 @@ impl SimulatedBoard {
         self.device.set_support(support);
     }
 
-    /// Sets the user's support of the device for the board's state.
+    /// Updates the user's support of the device for the state of the board.
     fn support(&mut self) {
         let now = self.device.support();
         let state = self.machine.control_loop.frame().state;
         let time = self.device.time();
         self.armed_at = (state == State::Armed).then(|| self.armed_at.unwrap_or(time));
         let ramped = self.armed_at.is_some_and(|armed_at| time >= armed_at + f64::from(ARM_SECONDS));
-        // The user returns the device also after a motion with the motors on, if the device need not be homed.
+        // If no homing is required, the user holds and returns the device also after motions with the motors on.
         let stays = self.options.support == Support::Held && !self.options.strict;
         let required = match (now, state) {
             (Support::None, _) if !stays => Support::None,
@@ -340,7 +342,7 @@ impl SimulatedBoard {
         }
         let off = !state.drives();
         if (now == Support::Carried || stays && now == Support::None) && required == Support::Held && off {
-            // The device has moved, and homing would take its present pose for home.
+            // Starts the return of the device, because homing would declare the present pose to be home.
             self.return_from = Some((self.device.q(), time));
         }
         self.return_from = self.return_from.filter(|_| off);
@@ -348,7 +350,7 @@ impl SimulatedBoard {
             let to = self.device.start();
             let distance: [f64; 3] = core::array::from_fn(|i| to[i] - from[i]);
             let longest = distance.iter().fold(0.0_f64, |longest, distance| longest.max(distance.abs()));
-            let share = (time - since) * BACK_SPEED / longest.max(1e-9);
+            let share = (time - since) * RETURN_SPEED_RAD_S / longest.max(1e-9);
             if share < 1.0 {
                 self.device.place(core::array::from_fn(|i| from[i] + share * distance[i]));
             } else {
@@ -358,7 +360,7 @@ impl SimulatedBoard {
         }
     }
 
-    /// Passes the samples at all but the last crest of `carriers` periods to the guard, with evenly turning joints.
+    /// Passes samples at all but the last crest of `carriers` periods to the guard, with interpolated encoder counts.
     fn guard_skipped_crests(&mut self, samples: &Samples, carriers: u32) {
         let moved: [i64; 3] =
             core::array::from_fn(|axis| i64::from(samples.counts[axis].wrapping_sub(self.last_counts[axis])));
@@ -371,8 +373,8 @@ impl SimulatedBoard {
         self.last_counts = samples.counts;
     }
 
-    /// Adds the step to the stream. A row that the link has no room for is dropped before it is packed, as on the chip,
-    /// so that every numbered batch is sent.
+    /// Adds a row of this step to the stream. As on the chip, a full send buffer drops the row before it is packed, so
+    /// that every numbered batch is sent.
     fn record(&mut self) {
         let frame = self.machine.control_loop.frame();
         if !self.packer.wants(frame.step) {
@@ -394,7 +396,7 @@ impl SimulatedBoard {
         }
     }
 
-    /// Advances simulated time to `until` (s since power-on).
+    /// Advances until the time `until` since power-on, s.
     pub fn run_until(&mut self, until: f64) {
         while self.device.time() < until {
             self.control_period();
@@ -405,9 +407,8 @@ impl SimulatedBoard {
     pub fn run(&mut self, seconds: f64) {
         self.run_until(self.device.time() + seconds);
     }
-
-    /// Receives bytes from a host and carries out every completed request after two control periods: as on a real link,
-    /// control continues while a request is on its way.
+    /// Receives bytes from a host. Carries out every completed request after two control periods, because control
+    /// continues while a request is on its way.
     pub fn receive(&mut self, bytes: &[u8]) {
         for frame in self.link.take_in(bytes) {
             self.control_period();
@@ -420,25 +421,21 @@ impl SimulatedBoard {
     pub fn take_bytes(&mut self, buffer: &mut [u8]) -> usize {
         self.link.take_out(buffer)
     }
-
     /// Returns true if bytes wait for the host.
     pub fn has_bytes(&self) -> bool {
         !self.link.is_empty()
     }
-
-    /// Disconnects the host: drops its bytes and stops the stream.
+    /// Disconnects the host: drops all bytes on the link and stops the stream.
     pub fn hang_up(&mut self) {
         self.packer = Packer::default();
         self.link.clear();
     }
-
-    /// Makes the hardware report a fault at the next sample.
+    /// Injects a fault of the hardware, which the next control step reports.
     pub fn inject(&mut self, fault: Fault, axis: Option<u8>, value: f32) {
         self.injected = Some((fault, axis, value));
     }
-
-    /// Returns the time since the host's last heartbeat, or since its key was seen down, and the time allowed before
-    /// the board acts, s; `None` while the board would not act.
+    /// Returns the time since the host's last heartbeat, or since a dead man's key was last seen down, and the time
+    /// after which the board acts, s. Returns `None` while the board would not act.
     pub fn host_silence(&self) -> Option<(f64, f64)> {
         let (rules, control_loop) = (self.service.rules(), &self.machine.control_loop);
         let host = (rules.host_action != HostAction::Ignore).then(|| (control_loop.host_silent(), rules.host_seconds));
@@ -446,16 +443,14 @@ impl SimulatedBoard {
         Some((f64::from(silent), f64::from(allowed)))
     }
 
-    /// Returns the faults of the board, to add or repair them.
+    /// Returns the injected faults of the board, to change them.
     pub fn faults_mut(&mut self) -> &mut BoardFaults {
         &mut self.options.faults
     }
-
     /// Returns the number of encoder readings.
     pub fn readings(&self) -> u64 {
         self.readings
     }
-
     /// Returns the device.
     pub fn device(&self) -> &SimulatedDevice {
         &self.device
@@ -472,11 +467,10 @@ impl SimulatedBoard {
     pub fn status(&self) -> Status {
         self.machine.control_loop.status()
     }
-
     fn reply(&mut self, frame: &[u8]) {
         let mut out = [0; MAX_FRAME];
         let (reply, after) = dispatch::answer(&mut self.service, &mut self.machine, frame, &mut out);
-        // Rows of the present stream are sent before the reply that ends it.
+        // Sends the last rows of the present stream before the reply that ends the stream.
         if matches!(after, After::Stream(..))
             && let Some(batch) = self.packer.flush()
         {
@@ -491,15 +485,14 @@ impl SimulatedBoard {
                 self.packer.start(&request, axes);
                 self.dropped = 0;
             }
-            // There is no boot loader to enter; a real one would end with a restart.
+            // There is no boot loader to enter; a real boot loader would end with a restart.
             After::BootLoader | After::Restart => self.restart(),
         }
     }
 
-    /// Resets the board: flash stays, all other state starts again, motors off.
+    /// Resets the board: flash and the motors' temperatures stay, all other state starts again with the motors off.
     fn restart(&mut self) {
         self.machine.flash.restart();
-        // A reset does not clear RAM or cool the motors.
         let heat = *self.machine.control_loop.heat();
         self.machine.control_loop = ControlLoop::new(self.hardware, Rules::default());
         self.machine.control_loop.start_heat(heat);

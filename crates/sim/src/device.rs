@@ -1,4 +1,4 @@
-//! A simulated device: linkage, motors, encoders and a hand. Drive goes in; counts, currents and index marks come out.
+//! A simulated device: linkage, motors, encoders and a hand. Converts drive inputs to counts, currents and index marks.
 
 use super::encoder::EncoderModel;
 use super::hand::Hand;
@@ -13,17 +13,17 @@ pub struct Options {
     pub friction: bool,
     /// The supply and the bridges.
     pub bridge: PowerStage,
-    /// Joint angles at power-on, rad; `None` for the description's home.
+    /// Joint angles at power-on, rad; `None` for the home of the description.
     pub start: Option<[f64; 3]>,
-    /// True if the encoders know their angle at power-on, as if homed; otherwise they start at zero in any pose.
+    /// True if the encoders show the joint angles at power-on, as if homed; otherwise they start at zero in any pose.
     pub absolute_encoders: bool,
     /// Longest integration step, s. At 5 µs a five-bar's energy drifts by less than 1e-9 in a second
     /// (tool/tests/quick/simulated_device.rs).
     pub substep: f64,
     /// Distance of a joint's mechanical stop beyond its limits, rad; joints without limits have no stop.
     pub stop_margin: f64,
-    /// True if the linkage has a soft stop before every singularity, as if a user were careful: a simulated hand would
-    /// fold a device whose file gives its joints no limits.
+    /// True if the linkage has a soft stop before every singularity, because a simulated hand would fold a device
+    /// without joint limits.
     pub soft_stop: bool,
 }
 
@@ -48,13 +48,13 @@ impl Options {
     }
 }
 
-/// Support by a user of a device that its motors do not hold.
+/// The way in which a user supports a device.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Support {
-    /// No support: a device with weight falls.
+    /// No support, so that a device with weight falls.
     #[default]
     None,
-    /// The user carries the device's weight and lets it move.
+    /// The user carries the weight, and the device can move.
     Carried,
     /// The user holds the device still.
     Held,
@@ -62,22 +62,18 @@ pub enum Support {
 
 /// A description that cannot be simulated.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[allow(missing_docs)]
 pub enum DeviceError {
-    /// The description itself is wrong.
     #[error(transparent)]
     Description(#[from] DescriptionError),
-    /// A joint without an encoder.
     #[error("joint {0} has no [joint.encoder]: a board cannot measure its motion; add one to the device file")]
     NoEncoder(usize),
-    /// A joint without a motor.
     #[error("joint {0} has no [joint.motor]: a board cannot drive it; add one to the device file")]
     NoMotor(usize),
-    /// No pose to start from.
     #[error(
         "the device has no [home]: the simulation does not know in which pose it starts; add one to the device file"
     )]
     NoStart,
-    /// The integration step is not a positive number.
     #[error("the integration step must be a positive number of seconds")]
     Substep,
 }
@@ -159,7 +155,7 @@ impl SimulatedDevice {
             if self.support != Support::Held {
                 let q = self.plant.q();
                 self.plant.step(&load, h);
-                // A linkage that falls onto a singularity jams there, because its equations have no solution beyond.
+                // Stops a linkage at a singularity, because the equations of motion have no solution beyond.
                 if !self.plant.q().iter().chain(&self.plant.qd()).all(|number| number.is_finite()) {
                     self.plant.place(q, [0.0; 3]);
                 }
@@ -172,8 +168,7 @@ impl SimulatedDevice {
     pub fn support(&self) -> Support {
         self.support
     }
-
-    /// Changes the support; a held device stops at once.
+    /// Changes the support. A held device stops at once.
     pub fn set_support(&mut self, support: Support) {
         if support == Support::Held {
             self.place(self.plant.q());
@@ -189,11 +184,11 @@ impl SimulatedDevice {
     pub fn hand(&self) -> &Hand {
         &self.hand
     }
-    /// Returns the hand on the tip, to lead it.
+    /// Returns the hand on the tip, to change its motion.
     pub fn hand_mut(&mut self) -> &mut Hand {
         &mut self.hand
     }
-    /// Moves the device to rest at `q` (rad), with its encoders.
+    /// Moves the device and its encoders to `q` (rad), at rest.
     pub fn place(&mut self, q: [f64; 3]) {
         self.plant.place(q, [0.0; 3]);
     }
@@ -205,12 +200,10 @@ impl SimulatedDevice {
     pub fn set_bus_voltage(&mut self, volts: f64) {
         self.bridge.bus_voltage = volts;
     }
-
     /// Returns the joint angles at power-on, rad.
     pub fn start(&self) -> [f64; 3] {
         self.start
     }
-
     /// Returns the number of joints N.
     pub fn joints(&self) -> usize {
         self.plant.joints()
@@ -245,7 +238,7 @@ impl SimulatedDevice {
     pub fn hand_force(&self) -> [f64; 3] {
         self.hand_force
     }
-    /// Returns the tip, m.
+    /// Returns the position of the tip, m.
     pub fn tip(&self) -> [f64; 3] {
         self.plant.tip()
     }

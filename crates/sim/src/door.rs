@@ -1,10 +1,11 @@
 //! The ports of a served board: a pseudo-terminal or a TCP address.
 //!
-//! A second tool on TCP receives the message that the board is taken; on a pseudo-terminal a lock refuses it. A tool
-//! that holds the board in silence loses it to the second tool, and a request to disarm is always carried out.
+//! While a tool holds the board, a TCP port replies to a second tool that the board is occupied, and a lock refuses the
+//! second tool on a pseudo-terminal. A silent holder loses the board to a second tool. A request to disarm is always
+//! carried out.
 
 use haptic_bridge::board::protocol::Disarm;
-use haptic_host::link::{Deframer, Occupied, encode, nothing_yet};
+use haptic_host::link::{Deframer, Occupied, encode, should_retry};
 use haptic_host::places::{Place, Places};
 use postcard_rpc::Endpoint as _;
 use postcard_rpc::Topic;
@@ -17,42 +18,41 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// An event on a port.
 pub(super) enum Event {
     Connected(Outgoing),
     Bytes(Vec<u8>),
     Gone,
 }
 
-/// A request to disarm from a tool that does not hold the board, and the queue for the reply. These requests have their
-/// own queue, which is polled first, so the holder's traffic delays them by one block at most.
+/// A request to disarm from a tool that does not hold the board, and the queue for the reply. The queue of these
+/// requests is polled first, so that the holder's traffic delays a request by at most one block.
 pub(super) type Stop = (Vec<u8>, Outgoing);
 
-/// Bytes to the tool. A separate thread writes them, so that a tool that does not read blocks nothing else.
+/// Queue of blocks of bytes to a tool. A separate thread writes the blocks, so that a tool that does not read blocks no
+/// other tool.
 pub(super) type Outgoing = SyncSender<Vec<u8>>;
 
-/// Maximum number of blocks on their way to the tool.
+/// Maximum number of blocks in the queue to a tool.
 const MAX_BLOCKS: usize = 8;
 /// Size of a block, bytes.
-pub(super) const BLOCK: usize = 4096;
-/// Maximum number of blocks from a tool that wait for the board.
+pub(super) const BLOCK_BYTES: usize = 4096;
+/// Maximum number of events in the queue to the board.
 const MAX_EVENTS: usize = 16;
-/// Maximum number of connections in addition to the holder; a further connection closes another, see [`Places`].
+/// Maximum number of connections in addition to the holder. A further connection closes another, see [`Places`].
 const MAX_PENDING: usize = 16;
 /// Maximum number of disarm requests that wait for the board.
 pub(super) const MAX_STOPS: usize = MAX_PENDING;
-/// Time for a refused connection to send its request. A silent connection does not block others.
+/// Longest wait for the request of a refused connection.
 const REQUEST_TIMEOUT: Duration = Duration::from_secs(10);
 /// Time for which a tool that disarms the board without holding it receives the board's bytes.
-pub(super) const DISARM_ANSWER: Duration = Duration::from_secs(1);
+pub(super) const DISARM_REPLY_TIME: Duration = Duration::from_secs(1);
 
 /// Waiting times of a TCP port.
 #[derive(Clone, Copy, Debug)]
 pub struct Patience {
-    /// Longest silence of a holder when another tool requests the board. This project's tools send something twenty
-    /// times a second while they listen.
+    /// Silence after which a holder loses the board to another tool. This project's tools send a heartbeat every 50 ms.
     pub silence: Duration,
-    /// Time for which a second tool waits for the first one to leave, because one command may follow another quickly.
+    /// Time for which a second tool waits for the holder to disconnect, because one command may follow another quickly.
     pub handover: Duration,
 }
 
@@ -76,17 +76,17 @@ pub fn pseudo_terminal() -> io::Result<ToolListener> {
     use serialport::{SerialPort, TTYPort};
     let (mut master, slave) = TTYPort::pair()?;
     let port = slave.name().unwrap_or_default();
-    // Without an open slave of this process, reads fail while no tool is connected, which detects a hang-up.
+    // After this drop, reads fail while no tool is connected, which detects a hang-up.
     drop(slave);
     master.set_timeout(Duration::from_millis(100))?;
-    // One writer serves all tools, because an immediate change of tools may go unnoticed.
+    // Uses one writer for all tools, because a quick change of tools is not always detected.
     let writer = outgoing(master.try_clone_native()?, LossPolicy::Block);
     let (send, events) = sync_channel(MAX_EVENTS);
-    // No separate queue: a tool that disarms opens the same terminal, and its request comes among the holder's bytes.
+    // The queue stays empty, because the request of a disarming tool comes among the holder's bytes.
     let (_, stops) = sync_channel(MAX_STOPS);
     thread::spawn(move || {
         let mut connected = false;
-        let mut buffer = [0; BLOCK];
+        let mut buffer = [0; BLOCK_BYTES];
         loop {
             match master.read(&mut buffer) {
                 Ok(count) if count > 0 => {
@@ -100,7 +100,7 @@ pub fn pseudo_terminal() -> io::Result<ToolListener> {
                         return;
                     }
                 }
-                Err(error) if nothing_yet(&error) => {}
+                Err(error) if should_retry(&error) => {}
                 _ => {
                     if std::mem::take(&mut connected) && send.send(Event::Gone).is_err() {
                         return;
@@ -121,7 +121,7 @@ pub fn tcp(address: SocketAddr, patience: Patience) -> io::Result<ToolListener> 
     let (stop, stops) = sync_channel(MAX_STOPS);
     thread::spawn(move || {
         let holder = Holder::default();
-        // A remote tool's address does not identify it (there may be a relay), so one address may take all places.
+        // One address may take all places, because several tools may connect through one relay.
         let places = Places::new(MAX_PENDING, MAX_PENDING);
         for stream in listener.incoming() {
             let Ok(stream) = stream else { continue };
@@ -145,7 +145,6 @@ pub fn tcp(address: SocketAddr, patience: Patience) -> io::Result<ToolListener> 
     Ok(ToolListener { port, events, stops })
 }
 
-/// The first bytes of a new connection.
 enum FirstBytes {
     Nothing,
     /// Bytes other than a request to disarm.
@@ -156,7 +155,7 @@ enum FirstBytes {
     Gone,
 }
 
-/// Waits 10 ms for the first bytes of a connection, and leaves them unread.
+/// Waits 10 ms for the first bytes of a connection, without consuming them.
 fn wait_for_first_bytes(stream: &TcpStream, place: &Place) -> FirstBytes {
     let pause = Duration::from_millis(10);
     let _ = stream.set_read_timeout(Some(pause));
@@ -171,12 +170,12 @@ fn wait_for_first_bytes(stream: &TcpStream, place: &Place) -> FirstBytes {
             thread::sleep(pause);
             FirstBytes::Other
         }
-        Err(error) if nothing_yet(&error) => FirstBytes::Nothing,
+        Err(error) if should_retry(&error) => FirstBytes::Nothing,
         Err(_) => FirstBytes::Gone,
     }
 }
 
-/// Returns the request to disarm if it is the first request.
+/// Returns the first request, encoded again, if it is a request to disarm.
 fn disarm_request(bytes: &[u8]) -> Option<Vec<u8>> {
     let mut first = None;
     Deframer::default().feed(bytes, |frame| first = first.take().or(Some(frame)));
@@ -195,7 +194,7 @@ struct Connection {
     last_received: Instant,
 }
 
-/// The result for a connection that requests the board.
+/// The result of a connection's request for the board.
 enum Admission {
     /// The connection holds the board under this number.
     Holds(u64),
@@ -209,9 +208,8 @@ impl Holder {
     fn lock(&self) -> MutexGuard<'_, Option<Connection>> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
-
-    /// Gives the board to this connection if it becomes free in time. A connection that sends bytes also gets a board
-    /// whose holder is silent.
+    /// Gives the board to this connection if the board becomes free in time. A connection that sends bytes also takes
+    /// the board of a silent holder.
     fn admit(&self, stream: &TcpStream, place: &Place, patience: Patience) -> Admission {
         static SEATS: AtomicU64 = AtomicU64::new(0);
         let began = Instant::now();
@@ -227,7 +225,7 @@ impl Holder {
                         *holder = Some(Connection { seat, stream, last_received: Instant::now() });
                         return Admission::Holds(seat);
                     }
-                    // The holder's reading thread detects the shutdown and frees the board.
+                    // The reading thread of the holder detects the shutdown and frees the board.
                     Some(connection) if is_active && connection.last_received.elapsed() > patience.silence => {
                         let _ = connection.stream.shutdown(Shutdown::Both);
                     }
@@ -255,11 +253,11 @@ impl Holder {
     }
 }
 
-/// Forwards the bytes of the connection that holds the board, until it ends.
+/// Forwards the bytes of the connection that holds the board, until the connection ends.
 fn forward(mut stream: TcpStream, send: &SyncSender<Event>, holder: &Holder, seat: u64) {
     let outgoing = start_tcp_writer(&stream);
     let mut alive = outgoing.is_ok_and(|outgoing| send.send(Event::Connected(outgoing)).is_ok());
-    let mut buffer = [0; BLOCK];
+    let mut buffer = [0; BLOCK_BYTES];
     while alive {
         alive = match stream.read(&mut buffer) {
             Ok(0) | Err(_) => false,
@@ -280,13 +278,13 @@ fn start_tcp_writer(stream: &TcpStream) -> io::Result<Outgoing> {
     Ok(outgoing(writer, LossPolicy::Sink))
 }
 
-/// Reads the request of a second tool: returns a request to disarm, otherwise replies that the board is taken. Reads
-/// first, because closing a socket with unread bytes would discard the reply.
+/// Reads the first request of a second tool. Returns a request to disarm; otherwise replies that the board is occupied.
+/// Reads before it replies, because closing a socket with unread bytes would discard the reply.
 pub fn turn_away(stream: &TcpStream) -> Option<Vec<u8>> {
     let _ = stream.set_read_timeout(Some(REQUEST_TIMEOUT));
     let mut disarm = None;
     let mut deframer = Deframer::default();
-    let mut buffer = [0; BLOCK];
+    let mut buffer = [0; BLOCK_BYTES];
     let mut reader = stream;
     let began = Instant::now();
     let mut is_complete = false;
@@ -309,14 +307,14 @@ pub fn turn_away(stream: &TcpStream) -> Option<Vec<u8>> {
     disarm
 }
 
-/// Disarms the board for a tool that does not hold it, and sends it the reply.
+/// Disarms the board for a tool that does not hold the board, and sends the reply to the tool.
 fn disarm_and_reply(stream: TcpStream, request: Vec<u8>, stop: &SyncSender<Stop>) -> io::Result<()> {
     let answers = start_tcp_writer(&stream)?;
     let _ = stop.send((request, answers));
-    stream.set_read_timeout(Some(DISARM_ANSWER))?;
+    stream.set_read_timeout(Some(DISARM_REPLY_TIME))?;
     let mut reader = stream;
-    // `reader` starts with the unread request, so the tool is finished after a second frame.
-    let (mut buffer, mut deframer, mut after) = ([0; BLOCK], Deframer::default(), 0);
+    // The first frame is the unread request; a second frame shows that the tool has received the reply.
+    let (mut buffer, mut deframer, mut after) = ([0; BLOCK_BYTES], Deframer::default(), 0);
     while after < 2 {
         let Ok(count @ 1..) = reader.read(&mut buffer) else { break };
         deframer.feed(&buffer[..count], |_| after += 1);
@@ -324,14 +322,16 @@ fn disarm_and_reply(stream: TcpStream, request: Vec<u8>, stop: &SyncSender<Stop>
     Ok(())
 }
 
-/// Loss when a sink refuses a block: the block alone, or the sink for good.
+/// The reaction to a sink that refuses a block.
 #[derive(Clone, Copy, PartialEq)]
 enum LossPolicy {
+    /// Drops the block.
     Block,
+    /// Closes the sink.
     Sink,
 }
 
-/// Starts a thread that writes blocks to `sink` until the sender is dropped or the sink is lost.
+/// Starts a thread that writes blocks to `sink` until the sender is dropped or the sink is closed.
 fn outgoing(mut sink: impl Write + Send + 'static, loss_policy: LossPolicy) -> Outgoing {
     let (send, blocks) = sync_channel::<Vec<u8>>(MAX_BLOCKS);
     thread::spawn(move || {
@@ -340,7 +340,7 @@ fn outgoing(mut sink: impl Write + Send + 'static, loss_policy: LossPolicy) -> O
             while !rest.is_empty() {
                 match sink.write(rest) {
                     Ok(count @ 1..) => rest = &rest[count..],
-                    Err(error) if nothing_yet(&error) => {}
+                    Err(error) if should_retry(&error) => {}
                     _ if loss_policy == LossPolicy::Block => break,
                     _ => return,
                 }

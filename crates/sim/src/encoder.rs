@@ -1,13 +1,13 @@
-//! An incremental encoder: converts an angle to counts since power-on. Edges are half a count to either side of zero.
+//! An incremental encoder, which converts an angle to counts since power-on. The edges nearest to count 0 are half a
+//! count on either side.
 
 use haptic_bridge::model::description::Encoder;
 use std::f64::consts::TAU;
 
-/// One joint's encoder. It counts from the angle where its counter was zero: for an incremental encoder, the joint's
-/// angle at power-on.
+/// The encoder of a joint. It counts from the angle at which the counter was zero, usually the joint angle at power-on.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EncoderModel {
-    /// Counts per radian, negative when inverted.
+    /// Counts per radian; negative for an inverted encoder.
     counts_per_rad: f64,
     /// The joint's angle at count 0, rad.
     origin: f64,
@@ -21,25 +21,21 @@ impl EncoderModel {
         let sign = if encoder.inverted { -1.0 } else { 1.0 };
         Self { counts_per_rad: sign * encoder.counts_per_turn / TAU, origin, index: encoder.offset }
     }
-
     /// Returns the count at the angle `q` (rad).
     pub fn counts(&self, q: f64) -> i32 {
-        // A float-to-int `as` saturates, and NaN gives 0.
+        // `as` saturates, and converts NaN to 0.
         ((q - self.origin) * self.counts_per_rad).round() as i32
     }
-
-    /// Returns true if the index mark is under the sensor: within half a count of the description's `offset`, each
+    /// Returns true if the index mark is under the sensor, within half a count of the description's `offset` in each
     /// turn.
     pub fn at_index(&self, q: f64) -> bool {
         let turns = (q - self.index) / TAU;
         ((turns - turns.round()) * TAU * self.counts_per_rad).abs() <= 0.5
     }
-
-    /// Returns the encoder with its counts shifted by a share of one count.
-    pub fn moved(&self, share: f64) -> Self {
+    /// Returns the encoder with its edges shifted by `share` of one count.
+    pub fn shifted(&self, share: f64) -> Self {
         Self { origin: self.origin + share * self.resolution(), ..*self }
     }
-
     /// Returns the angle of one count, rad.
     pub fn resolution(&self) -> f64 {
         1.0 / self.counts_per_rad.abs()
@@ -64,7 +60,7 @@ mod tests {
     }
 
     #[test]
-    fn the_index_passes_once_a_turn_at_the_offset() {
+    fn the_index_mark_is_passed_once_per_turn_at_the_offset() {
         let encoder = Encoder { counts_per_turn: 4000.0, offset: 0.3, inverted: true };
         let model = EncoderModel::new(&encoder, 1.0);
         let hits = (0..4000).filter(|i| model.at_index(0.3 + f64::from(*i) * TAU / 4000.0)).count();

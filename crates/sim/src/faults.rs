@@ -1,37 +1,36 @@
-//! Faults of a board and its connectors.
+//! Injected faults of a board and its wiring.
 
 use super::motor::MotorInput;
 
 /// The faults of a board; none by default.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BoardFaults {
-    /// Index of the motor that each axis drives and whose current it measures.
+    /// For each axis, the index of the motor that the axis drives and whose current it measures.
     pub motors: [usize; 3],
     /// Axes with swapped motor leads.
     pub reversed: [bool; 3],
-    /// Gain of each current sensor, in the order of the board's sensors; 0 for a stuck sensor. The simulated board has
-    /// one sensor per axis.
+    /// Gain of each current sensor, in the order of the board's sensors; 0 for a stuck sensor.
     pub sensor_gain: [f64; 4],
-    /// Offset of each current sensor, A, in the same order.
+    /// Offset of each current sensor, A, in the order of the board's sensors.
     pub sensor_offset: [f64; 4],
-    /// Fixed reading of an axis's sensors at any current, A.
+    /// Reading of an axis's current sensors that is independent of the current, A.
     pub sensor_frozen: [Option<f64>; 3],
-    /// Fixed reading of the bus divider at any voltage, V.
+    /// Reading of the bus voltage that is independent of the voltage, V.
     pub bus_reading: Option<f64>,
     /// Axes with an open winding.
     pub open: [bool; 3],
-    /// Bridges that stay at a duty, independent of the chip and the enable line.
+    /// Duty at which an axis's bridge is stuck, independent of the chip and the enable line.
     pub stuck_on: [Option<f64>; 3],
-    /// Amplitude of an encoder's jitter, counts, added at every second reading.
+    /// Jitter of an encoder, counts, which is added to every second reading.
     pub shake: [i32; 3],
     /// Offset of an encoder, counts.
     pub count_offset: [i32; 3],
-    /// Scale error of an encoder: from this count on it shows this share of its joint's motion; 0 for a dead encoder,
-    /// -1 for a backward one.
+    /// First count and share of the joint's motion that an encoder shows from this count on. The share is 0 for a dead
+    /// encoder and -1 for a reversed encoder.
     pub share: [Option<(i32, f64)>; 3],
-    /// Drift of an encoder: from this reading on it gains this number of counts per reading.
+    /// First reading and rate of an encoder's drift, counts per reading.
     pub drift: [Option<(u64, f64)>; 3],
-    /// Encoders 0 and 1 are swapped from these counts on.
+    /// Counts at which encoders 0 and 1 are swapped.
     pub swapped_at: Option<[i32; 2]>,
 }
 
@@ -56,33 +55,31 @@ impl Default for BoardFaults {
 }
 
 impl BoardFaults {
-    /// Returns the inputs at the motors for these outputs of the bridges.
+    /// Returns the inputs of the motors for these outputs of the bridges.
     #[must_use]
     pub fn drives(&self, drives: [MotorInput; 3]) -> [MotorInput; 3] {
-        let mut reaching = [MotorInput::Floating; 3];
+        let mut inputs = [MotorInput::Floating; 3];
         for (axis, drive) in drives.into_iter().enumerate() {
             let input = self.stuck_on[axis].map_or(drive, MotorInput::Duty);
-            reaching[self.motors[axis]] = match input {
+            inputs[self.motors[axis]] = match input {
                 _ if self.open[axis] => MotorInput::Floating,
                 MotorInput::Floating => MotorInput::Floating,
                 MotorInput::Duty(duty) => MotorInput::Duty(duty * self.sign(axis)),
                 MotorInput::Torque(torque) => MotorInput::Torque(torque * self.sign(axis)),
             };
         }
-        reaching
+        inputs
     }
 
     fn sign(&self, axis: usize) -> f64 {
         if self.reversed[axis] { -1.0 } else { 1.0 }
     }
-
-    /// Returns the reading of sensor `nth` of an axis for these motor currents, A.
+    /// Returns the reading of the axis's sensor `nth` for these motor currents, A.
     #[must_use]
     pub fn current(&self, currents: &[f64; 3], axis: usize, nth: usize) -> f64 {
         let current = self.sensor_frozen[axis].unwrap_or(currents[self.motors[axis]] * self.sign(axis));
         self.sensor_gain[nth] * current + self.sensor_offset[nth]
     }
-
     /// Returns the encoders' `nth` reading for the true `counts`.
     #[must_use]
     pub fn counts(&self, mut counts: [i32; 3], nth: u64) -> [i32; 3] {

@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 /// The committed entries by key, and staged entries.
 #[derive(Clone, Debug, Default)]
 pub struct SettingsFlash {
-    /// The committed entries, which the next start reads.
+    /// The committed entries, which the board reads at its next start.
     pub kept: BTreeMap<u8, Entry>,
     /// True if writing fails.
     pub broken: bool,
@@ -15,11 +15,6 @@ pub struct SettingsFlash {
 }
 
 impl SettingsFlash {
-    /// Creates a flash with these entries.
-    pub fn holding(kept: BTreeMap<u8, Entry>) -> Self {
-        Self { kept, ..Self::default() }
-    }
-
     /// Stages an entry.
     pub fn stage(&mut self, key: Key, entry: &[u8]) -> Result<(), Refusal> {
         if self.broken {
@@ -33,8 +28,7 @@ impl SettingsFlash {
     pub fn staged(&self, key: Key) -> Option<Entry> {
         self.staged.get(&(key as u8)).cloned()
     }
-
-    /// Commits the staged entries of these settings, all or none, and drops the others.
+    /// Commits the staged entries of these settings, all or none, and drops the other staged entries.
     pub fn commit(&mut self, keys: &[Key]) -> Result<(), Refusal> {
         if self.broken || keys.iter().any(|key| !self.staged.contains_key(&(*key as u8))) {
             return Err(Refusal::Flash);
@@ -48,7 +42,6 @@ impl SettingsFlash {
     pub fn load(&self, key: Key) -> Option<Entry> {
         self.kept.get(&(key as u8)).cloned()
     }
-
     /// Drops staged entries, as a restart does.
     pub fn restart(&mut self) {
         self.staged.clear();

@@ -1,4 +1,5 @@
-//! A hand that holds the tip: a mass between two spring-dampers, the grip (tip to hand) and the arm (hand to intent).
+//! A hand that holds the tip: a mass between two springs with dampers, the grip (tip to hand) and the arm (hand to
+//! aim).
 //!
 //! The intent is a path to follow or a force to push with, both along minimum-jerk segments (Flash and Hogan 1985).
 //! Physiological tremor, if enabled, is a sum of sinusoids of 8-12 Hz whose phases come from the seed.
@@ -6,12 +7,12 @@
 use super::random::Random;
 use std::f64::consts::TAU;
 
-/// A value that the intent reaches at a time and keeps until the next segment: m when following, N when pushing.
+/// A position (m) or force (N) that the intent reaches at a time.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Waypoint {
     /// Time since the hand gripped the tip, s.
     pub time: f64,
-    /// Value, m or N; only the first d entries are used.
+    /// Position, m, or force, N. Only the first d (task dimension) entries are used.
     pub value: [f64; 3],
 }
 
@@ -22,15 +23,15 @@ pub enum Intent {
     LetGo,
     /// Follow a path through these points, in order of time.
     Follow(Vec<Waypoint>),
-    /// Push with these forces, in order of time; the arm then only damps.
+    /// Push with these forces, in order of time, without the arm's stiffness.
     Push(Vec<Waypoint>),
-    /// Go to this position (m), which [`Hand::lead`] may move, as a mouse does.
+    /// Go to this position (m), which [`Hand::lead`] changes, such as the position of a mouse.
     Lead([f64; 3]),
 }
 
-/// Rate at which the aim of a led hand approaches its goal, rad/s: a critically damped second-order lag of 50 ms. An
-/// arm follows a mouse about that closely, and the lag smooths a mouse's 60 positions a second.
-const LEAD_RATE: f64 = 40.0;
+/// Natural frequency of the critically damped filter from a led hand's goal to its aim, rad/s. Its lag of 50 ms is
+/// about the lag of an arm behind a mouse, and smooths the 60 positions per second of a mouse.
+const LEAD_RATE_RAD_S: f64 = 40.0;
 
 /// The mechanics of a hand.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -45,14 +46,14 @@ pub struct HandSettings {
     pub arm_stiffness: f64,
     /// Arm damping, N s/m.
     pub arm_damping: f64,
-    /// Amplitude of the tremor of the arm's aim, m per axis.
+    /// Amplitude of the tremor of the arm's aim along each axis, m.
     pub tremor: f64,
     /// Seed of the tremor's phases.
     pub seed: u64,
 }
 
 impl Default for HandSettings {
-    /// A relaxed pen grip and forearm (orders of magnitude after Kuchenbecker, Park and Niemeyer 2003).
+    /// Returns a relaxed pen grip and forearm (orders of magnitude after Kuchenbecker, Park and Niemeyer 2003).
     fn default() -> Self {
         Self {
             mass: 0.12,
@@ -76,25 +77,25 @@ pub struct Hand {
     velocity: [f64; 3],
     aim: [f64; 3],
     aim_velocity: [f64; 3],
-    tremor: Vec<Wave>,
+    tremor: Vec<Sinusoid>,
 }
 
 #[derive(Clone, Copy, Debug)]
-struct Wave {
+struct Sinusoid {
     axis: usize,
     hz: f64,
     phase: f64,
 }
 
-/// Number of sinusoids of tremor per axis.
-const WAVES: usize = 3;
+/// Number of sinusoids per axis whose sum is the tremor.
+const TREMOR_SINUSOIDS: usize = 3;
 
 impl Hand {
-    /// Creates a hand that takes hold of the tip at `tip` (m) at the time `now` (s).
+    /// Creates a hand that grips the tip at `tip` (m) at the time `now` (s).
     pub fn new(settings: HandSettings, intent: Intent, tip: [f64; 3], now: f64) -> Self {
         let mut random = Random::new(settings.seed);
-        let tremor = (0..3 * WAVES)
-            .map(|i| Wave { axis: i % 3, hz: random.between(8.0, 12.0), phase: random.between(0.0, TAU) })
+        let tremor = (0..3 * TREMOR_SINUSOIDS)
+            .map(|i| Sinusoid { axis: i % 3, hz: random.between(8.0, 12.0), phase: random.between(0.0, TAU) })
             .collect();
         let at_rest = [0.0; 3];
         Self { settings, intent, began: now, position: tip, velocity: at_rest, aim: tip, aim_velocity: at_rest, tremor }
@@ -113,18 +114,15 @@ impl Hand {
         (self.intent, self.began) = (intent, now);
         (self.aim, self.aim_velocity) = (self.position, [0.0; 3]);
     }
-
-    /// Returns the position of the hand, m; `None` if it holds nothing.
+    /// Returns the position of the hand, m; `None` if the hand has let go of the tip.
     pub fn position(&self) -> Option<[f64; 3]> {
         (self.intent != Intent::LetGo).then_some(self.position)
     }
-
-    /// Creates a hand that holds nothing.
+    /// Creates a hand that does not hold the tip.
     pub fn none() -> Self {
         Self::new(HandSettings::default(), Intent::LetGo, [0.0; 3], 0.0)
     }
-
-    /// Advances the hand by `h` and returns its force on the tip, N; `task` is d.
+    /// Advances the hand by `h` (s) and returns its force on the tip, N. `task` is the task dimension.
     pub fn step(&mut self, tip: &[f64; 3], tip_velocity: &[f64; 3], task: usize, now: f64, h: f64) -> [f64; 3] {
         let mut force = [0.0; 3];
         if self.intent == Intent::LetGo {
@@ -144,7 +142,8 @@ impl Hand {
                         + s.arm_damping * (aim_velocity - self.velocity[axis])
                 }
                 Intent::Lead(goal) => {
-                    let lag = LEAD_RATE * (LEAD_RATE * (goal[axis] - self.aim[axis]) - 2.0 * self.aim_velocity[axis]);
+                    let lag = LEAD_RATE_RAD_S
+                        * (LEAD_RATE_RAD_S * (goal[axis] - self.aim[axis]) - 2.0 * self.aim_velocity[axis]);
                     self.aim_velocity[axis] += h * lag;
                     self.aim[axis] += h * self.aim_velocity[axis];
                     s.arm_stiffness * (self.aim[axis] + tremor[axis] - self.position[axis])
@@ -164,14 +163,14 @@ impl Hand {
 
     fn tremor_at(&self, time: f64) -> [f64; 3] {
         let mut aim = [0.0; 3];
-        for wave in &self.tremor {
-            aim[wave.axis] += self.settings.tremor / WAVES as f64 * (TAU * wave.hz * time + wave.phase).sin();
+        for Sinusoid { axis, hz, phase } in &self.tremor {
+            aim[*axis] += self.settings.tremor / TREMOR_SINUSOIDS as f64 * (TAU * hz * time + phase).sin();
         }
         aim
     }
 }
 
-/// Returns value and rate at `time` of the minimum-jerk segments through `points`, along one axis.
+/// Returns value and rate of the minimum-jerk segments through `points` at `time` (s), along one axis.
 fn minimum_jerk(points: &[Waypoint], axis: usize, time: f64) -> (f64, f64) {
     let next = points.partition_point(|point| point.time <= time);
     let Some(to) = points.get(next) else {
@@ -199,7 +198,7 @@ mod tests {
     fn a_minimum_jerk_segment_is_at_rest_at_its_ends() {
         assert_eq!(minimum_jerk(&PATH, 0, 0.5), (0.0, 0.0));
         assert_eq!(minimum_jerk(&PATH, 0, 1.0), (0.0, 0.0));
-        // Flash and Hogan: half way at half time, at 15/8 of the mean speed.
+        // After half of the time the segment is half way and has 15/8 of the mean speed (Flash and Hogan).
         let (value, rate) = minimum_jerk(&PATH, 0, 2.0);
         assert!((value - 0.5).abs() < 1e-15 && (rate - 0.5 * 15.0 / 8.0).abs() < 1e-15);
         assert_eq!(minimum_jerk(&PATH, 0, 3.5), (1.0, 0.0));
@@ -226,7 +225,7 @@ mod tests {
         for i in 0..200_000 {
             force = hand.step(&[0.1, 0.2, 0.0], &[0.0; 3], 2, f64::from(i) * 1e-5, 1e-5);
         }
-        // Arm (250 N/m) and grip (1200 N/m) share the centimetre: springs in series.
+        // Arm (250 N/m) and grip (1200 N/m) are springs in series, stretched by 1 cm together.
         let pull = 0.01 / (1.0 / 250.0 + 1.0 / 1200.0);
         assert!(force[0].abs() < 1e-9 && (force[1] + pull).abs() < 1e-6, "{force:?}");
         assert!((hand.position().unwrap()[1] - (0.2 - pull / 1200.0)).abs() < 1e-6);

@@ -9,12 +9,12 @@ use haptic_bridge::with_mechanism;
 use haptic_host::device_file::DeviceFile;
 use nalgebra::{DMatrix, DVector, SVector, Vector3};
 
-/// Half the length and half the width of the loop, m.
-const HALF_SIZE: f64 = 0.015;
-/// Largest condition number of the Jacobian on the path: closer to a singular pose, a board may trip.
+/// Half of the length and of the width of the loop, m.
+const HALF_SIZE_M: f64 = 0.015;
+/// Largest condition number of the Jacobian on the path, because a board may trip closer to a singular pose.
 const MAX_CONDITION: f64 = 30.0;
-/// Largest distance of a path's end from its goal, m.
-const MAX_GOAL_ERROR: f64 = 1e-5;
+/// Largest distance of a path's end from the goal, m.
+const MAX_GOAL_ERROR_M: f64 = 1e-5;
 
 /// An endless loop, 3 cm across, that takes 4 s per round.
 #[derive(Clone, Debug, PartialEq)]
@@ -23,8 +23,9 @@ pub struct HandLoop {
     rest: [f64; 3],
     /// Centre of the loop, m.
     pub centre: Vector3<f64>,
-    /// Unit vectors across and along the wall.
+    /// Unit vector across the wall.
     across: Vector3<f64>,
+    /// Unit vector along the wall.
     along: Vector3<f64>,
     /// True if the circle goes through the surface of a wall.
     pub on_a_wall: bool,
@@ -39,11 +40,11 @@ impl HandLoop {
         let mut places = walls.flat_map(|wall| {
             let contact = wall.surface.contact::<Libm, 3>(&tip);
             let nearest = tip - contact.normal * contact.distance;
-            let named = match &wall.surface {
+            let own_point = match &wall.surface {
                 Surface::Plane(plane) => Vector3::from(plane.point),
                 _ => nearest,
             };
-            [nearest, named].map(|centre| Self {
+            [nearest, own_point].map(|centre| Self {
                 rest,
                 centre,
                 across: contact.normal,
@@ -53,7 +54,7 @@ impl HandLoop {
         });
         places.find(|place| place.is_within_reach(file)).unwrap_or(Self {
             rest,
-            centre: tip + Vector3::y() * HALF_SIZE,
+            centre: tip + Vector3::y() * HALF_SIZE_M,
             across: Vector3::y(),
             along: Vector3::x(),
             on_a_wall: false,
@@ -61,19 +62,16 @@ impl HandLoop {
     }
 
     fn corners(&self) -> [Vector3<f64>; 4] {
-        [self.along, -self.across, -self.along, self.across].map(|direction| self.centre + direction * HALF_SIZE)
+        [self.along, -self.across, -self.along, self.across].map(|direction| self.centre + direction * HALF_SIZE_M)
     }
-
     fn is_within_reach(&self, file: &DeviceFile) -> bool {
         self.corners().iter().all(|corner| is_within_reach(file, corner))
     }
-
-    /// Returns the intent of the hand while the motors are off: it returns home, outside the walls, and stays there.
+    /// Returns the intent of the hand while the motors are off: to stay at home, outside the walls.
     pub fn wait(&self) -> Intent {
         Intent::Lead(self.rest)
     }
-
-    /// Returns the path of the hand, from home, for an hour.
+    /// Returns the path of the hand, which starts at home and lasts an hour.
     pub fn intent(&self) -> Intent {
         let corners = self.corners().map(Into::into);
         let places = std::iter::once(self.rest).chain(corners.into_iter().cycle());
@@ -93,17 +91,17 @@ fn is_within_reach(file: &DeviceFile, goal: &Vector3<f64>) -> bool {
     let goal = DVector::from_column_slice(&goal.as_slice()[..start.len()]);
     (1..=STEPS).all(|step| {
         let target = &start + (&goal - &start) * (f64::from(step) / f64::from(STEPS));
-        // Newton's method. From a twentieth of the path it converges within a few iterations.
+        // Newton's method converges within a few iterations, because each step is a twentieth of the path.
         (0..8).any(|_| {
             let (tip, jacobian) = at(&q);
             let stretch = jacobian.singular_values();
-            // False also for NaN, which links that cannot close produce.
+            // NaN, which links that cannot close produce, gives false too.
             let regular = stretch.max() <= MAX_CONDITION * stretch.min();
             if !regular {
                 return false;
             }
             let error = &target - tip;
-            if error.norm() < MAX_GOAL_ERROR {
+            if error.norm() < MAX_GOAL_ERROR_M {
                 let limits = file.description.joints.iter().map(|joint| joint.limits);
                 return q
                     .iter()
@@ -170,7 +168,7 @@ mod tests {
     fn a_goal_outside_the_workspace_is_out_of_reach() {
         let file = DeviceFile::parse(super::super::SHIPPED_DEVICE, "coupled-five-bar.toml").unwrap();
         assert!(is_within_reach(&file, &Vector3::new(-0.1, 0.18, 0.0)));
-        // Out of reach of the arms, which are 23 cm long.
+        // Each arm is 23 cm long and cannot reach this point.
         assert!(!is_within_reach(&file, &Vector3::new(-0.0962, 0.2144, 0.0)));
     }
 }

@@ -1,6 +1,6 @@
 //! The simulated board: the library's own control loop on a nonlinear simulation of the device, its motors and a hand.
-//! [`SimulatedDevice`] is the physics alone (drive in; encoder counts and currents out); the emulated chip uses it too.
-//! No code here reads a clock or an unseeded random number, so the same inputs give the same numbers, bit for bit.
+//! [`SimulatedDevice`] is the physics without the control loop; the emulated chip uses it too. No code here reads a
+//! clock or an unseeded random number, so the same inputs give the same numbers, bit for bit.
 //!
 //! ```
 //! use haptic_host::link::Session;
@@ -17,7 +17,7 @@
 //! |---|---|
 //! | open a board by its port, simulated or not | [`open`] |
 //! | use a simulated board and its wire | [`SharedBoard`], [`ready_board`] |
-//! | lead a hand | [`Hand`], [`Intent`] |
+//! | move a hand | [`Hand`], [`Intent`] |
 //! | serve other programs by TCP or a pseudo-terminal | [`server`] |
 //! | compute how a limit reduces a wall's force | [`PressedBoard`] |
 #![forbid(unsafe_code)]

@@ -1,4 +1,4 @@
-//! The machine below the service of a board without a chip: the control loop itself, and settings in memory.
+//! The machine of a board without a chip: a control loop, and settings in memory.
 
 use super::flash::SettingsFlash;
 use haptic_bridge::board::dispatch::Described;
@@ -11,8 +11,8 @@ use haptic_bridge::control::{Command, ControlLoop, Reply, Rules, Status};
 use haptic_bridge::drive::carrier::{CARRIER_MIN_HZ, Carrier};
 use haptic_bridge::safety::refusal::Refusal;
 
-/// The machine of a board that is a program on this computer. In a build with debug assertions it panics if the service
-/// sets the timer or writes flash while the motors are on.
+/// The machine of a board that is a program on this computer. With debug assertions, it panics if the service sets the
+/// timer or writes flash while the motors are on.
 #[derive(Debug)]
 pub struct LocalMachine {
     /// The control loop.
@@ -21,15 +21,15 @@ pub struct LocalMachine {
     pub flash: SettingsFlash,
     /// The carrier for the control rate.
     pub carrier: Carrier,
-    /// Number of times that the carrier was set: once for every new program.
+    /// Number of changes of the carrier, one for every new program.
     pub retimed: u32,
     info: Info,
-    /// Time from sampling to the duty in force, carrier periods.
+    /// Time from sampling to the effect of the duty, carrier periods.
     delay: f64,
 }
 
 impl LocalMachine {
-    /// Creates a machine without settings that reports `info` and has this delay, in carrier periods.
+    /// Creates a machine without settings that reports `info` and has the delay `delay`, carrier periods.
     pub fn new(hardware: Hardware, info: Info, delay: f64) -> Self {
         Self {
             control_loop: ControlLoop::new(hardware, Rules::default()),
@@ -88,7 +88,6 @@ impl Described for LocalMachine {
     fn info(&self) -> Info {
         self.info.clone()
     }
-
     fn measured(&mut self) -> Measured {
         let delay = self.delay / f64::from(self.carrier.divider);
         Measured { carrier_hz: self.carrier.carrier_hz(), delay_samples: delay as f32, ..Measured::default() }

@@ -1,16 +1,16 @@
-//! A brushed motor behind an H-bridge: duty to voltage, voltage to current, current to torque.
+//! A brushed motor behind an H-bridge, which converts duty to voltage, current and torque.
 //!
-//! V = R i + L di/dt + Kₑ ω, solved exactly over a step at the mean speed; torque = Kₜ i. The bridge is averaged over
-//! its carrier, but its dead time is simulated: in both half bridges together it reduces the voltage by the share 2 ·
-//! dead time · carrier of the bus voltage, against the current. The effect fades to zero for a current smaller than its
-//! ripple, because such a current changes sign in every period.
+//! V = R i + L di/dt + Kₑ ω is solved exactly over a step at constant speed, and the torque is Kₜ i. The bridge is
+//! averaged over its carrier period. The dead time of both half bridges reduces the voltage, against the current, by
+//! the bus voltage times 2 · dead time · carrier frequency. For a current smaller than its ripple this effect fades to
+//! zero, because the current then changes sign in every period.
 
 use haptic_bridge::model::motor::Motor;
 
 /// The drive of one axis.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum MotorInput {
-    /// The bridge is off: no current, no torque; the joint turns freely.
+    /// The bridge is off, so that the joint turns freely once the current has decayed.
     #[default]
     Floating,
     /// The bridge applies this share of the bus voltage, in [-1, 1].
@@ -24,14 +24,14 @@ pub enum MotorInput {
 pub struct PowerStage {
     /// Bus voltage, V.
     pub bus_voltage: f64,
-    /// Time between one switch opening and the other closing, s.
+    /// Time between the opening of one switch of a half bridge and the closing of the other switch, s.
     pub dead_time: f64,
     /// Carrier frequency, Hz.
     pub carrier_hz: f64,
 }
 
 impl Default for PowerStage {
-    /// 24 V, 20 kHz, and the 120 ns of the ODrive's gate driver.
+    /// Returns a stage with 24 V, 20 kHz, and the dead time of 120 ns of the ODrive's gate driver.
     fn default() -> Self {
         Self { bus_voltage: 24.0, dead_time: 120e-9, carrier_hz: 20_000.0 }
     }
@@ -49,14 +49,12 @@ impl MotorModel {
     pub fn new(motor: Motor<f64>) -> Self {
         Self { motor, current: 0.0 }
     }
-
     /// Returns the winding current, A.
     pub fn current(&self) -> f64 {
         self.current
     }
-
-    /// Advances by `h` at the speed `omega` (rad/s). Returns the torque (N m) and an additional damping (N m s/rad):
-    /// without inductance, the back-EMF is passed to the integrator as damping, so that any step is stable.
+    /// Advances by `h` (s) at the speed `omega` (rad/s). Returns the torque (N m) and a damping (N m s/rad). The
+    /// damping is the back-EMF of a winding without inductance, so that the integrator is stable for any step.
     pub fn step(&mut self, drive: MotorInput, omega: f64, bridge: &PowerStage, h: f64) -> (f64, f64) {
         let Motor { torque_constant, inductance, back_emf, .. } = self.motor;
         match drive {
@@ -89,8 +87,8 @@ impl MotorModel {
         }
     }
 
-    /// Returns the effective voltage and resistance of the winding: for a current above its ripple the dead time acts
-    /// as a voltage against the current, below it as a resistance.
+    /// Returns the effective voltage and resistance of the winding. The dead time acts as a voltage against a current
+    /// above the ripple, and as a resistance for a smaller current.
     fn with_dead_time(&self, voltage: f64, bridge: &PowerStage) -> (f64, f64) {
         let Motor { resistance, inductance, .. } = self.motor;
         let lost = 2.0 * bridge.dead_time * bridge.carrier_hz * bridge.bus_voltage;
@@ -125,7 +123,7 @@ mod tests {
         for _ in 0..100 {
             motor.step(MotorInput::Duty(0.25), 0.0, &IDEAL, 5e-6);
         }
-        // After one L/R = 0.5 ms: 1 - 1/e of 6 V / 2 ohm.
+        // After the time constant L/R = 0.5 ms the current is 1 - 1/e of 6 V / 2 ohm.
         assert!((motor.current() - 3.0 * (1.0 - (-1.0_f64).exp())).abs() < 1e-12);
     }
 
@@ -159,7 +157,7 @@ mod tests {
     #[test]
     fn dead_time_reduces_the_voltage_against_the_current() {
         let bridge = PowerStage { dead_time: 1e-6, ..IDEAL };
-        // 2 x 1 us x 20 kHz x 24 V = 0.96 V of 6 V.
+        // The dead time takes 2 x 1 us x 20 kHz x 24 V = 0.96 V of 6 V.
         assert!((steady_current(0.25, &bridge) - (6.0 - 0.96) / 2.0).abs() < 1e-9);
     }
 

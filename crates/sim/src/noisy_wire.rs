@@ -8,37 +8,38 @@ use haptic_host::link::{Board, Losses, Wire};
 use std::io;
 use std::time::Duration;
 
-/// A wire that corrupts one frame in a hundred, in both directions: injects stray bytes, or drops, doubles or swaps one
-/// byte.
+/// A wire that corrupts one frame in a hundred in both directions. It inserts foreign bytes, or drops, doubles or swaps
+/// one byte.
 pub struct NoisyWire {
     wire: Box<dyn Wire>,
     random: Random,
-    /// Number of first frames that pass unchanged, because a changed number in a request would not be detected.
+    /// Number of next frames that pass unchanged, because a corrupted value in a first request might not be detected.
     unchanged: u32,
 }
 
 impl NoisyWire {
-    /// Arms the board at the other end, has it watch its host, and follows it for `steps` control steps.
+    /// Arms the board at the other end with a host timeout of 0.5 s, and receives its telemetry for `steps` control
+    /// steps.
     ///
     /// # Panics
     ///
-    /// If the motors go off, a row is neither received nor counted as missing, or no frame was corrupted.
+    /// If the motors go off, if a row is neither received nor counted as missing, or if no frame was corrupted.
     pub fn follow(wire: Box<dyn Wire>, steps: u32) -> Losses {
         let noisy = Self { wire, random: Random::new(7), unchanged: 16 };
-        let mut board = Board::over(Box::new(noisy), "noisy").expect("a board");
-        let rules = board.rules().expect("it has rules");
-        let watched = Rules { host_action: HostAction::Disarm, host_seconds: 0.5, ..rules };
-        board.set_rules(&watched).expect("it watches its host");
+        let mut board = Board::over(Box::new(noisy), "noisy").expect("the board replies");
+        let rules = board.rules().expect("the board sends its rules");
+        let with_host_timeout = Rules { host_action: HostAction::Disarm, host_seconds: 0.5, ..rules };
+        board.set_rules(&with_host_timeout).expect("the board accepts the rules");
         board.keep_alive();
-        board.arm().expect("it arms");
-        board.start_stream(Fields(Field::Angle.bit() | Field::State.bit()), 1).expect("a stream starts");
+        board.arm().expect("the board arms");
+        board.start_stream(Fields(Field::Angle.bit() | Field::State.bit()), 1).expect("the stream starts");
         let (mut first, mut last) = (None, 0);
         while first.is_none_or(|first| last - first < steps) {
-            for row in board.rows(Duration::from_millis(100)).expect("rows come") {
+            for row in board.rows(Duration::from_millis(100)).expect("the board sends rows") {
                 assert!(row.step > last, "{} after {last}", row.step);
                 (first, last) = (first.or(Some(row.step)), row.step);
             }
-            let status = board.status().expect("it answers");
+            let status = board.status().expect("the board sends its status");
             assert_eq!((status.state, status.fault), (State::Armed, None), "step {last}");
         }
         let losses = board.losses();
@@ -49,7 +50,7 @@ impl NoisyWire {
     }
 
     fn corrupt(&mut self, bytes: &[u8]) -> Vec<u8> {
-        let mut passed = Vec::new();
+        let mut corrupted = Vec::new();
         for frame in bytes.split_inclusive(|byte| *byte == 0) {
             let mut frame = frame.to_vec();
             self.unchanged = self.unchanged.saturating_sub(1);
@@ -63,24 +64,24 @@ impl NoisyWire {
                     _ => frame.swap(at, next),
                 }
             }
-            passed.extend(frame);
+            corrupted.extend(frame);
         }
-        passed
+        corrupted
     }
 }
 
 impl Wire for NoisyWire {
     fn send(&mut self, bytes: &[u8]) -> io::Result<()> {
-        let passed = self.corrupt(bytes);
-        self.wire.send(&passed)
+        let corrupted = self.corrupt(bytes);
+        self.wire.send(&corrupted)
     }
     fn receive(&mut self, buffer: &mut [u8], timeout: Duration) -> io::Result<usize> {
         // Half of the buffer stays free for injected bytes.
         let half = buffer.len() / 2;
         let count = self.wire.receive(&mut buffer[..half], timeout)?;
-        let passed = self.corrupt(&buffer[..count]);
-        buffer[..passed.len()].copy_from_slice(&passed);
-        Ok(passed.len())
+        let corrupted = self.corrupt(&buffer[..count]);
+        buffer[..corrupted.len()].copy_from_slice(&corrupted);
+        Ok(corrupted.len())
     }
     fn now(&self) -> Duration {
         self.wire.now()

@@ -5,7 +5,7 @@ use haptic_host::device_file::DeviceFile;
 use haptic_host::link::{Board, BoardError, LinkError, PortSpec, Stopped, Wire};
 use std::path::Path;
 
-/// Finds and opens the board at `port`, which may be simulated, and checks its protocol version.
+/// Finds and opens the real or simulated board at `port`, and checks its protocol version.
 pub fn open(port: &PortSpec) -> Result<Board, LinkError> {
     match port {
         PortSpec::Sim(device) => Board::over(simulated(device.as_deref())?, NAME),
@@ -21,10 +21,10 @@ pub fn stop(port: &PortSpec) -> Result<Stopped, BoardError> {
     }
 }
 
-/// The name of a simulated board in messages.
+/// Port name of a simulated board in messages.
 const NAME: &str = "sim";
 
-/// Opens `--port sim` (the shipped device) or `--port sim:FILE`: a board with that device, wired and loaded.
+/// Opens a simulated board with the device of `--port sim:FILE`, or with the shipped device of `--port sim`.
 fn simulated(device: Option<&Path>) -> Result<Box<dyn Wire>, LinkError> {
     let file = match device {
         Some(path) => DeviceFile::load(path),

@@ -1,14 +1,16 @@
-//! The device's equations of motion, integrated: M(q) q̈ + c + g + B q̇ + Coulomb = τ + Jᵀ f (docs/model.md section 1).
+//! Integrates the device's equations of motion M(q) q̈ + c + g + B q̇ + Coulomb = τ + Jᵀ f (docs/model.md section 1).
 //!
-//! One step is Moreau's midpoint rule (J. J. Moreau 1988, "Unilateral contact and dry friction in finite freedom
-//! dynamics"): drift half a step, solve for the velocity at the end, drift the other half. It is second order and
-//! symplectic for position-dependent forces, and exact for a constant torque on a constant inertia. Dry friction is a
-//! *set* of admissible impulses rather than a sign function, so a joint that friction can hold does not creep or
-//! chatter. A transmission (docs/model.md section 4) is a spring and a damper between a motor and its link, integrated
-//! by the same rule's implicit mean: stable at any stiffness, and without numerical loss. A structural mode is a body
-//! on such a spring. Its end velocity is eliminated from the same equations before they are solved, which costs a few
-//! products. Stribeck friction is dry friction bounded by the speed at the step's start; cogging acts at the angle at
-//! the step's middle.
+//! A step is Moreau's midpoint rule (J. J. Moreau 1988, "Unilateral contact and dry friction in finite freedom
+//! dynamics"): advance the angles by half a step, solve for the end velocity, advance the angles by the other half. The
+//! rule is second order, symplectic for position-dependent forces, and exact for a constant torque on a constant
+//! inertia.
+//!
+//! - Dry friction is a set of admissible impulses instead of a sign function, so that a joint at rest does not creep or
+//!   chatter. Stribeck friction is dry friction whose bound depends on the speed at the start of the step.
+//! - A transmission (docs/model.md section 4) is a spring and a damper between a motor and its link. The implicit mean
+//!   of the midpoint rule is stable at any stiffness and has no numerical damping.
+//! - A structural mode is a body on a spring and a damper. Its end velocity is eliminated before the equations are solved.
+//! - Cogging acts at the angle in the middle of the step.
 
 use haptic_bridge::control::MIN_PARALLEL_SINE;
 use haptic_bridge::math::Libm;
@@ -20,12 +22,12 @@ use haptic_bridge::render::controller::{FULL_REGULARITY, PARALLEL_REGULARITY};
 use haptic_bridge::with_mechanism;
 use nalgebra::{SMatrix, SVector};
 
-/// Forces on the device during one step; only the first N (or d) entries are used.
+/// Forces on the device during one step. Only the first N entries (d entries of the tip force) are used.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Load {
     /// Motor torques, N m.
     pub torque: [f64; 3],
-    /// Damping added by the motors (torque constant times back-EMF over resistance), N m s/rad.
+    /// Damping by the motors (torque constant times back-EMF constant over resistance), N m s/rad.
     pub damping: [f64; 3],
     /// Force on the tip, N.
     pub force: [f64; 3],
@@ -38,24 +40,25 @@ pub struct Plant {
     joints: usize,
     task: usize,
     viscous: [f64; 3],
-    /// The joints, for their dry friction; without friction all zero.
+    /// The joints whose dry friction acts; default joints without friction.
     dry: [Joint; 3],
     cogging: [Option<Cogging>; 3],
     stops: [(f64, f64); 3],
-    /// The stop before singularities, and the linkage's distance from them.
     singularity_stop: SingularityStop,
+    /// Distance from the nearest singularity, see [`SingularityStop::distance`].
     distance: f64,
     q: [f64; 3],
     qd: [f64; 3],
     /// Acceleration in the last step, rad/s², which centres the velocity terms of the next step.
     qdd: [f64; 3],
     transmissions: [Option<Transmission>; 3],
-    /// Motor angles (rad) and velocities (rad/s) of joints with a transmission; otherwise unused.
+    /// Motor angles of joints with a transmission, rad.
     theta: [f64; 3],
+    /// Motor velocities of joints with a transmission, rad/s.
     theta_d: [f64; 3],
     /// The structural modes of each joint's link, with their states.
     modes: [[Option<ModeState>; MAX_MODES]; 3],
-    /// Friction impulse of the last step, N m s: the solver's initial value.
+    /// Friction impulse of the last step, N m s, the initial value of the solver.
     friction: [f64; 3],
     tip: [f64; 3],
     tip_velocity: [f64; 3],
@@ -70,52 +73,53 @@ struct ModeState {
 }
 
 impl ModeState {
-    /// Eliminates the mode from a step of `h` of its joint, which is at `q` (rad) with velocity `qd` (rad/s). Returns
-    /// the inertia (kg m²) and momentum (N m s) to add to the two sides of M v⁺ = …, the mode's end velocity for a
-    /// joint that ends at rest, and the increase of that velocity per unit of the joint's.
+    /// Eliminates the mode from a step of `h` (s) of its joint at `q` (rad) with velocity `qd` (rad/s). Returns the
+    /// inertia (kg m²) and momentum (N m s) to add to the two sides of M v⁺ = …, the mode's end velocity (rad/s) for a
+    /// joint that ends at rest, and the increase of the mode's end velocity per end velocity of the joint.
     fn eliminate(&self, q: f64, qd: f64, h: f64) -> (f64, f64, f64, f64) {
         let inertia = self.mode.inertia;
         let mean = 0.5 * h * self.mode.viscous() + 0.25 * h * h * self.mode.stiffness();
-        let pulled = h * self.mode.stiffness() * (q - self.angle);
+        let spring_impulse = h * self.mode.stiffness() * (q - self.angle);
         let share = mean / (inertia + mean);
-        let alone = ((inertia - mean) * self.velocity + pulled + mean * qd) / (inertia + mean);
+        let alone = ((inertia - mean) * self.velocity + spring_impulse + mean * qd) / (inertia + mean);
         (inertia * share, -inertia * (alone - self.velocity), alone, share)
     }
 }
 
-/// Maximum number of sweeps of the friction solver. It starts from the previous step's result, and two sweeps suffice
-/// for N ≤ 3 joints; more are needed only in steps in which a joint starts or stops.
-const SWEEPS: usize = 20;
+/// Maximum number of sweeps of the friction solver. It starts from the previous step's result, so that two sweeps
+/// suffice except in steps in which a joint starts or stops.
+const MAX_SWEEPS: usize = 20;
 
-/// A stop at the distance `nearest` from singularities. It limits the approach to a speed that would arrive in
-/// `softness` (s), and returns a linkage beyond it at that rate. It absorbs energy and never adds any.
+/// A stop at the distance `nearest` from singularities. It limits the speed of the approach to the distance from the
+/// stop divided by `softness` (s), and moves a linkage beyond the stop back at the same rate. The stop only absorbs
+/// energy.
 #[derive(Clone, Copy, Debug)]
 struct SingularityStop {
     nearest: f64,
     softness: f64,
-    /// True if serial singularities count as well, which a linkage can otherwise pass like any pose.
+    /// True if the stop also acts before serial singularities, which a linkage can pass.
     serial: bool,
 }
 
 impl SingularityStop {
-    /// The stop of every simulated linkage before a parallel singularity, where inertia is unbounded. It is closer to the
-    /// singularity than the pose in which a board turns its motors off. The remaining distance takes at least a millisecond
-    /// to shrink to a third, so a step of 5 µs is short in comparison.
+    /// The stop of every linkage before a parallel singularity, at which the inertia is unbounded. It is closer to the
+    /// singularity than the pose in which a board turns its motors off. Its time constant of 1 ms is long beside a step
+    /// of 5 µs.
     const HARD: Self =
         Self { nearest: 0.5 * MIN_PARALLEL_SINE as f64 / PARALLEL_REGULARITY, softness: 1e-3, serial: false };
-    /// A stop that a hand may hit. A harder stop would be a blow that no motor model explains.
+    /// A stop that a hand may hit without a hard impact.
     const SOFT: Self = Self { nearest: FULL_REGULARITY, softness: 0.05, serial: true };
 
-    /// Returns the distance from the nearest singularity, in the measure of a board's feed-forward.
+    /// Returns the distance from the nearest singularity, in the regularity of a board's feed-forward (no unit).
     fn distance(&self, regularity: &Regularity<f64>) -> f64 {
         let parallel = regularity.parallel / PARALLEL_REGULARITY;
         if self.serial { regularity.serial.min(parallel) } else { parallel }
     }
 }
 
-/// Step of the finite difference of the distance from singularities, rad: a tenth of the turn from
-/// [`SingularityStop::HARD`] into the singularity.
-const DIFFERENCE_STEP: f64 = 1e-7;
+/// Step of the finite difference of the distance from singularities, rad. It is a tenth of the angle from
+/// [`SingularityStop::HARD`] to the singularity.
+const DIFFERENCE_STEP_RAD: f64 = 1e-7;
 
 fn vector<const N: usize>(values: &[f64; 3]) -> SVector<f64, N> {
     SVector::from_fn(|i, _| values[i])
@@ -126,8 +130,8 @@ fn array<const N: usize>(values: &SVector<f64, N>) -> [f64; 3] {
 }
 
 impl Plant {
-    /// Creates a device at rest at `q` (rad). `friction` enables viscous and Coulomb friction; `stops` are the angles
-    /// (low, high) of each joint's mechanical stops, infinite without stops.
+    /// Creates a device at rest at `q` (rad). `friction` enables viscous and dry friction. `stops` are the angles (low,
+    /// high) of each joint's mechanical stops, rad; infinite without stops.
     pub fn new(
         description: &Description,
         q: [f64; 3],
@@ -163,12 +167,11 @@ impl Plant {
         Ok(plant)
     }
 
-    /// Adds a soft stop before every singularity: at the distance where a board's feed-forward just acts in full, or at
-    /// the present distance if that is closer.
+    /// Adds a soft stop before every singularity, at the smallest distance at which a board's feed-forward acts in
+    /// full, or at the present distance if it is smaller.
     pub fn add_soft_stop(&mut self) {
         self.add_stop(SingularityStop::SOFT);
     }
-
     fn add_stop(&mut self, stop: SingularityStop) {
         self.singularity_stop = stop;
         self.refresh();
@@ -210,7 +213,7 @@ impl Plant {
             _ => self.q[i],
         })
     }
-    /// Returns the tip, m (the first d entries).
+    /// Returns the position of the tip, m (the first d entries).
     pub fn tip(&self) -> [f64; 3] {
         self.tip
     }
@@ -218,7 +221,6 @@ impl Plant {
     pub fn tip_velocity(&self) -> [f64; 3] {
         self.tip_velocity
     }
-
     /// Moves the device to `q` (rad) with velocities `qd` (rad/s).
     pub fn place(&mut self, q: [f64; 3], qd: [f64; 3]) {
         self.q = q;
@@ -247,7 +249,7 @@ impl Plant {
         self.refresh();
     }
 
-    /// Returns the energy, J: kinetic energy ½ q̇ᵀ M q̇, and that of transmissions, modes and the motors' magnets.
+    /// Returns the kinetic energy ½ q̇ᵀ M q̇ plus the energies of transmissions, modes and cogging, J.
     pub fn energy(&self) -> f64 {
         fn kinetic_energy<M: Mechanism<f64, N>, const N: usize>(m: &M, q: &[f64; 3], qd: &[f64; 3]) -> f64 {
             let qd: SVector<f64, N> = vector(qd);
@@ -280,10 +282,9 @@ impl Plant {
     pub fn gravity(&self) -> [f64; 3] {
         with_mechanism!(&self.mechanism, m => array(&m.gravity(&m.pose::<Libm>(&vector(&self.q)))))
     }
-
     /// Advances by `h` seconds under a constant load.
     pub fn step(&mut self, load: &Load, h: f64) {
-        // A copy (plain data), so that the match arm may change the rest of the plant.
+        // Copies the mechanism, so that the match arm may change the rest of the plant.
         let mechanism = self.mechanism;
         with_mechanism!(&mechanism, m => self.advance(m, load, h));
     }
@@ -304,7 +305,7 @@ impl Plant {
         self.tip_velocity[self.task..].fill(0.0);
     }
 
-    /// Updates the values that depend on the pose after a step of `h`, and applies the stop before singularities.
+    /// Updates the values that depend on the pose after a step of `h` (s), and applies the stop before singularities.
     fn finish_step<M: Mechanism<f64, N>, const N: usize>(&mut self, m: &M, h: f64) {
         let (before, q) = (self.distance, vector(&self.q));
         let pose = m.pose::<Libm>(&q);
@@ -313,12 +314,12 @@ impl Plant {
         if self.distance - before >= h * back {
             return;
         }
-        // The square is smooth even where the distance itself has a corner or an infinite slope.
+        // Differentiates the square, which is smooth even where the distance has a corner or an infinite slope.
         let away = SVector::<f64, N>::from_fn(|i, _| {
             let mut turned = q;
-            turned[i] += DIFFERENCE_STEP;
+            turned[i] += DIFFERENCE_STEP_RAD;
             let there = self.singularity_stop.distance(&m.regularity(&m.pose::<Libm>(&turned)));
-            (there.powi(2) - self.distance.powi(2)) / (2.0 * self.distance * DIFFERENCE_STEP)
+            (there.powi(2) - self.distance.powi(2)) / (2.0 * self.distance * DIFFERENCE_STEP_RAD)
         });
         let response = m.mass(&pose).try_inverse().unwrap_or_else(SMatrix::zeros) * away;
         let qd: SVector<f64, N> = vector(&self.qd);
@@ -360,7 +361,7 @@ impl Plant {
         if self.transmissions.iter().any(Option::is_some) {
             return self.advance_flexible(m, load, mass, drive - vector::<N>(&load.torque), &bounds, h);
         }
-        // Viscous friction as the trapezoid's mean: (M + hB/2) v⁺ = (M - hB/2) v + h τ - impulses.
+        // Viscous friction acts on the mean velocity: (M + hB/2) v⁺ = (M - hB/2) v + h τ - impulses.
         let mut damped = mass;
         let mut momentum = mass * qd + drive * h;
         for i in 0..N {
@@ -373,7 +374,7 @@ impl Plant {
                 momentum[i] += extra;
             }
         }
-        // The matrix is singular only if the state is already not finite; any value will do then.
+        // The matrix is singular only if the state is not finite; the result is then meaningless anyway.
         let inverse = damped.try_inverse().unwrap_or_else(SMatrix::zeros);
         let unconstrained = inverse * momentum;
         let bounds = core::array::from_fn(|i| bounds[i]);
@@ -390,8 +391,8 @@ impl Plant {
         self.finish_step(m, h);
     }
 
-    /// Like `advance`, with motors behind transmissions: coordinates are the joints, then the motors of joints with a
-    /// transmission. `drive` are the joint torques without the motors'.
+    /// Like `advance`, for motors behind transmissions. The coordinates are the joints, then the motors of joints with
+    /// a transmission. `drive` are the joint torques without the motors' torques, N m.
     fn advance_flexible<M: Mechanism<f64, N>, const N: usize>(
         &mut self,
         m: &M,
@@ -429,7 +430,8 @@ impl Plant {
             damping[(turned, turned)] += self.viscous[i] + load.damping[i];
             bounds[turned] = dry[i];
         }
-        // The spring's mean force over the step belongs to its mean deflection, h/4 (v + v⁺) beyond the present one.
+        // The spring's mean force over the step is the force at its mean deflection, the present deflection + h/4 (v +
+        // v⁺).
         let mean = damping * (0.5 * h) + stiffness * (0.25 * h * h);
         let (mut before, mut momentum) = (inertia + mean, (inertia - mean) * velocity + force * h);
         for i in 0..N {
@@ -460,7 +462,7 @@ impl Plant {
         self.finish_step(m, h);
     }
 
-    /// Advances the structural modes by `h`, before their joints, whose velocities at the end are `after`.
+    /// Advances the structural modes by `h` (s). Must be called before the joints advance to the velocities `after`.
     fn advance_modes(&mut self, after: &[f64; 3], h: f64) {
         for (joint, modes) in self.modes.iter_mut().enumerate() {
             for state in modes.iter_mut().flatten() {
@@ -472,15 +474,15 @@ impl Plant {
         }
     }
 
-    /// Returns two flags for a joint at `q` (rad): true if it is at or beyond its lower stop, and its upper stop.
+    /// Returns, for a joint at `q` (rad), true if it is at or beyond its lower stop, and the same for its upper stop.
     fn beyond_stops(&self, joint: usize, q: f64) -> (bool, bool) {
         (q <= self.stops[joint].0, q >= self.stops[joint].1)
     }
 }
 
-/// Computes the impulses of dry friction and end stops, N m s, by projected Gauss-Seidel: friction of each coordinate
-/// opposes its velocity within ± `bounds`; a stop prevents motion further out. `friction` is the solver's initial value
-/// and its result.
+/// Computes the impulses of dry friction and end stops, N m s, by projected Gauss-Seidel. The friction of each
+/// coordinate opposes its velocity within ± `bounds`, and a stop prevents motion further out. `friction` is the initial
+/// value and the result of the solver.
 fn reaction_impulses<const S: usize>(
     inverse: &SMatrix<f64, S, S>,
     unconstrained: &SVector<f64, S>,
@@ -493,7 +495,7 @@ fn reaction_impulses<const S: usize>(
         return SVector::zeros();
     }
     let mut stop = SVector::<f64, S>::zeros();
-    for _ in 0..SWEEPS {
+    for _ in 0..MAX_SWEEPS {
         let mut change: f64 = 0.0;
         for i in 0..S {
             let mut take = |impulse: &mut SVector<f64, S>, low: f64, high: f64, other: &SVector<f64, S>| {

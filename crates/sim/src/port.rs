@@ -1,4 +1,4 @@
-//! The simulated board's end of the link: converts bytes to frames and frames to bytes.
+//! The simulated board's end of the link, which converts bytes to frames and frames to bytes.
 
 use haptic_bridge::board::dispatch;
 use haptic_bridge::board::protocol::MAX_FRAME;
@@ -7,8 +7,8 @@ use postcard_rpc::Topic;
 use serde::Serialize;
 use std::collections::VecDeque;
 
-/// Buffer for replies in addition to unread telemetry, bytes.
-const REPLY_ROOM: usize = 64 * 1024;
+/// Size of the buffer for replies in addition to the buffer for telemetry, bytes.
+const REPLY_BUFFER_BYTES: usize = 64 * 1024;
 
 /// Incoming and outgoing bytes.
 #[derive(Debug)]
@@ -24,7 +24,6 @@ impl Port {
     pub(super) fn new(capacity: usize) -> Self {
         Self { deframer: Deframer::default(), out: VecDeque::new(), capacity, sequence: 0 }
     }
-
     /// Returns the frames that these bytes complete.
     pub(super) fn take_in(&mut self, bytes: &[u8]) -> Vec<Vec<u8>> {
         let mut frames = Vec::new();
@@ -41,27 +40,24 @@ impl Port {
         count
     }
 
-    /// Returns true if no bytes wait for the host.
     pub(super) fn is_empty(&self) -> bool {
         self.out.is_empty()
     }
-
     /// Returns true if the buffer has room for more telemetry.
     pub(super) fn has_room(&self) -> bool {
         self.out.len() < self.capacity
     }
-
-    /// Drops all bytes. The next output begins with a delimiter, because the host may hold a partial frame.
+    /// Drops all bytes, and begins the next output with a delimiter, because the host may have a partial frame.
     pub(super) fn clear(&mut self) {
         self.deframer = Deframer::default();
         self.out.clear();
         self.out.push_back(0);
     }
 
-    /// Sends a reply. The buffer holds more replies than a tool requests before it reads; beyond that, replies are
-    /// dropped, as on a board.
+    /// Sends a frame. Drops the frame if the buffer is full, as a board does; a tool that reads its replies never fills
+    /// the buffer.
     pub(super) fn send(&mut self, frame: &[u8]) {
-        if self.out.len() < self.capacity + REPLY_ROOM {
+        if self.out.len() < self.capacity + REPLY_BUFFER_BYTES {
             self.out.extend(envelope(frame));
         }
     }

@@ -1,5 +1,5 @@
-//! A board whose device is held still in one wall at a chosen depth: measures how the board's limits reduce the wall's
-//! force, without the device's own dynamics. The control loop is the firmware's own; the device never moves.
+//! Measures how a board's limits reduce the force of a wall, with the firmware's control loop and a device that is held
+//! still in the wall.
 
 use haptic_bridge::control::compiled::BoardMath;
 use haptic_bridge::control::frame::Samples;
@@ -19,15 +19,15 @@ use haptic_bridge::safety::refusal::Refusal;
 use haptic_bridge::with_mechanism;
 use nalgebra::SVector;
 
-/// Encoder counts per turn, so many that quantisation is negligible.
-const FINE_COUNTS: f64 = 1.0e8;
+/// Encoder counts per turn, with which quantisation is negligible.
+const FINE_COUNTS_PER_TURN: f64 = 1.0e8;
 /// Number of control steps in which a newly armed control loop ramps up its torque.
-const RAMP: u32 = 1_000;
+const RAMP_STEPS: u32 = 1_000;
 
 /// A bilateral wall at 1 kHz, and a device held in it.
 #[derive(Clone, Copy, Debug)]
 pub struct Press<'a> {
-    /// The device; its encoders and joint limits are ignored, its motors' largest currents are not.
+    /// The device, whose encoders and joint limits are ignored.
     pub device: &'a Description,
     /// Joint angles with the tip on the wall, rad.
     pub q: [f64; 3],
@@ -62,23 +62,23 @@ pub struct PressForces {
     pub q: [f64; 3],
     /// Joint torques, N m.
     pub torque: [f64; 3],
-    /// Force of the wall without limits, N.
-    pub asked: f64,
+    /// Force that the wall requests before the limits, N.
+    pub requested: f64,
     /// Force within the board's limits, as the board reports it, N.
     pub rendered: f64,
     /// Tip force of the joint torques minus the gravity torques, along the normal, N.
     pub along: f64,
-    /// The same force across the normal, N.
+    /// Tip force of the joint torques minus the gravity torques, across the normal, N.
     pub across: f64,
     /// State of the board: armed, unless a fault occurred.
     pub state: State,
 }
 
 impl PressForces {
-    /// Returns the share of the wall's force that the board's limits leave, as the board reports it; 1 if the wall's
-    /// force is zero.
+    /// Returns the share of the requested force that the limits leave, as the board reports; 1 if the requested force
+    /// is zero.
     pub fn share(&self) -> f64 {
-        if self.asked > 0.0 { self.rendered / self.asked } else { 1.0 }
+        if self.requested > 0.0 { self.rendered / self.requested } else { 1.0 }
     }
 }
 
@@ -97,11 +97,11 @@ pub struct PressedBoard {
 impl PressedBoard {
     /// Creates an armed board with its device on the wall's surface.
     ///
-    /// Errors: a description, a wall or limits that a board refuses.
+    /// Returns an error if a board refuses the description, the wall or the limits.
     pub fn new(press: &Press<'_>) -> Result<Self, Refusal> {
         let mut description = *press.device;
         for joint in &mut description.joints {
-            joint.encoder = Some(Encoder { counts_per_turn: FINE_COUNTS, offset: 0.0, inverted: false });
+            joint.encoder = Some(Encoder { counts_per_turn: FINE_COUNTS_PER_TURN, offset: 0.0, inverted: false });
             joint.limits = None;
         }
         let mechanism = AnyMechanism::<f64>::new(&description).map_err(|_| Refusal::BadDevice)?;
@@ -138,15 +138,14 @@ impl PressedBoard {
         let mut held = Self { control_loop, mechanism, q: press.q, inward, normal: normal.map(f64::from) };
         held.hold(&press.q, 1);
         held.control_loop.execute(Command::Arm).0?;
-        held.hold(&press.q, RAMP);
+        held.hold(&press.q, RAMP_STEPS);
         Ok(held)
     }
 
-    /// Returns the joint angles at a depth (m), rad: from the surface along J⁻¹ n.
+    /// Returns the joint angles at a depth (m), rad, extrapolated linearly from the surface.
     pub fn pose(&self, depth: f64) -> [f64; 3] {
         core::array::from_fn(|i| self.q[i] + self.inward[i] * depth)
     }
-
     /// Measures the forces after `steps` control steps at a depth (m).
     pub fn forces_at(&mut self, depth: f64, steps: u32) -> PressForces {
         let q = self.pose(depth);
@@ -158,7 +157,7 @@ impl PressedBoard {
             depth,
             q,
             torque,
-            asked: frame.at.walls.wall_force.into(),
+            requested: frame.at.walls.wall_force.into(),
             rendered: frame.motors.rendered_force.into(),
             along,
             across,
@@ -171,9 +170,8 @@ impl PressedBoard {
     pub fn force(&self, q: &[f64; 3], torque: &[f64; 3]) -> (f64, f64) {
         with_mechanism!(&self.mechanism, m => tip_force(m, q, torque, &self.normal))
     }
-
     fn hold(&mut self, q: &[f64; 3], steps: u32) {
-        let counts = Counts(q.map(|q| (q / std::f64::consts::TAU * FINE_COUNTS).round() as i32));
+        let counts = Counts(q.map(|q| (q / std::f64::consts::TAU * FINE_COUNTS_PER_TURN).round() as i32));
         for _ in 0..steps {
             self.control_loop.control(&Samples { counts, bus_voltage: 24.0, ..Samples::default() });
             self.control_loop.duties(24.0, &[0.0; MAX_JOINTS], false);
@@ -181,7 +179,7 @@ impl PressedBoard {
     }
 }
 
-/// Returns the tip, and joint angles per metre against the normal.
+/// Returns the tip (m), and the change of the joint angles per metre against the normal (rad/m).
 fn surface<M: Mechanism<f64, N>, const N: usize>(m: &M, q: &[f64; 3], normal: &[f32; 3]) -> ([f64; 3], [f64; 3]) {
     let task = M::SPEC.task;
     let pose = m.pose::<Libm>(&SVector::from_fn(|i, _| q[i]));

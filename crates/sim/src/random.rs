@@ -1,4 +1,4 @@
-//! Seeded random numbers (SplitMix64; Steele, Lea and Flood 2014): small, portable, and the same on every machine.
+//! Seeded random numbers (SplitMix64; Steele, Lea and Flood 2014), the same on every machine.
 
 /// A stream of random numbers that depends only on its seed.
 #[derive(Clone, Debug)]
@@ -11,7 +11,6 @@ impl Random {
     pub fn new(seed: u64) -> Self {
         Self { state: seed }
     }
-
     /// Returns the next 64 bits.
     pub fn bits(&mut self) -> u64 {
         self.state = self.state.wrapping_add(0x9E37_79B9_7F4A_7C15);
@@ -25,7 +24,6 @@ impl Random {
     pub fn uniform(&mut self) -> f64 {
         (self.bits() >> 11) as f64 / (1_u64 << 53) as f64
     }
-
     /// Returns a uniform number in [low, high).
     pub fn between(&mut self, low: f64, high: f64) -> f64 {
         low + (high - low) * self.uniform()

@@ -1,10 +1,10 @@
 //! Serves a simulated board to other programs on a pseudo-terminal or a TCP address.
 //!
-//! One thread runs the board and owns it. Other threads only carry bytes (`sim/door.rs`) through queues of bounded
-//! length, so a tool that floods or does not read cannot exhaust memory.
+//! One thread owns and runs the board. Other threads (`door.rs`) only move bytes through queues of bounded length, so
+//! that no tool can exhaust memory.
 
 use super::board::SimulatedBoard;
-use super::door::{BLOCK, DISARM_ANSWER, Event, MAX_STOPS, Outgoing, Stop, ToolListener};
+use super::door::{BLOCK_BYTES, DISARM_REPLY_TIME, Event, MAX_STOPS, Outgoing, Stop, ToolListener};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{RecvTimeoutError, TryRecvError, TrySendError};
 use std::time::{Duration, Instant};
@@ -12,23 +12,23 @@ use std::time::{Duration, Instant};
 /// The relation of simulated time to the wall clock.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Pace {
-    /// With the wall clock. The board is ahead by at most one request or control period; if the computer is too slow,
-    /// it is late.
+    /// Simulated time follows the wall clock. It is ahead by at most one request or control period, and late if the
+    /// computer is too slow.
     RealTime,
-    /// As fast as the computer can while a tool is connected and reads; no telemetry is dropped. If the board turns its
-    /// motors off because of a silent tool, simulated time must not outrun the tool: after a quarter of the allowed
-    /// silence it runs no faster than the wall clock, so that only a truly silent tool is detected as silent.
+    /// Simulated time runs as fast as possible while a tool is connected and reads, without dropping telemetry. After a
+    /// quarter of the silence that a board with a host timeout allows, simulated time runs no faster than the wall
+    /// clock, so that a tool has time to send its heartbeat.
     AsFastAsItCan,
 }
 
 /// Simulated time between two polls of the link, s.
-const SLICE: f64 = 1e-3;
+const SLICE_S: f64 = 1e-3;
 /// Largest delay that a board in real time catches up after the computer was busy, s.
-const MAX_CATCH_UP: f64 = 0.1;
+const MAX_CATCH_UP_S: f64 = 0.1;
 
 /// Serves `board` on `door` until `stop` is set.
 pub fn serve(board: &mut SimulatedBoard, door: &ToolListener, pace: Pace, stop: &AtomicBool) {
-    let slice = Duration::from_secs_f64(SLICE);
+    let slice = Duration::from_secs_f64(SLICE_S);
     let began = Instant::now();
     let mut server = Server::new(board, pace);
     while !stop.load(Ordering::SeqCst) {
@@ -58,23 +58,27 @@ pub fn serve(board: &mut SimulatedBoard, door: &ToolListener, pace: Pace, stop: 
 /// The server's next action.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum NextAction {
-    /// Wait: the board is ahead of the clock. Events wait too, because a request takes some of the board's time.
+    /// Waits because the board is ahead of the clock. Events wait too, because a request takes some of the board's
+    /// time.
     Nothing,
-    /// Handle events.
+    /// Handles events.
     Events,
-    /// Handle events and advance the board by a slice.
+    /// Handles events and advances the board by a slice.
     Time,
 }
 
-/// A board and the tools connected to it. It reads no clock: the caller passes the time in seconds since the start.
+/// A board and the tools connected to it. Its methods get the time since the start, s, from the caller instead of a
+/// clock.
 struct Server<'a> {
     board: &'a mut SimulatedBoard,
     pace: Pace,
     tools: Tools,
-    /// The board's time at the start, and the time skipped because the computer was too slow, s.
+    /// The board's time at the start, s.
     start: f64,
+    /// Time that was skipped because the computer was too slow, s.
     skipped: f64,
-    /// Wall-clock time of the start of the host's silence, and its length on the board's clock at the last check, s.
+    /// Wall-clock time at which the host's silence began, and duration of the silence on the board's clock at the last
+    /// check, s.
     silent_since: (f64, f64),
 }
 
@@ -83,16 +87,15 @@ impl<'a> Server<'a> {
         let start = board.time();
         Self { board, pace, tools: Tools::default(), start, skipped: 0.0, silent_since: (0.0, 0.0) }
     }
-
-    /// Returns how late the board is. It may be early: requests take time, and a slice ends with a control period.
+    /// Returns the delay of the board behind the clock, s. Negative if the board is ahead, because requests take time
+    /// and a slice ends with a control period.
     fn delay(&self, now: f64) -> f64 {
         now - self.skipped - (self.board.time() - self.start)
     }
-
     fn next_action(&mut self, now: f64) -> NextAction {
         let idle = match self.pace {
-            Pace::RealTime if self.delay(now) < -SLICE => return NextAction::Nothing,
-            Pace::RealTime => self.delay(now) < SLICE,
+            Pace::RealTime if self.delay(now) < -SLICE_S => return NextAction::Nothing,
+            Pace::RealTime => self.delay(now) < SLICE_S,
             Pace::AsFastAsItCan => self.outruns_host(now) || self.tools.has_no_reader(),
         };
         if idle { NextAction::Events } else { NextAction::Time }
@@ -125,11 +128,11 @@ impl<'a> Server<'a> {
         }
         if next_action == NextAction::Time {
             if self.pace == Pace::RealTime {
-                self.skipped += (self.delay(now) - MAX_CATCH_UP).max(0.0);
+                self.skipped += (self.delay(now) - MAX_CATCH_UP_S).max(0.0);
             }
-            self.board.run(SLICE);
+            self.board.run(SLICE_S);
         }
-        self.tools.guests.retain(|(_, since)| now - since < DISARM_ANSWER.as_secs_f64());
+        self.tools.guests.retain(|(_, since)| now - since < DISARM_REPLY_TIME.as_secs_f64());
         self.tools.send_blocks(self.board);
     }
 
@@ -150,9 +153,9 @@ impl<'a> Server<'a> {
 #[derive(Default)]
 struct Tools {
     holder: Option<Outgoing>,
-    /// A block that the holder has not accepted yet.
+    /// The block that the holder has not accepted yet.
     waiting: Option<Vec<u8>>,
-    /// Tools that disarmed the board without holding it, and the time at which they began to listen, s.
+    /// Tools that disarmed the board without holding it, and the times of their requests, s.
     guests: Vec<(Outgoing, f64)>,
 }
 
@@ -160,13 +163,12 @@ impl Tools {
     fn has_no_reader(&self) -> bool {
         self.guests.is_empty() && (self.holder.is_none() || self.waiting.is_some())
     }
-
-    /// Sends the board's bytes to the tools as far as the holder accepts them. While a guest listens, blocks that the
-    /// holder does not accept are dropped.
+    /// Sends the board's bytes to the tools until the holder accepts no more. For a guest, continues and drops the
+    /// blocks that the holder does not accept.
     fn send_blocks(&mut self, board: &mut SimulatedBoard) {
         while self.holder.is_some() || !self.guests.is_empty() {
             let block = self.waiting.take().unwrap_or_else(|| {
-                let mut block = vec![0; BLOCK];
+                let mut block = vec![0; BLOCK_BYTES];
                 let count = board.take_bytes(&mut block);
                 block.truncate(count);
                 for (guest, _) in &self.guests {
@@ -185,7 +187,7 @@ impl Tools {
                     self.waiting = Some(block);
                     return;
                 }
-                // The reading thread will report that the tool is gone.
+                // The reading thread will report the end of the connection.
                 Err(TrySendError::Disconnected(_)) => self.holder = None,
             }
         }
@@ -239,13 +241,16 @@ mod tests {
                 let now = 0.25e-3 * f64::from(turn);
                 let next_action = server.next_action(now);
                 if next_action != NextAction::Nothing {
-                    // Every request takes two control periods of the board's time.
+                    // Every request takes two control periods, 10 ms.
                     server.advance(now, next_action, with_requests.then(|| Event::Bytes(request::<GetStatus>(&()))));
                 }
                 let _ = received.try_recv();
                 let passed = server.board.time() - server.start;
                 // The board is ahead by at most one slice and one request, and behind by at most one turn.
-                assert!((now - 0.003..now + 0.021).contains(&passed), "{passed} s in {now} s, asked: {with_requests}");
+                assert!(
+                    (now - 0.003..now + 0.021).contains(&passed),
+                    "{passed} s in {now} s, with requests: {with_requests}"
+                );
             }
         }
     }
@@ -258,7 +263,7 @@ mod tests {
             server.advance(5.0, NextAction::Time, None);
         }
         let passed = server.board.time() - server.start;
-        assert!((passed - MAX_CATCH_UP).abs() < 3.0 * SLICE, "{passed} s");
+        assert!((passed - MAX_CATCH_UP_S).abs() < 3.0 * SLICE_S, "{passed} s");
     }
 
     #[test]
@@ -282,7 +287,7 @@ mod tests {
             let quarter = 0.25 * f64::from(rules.host_seconds);
             for now in [0.0, 0.5 * quarter, 2.0 * quarter, 3.0 * quarter] {
                 let passed = play(&mut server, now);
-                assert!((passed - now.max(quarter)).abs() < 3.0 * SLICE, "{passed} s at {now} s, {state:?}");
+                assert!((passed - now.max(quarter)).abs() < 3.0 * SLICE_S, "{passed} s at {now} s, {state:?}");
             }
             assert_eq!(server.board.status().state, state);
         }
@@ -295,7 +300,7 @@ mod tests {
         let mut server = Server::new(&mut board, Pace::RealTime);
         let _holder = connect(&mut server);
         let (guest, received) = sync_channel(8);
-        // Within a frame of the holder.
+        // A partial frame of the holder, which the guest's request interrupts.
         server.advance(0.0, NextAction::Events, Some(Event::Bytes(vec![1, 2, 3])));
         server.disarm_for_guest(0.0, (request::<Disarm>(&()), guest));
         assert_eq!(server.board.status().state, State::Disarmed);

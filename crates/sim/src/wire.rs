@@ -1,4 +1,5 @@
-//! A simulated board in this process, in lock step with its caller: its time passes only while the caller waits.
+//! A simulated board in this process, in lock step with its caller: simulated time advances only while the caller
+//! waits.
 
 use super::board::{BoardOptions, SimulatedBoard};
 use super::device::DeviceError;
@@ -20,13 +21,11 @@ impl SharedBoard {
     pub fn new(board: SimulatedBoard) -> Self {
         Self(Arc::new(Mutex::new(board)))
     }
-
     /// Locks the board until the guard is dropped.
     pub fn lock(&self) -> MutexGuard<'_, SimulatedBoard> {
         // After a panic in another thread the board is still valid, because it holds only numbers.
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
-
     /// Returns a wire to the board.
     pub fn wire(&self) -> Box<dyn Wire> {
         Box::new(SimulatedWire(self.clone()))
@@ -40,7 +39,6 @@ impl Wire for SimulatedWire {
         self.0.lock().receive(bytes);
         Ok(())
     }
-
     fn receive(&mut self, buffer: &mut [u8], timeout: Duration) -> io::Result<usize> {
         let mut board = self.0.lock();
         let until = board.time() + timeout.as_secs_f64();
@@ -55,11 +53,12 @@ impl Wire for SimulatedWire {
     }
 }
 
-/// Creates a simulated board with the supply and the device of `file`, and loads the device if the board accepts it.
+/// Creates a simulated board with the supply and the device of `file`, and loads the device unless the board refuses
+/// it.
 pub fn ready_board(file: &DeviceFile, mut options: BoardOptions) -> Result<SimulatedBoard, DeviceError> {
     options.device.bridge.bus_voltage = file.supply.unwrap_or(options.device.bridge.bus_voltage);
     let mut board = SimulatedBoard::new(&file.description, options)?;
-    // The tool reports the refusal when it loads the device again.
+    // Ignores a refusal, which the tool reports when it loads the device again.
     let _ = board.load(&file.name, &file.description, None);
     Ok(board)
 }

@@ -104,7 +104,9 @@ impl Sweep {
                         earlier.command,
                         earlier.version
                     );
-                    return Err(Failure::wrong(reason).remedy("delete it, or name another file").choose(Choice::Kept));
+                    return Err(Failure::wrong(reason)
+                        .remedy("delete it, or name another file")
+                        .choose(Choice::ResultsFile));
                 }
             }
             // A file that cannot be written is reported before the work, not after it.
@@ -156,7 +158,7 @@ impl Sweep {
             Some(file) => failure.remedy(format!("the same command continues with the results in {}", file.display())),
             None => failure.remedy("keep results in a file, and the same command continues"),
         }
-        .choose(Choice::Kept)
+        .choose(Choice::ResultsFile)
     }
 
     fn show(&self, stage: &str, done: usize, of: usize) {
@@ -256,7 +258,7 @@ impl Sweep {
         if back.and_then(|(back, _)| postcard::to_allocvec(&back).ok()).as_ref() != Some(&bytes) {
             return Err(Failure::impossible(format!("a result of stage \"{stage}\" changes when it is stored"))
                 .remedy("do not store results, and report this error")
-                .choose(Choice::Kept));
+                .choose(Choice::ResultsFile));
         }
         let text = bytes.iter().map(|byte| format!("{byte:02x}")).collect();
         let mut state = self.lock();
@@ -291,7 +293,7 @@ fn read_checkpoint(file: &Path) -> Result<Option<Checkpoint>, Failure> {
 fn damaged_file(file: &Path, why: &dyn std::fmt::Display) -> Failure {
     Failure::wrong(format!("{} is not a results file: {why}", file.display()))
         .remedy("name another file")
-        .choose(Choice::Kept)
+        .choose(Choice::ResultsFile)
 }
 
 /// Decodes a result from its hex; `None` if the text is not valid.

@@ -1,6 +1,6 @@
-//! A board as a program sees it: one method for every endpoint of the protocol.
+//! A board on an open wire, with one method for every endpoint of the protocol.
 
-use super::client::{Client, HEARTBEAT, Patience, Sent};
+use super::client::{Client, HEARTBEAT, Patience, SentRequest};
 use super::error::{BoardError, LinkError};
 use super::telemetry::{Losses, Row, Rows};
 use super::wire::Wire;
@@ -22,17 +22,18 @@ use serde::de::DeserializeOwned;
 use std::time::Duration;
 
 /// Number of values of a table in one message.
-const TABLE_CHUNK: usize = 64;
-/// Retry interval and longest wait for a reply. The interval allows several retries within the half second after which
-/// a board may consider its host lost. A board that is a process also waits for the CPU ([`Wire::slack`]).
+const VALUES_PER_MESSAGE: usize = 64;
+/// Retry interval and longest wait for a reply. The interval allows several retries within the 0.5 s after which a
+/// board may consider its host lost. [`Wire::slack`] is added to the wait.
 const REPLY: Patience = (Duration::from_millis(100), Duration::from_secs(2));
-/// Patience for a flash write: two sector erases of 16 KB and the writing (STM32F405 data sheet).
+/// Retry interval and longest wait for a flash write, which erases two sectors of 16 KB (STM32F405 data sheet).
 const FLASH_REPLY: Patience = (Duration::from_secs(3), Duration::from_secs(6));
-/// Patience for a disarm request: short, because the user must know soon if the motors may still be on.
+/// Retry interval and longest wait for a disarm request: short, because the user must know soon if the motors may still
+/// be on.
 const STOP_REPLY: Patience = (Duration::from_millis(100), Duration::from_secs(4));
 /// Number of consecutive unreadable batches after which a stream ends with an error; fewer may be corrupted frames.
 const MAX_UNREADABLE: u32 = 50;
-/// Default wait for the reply to a force. By then the lease that [`super::Session`] gives the force has expired.
+/// Default wait for the reply to a force, longer than the lease that [`super::Session`] gives the force.
 pub const FORCE_PATIENCE: Duration = Duration::from_millis(100);
 
 /// The result of a polarity check.
@@ -59,11 +60,11 @@ impl PolarityOutcome {
 
 /// A board whose motors [`Board::stop`] has turned off.
 pub enum Stopped {
-    /// The board is open.
+    /// The open board.
     Open(Box<Board>),
-    /// The board speaks another version of the protocol, so it accepts no further requests.
+    /// A board with this other protocol version, which accepts no further requests.
     OtherProtocol(u16),
-    /// Another tool holds the board.
+    /// A board that another tool holds.
     Held,
 }
 
@@ -78,17 +79,16 @@ pub struct Board {
     /// The step in the reply to the latest heartbeat.
     step: u32,
     force_patience: Duration,
-    /// Identifies this tool: separates its staged settings and its key from another tool's.
+    /// Identifies this tool's staged settings and its key.
     session: u32,
     faults: Vec<FaultRecord>,
 }
 
 impl Board {
-    /// Opens the board on an open wire; `port` is its name in messages.
+    /// Opens the board on an open wire. Messages name `port` as its port.
     pub fn over(wire: Box<dyn Wire>, port: impl Into<String>) -> Result<Self, LinkError> {
         Self::handshake(Self::connect(wire)?, port.into())
     }
-
     fn connect(wire: Box<dyn Wire>) -> Result<Client, LinkError> {
         let mut client = Client::new(wire);
         // A killed tool may have left a partial request in the board's buffer: end it first.
@@ -96,8 +96,8 @@ impl Board {
         Ok(client)
     }
 
-    /// Turns the motors of the board on an open wire off with the first request. Works with any version of the
-    /// protocol, and with a server that lets only this request pass while another tool holds the board.
+    /// Opens the board on an open wire and turns its motors off with the first request, in any version of the protocol.
+    /// A server carries out this request even while another tool holds the board.
     pub fn stop_over(wire: Box<dyn Wire>, port: impl Into<String>) -> Result<Stopped, BoardError> {
         let (mut client, port) = (Self::connect(wire)?, port.into());
         match client.call::<p::Disarm>(&(), STOP_REPLY) {
@@ -146,7 +146,6 @@ impl Board {
     pub fn now(&self) -> Duration {
         self.client.now()
     }
-
     fn call<E: Endpoint>(&mut self, request: &E::Request, patience: Patience) -> Result<E::Response, LinkError>
     where
         E::Request: Serialize,
@@ -162,8 +161,8 @@ impl Board {
         Ok(self.call::<E>(request, REPLY)??)
     }
 
-    /// Returns the outcome of a request to turn the motors on. If its reply was lost, the repeated request is refused
-    /// because they are already on.
+    /// Returns the outcome of a request to turn the motors on. If the first reply was lost, the board refuses the
+    /// repeated request because the motors are already on; this refusal counts as success.
     fn allow_armed(&self, outcome: Result<(), BoardError>) -> Result<(), BoardError> {
         match outcome {
             Err(BoardError::Refused(Refusal::Armed)) if self.client.repeats > 0 => Ok(()),
@@ -171,7 +170,7 @@ impl Board {
         }
     }
 
-    /// Reads further details of the board.
+    /// Reads the board's name and further details.
     pub fn details(&mut self) -> Result<Details, LinkError> {
         self.call::<p::GetDetails>(&(), REPLY)
     }
@@ -179,7 +178,7 @@ impl Board {
     pub fn status(&mut self) -> Result<Status, LinkError> {
         self.call::<p::GetStatus>(&(), REPLY)
     }
-    /// Loads a device; homing and the polarity check become invalid.
+    /// Loads a device, which makes homing and the polarity check invalid.
     pub fn set_device(&mut self, device: &p::DeviceData) -> Result<(), BoardError> {
         self.change::<p::SetDevice>(device)
     }
@@ -196,10 +195,7 @@ impl Board {
         self.call::<p::GetScene>(&(), REPLY)
     }
     /// Sets the source of the control step's mass matrix.
-    pub fn set_mass_model(
-        &mut self,
-        model: &haptic_bridge::model::precomputed::MassModelData,
-    ) -> Result<(), BoardError> {
+    pub fn set_mass_model(&mut self, model: &MassModelData) -> Result<(), BoardError> {
         self.change::<p::SetMassModel>(model)
     }
     /// Sends a piece of a precomputed table.
@@ -210,7 +206,7 @@ impl Board {
     pub fn set_wall_gains(&mut self, gains: Gains<f32>) -> Result<(), BoardError> {
         self.change::<p::SetGains>(&GainsRequest { wall: Some(gains), estimator: None })
     }
-    /// Changes the velocity estimators of all walls; cutoff in Hz.
+    /// Changes the velocity estimators of all walls, with the cutoff in Hz.
     pub fn set_estimator(&mut self, estimator: Estimator, cutoff_hz: f32) -> Result<(), BoardError> {
         self.change::<p::SetGains>(&GainsRequest { wall: None, estimator: Some((estimator, cutoff_hz)) })
     }
@@ -226,8 +222,8 @@ impl Board {
     pub fn home(&mut self) -> Result<(), BoardError> {
         self.change::<p::Home>(&())
     }
-    /// Homes as soon as the device is at rest; gives up after one second of the board's time. The wait is for a user who
-    /// starts to hold the device, or for a simulated hand that returns it after a polarity check.
+    /// Declares home as soon as the device is at rest; gives up after 1 s of the board's time. The wait lets a user
+    /// steady the device, or a simulated hand return the device after a polarity check.
     pub fn home_at_rest(&mut self) -> Result<(), BoardError> {
         let until = self.now() + Duration::from_secs(1) + self.client.slack();
         while let Err(error) = self.home() {
@@ -238,7 +234,7 @@ impl Board {
         }
         Ok(())
     }
-    /// Starts the polarity check: each joint is moved by a small torque.
+    /// Starts the polarity check, which moves each joint by a small torque.
     pub fn check_polarity(&mut self) -> Result<(), BoardError> {
         let outcome = self.change::<p::CheckPolarity>(&());
         self.allow_armed(outcome)
@@ -253,20 +249,19 @@ impl Board {
         self.change::<p::Disarm>(&())
     }
     /// Returns the latest control step that the board has reported in reply to a heartbeat, see [`Board::keep_alive`].
-    /// It is the time stamp of an observation of a dead man's key.
+    /// Observations of a dead man's key use this step as their time stamp.
     pub fn step(&self) -> u32 {
         self.step
     }
-    /// Turns the motors on for as long as a dead man's key is held. `seen` is the latest [`Board::step`] known to the
-    /// observer of the key before the key was seen down. Half a second after that step the board turns its motors off
-    /// with a fault, unless [`Board::hold_key`] has sent a newer step. If the half second has already passed, the board
-    /// refuses to arm.
+    /// Turns the motors on for as long as a dead man's key is held. `seen` is the latest [`Board::step`] before the key
+    /// was seen down. 0.5 s after this step the board turns its motors off with a fault, unless [`Board::hold_key`] has
+    /// sent a newer step. If the 0.5 s have already passed, the board refuses to arm.
     pub fn arm_held(&mut self, seen: u32) -> Result<(), BoardError> {
         let outcome = self.change::<p::ArmHeld>(&p::Press { holder: self.session, seen });
         self.allow_armed(outcome)
     }
-    /// Reports that the key is still down, see [`Board::arm_held`]. Only this `Board` can report the key that it armed
-    /// with.
+    /// Reports that the key is still down, see [`Board::arm_held`]. The board accepts the report only from the `Board`
+    /// that armed it.
     pub fn hold_key(&mut self, seen: u32) -> Result<(), LinkError> {
         self.heartbeat(p::Beat::Held(p::Press { holder: self.session, seen }))
     }
@@ -276,15 +271,15 @@ impl Board {
         let sent = self.send_force(request)?;
         self.force_answer(sent)
     }
-    /// Sends the request of [`Board::force`] and does not wait, so that the round trip does not slow down a program
-    /// that sends its next request before this reply. Two pending requests are enough, and at most eight are kept.
-    /// Replies come in the order of the requests. Telemetry may be read in between.
-    pub fn send_force(&mut self, request: &p::ForceRequest) -> Result<Sent, LinkError> {
+    /// Sends the request of [`Board::force`] without waiting for the reply, so that a program can send its next request
+    /// meanwhile. Two pending requests are enough, and at most eight are kept. Replies come in the order of the
+    /// requests.
+    pub fn send_force(&mut self, request: &p::ForceRequest) -> Result<SentRequest, LinkError> {
         self.client.send::<p::Force>(request)
     }
-    /// Waits for the reply to [`Board::send_force`], at most as long as [`Board::wait_for_forces`] allows. Does not
-    /// wait if the reply to a later request has come.
-    pub fn force_answer(&mut self, sent: Sent) -> Result<p::ForceAnswer, LinkError> {
+    /// Waits for the reply to [`Board::send_force`], at most as long as [`Board::wait_for_forces`] allows. Returns an
+    /// error without waiting if the reply to a later request has come.
+    pub fn force_answer(&mut self, sent: SentRequest) -> Result<p::ForceAnswer, LinkError> {
         let (began, patience) = (self.now(), self.force_patience);
         let reply = self.client.reply::<p::Force>(sent, patience);
         reply.map_err(|error| match error {
@@ -306,12 +301,11 @@ impl Board {
     pub fn faults(&mut self) -> Result<p::FaultList, LinkError> {
         self.call::<p::GetFaults>(&(), REPLY)
     }
-    /// Returns the faults that the board has reported by itself since the last call.
-    pub fn take_reported_faults(&mut self) -> Vec<haptic_bridge::safety::fault::FaultRecord> {
+    /// Returns the faults that the board has reported without a request since the last call.
+    pub fn take_reported_faults(&mut self) -> Vec<FaultRecord> {
         std::mem::take(&mut self.faults)
     }
-    /// Writes device, scene, rules and the other settings to flash. Only while disarmed; the board pauses for up to a
-    /// second.
+    /// Writes all settings to flash, only while disarmed. The board pauses for up to 1 s.
     pub fn save(&mut self) -> Result<(), BoardError> {
         Ok(self.call::<p::Save>(&(), FLASH_REPLY)??)
     }
@@ -341,18 +335,16 @@ impl Board {
     pub fn restart(&mut self) -> Result<(), BoardError> {
         self.change::<p::Restart>(&())
     }
-
-    /// From now on sends heartbeats, several a second, whenever this `Board` waits for telemetry or a reply.
+    /// Enables heartbeats, which this `Board` then sends every 50 ms while it waits for telemetry or a reply.
     pub fn keep_alive(&mut self) {
-        self.client.alive = true;
+        self.client.sends_heartbeats = true;
     }
-
     /// Waits for the end of the polarity check that [`Board::check_polarity`] started, and returns its outcome. Sends
     /// heartbeats meanwhile.
     pub fn wait_for_polarity(&mut self) -> Result<PolarityOutcome, BoardError> {
-        let before = std::mem::replace(&mut self.client.alive, true);
+        let before = std::mem::replace(&mut self.client.sends_heartbeats, true);
         let outcome = self.polarity_outcome();
-        self.client.alive = before;
+        self.client.sends_heartbeats = before;
         outcome
     }
 
@@ -370,19 +362,19 @@ impl Board {
         }
     }
 
-    /// Sends a prepared mass matrix and applies it; motors must be off. Sends nothing for the closed form, which is the
-    /// default of every scene.
+    /// Sends and applies a prepared mass matrix, while the motors are off. Sends nothing for the closed form, because
+    /// it is the default of every scene.
     pub fn send_mass(&mut self, mass: &MassModelData, values: &[f32]) -> Result<(), BoardError> {
         if *mass == MassModelData::Exact {
             return Ok(());
         }
-        for (offset, values) in (0_u16..).step_by(TABLE_CHUNK).zip(values.chunks(TABLE_CHUNK)) {
+        for (offset, values) in (0_u16..).step_by(VALUES_PER_MESSAGE).zip(values.chunks(VALUES_PER_MESSAGE)) {
             self.send_table(&TableChunk { offset, values: values.iter().copied().collect() })?;
         }
         self.set_mass_model(mass)
     }
 
-    /// Starts a stream of every `divider`-th step's `fields`; losses count from here.
+    /// Starts a stream of `fields` at every `divider`-th step, and resets the count of losses.
     pub fn start_stream(&mut self, fields: Fields, divider: u32) -> Result<(), BoardError> {
         // A random number distinguishes this stream from a stream of an earlier tool.
         let stream = self.client.draw();
@@ -391,12 +383,11 @@ impl Board {
         self.change::<p::Stream>(&StreamRequest { fields, divider, stream })
     }
 
-    /// Stops the stream. The next [`Board::rows`] returns rows that were still on their way.
+    /// Stops the stream. The next [`Board::rows`] returns the rows that the board sent before it stopped.
     pub fn stop_stream(&mut self) -> Result<(), BoardError> {
         self.change::<p::Stream>(&StreamRequest { fields: Fields(0), divider: 0, stream: 0 })
     }
-
-    /// Returns the rows that have come; waits at most `timeout` for the first. Stores faults that the board reports for
+    /// Returns the received rows, and waits at most `timeout` for the first row. Stores reported faults for
     /// [`Board::take_reported_faults`].
     pub fn rows(&mut self, timeout: Duration) -> Result<Vec<Row>, LinkError> {
         let deadline = self.client.now() + timeout;
@@ -414,7 +405,7 @@ impl Board {
                             Err(_) => {}
                         }
                     } else if let Some(record) = frame.message::<p::FaultSeen>() {
-                        // A corrupted fault record is still in the board's list.
+                        // Ignores a corrupted record, because the board's list of faults still contains the fault.
                         self.faults.extend(record);
                     }
                 }
@@ -429,10 +420,10 @@ impl Board {
         let losses = self.rows.losses();
         Losses { garbled: losses.garbled + self.client.garbled() - self.garbled_before, ..losses }
     }
-
     fn heartbeat_if_due(&mut self) -> Result<(), LinkError> {
         let now = self.client.now();
-        if self.client.alive && self.last_heartbeat.is_none_or(|last| now.saturating_sub(last) >= HEARTBEAT) {
+        if self.client.sends_heartbeats && self.last_heartbeat.is_none_or(|last| now.saturating_sub(last) >= HEARTBEAT)
+        {
             self.heartbeat(p::Beat::Here)?;
         }
         Ok(())

@@ -17,7 +17,7 @@ use std::time::Duration;
 #[derive(Clone, Debug, PartialEq)]
 pub struct TopicFrame {
     key: VarKey,
-    /// The sender's message counter, in the width that it uses.
+    /// The sender's message counter, in the width that the sender uses.
     pub sequence: VarSeq,
     body: Vec<u8>,
 }
@@ -36,17 +36,17 @@ impl TopicFrame {
 pub struct Client {
     wire: Box<dyn Wire>,
     deframer: Deframer,
-    /// Pending requests: sequence number, and key of the reply.
+    /// Sequence numbers and reply keys of the pending requests.
     pending: VecDeque<(VarSeq, VarKey)>,
     replies: VecDeque<Packet>,
     topics: VecDeque<TopicFrame>,
     sequence: u16,
     buffer: Vec<u8>,
-    /// True if heartbeats are sent while the client waits for a reply.
-    pub(super) alive: bool,
-    /// Number of retries of the last [`Client::call`]; an earlier copy may have been carried out.
+    /// True if the client sends heartbeats while it waits for a reply.
+    pub(super) sends_heartbeats: bool,
+    /// Number of retries in the last [`Client::call`]. The board may have carried out an earlier copy of the request.
     pub(super) repeats: u32,
-    /// Buffers of earlier replies for reuse, so that an exchange of forces allocates no memory.
+    /// Buffers of earlier replies, reused so that an exchange of forces allocates no memory.
     spare: Vec<Vec<u8>>,
 }
 
@@ -54,10 +54,10 @@ pub struct Client {
 pub type Patience = (Duration, Duration);
 /// Interval between heartbeats, if they are enabled.
 pub(super) const HEARTBEAT: Duration = Duration::from_millis(50);
-/// Maximum number of retries after rejected or unreadable replies; fewer may be corrupted frames.
+/// Maximum number of retries after rejected or unreadable replies, which corrupted frames may cause.
 const MAX_UNREADABLE: u32 = 3;
 
-/// Decodes a message from all of `body`; a body with further bytes was corrupted.
+/// Decodes a message from all of `body`. Rejects a body with further bytes, because it was corrupted.
 fn decode_all<M: DeserializeOwned>(body: &[u8], path: &'static str) -> Result<M, LinkError> {
     match postcard::take_from_bytes(body) {
         Ok((message, [])) => Ok(message),
@@ -68,15 +68,15 @@ fn decode_all<M: DeserializeOwned>(body: &[u8], path: &'static str) -> Result<M,
 /// Length of the longest encoded frame, bytes.
 const MAX_ENCODED: usize = max_wire_length(MAX_FRAME);
 
-/// Maximum number of pending requests: beyond it, the oldest is given up.
+/// Maximum number of pending requests. A further request replaces the oldest.
 const MAX_PENDING: usize = 8;
 
-/// A request that was sent.
+/// Handle of a request that was sent, for [`Client::reply`].
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Sent(VarSeq);
+pub struct SentRequest(VarSeq);
 
-/// Body of the reply to a disarm request once the motors are off, in every version of the protocol; its key belongs to
-/// that version's refusals.
+/// Body of the reply to a carried-out disarm request, in every version of the protocol. The key of the reply depends on
+/// the version.
 const DISARMED: &[u8] = &[0];
 
 /// The message with which the server of a simulated board refuses a second tool.
@@ -92,7 +92,7 @@ impl Client {
     /// Creates a client on an open wire.
     pub fn new(mut wire: Box<dyn Wire>) -> Self {
         Self {
-            // Random, so that a reply to an earlier tool does not match.
+            // Starts at a random number, so that replies to an earlier tool do not match.
             sequence: wire.draw() as u16,
             wire,
             deframer: Deframer::default(),
@@ -100,7 +100,7 @@ impl Client {
             replies: VecDeque::new(),
             topics: VecDeque::new(),
             buffer: vec![0; 16 * 1024],
-            alive: false,
+            sends_heartbeats: false,
             repeats: 0,
             spare: Vec::new(),
         }
@@ -110,35 +110,29 @@ impl Client {
     pub fn now(&self) -> Duration {
         self.wire.now()
     }
-
     /// Returns the extra time that a reply may take, see [`Wire::slack`].
     pub fn slack(&self) -> Duration {
         self.wire.slack()
     }
-
     /// Draws a random number, see [`Wire::draw`].
     pub fn draw(&mut self) -> u32 {
         self.wire.draw()
     }
-
-    /// Returns the number of byte sequences between delimiters that were not frames.
+    /// Returns the number of byte sequences between delimiters that were not valid frames.
     pub fn garbled(&self) -> u64 {
         self.deframer.garbled
     }
-
-    /// Ends a partial frame that an earlier tool may have left.
+    /// Sends a delimiter, which ends a partial frame that an earlier tool may have sent.
     pub fn end_frame(&mut self) -> Result<(), LinkError> {
         self.wire.send(&[0]).map_err(LinkError::Lost)
     }
-
     /// Returns true if the server has reported that another tool is connected.
     pub fn is_occupied(&self) -> bool {
         self.topics.iter().any(|topic| topic.key == VarKey::Key8(Occupied::TOPIC_KEY))
     }
-
-    /// Sends a request of endpoint `E` and waits for its reply. To make up for corrupted frames, the request is sent
-    /// again with the same number, after the retry interval or half of the time waited, whichever is longer. Topic
-    /// messages that come meanwhile are kept.
+    /// Sends a request of endpoint `E` and waits for its reply. Because frames may be corrupted, sends the request
+    /// again with the same number after the retry interval or half of the time waited, whichever is longer. Keeps the
+    /// topic messages that come meanwhile.
     pub fn call<E: Endpoint>(&mut self, request: &E::Request, patience: Patience) -> Result<E::Response, LinkError>
     where
         E::Request: Serialize,
@@ -154,7 +148,7 @@ impl Client {
             match self.read::<E>(sent, due.saturating_sub(before).min(HEARTBEAT)) {
                 Err(LinkError::Rejected { .. } | LinkError::Unreadable { .. }) if self.repeats < MAX_UNREADABLE => {}
                 Err(LinkError::Silent { .. }) if self.now() < end => {
-                    if self.alive {
+                    if self.sends_heartbeats {
                         let beat = self.send::<Heartbeat>(&Beat::Here)?;
                         self.forget(beat);
                     }
@@ -164,7 +158,7 @@ impl Client {
                 }
                 reply => break reply,
             }
-            // The delimiter ends a partial frame at the board.
+            // Begins with a delimiter, which ends a partial frame in the board's buffer.
             self.wire.send(&[&[0], &frame[..length]].concat()).map_err(LinkError::Lost)?;
             (self.repeats, last_sent) = (self.repeats + 1, self.now());
         };
@@ -173,7 +167,7 @@ impl Client {
     }
 
     /// Sends a request of endpoint `E`. Returns its handle for [`Client::reply`].
-    pub fn send<E: Endpoint>(&mut self, request: &E::Request) -> Result<Sent, LinkError>
+    pub fn send<E: Endpoint>(&mut self, request: &E::Request) -> Result<SentRequest, LinkError>
     where
         E::Request: Serialize,
     {
@@ -184,9 +178,9 @@ impl Client {
     fn send_frame<E: Endpoint<Request: Serialize>>(
         &mut self,
         request: &E::Request,
-    ) -> Result<(Sent, [u8; MAX_ENCODED], usize), LinkError> {
+    ) -> Result<(SentRequest, [u8; MAX_ENCODED], usize), LinkError> {
         self.sequence = self.sequence.wrapping_add(1);
-        let sent = Sent(VarSeq::Seq2(self.sequence));
+        let sent = SentRequest(VarSeq::Seq2(self.sequence));
         let key = VarKey::Key8(E::REQ_KEY);
         let mut frame = [0; MAX_ENCODED];
         let write = |frame: &mut [u8]| {
@@ -204,9 +198,9 @@ impl Client {
         Ok((sent, frame, count))
     }
 
-    /// Waits for the reply to a request of endpoint `E`. Replies come in the order of the requests: if a later request
-    /// has its reply, this request's was lost. Replies to other pending requests are kept.
-    pub fn reply<E: Endpoint>(&mut self, sent: Sent, timeout: Duration) -> Result<E::Response, LinkError>
+    /// Waits for the reply to a request of endpoint `E`. Returns an error if the reply to a later request has come,
+    /// because replies come in the order of the requests. Keeps the replies to other pending requests.
+    pub fn reply<E: Endpoint>(&mut self, sent: SentRequest, timeout: Duration) -> Result<E::Response, LinkError>
     where
         E::Response: DeserializeOwned,
     {
@@ -215,14 +209,13 @@ impl Client {
         reply
     }
 
-    fn forget(&mut self, sent: Sent) {
+    fn forget(&mut self, sent: SentRequest) {
         self.pending.retain(|(number, _)| *number != sent.0);
         self.replies.retain(|frame| frame.header.seq_no != sent.0);
     }
-
     fn read<E: Endpoint<Response: DeserializeOwned>>(
         &mut self,
-        sent: Sent,
+        sent: SentRequest,
         timeout: Duration,
     ) -> Result<E::Response, LinkError> {
         let Packet { header, body } = self.wait_for_reply(sent, E::PATH, timeout)?;
@@ -239,13 +232,16 @@ impl Client {
         reply
     }
 
-    /// Returns the index of a pending request.
     fn index_of(&self, number: VarSeq) -> Option<usize> {
         self.pending.iter().position(|(other, _)| *other == number)
     }
-
     /// Waits for the reply to a request, or the error in its place.
-    fn wait_for_reply(&mut self, sent: Sent, path: &'static str, timeout: Duration) -> Result<Packet, LinkError> {
+    fn wait_for_reply(
+        &mut self,
+        sent: SentRequest,
+        path: &'static str,
+        timeout: Duration,
+    ) -> Result<Packet, LinkError> {
         let deadline = self.wire.now() + timeout;
         loop {
             let own = self.replies.iter().position(|frame| frame.header.seq_no == sent.0);
@@ -278,7 +274,7 @@ impl Client {
         }
     }
 
-    /// Receives bytes from the wire. Replies to pending requests wait for [`Self::reply`]; all other messages are
+    /// Receives bytes from the wire. Stores replies to pending requests for [`Self::reply`], and all other messages as
     /// topics, except replies to heartbeats that were sent during a request.
     fn pump(&mut self, timeout: Duration) -> Result<(), LinkError> {
         let count = self.wire.receive(&mut self.buffer, timeout).map_err(LinkError::Lost)?;

@@ -1,9 +1,9 @@
 //! Disarms a board that another tool holds.
 //!
-//! Over TCP the simulated board accepts and carries out this one request. A pseudo-terminal can be opened by a second
-//! tool; both tools then read the board's bytes, so the other tool may take the reply, and the request is sent again. A
-//! real serial port belongs to the other tool alone: end that tool (Ctrl-C), or pull the USB cable, which disarms a
-//! board that watches its host.
+//! Over TCP the simulated board accepts and carries out this one request. A second tool can open a pseudo-terminal too.
+//! Both tools then read the board's bytes, so the request is sent again in case the holder reads the reply. A second
+//! tool cannot open a real serial port: end the holder (Ctrl-C), or pull the USB cable, which disarms a board that
+//! watches its host.
 
 use super::client::{Client, Patience};
 use super::error::{BoardError, LinkError};
@@ -11,7 +11,7 @@ use super::ports::{self, PortSpec};
 use haptic_bridge::board::protocol::Disarm;
 use std::time::Duration;
 
-/// Retry interval, because another tool may read the reply, and longest wait.
+/// Retry interval and longest wait for the reply, which the other tool may read instead.
 const PATIENCE: Patience = (Duration::from_millis(100), Duration::from_secs(4));
 /// Number of connection attempts, because a TCP server with many clients may close a connection early.
 const MAX_TRIES: usize = 25;

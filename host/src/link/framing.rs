@@ -1,4 +1,4 @@
-//! Frames: postcard-rpc's header and a postcard body, COBS-encoded, ended by a zero.
+//! Encodes and finds frames. A frame is postcard-rpc's header and a postcard body, COBS-encoded, and ends with a zero.
 
 use haptic_bridge::board::framing::max_wire_length;
 pub use haptic_bridge::board::protocol::MAX_FRAME;
@@ -31,7 +31,7 @@ pub fn envelope(plain: &[u8]) -> Vec<u8> {
     bytes
 }
 
-/// Finds frames in a byte stream that is cut anywhere; skips and counts other bytes.
+/// Finds frames in a byte stream that arrives in arbitrary pieces. Skips and counts invalid byte sequences.
 #[derive(Clone, Debug, Default)]
 pub struct Deframer {
     partial: Vec<u8>,
@@ -99,7 +99,7 @@ mod tests {
         let VarKey::Key2(short) = key else { panic!("a key of two bytes") };
         let [a, b] = short.to_bytes();
         let bytes = encode(&VarHeader { key, seq_no: VarSeq::Seq2(0x0201) }, &[0, 9]);
-        // COBS by hand: six bytes up to the zero, then two.
+        // COBS replaces each zero by the distance to the next: 6 bytes to the zero in the body, then 2.
         assert_eq!(bytes, [6, 0x50, a, b, 1, 2, 2, 9, 0]);
     }
 

@@ -1,5 +1,4 @@
-//! Opens the board that `--port` names. A simulated board has no wire: `haptic-sim` opens it, and calls these functions
-//! for all others.
+//! Opens the board that `--port` names, except a simulated board in this process, which `haptic-sim` opens.
 
 use super::board::{Board, Stopped};
 use super::error::{BoardError, LinkError};
@@ -13,7 +12,6 @@ impl Board {
         let (wire, name) = wire(port)?;
         Self::over(wire, name)
     }
-
     /// Turns the motors of the board at `port` off, in any version of the protocol. Fails if another tool holds the
     /// port itself; then use [`super::disarm_held_board`].
     pub fn stop(port: &PortSpec) -> Result<Stopped, BoardError> {

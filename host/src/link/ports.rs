@@ -1,4 +1,4 @@
-//! Chooses the port: the one that the user named, or the only board among the serial ports.
+//! Chooses and opens the port: the port that the user named, or the only board among the serial ports.
 
 use super::error::LinkError;
 use super::wire::{SerialWire, TcpWire, Wire};
@@ -10,7 +10,7 @@ use std::time::Duration;
 
 /// USB vendor identifier: pid.codes, for open hardware and firmware.
 pub const USB_VENDOR: u16 = 0x1209;
-/// USB product identifier: the pid.codes identifier for tests; a manufacturer of boards gets its own.
+/// USB product identifier: pid.codes' identifier for tests. A manufacturer of boards needs its own identifier.
 pub const USB_PRODUCT: u16 = 0x0001;
 /// The product string, which distinguishes these boards from other devices with the test identifier.
 pub const USB_PRODUCT_NAME: &str = "haptic-bridge";
@@ -18,11 +18,11 @@ pub const USB_PRODUCT_NAME: &str = "haptic-bridge";
 /// A port in the syntax of `--port`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum PortSpec {
-    /// The only board connected.
+    /// The port of the only connected board.
     Find,
-    /// A serial port, by path or by the board's serial number.
+    /// A serial port, named by its path or by the board's serial number.
     Serial(String),
-    /// `tcp:HOST:PORT`
+    /// A TCP address, `tcp:HOST:PORT`.
     Tcp(String),
     /// `sim` or `sim:DEVICE.toml`: a simulated board in this process.
     Sim(Option<PathBuf>),
@@ -68,8 +68,8 @@ pub fn boards() -> (Vec<BoardPort>, Vec<String>) {
 /// The directory in which Linux lists its serial ports.
 const PORTS: &str = "/sys/class/tty";
 
-/// Lists the serial ports; empty if the system cannot list them. Checks `place` first, because the listing panics if
-/// `place` is missing, as in a container that has no /sys.
+/// Returns the serial ports, or none if the system cannot list them. Checks first that the directory `place` exists,
+/// because without it the listing panics, as in a container that has no /sys.
 fn serial_ports(place: &Path) -> Vec<serialport::SerialPortInfo> {
     if cfg!(target_os = "linux") && !place.is_dir() {
         return Vec::new();
@@ -77,7 +77,7 @@ fn serial_ports(place: &Path) -> Vec<serialport::SerialPortInfo> {
     serialport::available_ports().unwrap_or_default()
 }
 
-/// Returns true if a USB product string is that of these boards, or if the system does not report one.
+/// Returns true if a USB product string is the string of these boards, or if the system reports no string.
 fn is_board_product(product: Option<&str>) -> bool {
     product.is_none_or(|name| name.to_lowercase().replace([' ', '_'], "-").contains(USB_PRODUCT_NAME))
 }
@@ -102,7 +102,7 @@ fn separate_boards(ports: Vec<serialport::SerialPortInfo>) -> (Vec<BoardPort>, V
     (boards, others)
 }
 
-/// Returns the path of the port to open: the requested one, by path or serial number, or the only board.
+/// Returns the path of the requested port (a path or a serial number), or of the only board.
 fn choose_port(requested: Option<&str>, boards: &[BoardPort], others: Vec<String>) -> Result<String, LinkError> {
     match (requested, boards) {
         (Some(name), _) => {
@@ -119,7 +119,7 @@ fn choose_port(requested: Option<&str>, boards: &[BoardPort], others: Vec<String
     }
 }
 
-/// Opens a serial port: `requested` by path or serial number, or the only board. Returns its path as well.
+/// Opens the requested serial port (a path or a serial number), or the only board. Returns the wire and the path.
 pub(super) fn open_serial(requested: Option<&str>) -> Result<(Box<dyn Wire>, String), LinkError> {
     let (boards, others) = boards();
     let path = choose_port(requested, &boards, others)?;
@@ -153,7 +153,6 @@ fn open_error(path: String, error: &serialport::Error) -> LinkError {
     }
 }
 
-/// Connects to `HOST:PORT`.
 pub(super) fn open_tcp(address: &str) -> Result<Box<dyn Wire>, LinkError> {
     let not_listening = |error| LinkError::NotListening { address: address.into(), error };
     let mut last = io::Error::new(io::ErrorKind::NotFound, "the host has no address");

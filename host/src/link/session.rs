@@ -1,5 +1,5 @@
-//! A board to which a program sends forces: requests are numbered and stamped, and the motors go off when the program
-//! drops the session.
+//! A connection over which a program sends forces. Requests are numbered and stamped, and the motors go off when the
+//! program drops the session.
 
 use super::board::Board;
 use super::error::{BoardError, LinkError};
@@ -9,14 +9,13 @@ use haptic_bridge::safety::fault::{FaultRecord, State};
 use std::ops::{Deref, DerefMut};
 use std::time::Duration;
 
-/// Time for which a request acts in full, s: bridges two frames of a game on a busy computer.
-pub const HOLD: f32 = 0.02;
-/// Time over which the request then fades to zero, s.
-pub const FADE: f32 = 0.05;
+/// Time for which a request acts in full, s: longer than a frame of a game at 60 Hz (0.017 s).
+pub const HOLD_S: f32 = 0.02;
+/// Time over which a request fades to zero after acting in full, s.
+pub const FADE_S: f32 = 0.05;
 
-/// Time for which a request is repeated, each time that its reply does not come within
-/// [`FORCE_PATIENCE`](super::FORCE_PATIENCE), before it counts as unanswered. A briefly busy computer or board
-/// therefore does not end a program's loop.
+/// Time after which a request without a reply counts as unanswered. Until then the request is sent again every
+/// [`FORCE_PATIENCE`](super::FORCE_PATIENCE), so that a briefly busy computer or board does not end a program's loop.
 pub const PATIENCE: Duration = Duration::from_secs(1);
 
 /// A board that this program holds, with all methods of [`Board`]. Dropping it disarms the board, also when the program
@@ -37,7 +36,7 @@ pub struct Session {
     sequence: u32,
     /// Step of the latest state that was received.
     seen: Option<u32>,
-    /// The fault that had turned the motors off at that step.
+    /// The fault that had turned the motors off at the step `seen`.
     fault: Option<FaultRecord>,
     patience: Duration,
     /// Times for which a request acts in full and then fades, s; at most 0.2 each.
@@ -49,59 +48,49 @@ impl Session {
     pub fn open(port: &PortSpec) -> Result<Self, LinkError> {
         Ok(Self::of(Board::open(port)?))
     }
-
     /// Creates a session with an open board.
     pub fn of(board: Board) -> Self {
-        Self { board, sequence: 0, seen: None, fault: None, patience: PATIENCE, lease: (HOLD, FADE) }
+        Self { board, sequence: 0, seen: None, fault: None, patience: PATIENCE, lease: (HOLD_S, FADE_S) }
     }
-
-    /// Turns the motors on and starts heartbeats, which this session sends whenever it waits for telemetry. Forces and
-    /// state requests act as heartbeats too.
+    /// Turns the motors on and enables heartbeats while this session waits for telemetry. Forces and state requests act
+    /// as heartbeats too.
     pub fn arm(&mut self) -> Result<(), BoardError> {
         self.board.keep_alive();
         self.board.arm()
     }
-
     /// Clears a latched fault.
     pub fn clear(&mut self) -> Result<(), BoardError> {
         self.fault = None;
         self.board.clear()
     }
-
     /// Returns the latched fault according to the latest reply.
     pub fn fault(&self) -> Option<FaultRecord> {
         self.fault
     }
-
-    /// Sets the wait for a reply, and sends each request only once; for the default, see [`PATIENCE`].
+    /// Sets the longest wait for a reply, and sends each request only once. For the default, see [`PATIENCE`].
     pub fn wait_for_forces(&mut self, patience: Duration) {
         self.patience = patience;
         self.board.wait_for_forces(patience);
     }
-
     /// Reads the device's state: tip (m), velocity (m/s), joint angles (rad).
     pub fn read_state(&mut self) -> Result<ForceAnswer, LinkError> {
         self.exchange(ForceRequest::default())
     }
-
     /// Pushes with a force (N) at the tip, in the task frame, which replaces the previous request. A refused force is
     /// not an error: [`ForceAnswer::done`] gives the reason.
     pub fn force(&mut self, force: [f32; 3]) -> Result<ForceAnswer, LinkError> {
         self.push(force, None)
     }
-
     /// Pushes with a force (N) at the tip and has the board render a plane.
     pub fn push(&mut self, force: [f32; 3], contact: Option<HostContact>) -> Result<ForceAnswer, LinkError> {
         let (hold, fade) = self.lease;
         self.exchange(ForceRequest { hold, fade, force, contact, ..ForceRequest::default() })
     }
-
     /// Pushes with torques (N m) at the joints, which replaces the previous request.
     pub fn torque(&mut self, torque: [f32; 3]) -> Result<ForceAnswer, LinkError> {
         let (hold, fade) = self.lease;
         self.exchange(ForceRequest { hold, fade, torque, ..ForceRequest::default() })
     }
-
     /// Sends any request, numbered and stamped with the latest received state.
     pub fn exchange(&mut self, request: ForceRequest) -> Result<ForceAnswer, LinkError> {
         let began = self.board.now();
@@ -118,7 +107,7 @@ impl Session {
             return self.exchange(request);
         }
         self.fault = match (reply.state, self.fault) {
-            // If the status request fails, the next reply reads the fault again.
+            // If the status request fails, the next exchange reads the fault.
             (State::Fault, None) => self.board.status().ok().and_then(|status| status.fault),
             (State::Fault, known) => known,
             _ => None,

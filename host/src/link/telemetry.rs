@@ -1,4 +1,4 @@
-//! Received telemetry: rows with their step, columns with name and unit, and exact counts of losses.
+//! Received telemetry: rows of each control step, columns with name and unit, and counts of losses.
 
 use crate::words::counted;
 use haptic_bridge::board::telemetry::{BATCH_BYTES, Batch, Field, Fields, Kind};
@@ -6,9 +6,9 @@ use haptic_bridge::board::telemetry::{BATCH_BYTES, Batch, Field, Fields, Kind};
 /// The telemetry of one control step.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Row {
-    /// Control steps since the board's boot.
+    /// Number of control steps since the board started.
     pub step: u32,
-    /// One number for each of [`columns`].
+    /// One number for each column of [`columns`].
     pub values: Vec<f64>,
     /// The fields of the stream.
     pub fields: Fields,
@@ -17,7 +17,7 @@ pub struct Row {
 }
 
 impl Row {
-    /// Returns the numbers of one field, one for each of its columns; empty if the stream does not have the field.
+    /// Returns the numbers of one field, one for each column of the field. Empty if the stream lacks the field.
     pub fn get(&self, wanted: Field) -> &[f64] {
         let columns = |field: Field| match field {
             Field::State => 2,
@@ -34,11 +34,11 @@ impl Row {
 /// A column of telemetry.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Column {
-    /// The field; the state has two columns.
+    /// The field of the column.
     pub field: Field,
-    /// The axis, for vectors.
+    /// Index of the axis in a vector field, or of the column in the state.
     pub axis: usize,
-    /// Name with unit, for a CSV header: `tip_x_m`, `torque1_n_m`.
+    /// Name with unit, as in a CSV header: `tip_x_m`, `torque1_n_m`.
     pub label: String,
 }
 
@@ -70,16 +70,15 @@ pub fn columns(fields: Fields, axes: usize) -> Vec<Column> {
 /// Telemetry that a full-speed USB serial port carries with a margin, bytes/s.
 const USB_BYTES_PER_SECOND: f64 = 600e3;
 
-/// Returns the rows of `fields` per second that the link to a board carries with a margin, at most one per control
-/// step. The link to a simulated board, which is this computer's memory, carries all of them.
+/// Returns the number of rows of `fields` per second that the link to a board carries with a margin, at most one per
+/// control step. The link to a simulated board carries a row of every step, because the link is this computer's memory.
 pub fn max_rows_per_second(board: &str, fields: Fields, axes: usize, rate_hz: f64) -> f64 {
     let most =
         if board.starts_with("simulated") { rate_hz } else { USB_BYTES_PER_SECOND / fields.bytes(axes).max(1) as f64 };
     rate_hz / (rate_hz / most).ceil().max(1.0)
 }
 
-/// Parses a comma-separated list of fields; `all` and `usual` are predefined sets. An error names the unknown word and
-/// lists the known fields.
+/// Parses a comma-separated list of fields, in which `all` and `usual` are predefined sets.
 pub fn fields(names: &str) -> Result<Fields, String> {
     let mut set = 0;
     for name in names.split(',').map(str::trim) {
@@ -90,7 +89,7 @@ pub fn fields(names: &str) -> Result<Fields, String> {
                 Some(field) => field.bit(),
                 None => {
                     let known: Vec<&str> = Field::ALL.iter().map(|field| field.name()).collect();
-                    return Err(format!("`{name}` is no field; choose among usual, all, {}", known.join(", ")));
+                    return Err(format!("`{name}` is no field; choose from usual, all, {}", known.join(", ")));
                 }
             },
         };
@@ -103,13 +102,13 @@ pub fn fields(names: &str) -> Result<Fields, String> {
 pub struct Losses {
     /// Received rows.
     pub received: u64,
-    /// Rows that did not arrive for any reason, counted from the missing steps.
+    /// Rows that did not arrive, counted from the missing steps.
     pub missing: u64,
     /// Missing rows that the board dropped because the link was too slow.
     pub dropped_by_board: u64,
     /// Batches that were sent but did not arrive.
     pub batches_lost: u64,
-    /// Byte sequences between delimiters that were not frames.
+    /// Byte sequences between delimiters that were not valid frames.
     pub garbled: u64,
 }
 
@@ -127,19 +126,20 @@ impl std::fmt::Display for Losses {
 /// Unpacks batches and counts losses.
 #[derive(Clone, Debug)]
 pub(super) struct Rows {
-    /// Number of the stream; batches of other streams were left by an earlier tool.
+    /// Number of the stream. Batches of an earlier tool's stream have another number.
     stream: u32,
-    /// The requested fields, and the number of steps between rows.
     fields: Fields,
+    /// Number of steps between rows.
     divider: u32,
     losses: Losses,
-    /// Step and number of the next batch, if none is lost.
+    /// Expected first step and number of the next batch.
     next: Option<(u32, u32)>,
-    /// Corrupted batches since the last valid batch.
+    /// Number of corrupted batches since the last valid batch.
     corrupted: u32,
 }
 
-/// Number of consecutive rejected batches after which the next one is accepted: the batch before them was corrupted.
+/// Number of consecutive rejected batches after which the next batch is accepted, because the batch before the rejected
+/// batches was corrupted.
 const ACCEPT_AFTER: u32 = 3;
 
 impl Rows {
@@ -147,7 +147,6 @@ impl Rows {
     pub(super) fn of(stream: u32, fields: Fields, divider: u32) -> Self {
         Self { stream, fields, divider, losses: Losses::default(), next: None, corrupted: 0 }
     }
-
     /// Counts a corrupted batch and returns the number of consecutive corrupted batches.
     pub(super) fn count_corrupted(&mut self) -> u32 {
         self.losses.garbled += 1;
@@ -158,10 +157,9 @@ impl Rows {
     pub(super) fn losses(&self) -> Losses {
         self.losses
     }
-
-    /// Appends the rows of a batch. Rejects a batch that contradicts the previous batches: it was corrupted, and its rows
-    /// count as missing. Missing rows do not contradict if the board dropped them, or if batches of at least one row each
-    /// were lost.
+    /// Appends the rows of a batch. Rejects a batch whose step and number contradict the previous batches, because the
+    /// batch was corrupted. Gaps are accepted if the board dropped the rows or if batches of at least one row each were
+    /// lost.
     pub(super) fn take(&mut self, batch: &Batch, rows: &mut Vec<Row>) {
         let fields = Fields(batch.fields);
         let width = fields.bytes(usize::from(batch.axes));
@@ -216,7 +214,6 @@ fn unpack(fields: Fields, axes: usize, mut packed: &[u8]) -> Vec<f64> {
     values
 }
 
-/// Decodes a number.
 fn number(kind: Kind, bytes: &[u8]) -> f64 {
     let mut four = [0; 4];
     four.iter_mut().zip(bytes).for_each(|(to, from)| *to = *from);
@@ -244,7 +241,7 @@ mod tests {
         stream.take(&batch(0, 100, 3, 0), &mut rows);
         stream.take(&batch(1, 112, 2, 0), &mut rows);
         assert_eq!(stream.losses(), Losses { received: 5, ..Losses::default() });
-        // The board dropped 5 rows (steps 120 to 136), then batch 3 with two rows got lost on the way.
+        // The board dropped 5 rows (steps 120 to 136), then the link lost batch 3 with two rows.
         stream.take(&batch(2, 140, 1, 5), &mut rows);
         stream.take(&batch(4, 152, 1, 5), &mut rows);
         let expected = Losses { received: 7, missing: 7, dropped_by_board: 5, batches_lost: 1, garbled: 0 };

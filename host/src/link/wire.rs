@@ -4,12 +4,13 @@ use std::io::{self, Read, Write};
 use std::net::TcpStream;
 use std::time::{Duration, Instant};
 
-/// A byte stream with a clock. A real wire has a real clock, and a simulated board in this process has the clock of the
-/// simulation, so a timeout means the same in both.
+/// A byte stream with a clock. The clock of a simulated board in this process is simulated time, so that timeouts mean
+/// the same on simulated and real boards.
 pub trait Wire: Send {
     /// Sends all of `bytes`.
     fn send(&mut self, bytes: &[u8]) -> io::Result<()>;
-    /// Waits at most `timeout` for bytes. Returns their number, which may be 0. An error means that the wire is gone.
+    /// Waits at most `timeout` for bytes and returns their number, which may be 0. Returns an error if the wire is
+    /// gone.
     fn receive(&mut self, buffer: &mut [u8], timeout: Duration) -> io::Result<usize>;
     /// Returns the time since a fixed instant.
     fn now(&self) -> Duration;
@@ -18,7 +19,7 @@ pub trait Wire: Send {
     fn slack(&self) -> Duration {
         Duration::ZERO
     }
-    /// Draws a random number, almost certainly different from earlier ones in this and other processes.
+    /// Draws a random number, which almost certainly differs from earlier numbers in this and other processes.
     fn draw(&mut self) -> u32 {
         use std::hash::{BuildHasher, RandomState};
         RandomState::new().hash_one(0) as u32
@@ -28,15 +29,15 @@ pub trait Wire: Send {
 /// Slack of a simulated or emulated board in its own process.
 const PROCESS_SLACK: Duration = Duration::from_secs(10);
 
-/// Time after which a wire that accepts no bytes counts as stuck. A flash erase stalls a board for half a second
-/// (STM32F405 data sheet, table 40: 16 KB sector).
+/// Time after which a wire that accepts no bytes counts as lost. A flash erase stalls a board for 0.5 s (STM32F405 data
+/// sheet, table 40: 16 KB sector).
 const SEND_TIMEOUT: Duration = Duration::from_secs(3);
 
-/// Shortest timeout for the operating system: sockets take zero as infinite.
+/// Shortest timeout for the operating system, because sockets treat zero as infinite.
 const MIN_TIMEOUT: Duration = Duration::from_millis(1);
 
 /// Returns true if a read should be repeated: it timed out, or a signal interrupted it.
-pub fn nothing_yet(error: &io::Error) -> bool {
+pub fn should_retry(error: &io::Error) -> bool {
     matches!(error.kind(), io::ErrorKind::TimedOut | io::ErrorKind::WouldBlock | io::ErrorKind::Interrupted)
 }
 
@@ -54,7 +55,7 @@ pub struct SerialWire {
 impl SerialWire {
     /// Opens the port at `path`; a USB serial port ignores the baud rate.
     pub fn open(path: &str) -> Result<Self, serialport::Error> {
-        // On a pseudo-terminal, only the lock keeps other tools out; the exclusive mode is cleared for `haptic disarm`.
+        // Clears the exclusive mode of a pseudo-terminal for `haptic disarm`; the lock still refuses other tools.
         let process = is_pseudo_terminal(path);
         #[cfg(unix)]
         let terminal = if process { open_terminal(path).ok() } else { None };
@@ -70,7 +71,7 @@ impl SerialWire {
 impl Wire for SerialWire {
     fn send(&mut self, bytes: &[u8]) -> io::Result<()> {
         self.port.set_timeout(SEND_TIMEOUT)?;
-        // No flush: it waits without bound for a board that does not read.
+        // Does not flush, because a flush waits forever for a board that does not read.
         self.port.write_all(bytes)
     }
 
@@ -79,7 +80,7 @@ impl Wire for SerialWire {
         match self.port.read(buffer) {
             Ok(0) => Err(closed_error("the port has closed")),
             Ok(count) => Ok(count),
-            Err(error) if nothing_yet(&error) => Ok(0),
+            Err(error) if should_retry(&error) => Ok(0),
             Err(error) => Err(error),
         }
     }
@@ -87,14 +88,12 @@ impl Wire for SerialWire {
     fn now(&self) -> Duration {
         self.start.elapsed()
     }
-
     fn slack(&self) -> Duration {
         self.slack
     }
 }
 
-/// Returns true if the path is a pseudo-terminal: a simulated or emulated board, which the operating system shows as a
-/// serial port.
+/// Returns true if the path is a pseudo-terminal, the port of a simulated or emulated board.
 pub(super) fn is_pseudo_terminal(path: &str) -> bool {
     std::fs::canonicalize(path).is_ok_and(|path| path.starts_with("/dev/pts") || path.starts_with("/dev/ttys"))
 }
@@ -124,7 +123,6 @@ impl Wire for SharedWire {
     fn send(&mut self, bytes: &[u8]) -> io::Result<()> {
         self.terminal.write_all(bytes)
     }
-
     fn receive(&mut self, buffer: &mut [u8], timeout: Duration) -> io::Result<usize> {
         use rustix::event::{PollFd, PollFlags, Timespec, poll};
         let limit = Timespec { tv_sec: timeout.as_secs() as i64, tv_nsec: timeout.subsec_nanos().into() };
@@ -156,13 +154,12 @@ impl Wire for TcpWire {
     fn send(&mut self, bytes: &[u8]) -> io::Result<()> {
         self.stream.write_all(bytes)
     }
-
     fn receive(&mut self, buffer: &mut [u8], timeout: Duration) -> io::Result<usize> {
         self.stream.set_read_timeout(Some(timeout.max(MIN_TIMEOUT)))?;
         match self.stream.read(buffer) {
             Ok(0) => Err(closed_error("the connection was closed")),
             Ok(count) => Ok(count),
-            Err(error) if nothing_yet(&error) => Ok(0),
+            Err(error) if should_retry(&error) => Ok(0),
             Err(error) => Err(error),
         }
     }

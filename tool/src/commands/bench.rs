@@ -60,7 +60,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         .map(|device| variants(&device, has_timing).map(|variants| (device, variants)))
         .collect::<Result<Vec<_>, Failure>>()?;
     if let (Some(folder), Some([table, variants, drawing])) = (&args.report, &files) {
-        std::fs::create_dir_all(folder).map_err(|error| output::refused(folder, &error))?;
+        std::fs::create_dir_all(folder).map_err(|error| output::write_failure(folder, &error))?;
         let (mechanisms, each, picture) = (by_mechanism(&every)?, by_variant(&every), speed::draw(&every));
         let all = [
             (table.as_path(), mechanisms.as_bytes()),

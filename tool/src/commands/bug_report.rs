@@ -9,7 +9,7 @@ use haptic_host::digits::shortest;
 use haptic_host::error::{Failure, on_one_line, visible};
 use haptic_host::link::{Board, BoardError, Row};
 use haptic_host::output;
-use haptic_host::read_back::{running, scene, to_toml};
+use haptic_host::read_back::{device_entries, scene, to_toml};
 use serde::Serialize;
 use serde_json::json;
 use std::path::PathBuf;
@@ -217,7 +217,7 @@ fn format_page(board: &mut Board, findings: &[Finding]) -> Result<String, Failur
     // Names are left out, because they may identify a person.
     let unnamed =
         |text: String| text.lines().filter(|line| !line.starts_with("name = ")).collect::<Vec<_>>().join("\n");
-    part("Device", board.device()?.map(|device| unnamed(to_toml(&[], &running(&device)))));
+    part("Device", board.device()?.map(|device| unnamed(to_toml(&[], &device_entries(&device)))));
     part("Scene", board.scene()?.map(|loaded| to_toml(&[], &scene(&loaded))));
     let rules = serde_json::to_value(board.rules()?).map_err(Failure::impossible)?;
     part("Rules", Some(shortest(rules).to_string()));

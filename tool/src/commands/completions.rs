@@ -35,7 +35,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let Some(folder) = args.man.flatten() else {
         return print(&page(&haptic, "haptic")?);
     };
-    std::fs::create_dir_all(&folder).map_err(|error| output::refused(&folder, &error))?;
+    std::fs::create_dir_all(&folder).map_err(|error| output::write_failure(&folder, &error))?;
     let write = |name: &str, command: &clap::Command| {
         let text = page(command, name)?;
         output::write(&folder.join(format!("{name}.1")), text.as_bytes(), Overwrite::Replace)

@@ -99,7 +99,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     ];
     bar.finish();
     let results = Results { inertia: demo.inertia()?, crossings, limits };
-    let svg = args.svg.unwrap_or_else(|| output::unused("haptic-demo.svg".as_ref()));
+    let svg = args.svg.unwrap_or_else(|| output::unused_path("haptic-demo.svg".as_ref()));
     draw(&demo, &results.crossings[0], &results.crossings[1]).save_svg(&svg)?;
     let place = std::path::absolute(&svg).unwrap_or(svg);
     let place = place.display().to_string();

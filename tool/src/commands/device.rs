@@ -8,7 +8,7 @@ use haptic_bridge::safety::refusal::Refusal;
 use haptic_host::device_file::DeviceFile;
 use haptic_host::error::Failure;
 use haptic_host::link::{Board, BoardError};
-use haptic_host::read_back::{differences as compare, running, to_toml};
+use haptic_host::read_back::{device_entries, differences as compare, to_toml};
 use haptic_host::toml_file::Document;
 use haptic_predict::plausible::{device::file_warnings, warn};
 use haptic_predict::tip::{Tip, torques_hidden_by_speed};
@@ -94,12 +94,12 @@ fn read_back(args: &Args) -> Result<(), Failure> {
         "Read back from a board, which keeps the coefficients of the equations of motion ([lumped]) and not the links",
         "that they came from. No device file: `haptic board backup` keeps the device.",
     ];
-    let entries = running(&device);
+    let entries = device_entries(&device);
     let text = to_toml(&about.map(String::from), &entries);
     let compared = match &file {
         Some(file) => {
             let written = file.device::<f32>().map_err(Failure::wrong)?;
-            let differences = compare(&running(&written), &entries);
+            let differences = compare(&device_entries(&written), &entries);
             if differences.is_empty() && written != device {
                 let path = file.path.display();
                 return Err(Failure::different(format!(

@@ -2,7 +2,7 @@
 
 use super::port::{OnBoard, confirm, warn_of_weaker};
 use haptic_bridge::board::settings::Key;
-use haptic_host::backup::{Backup, Ready, Restored, restore};
+use haptic_host::backup::{Backup, PreparedSetting, RestoreMethod, restore};
 use haptic_host::error::{Failure, on_one_line};
 use haptic_host::toml_file::Document;
 use serde_json::json;
@@ -53,14 +53,14 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let mut report = String::new();
     for setting in &ready {
         report += &match setting.how {
-            Restored::Unchanged => format!("{}: restored\n", setting.key.name()),
-            Restored::Translated => format!("{}: restored, in this firmware's version\n", setting.key.name()),
-            Restored::NotRestored => format!("{}: left out; run `haptic polarity` again\n", setting.key.name()),
+            RestoreMethod::Unchanged => format!("{}: restored\n", setting.key.name()),
+            RestoreMethod::Translated => format!("{}: restored, in this firmware's version\n", setting.key.name()),
+            RestoreMethod::NotRestored => format!("{}: left out; run `haptic polarity` again\n", setting.key.name()),
         };
     }
     if from_another {
         report += "name: unchanged; `haptic board name` changes it\n";
     }
-    let how = |setting: &Ready| json!({ "setting": setting.key.name(), "how": format!("{:?}", setting.how) });
+    let how = |setting: &PreparedSetting| json!({ "setting": setting.key.name(), "how": format!("{:?}", setting.how) });
     args.on.answer(json!({ "restored": ready.iter().map(how).collect::<Vec<_>>() }), &report)
 }

@@ -1,7 +1,7 @@
 //! `haptic udev`: the udev rule that lets a user open boards and boot loaders on Linux.
 
 use super::force::Force;
-use haptic_flash::udev::{PLACE, rule};
+use haptic_flash::udev::{RULE_PATH, rule};
 use haptic_host::error::{Failure, print};
 use haptic_host::output;
 use std::path::{Path, PathBuf};
@@ -23,8 +23,8 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let Some(file) = args.file else { return print(&rule()) };
     output::write(&file, rule().as_bytes(), args.force.overwrite())?;
     let next = "`sudo udevadm control --reload`, then plug the board in again";
-    match file == Path::new(PLACE) {
+    match file == Path::new(RULE_PATH) {
         true => print(&format!("{}: written; {next}\n", file.display())),
-        false => print(&format!("{}: written; copy it to {PLACE}, {next}\n", file.display())),
+        false => print(&format!("{}: written; copy it to {RULE_PATH}, {next}\n", file.display())),
     }
 }

@@ -5,7 +5,7 @@ use crate::common::{board, plane_wall, shipped};
 use haptic_bridge::board::settings::{Entry, Key};
 use haptic_bridge::model::precomputed::MassModelData;
 use haptic_bridge::safety::limits::Limits;
-use haptic_host::backup::{Backup, BackupError, Restored, restore};
+use haptic_host::backup::{Backup, BackupError, RestoreMethod, restore};
 use haptic_sim::SimulatedBoard;
 use std::collections::BTreeMap;
 
@@ -42,7 +42,7 @@ fn saved_settings_are_restored_byte_for_byte() {
     let text = Backup::read(&mut source).unwrap().to_text();
     let mut target = empty("SIM0001");
     let ready = Backup::parse(&text).unwrap().ready().unwrap();
-    assert!(ready.iter().all(|setting| setting.how == Restored::Unchanged));
+    assert!(ready.iter().all(|setting| setting.how == RestoreMethod::Unchanged));
     restore(&mut target, &ready).unwrap();
     assert_eq!(entries(&mut target), kept);
     assert_eq!(target.scene().unwrap(), source.scene().unwrap());
@@ -65,7 +65,7 @@ fn a_backup_of_another_version_is_translated() {
         setting.bytes = body.iter().map(|byte| format!("{byte:02x}")).collect();
     }
     let ready = Backup::parse(&backup.to_text()).unwrap().ready().unwrap();
-    assert!(ready.iter().all(|setting| setting.how == Restored::Translated));
+    assert!(ready.iter().all(|setting| setting.how == RestoreMethod::Translated));
     let mut target = empty("SIM0001");
     restore(&mut target, &ready).unwrap();
     assert_eq!(entries(&mut target), kept);
@@ -94,7 +94,7 @@ fn a_value_that_was_edited_is_not_silently_ignored() {
     let edited = text.replace("3.3,", "1000.0,");
     assert_ne!(edited, text);
     let refused = Backup::parse(&edited).unwrap().ready().unwrap_err();
-    assert_eq!(refused, BackupError::Disagree("rules"));
+    assert_eq!(refused, BackupError::ValueAndBytesDiffer("rules"));
     assert!(refused.to_string().contains("haptic rules"));
     // The same number in another notation is no change.
     assert!(Backup::parse(&text.replace("3.3,", "3.30,")).unwrap().ready().is_ok());
@@ -109,7 +109,7 @@ fn a_polarity_check_is_never_restored() {
     let kept = haptic_host::backup::SavedSetting { version: 1, value: None, bytes };
     backup.settings.insert("polarity".into(), kept);
     let ready = backup.ready().unwrap().into_iter().find(|setting| setting.key == Key::Polarity).unwrap();
-    assert_eq!(ready.how, Restored::NotRestored);
+    assert_eq!(ready.how, RestoreMethod::NotRestored);
 }
 
 #[test]

@@ -5,7 +5,7 @@ use crate::common::sim::Sim;
 use crate::common::{all_shipped, file, files};
 use haptic_bridge::render::scene::{Scene, Surface};
 use haptic_host::device_file::DeviceFile;
-use haptic_host::read_back::{differences, running, scene, to_toml};
+use haptic_host::read_back::{device_entries, differences, scene, to_toml};
 use haptic_host::scene_file::SceneFile;
 use haptic_sim::Random;
 use predicates::prelude::*;
@@ -44,7 +44,7 @@ fn differences_are_listed_by_key_with_units() {
         let mut file = DeviceFile::parse(haptic_sim::SHIPPED_DEVICE, "a").unwrap();
         file.description.handle_mass = mass;
         file.description.joints[1].viscous = mass;
-        running(&file.device().unwrap())
+        device_entries(&file.device().unwrap())
     });
     let told: Vec<String> = differences(&a, &b).iter().map(ToString::to_string).collect();
     assert!(differences(&a, &a).is_empty());

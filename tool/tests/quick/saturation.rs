@@ -77,11 +77,11 @@ fn the_demo_uses_all_torque_and_pushes_only_along_the_normal() {
     for case in [demo(FeedForward::Off), Case { torque: 100.0, ..demo(FeedForward::Off) }] {
         for point in case.felt([1.0e-3, 1.5e-3, 2.0e-3].into_iter()) {
             // The path into the wall is straight in joint angles, so the depth is 0.3 % off at 2 mm.
-            assert!((point.asked / (20_000.0 * point.depth) - 1.0).abs() < 0.005, "{point:?}");
+            assert!((point.requested / (20_000.0 * point.depth) - 1.0).abs() < 0.005, "{point:?}");
             // 2 N m make 19.4 N at the surface, and a little more or less up to 2 mm deeper.
             assert!((point.along - 19.4).abs() < 0.4, "{point:?}");
             assert!(point.across < 1.0e-3, "{point:?}");
-            assert!((point.share() - point.along / point.asked).abs() < 1.0e-3, "{point:?}");
+            assert!((point.share() - point.along / point.requested).abs() < 1.0e-3, "{point:?}");
             assert!(point.torque.iter().any(|torque| (torque.abs() - 2.0).abs() < 1.0e-5), "{point:?}");
         }
     }
@@ -148,12 +148,12 @@ fn walls_push_with_at_most_the_tip_force_limit_in_every_pose() {
         for point in &points {
             assert!(point.along <= 5.005, "{device} at {q:?}: {point:?}");
             assert!(
-                (point.share() - point.along / point.asked.max(1.0e-9)).abs() < 2.0e-3 || point.asked < 0.1,
+                (point.share() - point.along / point.requested.max(1.0e-9)).abs() < 2.0e-3 || point.requested < 0.1,
                 "{point:?}"
             );
         }
         let last = points[points.len() - 1];
-        assert!(last.asked > 19.0 && (last.along - 5.0).abs() < 5.0e-3, "{device} at {q:?}: {last:?}");
+        assert!(last.requested > 19.0 && (last.along - 5.0).abs() < 5.0e-3, "{device} at {q:?}: {last:?}");
         last.across
     };
     for angle in [0.3_f64, 1.3, 2.9] {

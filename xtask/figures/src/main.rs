@@ -1,6 +1,6 @@
-//! Regenerates the impedance-range and map figures of docs/results.md and their tables: `cargo xtask figures` (some
-//! minutes). It runs the same command lines that it writes into docs/results/ranges.sh. With names of cases as
-//! arguments it runs only these cases and prints their rows.
+//! Regenerates the figures and tables of stable ranges and maps in docs/results.md: `cargo xtask figures` (some
+//! minutes). Runs the command lines that it writes into docs/results/ranges.sh. With names of cases as arguments, runs
+//! only these cases and prints their rows.
 
 use haptic_host::output::csv_line;
 use serde_json::Value;
@@ -14,13 +14,13 @@ type Error = Box<dyn std::error::Error + Send + Sync>;
 
 /// Device, pose and normal of the wall; the normal has the largest Wrr/Weff at the pose.
 const SETUP: &str = "devices/coupled-five-bar.toml --port sim --q 2.6,1.75 --normal 0.94702228,-0.32116787";
-/// Options for the idealised device of the linear theory.
+/// Options of `haptic measure-range` for the idealised device of the linear theory.
 const IDEAL: &str = "--frictionless --ideal-drive --counts 8388608 --torque-limit 2";
 
-/// A measured range.
+/// A range to measure.
 struct Case {
     name: &'static str,
-    /// Name of its picture, if it has one.
+    /// Name of the picture, if the case has a picture.
     picture: Option<&'static str>,
     /// Options of `haptic measure-range` for rate and estimator.
     rate: &'static str,
@@ -28,10 +28,12 @@ struct Case {
     world: &'static str,
 }
 
+/// Returns a case of the idealised device with a picture.
 const fn theory(name: &'static str, rate: &'static str) -> Case {
     Case { name, picture: Some(name), rate, world: IDEAL }
 }
 
+/// Rates and cutoffs at which the measurement is compared with the theory.
 const THEORY: [Case; 5] = [
     theory("range-200hz", "--rate 200 --cutoff 20 --pull 0.1"),
     theory("range-1khz", "--rate 1000 --cutoff 20 --pull 0.1"),
@@ -40,10 +42,12 @@ const THEORY: [Case; 5] = [
     theory("range-50khz", "--rate 50000 --cutoff 1000 --pull 0.3"),
 ];
 
+/// Returns a case at 1 kHz without a picture.
 const fn world(name: &'static str, world: &'static str) -> Case {
     Case { name, picture: None, rate: "--rate 1000 --cutoff 20 --points 6 --repeats 2", world }
 }
 
+/// Deviations of a simulated device from the theory, which are measured one by one.
 const WORLDS: [Case; 10] = [
     world("nothing", "--frictionless --ideal-drive --counts 8388608 --pull 0.1 --torque-limit 2"),
     world("encoder steps", "--frictionless --ideal-drive --pull 0.1 --torque-limit 2"),
@@ -66,37 +70,39 @@ const WORLDS: [Case; 10] = [
     },
 ];
 
-const fn washed(name: &'static str, rate: &'static str) -> Case {
+/// Returns a case of the idealised device without a picture.
+const fn washout(name: &'static str, rate: &'static str) -> Case {
     Case { name, picture: None, rate, world: IDEAL }
 }
 
-const WASHED: [Case; 3] = [
-    washed("0.5", "--rate 1000 --cutoff 20 --points 6 --repeats 2 --feed-forward all --washout 0.5 --pull 0.1"),
-    washed("2", "--rate 1000 --cutoff 20 --points 6 --repeats 2 --feed-forward all --washout 2 --pull 0.1"),
-    washed("10", "--rate 1000 --cutoff 20 --points 6 --repeats 2 --feed-forward all --washout 10 --pull 0.1"),
+/// Names of the cases are the washout corners, Hz.
+const WASHOUTS: [Case; 3] = [
+    washout("0.5", "--rate 1000 --cutoff 20 --points 6 --repeats 2 --feed-forward all --washout 0.5 --pull 0.1"),
+    washout("2", "--rate 1000 --cutoff 20 --points 6 --repeats 2 --feed-forward all --washout 2 --pull 0.1"),
+    washout("10", "--rate 1000 --cutoff 20 --points 6 --repeats 2 --feed-forward all --washout 10 --pull 0.1"),
 ];
-const CORNERS: [&str; 6] = ["0.5", "1", "2", "5", "10", "20"];
+/// Corner frequencies of the washouts for which the theory is evaluated, Hz.
+const CORNERS_HZ: [&str; 6] = ["0.5", "1", "2", "5", "10", "20"];
 
 /// Devices and normals of the maps.
 const MAPS: [(&str, &str); 2] = [("coupled-five-bar", "1,0"), ("phantom-premium-1.5", "1,1,0")];
 
 /// Number of processes that run in parallel.
-const PARALLEL: usize = 2;
+const PARALLEL_RUNS: usize = 2;
 
-/// Returns the command line of a case. It stores the measurement in the file `progress` and replaces the published
+/// Returns the command line of a case, which stores the measurement in the file `progress` and replaces the published
 /// picture.
-fn line(case: &Case, progress: &str) -> String {
+fn command_line(case: &Case, progress: &str) -> String {
     let picture = case.picture.map_or(String::new(), |name| format!(" --svg docs/results/{name}.svg --force"));
     format!("haptic measure-range {SETUP} {} {}{picture} --progress {progress}", case.rate, case.world)
 }
 
-/// Returns the file for the measurement in the published command line, different for every case.
+/// Returns the name of the file for the measurement of a case, which is different for every case.
 fn progress_file(case: &Case) -> String {
-    let kind = if WASHED.iter().any(|washed| washed.name == case.name) { "washout-" } else { "" };
+    let kind = if WASHOUTS.iter().any(|washed| washed.name == case.name) { "washout-" } else { "" };
     format!("{kind}{}.json", case.name.replace([' ', '.'], "-").replace(',', ""))
 }
 
-/// Returns the command line of a map.
 fn map_line((device, normal): (&str, &str)) -> String {
     format!("haptic map devices/{device}.toml --normal {normal} --png docs/results/map-{device}.png --force")
 }
@@ -115,19 +121,19 @@ fn run_json(root: &Path, line: &str) -> Result<Value, Error> {
     Ok(serde_json::from_slice(&output.stdout)?)
 }
 
-/// Measures the cases of a group, [`PARALLEL`] at a time.
+/// Measures the cases of a group, [`PARALLEL_RUNS`] at a time.
 fn measure(root: &Path, group: &'static [Case], wanted: &[String]) -> Result<Vec<(&'static Case, Value)>, Error> {
-    // The path is relative to the repository, so that blanks in its absolute path do not split the command line.
+    // Uses a path relative to the repository, because blanks in the absolute path would split the command line.
     let folder = format!("target/figures-{}", std::process::id());
     std::fs::create_dir_all(root.join(&folder))?;
     let cases: Vec<&Case> =
         group.iter().filter(|case| wanted.is_empty() || wanted.iter().any(|name| name == case.name)).collect();
     let (next, found) = (AtomicUsize::new(0), Mutex::new(Vec::new()));
     std::thread::scope(|scope| {
-        for _ in 0..PARALLEL {
+        for _ in 0..PARALLEL_RUNS {
             scope.spawn(|| {
                 while let Some(case) = cases.get(next.fetch_add(1, Ordering::SeqCst)) {
-                    let answer = run_json(root, &line(case, &format!("{folder}/{}", progress_file(case))));
+                    let answer = run_json(root, &command_line(case, &format!("{folder}/{}", progress_file(case))));
                     eprintln!("{}: done", case.name);
                     found.lock().unwrap_or_else(std::sync::PoisonError::into_inner).push((*case, answer));
                 }
@@ -141,7 +147,7 @@ fn measure(root: &Path, group: &'static [Case], wanted: &[String]) -> Result<Vec
     Ok(found)
 }
 
-/// Reads a value of a mode's area.
+/// Reads a value of the stable area of a feed-forward mode.
 fn area(answer: &Value, mode: &str, key: &str) -> Result<f64, Error> {
     let areas = answer["areas"].as_array().ok_or("no areas")?;
     let found = areas.iter().find(|area| area["mode"] == mode).and_then(|area| area[key].as_f64());
@@ -168,10 +174,10 @@ fn main() -> Result<(), Error> {
             ],
         );
     }
-    let washed = measure(&root, &WASHED, &wanted)?;
+    let washed = measure(&root, &WASHOUTS, &wanted)?;
     let mut washout =
         csv_line(["corner (Hz)", "200 Hz", "1000 Hz", "10000 Hz", "20000 Hz", "50000 Hz", "1000 Hz measured"]);
-    for corner in CORNERS {
+    for corner in CORNERS_HZ {
         let mut cells = vec![corner.to_owned()];
         for (case, answer) in theory.iter().filter(|_| wanted.is_empty()) {
             let rate = case.rate.split(" --pull").next().unwrap_or_default();
@@ -210,7 +216,7 @@ fn main() -> Result<(), Error> {
             ("range-cases.csv", cases),
             ("range-washout.csv", washout),
             ("range-added.csv", added),
-            ("ranges.sh", lines()),
+            ("ranges.sh", all_command_lines()),
         ] {
             std::fs::write(results.join(name), text)?;
         }
@@ -225,22 +231,22 @@ fn add_row(table: &mut String, cells: &[String]) {
     table.push_str(&row);
 }
 
-/// Computes the share of the feed-forward's additional area that a washout keeps, %.
+/// Returns the share of the feed-forward's additional stable area that remains with a washout, %.
 fn washout_share(area: impl Fn(&str) -> Result<f64, Error>) -> Result<String, Error> {
     Ok(format!("{:.1}", 100.0 * (area("washout")? - area("off")?) / (area("full")? - area("off")?)))
 }
 
 /// Returns the text of ranges.sh with every command line.
-fn lines() -> String {
+fn all_command_lines() -> String {
     let mut text = String::from(
         "# The command line of every row of \"The impedance range\" in docs/results.md, and of the maps, as `cargo xtask\n\
          # figures` writes and runs them: each takes a quarter of a minute to minutes.\n",
     );
     let groups: [(&str, &[Case]); 3] =
-        [("the cases", &THEORY), ("washouts, measured", &WASHED), ("what the theory leaves out", &WORLDS)];
+        [("the cases", &THEORY), ("washouts, measured", &WASHOUTS), ("what the theory leaves out", &WORLDS)];
     for (what, cases) in groups {
         let _ = writeln!(text, "\n# {what}");
-        cases.iter().for_each(|case| text += &(line(case, &progress_file(case)) + "\n"));
+        cases.iter().for_each(|case| text += &(command_line(case, &progress_file(case)) + "\n"));
     }
     text.push_str("\n# the maps\n");
     MAPS.into_iter().for_each(|map| text += &(map_line(map) + "\n"));

@@ -1,4 +1,4 @@
-//! The archive: one folder with the tool, and with the files that a distribution's package would install elsewhere.
+//! Makes the archive: one folder with the tool, licenses, documents, completions and manual pages.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -20,7 +20,7 @@ In this folder, without hardware:
     ./haptic demo                     a simulated hand presses into a wall; draws haptic-demo.svg
     ./haptic view --port sim          the same in the browser, until Ctrl-C
 
-haptic-page.html is that page as a file: it opens in a browser without the tool.
+haptic-page.html is the page of `haptic view` as a file: it opens in a browser without the tool.
 
 To run `haptic` from every folder, install it; it needs no other file:
 
@@ -31,7 +31,7 @@ On macOS, once, before the first run: xattr -d com.apple.quarantine haptic
 With a board (the tool contains its firmware):
 
     sudo cp 70-haptic-bridge.rules /etc/udev/rules.d/ && sudo udevadm control --reload    (Linux, once)
-    haptic flash                      flashes the board that is plugged in; its settings stay
+    haptic flash                      flashes the board that is plugged in and keeps its settings
     haptic info                       shows the board
     haptic device my-device.toml      loads your device: begin with a file of devices/, and follow docs/bring-up.md
     haptic scene my-scene.toml        loads a wall
@@ -40,7 +40,7 @@ With a board (the tool contains its firmware):
     haptic arm --key                  motors on while Space is held: feel the wall
 
 devices/      devices and scenes to start from: haptic check devices/haply-2diy.toml
-docs/         how to describe a device, to wire and start a board (bring-up.md), and everything else
+docs/         the documents: describing a device, wiring and starting a board (bring-up.md), and more
 completions/  for the shell: source completions/haptic.bash, or copy the file to your shell's folder
 man/          the manual: man -M man haptic
 
@@ -57,7 +57,7 @@ const SHELLS: [(&str, &str); 5] = [
     ("zsh", "_haptic"),
 ];
 
-/// Writes the archive that unpacks to the folder `name`. The folder is also left next to the archive.
+/// Writes the archive, which unpacks to the folder `name`. The folder also stays next to the archive.
 pub fn write_archive(place: &Path, name: &str, tool: &Path, page: &Path) -> Result<PathBuf> {
     let folder = place.join(name);
     create_empty(&folder)?;
@@ -67,7 +67,6 @@ pub fn write_archive(place: &Path, name: &str, tool: &Path, page: &Path) -> Resu
     Ok(path)
 }
 
-/// Collects all files in the folder.
 fn collect_files(folder: &Path, tool: &Path, page: &Path) -> Result<()> {
     let copy = |from: &Path| {
         let to = folder.join(from.file_name().unwrap_or_default());
@@ -107,7 +106,7 @@ fn files(folder: &Path) -> Result<Vec<PathBuf>> {
     Ok(found)
 }
 
-/// Packs a folder. The same files make the same bytes on every computer and day.
+/// Packs a folder. The same files give the same archive on every computer and day.
 fn pack(folder: &Path, name: &str, path: &Path) -> Result<()> {
     let file = fs::File::create(path).with_context(|| format!("cannot write {}", path.display()))?;
     let mut tar = Builder::new(GzBuilder::new().write(file, Compression::best()));

@@ -1,4 +1,4 @@
-//! Installs the archive and the wheel as a user does, and runs the demo from both without access to other programs.
+//! Installs the archive and the wheel as a user does, and runs the demo of each without access to other programs.
 
 use std::env;
 use std::fs;
@@ -13,7 +13,7 @@ use crate::paths::target_directory;
 use crate::toolchain::run;
 use crate::{publish, python};
 
-/// Makes and checks archive and wheel, then the packages for the registry.
+/// Makes and checks the archive, the wheel and the packages for the registry.
 pub fn check() -> Result<()> {
     let made = make()?;
     let scratch = target_directory().join("dist-check");

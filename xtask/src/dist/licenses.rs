@@ -43,7 +43,6 @@ fn dependency_licenses() -> Result<String> {
     Ok(list)
 }
 
-/// A crate with its licenses.
 #[derive(PartialEq, Eq, PartialOrd, Ord)]
 struct Crate {
     name: String,
@@ -61,7 +60,7 @@ fn linked_crates(manifest: &str, packages: &[&str], target: &str) -> Result<BTre
     let text = |value: &Value| value.as_str().unwrap_or_default().to_owned();
     let all = |value: &'_ Value| value.as_array().cloned().unwrap_or_default();
     let (all_packages, nodes) = (all(&metadata["packages"]), all(&metadata["resolve"]["nodes"]));
-    // In the metadata, packages of this repository have no source.
+    // Packages of this repository have no source in the metadata.
     let ours = all_packages.iter().filter(|package| package["source"].is_null());
     let ours = ours.filter(|package| packages.iter().any(|name| package["name"] == *name));
     let mut open: Vec<String> = ours.map(|package| text(&package["id"])).collect();
@@ -69,7 +68,7 @@ fn linked_crates(manifest: &str, packages: &[&str], target: &str) -> Result<BTre
     let mut seen = BTreeSet::new();
     while let Some(id) = open.pop() {
         let needs = nodes.iter().filter(|node| node["id"] == id.as_str()).flat_map(|node| all(&node["deps"]));
-        // The kind is null if the dependency is linked, otherwise `dev` or `build`.
+        // The kind of a linked dependency is null, other kinds are `dev` and `build`.
         let linked = needs.filter(|need| all(&need["dep_kinds"]).iter().any(|kind| kind["kind"].is_null()));
         let linked: Vec<String> = linked.map(|need| text(&need["pkg"])).collect();
         if seen.insert(id) {

@@ -1,5 +1,4 @@
-//! The wheel: maturin builds the package in clients/python/ and puts its systems into the file name; the tool is
-//! added as a command.
+//! Makes the wheel: maturin builds the package in clients/python/, and the tool is added as a command.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -12,7 +11,6 @@ use crate::paths::{root, target_directory};
 use crate::python;
 use crate::toolchain::run;
 
-/// Writes the wheel.
 pub fn write_wheel(place: &Path, tool: &Path) -> Result<PathBuf> {
     let scratch = target_directory().join("wheel");
     let [built, inside] = ["built", "inside"].map(|name| scratch.join(name));
@@ -37,7 +35,7 @@ pub fn write_wheel(place: &Path, tool: &Path) -> Result<PathBuf> {
 
     let wheel = place.join(only_entry(&built)?.file_name().unwrap_or_default());
     ensure!(wheel.exists(), "the tool changed the wheel's name");
-    // maturin has checked only the library's version of the C library, not the tool's.
+    // maturin has checked the C library only for the package, not for the tool.
     check_c_library(&wheel.to_string_lossy(), &fs::read(tool)?)?;
     Ok(wheel)
 }
@@ -51,7 +49,7 @@ fn only_entry(folder: &Path) -> Result<PathBuf> {
     }
 }
 
-/// Checks that a program runs on every system of a wheel of this name: on Linux the name contains the oldest C library.
+/// Checks that a program runs with the oldest C library that the name of the wheel allows (Linux only).
 fn check_c_library(wheel: &str, program: &[u8]) -> Result<()> {
     if cfg!(target_os = "linux") {
         let tag = wheel.split("manylinux_2_").nth(1).and_then(|rest| rest.split('_').next()?.parse::<u32>().ok());

@@ -1,7 +1,4 @@
-"""Converts a device file to a MuJoCo model: the same device in another engine.
-
-Reads the file independently of the board's code, so that the two can be compared.
-"""
+"""Converts a device file to a MuJoCo model, independently of the board's code, so that the two can be compared."""
 
 import math
 import os
@@ -14,11 +11,11 @@ Z = "0 0 1"
 
 
 def from_device(path: str | os.PathLike[str], *, timestep: float = 5e-5) -> str:
-    """Returns the MJCF of a device file: hinges q0, q1, .. are its actuated joints, the site `tip` is its tip.
+    """Returns the MJCF of a device file. The hinges q0, q1, .. are the actuated joints, and the site `tip` is the tip.
 
-    Each joint has a motor actuator with gear 1 (N m), in that order. Joint friction is included; transmissions, limits and
-    motors are not. Closed linkages are closed by a slightly compliant constraint; `joint_angles` returns the start angles of
-    their other hinges.
+    Each actuated joint has a motor actuator with gear 1 (N m). Joint friction is included; transmissions, limits and
+    motors are not. A slightly compliant constraint closes a closed linkage. `joint_angles` returns the angles of its
+    passive hinges.
     """
     with open(path, "rb") as file:
         device = tomllib.load(file)
@@ -50,11 +47,11 @@ def joint_angles(path: str | os.PathLike[str], q: Any) -> dict[str, float]:
     angles = {f"q{joint}": angle for joint, angle in enumerate(q)}
     kind = device["mechanism"]
     if kind == "parallelogram":
-        # Absolute angles: the crank points along -(cos q2, sin q2), and opposite links are parallel.
+        # The angles are absolute, the crank points along -(cos q2, sin q2), and opposite links are parallel.
         angles["fore"] = q[2] - q[1]
         angles["coupler"] = q[1] - q[2] - math.pi
     if kind in ("five-bar", "five-bar-turret"):
-        # Distal angles by geometry: the tip is left or right of the line from C to D.
+        # Computes the tip, left or right of the line from C to D, and from it the distal angles.
         one, two = q[-2:]
         geometry = device["geometry"]
         half = geometry["base"] / 2
@@ -87,7 +84,7 @@ def _hinge(name: str, axis: str, joint: dict[str, float] | None) -> str:
 
 def _inertial(link: dict[str, float]) -> str:
     normal = link["inertia"]
-    # MuJoCo requires inertia about every axis of a body; in a plane only the normal axis matters.
+    # MuJoCo requires inertia about every axis of a body, although only the normal axis matters in a plane.
     axial = link.get("inertia_axial", 0.0) or 1e-3 * normal
     across = link.get("inertia_transverse", normal)
     return f'<inertial pos="{_numbers(link["com"], 0, 0)}" mass="{link["mass"]!r}" diaginertia="{_numbers(axial, across, normal)}"/>'
@@ -150,13 +147,13 @@ def _five_bar_turret(device: dict[str, Any]) -> tuple[str, str]:
 def _parallelogram(device: dict[str, Any]) -> tuple[str, str]:
     geometry, joints = device["geometry"], device["joint"]
     upper, fore, crank, coupler = device["link"]
-    # The forearm's rear end is a crank's length behind E, and the coupler is as long as the upper arm.
+    # The forearm extends behind the elbow by the length of the crank, and the coupler is as long as the upper arm.
     forearm = _hinge("fore", Z, None) + _inertial(fore) + _body("handle", geometry["fore"], _handle(device))
     forearm += f'<site name="rear" pos="{_numbers(-geometry["crank"], 0, 0)}"/>'
     first = _hinge("q1", Z, joints[1]) + _inertial(upper) + _body("forearm", geometry["upper"], forearm)
     rod = _hinge("coupler", Z, None) + _inertial(coupler)
     rod += f'<site name="end" pos="{_numbers(geometry["upper"], 0, 0)}"/>'
-    # Joint 2's angle is the forearm's; the crank points in the opposite direction.
+    # The crank points opposite to the forearm, whose angle is the angle of joint 2.
     second = _hinge("q2", Z, joints[2]) + _inertial(crank) + _body("rod", geometry["crank"], rod)
     arms = _body("upper", 0.0, first)
     arms += f'<body name="crank" euler="0 0 {math.pi!r}">{second}</body>'

@@ -1,15 +1,14 @@
-//! A scripted copy of the boot loader in the chip's ROM, from the USB forum's DFU 1.1 and ST's AN2662 (its AN3156 was
-//! not available). It is stricter than the ROM: a request that the documents do not allow is an error here, such as a
-//! status request before the reported time is over.
+//! A scripted copy of the boot loader in the chip's ROM, from the USB forum's DFU 1.1 and ST's AN2662. It is stricter
+//! than the ROM: a request that the documents do not allow, such as a status request before the reported time, is an
+//! error.
 
 use std::time::Duration;
 
 /// Addresses of the flash.
 pub const FLASH: std::ops::Range<u32> = 0x0800_0000..0x0810_0000;
-/// The description of the flash.
 pub const MEMORY: &str = "@Internal Flash  /0x08000000/04*016Kg,01*064Kg,07*128Kg";
 
-// DFU 1.1, table 3.2.
+// Request numbers (DFU 1.1, table 3.2).
 const DNLOAD: u8 = 1;
 const UPLOAD: u8 = 2;
 const GETSTATUS: u8 = 3;
@@ -51,7 +50,6 @@ enum Pending {
     Write { address: u32, bytes: Vec<u8> },
 }
 
-/// The result of a request.
 #[derive(Debug, PartialEq)]
 pub enum Reply {
     Bytes(Vec<u8>),
@@ -67,17 +65,17 @@ pub struct BootLoader {
     pub status: Status,
     pointer: u32,
     pending: Option<Pending>,
-    /// Time before which a status request is an error, and the outcome of the operation.
+    /// Time before which a status request is an error.
     busy: Duration,
     outcome: Status,
-    /// Number of times that an operation takes longer than reported.
+    /// Number of status replies of an operation that each announce 5 ms more.
     pub late: u32,
     late_left: u32,
     /// Numbers of the erased sectors, in order.
     pub erased: Vec<usize>,
     pub protected: bool,
-    /// Number of the operation that fails.
-    pub fail: Option<usize>,
+    /// Number of the operation that fails, from 1.
+    pub failing_operation: Option<usize>,
     operations: usize,
 }
 
@@ -86,7 +84,6 @@ impl BootLoader {
         Self {
             state: State::Idle,
             status: Status::Ok,
-            // "If no address is previously specified, the device assumes internal flash start."
             pointer: FLASH.start,
             pending: None,
             busy: Duration::ZERO,
@@ -95,12 +92,13 @@ impl BootLoader {
             late_left: 0,
             erased: Vec::new(),
             protected,
-            fail: None,
+            failing_operation: None,
             operations: 0,
         }
     }
 
-    /// Carries out one class request. An erase or write that it starts changes this share of its bytes in `flash`.
+    /// Carries out one class request. An erase or write that the request starts changes only `share` of its bytes in
+    /// `flash`.
     pub fn request(
         &mut self,
         (request, value): (u8, u16),
@@ -130,12 +128,10 @@ impl BootLoader {
         (self.state, self.status, self.pending) = (State::Idle, Status::Ok, None);
         Reply::Bytes(Vec::new())
     }
-
     fn stall(&mut self, status: Status) -> Reply {
         (self.state, self.status, self.pending) = (State::Error, status, None);
         Reply::Stall
     }
-
     fn download(&mut self, value: u16, data: &[u8]) -> Reply {
         let address = |data: &[u8]| u32::from_le_bytes([data[1], data[2], data[3], data[4]]);
         if data.is_empty() {
@@ -149,9 +145,9 @@ impl BootLoader {
             (0, [0x92]) => Pending::Unprotect,
             (0, _) => Pending::Unsupported,
             (1, _) => return self.stall(Status::StalledPacket),
-            // Internal flash accepts 2 to 2048 bytes.
+            // A block has 2 to 2048 bytes.
             (_, data) if !(2..=2048).contains(&data.len()) => return self.stall(Status::StalledPacket),
-            // The length of the data is the transfer size in the address of a block.
+            // The offset of a block is its number minus 2, times its length.
             (block, data) => Pending::Write {
                 address: self.pointer.wrapping_add(u32::from(block - 2) * data.len() as u32),
                 bytes: data.to_vec(),
@@ -187,7 +183,7 @@ impl BootLoader {
             State::DnloadSync => {
                 let Some(pending) = self.pending.take() else { return self.stall(Status::StalledPacket) };
                 if matches!(pending, Pending::Unprotect) {
-                    // Erases everything, then the chip resets.
+                    // The chip erases its flash, then resets.
                     flash.fill(0xFF);
                     self.protected = false;
                     return Reply::Resets;
@@ -197,7 +193,7 @@ impl BootLoader {
                 } else {
                     self.operations += 1;
                     (self.outcome, pause) = self.carry_out(pending, flash, share);
-                    if self.fail == Some(self.operations) {
+                    if self.failing_operation == Some(self.operations) {
                         self.outcome = Status::Prog;
                     }
                     (self.state, self.busy) = (State::Dnbusy, now + Duration::from_millis(pause.into()));
@@ -224,8 +220,7 @@ impl BootLoader {
         let [low, middle, high, _] = pause.to_le_bytes();
         vec![self.status as u8, low, middle, high, self.state as u8, 0]
     }
-
-    /// Carries out an operation. Returns its status and duration, ms (STM32F405 data sheet, typical times).
+    /// Carries out an operation. Returns its status and its duration, ms (typical times of the STM32F405 data sheet).
     fn carry_out(&mut self, pending: Pending, flash: &mut [u8], share: f32) -> (Status, u32) {
         let part = |length: usize| (length as f32 * share) as usize;
         match pending {
@@ -262,7 +257,7 @@ impl BootLoader {
     }
 }
 
-/// Returns number, start and length of the sector with this address: RM0090, table "Flash module organization".
+/// Returns number, start and length of the sector with this address (RM0090, table "Flash module organization").
 pub fn sector(address: u32) -> Option<(usize, u32, usize)> {
     let lengths = [16, 16, 16, 16, 64, 128, 128, 128, 128, 128, 128, 128].map(|kilobytes| kilobytes * 1024);
     let mut start = FLASH.start;

@@ -1,4 +1,5 @@
-//! A board that is interrupted at any request never starts half an image, keeps its settings, and can be flashed again.
+//! A board that is interrupted at any request never arms with a partial image, keeps its settings, and can be flashed
+//! again.
 
 use crate::phases::attempt;
 use crate::rig::{Cut, Site, image};
@@ -27,7 +28,7 @@ fn an_interrupted_board_only_runs_complete_images() {
                 let board = site.0.borrow();
                 assert_eq!(board.settings(), settings, "{case}");
                 assert!(!board.arms() || board.holds(&old.segments) || board.holds(&new.segments), "{case}");
-                // Firmware that starts has the complete code of one image, even if it does not arm.
+                // Firmware that starts has the complete code of one image, even if the firmware does not arm.
                 let one_code = board.holds(&old.segments[1..]) || board.holds(&new.segments[1..]);
                 assert!(!board.starts() || one_code, "{case}");
                 (board.holds(&old.segments), board.holds(&new.segments), board.starts())
@@ -37,20 +38,20 @@ fn an_interrupted_board_only_runs_complete_images() {
                 Err(error) if whole_old => {
                     unchanged += 1;
                     assert!(starts, "{case}");
-                    // The first erase may not have begun, but the tool cannot know this.
-                    assert!(error.to_string().contains("nothing was changed") || error.erased(), "{case}");
+                    // The tool cannot know that the first erase has not begun.
+                    assert!(error.to_string().contains("nothing was changed") || error.is_erased(), "{case}");
                 }
                 Err(error) if whole_new => {
                     done += 1;
                     assert!(error.to_string().contains("off"), "{case}");
                 }
                 Err(error) => {
-                    assert!(error.erased() && error.to_string().contains("run this again"), "{case}");
+                    assert!(error.is_erased() && error.to_string().contains("run this again"), "{case}");
                     if starts { damaged += 1 } else { nothing += 1 }
                 }
             }
 
-            // Flash again: in the boot loader if the power stayed on, otherwise after setting the DIP switch.
+            // Flashes again, after a power cycle with the DIP switch set to DFU unless the power stayed on.
             site.change(|board| {
                 (board.cut, board.plugged) = (None, true);
                 board.now += std::time::Duration::from_secs(2);
@@ -66,7 +67,7 @@ fn an_interrupted_board_only_runs_complete_images() {
             assert_eq!(site.0.borrow().settings(), settings, "{case}");
         }
     }
-    // Every kind of outcome occurred; partial vectors start code that detects its own damage.
+    // Every kind of outcome has occurred. With partial vectors, the code starts and detects its damage.
     assert!(unchanged > 0 && nothing > 0 && damaged > 0 && done > 0, "{unchanged} {nothing} {damaged} {done}");
 }
 
@@ -76,7 +77,7 @@ fn a_failed_command_is_reported_and_the_next_attempt_succeeds() {
     let mut failures = 0;
     for operation in 1.. {
         let site = Site::running(&old);
-        site.change(|board| board.fail = Some(operation));
+        site.change(|board| board.failing_operation = Some(operation));
         let Err(error) = attempt(&site, None, &new) else { break };
         failures += 1;
         assert!(error.to_string().contains("programming failed (errPROG)"), "operation {operation}: {error}");
@@ -84,9 +85,9 @@ fn a_failed_command_is_reported_and_the_next_attempt_succeeds() {
             !site.0.borrow().arms() || site.0.borrow().holds(&old.segments) || site.0.borrow().holds(&new.segments)
         );
         site.change(|board| {
-            board.fail = None;
+            board.failing_operation = None;
             match &mut board.chip {
-                crate::rig::Chip::BootLoader(boot_loader) => boot_loader.fail = None,
+                crate::rig::Chip::BootLoader(boot_loader) => boot_loader.failing_operation = None,
                 _ => unreachable!(),
             }
         });
@@ -102,5 +103,5 @@ fn a_stuck_byte_is_found_before_the_vectors_are_written() {
     site.change(|board| board.stuck_byte = Some((0x0800_C123, 0xFF)));
     let error = attempt(&site, None, &new).unwrap_err();
     assert!(error.to_string().starts_with("reading back: the flash at 0x0800c123 holds 0xff"), "{error}");
-    assert!(error.erased() && !site.0.borrow().starts());
+    assert!(error.is_erased() && !site.0.borrow().starts());
 }

@@ -27,7 +27,7 @@ fn a_running_board_gets_another_image_and_keeps_its_settings() {
     assert_eq!(board.erased, [0, 3, 4], "the vectors' sector first, and no sector that the image does not need");
     assert!(board.holds(&new.segments) && board.arms());
     assert_eq!(board.settings(), settings);
-    assert_eq!(board.flash[0x2_0000], 0x33, "a sector beyond the image");
+    assert_eq!(board.flash[0x2_0000], 0x33, "the sector beyond the image is unchanged");
     assert_eq!(board.restored_settings.as_ref(), Some(&settings));
     assert_eq!((done.sectors, done.restored), (3, vec!["rules".to_string()]));
     assert_eq!(done.bytes, new.size().next_multiple_of(4));

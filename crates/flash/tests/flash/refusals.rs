@@ -18,7 +18,7 @@ fn refused(site: &Site, image: &haptic_flash::Image) -> haptic_flash::FlashError
     let before = site.0.borrow().flash.clone();
     let error = attempt(site, None, image).unwrap_err();
     assert!(before == site.0.borrow().flash, "{error}");
-    assert!(error.to_string().contains("nothing was changed") && !error.erased(), "{error}");
+    assert!(error.to_string().contains("nothing was changed") && !error.is_erased(), "{error}");
     error
 }
 
@@ -68,7 +68,7 @@ fn another_chip_is_refused() {
 }
 
 #[test]
-fn a_protected_chip_is_left_alone() {
+fn a_protected_chip_is_refused_and_unchanged() {
     let site = Site::running(&old());
     site.change(|board| board.protected = true);
     let text = refused(&site, &new()).to_string();
@@ -82,14 +82,14 @@ fn a_protected_chip_is_left_alone() {
 fn a_boot_loader_that_cannot_be_opened_names_the_remedy() {
     for (error, word) in [(UsbError::Forbidden, "haptic udev"), (UsbError::Busy, "dfu-util")] {
         let site = Site::running(&old());
-        site.change(|board| board.opening = Some(error));
+        site.change(|board| board.open_error = Some(error));
         let error = refused(&site, &new());
         assert!(error.phase == Phase::Open && error.to_string().contains(word), "{error}");
     }
 }
 
 #[test]
-fn a_board_that_stays_out_of_its_boot_loader_names_the_remedy() {
+fn a_board_that_does_not_enter_its_boot_loader_is_reported() {
     let site = Site::running(&old());
     site.change(|board| board.ignores_restart = true);
     let error = refused(&site, &new());

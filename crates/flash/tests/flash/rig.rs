@@ -1,4 +1,4 @@
-//! A rig: a board with a chip, a USB cable and switches; and images for the board.
+//! A simulated board with a chip, a USB cable and switches, and images for the board.
 
 use std::cell::RefCell;
 use std::rc::Rc;
@@ -6,18 +6,19 @@ use std::time::Duration;
 
 use haptic_bridge::checksum::Crc32;
 use haptic_flash::{
-    BootLoader as BootLoaderOnUsb, Identity, Image, Opened, SETTINGS, Segment, Surroundings, Transport, UsbError,
+    BootLoader as BootLoaderOnUsb, Identity, Image, OpenBootLoader, SETTINGS, Segment, Surroundings, Transport,
+    UsbError,
 };
 
 use crate::boot_loader::{BootLoader, FLASH, MEMORY, Reply};
 
 pub const SERIAL: &str = "3852395C3038";
-/// Offset of the image's checksum, behind the vectors.
-const CHECK: usize = 0x188;
-const CODE: u32 = 0x0800_C000;
+/// Offset of the image's checksum, behind the vectors, bytes.
+const CHECKSUM_OFFSET: usize = 0x188;
+const CODE_START: u32 = 0x0800_C000;
 
-/// Creates an image whose code begins with its own length and its identity. It reaches into sector 4 and does not end
-/// at a word boundary.
+/// Creates an image whose code begins with the length of the code and the identity. The code ends in sector 4, not at a
+/// word boundary.
 pub fn image(board: &str, version: &str, protocol: u16) -> Image {
     let mut code = vec![0; 4];
     code.extend(format!("{board}\0{version}\0{protocol}\0").bytes());
@@ -26,25 +27,25 @@ pub fn image(board: &str, version: &str, protocol: u16) -> Image {
     code.push(1);
     let length = code.len() as u32;
     code[..4].copy_from_slice(&length.to_le_bytes());
-    let mut vectors: Vec<u8> = [0x2001_3000_u32, CODE + 0x101].iter().flat_map(|word| word.to_le_bytes()).collect();
+    let mut vectors: Vec<u8> =
+        [0x2001_3000_u32, CODE_START + 0x101].iter().flat_map(|word| word.to_le_bytes()).collect();
     vectors.extend(seed.to_le_bytes());
-    vectors.resize(CHECK, 0x5A);
+    vectors.resize(CHECKSUM_OFFSET, 0x5A);
     let mut sum = Crc32::new();
     sum.take(&vectors);
     sum.take(&code);
     vectors.extend(sum.sum().to_le_bytes());
-    let segments = vec![Segment { address: FLASH.start, bytes: vectors }, Segment { address: CODE, bytes: code }];
+    let segments = vec![Segment { address: FLASH.start, bytes: vectors }, Segment { address: CODE_START, bytes: code }];
     Image { board: board.into(), version: Some(version.into()), protocol: Some(protocol), segments }
 }
 
-/// An interruption.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Cut {
-    /// The cable is pulled; the chip continues.
+    /// The cable is pulled before this request; the chip stays powered.
     Cable,
     /// The power fails before this request.
     Power,
-    /// The power fails when this share of the request's operation is done.
+    /// The power fails after this share of the request's operation.
     PowerWithin(f32),
 }
 
@@ -59,7 +60,7 @@ pub struct Board {
     pub flash: Vec<u8>,
     pub chip: Chip,
     pub now: Duration,
-    /// Time from which the operating system sees the device.
+    /// Time from which the device is on USB.
     visible_from: Duration,
     /// Time that the boot loader takes to reply.
     pub reply_delay: Duration,
@@ -67,27 +68,25 @@ pub struct Board {
     pub boot_pins: bool,
     pub protected: bool,
     pub memory: &'static str,
-    /// Number of requests so far, and the interruption with its request number.
     pub requests: usize,
+    /// Request number and kind of the interruption.
     pub cut: Option<(usize, Cut)>,
-    /// The firmware ignores the request to restart into the boot loader.
+    /// True if the firmware ignores the request to restart into the boot loader.
     pub ignores_restart: bool,
-    /// The boot loader fails to start the program; a power cycle starts it.
+    /// True if the boot loader does not start the program until a power cycle.
     pub fails_to_start: bool,
     /// The version that the firmware reports instead of its own.
     pub reported_version: Option<&'static str>,
     /// An address that always holds this byte.
     pub stuck_byte: Option<(u32, u8)>,
-    pub opening: Option<UsbError>,
+    pub open_error: Option<UsbError>,
     /// [`BootLoader::late`] of every boot loader that starts.
     pub late: u32,
-    pub fail: Option<usize>,
-    /// Restored settings.
+    pub failing_operation: Option<usize>,
     pub restored_settings: Option<Vec<u8>>,
     pub erased: Vec<usize>,
 }
 
-/// Access to the board.
 #[derive(Clone)]
 pub struct Site(pub Rc<RefCell<Board>>);
 
@@ -100,7 +99,7 @@ impl Site {
         }
         let settings = (SETTINGS.start - FLASH.start) as usize..(SETTINGS.end - FLASH.start) as usize;
         flash[settings].iter_mut().zip(0_u32..).for_each(|(byte, index)| *byte = (index % 251) as u8);
-        // The rest of an earlier, longer image.
+        // The remains of an earlier, longer image.
         flash[0x2_0000..0x2_0100].fill(0x33);
         Self(Rc::new(RefCell::new(Board {
             flash,
@@ -117,10 +116,10 @@ impl Site {
             fails_to_start: false,
             reported_version: None,
             stuck_byte: None,
-            opening: None,
+            open_error: None,
             reply_delay: Duration::ZERO,
             late: 0,
-            fail: None,
+            failing_operation: None,
             restored_settings: None,
             erased: Vec::new(),
         })))
@@ -150,7 +149,7 @@ impl Board {
 
     fn boot(&mut self) {
         let mut boot_loader = BootLoader::new(self.protected);
-        (boot_loader.late, boot_loader.fail) = (self.late, self.fail);
+        (boot_loader.late, boot_loader.failing_operation) = (self.late, self.failing_operation);
         self.chip = Chip::BootLoader(boot_loader);
         self.visible_from = self.now + Duration::from_millis(700);
     }
@@ -159,29 +158,26 @@ impl Board {
         self.chip = if self.starts() && !self.fails_to_start { Chip::Firmware } else { Chip::Dead };
         self.visible_from = self.now + Duration::from_millis(900);
     }
-
     fn word(&self, address: u32) -> u32 {
         let at = (address - FLASH.start) as usize;
         u32::from_le_bytes([self.flash[at], self.flash[at + 1], self.flash[at + 2], self.flash[at + 3]])
     }
-
-    /// Returns true if the chip finds a stack pointer and a reset vector.
+    /// Returns true if the flash contains a valid stack pointer and reset vector.
     pub fn starts(&self) -> bool {
         let (stack, entry) = (self.word(FLASH.start), self.word(FLASH.start + 4));
         (0x2000_0000..=0x2002_0000).contains(&stack) && FLASH.contains(&entry) && entry % 2 == 1
     }
-
-    /// Returns true if the started firmware would arm, because its own checksum is right.
+    /// Returns true if the firmware starts and would arm because its checksum is right.
     pub fn arms(&self) -> bool {
-        let (code, length) = ((CODE - FLASH.start) as usize, self.word(CODE) as usize);
+        let (code, length) = ((CODE_START - FLASH.start) as usize, self.word(CODE_START) as usize);
         let Some(code) = self.flash.get(code..code.saturating_add(length)) else { return false };
         let mut sum = Crc32::new();
-        sum.take(&self.flash[..CHECK]);
+        sum.take(&self.flash[..CHECKSUM_OFFSET]);
         sum.take(code);
-        self.starts() && sum.sum() == self.word(FLASH.start + CHECK as u32)
+        self.starts() && sum.sum() == self.word(FLASH.start + CHECKSUM_OFFSET as u32)
     }
 
-    /// Returns true if the flash holds these segments; of two segments, the second is the code.
+    /// Returns true if the flash holds these segments.
     pub fn holds(&self, segments: &[Segment]) -> bool {
         segments.iter().all(|segment| {
             self.flash[(segment.address - FLASH.start) as usize..][..segment.bytes.len()] == segment.bytes
@@ -191,12 +187,11 @@ impl Board {
     pub fn settings(&self) -> Vec<u8> {
         self.flash[(SETTINGS.start - FLASH.start) as usize..(SETTINGS.end - FLASH.start) as usize].to_vec()
     }
-
     fn identity(&self) -> Option<Identity> {
         if !self.plugged || self.now < self.visible_from || !matches!(self.chip, Chip::Firmware) {
             return None;
         }
-        let text = &self.flash[(CODE - FLASH.start) as usize + 4..][..64];
+        let text = &self.flash[(CODE_START - FLASH.start) as usize + 4..][..64];
         let mut parts = text.split(|byte| *byte == 0).map(|part| String::from_utf8_lossy(part).into_owned());
         let (board, firmware) = (parts.next()?, parts.next()?);
         let protocol = parts.next()?.parse().ok()?;
@@ -256,18 +251,16 @@ impl Transport for Cable {
     fn send(&mut self, request: u8, value: u16, data: &[u8]) -> Result<(), UsbError> {
         self.0.borrow_mut().request((request, value), data, 0).map(|_| ())
     }
-
     fn receive(&mut self, request: u8, value: u16, length: u16) -> Result<Vec<u8>, UsbError> {
         let mut board = self.0.borrow_mut();
-        let answered_after = board.reply_delay;
-        board.now += answered_after;
+        let reply_delay = board.reply_delay;
+        board.now += reply_delay;
         board.request((request, value), &[], length)
     }
 
     fn wait(&mut self, time: Duration) {
         self.0.borrow_mut().now += time;
     }
-
     fn now(&self) -> Duration {
         self.0.borrow().now
     }
@@ -283,28 +276,25 @@ impl Surroundings for Site {
         Ok(if is_there { vec![BootLoaderOnUsb { serial: SERIAL.into() }] } else { Vec::new() })
     }
 
-    fn open(&mut self, which: &BootLoaderOnUsb) -> Result<Opened<Cable>, UsbError> {
-        if let Some(error) = &self.0.borrow().opening {
+    fn open(&mut self, which: &BootLoaderOnUsb) -> Result<OpenBootLoader<Cable>, UsbError> {
+        if let Some(error) = &self.0.borrow().open_error {
             return Err(error.clone());
         }
         if !self.boot_loaders()?.contains(which) {
             return Err(UsbError::Gone);
         }
-        Ok(Opened { loader: Cable(self.0.clone()), memory: self.0.borrow().memory.into(), transfer: 2048 })
+        Ok(OpenBootLoader { loader: Cable(self.0.clone()), memory: self.0.borrow().memory.into(), transfer: 2048 })
     }
 
     fn boards(&mut self) -> Vec<String> {
         self.0.borrow().identity().map(|identity| identity.serial).into_iter().collect()
     }
-
     fn identify(&mut self, _: &str) -> Result<Identity, String> {
         self.0.borrow().identity().ok_or("the board does not reply".into())
     }
-
     fn read_settings(&mut self, _: &str) -> Result<Option<Vec<u8>>, String> {
         Ok(Some(self.0.borrow().settings()))
     }
-
     fn enter_boot_loader(&mut self, _: &str) -> Result<(), String> {
         let mut board = self.0.borrow_mut();
         if !board.ignores_restart {
@@ -317,11 +307,9 @@ impl Surroundings for Site {
         self.0.borrow_mut().restored_settings = Some(settings.clone());
         Ok(vec!["rules".into()])
     }
-
     fn now(&mut self) -> Duration {
         self.0.borrow().now
     }
-
     fn wait(&mut self, time: Duration) {
         self.0.borrow_mut().now += time;
     }

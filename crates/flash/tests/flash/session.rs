@@ -24,7 +24,11 @@ fn state(site: &Site) -> (State, Status) {
 #[test]
 fn the_script_refuses_requests_that_the_documents_forbid() {
     let (site, mut cable) = cable();
-    assert_eq!(cable.receive(request::UPLOAD, 0, 4), Ok(vec![0x00, 0x21, 0x41, 0x92]), "the commands it knows");
+    assert_eq!(
+        cable.receive(request::UPLOAD, 0, 4),
+        Ok(vec![0x00, 0x21, 0x41, 0x92]),
+        "the list of supported commands"
+    );
     assert_eq!(cable.send(request::DNLOAD, 0, &[0x41, 0, 0, 0, 8]), Err(UsbError::Stalled), "erase while reading");
     assert_eq!(state(&site), (State::Error, Status::StalledPacket));
     assert_eq!(cable.send(request::ABORT, 0, &[]), Err(UsbError::Stalled), "only CLRSTATUS leaves the error state");
@@ -116,5 +120,5 @@ fn an_address_without_memory_is_reported() {
     let (_, cable) = cable();
     let mut dfuse = Dfuse::begin(cable, 2048).unwrap();
     let error = dfuse.erase(FLASH.end).unwrap_err().to_string();
-    assert_eq!(error, "the boot loader could not erase the sector at 0x08100000: it has no such memory (errTARGET)");
+    assert_eq!(error, "the boot loader could not erase the sector at 0x08100000: no such memory (errTARGET)");
 }

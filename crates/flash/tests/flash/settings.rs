@@ -1,4 +1,4 @@
-//! Settings that survive a firmware update or are restored after it, on a simulated board.
+//! Restores settings after a firmware update, on a simulated board.
 
 use haptic_flash::restore_lost_settings;
 use haptic_host::backup::Backup;

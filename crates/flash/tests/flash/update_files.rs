@@ -45,7 +45,7 @@ fn wrong_lengths_are_refused_without_a_panic() {
             assert!(parse(&with_checksum(file[..length].to_vec())).is_err(), "{length}");
         }
     }
-    // The length of the file, of the target and of an element, and the number of elements.
+    // Offsets of the file length, target length, number of elements and first element length, bytes.
     for at in [6, 277, 281, 289] {
         for wrong in [0_u32, 1, 7, u32::MAX] {
             let mut changed = file.clone();

@@ -156,7 +156,7 @@ impl WallSimulation {
 
     /// Returns the same simulation with each encoder's counts shifted by a share of one count.
     pub(super) fn with_count_offsets(&self, share: impl Fn(usize) -> f64) -> Self {
-        let moved = self.encoders.iter().enumerate().map(|(j, encoder)| encoder.moved(share(j))).collect();
+        let moved = self.encoders.iter().enumerate().map(|(j, encoder)| encoder.shifted(share(j))).collect();
         Self { encoders: moved, ..self.clone() }
     }
 

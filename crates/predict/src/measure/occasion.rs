@@ -84,7 +84,7 @@ impl Occasion<'_> {
             (Some(_), Some(path)) if !self.progress.is_empty() => self.progress.save(path),
             // Remove a file without results.
             (Some(_), Some(path)) => std::fs::remove_file(path)
-                .map_err(|error| ProgressError::Unwritten(haptic_host::output::refused(path, &error))),
+                .map_err(|error| ProgressError::Unwritten(haptic_host::output::write_failure(path, &error))),
         }
     }
 }

@@ -348,7 +348,7 @@ fn amplitudes(rows: &Rows<'_>, signals: &[String], analysis: &mut Analysis) -> R
             let longest = stretches.iter().map(|stretch| stretch.len()).max().unwrap_or(0);
             Failure::wrong(format!("{} without a gap are too few for a spectrum", counted(longest, "row")))
                 .remedy("record longer, or leave the spectrum out")
-                .choose(Choice::Shown)
+                .choose(Choice::DrawnSignals)
         })?;
         let Spectrum { lines, samples } = &spectrum;
         used = *samples;

@@ -143,7 +143,7 @@ impl McapRecorder {
                 // Removes the file, which is useless without its head.
                 let _ = std::fs::remove_file(file);
             }
-            output::refused(path, &error)
+            output::write_failure(path, &error)
         })?;
         Ok(recorder)
     }
@@ -191,7 +191,7 @@ impl McapRecorder {
                 Ok(())
             }
             Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Err(RecordError::ReaderGone),
-            Err(error) => Err(RecordError::Failed(output::refused(&self.path, &error))),
+            Err(error) => Err(RecordError::Failed(output::write_failure(&self.path, &error))),
         }
     }
 
@@ -226,7 +226,8 @@ impl McapRecorder {
         let metadata = entries.map(|(name, value)| (name.to_string(), value)).into();
         self.writer.write_metadata(&Metadata { name: END_RECORD.into(), metadata }).map_err(to_error)?;
         self.writer.finish().map_err(to_error)?;
-        let result = self.write_pending().map_err(|error| RecordError::Failed(output::refused(&self.path, &error)));
+        let result =
+            self.write_pending().map_err(|error| RecordError::Failed(output::write_failure(&self.path, &error)));
         self.is_ended = true;
         result
     }

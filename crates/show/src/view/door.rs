@@ -9,7 +9,7 @@
 
 use super::hub::{self, Hub, PageId};
 use super::message::FromPage;
-use haptic_host::link::nothing_yet;
+use haptic_host::link::should_retry;
 use haptic_host::places::{Place, Places};
 use std::io::{self, Read, Write};
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, Shutdown, SocketAddr, TcpListener, TcpStream, UdpSocket};
@@ -285,7 +285,7 @@ fn converse(
                 Ok(Message::Binary(_)) => hub.said(id, Err("not a message of this page: it is binary".into())),
                 Ok(Message::Close(_)) => return Ok(()),
                 Ok(_) => {}
-                Err(tungstenite::Error::Io(error)) if nothing_yet(&error) => break,
+                Err(tungstenite::Error::Io(error)) if should_retry(&error) => break,
                 Err(error) => return Err(error),
             }
             match READ_TIME.checked_sub(began.elapsed()) {

@@ -59,7 +59,7 @@ fn row<M: Mechanism<f64, N>, const N: usize>(m: M, name: &'static str, device: &
                 }
                 let forces = board.forces_at(depth, 100);
                 assert_eq!(forces.state, State::Armed, "{forces:?}");
-                let requested = forces.asked;
+                let requested = forces.requested;
                 let gravity = m.gravity(&pose);
                 // The largest share of Jᵀ n f that every joint can make in addition to the weight.
                 let rendered = m.transpose(&pose, &n) * requested;

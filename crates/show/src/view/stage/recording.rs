@@ -82,7 +82,7 @@ impl Stage {
             return Ok(());
         };
         let name = format!("haptic-{}.mcap", output::date().replace(':', ""));
-        let path = output::unused(&folder.join(name));
+        let path = output::unused_path(&folder.join(name));
         let divider = self.divider;
         let writer = About::read(self.board(), divider).and_then(|about| {
             let writer = RowWriter::create(&path, &about, &self.columns, Overwrite::Never)?;
