@@ -1,5 +1,5 @@
-//! Summary of a device file with which a person recognises a file of another device: the reach of the tip, its position
-//! at home, its force, its mass.
+//! Summary of a device file, by which a person recognises the wrong device: the tip's reach and home, its force and the
+//! mass.
 
 use crate::plausible::device::force_at;
 use haptic_bridge::model::device::Device;
@@ -9,17 +9,17 @@ use haptic_stability::analysis::map::{MapPoint, climb, map};
 use haptic_stability::analysis::pose::{PoseError, TaskPose};
 use serde::Serialize;
 
-/// Grid poses for the reach and the inertia.
+/// Number of grid poses for reach and inertia.
 const POSES: usize = 3000;
-/// First step of the search from the grid's farthest pose to the end of the reach, rad.
+/// First step of the search from the farthest grid pose to the end of the reach, rad.
 const STEP: f64 = 0.1;
 
 /// Range of a quantity.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Span {
-    /// Lowest.
+    /// Lowest value.
     pub low: f64,
-    /// Highest.
+    /// Highest value.
     pub high: f64,
 }
 
@@ -36,23 +36,23 @@ impl Span {
 pub struct Summary {
     /// Range of the tip along each task coordinate, m, over the poses that are connected with home.
     pub reach: Vec<Span>,
-    /// Tip at home, m.
+    /// Position of the tip at home, m.
     pub tip_at_home: Option<Vec<f64>>,
-    /// Largest force at the tip at home in its weakest and its strongest direction, N: max_current times
+    /// Largest force at the tip at home in its weakest and its strongest direction, N, from max_current times
     /// torque_constant through Jᵀ.
     pub force_at_home: Option<Span>,
-    /// Largest motion of the tip at home per count of one encoder, m; `None` if a joint has no encoder.
+    /// Largest tip motion at home per count of one encoder, m; `None` if a joint has no encoder.
     pub count_at_home: Option<f64>,
     /// Mass of links and handle, kg.
     pub moving_mass: f64,
     /// Effective inertia at home over all normals, kg.
     pub w_eff_at_home: Option<Span>,
-    /// The same over the workspace.
+    /// Effective inertia over the workspace and all normals, kg.
     pub w_eff: Option<Span>,
 }
 
-/// Returns the range of the tip along a task coordinate: from the grid's farthest poses to the limit or singularity
-/// that ends the motion.
+/// Returns the range of the tip along a task coordinate, from the farthest grid poses to the limit or singularity that
+/// ends the motion.
 fn reach(device: &Device<f64>, points: &[MapPoint], axis: usize) -> Result<Option<Span>, PoseError> {
     let place = |point: &&MapPoint| point.position[axis];
     let farthest = |sign: f64| {
@@ -102,7 +102,7 @@ impl Summary {
         })
     }
 
-    /// Formats the summary for people, one line per item.
+    /// Formats the summary as text lines, one per item.
     pub fn lines(&self) -> Vec<String> {
         let millimetres = |v: f64| format!("{:.1}", (1e4 * v).round() / 10.0 + 0.0);
         let mut lines = Vec::new();

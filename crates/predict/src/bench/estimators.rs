@@ -1,7 +1,7 @@
-//! Compares velocity estimators on a device, in simulation with encoder steps: the area of quiet walls, the ripple of a
-//! pressed wall's force, and the delay and noise of the velocity.
+//! Compares velocity estimators on a device by simulation with encoder steps: stable area, force ripple of a pressed
+//! wall, and delay and noise of the velocity.
 //!
-//! Every wall is simulated by [`super::wall`]: the board's own step with the device's complete equations.
+//! [`super::wall`] simulates every wall with the board's own step and the device's complete equations.
 
 use super::wall::{Rendered, Trial, WallSimulation};
 use crate::contact::deviation_from_line;
@@ -19,23 +19,26 @@ use haptic_stability::analysis::sampled::{LinearEstimator, Loop, Mode};
 use haptic_stability::sweep::Sweep;
 use serde::{Deserialize, Serialize};
 
-/// Time to settle before the ripple is recorded, and time of recording, s.
+/// Time before the ripple is recorded, s.
 const SETTLE_S: f64 = 0.3;
+/// Duration of the recording, s.
 const RECORD_S: f64 = 0.3;
-/// Speed (m/s) and duration (s) of the slow motion for the noise of the velocity estimate.
+/// Speed of the slow motion in which the velocity noise is computed, m/s.
 const SLOW_SPEED: f64 = 0.01;
+/// Duration of the slow motion, s.
 const SLOW_S: f64 = 0.2;
 /// Number of dampings at which the largest quiet stiffness is searched.
 const DAMPINGS: usize = 8;
-/// Precision of a largest stiffness, as a ratio.
+/// Largest ratio of unstable to stable stiffness at the end of a search.
 const PRECISION: f64 = 1.05;
-/// Amplitude of the tip in counts when a wall is struck, and the amplitude below which the wall counts as quiet.
+/// Amplitude of the tip when a wall is struck, encoder counts.
 const STRIKE_COUNTS: f64 = 40.0;
+/// Amplitude below which the wall counts as quiet, encoder counts.
 const QUIET_COUNTS: f64 = 6.0;
-/// Time within which a struck wall must come to rest, s.
+/// Time within which the tip must come to rest in a struck wall, s.
 const REST_S: f64 = 0.25;
 
-/// Device and wall for which the estimators are compared.
+/// Device and wall with which the estimators are compared.
 pub struct Comparison<'a> {
     /// The device.
     pub file: &'a DeviceFile,
@@ -45,14 +48,14 @@ pub struct Comparison<'a> {
     pub normal: &'a [f64],
     /// Control rate, Hz.
     pub rate_hz: f64,
-    /// Cutoff, Hz.
+    /// Cutoff of the estimator, Hz.
     pub cutoff_hz: f64,
     /// Stiffness (N/m) and damping (N s/m) of the wall that is pressed for the ripple.
     pub wall: (f64, f64),
 }
 
 impl Comparison<'_> {
-    /// Returns the wall with another estimator, without feed-forward.
+    /// Returns the wall for an estimator, without feed-forward.
     fn rendered(&self, kind: Estimator, cutoff_hz: f64) -> Rendered {
         Rendered {
             kind,
@@ -67,25 +70,26 @@ impl Comparison<'_> {
     }
 }
 
-/// Results of one estimator.
+/// Results for one estimator.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Row {
-    /// Name in scene files.
+    /// Name of the estimator in scene files.
     pub estimator: String,
-    /// Parameter of the estimator, if it has one.
+    /// Parameter of the estimator; `None` if it has none.
     pub value: Option<u32>,
-    /// Cutoff, Hz, if the estimator has one.
+    /// Cutoff, Hz; `None` if the estimator has none.
     pub cutoff_hz: Option<f64>,
-    /// ∫ largest quiet stiffness over damping, N²s/m²: simulated, with encoder steps and friction. The search ends at
-    /// 1e7 N/m and at five times the damping that is predicted stable with the Butterworth, so the area may be larger.
+    /// ∫ largest quiet stiffness over damping, N²s/m², simulated with encoder steps and friction. This is a lower
+    /// bound, because the search ends at 1e7 N/m and at five times the damping that is predicted stable with the
+    /// Butterworth.
     pub area: f64,
-    /// Root mean square of the wall's force about its fitted line, N, under a hand that presses ever harder: without
-    /// and with the full feed-forward. `None` if the tip flies off.
+    /// Root mean square of the force about its fitted line while a hand presses ever harder, N, without and with the
+    /// full feed-forward; `None` if the tip flies off.
     pub press_n: [Option<f64>; 2],
-    /// Root mean square of the wall's force about its mean, N, under a hand with a steady push, without feed-forward.
-    /// Friction may hold the tip between two counts.
+    /// Root mean square of the force about its mean while a hand pushes steadily, N, without feed-forward. Friction may
+    /// hold the tip between two counts.
     pub ripple_n: Option<f64>,
-    /// True if the mean force of the pressed wall differs from the hand's by at most a tenth.
+    /// True if the mean force on the pressed wall is within a tenth of the hand's push.
     pub holds: bool,
     /// Delay of the velocity, s.
     pub delay_s: f64,
@@ -93,11 +97,11 @@ pub struct Row {
     pub noise_m_s: f64,
 }
 
-/// Press ripples below this count as equal, because a board's arithmetic and a hand vary more, N.
+/// Difference of press ripples that counts as zero, N. A board's arithmetic and a hand vary by more.
 pub const RESOLUTION_N: f64 = 1e-3;
 
-/// Returns every estimator with its default parameter and its longest window. If the cutoff is the estimator's
-/// bandwidth, a quarter, a sixteenth and a thirty-second of it are candidates too. An optional low-pass is left out.
+/// Returns each estimator with its default parameter and with its longest window. For estimators whose cutoff is the
+/// bandwidth, adds a quarter, a sixteenth and a thirty-second of the cutoff. Omits optional low-passes.
 fn candidates(comparison: &Comparison<'_>) -> Vec<Rendered> {
     let mut results = Vec::new();
     let mut add = |kind, share| results.push(comparison.rendered(kind, share * comparison.cutoff_hz));
@@ -118,8 +122,8 @@ fn candidates(comparison: &Comparison<'_>) -> Vec<Rendered> {
     results
 }
 
-/// Returns a wall that shows differences between estimators, N/m and N s/m: half of the damping and a quarter of the
-/// stiffness that `haptic range --board` predicts stable with the Butterworth.
+/// Returns stiffness (N/m) and damping (N s/m) of a wall on which estimators differ: half of the damping and a quarter
+/// of the stiffness that `haptic range --board` predicts stable with the Butterworth.
 pub fn telling_wall(
     file: &DeviceFile,
     q: &[f64],
@@ -142,8 +146,9 @@ pub fn telling_wall(
     .choose(Choice::Wall))
 }
 
-/// Compares every estimator. Estimators with at least the Butterworth's area come first, sorted by their ripple under a
-/// hand that presses ever harder; the others follow by area. The result does not depend on the number of cores.
+/// Compares all estimators. Those with at least the Butterworth's area that hold the hand come first, in ascending
+/// order of press ripple; the others follow in descending order of area. The result does not depend on the number of
+/// cores.
 pub fn compare(comparison: &Comparison<'_>, sweep: &Sweep) -> Result<Vec<Row>, Failure> {
     let tried = Trials::new(comparison, sweep)?;
     let (rate_hz, butterworth) = (comparison.rate_hz, LinearEstimator::Butterworth(comparison.cutoff_hz));
@@ -168,13 +173,13 @@ pub fn compare(comparison: &Comparison<'_>, sweep: &Sweep) -> Result<Vec<Row>, F
     Ok(rows)
 }
 
-/// Returns the root mean square of the pressed wall's force with one estimator, as [`Row::ripple_n`], N.
+/// Returns [`Row::ripple_n`] for one estimator, N.
 pub fn ripple_of(comparison: &Comparison<'_>, kind: Estimator) -> Result<Option<f64>, Failure> {
     let sweep = Sweep::quiet();
     Ok(Trials::new(comparison, &sweep)?.ripple(&comparison.rendered(kind, comparison.cutoff_hz))?.0)
 }
 
-/// The simulation and the linearised device of a comparison.
+/// Simulation and linearised device of a comparison.
 struct Trials<'a> {
     rate_hz: f64,
     simulation: WallSimulation,
@@ -213,13 +218,13 @@ impl<'a> Trials<'a> {
         })
     }
 
-    /// Computes ∫ largest quiet stiffness over damping by the trapezoidal rule on even dampings, until no wall is
-    /// quiet. `damping` (N s/m) is the largest that is predicted stable with the Butterworth.
+    /// Computes ∫ largest quiet stiffness over damping by the trapezoidal rule at evenly spaced dampings, until no wall
+    /// is quiet. `damping` (N s/m) is the largest that is predicted stable with the Butterworth.
     fn area(&self, wall: &Rendered, damping: f64) -> Result<f64, Failure> {
         let step = damping * 1.25 / DAMPINGS as f64;
         let (mut area, mut last) = (0.0, 0.0);
         let mut i = 1.0;
-        // An estimator without lag is stable with more damping; four times the range is enough.
+        // Estimators without lag are stable with more damping; five times the predicted damping is enough.
         while step > 0.0 && i <= 4.0 * DAMPINGS as f64 {
             let most = self.stiffest(&Rendered { damping: i * step, ..*wall })?;
             area += step * 0.5 * (last + most);
@@ -232,9 +237,9 @@ impl<'a> Trials<'a> {
         Ok(area)
     }
 
-    /// Returns the largest stiffness (N/m) up to which every wall with this damping comes to rest; 0 if none does.
+    /// Returns the largest stiffness up to which every wall with this damping comes to rest, N/m; 0 if none does.
     fn stiffest(&self, wall: &Rendered) -> Result<f64, Failure> {
-        // At the smallest stiffness the tip still swings back within the time allowed.
+        // The smallest stiffness is large enough for the tip to swing back within the allowed time.
         let comes_to_rest = |stiffness: f64| self.is_quiet_when_struck(&Rendered { stiffness, ..*wall });
         let (mut low, mut high) = (100.0, 100.0);
         if !comes_to_rest(low)? {
@@ -255,12 +260,12 @@ impl<'a> Trials<'a> {
         Ok(low)
     }
 
-    /// Returns true if the tip, struck along the normal in the wall, comes to rest.
+    /// Returns true if the tip comes to rest after it was struck along the normal.
     fn is_quiet_when_struck(&self, wall: &Rendered) -> Result<bool, Failure> {
         self.sweep.go_on()?;
         let mass = self.linearised.w_eff().ok_or_else(|| Failure::impossible("the device has no inertia here"))?;
         let count = self.simulation.count;
-        // The speed of the wall's own swing with this amplitude, but at most that of a hand's strike.
+        // Initial speed of the wall's own oscillation with this amplitude, at most that of a hand's strike.
         let speed = (STRIKE_COUNTS * count * (wall.stiffness / mass).sqrt()).min(0.5);
         let late = (REST_S * self.rate_hz) as usize * 3 / 4;
         let (mut n, mut low, mut high) = (0, f64::INFINITY, f64::NEG_INFINITY);
@@ -274,7 +279,7 @@ impl<'a> Trials<'a> {
         Ok(tip_stays && high - low < QUIET_COUNTS * count)
     }
 
-    /// Returns the wall's force in the last `recorded` of `seconds` s of a trial, N; `None` if the tip flies off.
+    /// Returns the wall's force in the last `recorded` seconds of a trial, N, or `None` if the tip flies off.
     fn last_forces(
         &self,
         simulation: &WallSimulation,
@@ -293,19 +298,18 @@ impl<'a> Trials<'a> {
         Ok(tip_stays.then(|| forces.split_off(begin)))
     }
 
-    /// Returns the ripple of the force under a hand that presses, and true if the wall holds the hand.
+    /// Returns the force ripple under a hand that presses, and true if the wall holds the hand.
     fn ripple(&self, wall: &Rendered) -> Result<(Option<f64>, bool), Failure> {
         let late = self.last_forces(&self.simulation, wall, Trial::Pressed, SETTLE_S + RECORD_S, RECORD_S)?;
         let Some(late) = late else { return Ok((None, false)) };
         let mean = late.iter().sum::<f64>() / late.len() as f64;
         let square = late.iter().map(|force| (force - mean).powi(2)).sum::<f64>() / late.len() as f64;
-        // The hand's own stiffness and friction carry a part of the push.
+        // Friction and the hand's own stiffness carry a part of the push.
         let friction = self.simulation.friction();
         Ok((Some(square.sqrt()), (mean / PUSH_N - 1.0).abs() < 0.1 + friction / PUSH_N))
     }
 
-    /// Returns the ripple of the force under a hand that presses ever harder, N: the largest of several encoder
-    /// offsets.
+    /// Returns the largest force ripple over several encoder offsets while a hand presses ever harder, N.
     fn press(&self, wall: &Rendered, feed_forward: FeedForward) -> Result<Option<f64>, Failure> {
         let wall = Rendered { feed_forward, ..*wall };
         let mut most: f64 = 0.0;
@@ -321,7 +325,7 @@ impl<'a> Trials<'a> {
         Ok(Some(most))
     }
 
-    /// Returns the root mean square of the velocity's error while the joints turn slowly and steadily, m/s.
+    /// Returns the root mean square of the velocity error while the joints turn slowly and steadily, m/s.
     fn noise(&self, wall: &Rendered) -> Result<f64, Failure> {
         let still = Rendered { stiffness: 0.0, damping: 0.0, ..*wall };
         let velocities = self.simulation.velocities(&still, SLOW_SPEED, SLOW_S)?;

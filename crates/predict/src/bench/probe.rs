@@ -1,5 +1,5 @@
-//! Situations in which errors are computed: a pose, a wall's normal, a hand motion, and the largest force of the motors
-//! along the normal in addition to weight and motion. Motions that need more than the motors' torque are left out.
+//! Situations in which errors are computed: pose, wall normal, hand motion, and the largest force that the motors can
+//! make along the normal in addition to weight and motion. Motions that need more than the motors' torque are omitted.
 
 use crate::boards::torque_at_rest;
 use haptic_bridge::math::Libm;
@@ -15,14 +15,14 @@ use haptic_stability::analysis::map::Reachable;
 use haptic_stability::analysis::pose::PoseError;
 use nalgebra::SVector;
 
-/// Force if a device file has no motors, N.
+/// Wall force for a device without motors, N.
 const FORCE_WITHOUT_MOTORS: f64 = 5.0;
 /// Default speed of the hand, m/s.
 pub const HAND_SPEED: f64 = 0.5;
 /// Turning rate of the redundant arm's last link per speed of the hand, rad/m.
 const TURNING: f64 = 4.0;
 
-/// A situation. Entries beyond the device's joints are zero.
+/// A situation in which errors are computed. Entries beyond the device's joints are zero.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Probe {
     /// Joint angles, rad.
@@ -35,11 +35,11 @@ pub struct Probe {
     pub normal_rate: [f64; MAX_JOINTS],
     /// Task velocity, m/s (and rad/s for φ).
     pub velocity: [f64; MAX_JOINTS],
-    /// Largest force of the motors along the normal in addition to weight and motion, N.
+    /// Largest force that the motors can make along the normal in addition to weight and motion, N.
     pub force: f64,
 }
 
-/// Returns normals that cover the directions of a task space.
+/// Returns unit normals that cover the directions of a task space.
 fn directions(task: usize) -> Vec<[f64; MAX_JOINTS]> {
     match task {
         1 => vec![[1.0, 0.0, 0.0]],
@@ -51,8 +51,8 @@ fn directions(task: usize) -> Vec<[f64; MAX_JOINTS]> {
     }
 }
 
-/// Returns situations throughout the reachable workspace: `per_joint` angles per joint, normals in every direction, and
-/// hand motions at `speed` (m/s) along and across them.
+/// Returns situations throughout the reachable workspace, with `per_joint` angles per joint, normals in all directions,
+/// and hand motions at `speed` (m/s) along and across the normals.
 pub fn workspace(device: &Device<f64>, per_joint: usize, speed: f64) -> Result<Vec<Probe>, PoseError> {
     let reachable = Reachable::of(device, per_joint, None)?;
     let mut probes = Vec::new();
@@ -65,7 +65,7 @@ pub fn workspace(device: &Device<f64>, per_joint: usize, speed: f64) -> Result<V
     Ok(probes)
 }
 
-/// Returns situations on a surface where the tip can touch it: grid poses near the surface, moved onto it.
+/// Returns situations at which the tip touches a surface. Grid poses near the surface are moved onto it.
 pub fn on_surface(
     device: &Device<f64>,
     surface: &Surface<f64>,
@@ -90,8 +90,8 @@ fn task_part<M: Mechanism<f64, N>, const N: usize>(task: &SVector<f64, N>) -> SV
     SVector::from_fn(|i, _| if i < M::SPEC.task { task[i] } else { 0.0 })
 }
 
-/// Moves a pose onto the surface by Newton's method along the normal; `None` if the surface is more than about a grid
-/// cell away.
+/// Moves a pose onto the surface by Newton's method along the normal, or returns `None` if the surface is more than
+/// about one grid cell away.
 fn move_onto<M: Mechanism<f64, N>, const N: usize>(
     m: &M,
     device: &Device<f64>,
@@ -127,14 +127,14 @@ fn push_situations<M: Mechanism<f64, N>, const N: usize>(
     let n = SVector::<f64, N>::from_fn(|i, _| normal[i]);
     let pose = m.pose::<Libm>(&joints);
     let regularity = m.regularity(&pose);
-    // Nearer to a singularity the control step fades the feed-forward out, whatever the variant.
+    // Nearer to a singularity every variant fades the feed-forward out.
     if regularity.serial < FULL_REGULARITY || regularity.parallel < FULL_REGULARITY * PARALLEL_REGULARITY {
         return;
     }
     let weight = m.gravity(&pose);
     let (plain, shaping) = (m.transpose(&pose, &n), m.shaping(&pose, &n));
     let per_newton = SVector::<f64, N>::from_fn(|i, _| plain[i].abs().max((shaping.me[i] / shaping.w_rr).abs()));
-    // Force that the motors have left after weight and motion; not positive if weight and motion need all of the
+    // Force that the motors can make in addition to weight and motion; zero or negative if these need all of the
     // torque.
     let remaining_force = |b: &SVector<f64, N>| {
         let joints = (0..N).filter_map(|i| device.joints[i].motor.map(|motor| (i, torque_at_rest(&motor, N))));
@@ -142,7 +142,7 @@ fn push_situations<M: Mechanism<f64, N>, const N: usize>(
         share.fold(f64::INFINITY, f64::min)
     };
     let here = task_part::<M, N>(&m.tip(&pose));
-    // At higher joint speeds the guard trips and the board renders no torque.
+    // The guard trips at higher joint speeds, and the board then renders no torque.
     let fastest = f64::from(Limits::default().speed[0]);
     for velocity in motions::<M, N>(normal) {
         let velocity = SVector::<f64, N>::from_fn(|i, _| speed * velocity[i]);
@@ -167,7 +167,7 @@ fn push_situations<M: Mechanism<f64, N>, const N: usize>(
     }
 }
 
-/// Returns hand motions per m/s: into the wall, along it, and oblique.
+/// Returns hand motions per m/s: into the wall, along it, and obliquely.
 fn motions<M: Mechanism<f64, N>, const N: usize>(n: &[f64; MAX_JOINTS]) -> Vec<[f64; MAX_JOINTS]> {
     let d = std::f64::consts::FRAC_1_SQRT_2;
     match (M::SPEC.task, N) {

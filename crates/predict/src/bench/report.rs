@@ -1,4 +1,4 @@
-//! Cost and error of every variant of every mechanism, and tables of them.
+//! Tables of the cost and error of all variants of all mechanisms.
 
 use crate::bench::counts;
 use crate::bench::error::{
@@ -23,7 +23,7 @@ use serde::Serialize;
 use std::hint::black_box;
 use std::time::Instant;
 
-/// Returns the example device of a mechanism for the figures. The image that counts instructions has the same devices.
+/// Returns the example device of a mechanism. The image that counts instructions uses the same devices.
 fn example_of(kind: Kind) -> &'static str {
     match kind {
         Kind::Paddle => shipped::HAPKIT_PADDLE,
@@ -40,36 +40,36 @@ pub fn devices() -> Result<Vec<Device<f64>>, Failure> {
     Kind::ALL.iter().map(|kind| read(example_of(*kind))).collect()
 }
 
-/// One variant on one target.
+/// Cost and error of one variant on one target.
 #[derive(Clone, Debug, Serialize)]
 pub struct Variant {
     /// `mechanism/trigonometry/mass model/terms`
     pub name: String,
-    /// Its mechanism.
+    /// Name of the mechanism.
     pub mechanism: &'static str,
     /// `cortex-m4f` or `host`.
     pub target: &'static str,
-    /// Instructions of a complete control step in contact with one wall, counted on the emulated chip; null elsewhere.
+    /// Instructions of a complete control step with one wall, counted on the emulated chip; null for the host.
     pub instructions: Option<u32>,
-    /// Time of the torque alone, measured on this computer; null elsewhere.
+    /// Time to compute the torque on this computer, ns; null for the chip.
     pub nanoseconds: Option<f64>,
     /// Largest torque error, N m.
     pub error_max: f64,
     /// Root mean square of the torque error, N m.
     pub error_rms: f64,
-    /// Errors of torque, force, share and duty.
+    /// Errors of torque, force, share and duty steps.
     pub errors: Errors,
-    /// Errors without the part that fades in every variant.
+    /// Errors without the fading that is common to all variants.
     #[serde(skip)]
     pub given: Errors,
-    /// The sources of the errors.
+    /// Sources of the errors.
     pub parts: Parts,
-    /// True if no variant of the same mechanism is both cheaper and better: instructions against the error of the force
-    /// at the tip, including the force from the error of the tip's position.
+    /// True if no other variant of the mechanism has both fewer instructions and a smaller tip force error, including
+    /// the force from the tip's position error.
     pub pareto: bool,
 }
 
-/// Returns the number of angles per joint of the grid over the workspace.
+/// Returns the number of grid angles per joint.
 fn density(joints: usize) -> usize {
     match joints {
         1 => 41,
@@ -78,17 +78,17 @@ fn density(joints: usize) -> usize {
     }
 }
 
-/// Returns the situations of a device; none if it cannot be analysed.
+/// Returns the situations of a device; empty if the device cannot be analysed.
 fn probes(device: &Device<f64>) -> Vec<Probe> {
     workspace(device, density(device.mechanism.kind().spec().joints), HAND_SPEED).unwrap_or_default()
 }
 
-/// Returns the law of a default scene.
+/// Returns the law of the default scene.
 fn law(device: &Device<f64>) -> Result<Law, Failure> {
     Law::of(&Scene::default(), device)
 }
 
-/// Computes every variant of `device`; `timed` adds the time on this computer.
+/// Computes all variants of `device`. `timed` adds times on this computer.
 pub fn variants(device: &Device<f64>, timed: bool) -> Result<Vec<Variant>, Failure> {
     let spec = device.mechanism.kind().spec();
     let (probes, law) = (probes(device), law(device)?);
@@ -131,8 +131,8 @@ pub fn variants(device: &Device<f64>, timed: bool) -> Result<Vec<Variant>, Failu
 }
 
 impl Variant {
-    /// Error of the force at the tip, N: the torque's error without the part that fades in every variant, plus the
-    /// wall's position error at 20 kN/m.
+    /// Returns the tip force error, N: that of the torque without common fading, plus that of the tip's position at 20
+    /// kN/m.
     pub fn felt(&self) -> f64 {
         self.given.force.max + self.parts.tip
     }
@@ -150,7 +150,7 @@ fn mark_front(variants: &mut [Variant]) {
     }
 }
 
-/// Returns the time of one torque on this computer, ns: the best of several runs over the probes.
+/// Returns the time of one torque computation on this computer, ns: the best of five runs over up to 1000 probes.
 fn nanoseconds(device: &Device<f64>, probes: &[Probe], way: &TorqueVariant<'_>) -> f64 {
     with_mechanism!(device.mechanism.cast::<f32>(), m => {
         with_trigonometry!(way.trigonometry, K => time::<K, _, _>(&m, probes, way))
@@ -176,7 +176,7 @@ fn time<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(
     (0..5).map(|_| run()).fold(f64::INFINITY, f64::min)
 }
 
-/// Writes every variant on the chip, by mechanism, the cheapest first: docs/results/speed-against-error.csv.
+/// Writes docs/results/speed-against-error.csv: all variants on the chip by mechanism, in ascending order of cost.
 pub fn by_variant(every: &[(Device<f64>, Vec<Variant>)]) -> String {
     let mut text = csv_line([
         "mechanism",
@@ -211,9 +211,9 @@ pub fn by_variant(every: &[(Device<f64>, Vec<Variant>)]) -> String {
     text
 }
 
-/// Writes the numbers of a mechanism that do not depend on the variant: the motion of the tip by one encoder count, the
-/// share of situations in which the velocity terms fade and are off, and the instructions of the step with a wall and
-/// its feed-forward for each velocity estimator with its longest window: docs/results/speed-by-mechanism.csv.
+/// Writes docs/results/speed-by-mechanism.csv, the numbers that do not depend on the variant: the tip motion per
+/// encoder count, the shares of situations in which the velocity terms fade or are off, and the instructions of a step
+/// with a wall and feed-forward for each velocity estimator with its longest window.
 pub fn by_mechanism(every: &[(Device<f64>, Vec<Variant>)]) -> Result<String, Failure> {
     let head = ["mechanism", "device", "encoder step (µm)", "encoder step (N)", "terms fade (%)", "terms off (%)"];
     let mut text = csv_line(head.into_iter().chain(Estimator::ALL.iter().map(|(name, _)| *name)));

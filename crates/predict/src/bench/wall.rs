@@ -1,9 +1,8 @@
-//! Simulates one wall on a device, rendered by the board's own control step in its precision: pressed, slid along,
-//! struck or tapped (`contact`).
+//! Simulates one wall that the board's own control step renders in the board's precision while a hand presses, slides
+//! along or taps it, or after a strike (`contact`).
 //!
-//! Torque follows half a carrier period late and is not limited: motors and their limits are the same for every
-//! estimator. `haptic tune estimators` compares estimators with this simulation ([`super::estimators`]), and
-//! [`mod@crate::tune`] searches with it.
+//! Torques act half a carrier period late. They are not limited, because motors and limits are the same for all
+//! estimators. [`super::estimators`] compares estimators by this simulation, and [`mod@crate::tune`] searches with it.
 
 use crate::contact::{Contact, Grip, Law, LawOutput, RippleFilter};
 use crate::measure::complement;
@@ -27,14 +26,17 @@ use haptic_stability::analysis::plant::Drive;
 use haptic_stability::analysis::pose::TaskPose;
 use haptic_stability::analysis::sampled::LinearEstimator;
 
-/// Time to settle before a slide is recorded, and time of the slide, s.
+/// Time before a slide is recorded, s.
 const SETTLE_S: f64 = 0.3;
+/// Duration of the slide, s.
 const SLIDE_S: f64 = 0.5;
-/// Speed along the wall, m/s, and variation of a sliding hand's push: share of the push, and frequency, Hz.
+/// Speed along the wall, m/s.
 const SLIDE: f64 = 0.03;
+/// Variation of a sliding hand's push: share of the push, and frequency, Hz.
 const SWINGS: (f64, f64) = (0.5, 1.0);
-/// Speed of a tap, m/s, and time in which its rebounds are counted, s.
+/// Speed of a tap, m/s.
 pub const TAP: f64 = 0.2;
+/// Time in which the rebounds of a tap are counted, s.
 const TAP_S: f64 = 0.3;
 
 /// Settings of a rendered wall.
@@ -44,13 +46,13 @@ pub struct Rendered {
     pub kind: Estimator,
     /// Cutoff of the estimator, Hz.
     pub cutoff_hz: f64,
-    /// The wall's feed-forward.
+    /// Feed-forward of the wall.
     pub feed_forward: FeedForward,
     /// Corner of the washout, Hz.
     pub washout_hz: f64,
     /// True if the joints' own damping is compensated.
     pub damping_compensation: bool,
-    /// The coordinate that a redundant device holds.
+    /// The coordinate that the feed-forward of a redundant device holds.
     pub admissible: Admissible,
     /// Stiffness, N/m.
     pub stiffness: f64,
@@ -58,35 +60,34 @@ pub struct Rendered {
     pub damping: f64,
 }
 
-/// Motion by which a wall is tried.
+/// Motion with which a wall is tested.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Trial {
-    /// A hand pushes steadily. Friction may lock the tip between two encoder counts, so a wall that would rattle may be
-    /// quiet.
+    /// A hand pushes steadily. Friction may lock the tip between two encoder counts and so hide a rattle.
     Pressed,
-    /// A hand pushes ever harder, as in [`crate::ripple`]: friction cannot hold the tip permanently.
+    /// A hand pushes ever harder, as in [`crate::ripple`], so that friction cannot hold the tip permanently.
     PressedHarder,
-    /// A hand pushes with varying force and slides along the wall.
+    /// A hand slides along the wall with varying push.
     SlidAlong,
-    /// The tip of a `bilateral` wall starts with this speed (m/s) into the wall, without a hand.
+    /// The tip starts in a `bilateral` wall at this speed into the wall (m/s), without a hand.
     Struck(f64),
-    /// The tip arrives at this speed, pushed by a hand, m/s.
+    /// A hand pushes the tip onto the wall at this speed, m/s.
     Tapped(f64),
 }
 
-/// Behaviour of a wall under a hand that presses and slides.
+/// Result of a slide along a wall.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pressed {
     /// Root mean square of the force above 20 Hz, N; `None` if the tip flies off.
     pub ripple_n: Option<f64>,
-    /// True if the mean force differs from the hand's expected push by at most a tenth of the push plus friction.
+    /// True if the mean force differs from the hand's expected push by at most a tenth of it plus friction.
     pub holds: bool,
 }
 
 /// A device with a wall at its tip.
 #[derive(Clone)]
 pub struct WallSimulation {
-    /// The device with the mass of a light hand, and alone.
+    /// The device with the mass of a light hand at its tip.
     held: Description,
     alone: Description,
     board: Device<f32>,
@@ -95,17 +96,17 @@ pub struct WallSimulation {
     pub(super) q: [f64; MAX_JOINTS],
     normal: [f64; MAX_JOINTS],
     tip: [f64; MAX_JOINTS],
-    /// Unit vector along the wall; zero if the task has only one direction.
+    /// Unit vector along the wall; zero if the task has one direction.
     across: [f64; MAX_JOINTS],
     /// Joint motion per metre of tip motion along the normal, rad/m.
     pub(super) motion: [f64; MAX_JOINTS],
-    /// Motion of the tip along the normal per count of the coarsest joint, m.
+    /// Tip motion along the normal per count of the coarsest joint, m.
     pub(super) count: f64,
 }
 
 impl WallSimulation {
-    /// Sets up the device that the board models and the device that moves, at a pose (rad), with a wall across the unit
-    /// normal, at a control rate, Hz.
+    /// Prepares a simulation at a pose (rad) with a wall across the unit normal `normal` and a control rate (Hz). The
+    /// board models the device `believed`, and the device `moving` moves.
     pub fn new(
         believed: &Description,
         moving: &Description,
@@ -122,7 +123,7 @@ impl WallSimulation {
                     .remedy("add the encoders: walls are simulated with their steps")
             })?;
         let pose = TaskPose::at(believed, q)?.regular()?;
-        // The device's home may not be at count 0; in this simulation counts start at the encoders' offset.
+        // Remove the device's home, because counts start at the encoders' offset in this simulation.
         let board = Device::<f32>::new("tried", &Description { home: None, ..*believed }).map_err(Failure::wrong)?;
         let alone = *moving;
         let mut held = alone;
@@ -139,7 +140,7 @@ impl WallSimulation {
             alone,
             board,
             encoders,
-            // The loop has no estimator of its own, because the board's step estimates velocities.
+            // The loop has no estimator because the board's step estimates velocities.
             around: Loop::through(
                 &TorquePath { drive: Drive::Ideal, ..TorquePath::usual(rate_hz) },
                 rate_hz,
@@ -154,20 +155,20 @@ impl WallSimulation {
         })
     }
 
-    /// Returns the same simulation with each encoder's counts shifted by a share of one count.
+    /// Returns this simulation with each encoder shifted by a share of one count.
     pub(super) fn with_count_offsets(&self, share: impl Fn(usize) -> f64) -> Self {
         let moved = self.encoders.iter().enumerate().map(|(j, encoder)| encoder.moved(share(j))).collect();
         Self { encoders: moved, ..self.clone() }
     }
 
-    /// Returns the largest force along the normal that dry friction can hold, N.
+    /// Returns the largest force along the normal that dry friction holds, N.
     pub(super) fn friction(&self) -> f64 {
         let joints = self.alone.joints;
         joints.iter().zip(self.motion).map(|(joint, motion)| joint.dry_friction(0.0) * motion.abs()).sum()
     }
 
-    /// Slides along a wall. Stops as soon as the ripple of the complete slide must exceed `bound_n` (N); the returned
-    /// ripple then exceeds `bound_n` as well.
+    /// Simulates a slide along a wall. Stops as soon as the ripple of the complete slide must exceed `bound_n` (N); the
+    /// returned ripple then exceeds `bound_n`.
     pub fn slid_along(&self, wall: &Rendered, bound_n: f64) -> Result<Pressed, Failure> {
         let rate_hz = self.around.rate_hz;
         let (settle, all) = ((SETTLE_S * rate_hz) as usize, ((SETTLE_S + SLIDE_S) * rate_hz).round() as usize);
@@ -187,7 +188,7 @@ impl WallSimulation {
         if !tip_stays {
             return Ok(Pressed { ripple_n: None, holds: false });
         }
-        // A soft wall gives way, so the hand's own stiffness carries a part of the push.
+        // A soft wall moves, so the hand's own stiffness carries a part of the push.
         let pushes = (settle..all).map(|n| hand_push(Trial::SlidAlong, n as f64 / rate_hz));
         let expected = pushes.sum::<f64>() / recorded * wall.stiffness / (wall.stiffness + LIGHT_HAND.stiffness);
         Ok(Pressed {
@@ -196,7 +197,7 @@ impl WallSimulation {
         })
     }
 
-    /// Counts the rebounds of a tip that arrives at 0.2 m/s, pushed with 3 N; `None` if the tip flies off.
+    /// Counts the rebounds of a tip that arrives at 0.2 m/s with a push of 3 N, or returns `None` if the tip flies off.
     pub fn rebounds(&self, wall: &Rendered) -> Result<Option<usize>, Failure> {
         let (mut inside, mut left) = (false, 0);
         let tip_stays = self.run(wall, Trial::Tapped(TAP), TAP_S, |_, along| {
@@ -207,8 +208,8 @@ impl WallSimulation {
         Ok(tip_stays.then_some(left))
     }
 
-    /// Simulates `seconds` of a trial, until `seen` returns false. `seen` receives the wall's force (N) and the tip's
-    /// position along the normal (m) in each period. Returns false if the tip flies off.
+    /// Simulates a trial for `seconds`, or until `seen` returns false. In each period `seen` receives the wall's force
+    /// (N) and the tip's position along the normal (m). Returns false if the tip flies off.
     pub(super) fn run(
         &self,
         wall: &Rendered,
@@ -238,7 +239,7 @@ impl WallSimulation {
         })
     }
 
-    /// Returns a scene of one wall through the tip.
+    /// Returns a scene with one wall through the tip.
     fn scene(&self, wall: &Rendered, bilateral: bool) -> Scene<f32> {
         let surface =
             Surface::Plane(Plane { point: self.tip.map(|v| v as f32), normal: self.normal.map(|v| v as f32) });
@@ -263,7 +264,7 @@ impl WallSimulation {
         }
     }
 
-    /// Returns the board's velocity estimates, m/s, while the joints turn steadily with the tip at `speed`, m/s.
+    /// Returns the board's velocity estimates while the joints turn steadily and the tip moves at `speed`, m/s.
     pub(super) fn velocities(&self, wall: &Rendered, speed: f64, seconds: f64) -> Result<Vec<f64>, Failure> {
         let scene = self.scene(wall, true);
         let rate_hz = self.around.rate_hz;
@@ -294,7 +295,7 @@ fn plant(description: &Description, q: [f64; MAX_JOINTS]) -> Result<Plant, Failu
     Plant::new(description, q, true, [(f64::NEG_INFINITY, f64::INFINITY); 3]).map_err(Failure::wrong)
 }
 
-/// The board's own step with its encoders.
+/// The board's own control step as a law.
 struct BoardLaw<'a, M: Mechanism<f32, N>, const N: usize> {
     controller: Controller<f32, M, BoardMath, N>,
     encoders: &'a [EncoderModel],

@@ -1,4 +1,4 @@
-//! Directions at a pose and places in the workspace.
+//! Best directions at a pose, and best places in the workspace.
 
 use super::{Stiffest, angles_at, build_device, clearance, singular, task_position, within_limits};
 use haptic_bridge::model::admissible::Admissible;
@@ -26,11 +26,11 @@ pub struct WallPlace {
     pub normal: Vec<f64>,
     /// Effective inertia without the feed-forward, kg.
     pub w_eff: f64,
-    /// Effective inertia with it, kg.
+    /// Effective inertia with the feed-forward, kg.
     pub w_rr: f64,
-    /// Sine of the nearest singular angle.
+    /// Sine of the nearest singular angle, on a patch the smallest.
     pub clearance: f64,
-    /// The stiffest walls that are predicted stable there, if requested; for a patch, in its middle.
+    /// The stiffest walls that are predicted stable at this place, if requested. For a patch they are in its middle.
     #[serde(flatten)]
     pub walls: Option<Stiffest>,
 }
@@ -38,41 +38,41 @@ pub struct WallPlace {
 /// The most notable directions at a pose.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Directions {
-    /// The heaviest direction, with the stiffest wall. It is an axis of the tip's inertia, so no coupling exists,
-    /// except from the held coordinate of a redundant arm.
+    /// The direction of the largest inertia, with the stiffest wall. It is an axis of the tip's inertia, so there is no
+    /// coupling except with the held coordinate of a redundant arm.
     pub stiffest: WallPlace,
-    /// The lightest direction, with the softest wall. It is also an axis of the tip's inertia.
+    /// The direction of the smallest inertia, with the softest wall. It is also an axis of the tip's inertia.
     pub softest: WallPlace,
-    /// The direction in which the feed-forward multiplies the inertia most.
+    /// The direction in which the feed-forward increases the inertia by the largest factor.
     pub feed_forward_buys_most: WallPlace,
-    /// The direction in which the feed-forward adds most inertia, kg.
+    /// The direction in which the feed-forward adds the most inertia, kg.
     pub couples_most: WallPlace,
 }
 
-/// Best places for walls.
+/// The best places for walls.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Places {
     /// Number of poses that were searched.
     pub poses: usize,
-    /// The stiffest wall in any direction.
+    /// Place and direction of the stiffest wall.
     pub stiffest: WallPlace,
-    /// The largest Weff in the lightest direction: the place for a surface of varying direction, without the
+    /// Place with the largest Weff in its lightest direction, for surfaces whose direction varies, without the
     /// feed-forward.
     pub every_direction: WallPlace,
-    /// The place at which the feed-forward multiplies the inertia most.
+    /// Place at which the feed-forward increases the inertia by the largest factor.
     pub feed_forward_buys_most: WallPlace,
-    /// The places for the requested normal; `None` if none was requested.
+    /// Places for the requested normal; `None` if none was requested.
     pub along: Option<Along>,
 }
 
-/// The best places for a wall patch with one normal, rated by the smallest effective inertia on the patch.
+/// Places for a wall patch with one normal, rated by the smallest effective inertia on the patch.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Along {
     /// Half the width of the patch, m.
     pub patch: f64,
-    /// Middle of the best place without the feed-forward; Weff and Wrr are the smallest on the patch.
+    /// Middle of the best place without the feed-forward. Weff and Wrr are the smallest on the patch.
     pub off: WallPlace,
-    /// The same with the feed-forward.
+    /// Middle of the best place with the feed-forward. Weff and Wrr are the smallest on the patch.
     pub full: WallPlace,
     /// Middle of the worst place without the feed-forward.
     pub worst: WallPlace,
@@ -100,7 +100,7 @@ fn place_wall(pose: &TaskPose, q: &[f64], normal: &DVector<f64>) -> Option<WallP
     })
 }
 
-/// Returns the most notable directions at one pose.
+/// Returns the most notable directions at a pose.
 pub fn directions(description: &Description, q: &[f64], admissible: Admissible) -> Result<Directions, Failure> {
     let pose = TaskPose::at(description, q)?.regular()?.holding(admissible);
     let spec = description.kind.spec();
@@ -120,22 +120,22 @@ pub fn directions(description: &Description, q: &[f64], admissible: Admissible) 
     })
 }
 
-/// Rating of a pose, which the search maximises, and the wall that has it.
+/// Function that rates a pose and returns the rating with its wall. The search maximises the rating.
 type PoseRating<'a> = &'a (dyn Fn(&[f64]) -> Option<(f64, WallPlace)> + Sync);
 
-/// Smallest distance (rad) between the grid poses from which the search continues, and largest number of such poses.
-/// The rating is steep along the edge of the allowed poses, so a pose with a poor rating on a coarse grid may be next
-/// to the best pose: with 6 starts a grid of 300 poses found 1.67 kg on coupled-five-bar, and a grid of 1000 found 1.96
-/// kg.
+/// Smallest distance between the grid poses from which the search starts, rad.
 const START_SPACING: f64 = 0.4;
+/// Maximum number of grid poses from which the search starts. The rating is steep along the edge of the allowed poses,
+/// so a pose with a poor rating on a coarse grid may be next to the best pose. With 6 starts a grid of 300 poses found
+/// 1.67 kg on coupled-five-bar, and a grid of 1000 found 1.96 kg.
 const MAX_STARTS: usize = 60;
-/// Number of end poses of the coarse search from which the fine search continues.
+/// Number of end poses of the coarse search from which the fine search starts.
 const REFINED_ENDS: usize = 4;
 
 /// Returns the poses with the highest ratings that are not near each other.
 fn search_starts(poses: &[Vec<f64>], rating: PoseRating<'_>) -> Vec<Vec<f64>> {
     let mut valued: Vec<(f64, &Vec<f64>)> = poses.iter().filter_map(|q| Some((rating(q)?.0, q))).collect();
-    // The sort is stable: equals keep the order of the grid.
+    // The sort is stable, so poses with equal ratings keep the order of the grid.
     valued.sort_by(|a, b| b.0.total_cmp(&a.0));
     let mut result: Vec<Vec<f64>> = Vec::new();
     for (_, q) in valued {
@@ -147,33 +147,33 @@ fn search_starts(poses: &[Vec<f64>], rating: PoseRating<'_>) -> Vec<Vec<f64>> {
     result
 }
 
-/// Searches from some poses: in coarse steps from all of them, then in fine steps from the best end poses. Returns the
-/// best result.
+/// Searches in coarse steps from all starts, then in fine steps from the best end poses. Returns the best result.
 fn best(starts: &[Vec<f64>], allowed: &dyn Fn(&[f64]) -> bool, rating: PoseRating<'_>) -> Option<(f64, WallPlace)> {
     let mut ends: Vec<(f64, WallPlace)> =
         starts.iter().filter_map(|start| climb(start, COARSE, allowed, rating)).collect();
-    // The sort is stable: equals keep their order.
+    // The sort is stable, so results with equal ratings keep their order.
     ends.sort_by(|a, b| b.0.total_cmp(&a.0));
     let result = ends.iter().take(REFINED_ENDS).filter_map(|(_, end)| climb(&end.q, FINE, allowed, rating));
     result.reduce(|best, other| if other.0 > best.0 { other } else { best })
 }
 
-/// Step sizes of a search between the poses of a grid.
+/// Step sizes of a search between grid poses.
 #[derive(Clone, Copy)]
 struct Steps {
-    /// First and last step, rad.
+    /// First step, rad.
     from: f64,
     to: f64,
-    /// Number of random directions in addition to the compass directions. The best pose often lies on the edge of the
-    /// allowed poses, and a compass search does not follow an edge.
+    /// Number of random directions in addition to the compass directions. They are needed because a compass search does
+    /// not follow the edge of the allowed poses, where the best pose often lies.
     random_directions: usize,
 }
 
+/// Steps of the search from all starts.
 const COARSE: Steps = Steps { from: 0.1, to: 0.01, random_directions: 30 };
-/// This many directions reach the best rating within 1 % (tool/tests/deep/tune/design.rs).
+/// With 120 random directions the search reaches the best rating within 1 % (tool/tests/deep/tune/design.rs).
 const FINE: Steps = Steps { from: 0.05, to: 1e-5, random_directions: 120 };
 
-/// Searches uphill along compass and random directions, with steps that halve.
+/// Climbs along compass and random directions with steps that halve.
 fn climb(
     start: &[f64],
     steps: Steps,
@@ -183,7 +183,7 @@ fn climb(
     let (mut value, mut result) = rating(start)?;
     let mut q = start.to_vec();
     let mut step = steps.from;
-    // A fixed seed: the numbers are the same every time.
+    // The seed is fixed so that results are reproducible.
     let mut random = Random::new(1);
     let compass = 3_usize.pow(q.len() as u32);
     while step > steps.to {
@@ -209,7 +209,7 @@ fn climb(
     Some((value, result))
 }
 
-/// Returns points on the edge of a wall's patch, relative to its middle.
+/// Returns points on the edge of a wall patch, relative to its middle.
 fn patch_edge(normal: &DVector<f64>, task: usize, patch: f64) -> Vec<DVector<f64>> {
     if task < 2 || patch <= 0.0 {
         return Vec::new();
@@ -229,7 +229,7 @@ fn patch_edge(normal: &DVector<f64>, task: usize, patch: f64) -> Vec<DVector<f64
 }
 
 /// Searches the workspace for the best places for walls, at poses whose singular sine is at least `clear`. The search
-/// rates `points` poses before it continues between them.
+/// rates about `points` grid poses and then continues between them.
 pub fn places(
     description: &Description,
     normal: Option<&[f64]>,
@@ -281,7 +281,7 @@ pub fn places(
     };
     let along = normal.map(|normal| unit_normal(normal, spec.task, spec.joints)).transpose()?;
     let edge = along.as_ref().map_or(Vec::new(), |normal| patch_edge(normal, spec.task, patch));
-    // The smallest inertia on the patch; `None` if part of the patch is out of reach.
+    // Computes the smallest inertia on the patch; `None` if a part of the patch is out of reach.
     let least = |q: &[f64]| -> Option<WallPlace> {
         let normal = along.as_ref()?;
         let pose = at(q)?;
@@ -308,11 +308,11 @@ pub fn places(
         jobs.extend([&off as PoseRating<'_>, &full, &worst]);
     }
     let indices: Vec<usize> = (0..jobs.len()).collect();
-    // The sweep stores only the pose, because the other numbers follow from it.
+    // The sweep stores only the pose because the other numbers follow from it.
     let first = sweep.map("places", &indices, |job| {
         Ok(best(&search_starts(&poses, jobs[*job]), &allowed, jobs[*job]).map(|(_, placed)| placed.q))
     })?;
-    // The end pose of another job may lead to a better result than this job's own start.
+    // The end pose of another job may be a better start than this job's own.
     let ends: Vec<Vec<f64>> = first.into_iter().flatten().collect();
     let refined = sweep.map("between them", &indices, |job| {
         let rating = jobs[*job];

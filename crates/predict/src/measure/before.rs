@@ -1,4 +1,4 @@
-//! The settings that a board had before a measurement, and a check that it has them again afterwards.
+//! Settings of a board before a measurement, and their restoration.
 
 use haptic_bridge::board::protocol::{DeviceData, SceneData};
 use haptic_bridge::control::Rules;
@@ -17,14 +17,14 @@ pub struct Before {
     rules: Rules,
 }
 
-/// The part of [`Before`] that a file keeps during a measurement, because a tool that is killed restores nothing.
+/// The part of [`Before`] that is kept in a file, because a killed tool cannot restore it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RestorePoint {
     /// Serial number of the board.
     pub serial: String,
     scene: Option<backup::SavedSetting>,
     rules: backup::SavedSetting,
-    /// The rules that the measurement sets. If the board still has these rules, no user has changed them since.
+    /// Rules that the measurement sets. If the board still has them, no user has changed the rules since.
     #[serde(default)]
     measuring: Option<backup::SavedSetting>,
 }
@@ -35,13 +35,13 @@ impl Before {
         Ok(Self { device: board.device()?, scene: board.scene()?, rules: board.rules()? })
     }
 
-    /// Returns the device that was loaded.
+    /// Returns the loaded device.
     #[must_use]
     pub fn device(&self) -> Option<&DeviceData> {
         self.device.as_ref()
     }
 
-    /// Returns true if the scene is one that an interrupted measurement left behind.
+    /// Returns true if the scene is left over from an interrupted measurement.
     #[must_use]
     pub fn is_left_over(&self) -> bool {
         self.scene.as_ref().is_some_and(is_measurement)
@@ -58,9 +58,8 @@ impl Before {
         Some(RestorePoint { serial: serial.into(), scene, rules, measuring })
     }
 
-    /// Returns the settings from before an interrupted measurement. Rules that the measurement set are replaced by
-    /// those kept in the file; other rules stay, because a user has set them since. The flag is true if the rules equal
-    /// the kept ones.
+    /// Returns the settings from before an interrupted measurement. Replaces rules that the measurement set by the kept
+    /// ones; keeps other rules, because a user has set them since. The flag is true if the rules equal the kept ones.
     pub fn from_kept(&self, kept: &RestorePoint) -> Result<(Self, bool), BackupError> {
         let scene = kept.scene.as_ref().map(backup::SavedSetting::read::<Scene<f32>>).transpose()?;
         let then = kept.rules.read::<Rules>()?;
@@ -68,8 +67,8 @@ impl Before {
         Ok((Self { scene, rules, ..self.clone() }, rules == then))
     }
 
-    /// Returns these settings with the rules from before an interrupted measurement; `None` if the board no longer has
-    /// the rules that the measurement set.
+    /// Returns these settings with the rules from before an interrupted measurement, or `None` if the board no longer
+    /// has the rules that the measurement set.
     pub fn without_its_rules(&self, kept: &RestorePoint) -> Result<Option<Self>, BackupError> {
         let then = kept.rules.read::<Rules>()?;
         let measuring = kept.measuring.as_ref().map(backup::SavedSetting::read::<Rules>).transpose()?;
@@ -83,13 +82,14 @@ impl Before {
         &self.rules
     }
 
-    /// Turns the motors off and restores rules, device and scene if they have changed. A board that had no scene gets an
-    /// empty one, because no request removes a scene. Tries every part even after an error, and returns the first error.
+    /// Turns the motors off and restores rules, device and scene if they differ. A board that had no scene gets an
+    /// empty one because no request removes a scene. Restores every part even after an error, and returns the first
+    /// error.
     pub fn put_back(&self, board: &mut Board) -> Result<(), BoardError> {
         let off = board.disarm();
         let rules = board.set_rules(&self.rules);
         let device = match &self.device {
-            // A real board forgets homing when a device is loaded, so load only a different one.
+            // Load only a different device, because a real board forgets its home when a device is loaded.
             Some(device) if board.device()?.as_ref() != Some(device) => board.set_device(device),
             _ => Ok(()),
         };
@@ -103,7 +103,7 @@ impl Before {
         off.and(rules).and(device).and(scene)
     }
 
-    /// Returns the names of the board's settings that differ from these.
+    /// Returns the names of the board's settings that differ from these settings.
     pub fn missing(&self, board: &mut Board) -> Result<Vec<&'static str>, LinkError> {
         let now = Self::of(board)?;
         let empty = now.scene.as_ref().is_none_or(|scene| scene.walls.is_empty());
@@ -134,7 +134,7 @@ mod tests {
         let lowered = with_torque(0.5);
         assert_eq!(lowered.without_its_rules(&kept).unwrap(), None);
         assert_eq!(lowered.from_kept(&kept).unwrap(), (lowered, false));
-        // A file of an earlier version lacks the rules that the measurement set.
+        // A file of an earlier version does not contain the rules that the measurement set.
         let kept = RestorePoint { measuring: None, ..kept };
         assert_eq!(measuring.from_kept(&kept).unwrap(), (measuring, false));
     }

@@ -1,74 +1,77 @@
-//! The verdict on a motion from its sampled positions: it dies out, builds up, or continues as a vibration of constant
-//! size.
+//! Judges a motion by its sampled positions: the motion decays, grows, or continues as a vibration of constant size.
 //!
-//! The position is high-passed below the velocity filter's cutoff, because a slow return to the wall would hide a small
-//! fast oscillation. An oscillation of a rigid device is below that cutoff and seldom far below it. The swing between
-//! two turning points grows or shrinks by a constant factor per half cycle of the dominant mode. The verdict follows
-//! from the slope of a straight line through the swing's logarithm, relative to the uncertainty of the slope.
+//! A high-pass below the velocity filter's cutoff filters the position, because a slow return to the wall would hide a
+//! small fast oscillation. An oscillation of a rigid device is seldom far below the cutoff. The swing between two
+//! turning points grows or shrinks by a constant factor per half cycle of the dominant mode. The verdict follows from
+//! the slope of a straight line through the swing's logarithm, relative to the slope's uncertainty.
 //!
-//! **Several modes.** A device with compliant transmissions has modes on both sides of the cutoff, and a washout has one
-//! far below it. Two modes of similar size occasionally make a tiny swing, so a motion has died out only when several
-//! swings in a row are small. Their beat hides the trend of single swings; the largest of a few swings, over at least
-//! three periods of the slowest mode, shows it. If one mode decays faster than the other, the trend bends as if the
-//! motion approached a constant size, so such a motion is followed until it is constant or dies out. A large slow mode
-//! that dies out can hide a small fast one that builds up. The acceleration is therefore judged too, because it shows the
-//! fast mode larger by the square of the ratio of their frequencies.
+//! **Several modes.** Compliant transmissions cause modes on both sides of the cutoff, and a washout causes one far
+//! below. Two modes of similar size occasionally make a tiny swing, so a motion has decayed only when several swings in
+//! a row are small.
 //!
-//! **Encoder steps.** A quantiser in a stable loop can sustain a vibration. Its describing function, the gain of a
-//! sine's first harmonic, is at most 1.0365 for a sine of six steps and falls from there (1.023 at eight). A vibration of
-//! more than [`ENCODER_STEPS`] steps from peak to peak therefore continues only if 3.6 % more gain would make the loop
-//! unstable without steps. Larger vibrations count as not stable, so a boundary may be found up to 3.6 % too low; smaller
+//! The beat of two modes hides the trend of single swings. The largest of a few swings, over at least three periods of
+//! the slowest mode, shows the trend. If one mode decays faster than another, the trend bends as if the motion
+//! approached a constant size. Such a motion is followed until it is constant or has decayed.
+//!
+//! A large slow mode that decays can hide a small fast mode that grows. Therefore the acceleration is judged too: it
+//! shows the fast mode larger by the square of the ratio of their frequencies.
+//!
+//! **Encoder steps.** A quantiser in a stable loop can sustain a vibration. Its describing function, the gain for a
+//! sine's first harmonic, is at most 1.0365 for a sine of six steps and falls from there (1.023 at eight). A vibration
+//! of more than [`ENCODER_STEPS`] steps from peak to peak therefore continues only if 3.6 % more gain would make the
+//! loop without steps unstable. Larger vibrations count as unstable, so a boundary may be up to 3.6 % too low; smaller
 //! ones count as rest.
 
 use std::f64::consts::TAU;
 
-/// Largest vibration that encoder steps explain, steps from peak to peak.
+/// Largest vibration that encoder steps can cause, steps from peak to peak.
 pub const ENCODER_STEPS: f64 = 6.0;
 
-/// Corner of the high-pass as a share of the velocity filter's cutoff.
+/// Corner of the high-pass, as a share of the velocity filter's cutoff.
 const HIGH_PASS_SHARE: f64 = 0.125;
-/// Turning points that are ignored at the start, while faster modes die out.
+/// Number of turning points that are ignored at the start, while faster modes decay.
 const SETTLING: usize = 8;
-/// Number of swings of one check of the trend.
+/// Number of swings in one check of the trend.
 const CHECK: usize = 22;
-/// Number of checks after which a motion that neither grows nor shrinks is a vibration: for the position, and for the
-/// acceleration, whose swings are faster.
+/// Number of checks after which a motion with constant size is a vibration, for position and acceleration. Acceleration
+/// has faster swings.
 const CHECKS: (usize, usize) = (4, 16);
-/// Minimum number of swings in a stretch: longer than the beat of two modes.
+/// Minimum number of swings in a stretch. It is longer than the beat of two modes.
 const BEAT: usize = 6;
-/// Minimum duration of a stretch, and of a check that finds a motion dying out, in periods of the slowest mode.
+/// Minimum duration of a stretch, and of a check that judges a motion as decaying, in periods of the slowest mode.
 const PERIODS: f64 = 3.0;
 /// Minimum number of stretches for a verdict.
 const STRETCHES: usize = 8;
-/// Factor on the number of checks before a motion whose trend bends is a vibration.
+/// Factor on the number of checks before a motion with a bending trend counts as a vibration.
 const PATIENCE: usize = 16;
 /// Share of the recent swings below which a swing is the ripple of a faster mode.
 const RIPPLE_SHARE: f64 = 0.4;
-/// Number of standard errors by which a slope must differ from zero. The number is large because encoder steps disturb
+/// Number of standard errors by which a slope must differ from zero. It is large because encoder steps disturb
 /// neighbouring swings alike, which the standard error does not include.
 const SIGNIFICANT: f64 = 4.0;
-/// Slope per swing below which the size of a motion is constant: 0.4 % over one check.
+/// Largest slope per swing of a motion with constant size, 0.4 % over one check.
 const FLAT_SLOPE: f64 = 2e-4;
-/// Growth, relative to the first swings and to the pull, at which a motion counts as building up without a trend.
+/// Growth relative to the first swings and the pull at which a motion counts as growing without a trend.
 const RUNAWAY_GROWTH: f64 = 4.0;
-/// Distance from the wall at which a motion counts as building up: a number of pulls, or for long pulls two pulls plus
-/// a distance, m.
+/// Distance from the wall at which a motion counts as growing, in pulls.
 const FARTHEST_PULLS: f64 = 12.0;
+/// Distance that is added to two pulls and limits [`FARTHEST_PULLS`] for long pulls, m.
 const FARTHEST: f64 = 0.005;
-/// Share of the largest swing below which a motion has died out.
+/// Share of the largest swing below which a motion has decayed.
 const DIED_OUT_SHARE: f64 = 0.02;
-/// Periods of the cutoff without a turning point after which a motion has ended: minimum, and maximum if a slower mode
-/// is expected.
+/// Shortest and longest time without a turning point after which a motion has ended, in periods of the cutoff. The
+/// longest applies if a slow mode is expected.
 const SILENT_PERIODS: (f64, f64) = (10.0, 200.0);
 
-/// The course of a motion.
+/// Judgement of a motion.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Verdict {
-    /// It dies out, at least down to the size that encoder steps explain.
+    /// The motion decays at least to the size that encoder steps can cause.
     Decays,
-    /// It builds up: the loop oscillates.
+    /// The motion grows, so the loop oscillates.
     Grows,
-    /// It continues at this size (m from peak to peak), larger than encoder steps explain: not stable either.
+    /// The motion continues at this size (m from peak to peak), larger than encoder steps can cause. The loop is
+    /// unstable.
     Vibrates(f64),
 }
 
@@ -78,31 +81,32 @@ pub struct Swing {
     position: Trace,
     /// Second difference of the position, m.
     acceleration: Trace,
-    /// The last two positions.
+    /// The two latest positions.
     previous: [Option<f64>; 2],
-    /// The verdicts on position and acceleration so far.
+    /// Verdicts on the position and on the acceleration.
     verdicts: [Option<Verdict>; 2],
 }
 
 impl Swing {
-    /// Follows positions every `row_seconds`, in steps of `quantum` (m), after a pull of `pull` (m). The velocity filter
-    /// of the loop has the cutoff `cutoff_hz`; its slowest mode has about this `period` (s) if it `oscillates`.
+    /// Creates a judge for positions every `row_seconds` in steps of `quantum` (m) after a pull of `pull` (m). The
+    /// loop's velocity filter has the cutoff `cutoff_hz`. The slowest mode has about this `period` (s) if it
+    /// `oscillates`.
     pub fn new(row_seconds: f64, cutoff_hz: f64, (period, oscillates): (f64, bool), quantum: f64, pull: f64) -> Self {
         let rows_a_period = 1.0 / (row_seconds * cutoff_hz);
         let slowest = period / row_seconds;
         let silent = slowest.clamp(SILENT_PERIODS.0 * rows_a_period, SILENT_PERIODS.1 * rows_a_period);
-        // A motion that is damped beyond critical does not swing.
+        // An overdamped motion does not swing.
         let slowest = if oscillates { slowest } else { 0.0 };
         Self {
             position: Trace::new(rows_a_period, (slowest, silent), quantum, pull, CHECKS.0),
-            // A second difference adds up the errors of four positions. Its initial size is unknown.
+            // A second difference has the errors of four positions. The initial size of the acceleration is unknown.
             acceleration: Trace::new(rows_a_period, (slowest, silent), 4.0 * quantum, f64::INFINITY, CHECKS.1),
             previous: [None; 2],
             verdicts: [None; 2],
         }
     }
 
-    /// Returns true if the motion has kept half of its size since the first swings.
+    /// Returns true if the motion still has half of its largest size after the first swings.
     #[must_use]
     pub fn continues(&self) -> bool {
         let settled: Vec<f64> = self.position.spans.iter().skip(SETTLING).map(|(low, high)| high - low).collect();
@@ -110,13 +114,12 @@ impl Swing {
         settled.len() > CHECK / 4 && largest(latest) > 0.5 * largest(&settled)
     }
 
-    /// Takes the next position (m). Returns the verdict as soon as there is one.
+    /// Adds the next position (m). Returns the verdict as soon as it is known.
     pub fn take(&mut self, position: f64) -> Option<Verdict> {
         if self.verdicts[0].is_none() {
             self.verdicts[0] = self.position.take(position);
         }
-        // A mode that dies out in the acceleration may have hidden another that builds up, so follow the acceleration
-        // as long as the position.
+        // A decaying mode of the acceleration may hide a growing mode, so follow both signals to the end.
         if let [Some(first), Some(second)] = self.previous {
             self.verdicts[1] = self.acceleration.take(position - 2.0 * second + first).or(self.verdicts[1]);
         }
@@ -130,34 +133,34 @@ impl Swing {
     }
 }
 
-/// The swings of a signal.
+/// The swings of one signal.
 #[derive(Clone, Debug)]
 struct Trace {
-    /// Coefficient per row of the two low-passes that the high-pass subtracts.
+    /// Coefficient per row of the high-pass's two low-passes.
     share: f64,
     slow: Option<[f64; 2]>,
-    /// Reversal that encoder steps can cause, m: a smaller one is no turning point.
+    /// Largest reversal that encoder steps can cause, m. A smaller reversal is no turning point.
     noise: f64,
-    /// Size below which encoder steps explain a lasting motion, m from peak to peak.
+    /// Largest motion from peak to peak that encoder steps can sustain, m.
     explained: f64,
     /// Initial size of the motion, m.
     pull: f64,
-    /// Number of checks after which a motion that continues is a vibration.
+    /// Number of checks after which a motion with constant size is a vibration.
     checks: usize,
-    /// Expected period of the slowest mode, rows; 0 if it does not oscillate.
+    /// Expected period of the slowest mode, rows; 0 if the mode does not oscillate.
     slowest: f64,
     /// Number of rows without a turning point after which the motion has ended.
     silent: f64,
-    /// The extreme since the last turning point, and true if the signal rises.
+    /// Extreme value since the last turning point, and true if the signal rises.
     extreme: Option<(f64, bool)>,
     last_turn: Option<f64>,
     swings: Vec<f64>,
-    /// The row in which each swing ended.
+    /// The row at the end of each swing.
     ends: Vec<usize>,
-    /// Lowest and highest position since the last turning point, and during each swing, m.
+    /// Lowest and highest position since the last turning point, m.
     span: (f64, f64),
     spans: Vec<(f64, f64)>,
-    /// Lowest and highest high-passed position since the last turning point, and during each swing, m.
+    /// Lowest and highest high-passed position since the last turning point, m.
     extent: (f64, f64),
     extents: Vec<(f64, f64)>,
     rows: usize,
@@ -206,12 +209,13 @@ impl Trace {
         {
             return Some(verdict);
         }
-        // The motion has ended if it has not turned for much longer than the average time between turning points.
+        // The motion has ended if the time since its last turning point is much longer than the average between such
+        // points.
         (self.since_turn as f64 > self.silent.max(6.0 * self.rows_per_turn())).then_some(Verdict::Decays)
     }
 
-    /// Notes a turning point if the motion has returned from its extreme by more than noise. Returns true if there are
-    /// enough swings for a verdict.
+    /// Records a turning point if the motion has returned from its extreme by more than noise. Returns true if there
+    /// are enough swings for a verdict.
     fn record_turn(&mut self, fast: f64) -> bool {
         let Some((extreme, rising)) = self.extreme else {
             self.extreme = Some((fast, true));
@@ -235,8 +239,8 @@ impl Trace {
         self.swings.len() > 3
     }
 
-    /// Returns the size below which a reversal is the ripple of a faster mode, m. It falls while there is no turning
-    /// point, so that a small mode is found after a large one has died out.
+    /// Returns the size below which a reversal is the ripple of a faster mode, m. The size falls over the time without
+    /// a turning point, so that a small mode is found after a large one has decayed.
     fn ripple(&self) -> f64 {
         let recent = largest(&self.swings[self.swings.len().saturating_sub(4)..]);
         RIPPLE_SHARE * recent * (-(self.since_turn as f64) / (2.0 * self.rows_per_turn())).exp2()
@@ -250,7 +254,7 @@ impl Trace {
     fn verdict_at_turn(&self) -> Option<Verdict> {
         let count = self.swings.len();
         let latest = self.swings[count - 1];
-        // The first swings may be only the ripple of a fast mode while a slow mode has not turned yet.
+        // The first swings may be only the ripple of a fast mode while a slow mode has not yet turned.
         if latest > RUNAWAY_GROWTH * largest(&self.swings[1..4]).max(self.explained).max(self.pull) {
             return Some(Verdict::Grows);
         }
@@ -267,7 +271,7 @@ impl Trace {
         let (earlier, later) = self.extents[SETTLING..].split_at(seen + CHECK / 2);
         let larger = size_of(later) > size_of(earlier);
         let lasted = (self.ends[count - 1] - self.ends[count - 1 - CHECK]) as f64;
-        // Within a few periods of a slower mode, a motion that dies out may hide that mode building up.
+        // A decaying motion may hide a growing slower mode for a few of its periods.
         let verdict = self
             .verdict_of_trend(&self.swings[count - CHECK..], larger)
             .filter(|verdict| *verdict != Verdict::Decays || lasted > PERIODS * self.slowest);
@@ -283,13 +287,13 @@ impl Trace {
             return None;
         }
         let larger = largest(&latest[latest.len() / 2..]) >= largest(&stretches);
-        // A motion whose trend still bends, or that rises in a beat, has no constant size.
+        // A motion whose trend bends, or that rises in a beat, has no constant size.
         self.verdict_of_trend(latest, larger)
             .or_else(|| (!patient || !is_sure(trend(latest))).then(|| self.verdict_of_size()))
     }
 
-    /// Returns the size of the motion in each stretch of [`BEAT`] swings, or more if [`PERIODS`] of the slowest mode last
-    /// longer, m.
+    /// Returns the size of the motion in each stretch, m. A stretch has at least [`BEAT`] swings and lasts at least
+    /// [`PERIODS`] of the slowest mode.
     fn stretches(&self) -> Vec<f64> {
         let (mut stretches, mut first) = (Vec::new(), SETTLING);
         for at in SETTLING..self.swings.len() {
@@ -302,8 +306,8 @@ impl Trace {
         stretches
     }
 
-    /// Returns the verdict of the trend, if it is clear. Growth counts only if the motion is `larger` than ever, because
-    /// the beat of two close modes also grows for a while.
+    /// Returns the verdict if the trend is clear. Growth requires that the motion is `larger` than before, because the
+    /// beat of two close modes also grows for a while.
     fn verdict_of_trend(&self, swings: &[f64], larger: bool) -> Option<Verdict> {
         let (slope, error) = trend(swings);
         let sure = is_sure((slope, error));
@@ -311,17 +315,17 @@ impl Trace {
         if sure && slope > 0.0 && larger && self.size() > self.explained {
             return Some(Verdict::Grows);
         }
-        // A motion that shrinks more and more slowly may continue at a constant size.
+        // A motion that shrinks ever more slowly may settle at a constant size.
         (sure && slope < 0.0 && trend(later).0 < 0.5 * trend(earlier).0).then_some(Verdict::Decays)
     }
 
-    /// Returns the verdict on a motion of constant size.
+    /// Returns the verdict for a motion of constant size.
     fn verdict_of_size(&self) -> Verdict {
         let size = self.size();
         if size > self.explained { Verdict::Vibrates(size) } else { Verdict::Decays }
     }
 
-    /// Returns the size of the latest swings from peak to peak, m: the median of pairs, which ignores a stray swing.
+    /// Returns the size of the latest swings from peak to peak, m. The median of pairs ignores a stray swing.
     fn size(&self) -> f64 {
         let recent = &self.spans[self.spans.len().saturating_sub(CHECK / 2)..];
         let mut sizes: Vec<f64> =
@@ -331,7 +335,7 @@ impl Trace {
     }
 }
 
-/// A span without values.
+/// Span without values.
 const EMPTY: (f64, f64) = (f64::INFINITY, f64::NEG_INFINITY);
 
 /// Returns the distance from the lowest to the highest value of all spans; negative infinity without spans.
@@ -349,7 +353,7 @@ fn is_sure((slope, error): (f64, f64)) -> bool {
     slope.abs() > FLAT_SLOPE.max(SIGNIFICANT * error)
 }
 
-/// Returns the slope of ln(swing) over the number of the swing, and its standard error.
+/// Returns the slope of ln(swing) per swing, and its standard error.
 fn trend(swings: &[f64]) -> (f64, f64) {
     let logs: Vec<f64> = swings.iter().filter(|s| **s > 0.0).map(|s| s.ln()).collect();
     let n = logs.len() as f64;
@@ -388,7 +392,7 @@ mod tests {
         panic!("no verdict");
     }
 
-    /// Returns the sum of modes, each (share, growth in 1/s, frequency in Hz), after a pull of 1 mm.
+    /// Returns a sum of modes after a pull of 1 mm. Each mode is (share, growth in 1/s, frequency in Hz).
     fn modes(all: &[(f64, f64, f64)]) -> impl Fn(f64) -> f64 {
         let all = all.to_vec();
         move |t| all.iter().map(|(share, grows, hz)| 1e-3 * share * (grows * t).exp() * (TAU * hz * t).cos()).sum()
@@ -396,7 +400,8 @@ mod tests {
 
     #[test]
     fn one_small_swing_of_two_modes_is_no_decay() {
-        // Modes of a wall at 1 kHz on a cable of 120 Hz, a seventh, a third and a factor of two beyond its boundary.
+        // These are the modes of a wall at 1 kHz on a cable of 120 Hz, beyond its boundary by a seventh, a third and a
+        // factor of 2.
         for [(slow, slow_hz), (fast, fast_hz)] in
             [[(2.0, 46.0), (3.8, 164.2)], [(5.3, 48.5), (8.2, 165.0)], [(18.0, 58.0), (32.0, 170.0)]]
         {
@@ -434,8 +439,8 @@ mod tests {
 
     #[test]
     fn a_slow_and_a_fast_decaying_mode_are_no_vibration() {
-        // The WoodenHaptics with cables of 400 Hz at 20 kHz, a tenth below its limit: the wall at 57 Hz and the cables at
-        // 472 Hz decay at different rates.
+        // The WoodenHaptics with 400 Hz cables at 20 kHz is a tenth below its limit. The wall's mode at 57 Hz and the
+        // cables' mode at 472 Hz decay at different rates.
         let at = |quantum: f64, share: f64, phase: f64, slow: f64, fast: f64| {
             let motion = move |t: f64| {
                 let ripple = share * (fast * t).exp() * (TAU * (472.0 * t + phase)).cos();
@@ -460,7 +465,8 @@ mod tests {
 
     #[test]
     fn an_initial_fast_ripple_is_no_growth_of_a_slow_mode() {
-        // A wall of 2 kN/m on the shipped Phantom with cables of 400 Hz, sampled at 5 kHz: stable up to 8.4 kN/m.
+        // This is a wall of 2 kN/m on the shipped Phantom with 400 Hz cables, sampled at 5 kHz; it is stable up to 8.4
+        // kN/m.
         let mut swing = Swing::new(2e-4, 200.0, (0.03, true), 3e-7, 1.4e-4);
         let position = |t: f64| {
             let slow = 7e-5 * (-25.0 * t).exp() * (TAU * 32.5 * t).cos();
@@ -486,13 +492,13 @@ mod tests {
 
     #[test]
     fn a_mode_far_below_the_cutoff_is_judged() {
-        // Such a mode comes from a washout of 2 Hz with a cutoff of 100 Hz.
+        // A washout of 2 Hz causes this mode; the cutoff is 100 Hz.
         for (grows, verdict) in [(-2.0, Verdict::Decays), (-0.5, Verdict::Decays), (0.3, Verdict::Grows)] {
             assert_eq!(verdict_at_cutoff(100.0, 1e-7, modes(&[(1.0, grows, 6.0)])), verdict, "{grows}");
         }
     }
 
-    /// Returns a swing that grows, with a slow return to the wall.
+    /// Returns a growing swing with a slow return to the wall.
     fn growing_swing(per_second: f64, drift: f64) -> impl Fn(f64) -> f64 {
         move |t| 1e-3 * (per_second * t).exp() * (70.0 * t).sin() + drift * (-2.0 * t).exp()
     }
@@ -516,7 +522,7 @@ mod tests {
 
     #[test]
     fn a_swing_of_constant_size_is_a_vibration() {
-        // The size is constant from the start, falls from three times, or rises from nine tenths of its final value.
+        // The size is constant, falls from three times, or rises from nine tenths of its final value.
         for begin in [0.0, 2.0, -0.1] {
             let verdict = verdict_on(2e-5, |t| 3e-4 * (1.0 + begin * (-6.0 * t).exp()) * (70.0 * t).sin());
             let Verdict::Vibrates(size) = verdict else { panic!("{begin}: {verdict:?}") };
@@ -534,7 +540,7 @@ mod tests {
         }
     }
 
-    /// Returns the describing function of a quantiser by its definition: the first harmonic of a quantised sine.
+    /// Returns the describing function of a quantiser, computed from the first harmonic of a quantised sine.
     fn describing_function(amplitude: f64) -> f64 {
         let parts = 20_000;
         let sum: f64 = (0..parts)

@@ -1,6 +1,6 @@
-//! The walls of a measurement's scene: the tested walls, two walls that pull the tip aside, and one wall for every
-//! direction across the pull. Between trials a single tested wall also holds the tip; for several tested walls the
-//! scene has one more wall that does.
+//! Walls in the scene of a measurement: the tested walls, two walls that pull the tip aside, and one wall per direction
+//! across the pull. Between trials a single tested wall also holds the tip; several tested walls need an additional
+//! wall.
 
 use haptic_bridge::render::scene::{FeedForward, MAX_WALLS, Plane, Posture, Scene, Surface, VelocityTerms, Wall};
 use nalgebra::DVector;
@@ -9,19 +9,19 @@ use super::{MeasureError, MeasurementSetup};
 use haptic_host::vectors::padded;
 use haptic_stability::analysis::pose::unit_normal;
 
-/// Distance between the wall that holds the tip and each wall that pulls it aside, m; longer than any pull.
+/// Distance from the wall that holds the tip to each wall that pulls it aside, m. It exceeds every pull.
 pub const APART: f64 = 0.01;
 /// Longest pull, m.
 pub const LONGEST_PULL: f64 = 0.5 * APART;
 
-/// Indices of the walls that hold the tip. The tested walls come first in the scene; a single one also holds the tip.
+/// Indices of the walls that hold the tip. They follow the tested walls; a single tested wall also holds the tip.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Layout {
-    /// The wall at the position of the tip, normal to the pulls.
+    /// Wall at the position of the tip, normal to the pulls.
     pub hold: u8,
-    /// The walls at +[`APART`] and -[`APART`] from there.
+    /// Walls at +[`APART`] and -[`APART`] from the tip's position.
     pub aside: [u8; 2],
-    /// The first wall for the directions across the pull.
+    /// First wall of the directions across the pull.
     pub across: u8,
 }
 
@@ -56,8 +56,8 @@ pub fn complement(normal: &DVector<f64>) -> Vec<DVector<f64>> {
     }
 }
 
-/// Returns true if a measurement made this scene: bilateral planes, two of them at +[`APART`] and -[`APART`] from the
-/// first.
+/// Returns true if the scene is that of a measurement: bilateral planes, two of them at +[`APART`] and -[`APART`] from
+/// the first.
 #[must_use]
 pub fn is_measurement(scene: &Scene<f32>) -> bool {
     let plane = |wall: &Wall<f32>| match wall.surface {
@@ -78,8 +78,8 @@ pub fn is_measurement(scene: &Scene<f32>) -> bool {
             .any(|pair| pair[0].normal == pair[1].normal && apart(&pair[0], APART) && apart(&pair[1], -APART))
 }
 
-/// Returns the scene of a measurement at `q` (rad), with all gains 0, for pulls along `direction`; `across` are the other
-/// directions.
+/// Returns the scene of a measurement at `q` (rad) with all gains 0, for pulls along `direction` and with the
+/// directions `across` the pull.
 pub fn scene(
     setup: &MeasurementSetup,
     q: &[f64],

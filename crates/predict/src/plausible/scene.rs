@@ -1,5 +1,5 @@
-//! Warnings about a scene on a device: walls out of reach, beyond their stable range or beyond the motors, springs and
-//! fields beyond what is stable at home.
+//! Warnings about a scene on a device: walls out of reach, outside their stable range or too strong for the motors;
+//! springs and fields that are unstable at home.
 
 use super::{FileWarning, Key};
 use crate::bench::probe::on_surface;
@@ -31,74 +31,74 @@ use nalgebra::{DVector, SVector};
 use serde::Serialize;
 use std::convert::Infallible;
 
-/// Hand speed (m/s) at which a wall's damping alone should not need all of the motors' torque.
+/// Hand speed at which a wall's damping alone should not need all of the motors' torque, m/s.
 const SLOW_HAND: f64 = 0.1;
-/// Change of a wall's force by one encoder count above which it buzzes, N: its ripple is about half of that, root mean
-/// square (docs/encoder-steps.md).
+/// Largest change of a wall's force by one encoder count without a warning of buzz, N. The ripple is about half of that
+/// change, root mean square (docs/encoder-steps.md).
 const BUZZ_N: f64 = 1.0;
-/// Stiffness too small to be felt, N/m.
+/// Largest stiffness that a hand cannot feel, N/m.
 const IMPERCEPTIBLE_STIFFNESS: f64 = 1.0;
-/// Grid poses per joint, by number of joints.
+/// Number of grid poses per joint, by number of joints.
 const PER_JOINT: [usize; 3] = [400, 60, 16];
-/// Limits of a wall where the tip touches it.
+/// Limits of a wall at the pose in which the tip touches it.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Contact {
     /// Index of the wall, from 0.
     pub wall: usize,
-    /// Pose of the device on the wall, rad.
+    /// Pose of the device with the tip on the wall, rad.
     pub q: Vec<f64>,
     /// Normal of the wall at that pose.
     pub normal: Vec<f64>,
     /// Stiffness of the wall, N/m.
     pub stiffness: f64,
-    /// Largest stiffness that is predicted stable with the damping and feed-forward of this wall, N/m.
+    /// Largest stiffness that is predicted stable with the wall's damping and feed-forward, N/m.
     pub stable_to: f64,
-    /// The same without the feed-forward, N/m; `None` if the wall has none.
+    /// Largest stiffness that is predicted stable without the feed-forward, N/m; `None` if the wall has none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub off_to: Option<f64>,
-    /// Stiffness that a hand at the tip feels at rest at `stable_to`, N/m; `None` if no transmission is compliant.
+    /// Stiffness that a hand feels at rest at `stable_to`, N/m; `None` if no transmission is compliant.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub felt_to: Option<f64>,
-    /// The same for the stiffness of this wall, N/m.
+    /// Stiffness that a hand feels at rest at the wall's own stiffness, N/m; `None` if no transmission is compliant.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub felt: Option<f64>,
-    /// Largest damping with which any stiffness is stable, N s/m.
+    /// Largest damping at which any stiffness is stable, N s/m.
     pub damping_to: f64,
-    /// The same limits in a hand; `None` if they are not predicted, as with compensated damping.
+    /// Limits in a hand; `None` if they are not predicted, for example with compensated damping.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub in_hand: Option<InHand>,
-    /// Frequency at which this wall oscillates in that hand, Hz; for a stable wall, the frequency just beyond the
+    /// Frequency at which the wall oscillates in the hand, Hz; for a stable wall, the frequency just beyond the
     /// boundary.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub hz: Option<f64>,
-    /// Growing oscillation with this wall's gains in that hand; `None` if none grows.
+    /// Growing oscillation of the wall in the hand; `None` if no oscillation grows.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub buzz: Option<Oscillation>,
     /// Largest force of the motors along the normal, N; `None` if a joint has no motor.
     pub force: Option<f64>,
-    /// Motion of the tip along the normal per encoder count, m.
+    /// Tip motion along the normal per encoder count, m.
     pub count: f64,
-    /// Largest force of a single count with this wall's gains and this scene's estimator, N.
+    /// Largest force change by one encoder count with the wall's gains and the scene's estimator, N.
     pub step_n: f64,
-    /// Root mean square of the force above 20 Hz under a hand that slides along the wall, simulated, N; `None` if it
-    /// was not simulated ([`simulate_ripple`]) or the tip flies off.
+    /// Simulated root mean square of the force above 20 Hz while a hand slides along the wall, N; `None` if the tip
+    /// flies off or [`simulate_ripple`] was not called.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub ripple_n: Option<f64>,
-    /// Options with which `haptic range DEVICE` predicts the same limits.
+    /// Options with which `haptic range DEVICE` predicts these limits.
     pub options: String,
-    /// True if the device was read from a board, which does not know its compliant parts.
+    /// True if the device comes from a board, which does not know its compliant parts.
     #[serde(skip)]
     pub taken_for_rigid: bool,
 }
 
-/// Limits of a wall with a hand on the tip: behind cables a hand may reduce them.
+/// Limits of a wall with a hand at the tip. A hand may reduce the limits of a device with cables.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct InHand {
     /// Mass (kg), damping (N s/m) and stiffness (N/m) of the hand.
     pub hand: [f64; 3],
-    /// Largest stable stiffness in that hand, as [`Contact::stable_to`], N/m.
+    /// Largest stable stiffness in the hand, N/m.
     pub stable_to: f64,
-    /// Largest damping in that hand, as [`Contact::damping_to`], N s/m.
+    /// Largest damping in the hand at which any stiffness is stable, N s/m.
     pub damping_to: f64,
 }
 
@@ -109,15 +109,15 @@ impl core::fmt::Display for InHand {
     }
 }
 
-/// Returns the default hand of predictions: that of `haptic sim --hand loop`.
+/// Returns the default hand of predictions, which `haptic sim --hand loop` simulates.
 #[must_use]
 pub fn usual_hand() -> Hand {
     let HandSettings { mass, grip_damping, grip_stiffness, .. } = HandSettings::default();
     Hand { mass, damping: grip_damping, stiffness: grip_stiffness }
 }
 
-/// Returns all warnings about a scene, and the limits of each wall where the device touches it, on a board with the
-/// usual torque path.
+/// Returns all warnings about a scene, and the limits of each wall at the pose in which the tip touches it, for a board
+/// with the default torque path.
 pub fn file_warnings(subject: &Subject, scene: &Scene<f64>) -> (Vec<FileWarning>, Vec<Contact>) {
     let (mut warnings, mut contacts) = (Vec::new(), Vec::new());
     let (device, path) = (&subject.device, TorquePath::usual(scene.rate_hz));
@@ -143,7 +143,7 @@ pub fn file_warnings(subject: &Subject, scene: &Scene<f64>) -> (Vec<FileWarning>
     (warnings, contacts)
 }
 
-/// Warns of a wall on a compliant device whose feed-forward compensates damping: its stability is not predicted.
+/// Warns that stability is not predicted because the wall compensates damping on a compliant device.
 fn without_prediction(subject: &Subject, index: usize, wall: &Wall<f64>) -> Option<FileWarning> {
     let shaped = wall.damping_compensation && wall.feed_forward != FeedForward::Off;
     let text = format!("the stability of wall {index} is not predicted: {}", AnalysisError::CompensatedFlexible);
@@ -151,7 +151,7 @@ fn without_prediction(subject: &Subject, index: usize, wall: &Wall<f64>) -> Opti
     (shaped && subject.is_flexible()).then(|| FileWarning::new(key, text))
 }
 
-/// Warns of springs and fields beyond what is stable at home in the direction in which the device is lightest.
+/// Warns of springs and fields that are unstable at home along the direction of the smallest inertia.
 fn home_warnings(subject: &Subject, scene: &Scene<f64>, path: &TorquePath) -> Option<Vec<FileWarning>> {
     let device = &subject.device;
     let spec = device.mechanism.kind().spec();
@@ -189,7 +189,7 @@ fn home_warnings(subject: &Subject, scene: &Scene<f64>, path: &TorquePath) -> Op
     Some(warnings)
 }
 
-/// Warns of a posture that the device cannot hold, or whose spring is unstable when sampled.
+/// Warns of a posture that the device cannot hold, or whose sampled spring is unstable.
 fn posture_warning(subject: &Subject, scene: &Scene<f64>, path: &TorquePath) -> Option<FileWarning> {
     let (device, posture) = (&subject.device, scene.posture?);
     let key = |name| Key { table: "posture", index: None, part: "", name };
@@ -226,8 +226,8 @@ fn posture_warning(subject: &Subject, scene: &Scene<f64>, path: &TorquePath) -> 
     Some(FileWarning::new(key(name), text))
 }
 
-/// Returns the limits of wall `index` of a scene at a pose, through this torque path. `None` at a singularity, with an
-/// estimator that has no linear analysis, and with compensated damping on a compliant device.
+/// Returns the limits of wall `index` of a scene at a pose, with this torque path. Returns `None` at a singularity, for
+/// an estimator without linear analysis, and for compensated damping on a compliant device.
 pub fn meets(
     subject: &Subject,
     scene: &Scene<f64>,
@@ -258,7 +258,7 @@ pub fn meets(
         let swing = oscillation(&held, &prediction.around, mode, stiffness, wall.damping).ok().flatten();
         swing.filter(Oscillation::grows)
     };
-    // Just beyond the boundary, where the oscillation grows.
+    // Use a stiffness just beyond the boundary, where the oscillation grows.
     let beyond = in_hand.map_or(0.0, |held| 1.001 * held.stable_to);
     let count = count_along(device, &pose, &normal);
     let estimator = prediction.around.estimator;
@@ -288,29 +288,29 @@ pub fn meets(
     })
 }
 
-/// Returns the largest motion of the tip along a normal per encoder count, m.
+/// Returns the largest tip motion along a normal per encoder count, m.
 pub fn count_along(device: &Device<f64>, pose: &TaskPose, normal: &[f64]) -> f64 {
     let per_radian = pose.jacobian.tr_mul(&padded_to(pose.jacobian.nrows(), normal));
     let moved = per_radian.iter().zip(&device.joints).map(|(move_, joint)| (move_ * joint.radians_per_count).abs());
     moved.fold(0.0, f64::max)
 }
 
-/// Gains beyond which a wall can only be on or off, at a pose and within a board's limits.
+/// Gains above which a wall can only be on or off, at a pose and within a board's limits.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LargestGains {
-    /// Stiffness at which one encoder count needs the full force, N/m.
+    /// Stiffness at which one encoder count needs the largest force, N/m.
     pub stiffness: f64,
-    /// Damping at which a hand at 1 cm/s needs the full force, N s/m.
+    /// Damping at which a hand at 1 cm/s needs the largest force, N s/m.
     pub damping: f64,
-    /// Largest force that motors and limits allow along the normal, N.
+    /// Largest force along the normal that motors and limits allow, N.
     pub force: f64,
 }
 
-/// Speed of a hand that hardly moves, m/s.
+/// Speed of a hand that barely moves, m/s.
 const CREEP_SPEED: f64 = 0.01;
 
-/// Returns the largest useful gains of a wall that is touched at joint angles `q` (rad). `None` at a singularity, or if
-/// a joint has no motor.
+/// Returns the largest useful gains of a wall that the tip touches at joint angles `q` (rad). Returns `None` at a
+/// singularity, or if a joint has no motor.
 pub fn largest_gains(device: &Device<f64>, surface: &Surface<f64>, q: &[f64], limits: &Limits) -> Option<LargestGains> {
     let pose = TaskPose::of(&device.mechanism, q).ok()?.regular().ok()?;
     let tip = SVector::from(padded::<3>(&pose.position));
@@ -327,7 +327,7 @@ pub fn largest_gains(device: &Device<f64>, surface: &Surface<f64>, q: &[f64], li
     Some(LargestGains { stiffness, damping: force / CREEP_SPEED, force })
 }
 
-/// Returns the limits of wall `index` of a scene as if it were touched at this pose.
+/// Returns the limits of wall `index` of a scene as if the tip touched it at this pose.
 pub fn at(subject: &Subject, scene: &Scene<f64>, index: usize, q: &[f64], path: &TorquePath) -> Option<Contact> {
     let pose = TaskPose::of(&subject.device.mechanism, q).ok()?;
     let tip = SVector::from(padded::<3>(&pose.position));
@@ -335,8 +335,8 @@ pub fn at(subject: &Subject, scene: &Scene<f64>, index: usize, q: &[f64], path: 
     meets(subject, scene, index, q, &normal.as_slice()[..pose.task], path)
 }
 
-/// Warns of a wall's gains beyond what the loop or the motors can render. `in_file`: the warnings have a place in a
-/// scene file.
+/// Warns of gains that the loop or the motors cannot render. `in_file` is true if the wall is in a scene file, so that
+/// the warnings have a place.
 pub fn beyond(wall: &Wall<f64>, contact: &Contact, in_file: bool) -> Vec<FileWarning> {
     let index = contact.wall;
     let rigid = if contact.taken_for_rigid { ", if the device is rigid" } else { "" };
@@ -412,7 +412,7 @@ pub fn beyond(wall: &Wall<f64>, contact: &Contact, in_file: bool) -> Vec<FileWar
     warnings
 }
 
-/// Describes the behaviour of a wall that is unstable with or without a hand on the tip.
+/// Describes the behaviour of a wall that is unstable with or without a hand.
 fn instability_text(wall: &Wall<f64>, contact: &Contact) -> String {
     let Some(held) = contact.in_hand else { return "it will vibrate unless friction damps it".into() };
     let (limit, end) = match wall.damping > held.damping_to {
@@ -448,20 +448,20 @@ fn buzz_warning(scene: &Scene<f64>, contact: &Contact) -> Option<FileWarning> {
     Some(FileWarning::new(Key { table: "wall", index: Some(contact.wall), part: "", name: "damping" }, text))
 }
 
-/// Stiffness of the softest useful wall, N/m: that of a light hand's own spring. Without damping its ripple is the
-/// smallest that the encoders of a device allow.
+/// Stiffness of the softest useful wall, N/m, which is that of a light hand. Without damping this wall has the smallest
+/// ripple that the encoders allow.
 pub const SOFTEST_WALL: f64 = LIGHT_HAND.stiffness;
 
-/// Ripple of a wall under a hand, by the simulation with which `haptic tune` searches.
+/// Ripple of a wall under a hand, by the simulation that `haptic tune` uses.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ripple {
-    /// Root mean square of the wall's force above 20 Hz while a hand slides along it, N; `None` if the tip flies off.
+    /// Root mean square of the force above 20 Hz while a hand slides along the wall, N; `None` if the tip flies off.
     pub ripple_n: Option<f64>,
-    /// Allowed ripple of a wall here, N: [`USUAL_RIPPLE_N`], or the smallest that the encoders allow if that is larger.
+    /// Allowed ripple, N: [`USUAL_RIPPLE_N`], or the smallest ripple that the encoders allow if it is larger.
     pub allowed_n: f64,
 }
 
-/// Simulates the ripple of a wall where it is touched; `None` if a joint has no encoder.
+/// Simulates the ripple of a wall at its contact pose; returns `None` if a joint has no encoder.
 pub fn ripple(description: &Description, scene: &Scene<f64>, contact: &Contact) -> Option<Ripple> {
     let wall = Settings::of(scene, contact.wall)?;
     let simulation = WallSimulation::new(description, description, &contact.q, &contact.normal, scene.rate_hz).ok()?;
@@ -482,7 +482,7 @@ pub fn simulate_ripple(description: &Description, scene: &Scene<f64>, contact: &
     if wall.stiffness > contact.stable_to || wall.damping > contact.damping_to {
         return None;
     }
-    // A hand presses through a wall that is softer than its own spring, so there is no contact to judge.
+    // A hand passes through a wall that is softer than its own spring, so there is no contact to judge.
     if wall.stiffness < SOFTEST_WALL {
         return None;
     }
@@ -503,11 +503,11 @@ pub fn simulate_ripple(description: &Description, scene: &Scene<f64>, contact: &
     Some(FileWarning::new(Key { table: "wall", index: Some(contact.wall), part: "", name: "damping" }, text))
 }
 
-/// Share of the stable stiffness from which on a wall counts as near its limit.
+/// Share of the stable stiffness at which a wall is near its limit.
 const NEAR_SHARE: f64 = 0.25;
 
-/// Warns of a washout that reduces the stable stiffness below that without feed-forward, at the wall's own damping: its
-/// corner is not far enough below the frequencies of the loop.
+/// Warns of a washout with which the stable stiffness is smaller than without feed-forward at the wall's damping. The
+/// washout's corner is then too close to the frequencies of the loop.
 fn costly_washout(subject: &Subject, scene: &Scene<f64>, path: &TorquePath, contact: &Contact) -> Option<FileWarning> {
     let wall = scene.walls.get(contact.wall)?;
     if wall.feed_forward != FeedForward::Washout || wall.stiffness <= NEAR_SHARE * contact.stable_to {
@@ -545,7 +545,8 @@ fn two_digits(ratio: f64) -> String {
 enum FirstTouch {
     /// At these joint angles, with this normal.
     At(Vec<f64>, Vec<f64>),
-    /// Never; the smallest distance of a tip outside, m, or `None` if the tip is always inside.
+    /// The surface is out of reach. The value is the smallest distance of a tip outside, m, or `None` if the tip is
+    /// always inside.
     Never(Option<f64>),
     /// The workspace has no grid.
     Unknown,
@@ -569,7 +570,7 @@ fn first_touch(device: &Device<f64>, surface: &Surface<f64>) -> FirstTouch {
     }
 }
 
-/// Returns the smallest and the largest distance of the tip from a surface, negative inside it, m. `None` if the
+/// Returns the smallest and the largest distance of the tip from a surface, negative inside it, m, or `None` if the
 /// workspace has no grid.
 fn distances(device: &Device<f64>, surface: &Surface<f64>) -> Option<(f64, f64)> {
     let grid = Reachable::of(device, PER_JOINT[device.mechanism.kind().spec().joints - 1], None).ok()?;
@@ -581,8 +582,8 @@ fn distances(device: &Device<f64>, surface: &Surface<f64>) -> Option<(f64, f64)>
     Some(distances.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), d| (l.min(d), h.max(d))))
 }
 
-/// Warns of a wall so soft that it reaches its force only deeper than the tip can move along the normal. The force is
-/// [`GENTLE_FORCE`] or, if smaller, the motors' largest. A wall without stiffness only damps and gets no warning.
+/// Warns of a wall that is so soft that its force needs more depth than the tip can move along the normal. The force is
+/// [`GENTLE_FORCE`], or the motors' largest if that is smaller. A wall without stiffness gets no warning.
 fn soft_wall_warning(device: &Device<f64>, wall: &Wall<f64>, contact: &Contact) -> Option<FileWarning> {
     let force = contact.force.unwrap_or(f64::INFINITY).min(GENTLE_FORCE.into());
     let depth = force / wall.stiffness;

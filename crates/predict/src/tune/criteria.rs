@@ -1,5 +1,5 @@
-//! Criteria for a wall: stability within the margins, the motors' torque, ripple under two hands, and few rebounds
-//! after a tap.
+//! Criteria for a wall: stability within the margins, the motors' torque, ripple under two hands, and rebounds of a
+//! tap.
 
 use super::margins::Corner;
 use super::{Question, Settings, TunedWall, check, measured, three_digits};
@@ -14,25 +14,27 @@ use haptic_stability::analysis::range::{boundary_of, stiffnesses};
 use haptic_stability::sweep::Sweep;
 use serde::{Deserialize, Serialize};
 
-/// Largest number of rebounds of a tip that taps a wall at 0.2 m/s with a push of 3 N: a finger feels one rebound as
-/// hardness and more as rattling.
+/// Largest allowed number of rebounds of a tip that taps a wall at 0.2 m/s with a push of 3 N. A finger feels one
+/// rebound as hardness, and more as rattling.
 pub const MOST_REBOUNDS: usize = 1;
 
-/// Number of dampings of a curve. The largest damping is the share `HIGHEST_SHARE` of the damping limit. The smallest is the
-/// share `LOWEST_SHARE` of the largest, or more: a wall with a quarter of the stiffness of the encoders' rule of thumb needs
-/// a damping ratio of `LEAST_DAMPING_RATIO`, because with less damping the tip rebounds.
+/// Number of dampings in a curve.
 const DAMPINGS: usize = 9;
+/// Largest damping of a curve, as a share of the largest stable damping.
 const HIGHEST_SHARE: f64 = 0.9;
+/// Smallest damping of a curve, as a share of the largest.
 const LOWEST_SHARE: f64 = 0.003;
+/// Smallest damping ratio of a wall with a quarter of the stiffness of the encoders' rule of thumb. With less damping
+/// the tip rebounds.
 const LEAST_DAMPING_RATIO: f64 = 0.04;
 
-/// Simulates the ripple of a wall with these settings: the largest of the device in the file and the deviating ones.
-/// The hand counts as held if it is held on all of them.
+/// Simulates the largest ripple of a wall over the device in the file and the deviating ones. `holds` is true if all of
+/// these walls hold the hand.
 pub fn ripple(question: &Question<'_>, settings: &Settings) -> Result<Pressed, Failure> {
     worst_ripple(question, settings, f64::INFINITY)
 }
 
-/// Like [`ripple`], but stops once the ripple exceeds `bound_n`, N.
+/// Like [`ripple`], but stops when the ripple exceeds `bound_n` (N).
 fn worst_ripple(question: &Question<'_>, settings: &Settings, bound_n: f64) -> Result<Pressed, Failure> {
     let Question { file, q, normal, margins, admissible, .. } = question;
     let mut worst = Pressed { ripple_n: Some(0.0), holds: true };
@@ -48,7 +50,7 @@ fn worst_ripple(question: &Question<'_>, settings: &Settings, bound_n: f64) -> R
     Ok(worst)
 }
 
-/// Returns a wall with these settings if it meets all criteria.
+/// Returns the wall with these settings if it meets all criteria.
 pub fn keeps(question: &Question<'_>, settings: &Settings) -> Result<Option<TunedWall>, Failure> {
     let sweep = Sweep::quiet();
     let context = SearchContext::new(question, &sweep)?;
@@ -57,22 +59,23 @@ pub fn keeps(question: &Question<'_>, settings: &Settings) -> Result<Option<Tune
     Ok(kept.map(|wall| TunedWall { felt: context.felt(settings), ..wall }))
 }
 
-/// The request together with everything that is the same for all candidates.
+/// A request, with the values that all candidates share.
 pub(super) struct SearchContext<'a> {
     pub question: &'a Question<'a>,
     pub sweep: &'a Sweep,
     nominal: Linearised,
-    /// Corners of the margins, without and with feed-forward.
+    /// Corners of the margins without and with feed-forward.
     corners: [Vec<Corner>; 2],
-    /// Largest stiffness (N/m) and damping (N s/m) for the motors.
+    /// Largest stiffness (N/m) and damping (N s/m) that the motors allow.
     pub motors: (f64, f64),
-    /// Stiffness (N/m) at which encoder steps alone cause the allowed ripple while the tip moves evenly across them:
-    /// the error of one step is uniformly distributed with standard deviation 1/√12 of the step, independent in each
-    /// joint. This is a rule of thumb: a tip that follows the steps, or that friction holds between two, ripples less.
+    /// Stiffness at which encoder steps alone cause the allowed ripple, N/m. Rule of thumb: the tip moves evenly, and
+    /// each joint's error is independent with a standard deviation of 1/√12 of its step. A tip that follows the steps,
+    /// or that friction holds between two, ripples less.
     pub steps: f64,
 }
 
-/// Largest stiffness of a candidate within the margins and the motors' torque, as a function of damping.
+/// Largest stiffness of a candidate within margins and motors as a function of damping; points are (damping,
+/// stiffness).
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct Curve {
     pub points: Vec<(f64, f64)>,
@@ -112,7 +115,7 @@ impl<'a> SearchContext<'a> {
         })
     }
 
-    /// Returns true if equation (4) differs from Jᵀ here.
+    /// Returns true if equation (4) differs from Jᵀ at this pose.
     pub fn is_coupled(&self) -> bool {
         self.nominal.w_eff().is_some_and(|w_eff| self.nominal.w_rr() / w_eff > 1.0 + 1e-3)
     }
@@ -126,8 +129,8 @@ impl<'a> SearchContext<'a> {
         &self.corners[usize::from(settings.feed_forward != FeedForward::Off)]
     }
 
-    /// Computes kp over damping within margins and motors. `None` if a corner is unstable at every gain or has no
-    /// bound.
+    /// Computes the curve of a candidate within margins and motors, or returns `None` if a corner is unstable at every
+    /// gain or has no bound.
     pub fn curve(&self, settings: &Settings) -> Result<Option<Curve>, Failure> {
         let (Some(around), Some(corner)) = (settings.loop_settings(), self.corners(settings).first()) else {
             return Ok(None);
@@ -150,7 +153,8 @@ impl<'a> SearchContext<'a> {
         Ok((curve.top() > 0.0).then_some(curve))
     }
 
-    /// Computes the largest stiffness at each damping within margins and motors; `None` if a corner has no such bound.
+    /// Computes the largest stiffness at each damping within margins and motors, or returns `None` if a corner has no
+    /// bound.
     pub fn allowed(&self, settings: &Settings, dampings: &[f64]) -> Result<Option<Vec<f64>>, Failure> {
         let Some(around) = settings.loop_settings() else { return Ok(None) };
         let (most, damped) = self.motors;
@@ -166,12 +170,13 @@ impl<'a> SearchContext<'a> {
         Ok(Some(least))
     }
 
-    /// Computes the largest stiffness at the settings' own damping, N/m; 0 if no stiffness is allowed.
+    /// Computes the largest stiffness at the settings' damping, N/m; 0 if no stiffness is allowed.
     pub fn largest_stiffness(&self, settings: &Settings) -> Result<f64, Failure> {
         Ok(self.allowed(settings, &[settings.damping])?.map_or(0.0, |most| most[0]))
     }
 
-    /// Simulates the ripple under a sliding hand, N; `None` if it exceeds the limit or the wall does not hold the hand.
+    /// Simulates the ripple under a sliding hand, N. Returns `None` if it exceeds the limit or the wall does not hold
+    /// the hand.
     pub fn slide_ripple(&self, settings: &Settings) -> Result<Option<f64>, Failure> {
         self.sweep.go_on()?;
         let bound = self.question.ripple_n;
@@ -179,7 +184,7 @@ impl<'a> SearchContext<'a> {
         Ok(ripple_n.filter(|ripple| holds && *ripple <= bound))
     }
 
-    /// Returns true if a tip that taps the wall rebounds at most as often as allowed.
+    /// Returns true if a tip that taps the wall rebounds no more often than allowed.
     pub fn passes_tap(&self, settings: &Settings) -> Result<bool, Failure> {
         let Question { file, q, normal, admissible, .. } = self.question;
         let simulation = WallSimulation::new(&file.description, &file.description, q, normal, settings.rate_hz)?;
@@ -187,12 +192,12 @@ impl<'a> SearchContext<'a> {
         Ok(rebounds.is_some_and(|rebounds| rebounds <= MOST_REBOUNDS))
     }
 
-    /// Simulates the ripple on the simulated board, N; `None` if it exceeds `bound_n`.
+    /// Simulates the ripple on the simulated board, N. Returns `None` if it exceeds `bound_n`.
     pub fn board_ripple(&self, settings: &Settings, bound_n: f64) -> Result<Option<f64>, Failure> {
         Ok(measured::ripple(self.question, settings, self.sweep)?.filter(|ripple| *ripple <= bound_n))
     }
 
-    /// Returns the wall if it meets the limits of ripple and rebounds. The cheaper simulation comes first.
+    /// Returns the wall if it meets the limits of ripple and rebounds. The cheaper simulation runs first.
     pub fn check_ripple(&self, settings: &Settings) -> Result<Option<TunedWall>, Failure> {
         let Some(ripple_n) = self.slide_ripple(settings)? else { return Ok(None) };
         Ok(self.passes_tap(settings)?.then_some(TunedWall {
@@ -203,7 +208,7 @@ impl<'a> SearchContext<'a> {
         }))
     }
 
-    /// Returns the wall if it also meets the ripple limit on the simulated board: all criteria that are simulated.
+    /// Returns the wall if it meets all simulated criteria, also the ripple limit on the simulated board.
     pub fn check_all(&self, settings: &Settings) -> Result<Option<TunedWall>, Failure> {
         let Some(result) = self.check_ripple(settings)? else { return Ok(None) };
         let Some(bound) = self.question.board_ripple_n else { return Ok(Some(result)) };

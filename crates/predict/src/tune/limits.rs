@@ -1,4 +1,4 @@
-//! Limits of the resulting wall: the gains that each limit alone would allow, and the neighbouring walls.
+//! Limits of the chosen wall: the gains that each limit alone would allow, and the neighbouring walls.
 
 use super::criteria::SearchContext;
 use super::{STIFFNESS_RATIO, Settings, TunedWall, ripple, three_digits};
@@ -8,35 +8,39 @@ use haptic_stability::analysis::error::AnalysisError;
 use haptic_stability::analysis::range::stiffnesses;
 use serde::Serialize;
 
-/// Factor by which gains are raised and lowered to find the limits.
+/// Factor on a gain for the neighbouring walls.
 pub(super) const RAISE_FACTOR: f64 = 1.15;
 
-/// Names of the simulated limits and of those that can bind the result.
+/// Name of the ripple limit.
 const RIPPLE: &str = "ripple";
+/// Name of the ripple limit on the simulated board.
 const ON_BOARD: &str = "ripple on the simulated board";
+/// Name of the limit of rebounds.
 const REBOUNDS: &str = "rebounds after a tap";
+/// Name of the stability limit with all margins.
 const MARGINS: &str = "all margins together";
+/// Name of the limit by motors and encoder counts.
 const MOTORS: &str = "motors and encoder counts";
-/// Stiffnesses at which the simulated limits are checked, as ratios to the wall's. The last limit has fewer, because it
-/// takes longest.
+/// Factors on the wall's stiffness at which the simulated limits are checked.
 const CHECKED_FACTORS: [f64; 7] = [STIFFNESS_RATIO, 1.06, RAISE_FACTOR, 1.25, 1.5, 2.0, 4.0];
+/// Factors on the wall's stiffness at which the simulated board is checked. They are few because it takes longest.
 const CHECKED_ON_BOARD: [f64; 2] = [STIFFNESS_RATIO, RAISE_FACTOR];
-/// Name of a value that is listed for reference and limits nothing.
+/// Name of a value that is listed for reference and is not a limit.
 pub const RULE_OF_THUMB: &str = "rule of thumb, encoder steps";
 
-/// The gains that one limit alone would allow at the damping of the wall.
+/// Gains that one limit alone would allow at the damping of the wall.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Limit {
     /// Name of the limit.
     pub limit: &'static str,
-    /// Largest stiffness, N/m; `None` if the limit sets no bound within the range that was checked.
+    /// Largest stiffness, N/m; `None` if the limit sets no bound in the checked range.
     pub stiffness: Option<f64>,
-    /// Stiffness that a hand feels at that stiffness, N/m; `None` if no transmission is compliant.
+    /// Stiffness that a hand feels at the largest stiffness, N/m; `None` if no transmission is compliant.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub felt: Option<f64>,
 }
 
-/// A wall with slightly different gains.
+/// A wall with slightly different gains than the chosen one.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct NeighbourWall {
     /// Stiffness, N/m.
@@ -51,7 +55,7 @@ pub struct NeighbourWall {
     pub rebounds: bool,
 }
 
-/// Computes the limits of the wall, each alone, and the neighbouring walls.
+/// Computes the limits of the wall, each without the others, and the neighbouring walls.
 pub(super) fn limits(
     context: &SearchContext<'_>,
     best: &TunedWall,
@@ -103,7 +107,7 @@ pub(super) fn limits(
     Ok((active, limits, beside))
 }
 
-/// Returns the limit that a stiffer wall exceeds first.
+/// Returns the name of the limit that a stiffer wall exceeds first.
 fn first_limit(limits: &[Limit], settings: &Settings, damped: f64) -> &'static str {
     let binding = [RIPPLE, ON_BOARD, REBOUNDS, MARGINS, MOTORS];
     let among = limits.iter().filter(|limit| binding.contains(&limit.limit));
@@ -116,8 +120,8 @@ fn first_limit(limits: &[Limit], settings: &Settings, damped: f64) -> &'static s
     if limit == MARGINS && settings.damping * STIFFNESS_RATIO > damped { "motors and damping" } else { limit }
 }
 
-/// Returns the largest stiffness at which this wall still passes a check, among `factors` of its own stiffness; `None`
-/// if it passes at the last of them.
+/// Returns the largest stiffness at which the wall passes a check, up to the last of `factors` times its own stiffness;
+/// `None` if it passes at the last.
 fn largest_passing(
     settings: &Settings,
     factors: &[f64],

@@ -1,11 +1,13 @@
 //! Searches for the stiffest wall that meets all criteria.
 //!
-//! For each estimator, rate and cutoff, the largest stable stiffness over damping is a curve. At each damping of a
-//! curve the search tries a wall near the best so far, and makes it stiffer if it meets the criteria. It does not
-//! simulate candidates whose curve lies below the best. Candidates are simulated in rounds of fixed size, so the result
-//! does not depend on the number of cores. Around the best wall of each estimator the search continues between the
-//! grid's values. The results of that search are pressed on the simulated board, which takes longest, and made softer
-//! until they pass there as well. Finally the best wall is made stiffer in steps until no step meets all criteria.
+//! For each estimator, rate and cutoff, a curve is the largest stable stiffness over damping. At each damping of a
+//! curve the search simulates a wall near the best so far, and makes it stiffer if it meets the criteria. It skips
+//! candidates whose curve is below the best. Candidates are simulated in rounds of fixed size, so the result does not
+//! depend on the number of cores.
+//!
+//! Around the best wall of each estimator the search continues between the grid's values. The resulting walls are
+//! pressed on the simulated board, which takes longest, and made softer until they pass there too. Finally the best
+//! wall is made stiffer in steps until no step meets all criteria.
 
 use super::criteria::{Curve, SearchContext};
 use super::limits::RAISE_FACTOR;
@@ -15,42 +17,48 @@ use haptic_bridge::render::velocity::{Chosen, CutoffMeaning, Estimator};
 use haptic_host::error::Failure;
 use std::collections::BTreeSet;
 
-/// Cutoffs of the low-passes, and bandwidths of estimators that have one, Hz.
+/// Cutoffs of the low-passes, Hz.
 const CUTOFFS_HZ: [f64; 8] = [20.0, 50.0, 100.0, 200.0, 500.0, 1000.0, 2000.0, 4000.0];
+/// Bandwidths of estimators that have one, Hz.
 const BANDWIDTHS_HZ: [f64; 8] = [10.0, 20.0, 50.0, 100.0, 200.0, 500.0, 1000.0, 3000.0];
-/// Window lengths of the difference estimators, samples.
+/// Windows of the difference estimators, samples.
 const WINDOWS: [u32; 4] = [4, 8, 16, 32];
-/// Number of candidates in one round of simulations.
+/// Number of candidates per round of simulations.
 const ROUND: usize = 8;
-/// Share of the best stiffness down to which candidates are simulated: between the grid's values such a candidate may
-/// be the best.
+/// Share of the best stiffness down to which candidates are simulated, because between the grid's values they may be
+/// the best.
 const NEAR_SHARE: f64 = 0.85;
-/// The same share with another feed-forward, and on the board: it is lower so that there is a result to compare.
+/// Share of the best stiffness for another feed-forward and on the board, lower so that there is a result to compare.
 const COMPARED_SHARE: f64 = 0.7;
-/// Without a result so far, stiffness starts at this share of the encoders' rule of thumb and grows by this ratio.
+/// Share of the encoders' rule of thumb at which stiffness starts without an earlier result.
 const FIRST_SHARE: f64 = 0.1;
+/// Ratio of successive stiffnesses without an earlier result.
 const STEP: f64 = 1.5;
-/// The best wall is made stiffer by these factors until none meets all criteria: friction or a limit cycle may make a
-/// stiffer wall quieter.
+/// Factors by which the best wall is made stiffer until none meets all criteria. They exceed the limit found earlier,
+/// because friction or a limit cycle may make a stiffer wall quieter.
 const STIFFER_FACTORS: [f64; 5] = [1.5, 1.25, RAISE_FACTOR, 1.06, STIFFNESS_RATIO];
-/// The search continues around the best of at most this many estimators, for at most this many rounds, with these
-/// factors of the cutoff or window and of the damping.
+/// Maximum number of estimators around whose best wall the search continues.
 const REFINED_ESTIMATORS: usize = 4;
+/// Maximum number of rounds around the best wall of an estimator.
 const REFINEMENT_ROUNDS: usize = 5;
+/// Factors on the cutoff in refinement rounds.
 const CUTOFFS: [f64; 5] = [1.0, 0.7, 1.4, 0.5, 2.0];
+/// Factors on the window in refinement rounds.
 const WIDTHS: [f64; 3] = [1.0, 0.75, 1.5];
+/// Factors on the damping in refinement rounds.
 const DAMPINGS: [f64; 7] = [1.0, 0.87, 1.15, 0.74, 1.35, 0.55, 1.8];
-/// Number of walls that are pressed on the board at once, their maximum number, and the ratio of stiffness from one
-/// press to the next.
+/// Number of walls that are pressed on the board at once.
 const PRESSED_AT_ONCE: usize = 4;
+/// Maximum number of walls that are pressed on the board.
 const MAX_PRESSED: usize = 12;
+/// Ratio of stiffness from one press on the board to the next.
 const SOFTEN_FACTOR: f64 = 1.12;
-/// Corners of the washout, Hz, and the share of the stiffness that the chosen corner must keep. The highest such corner
-/// is chosen.
+/// Corners of the washout, Hz, in descending order.
 const WASHOUTS_HZ: [f64; 5] = [20.0, 10.0, 5.0, 2.0, 1.0];
+/// Share of the stiffness that the washout corner must keep. The highest such corner is chosen.
 const KEPT_SHARE: f64 = 0.98;
 
-/// Results of a search without the settings: stiffness, damping and ripple, and the ripple on the board.
+/// Results without their settings: stiffness (N/m), damping (N s/m) and ripple (N), and ripple on the board (N).
 type Gains = ([f64; 3], Option<f64>);
 
 fn gains(tuned: TunedWall) -> Gains {
@@ -62,8 +70,8 @@ fn restore(settings: &Settings, ([stiffness, damping, ripple_n], board_ripple_n)
 }
 
 impl SearchContext<'_> {
-    /// Searches for walls that meet all criteria. Returns these walls, the best among them, and two numbers:
-    /// combinations, and combinations that were simulated.
+    /// Searches for walls that meet all criteria. Returns them with the number of combinations and the number of
+    /// simulated ones.
     pub fn all(&self) -> Result<(Vec<TunedWall>, (usize, usize)), Failure> {
         let mut all: Vec<TunedWall> = self.known_wall()?.into_iter().collect();
         let mut looked_at = (0, 0);
@@ -78,8 +86,7 @@ impl SearchContext<'_> {
             let mut candidates: Vec<(Settings, Curve)> =
                 combinations.into_iter().zip(curves).filter_map(|(settings, curve)| Some((settings, curve?))).collect();
             looked_at.0 += candidates.len();
-            // Of equal curves, the faster rate comes first, because it has more reserve. The sort is stable: equals
-            // keep their order.
+            // Equal curves are sorted by rate, the fastest first, because it has more reserve. The sort is stable.
             candidates.sort_by(|(one, a), (other, b)| {
                 b.top().total_cmp(&a.top()).then_with(|| other.rate_hz.total_cmp(&one.rate_hz))
             });
@@ -147,7 +154,7 @@ impl SearchContext<'_> {
         }
     }
 
-    /// Returns the known settings if they meet all criteria.
+    /// Returns the known settings as a wall if they meet all criteria.
     fn known_wall(&self) -> Result<Option<TunedWall>, Failure> {
         let Some(known) = self.question.known.filter(|known| known.stiffness > 0.0) else { return Ok(None) };
         self.sweep
@@ -155,7 +162,7 @@ impl SearchContext<'_> {
             .map(|tuned| tuned.into_iter().flatten().next().map(|tuned| restore(&known, tuned)))
     }
 
-    /// Returns every combination of rate, estimator and cutoff with one feed-forward.
+    /// Returns all combinations of rate, estimator and cutoff with this feed-forward.
     fn combinations(&self, feed_forward: FeedForward) -> Vec<Settings> {
         let description = &self.question.file.description;
         let viscous = description.joints.iter().any(|joint| joint.viscous > 0.0);
@@ -196,7 +203,7 @@ impl SearchContext<'_> {
         combinations
     }
 
-    /// Returns the stiffest wall of a candidate that passes the ripple check and is stiffer than `floor`, N/m.
+    /// Returns the stiffest wall of a candidate that passes the ripple check, if it is stiffer than `floor` (N/m).
     fn best_of_candidate(&self, settings: &Settings, curve: &Curve, floor: f64) -> Result<Option<TunedWall>, Failure> {
         let mut best: Option<TunedWall> = None;
         for &(damping, most) in curve.points.iter().filter(|point| point.1 > 0.0) {
@@ -215,7 +222,7 @@ impl SearchContext<'_> {
         Ok(best)
     }
 
-    /// Makes a wall as stiff as the ripple check allows, up to `most`, N/m.
+    /// Makes a wall as stiff as the ripple check allows, up to `most` (N/m).
     fn raise_to_limit(&self, mut tuned: TunedWall, most: f64) -> Result<TunedWall, Failure> {
         let mut high = None;
         loop {
@@ -234,7 +241,8 @@ impl SearchContext<'_> {
         }
     }
 
-    /// Simulates candidates, the most promising first, until no more can be near the best or stiffer than `floor`, N/m.
+    /// Simulates candidates in descending order of promise until no more can be near the best or stiffer than `floor`
+    /// (N/m).
     fn simulate(
         &self,
         candidates: &[(Settings, Curve)],
@@ -255,7 +263,7 @@ impl SearchContext<'_> {
         Ok(tuned)
     }
 
-    /// Returns the best wall of each candidate, if it is stiffer than `floor`, N/m.
+    /// Returns the best wall of each candidate that is stiffer than `floor` (N/m).
     fn best_of_each(
         &self,
         candidates: &[(Settings, Curve)],
@@ -269,8 +277,8 @@ impl SearchContext<'_> {
         Ok(each.filter_map(|((settings, _), result)| Some(restore(settings, result?))).collect())
     }
 
-    /// Refines cutoff and damping between the grid's values, then chooses the highest corner of the washout that keeps
-    /// the stiffness.
+    /// Refines cutoff and damping between the grid's values. Then chooses the highest washout corner that keeps the
+    /// stiffness.
     fn refine(&self, tuned: TunedWall, stage: &str) -> Result<TunedWall, Failure> {
         let mut best = tuned;
         for round in 0..REFINEMENT_ROUNDS {
@@ -292,7 +300,7 @@ impl SearchContext<'_> {
         Ok(best)
     }
 
-    /// Returns these settings with their curves around a damping, N s/m.
+    /// Returns these settings with their curves near a damping (N s/m).
     fn around_damping(&self, settings: Vec<Settings>, damping: f64) -> Result<Vec<(Settings, Curve)>, Failure> {
         let dampings = DAMPINGS.map(|factor| three_digits(damping * factor, false));
         let each = settings.into_iter().map(|settings| {
@@ -303,7 +311,7 @@ impl SearchContext<'_> {
     }
 }
 
-/// Returns the same settings and others with a cutoff or a window between the grid's values.
+/// Returns these settings, and settings with cutoffs or windows between the grid's values.
 fn neighbours(settings: &Settings) -> Vec<Settings> {
     if settings.has_cutoff() {
         let nearby = CUTOFFS.iter().map(|factor| three_digits(settings.cutoff_hz * factor, false));
@@ -321,7 +329,7 @@ fn neighbours(settings: &Settings) -> Vec<Settings> {
         .collect()
 }
 
-/// Returns the best of each estimator that is near the best of all, the stiffest first.
+/// Returns the best walls of the estimators that are near the best of all, in descending order of stiffness.
 fn promising(tuned: &[TunedWall]) -> Vec<TunedWall> {
     let best = stiffest(tuned).map_or(0.0, |best| best.settings.stiffness);
     let mut nearby = super::best_of_each_estimator(tuned.to_vec());

@@ -1,9 +1,9 @@
-//! Gains at which modes leave the unit circle: the exact crossings of one gain with the other held, and the stable
-//! intervals between them.
+//! Gains at which modes leave the unit circle: the exact crossings of one gain while the other is constant, and the
+//! stable intervals between crossings.
 //!
 //! On the unit circle, z = e^{iθ}, the loop 1 + kp Gx(z) + kd Gv(z) = 0 determines the gain as a function of θ. The
-//! gain must be real, so the crossings are the zeros of one real function of θ. The responses Gx and Gv do not depend
-//! on the gains, so they are tabulated once per loop; for each gain the sign changes (and the near misses) are refined.
+//! gain must be real, so the crossings are the zeros of a real function of θ. The responses Gx and Gv do not depend on
+//! the gains, so they are tabulated once per loop. For each gain, sign changes and near misses are then refined.
 //! Eigenvalues decide which intervals between crossings are stable.
 //!
 //! This is Neimark's D-decomposition; see Gryazina and Polyak, "Stability regions in the parameter space:
@@ -17,7 +17,7 @@ use super::spectrum::Resolvent;
 /// Smallest stiffness that is analysed, in units of m/T².
 pub(crate) const SMALLEST_STIFFNESS: f64 = 1e-9;
 
-/// Lowest frequency at which a mode can cross, rad per sample: the smallest stiffness on the mass alone gives 3e-5.
+/// Lowest frequency that is searched, rad per sample. The smallest stiffness oscillates with the mass alone at 3e-5.
 const LOWEST_ANGLE: f64 = 3e-6;
 
 /// A stable interval of a gain.
@@ -27,7 +27,7 @@ pub(crate) struct Interval {
     pub high: f64,
 }
 
-/// Responses to the wall force around the unit circle.
+/// Responses of the loop to the wall force around the unit circle.
 pub(crate) struct Circle<'a> {
     open: &'a OpenLoop,
     resolvent: Resolvent,
@@ -35,7 +35,7 @@ pub(crate) struct Circle<'a> {
     at_nyquist: Response,
 }
 
-/// Rendered position and estimated velocity per wall force at one angle.
+/// Rendered position and estimated velocity per wall force at one angle of the unit circle.
 #[derive(Clone, Copy)]
 struct Response {
     angle: f64,
@@ -54,13 +54,15 @@ enum SearchedGain {
 const LARGEST_TURN: f64 = 0.25;
 
 impl Response {
-    /// Returns true if the response turns so far between two samples that a crossing between them could be missed.
+    /// Returns true if the phases of two neighbouring samples differ so much that a crossing between them could be
+    /// missed.
     fn is_far_from(&self, other: &Response) -> bool {
         let turned = |a: Complex<f64>, b: Complex<f64>| (b * a.conj()).arg().abs() > LARGEST_TURN;
         turned(self.position, other.position) || turned(self.velocity, other.velocity)
     }
 
-    /// Returns the complex gain that puts a mode at this angle while the other gain is `held`; a crossing if real.
+    /// Returns the complex gain that puts a mode at this angle while the other gain is `held`. A real result is a
+    /// crossing.
     fn gain(&self, searched: SearchedGain, held: f64) -> Complex<f64> {
         let (own, other) = match searched {
             SearchedGain::Stiffness => (self.position, self.velocity),
@@ -69,7 +71,7 @@ impl Response {
         -(other * held + 1.0) / own
     }
 
-    /// Returns the imaginary part of [`Response::gain`] times a positive factor; finite even where the gain is not.
+    /// Returns the imaginary part of [`Response::gain`] times a positive factor. The result is always finite.
     fn mismatch(&self, searched: SearchedGain, held: f64) -> f64 {
         let (own, other) = match searched {
             SearchedGain::Stiffness => (self.position, self.velocity),
@@ -80,7 +82,7 @@ impl Response {
 }
 
 impl<'a> Circle<'a> {
-    /// Tabulates the responses of one loop.
+    /// Tabulates the responses of a loop.
     pub fn new(open: &'a OpenLoop, delay_samples: f64) -> Self {
         let mut circle = Self {
             open,
@@ -110,8 +112,8 @@ impl<'a> Circle<'a> {
         circle
     }
 
-    /// Adds samples where the responses turn quickly: a cluster at every resonance, then midpoints between neighbours
-    /// whose responses differ too much.
+    /// Adds samples where the responses turn quickly: a cluster at every resonance, then midpoints between neighbouring
+    /// samples whose responses differ too much.
     fn refine_resonances(&mut self) {
         let top = self.samples.last().map_or(0.0, |last| last.angle);
         for &(radius, centre) in self.open.resonances() {
@@ -163,7 +165,7 @@ impl<'a> Circle<'a> {
             if (values[i] > 0.0) != (values[i - 1] > 0.0) {
                 gains.push(self.refine(searched, held, i - 1, i, values[i - 1]));
             }
-            // Two crossings may lie between samples where an extremum is near zero but does not reach zero on the grid.
+            // Two crossings lie between samples if an extremum is near zero but no sample reaches zero.
             if i >= 2 {
                 let (a, b, c) = (values[i - 2], values[i - 1], values[i]);
                 let same_side = (a > 0.0) == (b > 0.0) && (b > 0.0) == (c > 0.0);
@@ -187,7 +189,7 @@ impl<'a> Circle<'a> {
         }
     }
 
-    /// Refines a crossing between two angles of opposite sign by bisection with secant steps (Illinois). Returns the
+    /// Refines a crossing between two samples of opposite sign by bisection with secant steps (Illinois). Returns the
     /// gain.
     fn refine(&mut self, searched: SearchedGain, held: f64, from: usize, to: usize, at_from: f64) -> f64 {
         let (a, b) = (self.samples[from].angle, self.samples[to].angle);
@@ -220,7 +222,7 @@ impl<'a> Circle<'a> {
         last.gain(searched, held).re
     }
 
-    /// Searches the extremum between two samples and, if it crosses zero, refines the crossings on both sides.
+    /// Searches the extremum between two samples. If the extremum crosses zero, returns the gains on both sides of it.
     fn refine_pair(&mut self, searched: SearchedGain, held: f64, from: usize, to: usize, middle: f64) -> Vec<f64> {
         let sign = middle.signum();
         let (mut low, mut high) = (self.samples[from].angle, self.samples[to].angle);
@@ -250,27 +252,27 @@ impl<'a> Circle<'a> {
         Vec::new()
     }
 
-    /// Returns the stable intervals of the stiffness from [`SMALLEST_STIFFNESS`] up, at one damping; sample units.
+    /// Returns the stable intervals of stiffness above [`SMALLEST_STIFFNESS`] for one damping, in sample units.
     pub fn stiffness_intervals(&mut self, kd: f64) -> Result<Vec<Interval>, AnalysisError> {
         let crossings = self.crossings(SearchedGain::Stiffness, kd);
         let open = self.open;
         stable_between(SMALLEST_STIFFNESS, &crossings, |kp| open.is_stable(kp, kd))
     }
 
-    /// Returns the stable intervals of the damping from zero up, at the smallest stiffness; sample units.
+    /// Returns the stable intervals of damping from zero up at the smallest stiffness, in sample units.
     pub fn damping_intervals(&mut self) -> Result<Vec<Interval>, AnalysisError> {
         let crossings = self.crossings(SearchedGain::Damping, SMALLEST_STIFFNESS);
         let open = self.open;
         stable_between(0.0, &crossings, |kd| open.is_stable(SMALLEST_STIFFNESS, kd))
     }
 
-    /// The loop of these responses.
+    /// Returns the loop of these responses.
     pub fn open(&self) -> &OpenLoop {
         self.open
     }
 }
 
-/// Splits [start, ∞) at the crossings and keeps the stable intervals, with neighbours joined.
+/// Splits [start, ∞) at the crossings, keeps the stable intervals and joins neighbours.
 fn stable_between(
     start: f64,
     crossings: &[f64],
@@ -286,7 +288,7 @@ fn stable_between(
         if high - low <= 1e-12 * high || !is_stable((low + high) / 2.0) {
             continue;
         }
-        // If the smallest stiffness is unstable, the first interval does not count.
+        // The first interval does not count if the smallest stiffness is unstable.
         if i == 0 && start > 0.0 && !is_stable(start) {
             continue;
         }
@@ -310,7 +312,7 @@ mod tests {
     use haptic_sim::Random;
     use nalgebra::{DMatrix, DVector};
 
-    /// Returns a device of random inertia, damping (sometimes none, sometimes on some joints only) and direction.
+    /// Returns a device with random inertia, direction and damping. Some or all joints may have no damping.
     fn random_device(random: &mut Random, joints: usize) -> Linearised {
         let factor = DMatrix::from_fn(joints, joints, |_, _| random.between(-1.0, 1.0));
         let mass = (&factor * factor.transpose() + DMatrix::identity(joints, joints) * 0.05) * 1e-3;

@@ -1,10 +1,10 @@
 //! Stable domain of a wall on one device: boundary, area and islands.
 //!
-//! The area is ∫ kp_max dkd. A stable interval above the first crossing is an island: it is reported but does not
-//! count. The integral is computed like that of the reference cases (tests/golden/range.json, reproduced to 1e-8), by
-//! the trapezoidal rule on dampings spaced like Chebyshev points. Compared with the exact integral it is 5e-4 low on a
-//! smooth boundary of any shape, and up to 2e-2 off if kp_max jumps (tool/tests/quick/range_golden.rs). Ratios of areas
-//! of the same shape have no such error.
+//! The area is ∫ kp_max dkd. A stable interval above the first crossing is an island: it is reported but not added to
+//! the area. The integral uses the trapezoidal rule on dampings spaced like Chebyshev points, like the reference cases
+//! (tests/golden/range.json, reproduced to 1e-8). On a smooth boundary the result is 5e-4 lower than the exact
+//! integral; if kp_max jumps, the error is up to 2e-2 (tool/tests/quick/range_golden.rs). Ratios of areas of the same
+//! shape have no such error.
 
 use serde::Serialize;
 
@@ -19,10 +19,9 @@ use super::several::{WallLoops, WallSet, open_loop};
 /// Default number of damping values on a boundary.
 pub const BOUNDARY_POINTS: usize = 200;
 
-/// Damping limit below which nothing counts as stable, in units of m/T: such a limit only reflects the smallest
-/// stiffness that is analysed.
+/// Largest damping that counts as zero, in units of m/T. A smaller limit only reflects the smallest stiffness analysed.
 const SMALLEST_DAMPING: f64 = 1e-7;
-/// Range of dampings in which islands are searched if nothing is stable from zero up, in the same units.
+/// Range of dampings searched for islands if nothing is stable from zero up, in units of m/T.
 const ISLANDS: (f64, f64) = (1e-5, 2.0);
 
 /// A point of the boundary.
@@ -30,13 +29,12 @@ const ISLANDS: (f64, f64) = (1e-5, 2.0);
 pub struct BoundaryPoint {
     /// Damping, N s/m.
     pub kd: f64,
-    /// Largest stiffness that is stable from zero up, N/m; zero if none is.
+    /// Largest stiffness up to which all stiffnesses are stable, N/m; zero if none is stable.
     pub kp: f64,
     /// Stiffness that a hand at the tip feels if transmissions are compliant, N/m ([`super::flexible::felt`]).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub felt: Option<f64>,
-    /// Frequency at which a stiffer wall begins to oscillate, Hz; `None` if nothing is stable, or if the wall creeps
-    /// instead.
+    /// Frequency at which a stiffer wall oscillates, Hz; `None` if nothing is stable or the wall creeps instead.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub hz: Option<f64>,
 }
@@ -48,14 +46,14 @@ impl BoundaryPoint {
     }
 }
 
-/// A stable interval of stiffness that cannot be reached from zero at the same damping.
+/// A stable interval of stiffness above an unstable one at the same damping.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Island {
     /// Damping, N s/m.
     pub kd: f64,
-    /// Lower end, N/m.
+    /// Lower end of the interval, N/m.
     pub kp_low: f64,
-    /// Upper end, N/m.
+    /// Upper end of the interval, N/m.
     pub kp_high: f64,
 }
 
@@ -66,17 +64,17 @@ pub struct Domain {
     pub area: f64,
     /// Damping at which kp_max reaches zero, N s/m.
     pub kd_max: f64,
-    /// Point of the largest stiffness; if dampings were requested, among these dampings.
+    /// Point with the largest stiffness; only among the requested dampings if any were requested.
     #[serde(skip)]
     pub top: BoundaryPoint,
-    /// kp_max over damping.
+    /// Boundary points in order of damping.
     pub boundary: Vec<BoundaryPoint>,
-    /// Stable intervals above the boundary, at the same damping values and slightly beyond.
+    /// Stable intervals above the boundary, at the same dampings and slightly beyond.
     pub islands: Vec<Island>,
 }
 
 impl Domain {
-    /// Adds the stiffness that a hand feels with this compliance (m/N).
+    /// Sets the stiffness that a hand feels, for transmissions with this compliance (m/N).
     pub(super) fn with_compliance(mut self, compliance: Option<f64>) -> Self {
         for point in self.boundary.iter_mut().chain([&mut self.top]) {
             point.felt = compliance.and_then(|compliance| felt(point.kp, compliance));
@@ -95,7 +93,7 @@ pub fn domain(device: &Linearised, around: &Loop, mode: Mode, kd: Option<&[f64]>
     Ok(result.with_compliance(device.compliance(mode)))
 }
 
-/// Like [`domain`], for walls that act together.
+/// Like [`domain`], for several walls that act together.
 pub fn domain_of_several(
     set: &WallSet,
     around: &Loop,
@@ -110,7 +108,7 @@ pub fn domain_of_several(
     domain_from_intervals(&mut loops, mass, sample_s, kd)
 }
 
-/// Stable intervals of one gain with the other held, in sample units.
+/// Computes the stable intervals of one gain while the other is constant, in sample units.
 pub(super) trait StableIntervals {
     fn stiffness_intervals(&mut self, kd: f64) -> Result<Vec<Interval>, AnalysisError>;
     fn damping_intervals(&mut self) -> Result<Vec<Interval>, AnalysisError>;
@@ -186,7 +184,7 @@ pub(super) fn domain_from_intervals(
         })?;
     }
     if kd.is_none() && kd_max > 0.0 {
-        // Islands may lie beyond the domain; search as far again as the domain extends.
+        // Islands may lie beyond the largest damping, so search up to twice this damping.
         for i in 1..=32 {
             let kd_hat = kd_max + kd_max * f64::from(i) / 32.0;
             let stable = stable_at(kd_hat)?;
@@ -214,7 +212,7 @@ pub fn oscillation(
     Ok(open.oscillation(kp, kd))
 }
 
-/// Like [`oscillation`], for walls that act together, with total stiffness and damping.
+/// Like [`oscillation`], for several walls that act together with this total stiffness and damping.
 pub fn oscillation_of_several(
     set: &WallSet,
     around: &Loop,
@@ -232,8 +230,8 @@ fn in_sample_units(kp: f64, kd: f64, mass: f64, sample_s: f64) -> Result<(f64, f
     refused.map_or(Ok((kp * sample_s * sample_s / mass, kd * sample_s / mass)), |gain| Err(AnalysisError::Gain(gain)))
 }
 
-/// Returns the largest stiffness (N/m) that is stable with damping `kd` (N s/m), zero if none is, and the largest
-/// damping with which any stiffness is stable.
+/// Returns the largest stable stiffness (N/m) at damping `kd` (N s/m), zero if none is stable, and the largest damping
+/// at which any stiffness is stable.
 pub fn stiffness_at(device: &Linearised, around: &Loop, mode: Mode, kd: f64) -> Result<(f64, f64), AnalysisError> {
     let open = open_loop(device, device, around, mode)?;
     let damping_unit = open.mass / open.sample_s;
@@ -248,8 +246,8 @@ pub fn stiffness_at(device: &Linearised, around: &Loop, mode: Mode, kd: f64) -> 
     Ok((kp * damping_unit / open.sample_s, kd_max * damping_unit))
 }
 
-/// Returns the largest stiffness (N/m) that is stable at each damping of `kd` (N s/m), zero if none is, on a device
-/// whose controller uses the model `believed`.
+/// Returns the largest stable stiffness (N/m) at each damping of `kd` (N s/m), zero if none is stable. The device's
+/// controller uses the model `believed`.
 pub fn stiffnesses(
     device: &Linearised,
     believed: &Linearised,
@@ -261,8 +259,8 @@ pub fn stiffnesses(
     Ok(points.into_iter().map(|point| point.kp).collect())
 }
 
-/// Returns the boundary of a device whose controller uses the model `believed`, at the dampings (N s/m) that `kd`
-/// chooses from the largest damping with which any stiffness is stable.
+/// Returns boundary points of a device whose controller uses the model `believed`. The function `kd` receives the
+/// largest damping at which any stiffness is stable and returns the dampings of the points, N s/m.
 pub fn boundary_of(
     device: &Linearised,
     believed: &Linearised,
@@ -287,7 +285,7 @@ pub fn boundary_of(
     Ok(points)
 }
 
-/// Returns the dampings at which the smallest stiffness is stable, in units of m/T; none if they are negligible.
+/// Returns the dampings at which the smallest stiffness is stable, in units of m/T; empty if all are negligible.
 fn support(circle: &mut impl StableIntervals) -> Result<Vec<Interval>, AnalysisError> {
     let result = circle.damping_intervals()?;
     Ok(if result.last().is_some_and(|last| last.high > SMALLEST_DAMPING) { result } else { Vec::new() })
@@ -298,8 +296,8 @@ fn is_supported(support: &[Interval], kd_hat: f64) -> bool {
     support.iter().any(|interval| interval.low <= kd_hat && kd_hat < interval.high)
 }
 
-/// Returns kp_max at one damping: the end of the interval that starts at the smallest stiffness; zero outside the
-/// support.
+/// Returns kp_max at one damping: the upper end of the interval that starts at the smallest stiffness, or zero outside
+/// the support.
 fn supported_stiffness(support: &[Interval], kd_hat: f64, stable: &[Interval]) -> f64 {
     match stable.first() {
         Some(first) if is_supported(support, kd_hat) && first.low <= super::boundary::SMALLEST_STIFFNESS => first.high,
@@ -307,11 +305,10 @@ fn supported_stiffness(support: &[Interval], kd_hat: f64, stable: &[Interval]) -
     }
 }
 
-/// Number of times that the bracket of the largest stiffness is narrowed, to 0.3 % of the two grid intervals that it
-/// starts with. If the boundary has a kink there, the result is within 1e-5.
+/// Number of golden-section steps. They narrow two grid intervals to 0.3 %; at a kink the stiffness is within 1e-5.
 const NARROWINGS: usize = 12;
 
-/// Searches the largest value between the ends of a bracket by golden section.
+/// Searches the largest value in a bracket by golden section. The caller keeps the largest value.
 fn maximise(
     (mut low, mut high): (f64, f64),
     mut value: impl FnMut(f64) -> Result<f64, AnalysisError>,
@@ -338,7 +335,7 @@ fn maximise(
 /// Number of intervals of the trapezoidal rule for the area.
 const AREA_INTERVALS: u32 = 60;
 
-/// Computes ∫₀^end value by trapezoids between end (1 - cos φ)/2 at even φ.
+/// Computes ∫₀^end value by trapezoids between end (1 - cos φ)/2 at evenly spaced φ.
 fn area(end: f64, mut value: impl FnMut(f64) -> Result<f64, AnalysisError>) -> Result<f64, AnalysisError> {
     let at = |i: u32| end * (1.0 - (std::f64::consts::PI * f64::from(i) / f64::from(AREA_INTERVALS)).cos()) / 2.0;
     let mut total = 0.0;
@@ -416,11 +413,11 @@ mod tests {
         let (kp, kd) = (result.top.kp * 1e-6, result.top.kd * 1e-3);
         assert!((kp / (12.0 - 8.0 * 2.0_f64.sqrt()) - 1.0).abs() < 1e-8, "{kp}");
         assert!((kd - 2.0 * (2.0_f64.sqrt() - 1.0)).abs() < 1e-4, "{kd}");
-        // The two neighbouring points of the grid are 3e-6 lower. At a kink, which soft transmissions cause, they would
-        // be up to 3e-3 lower.
+        // The two neighbouring grid points are 3e-6 lower. At a kink, which soft transmissions cause, they could be
+        // 3e-3 lower.
         let grid = result.boundary.iter().map(|point| point.kp).fold(0.0, f64::max) * 1e-6;
         assert!(grid < kp - 1e-7, "{grid}");
-        // If dampings are requested, the top is the largest stiffness at these.
+        // If dampings are requested, the top is the largest stiffness at the requested dampings.
         let requested = domain(&mass(1.0, 0.0), &around, Mode::Off, Some(&[300.0, 700.0])).unwrap();
         assert_eq!(requested.top, requested.boundary[1]);
     }
@@ -435,12 +432,12 @@ mod tests {
 
     #[test]
     fn domain_without_filter_or_delay_equals_the_textbook() {
-        // Backward difference, double integrator: 1 + K (z+1)/(2(z-1)²) + D (z+1)/(2z(z-1)), by Jury with the
+        // By Jury. Backward difference and double integrator, 1 + K (z+1)/(2(z-1)²) + D (z+1)/(2z(z-1)), have the
         // polynomial
         // z(z-1)² + (k/2) z (z+1) + (d/2)(z+1)(z-1) = z³ + (k/2 + d/2 - 2) z² + (1 + k/2) z - d/2.
         let around = Loop { estimator: LinearEstimator::BackwardDifference, ..control_loop(1000.0, 1.0, 0.0) };
         let result = domain(&mass(1.0, 0.0), &around, Mode::Off, Some(&[200.0])).unwrap();
-        // Jury for a cubic with a0 = -d/2: |a0² - 1| > |a0 a2 - a1| gives the limit at d = 0.2.
+        // Jury for a cubic with a0 = -d/2: |a0² - 1| > |a0 a2 - a1| is the limit at d = 0.2.
         let d = 0.2;
         let stable = |k: f64| {
             let (a2, a1, a0) = (k / 2.0 + d / 2.0 - 2.0, 1.0 + k / 2.0, -d / 2.0);
@@ -455,14 +452,14 @@ mod tests {
             if stable(middle) { low = middle } else { high = middle }
         }
         assert!((result.boundary[0].kp * 1e-6 / low - 1.0).abs() < 1e-9);
-        // At k = 0 the polynomial is (z - 1)(z² - (1 - d/2) z + d/2), with a second factor that is stable up to d = 2.
+        // At k = 0 the polynomial is (z - 1)(z² - (1 - d/2) z + d/2); its second factor is stable up to d = 2.
         assert!((result.kd_max * 1e-3 - 2.0).abs() < 1e-6, "{}", result.kd_max);
     }
 
     const RATE: f64 = 1000.0;
 
-    /// Returns a joint of 1 kg with a backward difference, no filter and no delay. In units of m/T² and m/T its
-    /// characteristic polynomial is z³ + (k/2 + d/2 - 2) z² + (1 + k/2) z - d/2.
+    /// Returns a joint of 1 kg and a loop with backward difference, no filter and no delay. In units of m/T² and m/T
+    /// the characteristic polynomial is z³ + (k/2 + d/2 - 2) z² + (1 + k/2) z - d/2.
     fn joint() -> (Linearised, Loop) {
         let around = Loop {
             rate_hz: RATE,
@@ -477,7 +474,7 @@ mod tests {
     #[test]
     fn oscillation_of_a_joint_matches_its_polynomial() {
         let (device, around) = joint();
-        // Without damping one root is 0, and the pair has |z|² = 1 + k/2 and the sum 2 - k/2.
+        // Without damping one root is 0, and the pair has |z|² = 1 + k/2 and sum 2 - k/2.
         for k in [1e-6, 0.01, 1.0, 3.0] {
             let result = oscillation(&device, &around, Mode::Off, k * RATE * RATE, 0.0).unwrap().unwrap();
             let size = (1.0 + k / 2.0_f64).sqrt();
@@ -485,7 +482,7 @@ mod tests {
             assert!((result.hz / hz - 1.0).abs() < 1e-6, "{k}: {result:?} is not {hz} Hz");
             assert!((result.growth_per_s / (size.ln() * RATE) - 1.0).abs() < 1e-6, "{k}: {result:?}");
         }
-        // With d = 0.4 and the pair at 0.9 e^{±iθ}, the third root is r = d/2/0.81. The sum of all roots and the sum of
+        // With d = 0.4 and a pair at 0.9 e^{±iθ}, the third root is r = d/2/0.81. The sum of all roots and the sum of
         // their products in pairs give θ and k.
         let (size, d) = (0.9_f64, 0.4_f64);
         let r = d / 2.0 / (size * size);
@@ -499,7 +496,7 @@ mod tests {
     #[test]
     fn the_boundary_reports_its_frequency() {
         let (device, around) = joint();
-        // On the circle the third root is d/2 and cos θ = (2 - d)/(2 + d).
+        // On the unit circle the third root is d/2, and cos θ = (2 - d)/(2 + d).
         let requested: Vec<f64> = [0.0, 0.1, 0.5, 1.9, 2.5].iter().map(|d| d * RATE).collect();
         let result = domain(&device, &around, Mode::Off, Some(&requested)).unwrap();
         for (point, d) in result.boundary.iter().zip(&requested).skip(1).take(3) {

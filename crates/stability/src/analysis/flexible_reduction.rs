@@ -1,15 +1,15 @@
-//! Reduces a compliant device to the part that affects the wall.
+//! Reduces a compliant device to the motions that affect the wall.
 //!
-//! Generalised coordinates are the links' joint angles q, the motor's angle θ behind each transmission, and the angle
-//! of the swinging part of each mode. The states are scaled by their energy: velocities by a Cholesky factor of the
-//! mass matrix, every spring's deflection by the root of its stiffness. A lossless device is then a rotation, however
-//! far apart its frequencies lie.
+//! The generalised coordinates are the links' joint angles q, the motor angle θ behind each transmission, and the angle
+//! of each structural mode. The states are scaled by energy: velocities by a Cholesky factor of the mass matrix, spring
+//! deflections by the root of the stiffness. The matrix of a lossless device is then skew-symmetric, however far apart
+//! its frequencies lie.
 //!
 //! The walls measure only the rendered positions, x = Jr (the angles at the encoders). Motions that the walls cannot
-//! measure, and motions that their torques cannot cause, are removed exactly. Arnoldi's method builds the basis of the
-//! rest and ends when the next power of the system matrix adds nothing (the staircase form; Paige, "Properties of
-//! numerical algorithms related to computing controllability", IEEE TAC 26, 1981). So rounding never decides if an
-//! undamped motion along the wall counts as stable.
+//! measure or cause are removed exactly. Arnoldi's method builds a basis of the remaining motions and ends when the
+//! next power of the system matrix adds no direction (the staircase form; Paige, "Properties of numerical algorithms
+//! related to computing controllability", IEEE TAC 26, 1981). Rounding therefore never decides if an undamped motion
+//! along the wall counts as stable.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -18,27 +18,27 @@ use haptic_bridge::model::description::{EncoderAt, StructuralMode, Transmission}
 use super::flexible::Flexible;
 use super::plant::{ContinuousPlant, Lags, Linearised};
 
-/// Angle (rad per sample) of a transmission's own oscillation above which it counts as rigid: its effect is smaller by
-/// the square of that.
+/// Frequency of a transmission's own oscillation (rad per sample) above which the transmission counts as rigid. The
+/// error is 1 over the square of this value, 1e-10.
 const RIGID_PER_SAMPLE: f64 = 1e5;
 
-/// Length of a new direction, as a share of the system matrix, below which it is rounding.
+/// Length of a new basis vector, relative to the system matrix, below which the vector is only rounding.
 const ROUNDING: f64 = 1e-13;
 
-/// A compliant device, and the directions along which its walls measure it.
+/// A compliant device with the directions along which its walls measure it.
 pub(crate) struct ObservedDevice<'a> {
     /// M of the rigid device, N x N, kg m².
     pub mass: &'a DMatrix<f64>,
     /// B of each joint, N m s/rad.
     pub viscous: &'a DVector<f64>,
-    /// The parts that are not rigid.
+    /// The compliant parts, and the hand.
     pub flexible: &'a Flexible,
-    /// Rendered directions as rows, R x N, m/rad, and the tip's directions, which come first, as columns in the task.
+    /// Rendered directions as rows, R x N, m/rad. The directions of the tip come first.
     pub rows: &'a DMatrix<f64>,
     pub directions: &'a DMatrix<f64>,
 }
 
-/// The reduced device: ẋ = a x + b u, and the rendered positions as R rows over the states.
+/// The reduced device ẋ = a x + b u, and its rendered positions as R rows over the states.
 pub(crate) struct ReducedDevice {
     pub a: DMatrix<f64>,
     pub b: DMatrix<f64>,
@@ -46,19 +46,19 @@ pub(crate) struct ReducedDevice {
 }
 
 /// Matrices of the device in generalised coordinates, in sample units (see [`super::plant`]): time in samples, forces
-/// in m/T². Links come first, then the motors of the joints with a transmission, then the swinging parts of the links.
+/// in m/T². The coordinates are the links, then the motors of joints with a transmission, then the structural modes.
 struct Bodies {
     mass: DMatrix<f64>,
     damping: DMatrix<f64>,
-    /// Deflection of each spring per motion, and its stiffness.
+    /// Deflection of each spring per unit of motion.
     deflection: DMatrix<f64>,
     stiffness: DVector<f64>,
-    /// Coordinate of each joint's motor, and coordinate that its encoder measures.
+    /// Coordinate of each joint's motor.
     motor: Vec<usize>,
     encoder: Vec<usize>,
-    /// Spring of each joint's transmission.
+    /// Index of the spring of each joint's transmission.
     twist: Vec<Option<usize>>,
-    /// Index of the hand's first spring, if there is one.
+    /// Index of the hand's first spring; `None` without a hand.
     held: Option<usize>,
 }
 
@@ -161,8 +161,8 @@ impl Bodies {
     }
 }
 
-/// Returns the continuous plant of a compliant device, for torque `inputs` (N x p, units of m/T² times metres). `None`
-/// if a mass matrix is not positive definite.
+/// Returns the continuous plant of a compliant device for the torque `inputs` (N x p, units of m/T² times metres), or
+/// `None` if a mass matrix is not positive definite.
 pub(crate) fn reduce(
     device: &Linearised,
     lags: &Lags,
@@ -190,10 +190,10 @@ pub(crate) fn reduce_observed(
     let bodies = Bodies::new(device, lags, sample_s, reference_mass)?;
     let (moving, springs) = (bodies.mass.nrows(), bodies.stiffness.len());
     let lagging: Vec<usize> = (0..joints).filter(|&joint| lags.rate[joint].is_some()).collect();
-    // States: scaled velocities L' v, scaled deflections, torques of the lagging drives, and every rendered position
-    // that the hand's springs do not hold.
+    // The states are scaled velocities L' v, scaled deflections, torques of lagging drives, and the rendered positions
+    // that no spring of the hand holds.
     let (torques, position) = (moving + springs, moving + springs + lagging.len());
-    // A hand's springs hold the tip, not its orientation.
+    // A hand's springs hold the tip's position but not its orientation.
     let held = |k: usize| bodies.held.filter(|_| k < device.directions.ncols());
     let integrated: Vec<usize> = (0..rendered).filter(|&k| held(k).is_none()).collect();
     let size = position + integrated.len();
@@ -224,7 +224,7 @@ pub(crate) fn reduce_observed(
             }
         }
     }
-    // Rendered positions, one per column.
+    // The rendered positions, one per column.
     let mut seen = DMatrix::zeros(size, rendered);
     for k in 0..rendered {
         let Some(held) = held(k) else {
@@ -236,8 +236,8 @@ pub(crate) fn reduce_observed(
             seen[(state, k)] = 1.0;
             continue;
         };
-        // Jr q is the tip's own displacement, the deflection of the hand's springs; an encoder on a motor measures the
-        // twist as well.
+        // Jr q is the displacement of the tip, which the hand's springs deflect by. An encoder on a motor also measures
+        // the twist of the transmission.
         for (direction, along) in device.directions.column(k).iter().enumerate() {
             seen[(moving + held + direction, k)] += along / roots[held + direction];
         }
@@ -259,7 +259,7 @@ pub(crate) fn reduce_observed(
     Some(ReducedDevice { a, b, seen: seen.transpose() })
 }
 
-/// Returns an orthonormal basis of the Krylov space of `from`: span(from, a from, a² from, …).
+/// Returns an orthonormal basis of the Krylov space span(from, a from, a² from, …).
 fn krylov_basis(a: &DMatrix<f64>, from: &DMatrix<f64>) -> DMatrix<f64> {
     let size = a.nrows();
     let mut basis: Vec<DVector<f64>> = Vec::new();

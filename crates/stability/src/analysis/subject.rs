@@ -1,4 +1,4 @@
-//! The device of a prediction: the board's device and the compliant parts between its motors and links.
+//! The device of a prediction: a board's device and the compliant parts between its motors and links.
 
 use super::flexible::Flexible;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
@@ -11,18 +11,18 @@ use haptic_host::device_file::DeviceFile;
 pub struct Subject {
     /// The device as it is loaded on a board.
     pub device: Device<f64>,
-    /// Joints as the file describes them, with the transmissions and structural modes that a board's device lacks.
-    /// `None` if only a board is known; then the device counts as rigid.
+    /// Joints of the device file, with the transmissions and structural modes that a board's device lacks. `None`
+    /// without a file; the device then counts as rigid.
     pub joints: Option<[Joint; MAX_JOINTS]>,
 }
 
 impl Subject {
-    /// Creates the subject of a device that a file describes.
+    /// Creates the subject from a device description.
     pub fn new(description: &Description) -> Result<Self, DescriptionError> {
         Ok(Self { device: Device::new("", description)?, joints: Some(description.joints) })
     }
 
-    /// Creates the subject of a board's device, with its compliant parts if `file` describes the same device.
+    /// Creates the subject for a board's device. Adds the compliant parts if `file` describes the same device.
     #[must_use]
     pub fn on_board(device: Device<f64>, file: Option<&DeviceFile>) -> Self {
         let same = |file: &&DeviceFile| file.device::<f32>().is_ok_and(|described| described == device.cast());
