@@ -55,7 +55,7 @@ impl BoardKind {
 
     /// Returns the board's default limit of motor current, A. No setting raises this limit.
     #[must_use]
-    pub fn most_current(self) -> f64 {
+    pub fn max_current(self) -> f64 {
         match self {
             Self::OdriveV3 => 20.0,
             Self::HBridgeF405 | Self::HBridgeF407Disc1 => 12.0,
@@ -64,7 +64,7 @@ impl BoardKind {
 
     /// Returns the board with this name.
     #[must_use]
-    pub fn named(name: &str) -> Option<Self> {
+    pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|kind| kind.name() == name)
     }
 
@@ -80,7 +80,7 @@ impl BoardKind {
 /// of the smallest suitable board limit it. All predicted forces and torques use this function.
 #[must_use]
 pub fn torque_at_rest(motor: &Motor<f64>, joints: usize) -> f64 {
-    let board = BoardKind::with_axes(joints).map_or(f64::INFINITY, BoardKind::most_current);
+    let board = BoardKind::with_axes(joints).map_or(f64::INFINITY, BoardKind::max_current);
     motor.torque_constant.abs() * motor.max_current.min(board)
 }
 

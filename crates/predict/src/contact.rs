@@ -13,7 +13,7 @@ use haptic_stability::analysis::plant::Lags;
 use std::collections::VecDeque;
 
 /// Longest integration steps for a rigid and for a compliant device, s.
-const STEP_S: (f64, f64) = (50e-6, 25e-6);
+const MAX_STEP_S: (f64, f64) = (50e-6, 25e-6);
 /// Distance of the tip from its start along the normal at which the tip counts as lost, m.
 const LOST_DISTANCE_M: f64 = 0.02;
 
@@ -105,7 +105,7 @@ impl<'a> Contact<'a> {
         time: f64,
         period: f64,
     ) {
-        let longest = if self.plant.is_flexible() { STEP_S.1 } else { STEP_S.0 };
+        let longest = if self.plant.is_flexible() { MAX_STEP_S.1 } else { MAX_STEP_S.0 };
         let pieces = (time / longest).ceil();
         if pieces == 0.0 {
             return;

@@ -22,9 +22,9 @@
 //! of the shortest such pull, there is no result.
 
 pub mod before;
+pub mod board_measurement;
 pub mod campaign;
 pub mod excitation;
-pub mod occasion;
 pub mod prepared;
 pub mod progress;
 pub mod search;
@@ -175,7 +175,7 @@ pub struct Law {
     /// Posture control of the last link of a redundant device.
     pub posture: Option<Posture>,
     /// True if friction may lengthen a pull beyond `largest_pull`, up to [`walls::LONGEST_PULL`].
-    pub farther: bool,
+    pub may_lengthen_pull: bool,
 }
 
 impl Default for Law {
@@ -186,7 +186,7 @@ impl Default for Law {
             admissible: Admissible::default(),
             hold_hz: f64::INFINITY,
             posture: None,
-            farther: false,
+            may_lengthen_pull: false,
         }
     }
 }

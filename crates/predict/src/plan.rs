@@ -24,7 +24,7 @@ pub const MARGIN: f64 = 0.6;
 /// Default error budget, percent of the motors' torque.
 pub const DEFAULT_PERCENT: f64 = 1.0;
 /// Name of the firmware's trigonometry.
-const SHIPPED: &str = "table";
+const FIRMWARE_TRIGONOMETRY: &str = "table";
 
 /// Largest error that a plan may have.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -125,7 +125,8 @@ fn plan_on(
     } else if spec.joints == 1 {
         reasons.push("with one joint the feed-forward has no effect, so it is left out".into());
     }
-    let probes = if shaped == 0 || spec.joints == 1 { Vec::new() } else { touched(device, &scene, per_joint, speed)? };
+    let probes =
+        if shaped == 0 || spec.joints == 1 { Vec::new() } else { probes_on_walls(device, &scene, per_joint, speed)? };
     if probes.is_empty() && shaped > 0 && spec.joints > 1 {
         reasons.push("no wall with feed-forward can be reached, so no feed-forward is computed".into());
     }
@@ -185,7 +186,12 @@ fn plan_on(
 }
 
 /// Returns situations at all walls with feed-forward.
-pub fn touched(device: &Device<f64>, scene: &Scene<f64>, per_joint: usize, speed: f64) -> Result<Vec<Probe>, Failure> {
+pub fn probes_on_walls(
+    device: &Device<f64>,
+    scene: &Scene<f64>,
+    per_joint: usize,
+    speed: f64,
+) -> Result<Vec<Probe>, Failure> {
     let mut probes = Vec::new();
     for wall in scene.walls.iter().filter(|wall| wall.feed_forward != FeedForward::Off) {
         probes.extend(on_surface(device, &wall.surface, per_joint, speed)?);
@@ -205,7 +211,8 @@ fn models(device: &Device<f64>, probes: &[Probe]) -> Vec<Precomputed> {
 /// and no wall. Each additional wall adds the difference that a wall of its kind makes.
 pub fn cost(device: &Device<f64>, scene: &Scene<f64>, model: &str) -> u32 {
     let name = device.mechanism.kind().spec().name;
-    let counted = |model: &str, terms: &str| counts::instructions(name, SHIPPED, model, terms).unwrap_or(0);
+    let counted =
+        |model: &str, terms: &str| counts::instructions(name, FIRMWARE_TRIGONOMETRY, model, terms).unwrap_or(0);
     let free = counted("exact", "free");
     let z = if scene.velocity_terms == VelocityTerms::Off { "" } else { "+z" };
     let per_wall = counted("exact", "none").saturating_sub(free);

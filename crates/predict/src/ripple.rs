@@ -41,7 +41,7 @@ const DECADES: usize = 4;
 /// Number of walls per decade.
 const PER_DECADE: usize = 5;
 /// Largest ratio of two stiffnesses between which the ripple exceeds a bound.
-const PRECISION: f64 = 1.05;
+const STIFFNESS_RATIO: f64 = 1.05;
 
 /// Ripple of a pressed wall.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -67,7 +67,7 @@ impl Ripple {
 
 /// Walls along a line, with the smallest stiffness at which the ripple exceeds a bound.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Along {
+pub struct RippleLine {
     /// Largest stiffness up to which every wall on the line is stable by linear theory, N/m.
     pub kp_stable: f64,
     /// Smallest stiffness at which the ripple exceeds the bound, N/m; `None` if no wall exceeds it.
@@ -137,7 +137,13 @@ impl Pressed<'_> {
 
     /// Simulates walls along `line` and finds the stiffness at which the ripple exceeds `bound_n` (N). Returns `None`
     /// if a joint has no encoder.
-    pub fn along(&self, mode: Mode, line: DampingRule, bound_n: f64, sweep: &Sweep) -> Result<Option<Along>, Failure> {
+    pub fn along(
+        &self,
+        mode: Mode,
+        line: DampingRule,
+        bound_n: f64,
+        sweep: &Sweep,
+    ) -> Result<Option<RippleLine>, Failure> {
         if self.resolutions().is_none() {
             return Ok(None);
         }
@@ -154,7 +160,7 @@ impl Pressed<'_> {
             let mut high = points[at].kp;
             let Some(before) = at.checked_sub(1) else { return high };
             let mut low = points[before].kp;
-            while high / low > PRECISION {
+            while high / low > STIFFNESS_RATIO {
                 let middle = (low * high).sqrt();
                 let Some(point) = wall(&middle) else { break };
                 if point.within(bound_n) {
@@ -167,7 +173,7 @@ impl Pressed<'_> {
             high
         });
         points.sort_by(|a, b| a.kp.total_cmp(&b.kp));
-        Ok(Some(Along { kp_stable, kp_from, points }))
+        Ok(Some(RippleLine { kp_stable, kp_from, points }))
     }
 
     /// Simulates a wall. Returns root mean square and peak of its force (N) and the tip motion (m), or `None` if the

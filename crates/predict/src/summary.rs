@@ -10,9 +10,9 @@ use haptic_stability::analysis::pose::{PoseError, TaskPose};
 use serde::Serialize;
 
 /// Number of grid poses for reach and inertia.
-const POSES: usize = 3000;
+const GRID_POSES: usize = 3000;
 /// First step of the search from the farthest grid pose to the end of the reach, rad.
-const STEP: f64 = 0.1;
+const FIRST_STEP_RAD: f64 = 0.1;
 
 /// Range of a quantity.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -57,7 +57,7 @@ fn reach(device: &Device<f64>, points: &[MapPoint], axis: usize) -> Result<Optio
     let place = |point: &&MapPoint| point.position[axis];
     let farthest = |sign: f64| {
         let from = points.iter().max_by(|a, b| (sign * place(a)).total_cmp(&(sign * place(b))))?;
-        Some(climb(device, &from.q, STEP, |pose| sign * pose.position[axis]).map(|reached| sign * reached))
+        Some(climb(device, &from.q, FIRST_STEP_RAD, |pose| sign * pose.position[axis]).map(|reached| sign * reached))
     };
     let (low, high) = (farthest(-1.0).transpose()?, farthest(1.0).transpose()?);
     Ok(low.zip(high).map(|(low, high)| Span { low, high }))
@@ -68,7 +68,7 @@ impl Summary {
     pub fn of(file: &DeviceFile) -> Result<Self, PoseError> {
         let description = &file.description;
         let spec = file.spec();
-        let points = map(description, &[1.0, 0.0, 0.0][..spec.task], POSES)?;
+        let points = map(description, &[1.0, 0.0, 0.0][..spec.task], GRID_POSES)?;
         let device = file.device::<f64>()?;
         let reach = (0..spec.task).filter_map(|axis| reach(&device, &points, axis).transpose());
         let reach = reach.collect::<Result<_, _>>()?;

@@ -25,8 +25,8 @@ struct Example {
 }
 
 fn example(kind: Kind) -> Example {
-    const ARM: &str = "from the motor towards the elbow";
-    const ROD: &str = "from the elbow towards the tip";
+    const FROM_MOTOR: &str = "from the motor towards the elbow";
+    const FROM_ELBOW: &str = "from the elbow towards the tip";
     match kind {
         Kind::Paddle => Example {
             about: "One handle on one pivot. Its task coordinate is the arc, length times angle.",
@@ -47,10 +47,10 @@ fn example(kind: Kind) -> Example {
                 ("assembly", "1", "1: the tip lies left of the way from C to D (above, seen as drawn); -1: right"),
             ],
             links: &[
-                (0.02, 0.03, 1.0e-5, ARM),
-                (0.02, 0.03, 1.0e-5, ARM),
-                (0.012, 0.045, 1.0e-5, ROD),
-                (0.012, 0.045, 1.0e-5, ROD),
+                (0.02, 0.03, 1.0e-5, FROM_MOTOR),
+                (0.02, 0.03, 1.0e-5, FROM_MOTOR),
+                (0.012, 0.045, 1.0e-5, FROM_ELBOW),
+                (0.012, 0.045, 1.0e-5, FROM_ELBOW),
             ],
             joints: &[(2.0e-6, [1.2, 3.3], "rotor times the ratio squared"), (2.0e-6, [-0.2, 1.9], "")],
             home: "[2.3, 0.8415926]",
@@ -66,10 +66,10 @@ fn example(kind: Kind) -> Example {
                 ("assembly", "1", "1: the tip lies left of the way from elbow to elbow; -1: right"),
             ],
             links: &[
-                (0.04, 0.035, 3.0e-5, ARM),
-                (0.04, 0.035, 3.0e-5, ARM),
-                (0.03, 0.06, 4.0e-5, ROD),
-                (0.03, 0.06, 4.0e-5, ROD),
+                (0.04, 0.035, 3.0e-5, FROM_MOTOR),
+                (0.04, 0.035, 3.0e-5, FROM_MOTOR),
+                (0.03, 0.06, 4.0e-5, FROM_ELBOW),
+                (0.03, 0.06, 4.0e-5, FROM_ELBOW),
             ],
             joints: &[
                 (4.0e-4, [-0.8, 0.8], "turret: rotor times the ratio squared, and other parts that turn with it"),

@@ -127,7 +127,7 @@ mod tests {
             (BoardKind::HBridgeF405, include_str!("../../../firmware/src/board/h_bridges.rs")),
         ] {
             assert!(board.contains(&format!("    speed: [{BOARD_SPEED:.1}; 3],")), "boards start with another speed");
-            assert!(board.contains(&format!("    current: [{:.1}; 3],", kind.most_current())), "{kind:?}");
+            assert!(board.contains(&format!("    current: [{:.1}; 3],", kind.max_current())), "{kind:?}");
         }
         let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/results/tips.csv");
         if std::env::var_os("UPDATE_DOCS").is_some() {

@@ -6,7 +6,7 @@
 //! because the analysis is linear, for the device in the file and for deviating ones.
 //!
 //! A single simulated hand may hide ripple, so a second hand presses the wall on a complete simulated board
-//! ([`measured`]). A tip that taps the wall may rebound at most [`MOST_REBOUNDS`] times. `criteria` contains all
+//! ([`measured`]). A tip that taps the wall may rebound at most [`MAX_REBOUNDS`] times. `criteria` contains all
 //! criteria, and `search` finds the stiffest wall that meets them.
 
 mod alternatives;
@@ -21,12 +21,12 @@ mod search;
 
 pub use alternatives::Alternative;
 pub use baseline::{Baseline, LEAST_RIPPLE_N, USUAL_RIPPLE_N, baseline, ripple_like};
-pub use criteria::{MOST_REBOUNDS, keeps, ripple};
+pub use criteria::{MAX_REBOUNDS, keeps, ripple};
 pub use limits::{Limit, NeighbourWall};
 pub use margins::{Margins, vertex};
 pub use scene::to_toml;
 
-use crate::bench::wall::Rendered;
+use crate::bench::wall::RenderedWall;
 use criteria::SearchContext;
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::render::scene::{FeedForward, Scene};
@@ -125,8 +125,8 @@ impl Settings {
         })
     }
 
-    pub(crate) fn rendered(&self, admissible: Admissible) -> Rendered {
-        Rendered {
+    pub(crate) fn rendered(&self, admissible: Admissible) -> RenderedWall {
+        RenderedWall {
             kind: self.kind,
             cutoff_hz: self.cutoff_hz,
             feed_forward: self.feed_forward,
@@ -155,7 +155,7 @@ impl Settings {
     /// Returns the control loop of a board with these settings; `None` if the estimator has no linear model.
     fn loop_settings(&self) -> Option<Loop> {
         let estimator = LinearEstimator::of(self.kind, self.cutoff_hz)?;
-        let around = Loop::through(&TorquePath::usual(self.rate_hz), self.rate_hz, estimator);
+        let around = Loop::with_torque_path(&TorquePath::usual(self.rate_hz), self.rate_hz, estimator);
         Some(Loop { damping_compensation: self.damping_compensation, ..around })
     }
 }

@@ -22,7 +22,7 @@ const FULL_FORCE_DEPTH: f64 = 1e-3;
 /// Share of the allowed ripple that a first wall may have, because other hands also press it.
 const RIPPLE_SHARE: f64 = 0.7;
 /// Maximum number of times that gains are reduced.
-const REDUCTIONS: usize = 12;
+const MAX_REDUCTIONS: usize = 12;
 
 /// A scene of one wall, and the wall's ripple under a hand.
 #[derive(Clone, Debug)]
@@ -65,7 +65,7 @@ fn first_wall_on(file: &DeviceFile, side: f64) -> Result<FirstWall, Failure> {
     for feed_forward in [FeedForward::Washout, FeedForward::Off] {
         let mut scene = stable.clone();
         scene.walls.iter_mut().for_each(|wall| wall.feed_forward = feed_forward);
-        for _ in 0..REDUCTIONS {
+        for _ in 0..MAX_REDUCTIONS {
             let (warnings, contacts) = file_warnings(&subject, &scene.cast());
             match contacts.first() {
                 Some(contact) if warnings.is_empty() => return Ok(without_rattle(file, scene, contact)),
@@ -83,7 +83,7 @@ fn without_rattle(file: &DeviceFile, mut scene: Scene<f32>, contact: &Contact) -
     let most = contact.force.map_or(f64::INFINITY, |force| force / FULL_FORCE_DEPTH).max(SOFTEST_WALL);
     let factor = (most / stiffness(&scene)).min(1.0);
     weaken(&mut scene, factor, factor);
-    for _ in 0..REDUCTIONS {
+    for _ in 0..MAX_REDUCTIONS {
         let Some(ripple) = ripple(&file.description, &scene.cast(), contact) else { break };
         let over = ripple.ripple_n.map_or(f64::INFINITY, |ripple_rms| ripple_rms / (RIPPLE_SHARE * ripple.allowed_n));
         if over <= 1.0 {

@@ -18,10 +18,10 @@ use std::time::{Duration, Instant};
 /// Interval between writes of the checkpoint. A crash loses at most this much work.
 const WRITE_INTERVAL: Duration = Duration::from_secs(2);
 /// Smallest pause after a write, as a multiple of the duration of the write.
-const LEAST_PAUSE: u32 = 20;
+const MIN_PAUSE_FACTOR: u32 = 20;
 
 /// A stage with at least this many items prints a progress line after each quarter.
-const LONG_STAGE: usize = 16;
+const LONG_STAGE_ITEMS: usize = 16;
 
 /// State that is stored between runs.
 #[derive(Debug, Default, Deserialize, Serialize)]
@@ -131,7 +131,7 @@ impl Sweep {
     }
 
     /// Returns an error if the user has interrupted the work. Call it repeatedly in long computations.
-    pub fn go_on(&self) -> Result<(), Failure> {
+    pub fn check_interrupted(&self) -> Result<(), Failure> {
         if (self.interrupted)() { Err(self.interrupted_failure("interrupted".into())) } else { Ok(()) }
     }
 
@@ -164,7 +164,7 @@ impl Sweep {
                 haptic_host::error::overwrite_line(format_args!("{stage}: {done} of {of}"), done == of);
             }
             // Stages with many items print a line for each quarter.
-            Display::Lines if done == of || of >= LONG_STAGE && done * 4 / of > (done - 1) * 4 / of => {
+            Display::Lines if done == of || of >= LONG_STAGE_ITEMS && done * 4 / of > (done - 1) * 4 / of => {
                 haptic_host::error::say(format_args!("{stage}: {done} of {of}\n"));
             }
             _ => {}
@@ -264,7 +264,7 @@ impl Sweep {
             let begun = Instant::now();
             // Ignore a write error here; it is reported when the work is interrupted.
             let _ = write(file, &state.kept);
-            state.due = Instant::now() + WRITE_INTERVAL.max(begun.elapsed() * LEAST_PAUSE);
+            state.due = Instant::now() + WRITE_INTERVAL.max(begun.elapsed() * MIN_PAUSE_FACTOR);
         }
         Ok(())
     }

@@ -118,7 +118,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         &sweep,
     )?;
     let (path, subject) = (TorquePath::usual(args.rate), Subject::new(description).map_err(Failure::wrong)?);
-    let control_loop = Loop::through(&path, args.rate, LinearEstimator::Butterworth(args.cutoff));
+    let control_loop = Loop::with_torque_path(&path, args.rate, LinearEstimator::Butterworth(args.cutoff));
     let prediction = Prediction { admissible: args.holding.admissible, ..Prediction::new(subject, control_loop) };
     let sensitivities = sensitivities(description, &q, &normal, args.holding.admissible, &prediction.around)?;
     let pose = TaskPose::at(description, &q)?.regular()?.holding(args.holding.admissible);

@@ -150,7 +150,7 @@ fn values(args: &Args, file: &DeviceFile) -> Result<Values, Failure> {
     let in_scene = scene.as_ref().and_then(|scene| Prediction::in_scene(&device, scene, wall, &path));
     let prediction = in_scene.unwrap_or_else(|| {
         // For an estimator without a linear analysis, the usual one is shown.
-        Prediction::new(device.clone(), Loop::through(&path, rate, LinearEstimator::Butterworth(cutoff)))
+        Prediction::new(device.clone(), Loop::with_torque_path(&path, rate, LinearEstimator::Butterworth(cutoff)))
     });
     let rounded = |values: &[f64]| values.iter().map(|value| (value * 1e6).round() / 1e6 + 0.0).collect::<Vec<_>>();
     let (q, normal) = (rounded(&q), rounded(&normal));

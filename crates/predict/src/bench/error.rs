@@ -122,7 +122,7 @@ pub struct TorqueVariant<'a> {
 
 /// Statistics of a set of errors.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
-pub struct Size {
+pub struct ErrorStatistics {
     /// Largest error.
     pub max: f64,
     /// 99th percentile.
@@ -131,7 +131,7 @@ pub struct Size {
     pub rms: f64,
 }
 
-impl Size {
+impl ErrorStatistics {
     fn of(mut errors: Vec<f64>) -> Self {
         errors.sort_by(f64::total_cmp);
         let count = errors.len().max(1);
@@ -148,14 +148,14 @@ impl Size {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Errors {
     /// Torque, N m.
-    pub torque: Size,
+    pub torque: ErrorStatistics,
     /// Force at the tip, N.
-    pub force: Size,
+    pub force: ErrorStatistics,
     /// Error as a share of the motor's torque at the worst joint. It equals the error's share of the motors' largest
     /// tip force in the direction of the error.
-    pub share: Size,
+    pub share: ErrorStatistics,
     /// Duty steps on a 24 V bus: torque / torque constant · resistance.
-    pub duty: Size,
+    pub duty: ErrorStatistics,
 }
 
 /// Errors of a variant against two references.
@@ -267,7 +267,12 @@ fn errors_against<E: Mechanism<f64, N>, const N: usize>(
         shares.push((0..N).map(share).fold(0.0, f64::max));
         duties.push(largest(std::array::from_fn(|i| off[i] * steps[i])));
     }
-    Errors { torque: Size::of(torques), force: Size::of(forces), share: Size::of(shares), duty: Size::of(duties) }
+    Errors {
+        torque: ErrorStatistics::of(torques),
+        force: ErrorStatistics::of(forces),
+        share: ErrorStatistics::of(shares),
+        duty: ErrorStatistics::of(duties),
+    }
 }
 
 fn reference<E: Mechanism<f64, N>, const N: usize>(
@@ -299,7 +304,7 @@ fn force_at_tip<E: Mechanism<f64, N>, const N: usize>(exact: &E, probe: &Probe, 
 }
 
 /// Stiffness that converts a position error of the tip to a force error, N/m.
-pub const STIFFNESS: f64 = 20_000.0;
+pub const TIP_ERROR_STIFFNESS: f64 = 20_000.0;
 
 /// Sources of a variant's error. Each source is computed separately, as its largest value over all situations.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
@@ -312,7 +317,7 @@ pub struct Parts {
     pub model: f64,
     /// Force at the tip by the torque error from f32 rounding and trigonometry, N.
     pub rounding: f64,
-    /// Tip position error from f32 rounding and trigonometry, times [`STIFFNESS`], N.
+    /// Tip position error from f32 rounding and trigonometry, times [`TIP_ERROR_STIFFNESS`], N.
     pub tip: f64,
     /// Smallest share of the exact feed-forward's stable area that remains: (effective inertia / Wrr)².
     pub area: f64,
@@ -343,7 +348,7 @@ fn parts_of<K: Math<f32>, E: Mechanism<f64, N>, B: Mechanism<f32, N>, const N: u
         // Both tip positions use angles rounded to f32, so that they differ only by the computation.
         let expected = exact.tip(&exact.pose::<Libm>(&q32.map(f64::from)));
         let off = (0..E::SPEC.task).map(|i| (f64::from(seen[i]) - expected[i]).powi(2)).sum::<f64>().sqrt();
-        more(&mut parts.tip, STIFFNESS * off);
+        more(&mut parts.tip, TIP_ERROR_STIFFNESS * off);
 
         // The effective inertia at rest follows from the acceleration for a force of 1 N.
         let resting = Probe { qd: [0.0; MAX_JOINTS], force: 1.0, ..*probe };

@@ -3,7 +3,7 @@
 //!
 //! [`super::wall`] simulates every wall with the board's own step and the device's complete equations.
 
-use super::wall::{Rendered, Trial, WallSimulation};
+use super::wall::{RenderedWall, Trial, WallSimulation};
 use crate::contact::deviation_from_line;
 use crate::ripple::{self, PUSH_N};
 use haptic_bridge::model::admissible::Admissible;
@@ -30,7 +30,7 @@ const SLOW_S: f64 = 0.2;
 /// Number of dampings at which the largest quiet stiffness is searched.
 const DAMPINGS: usize = 8;
 /// Largest ratio of unstable to stable stiffness at the end of a search.
-const PRECISION: f64 = 1.05;
+const STIFFNESS_RATIO: f64 = 1.05;
 /// Amplitude of the tip when a wall is struck, encoder counts.
 const STRIKE_COUNTS: f64 = 40.0;
 /// Amplitude below which the wall counts as quiet, encoder counts.
@@ -56,8 +56,8 @@ pub struct Comparison<'a> {
 
 impl Comparison<'_> {
     /// Returns the wall for an estimator, without feed-forward.
-    fn rendered(&self, kind: Estimator, cutoff_hz: f64) -> Rendered {
-        Rendered {
+    fn rendered(&self, kind: Estimator, cutoff_hz: f64) -> RenderedWall {
+        RenderedWall {
             kind,
             cutoff_hz,
             feed_forward: FeedForward::Off,
@@ -102,7 +102,7 @@ pub const RESOLUTION_N: f64 = 1e-3;
 
 /// Returns each estimator with its default parameter and with its longest window. For estimators whose cutoff is the
 /// bandwidth, adds a quarter, a sixteenth and a thirty-second of the cutoff. Omits optional low-passes.
-fn candidates(comparison: &Comparison<'_>) -> Vec<Rendered> {
+fn candidates(comparison: &Comparison<'_>) -> Vec<RenderedWall> {
     let mut results = Vec::new();
     let mut add = |kind, share| results.push(comparison.rendered(kind, share * comparison.cutoff_hz));
     for (_, kind) in Estimator::ALL {
@@ -124,14 +124,14 @@ fn candidates(comparison: &Comparison<'_>) -> Vec<Rendered> {
 
 /// Returns stiffness (N/m) and damping (N s/m) of a wall on which estimators differ: half of the damping and a quarter
 /// of the stiffness that `haptic range --board` predicts stable with the Butterworth.
-pub fn telling_wall(
+pub fn comparison_wall(
     file: &DeviceFile,
     q: &[f64],
     normal: &[f64],
     rate_hz: f64,
     cutoff_hz: f64,
 ) -> Result<(f64, f64), Failure> {
-    let around = Loop::through(&TorquePath::usual(rate_hz), rate_hz, LinearEstimator::Butterworth(cutoff_hz));
+    let around = Loop::with_torque_path(&TorquePath::usual(rate_hz), rate_hz, LinearEstimator::Butterworth(cutoff_hz));
     let prediction = Prediction::new(Subject::new(&file.description).map_err(Failure::wrong)?, around);
     let damping = 0.5 * prediction.stiffness_at(q, normal, Mode::Off, 0.0)?.1;
     let (stiffness, _) = prediction.stiffness_at(q, normal, Mode::Off, damping)?;
@@ -153,7 +153,7 @@ pub fn compare(comparison: &Comparison<'_>, sweep: &Sweep) -> Result<Vec<Row>, F
     let tried = Trials::new(comparison, sweep)?;
     let (rate_hz, butterworth) = (comparison.rate_hz, LinearEstimator::Butterworth(comparison.cutoff_hz));
     let path = TorquePath { drive: Drive::Ideal, ..TorquePath::usual(rate_hz) };
-    let around = Loop::through(&path, rate_hz, butterworth);
+    let around = Loop::with_torque_path(&path, rate_hz, butterworth);
     let (_, damping) = stiffness_at(&tried.linearised, &around, Mode::Off, 0.0)?;
     let mut rows = sweep.map("estimators", &candidates(comparison), |candidate| tried.row(candidate, damping))?;
     let enough = rows.iter().find(|row| row.estimator == "butterworth").map_or(0.0, |row| row.area);
@@ -199,7 +199,7 @@ impl<'a> Trials<'a> {
         })
     }
 
-    fn row(&self, wall: &Rendered, damping: f64) -> Result<Row, Failure> {
+    fn row(&self, wall: &RenderedWall, damping: f64) -> Result<Row, Failure> {
         let (ripple_n, holds) = self.ripple(wall)?;
         let spec = wall.kind.spec();
         let plain = matches!(wall.kind, Estimator::BackwardDifference);
@@ -220,13 +220,13 @@ impl<'a> Trials<'a> {
 
     /// Computes ∫ largest quiet stiffness over damping by the trapezoidal rule at evenly spaced dampings, until no wall
     /// is quiet. `damping` (N s/m) is the largest that is predicted stable with the Butterworth.
-    fn area(&self, wall: &Rendered, damping: f64) -> Result<f64, Failure> {
+    fn area(&self, wall: &RenderedWall, damping: f64) -> Result<f64, Failure> {
         let step = damping * 1.25 / DAMPINGS as f64;
         let (mut area, mut last) = (0.0, 0.0);
         let mut i = 1.0;
         // Estimators without lag are stable with more damping; five times the predicted damping is enough.
         while step > 0.0 && i <= 4.0 * DAMPINGS as f64 {
-            let most = self.stiffest(&Rendered { damping: i * step, ..*wall })?;
+            let most = self.stiffest(&RenderedWall { damping: i * step, ..*wall })?;
             area += step * 0.5 * (last + most);
             if most == 0.0 {
                 break;
@@ -238,9 +238,9 @@ impl<'a> Trials<'a> {
     }
 
     /// Returns the largest stiffness up to which every wall with this damping comes to rest, N/m; 0 if none does.
-    fn stiffest(&self, wall: &Rendered) -> Result<f64, Failure> {
+    fn stiffest(&self, wall: &RenderedWall) -> Result<f64, Failure> {
         // The smallest stiffness is large enough for the tip to swing back within the allowed time.
-        let comes_to_rest = |stiffness: f64| self.is_quiet_when_struck(&Rendered { stiffness, ..*wall });
+        let comes_to_rest = |stiffness: f64| self.is_quiet_when_struck(&RenderedWall { stiffness, ..*wall });
         let (mut low, mut high) = (100.0, 100.0);
         if !comes_to_rest(low)? {
             return Ok(0.0);
@@ -253,7 +253,7 @@ impl<'a> Trials<'a> {
         }
         low = high.max(low);
         high *= 2.0;
-        while high / low > PRECISION {
+        while high / low > STIFFNESS_RATIO {
             let middle = (low * high).sqrt();
             if comes_to_rest(middle)? { low = middle } else { high = middle }
         }
@@ -261,8 +261,8 @@ impl<'a> Trials<'a> {
     }
 
     /// Returns true if the tip comes to rest after it was struck along the normal.
-    fn is_quiet_when_struck(&self, wall: &Rendered) -> Result<bool, Failure> {
-        self.sweep.go_on()?;
+    fn is_quiet_when_struck(&self, wall: &RenderedWall) -> Result<bool, Failure> {
+        self.sweep.check_interrupted()?;
         let mass = self.linearised.w_eff().ok_or_else(|| Failure::impossible("the device has no inertia here"))?;
         let count = self.simulation.count;
         // Initial speed of the wall's own oscillation with this amplitude, at most that of a hand's strike.
@@ -283,12 +283,12 @@ impl<'a> Trials<'a> {
     fn last_forces(
         &self,
         simulation: &WallSimulation,
-        wall: &Rendered,
+        wall: &RenderedWall,
         trial: Trial,
         seconds: f64,
         recorded: f64,
     ) -> Result<Option<Vec<f64>>, Failure> {
-        self.sweep.go_on()?;
+        self.sweep.check_interrupted()?;
         let mut forces = Vec::new();
         let tip_stays = simulation.run(wall, trial, seconds, |force, _| {
             forces.push(force);
@@ -299,7 +299,7 @@ impl<'a> Trials<'a> {
     }
 
     /// Returns the force ripple under a hand that presses, and true if the wall holds the hand.
-    fn ripple(&self, wall: &Rendered) -> Result<(Option<f64>, bool), Failure> {
+    fn ripple(&self, wall: &RenderedWall) -> Result<(Option<f64>, bool), Failure> {
         let late = self.last_forces(&self.simulation, wall, Trial::Pressed, SETTLE_S + RECORD_S, RECORD_S)?;
         let Some(late) = late else { return Ok((None, false)) };
         let mean = late.iter().sum::<f64>() / late.len() as f64;
@@ -310,8 +310,8 @@ impl<'a> Trials<'a> {
     }
 
     /// Returns the largest force ripple over several encoder offsets while a hand presses ever harder, N.
-    fn press(&self, wall: &Rendered, feed_forward: FeedForward) -> Result<Option<f64>, Failure> {
-        let wall = Rendered { feed_forward, ..*wall };
+    fn press(&self, wall: &RenderedWall, feed_forward: FeedForward) -> Result<Option<f64>, Failure> {
+        let wall = RenderedWall { feed_forward, ..*wall };
         let mut most: f64 = 0.0;
         for offset in 0..ripple::COUNT_OFFSETS {
             let moved = self
@@ -326,8 +326,8 @@ impl<'a> Trials<'a> {
     }
 
     /// Returns the root mean square of the velocity error while the joints turn slowly and steadily, m/s.
-    fn noise(&self, wall: &Rendered) -> Result<f64, Failure> {
-        let still = Rendered { stiffness: 0.0, damping: 0.0, ..*wall };
+    fn noise(&self, wall: &RenderedWall) -> Result<f64, Failure> {
+        let still = RenderedWall { stiffness: 0.0, damping: 0.0, ..*wall };
         let velocities = self.simulation.velocities(&still, SLOW_SPEED, SLOW_S)?;
         let late = &velocities[velocities.len() / 2 + 1..];
         Ok((late.iter().map(|velocity| (velocity - SLOW_SPEED).powi(2)).sum::<f64>() / late.len() as f64).sqrt())

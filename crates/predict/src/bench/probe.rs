@@ -20,7 +20,7 @@ const FORCE_WITHOUT_MOTORS: f64 = 5.0;
 /// Default speed of the hand, m/s.
 pub const HAND_SPEED: f64 = 0.5;
 /// Turning rate of the redundant arm's last link per speed of the hand, rad/m.
-const TURNING: f64 = 4.0;
+const LAST_LINK_TURN_PER_METRE: f64 = 4.0;
 
 /// A situation in which errors are computed. Entries beyond the device's joints are zero.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -178,7 +178,13 @@ fn motions<M: Mechanism<f64, N>, const N: usize>(n: &[f64; MAX_JOINTS]) -> Vec<[
         }
         (2, _) => {
             let t = [-n[1], n[0], 0.0];
-            vec![*n, t, [n[0], n[1], TURNING], [t[0], t[1], TURNING], [t[0], t[1], -TURNING]]
+            vec![
+                *n,
+                t,
+                [n[0], n[1], LAST_LINK_TURN_PER_METRE],
+                [t[0], t[1], LAST_LINK_TURN_PER_METRE],
+                [t[0], t[1], -LAST_LINK_TURN_PER_METRE],
+            ]
         }
         _ => {
             let n = nalgebra::Vector3::from(*n);

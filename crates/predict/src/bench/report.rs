@@ -2,7 +2,8 @@
 
 use crate::bench::counts;
 use crate::bench::error::{
-    Errors, Law, Parts, STIFFNESS, Terms, TorqueVariant, Trigonometry, encoder_step, errors, parts, with_trigonometry,
+    Errors, Law, Parts, TIP_ERROR_STIFFNESS, Terms, TorqueVariant, Trigonometry, encoder_step, errors, parts,
+    with_trigonometry,
 };
 use crate::bench::precompute::{Precomputed, frozen, most_points, range, table};
 use crate::bench::probe::{HAND_SPEED, Probe, workspace};
@@ -224,7 +225,7 @@ pub fn by_mechanism(every: &[(Device<f64>, Vec<Variant>)]) -> Result<String, Fai
             spec.name.to_owned(),
             device.name.to_string(),
             format!("{:.1}", 1.0e6 * step),
-            format!("{:.1e}", STIFFNESS * step),
+            format!("{:.1e}", TIP_ERROR_STIFFNESS * step),
         ];
         cells.extend([faded, off].map(|share| format!("{:.1}", 100.0 * share)));
         cells.extend(Estimator::ALL.iter().map(|(estimator, _)| {

@@ -31,17 +31,17 @@ const SETTLE_S: f64 = 0.3;
 /// Duration of the slide, s.
 const SLIDE_S: f64 = 0.5;
 /// Speed along the wall, m/s.
-const SLIDE: f64 = 0.03;
+const SLIDE_SPEED: f64 = 0.03;
 /// Variation of a sliding hand's push: share of the push, and frequency, Hz.
-const SWINGS: (f64, f64) = (0.5, 1.0);
+const PUSH_VARIATION: (f64, f64) = (0.5, 1.0);
 /// Speed of a tap, m/s.
-pub const TAP: f64 = 0.2;
+pub const TAP_SPEED: f64 = 0.2;
 /// Time in which the rebounds of a tap are counted, s.
 const TAP_S: f64 = 0.3;
 
 /// Settings of a rendered wall.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Rendered {
+pub struct RenderedWall {
     /// Velocity estimator.
     pub kind: Estimator,
     /// Cutoff of the estimator, Hz.
@@ -141,7 +141,7 @@ impl WallSimulation {
             board,
             encoders,
             // The loop has no estimator because the board's step estimates velocities.
-            around: Loop::through(
+            around: Loop::with_torque_path(
                 &TorquePath { drive: Drive::Ideal, ..TorquePath::usual(rate_hz) },
                 rate_hz,
                 LinearEstimator::BackwardDifference,
@@ -169,7 +169,7 @@ impl WallSimulation {
 
     /// Simulates a slide along a wall. Stops as soon as the ripple of the complete slide must exceed `bound_n` (N); the
     /// returned ripple then exceeds `bound_n`.
-    pub fn slid_along(&self, wall: &Rendered, bound_n: f64) -> Result<Pressed, Failure> {
+    pub fn slid_along(&self, wall: &RenderedWall, bound_n: f64) -> Result<Pressed, Failure> {
         let rate_hz = self.around.rate_hz;
         let (settle, all) = ((SETTLE_S * rate_hz) as usize, ((SETTLE_S + SLIDE_S) * rate_hz).round() as usize);
         let recorded = (all - settle) as f64;
@@ -198,9 +198,9 @@ impl WallSimulation {
     }
 
     /// Counts the rebounds of a tip that arrives at 0.2 m/s with a push of 3 N, or returns `None` if the tip flies off.
-    pub fn rebounds(&self, wall: &Rendered) -> Result<Option<usize>, Failure> {
+    pub fn rebounds(&self, wall: &RenderedWall) -> Result<Option<usize>, Failure> {
         let (mut inside, mut left) = (false, 0);
-        let tip_stays = self.run(wall, Trial::Tapped(TAP), TAP_S, |_, along| {
+        let tip_stays = self.run(wall, Trial::Tapped(TAP_SPEED), TAP_S, |_, along| {
             left += usize::from(inside && along > 0.0);
             inside = along < 0.0;
             true
@@ -212,7 +212,7 @@ impl WallSimulation {
     /// (N) and the tip's position along the normal (m). Returns false if the tip flies off.
     pub(super) fn run(
         &self,
-        wall: &Rendered,
+        wall: &RenderedWall,
         trial: Trial,
         seconds: f64,
         seen: impl FnMut(f64, f64) -> bool,
@@ -225,7 +225,7 @@ impl WallSimulation {
         let scene = self.scene(wall, alone);
         let Hand { mass, .. } = LIGHT_HAND;
         let grip = |time: f64| {
-            let along = if trial == Trial::SlidAlong { SLIDE * time } else { 0.0 };
+            let along = if trial == Trial::SlidAlong { SLIDE_SPEED * time } else { 0.0 };
             (!alone).then(|| Grip {
                 goal: core::array::from_fn(|i| self.tip[i] + along * self.across[i]),
                 // A hand carries its own weight.
@@ -240,7 +240,7 @@ impl WallSimulation {
     }
 
     /// Returns a scene with one wall through the tip.
-    fn scene(&self, wall: &Rendered, bilateral: bool) -> Scene<f32> {
+    fn scene(&self, wall: &RenderedWall, bilateral: bool) -> Scene<f32> {
         let surface =
             Surface::Plane(Plane { point: self.tip.map(|v| v as f32), normal: self.normal.map(|v| v as f32) });
         Scene {
@@ -265,7 +265,7 @@ impl WallSimulation {
     }
 
     /// Returns the board's velocity estimates while the joints turn steadily and the tip moves at `speed`, m/s.
-    pub(super) fn velocities(&self, wall: &Rendered, speed: f64, seconds: f64) -> Result<Vec<f64>, Failure> {
+    pub(super) fn velocities(&self, wall: &RenderedWall, speed: f64, seconds: f64) -> Result<Vec<f64>, Failure> {
         let scene = self.scene(wall, true);
         let rate_hz = self.around.rate_hz;
         with_mechanism!(&self.board.mechanism, m => {
@@ -284,7 +284,7 @@ fn hand_push(trial: Trial, time: f64) -> f64 {
     match trial {
         Trial::PressedHarder => PUSH_N + PUSH_RISE * time,
         Trial::SlidAlong => {
-            let (share, hz) = SWINGS;
+            let (share, hz) = PUSH_VARIATION;
             PUSH_N * (1.0 + share * (std::f64::consts::TAU * hz * time).sin())
         }
         Trial::Pressed | Trial::Struck(_) | Trial::Tapped(_) => PUSH_N,

@@ -62,12 +62,12 @@ pub struct Places {
     /// Place at which the feed-forward increases the inertia by the largest factor.
     pub feed_forward_buys_most: WallPlace,
     /// Places for the requested normal; `None` if none was requested.
-    pub along: Option<Along>,
+    pub along: Option<PatchPlaces>,
 }
 
 /// Places for a wall patch with one normal, rated by the smallest effective inertia on the patch.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Along {
+pub struct PatchPlaces {
     /// Half the width of the patch, m.
     pub patch: f64,
     /// Middle of the best place without the feed-forward. Weff and Wrr are the smallest on the patch.
@@ -150,10 +150,10 @@ fn search_starts(poses: &[Vec<f64>], rating: PoseRating<'_>) -> Vec<Vec<f64>> {
 /// Searches in coarse steps from all starts, then in fine steps from the best end poses. Returns the best result.
 fn best(starts: &[Vec<f64>], allowed: &dyn Fn(&[f64]) -> bool, rating: PoseRating<'_>) -> Option<(f64, WallPlace)> {
     let mut ends: Vec<(f64, WallPlace)> =
-        starts.iter().filter_map(|start| climb(start, COARSE, allowed, rating)).collect();
+        starts.iter().filter_map(|start| climb(start, COARSE_STEPS, allowed, rating)).collect();
     // The sort is stable, so results with equal ratings keep their order.
     ends.sort_by(|a, b| b.0.total_cmp(&a.0));
-    let result = ends.iter().take(REFINED_ENDS).filter_map(|(_, end)| climb(&end.q, FINE, allowed, rating));
+    let result = ends.iter().take(REFINED_ENDS).filter_map(|(_, end)| climb(&end.q, FINE_STEPS, allowed, rating));
     result.reduce(|best, other| if other.0 > best.0 { other } else { best })
 }
 
@@ -169,9 +169,9 @@ struct Steps {
 }
 
 /// Steps of the search from all starts.
-const COARSE: Steps = Steps { from: 0.1, to: 0.01, random_directions: 30 };
+const COARSE_STEPS: Steps = Steps { from: 0.1, to: 0.01, random_directions: 30 };
 /// With 120 random directions the search reaches the best rating within 1 % (tool/tests/deep/tune/design.rs).
-const FINE: Steps = Steps { from: 0.05, to: 1e-5, random_directions: 120 };
+const FINE_STEPS: Steps = Steps { from: 0.05, to: 1e-5, random_directions: 120 };
 
 /// Climbs along compass and random directions with steps that halve.
 fn climb(
@@ -251,7 +251,7 @@ pub fn places(
     let at = |q: &[f64]| -> Option<TaskPose> {
         if is_clear(q) { Some(TaskPose::of(&device.mechanism, q).ok()?.holding(admissible)) } else { None }
     };
-    let allowed = |q: &[f64]| is_clear(q) && reachable.walkable(q);
+    let allowed = |q: &[f64]| is_clear(q) && reachable.is_on_reached_side(q);
     let poses: Vec<Vec<f64>> = all.into_iter().filter(|q| is_clear(q)).collect();
     if poses.is_empty() {
         return Err(Failure::impossible(format!("every pose is nearer to a singularity than a sine of {clear}"))
@@ -289,7 +289,7 @@ pub fn places(
         let middle = task_position(&pose, q);
         for aside in &edge {
             let there = angles_at(&device, q, &(&middle + aside))?;
-            if !reachable.walkable(&there) {
+            if !reachable.is_on_reached_side(&there) {
                 return None;
             }
             let other = place_wall(&at(&there)?, &there, normal)?;
@@ -318,7 +318,7 @@ pub fn places(
         let rating = jobs[*job];
         let better = ends.iter().filter_map(|q| Some((rating(q)?.0, q)));
         let start = better.reduce(|best, other| if other.0 > best.0 { other } else { best });
-        Ok(start.and_then(|(_, start)| climb(start, FINE, &allowed, rating)).map(|(_, placed)| placed.q))
+        Ok(start.and_then(|(_, start)| climb(start, FINE_STEPS, &allowed, rating)).map(|(_, placed)| placed.q))
     })?;
     let final_place = |index: usize| -> Result<WallPlace, Failure> {
         let nowhere =
@@ -327,7 +327,7 @@ pub fn places(
         jobs[index](&q).map(|(_, placed)| placed).ok_or_else(nowhere)
     };
     let along = match along {
-        Some(_) => Some(Along { patch, off: final_place(3)?, full: final_place(4)?, worst: final_place(5)? }),
+        Some(_) => Some(PatchPlaces { patch, off: final_place(3)?, full: final_place(4)?, worst: final_place(5)? }),
         None => None,
     };
     Ok(Places {

@@ -16,7 +16,7 @@ use nalgebra::DVector;
 use serde::Serialize;
 
 /// Difference in orientation between two postures, rad.
-const STEP: f64 = 0.001;
+const ORIENTATION_STEP: f64 = 0.001;
 
 /// A posture of the arm.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -74,11 +74,11 @@ pub fn postures(
     let start = TaskPose::of(&device.mechanism, q)?.regular()?;
     let here = posture(&device, q, &n, admissible).ok_or_else(singular)?;
     let mut all = vec![here.clone()];
-    for direction in [STEP, -STEP] {
+    for direction in [ORIENTATION_STEP, -ORIENTATION_STEP] {
         let mut at = q.to_vec();
         let mut place = task_position(&start, q);
         // Try at most a full turn of φ.
-        for _ in 0..(std::f64::consts::TAU / STEP) as usize {
+        for _ in 0..(std::f64::consts::TAU / ORIENTATION_STEP) as usize {
             place[spec.task] += direction;
             let Some(next) = angles_at(&device, &at, &place) else { break };
             let is_far = next.iter().zip(&at).any(|(next, at)| (next - at).abs() > 0.3);

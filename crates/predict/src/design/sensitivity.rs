@@ -225,9 +225,9 @@ pub fn sensitivities(
         let subject = Subject::new(description).map_err(Failure::wrong)?;
         Ok(Prediction { admissible, ..Prediction::new(subject, around.clone()) })
     };
-    let as_it_is = predicted(description)?;
-    let before = results_at(&as_it_is, q, normal).ok_or_else(singular)?;
-    let place = task_position(&TaskPose::of(&as_it_is.subject.device.mechanism, q)?, q);
+    let unchanged = predicted(description)?;
+    let before = results_at(&unchanged, q, normal).ok_or_else(singular)?;
+    let place = task_position(&TaskPose::of(&unchanged.subject.device.mechanism, q)?, q);
     let changed = |change: &Change, factor: f64| -> Option<Effect> {
         let mut other = *description;
         change(&mut other, factor);
@@ -253,7 +253,7 @@ pub fn sensitivities(
 
 /// A change that improves a quantity.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Buys {
+pub struct BestChange {
     /// Name of the changed number.
     pub part: String,
     /// True if the number is made larger, false if smaller.
@@ -267,10 +267,11 @@ const WORTHWHILE_RATIO: f64 = 1.01;
 
 /// Returns the change that improves a quantity most, or `None` if no change improves it by 1 %.
 #[must_use]
-pub fn buys_most(all: &[Sensitivity], of: impl Fn(&Effect) -> f64) -> Option<Buys> {
+pub fn buys_most(all: &[Sensitivity], of: impl Fn(&Effect) -> f64) -> Option<BestChange> {
     let sides = all.iter().flat_map(|one| {
-        let side =
-            |more: bool, effect: Option<Effect>| effect.map(|effect| Buys { part: one.part.clone(), more, effect });
+        let side = |more: bool, effect: Option<Effect>| {
+            effect.map(|effect| BestChange { part: one.part.clone(), more, effect })
+        };
         [side(true, one.more), side(false, one.less)].into_iter().flatten()
     });
     let most = sides.reduce(|best, other| if of(&other.effect) > of(&best.effect) { other } else { best });

@@ -43,7 +43,7 @@ impl Before {
 
     /// Returns true if the scene is left over from an interrupted measurement.
     #[must_use]
-    pub fn is_left_over(&self) -> bool {
+    pub fn is_of_interrupted_measurement(&self) -> bool {
         self.scene.as_ref().is_some_and(is_measurement)
     }
 
@@ -60,16 +60,16 @@ impl Before {
 
     /// Returns the settings from before an interrupted measurement. Replaces rules that the measurement set by the kept
     /// ones; keeps other rules, because a user has set them since. The flag is true if the rules equal the kept ones.
-    pub fn from_kept(&self, kept: &RestorePoint) -> Result<(Self, bool), BackupError> {
+    pub fn restored_from(&self, kept: &RestorePoint) -> Result<(Self, bool), BackupError> {
         let scene = kept.scene.as_ref().map(backup::SavedSetting::read::<Scene<f32>>).transpose()?;
         let then = kept.rules.read::<Rules>()?;
-        let rules = self.without_its_rules(kept)?.map_or(self.rules, |before| before.rules);
+        let rules = self.with_earlier_rules(kept)?.map_or(self.rules, |before| before.rules);
         Ok((Self { scene, rules, ..self.clone() }, rules == then))
     }
 
     /// Returns these settings with the rules from before an interrupted measurement, or `None` if the board no longer
     /// has the rules that the measurement set.
-    pub fn without_its_rules(&self, kept: &RestorePoint) -> Result<Option<Self>, BackupError> {
+    pub fn with_earlier_rules(&self, kept: &RestorePoint) -> Result<Option<Self>, BackupError> {
         let then = kept.rules.read::<Rules>()?;
         let measuring = kept.measuring.as_ref().map(backup::SavedSetting::read::<Rules>).transpose()?;
         let left = measuring == Some(self.rules) && then != self.rules;
@@ -127,15 +127,15 @@ mod tests {
     fn rules_of_an_interrupted_measurement_are_replaced_and_others_stay() {
         let (before, measuring) = (with_torque(5.0), with_torque(1.0));
         let kept = before.keep("1", &measuring.rules).unwrap();
-        assert_eq!(measuring.from_kept(&kept).unwrap(), (before.clone(), true));
-        assert_eq!(before.from_kept(&kept).unwrap(), (before.clone(), true));
-        assert_eq!(measuring.without_its_rules(&kept).unwrap(), Some(before.clone()));
-        assert_eq!(before.without_its_rules(&kept).unwrap(), None);
+        assert_eq!(measuring.restored_from(&kept).unwrap(), (before.clone(), true));
+        assert_eq!(before.restored_from(&kept).unwrap(), (before.clone(), true));
+        assert_eq!(measuring.with_earlier_rules(&kept).unwrap(), Some(before.clone()));
+        assert_eq!(before.with_earlier_rules(&kept).unwrap(), None);
         let lowered = with_torque(0.5);
-        assert_eq!(lowered.without_its_rules(&kept).unwrap(), None);
-        assert_eq!(lowered.from_kept(&kept).unwrap(), (lowered, false));
+        assert_eq!(lowered.with_earlier_rules(&kept).unwrap(), None);
+        assert_eq!(lowered.restored_from(&kept).unwrap(), (lowered, false));
         // A file of an earlier version does not contain the rules that the measurement set.
         let kept = RestorePoint { measuring: None, ..kept };
-        assert_eq!(measuring.from_kept(&kept).unwrap(), (measuring, false));
+        assert_eq!(measuring.restored_from(&kept).unwrap(), (measuring, false));
     }
 }

@@ -53,7 +53,7 @@ impl Plan {
 
     /// Returns the points with a mode and, if the plan lists dampings, with a damping of this plan.
     #[must_use]
-    pub fn asked<'a>(&self, points: impl IntoIterator<Item = &'a Point>) -> Vec<&'a Point> {
+    pub fn points_of_plan<'a>(&self, points: impl IntoIterator<Item = &'a Point>) -> Vec<&'a Point> {
         let named = |kd: f64| self.kd.as_ref().is_none_or(|kds| kds.iter().any(|other| same_damping(kd, *other)));
         points.into_iter().filter(|point| self.modes.contains(&point.mode) && named(point.kd)).collect()
     }
@@ -63,7 +63,7 @@ impl Progress {
     /// Returns the number of repeats of `plan` that are already measured.
     #[must_use]
     pub fn measured(&self, plan: &Plan) -> usize {
-        plan.asked(&self.points)
+        plan.points_of_plan(&self.points)
             .into_iter()
             .map(|point| if point.open.is_some() { plan.searches() } else { point.repeats.len().min(plan.searches()) })
             .sum()
@@ -102,7 +102,7 @@ pub fn run(
                     let guess = earlier.repeats.last().copied();
                     let strength = plan.pulls[repeat % plan.pulls.len()];
                     let found = prepared.boundary(mode, kd, strength, guess);
-                    progress.now();
+                    progress.set_date();
                     let point = progress.point(mode, kd);
                     match found {
                         Ok(found) => {
@@ -141,6 +141,6 @@ fn damping_end(
         Err(error) => return Err(error),
     };
     progress.ends.push((mode, end));
-    progress.now();
+    progress.set_date();
     Ok(end)
 }

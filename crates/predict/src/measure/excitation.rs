@@ -11,7 +11,7 @@ use haptic_stability::analysis::plant::Linearised;
 
 /// Share of the motors' force that the tested wall needs for a pull. The swing can grow to six times its size before
 /// the motors saturate.
-const GENTLE_SHARE: f64 = 0.15;
+const USUAL_SHARE: f64 = 0.15;
 /// Largest share of the motors' force for a pull, used if friction requires more force.
 const LARGEST_SHARE: f64 = 0.6;
 /// Smallest ratio of a pull's force to friction. Coulomb friction F damps a swing of amplitude A and angular frequency
@@ -74,7 +74,7 @@ impl Excitation {
         if smallest * stiffness > self.force {
             return Err(MeasureError::Saturates { stiffness, of, pull: smallest, force: self.force });
         }
-        let force = (LEAST_FRICTION_RATIO * self.friction).clamp(GENTLE_SHARE * self.force, LARGEST_SHARE * self.force);
+        let force = (LEAST_FRICTION_RATIO * self.friction).clamp(USUAL_SHARE * self.force, LARGEST_SHARE * self.force);
         Ok(self.largest.min(force / stiffness).max(smallest))
     }
 }

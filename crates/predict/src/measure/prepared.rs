@@ -14,7 +14,7 @@ use nalgebra::{DMatrix, DVector};
 use super::before::Before;
 use super::excitation::Excitation;
 use super::swing::{Swing, Verdict};
-use super::walls::{APART, LONGEST_PULL, Layout, complement, scene};
+use super::walls::{ASIDE_DISTANCE, LONGEST_PULL, Layout, complement, scene};
 use super::{MeasureError, MeasurementSetup};
 use haptic_host::device_file::DeviceFile;
 use haptic_host::link::{Board, columns, fields};
@@ -28,7 +28,7 @@ const HOST_SECONDS: f32 = 1.0;
 /// Smallest and largest position at which the tip may come to rest, as shares of the pull.
 const PULL_RANGE: (f64, f64) = (0.9, 1.15);
 /// Maximum number of corrections of a pull.
-const CORRECTIONS: usize = 16;
+const MAX_CORRECTIONS: usize = 16;
 
 /// Largest distance by which friction may hold the tip away from its target, m. At a larger distance the hold is
 /// firmer.
@@ -41,10 +41,10 @@ const SOFT_HOLD: f64 = 0.05;
 const FIRM_HOLD: f64 = 0.2;
 
 /// Largest deviation of a joint from its first angle that friction causes, in addition to the tip's motion, rad.
-/// Another pose with the same tip position is farther away unless it is nearly singular.
-const SAME_POSE: f64 = 0.03;
+/// Another pose with the same tip position is may_lengthen_pull away unless it is nearly singular.
+const SAME_POSE_RAD: f64 = 0.03;
 /// Singular value of a Jacobian below which the value counts as zero, m.
-const SINGULAR: f64 = 1e-9;
+const ZERO_SINGULAR_VALUE: f64 = 1e-9;
 /// Factor on joint deviations that the Jacobian predicts, because the tip may be [`LEFT_POSE_DISTANCE`] away.
 const JACOBIAN_FACTOR: f64 = 1.5;
 /// Tip motion after which the tip counts as swinging, m.
@@ -57,8 +57,8 @@ const MAX_RETRIES: usize = 2;
 /// Time that the user of a simulated device needs to bring it back to its pose, s.
 const CARRY_SECONDS: f64 = 3.0;
 
-/// Largest distance to which the tip is held aside, as a share of [`APART`].
-const MAX_ASIDE: f64 = 0.9;
+/// Largest distance to which the tip is held aside, as a share of [`ASIDE_DISTANCE`].
+const MAX_ASIDE_SHARE: f64 = 0.9;
 
 /// Factor on the frequency of the hold if the tip does not come to rest.
 const SOFTEN_FACTOR: f64 = 0.5;
@@ -88,7 +88,7 @@ pub struct PreparedBoard<'a> {
     hold_frequency: f64,
     softened: usize,
     /// Joint motion per tip motion along each axis, N x d, rad/m.
-    turns: DMatrix<f64>,
+    joint_per_tip_motion: DMatrix<f64>,
     excitation: Excitation,
     divider: u32,
     /// Columns of the tip's position in a telemetry row.
@@ -123,7 +123,10 @@ impl<'a> PreparedBoard<'a> {
             let seen = Linearised::at(&file.description, &q, direction.as_slice())?;
             inertia.push(seen.w_eff().unwrap_or_else(|| seen.w_rr()));
         }
-        let heaviest = [false, true].into_iter().filter_map(|feed_forward| set.met(feed_forward)).fold(0.0, f64::max);
+        let heaviest = [false, true]
+            .into_iter()
+            .filter_map(|feed_forward| set.effective_inertia(feed_forward))
+            .fold(0.0, f64::max);
 
         let before = Before::of(board)?;
         let rules = rules_for(before.rules(), setup.torque_limit);
@@ -135,7 +138,7 @@ impl<'a> PreparedBoard<'a> {
             let firmer = hold_frequency * (offset / FRICTION_OFFSET).sqrt();
             hold_frequency = firmer.min(at_most(FIRM_HOLD)).max(hold_frequency);
         }
-        if setup.law.farther {
+        if setup.law.may_lengthen_pull {
             excitation.largest = excitation.largest.max(offset).min(LONGEST_PULL);
         }
         // Leave the board unchanged if not even the soft hold can be measured.
@@ -162,7 +165,12 @@ impl<'a> PreparedBoard<'a> {
             heaviest,
             hold_frequency,
             softened: 0,
-            turns: device.flexible.tip.pseudo_inverse(SINGULAR).map_err(|why| MeasureError::Scene(why.into()))?.abs(),
+            joint_per_tip_motion: device
+                .flexible
+                .tip
+                .pseudo_inverse(ZERO_SINGULAR_VALUE)
+                .map_err(|why| MeasureError::Scene(why.into()))?
+                .abs(),
             excitation,
             divider: (setup.rate_hz / 10_000.0).ceil().max(1.0) as u32,
             setup,
@@ -176,12 +184,12 @@ impl<'a> PreparedBoard<'a> {
         prepared.hold(0.0)?;
         prepared.board.arm()?;
         prepared.board.start_stream(request, prepared.divider)?;
-        prepared.settle()?;
+        prepared.wait_for_rest()?;
         Ok(prepared)
     }
 
     /// Waits until the tip of the armed device rests.
-    fn settle(&mut self) -> Result<(), MeasureError> {
+    fn wait_for_rest(&mut self) -> Result<(), MeasureError> {
         loop {
             // The board raises torques over half a second after arming.
             match self.wait(0.6).and_then(|()| self.rest(0.0)) {
@@ -189,7 +197,7 @@ impl<'a> PreparedBoard<'a> {
                     self.hold(0.0)?;
                     self.arm_again()?;
                 }
-                other => return other.and_then(|_| self.check_pose(APART)),
+                other => return other.and_then(|_| self.check_pose(ASIDE_DISTANCE)),
             }
         }
     }
@@ -199,9 +207,9 @@ impl<'a> PreparedBoard<'a> {
     fn check_pose(&mut self, apart: f64) -> Result<(), MeasureError> {
         let now = self.board.status()?;
         let off = DVector::from_fn(self.tip.len(), |i, _| (f64::from(now.tip[i]) - self.tip[i]).abs().min(apart));
-        for (joint, (began, turned)) in self.q.iter().zip(&(&self.turns * off)).enumerate() {
+        for (joint, (began, turned)) in self.q.iter().zip(&(&self.joint_per_tip_motion * off)).enumerate() {
             let by = f64::from(now.q[joint]) - began;
-            if by.abs() > SAME_POSE + JACOBIAN_FACTOR * turned {
+            if by.abs() > SAME_POSE_RAD + JACOBIAN_FACTOR * turned {
                 return Err(MeasureError::Away { joint, by });
             }
         }
@@ -282,7 +290,7 @@ impl<'a> PreparedBoard<'a> {
         loop {
             match self.swing_from_rest(feed_forward, pull, kp > gentle) {
                 // An earlier oscillation may have left the device in a pose in which it cannot be pulled.
-                Err(error) if error.is_local() && left < MAX_RETRIES && self.check_pose(APART).is_err() => {
+                Err(error) if error.is_local() && left < MAX_RETRIES && self.check_pose(ASIDE_DISTANCE).is_err() => {
                     left += 1;
                     self.bring_back()?;
                     continue;
@@ -327,11 +335,11 @@ impl<'a> PreparedBoard<'a> {
         let friction = self.excitation.friction / self.holding().0;
         let mut aim = pull + friction * pull.signum();
         let enough = (PULL_RANGE.0 * pull.abs()).min(pull.abs() - 2.0 * self.excitation.quantum);
-        for _ in 0..CORRECTIONS {
-            let rested = self.rest(aim.clamp(-MAX_ASIDE * APART, MAX_ASIDE * APART))?;
+        for _ in 0..MAX_CORRECTIONS {
+            let rested = self.rest(aim.clamp(-MAX_ASIDE_SHARE * ASIDE_DISTANCE, MAX_ASIDE_SHARE * ASIDE_DISTANCE))?;
             let along = rested * pull.signum();
             if along >= enough && along <= PULL_RANGE.1 * pull.abs() + 2.0 * self.excitation.quantum {
-                self.check_pose(APART)?;
+                self.check_pose(ASIDE_DISTANCE)?;
                 return self.swing_back(feed_forward, pull, rested, stiffer);
             }
             aim += pull - rested;
@@ -342,7 +350,7 @@ impl<'a> PreparedBoard<'a> {
     /// Brings the device back to its pose with the hold. If only the tip returns, the user of a simulated device moves
     /// the joints back; a real device causes an error.
     fn bring_back(&mut self) -> Result<(), MeasureError> {
-        if self.rest(0.0).and_then(|_| self.check_pose(APART)).is_ok() {
+        if self.rest(0.0).and_then(|_| self.check_pose(ASIDE_DISTANCE)).is_ok() {
             return Ok(());
         }
         if self.board.details()?.real {
@@ -350,7 +358,7 @@ impl<'a> PreparedBoard<'a> {
         }
         self.board.disarm()?;
         self.arm()?;
-        self.settle()
+        self.wait_for_rest()
     }
 
     fn friction_error(&self, pull: f64) -> MeasureError {
@@ -418,13 +426,13 @@ impl<'a> PreparedBoard<'a> {
     /// Holds the tip at `pull` (m) along the pull: the wall at the tip's position and a wall aside share the stiffness.
     fn hold(&mut self, pull: f64) -> Result<(), MeasureError> {
         let (kp, kd) = self.holding();
-        let share = (pull / APART).clamp(-MAX_ASIDE, MAX_ASIDE);
+        let share = (pull / ASIDE_DISTANCE).clamp(-MAX_ASIDE_SHARE, MAX_ASIDE_SHARE);
         let Layout { hold, aside, across } = self.layout;
         self.set_wall_gains(hold, kp * (1.0 - share.abs()), kd, FeedForward::Off)?;
         if hold > 0 {
             self.set_tested_gains(0.0, 0.0, FeedForward::Off)?;
         }
-        // Only one of the walls at +APART and -APART is used, by the sign of the pull.
+        // Only one of the walls at +ASIDE_DISTANCE and -ASIDE_DISTANCE is used, by the sign of the pull.
         let [used, unused] = if pull >= 0.0 { aside } else { [aside[1], aside[0]] };
         self.set_wall_gains(unused, 0.0, 0.0, FeedForward::Off)?;
         self.set_wall_gains(used, kp * share.abs(), 0.0, FeedForward::Off)?;
@@ -540,7 +548,7 @@ impl<'a> PreparedBoard<'a> {
                     return Ok(verdict);
                 }
                 if at.aside > LEFT_POSE_DISTANCE {
-                    let lost = self.check_pose(APART).err().unwrap_or(MeasureError::Restless);
+                    let lost = self.check_pose(ASIDE_DISTANCE).err().unwrap_or(MeasureError::Restless);
                     return if swing.continues() { Ok(Verdict::Grows) } else { Err(lost) };
                 }
             }

@@ -137,7 +137,7 @@ impl Progress {
     }
 
     /// Removes the results, and keeps the settings to restore on the board.
-    pub fn anew(self, what: &str) -> Self {
+    pub fn without_results(self, what: &str) -> Self {
         Self { before: self.before, ..Self::new(what) }
     }
 
@@ -156,7 +156,7 @@ impl Progress {
         match Self::read(path)? {
             None => Ok(Self::new(what)),
             Some(found) if found.what == what => Ok(found),
-            Some(found) if found.is_empty() => Ok(found.anew(what)),
+            Some(found) if found.is_empty() => Ok(found.without_results(what)),
             Some(Self { what: found, date, .. }) => {
                 Err(ProgressError::Another { path: path.display().to_string(), date, found })
             }
@@ -164,7 +164,7 @@ impl Progress {
     }
 
     /// Sets the time of the last result to the present time.
-    pub fn now(&mut self) {
+    pub fn set_date(&mut self) {
         self.date = Some(output::date());
     }
 

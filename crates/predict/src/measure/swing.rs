@@ -30,25 +30,25 @@ pub const ENCODER_STEPS: f64 = 6.0;
 /// Corner of the high-pass, as a share of the velocity filter's cutoff.
 const HIGH_PASS_SHARE: f64 = 0.125;
 /// Number of turning points that are ignored at the start, while faster modes decay.
-const SETTLING: usize = 8;
+const IGNORED_TURNS: usize = 8;
 /// Number of swings in one check of the trend.
-const CHECK: usize = 22;
+const SWINGS_PER_CHECK: usize = 22;
 /// Number of checks after which a motion with constant size is a vibration, for position and acceleration. Acceleration
 /// has faster swings.
-const CHECKS: (usize, usize) = (4, 16);
+const CHECKS_BEFORE_VIBRATION: (usize, usize) = (4, 16);
 /// Minimum number of swings in a stretch. It is longer than the beat of two modes.
-const BEAT: usize = 6;
+const MIN_STRETCH_SWINGS: usize = 6;
 /// Minimum duration of a stretch, and of a check that judges a motion as decaying, in periods of the slowest mode.
-const PERIODS: f64 = 3.0;
+const MIN_STRETCH_PERIODS: f64 = 3.0;
 /// Minimum number of stretches for a verdict.
-const STRETCHES: usize = 8;
+const MIN_STRETCHES: usize = 8;
 /// Factor on the number of checks before a motion with a bending trend counts as a vibration.
-const PATIENCE: usize = 16;
+const BENDING_TREND_FACTOR: usize = 16;
 /// Share of the recent swings below which a swing is the ripple of a faster mode.
 const RIPPLE_SHARE: f64 = 0.4;
 /// Number of standard errors by which a slope must differ from zero. It is large because encoder steps disturb
 /// neighbouring swings alike, which the standard error does not include.
-const SIGNIFICANT: f64 = 4.0;
+const SIGNIFICANT_STANDARD_ERRORS: f64 = 4.0;
 /// Largest slope per swing of a motion with constant size, 0.4 % over one check.
 const FLAT_SLOPE: f64 = 2e-4;
 /// Growth relative to the first swings and the pull at which a motion counts as growing without a trend.
@@ -56,7 +56,7 @@ const RUNAWAY_GROWTH: f64 = 4.0;
 /// Distance from the wall at which a motion counts as growing, in pulls.
 const FARTHEST_PULLS: f64 = 12.0;
 /// Distance that is added to two pulls and limits [`FARTHEST_PULLS`] for long pulls, m.
-const FARTHEST: f64 = 0.005;
+const FARTHEST_OFFSET_M: f64 = 0.005;
 /// Share of the largest swing below which a motion has decayed.
 const DIED_OUT_SHARE: f64 = 0.02;
 /// Shortest and longest time without a turning point after which a motion has ended, in periods of the cutoff. The
@@ -98,9 +98,15 @@ impl Swing {
         // An overdamped motion does not swing.
         let slowest = if oscillates { slowest } else { 0.0 };
         Self {
-            position: Trace::new(rows_a_period, (slowest, silent), quantum, pull, CHECKS.0),
+            position: Trace::new(rows_a_period, (slowest, silent), quantum, pull, CHECKS_BEFORE_VIBRATION.0),
             // A second difference has the errors of four positions. The initial size of the acceleration is unknown.
-            acceleration: Trace::new(rows_a_period, (slowest, silent), 4.0 * quantum, f64::INFINITY, CHECKS.1),
+            acceleration: Trace::new(
+                rows_a_period,
+                (slowest, silent),
+                4.0 * quantum,
+                f64::INFINITY,
+                CHECKS_BEFORE_VIBRATION.1,
+            ),
             previous: [None; 2],
             verdicts: [None; 2],
         }
@@ -109,9 +115,9 @@ impl Swing {
     /// Returns true if the motion still has half of its largest size after the first swings.
     #[must_use]
     pub fn continues(&self) -> bool {
-        let settled: Vec<f64> = self.position.spans.iter().skip(SETTLING).map(|(low, high)| high - low).collect();
-        let (_, latest) = settled.split_at(settled.len().saturating_sub(CHECK / 4));
-        settled.len() > CHECK / 4 && largest(latest) > 0.5 * largest(&settled)
+        let settled: Vec<f64> = self.position.spans.iter().skip(IGNORED_TURNS).map(|(low, high)| high - low).collect();
+        let (_, latest) = settled.split_at(settled.len().saturating_sub(SWINGS_PER_CHECK / 4));
+        settled.len() > SWINGS_PER_CHECK / 4 && largest(latest) > 0.5 * largest(&settled)
     }
 
     /// Adds the next position (m). Returns the verdict as soon as it is known.
@@ -142,7 +148,7 @@ struct Trace {
     /// Largest reversal that encoder steps can cause, m. A smaller reversal is no turning point.
     noise: f64,
     /// Largest motion from peak to peak that encoder steps can sustain, m.
-    explained: f64,
+    encoder_motion: f64,
     /// Initial size of the motion, m.
     pull: f64,
     /// Number of checks after which a motion with constant size is a vibration.
@@ -175,16 +181,16 @@ impl Trace {
             share: 1.0 - (-TAU * HIGH_PASS_SHARE / rows_a_period).exp(),
             slow: None,
             noise: 1.5 * quantum,
-            explained: ENCODER_STEPS * quantum,
+            encoder_motion: ENCODER_STEPS * quantum,
             pull,
             silent,
             extreme: None,
             last_turn: None,
             swings: Vec::new(),
             ends: Vec::new(),
-            span: EMPTY,
+            span: EMPTY_SPAN,
             spans: Vec::new(),
-            extent: EMPTY,
+            extent: EMPTY_SPAN,
             extents: Vec::new(),
             rows: 0,
             since_turn: 0,
@@ -194,7 +200,7 @@ impl Trace {
     fn take(&mut self, position: f64) -> Option<Verdict> {
         self.rows += 1;
         self.since_turn += 1;
-        if position.abs() > (FARTHEST_PULLS * self.pull).min(2.0 * self.pull + FARTHEST) {
+        if position.abs() > (FARTHEST_PULLS * self.pull).min(2.0 * self.pull + FARTHEST_OFFSET_M) {
             return Some(Verdict::Grows);
         }
         let [first, second] = self.slow.get_or_insert([position, 0.0]);
@@ -231,8 +237,8 @@ impl Trace {
         if let Some(before) = self.last_turn.replace(extreme) {
             self.swings.push((extreme - before).abs());
             self.ends.push(self.rows);
-            self.spans.push(std::mem::replace(&mut self.span, EMPTY));
-            self.extents.push(std::mem::replace(&mut self.extent, EMPTY));
+            self.spans.push(std::mem::replace(&mut self.span, EMPTY_SPAN));
+            self.extents.push(std::mem::replace(&mut self.extent, EMPTY_SPAN));
         }
         self.extreme = Some((fast, !rising));
         self.since_turn = 0;
@@ -255,34 +261,34 @@ impl Trace {
         let count = self.swings.len();
         let latest = self.swings[count - 1];
         // The first swings may be only the ripple of a fast mode while a slow mode has not yet turned.
-        if latest > RUNAWAY_GROWTH * largest(&self.swings[1..4]).max(self.explained).max(self.pull) {
+        if latest > RUNAWAY_GROWTH * largest(&self.swings[1..4]).max(self.encoder_motion).max(self.pull) {
             return Some(Verdict::Grows);
         }
         let small = |swings: &[f64]| largest(swings) < DIED_OUT_SHARE * largest(&self.swings) && trend(swings).0 <= 0.0;
-        if count > CHECK / 2 && small(&self.swings[count - CHECK / 2..]) {
+        if count > SWINGS_PER_CHECK / 2 && small(&self.swings[count - SWINGS_PER_CHECK / 2..]) {
             return Some(Verdict::Decays);
         }
         // Check the trend whenever half of its swings are new.
-        let seen = count.checked_sub(SETTLING + CHECK)?;
-        if !seen.is_multiple_of(CHECK / 2) {
+        let seen = count.checked_sub(IGNORED_TURNS + SWINGS_PER_CHECK)?;
+        if !seen.is_multiple_of(SWINGS_PER_CHECK / 2) {
             return None;
         }
         // Compare extents, because swings also grow when a ripple no longer divides them.
-        let (earlier, later) = self.extents[SETTLING..].split_at(seen + CHECK / 2);
+        let (earlier, later) = self.extents[IGNORED_TURNS..].split_at(seen + SWINGS_PER_CHECK / 2);
         let larger = size_of(later) > size_of(earlier);
-        let lasted = (self.ends[count - 1] - self.ends[count - 1 - CHECK]) as f64;
+        let lasted = (self.ends[count - 1] - self.ends[count - 1 - SWINGS_PER_CHECK]) as f64;
         // A decaying motion may hide a growing slower mode for a few of its periods.
         let verdict = self
-            .verdict_of_trend(&self.swings[count - CHECK..], larger)
-            .filter(|verdict| *verdict != Verdict::Decays || lasted > PERIODS * self.slowest);
-        let checks = seen / (CHECK / 2);
+            .verdict_of_trend(&self.swings[count - SWINGS_PER_CHECK..], larger)
+            .filter(|verdict| *verdict != Verdict::Decays || lasted > MIN_STRETCH_PERIODS * self.slowest);
+        let checks = seen / (SWINGS_PER_CHECK / 2);
         if verdict.is_some() || checks < self.checks {
             return verdict;
         }
         let stretches = self.stretches();
         let latest = &stretches[stretches.len() / 2..];
-        let enough = latest.len() >= STRETCHES;
-        let patient = checks < PATIENCE * self.checks;
+        let enough = latest.len() >= MIN_STRETCHES;
+        let patient = checks < BENDING_TREND_FACTOR * self.checks;
         if !enough && patient {
             return None;
         }
@@ -292,13 +298,13 @@ impl Trace {
             .or_else(|| (!patient || !is_sure(trend(latest))).then(|| self.verdict_of_size()))
     }
 
-    /// Returns the size of the motion in each stretch, m. A stretch has at least [`BEAT`] swings and lasts at least
-    /// [`PERIODS`] of the slowest mode.
+    /// Returns the size of the motion in each stretch, m. A stretch has at least [`MIN_STRETCH_SWINGS`] swings and lasts at least
+    /// [`MIN_STRETCH_PERIODS`] of the slowest mode.
     fn stretches(&self) -> Vec<f64> {
-        let (mut stretches, mut first) = (Vec::new(), SETTLING);
-        for at in SETTLING..self.swings.len() {
+        let (mut stretches, mut first) = (Vec::new(), IGNORED_TURNS);
+        for at in IGNORED_TURNS..self.swings.len() {
             let rows = self.ends[at] - self.ends[first - 1];
-            if at + 1 - first >= BEAT && rows as f64 >= PERIODS * self.slowest {
+            if at + 1 - first >= MIN_STRETCH_SWINGS && rows as f64 >= MIN_STRETCH_PERIODS * self.slowest {
                 stretches.push(size_of(&self.extents[first..=at]));
                 first = at + 1;
             }
@@ -312,7 +318,7 @@ impl Trace {
         let (slope, error) = trend(swings);
         let sure = is_sure((slope, error));
         let (earlier, later) = swings.split_at(swings.len() / 2);
-        if sure && slope > 0.0 && larger && self.size() > self.explained {
+        if sure && slope > 0.0 && larger && self.size() > self.encoder_motion {
             return Some(Verdict::Grows);
         }
         // A motion that shrinks ever more slowly may settle at a constant size.
@@ -322,12 +328,12 @@ impl Trace {
     /// Returns the verdict for a motion of constant size.
     fn verdict_of_size(&self) -> Verdict {
         let size = self.size();
-        if size > self.explained { Verdict::Vibrates(size) } else { Verdict::Decays }
+        if size > self.encoder_motion { Verdict::Vibrates(size) } else { Verdict::Decays }
     }
 
     /// Returns the size of the latest swings from peak to peak, m. The median of pairs ignores a stray swing.
     fn size(&self) -> f64 {
-        let recent = &self.spans[self.spans.len().saturating_sub(CHECK / 2)..];
+        let recent = &self.spans[self.spans.len().saturating_sub(SWINGS_PER_CHECK / 2)..];
         let mut sizes: Vec<f64> =
             recent.windows(2).map(|two| two[0].1.max(two[1].1) - two[0].0.min(two[1].0)).collect();
         sizes.sort_by(f64::total_cmp);
@@ -336,11 +342,11 @@ impl Trace {
 }
 
 /// Span without values.
-const EMPTY: (f64, f64) = (f64::INFINITY, f64::NEG_INFINITY);
+const EMPTY_SPAN: (f64, f64) = (f64::INFINITY, f64::NEG_INFINITY);
 
 /// Returns the distance from the lowest to the highest value of all spans; negative infinity without spans.
 fn size_of(spans: &[(f64, f64)]) -> f64 {
-    let (low, high) = spans.iter().fold(EMPTY, |(low, high), span| (low.min(span.0), high.max(span.1)));
+    let (low, high) = spans.iter().fold(EMPTY_SPAN, |(low, high), span| (low.min(span.0), high.max(span.1)));
     high - low
 }
 
@@ -350,7 +356,7 @@ fn largest(swings: &[f64]) -> f64 {
 
 /// Returns true if a slope with this standard error differs from zero.
 fn is_sure((slope, error): (f64, f64)) -> bool {
-    slope.abs() > FLAT_SLOPE.max(SIGNIFICANT * error)
+    slope.abs() > FLAT_SLOPE.max(SIGNIFICANT_STANDARD_ERRORS * error)
 }
 
 /// Returns the slope of ln(swing) per swing, and its standard error.

@@ -10,16 +10,16 @@ use haptic_host::vectors::padded;
 use haptic_stability::analysis::pose::unit_normal;
 
 /// Distance from the wall that holds the tip to each wall that pulls it aside, m. It exceeds every pull.
-pub const APART: f64 = 0.01;
+pub const ASIDE_DISTANCE: f64 = 0.01;
 /// Longest pull, m.
-pub const LONGEST_PULL: f64 = 0.5 * APART;
+pub const LONGEST_PULL: f64 = 0.5 * ASIDE_DISTANCE;
 
 /// Indices of the walls that hold the tip. They follow the tested walls; a single tested wall also holds the tip.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Layout {
     /// Wall at the position of the tip, normal to the pulls.
     pub hold: u8,
-    /// Walls at +[`APART`] and -[`APART`] from the tip's position.
+    /// Walls at +[`ASIDE_DISTANCE`] and -[`ASIDE_DISTANCE`] from the tip's position.
     pub aside: [u8; 2],
     /// First wall of the directions across the pull.
     pub across: u8,
@@ -56,7 +56,7 @@ pub fn complement(normal: &DVector<f64>) -> Vec<DVector<f64>> {
     }
 }
 
-/// Returns true if the scene is that of a measurement: bilateral planes, two of them at +[`APART`] and -[`APART`] from
+/// Returns true if the scene is that of a measurement: bilateral planes, two of them at +[`ASIDE_DISTANCE`] and -[`ASIDE_DISTANCE`] from
 /// the first.
 #[must_use]
 pub fn is_measurement(scene: &Scene<f32>) -> bool {
@@ -73,9 +73,9 @@ pub fn is_measurement(scene: &Scene<f32>) -> bool {
     };
     scene.springs.is_empty()
         && scene.field_damping == 0.0
-        && planes
-            .windows(2)
-            .any(|pair| pair[0].normal == pair[1].normal && apart(&pair[0], APART) && apart(&pair[1], -APART))
+        && planes.windows(2).any(|pair| {
+            pair[0].normal == pair[1].normal && apart(&pair[0], ASIDE_DISTANCE) && apart(&pair[1], -ASIDE_DISTANCE)
+        })
 }
 
 /// Returns the scene of a measurement at `q` (rad) with all gains 0, for pulls along `direction` and with the
@@ -109,7 +109,7 @@ pub fn scene(
     if layout.hold > 0 {
         places.push((tip.clone(), direction.clone()));
     }
-    places.extend([APART, -APART].map(|apart| (tip + direction * apart, direction.clone())));
+    places.extend([ASIDE_DISTANCE, -ASIDE_DISTANCE].map(|apart| (tip + direction * apart, direction.clone())));
     places.extend(across.iter().map(|other| (tip.clone(), other.clone())));
     let single = |v: &DVector<f64>| padded::<3>(v.as_slice()).map(|v| v as f32);
     for (point, normal) in &places {

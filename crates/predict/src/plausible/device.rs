@@ -28,7 +28,7 @@ const LEAST_COUNTS: f64 = 600.0;
 /// Largest plausible ratio of resistance times inertia to the torque constant squared, s. Motors have 2 to 30 ms, and a
 /// gear ratio does not change the value. It is too large by the ratio squared if only the torque constant lacks the
 /// gear ratio.
-const MOTOR_SECONDS: f64 = 0.25;
+const LARGEST_MOTOR_TIME_S: f64 = 0.25;
 /// Largest plausible angle by which a motor's torque twists its transmission, rad. Cables and belts twist by
 /// hundredths.
 const LARGEST_WIND_UP: f64 = 0.1;
@@ -272,7 +272,7 @@ fn motor_warnings(joint: &Joint, index: usize, joints: usize, carries_body: bool
         warning("motor", "inductance", text);
     }
     let seconds = motor.resistance * joint.inertia / motor.torque_constant.powi(2);
-    if seconds > MOTOR_SECONDS && !carries_body {
+    if seconds > LARGEST_MOTOR_TIME_S && !carries_body {
         let text = format!(
             "`torque_constant` of joint {index}, {} N m/A, takes {seconds:.1} s to speed up its own rotor (resistance times \
              inertia over its square), and motors take hundredths: write the motor's constant times the gear ratio, and as \

@@ -32,14 +32,14 @@ use serde::Serialize;
 use std::convert::Infallible;
 
 /// Hand speed at which a wall's damping alone should not need all of the motors' torque, m/s.
-const SLOW_HAND: f64 = 0.1;
+const SLOW_HAND_SPEED: f64 = 0.1;
 /// Largest change of a wall's force by one encoder count without a warning of buzz, N. The ripple is about half of that
 /// change, root mean square (docs/encoder-steps.md).
 const BUZZ_N: f64 = 1.0;
 /// Largest stiffness that a hand cannot feel, N/m.
 const IMPERCEPTIBLE_STIFFNESS: f64 = 1.0;
 /// Number of grid poses per joint, by number of joints.
-const PER_JOINT: [usize; 3] = [400, 60, 16];
+const POSES_PER_JOINT: [usize; 3] = [400, 60, 16];
 /// Limits of a wall at the pose in which the tip touches it.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Contact {
@@ -124,11 +124,11 @@ pub fn file_warnings(subject: &Subject, scene: &Scene<f64>) -> (Vec<FileWarning>
     for (index, wall) in scene.walls.iter().enumerate() {
         match first_touch(device, &wall.surface) {
             FirstTouch::At(q, normal) => {
-                let Some(contact) = meets(subject, scene, index, &q, &normal, &path) else {
+                let Some(contact) = contact_limits(subject, scene, index, &q, &normal, &path) else {
                     warnings.extend(without_prediction(subject, index, wall));
                     continue;
                 };
-                warnings.extend(beyond(wall, &contact, true));
+                warnings.extend(gain_warnings(wall, &contact, true));
                 warnings.extend(soft_wall_warning(device, wall, &contact));
                 warnings.extend(buzz_warning(scene, &contact));
                 warnings.extend(costly_washout(subject, scene, &path, &contact));
@@ -206,7 +206,7 @@ fn posture_warning(subject: &Subject, scene: &Scene<f64>, path: &TorquePath) -> 
     let unit_motion = pose.inverse.column(spec.joints - 1).into_owned();
     let row = pose.jacobian.row(spec.joints - 1).transpose();
     let viscous = DVector::from_fn(spec.joints, |i, _| device.joints[i].viscous);
-    let flexible = Flexible { normal: DVector::zeros(spec.task), ..subject.gives() };
+    let flexible = Flexible { normal: DVector::zeros(spec.task), ..subject.compliant_parts() };
     let turning = Linearised { mass: pose.mass, viscous, row, unit_motion, gain: 1.0, flexible };
     let around = Prediction::in_scene(subject, scene, None, path)?.around;
     let (stable_to, damping_to) = stiffness_at(&turning, &around, Mode::Off, posture.damping).ok()?;
@@ -228,7 +228,7 @@ fn posture_warning(subject: &Subject, scene: &Scene<f64>, path: &TorquePath) -> 
 
 /// Returns the limits of wall `index` of a scene at a pose, with this torque path. Returns `None` at a singularity, for
 /// an estimator without linear analysis, and for compensated damping on a compliant device.
-pub fn meets(
+pub fn contact_limits(
     subject: &Subject,
     scene: &Scene<f64>,
     index: usize,
@@ -328,16 +328,22 @@ pub fn largest_gains(device: &Device<f64>, surface: &Surface<f64>, q: &[f64], li
 }
 
 /// Returns the limits of wall `index` of a scene as if the tip touched it at this pose.
-pub fn at(subject: &Subject, scene: &Scene<f64>, index: usize, q: &[f64], path: &TorquePath) -> Option<Contact> {
+pub fn contact_limits_at(
+    subject: &Subject,
+    scene: &Scene<f64>,
+    index: usize,
+    q: &[f64],
+    path: &TorquePath,
+) -> Option<Contact> {
     let pose = TaskPose::of(&subject.device.mechanism, q).ok()?;
     let tip = SVector::from(padded::<3>(&pose.position));
     let normal = scene.walls.get(index)?.surface.contact::<Libm, 3>(&tip).normal;
-    meets(subject, scene, index, q, &normal.as_slice()[..pose.task], path)
+    contact_limits(subject, scene, index, q, &normal.as_slice()[..pose.task], path)
 }
 
 /// Warns of gains that the loop or the motors cannot render. `in_file` is true if the wall is in a scene file, so that
 /// the warnings have a place.
-pub fn beyond(wall: &Wall<f64>, contact: &Contact, in_file: bool) -> Vec<FileWarning> {
+pub fn gain_warnings(wall: &Wall<f64>, contact: &Contact, in_file: bool) -> Vec<FileWarning> {
     let index = contact.wall;
     let rigid = if contact.taken_for_rigid { ", if the device is rigid" } else { "" };
     let warning = |name: &'static str, text: String| FileWarning {
@@ -401,10 +407,10 @@ pub fn beyond(wall: &Wall<f64>, contact: &Contact, in_file: bool) -> Vec<FileWar
         );
         warnings.push(warning("stiffness", text));
     }
-    if wall.damping * SLOW_HAND > force {
+    if wall.damping * SLOW_HAND_SPEED > force {
         let text = format!(
-            "the damping of wall {index} needs {} at {SLOW_HAND} m/s, but the motors have {} there",
-            with_unit(wall.damping * SLOW_HAND, "N"),
+            "the damping of wall {index} needs {} at {SLOW_HAND_SPEED} m/s, but the motors have {} there",
+            with_unit(wall.damping * SLOW_HAND_SPEED, "N"),
             with_unit(force, "N")
         );
         warnings.push(warning("damping", text));
@@ -555,7 +561,7 @@ enum FirstTouch {
 /// Finds the pose on a surface that is nearest to home.
 fn first_touch(device: &Device<f64>, surface: &Surface<f64>) -> FirstTouch {
     let spec = device.mechanism.kind().spec();
-    let per_joint = PER_JOINT[spec.joints - 1];
+    let per_joint = POSES_PER_JOINT[spec.joints - 1];
     let home = device.home.unwrap_or_default();
     let far = |q: &[f64]| q.iter().zip(home).map(|(q, home)| (q - home).powi(2)).sum::<f64>();
     let Ok(poses) = on_surface(device, surface, per_joint, 0.0) else { return FirstTouch::Unknown };
@@ -573,7 +579,7 @@ fn first_touch(device: &Device<f64>, surface: &Surface<f64>) -> FirstTouch {
 /// Returns the smallest and the largest distance of the tip from a surface, negative inside it, m, or `None` if the
 /// workspace has no grid.
 fn distances(device: &Device<f64>, surface: &Surface<f64>) -> Option<(f64, f64)> {
-    let grid = Reachable::of(device, PER_JOINT[device.mechanism.kind().spec().joints - 1], None).ok()?;
+    let grid = Reachable::of(device, POSES_PER_JOINT[device.mechanism.kind().spec().joints - 1], None).ok()?;
     let distances = grid.indices().filter_map(|index| {
         let pose = TaskPose::of(&device.mechanism, &grid.angles(index)).ok()?;
         let tip = SVector::from(padded::<3>(&pose.position));

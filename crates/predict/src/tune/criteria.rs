@@ -16,7 +16,7 @@ use serde::{Deserialize, Serialize};
 
 /// Largest allowed number of rebounds of a tip that taps a wall at 0.2 m/s with a push of 3 N. A finger feels one
 /// rebound as hardness, and more as rattling.
-pub const MOST_REBOUNDS: usize = 1;
+pub const MAX_REBOUNDS: usize = 1;
 
 /// Number of dampings in a curve.
 const DAMPINGS: usize = 9;
@@ -160,7 +160,7 @@ impl<'a> SearchContext<'a> {
         let (most, damped) = self.motors;
         let mut least: Vec<f64> = dampings.iter().map(|damping| if *damping > damped { 0.0 } else { most }).collect();
         for corner in self.corners(settings) {
-            self.sweep.go_on()?;
+            self.sweep.check_interrupted()?;
             let around = corner.adjusted_loop(&around);
             match stiffnesses(&corner.device, &corner.believed, &around, settings.mode(), dampings) {
                 Ok(result) => least.iter_mut().zip(result).for_each(|(least, result)| *least = least.min(result)),
@@ -178,7 +178,7 @@ impl<'a> SearchContext<'a> {
     /// Simulates the ripple under a sliding hand, N. Returns `None` if it exceeds the limit or the wall does not hold
     /// the hand.
     pub fn slide_ripple(&self, settings: &Settings) -> Result<Option<f64>, Failure> {
-        self.sweep.go_on()?;
+        self.sweep.check_interrupted()?;
         let bound = self.question.ripple_n;
         let Pressed { ripple_n, holds } = worst_ripple(self.question, settings, bound)?;
         Ok(ripple_n.filter(|ripple| holds && *ripple <= bound))
@@ -189,7 +189,7 @@ impl<'a> SearchContext<'a> {
         let Question { file, q, normal, admissible, .. } = self.question;
         let simulation = WallSimulation::new(&file.description, &file.description, q, normal, settings.rate_hz)?;
         let rebounds = simulation.rebounds(&settings.rendered(*admissible))?;
-        Ok(rebounds.is_some_and(|rebounds| rebounds <= MOST_REBOUNDS))
+        Ok(rebounds.is_some_and(|rebounds| rebounds <= MAX_REBOUNDS))
     }
 
     /// Simulates the ripple on the simulated board, N. Returns `None` if it exceeds `bound_n`.

@@ -12,15 +12,15 @@ use serde::Serialize;
 pub(super) const RAISE_FACTOR: f64 = 1.15;
 
 /// Name of the ripple limit.
-const RIPPLE: &str = "ripple";
+const RIPPLE_LIMIT: &str = "ripple";
 /// Name of the ripple limit on the simulated board.
-const ON_BOARD: &str = "ripple on the simulated board";
+const ON_BOARD_LIMIT: &str = "ripple on the simulated board";
 /// Name of the limit of rebounds.
-const REBOUNDS: &str = "rebounds after a tap";
+const REBOUNDS_LIMIT: &str = "rebounds after a tap";
 /// Name of the stability limit with all margins.
-const MARGINS: &str = "all margins together";
+const MARGINS_LIMIT: &str = "all margins together";
 /// Name of the limit by motors and encoder counts.
-const MOTORS: &str = "motors and encoder counts";
+const MOTORS_LIMIT: &str = "motors and encoder counts";
 /// Factors on the wall's stiffness at which the simulated limits are checked.
 const CHECKED_FACTORS: [f64; 7] = [STIFFNESS_RATIO, 1.06, RAISE_FACTOR, 1.25, 1.5, 2.0, 4.0];
 /// Factors on the wall's stiffness at which the simulated board is checked. They are few because it takes longest.
@@ -83,14 +83,14 @@ pub(super) fn limits(
         }
         push(limit, least.is_finite().then_some(least));
     }
-    push(MOTORS, Some(context.motors.0));
+    push(MOTORS_LIMIT, Some(context.motors.0));
     let passes_ripple = |wall: &Settings| Ok(context.slide_ripple(wall)?.is_some());
-    push(RIPPLE, largest_passing(settings, &CHECKED_FACTORS, &passes_ripple)?);
+    push(RIPPLE_LIMIT, largest_passing(settings, &CHECKED_FACTORS, &passes_ripple)?);
     let passes_tap = |wall: &Settings| context.passes_tap(wall);
-    push(REBOUNDS, largest_passing(settings, &CHECKED_FACTORS, &passes_tap)?);
+    push(REBOUNDS_LIMIT, largest_passing(settings, &CHECKED_FACTORS, &passes_tap)?);
     if let Some(bound) = question.board_ripple_n {
         let passes_on_board = |wall: &Settings| Ok(context.board_ripple(wall, bound)?.is_some());
-        push(ON_BOARD, largest_passing(settings, &CHECKED_ON_BOARD, &passes_on_board)?);
+        push(ON_BOARD_LIMIT, largest_passing(settings, &CHECKED_ON_BOARD, &passes_on_board)?);
     }
     push(RULE_OF_THUMB, Some(context.steps));
     let active = first_limit(&limits, settings, context.motors.1);
@@ -109,7 +109,7 @@ pub(super) fn limits(
 
 /// Returns the name of the limit that a stiffer wall exceeds first.
 fn first_limit(limits: &[Limit], settings: &Settings, damped: f64) -> &'static str {
-    let binding = [RIPPLE, ON_BOARD, REBOUNDS, MARGINS, MOTORS];
+    let binding = [RIPPLE_LIMIT, ON_BOARD_LIMIT, REBOUNDS_LIMIT, MARGINS_LIMIT, MOTORS_LIMIT];
     let among = limits.iter().filter(|limit| binding.contains(&limit.limit));
     let least = among.min_by(|a, b| {
         let stiffness = |limit: &Limit| limit.stiffness.unwrap_or(f64::INFINITY);
@@ -117,7 +117,7 @@ fn first_limit(limits: &[Limit], settings: &Settings, damped: f64) -> &'static s
     });
     let limit = least.map_or("", |limit| limit.limit);
     // More damping would allow a stiffer wall, but the motors lack the torque for it.
-    if limit == MARGINS && settings.damping * STIFFNESS_RATIO > damped { "motors and damping" } else { limit }
+    if limit == MARGINS_LIMIT && settings.damping * STIFFNESS_RATIO > damped { "motors and damping" } else { limit }
 }
 
 /// Returns the largest stiffness at which the wall passes a check, up to the last of `factors` times its own stiffness;

@@ -18,19 +18,19 @@ use serde::Serialize;
 use std::time::Duration;
 
 /// Depth of the hand's target, m. At this depth its stiffness of 250 N/m pushes with 3 N.
-const DEPTH: f64 = 0.012;
+const TARGET_DEPTH: f64 = 0.012;
 /// Distance that the hand slides, m.
-const SLIDE: f64 = 0.02;
+const SLIDE_DISTANCE: f64 = 0.02;
 /// Time before the recording, s.
-const SETTLE: f64 = 1.5;
+const SETTLE_S: f64 = 1.5;
 /// Duration of the recording, s.
-const RECORD: f64 = 1.0;
+const RECORD_S: f64 = 1.0;
 /// Smallest mean force of a wall that holds the hand, N.
 const LEAST_HELD_FORCE: f64 = 1.0;
 /// Torque limit of the measurement, N m, as in `haptic measure-range`.
-const TORQUE: f64 = 1.0;
+const TORQUE_LIMIT: f64 = 1.0;
 /// Longest pull of the measurement, m, as in `haptic measure-range`.
-const PULL: f64 = 0.5e-3;
+const MAX_PULL: f64 = 0.5e-3;
 /// Frequency of the hold between trials, Hz. It is soft with any encoder.
 const HOLD_HZ: f64 = 40.0;
 
@@ -48,8 +48,8 @@ pub struct Measured {
 
 /// Measures the largest stable stiffness on a simulated board, and simulates the ripple at the settings' stiffness.
 pub fn measure(question: &Question<'_>, settings: &Settings, sweep: &Sweep) -> Result<Measured, Failure> {
-    let result = boundary(question, settings, &|| sweep.go_on().is_err());
-    sweep.go_on()?;
+    let result = boundary(question, settings, &|| sweep.check_interrupted().is_err());
+    sweep.check_interrupted()?;
     let (stiffness, open) = match result {
         Ok(stiffness) => (stiffness, None),
         Err(MeasureError::Open { stable, why }) => (stable, Some(why.to_string())),
@@ -76,8 +76,8 @@ fn boundary(question: &Question<'_>, settings: &Settings, stop: &dyn Fn() -> boo
             hold_hz: HOLD_HZ,
             ..Law::default()
         },
-        torque_limit: TORQUE,
-        largest_pull: PULL,
+        torque_limit: TORQUE_LIMIT,
+        largest_pull: MAX_PULL,
     };
     let mut prepared = PreparedBoard::new(&mut board, question.file, setup, stop)?;
     let result = prepared.boundary(settings.feed_forward, settings.damping, 1.0, None)?.gain;
@@ -124,9 +124,9 @@ pub fn ripple(question: &Question<'_>, settings: &Settings, sweep: &Sweep) -> Re
     let intent = Intent::Follow(vec![
         Waypoint { time: 0.0, value: tip },
         Waypoint { time: 0.7, value: tip },
-        Waypoint { time: 1.0, value: aim(DEPTH, 0.0) },
-        Waypoint { time: SETTLE, value: aim(DEPTH, 0.0) },
-        Waypoint { time: SETTLE + RECORD, value: aim(DEPTH, SLIDE) },
+        Waypoint { time: 1.0, value: aim(TARGET_DEPTH, 0.0) },
+        Waypoint { time: SETTLE_S, value: aim(TARGET_DEPTH, 0.0) },
+        Waypoint { time: SETTLE_S + RECORD_S, value: aim(TARGET_DEPTH, SLIDE_DISTANCE) },
     ]);
     simulated.device_mut().set_hand(Hand::new(HandSettings::default(), intent, tip, 0.0));
     let shared = SharedBoard::new(simulated);
@@ -137,16 +137,16 @@ pub fn ripple(question: &Question<'_>, settings: &Settings, sweep: &Sweep) -> Re
     let wanted = fields("force").map_err(Failure::impossible)?;
     let divider = (settings.rate_hz / 10_000.0).ceil().max(1.0) as u32;
     let begun = board.now();
-    let settled = begun + Duration::from_secs_f64(SETTLE);
+    let settled = begun + Duration::from_secs_f64(SETTLE_S);
     while board.now() < settled {
-        sweep.go_on()?;
+        sweep.check_interrupted()?;
         board.rows(Duration::from_millis(20))?;
     }
     board.start_stream(wanted, divider)?;
     let mut forces = Vec::new();
-    let end = board.now() + Duration::from_secs_f64(RECORD);
+    let end = board.now() + Duration::from_secs_f64(RECORD_S);
     while board.now() < end {
-        sweep.go_on()?;
+        sweep.check_interrupted()?;
         for row in board.rows(Duration::from_millis(20))? {
             forces.extend(row.get(Field::WallForce));
         }

@@ -24,7 +24,7 @@ const BANDWIDTHS_HZ: [f64; 8] = [10.0, 20.0, 50.0, 100.0, 200.0, 500.0, 1000.0, 
 /// Windows of the difference estimators, samples.
 const WINDOWS: [u32; 4] = [4, 8, 16, 32];
 /// Number of candidates per round of simulations.
-const ROUND: usize = 8;
+const CANDIDATES_PER_ROUND: usize = 8;
 /// Share of the best stiffness down to which candidates are simulated, because between the grid's values they may be
 /// the best.
 const NEAR_SHARE: f64 = 0.85;
@@ -33,7 +33,7 @@ const COMPARED_SHARE: f64 = 0.7;
 /// Share of the encoders' rule of thumb at which stiffness starts without an earlier result.
 const FIRST_SHARE: f64 = 0.1;
 /// Ratio of successive stiffnesses without an earlier result.
-const STEP: f64 = 1.5;
+const STIFFNESS_STEP: f64 = 1.5;
 /// Factors by which the best wall is made stiffer until none meets all criteria. They exceed the limit found earlier,
 /// because friction or a limit cycle may make a stiffer wall quieter.
 const STIFFER_FACTORS: [f64; 5] = [1.5, 1.25, RAISE_FACTOR, 1.06, STIFFNESS_RATIO];
@@ -42,11 +42,11 @@ const REFINED_ESTIMATORS: usize = 4;
 /// Maximum number of rounds around the best wall of an estimator.
 const REFINEMENT_ROUNDS: usize = 5;
 /// Factors on the cutoff in refinement rounds.
-const CUTOFFS: [f64; 5] = [1.0, 0.7, 1.4, 0.5, 2.0];
+const CUTOFF_FACTORS: [f64; 5] = [1.0, 0.7, 1.4, 0.5, 2.0];
 /// Factors on the window in refinement rounds.
-const WIDTHS: [f64; 3] = [1.0, 0.75, 1.5];
+const WINDOW_FACTORS: [f64; 3] = [1.0, 0.75, 1.5];
 /// Factors on the damping in refinement rounds.
-const DAMPINGS: [f64; 7] = [1.0, 0.87, 1.15, 0.74, 1.35, 0.55, 1.8];
+const DAMPING_FACTORS: [f64; 7] = [1.0, 0.87, 1.15, 0.74, 1.35, 0.55, 1.8];
 /// Number of walls that are pressed on the board at once.
 const PRESSED_AT_ONCE: usize = 4;
 /// Maximum number of walls that are pressed on the board.
@@ -210,7 +210,7 @@ impl SearchContext<'_> {
             let floor = best.map_or(floor, |best| best.settings.stiffness);
             let known = floor > 0.0;
             let least = if known { STIFFNESS_RATIO * floor } else { FIRST_SHARE * self.steps.min(most) };
-            let ladder = (0..if known { 1 } else { 40 }).map(|i| STEP.powi(i) * least);
+            let ladder = (0..if known { 1 } else { 40 }).map(|i| STIFFNESS_STEP.powi(i) * least);
             for stiffness in ladder.take_while(|stiffness| *stiffness <= most) {
                 let wall = Settings { stiffness: three_digits(stiffness, true), damping, ..*settings };
                 if let Some(tuned) = self.check_ripple(&wall)? {
@@ -228,7 +228,7 @@ impl SearchContext<'_> {
         loop {
             let low = tuned.settings.stiffness;
             // Ripple grows roughly in proportion to stiffness.
-            let ahead = (self.question.ripple_n / tuned.ripple_n).clamp(1.06, STEP);
+            let ahead = (self.question.ripple_n / tuned.ripple_n).clamp(1.06, STIFFNESS_STEP);
             let factor = high.map_or(ahead, |high: f64| (high / low).sqrt());
             let stiffness = three_digits((factor * low).min(most), true);
             if stiffness <= low || high.is_some_and(|high| high / low < STIFFNESS_RATIO) {
@@ -251,7 +251,7 @@ impl SearchContext<'_> {
         count: &mut usize,
     ) -> Result<Vec<TunedWall>, Failure> {
         let mut tuned: Vec<TunedWall> = Vec::new();
-        for (round, some) in candidates.chunks(ROUND).enumerate() {
+        for (round, some) in candidates.chunks(CANDIDATES_PER_ROUND).enumerate() {
             let floor = stiffest(&tuned).map_or(floor, |best| floor.max(NEAR_SHARE * best.settings.stiffness));
             if some[0].1.top() <= floor {
                 break;
@@ -302,7 +302,7 @@ impl SearchContext<'_> {
 
     /// Returns these settings with their curves near a damping (N s/m).
     fn around_damping(&self, settings: Vec<Settings>, damping: f64) -> Result<Vec<(Settings, Curve)>, Failure> {
-        let dampings = DAMPINGS.map(|factor| three_digits(damping * factor, false));
+        let dampings = DAMPING_FACTORS.map(|factor| three_digits(damping * factor, false));
         let each = settings.into_iter().map(|settings| {
             let most = self.allowed(&settings, &dampings)?;
             Ok(most.map(|most| (settings, Curve { points: dampings.into_iter().zip(most).collect() })))
@@ -314,12 +314,12 @@ impl SearchContext<'_> {
 /// Returns these settings, and settings with cutoffs or windows between the grid's values.
 fn neighbours(settings: &Settings) -> Vec<Settings> {
     if settings.has_cutoff() {
-        let nearby = CUTOFFS.iter().map(|factor| three_digits(settings.cutoff_hz * factor, false));
+        let nearby = CUTOFF_FACTORS.iter().map(|factor| three_digits(settings.cutoff_hz * factor, false));
         let nearby = nearby.filter(|hz| *hz <= 0.4 * settings.rate_hz);
         return nearby.map(|cutoff_hz| Settings { cutoff_hz, ..*settings }).collect();
     }
     let Some(key) = settings.kind.spec().and_then(|spec| spec.key) else { return vec![*settings] };
-    let nearby = WIDTHS.iter().map(|factor| (f64::from(settings.value) * factor).round() as u32);
+    let nearby = WINDOW_FACTORS.iter().map(|factor| (f64::from(settings.value) * factor).round() as u32);
     let nearby = nearby.filter(|value| (key.range.0..=key.range.1).contains(value));
     nearby
         .map(|value| {

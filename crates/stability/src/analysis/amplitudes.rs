@@ -3,9 +3,9 @@
 use std::f64::consts::TAU;
 
 /// Largest number of samples that one transform takes.
-const LONGEST: usize = 16_384;
+const MAX_PIECE_SAMPLES: usize = 16_384;
 /// Smallest number of samples that gives a useful spectrum.
-const SHORTEST: usize = 64;
+const MIN_PIECE_SAMPLES: usize = 64;
 
 /// A line of a spectrum.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
@@ -28,14 +28,14 @@ pub struct Spectrum {
 /// Lowest frequency that counts as ripple, Hz. Slower force changes come from the hand.
 pub const RIPPLE_HZ: f64 = 20.0;
 /// Number of lines over which a Hann window spreads the power of a sine (its equivalent noise bandwidth).
-const HANN_LINES: f64 = 1.5;
+const HANN_BANDWIDTH_LINES: f64 = 1.5;
 
 impl Spectrum {
     /// Returns the root mean square of the signal's part at and above [`RIPPLE_HZ`], in the signal's unit.
     #[must_use]
     pub fn ripple(&self) -> f64 {
         let fast = self.lines.iter().filter(|line| line.frequency >= RIPPLE_HZ);
-        (fast.map(|line| 0.5 * line.amplitude.powi(2)).sum::<f64>() / HANN_LINES).sqrt()
+        (fast.map(|line| 0.5 * line.amplitude.powi(2)).sum::<f64>() / HANN_BANDWIDTH_LINES).sqrt()
     }
 }
 
@@ -46,8 +46,9 @@ impl Spectrum {
 /// pieces of a stretch overlap by at least half and cover the stretch from its first to its last sample. Skips
 /// stretches that are shorter than a piece. Returns `None` if the longest stretch has fewer than 64 samples.
 pub fn spectrum(stretches: &[&[f64]], rate_hz: f64) -> Option<Spectrum> {
-    let longest = stretches.iter().map(|stretch| stretch.len()).max().filter(|longest| *longest >= SHORTEST)?;
-    let size = (1 << longest.ilog2()).min(LONGEST);
+    let longest =
+        stretches.iter().map(|stretch| stretch.len()).max().filter(|longest| *longest >= MIN_PIECE_SAMPLES)?;
+    let size = (1 << longest.ilog2()).min(MAX_PIECE_SAMPLES);
     let window: Vec<f64> = (0..size).map(|i| 0.5 - 0.5 * (TAU * i as f64 / size as f64).cos()).collect();
     let gain: f64 = window.iter().sum();
     let mut power = vec![0.0; size / 2 + 1];
@@ -126,7 +127,7 @@ mod tests {
                 (0..50_000).map(|i| 7.0 + amplitude * (TAU * hz * f64::from(i) / rate).sin()).collect();
             let result = spectrum(&[&signal], rate).unwrap();
             let top = result.lines.iter().max_by(|a, b| a.amplitude.total_cmp(&b.amplitude)).unwrap();
-            assert!((top.frequency - hz).abs() < rate / LONGEST as f64, "{top:?}");
+            assert!((top.frequency - hz).abs() < rate / MAX_PIECE_SAMPLES as f64, "{top:?}");
             // Between two lines the Hann window shows at most 15 % less.
             assert!(top.amplitude <= 1.001 * amplitude && top.amplitude > 0.84 * amplitude, "{top:?}");
             let ripple = result.ripple() / (amplitude * 0.5_f64.sqrt());

@@ -18,7 +18,7 @@ use super::spectrum::Resolvent;
 pub(crate) const SMALLEST_STIFFNESS: f64 = 1e-9;
 
 /// Lowest frequency that is searched, rad per sample. The smallest stiffness oscillates with the mass alone at 3e-5.
-const LOWEST_ANGLE: f64 = 3e-6;
+const LOWEST_ANGLE_RAD: f64 = 3e-6;
 
 /// A stable interval of a gain.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -28,7 +28,7 @@ pub(crate) struct Interval {
 }
 
 /// Responses of the loop to the wall force around the unit circle.
-pub(crate) struct Circle<'a> {
+pub(crate) struct CircleResponses<'a> {
     open: &'a OpenLoop,
     resolvent: Resolvent,
     samples: Vec<Response>,
@@ -51,13 +51,13 @@ enum SearchedGain {
 }
 
 /// Largest phase difference between the responses of neighbouring samples, rad.
-const LARGEST_TURN: f64 = 0.25;
+const MAX_PHASE_STEP_RAD: f64 = 0.25;
 
 impl Response {
     /// Returns true if the phases of two neighbouring samples differ so much that a crossing between them could be
     /// missed.
     fn is_far_from(&self, other: &Response) -> bool {
-        let turned = |a: Complex<f64>, b: Complex<f64>| (b * a.conj()).arg().abs() > LARGEST_TURN;
+        let turned = |a: Complex<f64>, b: Complex<f64>| (b * a.conj()).arg().abs() > MAX_PHASE_STEP_RAD;
         turned(self.position, other.position) || turned(self.velocity, other.velocity)
     }
 
@@ -81,7 +81,7 @@ impl Response {
     }
 }
 
-impl<'a> Circle<'a> {
+impl<'a> CircleResponses<'a> {
     /// Tabulates the responses of a loop.
     pub fn new(open: &'a OpenLoop, delay_samples: f64) -> Self {
         let mut circle = Self {
@@ -96,10 +96,10 @@ impl<'a> Circle<'a> {
         };
         let even = (48.0 * (3.0 + delay_samples)) as usize;
         let start = 0.05;
-        let decades = (start / LOWEST_ANGLE).log10();
+        let decades = (start / LOWEST_ANGLE_RAD).log10();
         let below = (decades * 48.0) as usize;
         let angles: Vec<f64> = (0..below)
-            .map(|i| LOWEST_ANGLE * 10f64.powf(decades * i as f64 / below as f64))
+            .map(|i| LOWEST_ANGLE_RAD * 10f64.powf(decades * i as f64 / below as f64))
             .chain(
                 (0..even).map(|i| start + (std::f64::consts::PI * (1.0 - 1e-9) - start) * i as f64 / (even - 1) as f64),
             )
@@ -124,7 +124,7 @@ impl<'a> Circle<'a> {
                 near.extend([centre - aside, centre + aside]);
                 aside *= 1.6;
             }
-            let within = near.into_iter().filter(|angle| (LOWEST_ANGLE..top).contains(angle));
+            let within = near.into_iter().filter(|angle| (LOWEST_ANGLE_RAD..top).contains(angle));
             for angle in within.collect::<Vec<_>>() {
                 let response = self.respond(angle);
                 self.samples.push(response);
@@ -174,7 +174,7 @@ impl<'a> Circle<'a> {
                 }
             }
         }
-        if self.own_at_nyquist(searched).norm() > 1e-14 {
+        if self.nyquist_response(searched).norm() > 1e-14 {
             gains.push(self.at_nyquist.gain(searched, held).re);
         }
         gains.retain(|gain| gain.is_finite() && *gain > 0.0);
@@ -182,7 +182,7 @@ impl<'a> Circle<'a> {
         gains
     }
 
-    fn own_at_nyquist(&self, searched: SearchedGain) -> Complex<f64> {
+    fn nyquist_response(&self, searched: SearchedGain) -> Complex<f64> {
         match searched {
             SearchedGain::Stiffness => self.at_nyquist.position,
             SearchedGain::Damping => self.at_nyquist.velocity,
@@ -365,8 +365,8 @@ mod tests {
             let device = random_device(&mut random, joints);
             let around = random_loop(&mut random, joints);
             let mode = [Mode::Off, Mode::Full, Mode::Washout(2.0)][(case / 3) % 3];
-            let open = OpenLoop::believing(&device, &device, &around, mode).unwrap();
-            let mut circle = Circle::new(&open, around.delay_samples);
+            let open = OpenLoop::with_believed_model(&device, &device, &around, mode).unwrap();
+            let mut circle = CircleResponses::new(&open, around.delay_samples);
             let support = circle.damping_intervals().unwrap();
             for interval in &support {
                 for share in [0.03, 0.3, 0.6, 0.9] {

@@ -4,7 +4,7 @@ use haptic_bridge::render::scene::FeedForward;
 
 use super::error::AnalysisError;
 use super::estimator::LinearEstimator;
-use super::flexible::felt;
+use super::flexible::felt_stiffness;
 use super::plant::{Drive, Linearised};
 
 /// Longest delay that can be analysed, samples.
@@ -55,7 +55,7 @@ pub struct Loop {
 impl Loop {
     /// Returns a control loop with this rate (Hz), this estimator and a board's torque path.
     #[must_use]
-    pub fn through(path: &TorquePath, rate_hz: f64, estimator: LinearEstimator) -> Self {
+    pub fn with_torque_path(path: &TorquePath, rate_hz: f64, estimator: LinearEstimator) -> Self {
         let TorquePath { delay_samples, drive } = path.clone();
         Self { rate_hz, delay_samples, estimator, drive, damping_compensation: false }
     }
@@ -126,6 +126,6 @@ impl Linearised {
     /// Returns the stiffness that a hand feels at rest, N/m; `None` if no transmission is compliant.
     #[must_use]
     pub fn felt(&self, mode: Mode, stiffness: f64) -> Option<f64> {
-        felt(stiffness, self.compliance(mode)?)
+        felt_stiffness(stiffness, self.compliance(mode)?)
     }
 }

@@ -12,17 +12,17 @@ use haptic_bridge::model::description::Description;
 use haptic_bridge::model::device::Device;
 use nalgebra::DVector;
 
-use super::map::{Held, MapPoint, Reachable, along, at_holding};
+use super::map::{FixedCoordinate, MapPoint, Reachable, along, at_holding};
 use super::pose::{PoseError, TaskPose, unit_normal};
 use crate::skeleton::{Point, Turret};
 
 /// Number of grid angles per swept joint before tiles are divided.
-const GRID: usize = 64;
+const GRID_ANGLES: usize = 64;
 /// Maximum number of halvings of a tile inside the workspace.
-const DEPTH: usize = 4;
+const MAX_HALVINGS: usize = 4;
 /// Maximum number of halvings of a tile on the workspace's edge. Two halvings leave 1.4° of a turn, where the edge is
 /// nearly straight.
-const EDGE_DEPTH: usize = 2;
+const MAX_EDGE_HALVINGS: usize = 2;
 
 /// A pose in the plane.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -93,7 +93,7 @@ impl Cut {
                 let allowed = |angle: &f64| device.joints[0].limits.is_none_or(|(l, h)| (l..=h).contains(angle));
                 let middle = device.joints[0].limits.map_or(0.0, |(l, h)| (l + h) / 2.0);
                 let angle = [0.0, home[0]].into_iter().find(allowed).unwrap_or(middle);
-                (Some(Held::Joint(0, angle)), [1, 2], format!("joint 0 at {angle:.3} rad"))
+                (Some(FixedCoordinate::Joint(0, angle)), [1, 2], format!("joint 0 at {angle:.3} rad"))
             }
             (3, _) => {
                 let phi: f64 = home.iter().sum();
@@ -101,18 +101,18 @@ impl Cut {
                     Admissible::Orientation => format!("orientation held at {phi:.3} rad, as at home"),
                     other => format!("{} held; shown where the orientation is {phi:.3} rad, as at home", other.name()),
                 };
-                (Some(Held::Orientation(phi)), [0, 1], caption)
+                (Some(FixedCoordinate::Orientation(phi)), [0, 1], caption)
             }
             _ => (None, [0, 1], String::new()),
         };
-        let turned = if let Some(Held::Joint(_, angle)) = held { angle } else { 0.0 };
+        let turned = if let Some(FixedCoordinate::Joint(_, angle)) = held { angle } else { 0.0 };
         let (sin, cos) = turned.sin_cos();
         let axes = match Turret::of(description.kind) {
             Some(Turret::AboutX) => [[1.0, 0.0, 0.0], [0.0, cos, sin]],
             Some(Turret::AboutY) => [[cos, 0.0, -sin], [0.0, 1.0, 0.0]],
             None => [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]],
         };
-        let reachable = Reachable::of(&device, GRID, held)?;
+        let reachable = Reachable::of(&device, GRID_ANGLES, held)?;
         let normal = unit_normal(normal, spec.task, spec.joints)?;
         Ok(Self { description: *description, device, reachable, swept, caption, normal, admissible, axes })
     }
@@ -135,7 +135,7 @@ impl Cut {
     /// Returns the pose at two swept angles, or `None` if the device cannot reach it.
     pub fn node(&self, swept: [f64; 2]) -> Option<Node> {
         let q = self.q(swept);
-        self.reachable.walkable(&q).then(|| self.evaluate(&q, swept)).flatten()
+        self.reachable.is_on_reached_side(&q).then(|| self.evaluate(&q, swept)).flatten()
     }
 
     fn evaluate(&self, q: &[f64], swept: [f64; 2]) -> Option<Node> {
@@ -198,7 +198,7 @@ impl Cut {
             return;
         }
         let whole = nodes.len() == 4;
-        if depth < if whole { DEPTH } else { EDGE_DEPTH } && (!whole || too_coarse(&nodes, fineness)) {
+        if depth < if whole { MAX_HALVINGS } else { MAX_EDGE_HALVINGS } && (!whole || too_coarse(&nodes, fineness)) {
             let [a, b, c, d] = corners;
             let between = |a: &Corner, b: &Corner| {
                 let swept = [(a.swept[0] + b.swept[0]) / 2.0, (a.swept[1] + b.swept[1]) / 2.0];

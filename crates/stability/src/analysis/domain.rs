@@ -8,10 +8,10 @@
 
 use serde::Serialize;
 
-use super::boundary::{Circle, Interval};
+use super::boundary::{CircleResponses, Interval};
 use super::control_loop::{Loop, Mode};
 use super::error::AnalysisError;
-use super::flexible::felt;
+use super::flexible::felt_stiffness;
 use super::oscillation::Oscillation;
 use super::plant::Linearised;
 use super::several::{WallLoops, WallSet, open_loop};
@@ -22,7 +22,7 @@ pub const BOUNDARY_POINTS: usize = 200;
 /// Largest damping that counts as zero, in units of m/T. A smaller limit only reflects the smallest stiffness analysed.
 const SMALLEST_DAMPING: f64 = 1e-7;
 /// Range of dampings searched for islands if nothing is stable from zero up, in units of m/T.
-const ISLANDS: (f64, f64) = (1e-5, 2.0);
+const ISLAND_DAMPINGS: (f64, f64) = (1e-5, 2.0);
 
 /// A point of the boundary.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, serde::Deserialize)]
@@ -31,7 +31,7 @@ pub struct BoundaryPoint {
     pub kd: f64,
     /// Largest stiffness up to which all stiffnesses are stable, N/m; zero if none is stable.
     pub kp: f64,
-    /// Stiffness that a hand at the tip feels if transmissions are compliant, N/m ([`super::flexible::felt`]).
+    /// Stiffness that a hand at the tip feels if transmissions are compliant, N/m ([`super::flexible::felt_stiffness`]).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub felt: Option<f64>,
     /// Frequency at which a stiffer wall oscillates, Hz; `None` if nothing is stable or the wall creeps instead.
@@ -77,7 +77,7 @@ impl Domain {
     /// Sets the stiffness that a hand feels, for transmissions with this compliance (m/N).
     pub(super) fn with_compliance(mut self, compliance: Option<f64>) -> Self {
         for point in self.boundary.iter_mut().chain([&mut self.top]) {
-            point.felt = compliance.and_then(|compliance| felt(point.kp, compliance));
+            point.felt = compliance.and_then(|compliance| felt_stiffness(point.kp, compliance));
         }
         self
     }
@@ -89,7 +89,8 @@ pub fn domain(device: &Linearised, around: &Loop, mode: Mode, kd: Option<&[f64]>
         return Err(AnalysisError::Damping(refused));
     }
     let open = open_loop(device, device, around, mode)?;
-    let result = domain_from_intervals(&mut Circle::new(&open, around.delay_samples), open.mass, open.sample_s, kd)?;
+    let result =
+        domain_from_intervals(&mut CircleResponses::new(&open, around.delay_samples), open.mass, open.sample_s, kd)?;
     Ok(result.with_compliance(device.compliance(mode)))
 }
 
@@ -115,12 +116,12 @@ pub(super) trait StableIntervals {
     fn oscillation(&self, kp: f64, kd: f64) -> Option<Oscillation>;
 }
 
-impl StableIntervals for Circle<'_> {
+impl StableIntervals for CircleResponses<'_> {
     fn stiffness_intervals(&mut self, kd: f64) -> Result<Vec<Interval>, AnalysisError> {
-        Circle::stiffness_intervals(self, kd)
+        CircleResponses::stiffness_intervals(self, kd)
     }
     fn damping_intervals(&mut self) -> Result<Vec<Interval>, AnalysisError> {
-        Circle::damping_intervals(self)
+        CircleResponses::damping_intervals(self)
     }
     fn oscillation(&self, kp: f64, kd: f64) -> Option<Oscillation> {
         self.open().oscillation(kp, kd)
@@ -161,7 +162,9 @@ pub(super) fn domain_from_intervals(
     let at: Vec<f64> = match kd {
         Some(requested) => requested.iter().map(|kd| kd / damping_unit).collect(),
         None if kd_max > 0.0 => (0..BOUNDARY_POINTS).map(|i| kd_max * share(i)).collect(),
-        None => (0..BOUNDARY_POINTS).map(|i| ISLANDS.0 * (ISLANDS.1 / ISLANDS.0).powf(share(i))).collect(),
+        None => (0..BOUNDARY_POINTS)
+            .map(|i| ISLAND_DAMPINGS.0 * (ISLAND_DAMPINGS.1 / ISLAND_DAMPINGS.0).powf(share(i)))
+            .collect(),
     };
     let mut boundary: Vec<BoundaryPoint> = Vec::with_capacity(at.len());
     let mut islands = Vec::new();
@@ -235,7 +238,7 @@ fn in_sample_units(kp: f64, kd: f64, mass: f64, sample_s: f64) -> Result<(f64, f
 pub fn stiffness_at(device: &Linearised, around: &Loop, mode: Mode, kd: f64) -> Result<(f64, f64), AnalysisError> {
     let open = open_loop(device, device, around, mode)?;
     let damping_unit = open.mass / open.sample_s;
-    let mut circle = Circle::new(&open, around.delay_samples);
+    let mut circle = CircleResponses::new(&open, around.delay_samples);
     let support = support(&mut circle)?;
     let kd_max = support.last().map_or(0.0, |last| last.high);
     let kd_hat = kd / damping_unit;
@@ -270,7 +273,7 @@ pub fn boundary_of(
 ) -> Result<Vec<BoundaryPoint>, AnalysisError> {
     let open = open_loop(device, believed, around, mode)?;
     let damping_unit = open.mass / open.sample_s;
-    let mut circle = Circle::new(&open, around.delay_samples);
+    let mut circle = CircleResponses::new(&open, around.delay_samples);
     let support = support(&mut circle)?;
     let kd_max = support.last().map_or(0.0, |last| last.high) * damping_unit;
     let mut points = Vec::new();
@@ -306,7 +309,7 @@ fn supported_stiffness(support: &[Interval], kd_hat: f64, stable: &[Interval]) -
 }
 
 /// Number of golden-section steps. They narrow two grid intervals to 0.3 %; at a kink the stiffness is within 1e-5.
-const NARROWINGS: usize = 12;
+const GOLDEN_SECTION_STEPS: usize = 12;
 
 /// Searches the largest value in a bracket by golden section. The caller keeps the largest value.
 fn maximise(
@@ -316,7 +319,7 @@ fn maximise(
     let golden = (5.0_f64.sqrt() - 1.0) / 2.0;
     let mut inner = [high - golden * (high - low), low + golden * (high - low)];
     let mut values = [value(inner[0])?, value(inner[1])?];
-    for _ in 0..NARROWINGS {
+    for _ in 0..GOLDEN_SECTION_STEPS {
         if values[0] > values[1] {
             high = inner[1];
             (inner[1], values[1]) = (inner[0], values[0]);

@@ -131,7 +131,7 @@ impl LinearEstimator {
     }
 
     /// Returns true if the estimator uses the commanded torque.
-    pub(super) fn predicts(self) -> bool {
+    pub(super) fn uses_commands(self) -> bool {
         matches!(self, Self::Predicted(_))
     }
 
@@ -255,7 +255,7 @@ impl LinearEstimator {
 
     /// Returns the states after a long time at the velocity `moved` per sample. `pushed` is the velocity per sample
     /// that commands add.
-    pub(super) fn rest(self, rate_hz: f64, moved: f64, pushed: f64) -> DVector<f64> {
+    pub(super) fn steady_states(self, rate_hz: f64, moved: f64, pushed: f64) -> DVector<f64> {
         let (matrix, states) = (self.matrix(rate_hz), self.states());
         if states == 0 {
             return DVector::zeros(0);

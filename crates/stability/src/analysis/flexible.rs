@@ -53,7 +53,7 @@ pub struct Flexible {
 /// Returns the stiffness that a hand feels at rest, N/m: a wall of `stiffness` (N/m) in series with this `compliance`
 /// (m/N). Returns `None` if the wall cannot hold a hand at rest because its feed-forward moves the tip into the wall.
 #[must_use]
-pub fn felt(stiffness: f64, compliance: f64) -> Option<f64> {
+pub fn felt_stiffness(stiffness: f64, compliance: f64) -> Option<f64> {
     let share = 1.0 + stiffness * compliance;
     (share > 0.0).then(|| stiffness / share)
 }

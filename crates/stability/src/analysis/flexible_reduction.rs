@@ -20,10 +20,10 @@ use super::plant::{ContinuousPlant, Lags, Linearised};
 
 /// Frequency of a transmission's own oscillation (rad per sample) above which the transmission counts as rigid. The
 /// error is 1 over the square of this value, 1e-10.
-const RIGID_PER_SAMPLE: f64 = 1e5;
+const RIGID_ABOVE_RAD_PER_SAMPLE: f64 = 1e5;
 
 /// Length of a new basis vector, relative to the system matrix, below which the vector is only rounding.
-const ROUNDING: f64 = 1e-13;
+const BASIS_ROUNDING: f64 = 1e-13;
 
 /// A compliant device with the directions along which its walls measure it.
 pub(crate) struct ObservedDevice<'a> {
@@ -42,7 +42,7 @@ pub(crate) struct ObservedDevice<'a> {
 pub(crate) struct ReducedDevice {
     pub a: DMatrix<f64>,
     pub b: DMatrix<f64>,
-    pub seen: DMatrix<f64>,
+    pub rendered_rows: DMatrix<f64>,
 }
 
 /// Matrices of the device in generalised coordinates, in sample units (see [`super::plant`]): time in samples, forces
@@ -57,9 +57,9 @@ struct Bodies {
     motor: Vec<usize>,
     encoder: Vec<usize>,
     /// Index of the spring of each joint's transmission.
-    twist: Vec<Option<usize>>,
+    transmission_spring: Vec<Option<usize>>,
     /// Index of the hand's first spring; `None` without a hand.
-    held: Option<usize>,
+    hand_spring: Option<usize>,
 }
 
 impl Bodies {
@@ -79,8 +79,8 @@ impl Bodies {
         let mobility = links.clone().cholesky()?.inverse();
         let (swinging, stiff): (Vec<(usize, StructuralMode)>, Vec<_>) =
             flexible.modes.iter().partition(|(joint, mode)| {
-                let ease = 1.0 / mode.inertia + mobility[(*joint, *joint)];
-                (mode.stiffness() * ease).sqrt() * t < RIGID_PER_SAMPLE
+                let mobility_sum = 1.0 / mode.inertia + mobility[(*joint, *joint)];
+                (mode.stiffness() * mobility_sum).sqrt() * t < RIGID_ABOVE_RAD_PER_SAMPLE
             });
         for (joint, mode) in &stiff {
             links[(*joint, *joint)] += mode.inertia;
@@ -88,8 +88,8 @@ impl Bodies {
         let compliant: Vec<(usize, Transmission)> = (0..joints)
             .filter_map(|joint| transmission_of(joint).map(|transmission| (joint, transmission)))
             .filter(|(joint, transmission)| {
-                let ease = 1.0 / transmission.motor_inertia + mobility[(*joint, *joint)];
-                (transmission.stiffness * ease).sqrt() * t < RIGID_PER_SAMPLE
+                let mobility_sum = 1.0 / transmission.motor_inertia + mobility[(*joint, *joint)];
+                (transmission.stiffness * mobility_sum).sqrt() * t < RIGID_ABOVE_RAD_PER_SAMPLE
             })
             .collect();
         for joint in 0..joints {
@@ -108,8 +108,8 @@ impl Bodies {
             stiffness: DVector::zeros(springs),
             motor: (0..joints).collect(),
             encoder: (0..joints).collect(),
-            twist: vec![None; joints],
-            held: (held > 0).then_some(compliant.len() + swinging.len()),
+            transmission_spring: vec![None; joints],
+            hand_spring: (held > 0).then_some(compliant.len() + swinging.len()),
         };
         bodies.mass.view_mut((0, 0), (joints, joints)).copy_from(&links);
         if hand.is_there() {
@@ -124,7 +124,7 @@ impl Bodies {
             if transmission.encoder_at == EncoderAt::Motor {
                 bodies.encoder[q] = theta;
             }
-            bodies.twist[q] = Some(spring);
+            bodies.transmission_spring[q] = Some(spring);
             bodies.mass[(theta, theta)] = transmission.motor_inertia;
             bodies.deflection[(spring, theta)] = 1.0;
             bodies.deflection[(spring, q)] = -1.0;
@@ -174,8 +174,8 @@ pub(crate) fn reduce(
     let rows = DMatrix::from_rows(&[row.transpose()]);
     let directions = DMatrix::from_columns(std::slice::from_ref(&flexible.normal));
     let observed = ObservedDevice { mass, viscous, flexible, rows: &rows, directions: &directions };
-    let ReducedDevice { a, b, seen } = reduce_observed(&observed, lags, inputs, sample_s, reference_mass)?;
-    Some(ContinuousPlant::of_flexible_device(a, b, seen.row(0).transpose()))
+    let ReducedDevice { a, b, rendered_rows } = reduce_observed(&observed, lags, inputs, sample_s, reference_mass)?;
+    Some(ContinuousPlant::of_flexible_device(a, b, rendered_rows.row(0).transpose()))
 }
 
 /// Like [`reduce`], for walls along several directions.
@@ -194,7 +194,7 @@ pub(crate) fn reduce_observed(
     // that no spring of the hand holds.
     let (torques, position) = (moving + springs, moving + springs + lagging.len());
     // A hand's springs hold the tip's position but not its orientation.
-    let held = |k: usize| bodies.held.filter(|_| k < device.directions.ncols());
+    let held = |k: usize| bodies.hand_spring.filter(|_| k < device.directions.ncols());
     let integrated: Vec<usize> = (0..rendered).filter(|&k| held(k).is_none()).collect();
     let size = position + integrated.len();
     let (mut a, mut b) = (DMatrix::zeros(size, size), DMatrix::zeros(size, inputs.ncols()));
@@ -225,7 +225,7 @@ pub(crate) fn reduce_observed(
         }
     }
     // The rendered positions, one per column.
-    let mut seen = DMatrix::zeros(size, rendered);
+    let mut rendered_rows = DMatrix::zeros(size, rendered);
     for k in 0..rendered {
         let Some(held) = held(k) else {
             let state = position + integrated.iter().position(|&other| other == k)?;
@@ -233,30 +233,30 @@ pub(crate) fn reduce_observed(
                 let mut row = a.view_mut((state, 0), (1, moving));
                 row += velocities.row(bodies.encoder[joint]) * device.rows[(k, joint)];
             }
-            seen[(state, k)] = 1.0;
+            rendered_rows[(state, k)] = 1.0;
             continue;
         };
         // Jr q is the displacement of the tip, which the hand's springs deflect by. An encoder on a motor also measures
         // the twist of the transmission.
         for (direction, along) in device.directions.column(k).iter().enumerate() {
-            seen[(moving + held + direction, k)] += along / roots[held + direction];
+            rendered_rows[(moving + held + direction, k)] += along / roots[held + direction];
         }
         for joint in (0..joints).filter(|&joint| bodies.encoder[joint] != joint) {
-            if let Some(spring) = bodies.twist[joint] {
-                seen[(moving + spring, k)] += device.rows[(k, joint)] / roots[spring];
+            if let Some(spring) = bodies.transmission_spring[joint] {
+                rendered_rows[(moving + spring, k)] += device.rows[(k, joint)] / roots[spring];
             }
         }
     }
 
-    let basis = krylov_basis(&a.transpose(), &seen);
-    let (a, b, seen) = (basis.tr_mul(&(&a * &basis)), basis.tr_mul(&b), basis.tr_mul(&seen));
+    let basis = krylov_basis(&a.transpose(), &rendered_rows);
+    let (a, b, rendered_rows) = (basis.tr_mul(&(&a * &basis)), basis.tr_mul(&b), basis.tr_mul(&rendered_rows));
     let basis = krylov_basis(&a, &b);
-    let (a, b, seen) = if basis.ncols() < a.nrows() {
-        (basis.tr_mul(&(&a * &basis)), basis.tr_mul(&b), basis.tr_mul(&seen))
+    let (a, b, rendered_rows) = if basis.ncols() < a.nrows() {
+        (basis.tr_mul(&(&a * &basis)), basis.tr_mul(&b), basis.tr_mul(&rendered_rows))
     } else {
-        (a, b, seen)
+        (a, b, rendered_rows)
     };
-    Some(ReducedDevice { a, b, seen: seen.transpose() })
+    Some(ReducedDevice { a, b, rendered_rows: rendered_rows.transpose() })
 }
 
 /// Returns an orthonormal basis of the Krylov space span(from, a from, a² from, …).
@@ -271,7 +271,7 @@ fn krylov_basis(a: &DMatrix<f64>, from: &DMatrix<f64>) -> DMatrix<f64> {
             }
         }
         let length = candidate.norm();
-        if basis.len() < size && length > ROUNDING * scale {
+        if basis.len() < size && length > BASIS_ROUNDING * scale {
             basis.push(candidate / length);
         }
     };

@@ -4,7 +4,7 @@
 //! with its next request. The board applies this force without feed-forward: τ = Jᵀ f. The analysis therefore opens the
 //! board's loop at the force and samples it once per request.
 
-use super::boundary::Circle;
+use super::boundary::CircleResponses;
 use super::domain::{Domain, domain_from_intervals};
 use super::plant::Linearised;
 use super::sampled::{AnalysisError, LONGEST_DELAY, Loop, Mode, OpenLoop};
@@ -13,7 +13,7 @@ use nalgebra::{DMatrix, DVector};
 use serde::Serialize;
 
 /// Lowest request rate that is analysed, Hz.
-pub const SLOWEST_HZ: f64 = 1.0;
+pub const MIN_REQUEST_HZ: f64 = 1.0;
 
 /// A program that renders the wall.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -41,7 +41,7 @@ impl Host {
     /// Predicts the stable domain of a wall that this program renders on `device` through the board's loop `around`.
     pub fn domain(&self, device: &Linearised, around: &Loop, kd: Option<&[f64]>) -> Result<HostWall, AnalysisError> {
         around.check()?;
-        if !(SLOWEST_HZ..=around.rate_hz).contains(&self.rate_hz) {
+        if !(MIN_REQUEST_HZ..=around.rate_hz).contains(&self.rate_hz) {
             return Err(AnalysisError::HostRate { rate: self.rate_hz, board: around.rate_hz });
         }
         let steps = (around.rate_hz / self.rate_hz).round().max(1.0) as usize;
@@ -55,7 +55,7 @@ impl Host {
         let board = open_loop(device, device, around, Mode::Off)?;
         let open = host_loop(&board, steps, late);
         let delay = (late as f64 + around.delay_samples) / steps as f64;
-        let domain = domain_from_intervals(&mut Circle::new(&open, delay), open.mass, open.sample_s, kd)?;
+        let domain = domain_from_intervals(&mut CircleResponses::new(&open, delay), open.mass, open.sample_s, kd)?;
         let domain = domain.with_compliance(device.compliance(Mode::Off));
         Ok(HostWall { rate_hz: around.rate_hz / steps as f64, delay_s: late as f64 / around.rate_hz, domain })
     }

@@ -26,7 +26,7 @@ const WALKABLE_SINE: f64 = 0.08;
 /// Longest step while flooding, rad. The excluded band around a singularity ([`WALKABLE_SINE`] on either side) is wider
 /// than a step, so no step crosses a singularity. This holds even where two singularities meet and J's determinant has
 /// the same sign behind both.
-const STEP: f64 = 0.1;
+const MAX_FLOOD_STEP_RAD: f64 = 0.1;
 
 /// A wall normal and the largest value that it causes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -64,7 +64,7 @@ pub struct MapPoint {
 
 /// The joint or coordinate that stays fixed while the other joints sweep a plane.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Held {
+pub enum FixedCoordinate {
     /// Joint with this index at this angle, rad.
     Joint(usize, f64),
     /// Orientation φ of the redundant arm, rad. Its last joint follows the other joints, so each tip position appears
@@ -81,7 +81,7 @@ pub struct Reachable {
     pub wraps: Vec<bool>,
     /// True for reached poses, by flat index; joint 0 varies slowest.
     reached: Vec<bool>,
-    held: Option<Held>,
+    held: Option<FixedCoordinate>,
     device: Device<f64>,
     /// Side of the singularities on which the reached poses lie; `None` if no pose was reached.
     side: Option<bool>,
@@ -248,22 +248,26 @@ fn side(device: &Device<f64>, q: &[f64], sine: f64) -> Result<Option<bool>, Pose
 impl Reachable {
     /// Floods a grid of `per_joint` angles per joint from home, or from the most regular pose if the device has no
     /// home. `held` restricts the grid to a plane.
-    pub fn from_home(description: &Description, per_joint: usize, held: Option<Held>) -> Result<Self, PoseError> {
+    pub fn from_home(
+        description: &Description,
+        per_joint: usize,
+        held: Option<FixedCoordinate>,
+    ) -> Result<Self, PoseError> {
         Self::of(&Device::new("", description)?, per_joint, held)
     }
 
     /// Like [`Reachable::from_home`], for a [`Device`].
-    pub fn of(device: &Device<f64>, per_joint: usize, held: Option<Held>) -> Result<Self, PoseError> {
+    pub fn of(device: &Device<f64>, per_joint: usize, held: Option<FixedCoordinate>) -> Result<Self, PoseError> {
         let spec = device.mechanism.kind().spec();
         let mut axes = Vec::new();
         let mut wraps = Vec::new();
         for joint in 0..spec.joints {
             match (held, device.joints[joint].limits) {
-                (Some(Held::Joint(at, angle)), _) if at == joint => {
+                (Some(FixedCoordinate::Joint(at, angle)), _) if at == joint => {
                     axes.push(vec![angle]);
                     wraps.push(false);
                 }
-                (Some(Held::Orientation(_)), _) if joint + 1 == spec.joints => {
+                (Some(FixedCoordinate::Orientation(_)), _) if joint + 1 == spec.joints => {
                     axes.push(vec![0.0]);
                     wraps.push(false);
                 }
@@ -337,7 +341,7 @@ impl Reachable {
 
     /// Computes the last angle of `q` if the orientation is held, plus or minus whole turns to lie within the limits.
     pub fn complete(&self, q: &mut [f64]) {
-        let Some(Held::Orientation(phi)) = self.held else { return };
+        let Some(FixedCoordinate::Orientation(phi)) = self.held else { return };
         let Some((last, others)) = q.split_last_mut() else { return };
         let turn = std::f64::consts::TAU;
         let angle = phi - others.iter().sum::<f64>();
@@ -346,7 +350,7 @@ impl Reachable {
     }
 
     /// Returns true if `q` (rad) is within the limits and on the reached side of the singularities.
-    pub fn walkable(&self, q: &[f64]) -> bool {
+    pub fn is_on_reached_side(&self, q: &[f64]) -> bool {
         self.side.is_some() && side(&self.device, q, WALKABLE_SINE).is_ok_and(|result| result == self.side)
     }
 
@@ -360,12 +364,12 @@ impl Reachable {
         };
         let travels: Vec<f64> = (0..from.len()).map(travel).collect();
         let swept = travels.iter().zip(&self.axes).filter(|(_, axis)| axis.len() > 1);
-        let steps = (swept.map(|(travel, _)| travel.abs()).fold(0.0, f64::max) / STEP).ceil() as usize;
+        let steps = (swept.map(|(travel, _)| travel.abs()).fold(0.0, f64::max) / MAX_FLOOD_STEP_RAD).ceil() as usize;
         (1..steps).all(|i| {
             let mut q: Vec<f64> =
                 from.iter().zip(&travels).map(|(from, travel)| from + travel * i as f64 / steps as f64).collect();
             self.complete(&mut q);
-            self.walkable(&q)
+            self.is_on_reached_side(&q)
         })
     }
 
@@ -432,7 +436,7 @@ pub fn map_until(
 }
 
 /// Number of poses per item of a sweep.
-const PIECE: usize = 256;
+const POSES_PER_ITEM: usize = 256;
 
 /// Like [`map_holding`], as an interruptible sweep.
 pub fn map_swept(
@@ -463,7 +467,7 @@ fn evaluate_pieces<E: From<PoseError>>(
     let reachable = Reachable::from_home(description, per_joint, None)?;
     let device = AnyMechanism::new(description).map_err(PoseError::from)?;
     let poses: Vec<Vec<f64>> = reachable.indices().map(|index| reachable.angles(index)).collect();
-    let pieces: Vec<Vec<Vec<f64>>> = poses.chunks(PIECE).map(<[Vec<f64>]>::to_vec).collect();
+    let pieces: Vec<Vec<Vec<f64>>> = poses.chunks(POSES_PER_ITEM).map(<[Vec<f64>]>::to_vec).collect();
     sweep(&pieces, &|piece| {
         // The pose is valid because the device reached it.
         let at = |q: &Vec<f64>| evaluate(&TaskPose::of(&device, q).ok()?.holding(admissible), q, &normal);

@@ -31,15 +31,15 @@ use nalgebra::{Complex, DVector};
 use super::control_loop::Loop;
 use super::plant::{Drive, Linearised};
 
-/// Number of logarithmically spaced angles between `SLOWEST` and `EVEN_FROM`.
+/// Number of logarithmically spaced angles between `SLOWEST_ANGLE_RAD` and `EVEN_FROM_RAD`.
 const SLOW_ANGLES: usize = 200;
-/// Number of evenly spaced angles above `EVEN_FROM` for a loop without delay. Each sample of delay turns the response
+/// Number of evenly spaced angles above `EVEN_FROM_RAD` for a loop without delay. Each sample of delay turns the response
 /// once more and adds as many.
 const EVEN_ANGLES: usize = 400;
 /// Smallest analysed angle, rad. Slower motions follow their limit, `Passivity::lateness`.
-const SLOWEST: f64 = 1e-3;
-/// Angle at which evenly spaced angles begin, rad.
-const EVEN_FROM: f64 = 0.1;
+const SLOWEST_ANGLE_RAD: f64 = 1e-3;
+/// ConditionTerms at which evenly spaced angles begin, rad.
+const EVEN_FROM_RAD: f64 = 0.1;
 /// Number of aliases on each side with exact lag. The remaining aliases count as without lag, which makes r larger.
 const ALIASES: i32 = 60;
 
@@ -54,12 +54,12 @@ pub struct Passivity {
     pub quantum: Option<f64>,
     /// Average delay of a force, s.
     lateness: f64,
-    angles: Vec<Angle>,
+    angles: Vec<ConditionTerms>,
 }
 
 /// Terms of the passivity condition at one angle θ.
 #[derive(Clone, Copy, Debug, PartialEq)]
-struct Angle {
+struct ConditionTerms {
     /// Centre C of the disc, m/N.
     centre: Complex<f64>,
     /// r² - |C|², m²/N².
@@ -72,7 +72,7 @@ impl Passivity {
     /// Computes the bounds of a device at a pose in this control loop. Returns `None` if no bound is known.
     pub fn new(device: &Linearised, description: &Description, around: &Loop) -> Option<Self> {
         let flexible = &device.flexible;
-        if flexible.is_sensed_behind_a_spring() || flexible.posture.is_some() || around.estimator.predicts() {
+        if flexible.is_sensed_behind_a_spring() || flexible.posture.is_some() || around.estimator.uses_commands() {
             return None;
         }
         let joints = description.kind.spec().joints;
@@ -106,7 +106,7 @@ impl Passivity {
     /// Returns the largest passive stiffness at a damping (N s/m), N/m; zero above [`Passivity::largest_damping`].
     pub fn sampled(&self, kd: f64) -> f64 {
         let allowed = self.angles.iter().map(|angle| {
-            let Angle { centre, spread, velocity } = angle;
+            let ConditionTerms { centre, spread, velocity } = angle;
             let rest = 1.0 + 2.0 * kd * (velocity * centre).re - spread * kd * kd * velocity.norm_sqr();
             positive_root(*spread, 2.0 * centre.re - 2.0 * spread * kd * velocity.re, rest)
         });
@@ -116,7 +116,7 @@ impl Passivity {
     /// Returns the largest passive damping, N s/m.
     pub fn largest_damping(&self) -> f64 {
         let allowed = self.angles.iter().map(|angle| {
-            let Angle { centre, spread, velocity } = angle;
+            let ConditionTerms { centre, spread, velocity } = angle;
             positive_root(spread * velocity.norm_sqr(), 2.0 * (velocity * centre).re, 1.0)
         });
         allowed.reduce(f64::min).unwrap_or(0.0)
@@ -149,12 +149,12 @@ fn lag_s(drive: &Drive) -> Option<f64> {
 }
 
 /// Computes the condition's terms at all analysed angles, for physical damping `b` (N s/m).
-fn angles(b: f64, lag_s: f64, around: &Loop) -> Vec<Angle> {
-    let decades = (EVEN_FROM / SLOWEST).powf(1.0 / SLOW_ANGLES as f64);
-    let slow = (0..SLOW_ANGLES).map(|i| SLOWEST * decades.powi(i as i32));
+fn angles(b: f64, lag_s: f64, around: &Loop) -> Vec<ConditionTerms> {
+    let decades = (EVEN_FROM_RAD / SLOWEST_ANGLE_RAD).powf(1.0 / SLOW_ANGLES as f64);
+    let slow = (0..SLOW_ANGLES).map(|i| SLOWEST_ANGLE_RAD * decades.powi(i as i32));
     let count = EVEN_ANGLES * (1 + around.delay_samples.ceil() as usize);
-    let step = (std::f64::consts::PI - EVEN_FROM) / (count - 1) as f64;
-    let even = (0..count).map(|i| EVEN_FROM + step * i as f64);
+    let step = (std::f64::consts::PI - EVEN_FROM_RAD) / (count - 1) as f64;
+    let even = (0..count).map(|i| EVEN_FROM_RAD + step * i as f64);
     let t = 1.0 / around.rate_hz;
     let scale = t / (2.0 * b);
     // The lag rate is per sample.
@@ -171,7 +171,7 @@ fn angles(b: f64, lag_s: f64, around: &Loop) -> Vec<Angle> {
             })
             .sum();
         let radius = scale * hold * (1.0 / (hold * hold) - lost);
-        Angle { centre, spread: (radius * radius - centre.norm_sqr()).max(0.0), velocity: velocity(theta) / t }
+        ConditionTerms { centre, spread: (radius * radius - centre.norm_sqr()).max(0.0), velocity: velocity(theta) / t }
     };
     slow.chain(even).map(condition_at).collect()
 }

@@ -143,7 +143,7 @@ pub(crate) struct ContinuousPlant {
     /// Index of the rendered position, the last state before the positions of `sensed`.
     pub position: usize,
     /// The rendered position as a row over the states without the positions of `sensed`.
-    pub seen: DVector<f64>,
+    pub rendered_rows: DVector<f64>,
     /// Joints whose positions are the last states.
     pub sensed: Vec<usize>,
     /// True if uncompensated back-EMF damps a joint.
@@ -152,7 +152,7 @@ pub(crate) struct ContinuousPlant {
 
 impl ContinuousPlant {
     /// Creates the plant of a compliant device. Its single states have no physical meaning.
-    pub fn of_flexible_device(a: DMatrix<f64>, b: DMatrix<f64>, seen: DVector<f64>) -> Self {
+    pub fn of_flexible_device(a: DMatrix<f64>, b: DMatrix<f64>, rendered_rows: DVector<f64>) -> Self {
         Self {
             position: a.nrows() - 1,
             a,
@@ -160,7 +160,7 @@ impl ContinuousPlant {
             damped: Vec::new(),
             lagging: Vec::new(),
             has_share: false,
-            seen,
+            rendered_rows,
             sensed: Vec::new(),
             electrically_damped: false,
         }
@@ -168,6 +168,6 @@ impl ContinuousPlant {
 
     /// Returns the number of states without the positions of `sensed`.
     pub fn states(&self) -> usize {
-        self.seen.len()
+        self.rendered_rows.len()
     }
 }

@@ -251,7 +251,7 @@ impl Subject {
     /// Linearises the device at rest at `q` (rad), along `normal` (d entries, any length but zero).
     pub fn along(&self, q: &[f64], normal: &[f64], admissible: Admissible) -> Result<Linearised, PoseError> {
         let mut linearised = Linearised::of(&self.device, q, normal, admissible)?;
-        let Flexible { transmissions, modes, .. } = self.gives();
+        let Flexible { transmissions, modes, .. } = self.compliant_parts();
         (linearised.flexible.transmissions, linearised.flexible.modes) = (transmissions, modes);
         Ok(linearised)
     }

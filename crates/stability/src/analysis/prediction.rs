@@ -55,7 +55,7 @@ impl Prediction {
         path: &TorquePath,
     ) -> Option<Self> {
         let estimator = LinearEstimator::of(scene.estimator, scene.cutoff_hz)?;
-        let mut around = Loop::through(path, scene.rate_hz, estimator);
+        let mut around = Loop::with_torque_path(path, scene.rate_hz, estimator);
         around.damping_compensation = wall.is_some_and(|wall| wall.damping_compensation);
         let held = scene.posture.map(|held| Posture { stiffness: held.stiffness, damping: held.damping });
         Some(Self {
@@ -70,7 +70,7 @@ impl Prediction {
     pub fn seen(&self, q: &[f64], normal: &[f64]) -> Result<Linearised, PoseError> {
         let mut linearised = self.subject.along(q, normal, self.admissible)?.held(self.hand);
         linearised.gain = self.gain.min(linearised.largest_gain().unwrap_or(1.0));
-        linearised.flexible.posture = self.posture_row(q)?;
+        linearised.flexible.posture = self.posture_with_jacobian(q)?;
         Ok(linearised)
     }
 
@@ -80,7 +80,7 @@ impl Prediction {
             return Ok(Walls::One(self.seen(q, &only.normal)?));
         }
         let set = WallSet::of(&self.subject, q, members, self.admissible)?.held(self.hand);
-        Ok(Walls::Several(set.in_posture(self.posture_row(q)?)))
+        Ok(Walls::Several(set.in_posture(self.posture_with_jacobian(q)?)))
     }
 
     /// Returns the gain α that the board applies; for several walls α is 1.
@@ -92,7 +92,7 @@ impl Prediction {
     }
 
     /// Returns the posture control with the Jacobian row of the orientation; `None` if it has no effect.
-    fn posture_row(&self, q: &[f64]) -> Result<Option<(Posture, nalgebra::DVector<f64>)>, PoseError> {
+    fn posture_with_jacobian(&self, q: &[f64]) -> Result<Option<(Posture, nalgebra::DVector<f64>)>, PoseError> {
         // A posture without stiffness and damping has no effect.
         let acts = |held: &Posture| held.stiffness > 0.0 || held.damping > 0.0;
         let Some(held) = self.posture.filter(acts) else { return Ok(None) };

@@ -108,8 +108,8 @@ pub fn predict_several(
     let (off, full) = (of(Mode::Off)?, of(Mode::Full)?);
     let washout = washout_hz.map(|hz| of(Mode::Washout(hz))).transpose()?;
     let area_ratio = if off.area > 0.0 { full.area / off.area } else { 0.0 };
-    let met = |feed_forward| set.met(feed_forward).ok_or(AnalysisError::Singular);
-    let (w_eff, w_rr) = (met(false)?, met(true)?);
+    let effective_inertia = |feed_forward| set.effective_inertia(feed_forward).ok_or(AnalysisError::Singular);
+    let (w_eff, w_rr) = (effective_inertia(false)?, effective_inertia(true)?);
     let (feed_forward_gain, inertia_met, transmissions, host) = (None, None, None, None);
     Ok(Range { w_eff, w_rr, feed_forward_gain, inertia_met, transmissions, off, full, washout, area_ratio, host })
 }

@@ -94,7 +94,7 @@ pub(crate) fn reduce(
         lagging,
         has_share,
         position,
-        seen: DVector::from_fn(position + 1, |state, _| if state == position { 1.0 } else { 0.0 }),
+        rendered_rows: DVector::from_fn(position + 1, |state, _| if state == position { 1.0 } else { 0.0 }),
         sensed,
     })
 }

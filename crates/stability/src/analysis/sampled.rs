@@ -114,7 +114,7 @@ fn one_pole(hz: f64, rate_hz: f64, signal: &Signal, state: &Signal) -> (Signal, 
 impl OpenLoop {
     /// Builds the loop of a device without posture control. The controller uses the model `believed` for feed-forward,
     /// damping compensation and predictions.
-    pub fn believing(
+    pub fn with_believed_model(
         device: &Linearised,
         believed: &Linearised,
         around: &Loop,
@@ -235,7 +235,7 @@ fn assemble(
     let queue = washout + usize::from(matches!(mode, Mode::Washout(_)));
     let held = queue + whole * inputs;
     let acted = held + if fraction > 0.0 { inputs } else { 0 };
-    let size = acted + if around.estimator.predicts() { inputs } else { 0 };
+    let size = acted + if around.estimator.uses_commands() { inputs } else { 0 };
     let estimator = around.estimator.matrix(around.rate_hz);
     // Returns the velocity per sample from the last command: along the normal for row 0, then of each joint.
     let pushed = |row: usize| {
@@ -271,7 +271,7 @@ fn assemble(
         }
     }
     for (input, commands) in commands.iter().enumerate() {
-        if around.estimator.predicts() {
+        if around.estimator.uses_commands() {
             loop_.change(acted + input, &commands.plus(-1.0, &Signal::of_state(size, acted + input)));
         }
         let mut now = commands.clone();
@@ -301,7 +301,7 @@ fn assemble(
     let nothing = Signal { state: DVector::zeros(size), force: 0.0 };
     let rendered_change =
         |sum: Signal, (change, share): (&Signal, &f64)| if *share == 0.0 { sum } else { sum.plus(*share, change) };
-    follow(&mut loop_, moved, &change.iter().zip(&plant.seen).fold(nothing, rendered_change));
+    follow(&mut loop_, moved, &change.iter().zip(&plant.rendered_rows).fold(nothing, rendered_change));
     for joint in 0..plant.sensed.len() {
         follow(&mut loop_, joint_moved + joint, &change[plant_states + joint]);
     }
@@ -330,9 +330,10 @@ fn assemble(
             }
             // Set the estimators' states for constant velocities (zero along the normal) and commands.
             let commands = DVector::from_column_slice(&constant);
-            let given = |row: usize| if around.estimator.predicts() { pushes.row(row).tr_dot(&commands) } else { 0.0 };
+            let given =
+                |row: usize| if around.estimator.uses_commands() { pushes.row(row).tr_dot(&commands) } else { 0.0 };
             let mut remember = |first: usize, v: f64, given: f64| {
-                for (state, value) in around.estimator.rest(around.rate_hz, v, given).iter().enumerate() {
+                for (state, value) in around.estimator.steady_states(around.rate_hz, v, given).iter().enumerate() {
                     states[(first + state, column)] = *value;
                 }
             };
@@ -358,7 +359,7 @@ fn assemble(
     OpenLoop {
         f: loop_.f,
         input: loop_.input,
-        position: plant.seen.clone().resize_vertically(size, 0.0),
+        position: plant.rendered_rows.clone().resize_vertically(size, 0.0),
         velocity: velocity.state,
         mass,
         sample_s: 1.0 / around.rate_hz,

@@ -80,7 +80,7 @@ pub(super) fn open_loop(
 ) -> Result<OpenLoop, AnalysisError> {
     match device.flexible.posture {
         Some(_) => Ok(WallLoops::new(&WallSet::of_one(device, believed), around, mode)?.single_loop()),
-        None => OpenLoop::believing(device, believed, around, mode),
+        None => OpenLoop::with_believed_model(device, believed, around, mode),
     }
 }
 
@@ -140,7 +140,7 @@ impl WallSet {
 
     /// Returns the effective inertia for the total stiffness in the stiffest motion, kg. For one wall this is Weff, or
     /// Wrr with the feed-forward.
-    pub fn met(&self, feed_forward: bool) -> Option<f64> {
+    pub fn effective_inertia(&self, feed_forward: bool) -> Option<f64> {
         let stiffest = self.acceleration(feed_forward)?.complex_eigenvalues();
         let largest = stiffest.iter().map(|value| value.norm()).fold(0.0, f64::max);
         (largest > 0.0 && largest.is_finite()).then(|| 1.0 / largest)
@@ -150,7 +150,7 @@ impl WallSet {
     /// wall this is the normal.
     pub fn stiffest(&self, feed_forward: bool) -> Option<DVector<f64>> {
         let answer = self.acceleration(feed_forward)?;
-        let fastest = 1.0 / self.met(feed_forward)?;
+        let fastest = 1.0 / self.effective_inertia(feed_forward)?;
         let rest = &answer - DMatrix::identity(answer.nrows(), answer.ncols()) * fastest;
         let still = rest.svd(false, true);
         let least = still.singular_values.imin();
@@ -212,7 +212,8 @@ fn linearised<const N: usize, M: Mechanism<f64, N>>(
     }
     let principal = Principal::new::<FineTable>(&pulls, M::SPEC.task);
     let most = pulls.iter().map(|pull| pull.stiffness).fold(0.0, f64::max);
-    let seen: Vec<usize> = (0..N).filter(|i| principal.along(*i) > MIN_STIFFNESS_SHARE * principal.along(0)).collect();
+    let rendered_indices: Vec<usize> =
+        (0..N).filter(|i| principal.along(*i) > MIN_STIFFNESS_SHARE * principal.along(0)).collect();
     let null = m.shaping(&pose, &SVector::from_fn(|i, _| f64::from(u8::from(i == N - 1))));
     let shapings: [Shaping<f64, N>; N] = core::array::from_fn(|i| {
         let along = m.shaping(&pose, &principal.direction(i));
@@ -225,23 +226,29 @@ fn linearised<const N: usize, M: Mechanism<f64, N>>(
         DVector::from_iterator(N, torque.iter().copied())
     };
     let dense = |v: SVector<f64, N>| DVector::from_iterator(N, v.iter().copied());
-    let rows: Vec<DVector<f64>> = seen.iter().map(|i| dense(m.transpose(&pose, &principal.direction(*i)))).collect();
-    let shaped: Vec<DVector<f64>> = seen.iter().map(|i| torque(&principal.direction(*i), None)).collect();
+    let rows: Vec<DVector<f64>> =
+        rendered_indices.iter().map(|i| dense(m.transpose(&pose, &principal.direction(*i)))).collect();
+    let shaped: Vec<DVector<f64>> = rendered_indices.iter().map(|i| torque(&principal.direction(*i), None)).collect();
     let bias: Vec<DVector<f64>> =
         (0..N).map(|j| torque(&SVector::zeros(), Some(SVector::from_fn(|i, _| f64::from(u8::from(i == j)))))).collect();
     let mass = m.mass(&pose);
     let tips: Vec<DVector<f64>> = (0..M::SPEC.task)
         .map(|axis| dense(m.transpose(&pose, &SVector::from_fn(|i, _| f64::from(u8::from(i == axis))))))
         .collect();
-    let flexible = Flexible { tip: DMatrix::from_columns(&tips).transpose(), ..subject.gives() };
+    let flexible = Flexible { tip: DMatrix::from_columns(&tips).transpose(), ..subject.compliant_parts() };
     Ok(WallSet {
         flexible,
         mass: DMatrix::from_fn(N, N, |i, j| mass[(i, j)]),
         viscous: DVector::from_fn(N, |j, _| subject.device.joints[j].viscous),
         first: DVector::from_fn(M::SPEC.task, |i, _| pulls.first().map_or(0.0, |pull| pull.normal[i])),
-        directions: DMatrix::from_fn(M::SPEC.task, seen.len(), |i, column| principal.direction(seen[column])[i]),
+        directions: DMatrix::from_fn(M::SPEC.task, rendered_indices.len(), |i, column| {
+            principal.direction(rendered_indices[column])[i]
+        }),
         rows: DMatrix::from_columns(&rows).transpose(),
-        stiffness: DVector::from_iterator(seen.len(), seen.iter().map(|i| principal.along(*i) * most)),
+        stiffness: DVector::from_iterator(
+            rendered_indices.len(),
+            rendered_indices.iter().map(|i| principal.along(*i) * most),
+        ),
         shaped: DMatrix::from_columns(&shaped),
         bias: DMatrix::from_columns(&bias),
     })
@@ -264,11 +271,11 @@ pub(crate) struct WallLoops {
 const ROUNDING: f64 = 1.0e-11;
 
 /// Smallest analysed gain, in sample units.
-const SMALLEST: f64 = 1.0e-6;
+const SMALLEST_GAIN: f64 = 1.0e-6;
 /// Ratio of neighbouring gains on the grid.
-const STEP: f64 = 1.15;
+const GAIN_RATIO: f64 = 1.15;
 /// Largest analysed gain, in sample units.
-const LARGEST: f64 = 40.0;
+const LARGEST_GAIN: f64 = 40.0;
 
 impl WallLoops {
     /// Builds the loops of the device.
@@ -286,7 +293,7 @@ impl WallLoops {
             None => set.rows.clone(),
         };
         let directions = rows.nrows();
-        let mass = set.met(mode != Mode::Off).ok_or(AnalysisError::Singular)?;
+        let mass = set.effective_inertia(mode != Mode::Off).ok_or(AnalysisError::Singular)?;
         let inverse = set.mass.clone().cholesky().ok_or(AnalysisError::Singular)?.inverse();
         let t = 1.0 / around.rate_hz;
         if matches!(&around.drive, Drive::Voltage(motors) if motors.len() != joints) {
@@ -298,25 +305,25 @@ impl WallLoops {
         }
         let lags = Lags::new(&around.drive, joints, t);
         // With posture control, use the reduction for compliant devices because it removes unmeasured motions.
-        let seen = match set.flexible.is_rigid() && (set.flexible.posture.is_none() || compensated) {
-            true => rigid(set, &rows, &lags, &inverse, t, mass, compensated),
+        let rendered_plant = match set.flexible.is_rigid() && (set.flexible.posture.is_none() || compensated) {
+            true => rigid_plant(set, &rows, &lags, &inverse, t, mass, compensated),
             false => {
                 let WallSet { mass: m, viscous, flexible, directions, .. } = set;
                 let observed = ObservedDevice { mass: m, viscous, flexible, rows: &rows, directions };
                 // Torques are in units of m/T² times metres.
                 let reduced = reduce_observed(&observed, &lags, &DMatrix::identity(joints, joints), t, mass);
-                let ReducedDevice { a, b, seen } = reduced.ok_or(AnalysisError::Singular)?;
-                let turning = DMatrix::zeros(0, a.nrows());
-                RenderedPlant { a, b, positions: seen, turning }
+                let ReducedDevice { a, b, rendered_rows } = reduced.ok_or(AnalysisError::Singular)?;
+                let joint_velocities = DMatrix::zeros(0, a.nrows());
+                RenderedPlant { a, b, positions: rendered_rows, joint_velocities }
             }
         };
         // The joints with compensated damping add their angles to the states; the plant's states do not depend on them.
-        let (plant, sensed) = (seen.a.nrows(), seen.turning.nrows());
+        let (plant, sensed) = (rendered_plant.a.nrows(), rendered_plant.joint_velocities.nrows());
         let all = plant + sensed;
         let mut joined = DMatrix::zeros(all + joints, all + joints);
-        joined.view_mut((0, 0), (plant, plant)).copy_from(&seen.a);
-        joined.view_mut((0, all), (plant, joints)).copy_from(&seen.b);
-        joined.view_mut((plant, 0), (sensed, plant)).copy_from(&seen.turning);
+        joined.view_mut((0, 0), (plant, plant)).copy_from(&rendered_plant.a);
+        joined.view_mut((0, all), (plant, joints)).copy_from(&rendered_plant.b);
+        joined.view_mut((plant, 0), (sensed, plant)).copy_from(&rendered_plant.joint_velocities);
         let over = |time: f64| {
             let e = exp_minus_identity(&(&joined * time));
             (e.view((0, 0), (all, plant)).into_owned(), e.view((0, all), (all, joints)).into_owned())
@@ -341,7 +348,7 @@ impl WallLoops {
         let queue = washout + if matches!(mode, Mode::Washout(_)) { walls } else { 0 };
         let held = queue + whole * joints;
         let acted = held + if fraction > 0.0 { joints } else { 0 };
-        let size = acted + if around.estimator.predicts() { joints } else { 0 };
+        let size = acted + if around.estimator.uses_commands() { joints } else { 0 };
         let estimator = around.estimator.matrix(around.rate_hz);
 
         let change = |s: &DVector<f64>, forces: &DVector<f64>| {
@@ -369,8 +376,8 @@ impl WallLoops {
             for k in 0..directions + sensed {
                 let first = filters + per * k;
                 let pushed = if k < directions { along[k] } else { given[k - directions] };
-                let seen = s.rows(first, per).into_owned().push(s[moved + k]).push(pushed);
-                let answer = &estimator * seen;
+                let filter_input = s.rows(first, per).into_owned().push(s[moved + k]).push(pushed);
+                let answer = &estimator * filter_input;
                 estimates[k] = answer[per];
                 change.rows_mut(first, per).copy_from(&answer.rows(0, per));
             }
@@ -393,7 +400,7 @@ impl WallLoops {
                 motion += &before * &last;
                 change.rows_mut(held, joints).copy_from(&(&command - &last));
             }
-            let along = &seen.positions * motion.rows(0, plant);
+            let along = &rendered_plant.positions * motion.rows(0, plant);
             for k in 0..directions {
                 change[moved + k] = along[k] - s[moved + k];
             }
@@ -409,7 +416,7 @@ impl WallLoops {
         let mut f = DMatrix::zeros(size, size);
         let mut velocity = DMatrix::zeros(directions, size);
         let mut position = DMatrix::zeros(directions, size);
-        position.view_mut((0, 0), (directions, plant)).copy_from(&seen.positions);
+        position.view_mut((0, 0), (directions, plant)).copy_from(&rendered_plant.positions);
         for column in 0..size {
             let (changed, estimates) = change(&unit(size, column), &none);
             f.set_column(column, &changed);
@@ -467,7 +474,7 @@ impl WallLoops {
     /// smallest grid value begins at [`SMALLEST_STIFFNESS`], like those of a single loop.
     pub fn stiffness_intervals(&self, kd: f64) -> Result<Vec<Interval>, AnalysisError> {
         let mut result = intervals(|kp| self.is_stable(kp, kd))?;
-        if let Some(first) = result.first_mut().filter(|first| first.low <= SMALLEST) {
+        if let Some(first) = result.first_mut().filter(|first| first.low <= SMALLEST_GAIN) {
             first.low = SMALLEST_STIFFNESS;
         }
         Ok(result)
@@ -475,9 +482,9 @@ impl WallLoops {
 
     /// Returns the stable intervals of the total damping at the smallest stiffness, in sample units.
     pub fn damping_intervals(&self) -> Result<Vec<Interval>, AnalysisError> {
-        let mut result = intervals(|kd| self.is_stable(SMALLEST, kd))?;
-        if let Some(first) = result.first_mut().filter(|first| first.low <= SMALLEST)
-            && self.is_stable(SMALLEST, 0.0)
+        let mut result = intervals(|kd| self.is_stable(SMALLEST_GAIN, kd))?;
+        if let Some(first) = result.first_mut().filter(|first| first.low <= SMALLEST_GAIN)
+            && self.is_stable(SMALLEST_GAIN, 0.0)
         {
             first.low = 0.0;
         }
@@ -486,18 +493,18 @@ impl WallLoops {
 }
 
 /// The continuous plant ẋ = a x + b τ per sample, for all joint torques τ (m/T² times metres). `positions` has the
-/// rendered positions as rows over the states; `turning` has the velocities of joints with compensated damping, rad per
+/// rendered positions as rows over the states; `joint_velocities` has the velocities of joints with compensated damping, rad per
 /// sample.
 struct RenderedPlant {
     a: DMatrix<f64>,
     b: DMatrix<f64>,
     positions: DMatrix<f64>,
-    turning: DMatrix<f64>,
+    joint_velocities: DMatrix<f64>,
 }
 
 /// Returns the plant of a rigid device without a hand. Its states are joint velocities (rad per sample), lagging
 /// torques and rendered positions (m).
-fn rigid(
+fn rigid_plant(
     set: &WallSet,
     rows: &DMatrix<f64>,
     lags: &Lags,
@@ -533,8 +540,8 @@ fn rigid(
     }
     a.view_mut((positions, 0), (directions, joints)).copy_from(rows);
     let pick = |rows: usize, from: usize| DMatrix::from_fn(rows, plant, |i, j| f64::from(u8::from(j == from + i)));
-    let turning = pick(if compensated { joints } else { 0 }, 0);
-    RenderedPlant { a, b, positions: pick(directions, positions), turning }
+    let joint_velocities = pick(if compensated { joints } else { 0 }, 0);
+    RenderedPlant { a, b, positions: pick(directions, positions), joint_velocities }
 }
 
 /// Returns the stable intervals of a gain from a search on a grid; their ends are refined by bisection.
@@ -548,12 +555,12 @@ fn intervals(is_stable: impl Fn(f64) -> bool) -> Result<Vec<Interval>, AnalysisE
         stable
     };
     let mut result: Vec<Interval> = Vec::new();
-    let (mut last, mut last_stable) = (SMALLEST, is_stable(SMALLEST));
+    let (mut last, mut last_stable) = (SMALLEST_GAIN, is_stable(SMALLEST_GAIN));
     if last_stable {
-        result.push(Interval { low: SMALLEST, high: f64::INFINITY });
+        result.push(Interval { low: SMALLEST_GAIN, high: f64::INFINITY });
     }
-    while last < LARGEST {
-        let next = last * STEP;
+    while last < LARGEST_GAIN {
+        let next = last * GAIN_RATIO;
         let stable = is_stable(next);
         match (last_stable, stable) {
             (false, true) => result.push(Interval { low: edge(next, last), high: f64::INFINITY }),

@@ -38,7 +38,7 @@ impl Subject {
 
     /// Returns the compliant parts.
     #[must_use]
-    pub fn gives(&self) -> Flexible {
+    pub fn compliant_parts(&self) -> Flexible {
         let joints = self.joints.as_ref().map(|joints| &joints[..self.device.axes()]);
         joints.map_or_else(Flexible::default, |joints| Flexible::default().of_joints(joints))
     }
@@ -46,6 +46,6 @@ impl Subject {
     /// Returns true if the device has compliant parts.
     #[must_use]
     pub fn is_flexible(&self) -> bool {
-        !self.gives().is_rigid()
+        !self.compliant_parts().is_rigid()
     }
 }

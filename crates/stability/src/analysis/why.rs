@@ -13,7 +13,7 @@ use crate::sweep::Sweep;
 use haptic_host::error::Failure;
 
 /// Ratio of control rates for the comparison without sampling.
-pub const FASTER: usize = 10;
+pub const RATE_FACTOR: usize = 10;
 
 /// Limits of a stable domain.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -42,7 +42,7 @@ impl Limits {
 
 /// Limits without and with the feed-forward; `None` if the stiffness is unbounded.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Both {
+pub struct LimitPair {
     /// Limits without the feed-forward.
     pub off: Option<Limits>,
     /// Limits with the feed-forward of equation (4).
@@ -57,7 +57,7 @@ pub struct WithoutEffect {
     /// Condition that replaces the effect.
     pub instead: &'static str,
     /// Limits without the effect.
-    pub limits: Both,
+    pub limits: LimitPair,
     /// Share of the largest stiffness that the effect costs; negative if it helps.
     pub takes: Shares,
     /// Share of the area that the effect costs; negative if it helps.
@@ -77,7 +77,7 @@ pub struct Shares {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Why {
     /// Limits with all effects.
-    pub limits: Both,
+    pub limits: LimitPair,
     /// Shares of the effects.
     pub effects: Vec<WithoutEffect>,
 }
@@ -90,11 +90,11 @@ fn cases(device: &Linearised, around: &Loop) -> Vec<(&'static str, &'static str,
     let mut cases = Vec::new();
     let mut add = |effect, instead, device: Linearised, around: Loop| cases.push((effect, instead, (device, around)));
     let samples = around.estimator.samples();
-    let delay_samples = around.delay_samples * FASTER as f64;
-    if delay_samples <= LONGEST_DELAY && (samples == 1 || samples * FASTER <= LONGEST_DIFFERENCE) {
+    let delay_samples = around.delay_samples * RATE_FACTOR as f64;
+    if delay_samples <= LONGEST_DELAY && (samples == 1 || samples * RATE_FACTOR <= LONGEST_DIFFERENCE) {
         // Delay, filter and window keep their lengths in seconds.
-        let estimator = if samples > 1 { around.estimator.over(samples * FASTER) } else { around.estimator };
-        let faster = Loop { rate_hz: around.rate_hz * FASTER as f64, delay_samples, estimator, ..around.clone() };
+        let estimator = if samples > 1 { around.estimator.over(samples * RATE_FACTOR) } else { around.estimator };
+        let faster = Loop { rate_hz: around.rate_hz * RATE_FACTOR as f64, delay_samples, estimator, ..around.clone() };
         add("sampling", "ten times the rate", device.clone(), faster);
     }
     if around.delay_samples > 0.0 {
@@ -161,7 +161,7 @@ pub fn why(device: &Linearised, around: &Loop, sweep: &Sweep) -> Result<Why, Fai
     let results = sweep.map("loops without one effect", &jobs, |((device, around), mode)| {
         Ok(Limits::of(domain(device, around, *mode, None))?)
     })?;
-    let both = |at: usize| Both { off: results[2 * at], full: results[2 * at + 1] };
+    let both = |at: usize| LimitPair { off: results[2 * at], full: results[2 * at + 1] };
     let limits = both(0);
     let share = |with: Option<Limits>, without: Option<Limits>, of: fn(&Limits) -> f64| {
         let (with, without) = (of(&with?), of(&without?));

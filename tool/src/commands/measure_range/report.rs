@@ -124,7 +124,7 @@ impl Report<'_> {
 
     /// Returns the points of the plan; a progress file may contain other dampings too.
     fn points(&self, mode: FeedForward) -> Vec<&Point> {
-        self.plan.asked(self.progress.all(mode))
+        self.plan.points_of_plan(self.progress.all(mode))
     }
 
     /// Writes the pictures and prints the table or JSON.

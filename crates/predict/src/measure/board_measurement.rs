@@ -16,10 +16,10 @@ use haptic_host::link::{Board, BoardError, LinkError};
 use haptic_stability::analysis::sampled::{LinearEstimator, Loop};
 
 /// Largest difference of a joint angle at which two poses count as equal, rad.
-const SAME_POSE: f64 = 0.02;
+const SAME_POSE_RAD: f64 = 0.02;
 
 /// A measurement of a board with its device file, its results so far and the file that keeps them.
-pub struct Occasion<'a> {
+pub struct BoardMeasurement<'a> {
     /// The board, on which the device is loaded.
     pub board: &'a mut Board,
     /// The device file.
@@ -32,10 +32,10 @@ pub struct Occasion<'a> {
     pub path: Option<&'a Path>,
     /// True if the file also keeps the board's settings, so that the next measurement can restore them if this one is
     /// killed.
-    pub remembers: bool,
+    pub keeps_settings: bool,
 }
 
-impl Occasion<'_> {
+impl BoardMeasurement<'_> {
     /// Measures the repeats of `plan` that `progress` lacks. Calls `begun` with the prepared board and its pose before
     /// the first repeat, and `done` with the number of finished repeats after each. Polls `stop` often, and ends if it
     /// returns true.
@@ -47,7 +47,7 @@ impl Occasion<'_> {
         begun: impl FnOnce(&mut PreparedBoard<'_>, &[f64]) -> Result<(), MeasureError>,
         mut done: impl FnMut(usize),
     ) -> Result<(), MeasureError> {
-        if self.remembers {
+        if self.keeps_settings {
             let rules = rules_for(self.before.rules(), setup.torque_limit);
             self.progress.before = self.before.keep(&self.board.info().serial, &rules);
             save(self.progress, self.path)?;
@@ -57,7 +57,7 @@ impl Occasion<'_> {
         let q: Vec<f64> = prepared.pose().iter().map(|angle| (angle * 1e6).round() / 1e6).collect();
         if self.progress.q.is_empty() {
             self.progress.q.clone_from(&q);
-        } else if self.progress.q.iter().zip(&q).any(|(then, now)| (then - now).abs() > SAME_POSE) {
+        } else if self.progress.q.iter().zip(&q).any(|(then, now)| (then - now).abs() > SAME_POSE_RAD) {
             return Err(MeasureError::Moved);
         }
         begun(&mut prepared, &q)?;
@@ -96,13 +96,13 @@ fn save(progress: &Progress, path: Option<&Path>) -> Result<(), ProgressError> {
 
 /// Returns the settings to restore after a measurement: the present ones or, if an earlier measurement was killed,
 /// those from before it. In the second case prints on standard error which settings are restored.
-pub fn before(board: &mut Board, progress: &Progress) -> Result<Before, BoardError> {
+pub fn settings_to_restore(board: &mut Board, progress: &Progress) -> Result<Before, BoardError> {
     let now = Before::of(board)?;
     let serial = board.info().serial.clone();
     let kept = progress.before.as_ref().filter(|kept| kept.serial == serial.as_str());
-    if !now.is_left_over() {
+    if !now.is_of_interrupted_measurement() {
         // A measurement that ended before setting its scene leaves only its rules on the board.
-        let Some(Ok(Some(before))) = kept.map(|kept| now.without_its_rules(kept)) else { return Ok(now) };
+        let Some(Ok(Some(before))) = kept.map(|kept| now.with_earlier_rules(kept)) else { return Ok(now) };
         haptic_host::tell!(
             "the rules on the board were left by an interrupted measurement: the earlier rules are restored"
         );
@@ -110,7 +110,7 @@ pub fn before(board: &mut Board, progress: &Progress) -> Result<Before, BoardErr
         board.set_rules(before.rules())?;
         return Ok(before);
     }
-    let Some(Ok((before, as_before))) = kept.map(|kept| now.from_kept(kept)) else {
+    let Some(Ok((before, as_before))) = kept.map(|kept| now.restored_from(kept)) else {
         haptic_host::tell!(
             "the scene on the board was left by an interrupted measurement: load your scene again with `haptic scene`, \
              and check `haptic rules`"
@@ -128,7 +128,7 @@ pub fn before(board: &mut Board, progress: &Progress) -> Result<Before, BoardErr
 }
 
 /// Returns a description of the loaded device if it is not `device`.
-pub fn another(board: &mut Board, device: &Device<f32>) -> Result<Option<String>, LinkError> {
+pub fn other_loaded_device(board: &mut Board, device: &Device<f32>) -> Result<Option<String>, LinkError> {
     let held = board.device()?;
     Ok((held.as_ref() != Some(device)).then(|| match held {
         None => "no device".into(),
@@ -139,13 +139,13 @@ pub fn another(board: &mut Board, device: &Device<f32>) -> Result<Option<String>
 
 /// Returns the control loop of `setup` for the theory, with the delay and the drive of the board.
 #[must_use]
-pub fn around(setup: &MeasurementSetup, info: &Info, details: &Details) -> Loop {
-    Loop::through(&torque_path(info, details), setup.rate_hz, LinearEstimator::Butterworth(setup.cutoff_hz))
+pub fn control_loop(setup: &MeasurementSetup, info: &Info, details: &Details) -> Loop {
+    Loop::with_torque_path(&torque_path(info, details), setup.rate_hz, LinearEstimator::Butterworth(setup.cutoff_hz))
 }
 
 /// Returns a description of the measurement. Only a measurement with the same description continues a progress file.
 #[must_use]
-pub fn what(name: &str, setup: &MeasurementSetup, pulls: &[f64], world: &World) -> String {
+pub fn description(name: &str, setup: &MeasurementSetup, pulls: &[f64], world: &World) -> String {
     let listed = |values: &[f64]| {
         // Remove the rounding error of the unit vector.
         let rounded = values.iter().map(|value| ((value * 1e9).round() / 1e9 + 0.0).to_string());
@@ -166,7 +166,7 @@ pub fn what(name: &str, setup: &MeasurementSetup, pulls: &[f64], world: &World) 
         true => mm(&1.0),
         false => pulls.iter().map(mm).collect::<Vec<_>>().join(" and "),
     };
-    if setup.law.farther {
+    if setup.law.may_lengthen_pull {
         pull_mm = format!("of at least {pull_mm}");
     }
     let mut what = format!(
