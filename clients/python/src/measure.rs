@@ -252,7 +252,7 @@ impl MeasurementRequest {
         };
         let mut loop_and_step = None;
         let setup = &self.setup;
-        let mut measurement =
+        let mut session =
             BoardMeasurement { board, file: &self.file, before, progress: &mut progress, path, keeps_settings };
         let on_begin = |prepared: &mut haptic_predict::measure::PreparedBoard<'_>, _: &[f64]| {
             let (info, details) = (prepared.board().info().clone(), prepared.board().details()?);

@@ -298,8 +298,8 @@ impl Trace {
             .or_else(|| (!patient || !is_sure(trend(latest))).then(|| self.verdict_of_size()))
     }
 
-    /// Returns the size of the motion in each stretch, m. A stretch has at least [`MIN_STRETCH_SWINGS`] swings and lasts at least
-    /// [`MIN_STRETCH_PERIODS`] of the slowest mode.
+    /// Returns the size of the motion in each stretch, m. A stretch has at least [`MIN_STRETCH_SWINGS`] swings and lasts
+    /// at least [`MIN_STRETCH_PERIODS`] of the slowest mode.
     fn stretches(&self) -> Vec<f64> {
         let (mut stretches, mut first) = (Vec::new(), IGNORED_TURNS);
         for at in IGNORED_TURNS..self.swings.len() {

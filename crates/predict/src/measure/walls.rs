@@ -56,8 +56,8 @@ pub fn complement(normal: &DVector<f64>) -> Vec<DVector<f64>> {
     }
 }
 
-/// Returns true if the scene is that of a measurement: bilateral planes, two of them at +[`ASIDE_DISTANCE`] and -[`ASIDE_DISTANCE`] from
-/// the first.
+/// Returns true if the scene is that of a measurement: bilateral planes, two of them at ±[`ASIDE_DISTANCE`] from the
+/// first.
 #[must_use]
 pub fn is_measurement(scene: &Scene<f32>) -> bool {
     let plane = |wall: &Wall<f32>| match wall.surface {
