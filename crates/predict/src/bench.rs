@@ -8,8 +8,7 @@
 //! - [`error`]: torque of a variant in the board's precision, compared with the closed form in f64
 //! - [`wall`]: simulation of a wall that the board's own step renders while a hand presses, slides along or taps it
 //!
-//! The reference of all errors is the complete equation (4) with its velocity terms, so terms that a variant omits
-//! count as error.
+//! All errors are relative to the complete equation (4), so terms that a variant omits count as error.
 
 pub mod counts;
 pub mod error;

@@ -84,8 +84,7 @@ pub fn torque_at_rest(motor: &Motor<f64>, joints: usize) -> f64 {
     motor.torque_constant.abs() * motor.max_current.min(board)
 }
 
-/// Returns the largest force of the motors along a direction of d entries, N; infinity if no motor acts there. Returns
-/// `None` if a joint has no motor.
+/// Returns the largest force of the motors along a direction of d entries, N; `None` if a joint has no motor.
 pub fn force_along(device: &Device<f64>, pose: &TaskPose, direction: &[f64]) -> Option<f64> {
     let task = padded_to(pose.jacobian.nrows(), direction);
     let per_newton = pose.jacobian.tr_mul(&task);

@@ -56,9 +56,9 @@ impl<'a> Contact<'a> {
         Self { plant, normal, around, before: none, carried: none, hand }
     }
 
-    /// Simulates `seconds` under a law and the hand's `grip` at each time (s), or until `seen` returns false. At the
-    /// end of each period `seen` receives the wall's force (N) and the tip's displacement along the normal (m). Returns
-    /// false if the tip flies off.
+    /// Simulates `seconds` with the hand's `grip` at each time (s), or until `seen` returns false. Each period `seen`
+    /// receives the wall's force (N) and the tip's displacement along the normal (m). Returns false if the tip flies
+    /// off.
     pub fn run(
         mut self,
         law: &mut dyn Law,

@@ -83,7 +83,6 @@ pub fn singular() -> Failure {
     Failure::impossible("this pose is singular").remedy("choose another").choose(Choice::Pose)
 }
 
-/// Builds a device for analysis only.
 fn build_device(description: &Description) -> Result<Device<f64>, Failure> {
     Device::new("", description).map_err(Failure::wrong)
 }

@@ -1,5 +1,4 @@
-//! Measures stable gains on a board. The stiffness rises until the loop oscillates, and bisection then finds the
-//! boundary.
+//! Measures stable gains on a board: raises the stiffness until the loop oscillates, then bisects.
 //!
 //! The measurement uses only the board's protocol, so the board may be simulated, emulated or real. It does not use the
 //! theory. Telemetry shows if the tip's motion decays, grows or continues ([`swing`]).
@@ -32,19 +31,17 @@ pub mod simulated;
 pub mod swing;
 mod walls;
 
-pub use prepared::{PreparedBoard, rules_for};
-pub use search::Boundary;
-pub use walls::{LONGEST_PULL, complement, most_tested};
-
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::render::velocity::Estimator;
 use haptic_bridge::safety::fault::Fault;
-use thiserror::Error;
-
 use haptic_host::link::{BoardError, LinkError};
 use haptic_stability::analysis::flexible::Posture;
 use haptic_stability::analysis::pose::PoseError;
 use haptic_stability::analysis::several::Member;
+pub use prepared::{PreparedBoard, rules_for};
+pub use search::Boundary;
+use thiserror::Error;
+pub use walls::{LONGEST_PULL, complement, most_tested};
 
 /// Reason why a measurement, or its part at one damping, ended early. The motors are then off: the measurement turned
 /// them off, or the board does so because it no longer receives heartbeats.
@@ -160,8 +157,7 @@ pub struct MeasurementSetup {
     pub largest_pull: f64,
 }
 
-/// Properties of a scene that determine the stable range in addition to rate, cutoff and washout. The defaults are
-/// those of scene files.
+/// Properties of a scene that determine the range in addition to rate, cutoff and washout.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Law {
     /// Velocity estimator.

@@ -23,7 +23,6 @@ use serde::Serialize;
 pub const MARGIN: f64 = 0.6;
 /// Default error budget, percent of the motors' torque.
 pub const DEFAULT_PERCENT: f64 = 1.0;
-/// Name of the firmware's trigonometry.
 const FIRMWARE_TRIGONOMETRY: &str = "table";
 
 /// Largest error that a plan may have.
@@ -93,7 +92,6 @@ impl Plan {
     }
 }
 
-/// Returns the number of grid angles per joint.
 fn density(joints: usize) -> usize {
     match joints {
         1 => 41,
@@ -236,8 +234,7 @@ pub fn cost(device: &Device<f64>, scene: &Scene<f64>, model: &str) -> u32 {
     one + more + plain * per_wall
 }
 
-/// Returns the reasons for a choice. `fading` is the share of situations in which velocity terms fade, and the lag of
-/// the velocity estimate, s.
+/// Returns the reasons for a choice. `fading` is the share of fading situations and the velocity lag, s.
 fn explain(
     candidates: &[Candidate],
     terms: Terms,

@@ -134,7 +134,6 @@ fn in_degrees(kind: Kind, angle: f64) -> bool {
     angle.abs() > core::f64::consts::TAU && (kind != Kind::Paddle || round)
 }
 
-/// Describes an angle of more than one turn.
 fn full_turns(what: &str, angle: f64) -> String {
     format!(
         "{what} is {angle} rad, {:.1} turns: angles are in radians ({angle} degrees are {:.4} rad)",

@@ -9,12 +9,9 @@
 //! depends on the pose's position within a count. Each wall is therefore simulated with several count offsets, and the
 //! largest ripple counts.
 
+use crate::contact::{Contact, Grip, Law, LawOutput, deviation_from_line};
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::model::description::Description;
-use nalgebra::{DMatrix, DVector};
-use serde::{Deserialize, Serialize};
-
-use crate::contact::{Contact, Grip, Law, LawOutput, deviation_from_line};
 use haptic_host::error::Failure;
 use haptic_host::vectors::padded;
 use haptic_sim::Plant;
@@ -23,6 +20,8 @@ use haptic_stability::analysis::line::{DampingRule, StableLine};
 use haptic_stability::analysis::plant::Linearised;
 use haptic_stability::analysis::sampled::{Loop, Mode};
 use haptic_stability::sweep::Sweep;
+use nalgebra::{DMatrix, DVector};
+use serde::{Deserialize, Serialize};
 
 /// Default light hand, which presses with [`PUSH_N`].
 pub const LIGHT_HAND: Hand = Hand { mass: 0.05, damping: 3.0, stiffness: 200.0 };
@@ -30,16 +29,12 @@ pub const LIGHT_HAND: Hand = Hand { mass: 0.05, damping: 3.0, stiffness: 200.0 }
 pub const PUSH_N: f64 = 3.0;
 /// Rate at which the push of the hand grows, N/s. It moves a tip that friction would hold at rest.
 pub(crate) const PUSH_RISE: f64 = 1.0;
-/// Time before the recording, s.
 pub(crate) const SETTLE_S: f64 = 0.5;
-/// Duration of the recording, s.
 pub(crate) const RECORD_S: f64 = 0.3;
-/// Number of count offsets that are simulated.
 pub(crate) const COUNT_OFFSETS: usize = 4;
 /// Number of decades below the largest stiffness of a line.
 const DECADES: usize = 4;
-/// Number of walls per decade.
-const PER_DECADE: usize = 5;
+const WALLS_PER_DECADE: usize = 5;
 /// Largest ratio of two stiffnesses between which the ripple exceeds a bound.
 const STIFFNESS_RATIO: f64 = 1.05;
 
@@ -102,8 +97,7 @@ impl Pressed<'_> {
         Some(steps.iter().zip(self.device.row.iter()).map(|(step, lever)| (step * lever).abs()).fold(0.0, f64::max))
     }
 
-    /// Returns the largest force change by one count, N: the response of stiffness and damping, through the estimator,
-    /// to a position step.
+    /// Returns the largest force change by one count, N, through the stiffness and the estimated velocity.
     pub fn step_n(&self, kp: f64, kd: f64) -> Option<f64> {
         Some(self.count_m()? * (kp + kd * self.around.estimator.peak_step_response(self.around.rate_hz)))
     }
@@ -135,8 +129,7 @@ impl Pressed<'_> {
         Some(worst)
     }
 
-    /// Simulates walls along `line` and finds the stiffness at which the ripple exceeds `bound_n` (N). Returns `None`
-    /// if a joint has no encoder.
+    /// Simulates walls along `line` and finds the stiffness at which the ripple exceeds `bound_n` (N).
     pub fn along(
         &self,
         mode: Mode,
@@ -148,8 +141,8 @@ impl Pressed<'_> {
             return Ok(None);
         }
         let StableLine { mass, kp: kp_stable } = StableLine::of(self.device, self.around, mode, line)?;
-        let tried: Vec<f64> = (0..=DECADES * PER_DECADE)
-            .map(|i| kp_stable * 10_f64.powf(i as f64 / PER_DECADE as f64 - DECADES as f64))
+        let tried: Vec<f64> = (0..=DECADES * WALLS_PER_DECADE)
+            .map(|i| kp_stable * 10_f64.powf(i as f64 / WALLS_PER_DECADE as f64 - DECADES as f64))
             .filter(|kp| *kp > 0.0)
             .collect();
         let wall = |kp: &f64| self.ripple(mode, *kp, line.damping(*kp, mass));
@@ -176,8 +169,7 @@ impl Pressed<'_> {
         Ok(Some(RippleLine { kp_stable, kp_from, points }))
     }
 
-    /// Simulates a wall. Returns root mean square and peak of its force (N) and the tip motion (m), or `None` if the
-    /// tip flies off.
+    /// Simulates a wall. Returns rms and peak of its force (N) and the tip motion (m); `None` if the tip flies off.
     fn run(&self, steps: &[f64], mode: Mode, kp: f64, kd: f64, offset: f64) -> Option<[f64; 3]> {
         let mut held = self.description;
         held.handle_mass += self.hand.mass;
@@ -251,7 +243,6 @@ struct LinearLaw<'a> {
 
 /// A motion of the joints, with its velocity estimator.
 struct EstimatedMotion {
-    /// Jacobian of the motion.
     row: DVector<f64>,
     before: f64,
     /// States of the estimator, then the motion in the last period, then the motion that the last command predicts.
@@ -264,8 +255,7 @@ impl EstimatedMotion {
         Self { before: row.dot(angles), row, memory: DVector::zeros(estimator.nrows() + 1) }
     }
 
-    /// Returns position and velocity per sample. `given` is the velocity per sample that the last command added to each
-    /// joint, rad.
+    /// Returns position and velocity per sample. `given` is each joint's velocity from the last command, rad.
     fn estimate(&mut self, angles: &DVector<f64>, estimator: &DMatrix<f64>, given: &DVector<f64>) -> (f64, f64) {
         let x = self.row.dot(angles);
         let states = estimator.nrows() - 1;

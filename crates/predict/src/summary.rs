@@ -1,5 +1,4 @@
-//! Summary of a device file, by which a person recognises the wrong device: the tip's reach and home, its force and the
-//! mass.
+//! Summary of a device file: reach and home of the tip, its force, and the mass.
 
 use crate::plausible::device::force_at;
 use haptic_bridge::model::device::Device;
@@ -9,7 +8,6 @@ use haptic_stability::analysis::map::{MapPoint, climb, map};
 use haptic_stability::analysis::pose::{PoseError, TaskPose};
 use serde::Serialize;
 
-/// Number of grid poses for reach and inertia.
 const GRID_POSES: usize = 3000;
 /// First step of the search from the farthest grid pose to the end of the reach, rad.
 const FIRST_STEP_RAD: f64 = 0.1;
@@ -38,8 +36,7 @@ pub struct Summary {
     pub reach: Vec<Span>,
     /// Position of the tip at home, m.
     pub tip_at_home: Option<Vec<f64>>,
-    /// Largest force at the tip at home in its weakest and its strongest direction, N, from max_current times
-    /// torque_constant through Jᵀ.
+    /// Largest force at the tip at home in its weakest and its strongest direction, N.
     pub force_at_home: Option<Span>,
     /// Largest tip motion at home per count of one encoder, m; `None` if a joint has no encoder.
     pub count_at_home: Option<f64>,
@@ -51,8 +48,7 @@ pub struct Summary {
     pub w_eff: Option<Span>,
 }
 
-/// Returns the range of the tip along a task coordinate, from the farthest grid poses to the limit or singularity that
-/// ends the motion.
+/// Returns the tip's range along a task coordinate, up to the limit or singularity that ends its motion.
 fn reach(device: &Device<f64>, points: &[MapPoint], axis: usize) -> Result<Option<Span>, PoseError> {
     let place = |point: &&MapPoint| point.position[axis];
     let farthest = |sign: f64| {

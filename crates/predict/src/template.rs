@@ -1,5 +1,4 @@
-//! File templates: a device file for each mechanism with every key, its meaning and example numbers, and a scene file
-//! for a device.
+//! File templates: a commented device file for each mechanism, and a scene file for a device.
 
 use crate::plausible::scene::Ripple;
 use crate::tune::{USUAL_RIPPLE_N, three_digits};
@@ -293,7 +292,6 @@ pub fn scene_file(device: &DeviceFile) -> Result<String, Failure> {
     Ok(text)
 }
 
-/// Formats a line of a file from key, value and comment.
 fn line(key: &str, value: &str, comment: &str) -> String {
     // A key may have lines before it.
     let begins = key.rfind('\n').map_or(0, |newline| newline + 1);

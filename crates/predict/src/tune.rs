@@ -19,15 +19,11 @@ pub mod measured;
 mod scene;
 mod search;
 
+use crate::bench::wall::RenderedWall;
 pub use alternatives::Alternative;
 pub use baseline::{Baseline, LEAST_RIPPLE_N, USUAL_RIPPLE_N, baseline, ripple_like};
-pub use criteria::{MAX_REBOUNDS, keeps, ripple};
-pub use limits::{Limit, NeighbourWall};
-pub use margins::{Margins, vertex};
-pub use scene::to_toml;
-
-use crate::bench::wall::RenderedWall;
 use criteria::SearchContext;
+pub use criteria::{MAX_REBOUNDS, keeps, ripple};
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::render::scene::{FeedForward, Scene};
 use haptic_bridge::render::velocity::{CutoffMeaning, Estimator};
@@ -37,11 +33,13 @@ use haptic_stability::analysis::control_loop::TorquePath;
 use haptic_stability::analysis::sampled::{LinearEstimator, Loop, Mode};
 use haptic_stability::sweep::Sweep;
 use limits::limits;
+pub use limits::{Limit, NeighbourWall};
+pub use margins::{Margins, vertex};
+pub use scene::to_toml;
 use serde::Serialize;
 use std::collections::BTreeSet;
 
-/// Highest rate at which the emulated chip missed no period in contact with the default estimator, Hz
-/// (docs/results/timing.md).
+/// Highest rate at which the emulated chip missed no period in contact, Hz (docs/results/timing.md).
 pub const FASTEST_HZ: f64 = 30_000.0;
 /// Rates that are searched by default, Hz.
 pub const RATES_HZ: [f64; 4] = [1_000.0, 5_000.0, 10_000.0, 20_000.0];
@@ -65,8 +63,7 @@ pub struct Question<'a> {
     pub ripple_n: f64,
     /// Ripple limit on the simulated board with its hand, N; `None` skips that simulation.
     pub board_ripple_n: Option<f64>,
-    /// Smallest penetration at which the wall may need all of the motors' torque, encoder counts. A larger value makes
-    /// the wall smoother.
+    /// Smallest penetration at which the wall may need all of the motors' torque, encoder counts.
     pub counts: f64,
     /// Speed at which the wall's damping alone may need all of the motors' torque, m/s.
     pub speed: f64,
@@ -166,8 +163,7 @@ pub struct TunedWall {
     /// Settings of the wall.
     #[serde(flatten)]
     pub settings: Settings,
-    /// Largest root mean square of the force above 20 Hz while a hand slides along the wall, N, over the device in the
-    /// file and the deviating ones.
+    /// Largest root mean square of the force above 20 Hz under a sliding hand over all tested devices, N.
     pub ripple_n: f64,
     /// Ripple on the simulated board with its hand, N; `None` if it was not simulated.
     pub board_ripple_n: Option<f64>,

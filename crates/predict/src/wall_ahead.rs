@@ -16,12 +16,10 @@ use haptic_stability::analysis::sampled::Mode;
 /// Distance of the wall from the tip, m.
 const WALL_DISTANCE: f64 = 0.006;
 
-/// Penetration at which a first wall may need all of the motors' torque, m. At this depth a hand feels a wall, not a
-/// switch.
+/// Penetration at which a first wall may need all of the motors' torque, m. Less feels like a switch.
 const FULL_FORCE_DEPTH: f64 = 1e-3;
 /// Share of the allowed ripple that a first wall may have, because other hands also press it.
 const RIPPLE_SHARE: f64 = 0.7;
-/// Maximum number of times that gains are reduced.
 const MAX_REDUCTIONS: usize = 12;
 
 /// A scene of one wall, and the wall's ripple under a hand.
@@ -39,8 +37,7 @@ pub fn wall_ahead(file: &DeviceFile) -> Result<Scene<f32>, Failure> {
 }
 
 /// Returns a wall in front of the tip at home for which `haptic check` prints no warning: stable, within the motors'
-/// torque, and so soft that it does not rattle. If a hand cannot reach it on one side of the tip, the wall is on the
-/// other side.
+/// torque, and without rattle. It is on the side of the tip that a hand can reach.
 pub fn first_wall(file: &DeviceFile) -> Result<FirstWall, Failure> {
     let first = first_wall_on(file, 1.0)?;
     if is_touched(file, &first.scene) {
@@ -105,8 +102,7 @@ fn weaken(scene: &mut Scene<f32>, stiffness: f64, damping: f64) {
     }
 }
 
-/// Returns a wall in front of the tip at home (below or above the tip in a plane or in space), with half the stiffness
-/// that is predicted stable.
+/// Returns a wall in front of the tip at home with half the stiffness that is predicted stable.
 fn stable_wall(file: &DeviceFile, side: f64) -> Result<Scene<f32>, Failure> {
     let task = file.spec().task;
     let none = || {

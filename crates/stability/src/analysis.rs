@@ -1,5 +1,4 @@
-//! Sampled-data analysis: predicts which walls a device renders without oscillation, and how its inertia is
-//! distributed.
+//! Sampled-data analysis: predicts the stable walls of a device and the distribution of its inertia.
 //!
 //! The analysis needs no board. It computes its predictions from a pose, a direction and the data of the control loop.
 //!

@@ -3,8 +3,7 @@
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc;
 
-/// Applies `work` to each item and returns the results in order. Any thread calls `progress` with the number of
-/// finished items and the total.
+/// Applies `work` to all items in parallel. `progress` receives the number of finished items and the total.
 pub fn map<T: Sync, R: Send>(
     items: &[T],
     progress: &(dyn Fn(usize, usize) + Sync),

@@ -32,8 +32,7 @@
 //! | predict which walls are stable | [`analysis`] |
 //! | get the positions of a mechanism's links | [`skeleton`] |
 //!
-//! Long computations run in a [`sweep`], which uses every core ([`cores`]), shows progress and resumes after an
-//! interruption.
+//! Long computations run in a [`sweep`] on every core ([`cores`]), with progress, and can be resumed.
 #![forbid(unsafe_code)]
 
 pub mod analysis;

@@ -1,7 +1,6 @@
 //! The paper's quantities for a device at one configuration, as `haptic model` prints them (docs/files.md).
 //!
-//! The shared library computes the numbers in double precision, or in single precision with the board's own mechanism
-//! and trigonometry.
+//! The shared library computes the numbers in f64, or in f32 with the board's mechanism and trigonometry.
 
 use crate::perception::Perception;
 use haptic_bridge::control::compiled::BoardMath;

@@ -30,8 +30,7 @@ pub struct AlongWall {
 }
 
 impl Perception {
-    /// Computes the inertia from the tip's Jacobian (d x N), M (N x N) and a wall's unit normal. At a singularity the
-    /// result is not finite.
+    /// Computes the inertia from J (d x N), M (N x N) and a wall's normal; not finite at a singularity.
     pub fn new(jacobian: &[Vec<f64>], mass: &[Vec<f64>], normal: Option<&[f64]>) -> Self {
         let matrix = |rows: &[Vec<f64>]| DMatrix::from_fn(rows.len(), rows[0].len(), |i, j| rows[i][j]);
         let (jacobian, mass) = (matrix(jacobian), matrix(mass));

@@ -28,7 +28,6 @@ const LONG_STAGE_ITEMS: usize = 16;
 struct Checkpoint {
     /// Version of the tool. Another version may compute other numbers.
     version: String,
-    /// Name of the command.
     command: String,
     /// All inputs that determine the results, as text.
     question: String,
@@ -38,7 +37,6 @@ struct Checkpoint {
 /// A list of items that a command computes in one call of [`Sweep::map`].
 #[derive(Debug, Default, Deserialize, Serialize)]
 struct Stage {
-    /// Number of items.
     of: usize,
     /// Results by item index: postcard's bytes as hex, because decimals lose values that are not finite.
     done: BTreeMap<usize, String>,
@@ -59,7 +57,6 @@ pub struct Sweep {
     state: Mutex<State>,
 }
 
-/// Way in which progress is displayed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Display {
     Never,
@@ -171,8 +168,7 @@ impl Sweep {
         }
     }
 
-    /// Applies `work` to all items that have no stored result. `stage` is a unique name. If several items fail, returns
-    /// the failure of the first.
+    /// Applies `work` to items without a stored result of this `stage`. Returns the failure of the first that fails.
     pub fn map<T: Sync, R: Serialize + DeserializeOwned + Send>(
         &self,
         stage: &str,
@@ -183,8 +179,7 @@ impl Sweep {
         let missing: Vec<usize> = (0..items.len()).filter(|index| !results.contains_key(index)).collect();
         let before = results.len();
         let progress = |done: usize, _: usize| {
-            // After an interruption, skipped items count as done so that the line in place is cleared; no lines are
-            // printed.
+            // After an interruption skipped items count as done, which clears the line in place.
             if self.display == Display::InPlace || !(self.interrupted)() {
                 self.show(stage, before + done, items.len());
             }
@@ -249,8 +244,7 @@ impl Sweep {
     fn keep<R: Serialize + DeserializeOwned>(&self, stage: &str, index: usize, result: &R) -> Result<(), Failure> {
         let Some(file) = &self.file else { return Ok(()) };
         let bytes = postcard::to_allocvec(result).map_err(Failure::impossible)?;
-        // Reject a type whose stored value does not read back equal, for example because fields are left out. A resumed
-        // run would use other values.
+        // Reject types that do not read back equal, because a resumed run would use other values.
         let back = postcard::take_from_bytes::<R>(&bytes).ok().filter(|(_, rest)| rest.is_empty());
         if back.and_then(|(back, _)| postcard::to_allocvec(&back).ok()).as_ref() != Some(&bytes) {
             return Err(Failure::impossible(format!("a result of stage \"{stage}\" changes when it is stored"))
@@ -278,7 +272,6 @@ fn write(file: &Path, kept: &Checkpoint) -> Result<(), Failure> {
     output::write(file, &serde_json::to_vec(kept).map_err(Failure::impossible)?, Overwrite::Replace)
 }
 
-/// Reads the checkpoint of an earlier run; `None` if there is no file.
 fn read_checkpoint(file: &Path) -> Result<Option<Checkpoint>, Failure> {
     match haptic_host::input::read_any_size(file) {
         Err(error) if error.kind() == ErrorKind::NotFound => Ok(None),

@@ -4,7 +4,6 @@ use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::sync::OnceLock;
 
-/// Instruction counts for this version of the source.
 const COUNTS_JSON: &str = include_str!("counts.json");
 
 #[derive(Deserialize)]

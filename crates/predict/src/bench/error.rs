@@ -163,8 +163,7 @@ pub struct Errors {
 pub struct VariantErrors {
     /// Errors relative to the complete law.
     pub whole: Errors,
-    /// Errors relative to a board that computes exactly but fades its velocity terms. Only this part depends on the
-    /// variant.
+    /// Errors relative to a board that computes exactly but fades its velocity terms.
     pub given: Errors,
 }
 

@@ -19,13 +19,10 @@ use haptic_stability::analysis::sampled::{LinearEstimator, Loop, Mode};
 use haptic_stability::sweep::Sweep;
 use serde::{Deserialize, Serialize};
 
-/// Time before the ripple is recorded, s.
 const SETTLE_S: f64 = 0.3;
-/// Duration of the recording, s.
 const RECORD_S: f64 = 0.3;
 /// Speed of the slow motion in which the velocity noise is computed, m/s.
 const SLOW_SPEED: f64 = 0.01;
-/// Duration of the slow motion, s.
 const SLOW_S: f64 = 0.2;
 /// Number of dampings at which the largest quiet stiffness is searched.
 const DAMPINGS: usize = 8;
@@ -55,7 +52,6 @@ pub struct Comparison<'a> {
 }
 
 impl Comparison<'_> {
-    /// Returns the wall for an estimator, without feed-forward.
     fn rendered(&self, kind: Estimator, cutoff_hz: f64) -> RenderedWall {
         RenderedWall {
             kind,
@@ -79,15 +75,13 @@ pub struct Row {
     pub value: Option<u32>,
     /// Cutoff, Hz; `None` if the estimator has none.
     pub cutoff_hz: Option<f64>,
-    /// ∫ largest quiet stiffness over damping, N²s/m², simulated with encoder steps and friction. This is a lower
-    /// bound, because the search ends at 1e7 N/m and at five times the damping that is predicted stable with the
-    /// Butterworth.
+    /// ∫ largest quiet stiffness over damping, N²s/m², with encoder steps and friction. A lower bound: the search ends
+    /// at 1e7 N/m and at five times the damping that is predicted stable with the Butterworth.
     pub area: f64,
     /// Root mean square of the force about its fitted line while a hand presses ever harder, N, without and with the
     /// full feed-forward; `None` if the tip flies off.
     pub press_n: [Option<f64>; 2],
-    /// Root mean square of the force about its mean while a hand pushes steadily, N, without feed-forward. Friction may
-    /// hold the tip between two counts.
+    /// Root mean square of the force about its mean under a steady push, N, without feed-forward.
     pub ripple_n: Option<f64>,
     /// True if the mean force on the pressed wall is within a tenth of the hand's push.
     pub holds: bool,
@@ -147,8 +141,7 @@ pub fn comparison_wall(
 }
 
 /// Compares all estimators. Those with at least the Butterworth's area that hold the hand come first, in ascending
-/// order of press ripple; the others follow in descending order of area. The result does not depend on the number of
-/// cores.
+/// order of press ripple; the others follow in descending order of area.
 pub fn compare(comparison: &Comparison<'_>, sweep: &Sweep) -> Result<Vec<Row>, Failure> {
     let tried = Trials::new(comparison, sweep)?;
     let (rate_hz, butterworth) = (comparison.rate_hz, LinearEstimator::Butterworth(comparison.cutoff_hz));
@@ -179,7 +172,6 @@ pub fn ripple_of(comparison: &Comparison<'_>, kind: Estimator) -> Result<Option<
     Ok(Trials::new(comparison, &sweep)?.ripple(&comparison.rendered(kind, comparison.cutoff_hz))?.0)
 }
 
-/// Simulation and linearised device of a comparison.
 struct Trials<'a> {
     rate_hz: f64,
     simulation: WallSimulation,

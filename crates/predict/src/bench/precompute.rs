@@ -83,8 +83,7 @@ fn shape(device: &Device<f64>, q: &[f64; MAX_JOINTS]) -> [f64; 2] {
     with_mechanism!(&device.mechanism, m => of(m, q))
 }
 
-/// Computes a table over `range` (lowest and highest value of both shape coordinates, rad), or returns `None` if the
-/// table does not fit the board.
+/// Computes a table over `range` (low and high of both shape coordinates, rad); `None` if the board has no room.
 pub fn table(
     device: &Device<f64>,
     interpolation: Interpolation,

@@ -15,7 +15,6 @@ use haptic_stability::analysis::map::Reachable;
 use haptic_stability::analysis::pose::PoseError;
 use nalgebra::SVector;
 
-/// Wall force for a device without motors, N.
 const FORCE_WITHOUT_MOTORS: f64 = 5.0;
 /// Default speed of the hand, m/s.
 pub const HAND_SPEED: f64 = 0.5;
@@ -90,8 +89,7 @@ fn task_part<M: Mechanism<f64, N>, const N: usize>(task: &SVector<f64, N>) -> SV
     SVector::from_fn(|i, _| if i < M::SPEC.task { task[i] } else { 0.0 })
 }
 
-/// Moves a pose onto the surface by Newton's method along the normal, or returns `None` if the surface is more than
-/// about one grid cell away.
+/// Moves a pose onto the surface by Newton's method; returns `None` if it is more than a grid cell away.
 fn move_onto<M: Mechanism<f64, N>, const N: usize>(
     m: &M,
     device: &Device<f64>,
@@ -134,8 +132,7 @@ fn push_situations<M: Mechanism<f64, N>, const N: usize>(
     let weight = m.gravity(&pose);
     let (plain, shaping) = (m.transpose(&pose, &n), m.shaping(&pose, &n));
     let per_newton = SVector::<f64, N>::from_fn(|i, _| plain[i].abs().max((shaping.me[i] / shaping.w_rr).abs()));
-    // Force that the motors can make in addition to weight and motion; zero or negative if these need all of the
-    // torque.
+    // Force that the motors can make in addition to weight and motion; at most zero if they cannot.
     let remaining_force = |b: &SVector<f64, N>| {
         let joints = (0..N).filter_map(|i| device.joints[i].motor.map(|motor| (i, torque_at_rest(&motor, N))));
         let share = joints.map(|(i, most)| (most - weight[i].abs() - b[i].abs()) / per_newton[i].max(1.0e-9));

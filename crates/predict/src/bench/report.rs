@@ -70,7 +70,6 @@ pub struct Variant {
     pub pareto: bool,
 }
 
-/// Returns the number of grid angles per joint.
 fn density(joints: usize) -> usize {
     match joints {
         1 => 41,
@@ -84,7 +83,6 @@ fn probes(device: &Device<f64>) -> Vec<Probe> {
     workspace(device, density(device.mechanism.kind().spec().joints), HAND_SPEED).unwrap_or_default()
 }
 
-/// Returns the law of the default scene.
 fn law(device: &Device<f64>) -> Result<Law, Failure> {
     Law::of(&Scene::default(), device)
 }
@@ -132,8 +130,7 @@ pub fn variants(device: &Device<f64>, timed: bool) -> Result<Vec<Variant>, Failu
 }
 
 impl Variant {
-    /// Returns the tip force error, N: that of the torque without common fading, plus that of the tip's position at 20
-    /// kN/m.
+    /// Returns the tip force error without common fading plus that of the tip's position at 20 kN/m, N.
     pub fn felt(&self) -> f64 {
         self.given.force.max + self.parts.tip
     }

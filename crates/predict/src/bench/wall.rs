@@ -26,9 +26,7 @@ use haptic_stability::analysis::plant::Drive;
 use haptic_stability::analysis::pose::TaskPose;
 use haptic_stability::analysis::sampled::LinearEstimator;
 
-/// Time before a slide is recorded, s.
 const SETTLE_S: f64 = 0.3;
-/// Duration of the slide, s.
 const SLIDE_S: f64 = 0.5;
 /// Speed along the wall, m/s.
 const SLIDE_SPEED: f64 = 0.03;
@@ -239,7 +237,6 @@ impl WallSimulation {
         })
     }
 
-    /// Returns a scene with one wall through the tip.
     fn scene(&self, wall: &RenderedWall, bilateral: bool) -> Scene<f32> {
         let surface =
             Surface::Plane(Plane { point: self.tip.map(|v| v as f32), normal: self.normal.map(|v| v as f32) });
@@ -279,7 +276,6 @@ impl WallSimulation {
     }
 }
 
-/// Returns the force of the hand's push, N.
 fn hand_push(trial: Trial, time: f64) -> f64 {
     match trial {
         Trial::PressedHarder => PUSH_N + PUSH_RISE * time,
@@ -295,7 +291,6 @@ fn plant(description: &Description, q: [f64; MAX_JOINTS]) -> Result<Plant, Failu
     Plant::new(description, q, true, [(f64::NEG_INFINITY, f64::INFINITY); 3]).map_err(Failure::wrong)
 }
 
-/// The board's own control step as a law.
 struct BoardLaw<'a, M: Mechanism<f32, N>, const N: usize> {
     controller: Controller<f32, M, BoardMath, N>,
     encoders: &'a [EncoderModel],

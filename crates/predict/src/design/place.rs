@@ -56,8 +56,7 @@ pub struct Places {
     pub poses: usize,
     /// Place and direction of the stiffest wall.
     pub stiffest: WallPlace,
-    /// Place with the largest Weff in its lightest direction, for surfaces whose direction varies, without the
-    /// feed-forward.
+    /// Place with the largest Weff in its lightest direction, for surfaces of any direction.
     pub every_direction: WallPlace,
     /// Place at which the feed-forward increases the inertia by the largest factor.
     pub feed_forward_buys_most: WallPlace,
@@ -157,7 +156,6 @@ fn best(starts: &[Vec<f64>], allowed: &dyn Fn(&[f64]) -> bool, rating: PoseRatin
     result.reduce(|best, other| if other.0 > best.0 { other } else { best })
 }
 
-/// Step sizes of a search between grid poses.
 #[derive(Clone, Copy)]
 struct Steps {
     /// First step, rad.
@@ -168,7 +166,6 @@ struct Steps {
     random_directions: usize,
 }
 
-/// Steps of the search from all starts.
 const COARSE_STEPS: Steps = Steps { from: 0.1, to: 0.01, random_directions: 30 };
 /// With 120 random directions the search reaches the best rating within 1 % (tool/tests/deep/tune/design.rs).
 const FINE_STEPS: Steps = Steps { from: 0.05, to: 1e-5, random_directions: 120 };

@@ -1,5 +1,4 @@
-//! Effect of each number of a device on one wall. One number at a time becomes a tenth larger or smaller; the tip
-//! position stays the same.
+//! Effect on one wall if one number of the device becomes a tenth larger or smaller at the same tip position.
 
 use super::{angles_at, singular, task_position};
 use haptic_bridge::model::admissible::Admissible;

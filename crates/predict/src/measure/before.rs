@@ -1,10 +1,9 @@
 //! Settings of a board before a measurement, and their restoration.
 
+use super::walls::is_measurement;
 use haptic_bridge::board::protocol::{DeviceData, SceneData};
 use haptic_bridge::control::Rules;
 use haptic_bridge::render::scene::Scene;
-
-use super::walls::is_measurement;
 use haptic_host::backup::{self, BackupError};
 use haptic_host::link::{Board, BoardError, LinkError};
 use serde::{Deserialize, Serialize};
@@ -82,9 +81,8 @@ impl Before {
         &self.rules
     }
 
-    /// Turns the motors off and restores rules, device and scene if they differ. A board that had no scene gets an
-    /// empty one because no request removes a scene. Restores every part even after an error, and returns the first
-    /// error.
+    /// Turns the motors off and restores rules, device and scene that differ, even after an error. A board without a
+    /// scene gets an empty one because no request removes a scene. Returns the first error.
     pub fn put_back(&self, board: &mut Board) -> Result<(), BoardError> {
         let off = board.disarm();
         let rules = board.set_rules(&self.rules);

@@ -1,8 +1,6 @@
 //! A complete measurement of a board, used by `haptic measure-range` and the Python package. A file keeps its progress,
 //! and the board's settings are restored afterwards.
 
-use std::path::Path;
-
 use super::before::Before;
 use super::campaign::{self, BOTH_SIDES, Plan};
 use super::progress::{Progress, ProgressError};
@@ -14,6 +12,7 @@ use haptic_bridge::model::device::Device;
 use haptic_host::device_file::DeviceFile;
 use haptic_host::link::{Board, BoardError, LinkError};
 use haptic_stability::analysis::sampled::{LinearEstimator, Loop};
+use std::path::Path;
 
 /// Largest difference of a joint angle at which two poses count as equal, rad.
 const SAME_POSE_RAD: f64 = 0.02;
@@ -30,15 +29,13 @@ pub struct BoardMeasurement<'a> {
     pub progress: &'a mut Progress,
     /// The file that keeps the results.
     pub path: Option<&'a Path>,
-    /// True if the file also keeps the board's settings, so that the next measurement can restore them if this one is
-    /// killed.
+    /// True if the file also keeps the board's settings, for the case that this measurement is killed.
     pub keeps_settings: bool,
 }
 
 impl BoardMeasurement<'_> {
-    /// Measures the repeats of `plan` that `progress` lacks. Calls `begun` with the prepared board and its pose before
-    /// the first repeat, and `done` with the number of finished repeats after each. Polls `stop` often, and ends if it
-    /// returns true.
+    /// Measures the repeats of `plan` that `progress` lacks. Calls `begun` before the first repeat, and `done` with the
+    /// number of finished repeats after each. Ends if `stop`, which is polled often, returns true.
     pub fn measure(
         &mut self,
         setup: MeasurementSetup,

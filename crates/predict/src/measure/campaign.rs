@@ -1,10 +1,9 @@
 //! A measurement campaign over feed-forwards, dampings and repeats.
 
-use haptic_bridge::render::scene::FeedForward;
-
 use super::progress::{Open, Point, Progress, median, same_damping};
 use super::swing::Verdict;
 use super::{MeasureError, PreparedBoard};
+use haptic_bridge::render::scene::FeedForward;
 
 /// The repeats of a campaign.
 #[derive(Clone, Debug, PartialEq)]
@@ -36,8 +35,7 @@ impl Plan {
         self.modes.len() * self.kd.as_ref().map_or(self.points, Vec::len) * self.searches()
     }
 
-    /// Returns the repeats of a point by pull, without pulls that have no repeats. Only repeats with the same pull are
-    /// the same experiment.
+    /// Returns the repeats of a point by pull. Only repeats with the same pull are the same experiment.
     #[must_use]
     pub fn by_pull(&self, point: &Point) -> Vec<(f64, Vec<f64>)> {
         let of = |nth: usize| point.repeats.iter().copied().skip(nth).step_by(self.pulls.len()).collect::<Vec<_>>();

@@ -1,16 +1,14 @@
 //! Length of the pull before a trial. It must exceed the motion that encoder steps cause, need less than the force of
 //! the motors, and make friction small in comparison.
 
-use haptic_bridge::control::Rules;
-use nalgebra::DVector;
-
 use super::MeasureError;
 use super::swing::ENCODER_STEPS;
+use haptic_bridge::control::Rules;
 use haptic_host::device_file::DeviceFile;
 use haptic_stability::analysis::plant::Linearised;
+use nalgebra::DVector;
 
-/// Share of the motors' force that the tested wall needs for a pull. The swing can grow to six times its size before
-/// the motors saturate.
+/// Usual share of the motors' force for a pull. The swing can grow to six times its size before they saturate.
 const USUAL_SHARE: f64 = 0.15;
 /// Largest share of the motors' force for a pull, used if friction requires more force.
 const LARGEST_SHARE: f64 = 0.6;

@@ -1,37 +1,32 @@
-//! A board prepared for a measurement: holds the tip, pulls it aside, switches to the tested walls and follows the
-//! motion.
-
-use std::f64::consts::{PI, TAU};
-use std::time::Duration;
-
-use haptic_bridge::board::telemetry::Field;
-use haptic_bridge::control::{HostAction, Rules};
-use haptic_bridge::render::controller::Gains;
-use haptic_bridge::render::scene::FeedForward;
-use haptic_bridge::safety::fault::{Fault, State};
-use nalgebra::{DMatrix, DVector};
+//! A board prepared for a measurement: holds the tip, pulls it aside and follows its motion in the tested walls.
 
 use super::before::Before;
 use super::excitation::Excitation;
 use super::swing::{Swing, Verdict};
 use super::walls::{ASIDE_DISTANCE, LONGEST_PULL, Layout, complement, scene};
 use super::{MeasureError, MeasurementSetup};
+use haptic_bridge::board::telemetry::Field;
+use haptic_bridge::control::{HostAction, Rules};
+use haptic_bridge::render::controller::Gains;
+use haptic_bridge::render::scene::FeedForward;
+use haptic_bridge::safety::fault::{Fault, State};
 use haptic_host::device_file::DeviceFile;
 use haptic_host::link::{Board, columns, fields};
 use haptic_stability::analysis::plant::Linearised;
 use haptic_stability::analysis::pose::PoseError;
 use haptic_stability::analysis::several::WallSet;
+use nalgebra::{DMatrix, DVector};
+use std::f64::consts::{PI, TAU};
+use std::time::Duration;
 
 /// Time after which the board turns the motors off if it no longer hears from this tool, s.
 const HOST_SECONDS: f32 = 1.0;
 
 /// Smallest and largest position at which the tip may come to rest, as shares of the pull.
 const PULL_RANGE: (f64, f64) = (0.9, 1.15);
-/// Maximum number of corrections of a pull.
 const MAX_CORRECTIONS: usize = 16;
 
-/// Largest distance by which friction may hold the tip away from its target, m. At a larger distance the hold is
-/// firmer.
+/// Largest distance to which friction may hold the tip off, m. Beyond it the hold is made firmer.
 const FRICTION_OFFSET: f64 = 5e-4;
 
 /// Angular frequency of a soft hold per control rate, rad/s per Hz.
@@ -41,7 +36,7 @@ const SOFT_HOLD: f64 = 0.05;
 const FIRM_HOLD: f64 = 0.2;
 
 /// Largest deviation of a joint from its first angle that friction causes, in addition to the tip's motion, rad.
-/// Another pose with the same tip position is may_lengthen_pull away unless it is nearly singular.
+/// Another pose with the same tip position is farther away unless it is nearly singular.
 const SAME_POSE_RAD: f64 = 0.03;
 /// Singular value of a Jacobian below which the value counts as zero, m.
 const ZERO_SINGULAR_VALUE: f64 = 1e-9;
@@ -52,7 +47,6 @@ const SWING_START: f64 = 2e-5;
 /// Tip motion along the walls after which the device has left its pose, m. In a long pull the tip slides by up to four
 /// times the pull if friction brakes the joints unevenly.
 const LEFT_POSE_DISTANCE: f64 = 0.03;
-/// Maximum number of repeats of a trial after the device left its pose.
 const MAX_RETRIES: usize = 2;
 /// Time that the user of a simulated device needs to bring it back to its pose, s.
 const CARRY_SECONDS: f64 = 3.0;
@@ -188,7 +182,6 @@ impl<'a> PreparedBoard<'a> {
         Ok(prepared)
     }
 
-    /// Waits until the tip of the armed device rests.
     fn wait_for_rest(&mut self) -> Result<(), MeasureError> {
         loop {
             // The board raises torques over half a second after arming.
@@ -202,8 +195,7 @@ impl<'a> PreparedBoard<'a> {
         }
     }
 
-    /// Returns an error if a joint deviates from its first angle by more than a tip motion of at most `apart` (m) along
-    /// each axis can cause.
+    /// Returns an error if a joint moved farther than a tip motion of `apart` (m) along each axis explains.
     fn check_pose(&mut self, apart: f64) -> Result<(), MeasureError> {
         let now = self.board.status()?;
         let off = DVector::from_fn(self.tip.len(), |i, _| (f64::from(now.tip[i]) - self.tip[i]).abs().min(apart));
@@ -256,8 +248,7 @@ impl<'a> PreparedBoard<'a> {
         self.holding().1
     }
 
-    /// Returns true if walls with this total stiffness (N/m) and damping (N s/m) oscillate. `strength` is the factor on
-    /// the pull, with its sign.
+    /// Returns true if walls with this total stiffness (N/m) and damping (N s/m) oscillate after a pull.
     pub fn oscillates(
         &mut self,
         feed_forward: FeedForward,
@@ -268,8 +259,7 @@ impl<'a> PreparedBoard<'a> {
         Ok(self.judge(feed_forward, kp, kd, strength)? != Verdict::Decays)
     }
 
-    /// Judges the tip's motion in walls with this total stiffness (N/m) and damping (N s/m). `strength` is the factor
-    /// on the pull, with its sign.
+    /// Judges the tip's motion in walls with these totals. `strength` is the signed factor on the pull.
     pub fn judge(
         &mut self,
         feed_forward: FeedForward,
@@ -295,8 +285,7 @@ impl<'a> PreparedBoard<'a> {
                     self.bring_back()?;
                     continue;
                 }
-                // A limit tripped because the device still oscillated after an earlier trial. The motors have stopped
-                // it now.
+                // A limit tripped because the device still oscillated. The motors have stopped it now.
                 Err(MeasureError::Fault(fault)) if is_caused_by_oscillation(fault) && trips < 3 => {
                     trips += 1;
                     self.arm_again()?;
@@ -329,8 +318,7 @@ impl<'a> PreparedBoard<'a> {
         }
     }
 
-    /// Pulls the tip aside by `pull` (m) and lets it swing back. Pulls harder if friction holds the tip, because a
-    /// shorter pull has another boundary.
+    /// Pulls the tip aside by `pull` (m) and lets it swing back. Pulls harder if friction holds the tip.
     fn swing_from_rest(&mut self, feed_forward: FeedForward, pull: f64, stiffer: bool) -> Result<(), MeasureError> {
         let friction = self.excitation.friction / self.holding().0;
         let mut aim = pull + friction * pull.signum();
@@ -366,8 +354,7 @@ impl<'a> PreparedBoard<'a> {
         MeasureError::Stuck { pull, force: pull * self.holding().0, friction }
     }
 
-    /// Clears the fault that an oscillation caused and arms with the soft hold. Returns an error if another program
-    /// cleared the fault.
+    /// Clears the fault of an oscillation and arms with the soft hold, unless another program cleared it.
     fn arm_again(&mut self) -> Result<(), MeasureError> {
         if self.board.status()?.state != State::Fault {
             return Err(MeasureError::Disarmed);
@@ -387,7 +374,6 @@ impl<'a> PreparedBoard<'a> {
         self.wait_in_any_state(0.3)
     }
 
-    /// Waits for `seconds` in any state of the board.
     fn wait_in_any_state(&mut self, seconds: f64) -> Result<(), MeasureError> {
         let until = self.board.now() + Duration::from_secs_f64(seconds);
         while self.board.now() < until {
@@ -458,8 +444,7 @@ impl<'a> PreparedBoard<'a> {
         Ok(())
     }
 
-    /// Waits until the tip rests near `pull` (m); softens the hold if it does not. Returns its position along the pull,
-    /// m.
+    /// Waits until the tip rests near `pull`, softening the hold if needed. Returns its position, m.
     fn rest(&mut self, pull: f64) -> Result<f64, MeasureError> {
         loop {
             match self.hold_until_still(pull) {
@@ -500,8 +485,7 @@ impl<'a> PreparedBoard<'a> {
     /// Pulls the tip back with the tested walls as softly as the hold, and returns as soon as the tip moves. Returns an
     /// error if friction stops the tip, because its motion then cannot be judged.
     ///
-    /// The tested feed-forward already acts, because without it the pull would start admissible motions that the
-    /// feed-forward would not stop.
+    /// The tested feed-forward already acts, because otherwise the pull would start admissible motions.
     fn swing_back(
         &mut self,
         feed_forward: FeedForward,
@@ -626,7 +610,6 @@ fn gains_of(inertia: f64, frequency: f64) -> (f64, f64) {
     (inertia * frequency.powi(2), 1.4 * inertia * frequency)
 }
 
-/// Returns the smallest and the largest value.
 fn span(values: impl Iterator<Item = f64>) -> (f64, f64) {
     values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), value| (low.min(value), high.max(value)))
 }

@@ -4,9 +4,8 @@ use super::before::RestorePoint;
 use haptic_bridge::render::scene::FeedForward;
 use haptic_host::error::Failure;
 use haptic_host::output::{self, Overwrite};
-use std::path::Path;
-
 use serde::{Deserialize, Serialize};
+use std::path::Path;
 use thiserror::Error;
 
 /// All repeats for one feed-forward and damping.

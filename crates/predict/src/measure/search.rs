@@ -1,15 +1,12 @@
 //! Search for a stability boundary: the gain rises by a factor until the loop oscillates, then bisection refines it.
 
-use haptic_bridge::render::scene::FeedForward;
-
 use super::swing::Verdict;
 use super::{MeasureError, PreparedBoard};
+use haptic_bridge::render::scene::FeedForward;
 
 /// Ratio of unstable to stable gain at which the search ends.
 pub const RESOLUTION: f64 = 1.005;
-/// Factor by which gains are raised.
 const RAISE_FACTOR: f64 = 1.3;
-/// Maximum number of raises.
 const MAX_RAISES: usize = 60;
 
 /// Boundary of the stable walls.
@@ -22,8 +19,8 @@ pub struct Boundary {
 }
 
 /// Returns the largest gain for which `judge` returns [`Verdict::Decays`], or 0 if a thousandth of `start` oscillates.
-/// The search begins at `start`; `guess`, the result of an earlier repeat, shortens it. Returns [`MeasureError::Open`]
-/// if a gain cannot be judged.
+/// The result `guess` of an earlier repeat shortens the search. Returns [`MeasureError::Open`] if a gain cannot be
+/// judged.
 fn find_boundary(
     start: f64,
     guess: Option<f64>,
@@ -70,8 +67,7 @@ fn find_boundary(
 }
 
 impl PreparedBoard<'_> {
-    /// Measures the largest stable stiffness (N/m) at damping `kd` (N s/m). `strength` is the factor on the pull, with
-    /// its sign.
+    /// Measures the largest stable stiffness (N/m) at damping `kd`. `strength` is the signed factor on the pull.
     pub fn boundary(
         &mut self,
         feed_forward: FeedForward,

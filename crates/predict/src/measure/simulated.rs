@@ -66,8 +66,7 @@ impl World {
             ..Options::default()
         };
         let drive = if self.ideal_drive { DriveModel::Ideal } else { DriveModel::Electric };
-        // A user holds the device until the motors carry it. Otherwise a device with weight would fall into another
-        // pose.
+        // A user holds the device until the motors carry it, because otherwise its weight would move it.
         let options = BoardOptions { device, drive, support: Support::Held, ..BoardOptions::default() };
         let mut board = ready_board(file, options)?;
         if self.grip {

@@ -31,16 +31,13 @@ pub const ENCODER_STEPS: f64 = 6.0;
 const HIGH_PASS_SHARE: f64 = 0.125;
 /// Number of turning points that are ignored at the start, while faster modes decay.
 const IGNORED_TURNS: usize = 8;
-/// Number of swings in one check of the trend.
 const SWINGS_PER_CHECK: usize = 22;
-/// Number of checks after which a motion with constant size is a vibration, for position and acceleration. Acceleration
-/// has faster swings.
+/// Number of checks after which a motion of constant size is a vibration, for position and acceleration.
 const CHECKS_BEFORE_VIBRATION: (usize, usize) = (4, 16);
 /// Minimum number of swings in a stretch. It is longer than the beat of two modes.
 const MIN_STRETCH_SWINGS: usize = 6;
 /// Minimum duration of a stretch, and of a check that judges a motion as decaying, in periods of the slowest mode.
 const MIN_STRETCH_PERIODS: f64 = 3.0;
-/// Minimum number of stretches for a verdict.
 const MIN_STRETCHES: usize = 8;
 /// Factor on the number of checks before a motion with a bending trend counts as a vibration.
 const BENDING_TREND_FACTOR: usize = 16;
@@ -70,8 +67,7 @@ pub enum Verdict {
     Decays,
     /// The motion grows, so the loop oscillates.
     Grows,
-    /// The motion continues at this size (m from peak to peak), larger than encoder steps can cause. The loop is
-    /// unstable.
+    /// The motion continues at this size, m from peak to peak, so the loop is unstable.
     Vibrates(f64),
 }
 
@@ -81,7 +77,6 @@ pub struct Swing {
     position: Trace,
     /// Second difference of the position, m.
     acceleration: Trace,
-    /// The two latest positions.
     previous: [Option<f64>; 2],
     /// Verdicts on the position and on the acceleration.
     verdicts: [Option<Verdict>; 2],
@@ -89,8 +84,7 @@ pub struct Swing {
 
 impl Swing {
     /// Creates a judge for positions every `row_seconds` in steps of `quantum` (m) after a pull of `pull` (m). The
-    /// loop's velocity filter has the cutoff `cutoff_hz`. The slowest mode has about this `period` (s) if it
-    /// `oscillates`.
+    /// velocity filter has the cutoff `cutoff_hz`; the slowest mode has about this `period` (s) if it `oscillates`.
     pub fn new(row_seconds: f64, cutoff_hz: f64, (period, oscillates): (f64, bool), quantum: f64, pull: f64) -> Self {
         let rows_a_period = 1.0 / (row_seconds * cutoff_hz);
         let slowest = period / row_seconds;
@@ -215,13 +209,11 @@ impl Trace {
         {
             return Some(verdict);
         }
-        // The motion has ended if the time since its last turning point is much longer than the average between such
-        // points.
+        // The motion has ended if it has not turned for much longer than the average time between turns.
         (self.since_turn as f64 > self.silent.max(6.0 * self.rows_per_turn())).then_some(Verdict::Decays)
     }
 
-    /// Records a turning point if the motion has returned from its extreme by more than noise. Returns true if there
-    /// are enough swings for a verdict.
+    /// Records a turning point that exceeds noise. Returns true if there are enough swings for a verdict.
     fn record_turn(&mut self, fast: f64) -> bool {
         let Some((extreme, rising)) = self.extreme else {
             self.extreme = Some((fast, true));
@@ -325,7 +317,6 @@ impl Trace {
         (sure && slope < 0.0 && trend(later).0 < 0.5 * trend(earlier).0).then_some(Verdict::Decays)
     }
 
-    /// Returns the verdict for a motion of constant size.
     fn verdict_of_size(&self) -> Verdict {
         let size = self.size();
         if size > self.encoder_motion { Verdict::Vibrates(size) } else { Verdict::Decays }
@@ -341,7 +332,6 @@ impl Trace {
     }
 }
 
-/// Span without values.
 const EMPTY_SPAN: (f64, f64) = (f64::INFINITY, f64::NEG_INFINITY);
 
 /// Returns the distance from the lowest to the highest value of all spans; negative infinity without spans.
@@ -406,8 +396,7 @@ mod tests {
 
     #[test]
     fn one_small_swing_of_two_modes_is_no_decay() {
-        // These are the modes of a wall at 1 kHz on a cable of 120 Hz, beyond its boundary by a seventh, a third and a
-        // factor of 2.
+        // Modes of a wall at 1 kHz on a 120 Hz cable, a seventh, a third and a factor of 2 beyond its boundary.
         for [(slow, slow_hz), (fast, fast_hz)] in
             [[(2.0, 46.0), (3.8, 164.2)], [(5.3, 48.5), (8.2, 165.0)], [(18.0, 58.0), (32.0, 170.0)]]
         {
@@ -471,8 +460,7 @@ mod tests {
 
     #[test]
     fn an_initial_fast_ripple_is_no_growth_of_a_slow_mode() {
-        // This is a wall of 2 kN/m on the shipped Phantom with 400 Hz cables, sampled at 5 kHz; it is stable up to 8.4
-        // kN/m.
+        // A wall of 2 kN/m on the shipped Phantom with 400 Hz cables at 5 kHz, stable up to 8.4 kN/m.
         let mut swing = Swing::new(2e-4, 200.0, (0.03, true), 3e-7, 1.4e-4);
         let position = |t: f64| {
             let slow = 7e-5 * (-25.0 * t).exp() * (TAU * 32.5 * t).cos();

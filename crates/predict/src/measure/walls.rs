@@ -1,13 +1,11 @@
-//! Walls in the scene of a measurement: the tested walls, two walls that pull the tip aside, and one wall per direction
-//! across the pull. Between trials a single tested wall also holds the tip; several tested walls need an additional
-//! wall.
-
-use haptic_bridge::render::scene::{FeedForward, MAX_WALLS, Plane, Posture, Scene, Surface, VelocityTerms, Wall};
-use nalgebra::DVector;
+//! Walls in a measurement's scene: the tested walls, two that pull the tip aside, and one per direction across the
+//! pull. Between trials a single tested wall also holds the tip; several tested walls need an additional wall.
 
 use super::{MeasureError, MeasurementSetup};
+use haptic_bridge::render::scene::{FeedForward, MAX_WALLS, Plane, Posture, Scene, Surface, VelocityTerms, Wall};
 use haptic_host::vectors::padded;
 use haptic_stability::analysis::pose::unit_normal;
+use nalgebra::DVector;
 
 /// Distance from the wall that holds the tip to each wall that pulls it aside, m. It exceeds every pull.
 pub const ASIDE_DISTANCE: f64 = 0.01;
@@ -56,8 +54,7 @@ pub fn complement(normal: &DVector<f64>) -> Vec<DVector<f64>> {
     }
 }
 
-/// Returns true if the scene is that of a measurement: bilateral planes, two of them at ±[`ASIDE_DISTANCE`] from the
-/// first.
+/// Returns true if a measurement made this scene: bilateral planes, two at ±[`ASIDE_DISTANCE`] from another.
 #[must_use]
 pub fn is_measurement(scene: &Scene<f32>) -> bool {
     let plane = |wall: &Wall<f32>| match wall.surface {
@@ -78,8 +75,7 @@ pub fn is_measurement(scene: &Scene<f32>) -> bool {
         })
 }
 
-/// Returns the scene of a measurement at `q` (rad) with all gains 0, for pulls along `direction` and with the
-/// directions `across` the pull.
+/// Returns the scene of a measurement at `q` (rad), for pulls along `direction`, with all gains 0.
 pub fn scene(
     setup: &MeasurementSetup,
     q: &[f64],

@@ -25,12 +25,10 @@ const IMPLAUSIBLE_JOINT_INERTIA: f64 = 0.2;
 /// Fewest plausible counts per turn at the joint. A smaller number is probably lines before x4 decoding and the gear
 /// ratio; encoders of devices that render walls have at least 700 counts.
 const LEAST_COUNTS: f64 = 600.0;
-/// Largest plausible ratio of resistance times inertia to the torque constant squared, s. Motors have 2 to 30 ms, and a
-/// gear ratio does not change the value. It is too large by the ratio squared if only the torque constant lacks the
-/// gear ratio.
+/// Largest plausible resistance times inertia over the torque constant squared, s. Motors have 2 to 30 ms whatever the
+/// gear. The value is too large by the ratio squared if only the torque constant lacks the gear ratio.
 const LARGEST_MOTOR_TIME_S: f64 = 0.25;
-/// Largest plausible angle by which a motor's torque twists its transmission, rad. Cables and belts twist by
-/// hundredths.
+/// Largest plausible twist of a transmission by its motor, rad. Cables and belts twist by hundredths.
 const LARGEST_WIND_UP: f64 = 0.1;
 /// Largest plausible product of resistance and largest current, V. The boards take up to 56 V.
 const LARGEST_SUPPLY_V: f64 = 120.0;
@@ -92,7 +90,6 @@ fn missing_transmission(description: &Description) -> Option<FileWarning> {
     Some(FileWarning::new(key("joint", Some(first), "", "transmission"), text))
 }
 
-/// Returns the longest length in the geometry, m.
 fn longest(description: &Description) -> f64 {
     named_lengths(description).map(|(_, length)| length).fold(0.0, f64::max)
 }
@@ -383,9 +380,8 @@ pub(crate) fn weight(device: &Device<f64>, q: &[f64]) -> Vec<f64> {
 /// Returns the largest force of the motors at a pose along their weakest and their strongest direction, N. The force
 /// acts only along this direction; a redundant device makes no moment at the tip.
 ///
-/// Forces f with |Jᵀ f| within the motors' torques fill a polytope. Its nearest boundary point is on one of the faces,
-/// a pair per joint. Its farthest is a corner, at which as many joints as there are directions give their largest
-/// torque.
+/// Forces f with |Jᵀ f| within the motors' torques fill a polytope. Its nearest boundary point is on one of the joints'
+/// faces. Its farthest is a corner, at which as many joints as directions give their largest torque.
 pub fn force_at(device: &Device<f64>, pose: &TaskPose) -> Option<(f64, f64)> {
     let jacobian = pose.jacobian.rows(0, pose.task);
     let motors = device.joints.iter().take(jacobian.ncols()).map(|joint| joint.motor);

@@ -67,8 +67,7 @@ pub struct Contact {
     /// Limits in a hand; `None` if they are not predicted, for example with compensated damping.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub in_hand: Option<InHand>,
-    /// Frequency at which the wall oscillates in the hand, Hz; for a stable wall, the frequency just beyond the
-    /// boundary.
+    /// Frequency at which the wall, or a stiffer one if it is stable, oscillates in the hand, Hz.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub hz: Option<f64>,
     /// Growing oscillation of the wall in the hand; `None` if no oscillation grows.
@@ -116,8 +115,7 @@ pub fn usual_hand() -> Hand {
     Hand { mass, damping: grip_damping, stiffness: grip_stiffness }
 }
 
-/// Returns all warnings about a scene, and the limits of each wall at the pose in which the tip touches it, for a board
-/// with the default torque path.
+/// Returns all warnings about a scene, and the limits of each wall at the pose in which the tip touches it.
 pub fn file_warnings(subject: &Subject, scene: &Scene<f64>) -> (Vec<FileWarning>, Vec<Contact>) {
     let (mut warnings, mut contacts) = (Vec::new(), Vec::new());
     let (device, path) = (&subject.device, TorquePath::usual(scene.rate_hz));
@@ -341,8 +339,7 @@ pub fn contact_limits_at(
     contact_limits(subject, scene, index, q, &normal.as_slice()[..pose.task], path)
 }
 
-/// Warns of gains that the loop or the motors cannot render. `in_file` is true if the wall is in a scene file, so that
-/// the warnings have a place.
+/// Warns of gains that the loop or the motors cannot render. `in_file` is true for a wall in a scene file.
 pub fn gain_warnings(wall: &Wall<f64>, contact: &Contact, in_file: bool) -> Vec<FileWarning> {
     let index = contact.wall;
     let rigid = if contact.taken_for_rigid { ", if the device is rigid" } else { "" };
@@ -454,8 +451,7 @@ fn buzz_warning(scene: &Scene<f64>, contact: &Contact) -> Option<FileWarning> {
     Some(FileWarning::new(Key { table: "wall", index: Some(contact.wall), part: "", name: "damping" }, text))
 }
 
-/// Stiffness of the softest useful wall, N/m, which is that of a light hand. Without damping this wall has the smallest
-/// ripple that the encoders allow.
+/// Stiffness of the softest useful wall, that of a light hand, N/m.
 pub const SOFTEST_WALL: f64 = LIGHT_HAND.stiffness;
 
 /// Ripple of a wall under a hand, by the simulation that `haptic tune` uses.
@@ -539,7 +535,6 @@ fn costly_washout(subject: &Subject, scene: &Scene<f64>, path: &TorquePath, cont
     Some(FileWarning::new(Key { table: "wall", index: Some(contact.wall), part: "", name: "washout_hz" }, text))
 }
 
-/// Formats a ratio with two significant digits.
 fn two_digits(ratio: f64) -> String {
     if ratio < 10.0 {
         return format!("{ratio:.1}");
@@ -551,8 +546,7 @@ fn two_digits(ratio: f64) -> String {
 enum FirstTouch {
     /// At these joint angles, with this normal.
     At(Vec<f64>, Vec<f64>),
-    /// The surface is out of reach. The value is the smallest distance of a tip outside, m, or `None` if the tip is
-    /// always inside.
+    /// Out of reach: smallest distance of the tip outside, m, or `None` if the tip is always inside.
     Never(Option<f64>),
     /// The workspace has no grid.
     Unknown,
@@ -576,8 +570,7 @@ fn first_touch(device: &Device<f64>, surface: &Surface<f64>) -> FirstTouch {
     }
 }
 
-/// Returns the smallest and the largest distance of the tip from a surface, negative inside it, m, or `None` if the
-/// workspace has no grid.
+/// Returns the smallest and largest distance of the tip from a surface, negative inside it, m.
 fn distances(device: &Device<f64>, surface: &Surface<f64>) -> Option<(f64, f64)> {
     let grid = Reachable::of(device, POSES_PER_JOINT[device.mechanism.kind().spec().joints - 1], None).ok()?;
     let distances = grid.indices().filter_map(|index| {

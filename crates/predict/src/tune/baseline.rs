@@ -29,8 +29,7 @@ pub const USUAL_RIPPLE_N: f64 = 0.1;
 /// Smallest ripple limit for a scene whose wall ripples less, N.
 pub const LEAST_RIPPLE_N: f64 = 0.002;
 
-/// Returns the ripple limits for the search and for the simulated board, N: the ripple of the wall as written, but at
-/// least [`LEAST_RIPPLE_N`].
+/// Returns the ripple of the wall as written in the search and on the board, N, at least [`LEAST_RIPPLE_N`].
 pub fn ripple_like(question: &Question<'_>, written: &Settings, sweep: &Sweep) -> Result<(f64, f64), Failure> {
     let bound = |ripple_n: Option<f64>| ripple_n.unwrap_or(USUAL_RIPPLE_N).max(LEAST_RIPPLE_N);
     Ok((bound(ripple(question, written)?.ripple_n), bound(measured::ripple(question, written, sweep)?)))
@@ -54,8 +53,7 @@ pub fn baseline(question: &Question<'_>, written: &Settings, sweep: &Sweep) -> R
     let passes = Option::is_some;
     let mut best = at(most)?;
     if most > 0.0 && !passes(&best) {
-        // Reduce the stiffness until the wall meets the criteria. The scene's own stiffness is the lower bound if it
-        // meets them.
+        // Reduce the stiffness until the wall meets the criteria, but not below the scene's own if that meets them.
         let (mut low, mut high) = (0.0_f64, most);
         let mut step = most;
         best = None;

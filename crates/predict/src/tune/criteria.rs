@@ -1,5 +1,4 @@
-//! Criteria for a wall: stability within the margins, the motors' torque, ripple under two hands, and rebounds of a
-//! tap.
+//! Criteria for a wall: stability within margins, the motors' torque, ripple under two hands, and rebounds.
 
 use super::margins::Corner;
 use super::{Question, Settings, TunedWall, check, measured, three_digits};
@@ -18,18 +17,15 @@ use serde::{Deserialize, Serialize};
 /// rebound as hardness, and more as rattling.
 pub const MAX_REBOUNDS: usize = 1;
 
-/// Number of dampings in a curve.
 const DAMPINGS: usize = 9;
 /// Largest damping of a curve, as a share of the largest stable damping.
 const HIGHEST_SHARE: f64 = 0.9;
 /// Smallest damping of a curve, as a share of the largest.
 const LOWEST_SHARE: f64 = 0.003;
-/// Smallest damping ratio of a wall with a quarter of the stiffness of the encoders' rule of thumb. With less damping
-/// the tip rebounds.
+/// Smallest damping ratio at a quarter of the encoders' rule of thumb. With less damping the tip rebounds.
 const LEAST_DAMPING_RATIO: f64 = 0.04;
 
-/// Simulates the largest ripple of a wall over the device in the file and the deviating ones. `holds` is true if all of
-/// these walls hold the hand.
+/// Simulates the largest ripple of a wall over all tested devices. `holds` is true if all walls hold the hand.
 pub fn ripple(question: &Question<'_>, settings: &Settings) -> Result<Pressed, Failure> {
     worst_ripple(question, settings, f64::INFINITY)
 }
@@ -74,8 +70,7 @@ pub(super) struct SearchContext<'a> {
     pub steps: f64,
 }
 
-/// Largest stiffness of a candidate within margins and motors as a function of damping; points are (damping,
-/// stiffness).
+/// Largest stiffness of a candidate within margins and motors over damping, as (damping, stiffness).
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct Curve {
     pub points: Vec<(f64, f64)>,
@@ -129,8 +124,7 @@ impl<'a> SearchContext<'a> {
         &self.corners[usize::from(settings.feed_forward != FeedForward::Off)]
     }
 
-    /// Computes the curve of a candidate within margins and motors, or returns `None` if a corner is unstable at every
-    /// gain or has no bound.
+    /// Computes a candidate's curve; `None` if a corner is unstable at every gain or has no bound.
     pub fn curve(&self, settings: &Settings) -> Result<Option<Curve>, Failure> {
         let (Some(around), Some(corner)) = (settings.loop_settings(), self.corners(settings).first()) else {
             return Ok(None);
@@ -153,8 +147,7 @@ impl<'a> SearchContext<'a> {
         Ok((curve.top() > 0.0).then_some(curve))
     }
 
-    /// Computes the largest stiffness at each damping within margins and motors, or returns `None` if a corner has no
-    /// bound.
+    /// Computes the largest stiffness at each damping within margins and motors; `None` without a bound.
     pub fn allowed(&self, settings: &Settings, dampings: &[f64]) -> Result<Option<Vec<f64>>, Failure> {
         let Some(around) = settings.loop_settings() else { return Ok(None) };
         let (most, damped) = self.motors;
@@ -175,8 +168,7 @@ impl<'a> SearchContext<'a> {
         Ok(self.allowed(settings, &[settings.damping])?.map_or(0.0, |most| most[0]))
     }
 
-    /// Simulates the ripple under a sliding hand, N. Returns `None` if it exceeds the limit or the wall does not hold
-    /// the hand.
+    /// Simulates the ripple under a sliding hand, N; `None` if it exceeds the limit or the hand is not held.
     pub fn slide_ripple(&self, settings: &Settings) -> Result<Option<f64>, Failure> {
         self.sweep.check_interrupted()?;
         let bound = self.question.ripple_n;

@@ -11,15 +11,10 @@ use serde::Serialize;
 /// Factor on a gain for the neighbouring walls.
 pub(super) const RAISE_FACTOR: f64 = 1.15;
 
-/// Name of the ripple limit.
 const RIPPLE_LIMIT: &str = "ripple";
-/// Name of the ripple limit on the simulated board.
 const ON_BOARD_LIMIT: &str = "ripple on the simulated board";
-/// Name of the limit of rebounds.
 const REBOUNDS_LIMIT: &str = "rebounds after a tap";
-/// Name of the stability limit with all margins.
 const MARGINS_LIMIT: &str = "all margins together";
-/// Name of the limit by motors and encoder counts.
 const MOTORS_LIMIT: &str = "motors and encoder counts";
 /// Factors on the wall's stiffness at which the simulated limits are checked.
 const CHECKED_FACTORS: [f64; 7] = [STIFFNESS_RATIO, 1.06, RAISE_FACTOR, 1.25, 1.5, 2.0, 4.0];
@@ -120,8 +115,7 @@ fn first_limit(limits: &[Limit], settings: &Settings, damped: f64) -> &'static s
     if limit == MARGINS_LIMIT && settings.damping * STIFFNESS_RATIO > damped { "motors and damping" } else { limit }
 }
 
-/// Returns the largest stiffness at which the wall passes a check, up to the last of `factors` times its own stiffness;
-/// `None` if it passes at the last.
+/// Returns the largest stiffness that passes a check; `None` if the wall passes at the last of `factors`.
 fn largest_passing(
     settings: &Settings,
     factors: &[f64],

@@ -59,8 +59,7 @@ pub(super) struct Corner {
 }
 
 impl Corner {
-    /// Returns the control loop with this corner's delay. Damping compensation is left out in a hand because the hand's
-    /// damping is much larger.
+    /// Returns the loop with this corner's delay. In a hand damping compensation is negligible and left out.
     pub fn adjusted_loop(&self, around: &Loop) -> Loop {
         Loop {
             delay_samples: around.delay_samples + self.delay_s * around.rate_hz,
@@ -204,8 +203,7 @@ impl Margins {
                 transmission.motor_inertia *= gain * mass;
             }
             let mut believed = believed.clone();
-            // Compensation that exceeds the real damping drives the device. No wall tolerates this, so damping has no
-            // margin.
+            // Damping has no margin because no wall tolerates compensation that exceeds the real damping.
             believed.viscous.clone_from(&device.viscous);
             Ok(Corner { device, believed, delay_s: self.delay_s })
         };

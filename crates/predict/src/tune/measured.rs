@@ -1,5 +1,4 @@
-//! Tests settings on the simulated board with all effects: the firmware's own step, the protocol, bridges and windings,
-//! friction and encoder steps.
+//! Tests settings on the simulated board, with the firmware's step, protocol, bridges, friction and encoder steps.
 
 use super::{Question, Settings};
 use crate::contact::RippleFilter;
@@ -21,9 +20,7 @@ use std::time::Duration;
 const TARGET_DEPTH: f64 = 0.012;
 /// Distance that the hand slides, m.
 const SLIDE_DISTANCE: f64 = 0.02;
-/// Time before the recording, s.
 const SETTLE_S: f64 = 1.5;
-/// Duration of the recording, s.
 const RECORD_S: f64 = 1.0;
 /// Smallest mean force of a wall that holds the hand, N.
 const LEAST_HELD_FORCE: f64 = 1.0;

@@ -23,10 +23,8 @@ const CUTOFFS_HZ: [f64; 8] = [20.0, 50.0, 100.0, 200.0, 500.0, 1000.0, 2000.0, 4
 const BANDWIDTHS_HZ: [f64; 8] = [10.0, 20.0, 50.0, 100.0, 200.0, 500.0, 1000.0, 3000.0];
 /// Windows of the difference estimators, samples.
 const WINDOWS: [u32; 4] = [4, 8, 16, 32];
-/// Number of candidates per round of simulations.
 const CANDIDATES_PER_ROUND: usize = 8;
-/// Share of the best stiffness down to which candidates are simulated, because between the grid's values they may be
-/// the best.
+/// Share of the best stiffness down to which candidates are simulated, because they may beat the best.
 const NEAR_SHARE: f64 = 0.85;
 /// Share of the best stiffness for another feed-forward and on the board, lower so that there is a result to compare.
 const COMPARED_SHARE: f64 = 0.7;
@@ -39,17 +37,12 @@ const STIFFNESS_STEP: f64 = 1.5;
 const STIFFER_FACTORS: [f64; 5] = [1.5, 1.25, RAISE_FACTOR, 1.06, STIFFNESS_RATIO];
 /// Maximum number of estimators around whose best wall the search continues.
 const REFINED_ESTIMATORS: usize = 4;
-/// Maximum number of rounds around the best wall of an estimator.
 const REFINEMENT_ROUNDS: usize = 5;
-/// Factors on the cutoff in refinement rounds.
 const CUTOFF_FACTORS: [f64; 5] = [1.0, 0.7, 1.4, 0.5, 2.0];
-/// Factors on the window in refinement rounds.
 const WINDOW_FACTORS: [f64; 3] = [1.0, 0.75, 1.5];
-/// Factors on the damping in refinement rounds.
 const DAMPING_FACTORS: [f64; 7] = [1.0, 0.87, 1.15, 0.74, 1.35, 0.55, 1.8];
 /// Number of walls that are pressed on the board at once.
 const PRESSED_AT_ONCE: usize = 4;
-/// Maximum number of walls that are pressed on the board.
 const MAX_PRESSED: usize = 12;
 /// Ratio of stiffness from one press on the board to the next.
 const SOFTEN_FACTOR: f64 = 1.12;
@@ -70,8 +63,7 @@ fn restore(settings: &Settings, ([stiffness, damping, ripple_n], board_ripple_n)
 }
 
 impl SearchContext<'_> {
-    /// Searches for walls that meet all criteria. Returns them with the number of combinations and the number of
-    /// simulated ones.
+    /// Returns walls that meet all criteria, and the numbers of combinations and of simulated combinations.
     pub fn all(&self) -> Result<(Vec<TunedWall>, (usize, usize)), Failure> {
         let mut all: Vec<TunedWall> = self.known_wall()?.into_iter().collect();
         let mut looked_at = (0, 0);
@@ -241,8 +233,7 @@ impl SearchContext<'_> {
         }
     }
 
-    /// Simulates candidates in descending order of promise until no more can be near the best or stiffer than `floor`
-    /// (N/m).
+    /// Simulates the best candidates until no other can be near the best wall or stiffer than `floor` (N/m).
     fn simulate(
         &self,
         candidates: &[(Settings, Curve)],
@@ -277,8 +268,7 @@ impl SearchContext<'_> {
         Ok(each.filter_map(|((settings, _), result)| Some(restore(settings, result?))).collect())
     }
 
-    /// Refines cutoff and damping between the grid's values. Then chooses the highest washout corner that keeps the
-    /// stiffness.
+    /// Refines cutoff and damping, then chooses the highest washout corner that keeps the stiffness.
     fn refine(&self, tuned: TunedWall, stage: &str) -> Result<TunedWall, Failure> {
         let mut best = tuned;
         for round in 0..REFINEMENT_ROUNDS {

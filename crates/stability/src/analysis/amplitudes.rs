@@ -2,9 +2,7 @@
 
 use std::f64::consts::TAU;
 
-/// Largest number of samples that one transform takes.
 const MAX_PIECE_SAMPLES: usize = 16_384;
-/// Smallest number of samples that gives a useful spectrum.
 const MIN_PIECE_SAMPLES: usize = 64;
 
 /// A line of a spectrum.

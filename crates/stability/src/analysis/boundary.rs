@@ -9,10 +9,9 @@
 //! This is Neimark's D-decomposition; see Gryazina and Polyak, "Stability regions in the parameter space:
 //! D-decomposition revisited", Automatica 42 (2006) 13-26.
 
-use nalgebra::Complex;
-
 use super::sampled::{AnalysisError, OpenLoop};
 use super::spectrum::Resolvent;
+use nalgebra::Complex;
 
 /// Smallest stiffness that is analysed, in units of m/T².
 pub(crate) const SMALLEST_STIFFNESS: f64 = 1e-9;
@@ -43,7 +42,6 @@ struct Response {
     velocity: Complex<f64>,
 }
 
-/// The gain whose crossings are searched.
 #[derive(Clone, Copy, PartialEq)]
 enum SearchedGain {
     Stiffness,
@@ -54,15 +52,13 @@ enum SearchedGain {
 const MAX_PHASE_STEP_RAD: f64 = 0.25;
 
 impl Response {
-    /// Returns true if the phases of two neighbouring samples differ so much that a crossing between them could be
-    /// missed.
+    /// Returns true if a crossing between two neighbouring samples could be missed.
     fn is_far_from(&self, other: &Response) -> bool {
         let turned = |a: Complex<f64>, b: Complex<f64>| (b * a.conj()).arg().abs() > MAX_PHASE_STEP_RAD;
         turned(self.position, other.position) || turned(self.velocity, other.velocity)
     }
 
-    /// Returns the complex gain that puts a mode at this angle while the other gain is `held`. A real result is a
-    /// crossing.
+    /// Returns the complex gain that puts a mode at this angle. A real result is a crossing.
     fn gain(&self, searched: SearchedGain, held: f64) -> Complex<f64> {
         let (own, other) = match searched {
             SearchedGain::Stiffness => (self.position, self.velocity),
@@ -189,8 +185,7 @@ impl<'a> CircleResponses<'a> {
         }
     }
 
-    /// Refines a crossing between two samples of opposite sign by bisection with secant steps (Illinois). Returns the
-    /// gain.
+    /// Refines a crossing between two samples by bisection with secant steps (Illinois). Returns the gain.
     fn refine(&mut self, searched: SearchedGain, held: f64, from: usize, to: usize, at_from: f64) -> f64 {
         let (a, b) = (self.samples[from].angle, self.samples[to].angle);
         let at_to = self.samples[to].mismatch(searched, held);

@@ -1,11 +1,10 @@
 //! The control loop of a wall: rate, delay, estimator, drives, and the torque that renders the wall's force.
 
-use haptic_bridge::render::scene::FeedForward;
-
 use super::error::AnalysisError;
 use super::estimator::LinearEstimator;
 use super::flexible::felt_stiffness;
 use super::plant::{Drive, Linearised};
+use haptic_bridge::render::scene::FeedForward;
 
 /// Longest delay that can be analysed, samples.
 pub const LONGEST_DELAY: f64 = 64.0;

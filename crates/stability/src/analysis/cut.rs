@@ -1,5 +1,4 @@
-//! The plane of the workspace that a map shows, divided into tiles for a drawing, with the quantities of [`super::map`]
-//! at each tile.
+//! The plane of the workspace that a map shows, divided into tiles with the quantities of [`super::map`].
 //!
 //! The angles of two joints span the plane. They start at home and end at joint limits and singularities, as in the
 //! map's grid. Every corner of a tile is an evaluated pose; values are not interpolated.
@@ -7,21 +6,19 @@
 //! A device on a turret is cut at joint 0 = 0, or at its home angle if its limits exclude 0, and is drawn in the plane
 //! of its linkage. The redundant arm keeps the orientation that it has at home.
 
+use super::map::{FixedCoordinate, MapPoint, Reachable, along, at_holding};
+use super::pose::{PoseError, TaskPose, unit_normal};
+use crate::skeleton::{Point, Turret};
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::description::Description;
 use haptic_bridge::model::device::Device;
 use nalgebra::DVector;
 
-use super::map::{FixedCoordinate, MapPoint, Reachable, along, at_holding};
-use super::pose::{PoseError, TaskPose, unit_normal};
-use crate::skeleton::{Point, Turret};
-
 /// Number of grid angles per swept joint before tiles are divided.
 const GRID_ANGLES: usize = 64;
 /// Maximum number of halvings of a tile inside the workspace.
 const MAX_HALVINGS: usize = 4;
-/// Maximum number of halvings of a tile on the workspace's edge. Two halvings leave 1.4° of a turn, where the edge is
-/// nearly straight.
+/// Maximum number of halvings of an edge tile. Two leave 1.4° of a turn, where the edge is nearly straight.
 const MAX_EDGE_HALVINGS: usize = 2;
 
 /// A pose in the plane.

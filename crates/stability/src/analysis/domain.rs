@@ -6,8 +6,6 @@
 //! integral; if kp_max jumps, the error is up to 2e-2 (tool/tests/quick/range_golden.rs). Ratios of areas of the same
 //! shape have no such error.
 
-use serde::Serialize;
-
 use super::boundary::{CircleResponses, Interval};
 use super::control_loop::{Loop, Mode};
 use super::error::AnalysisError;
@@ -15,6 +13,7 @@ use super::flexible::felt_stiffness;
 use super::oscillation::Oscillation;
 use super::plant::Linearised;
 use super::several::{WallLoops, WallSet, open_loop};
+use serde::Serialize;
 
 /// Default number of damping values on a boundary.
 pub const BOUNDARY_POINTS: usize = 200;
@@ -233,8 +232,7 @@ fn in_sample_units(kp: f64, kd: f64, mass: f64, sample_s: f64) -> Result<(f64, f
     refused.map_or(Ok((kp * sample_s * sample_s / mass, kd * sample_s / mass)), |gain| Err(AnalysisError::Gain(gain)))
 }
 
-/// Returns the largest stable stiffness (N/m) at damping `kd` (N s/m), zero if none is stable, and the largest damping
-/// at which any stiffness is stable.
+/// Returns the largest stable stiffness (N/m) at damping `kd`, zero if none, and the largest stable damping.
 pub fn stiffness_at(device: &Linearised, around: &Loop, mode: Mode, kd: f64) -> Result<(f64, f64), AnalysisError> {
     let open = open_loop(device, device, around, mode)?;
     let damping_unit = open.mass / open.sample_s;
@@ -299,8 +297,7 @@ fn is_supported(support: &[Interval], kd_hat: f64) -> bool {
     support.iter().any(|interval| interval.low <= kd_hat && kd_hat < interval.high)
 }
 
-/// Returns kp_max at one damping: the upper end of the interval that starts at the smallest stiffness, or zero outside
-/// the support.
+/// Returns kp_max at one damping: the end of the interval from the smallest stiffness; zero without one.
 fn supported_stiffness(support: &[Interval], kd_hat: f64, stable: &[Interval]) -> f64 {
     match stable.first() {
         Some(first) if is_supported(support, kd_hat) && first.low <= super::boundary::SMALLEST_STIFFNESS => first.high,
@@ -416,8 +413,7 @@ mod tests {
         let (kp, kd) = (result.top.kp * 1e-6, result.top.kd * 1e-3);
         assert!((kp / (12.0 - 8.0 * 2.0_f64.sqrt()) - 1.0).abs() < 1e-8, "{kp}");
         assert!((kd - 2.0 * (2.0_f64.sqrt() - 1.0)).abs() < 1e-4, "{kd}");
-        // The two neighbouring grid points are 3e-6 lower. At a kink, which soft transmissions cause, they could be
-        // 3e-3 lower.
+        // The neighbouring grid points are 3e-6 lower. At a kink of soft transmissions it could be 3e-3.
         let grid = result.boundary.iter().map(|point| point.kp).fold(0.0, f64::max) * 1e-6;
         assert!(grid < kp - 1e-7, "{grid}");
         // If dampings are requested, the top is the largest stiffness at the requested dampings.

@@ -1,10 +1,9 @@
 //! Motions without feedback. If the joints' damping is exactly compensated, a device drifts freely. The analysis
 //! removes these motions because their modes on the unit circle cannot be distinguished from unstable modes.
 
-use nalgebra::{DMatrix, DVector};
-
 use super::control_loop::{Loop, Mode};
 use super::plant::{ContinuousPlant, Linearised};
+use nalgebra::{DMatrix, DVector};
 
 /// Constant motions of the loop, which exist at any gains.
 #[derive(Clone, Debug)]
@@ -15,7 +14,6 @@ pub(super) struct Drift {
     force: DVector<f64>,
     /// Index of the state that is one for this motion and zero for every other motion, for each motion.
     pivot: Vec<usize>,
-    /// Index of the rendered position.
     position: usize,
 }
 
@@ -41,8 +39,7 @@ pub(super) type ConstantMotion = (Vec<f64>, f64, Vec<f64>, f64);
 /// Finds the constant joint velocities that persist if the joints' damping is exactly compensated.
 ///
 /// These velocities do not move the tip along the wall's normal. With the full feed-forward the wall balances a force
-/// EᵀB q̇. Behind a washout the force decays, so only velocities with EᵀB q̇ = 0 persist. Drives with back-EMF damp the
-/// joints, so no velocity persists.
+/// EᵀB q̇; a washout removes it, so only velocities with EᵀB q̇ = 0 persist. With back-EMF no velocity persists.
 pub(super) fn find_drift(
     device: &Linearised,
     around: &Loop,

@@ -1,5 +1,4 @@
-//! Eigenvalues of a small real matrix: balancing, Hessenberg form, and double-shift QR iteration with exceptional
-//! shifts.
+//! Eigenvalues of a small real matrix by double-shift QR iteration with exceptional shifts.
 //!
 //! nalgebra's Schur decomposition has no exceptional shifts after 10 and 20 iterations, so it fails to converge on one
 //! in a few hundred of the graded, nearly defective matrices of a sampled loop. Algorithm: Wilkinson and Reinsch,
@@ -8,7 +7,6 @@
 
 use nalgebra::{Complex, DMatrix, linalg::balancing};
 
-/// Maximum number of iterations for one eigenvalue.
 const MAX_ITERATIONS: usize = 100;
 
 /// Returns all eigenvalues of a square matrix; `None` if the iteration does not converge or the matrix is not finite.
@@ -206,7 +204,6 @@ mod tests {
     use super::*;
     use haptic_sim::Random;
 
-    /// Sorts by real part, then imaginary part.
     fn sorted(mut values: Vec<Complex<f64>>) -> Vec<Complex<f64>> {
         values.sort_by(|a, b| (a.re, a.im).partial_cmp(&(b.re, b.im)).unwrap());
         values

@@ -1,8 +1,7 @@
 //! Velocity estimators of the control step as linear filters for the stability analysis.
 //!
-//! Each filter takes the change of position over the last sample and returns a velocity per sample. Each state is
-//! chosen so that its change per sample is computed directly, because a difference of nearly equal numbers loses
-//! precision.
+//! Each filter takes the change of position over the last sample and returns a velocity per sample. The changes of its
+//! states are computed directly, because differences of nearly equal numbers lose precision.
 
 use super::error::AnalysisError;
 use haptic_bridge::render::velocity::{Chosen, Estimator as Kind};
@@ -73,8 +72,7 @@ impl LinearEstimator {
         }
     }
 
-    /// Returns name and kind of the linear estimators without a window parameter. [`LinearEstimator::over`] adds a
-    /// window.
+    /// Returns the linear estimators without a window. [`LinearEstimator::over`] adds one.
     pub fn named() -> impl Iterator<Item = (&'static str, Kind)> {
         let windowless = |kind: Kind| kind.spec().is_none_or(|spec| spec.key.is_none());
         let all = Kind::ALL.iter().copied();
@@ -97,7 +95,6 @@ impl LinearEstimator {
         }
     }
 
-    /// Returns the window of the difference, samples.
     pub(super) fn samples(self) -> usize {
         match self {
             Self::Over { samples, .. } => samples,
@@ -119,7 +116,6 @@ impl LinearEstimator {
         }
     }
 
-    /// Returns the number of states.
     pub(super) fn states(self) -> usize {
         match self {
             Self::BackwardDifference => 0,
@@ -130,13 +126,11 @@ impl LinearEstimator {
         }
     }
 
-    /// Returns true if the estimator uses the commanded torque.
     pub(super) fn uses_commands(self) -> bool {
         matches!(self, Self::Predicted(_))
     }
 
-    /// Computes one sample from these states. The joint moved by `moved`, and the commanded torque added `pushed` to
-    /// its velocity, both per sample.
+    /// Computes one sample after the joint moved by `moved`; commands added `pushed` to its velocity per sample.
     fn filter_sample(self, rate_hz: f64, states: &[f64], moved: f64, pushed: f64) -> FilterOutput {
         let warped = |hz: f64| (std::f64::consts::PI * hz / rate_hz).tan();
         match (self, states) {
@@ -253,8 +247,7 @@ impl LinearEstimator {
         most * rate_hz
     }
 
-    /// Returns the states after a long time at the velocity `moved` per sample. `pushed` is the velocity per sample
-    /// that commands add.
+    /// Returns the states at a constant velocity `moved` per sample, of which commands added `pushed`.
     pub(super) fn steady_states(self, rate_hz: f64, moved: f64, pushed: f64) -> DVector<f64> {
         let (matrix, states) = (self.matrix(rate_hz), self.states());
         if states == 0 {

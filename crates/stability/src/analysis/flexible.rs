@@ -1,9 +1,8 @@
 //! Compliant parts of a device at a pose, linearised in continuous time: transmissions between motors and links,
 //! structural modes of the links, and a hand on the tip (docs/model.md section 4).
 
-use nalgebra::{DMatrix, DVector};
-
 use haptic_bridge::model::description::{EncoderAt, Joint, StructuralMode, Transmission};
+use nalgebra::{DMatrix, DVector};
 
 /// A hand at the tip: a mass, a damper and a spring to a target position, equal in every direction.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -32,8 +31,7 @@ pub struct Posture {
     pub damping: f64,
 }
 
-/// Compliant parts of a device at a pose, the hand at its tip and its posture control. The default is a rigid device
-/// without hand and posture control.
+/// Compliant parts of a device at a pose, with hand and posture control. The default is a free rigid device.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Flexible {
     /// Transmission of each joint; empty if all are rigid.
@@ -83,8 +81,7 @@ impl Flexible {
         (compliance != 0.0).then_some(compliance)
     }
 
-    /// Returns true if a joint has a compliant transmission and its encoder at the link, so that its motor drives the
-    /// measured angle through a spring.
+    /// Returns true if a motor drives a measured angle through a spring.
     #[must_use]
     pub fn is_sensed_behind_a_spring(&self) -> bool {
         self.transmissions.iter().flatten().any(|transmission| transmission.encoder_at == EncoderAt::Joint)

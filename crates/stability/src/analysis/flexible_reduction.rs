@@ -11,12 +11,10 @@
 //! related to computing controllability", IEEE TAC 26, 1981). Rounding therefore never decides if an undamped motion
 //! along the wall counts as stable.
 
-use nalgebra::{DMatrix, DVector};
-
-use haptic_bridge::model::description::{EncoderAt, StructuralMode, Transmission};
-
 use super::flexible::Flexible;
 use super::plant::{ContinuousPlant, Lags, Linearised};
+use haptic_bridge::model::description::{EncoderAt, StructuralMode, Transmission};
+use nalgebra::{DMatrix, DVector};
 
 /// Frequency of a transmission's own oscillation (rad per sample) above which the transmission counts as rigid. The
 /// error is 1 over the square of this value, 1e-10.
@@ -56,7 +54,6 @@ struct Bodies {
     /// Coordinate of each joint's motor.
     motor: Vec<usize>,
     encoder: Vec<usize>,
-    /// Index of the spring of each joint's transmission.
     transmission_spring: Vec<Option<usize>>,
     /// Index of the hand's first spring; `None` without a hand.
     hand_spring: Option<usize>,
@@ -190,8 +187,7 @@ pub(crate) fn reduce_observed(
     let bodies = Bodies::new(device, lags, sample_s, reference_mass)?;
     let (moving, springs) = (bodies.mass.nrows(), bodies.stiffness.len());
     let lagging: Vec<usize> = (0..joints).filter(|&joint| lags.rate[joint].is_some()).collect();
-    // The states are scaled velocities L' v, scaled deflections, torques of lagging drives, and the rendered positions
-    // that no spring of the hand holds.
+    // States: scaled velocities L' v, scaled deflections, lagging torques, positions without a hand's spring.
     let (torques, position) = (moving + springs, moving + springs + lagging.len());
     // A hand's springs hold the tip's position but not its orientation.
     let held = |k: usize| bodies.hand_spring.filter(|_| k < device.directions.ncols());
@@ -236,8 +232,7 @@ pub(crate) fn reduce_observed(
             rendered_rows[(state, k)] = 1.0;
             continue;
         };
-        // Jr q is the displacement of the tip, which the hand's springs deflect by. An encoder on a motor also measures
-        // the twist of the transmission.
+        // Jr q is the deflection of the hand's springs; an encoder on a motor also measures the twist.
         for (direction, along) in device.directions.column(k).iter().enumerate() {
             rendered_rows[(moving + held + direction, k)] += along / roots[held + direction];
         }

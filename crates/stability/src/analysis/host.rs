@@ -20,8 +20,7 @@ pub const MIN_REQUEST_HZ: f64 = 1.0;
 pub struct Host {
     /// Request rate, Hz.
     pub rate_hz: f64,
-    /// Time from the state that the program receives until the board accepts the resulting force, s. `haptic board
-    /// latency` measures this age.
+    /// Age of a force when the board accepts it, s, as measured by `haptic board latency`.
     pub delay_s: f64,
 }
 

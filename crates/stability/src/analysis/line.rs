@@ -5,9 +5,7 @@ use super::error::AnalysisError;
 use super::plant::Linearised;
 use super::several::open_loop;
 
-/// Number of stiffnesses tried per decade.
-const PER_DECADE: u32 = 64;
-/// Number of decades of stiffness that are tried.
+const STIFFNESSES_PER_DECADE: u32 = 64;
 const DECADES: u32 = 8;
 
 /// Rule for the damping at a stiffness.
@@ -48,8 +46,8 @@ impl StableLine {
         // At this rate the largest stable stiffness is of the order of m/T².
         let largest = 4.0 * mass / (t * t);
         let (mut low, mut high) = (0.0, largest);
-        for i in 0..=DECADES * PER_DECADE {
-            let kp = largest * 10_f64.powf(f64::from(i) / f64::from(PER_DECADE) - f64::from(DECADES));
+        for i in 0..=DECADES * STIFFNESSES_PER_DECADE {
+            let kp = largest * 10_f64.powf(f64::from(i) / f64::from(STIFFNESSES_PER_DECADE) - f64::from(DECADES));
             if !stable(kp) {
                 high = kp;
                 break;

@@ -1,5 +1,4 @@
-//! Inertia over the workspace: at each pose the effective inertias along one normal, the worst normals, and the axes of
-//! Λ.
+//! Inertia over the workspace: effective inertias along one normal, worst normals, and axes of Λ.
 //!
 //! The poses are those that the device reaches from home without crossing a singularity. The grid over the joints'
 //! ranges is flooded from home through regular poses with the same orientation of J. Each tip position therefore
@@ -9,23 +8,21 @@
 //! The tip of a redundant arm has two different matrices, the block of Λ and the inverse of the block of the mobility.
 //! Its worst normals are searched, and its axes are those of the tip's inertia (J M⁻¹ Jᵀ)⁻¹.
 
+use super::pose::{PoseError, Stance, TaskPose, unit_normal};
+use crate::model::Condition;
+use crate::sweep::Sweep;
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::description::Description;
 use haptic_bridge::model::device::{Device, Joint};
 use haptic_bridge::model::mechanism::AnyMechanism;
+use haptic_host::error::Failure;
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 use serde::{Deserialize, Serialize};
 
-use super::pose::{PoseError, Stance, TaskPose, unit_normal};
-use crate::model::Condition;
-use crate::sweep::Sweep;
-use haptic_host::error::Failure;
-
 /// Smallest sine of the singular angle at which flooding accepts a pose.
 const WALKABLE_SINE: f64 = 0.08;
-/// Longest step while flooding, rad. The excluded band around a singularity ([`WALKABLE_SINE`] on either side) is wider
-/// than a step, so no step crosses a singularity. This holds even where two singularities meet and J's determinant has
-/// the same sign behind both.
+/// Longest step while flooding, rad. The excluded band around a singularity is wider ([`WALKABLE_SINE`] on either
+/// side), so no step crosses one, even where two meet and J's determinant has the same sign behind both.
 const MAX_FLOOD_STEP_RAD: f64 = 0.1;
 
 /// A wall normal and the largest value that it causes.
@@ -67,8 +64,7 @@ pub struct MapPoint {
 pub enum FixedCoordinate {
     /// Joint with this index at this angle, rad.
     Joint(usize, f64),
-    /// Orientation φ of the redundant arm, rad. Its last joint follows the other joints, so each tip position appears
-    /// once.
+    /// Orientation φ of the redundant arm, rad. Its last joint follows, so each tip position appears once.
     Orientation(f64),
 }
 
@@ -190,8 +186,7 @@ fn search_worst(value: impl Fn(&DVector<f64>) -> f64) -> WorstNormal {
     WorstNormal { value: value(&normal), normal: normal.iter().copied().collect() }
 }
 
-/// Returns the largest `value` that a device reaches from the pose `from` (rad) without crossing a singularity or a
-/// limit.
+/// Returns the largest `value` on a way from `from` (rad) that crosses no singularity and no limit.
 ///
 /// A compass search over all grid directions takes steps of at most `step` rad and halves them to 1e-5 rad. It stops at
 /// the sine 1e-3 from a singularity, where an arm is stretched to within a millionth of its length.
@@ -231,8 +226,7 @@ pub fn climb(
     Ok(best)
 }
 
-/// Returns the side of the singularities on which a pose lies, or `None` if the pose is beyond a limit or nearer to a
-/// singularity than `sine`.
+/// Returns the pose's side of the singularities, or `None` beyond a limit or within `sine` of a singularity.
 fn side(device: &Device<f64>, q: &[f64], sine: f64) -> Result<Option<bool>, PoseError> {
     // Rounding may put a grid angle on a limit slightly beyond the limit.
     let allowed = |(angle, joint): (&f64, &Joint<f64>)| {
@@ -272,8 +266,7 @@ impl Reachable {
                     wraps.push(false);
                 }
                 (_, Some((low, high))) if spec.periodic && high - low > std::f64::consts::TAU => {
-                    // Angles beyond a turn add no pose and would make the grid coarser. With at least two turns the
-                    // grid closes on itself.
+                    // Angles beyond a turn add no pose. With at least two turns the grid closes on itself.
                     let (pi, turn) = (std::f64::consts::PI, std::f64::consts::TAU);
                     let first = 0.0_f64.clamp(low + pi, high - pi) - pi;
                     let step = turn / per_joint as f64;
@@ -435,7 +428,6 @@ pub fn map_until(
     })
 }
 
-/// Number of poses per item of a sweep.
 const POSES_PER_ITEM: usize = 256;
 
 /// Like [`map_holding`], as an interruptible sweep.
@@ -451,7 +443,6 @@ pub fn map_swept(
     })
 }
 
-/// Function that computes the map points of some poses.
 type PieceWork<'a> = &'a (dyn Fn(&Vec<Vec<f64>>) -> Vec<MapPoint> + Sync);
 
 fn evaluate_pieces<E: From<PoseError>>(

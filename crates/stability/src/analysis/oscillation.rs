@@ -3,9 +3,8 @@
 //! A mode z of the sampled loop oscillates at arg z/(2π T) and grows as exp(t ln|z|/T). A hand feels and hears the
 //! oscillating mode with the largest growth; above the stability boundary the wall buzzes at its frequency.
 //!
-//! The linear prediction leaves out three effects: the tip leaves the wall for a part of every period because a wall
-//! only pushes, friction, and the torque limit. On the demo's wall the buzz lies within 13 % of the predicted frequency
-//! (tool/tests/quick/prediction.rs).
+//! The linear prediction leaves out that a wall only pushes, friction, and the torque limit. On the demo's wall the
+//! buzz lies within 13 % of the predicted frequency (tool/tests/quick/prediction.rs).
 
 use super::eigenvalues::eigenvalues;
 use nalgebra::DMatrix;
@@ -25,8 +24,7 @@ pub struct Oscillation {
 const ON_THE_CIRCLE: f64 = 1e-6;
 
 impl Oscillation {
-    /// Returns the least damped mode z = 1 + γ of a delta-form matrix F with the sample period `sample_s` (s), or
-    /// `None` if no mode oscillates.
+    /// Returns the least damped mode z = 1 + γ of F = A - I; `None` if no mode oscillates.
     pub(super) fn least_damped(f: DMatrix<f64>, sample_s: f64) -> Option<Self> {
         eigenvalues(f)?
             .into_iter()

@@ -17,28 +17,24 @@
 //! condition is 1 + 2 Re(H C) - |H|² (r² - |C|²) > 0 at every θ, for H = kp + kd V with the velocity estimator V. It is
 //! a convex set of (kp, kd). For slow motions it becomes b > kp T (1/2 + delay) + kp · lag.
 //!
-//! Both bounds hold for one moving mass whose force acts along its motion. On a device with several joints the least
-//! favourable admissible motion counts: b and fc are the smallest dissipation of any joint motion with unit rendered
-//! velocity.
+//! Both bounds hold for one moving mass whose force acts along its motion. On a device with several joints b and fc are
+//! the smallest dissipation of any joint motion with unit rendered velocity.
 //!
-//! The bounds exclude the feed-forward, because its torques do not act along the rendered motion. They also exclude an
-//! encoder behind the spring of a transmission, a rendered posture, drives with different lags, and a velocity
-//! predicted from commands.
-
-use haptic_bridge::model::description::Description;
-use nalgebra::{Complex, DVector};
+//! The bounds exclude the feed-forward, whose torques do not act along the rendered motion, an encoder behind a spring,
+//! a rendered posture, drives with different lags, and a velocity predicted from commands.
 
 use super::control_loop::Loop;
 use super::plant::{Drive, Linearised};
+use haptic_bridge::model::description::Description;
+use nalgebra::{Complex, DVector};
 
 /// Number of logarithmically spaced angles between `SLOWEST_ANGLE_RAD` and `EVEN_FROM_RAD`.
 const SLOW_ANGLES: usize = 200;
-/// Number of evenly spaced angles above `EVEN_FROM_RAD` for a loop without delay. Each sample of delay turns the response
-/// once more and adds as many.
+/// Number of even angles above `EVEN_FROM_RAD` without delay. Each sample of delay adds as many.
 const EVEN_ANGLES: usize = 400;
 /// Smallest analysed angle, rad. Slower motions follow their limit, `Passivity::lateness`.
 const SLOWEST_ANGLE_RAD: f64 = 1e-3;
-/// ConditionTerms at which evenly spaced angles begin, rad.
+/// Angle at which evenly spaced angles begin, rad.
 const EVEN_FROM_RAD: f64 = 0.1;
 /// Number of aliases on each side with exact lag. The remaining aliases count as without lag, which makes r larger.
 const ALIASES: i32 = 60;
@@ -122,8 +118,7 @@ impl Passivity {
         allowed.reduce(f64::min).unwrap_or(0.0)
     }
 
-    /// Returns the largest passive stiffness of an undamped wall by Abbott and Okamura, N/m; `None` without encoder
-    /// data.
+    /// Returns the largest passive stiffness of an undamped wall (Abbott and Okamura), N/m.
     pub fn quantised(&self) -> Option<f64> {
         let friction = 2.0 * self.coulomb / self.quantum?;
         Some(friction.min(self.sampled(0.0)))
@@ -176,8 +171,7 @@ fn angles(b: f64, lag_s: f64, around: &Loop) -> Vec<ConditionTerms> {
     slow.chain(even).map(condition_at).collect()
 }
 
-/// Returns the sampled motion of an integrator, in samples, for a force that is held, delayed and lagging; `rate` is
-/// the lag rate per sample.
+/// Returns the sampled motion of an integrator for a held, delayed and lagging force; `rate` is per sample.
 fn integrator_response(theta: f64, rate: f64, delay_samples: f64) -> Complex<f64> {
     let turn = Complex::from_polar(1.0, theta);
     let (whole, late) = (delay_samples.floor(), delay_samples.fract());
@@ -233,8 +227,7 @@ mod tests {
     #[test]
     fn lag_and_fractional_delay_cost_more_than_their_time() {
         let limit = |delay: f64, drive: Drive| paddle(&control_loop(delay, drive)).sampled(0.0);
-        // For slow motions the limit is b/(T (1/2 + d) + lag). Aliases, which a hand may answer differently, reduce it
-        // further.
+        // For slow motions the limit is b/(T (1/2 + d) + lag). Aliases reduce it further.
         let slow = |delay: f64, lag_s: f64| 0.2 / (1e-3 * (0.5 + delay) + lag_s);
         let half = limit(0.5, Drive::Ideal) / slow(0.5, 0.0);
         assert!((0.94..0.95).contains(&half), "1 - x - x²/16 = 0 at x = 0.944: {half}");
@@ -247,8 +240,7 @@ mod tests {
         assert!((limit(0.3, Drive::Current { bandwidth_hz: 1e9 }) / ideal - 1.0).abs() < 1e-3);
     }
 
-    /// Returns true if a wall is passive by the original condition of Colgate and Schenkel on a fine grid of
-    /// frequencies.
+    /// Returns true if a wall is passive by Colgate and Schenkel's original condition on a fine grid.
     fn is_passive(b: f64, kp: f64, kd: f64, t: f64, delay: f64) -> bool {
         (1..4000).all(|i| {
             let theta = std::f64::consts::PI * f64::from(i) / 4000.0;

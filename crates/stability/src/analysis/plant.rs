@@ -1,5 +1,4 @@
-//! The device linearised at a pose, in continuous time: M q̈ + B q̇ = τ with its drives, reduced to the motions that
-//! affect the wall.
+//! The device linearised at a pose in continuous time, reduced to the motions that affect the wall.
 //!
 //! A wall feeds back only the rendered position, so joint positions do not matter. Joints without damping are
 //! integrators without feedback; their common share of the rendered velocity is one state, and their other states have
@@ -9,9 +8,8 @@
 //! Units are those of one sample: time in samples `T`, velocities in metres (or radians) per sample, and forces in
 //! `m/T²` with a reference mass `m`. Stiffness is then `kp T²/m`, and damping `kd T/m`.
 
-use nalgebra::{DMatrix, DVector};
-
 use super::flexible::Flexible;
+use nalgebra::{DMatrix, DVector};
 
 /// The device at rest at one pose along one rendered direction, with N joints and balanced gravity.
 #[derive(Clone, Debug)]
@@ -37,8 +35,7 @@ impl Linearised {
         (mobility > 0.0 && mobility.is_finite()).then(|| 1.0 / mobility)
     }
 
-    /// Returns the inertia Wrr = Eᵀ M E of the rendered direction while the feed-forward holds the admissible motions,
-    /// kg.
+    /// Returns the rendered inertia Wrr = Eᵀ M E while the feed-forward holds the admissible motions, kg.
     pub fn w_rr(&self) -> f64 {
         self.unit_motion.dot(&(&self.mass * &self.unit_motion))
     }
@@ -54,8 +51,7 @@ impl Linearised {
         (met > 0.0 && met.is_finite()).then_some(met)
     }
 
-    /// Returns the largest gain α that a board allows at this pose: half way from 1 to the pole, where the inertia is 2
-    /// Wrr.
+    /// Returns the largest gain α that a board allows: half way from 1 to the pole, where the inertia is 2 Wrr.
     pub fn largest_gain(&self) -> Option<f64> {
         Some(0.5 * (1.0 + 1.0 / (1.0 - self.w_eff()? / self.w_rr()).max(f64::EPSILON)))
     }

@@ -1,5 +1,8 @@
 //! The analysis's matrices for a device description and joint angles.
 
+use super::flexible::{Flexible, Hand};
+use super::plant::{Linearised, MotorElectrics};
+use super::subject::Subject;
 use haptic_bridge::math::FineTable;
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
@@ -7,13 +10,9 @@ use haptic_bridge::model::description::{Description, DescriptionError};
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism, Regularity, Shaping};
 use haptic_bridge::with_mechanism;
+use haptic_host::vectors::{padded_to, unit};
 use nalgebra::{DMatrix, DVector, SMatrix, SVector};
 use thiserror::Error;
-
-use super::flexible::{Flexible, Hand};
-use super::plant::{Linearised, MotorElectrics};
-use super::subject::Subject;
-use haptic_host::vectors::{padded_to, unit};
 
 /// Smallest sine of the singular angle that is analysed.
 pub const LEAST_ANALYSED_SINE: f64 = 1e-6;
@@ -199,8 +198,7 @@ pub fn unit_normal(normal: &[f64], task: usize, joints: usize) -> Result<DVector
 }
 
 impl Linearised {
-    /// Linearises the device at rest at `q` (rad) along `normal` (d entries, any length but zero), with joint damping,
-    /// transmissions and structural modes.
+    /// Linearises the device at rest at `q` (rad) along `normal` (d entries, any length but zero).
     pub fn at(description: &Description, q: &[f64], normal: &[f64]) -> Result<Self, PoseError> {
         Self::holding(description, q, normal, Admissible::default())
     }

@@ -45,8 +45,7 @@ impl Prediction {
         Self { subject, around, admissible, gain: 1.0, posture: None, hand }
     }
 
-    /// Creates a prediction for a scene on a board, for `wall` or for any wall. Returns `None` if the estimator has no
-    /// linear model.
+    /// Creates a prediction for a scene on a board; `None` if the estimator has no linear model.
     #[must_use]
     pub fn in_scene(
         subject: &Subject,
@@ -101,9 +100,8 @@ impl Prediction {
         Ok(redundant.then(|| (held, pose.jacobian.row(pose.task).transpose())))
     }
 
-    /// Predicts the stable domains of these walls at `q` (rad), in the totals of stiffness and damping: without
-    /// feed-forward, with it, and with it behind a washout at `washout_hz`. The dampings are `kd` (N s/m) or evenly
-    /// spaced.
+    /// Predicts the stable domains of these walls at `q` (rad) without feed-forward, with it, and with it behind a
+    /// washout at `washout_hz`, in the totals of stiffness and damping. The dampings are `kd` (N s/m) or evenly spaced.
     pub fn range(
         &self,
         q: &[f64],

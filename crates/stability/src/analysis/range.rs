@@ -1,7 +1,5 @@
 //! The result of `haptic range`: the stable domain of a wall on one device for each feed-forward.
 
-use serde::Serialize;
-
 use super::control_loop::{Loop, Mode};
 pub use super::domain::{
     BOUNDARY_POINTS, BoundaryPoint, Domain, Island, boundary_of, domain, domain_of_several, oscillation, stiffness_at,
@@ -12,12 +10,12 @@ use super::host::HostWall;
 use super::plant::Linearised;
 use super::several::WallSet;
 use haptic_bridge::render::scene::FeedForward;
+use serde::Serialize;
 
 /// Smallest ratio of areas with and without the feed-forward that justifies its cost.
 pub const WORTHWHILE_RATIO: f64 = 1.05;
 
-/// Ratio with to without the feed-forward, of area or stiffness, below which the feed-forward does harm. The last
-/// percent is rounding.
+/// Ratio of stable areas or stiffnesses below which a feed-forward does harm; the last percent is rounding.
 pub const COSTLY_RATIO: f64 = 0.99;
 
 /// Maximum number of halvings in the search for a washout corner.

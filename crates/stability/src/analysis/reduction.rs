@@ -1,10 +1,9 @@
 //! Reduces a rigid device with its drives to the motions that affect the wall (see [`super::plant`]).
 //! [`super::flexible_reduction`] reduces compliant devices.
 
-use nalgebra::{DMatrix, DVector};
-
 use super::flexible_reduction;
 use super::plant::{ContinuousPlant, Drive, Lags, Linearised};
+use nalgebra::{DMatrix, DVector};
 
 /// Longest decay time of a joint's own damping, samples. Slower damping counts as none.
 const SLOWEST_DECAY_SAMPLES: f64 = 1e10;

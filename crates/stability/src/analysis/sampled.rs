@@ -7,8 +7,6 @@
 //! Each state is chosen so that its change over a sample is computed directly, because a difference of nearly equal
 //! numbers loses precision. So the change of position is a state, and filters are trapezoidal integrators.
 
-use nalgebra::{DMatrix, DVector};
-
 pub use super::control_loop::{CARRIER_HZ, CURRENT_LOOP_HZ, LONGEST_DELAY, Loop, Mode, usual_delay};
 use super::drift::{Drift, find_drift};
 use super::eigenvalues::eigenvalues;
@@ -18,6 +16,7 @@ use super::oscillation::Oscillation;
 use super::plant::{ContinuousPlant, Drive, Linearised};
 use super::reduction::reduce;
 use super::spectrum::{exp_minus_identity, growth};
+use nalgebra::{DMatrix, DVector};
 
 /// The loop opened at the wall force, in sample units (see [`super::plant`]).
 #[derive(Clone, Debug)]
@@ -261,8 +260,7 @@ fn assemble(
         commands.push(loop_.estimate(&estimator, first, &sensed_motion, &pushed(plant.sensed[joint] + 1)));
     }
 
-    // Whole samples of delay are a queue. The fraction splits the interval between the previous and the present
-    // command.
+    // Whole samples of delay are a queue; the fraction splits the interval between two commands.
     let steps = DiscretePlant::new(plant, fraction);
     let mut change = vec![Signal { state: DVector::zeros(size), force: 0.0 }; plant.a.nrows()];
     for (row, change) in change.iter_mut().enumerate() {

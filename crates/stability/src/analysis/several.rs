@@ -8,16 +8,6 @@
 //! A single loop has exact crossings ([`super::boundary`]). For several loops coupled by joint damping, the stable
 //! intervals of a gain are searched on a fine grid and refined by bisection of the eigenvalues.
 
-use nalgebra::{DMatrix, DVector, SVector};
-
-use haptic_bridge::math::FineTable;
-use haptic_bridge::model::admissible::Admissible;
-use haptic_bridge::model::description::Description;
-use haptic_bridge::model::inertia::MIN_STIFFNESS_SHARE;
-use haptic_bridge::model::mechanism::{Mechanism, Shaping};
-use haptic_bridge::model::principal::{Principal, Pull};
-use haptic_bridge::with_mechanism;
-
 use super::boundary::{Interval, SMALLEST_STIFFNESS};
 use super::flexible::{Flexible, Hand, Posture};
 use super::flexible_reduction::{ObservedDevice, ReducedDevice, reduce_observed};
@@ -27,6 +17,14 @@ use super::pose::{PoseError, TaskPose, unit_normal};
 use super::sampled::{AnalysisError, Loop, Mode, OpenLoop, resonances};
 use super::spectrum::{exp_minus_identity, growth};
 use super::subject::Subject;
+use haptic_bridge::math::FineTable;
+use haptic_bridge::model::admissible::Admissible;
+use haptic_bridge::model::description::Description;
+use haptic_bridge::model::inertia::MIN_STIFFNESS_SHARE;
+use haptic_bridge::model::mechanism::{Mechanism, Shaping};
+use haptic_bridge::model::principal::{Principal, Pull};
+use haptic_bridge::with_mechanism;
+use nalgebra::{DMatrix, DVector, SVector};
 
 /// One of several walls that act together.
 #[derive(Clone, Debug, PartialEq)]
@@ -64,8 +62,7 @@ pub struct WallSet {
     stiffness: DVector<f64>,
     /// Torques for a unit force along each direction with the feed-forward, N x R, m.
     shaped: DMatrix<f64>,
-    /// Torques that the feed-forward commands for the joint torques b, N x N, with the part of b that acts at the
-    /// walls.
+    /// Torques that the feed-forward commands for the joint torques b, N x N.
     bias: DMatrix<f64>,
     /// Compliant parts of the device, and the hand that holds it.
     flexible: Flexible,
@@ -138,16 +135,14 @@ impl WallSet {
         self
     }
 
-    /// Returns the effective inertia for the total stiffness in the stiffest motion, kg. For one wall this is Weff, or
-    /// Wrr with the feed-forward.
+    /// Returns the effective inertia in the stiffest motion, kg. For one wall this is Weff or Wrr.
     pub fn effective_inertia(&self, feed_forward: bool) -> Option<f64> {
         let stiffest = self.acceleration(feed_forward)?.complex_eigenvalues();
         let largest = stiffest.iter().map(|value| value.norm()).fold(0.0, f64::max);
         (largest > 0.0 && largest.is_finite()).then(|| 1.0 / largest)
     }
 
-    /// Returns the tip's direction in the stiffest motion, a unit vector (d entries) on the first wall's side. For one
-    /// wall this is the normal.
+    /// Returns the tip's unit direction in the stiffest motion, on the first wall's side.
     pub fn stiffest(&self, feed_forward: bool) -> Option<DVector<f64>> {
         let answer = self.acceleration(feed_forward)?;
         let fastest = 1.0 / self.effective_inertia(feed_forward)?;
@@ -158,8 +153,7 @@ impl WallSet {
         Some(if along.dot(&self.first) < 0.0 { -along } else { along })
     }
 
-    /// Returns the direction half way between [`WallSet::stiffest`] without and with the feed-forward, at most 45° from
-    /// both.
+    /// Returns the direction half way between the stiffest ones without and with the feed-forward.
     pub fn between_stiffest(&self) -> Option<DVector<f64>> {
         let (without, with) = (self.stiffest(false)?, self.stiffest(true)?);
         let turned = if with.dot(&without) < 0.0 { -with } else { with };
@@ -182,8 +176,7 @@ impl WallSet {
         self.directions.tr_mul(direction).component_mul(&self.stiffness)
     }
 
-    /// Returns the acceleration along each rendered direction per displacement along each of them, at a total stiffness
-    /// of 1 N/m, R x R, 1/kg.
+    /// Returns acceleration along per displacement along the rendered directions at 1 N/m in total, 1/kg.
     fn acceleration(&self, feed_forward: bool) -> Option<DMatrix<f64>> {
         let levers = if feed_forward { self.shaped.clone() } else { self.rows.transpose() };
         let mobility = &self.rows * self.mass.clone().cholesky()?.solve(&levers);
@@ -274,7 +267,6 @@ const ROUNDING: f64 = 1.0e-11;
 const SMALLEST_GAIN: f64 = 1.0e-6;
 /// Ratio of neighbouring gains on the grid.
 const GAIN_RATIO: f64 = 1.15;
-/// Largest analysed gain, in sample units.
 const LARGEST_GAIN: f64 = 40.0;
 
 impl WallLoops {
@@ -436,7 +428,6 @@ impl WallLoops {
         Ok(Self { f, input, position, velocity, stiffness: set.stiffness.clone(), mass, sample_s: t })
     }
 
-    /// Returns the loop of a single wall.
     fn single_loop(self) -> OpenLoop {
         let first = |rows: &DMatrix<f64>| rows.row(0).transpose();
         OpenLoop {
@@ -492,9 +483,8 @@ impl WallLoops {
     }
 }
 
-/// The continuous plant ẋ = a x + b τ per sample, for all joint torques τ (m/T² times metres). `positions` has the
-/// rendered positions as rows over the states; `joint_velocities` has the velocities of joints with compensated damping, rad per
-/// sample.
+/// The continuous plant ẋ = a x + b τ per sample, for all joint torques τ (m/T² times metres), with rows of rendered
+/// positions and of the velocities of joints with compensated damping (rad per sample).
 struct RenderedPlant {
     a: DMatrix<f64>,
     b: DMatrix<f64>,
@@ -502,8 +492,7 @@ struct RenderedPlant {
     joint_velocities: DMatrix<f64>,
 }
 
-/// Returns the plant of a rigid device without a hand. Its states are joint velocities (rad per sample), lagging
-/// torques and rendered positions (m).
+/// Returns the plant of a rigid device without a hand: joint velocities, lagging torques, positions.
 fn rigid_plant(
     set: &WallSet,
     rows: &DMatrix<f64>,

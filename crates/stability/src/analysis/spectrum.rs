@@ -1,14 +1,11 @@
 //! Small dense linear algebra for delta-form systems: exp(X) - I, growth of modes, and solution of (γ I - F) s = b.
 //!
-//! All functions use F = A - I instead of A. At 50 kHz the modes of a device are 1e-5 from z = 1, and their differences
-//! from 1 decide stability.
-
-use nalgebra::{Complex, DMatrix, DVector};
+//! All functions use F = A - I, because at 50 kHz modes are 1e-5 from z = 1 and this difference decides.
 
 use super::eigenvalues::eigenvalues;
+use nalgebra::{Complex, DMatrix, DVector};
 
-/// Computes exp(X) - I without cancellation: a Taylor series of X/2ˢ (norm at most 1/4, truncated below rounding), then
-/// s doublings E ← 2E + E².
+/// Computes exp(X) - I without cancellation, by a Taylor series of X/2ˢ and s doublings E ← 2E + E².
 pub(crate) fn exp_minus_identity(x: &DMatrix<f64>) -> DMatrix<f64> {
     let norm = x.column_iter().map(|c| c.iter().map(|v| v.abs()).sum::<f64>()).fold(0.0, f64::max);
     let halvings = if norm > 0.25 { (norm / 0.25).log2().ceil() as i32 } else { 0 };
@@ -26,8 +23,7 @@ pub(crate) fn exp_minus_identity(x: &DMatrix<f64>) -> DMatrix<f64> {
     e
 }
 
-/// Returns the largest |z|² - 1 of the modes z = 1 + γ of a delta-form matrix F; infinite if eigenvalues do not
-/// converge.
+/// Returns the largest |z|² - 1 of the modes z = 1 + γ of F; infinite without eigenvalues.
 pub(crate) fn growth(f: DMatrix<f64>) -> f64 {
     match eigenvalues(f) {
         Some(values) => values.iter().map(|g| 2.0 * g.re + g.norm_sqr()).fold(f64::NEG_INFINITY, f64::max),

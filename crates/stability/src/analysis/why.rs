@@ -3,14 +3,13 @@
 //! The share of an effect is 1 - (limit with all effects)/(limit without it), negative if the effect helps, as a hand
 //! does. Shares do not add up to 1, because effects interact.
 
-use serde::{Deserialize, Serialize};
-
 use super::flexible::Hand;
 use super::plant::{Drive, Linearised};
 use super::range::{Domain, domain};
 use super::sampled::{AnalysisError, LONGEST_DELAY, LONGEST_DIFFERENCE, LinearEstimator, Loop, Mode};
 use crate::sweep::Sweep;
 use haptic_host::error::Failure;
+use serde::{Deserialize, Serialize};
 
 /// Ratio of control rates for the comparison without sampling.
 pub const RATE_FACTOR: usize = 10;
@@ -82,7 +81,6 @@ pub struct Why {
     pub effects: Vec<WithoutEffect>,
 }
 
-/// A device and a control loop.
 type Case = (Linearised, Loop);
 
 /// Returns one case per effect that is present, without this effect.
