@@ -261,7 +261,7 @@ impl MeasurementRequest {
             Ok(())
         };
         let outcome = session.measure(setup.clone(), &self.plan, &stop, on_begin, done);
-        let restored = session.put_back();
+        let restored = session.restore();
         if let Some(error) = raised.into_inner() {
             return Err(error);
         }

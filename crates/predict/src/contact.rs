@@ -44,7 +44,7 @@ pub(crate) struct Contact<'a> {
     /// Commanded torques before the first period, N m.
     pub before: [f64; MAX_JOINTS],
     /// Additional motor torques without delay, N m.
-    pub carried: [f64; MAX_JOINTS],
+    pub weight_torque: [f64; MAX_JOINTS],
     /// Damping and stiffness of the hand. Its mass is in the plant.
     pub hand: Hand,
 }
@@ -53,7 +53,7 @@ impl<'a> Contact<'a> {
     /// Prepares the contact of a plant at rest in a control loop.
     pub fn new(plant: Plant, normal: [f64; MAX_JOINTS], around: &'a Loop, hand: Hand) -> Self {
         let none = [0.0; MAX_JOINTS];
-        Self { plant, normal, around, before: none, carried: none, hand }
+        Self { plant, normal, around, before: none, weight_torque: none, hand }
     }
 
     /// Simulates `seconds` with the hand's `grip` at each time (s), or until `seen` returns false. Each period `seen`
@@ -128,7 +128,7 @@ impl<'a> Contact<'a> {
                         settled + excess * -(-passed).exp_m1() / passed
                     }
                 };
-                load.torque[j] = mean + self.carried[j];
+                load.torque[j] = mean + self.weight_torque[j];
             }
             if let Some(Grip { goal, push }) = grip_now {
                 for i in 0..self.plant.task() {

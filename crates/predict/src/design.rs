@@ -79,7 +79,7 @@ fn newton<M: Mechanism<f64, N>, const N: usize>(m: &M, from: &[f64], place: &DVe
 }
 
 /// Returns the error for a singular pose.
-pub fn singular() -> Failure {
+pub fn singular_pose() -> Failure {
     Failure::impossible("this pose is singular").remedy("choose another").choose(Choice::Pose)
 }
 

@@ -92,7 +92,7 @@ impl Plan {
     }
 }
 
-fn density(joints: usize) -> usize {
+fn angles_per_joint(joints: usize) -> usize {
     match joints {
         1 => 41,
         2 => 161,
@@ -103,7 +103,7 @@ fn density(joints: usize) -> usize {
 /// Plans `scene` on `device` for hands of up to `speed` m/s. Returns an error if the device cannot be analysed or if no
 /// variant is within the budget; the error then names the best variant's error.
 pub fn plan(device: &Device<f64>, scene: &Scene<f64>, budget: Budget, speed: f64) -> Result<Plan, Failure> {
-    plan_on(device, scene, budget, speed, density(device.mechanism.kind().spec().joints))
+    plan_on(device, scene, budget, speed, angles_per_joint(device.mechanism.kind().spec().joints))
 }
 
 /// Like [`plan`], with `per_joint` grid angles per joint.

@@ -108,7 +108,7 @@ pub fn warn(warnings: &[Warning]) {
 }
 
 /// Returns warnings about joint angles from the command line that are probably in degrees.
-pub fn angles(q: &[f64], what: &str, kind: Kind) -> Vec<FileWarning> {
+pub fn angle_warnings(q: &[f64], what: &str, kind: Kind) -> Vec<FileWarning> {
     let implausible = q.iter().enumerate().filter(|(_, angle)| in_degrees(kind, **angle));
     implausible
         .map(|(joint, angle)| FileWarning { key: None, text: full_turns(&format!("{what} of joint {joint}"), *angle) })

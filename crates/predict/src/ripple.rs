@@ -93,7 +93,7 @@ pub struct Pressed<'a> {
 impl Pressed<'_> {
     /// Returns the tip motion along the normal per count of the coarsest joint, m; `None` if a joint has no encoder.
     pub fn count_m(&self) -> Option<f64> {
-        let steps = self.resolutions()?;
+        let steps = self.encoder_steps()?;
         Some(steps.iter().zip(self.device.row.iter()).map(|(step, lever)| (step * lever).abs()).fold(0.0, f64::max))
     }
 
@@ -102,7 +102,7 @@ impl Pressed<'_> {
         Some(self.count_m()? * (kp + kd * self.around.estimator.peak_step_response(self.around.rate_hz)))
     }
 
-    fn resolutions(&self) -> Option<Vec<f64>> {
+    fn encoder_steps(&self) -> Option<Vec<f64>> {
         let joints = self.device.row.len();
         let counts =
             self.description.joints[..joints].iter().map(|joint| joint.encoder.map(|e| e.counts_per_turn.abs()));
@@ -111,7 +111,7 @@ impl Pressed<'_> {
 
     /// Simulates the ripple of a wall under the hand; returns `None` if a joint has no encoder.
     pub fn ripple(&self, mode: Mode, kp: f64, kd: f64) -> Option<Ripple> {
-        let steps = self.resolutions()?;
+        let steps = self.encoder_steps()?;
         let lost = Ripple { kp, kd, rms_n: None, peak_n: None, motion_m: None };
         let mut worst = Ripple { rms_n: Some(0.0), peak_n: Some(0.0), motion_m: Some(0.0), ..lost };
         for offset in 0..COUNT_OFFSETS {
@@ -137,7 +137,7 @@ impl Pressed<'_> {
         bound_n: f64,
         sweep: &Sweep,
     ) -> Result<Option<RippleLine>, Failure> {
-        if self.resolutions().is_none() {
+        if self.encoder_steps().is_none() {
             return Ok(None);
         }
         let StableLine { mass, kp: kp_stable } = StableLine::of(self.device, self.around, mode, line)?;
@@ -181,8 +181,11 @@ impl Pressed<'_> {
         let holding: [f64; MAX_JOINTS] = padded(self.holding_force(mode, &mobility, &shaped)?.as_slice());
         let mut law = LinearLaw::new(self, steps, mode, (kp, kd), offset, &mobility, &shaped);
         let before = padded((&self.device.row * self.push_n).as_slice());
-        let contact =
-            Contact { carried: weight, before, ..Contact::new(plant, padded(&self.normal), self.around, self.hand) };
+        let contact = Contact {
+            weight_torque: weight,
+            before,
+            ..Contact::new(plant, padded(&self.normal), self.around, self.hand)
+        };
         let settle = (SETTLE_S * self.around.rate_hz).round() as usize;
         let (mut forces, mut tips, mut n) = (Vec::new(), Vec::new(), 0);
         let tip_stays = contact.run(

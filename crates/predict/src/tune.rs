@@ -23,7 +23,7 @@ use crate::bench::wall::RenderedWall;
 pub use alternatives::Alternative;
 pub use baseline::{Baseline, LEAST_RIPPLE_N, USUAL_RIPPLE_N, baseline, ripple_like};
 use criteria::SearchContext;
-pub use criteria::{MAX_REBOUNDS, keeps, ripple};
+pub use criteria::{MAX_REBOUNDS, accepted_wall, ripple};
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::render::scene::{FeedForward, Scene};
 use haptic_bridge::render::velocity::{CutoffMeaning, Estimator};
@@ -226,9 +226,9 @@ fn check(question: &Question<'_>) -> Result<(), Failure> {
 /// Searches for the stiffest wall. The result does not depend on the number of cores.
 pub fn tune(question: &Question<'_>, sweep: &Sweep) -> Result<TuneResult, Failure> {
     let context = SearchContext::new(question, sweep)?;
-    let (mut all, looked_at) = context.all()?;
+    let (mut all, looked_at) = context.search_all()?;
     all.iter_mut().for_each(|candidate| candidate.felt = context.felt(&candidate.settings));
-    let Some((best, passed_over)) = choose(&all) else {
+    let Some((best, passed_over)) = choose_wall(&all) else {
         return Err(Failure::impossible(format!(
             "no wall here is stable within the margins and ripples by at most {} N",
             question.ripple_n
@@ -258,7 +258,7 @@ fn stiffest<'a>(walls: impl IntoIterator<Item = &'a TunedWall>) -> Option<TunedW
 
 /// Returns the chosen wall, and the stiffest wall if that is not the chosen one. A feed-forward needs a correct model
 /// and pushes along the wall, so a wall without it is chosen if it is equally stiff.
-fn choose(all: &[TunedWall]) -> Option<(TunedWall, Option<TunedWall>)> {
+fn choose_wall(all: &[TunedWall]) -> Option<(TunedWall, Option<TunedWall>)> {
     let top = stiffest(all)?;
     let plain = stiffest(all.iter().filter(|candidate| candidate.settings.feed_forward == FeedForward::Off));
     match plain {

@@ -235,19 +235,19 @@ fn regular<const N: usize, M: Mechanism<f64, N>>(mechanism: &M, q: &[f64]) -> Re
     }
     if regularity.parallel < SINGULAR {
         let inverse = DMatrix::from_fn(N, N, |i, j| mechanism.jacobian_inverse(&pose)[(i, j)]);
-        let (_, free) = weakest(inverse);
+        let (_, free) = weakest_singular_vectors(inverse);
         return Err(ModelError::Parallel { free });
     }
     if regularity.serial < SINGULAR {
         let jacobian = mechanism.jacobian(&pose);
-        let (lost, joints) = weakest(DMatrix::from_fn(N, N, |i, j| jacobian[(i, j)]));
+        let (lost, joints) = weakest_singular_vectors(DMatrix::from_fn(N, N, |i, j| jacobian[(i, j)]));
         return Err(ModelError::Serial { oriented: N > M::SPEC.task, joints, lost });
     }
     Ok(())
 }
 
 /// Returns the (left, right) singular vectors of the smallest singular value, with their largest entries positive.
-fn weakest(matrix: DMatrix<f64>) -> (Vec<f64>, Vec<f64>) {
+fn weakest_singular_vectors(matrix: DMatrix<f64>) -> (Vec<f64>, Vec<f64>) {
     let size = matrix.nrows();
     let svd = matrix.svd(true, true);
     let last = svd.singular_values.imin();
@@ -297,7 +297,7 @@ fn report<T: Real, K: Math<T>, const N: usize, M: Mechanism<T, N>>(
     Report {
         position: list(&mechanism.tip(&pose), 0..task),
         perception: Perception::new(&jacobian, &mass, normal),
-        condition: Condition { jacobian: condition(&jacobian), mass: condition(&mass) },
+        condition: Condition { jacobian: condition_number(&jacobian), mass: condition_number(&mass) },
         bias: list(&bias, 0..N),
         w_rr: rows(&inertia.w, 0..r, 0..r),
         w_ra: rows(&inertia.w, 0..r, r..N),
@@ -338,7 +338,7 @@ fn rows<T: Real, const N: usize>(
 }
 
 /// Returns the ratio of the largest to the smallest singular value.
-fn condition(rows: &Rows) -> f64 {
+fn condition_number(rows: &Rows) -> f64 {
     let columns = rows.first().map_or(0, Vec::len);
     let values = DMatrix::from_fn(rows.len(), columns, |i, j| rows[i][j]).singular_values();
     values.max() / values.min()

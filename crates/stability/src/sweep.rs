@@ -68,7 +68,7 @@ enum Display {
 pub const QUIET: &str = "HAPTIC_NO_PROGRESS";
 
 struct State {
-    kept: Checkpoint,
+    checkpoint: Checkpoint,
     /// Time after which the checkpoint is written again.
     due: Instant,
 }
@@ -83,7 +83,7 @@ impl Sweep {
         file: Option<&Path>,
         interrupted: impl Fn() -> bool + Send + Sync + 'static,
     ) -> Result<Self, Failure> {
-        let mut kept = Checkpoint {
+        let mut checkpoint = Checkpoint {
             version: env!("CARGO_PKG_VERSION").into(),
             command: command.into(),
             question: question.into(),
@@ -91,8 +91,8 @@ impl Sweep {
         };
         if let Some(path) = file {
             if let Some(earlier) = read_checkpoint(path)? {
-                if earlier.matches(&kept) {
-                    kept = earlier;
+                if earlier.matches(&checkpoint) {
+                    checkpoint = earlier;
                 } else if !earlier.stages.is_empty() {
                     let reason = format!(
                         "{} holds results of `haptic {}` {} with another device file or other options",
@@ -104,17 +104,17 @@ impl Sweep {
                 }
             }
             // Write now, so that an error is reported before the work.
-            write(path, &kept)?;
+            write(path, &checkpoint)?;
         }
         let display = if std::io::stderr().is_terminal() { Display::InPlace } else { Display::Never };
-        let state = Mutex::new(State { kept, due: Instant::now() + WRITE_INTERVAL });
+        let state = Mutex::new(State { checkpoint, due: Instant::now() + WRITE_INTERVAL });
         Ok(Self { interrupted: Box::new(interrupted), file: file.map(Path::to_path_buf), display, state })
     }
 
     /// Creates a sweep that cannot be interrupted and that displays and stores nothing.
     #[must_use]
     pub fn quiet() -> Self {
-        let state = Mutex::new(State { kept: Checkpoint::default(), due: Instant::now() });
+        let state = Mutex::new(State { checkpoint: Checkpoint::default(), due: Instant::now() });
         Self { interrupted: Box::new(|| false), file: None, display: Display::Never, state }
     }
 
@@ -229,11 +229,11 @@ impl Sweep {
     fn begin<R: DeserializeOwned>(&self, stage: &str, of: usize) -> Result<BTreeMap<usize, R>, Failure> {
         let Some(file) = &self.file else { return Ok(BTreeMap::new()) };
         let mut state = self.lock();
-        let kept = state.kept.stages.entry(stage.into()).or_insert_with(|| Stage { of, done: BTreeMap::new() });
+        let stored = state.checkpoint.stages.entry(stage.into()).or_insert_with(|| Stage { of, done: BTreeMap::new() });
         let read = |(index, text): (&usize, &String)| Some((*index, read(text).filter(|_| *index < of)?));
-        let results: Option<BTreeMap<usize, R>> = kept.done.iter().map(read).collect();
+        let results: Option<BTreeMap<usize, R>> = stored.done.iter().map(read).collect();
         results
-            .filter(|_| kept.of == of)
+            .filter(|_| stored.of == of)
             .ok_or_else(|| damaged_file(file, &format!("its results of stage \"{stage}\" do not fit")))
     }
 
@@ -253,23 +253,23 @@ impl Sweep {
         }
         let text = bytes.iter().map(|byte| format!("{byte:02x}")).collect();
         let mut state = self.lock();
-        state.kept.stages.entry(stage.into()).or_default().done.insert(index, text);
+        state.checkpoint.stages.entry(stage.into()).or_default().done.insert(index, text);
         if Instant::now() > state.due {
             let begun = Instant::now();
             // Ignore a write error here; it is reported when the work is interrupted.
-            let _ = write(file, &state.kept);
+            let _ = write(file, &state.checkpoint);
             state.due = Instant::now() + WRITE_INTERVAL.max(begun.elapsed() * MIN_PAUSE_FACTOR);
         }
         Ok(())
     }
 
     fn save(&self) -> Result<(), Failure> {
-        self.file.as_ref().map_or(Ok(()), |file| write(file, &self.lock().kept))
+        self.file.as_ref().map_or(Ok(()), |file| write(file, &self.lock().checkpoint))
     }
 }
 
-fn write(file: &Path, kept: &Checkpoint) -> Result<(), Failure> {
-    output::write(file, &serde_json::to_vec(kept).map_err(Failure::impossible)?, Overwrite::Replace)
+fn write(file: &Path, checkpoint: &Checkpoint) -> Result<(), Failure> {
+    output::write(file, &serde_json::to_vec(checkpoint).map_err(Failure::impossible)?, Overwrite::Replace)
 }
 
 fn read_checkpoint(file: &Path) -> Result<Option<Checkpoint>, Failure> {
@@ -351,10 +351,10 @@ mod tests {
         let before = case.worked.load(Ordering::SeqCst);
         assert!(before < 60, "{before} items were started despite the interruption");
         let again = case.sweep("question", usize::MAX).unwrap();
-        let kept = again.lock().kept.stages["stage"].done.len();
-        assert!(kept > 40, "{kept} results were stored");
+        let stored = again.lock().checkpoint.stages["stage"].done.len();
+        assert!(stored > 40, "{stored} results were stored");
         assert_eq!(bits(&run(&again).unwrap()), bits(&whole));
-        assert_eq!(case.worked.load(Ordering::SeqCst), before + 200 - kept, "stored results were computed again");
+        assert_eq!(case.worked.load(Ordering::SeqCst), before + 200 - stored, "stored results were computed again");
         assert!(case.file().exists());
         again.finish();
         assert!(!case.file().exists());
@@ -401,7 +401,7 @@ mod tests {
         }
         let sweep = case.sweep("question", usize::MAX).unwrap();
         sweep.map("stage", &items, |item| if *item < 9 { Ok(0) } else { Err(Failure::wrong("no")) }).unwrap_err();
-        assert_eq!(case.sweep("question", usize::MAX).unwrap().lock().kept.stages["stage"].done.len(), 9);
+        assert_eq!(case.sweep("question", usize::MAX).unwrap().lock().checkpoint.stages["stage"].done.len(), 9);
     }
 
     #[test]

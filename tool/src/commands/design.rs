@@ -8,7 +8,7 @@ use haptic_host::error::Failure;
 use haptic_host::words::percent;
 use haptic_predict::design::place::{Directions, Places, WallPlace, directions, places};
 use haptic_predict::design::posture::{Posture, Postures, postures};
-use haptic_predict::design::sensitivity::{Buys, CHANGE, Effect, Sensitivity, buys_most, sensitivities};
+use haptic_predict::design::sensitivity::{BestChange, CHANGE, Effect, Sensitivity, buys_most, sensitivities};
 use haptic_predict::design::{Stiffest, singular};
 use haptic_predict::plausible::{Warned, warn};
 use haptic_show::plot::coupling::draw;
@@ -80,7 +80,7 @@ struct Document {
     sensitivities: Vec<Sensitivity>,
     /// Changes with the largest benefit for the stiffest wall without the feed-forward, for the stiffest wall with the
     /// feed-forward, and for the latter per kilogram of Weff.
-    buys_most: [Option<Buys>; 3],
+    buys_most: [Option<BestChange>; 3],
     #[serde(skip_serializing_if = "Option::is_none")]
     postures: Option<Postures>,
 }

@@ -195,14 +195,14 @@ pub fn run(args: Args) -> Result<(), Failure> {
     };
     let before = board_measurement::settings_to_restore(&mut board, &progress)?;
     ready(&mut board, &file, &args, &setup)?;
-    let earlier = progress.measured(&plan);
+    let earlier = progress.measured_repeats(&plan);
     if earlier > 0 {
         let (total, place) = (plan.total(), args.progress.display());
         let date = progress.date.as_ref().map_or(String::new(), |date| format!(", the last of {date}"));
         let none = if earlier == total { ": none is measured now (--anew measures them again)" } else { "" };
         haptic_host::tell!("{earlier} of {total} repeats are in {place} already{date}{none}");
     }
-    let meter = Meter::new(plan.total(), plan.searches(), earlier);
+    let meter = Meter::new(plan.total(), plan.repeats_per_damping(), earlier);
     let stop = || {
         meter.tick();
         interrupt.is_set()
@@ -226,7 +226,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let measured = measurement.measure(setup.clone(), &plan, &stop, begun, |done| meter.done(done));
     meter.finish();
     // Also removes a device that was loaded for this measurement.
-    measurement.put_back().map_err(progress_failure)?;
+    measurement.restore().map_err(progress_failure)?;
     let report =
         theory.map(|theory| Report { name: &file.name, args: &args, plan: &plan, progress: &progress, theory });
     match (measured, report) {

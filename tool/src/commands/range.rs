@@ -362,7 +362,7 @@ fn explain(prediction: &Prediction, q: &[f64], normals: &[Vec<f64>], sweep: &Swe
         let reason = "--why applies to one wall, and there are several --normal";
         return Err(Failure::wrong(reason).remedy("give one --normal"));
     };
-    why(&prediction.seen(q, normal)?, &prediction.around, sweep)
+    why(&prediction.linearise(q, normal)?, &prediction.around, sweep)
 }
 
 /// Returns the requested estimator.

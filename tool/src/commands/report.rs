@@ -9,7 +9,7 @@ use haptic_host::error::{Failure, print};
 use haptic_host::output;
 use haptic_host::scene_file::{DEFAULT_CUTOFF_HZ, SceneFile};
 use haptic_predict::design::place::directions;
-use haptic_predict::plausible::scene::{file_warnings, usual_hand};
+use haptic_predict::plausible::scene::{default_hand, file_warnings};
 use haptic_stability::analysis::control_loop::{Loop, TorquePath};
 use haptic_stability::analysis::prediction::{self, Prediction};
 use haptic_stability::analysis::sampled::LinearEstimator;
@@ -210,7 +210,7 @@ fn sections(args: &Args, values: &Values) -> Vec<Section> {
         Some("range.svg"),
         &range,
     );
-    let hand = usual_hand();
+    let hand = default_hand();
     let hand = format!("{},{},{}", hand.mass, hand.damping, hand.stiffness);
     let mut in_hand = range.clone();
     // Compensated damping is not predicted in a hand.

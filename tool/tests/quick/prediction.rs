@@ -269,7 +269,7 @@ fn a_passive_wall_is_stable() {
                     Subject::new(&device.description).unwrap(),
                     Loop::with_torque_path(&path, rate, estimator),
                 );
-                let seen = prediction.seen(q, normal).unwrap();
+                let seen = prediction.linearise(q, normal).unwrap();
                 let Some(passivity) = Passivity::new(&seen, &device.description, &prediction.around) else {
                     panic!("{}: encoders sit on the motors", device.name)
                 };

@@ -8,7 +8,7 @@ use haptic_bridge::render::velocity::Estimator;
 use haptic_host::error::Failure;
 use haptic_predict::bench::estimators::{Comparison, compare, comparison_wall};
 use haptic_predict::bench::wall::{RenderedWall, WallSimulation};
-use haptic_predict::tune::{MAX_REBOUNDS, Margins, Question, Settings, keeps, ripple, tune};
+use haptic_predict::tune::{MAX_REBOUNDS, Margins, Question, Settings, accepted_wall, ripple, tune};
 use std::collections::BTreeSet;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -146,7 +146,11 @@ fn taps_rebound_like_a_mass_on_a_spring() {
             // The delay of half a carrier period reduces a small damping, so many rebounds may differ by one.
             let near = found.abs_diff(known) <= usize::from(known > 2);
             assert!(near, "{stiffness} N/m at {ratio} of critical damping: {found}, not {known}");
-            assert_eq!(keeps(&question, &wall).unwrap().is_some(), known <= MAX_REBOUNDS, "{known} rebounds: {wall:?}");
+            assert_eq!(
+                accepted_wall(&question, &wall).unwrap().is_some(),
+                known <= MAX_REBOUNDS,
+                "{known} rebounds: {wall:?}"
+            );
             seen.insert(known);
         }
     }

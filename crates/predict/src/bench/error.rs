@@ -226,9 +226,9 @@ pub fn errors(device: &Device<f64>, probes: &[Probe], way: &TorqueVariant<'_>) -
 }
 
 /// Computes the sources of a variant's error over `probes`.
-pub fn parts(device: &Device<f64>, probes: &[Probe], way: &TorqueVariant<'_>) -> Parts {
+pub fn error_sources(device: &Device<f64>, probes: &[Probe], way: &TorqueVariant<'_>) -> ErrorSources {
     with_mechanism!(&device.mechanism, exact => {
-        with_trigonometry!(way.trigonometry, K => parts_of::<K, _, _, _>(exact, &exact.cast(), probes, way))
+        with_trigonometry!(way.trigonometry, K => error_sources_of::<K, _, _, _>(exact, &exact.cast(), probes, way))
     })
 }
 
@@ -307,7 +307,7 @@ pub const TIP_ERROR_STIFFNESS: f64 = 20_000.0;
 
 /// Sources of a variant's error. Each source is computed separately, as its largest value over all situations.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
-pub struct Parts {
+pub struct ErrorSources {
     /// Force at the tip of terms that are omitted or faded, N.
     pub dropped: f64,
     /// 90th percentile of `dropped`.
@@ -322,14 +322,14 @@ pub struct Parts {
     pub area: f64,
 }
 
-fn parts_of<K: Math<f32>, E: Mechanism<f64, N>, B: Mechanism<f32, N>, const N: usize>(
+fn error_sources_of<K: Math<f32>, E: Mechanism<f64, N>, B: Mechanism<f32, N>, const N: usize>(
     exact: &E,
     board: &B,
     probes: &[Probe],
     &TorqueVariant { model, terms, law, .. }: &TorqueVariant<'_>,
-) -> Parts {
-    let Some(mass) = MassModel::<f32, N>::new::<B>(&model.data, &model.values) else { return Parts::default() };
-    let mut parts = Parts { area: f64::INFINITY, ..Parts::default() };
+) -> ErrorSources {
+    let Some(mass) = MassModel::<f32, N>::new::<B>(&model.data, &model.values) else { return ErrorSources::default() };
+    let mut parts = ErrorSources { area: f64::INFINITY, ..ErrorSources::default() };
     let more = |most: &mut f64, value: f64| *most = most.max(value);
     let mut dropped = Vec::new();
     for probe in probes {
@@ -367,7 +367,7 @@ fn parts_of<K: Math<f32>, E: Mechanism<f64, N>, B: Mechanism<f32, N>, const N: u
 
 /// Returns the largest tip motion by one encoder count over `probes`, m; 0 without encoders.
 pub fn encoder_step(device: &Device<f64>, probes: &[Probe]) -> f64 {
-    fn farthest<M: Mechanism<f64, N>, const N: usize>(m: &M, device: &Device<f64>, probes: &[Probe]) -> f64 {
+    fn largest_step<M: Mechanism<f64, N>, const N: usize>(m: &M, device: &Device<f64>, probes: &[Probe]) -> f64 {
         let moves = |probe: &Probe| {
             let jacobian = m.jacobian(&m.pose::<Libm>(&SVector::from_fn(|i, _| probe.q[i])));
             (0..N).map(move |joint| {
@@ -377,7 +377,7 @@ pub fn encoder_step(device: &Device<f64>, probes: &[Probe]) -> f64 {
         };
         probes.iter().flat_map(moves).fold(0.0, f64::max)
     }
-    with_mechanism!(&device.mechanism, m => farthest(m, device, probes))
+    with_mechanism!(&device.mechanism, m => largest_step(m, device, probes))
 }
 
 /// Returns the duty steps per N m of each joint; 0 for a joint without a motor.

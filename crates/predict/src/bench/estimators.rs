@@ -202,11 +202,11 @@ impl<'a> Trials<'a> {
             value: spec.and_then(|spec| spec.key).and(wall.kind.chosen()).map(|chosen| chosen.value),
             cutoff_hz: has_cutoff.then_some(wall.cutoff_hz),
             area: self.area(wall, damping)?,
-            press_n: [self.press(wall, FeedForward::Off)?, self.press(wall, FeedForward::Full)?],
+            press_n: [self.press_ripple(wall, FeedForward::Off)?, self.press_ripple(wall, FeedForward::Full)?],
             ripple_n,
             holds,
             delay_s: coefficients.lag(),
-            noise_m_s: self.noise(wall)?,
+            noise_m_s: self.velocity_noise(wall)?,
         })
     }
 
@@ -218,7 +218,7 @@ impl<'a> Trials<'a> {
         let mut i = 1.0;
         // Estimators without lag are stable with more damping; five times the predicted damping is enough.
         while step > 0.0 && i <= 4.0 * DAMPINGS as f64 {
-            let most = self.stiffest(&RenderedWall { damping: i * step, ..*wall })?;
+            let most = self.largest_quiet_stiffness(&RenderedWall { damping: i * step, ..*wall })?;
             area += step * 0.5 * (last + most);
             if most == 0.0 {
                 break;
@@ -230,7 +230,7 @@ impl<'a> Trials<'a> {
     }
 
     /// Returns the largest stiffness up to which every wall with this damping comes to rest, N/m; 0 if none does.
-    fn stiffest(&self, wall: &RenderedWall) -> Result<f64, Failure> {
+    fn largest_quiet_stiffness(&self, wall: &RenderedWall) -> Result<f64, Failure> {
         // The smallest stiffness is large enough for the tip to swing back within the allowed time.
         let comes_to_rest = |stiffness: f64| self.is_quiet_when_struck(&RenderedWall { stiffness, ..*wall });
         let (mut low, mut high) = (100.0, 100.0);
@@ -302,7 +302,7 @@ impl<'a> Trials<'a> {
     }
 
     /// Returns the largest force ripple over several encoder offsets while a hand presses ever harder, N.
-    fn press(&self, wall: &RenderedWall, feed_forward: FeedForward) -> Result<Option<f64>, Failure> {
+    fn press_ripple(&self, wall: &RenderedWall, feed_forward: FeedForward) -> Result<Option<f64>, Failure> {
         let wall = RenderedWall { feed_forward, ..*wall };
         let mut most: f64 = 0.0;
         for offset in 0..ripple::COUNT_OFFSETS {
@@ -318,9 +318,9 @@ impl<'a> Trials<'a> {
     }
 
     /// Returns the root mean square of the velocity error while the joints turn slowly and steadily, m/s.
-    fn noise(&self, wall: &RenderedWall) -> Result<f64, Failure> {
+    fn velocity_noise(&self, wall: &RenderedWall) -> Result<f64, Failure> {
         let still = RenderedWall { stiffness: 0.0, damping: 0.0, ..*wall };
-        let velocities = self.simulation.velocities(&still, SLOW_SPEED, SLOW_S)?;
+        let velocities = self.simulation.velocity_estimates(&still, SLOW_SPEED, SLOW_S)?;
         let late = &velocities[velocities.len() / 2 + 1..];
         Ok((late.iter().map(|velocity| (velocity - SLOW_SPEED).powi(2)).sum::<f64>() / late.len() as f64).sqrt())
     }

@@ -39,7 +39,7 @@ pub struct Probe {
 }
 
 /// Returns unit normals that cover the directions of a task space.
-fn directions(task: usize) -> Vec<[f64; MAX_JOINTS]> {
+fn unit_normals(task: usize) -> Vec<[f64; MAX_JOINTS]> {
     match task {
         1 => vec![[1.0, 0.0, 0.0]],
         2 => (0..4).map(|i| (f64::from(i) * std::f64::consts::FRAC_PI_4).sin_cos()).map(|(s, c)| [c, s, 0.0]).collect(),
@@ -57,7 +57,7 @@ pub fn workspace(device: &Device<f64>, per_joint: usize, speed: f64) -> Result<V
     let mut probes = Vec::new();
     for index in reachable.indices() {
         let q = padded(&reachable.angles(index));
-        for normal in directions(device.mechanism.kind().spec().task) {
+        for normal in unit_normals(device.mechanism.kind().spec().task) {
             with_mechanism!(&device.mechanism, m => push_situations(m, device, &q, &normal, None, speed, &mut probes));
         }
     }
@@ -141,7 +141,7 @@ fn push_situations<M: Mechanism<f64, N>, const N: usize>(
     let here = task_part::<M, N>(&m.tip(&pose));
     // The guard trips at higher joint speeds, and the board then renders no torque.
     let fastest = f64::from(Limits::default().speed[0]);
-    for velocity in motions::<M, N>(normal) {
+    for velocity in hand_motions::<M, N>(normal) {
         let velocity = SVector::<f64, N>::from_fn(|i, _| speed * velocity[i]);
         let qd = m.inverse(&pose, &velocity);
         if qd.iter().any(|rate| rate.abs() > fastest) {
@@ -165,7 +165,7 @@ fn push_situations<M: Mechanism<f64, N>, const N: usize>(
 }
 
 /// Returns hand motions per m/s: into the wall, along it, and obliquely.
-fn motions<M: Mechanism<f64, N>, const N: usize>(n: &[f64; MAX_JOINTS]) -> Vec<[f64; MAX_JOINTS]> {
+fn hand_motions<M: Mechanism<f64, N>, const N: usize>(n: &[f64; MAX_JOINTS]) -> Vec<[f64; MAX_JOINTS]> {
     let d = std::f64::consts::FRAC_1_SQRT_2;
     match (M::SPEC.task, N) {
         (1, _) => vec![*n],

@@ -2,8 +2,8 @@
 
 use crate::bench::counts;
 use crate::bench::error::{
-    Errors, Law, Parts, TIP_ERROR_STIFFNESS, Terms, TorqueVariant, Trigonometry, encoder_step, errors, parts,
-    with_trigonometry,
+    ErrorSources, Errors, Law, TIP_ERROR_STIFFNESS, Terms, TorqueVariant, Trigonometry, encoder_step, error_sources,
+    errors, with_trigonometry,
 };
 use crate::bench::precompute::{Precomputed, frozen, most_points, range, table};
 use crate::bench::probe::{HAND_SPEED, Probe, workspace};
@@ -64,13 +64,13 @@ pub struct Variant {
     #[serde(skip)]
     pub given: Errors,
     /// Sources of the errors.
-    pub parts: Parts,
+    pub parts: ErrorSources,
     /// True if no other variant of the mechanism has both fewer instructions and a smaller tip force error, including
     /// the force from the tip's position error.
     pub pareto: bool,
 }
 
-fn density(joints: usize) -> usize {
+fn angles_per_joint(joints: usize) -> usize {
     match joints {
         1 => 41,
         2 => 25,
@@ -80,7 +80,7 @@ fn density(joints: usize) -> usize {
 
 /// Returns the situations of a device; empty if the device cannot be analysed.
 fn probes(device: &Device<f64>) -> Vec<Probe> {
-    workspace(device, density(device.mechanism.kind().spec().joints), HAND_SPEED).unwrap_or_default()
+    workspace(device, angles_per_joint(device.mechanism.kind().spec().joints), HAND_SPEED).unwrap_or_default()
 }
 
 fn law(device: &Device<f64>) -> Result<Law, Failure> {
@@ -103,7 +103,7 @@ pub fn variants(device: &Device<f64>, timed: bool) -> Result<Vec<Variant>, Failu
                     continue;
                 }
                 let way = TorqueVariant { model, terms, trigonometry, law };
-                let (errors, parts) = (errors(device, &probes, &way), parts(device, &probes, &way));
+                let (errors, parts) = (errors(device, &probes, &way), error_sources(device, &probes, &way));
                 let variant = |target, instructions, nanoseconds| Variant {
                     name: format!("{}/{name}/{}/{}", spec.name, model.name(), terms.name()),
                     mechanism: spec.name,
@@ -120,25 +120,25 @@ pub fn variants(device: &Device<f64>, timed: bool) -> Result<Vec<Variant>, Failu
                 let count = counts::instructions(spec.name, name, model.name(), terms.name());
                 results.push(variant("cortex-m4f", count, None));
                 if timed {
-                    results.push(variant("host", None, Some(nanoseconds(device, &probes, &way))));
+                    results.push(variant("host", None, Some(torque_time_ns(device, &probes, &way))));
                 }
             }
         }
     }
-    mark_front(&mut results);
+    mark_pareto_front(&mut results);
     Ok(results)
 }
 
 impl Variant {
     /// Returns the tip force error without common fading plus that of the tip's position at 20 kN/m, N.
-    pub fn felt(&self) -> f64 {
+    pub fn tip_force_error(&self) -> f64 {
         self.given.force.max + self.parts.tip
     }
 }
 
-fn mark_front(variants: &mut [Variant]) {
+fn mark_pareto_front(variants: &mut [Variant]) {
     let cost: Vec<Option<(u32, f64)>> =
-        variants.iter().map(|variant| variant.instructions.map(|count| (count, variant.felt()))).collect();
+        variants.iter().map(|variant| variant.instructions.map(|count| (count, variant.tip_force_error()))).collect();
     for (index, variant) in variants.iter_mut().enumerate() {
         let Some((count, error)) = cost[index] else { continue };
         variant.pareto = !cost
@@ -149,7 +149,7 @@ fn mark_front(variants: &mut [Variant]) {
 }
 
 /// Returns the time of one torque computation on this computer, ns: the best of five runs over up to 1000 probes.
-fn nanoseconds(device: &Device<f64>, probes: &[Probe], way: &TorqueVariant<'_>) -> f64 {
+fn torque_time_ns(device: &Device<f64>, probes: &[Probe], way: &TorqueVariant<'_>) -> f64 {
     with_mechanism!(device.mechanism.cast::<f32>(), m => {
         with_trigonometry!(way.trigonometry, K => time::<K, _, _>(&m, probes, way))
     })
@@ -198,11 +198,11 @@ pub fn by_variant(every: &[(Device<f64>, Vec<Variant>)]) -> String {
         for variant in rows {
             let mut cells = vec![variant.mechanism.to_owned(), device.name.to_string()];
             cells.extend(variant.name.split('/').skip(1).map(String::from));
-            cells.push(count(variant.instructions));
-            let Parts { dropped, dropped_mostly, model, rounding, tip, area } = variant.parts;
+            cells.push(format_count(variant.instructions));
+            let ErrorSources { dropped, dropped_mostly, model, rounding, tip, area } = variant.parts;
             cells.extend([dropped, dropped_mostly, model, rounding, tip].map(|newtons| format!("{newtons:.1e}")));
             let front = if variant.pareto { "F" } else { "" };
-            cells.extend([format!("{:.1}", 100.0 * area), steps(variant.errors.duty.max), front.into()]);
+            cells.extend([format!("{:.1}", 100.0 * area), format_steps(variant.errors.duty.max), front.into()]);
             text += &csv_line(cells);
         }
     }
@@ -226,17 +226,22 @@ pub fn by_mechanism(every: &[(Device<f64>, Vec<Variant>)]) -> Result<String, Fai
         ];
         cells.extend([faded, off].map(|share| format!("{:.1}", 100.0 * share)));
         cells.extend(Estimator::ALL.iter().map(|(estimator, _)| {
-            count(counts::instructions(spec.name, BoardMath::NAME, "exact", &format!("feed-forward, {estimator}")))
+            format_count(counts::instructions(
+                spec.name,
+                BoardMath::NAME,
+                "exact",
+                &format!("feed-forward, {estimator}"),
+            ))
         }));
         text += &csv_line(cells);
     }
     Ok(text)
 }
 
-fn count(instructions: Option<u32>) -> String {
+fn format_count(instructions: Option<u32>) -> String {
     instructions.map_or("-".into(), |count| count.to_string())
 }
 
-fn steps(value: f64) -> String {
+fn format_steps(value: f64) -> String {
     if value < 0.1 { format!("{value:.1e}") } else { format!("{value:.1}") }
 }

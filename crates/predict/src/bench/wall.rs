@@ -75,7 +75,7 @@ pub(super) enum Trial {
 
 /// Result of a slide along a wall.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Pressed {
+pub struct SlideResult {
     /// Root mean square of the force above 20 Hz, N; `None` if the tip flies off.
     pub ripple_n: Option<f64>,
     /// True if the mean force differs from the hand's expected push by at most a tenth of it plus friction.
@@ -167,7 +167,7 @@ impl WallSimulation {
 
     /// Simulates a slide along a wall. Stops as soon as the ripple of the complete slide must exceed `bound_n` (N); the
     /// returned ripple then exceeds `bound_n`.
-    pub fn slid_along(&self, wall: &RenderedWall, bound_n: f64) -> Result<Pressed, Failure> {
+    pub fn slide(&self, wall: &RenderedWall, bound_n: f64) -> Result<SlideResult, Failure> {
         let rate_hz = self.around.rate_hz;
         let (settle, all) = ((SETTLE_S * rate_hz) as usize, ((SETTLE_S + SLIDE_S) * rate_hz).round() as usize);
         let recorded = (all - settle) as f64;
@@ -184,12 +184,12 @@ impl WallSimulation {
             square <= enough
         })?;
         if !tip_stays {
-            return Ok(Pressed { ripple_n: None, holds: false });
+            return Ok(SlideResult { ripple_n: None, holds: false });
         }
         // A soft wall moves, so the hand's own stiffness carries a part of the push.
         let pushes = (settle..all).map(|n| hand_push(Trial::SlidAlong, n as f64 / rate_hz));
         let expected = pushes.sum::<f64>() / recorded * wall.stiffness / (wall.stiffness + LIGHT_HAND.stiffness);
-        Ok(Pressed {
+        Ok(SlideResult {
             ripple_n: Some((square / recorded).sqrt()),
             holds: n == all && (force_sum / recorded / expected - 1.0).abs() < 0.1 + self.friction() / expected,
         })
@@ -262,7 +262,12 @@ impl WallSimulation {
     }
 
     /// Returns the board's velocity estimates while the joints turn steadily and the tip moves at `speed`, m/s.
-    pub(super) fn velocities(&self, wall: &RenderedWall, speed: f64, seconds: f64) -> Result<Vec<f64>, Failure> {
+    pub(super) fn velocity_estimates(
+        &self,
+        wall: &RenderedWall,
+        speed: f64,
+        seconds: f64,
+    ) -> Result<Vec<f64>, Failure> {
         let scene = self.scene(wall, true);
         let rate_hz = self.around.rate_hz;
         with_mechanism!(&self.board.mechanism, m => {

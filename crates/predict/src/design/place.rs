@@ -1,12 +1,12 @@
 //! Best directions at a pose, and best places in the workspace.
 
-use super::{Stiffest, angles_at, build_device, clearance, singular, task_position, within_limits};
+use super::{Stiffest, angles_at, build_device, clearance, singular_pose, task_position, within_limits};
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::description::Description;
 use haptic_bridge::model::device::Device;
 use haptic_host::error::{Choice, Failure};
 use haptic_sim::Random;
-use haptic_stability::analysis::map::{MapPoint, Reachable, along, at_holding};
+use haptic_stability::analysis::map::{MapPoint, Reachable, along, map_point_at};
 use haptic_stability::analysis::pose::{LEAST_ANALYSED_SINE, Stance, TaskPose, unit_normal};
 use haptic_stability::analysis::prediction::Prediction;
 use haptic_stability::analysis::range::Range;
@@ -104,11 +104,11 @@ pub fn directions(description: &Description, q: &[f64], admissible: Admissible) 
     let pose = TaskPose::at(description, q)?.regular()?.holding(admissible);
     let spec = description.kind.spec();
     let any = unit_normal(&[1.0, 0.0, 0.0][..spec.task], spec.task, spec.joints)?;
-    let point = at_holding(description, q, &any, admissible)?;
-    let point: MapPoint = point.ok_or_else(singular)?;
+    let point = map_point_at(description, q, &any, admissible)?;
+    let point: MapPoint = point.ok_or_else(singular_pose)?;
     let along = |normal: &[f64]| -> Result<WallPlace, Failure> {
         let normal = unit_normal(normal, spec.task, spec.joints)?;
-        place_wall(&pose, q, &normal).ok_or_else(singular)
+        place_wall(&pose, q, &normal).ok_or_else(singular_pose)
     };
     let last = point.eigenvectors.len() - 1;
     Ok(Directions {
@@ -147,7 +147,11 @@ fn search_starts(poses: &[Vec<f64>], rating: PoseRating<'_>) -> Vec<Vec<f64>> {
 }
 
 /// Searches in coarse steps from all starts, then in fine steps from the best end poses. Returns the best result.
-fn best(starts: &[Vec<f64>], allowed: &dyn Fn(&[f64]) -> bool, rating: PoseRating<'_>) -> Option<(f64, WallPlace)> {
+fn search_best(
+    starts: &[Vec<f64>],
+    allowed: &dyn Fn(&[f64]) -> bool,
+    rating: PoseRating<'_>,
+) -> Option<(f64, WallPlace)> {
     let mut ends: Vec<(f64, WallPlace)> =
         starts.iter().filter_map(|start| climb(start, COARSE_STEPS, allowed, rating)).collect();
     // The sort is stable, so results with equal ratings keep their order.
@@ -257,7 +261,7 @@ pub fn places(
     }
     let point = |q: &[f64]| {
         let any = unit_normal(&[1.0, 0.0, 0.0][..spec.task], spec.task, spec.joints).ok()?;
-        at_holding(description, q, &any, admissible).ok().flatten()
+        map_point_at(description, q, &any, admissible).ok().flatten()
     };
     let wall = |q: &[f64], normal: &[f64]| {
         let normal = unit_normal(normal, spec.task, spec.joints).ok()?;
@@ -307,7 +311,7 @@ pub fn places(
     let indices: Vec<usize> = (0..jobs.len()).collect();
     // The sweep stores only the pose because the other numbers follow from it.
     let first = sweep.map("places", &indices, |job| {
-        Ok(best(&search_starts(&poses, jobs[*job]), &allowed, jobs[*job]).map(|(_, placed)| placed.q))
+        Ok(search_best(&search_starts(&poses, jobs[*job]), &allowed, jobs[*job]).map(|(_, placed)| placed.q))
     })?;
     // The end pose of another job may be a better start than this job's own.
     let ends: Vec<Vec<f64>> = first.into_iter().flatten().collect();

@@ -5,7 +5,7 @@
 //! depends on the held coordinate ([`Admissible`]), and grows without bound towards postures in which this coordinate
 //! cannot be held; `clear` is the smallest allowed sine.
 
-use super::{angles_at, build_device, clearance, singular, task_position, within_limits};
+use super::{angles_at, build_device, clearance, singular_pose, task_position, within_limits};
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::description::Description;
 use haptic_bridge::model::device::Device;
@@ -72,7 +72,7 @@ pub fn postures(
     let device = build_device(description)?;
     let n = unit_normal(normal, spec.task, spec.joints)?;
     let start = TaskPose::of(&device.mechanism, q)?.regular()?;
-    let here = posture(&device, q, &n, admissible).ok_or_else(singular)?;
+    let here = posture(&device, q, &n, admissible).ok_or_else(singular_pose)?;
     let mut all = vec![here.clone()];
     for direction in [ORIENTATION_STEP, -ORIENTATION_STEP] {
         let mut at = q.to_vec();

@@ -1,6 +1,6 @@
 //! Effect on one wall if one number of the device becomes a tenth larger or smaller at the same tip position.
 
-use super::{angles_at, singular, task_position};
+use super::{angles_at, singular_pose, task_position};
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::catalogue::Kind;
 use haptic_bridge::model::description::{Description, Joint};
@@ -173,7 +173,7 @@ const DAMPINGS: usize = 40;
 /// Computes the absolute properties of a device at a pose.
 fn results_at(prediction: &Prediction, q: &[f64], normal: &[f64]) -> Option<Effect> {
     let (device, admissible) = (&prediction.subject.device, prediction.admissible);
-    let linearised = prediction.seen(q, normal).ok()?;
+    let linearised = prediction.linearise(q, normal).ok()?;
     let stiffest = |mode| {
         let shares = |end: f64| (0..DAMPINGS).map(|i| end * (i as f64 + 0.5) / DAMPINGS as f64).collect();
         let boundary = boundary_of(&linearised, &linearised, &prediction.around, mode, shares).ok()?;
@@ -198,7 +198,7 @@ fn results_at(prediction: &Prediction, q: &[f64], normal: &[f64]) -> Option<Effe
     })
 }
 
-fn relative_to(after: Effect, before: Effect) -> Effect {
+fn ratios_of(after: Effect, before: Effect) -> Effect {
     let ratio = |a: Option<f64>, b: Option<f64>| a.zip(b).map(|(a, b)| a / b);
     Effect {
         w_eff: after.w_eff / before.w_eff,
@@ -225,14 +225,14 @@ pub fn sensitivities(
         Ok(Prediction { admissible, ..Prediction::new(subject, around.clone()) })
     };
     let unchanged = predicted(description)?;
-    let before = results_at(&unchanged, q, normal).ok_or_else(singular)?;
+    let before = results_at(&unchanged, q, normal).ok_or_else(singular_pose)?;
     let place = task_position(&TaskPose::of(&unchanged.subject.device.mechanism, q)?, q);
     let changed = |change: &Change, factor: f64| -> Option<Effect> {
         let mut other = *description;
         change(&mut other, factor);
         let prediction = predicted(&other).ok()?;
         let there = angles_at(&prediction.subject.device, q, &place)?;
-        Some(relative_to(results_at(&prediction, &there, normal)?, before))
+        Some(ratios_of(results_at(&prediction, &there, normal)?, before))
     };
     let mut results: Vec<Sensitivity> = changes(description)
         .into_iter()

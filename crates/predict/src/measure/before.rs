@@ -48,7 +48,7 @@ impl Before {
 
     /// Returns the part for a file: scene and rules of this board, and the rules that the measurement will set.
     #[must_use]
-    pub fn keep(&self, serial: &str, measuring: &Rules) -> Option<RestorePoint> {
+    pub fn restore_point(&self, serial: &str, measuring: &Rules) -> Option<RestorePoint> {
         let scene = match &self.scene {
             Some(scene) => Some(backup::SavedSetting::of(scene)?),
             None => None,
@@ -83,7 +83,7 @@ impl Before {
 
     /// Turns the motors off and restores rules, device and scene that differ, even after an error. A board without a
     /// scene gets an empty one because no request removes a scene. Returns the first error.
-    pub fn put_back(&self, board: &mut Board) -> Result<(), BoardError> {
+    pub fn restore(&self, board: &mut Board) -> Result<(), BoardError> {
         let off = board.disarm();
         let rules = board.set_rules(&self.rules);
         let device = match &self.device {
@@ -102,7 +102,7 @@ impl Before {
     }
 
     /// Returns the names of the board's settings that differ from these settings.
-    pub fn missing(&self, board: &mut Board) -> Result<Vec<&'static str>, LinkError> {
+    pub fn differing_settings(&self, board: &mut Board) -> Result<Vec<&'static str>, LinkError> {
         let now = Self::of(board)?;
         let empty = now.scene.as_ref().is_none_or(|scene| scene.walls.is_empty());
         let scene = now.scene == self.scene || (self.scene.is_none() && empty);
@@ -124,7 +124,7 @@ mod tests {
     #[test]
     fn rules_of_an_interrupted_measurement_are_replaced_and_others_stay() {
         let (before, measuring) = (with_torque(5.0), with_torque(1.0));
-        let kept = before.keep("1", &measuring.rules).unwrap();
+        let kept = before.restore_point("1", &measuring.rules).unwrap();
         assert_eq!(measuring.restored_from(&kept).unwrap(), (before.clone(), true));
         assert_eq!(before.restored_from(&kept).unwrap(), (before.clone(), true));
         assert_eq!(measuring.with_earlier_rules(&kept).unwrap(), Some(before.clone()));

@@ -46,7 +46,7 @@ impl BoardMeasurement<'_> {
     ) -> Result<(), MeasureError> {
         if self.keeps_settings {
             let rules = rules_for(self.before.rules(), setup.torque_limit);
-            self.progress.before = self.before.keep(&self.board.info().serial, &rules);
+            self.progress.before = self.before.restore_point(&self.board.info().serial, &rules);
             save(self.progress, self.path)?;
         }
         let mut prepared = PreparedBoard::new(self.board, self.file, setup, stop)?;
@@ -67,9 +67,9 @@ impl BoardMeasurement<'_> {
     }
 
     /// Restores the board's settings, and prints on standard error the names of settings that cannot be restored.
-    pub fn put_back(self) -> Result<(), ProgressError> {
-        let back = self.before.put_back(self.board);
-        let missing = self.before.missing(self.board).unwrap_or_else(|_| vec!["device", "scene", "rules"]);
+    pub fn restore(self) -> Result<(), ProgressError> {
+        let back = self.before.restore(self.board);
+        let missing = self.before.differing_settings(self.board).unwrap_or_else(|_| vec!["device", "scene", "rules"]);
         if back.is_err() || !missing.is_empty() {
             haptic_host::tell!(
                 "these settings could not be restored on the board, so load them again: {}",

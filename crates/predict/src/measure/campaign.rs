@@ -26,13 +26,13 @@ pub const BOTH_SIDES: [f64; 2] = [1.0, -1.0];
 impl Plan {
     /// Returns the number of repeats per damping over all pulls.
     #[must_use]
-    pub fn searches(&self) -> usize {
+    pub fn repeats_per_damping(&self) -> usize {
         self.repeats * self.pulls.len()
     }
 
     /// Returns the total number of repeats.
     pub fn total(&self) -> usize {
-        self.modes.len() * self.kd.as_ref().map_or(self.points, Vec::len) * self.searches()
+        self.modes.len() * self.kd.as_ref().map_or(self.points, Vec::len) * self.repeats_per_damping()
     }
 
     /// Returns the repeats of a point by pull. Only repeats with the same pull are the same experiment.
@@ -45,7 +45,7 @@ impl Plan {
 
     /// Returns the stiffness that is stable at every pull, N/m: the lowest median over the pulls.
     #[must_use]
-    pub fn at_every_pull(&self, point: &Point) -> f64 {
+    pub fn stiffness_at_every_pull(&self, point: &Point) -> f64 {
         self.by_pull(point).iter().map(|(_, repeats)| median(repeats)).reduce(f64::min).unwrap_or(0.0)
     }
 
@@ -60,10 +60,16 @@ impl Plan {
 impl Progress {
     /// Returns the number of repeats of `plan` that are already measured.
     #[must_use]
-    pub fn measured(&self, plan: &Plan) -> usize {
+    pub fn measured_repeats(&self, plan: &Plan) -> usize {
         plan.points_of_plan(&self.points)
             .into_iter()
-            .map(|point| if point.open.is_some() { plan.searches() } else { point.repeats.len().min(plan.searches()) })
+            .map(|point| {
+                if point.open.is_some() {
+                    plan.repeats_per_damping()
+                } else {
+                    point.repeats.len().min(plan.repeats_per_damping())
+                }
+            })
             .sum()
     }
 }
@@ -94,7 +100,7 @@ pub fn run(
             }
         };
         for kd in kds {
-            for repeat in 0..plan.searches() {
+            for repeat in 0..plan.repeats_per_damping() {
                 let earlier = progress.point(mode, kd);
                 if earlier.repeats.len() <= repeat && earlier.open.is_none() {
                     let guess = earlier.repeats.last().copied();

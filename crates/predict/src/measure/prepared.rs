@@ -185,7 +185,7 @@ impl<'a> PreparedBoard<'a> {
     fn wait_for_rest(&mut self) -> Result<(), MeasureError> {
         loop {
             // The board raises torques over half a second after arming.
-            match self.wait(0.6).and_then(|()| self.rest(0.0)) {
+            match self.wait(0.6).and_then(|()| self.rest_at(0.0)) {
                 Err(MeasureError::Fault(fault)) if is_caused_by_oscillation(fault) && self.soften() => {
                     self.hold(0.0)?;
                     self.arm_again()?;
@@ -219,7 +219,7 @@ impl<'a> PreparedBoard<'a> {
     }
 
     /// Returns stiffness (N/m) and damping (N s/m) of the hold along the pull.
-    fn holding(&self) -> (f64, f64) {
+    fn hold_gains(&self) -> (f64, f64) {
         gains_of(self.inertia[0], self.hold_frequency)
     }
 
@@ -240,12 +240,12 @@ impl<'a> PreparedBoard<'a> {
 
     /// Returns the stiffness at which a search starts, that of the soft hold, N/m.
     pub fn gentle_stiffness(&self) -> f64 {
-        self.holding().0
+        self.hold_gains().0
     }
 
     /// Returns the damping at which a search starts, that of the soft hold, N s/m.
     pub fn gentle_damping(&self) -> f64 {
-        self.holding().1
+        self.hold_gains().1
     }
 
     /// Returns true if walls with this total stiffness (N/m) and damping (N s/m) oscillate after a pull.
@@ -293,7 +293,7 @@ impl<'a> PreparedBoard<'a> {
                 }
                 other => other?,
             }
-            let verdict = self.follow(feed_forward, kp, kd, pull);
+            let verdict = self.follow_motion(feed_forward, kp, kd, pull);
             // Only a growing motion may leave the pose.
             let there = match &verdict {
                 Ok(Verdict::Decays | Verdict::Vibrates(_)) => self.check_pose(LEFT_POSE_DISTANCE),
@@ -320,11 +320,12 @@ impl<'a> PreparedBoard<'a> {
 
     /// Pulls the tip aside by `pull` (m) and lets it swing back. Pulls harder if friction holds the tip.
     fn swing_from_rest(&mut self, feed_forward: FeedForward, pull: f64, stiffer: bool) -> Result<(), MeasureError> {
-        let friction = self.excitation.friction / self.holding().0;
+        let friction = self.excitation.friction / self.hold_gains().0;
         let mut aim = pull + friction * pull.signum();
         let enough = (PULL_RANGE.0 * pull.abs()).min(pull.abs() - 2.0 * self.excitation.quantum);
         for _ in 0..MAX_CORRECTIONS {
-            let rested = self.rest(aim.clamp(-MAX_ASIDE_SHARE * ASIDE_DISTANCE, MAX_ASIDE_SHARE * ASIDE_DISTANCE))?;
+            let rested =
+                self.rest_at(aim.clamp(-MAX_ASIDE_SHARE * ASIDE_DISTANCE, MAX_ASIDE_SHARE * ASIDE_DISTANCE))?;
             let along = rested * pull.signum();
             if along >= enough && along <= PULL_RANGE.1 * pull.abs() + 2.0 * self.excitation.quantum {
                 self.check_pose(ASIDE_DISTANCE)?;
@@ -338,7 +339,7 @@ impl<'a> PreparedBoard<'a> {
     /// Brings the device back to its pose with the hold. If only the tip returns, the user of a simulated device moves
     /// the joints back; a real device causes an error.
     fn bring_back(&mut self) -> Result<(), MeasureError> {
-        if self.rest(0.0).and_then(|_| self.check_pose(ASIDE_DISTANCE)).is_ok() {
+        if self.rest_at(0.0).and_then(|_| self.check_pose(ASIDE_DISTANCE)).is_ok() {
             return Ok(());
         }
         if self.board.details()?.real {
@@ -351,7 +352,7 @@ impl<'a> PreparedBoard<'a> {
 
     fn friction_error(&self, pull: f64) -> MeasureError {
         let (pull, friction) = (pull.abs(), self.excitation.friction);
-        MeasureError::Stuck { pull, force: pull * self.holding().0, friction }
+        MeasureError::Stuck { pull, force: pull * self.hold_gains().0, friction }
     }
 
     /// Clears the fault of an oscillation and arms with the soft hold, unless another program cleared it.
@@ -411,7 +412,7 @@ impl<'a> PreparedBoard<'a> {
 
     /// Holds the tip at `pull` (m) along the pull: the wall at the tip's position and a wall aside share the stiffness.
     fn hold(&mut self, pull: f64) -> Result<(), MeasureError> {
-        let (kp, kd) = self.holding();
+        let (kp, kd) = self.hold_gains();
         let share = (pull / ASIDE_DISTANCE).clamp(-MAX_ASIDE_SHARE, MAX_ASIDE_SHARE);
         let Layout { hold, aside, across } = self.layout;
         self.set_wall_gains(hold, kp * (1.0 - share.abs()), kd, FeedForward::Off)?;
@@ -445,7 +446,7 @@ impl<'a> PreparedBoard<'a> {
     }
 
     /// Waits until the tip rests near `pull`, softening the hold if needed. Returns its position, m.
-    fn rest(&mut self, pull: f64) -> Result<f64, MeasureError> {
+    fn rest_at(&mut self, pull: f64) -> Result<f64, MeasureError> {
         loop {
             match self.hold_until_still(pull) {
                 Err(MeasureError::Restless) if self.soften() => {}
@@ -493,7 +494,7 @@ impl<'a> PreparedBoard<'a> {
         rested: f64,
         stiffer: bool,
     ) -> Result<(), MeasureError> {
-        let (kp, _) = self.holding();
+        let (kp, _) = self.hold_gains();
         self.release()?;
         self.set_tested_gains(kp / self.along, 0.0, feed_forward)?;
         let started = self.board.now();
@@ -516,7 +517,13 @@ impl<'a> PreparedBoard<'a> {
     }
 
     /// Switches to the tested gains while the tip moves, and follows the motion until its verdict.
-    fn follow(&mut self, feed_forward: FeedForward, kp: f64, kd: f64, pull: f64) -> Result<Verdict, MeasureError> {
+    fn follow_motion(
+        &mut self,
+        feed_forward: FeedForward,
+        kp: f64,
+        kd: f64,
+        pull: f64,
+    ) -> Result<Verdict, MeasureError> {
         self.set_tested_gains(kp, kd, feed_forward)?;
         let row_seconds = f64::from(self.divider) / self.setup.rate_hz;
         let slowest = (TAU * (self.heaviest / kp).sqrt(), kd < 2.0 * (kp * self.heaviest).sqrt());
@@ -528,12 +535,12 @@ impl<'a> PreparedBoard<'a> {
                 if at.step.wrapping_sub(first) > u32::MAX / 2 {
                     continue;
                 }
-                if let Some(verdict) = swing.take(at.place) {
+                if let Some(verdict) = swing.add_position(at.place) {
                     return Ok(verdict);
                 }
                 if at.aside > LEFT_POSE_DISTANCE {
                     let lost = self.check_pose(ASIDE_DISTANCE).err().unwrap_or(MeasureError::Restless);
-                    return if swing.continues() { Ok(Verdict::Grows) } else { Err(lost) };
+                    return if swing.still_swings() { Ok(Verdict::Grows) } else { Err(lost) };
                 }
             }
         }
@@ -594,7 +601,7 @@ impl Drop for PreparedBoard<'_> {
     fn drop(&mut self) {
         // If the board does not reply, the rules of the measurement turn the motors off.
         let _ = self.board.stop_stream();
-        let _ = self.before.put_back(self.board);
+        let _ = self.before.restore(self.board);
     }
 }
 

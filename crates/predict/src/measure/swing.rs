@@ -108,20 +108,20 @@ impl Swing {
 
     /// Returns true if the motion still has half of its largest size after the first swings.
     #[must_use]
-    pub fn continues(&self) -> bool {
+    pub fn still_swings(&self) -> bool {
         let settled: Vec<f64> = self.position.spans.iter().skip(IGNORED_TURNS).map(|(low, high)| high - low).collect();
         let (_, latest) = settled.split_at(settled.len().saturating_sub(SWINGS_PER_CHECK / 4));
         settled.len() > SWINGS_PER_CHECK / 4 && largest(latest) > 0.5 * largest(&settled)
     }
 
     /// Adds the next position (m). Returns the verdict as soon as it is known.
-    pub fn take(&mut self, position: f64) -> Option<Verdict> {
+    pub fn add_position(&mut self, position: f64) -> Option<Verdict> {
         if self.verdicts[0].is_none() {
-            self.verdicts[0] = self.position.take(position);
+            self.verdicts[0] = self.position.add_position(position);
         }
         // A decaying mode of the acceleration may hide a growing mode, so follow both signals to the end.
         if let [Some(first), Some(second)] = self.previous {
-            self.verdicts[1] = self.acceleration.take(position - 2.0 * second + first).or(self.verdicts[1]);
+            self.verdicts[1] = self.acceleration.add_position(position - 2.0 * second + first).or(self.verdicts[1]);
         }
         self.previous = [self.previous[1], Some(position)];
         match self.verdicts {
@@ -191,7 +191,7 @@ impl Trace {
         }
     }
 
-    fn take(&mut self, position: f64) -> Option<Verdict> {
+    fn add_position(&mut self, position: f64) -> Option<Verdict> {
         self.rows += 1;
         self.since_turn += 1;
         if position.abs() > (FARTHEST_PULLS * self.pull).min(2.0 * self.pull + FARTHEST_OFFSET_M) {
@@ -381,7 +381,7 @@ mod tests {
         for k in 0..60_000 {
             let x = motion(f64::from(k) * dt);
             let x = if quantum > 0.0 { (x / quantum).round() * quantum } else { x };
-            if let Some(verdict) = swing.take(x) {
+            if let Some(verdict) = swing.add_position(x) {
                 return verdict;
             }
         }
@@ -466,7 +466,7 @@ mod tests {
             let slow = 7e-5 * (-25.0 * t).exp() * (TAU * 32.5 * t).cos();
             slow + 5e-6 * (-70.0 * t).exp() * (TAU * 433.0 * t).cos()
         };
-        let verdict = (0..10_000).find_map(|k| swing.take(position(2e-4 * f64::from(k))));
+        let verdict = (0..10_000).find_map(|k| swing.add_position(position(2e-4 * f64::from(k))));
         assert_eq!(verdict, Some(Verdict::Decays));
     }
 

@@ -23,7 +23,7 @@ use haptic_stability::analysis::map::Reachable;
 use haptic_stability::analysis::oscillation::Oscillation;
 use haptic_stability::analysis::plant::Linearised;
 use haptic_stability::analysis::pose::TaskPose;
-use haptic_stability::analysis::prediction::{Prediction, Subject, printed};
+use haptic_stability::analysis::prediction::{Prediction, Subject, round_as_printed};
 use haptic_stability::analysis::range::{COSTLY_RATIO, lower_corner, oscillation, stiffness_at};
 use haptic_stability::analysis::sampled::{AnalysisError, Mode};
 use haptic_stability::analysis::several::Member;
@@ -87,7 +87,7 @@ pub struct Contact {
     pub options: String,
     /// True if the device comes from a board, which does not know its compliant parts.
     #[serde(skip)]
-    pub taken_for_rigid: bool,
+    pub is_assumed_rigid: bool,
 }
 
 /// Limits of a wall with a hand at the tip. A hand may reduce the limits of a device with cables.
@@ -110,7 +110,7 @@ impl core::fmt::Display for InHand {
 
 /// Returns the default hand of predictions, which `haptic sim --hand loop` simulates.
 #[must_use]
-pub fn usual_hand() -> Hand {
+pub fn default_hand() -> Hand {
     let HandSettings { mass, grip_damping, grip_stiffness, .. } = HandSettings::default();
     Hand { mass, damping: grip_damping, stiffness: grip_stiffness }
 }
@@ -123,13 +123,13 @@ pub fn file_warnings(subject: &Subject, scene: &Scene<f64>) -> (Vec<FileWarning>
         match first_touch(device, &wall.surface) {
             FirstTouch::At(q, normal) => {
                 let Some(contact) = contact_limits(subject, scene, index, &q, &normal, &path) else {
-                    warnings.extend(without_prediction(subject, index, wall));
+                    warnings.extend(unpredicted_warning(subject, index, wall));
                     continue;
                 };
                 warnings.extend(gain_warnings(wall, &contact, true));
                 warnings.extend(soft_wall_warning(device, wall, &contact));
                 warnings.extend(buzz_warning(scene, &contact));
-                warnings.extend(costly_washout(subject, scene, &path, &contact));
+                warnings.extend(washout_warning(subject, scene, &path, &contact));
                 contacts.push(contact);
             }
             FirstTouch::Never(nearest) => warnings.push(reach_warning(index, &wall.surface, nearest)),
@@ -142,7 +142,7 @@ pub fn file_warnings(subject: &Subject, scene: &Scene<f64>) -> (Vec<FileWarning>
 }
 
 /// Warns that stability is not predicted because the wall compensates damping on a compliant device.
-fn without_prediction(subject: &Subject, index: usize, wall: &Wall<f64>) -> Option<FileWarning> {
+fn unpredicted_warning(subject: &Subject, index: usize, wall: &Wall<f64>) -> Option<FileWarning> {
     let shaped = wall.damping_compensation && wall.feed_forward != FeedForward::Off;
     let text = format!("the stability of wall {index} is not predicted: {}", AnalysisError::CompensatedFlexible);
     let key = Key { table: "wall", index: Some(index), part: "", name: "damping_compensation" };
@@ -236,19 +236,19 @@ pub fn contact_limits(
 ) -> Option<Contact> {
     let (device, wall) = (&subject.device, scene.walls.get(index)?);
     // Round the values as the options print them.
-    let rounded = |values: &[f64]| values.iter().map(|value| printed(*value)).collect::<Vec<_>>();
+    let rounded = |values: &[f64]| values.iter().map(|value| round_as_printed(*value)).collect::<Vec<_>>();
     let (q, normal) = (rounded(q), rounded(normal));
     let pose = TaskPose::of(&device.mechanism, &q).ok()?.regular().ok()?;
     let prediction = Prediction::in_scene(subject, scene, Some(wall), path)?;
     let mode = Mode::of(wall.feed_forward, wall.washout_hz);
-    let linearised = prediction.seen(&q, &normal).ok()?;
+    let linearised = prediction.linearise(&q, &normal).ok()?;
     let (stable_to, damping_to) = stiffness_at(&linearised, &prediction.around, mode, wall.damping).ok()?;
     let off_to = match mode {
         Mode::Off => None,
         _ => stiffness_at(&linearised, &prediction.around, Mode::Off, wall.damping).ok().map(|(off_to, _)| off_to),
     };
-    let hand = usual_hand();
-    let held = linearised.clone().held(hand);
+    let hand = default_hand();
+    let held = linearised.clone().with_hand(hand);
     let in_hand = stiffness_at(&held, &prediction.around, mode, wall.damping).ok().map(|(stable_to, damping_to)| {
         InHand { hand: [hand.mass, hand.damping, hand.stiffness], stable_to, damping_to }
     });
@@ -280,7 +280,7 @@ pub fn contact_limits(
         step_n: count * (wall.stiffness + wall.damping * estimator.peak_step_response(scene.rate_hz)),
         ripple_n: None,
         options: format!("{options} --kd {}", wall.damping),
-        taken_for_rigid: subject.joints.is_none(),
+        is_assumed_rigid: subject.joints.is_none(),
         q,
         normal,
     })
@@ -342,7 +342,7 @@ pub fn contact_limits_at(
 /// Warns of gains that the loop or the motors cannot render. `in_file` is true for a wall in a scene file.
 pub fn gain_warnings(wall: &Wall<f64>, contact: &Contact, in_file: bool) -> Vec<FileWarning> {
     let index = contact.wall;
-    let rigid = if contact.taken_for_rigid { ", if the device is rigid" } else { "" };
+    let rigid = if contact.is_assumed_rigid { ", if the device is rigid" } else { "" };
     let warning = |name: &'static str, text: String| FileWarning {
         key: in_file.then_some(Key { table: "wall", index: Some(index), part: "", name }),
         text,
@@ -467,7 +467,7 @@ pub struct Ripple {
 pub fn ripple(description: &Description, scene: &Scene<f64>, contact: &Contact) -> Option<Ripple> {
     let wall = Settings::of(scene, contact.wall)?;
     let simulation = WallSimulation::new(description, description, &contact.q, &contact.normal, scene.rate_hz).ok()?;
-    let of = |wall: Settings| simulation.slid_along(&wall.rendered(scene.admissible), f64::INFINITY).ok();
+    let of = |wall: Settings| simulation.slide(&wall.rendered(scene.admissible), f64::INFINITY).ok();
     let ripple_n = of(wall)?.ripple_n;
     if ripple_n.is_some_and(|ripple| ripple <= USUAL_RIPPLE_N) {
         return Some(Ripple { ripple_n, allowed_n: USUAL_RIPPLE_N });
@@ -510,7 +510,7 @@ const NEAR_SHARE: f64 = 0.25;
 
 /// Warns of a washout with which the stable stiffness is smaller than without feed-forward at the wall's damping. The
 /// washout's corner is then too close to the frequencies of the loop.
-fn costly_washout(subject: &Subject, scene: &Scene<f64>, path: &TorquePath, contact: &Contact) -> Option<FileWarning> {
+fn washout_warning(subject: &Subject, scene: &Scene<f64>, path: &TorquePath, contact: &Contact) -> Option<FileWarning> {
     let wall = scene.walls.get(contact.wall)?;
     if wall.feed_forward != FeedForward::Washout || wall.stiffness <= NEAR_SHARE * contact.stable_to {
         return None;
@@ -562,7 +562,7 @@ fn first_touch(device: &Device<f64>, surface: &Surface<f64>) -> FirstTouch {
     if let Some(nearest) = poses.iter().min_by(|a, b| far(&a.q[..spec.joints]).total_cmp(&far(&b.q[..spec.joints]))) {
         return FirstTouch::At(nearest.q[..spec.joints].to_vec(), nearest.normal[..spec.task].to_vec());
     }
-    let Some((low, high)) = distances(device, surface) else { return FirstTouch::Unknown };
+    let Some((low, high)) = tip_distances(device, surface) else { return FirstTouch::Unknown };
     match (low, high) {
         (low, _) if low > 0.0 && low.is_finite() => FirstTouch::Never(Some(low)),
         (_, high) if high < 0.0 && high.is_finite() => FirstTouch::Never(None),
@@ -571,7 +571,7 @@ fn first_touch(device: &Device<f64>, surface: &Surface<f64>) -> FirstTouch {
 }
 
 /// Returns the smallest and largest distance of the tip from a surface, negative inside it, m.
-fn distances(device: &Device<f64>, surface: &Surface<f64>) -> Option<(f64, f64)> {
+fn tip_distances(device: &Device<f64>, surface: &Surface<f64>) -> Option<(f64, f64)> {
     let grid = Reachable::of(device, POSES_PER_JOINT[device.mechanism.kind().spec().joints - 1], None).ok()?;
     let distances = grid.indices().filter_map(|index| {
         let pose = TaskPose::of(&device.mechanism, &grid.angles(index)).ok()?;
@@ -590,7 +590,7 @@ fn soft_wall_warning(device: &Device<f64>, wall: &Wall<f64>, contact: &Contact) 
     if !(wall.stiffness > 0.0 && depth > 0.01) {
         return None;
     }
-    let (low, high) = distances(device, &wall.surface).filter(|(low, high)| low < high)?;
+    let (low, high) = tip_distances(device, &wall.surface).filter(|(low, high)| low < high)?;
     let text = format!(
         "wall {} is so soft that it pushes with {} only at a depth of {}, and the tip moves by at most {} along its normal: \
          stiffness is in N/m, and {} N/mm are {} N/m",

@@ -2,7 +2,7 @@
 
 use super::margins::Corner;
 use super::{Question, Settings, TunedWall, check, measured, three_digits};
-use crate::bench::wall::{Pressed, WallSimulation};
+use crate::bench::wall::{SlideResult, WallSimulation};
 use crate::boards::force_along;
 use haptic_bridge::render::scene::FeedForward;
 use haptic_host::error::Failure;
@@ -26,17 +26,17 @@ const LOWEST_SHARE: f64 = 0.003;
 const LEAST_DAMPING_RATIO: f64 = 0.04;
 
 /// Simulates the largest ripple of a wall over all tested devices. `holds` is true if all walls hold the hand.
-pub fn ripple(question: &Question<'_>, settings: &Settings) -> Result<Pressed, Failure> {
+pub fn ripple(question: &Question<'_>, settings: &Settings) -> Result<SlideResult, Failure> {
     worst_ripple(question, settings, f64::INFINITY)
 }
 
 /// Like [`ripple`], but stops when the ripple exceeds `bound_n` (N).
-fn worst_ripple(question: &Question<'_>, settings: &Settings, bound_n: f64) -> Result<Pressed, Failure> {
+fn worst_ripple(question: &Question<'_>, settings: &Settings, bound_n: f64) -> Result<SlideResult, Failure> {
     let Question { file, q, normal, margins, admissible, .. } = question;
-    let mut worst = Pressed { ripple_n: Some(0.0), holds: true };
+    let mut worst = SlideResult { ripple_n: Some(0.0), holds: true };
     for (believed, moving) in margins.deviations(&file.description) {
         let simulation = WallSimulation::new(&believed, &moving, q, normal, settings.rate_hz)?;
-        let result = simulation.slid_along(&settings.rendered(*admissible), bound_n)?;
+        let result = simulation.slide(&settings.rendered(*admissible), bound_n)?;
         worst.ripple_n = worst.ripple_n.zip(result.ripple_n).map(|(one, other)| one.max(other));
         worst.holds &= result.holds;
         if worst.ripple_n.is_none_or(|ripple| ripple > bound_n) {
@@ -47,7 +47,7 @@ fn worst_ripple(question: &Question<'_>, settings: &Settings, bound_n: f64) -> R
 }
 
 /// Returns the wall with these settings if it meets all criteria.
-pub fn keeps(question: &Question<'_>, settings: &Settings) -> Result<Option<TunedWall>, Failure> {
+pub fn accepted_wall(question: &Question<'_>, settings: &Settings) -> Result<Option<TunedWall>, Failure> {
     let sweep = Sweep::quiet();
     let context = SearchContext::new(question, &sweep)?;
     let kept =
@@ -63,11 +63,11 @@ pub(super) struct SearchContext<'a> {
     /// Corners of the margins without and with feed-forward.
     corners: [Vec<Corner>; 2],
     /// Largest stiffness (N/m) and damping (N s/m) that the motors allow.
-    pub motors: (f64, f64),
+    pub motor_limits: (f64, f64),
     /// Stiffness at which encoder steps alone cause the allowed ripple, N/m. Rule of thumb: the tip moves evenly, and
     /// each joint's error is independent with a standard deviation of 1/√12 of its step. A tip that follows the steps,
     /// or that friction holds between two, ripples less.
-    pub steps: f64,
+    pub rule_of_thumb_stiffness: f64,
 }
 
 /// Largest stiffness of a candidate within margins and motors over damping, as (damping, stiffness).
@@ -77,7 +77,7 @@ pub(super) struct Curve {
 }
 
 impl Curve {
-    pub fn top(&self) -> f64 {
+    pub fn largest_stiffness(&self) -> f64 {
         self.points.iter().map(|point| point.1).fold(0.0, f64::max)
     }
 }
@@ -105,8 +105,8 @@ impl<'a> SearchContext<'a> {
             sweep,
             nominal,
             corners: [off?, shaped?],
-            motors: (force / (question.counts * count), force / question.speed),
-            steps: question.ripple_n / spread,
+            motor_limits: (force / (question.counts * count), force / question.speed),
+            rule_of_thumb_stiffness: question.ripple_n / spread,
         })
     }
 
@@ -129,11 +129,11 @@ impl<'a> SearchContext<'a> {
         let (Some(around), Some(corner)) = (settings.loop_settings(), self.corners(settings).first()) else {
             return Ok(None);
         };
-        let stiffness = 0.25 * self.steps.min(self.motors.0);
+        let stiffness = 0.25 * self.rule_of_thumb_stiffness.min(self.motor_limits.0);
         let least_damping = 2.0 * LEAST_DAMPING_RATIO * (stiffness * self.nominal.w_eff().unwrap_or_default()).sqrt();
         let points =
             boundary_of(&corner.device, &corner.believed, &corner.adjusted_loop(&around), settings.mode(), |end| {
-                let high = (HIGHEST_SHARE * end).min(self.motors.1);
+                let high = (HIGHEST_SHARE * end).min(self.motor_limits.1);
                 let low = least_damping.max(LOWEST_SHARE * high).min(0.5 * high);
                 let share = |i: usize| (high / low).powf(i as f64 / (DAMPINGS - 1) as f64);
                 let mut dampings: Vec<f64> = (0..DAMPINGS).map(|i| three_digits(low * share(i), true)).collect();
@@ -142,15 +142,15 @@ impl<'a> SearchContext<'a> {
             });
         let Ok(points) = points else { return Ok(None) };
         let dampings: Vec<f64> = points.iter().map(|point| point.kd).collect();
-        let Some(most) = self.allowed(settings, &dampings)? else { return Ok(None) };
+        let Some(most) = self.allowed_stiffnesses(settings, &dampings)? else { return Ok(None) };
         let curve = Curve { points: dampings.into_iter().zip(most).collect() };
-        Ok((curve.top() > 0.0).then_some(curve))
+        Ok((curve.largest_stiffness() > 0.0).then_some(curve))
     }
 
     /// Computes the largest stiffness at each damping within margins and motors; `None` without a bound.
-    pub fn allowed(&self, settings: &Settings, dampings: &[f64]) -> Result<Option<Vec<f64>>, Failure> {
+    pub fn allowed_stiffnesses(&self, settings: &Settings, dampings: &[f64]) -> Result<Option<Vec<f64>>, Failure> {
         let Some(around) = settings.loop_settings() else { return Ok(None) };
-        let (most, damped) = self.motors;
+        let (most, damped) = self.motor_limits;
         let mut least: Vec<f64> = dampings.iter().map(|damping| if *damping > damped { 0.0 } else { most }).collect();
         for corner in self.corners(settings) {
             self.sweep.check_interrupted()?;
@@ -165,14 +165,14 @@ impl<'a> SearchContext<'a> {
 
     /// Computes the largest stiffness at the settings' damping, N/m; 0 if no stiffness is allowed.
     pub fn largest_stiffness(&self, settings: &Settings) -> Result<f64, Failure> {
-        Ok(self.allowed(settings, &[settings.damping])?.map_or(0.0, |most| most[0]))
+        Ok(self.allowed_stiffnesses(settings, &[settings.damping])?.map_or(0.0, |most| most[0]))
     }
 
     /// Simulates the ripple under a sliding hand, N; `None` if it exceeds the limit or the hand is not held.
     pub fn slide_ripple(&self, settings: &Settings) -> Result<Option<f64>, Failure> {
         self.sweep.check_interrupted()?;
         let bound = self.question.ripple_n;
-        let Pressed { ripple_n, holds } = worst_ripple(self.question, settings, bound)?;
+        let SlideResult { ripple_n, holds } = worst_ripple(self.question, settings, bound)?;
         Ok(ripple_n.filter(|ripple| holds && *ripple <= bound))
     }
 

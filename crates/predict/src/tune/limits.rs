@@ -64,7 +64,7 @@ pub(super) fn limits(
         let felt = stiffness.and_then(|stiffness| context.felt(&Settings { stiffness, ..*settings }));
         limits.push(Limit { limit, stiffness, felt });
     };
-    for (limit, margins) in question.margins.each_alone() {
+    for (limit, margins) in question.margins.named_margins() {
         let corners =
             margins.corners(&question.file.description, &question.q, &question.normal, question.admissible, shaped)?;
         let mut least = f64::INFINITY;
@@ -78,7 +78,7 @@ pub(super) fn limits(
         }
         push(limit, least.is_finite().then_some(least));
     }
-    push(MOTORS_LIMIT, Some(context.motors.0));
+    push(MOTORS_LIMIT, Some(context.motor_limits.0));
     let passes_ripple = |wall: &Settings| Ok(context.slide_ripple(wall)?.is_some());
     push(RIPPLE_LIMIT, largest_passing(settings, &CHECKED_FACTORS, &passes_ripple)?);
     let passes_tap = |wall: &Settings| context.passes_tap(wall);
@@ -87,8 +87,8 @@ pub(super) fn limits(
         let passes_on_board = |wall: &Settings| Ok(context.board_ripple(wall, bound)?.is_some());
         push(ON_BOARD_LIMIT, largest_passing(settings, &CHECKED_ON_BOARD, &passes_on_board)?);
     }
-    push(RULE_OF_THUMB, Some(context.steps));
-    let active = first_limit(&limits, settings, context.motors.1);
+    push(RULE_OF_THUMB, Some(context.rule_of_thumb_stiffness));
+    let active = first_limit(&limits, settings, context.motor_limits.1);
 
     let mut beside = Vec::new();
     for (stiffer, more) in [(RAISE_FACTOR, 1.0), (1.0, RAISE_FACTOR), (1.0, 1.0 / RAISE_FACTOR)] {

@@ -76,7 +76,7 @@ fn inertia_along(device: &Linearised, torque: &nalgebra::DVector<f64>) -> f64 {
 }
 
 /// Scales the mass of one part of a description. The parts are the links, the rotors and the handle, in this order.
-fn scaled(description: &Description, part: usize, factor: f64) -> Description {
+fn scale_part(description: &Description, part: usize, factor: f64) -> Description {
     let spec = description.kind.spec();
     let mut other = *description;
     let links = spec.links.len();
@@ -116,11 +116,11 @@ pub fn vertex(
     let mut result = *description;
     for part in 0..spec.links.len() + spec.joints + 1 {
         let more = inertia_along(
-            &Linearised::holding(&scaled(description, part, 1.0 + 1e-4), q, normal, admissible)?,
+            &Linearised::holding(&scale_part(description, part, 1.0 + 1e-4), q, normal, admissible)?,
             &torque,
         );
         let grows = (more > nominal) == heavier;
-        result = scaled(&result, part, if grows { 1.0 + share } else { 1.0 - share });
+        result = scale_part(&result, part, if grows { 1.0 + share } else { 1.0 - share });
     }
     Ok(result)
 }
@@ -152,7 +152,7 @@ impl Margins {
                 encoder.counts_per_turn *= 1.0 + sign * counts;
             }
             let parts = description.kind.spec().links.len() + description.kind.spec().joints + 1;
-            let mut moving = (0..parts).fold(believed, |moving, part| scaled(&moving, part, 1.0 + sign * mass));
+            let mut moving = (0..parts).fold(believed, |moving, part| scale_part(&moving, part, 1.0 + sign * mass));
             for joint in &mut moving.joints {
                 joint.viscous *= 1.0 + sign * friction;
                 joint.coulomb *= 1.0 + sign * friction;
@@ -167,7 +167,7 @@ impl Margins {
     }
 
     /// Returns named margins: none, each margin without the others, and all together.
-    pub(super) fn each_alone(self) -> [(&'static str, Self); 7] {
+    pub(super) fn named_margins(self) -> [(&'static str, Self); 7] {
         let Self { gain, delay_s, mass, inertia, hand, .. } = self;
         [
             ("stability, no margin", Self::NONE),
@@ -213,7 +213,7 @@ impl Margins {
         }
         let hands = if self.hand { HANDS.as_slice() } else { &[] };
         corners.extend(hands.iter().map(|hand| Corner {
-            device: believed.clone().held(*hand),
+            device: believed.clone().with_hand(*hand),
             believed: believed.clone(),
             delay_s: self.delay_s,
         }));

@@ -11,7 +11,7 @@
 
 use super::criteria::{Curve, SearchContext};
 use super::limits::RAISE_FACTOR;
-use super::{STIFFNESS_RATIO, Settings, TunedWall, choose, stiffest, three_digits};
+use super::{STIFFNESS_RATIO, Settings, TunedWall, choose_wall, stiffest, three_digits};
 use haptic_bridge::render::scene::FeedForward;
 use haptic_bridge::render::velocity::{Chosen, CutoffMeaning, Estimator};
 use haptic_host::error::Failure;
@@ -54,17 +54,17 @@ const KEPT_SHARE: f64 = 0.98;
 /// Results without their settings: stiffness (N/m), damping (N s/m) and ripple (N), and ripple on the board (N).
 type Gains = ([f64; 3], Option<f64>);
 
-fn gains(tuned: TunedWall) -> Gains {
+fn to_gains(tuned: TunedWall) -> Gains {
     ([tuned.settings.stiffness, tuned.settings.damping, tuned.ripple_n], tuned.board_ripple_n)
 }
 
-fn restore(settings: &Settings, ([stiffness, damping, ripple_n], board_ripple_n): Gains) -> TunedWall {
+fn from_gains(settings: &Settings, ([stiffness, damping, ripple_n], board_ripple_n): Gains) -> TunedWall {
     TunedWall { settings: Settings { stiffness, damping, ..*settings }, ripple_n, board_ripple_n, felt: None }
 }
 
 impl SearchContext<'_> {
     /// Returns walls that meet all criteria, and the numbers of combinations and of simulated combinations.
-    pub fn all(&self) -> Result<(Vec<TunedWall>, (usize, usize)), Failure> {
+    pub fn search_all(&self) -> Result<(Vec<TunedWall>, (usize, usize)), Failure> {
         let mut all: Vec<TunedWall> = self.known_wall()?.into_iter().collect();
         let mut looked_at = (0, 0);
         for &feed_forward in &self.question.feed_forwards {
@@ -80,18 +80,20 @@ impl SearchContext<'_> {
             looked_at.0 += candidates.len();
             // Equal curves are sorted by rate, the fastest first, because it has more reserve. The sort is stable.
             candidates.sort_by(|(one, a), (other, b)| {
-                b.top().total_cmp(&a.top()).then_with(|| other.rate_hz.total_cmp(&one.rate_hz))
+                b.largest_stiffness()
+                    .total_cmp(&a.largest_stiffness())
+                    .then_with(|| other.rate_hz.total_cmp(&one.rate_hz))
             });
             let floor = stiffest(&all).map_or(0.0, |tuned| tuned.settings.stiffness);
             let share = if feed_forward == FeedForward::Off { NEAR_SHARE } else { COMPARED_SHARE };
             let mut tuned = self.simulate(&candidates, name, share * floor, &mut looked_at.1)?;
-            for (place, one) in promising(&tuned).into_iter().enumerate() {
+            for (place, one) in promising_walls(&tuned).into_iter().enumerate() {
                 tuned.push(self.refine(one, &format!("feed-forward {name}, {}", place + 1))?);
             }
             all.extend(tuned);
         }
         let mut all = self.soften_for_board(all)?;
-        if let Some((best, _)) = choose(&all) {
+        if let Some((best, _)) = choose_wall(&all) {
             all.push(self.stiffen(best)?);
         }
         Ok((all, looked_at))
@@ -116,13 +118,13 @@ impl SearchContext<'_> {
                 let softer = (0..24).map(|i| three_digits(top / SOFTEN_FACTOR.powi(i), true));
                 for stiffness in softer.take_while(|stiffness| *stiffness > floor) {
                     if let Some(kept) = self.check_all(&Settings { stiffness, ..tuned.settings })? {
-                        return Ok(Some(gains(kept)));
+                        return Ok(Some(to_gains(kept)));
                     }
                 }
                 Ok(None)
             })?;
             let each = some.iter().zip(results);
-            done.extend(each.filter_map(|(tuned, result)| Some(restore(&tuned.settings, result?))));
+            done.extend(each.filter_map(|(tuned, result)| Some(from_gains(&tuned.settings, result?))));
         }
         Ok(done)
     }
@@ -137,10 +139,10 @@ impl SearchContext<'_> {
             let walls: Vec<f64> = higher.into_iter().filter(|stiffness| *stiffness <= most).collect();
             let settings = tuned.settings;
             let kept = self.sweep.map(&format!("stiffer, round {round}"), &walls, |stiffness| {
-                Ok(self.check_all(&Settings { stiffness: *stiffness, ..settings })?.map(gains))
+                Ok(self.check_all(&Settings { stiffness: *stiffness, ..settings })?.map(to_gains))
             })?;
             match kept.into_iter().flatten().next() {
-                Some(stiffer) => tuned = restore(&settings, stiffer),
+                Some(stiffer) => tuned = from_gains(&settings, stiffer),
                 None => return Ok(tuned),
             }
         }
@@ -150,8 +152,8 @@ impl SearchContext<'_> {
     fn known_wall(&self) -> Result<Option<TunedWall>, Failure> {
         let Some(known) = self.question.known.filter(|known| known.stiffness > 0.0) else { return Ok(None) };
         self.sweep
-            .map("known wall", &[known], |known| Ok(self.check_all(known)?.map(gains)))
-            .map(|tuned| tuned.into_iter().flatten().next().map(|tuned| restore(&known, tuned)))
+            .map("known wall", &[known], |known| Ok(self.check_all(known)?.map(to_gains)))
+            .map(|tuned| tuned.into_iter().flatten().next().map(|tuned| from_gains(&known, tuned)))
     }
 
     /// Returns all combinations of rate, estimator and cutoff with this feed-forward.
@@ -201,7 +203,8 @@ impl SearchContext<'_> {
         for &(damping, most) in curve.points.iter().filter(|point| point.1 > 0.0) {
             let floor = best.map_or(floor, |best| best.settings.stiffness);
             let known = floor > 0.0;
-            let least = if known { STIFFNESS_RATIO * floor } else { FIRST_SHARE * self.steps.min(most) };
+            let least =
+                if known { STIFFNESS_RATIO * floor } else { FIRST_SHARE * self.rule_of_thumb_stiffness.min(most) };
             let ladder = (0..if known { 1 } else { 40 }).map(|i| STIFFNESS_STEP.powi(i) * least);
             for stiffness in ladder.take_while(|stiffness| *stiffness <= most) {
                 let wall = Settings { stiffness: three_digits(stiffness, true), damping, ..*settings };
@@ -244,7 +247,7 @@ impl SearchContext<'_> {
         let mut tuned: Vec<TunedWall> = Vec::new();
         for (round, some) in candidates.chunks(CANDIDATES_PER_ROUND).enumerate() {
             let floor = stiffest(&tuned).map_or(floor, |best| floor.max(NEAR_SHARE * best.settings.stiffness));
-            if some[0].1.top() <= floor {
+            if some[0].1.largest_stiffness() <= floor {
                 break;
             }
             let stage = format!("ripple, feed-forward {feed_forward}, round {}", round + 1);
@@ -262,10 +265,10 @@ impl SearchContext<'_> {
         stage: &str,
     ) -> Result<Vec<TunedWall>, Failure> {
         let results = self.sweep.map(stage, candidates, |(settings, curve)| {
-            Ok(self.best_of_candidate(settings, curve, floor)?.map(gains))
+            Ok(self.best_of_candidate(settings, curve, floor)?.map(to_gains))
         })?;
         let each = candidates.iter().zip(results);
-        Ok(each.filter_map(|((settings, _), result)| Some(restore(settings, result?))).collect())
+        Ok(each.filter_map(|((settings, _), result)| Some(from_gains(settings, result?))).collect())
     }
 
     /// Refines cutoff and damping, then chooses the highest washout corner that keeps the stiffness.
@@ -294,7 +297,7 @@ impl SearchContext<'_> {
     fn around_damping(&self, settings: Vec<Settings>, damping: f64) -> Result<Vec<(Settings, Curve)>, Failure> {
         let dampings = DAMPING_FACTORS.map(|factor| three_digits(damping * factor, false));
         let each = settings.into_iter().map(|settings| {
-            let most = self.allowed(&settings, &dampings)?;
+            let most = self.allowed_stiffnesses(&settings, &dampings)?;
             Ok(most.map(|most| (settings, Curve { points: dampings.into_iter().zip(most).collect() })))
         });
         each.filter_map(Result::transpose).collect()
@@ -320,7 +323,7 @@ fn neighbours(settings: &Settings) -> Vec<Settings> {
 }
 
 /// Returns the best walls of the estimators that are near the best of all, in descending order of stiffness.
-fn promising(tuned: &[TunedWall]) -> Vec<TunedWall> {
+fn promising_walls(tuned: &[TunedWall]) -> Vec<TunedWall> {
     let best = stiffest(tuned).map_or(0.0, |best| best.settings.stiffness);
     let mut nearby = super::best_of_each_estimator(tuned.to_vec());
     nearby.retain(|tuned| tuned.settings.stiffness >= NEAR_SHARE * best);

@@ -6,7 +6,7 @@
 //! A device on a turret is cut at joint 0 = 0, or at its home angle if its limits exclude 0, and is drawn in the plane
 //! of its linkage. The redundant arm keeps the orientation that it has at home.
 
-use super::map::{FixedCoordinate, MapPoint, Reachable, along, at_holding};
+use super::map::{FixedCoordinate, MapPoint, Reachable, along, map_point_at};
 use super::pose::{PoseError, TaskPose, unit_normal};
 use crate::skeleton::{Point, Turret};
 use haptic_bridge::model::admissible::Admissible;
@@ -115,7 +115,7 @@ impl Cut {
     }
 
     /// Projects a task vector onto the plane.
-    pub fn seen(&self, vector: &[f64]) -> Point {
+    pub fn project(&self, vector: &[f64]) -> Point {
         let on = |axis: &[f64; 3]| vector.iter().zip(axis).map(|(v, a)| v * a).sum();
         (on(&self.axes[0]), on(&self.axes[1]))
     }
@@ -138,17 +138,18 @@ impl Cut {
     fn evaluate(&self, q: &[f64], swept: [f64; 2]) -> Option<Node> {
         let pose = TaskPose::of(&self.device.mechanism, q).ok()?.holding(self.admissible);
         let (w_eff, w_rr) = along(&pose, &self.normal)?;
-        Some(Node { swept, place: self.seen(&pose.position), share: ((w_rr - w_eff) / w_rr).max(0.0) })
+        Some(Node { swept, place: self.project(&pose.position), share: ((w_rr - w_eff) / w_rr).max(0.0) })
     }
 
     /// Evaluates the reachable grid poses whose tip position is `wanted`.
     pub fn points(&self, wanted: impl Fn(Point) -> bool) -> Result<Vec<MapPoint>, PoseError> {
         let angles = self.reachable.indices().map(|index| self.reachable.angles(index));
-        let is_wanted =
-            |q: &Vec<f64>| TaskPose::of(&self.device.mechanism, q).is_ok_and(|pose| wanted(self.seen(&pose.position)));
+        let is_wanted = |q: &Vec<f64>| {
+            TaskPose::of(&self.device.mechanism, q).is_ok_and(|pose| wanted(self.project(&pose.position)))
+        };
         angles
             .filter(is_wanted)
-            .filter_map(|q| at_holding(&self.description, &q, &self.normal, self.admissible).transpose())
+            .filter_map(|q| map_point_at(&self.description, &q, &self.normal, self.admissible).transpose())
             .collect()
     }
 

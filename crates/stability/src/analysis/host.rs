@@ -171,7 +171,7 @@ mod tests {
     #[test]
     fn undamped_wall_equals_the_loop_sampled_at_the_host_rate() {
         // Without damping the estimated velocity has no effect, so only the sampling at 20 or 7 board periods remains.
-        let held = mass(0.2, 0.3).held(Hand { mass: 0.1, damping: 2.0, stiffness: 300.0 });
+        let held = mass(0.2, 0.3).with_hand(Hand { mass: 0.1, damping: 2.0, stiffness: 300.0 });
         for (device, drive) in [
             (mass(0.2, 0.3), Drive::Ideal),
             (mass(0.2, 0.3), Drive::Current { bandwidth_hz: 300.0 }),

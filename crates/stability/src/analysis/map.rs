@@ -84,7 +84,7 @@ pub struct Reachable {
 }
 
 /// Evaluates one pose of a device whose feed-forward holds `admissible`. Returns `None` if the pose is singular.
-pub fn at_holding(
+pub fn map_point_at(
     description: &Description,
     q: &[f64],
     normal: &DVector<f64>,
@@ -494,7 +494,7 @@ mod tests {
             let description = device(name);
             let task = description.kind.spec().task;
             let n = unit_normal(&vec![1.0; task], task, q.len()).unwrap();
-            let point = at_holding(&description, &q, &n, Admissible::default()).unwrap().unwrap();
+            let point = map_point_at(&description, &q, &n, Admissible::default()).unwrap().unwrap();
             let (ratio, _) = inertia_ratio_and_coupling(&description, &q, &point.worst_ratio.normal);
             let (_, coupling) = inertia_ratio_and_coupling(&description, &q, &point.worst_coupling.normal);
             assert!((ratio / point.worst_ratio.value - 1.0).abs() < 1e-9, "{name}");

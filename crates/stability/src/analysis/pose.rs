@@ -233,7 +233,7 @@ impl Linearised {
     }
 
     /// Adds a hand.
-    pub fn held(mut self, hand: Hand) -> Self {
+    pub fn with_hand(mut self, hand: Hand) -> Self {
         self.flexible.hand = hand;
         self
     }

@@ -66,8 +66,8 @@ impl Prediction {
     }
 
     /// Linearises the device for one wall at `q` (rad) along `normal` (d entries, any length but zero).
-    pub fn seen(&self, q: &[f64], normal: &[f64]) -> Result<Linearised, PoseError> {
-        let mut linearised = self.subject.along(q, normal, self.admissible)?.held(self.hand);
+    pub fn linearise(&self, q: &[f64], normal: &[f64]) -> Result<Linearised, PoseError> {
+        let mut linearised = self.subject.along(q, normal, self.admissible)?.with_hand(self.hand);
         linearised.gain = self.gain.min(linearised.largest_gain().unwrap_or(1.0));
         linearised.flexible.posture = self.posture_with_jacobian(q)?;
         Ok(linearised)
@@ -76,9 +76,9 @@ impl Prediction {
     /// Linearises the device for these walls at `q` (rad).
     pub fn walls(&self, q: &[f64], members: &[Member]) -> Result<Walls, PoseError> {
         if let [only] = members {
-            return Ok(Walls::One(self.seen(q, &only.normal)?));
+            return Ok(Walls::One(self.linearise(q, &only.normal)?));
         }
-        let set = WallSet::of(&self.subject, q, members, self.admissible)?.held(self.hand);
+        let set = WallSet::of(&self.subject, q, members, self.admissible)?.with_hand(self.hand);
         Ok(Walls::Several(set.in_posture(self.posture_with_jacobian(q)?)))
     }
 
@@ -115,7 +115,7 @@ impl Prediction {
     /// Returns the largest stable stiffness of a wall with damping `kd` (N s/m), N/m, zero if none is stable, and the
     /// largest damping at which any stiffness is stable.
     pub fn stiffness_at(&self, q: &[f64], normal: &[f64], mode: Mode, kd: f64) -> Result<(f64, f64), Failure> {
-        Ok(stiffness_at(&self.seen(q, normal)?, &self.around, mode, kd)?)
+        Ok(stiffness_at(&self.linearise(q, normal)?, &self.around, mode, kd)?)
     }
 
     /// Returns the least damped oscillation of these walls at `q` (rad) with the totals `kp` (N/m) and `kd` (N s/m), or
@@ -206,7 +206,7 @@ fn estimator_options(estimator: LinearEstimator) -> String {
 
 /// Rounds a value to the six printed digits, so that a prediction equals one that repeats the printed options.
 #[must_use]
-pub fn printed(value: f64) -> f64 {
+pub fn round_as_printed(value: f64) -> f64 {
     digits(value).parse().unwrap_or(value)
 }
 

@@ -130,7 +130,7 @@ impl WallSet {
     }
 
     /// Adds a hand.
-    pub fn held(mut self, hand: Hand) -> Self {
+    pub fn with_hand(mut self, hand: Hand) -> Self {
         self.flexible.hand = hand;
         self
     }

@@ -126,7 +126,7 @@ fn cases(device: &Linearised, around: &Loop) -> Vec<(&'static str, &'static str,
         add("posture", "no posture", free, around.clone());
     }
     if device.flexible.hand.is_there() {
-        add("hand", "no hand", device.clone().held(Hand::default()), around.clone());
+        add("hand", "no hand", device.clone().with_hand(Hand::default()), around.clone());
     }
     if device.viscous.iter().any(|viscous| *viscous > 0.0) {
         add("joint damping", "no joint damping", device.clone().undamped(), around.clone());

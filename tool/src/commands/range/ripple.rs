@@ -82,7 +82,7 @@ pub fn simulate_ripple(
         true => Ok(value),
         false => Err(Failure::wrong(format!("{what} {value} is not more than zero")).remedy("write a positive number")),
     };
-    let device = prediction.seen(q, normal)?;
+    let device = prediction.linearise(q, normal)?;
     let mut description = file.description;
     if args.undamped {
         description.joints.iter_mut().for_each(|joint| joint.viscous = 0.0);
