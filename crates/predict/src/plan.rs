@@ -266,7 +266,7 @@ fn explain(
     if let (Some((share, lag)), Some(whole)) = (fading, find("exact", Terms::FeedForwardZ)) {
         reasons.push(format!(
             "estimated velocities lag by {:.2} ms, so the velocity terms fade where the joints turn fast near a singular pose, in {} of the \
-             situations: up to {} of the forces of motion stay there, whatever computes them; a higher rate and cutoff leave less",
+             situations: up to {} of the forces of motion then remain with every mass matrix; a higher rate and cutoff reduce them",
             1.0e3 * lag,
             percent(share),
             newtons(whole.errors.force.max)

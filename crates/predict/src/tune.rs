@@ -236,7 +236,7 @@ pub fn tune(question: &Question<'_>, sweep: &Sweep) -> Result<TuneResult, Failur
         .remedy("choose another pose or normal (`haptic design`), or allow more ripple")
         .choose(Choice::Ripple));
     };
-    let (active, limits, beside) = sweep.during("what limits it", || limits(&context, &best))?;
+    let (active, limits, beside) = sweep.during("limits of the wall", || limits(&context, &best))?;
     let feed_forwards = sweep.during("other feed-forwards", || alternatives::alternatives(&context, &best, &all))?;
     Ok(TuneResult {
         best,

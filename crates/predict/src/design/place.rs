@@ -315,7 +315,7 @@ pub fn places(
     })?;
     // The end pose of another job may be a better start than this job's own.
     let ends: Vec<Vec<f64>> = first.into_iter().flatten().collect();
-    let refined = sweep.map("between them", &indices, |job| {
+    let refined = sweep.map("places between grid poses", &indices, |job| {
         let rating = jobs[*job];
         let better = ends.iter().filter_map(|q| Some((rating(q)?.0, q)));
         let start = better.reduce(|best, other| if other.0 > best.0 { other } else { best });

@@ -277,7 +277,8 @@ impl SearchContext<'_> {
         for round in 0..REFINEMENT_ROUNDS {
             let Settings { stiffness, damping, .. } = best.settings;
             let candidates = self.around_damping(neighbours(&best.settings), damping)?;
-            let there = self.best_of_each(&candidates, stiffness, &format!("between, {stage}, {}", round + 1))?;
+            let there =
+                self.best_of_each(&candidates, stiffness, &format!("between grid values, {stage}, {}", round + 1))?;
             best = stiffest([&best].into_iter().chain(&there)).unwrap_or(best);
             if best.settings.stiffness <= STIFFNESS_RATIO * stiffness {
                 break;

@@ -1,9 +1,9 @@
 //! Passivity: bounds within which no passive hand can make a wall oscillate.
 //!
 //! - J. E. Colgate and G. G. Schenkel, "Passivity of a class of sampled-data systems: application to haptic
-//! interfaces", Journal of Robotic Systems 14 (1997) 37-47. The wall H(z) is passive on a device with physical damping
-//! b if b > T/2 Re((1 - e^-jθ) H)/(1 - cos θ) at every θ. With backward-difference damping this is **b > kp T/2 +
-//! |kd|**.
+//!   interfaces", Journal of Robotic Systems 14 (1997) 37-47. The wall H(z) is passive on a device with physical damping
+//!   b if b > T/2 Re((1 - e^-jθ) H)/(1 - cos θ) at every θ. With backward-difference damping this is **b > kp T/2 +
+//!   |kd|**.
 //! - J. J. Abbott and A. M. Okamura, "Effects of position quantization and sampling rate on virtual-wall passivity",
 //!   IEEE Transactions on Robotics 21 (2005) 952-964: **kp ≤ min(2b/T, 2 fc/Δ)** for a pure spring, with Coulomb
 //!   friction fc and position quantum Δ.
