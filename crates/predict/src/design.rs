@@ -1,5 +1,4 @@
-//! Finds the best walls of a device: directions at a pose, places in the workspace, the effect of each link, rotor and
-//! gear, and postures of a redundant arm.
+//! Finds the best walls of a device: direction, place, posture, and changes of links, rotors and gears.
 //!
 //! Places, directions and postures are rated by inertia: Weff without the feed-forward and Wrr with it. Without joint
 //! damping the stable boundary of a rigid device is that of a single mass, so the largest stiffness is proportional to
@@ -52,8 +51,7 @@ fn task_position(pose: &TaskPose, q: &[f64]) -> DVector<f64> {
     DVector::from_fn(q.len(), |i, _| pose.position.get(i).copied().unwrap_or_else(|| q.iter().sum()))
 }
 
-/// Returns joint angles near `from` (rad) at which the device has this task position (tip in m, then φ), by Newton's
-/// method, or `None` if the position is out of reach.
+/// Returns joint angles near `from` (rad) at a task position (m, then φ) by Newton's method; `None` out of reach.
 #[must_use]
 pub fn angles_at(device: &Device<f64>, from: &[f64], place: &DVector<f64>) -> Option<Vec<f64>> {
     with_mechanism!(&device.mechanism, m => newton(m, from, place))

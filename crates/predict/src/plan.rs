@@ -28,8 +28,7 @@ const FIRMWARE_TRIGONOMETRY: &str = "table";
 /// Largest error that a plan may have.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Budget {
-    /// Percentage of the motors' torque at the worst joint of the same pose. It equals the percentage of the motors'
-    /// largest tip force in the direction of the error.
+    /// Percentage of the motors' torque at the worst joint, which is also that of the motors' largest tip force.
     Percent(f64),
     /// One duty step, because the duty has no finer resolution.
     OneDutyStep,

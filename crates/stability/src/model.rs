@@ -187,8 +187,7 @@ fn moving_joints(direction: &[f64]) -> String {
 /// Smallest sine of the singular angle at which a pose counts as regular. Below it the library clamps its reciprocals.
 pub const SINGULAR: f64 = 1.0e-6;
 
-/// Evaluates equation (4) for `walls` at joint angles `q` (rad) and velocities `qd` (rad/s), N entries each. Returns an
-/// error that names the singularity if the pose is singular.
+/// Evaluates equation (4) at joint angles `q` (rad) and velocities `qd` (rad/s). An error names the singularity.
 pub fn evaluate(
     device: &DeviceFile,
     q: &[f64],

@@ -151,8 +151,7 @@ pub struct Errors {
     pub torque: ErrorStatistics,
     /// Force at the tip, N.
     pub force: ErrorStatistics,
-    /// Error as a share of the motor's torque at the worst joint. It equals the error's share of the motors' largest
-    /// tip force in the direction of the error.
+    /// Share of the motor's torque at the worst joint, which is also the share of the largest tip force.
     pub share: ErrorStatistics,
     /// Duty steps on a 24 V bus: torque / torque constant · resistance.
     pub duty: ErrorStatistics,

@@ -1,5 +1,4 @@
-//! Compares velocity estimators on a device by simulation with encoder steps: stable area, force ripple of a pressed
-//! wall, and delay and noise of the velocity.
+//! Compares velocity estimators on a device by simulation: stable area, force ripple, delay and noise.
 //!
 //! [`super::wall`] simulates every wall with the board's own step and the device's complete equations.
 
@@ -78,8 +77,7 @@ pub struct Row {
     /// ∫ largest quiet stiffness over damping, N²s/m², with encoder steps and friction. A lower bound: the search ends
     /// at 1e7 N/m and at five times the damping that is predicted stable with the Butterworth.
     pub area: f64,
-    /// Root mean square of the force about its fitted line while a hand presses ever harder, N, without and with the
-    /// full feed-forward; `None` if the tip flies off.
+    /// Root mean square of the force about its fitted line under a growing push, N, without and with feed-forward.
     pub press_n: [Option<f64>; 2],
     /// Root mean square of the force about its mean under a steady push, N, without feed-forward.
     pub ripple_n: Option<f64>,

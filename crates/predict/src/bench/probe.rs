@@ -50,8 +50,7 @@ fn unit_normals(task: usize) -> Vec<[f64; MAX_JOINTS]> {
     }
 }
 
-/// Returns situations throughout the reachable workspace, with `per_joint` angles per joint, normals in all directions,
-/// and hand motions at `speed` (m/s) along and across the normals.
+/// Returns situations throughout the workspace, with `per_joint` angles per joint and hands at `speed` (m/s).
 pub fn workspace(device: &Device<f64>, per_joint: usize, speed: f64) -> Result<Vec<Probe>, PoseError> {
     let reachable = Reachable::of(device, per_joint, None)?;
     let mut probes = Vec::new();

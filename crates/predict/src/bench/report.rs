@@ -65,8 +65,7 @@ pub struct Variant {
     pub given: Errors,
     /// Sources of the errors.
     pub parts: ErrorSources,
-    /// True if no other variant of the mechanism has both fewer instructions and a smaller tip force error, including
-    /// the force from the tip's position error.
+    /// True if no other variant of the mechanism has both fewer instructions and a smaller tip force error.
     pub pareto: bool,
 }
 

@@ -1,5 +1,4 @@
-//! Simulates one wall that the board's own control step renders in the board's precision while a hand presses, slides
-//! along or taps it, or after a strike (`contact`).
+//! Simulates one wall, rendered by the board's own control step, with a hand, a tap or a strike.
 //!
 //! Torques act half a carrier period late. They are not limited, because motors and limits are the same for all
 //! estimators. [`super::estimators`] compares estimators by this simulation, and [`mod@crate::tune`] searches with it.
@@ -165,8 +164,7 @@ impl WallSimulation {
         joints.iter().zip(self.motion).map(|(joint, motion)| joint.dry_friction(0.0) * motion.abs()).sum()
     }
 
-    /// Simulates a slide along a wall. Stops as soon as the ripple of the complete slide must exceed `bound_n` (N); the
-    /// returned ripple then exceeds `bound_n`.
+    /// Simulates a slide along a wall, and stops early once the ripple must exceed `bound_n` (N).
     pub fn slide(&self, wall: &RenderedWall, bound_n: f64) -> Result<SlideResult, Failure> {
         let rate_hz = self.around.rate_hz;
         let (settle, all) = ((SETTLE_S * rate_hz) as usize, ((SETTLE_S + SLIDE_S) * rate_hz).round() as usize);

@@ -38,8 +38,7 @@ pub struct WallPlace {
 /// The most notable directions at a pose.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Directions {
-    /// The direction of the largest inertia, with the stiffest wall. It is an axis of the tip's inertia, so there is no
-    /// coupling except with the held coordinate of a redundant arm.
+    /// The direction of the largest inertia, an axis of the tip's inertia, with the stiffest wall.
     pub stiffest: WallPlace,
     /// The direction of the smallest inertia, with the softest wall. It is also an axis of the tip's inertia.
     pub softest: WallPlace,
@@ -229,8 +228,7 @@ fn patch_edge(normal: &DVector<f64>, task: usize, patch: f64) -> Vec<DVector<f64
         .collect()
 }
 
-/// Searches the workspace for the best places for walls, at poses whose singular sine is at least `clear`. The search
-/// rates about `points` grid poses and then continues between them.
+/// Searches the workspace from `points` grid poses on, where the singular sine is at least `clear`.
 pub fn places(
     description: &Description,
     normal: Option<&[f64]>,

@@ -56,8 +56,7 @@ fn posture(device: &Device<f64>, q: &[f64], normal: &DVector<f64>, admissible: A
     Some(Posture { q: q.to_vec(), orientation: q.iter().sum(), w_eff, w_rr, clearance: clearance(&pose) })
 }
 
-/// Returns the most notable postures of a redundant device at the tip position of `q` (rad), for a wall along `normal`,
-/// or `None` if the device is not redundant.
+/// Returns the most notable postures at the tip position of `q` (rad); `None` without redundancy.
 pub fn postures(
     description: &Description,
     q: &[f64],

@@ -211,8 +211,7 @@ fn ratios_of(after: Effect, before: Effect) -> Effect {
     }
 }
 
-/// Returns the effects of all numbers on a wall along `normal` with the tip at `q` (rad), in this control loop, in
-/// descending order of effect on the stiffest wall.
+/// Returns the effects on a wall along `normal` at `q` (rad), in descending order of effect on its stiffness.
 pub fn sensitivities(
     description: &Description,
     q: &[f64],

@@ -16,7 +16,7 @@ pub struct Before {
     rules: Rules,
 }
 
-/// The part of [`Before`] that is kept in a file, because a killed tool cannot restore it.
+/// The part of [`Before`] that is kept in a file, for the case that the tool is killed.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RestorePoint {
     /// Serial number of the board.
@@ -66,8 +66,7 @@ impl Before {
         Ok((Self { scene, rules, ..self.clone() }, rules == then))
     }
 
-    /// Returns these settings with the rules from before an interrupted measurement, or `None` if the board no longer
-    /// has the rules that the measurement set.
+    /// Returns these settings with the earlier rules; `None` if the measurement's rules are no longer set.
     pub fn with_earlier_rules(&self, kept: &RestorePoint) -> Result<Option<Self>, BackupError> {
         let then = kept.rules.read::<Rules>()?;
         let measuring = kept.measuring.as_ref().map(backup::SavedSetting::read::<Rules>).transpose()?;

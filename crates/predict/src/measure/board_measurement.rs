@@ -1,5 +1,4 @@
-//! A complete measurement of a board, used by `haptic measure-range` and the Python package. A file keeps its progress,
-//! and the board's settings are restored afterwards.
+//! A complete measurement of a board, with progress in a file and the board's settings restored afterwards.
 
 use super::before::Before;
 use super::campaign::{self, BOTH_SIDES, Plan};

@@ -1,5 +1,4 @@
-//! Length of the pull before a trial. It must exceed the motion that encoder steps cause, need less than the force of
-//! the motors, and make friction small in comparison.
+//! Length of the pull before a trial, between encoder steps, friction and the force of the motors.
 
 use super::MeasureError;
 use super::swing::ENCODER_STEPS;

@@ -31,8 +31,7 @@ const FRICTION_OFFSET: f64 = 5e-4;
 
 /// Angular frequency of a soft hold per control rate, rad/s per Hz.
 const SOFT_HOLD: f64 = 0.05;
-/// Largest angular frequency of a hold per control rate, used with friction, rad/s per Hz. It is half of the 0.4 at
-/// which the stiffest wall of the paper oscillates.
+/// Largest angular frequency of a hold per control rate, rad/s per Hz: half that of the paper's stiffest wall.
 const FIRM_HOLD: f64 = 0.2;
 
 /// Largest deviation of a joint from its first angle that friction causes, in addition to the tip's motion, rad.
@@ -336,8 +335,7 @@ impl<'a> PreparedBoard<'a> {
         Err(self.friction_error(pull))
     }
 
-    /// Brings the device back to its pose with the hold. If only the tip returns, the user of a simulated device moves
-    /// the joints back; a real device causes an error.
+    /// Brings the device back to its pose with the hold, or by the user of a simulated device.
     fn bring_back(&mut self) -> Result<(), MeasureError> {
         if self.rest_at(0.0).and_then(|_| self.check_pose(ASIDE_DISTANCE)).is_ok() {
             return Ok(());
@@ -583,8 +581,7 @@ impl<'a> PreparedBoard<'a> {
     }
 }
 
-/// Returns the rules for a measurement on a board that has the rules `before`. The motors go off soon after the tool is
-/// lost, and torques are at most `torque_limit` (N m).
+/// Returns the rules of a measurement: motors go off without the tool, torques are at most `torque_limit` (N m).
 #[must_use]
 pub fn rules_for(before: &Rules, torque_limit: f64) -> Rules {
     let mut rules = *before;

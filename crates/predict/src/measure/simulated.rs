@@ -1,5 +1,4 @@
-//! A simulated board for measurements, with the device of a file in any pose. Options remove friction, refine the
-//! encoders, or make torques act at once.
+//! A simulated board for measurements, optionally without friction, with finer encoders or ideal drives.
 
 use haptic_host::device_file::DeviceFile;
 use haptic_sim::{

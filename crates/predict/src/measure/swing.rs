@@ -56,8 +56,7 @@ const FARTHEST_PULLS: f64 = 12.0;
 const FARTHEST_OFFSET_M: f64 = 0.005;
 /// Share of the largest swing below which a motion has decayed.
 const DIED_OUT_SHARE: f64 = 0.02;
-/// Shortest and longest time without a turning point after which a motion has ended, in periods of the cutoff. The
-/// longest applies if a slow mode is expected.
+/// Shortest and longest time without a turning point before a motion has ended, in periods of the cutoff.
 const SILENT_PERIODS: (f64, f64) = (10.0, 200.0);
 
 /// Judgement of a motion.
@@ -304,8 +303,7 @@ impl Trace {
         stretches
     }
 
-    /// Returns the verdict if the trend is clear. Growth requires that the motion is `larger` than before, because the
-    /// beat of two close modes also grows for a while.
+    /// Returns the verdict if the trend is clear. The beat of two modes grows too, but is not `larger` than before.
     fn verdict_of_trend(&self, swings: &[f64], larger: bool) -> Option<Verdict> {
         let (slope, error) = trend(swings);
         let sure = is_sure((slope, error));
@@ -434,8 +432,7 @@ mod tests {
 
     #[test]
     fn a_slow_and_a_fast_decaying_mode_are_no_vibration() {
-        // The WoodenHaptics with 400 Hz cables at 20 kHz is a tenth below its limit. The wall's mode at 57 Hz and the
-        // cables' mode at 472 Hz decay at different rates.
+        // WoodenHaptics with 400 Hz cables at 20 kHz, a tenth below its limit: modes at 57 Hz and 472 Hz.
         let at = |quantum: f64, share: f64, phase: f64, slow: f64, fast: f64| {
             let motion = move |t: f64| {
                 let ripple = share * (fast * t).exp() * (TAU * (472.0 * t + phase)).cos();

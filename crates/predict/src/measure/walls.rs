@@ -30,8 +30,7 @@ impl Layout {
     }
 }
 
-/// Returns the maximum number of walls that can be tested together on a device of `task` dimensions: the maximum of a
-/// scene minus the walls that hold the tip.
+/// Returns the maximum number of walls that can be tested together: those of a scene minus the holding walls.
 #[must_use]
 pub fn most_tested(task: usize) -> usize {
     MAX_WALLS - 2 - task

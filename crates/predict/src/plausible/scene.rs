@@ -1,5 +1,4 @@
-//! Warnings about a scene on a device: walls out of reach, outside their stable range or too strong for the motors;
-//! springs and fields that are unstable at home.
+//! Warnings about a scene on a device: walls, springs and fields that it cannot reach or render stably.
 
 use super::{FileWarning, Key};
 use crate::bench::probe::on_surface;
@@ -33,8 +32,7 @@ use std::convert::Infallible;
 
 /// Hand speed at which a wall's damping alone should not need all of the motors' torque, m/s.
 const SLOW_HAND_SPEED: f64 = 0.1;
-/// Largest change of a wall's force by one encoder count without a warning of buzz, N. The ripple is about half of that
-/// change, root mean square (docs/encoder-steps.md).
+/// Largest force change by one count without a warning, N. Its ripple is half of it (docs/encoder-steps.md).
 const BUZZ_N: f64 = 1.0;
 /// Largest stiffness that a hand cannot feel, N/m.
 const IMPERCEPTIBLE_STIFFNESS: f64 = 1.0;
@@ -79,8 +77,7 @@ pub struct Contact {
     pub count: f64,
     /// Largest force change by one encoder count with the wall's gains and the scene's estimator, N.
     pub step_n: f64,
-    /// Simulated root mean square of the force above 20 Hz while a hand slides along the wall, N; `None` if the tip
-    /// flies off or [`simulate_ripple`] was not called.
+    /// Simulated rms force above 20 Hz under a sliding hand, N; `None` without [`simulate_ripple`].
     #[serde(skip_serializing_if = "Option::is_none")]
     pub ripple_n: Option<f64>,
     /// Options with which `haptic range DEVICE` predicts these limits.
@@ -307,8 +304,7 @@ pub struct LargestGains {
 /// Speed of a hand that barely moves, m/s.
 const CREEP_SPEED: f64 = 0.01;
 
-/// Returns the largest useful gains of a wall that the tip touches at joint angles `q` (rad). Returns `None` at a
-/// singularity, or if a joint has no motor.
+/// Returns the largest useful gains of a wall at `q` (rad); `None` at a singularity or without a motor.
 pub fn largest_gains(device: &Device<f64>, surface: &Surface<f64>, q: &[f64], limits: &Limits) -> Option<LargestGains> {
     let pose = TaskPose::of(&device.mechanism, q).ok()?.regular().ok()?;
     let tip = SVector::from(padded::<3>(&pose.position));
@@ -418,13 +414,13 @@ pub fn gain_warnings(wall: &Wall<f64>, contact: &Contact, in_file: bool) -> Vec<
 /// Describes the behaviour of a wall that is unstable with or without a hand.
 fn instability_text(wall: &Wall<f64>, contact: &Contact) -> String {
     let Some(held) = contact.in_hand else { return "it will vibrate unless friction damps it".into() };
-    let (limit, end) = match wall.damping > held.damping_to {
+    let (limit, gain) = match wall.damping > held.damping_to {
         true => (with_unit(held.damping_to, "N s/m"), "damping"),
         false => (with_unit(held.stable_to, "N/m"), "stiffness"),
     };
     match contact.buzz {
         Some(buzz) => format!(
-            "in {held}, where {end} ends at {limit}, it will vibrate at about {:.0} Hz unless friction damps it",
+            "in {held}, which allows a {gain} of up to {limit}, it will vibrate at about {:.0} Hz unless friction damps it",
             buzz.hz
         ),
         None => format!("it will vibrate unless friction or a hand damps it: {held} damps it up to {limit}"),

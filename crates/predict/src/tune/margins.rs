@@ -6,7 +6,7 @@
 //! error is applied in the direction that reduces the effective inertia. All margins act together at both ends: light
 //! and strong, heavy and weak.
 //!
-//! A hand calms a wall whose controller does not use the device's inertia. For a controller with feed-forward the
+//! A hand stabilises a wall whose controller does not use the device's inertia. For a controller with feed-forward the
 //! hand's mass is a model error, so the device of the file must also be stable in hands ([`HANDS`]).
 
 use haptic_bridge::model::admissible::Admissible;

@@ -38,8 +38,7 @@ pub struct Measured {
     pub stiffness: f64,
     /// Reason why the boundary may be higher; `None` if it was found.
     pub open: Option<String>,
-    /// Root mean square of the force above 20 Hz while a hand presses with about 3 N and slides, at the settings'
-    /// stiffness, N; `None` if the wall does not hold the hand.
+    /// Root mean square of the force above 20 Hz under a sliding hand, N; `None` if the hand is not held.
     pub ripple_n: Option<f64>,
 }
 

@@ -1,5 +1,4 @@
-//! Gains at which modes leave the unit circle: the exact crossings of one gain while the other is constant, and the
-//! stable intervals between crossings.
+//! Gains at which modes leave the unit circle, and the stable intervals between these gains.
 //!
 //! On the unit circle, z = e^{iθ}, the loop 1 + kp Gx(z) + kd Gv(z) = 0 determines the gain as a function of θ. The
 //! gain must be real, so the crossings are the zeros of a real function of θ. The responses Gx and Gv do not depend on
@@ -108,8 +107,7 @@ impl<'a> CircleResponses<'a> {
         circle
     }
 
-    /// Adds samples where the responses turn quickly: a cluster at every resonance, then midpoints between neighbouring
-    /// samples whose responses differ too much.
+    /// Adds samples at resonances, and between neighbouring samples whose responses differ too much.
     fn refine_resonances(&mut self) {
         let top = self.samples.last().map_or(0.0, |last| last.angle);
         for &(radius, centre) in self.open.resonances() {

@@ -79,8 +79,7 @@ pub struct Cut {
 }
 
 impl Cut {
-    /// Prepares the plane of a device with at least two joints for the wall normal `normal` (d entries). A redundant
-    /// device's feed-forward holds `admissible`.
+    /// Prepares the plane of a device with at least two joints for the wall normal `normal` (d entries).
     pub fn new(description: &Description, normal: &[f64], admissible: Admissible) -> Result<Self, PoseError> {
         let spec = description.kind.spec();
         let device = Device::new("", description)?;
@@ -237,7 +236,7 @@ impl Cut {
     }
 }
 
-/// A corner of a cell: its swept angles, and its pose if the device can reach that.
+/// A corner of a cell: its swept angles, and its pose if reachable.
 #[derive(Clone, Copy, Debug)]
 struct Corner {
     swept: [f64; 2],

@@ -247,8 +247,7 @@ pub fn stiffness_at(device: &Linearised, around: &Loop, mode: Mode, kd: f64) -> 
     Ok((kp * damping_unit / open.sample_s, kd_max * damping_unit))
 }
 
-/// Returns the largest stable stiffness (N/m) at each damping of `kd` (N s/m), zero if none is stable. The device's
-/// controller uses the model `believed`.
+/// Returns the largest stable stiffness at each damping of `kd`, N/m, with the controller's model `believed`.
 pub fn stiffnesses(
     device: &Linearised,
     believed: &Linearised,

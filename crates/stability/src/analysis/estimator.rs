@@ -173,8 +173,7 @@ impl LinearEstimator {
         }
     }
 
-    /// Returns the velocity per sample for a position of amplitude 1, as a function of the angle per sample (rad). The
-    /// commanded torque of a predicting estimator is zero.
+    /// Returns velocity over position as a function of the angle per sample (rad), without commands.
     pub(super) fn response(self, rate_hz: f64) -> impl Fn(f64) -> Complex<f64> {
         let (samples, filter) = match self {
             Self::Over { samples, then } => (samples, then.after_backward_difference()),

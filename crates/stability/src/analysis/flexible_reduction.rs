@@ -16,8 +16,7 @@ use super::plant::{ContinuousPlant, Lags, Linearised};
 use haptic_bridge::model::description::{EncoderAt, StructuralMode, Transmission};
 use nalgebra::{DMatrix, DVector};
 
-/// Frequency of a transmission's own oscillation (rad per sample) above which the transmission counts as rigid. The
-/// error is 1 over the square of this value, 1e-10.
+/// Frequency, rad per sample, above which a transmission counts as rigid. The relative error is 1e-10.
 const RIGID_ABOVE_RAD_PER_SAMPLE: f64 = 1e5;
 
 /// Length of a new basis vector, relative to the system matrix, below which the vector is only rounding.
@@ -158,8 +157,7 @@ impl Bodies {
     }
 }
 
-/// Returns the continuous plant of a compliant device for the torque `inputs` (N x p, units of m/T² times metres), or
-/// `None` if a mass matrix is not positive definite.
+/// Returns the plant of a compliant device for the torque `inputs` (N x p, units of m/T² times metres).
 pub(crate) fn reduce(
     device: &Linearised,
     lags: &Lags,

@@ -19,8 +19,7 @@ pub struct Oscillation {
     pub growth_per_s: f64,
 }
 
-/// Largest |growth per sample| that counts as the stability boundary. Where a mode without oscillation causes the
-/// boundary (creep), every oscillation decays faster.
+/// Largest growth per sample on the stability boundary. Where a creep is the boundary, oscillations decay faster.
 const ON_THE_CIRCLE: f64 = 1e-6;
 
 impl Oscillation {

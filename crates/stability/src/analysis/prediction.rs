@@ -112,8 +112,7 @@ impl Prediction {
         Ok(self.walls(q, members)?.range(&self.around, kd, washout_hz)?)
     }
 
-    /// Returns the largest stable stiffness of a wall with damping `kd` (N s/m), N/m, zero if none is stable, and the
-    /// largest damping at which any stiffness is stable.
+    /// Returns the largest stable stiffness with damping `kd`, N/m, zero if none, and the largest stable damping.
     pub fn stiffness_at(&self, q: &[f64], normal: &[f64], mode: Mode, kd: f64) -> Result<(f64, f64), Failure> {
         Ok(stiffness_at(&self.linearise(q, normal)?, &self.around, mode, kd)?)
     }

@@ -45,8 +45,7 @@ pub struct Range {
     /// Effective inertia with this gain α, kg.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub inertia_met: Option<f64>,
-    /// Stiffness of the transmissions at the tip along the wall, N/m; `None` if all are rigid. A hand feels it in
-    /// series with a wall without the feed-forward.
+    /// Stiffness of the transmissions at the tip, in series with a wall, N/m; `None` if all are rigid.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub transmissions: Option<f64>,
     /// Domain without the feed-forward.

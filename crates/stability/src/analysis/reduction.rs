@@ -1,5 +1,4 @@
-//! Reduces a rigid device with its drives to the motions that affect the wall (see [`super::plant`]).
-//! [`super::flexible_reduction`] reduces compliant devices.
+//! Reduces a rigid device to the motions that affect the wall, as [`super::flexible_reduction`] a compliant one.
 
 use super::flexible_reduction;
 use super::plant::{ContinuousPlant, Drive, Lags, Linearised};

@@ -111,8 +111,7 @@ fn one_pole(hz: f64, rate_hz: f64, signal: &Signal, state: &Signal) -> (Signal, 
 }
 
 impl OpenLoop {
-    /// Builds the loop of a device without posture control. The controller uses the model `believed` for feed-forward,
-    /// damping compensation and predictions.
+    /// Builds the loop of a device without posture control, for a controller with the model `believed`.
     pub fn with_believed_model(
         device: &Linearised,
         believed: &Linearised,
@@ -183,8 +182,7 @@ impl OpenLoop {
         }
     }
 
-    /// Returns radius and angle (rad) of each oscillating mode of a compliant device without the wall. The loop's
-    /// responses turn quickly near these angles.
+    /// Returns radius and angle (rad) of the oscillating modes of a compliant device without the wall.
     pub fn resonances(&self) -> &[(f64, f64)] {
         &self.resonances
     }

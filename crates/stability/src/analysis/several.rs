@@ -176,7 +176,7 @@ impl WallSet {
         self.directions.tr_mul(direction).component_mul(&self.stiffness)
     }
 
-    /// Returns acceleration along per displacement along the rendered directions at 1 N/m in total, 1/kg.
+    /// Returns acceleration over displacement in the rendered directions at 1 N/m, R x R, 1/kg.
     fn acceleration(&self, feed_forward: bool) -> Option<DMatrix<f64>> {
         let levers = if feed_forward { self.shaped.clone() } else { self.rows.transpose() };
         let mobility = &self.rows * self.mass.clone().cholesky()?.solve(&levers);

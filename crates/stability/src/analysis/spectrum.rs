@@ -1,6 +1,6 @@
 //! Small dense linear algebra for delta-form systems: exp(X) - I, growth of modes, and solution of (γ I - F) s = b.
 //!
-//! All functions use F = A - I, because at 50 kHz modes are 1e-5 from z = 1 and this difference decides.
+//! All functions use F = A - I, because at 50 kHz modes are 1e-5 from z = 1, which decides stability.
 
 use super::eigenvalues::eigenvalues;
 use nalgebra::{Complex, DMatrix, DVector};

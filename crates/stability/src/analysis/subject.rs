@@ -11,8 +11,7 @@ use haptic_host::device_file::DeviceFile;
 pub struct Subject {
     /// The device as it is loaded on a board.
     pub device: Device<f64>,
-    /// Joints of the device file, with the transmissions and structural modes that a board's device lacks. `None`
-    /// without a file; the device then counts as rigid.
+    /// Joints of the device file, with their compliant parts; `None` without a file, for a rigid device.
     pub joints: Option<[Joint; MAX_JOINTS]>,
 }
 

@@ -1,7 +1,6 @@
 //! Explains a stability boundary by removing one effect at a time from the loop.
 //!
-//! The share of an effect is 1 - (limit with all effects)/(limit without it), negative if the effect helps, as a hand
-//! does. Shares do not add up to 1, because effects interact.
+//! An effect's share is 1 - (limit with all effects)/(limit without it). Shares interact and do not add up to 1.
 
 use super::flexible::Hand;
 use super::plant::{Drive, Linearised};
