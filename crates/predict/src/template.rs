@@ -338,47 +338,15 @@ mod tests {
     #[test]
     fn the_template_contains_every_key_of_device_files() {
         let text = device_file(Kind::Parallelogram, "mine");
-        for key in [
-            "name",
-            "mechanism",
-            "gravity",
-            "upper",
-            "fore",
-            "crank",
-            "mass",
-            "com",
-            "inertia",
-            "inertia_axial",
-            "inertia_transverse",
-            "viscous",
-            "coulomb",
-            "limits",
-            "counts_per_turn",
-            "offset",
-            "inverted",
-            "torque_constant",
-            "resistance",
-            "inductance",
-            "back_emf",
-            "max_current",
-            "verified",
-            "q",
-        ] {
+        let keys = "name mechanism gravity upper fore crank mass com inertia inertia_axial inertia_transverse \
+                    viscous coulomb limits counts_per_turn offset inverted torque_constant resistance inductance \
+                    back_emf max_current verified q";
+        for key in keys.split(' ') {
             assert!(text.lines().any(|line| line.starts_with(&format!("{key} = "))), "{key}");
         }
-        for key in [
-            "stiffness",
-            "damping",
-            "motor_inertia",
-            "encoder_at",
-            "static",
-            "stribeck_speed",
-            "amplitude",
-            "per_turn",
-            "frequency",
-            "inertia",
-            "supply",
-        ] {
+        let keys = "stiffness damping motor_inertia encoder_at static stribeck_speed amplitude per_turn frequency \
+                    inertia supply";
+        for key in keys.split(' ') {
             assert!(text.lines().any(|line| line.starts_with(&format!("# {key} = "))), "{key}");
         }
     }
@@ -389,19 +357,8 @@ mod tests {
             let file = DeviceFile::parse(&device_file(*kind, "mine"), "mine.toml").unwrap();
             let task = file.spec().task;
             let text = scene_file(&file).unwrap();
-            let keys = [
-                "[[",
-                "estimator",
-                "gravity",
-                "hand_speed",
-                "washout_hz",
-                "bilateral",
-                "point",
-                "stiffness",
-                "damping",
-            ];
-            let every =
-                keys.iter().fold(text.clone(), |text, key| text.replace(&format!("\n# {key}"), &format!("\n{key}")));
+            let keys = "[[ estimator gravity hand_speed washout_hz bilateral point stiffness damping".split(' ');
+            let every = keys.fold(text.clone(), |text, key| text.replace(&format!("\n# {key}"), &format!("\n{key}")));
             assert!(!every.lines().skip(4).any(|line| line.starts_with('#')), "{every}");
             for text in [&text, &every] {
                 let scene =

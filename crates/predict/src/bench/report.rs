@@ -175,22 +175,9 @@ fn time<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(
 
 /// Writes docs/results/speed-against-error.csv: all variants on the chip by mechanism, in ascending order of cost.
 pub fn by_variant(every: &[(Device<f64>, Vec<Variant>)]) -> String {
-    let mut text = csv_line([
-        "mechanism",
-        "device",
-        "trigonometry",
-        "mass matrix",
-        "terms",
-        "instructions",
-        "terms left out (N)",
-        "left out in 90 % (N)",
-        "mass matrix (N)",
-        "rounding (N)",
-        "tip (N)",
-        "area (%)",
-        "duty (steps)",
-        "front",
-    ]);
+    let head = "mechanism,device,trigonometry,mass matrix,terms,instructions,terms left out (N),left out in 90 % (N),\
+                mass matrix (N),rounding (N),tip (N),area (%),duty (steps),front";
+    let mut text = csv_line(head.split(','));
     for (device, variants) in every {
         let mut rows: Vec<&Variant> = variants.iter().filter(|variant| variant.target == "cortex-m4f").collect();
         rows.sort_by_key(|variant| variant.instructions);
@@ -225,12 +212,8 @@ pub fn by_mechanism(every: &[(Device<f64>, Vec<Variant>)]) -> Result<String, Fai
         ];
         cells.extend([faded, off].map(|share| format!("{:.1}", 100.0 * share)));
         cells.extend(Estimator::ALL.iter().map(|(estimator, _)| {
-            format_count(counts::instructions(
-                spec.name,
-                BoardMath::NAME,
-                "exact",
-                &format!("feed-forward, {estimator}"),
-            ))
+            let terms = format!("feed-forward, {estimator}");
+            format_count(counts::instructions(spec.name, BoardMath::NAME, "exact", &terms))
         }));
         text += &csv_line(cells);
     }

@@ -399,22 +399,11 @@ mod tests {
             [[(2.0, 46.0), (3.8, 164.2)], [(5.3, 48.5), (8.2, 165.0)], [(18.0, 58.0), (32.0, 170.0)]]
         {
             for share in [0.2, 0.35, 0.5, 0.65] {
-                let found = verdict_of_samples(
-                    DT,
-                    100.0,
-                    1.0 / slow_hz,
-                    1e-7,
-                    modes(&[(1.0 - share, slow, slow_hz), (share, fast, fast_hz)]),
-                );
-                assert_eq!(found, Verdict::Grows, "{slow_hz} and {fast_hz} Hz, {share} of it fast");
-                let found = verdict_of_samples(
-                    DT,
-                    100.0,
-                    1.0 / slow_hz,
-                    1e-7,
-                    modes(&[(1.0 - share, -slow, slow_hz), (share, -fast, fast_hz)]),
-                );
-                assert_eq!(found, Verdict::Decays, "{slow_hz} and {fast_hz} Hz, {share} of it fast");
+                for (sign, expected) in [(1.0, Verdict::Grows), (-1.0, Verdict::Decays)] {
+                    let both = [(1.0 - share, sign * slow, slow_hz), (share, sign * fast, fast_hz)];
+                    let found = verdict_of_samples(DT, 100.0, 1.0 / slow_hz, 1e-7, modes(&both));
+                    assert_eq!(found, expected, "{slow_hz} and {fast_hz} Hz, {share} of it fast");
+                }
             }
         }
     }
@@ -470,13 +459,8 @@ mod tests {
     #[test]
     fn the_beat_of_two_fast_modes_is_not_growth() {
         for (a, b) in [(-3.0, -4.0), (-10.0, -20.0), (-20.0, -70.0)] {
-            let found = verdict_of_samples(
-                DT,
-                100.0,
-                1.0 / 40.0,
-                1e-7,
-                modes(&[(0.5, -5.0, 40.0), (0.25, a, 170.0), (0.22, b, 164.0)]),
-            );
+            let all = [(0.5, -5.0, 40.0), (0.25, a, 170.0), (0.22, b, 164.0)];
+            let found = verdict_of_samples(DT, 100.0, 1.0 / 40.0, 1e-7, modes(&all));
             assert_eq!(found, Verdict::Decays, "{a} {b}");
         }
     }

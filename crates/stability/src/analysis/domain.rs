@@ -459,13 +459,7 @@ mod tests {
     /// Returns a joint of 1 kg and a loop with backward difference, no filter and no delay. In units of m/T² and m/T
     /// the characteristic polynomial is z³ + (k/2 + d/2 - 2) z² + (1 + k/2) z - d/2.
     fn joint() -> (Linearised, Loop) {
-        let around = Loop {
-            rate_hz: RATE,
-            delay_samples: 0.0,
-            estimator: LinearEstimator::BackwardDifference,
-            drive: Drive::Ideal,
-            damping_compensation: false,
-        };
+        let around = Loop { estimator: LinearEstimator::BackwardDifference, ..control_loop(RATE, 1.0, 0.0) };
         (mass(1.0, 0.0), around)
     }
 
