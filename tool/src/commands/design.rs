@@ -9,7 +9,7 @@ use haptic_host::words::percent;
 use haptic_predict::design::place::{Directions, Places, WallPlace, directions, places};
 use haptic_predict::design::posture::{Posture, Postures, postures};
 use haptic_predict::design::sensitivity::{BestChange, CHANGE, Effect, Sensitivity, buys_most, sensitivities};
-use haptic_predict::design::{Stiffest, singular};
+use haptic_predict::design::{Stiffest, singular_pose};
 use haptic_predict::plausible::{Warned, warn};
 use haptic_show::plot::coupling::draw;
 use haptic_stability::analysis::control_loop::{Loop, TorquePath};
@@ -123,7 +123,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let sensitivities = sensitivities(description, &q, &normal, args.holding.admissible, &prediction.around)?;
     let pose = TaskPose::at(description, &q)?.regular()?.holding(args.holding.admissible);
     let unit = haptic_stability::analysis::pose::unit_normal(&normal, spec.task, spec.joints)?;
-    let (w_eff, w_rr) = haptic_stability::analysis::map::along(&pose, &unit).ok_or_else(singular)?;
+    let (w_eff, w_rr) = haptic_stability::analysis::map::along(&pose, &unit).ok_or_else(singular_pose)?;
     let mut here = WallPlace {
         q: q.clone(),
         position: pose.position.clone(),
