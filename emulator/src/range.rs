@@ -87,7 +87,7 @@ pub fn rigid_device() -> TestDevice {
     }
     // The normal has the largest Wrr/Weff at the pose.
     let any = unit_normal(&[1.0, 0.0], 2, 2).expect("a unit vector");
-    let point = map::at_holding(&file.description, &POSE[..2], &any, Admissible::default());
+    let point = map::map_point_at(&file.description, &POSE[..2], &any, Admissible::default());
     let normal = point.expect("a sound device").expect("a regular pose").worst_ratio.normal;
     TestDevice { file, normal }
 }

@@ -363,7 +363,7 @@ impl PyDevice {
         let prediction =
             Prediction { admissible, gain: feed_forward_gain, posture, hand, ..Prediction::new(subject, around) };
         let compute = |pose: usize| -> Result<Range, Failure> {
-            let device = prediction.seen(&poses.rows[pose], &normals[pose])?;
+            let device = prediction.linearise(&poses.rows[pose], &normals[pose])?;
             let most = device.largest_gain().unwrap_or(1.0);
             if !(0.0..=most).contains(&feed_forward_gain) {
                 return Err(Failure::wrong(format!(

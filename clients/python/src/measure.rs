@@ -9,8 +9,8 @@ use haptic_host::haptic_bridge::model::admissible::Admissible;
 use haptic_host::haptic_bridge::model::device::Device as DeviceData;
 use haptic_host::haptic_bridge::render::scene::FeedForward;
 use haptic_host::link::Board as HostBoard;
+use haptic_predict::measure::board_measurement::{self, BoardMeasurement};
 use haptic_predict::measure::campaign::Plan;
-use haptic_predict::measure::occasion::{self, Occasion};
 use haptic_predict::measure::progress::{Point, Progress};
 use haptic_predict::measure::simulated::{Friction, World};
 use haptic_predict::measure::{Law, MeasureError, MeasurementSetup, most_tested};
@@ -225,15 +225,15 @@ impl MeasurementRequest {
         told: Option<&Py<PyAny>>,
         is_external: bool,
     ) -> PyResult<MeasurementResult> {
-        let what = occasion::what(&self.file.name, &self.setup, &self.plan.pulls, &self.world);
+        let what = board_measurement::description(&self.file.name, &self.setup, &self.plan.pulls, &self.world);
         let path = self.progress.as_deref();
         let wrong = |error| measurement(MeasureError::Progress(error));
         let mut progress = path.map_or(Ok(Progress::new(&what)), |path| Progress::open(path, &what)).map_err(wrong)?;
         if is_external {
             self.check_agreement(board)?;
         }
-        let before = occasion::before(board, &progress).map_err(errors::board)?;
-        let remembers = is_external && path.is_some();
+        let before = board_measurement::settings_to_restore(board, &progress).map_err(errors::board)?;
+        let keeps_settings = is_external && path.is_some();
         // An exception in Python, from Ctrl-C or from the function `told`.
         let raised = OnceCell::new();
         let last_check = Cell::new(Instant::now());
@@ -257,14 +257,16 @@ impl MeasurementRequest {
         };
         let mut loop_and_step = None;
         let setup = &self.setup;
-        let mut occasion = Occasion { board, file: &self.file, before, progress: &mut progress, path, remembers };
+        let mut session =
+            BoardMeasurement { board, file: &self.file, before, progress: &mut progress, path, keeps_settings };
         let on_begin = |prepared: &mut haptic_predict::measure::PreparedBoard<'_>, _: &[f64]| {
             let (info, details) = (prepared.board().info().clone(), prepared.board().details()?);
-            loop_and_step = Some((occasion::around(setup, &info, &details), prepared.excitation().quantum));
+            loop_and_step =
+                Some((board_measurement::control_loop(setup, &info, &details), prepared.excitation().quantum));
             Ok(())
         };
-        let outcome = occasion.measure(setup.clone(), &self.plan, &stop, on_begin, done);
-        let restored = occasion.put_back();
+        let outcome = session.measure(setup.clone(), &self.plan, &stop, on_begin, done);
+        let restored = session.restore();
         if let Some(error) = raised.into_inner() {
             return Err(error);
         }
@@ -286,7 +288,7 @@ impl MeasurementRequest {
     fn check_agreement(&self, board: &mut HostBoard) -> PyResult<()> {
         let device = DeviceData::new(&self.file.name, &self.file.description)
             .map_err(|error| RequestError::new_err(error.to_string()))?;
-        if let Some(found) = occasion::another(board, &device).map_err(errors::link)? {
+        if let Some(found) = board_measurement::other_loaded_device(board, &device).map_err(errors::link)? {
             let text =
                 format!("the board holds {found}, the file is {}; load the device of the file first", self.file.name);
             return Err(ImpossibleError::new_err(text));

@@ -1,16 +1,14 @@
-//! Speed against error: the cost of each variant of the control step on the chip, and its error.
+//! Cost and error of each variant of the control step on the chip.
 //!
 //! - [`counts`]: instructions on the Cortex-M4F, counted on the emulated chip and stored in bench/counts.json
-//! - [`estimators`]: velocity estimators compared on a device, in simulation with encoder steps
-//! - [`precompute`]: frozen matrices and tables of a device, computed in advance and ready to send
-//! - [`probe`]: situations in which errors are computed: poses, normals, forces and hand motions over the workspace or
-//!   on a wall
-//! - [`report`]: every variant of every mechanism with cost and error, the Pareto front, and the tables
-//! - [`error`]: the torque of a variant in the board's precision, compared with f64 and the closed form
-//! - [`wall`]: one wall that the board's own step renders while a hand presses it, slides along it or taps it
+//! - [`estimators`]: comparison of velocity estimators on a device, simulated with encoder steps
+//! - [`precompute`]: frozen matrices and tables of a device, ready to send to a board
+//! - [`probe`]: situations in which errors are computed: poses, normals, forces and hand motions
+//! - [`report`]: cost, error and Pareto front of each variant, as tables
+//! - [`error`]: torque of a variant in the board's precision, compared with the closed form in f64
+//! - [`wall`]: simulation of a wall that the board's own step renders while a hand presses, slides along or taps it
 //!
-//! Errors are always relative to the complete equation (4) with its velocity terms, so the terms that a variant leaves
-//! out count as error.
+//! All errors are relative to the complete equation (4), so terms that a variant omits count as error.
 
 pub mod counts;
 pub mod error;

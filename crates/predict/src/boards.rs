@@ -1,4 +1,4 @@
-//! The boards with firmware, and the properties that predictions need.
+//! Boards with firmware, and their properties for predictions.
 
 use haptic_bridge::board::protocol::{Details, Info};
 use haptic_bridge::model::device::Device;
@@ -8,7 +8,7 @@ use haptic_stability::analysis::control_loop::{CARRIER_HZ, CURRENT_LOOP_HZ, Torq
 use haptic_stability::analysis::plant::Drive;
 use haptic_stability::analysis::pose::TaskPose;
 
-/// Returns the delay and lag from encoders to torque of a connected board, at its current rate.
+/// Returns delay and lag from encoders to torque of a connected board at its present rate.
 #[must_use]
 pub fn torque_path(info: &Info, details: &Details) -> TorquePath {
     let bandwidth_hz = (CURRENT_LOOP_HZ * f64::from(details.carrier_hz) / CARRIER_HZ).round();
@@ -24,17 +24,17 @@ pub fn torque_path(info: &Info, details: &Details) -> TorquePath {
 pub enum BoardKind {
     /// ODrive v3.6 and its clones.
     OdriveV3,
-    /// Any STM32F405 module with three H-bridges.
+    /// STM32F405 module with three H-bridges.
     HBridgeF405,
     /// ST's Discovery board STM32F407G-DISC1 with three H-bridges.
     HBridgeF407Disc1,
 }
 
 impl BoardKind {
-    /// All boards, the one with the fewest axes first.
+    /// All boards in ascending order of axes.
     pub const ALL: [Self; 3] = [Self::OdriveV3, Self::HBridgeF405, Self::HBridgeF407Disc1];
 
-    /// Name that the board reports and that its firmware image has.
+    /// Returns the name that the board reports, which is also the name of its firmware image.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -44,7 +44,7 @@ impl BoardKind {
         }
     }
 
-    /// Number of motors that the board drives.
+    /// Returns the number of motors that the board drives.
     #[must_use]
     pub fn axes(self) -> usize {
         match self {
@@ -53,18 +53,18 @@ impl BoardKind {
         }
     }
 
-    /// Largest motor current, A: the board's default limit, which no setting raises.
+    /// Returns the board's default limit of motor current, A. No setting raises this limit.
     #[must_use]
-    pub fn most_current(self) -> f64 {
+    pub fn max_current(self) -> f64 {
         match self {
             Self::OdriveV3 => 20.0,
             Self::HBridgeF405 | Self::HBridgeF407Disc1 => 12.0,
         }
     }
 
-    /// Returns the board called `name`.
+    /// Returns the board with this name.
     #[must_use]
-    pub fn named(name: &str) -> Option<Self> {
+    pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|kind| kind.name() == name)
     }
 
@@ -75,17 +75,16 @@ impl BoardKind {
     }
 }
 
-/// Returns the torque of a motor at rest in a device with this number of joints, N m at the joint. It is limited by the
-/// motor's `max_current`, which the file's `supply` already bounds ([`haptic_host::device_file::DeviceFile`]), and by
-/// the current of the smallest board with as many axes. Every predicted force and torque uses this function.
+/// Returns the torque of a motor at rest in a device with this number of joints, N m at the joint. The motor's
+/// `max_current`, which `supply` in the file already bounds ([`haptic_host::device_file::DeviceFile`]), and the current
+/// of the smallest suitable board limit it. All predicted forces and torques use this function.
 #[must_use]
 pub fn torque_at_rest(motor: &Motor<f64>, joints: usize) -> f64 {
-    let board = BoardKind::with_axes(joints).map_or(f64::INFINITY, BoardKind::most_current);
+    let board = BoardKind::with_axes(joints).map_or(f64::INFINITY, BoardKind::max_current);
     motor.torque_constant.abs() * motor.max_current.min(board)
 }
 
-/// Returns the largest force of the motors along a direction of d entries, N; infinite where no motor acts. `None` if a
-/// joint has no motor.
+/// Returns the largest force of the motors along a direction of d entries, N; `None` if a joint has no motor.
 pub fn force_along(device: &Device<f64>, pose: &TaskPose, direction: &[f64]) -> Option<f64> {
     let task = padded_to(pose.jacobian.nrows(), direction);
     let per_newton = pose.jacobian.tr_mul(&task);

@@ -1,8 +1,8 @@
 //! Simulates a device in a hand against a rendered wall, with encoder steps.
 //!
-//! The device moves by its complete equations with friction, cogging, transmissions and modes ([`Plant`]). The delay
-//! and the drives are those of a control loop. A `Law` renders the wall: the loop of a prediction ([`crate::ripple`]),
-//! or the board's own step ([`crate::bench::wall`]). All simulations of encoder steps use this module.
+//! The device moves by its complete equations with friction, cogging, transmissions and modes ([`Plant`]). Delay and
+//! drives are those of a control loop. A `Law` renders the wall: the loop of a prediction ([`crate::ripple`]) or the
+//! board's own step ([`crate::bench::wall`]). All simulations with encoder steps use this module.
 
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_sim::{Load, Plant};
@@ -12,53 +12,53 @@ use haptic_stability::analysis::flexible::Hand;
 use haptic_stability::analysis::plant::Lags;
 use std::collections::VecDeque;
 
-/// Longest integration times, s: of a rigid device, and of a compliant one.
-const STEP_S: (f64, f64) = (50e-6, 25e-6);
-/// Distance from the start along the normal beyond which the tip counts as lost, m.
+/// Longest integration steps for a rigid and for a compliant device, s.
+const MAX_STEP_S: (f64, f64) = (50e-6, 25e-6);
+/// Distance of the tip from its start along the normal at which the tip counts as lost, m.
 const LOST_DISTANCE_M: f64 = 0.02;
 
 /// A control law that renders a wall.
 pub(crate) trait Law {
-    /// Evaluates one control period from the encoders' angles, rad.
+    /// Evaluates one control period from the encoder angles, rad.
     fn evaluate(&mut self, measured: &[f64; MAX_JOINTS]) -> LawOutput;
 }
 
-/// Force of the wall, N, and commanded torques, N m.
+/// Wall force (N), and commanded torques (N m).
 pub(crate) struct LawOutput {
     pub force: f64,
     pub torque: [f64; MAX_JOINTS],
 }
 
-/// Target position of a hand, m, and its additional push, N.
+/// Target position of a hand (m), and its additional push (N).
 pub(crate) struct Grip {
     pub goal: [f64; MAX_JOINTS],
     pub push: [f64; MAX_JOINTS],
 }
 
-/// Everything about a contact except the wall.
+/// A contact without its wall.
 pub(crate) struct Contact<'a> {
     pub plant: Plant,
     /// Unit normal of the wall.
     pub normal: [f64; MAX_JOINTS],
     pub around: &'a Loop,
-    /// Torques that were commanded before the first period, N m.
+    /// Commanded torques before the first period, N m.
     pub before: [f64; MAX_JOINTS],
     /// Additional motor torques without delay, N m.
-    pub carried: [f64; MAX_JOINTS],
-    /// Damping and stiffness of the hand; its mass is in the plant.
+    pub weight_torque: [f64; MAX_JOINTS],
+    /// Damping and stiffness of the hand. Its mass is in the plant.
     pub hand: Hand,
 }
 
 impl<'a> Contact<'a> {
-    /// Sets up a plant at rest in a control loop.
+    /// Prepares the contact of a plant at rest in a control loop.
     pub fn new(plant: Plant, normal: [f64; MAX_JOINTS], around: &'a Loop, hand: Hand) -> Self {
         let none = [0.0; MAX_JOINTS];
-        Self { plant, normal, around, before: none, carried: none, hand }
+        Self { plant, normal, around, before: none, weight_torque: none, hand }
     }
 
-    /// Simulates `seconds` under a law and the hand's `grip` at each time (s), until `seen` returns false. `seen`
-    /// receives the wall's force (N) of each period and the tip's displacement along the normal at its end (m). Returns
-    /// false if the tip flies off.
+    /// Simulates `seconds` with the hand's `grip` at each time (s), or until `seen` returns false. Each period `seen`
+    /// receives the wall's force (N) and the tip's displacement along the normal (m). Returns false if the tip flies
+    /// off.
     pub fn run(
         mut self,
         law: &mut dyn Law,
@@ -95,7 +95,7 @@ impl<'a> Contact<'a> {
         true
     }
 
-    /// Simulates `time` (s) under commanded torques, N m; `torque` is the state of the drives and is updated.
+    /// Simulates `time` (s) under commanded torques (N m). Updates `torque`, the state of the drives.
     fn advance(
         &mut self,
         torques: &[f64; MAX_JOINTS],
@@ -105,7 +105,7 @@ impl<'a> Contact<'a> {
         time: f64,
         period: f64,
     ) {
-        let longest = if self.plant.is_flexible() { STEP_S.1 } else { STEP_S.0 };
+        let longest = if self.plant.is_flexible() { MAX_STEP_S.1 } else { MAX_STEP_S.0 };
         let pieces = (time / longest).ceil();
         if pieces == 0.0 {
             return;
@@ -128,7 +128,7 @@ impl<'a> Contact<'a> {
                         settled + excess * -(-passed).exp_m1() / passed
                     }
                 };
-                load.torque[j] = mean + self.carried[j];
+                load.torque[j] = mean + self.weight_torque[j];
             }
             if let Some(Grip { goal, push }) = grip_now {
                 for i in 0..self.plant.task() {
@@ -140,7 +140,7 @@ impl<'a> Contact<'a> {
     }
 }
 
-/// Returns the deviation of evenly spaced values from their fitted line: root mean square, and peak to peak.
+/// Returns the root mean square and the peak-to-peak deviation of evenly spaced values from their fitted line.
 pub(crate) fn deviation_from_line(values: &[f64]) -> (f64, f64) {
     let count = values.len() as f64;
     let middle = 0.5 * (count - 1.0);
@@ -154,7 +154,7 @@ pub(crate) fn deviation_from_line(values: &[f64]) -> (f64, f64) {
     ((square / count).sqrt(), high - low)
 }
 
-/// The part of a force above [`RIPPLE_HZ`]: the force minus a trend of two poles in series.
+/// High-pass at [`RIPPLE_HZ`] for a force: subtracts two one-pole trends in series.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct RippleFilter {
     share: f64,
@@ -162,7 +162,7 @@ pub(crate) struct RippleFilter {
 }
 
 impl RippleFilter {
-    /// Starts a filter for a force at this sample rate that was zero before.
+    /// Creates a filter for a force at this sample rate, Hz, that was zero before.
     pub fn new(rate_hz: f64) -> Self {
         Self { share: 1.0 - (-std::f64::consts::TAU * RIPPLE_HZ / rate_hz).exp(), trends: [0.0; 2] }
     }

@@ -1,14 +1,12 @@
-//! Finds the places and directions in which a device renders walls best: directions at a pose, places in the workspace,
-//! the effect of each link, rotor and gear, and the posture of a redundant arm.
+//! Finds the best walls of a device: direction, place, posture, and changes of links, rotors and gears.
 //!
-//! Places, directions and postures are searched by inertia: Weff without the feed-forward and Wrr with it. Without
-//! joint damping the stable boundary of a rigid device is that of a single mass, so the stiffest wall is in proportion
-//! to the inertia (docs/model.md). The stiffness at each place, and the effect of each change of the device on it, is
-//! the prediction of `haptic range`, with joint damping and transmissions. `haptic tune` covers friction and ripple.
+//! Places, directions and postures are rated by inertia: Weff without the feed-forward and Wrr with it. Without joint
+//! damping the stable boundary of a rigid device is that of a single mass, so the largest stiffness is proportional to
+//! the inertia (docs/model.md). The stiffness at each place, and its change with each number of the device, is the
+//! prediction of `haptic range` with joint damping and transmissions. `haptic tune` includes friction and ripple.
 //!
-//! Inertia grows without bound towards a singular pose, along the direction that is lost there. So the best place lies
-//! at the edge of the allowed poses, and the output says so. Poses nearer to a singularity than a given sine are left
-//! out.
+//! Towards a singular pose inertia grows without bound along the lost direction, so the best place is on the edge of
+//! the allowed poses, and the output says so. Poses nearer to a singularity than a given sine are not allowed.
 
 pub mod place;
 pub mod posture;
@@ -25,7 +23,7 @@ use haptic_stability::analysis::range::BoundaryPoint;
 use nalgebra::{DVector, SVector};
 use serde::Serialize;
 
-/// The stiffest stable walls at a place, over all dampings, as `haptic range` predicts them.
+/// The stiffest stable walls at a place over all dampings, as predicted by `haptic range`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Stiffest {
     /// Wall without the feed-forward.
@@ -34,13 +32,13 @@ pub struct Stiffest {
     pub full: BoundaryPoint,
 }
 
-/// Returns the distance of a pose from the nearest singularity: the smaller sine.
+/// Returns the sine of the nearest singular angle of a pose.
 #[must_use]
 pub fn clearance(pose: &TaskPose) -> f64 {
     pose.regularity.serial.min(pose.regularity.parallel)
 }
 
-/// Returns true if the joint angles lie within the limits.
+/// Returns true if the joint angles are within the limits.
 #[must_use]
 pub fn within_limits(device: &Device<f64>, q: &[f64]) -> bool {
     let inside = |(angle, low, high): (f64, f64, f64)| (low - 1e-9..=high + 1e-9).contains(&angle);
@@ -48,13 +46,12 @@ pub fn within_limits(device: &Device<f64>, q: &[f64]) -> bool {
     joints.filter_map(|(q, joint)| joint.limits.map(|(low, high)| (*q, low, high))).all(inside)
 }
 
-/// Returns the complete task position of a pose: the tip, and on a redundant arm its orientation.
+/// Returns the complete task position of a pose: the tip and, on a redundant arm, the orientation.
 fn task_position(pose: &TaskPose, q: &[f64]) -> DVector<f64> {
     DVector::from_fn(q.len(), |i, _| pose.position.get(i).copied().unwrap_or_else(|| q.iter().sum()))
 }
 
-/// Returns joint angles near `from` (rad) at which a device is at a task position (tip in m, then φ), by Newton's
-/// method. `None` if the position is out of reach.
+/// Returns joint angles near `from` (rad) at a task position (m, then φ) by Newton's method; `None` out of reach.
 #[must_use]
 pub fn angles_at(device: &Device<f64>, from: &[f64], place: &DVector<f64>) -> Option<Vec<f64>> {
     with_mechanism!(&device.mechanism, m => newton(m, from, place))
@@ -79,12 +76,11 @@ fn newton<M: Mechanism<f64, N>, const N: usize>(m: &M, from: &[f64], place: &DVe
     ((place - there).norm() < 1e-9).then(|| q.as_slice().to_vec())
 }
 
-/// Returns the error for a pose at which no direction can be analysed.
-pub fn singular() -> Failure {
+/// Returns the error for a singular pose.
+pub fn singular_pose() -> Failure {
     Failure::impossible("this pose is singular").remedy("choose another").choose(Choice::Pose)
 }
 
-/// Builds a device for analysis only.
 fn build_device(description: &Description) -> Result<Device<f64>, Failure> {
     Device::new("", description).map_err(Failure::wrong)
 }

@@ -1,8 +1,8 @@
-//! Tools for a device at hand. They measure the walls that it renders, on a board or a simulated one, and find the
-//! settings, place, posture and links with which it renders the stiffest wall. They also warn of implausible values in
-//! a device or a scene, simulate the effect of encoder steps on a wall, and choose the cheapest sufficient control
-//! step. The theory comes from [`haptic_stability`]; [`measure`] does not use it, so measurement and theory can be
-//! compared.
+//! Tools for a given device. They measure its stable walls on a real or simulated board; find the settings, place,
+//! posture and links for the stiffest wall; warn of implausible values in a device or a scene; simulate encoder steps
+//! at a wall; and choose the cheapest sufficient control step.
+//!
+//! The theory is in [`haptic_stability`]. [`measure`] does not use it, so that measurement and theory can be compared.
 //!
 //! ```
 //! use haptic_bridge::model::admissible::Admissible;

@@ -1,10 +1,12 @@
-//! Plans a scene: finds the cheapest control step that stays within an error budget.
+//! Plans a scene: finds the cheapest control step within an error budget.
 //!
-//! The planner considers the poses in which the scene's walls can be touched, with their normals, the motors' force
-//! there and the speed of a hand. It tries every mass model with and without velocity terms, the cheapest first, in the
-//! board's own precision, and chooses the first whose error stays within [`MARGIN`] of the budget. Velocity terms that
-//! the board fades are lost with every choice, so that error is reported but does not count against the budget. The
-//! result is a scene (with `velocity_terms` and `feed_forward` set) and a mass model, and the board runs exactly that.
+//! The planner considers the poses at which the tip touches the scene's walls, with the motors' force there and a
+//! hand's speed. It computes the error of every mass model with and without velocity terms in the board's precision,
+//! and chooses the cheapest variant whose error is at most [`MARGIN`] of the budget.
+//!
+//! Velocity terms that the board fades are lost in every variant. This error is reported but does not count against the
+//! budget. The result is a mass model and a scene with `velocity_terms` and `feed_forward`, which the board renders
+//! unchanged.
 
 use crate::bench::counts;
 use crate::bench::error::{Errors, Law, Terms, TorqueVariant, Trigonometry, VariantErrors, errors};
@@ -17,25 +19,23 @@ use haptic_host::error::Failure;
 use haptic_host::link::{Board, BoardError};
 use serde::Serialize;
 
-/// Share of the budget for the error at the computed poses: between them the error may be larger.
+/// Share of the budget that the error at the computed poses may use, because between them the error may be larger.
 pub const MARGIN: f64 = 0.6;
-/// Default budget, percent.
+/// Default error budget, percent of the motors' torque.
 pub const DEFAULT_PERCENT: f64 = 1.0;
-/// Trigonometry of the firmware.
-const SHIPPED: &str = "table";
+const FIRMWARE_TRIGONOMETRY: &str = "table";
 
-/// Error that a plan may leave.
+/// Largest error that a plan may have.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Budget {
-    /// Percentage of the motors' torque at the worst joint of the same pose. The error's share of the motors' largest
-    /// tip force in its own direction is equal.
+    /// Percentage of the motors' torque at the worst joint, which is also that of the motors' largest tip force.
     Percent(f64),
-    /// One duty step, which the resolution of the duty hides.
+    /// One duty step, because the duty has no finer resolution.
     OneDutyStep,
 }
 
 impl Budget {
-    /// Returns the error of a variant as a share of this budget.
+    /// Returns the error of a variant relative to this budget.
     pub fn used(self, errors: &Errors) -> f64 {
         match self {
             Budget::Percent(percent) => 100.0 * errors.share.max / percent,
@@ -47,18 +47,18 @@ impl Budget {
 /// A variant that was considered.
 #[derive(Clone, Debug, Serialize)]
 pub struct Candidate {
-    /// Mass model.
+    /// Name of the mass model.
     pub model: &'static str,
-    /// Terms.
+    /// Name of the terms.
     pub terms: &'static str,
     /// Instructions of the slowest control step on the Cortex-M4F.
     pub instructions: u32,
-    /// Error, including the part that fades in every variant.
+    /// Error including the fading that all variants have.
     pub errors: Errors,
-    /// Part of the error that depends on the choice of the variant.
+    /// Error without the fading that all variants have.
     #[serde(skip)]
     pub given: Errors,
-    /// `given` as a share of the budget.
+    /// Ratio of the error `given` to the budget.
     pub used: f64,
 }
 
@@ -69,20 +69,20 @@ pub struct Plan {
     pub scene: Scene<f64>,
     /// The chosen mass model.
     pub mass: Precomputed,
-    /// The terms of the walls' feed-forward.
+    /// Terms of the walls' feed-forward.
     pub terms: Terms,
     /// Instructions of the slowest control step on the Cortex-M4F.
     pub instructions: u32,
-    /// Remaining error at the computed poses.
+    /// Error at the computed poses.
     pub errors: Errors,
-    /// All variants that were considered, the cheapest first.
+    /// All considered variants in ascending order of cost.
     pub candidates: Vec<Candidate>,
-    /// The reasons, in sentences.
+    /// Reasons for the choice, one sentence each.
     pub reasons: Vec<String>,
 }
 
 impl Plan {
-    /// Loads the planned scene and its mass model onto a disarmed board. Returns the scene as it was sent.
+    /// Loads the scene and the mass model onto a disarmed board. Returns the scene that was sent.
     pub fn load(&self, board: &mut Board) -> Result<Scene<f32>, BoardError> {
         let scene = self.scene.cast();
         board.set_scene(&scene)?;
@@ -91,8 +91,7 @@ impl Plan {
     }
 }
 
-/// Returns the number of grid angles per joint.
-fn density(joints: usize) -> usize {
+fn angles_per_joint(joints: usize) -> usize {
     match joints {
         1 => 41,
         2 => 161,
@@ -100,15 +99,13 @@ fn density(joints: usize) -> usize {
     }
 }
 
-/// Plans `scene` on `device` for hands of up to `speed` m/s.
-///
-/// Errors if the device cannot be analysed, or if no variant stays within the budget; the message then states the best
-/// one.
+/// Plans `scene` on `device` for hands of up to `speed` m/s. Returns an error if the device cannot be analysed or if no
+/// variant is within the budget; the error then names the best variant's error.
 pub fn plan(device: &Device<f64>, scene: &Scene<f64>, budget: Budget, speed: f64) -> Result<Plan, Failure> {
-    plan_on(device, scene, budget, speed, density(device.mechanism.kind().spec().joints))
+    plan_on(device, scene, budget, speed, angles_per_joint(device.mechanism.kind().spec().joints))
 }
 
-/// Like [`plan`], with `per_joint` angles per joint.
+/// Like [`plan`], with `per_joint` grid angles per joint.
 fn plan_on(
     device: &Device<f64>,
     scene: &Scene<f64>,
@@ -125,7 +122,8 @@ fn plan_on(
     } else if spec.joints == 1 {
         reasons.push("with one joint the feed-forward has no effect, so it is left out".into());
     }
-    let probes = if shaped == 0 || spec.joints == 1 { Vec::new() } else { touched(device, &scene, per_joint, speed)? };
+    let probes =
+        if shaped == 0 || spec.joints == 1 { Vec::new() } else { probes_on_walls(device, &scene, per_joint, speed)? };
     if probes.is_empty() && shaped > 0 && spec.joints > 1 {
         reasons.push("no wall with feed-forward can be reached, so no feed-forward is computed".into());
     }
@@ -184,8 +182,13 @@ fn plan_on(
     Ok(Plan { scene, mass, terms, instructions, errors, candidates, reasons })
 }
 
-/// Returns situations at every wall with feed-forward.
-pub fn touched(device: &Device<f64>, scene: &Scene<f64>, per_joint: usize, speed: f64) -> Result<Vec<Probe>, Failure> {
+/// Returns situations at all walls with feed-forward.
+pub fn probes_on_walls(
+    device: &Device<f64>,
+    scene: &Scene<f64>,
+    per_joint: usize,
+    speed: f64,
+) -> Result<Vec<Probe>, Failure> {
     let mut probes = Vec::new();
     for wall in scene.walls.iter().filter(|wall| wall.feed_forward != FeedForward::Off) {
         probes.extend(on_surface(device, &wall.surface, per_joint, speed)?);
@@ -202,10 +205,11 @@ fn models(device: &Device<f64>, probes: &[Probe]) -> Vec<Precomputed> {
 }
 
 /// Returns the instructions of the slowest control step of a scene, from counts for one wall, a pair of walls, a ball
-/// and no wall. Each further wall adds the difference that a wall of its kind makes.
+/// and no wall. Each additional wall adds the difference that a wall of its kind makes.
 pub fn cost(device: &Device<f64>, scene: &Scene<f64>, model: &str) -> u32 {
     let name = device.mechanism.kind().spec().name;
-    let counted = |model: &str, terms: &str| counts::instructions(name, SHIPPED, model, terms).unwrap_or(0);
+    let counted =
+        |model: &str, terms: &str| counts::instructions(name, FIRMWARE_TRIGONOMETRY, model, terms).unwrap_or(0);
     let free = counted("exact", "free");
     let z = if scene.velocity_terms == VelocityTerms::Off { "" } else { "+z" };
     let per_wall = counted("exact", "none").saturating_sub(free);
@@ -229,7 +233,7 @@ pub fn cost(device: &Device<f64>, scene: &Scene<f64>, model: &str) -> u32 {
     one + more + plain * per_wall
 }
 
-/// Explains the choice. `fading`: the share of situations in which velocity terms fade, and the lag of the estimate, s.
+/// Returns the reasons for a choice. `fading` is the share of fading situations and the velocity lag, s.
 fn explain(
     candidates: &[Candidate],
     terms: Terms,
@@ -239,7 +243,7 @@ fn explain(
     fading: Option<(f64, f64)>,
 ) -> Vec<String> {
     let find = |model: &str, terms: Terms| candidates.iter().find(|c| c.model == model && c.terms == terms.name());
-    // State the force that 99 % of the situations stay below, because the others are next to singularities.
+    // Use the force that 99 % of the situations do not exceed, because the others are close to singularities.
     let size = |errors: &Errors| {
         let Errors { force, share, duty, .. } = errors;
         let most = match budget {
@@ -261,7 +265,7 @@ fn explain(
     if let (Some((share, lag)), Some(whole)) = (fading, find("exact", Terms::FeedForwardZ)) {
         reasons.push(format!(
             "estimated velocities lag by {:.2} ms, so the velocity terms fade where the joints turn fast near a singular pose, in {} of the \
-             situations: up to {} of the forces of motion stay there, whatever computes them; a higher rate and cutoff leave less",
+             situations: up to {} of the forces of motion then remain with every mass matrix; a higher rate and cutoff reduce them",
             1.0e3 * lag,
             percent(share),
             newtons(whole.errors.force.max)
@@ -295,7 +299,7 @@ pub fn newtons(force: f64) -> String {
     }
 }
 
-/// Formats a share in percent; above 100 % the number has no meaning.
+/// Formats a share in percent. Above 100 % the number has no meaning.
 pub fn percent(share: f64) -> String {
     match 100.0 * share {
         p if p > 100.0 => "more than all".into(),

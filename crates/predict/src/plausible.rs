@@ -1,11 +1,11 @@
-//! Warns of values that parse but are hardly intended, such as lengths in millimetres, masses in grams, angles in
+//! Warns of values that parse but are probably wrong, such as lengths in millimetres, masses in grams, angles in
 //! degrees and walls outside the stable range. Each warning states the number that shows the mistake.
 //!
-//! A warning rejects nothing: a device may be stranger than these rules. The bounds come from solid steel, from two
-//! statements of one file that disagree, and from the prediction of `haptic range`.
+//! Warnings reject nothing, because a device may break these rules. The bounds come from solid steel, from
+//! contradictory values in a file, and from the prediction of `haptic range`.
 //!
-//! - [`device`]: a device file by itself
-//! - [`scene`]: walls on a device
+//! - [`device`]: warnings about a device file
+//! - [`scene`]: warnings about a scene on a device
 
 pub mod device;
 pub mod scene;
@@ -15,39 +15,38 @@ use haptic_bridge::model::description::Description;
 use haptic_host::toml_file::Document;
 use serde::Serialize;
 
-/// Place of a warning in a file: a table (with its index in a list of tables, from 0), optionally a table inside it,
-/// and a key.
+/// Place of a value in a file: a table (with its index in a list of tables), optionally a table inside it, and a key.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Key {
     /// `geometry`, `link`, `joint`, `wall`, ...; empty at the top level of the file.
     pub table: &'static str,
-    /// Index in a list of tables.
+    /// Index in a list of tables, from 0.
     pub index: Option<usize>,
     /// `encoder` or `motor` in a joint; otherwise empty.
     pub part: &'static str,
-    /// The key.
+    /// Name of the key.
     pub name: &'static str,
 }
 
-/// A warning about a value that parses but is hardly intended; its line is not yet known.
+/// A warning whose line in the file is not yet known.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct FileWarning {
-    /// The place in a file.
+    /// Place in the file; `None` for a value from the command line.
     pub key: Option<Key>,
-    /// The problem and the probable meaning: one sentence without its full stop.
+    /// The problem and its probable cause: one sentence without full stop.
     pub text: String,
 }
 
-/// A warning with its line and column, as it is written to JSON.
+/// A warning with its line and column, as in the JSON output.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Warning {
-    /// The file; empty for a value from the command line.
+    /// Path of the file; empty for a value from the command line.
     pub path: String,
-    /// Line, from 1.
+    /// Line in the file, from 1.
     pub line: Option<usize>,
-    /// Column, from 1.
+    /// Column in the line, from 1.
     pub column: Option<usize>,
-    /// The sentence.
+    /// Text of the warning.
     pub text: String,
 }
 
@@ -56,7 +55,7 @@ impl FileWarning {
         Self { key: Some(key), text }
     }
 
-    /// Adds the place in `document`, the file that the warning concerns.
+    /// Adds the path, line and column in `document`, the file with the value.
     pub fn about(self, document: &Document) -> Warning {
         let at = self.key.and_then(|key| document.find(key.table, key.index, key.part, key.name));
         Warning {
@@ -67,7 +66,7 @@ impl FileWarning {
         }
     }
 
-    /// Makes a warning about a value from the command line.
+    /// Returns the warning for a value from the command line.
     pub fn typed(self) -> Warning {
         Warning { path: String::new(), line: None, column: None, text: self.text }
     }
@@ -86,7 +85,7 @@ impl core::fmt::Display for Warning {
     }
 }
 
-/// A result together with its warnings: one JSON document. The key `warnings` is left out if there are none.
+/// A result with its warnings as one JSON document. Without warnings the key `warnings` is left out.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct Warned<'a, T> {
     /// The result.
@@ -109,7 +108,7 @@ pub fn warn(warnings: &[Warning]) {
 }
 
 /// Returns warnings about joint angles from the command line that are probably in degrees.
-pub fn angles(q: &[f64], what: &str, kind: Kind) -> Vec<FileWarning> {
+pub fn angle_warnings(q: &[f64], what: &str, kind: Kind) -> Vec<FileWarning> {
     let implausible = q.iter().enumerate().filter(|(_, angle)| in_degrees(kind, **angle));
     implausible
         .map(|(joint, angle)| FileWarning { key: None, text: full_turns(&format!("{what} of joint {joint}"), *angle) })
@@ -128,14 +127,13 @@ pub fn pose_limit_warnings(q: &[f64], description: &Description) -> Vec<FileWarn
     q.iter().enumerate().filter_map(outside).collect()
 }
 
-/// Returns true if an angle is probably in degrees. The joints of a linkage turn less than one turn. A wheel or a knob
-/// may turn many times: its angle is taken for degrees if it is a round number of degrees.
+/// Returns true if an angle is probably in degrees. The joints of a linkage turn by less than one turn. A wheel or a
+/// knob may turn more often, so its angle must also be a multiple of 5.
 fn in_degrees(kind: Kind, angle: f64) -> bool {
     let round = angle.abs() >= 15.0 && angle % 5.0 == 0.0;
     angle.abs() > core::f64::consts::TAU && (kind != Kind::Paddle || round)
 }
 
-/// Describes an angle of more than one turn.
 fn full_turns(what: &str, angle: f64) -> String {
     format!(
         "{what} is {angle} rad, {:.1} turns: angles are in radians ({angle} degrees are {:.4} rad)",

@@ -1,20 +1,17 @@
-//! Effect of encoder steps on a pressed wall, by simulation, because a quantiser is not linear.
+//! Effect of encoder steps on a pressed wall, by simulation because a quantiser is not linear.
 //!
-//! A hand presses the wall with a steady force, in the simulation of contacts (`contact`). The wall is rendered by the
-//! control loop of the prediction, with its delay, drive, estimator and feed-forward, linearised at the pose; in
-//! addition each joint's angle comes in steps of its encoder. A prediction has drives, delays and filters that boards
-//! do not have; for the board's own step, with nonlinear estimators, see [`crate::bench::wall`]. A static wall is
-//! unilateral. Without friction there is no equilibrium between two counts, so there always is a limit cycle; if
-//! friction holds more than a count's force, the limit cycle does not arise (Abbott and Okamura 2005). Its size depends
-//! on the position of the pose within a count, so each wall is tried with several offsets of the counts, and the
+//! A hand presses the wall with a steady force in the simulation of contacts (`contact`). The control loop of the
+//! prediction renders the wall with its delay, drive, estimator and feed-forward, linearised at the pose, and each
+//! joint angle comes in encoder steps. [`crate::bench::wall`] simulates the board's own step with nonlinear estimators.
+//!
+//! A static wall is unilateral. Without friction no equilibrium exists between two counts, so there is a limit cycle;
+//! friction that holds more than one count's force prevents it (Abbott and Okamura 2005). The size of the limit cycle
+//! depends on the pose's position within a count. Each wall is therefore simulated with several count offsets, and the
 //! largest ripple counts.
 
+use crate::contact::{Contact, Grip, Law, LawOutput, deviation_from_line};
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::model::description::Description;
-use nalgebra::{DMatrix, DVector};
-use serde::{Deserialize, Serialize};
-
-use crate::contact::{Contact, Grip, Law, LawOutput, deviation_from_line};
 use haptic_host::error::Failure;
 use haptic_host::vectors::padded;
 use haptic_sim::Plant;
@@ -23,23 +20,23 @@ use haptic_stability::analysis::line::{DampingRule, StableLine};
 use haptic_stability::analysis::plant::Linearised;
 use haptic_stability::analysis::sampled::{Loop, Mode};
 use haptic_stability::sweep::Sweep;
+use nalgebra::{DMatrix, DVector};
+use serde::{Deserialize, Serialize};
 
-/// Default light hand; it presses with [`PUSH_N`].
+/// Default light hand, which presses with [`PUSH_N`].
 pub const LIGHT_HAND: Hand = Hand { mass: 0.05, damping: 3.0, stiffness: 200.0 };
 /// Force with which the hand presses, N.
 pub const PUSH_N: f64 = 3.0;
-/// Rate at which the hand presses harder, N/s: friction that holds only a resting tip does not make a wall quiet.
+/// Rate at which the push of the hand grows, N/s. It moves a tip that friction would hold at rest.
 pub(crate) const PUSH_RISE: f64 = 1.0;
-/// Time for the motion to settle, and time of recording, s.
 pub(crate) const SETTLE_S: f64 = 0.5;
 pub(crate) const RECORD_S: f64 = 0.3;
-/// Number of count offsets that are tried.
 pub(crate) const COUNT_OFFSETS: usize = 4;
-/// Walls along a line: number of decades below the stiffest, and walls per decade.
+/// Number of decades below the largest stiffness of a line.
 const DECADES: usize = 4;
-const PER_DECADE: usize = 5;
-/// Precision of the stiffness from which the ripple exceeds a bound, as a ratio.
-const PRECISION: f64 = 1.05;
+const WALLS_PER_DECADE: usize = 5;
+/// Largest ratio of two stiffnesses between which the ripple exceeds a bound.
+const STIFFNESS_RATIO: f64 = 1.05;
 
 /// Ripple of a pressed wall.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -50,27 +47,27 @@ pub struct Ripple {
     pub kd: f64,
     /// Root mean square of the wall's force about its fitted line, N; `None` if the tip flies off.
     pub rms_n: Option<f64>,
-    /// Half of the difference between the force's largest and smallest value, N.
+    /// Half of the difference between the largest and the smallest force, N.
     pub peak_n: Option<f64>,
-    /// Motion of the tip along the normal, peak to peak, m.
+    /// Tip motion along the normal from peak to peak, m.
     pub motion_m: Option<f64>,
 }
 
 impl Ripple {
-    /// Returns true if the root mean square stays within a bound, N.
+    /// Returns true if the root mean square is at most `bound_n` (N).
     pub fn within(&self, bound_n: f64) -> bool {
         self.rms_n.is_some_and(|rms| rms <= bound_n)
     }
 }
 
-/// Walls along a line, with the first stiffness at which the ripple exceeds a bound.
+/// Walls along a line, with the smallest stiffness at which the ripple exceeds a bound.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Along {
+pub struct RippleLine {
     /// Largest stiffness up to which every wall on the line is stable by linear theory, N/m.
     pub kp_stable: f64,
-    /// Stiffness from which the ripple exceeds the bound, N/m; `None` if no wall exceeds it.
+    /// Smallest stiffness at which the ripple exceeds the bound, N/m; `None` if no wall exceeds it.
     pub kp_from: Option<f64>,
-    /// The simulated walls, by stiffness.
+    /// The simulated walls in order of stiffness.
     pub points: Vec<Ripple>,
 }
 
@@ -79,43 +76,42 @@ pub struct Along {
 pub struct Pressed<'a> {
     /// The linearised device.
     pub device: &'a Linearised,
-    /// The same device with its nonlinear effects.
+    /// Description of the device, with its nonlinear effects.
     pub description: Description,
     /// Pose, rad.
     pub q: Vec<f64>,
-    /// Unit normal, d entries.
+    /// Unit normal of the wall, d entries.
     pub normal: Vec<f64>,
     /// Control loop.
     pub around: &'a Loop,
-    /// The hand that presses.
+    /// The hand that presses the wall.
     pub hand: Hand,
     /// Force with which the hand presses, N.
     pub push_n: f64,
 }
 
 impl Pressed<'_> {
-    /// Returns the motion along the normal per count of the coarsest joint, m; `None` if a joint has no encoder.
+    /// Returns the tip motion along the normal per count of the coarsest joint, m; `None` if a joint has no encoder.
     pub fn count_m(&self) -> Option<f64> {
-        let steps = self.resolutions()?;
+        let steps = self.encoder_steps()?;
         Some(steps.iter().zip(self.device.row.iter()).map(|(step, lever)| (step * lever).abs()).fold(0.0, f64::max))
     }
 
-    /// Returns the largest force of a single count: the response of the wall's stiffness, and of its damping through
-    /// the estimator, to a step of the position, N.
+    /// Returns the largest force change by one count, N, through the stiffness and the estimated velocity.
     pub fn step_n(&self, kp: f64, kd: f64) -> Option<f64> {
         Some(self.count_m()? * (kp + kd * self.around.estimator.peak_step_response(self.around.rate_hz)))
     }
 
-    fn resolutions(&self) -> Option<Vec<f64>> {
+    fn encoder_steps(&self) -> Option<Vec<f64>> {
         let joints = self.device.row.len();
         let counts =
             self.description.joints[..joints].iter().map(|joint| joint.encoder.map(|e| e.counts_per_turn.abs()));
         counts.map(|counts| counts.map(|counts| std::f64::consts::TAU / counts)).collect()
     }
 
-    /// Simulates the ripple of a wall under the hand; `None` if a joint has no encoder.
+    /// Simulates the ripple of a wall under the hand; returns `None` if a joint has no encoder.
     pub fn ripple(&self, mode: Mode, kp: f64, kd: f64) -> Option<Ripple> {
-        let steps = self.resolutions()?;
+        let steps = self.encoder_steps()?;
         let lost = Ripple { kp, kd, rms_n: None, peak_n: None, motion_m: None };
         let mut worst = Ripple { rms_n: Some(0.0), peak_n: Some(0.0), motion_m: Some(0.0), ..lost };
         for offset in 0..COUNT_OFFSETS {
@@ -133,14 +129,20 @@ impl Pressed<'_> {
         Some(worst)
     }
 
-    /// Simulates walls along `line` and finds where their ripple exceeds `bound_n`. `None` if a joint has no encoder.
-    pub fn along(&self, mode: Mode, line: DampingRule, bound_n: f64, sweep: &Sweep) -> Result<Option<Along>, Failure> {
-        if self.resolutions().is_none() {
+    /// Simulates walls along `line` and finds the stiffness at which the ripple exceeds `bound_n` (N).
+    pub fn along(
+        &self,
+        mode: Mode,
+        line: DampingRule,
+        bound_n: f64,
+        sweep: &Sweep,
+    ) -> Result<Option<RippleLine>, Failure> {
+        if self.encoder_steps().is_none() {
             return Ok(None);
         }
         let StableLine { mass, kp: kp_stable } = StableLine::of(self.device, self.around, mode, line)?;
-        let tried: Vec<f64> = (0..=DECADES * PER_DECADE)
-            .map(|i| kp_stable * 10_f64.powf(i as f64 / PER_DECADE as f64 - DECADES as f64))
+        let tried: Vec<f64> = (0..=DECADES * WALLS_PER_DECADE)
+            .map(|i| kp_stable * 10_f64.powf(i as f64 / WALLS_PER_DECADE as f64 - DECADES as f64))
             .filter(|kp| *kp > 0.0)
             .collect();
         let wall = |kp: &f64| self.ripple(mode, *kp, line.damping(*kp, mass));
@@ -151,7 +153,7 @@ impl Pressed<'_> {
             let mut high = points[at].kp;
             let Some(before) = at.checked_sub(1) else { return high };
             let mut low = points[before].kp;
-            while high / low > PRECISION {
+            while high / low > STIFFNESS_RATIO {
                 let middle = (low * high).sqrt();
                 let Some(point) = wall(&middle) else { break };
                 if point.within(bound_n) {
@@ -164,11 +166,10 @@ impl Pressed<'_> {
             high
         });
         points.sort_by(|a, b| a.kp.total_cmp(&b.kp));
-        Ok(Some(Along { kp_stable, kp_from, points }))
+        Ok(Some(RippleLine { kp_stable, kp_from, points }))
     }
 
-    /// Simulates a wall. Returns root mean square and peak of its force, N, and the motion of the tip, m; `None` if the
-    /// tip flies off.
+    /// Simulates a wall. Returns rms and peak of its force (N) and the tip motion (m); `None` if the tip flies off.
     fn run(&self, steps: &[f64], mode: Mode, kp: f64, kd: f64, offset: f64) -> Option<[f64; 3]> {
         let mut held = self.description;
         held.handle_mass += self.hand.mass;
@@ -180,8 +181,11 @@ impl Pressed<'_> {
         let holding: [f64; MAX_JOINTS] = padded(self.holding_force(mode, &mobility, &shaped)?.as_slice());
         let mut law = LinearLaw::new(self, steps, mode, (kp, kd), offset, &mobility, &shaped);
         let before = padded((&self.device.row * self.push_n).as_slice());
-        let contact =
-            Contact { carried: weight, before, ..Contact::new(plant, padded(&self.normal), self.around, self.hand) };
+        let contact = Contact {
+            weight_torque: weight,
+            before,
+            ..Contact::new(plant, padded(&self.normal), self.around, self.hand)
+        };
         let settle = (SETTLE_S * self.around.rate_hz).round() as usize;
         let (mut forces, mut tips, mut n) = (Vec::new(), Vec::new(), 0);
         let tip_stays = contact.run(
@@ -201,12 +205,12 @@ impl Pressed<'_> {
         tip_stays.then(|| [rms, 0.5 * force, deviation_from_line(&tips).1])
     }
 
-    /// Returns the hand's force that keeps the tip in place, per newton of the wall's force, d entries: along the
-    /// normal, and against the sideways push of the feed-forward, Λ J M⁻¹ of its torques. Without that part the hand's
-    /// spring would give way by millimetres, too far for the linearised loop.
+    /// Returns the hand's force that keeps the tip in place, per newton of the wall's force, d entries. It acts along
+    /// the normal and against the sideways push of the feed-forward, Λ J M⁻¹ of its torques. Without the second part
+    /// the hand's spring would move by millimetres, too far for the linearised loop.
     fn holding_force(&self, mode: Mode, mobility: &DMatrix<f64>, shaped: &DVector<f64>) -> Option<DVector<f64>> {
         let normal = DVector::from_column_slice(&self.normal);
-        // A washout has no steady push.
+        // A washout has no steady sideways push.
         if mode != Mode::Full {
             return Some(normal);
         }
@@ -215,8 +219,7 @@ impl Pressed<'_> {
     }
 }
 
-/// The control loop of a prediction: its estimator, feed-forward and posture, linearised at the pose, with encoder
-/// steps.
+/// The linearised control loop of a prediction: its estimator, feed-forward and posture, with encoder steps.
 struct LinearLaw<'a> {
     steps: &'a [f64],
     q0: [f64; MAX_JOINTS],
@@ -227,37 +230,35 @@ struct LinearLaw<'a> {
     estimator: DMatrix<f64>,
     wall: EstimatedMotion,
     held: Option<(Posture, EstimatedMotion)>,
-    /// Each joint, and the map from b of (4) to torques, if the joints' damping is compensated.
+    /// Motions of the joints, and the map from b of (4) to torques; `None` if joint damping is not compensated.
     compensated: Option<(Vec<EstimatedMotion>, DMatrix<f64>)>,
     mode: Mode,
-    /// Slow part of the force, for a washout.
+    /// Slow part of the force, for a washout, N.
     slow: f64,
     kp: f64,
     kd: f64,
     /// Position of the wall's surface along the normal, m.
     surface: f64,
     period: f64,
-    /// Last command, N m.
+    /// Last commanded torques, N m.
     commanded: DVector<f64>,
 }
 
-/// A motion of the joints whose velocity is estimated.
+/// A motion of the joints, with its velocity estimator.
 struct EstimatedMotion {
-    /// Jacobian of the motion.
     row: DVector<f64>,
     before: f64,
-    /// States of the estimator, then the motion in the last period and the motion that the last command predicts.
+    /// States of the estimator, then the motion in the last period, then the motion that the last command predicts.
     memory: DVector<f64>,
 }
 
 impl EstimatedMotion {
-    /// Creates the motion at rest at these angles, rad.
+    /// Creates the motion at rest at these angles (rad).
     fn new(row: DVector<f64>, estimator: &DMatrix<f64>, angles: &DVector<f64>) -> Self {
         Self { before: row.dot(angles), row, memory: DVector::zeros(estimator.nrows() + 1) }
     }
 
-    /// Returns position and velocity per sample; `given` is the velocity per sample that the last command gave each
-    /// joint, rad.
+    /// Returns position and velocity per sample. `given` is each joint's velocity from the last command, rad.
     fn estimate(&mut self, angles: &DVector<f64>, estimator: &DMatrix<f64>, given: &DVector<f64>) -> (f64, f64) {
         let x = self.row.dot(angles);
         let states = estimator.nrows() - 1;
@@ -308,7 +309,7 @@ impl<'a> LinearLaw<'a> {
             slow: pressed.push_n,
             kp,
             kd,
-            // At the start the wall holds the hand.
+            // At the start the wall carries the push of the hand.
             surface: if kp > 0.0 { -pressed.push_n / kp } else { 0.0 },
             period: 1.0 / pressed.around.rate_hz,
             commanded: DVector::zeros(joints),
@@ -316,10 +317,10 @@ impl<'a> LinearLaw<'a> {
     }
 }
 
-/// Returns the angles of the joints relative to `q0` by their encoders, rad.
+/// Returns the joint angles relative to `q0` as the encoders show them, rad.
 fn encoder_angles(q: &[f64; MAX_JOINTS], q0: &[f64; MAX_JOINTS], steps: &[f64], offset: f64) -> DVector<f64> {
     DVector::from_fn(steps.len(), |j, _| {
-        // A separate offset for each joint, so that joints do not step together.
+        // Each joint has another offset so that the joints do not step together.
         let origin = (offset + 0.37 * j as f64).fract();
         (((q[j] - q0[j]) / steps[j] - origin).round() + origin) * steps[j]
     })

@@ -1,5 +1,4 @@
-//! Summary of a device file with which a person recognises a file of another device: the reach of the tip, its position
-//! at home, its force, its mass.
+//! Summary of a device file: reach and home of the tip, its force, and the mass.
 
 use crate::plausible::device::force_at;
 use haptic_bridge::model::device::Device;
@@ -9,17 +8,16 @@ use haptic_stability::analysis::map::{MapPoint, climb, map};
 use haptic_stability::analysis::pose::{PoseError, TaskPose};
 use serde::Serialize;
 
-/// Grid poses for the reach and the inertia.
-const POSES: usize = 3000;
-/// First step of the search from the grid's farthest pose to the end of the reach, rad.
-const STEP: f64 = 0.1;
+const GRID_POSES: usize = 3000;
+/// First step of the search from the farthest grid pose to the end of the reach, rad.
+const FIRST_STEP_RAD: f64 = 0.1;
 
 /// Range of a quantity.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Span {
-    /// Lowest.
+    /// Lowest value.
     pub low: f64,
-    /// Highest.
+    /// Highest value.
     pub high: f64,
 }
 
@@ -36,28 +34,26 @@ impl Span {
 pub struct Summary {
     /// Range of the tip along each task coordinate, m, over the poses that are connected with home.
     pub reach: Vec<Span>,
-    /// Tip at home, m.
+    /// Position of the tip at home, m.
     pub tip_at_home: Option<Vec<f64>>,
-    /// Largest force at the tip at home in its weakest and its strongest direction, N: max_current times
-    /// torque_constant through Jᵀ.
+    /// Largest force at the tip at home in its weakest and its strongest direction, N.
     pub force_at_home: Option<Span>,
-    /// Largest motion of the tip at home per count of one encoder, m; `None` if a joint has no encoder.
+    /// Largest tip motion at home per count of one encoder, m; `None` if a joint has no encoder.
     pub count_at_home: Option<f64>,
     /// Mass of links and handle, kg.
     pub moving_mass: f64,
     /// Effective inertia at home over all normals, kg.
     pub w_eff_at_home: Option<Span>,
-    /// The same over the workspace.
+    /// Effective inertia over the workspace and all normals, kg.
     pub w_eff: Option<Span>,
 }
 
-/// Returns the range of the tip along a task coordinate: from the grid's farthest poses to the limit or singularity
-/// that ends the motion.
+/// Returns the tip's range along a task coordinate, up to the limit or singularity that ends its motion.
 fn reach(device: &Device<f64>, points: &[MapPoint], axis: usize) -> Result<Option<Span>, PoseError> {
     let place = |point: &&MapPoint| point.position[axis];
     let farthest = |sign: f64| {
         let from = points.iter().max_by(|a, b| (sign * place(a)).total_cmp(&(sign * place(b))))?;
-        Some(climb(device, &from.q, STEP, |pose| sign * pose.position[axis]).map(|reached| sign * reached))
+        Some(climb(device, &from.q, FIRST_STEP_RAD, |pose| sign * pose.position[axis]).map(|reached| sign * reached))
     };
     let (low, high) = (farthest(-1.0).transpose()?, farthest(1.0).transpose()?);
     Ok(low.zip(high).map(|(low, high)| Span { low, high }))
@@ -68,7 +64,7 @@ impl Summary {
     pub fn of(file: &DeviceFile) -> Result<Self, PoseError> {
         let description = &file.description;
         let spec = file.spec();
-        let points = map(description, &[1.0, 0.0, 0.0][..spec.task], POSES)?;
+        let points = map(description, &[1.0, 0.0, 0.0][..spec.task], GRID_POSES)?;
         let device = file.device::<f64>()?;
         let reach = (0..spec.task).filter_map(|axis| reach(&device, &points, axis).transpose());
         let reach = reach.collect::<Result<_, _>>()?;
@@ -102,7 +98,7 @@ impl Summary {
         })
     }
 
-    /// Formats the summary for people, one line per item.
+    /// Formats the summary as text lines, one per item.
     pub fn lines(&self) -> Vec<String> {
         let millimetres = |v: f64| format!("{:.1}", (1e4 * v).round() / 10.0 + 0.0);
         let mut lines = Vec::new();

@@ -1,5 +1,4 @@
-//! Files to start from: a device file for each mechanism, with every key, its meaning, and example numbers to replace;
-//! and a scene file for a device.
+//! File templates: a commented device file for each mechanism, and a scene file for a device.
 
 use crate::plausible::scene::Ripple;
 use crate::tune::{USUAL_RIPPLE_N, three_digits};
@@ -10,23 +9,23 @@ use haptic_host::device_file::DeviceFile;
 use haptic_host::error::Failure;
 use haptic_host::words::with_unit;
 
-/// Part of a template that a mechanism's [`Spec`](haptic_bridge::model::catalogue::Spec) does not contain.
+/// Part of a template that the mechanism's [`Spec`](haptic_bridge::model::catalogue::Spec) does not contain.
 struct Example {
-    /// Description of the mechanism, with the pose of zero angles.
+    /// Description of the mechanism with its pose of zero angles.
     about: &'static str,
     gravity: &'static str,
     /// Lines of `[geometry]`: key, value, comment.
     geometry: &'static [(&'static str, &'static str, &'static str)],
-    /// Mass (kg), centre of mass (m) and inertia (kg m²) of each link, and the reference of the centre of mass.
+    /// Mass (kg), centre of mass (m), inertia (kg m²) and reference of the centre of mass of each link.
     links: &'static [(f64, f64, f64, &'static str)],
-    /// Inertia of each joint, kg m², and its limits, rad.
+    /// Inertia (kg m²), limits (rad) and comment of each joint.
     joints: &'static [(f64, [f64; 2], &'static str)],
     home: &'static str,
 }
 
 fn example(kind: Kind) -> Example {
-    const ARM: &str = "from the motor towards the elbow";
-    const ROD: &str = "from the elbow towards the tip";
+    const FROM_MOTOR: &str = "from the motor towards the elbow";
+    const FROM_ELBOW: &str = "from the elbow towards the tip";
     match kind {
         Kind::Paddle => Example {
             about: "One handle on one pivot. Its task coordinate is the arc, length times angle.",
@@ -47,10 +46,10 @@ fn example(kind: Kind) -> Example {
                 ("assembly", "1", "1: the tip lies left of the way from C to D (above, seen as drawn); -1: right"),
             ],
             links: &[
-                (0.02, 0.03, 1.0e-5, ARM),
-                (0.02, 0.03, 1.0e-5, ARM),
-                (0.012, 0.045, 1.0e-5, ROD),
-                (0.012, 0.045, 1.0e-5, ROD),
+                (0.02, 0.03, 1.0e-5, FROM_MOTOR),
+                (0.02, 0.03, 1.0e-5, FROM_MOTOR),
+                (0.012, 0.045, 1.0e-5, FROM_ELBOW),
+                (0.012, 0.045, 1.0e-5, FROM_ELBOW),
             ],
             joints: &[(2.0e-6, [1.2, 3.3], "rotor times the ratio squared"), (2.0e-6, [-0.2, 1.9], "")],
             home: "[2.3, 0.8415926]",
@@ -66,10 +65,10 @@ fn example(kind: Kind) -> Example {
                 ("assembly", "1", "1: the tip lies left of the way from elbow to elbow; -1: right"),
             ],
             links: &[
-                (0.04, 0.035, 3.0e-5, ARM),
-                (0.04, 0.035, 3.0e-5, ARM),
-                (0.03, 0.06, 4.0e-5, ROD),
-                (0.03, 0.06, 4.0e-5, ROD),
+                (0.04, 0.035, 3.0e-5, FROM_MOTOR),
+                (0.04, 0.035, 3.0e-5, FROM_MOTOR),
+                (0.03, 0.06, 4.0e-5, FROM_ELBOW),
+                (0.03, 0.06, 4.0e-5, FROM_ELBOW),
             ],
             joints: &[
                 (4.0e-4, [-0.8, 0.8], "turret: rotor times the ratio squared, and other parts that turn with it"),
@@ -120,11 +119,11 @@ fn example(kind: Kind) -> Example {
     }
 }
 
-/// Motors and encoders that boards work with: a sentence without its full stop.
+/// Motors and encoders that the boards support, as a sentence without full stop.
 pub const MOTORS_AND_ENCODERS: &str = "boards drive brushed motors and read incremental encoders (A and B): two of each at 10 to 50 V (odrive-v3), three at 6 to \
      34 V (H-bridges)";
 
-/// Returns a device file of this mechanism that passes every check; only a person must still confirm the motors.
+/// Returns a device file of this mechanism. It passes every check except the confirmation of its motors.
 pub fn device_file(kind: Kind, name: &str) -> String {
     let spec = kind.spec();
     let example = example(kind);
@@ -238,12 +237,12 @@ pub fn device_file(kind: Kind, name: &str) -> String {
     text
 }
 
-/// Returns a scene file for a device, with one wall in front of its home pose and every other key as a comment.
+/// Returns a scene file for a device, with one wall in front of home and every optional key as a comment.
 pub fn scene_file(device: &DeviceFile) -> Result<String, Failure> {
     let FirstWall { scene, ripple } = first_wall(device)?;
     let task = device.spec().task;
     let list = |values: &[f32]| {
-        // Tenths of a millimetre, without a negative zero.
+        // Round to tenths of a millimetre, without a negative zero.
         let tenths = values.iter().take(task).map(|value| (1e4 * f64::from(*value)).round() / 1e4 + 0.0);
         let values: Vec<String> = tenths.map(|value| format!("{value:?}")).collect();
         format!("[{}]", values.join(", "))
@@ -293,9 +292,8 @@ pub fn scene_file(device: &DeviceFile) -> Result<String, Failure> {
     Ok(text)
 }
 
-/// Formats a line of a file: key, value and comment.
 fn line(key: &str, value: &str, comment: &str) -> String {
-    // A key may contain preceding lines.
+    // A key may have lines before it.
     let begins = key.rfind('\n').map_or(0, |newline| newline + 1);
     let (before, key) = key.split_at(begins);
     let pair = format!("{key} = {value}");
@@ -307,7 +305,7 @@ fn with_prefix(unit: &str, comment: &str) -> String {
     if comment.is_empty() { String::new() } else { format!("{unit}: {comment}") }
 }
 
-/// Formats a TOML float, in powers of ten if that is shorter.
+/// Formats a TOML float; small values use powers of ten.
 fn number(value: f64) -> String {
     if value.abs() < 1e-2 && value != 0.0 { format!("{value:.3e}") } else { format!("{value:?}") }
 }
@@ -340,47 +338,15 @@ mod tests {
     #[test]
     fn the_template_contains_every_key_of_device_files() {
         let text = device_file(Kind::Parallelogram, "mine");
-        for key in [
-            "name",
-            "mechanism",
-            "gravity",
-            "upper",
-            "fore",
-            "crank",
-            "mass",
-            "com",
-            "inertia",
-            "inertia_axial",
-            "inertia_transverse",
-            "viscous",
-            "coulomb",
-            "limits",
-            "counts_per_turn",
-            "offset",
-            "inverted",
-            "torque_constant",
-            "resistance",
-            "inductance",
-            "back_emf",
-            "max_current",
-            "verified",
-            "q",
-        ] {
+        let keys = "name mechanism gravity upper fore crank mass com inertia inertia_axial inertia_transverse \
+                    viscous coulomb limits counts_per_turn offset inverted torque_constant resistance inductance \
+                    back_emf max_current verified q";
+        for key in keys.split(' ') {
             assert!(text.lines().any(|line| line.starts_with(&format!("{key} = "))), "{key}");
         }
-        for key in [
-            "stiffness",
-            "damping",
-            "motor_inertia",
-            "encoder_at",
-            "static",
-            "stribeck_speed",
-            "amplitude",
-            "per_turn",
-            "frequency",
-            "inertia",
-            "supply",
-        ] {
+        let keys = "stiffness damping motor_inertia encoder_at static stribeck_speed amplitude per_turn frequency \
+                    inertia supply";
+        for key in keys.split(' ') {
             assert!(text.lines().any(|line| line.starts_with(&format!("# {key} = "))), "{key}");
         }
     }
@@ -391,19 +357,8 @@ mod tests {
             let file = DeviceFile::parse(&device_file(*kind, "mine"), "mine.toml").unwrap();
             let task = file.spec().task;
             let text = scene_file(&file).unwrap();
-            let keys = [
-                "[[",
-                "estimator",
-                "gravity",
-                "hand_speed",
-                "washout_hz",
-                "bilateral",
-                "point",
-                "stiffness",
-                "damping",
-            ];
-            let every =
-                keys.iter().fold(text.clone(), |text, key| text.replace(&format!("\n# {key}"), &format!("\n{key}")));
+            let keys = "[[ estimator gravity hand_speed washout_hz bilateral point stiffness damping".split(' ');
+            let every = keys.fold(text.clone(), |text, key| text.replace(&format!("\n# {key}"), &format!("\n{key}")));
             assert!(!every.lines().skip(4).any(|line| line.starts_with('#')), "{every}");
             for text in [&text, &every] {
                 let scene =

@@ -1,4 +1,4 @@
-//! Hazards for a person at the tip: the largest force and the largest kinetic energy that a device's limits allow.
+//! Hazards for a person at the tip: the largest force and kinetic energy that a device's limits allow.
 
 use crate::boards::torque_at_rest;
 use crate::plausible::device::weight;
@@ -9,16 +9,16 @@ use haptic_bridge::model::motor::Motor;
 use haptic_stability::analysis::pose::{PoseError, TaskPose};
 use nalgebra::DVector;
 
-/// A device at one pose whose hazards are computed.
+/// A device at a pose for the computation of hazards.
 #[derive(Clone, Debug)]
 pub struct Tip {
     pose: TaskPose,
-    /// Joint torques that hold the device up at the pose, N m.
+    /// Joint torques that carry the device's weight at the pose, N m.
     weight: Vec<f64>,
 }
 
 impl Tip {
-    /// Returns the device at its home pose; `None` without one. Errors if the pose is singular.
+    /// Returns the device at home, or `None` if the description has no home. Rejects a singular home.
     pub fn at_home(description: &Description) -> Option<Result<Self, PoseError>> {
         let home = description.home.as_ref()?;
         let joints = description.kind.spec().joints;
@@ -27,18 +27,18 @@ impl Tip {
         Some(pose.map(|pose| Self { pose, weight }))
     }
 
-    /// Returns the largest force (N) at the tip from joint torques within ±`torque` (N m), with any signs.
+    /// Returns the largest tip force for joint torques within ±`torque` (N m), N.
     pub fn force(&self, torque: &[f64]) -> f64 {
         self.largest_at_corners(torque, |torque| self.pose.inverse.tr_mul(&torque).rows(0, self.pose.task).norm())
     }
 
-    /// Returns the largest kinetic energy (J) with joint speeds within ±`speed` (rad/s).
+    /// Returns the largest kinetic energy for joint speeds within ±`speed` (rad/s), J.
     pub fn energy(&self, speed: &[f64]) -> f64 {
         self.largest_at_corners(speed, |speed| 0.5 * speed.dot(&(&self.pose.mass * &speed)))
     }
 
-    /// Returns torque limits (N m), one per joint, that bound the tip force to `newtons`. They are in proportion to the
-    /// torque that each joint needs for that force in its own direction.
+    /// Returns torque limits that bound the tip force to `newtons`, N m per joint. They are proportional to the torque
+    /// that each joint needs for this force in its own direction.
     pub fn torques_for(&self, newtons: f64) -> Vec<f64> {
         let jacobian = self.pose.jacobian.rows(0, self.pose.task);
         let shares: Vec<f64> = jacobian.column_iter().map(|column| column.norm()).collect();
@@ -46,12 +46,12 @@ impl Tip {
         shares.iter().map(|share| share * newtons / force).collect()
     }
 
-    /// Returns [`Tip::torques_for`] plus the torques that hold the device up, N m.
+    /// Returns [`Tip::torques_for`] plus the torques that carry the device's weight, N m.
     pub fn limits_for(&self, newtons: f64) -> Vec<f64> {
         self.torques_for(newtons).iter().zip(&self.weight).map(|(torque, weight)| torque + weight.abs()).collect()
     }
 
-    /// Returns the largest `value` over the corners of a box.
+    /// Returns the largest `value` over the corners of the box with these half sides.
     fn largest_at_corners(&self, half: &[f64], value: impl Fn(DVector<f64>) -> f64) -> f64 {
         let joints = self.pose.mass.nrows();
         let corner = |signs: usize| {
@@ -67,13 +67,13 @@ impl Tip {
 /// Default limit of joint speed in the boards' firmware, rad/s.
 pub const BOARD_SPEED: f64 = 100.0;
 
-/// Returns the largest torque of each motor at rest, N m at the joint; 0 for a joint without motor.
+/// Returns the largest torque of each motor at rest, N m at the joint; 0 for a joint without a motor.
 pub fn motor_torques(description: &Description) -> Vec<f64> {
     let joints = description.kind.spec().joints;
     description.joints.iter().map(|joint| joint.motor.map_or(0.0, |motor| torque_at_rest(&motor, joints))).collect()
 }
 
-/// Returns the torque per speed that a wrong current sensor may hide in addition to that at rest, N m s/rad.
+/// Returns the torque per speed that a wrong current sensor may hide in addition to the torque at rest, N m s/rad.
 pub fn torques_hidden_by_speed(description: &Description) -> Vec<f64> {
     let torque = |motor: Motor<f64>| (motor.torque_constant * hidden_by_speed(&motor)).abs();
     description.joints.iter().map(|joint| joint.motor.map_or(0.0, torque)).collect()
@@ -86,7 +86,7 @@ mod tests {
     use haptic_bridge::model::catalogue::MAX_JOINTS;
     use haptic_host::device_file::DeviceFile;
 
-    /// Returns the shipped devices that have a home pose, by the name of their file.
+    /// Returns the shipped devices with a home pose, with the names of their files.
     fn shipped_devices() -> Vec<(String, DeviceFile, Tip)> {
         let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../devices");
         let files = std::fs::read_dir(folder).expect("devices ship").map(|entry| entry.expect("a file").path());
@@ -127,7 +127,7 @@ mod tests {
             (BoardKind::HBridgeF405, include_str!("../../../firmware/src/board/h_bridges.rs")),
         ] {
             assert!(board.contains(&format!("    speed: [{BOARD_SPEED:.1}; 3],")), "boards start with another speed");
-            assert!(board.contains(&format!("    current: [{:.1}; 3],", kind.most_current())), "{kind:?}");
+            assert!(board.contains(&format!("    current: [{:.1}; 3],", kind.max_current())), "{kind:?}");
         }
         let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/results/tips.csv");
         if std::env::var_os("UPDATE_DOCS").is_some() {

@@ -1,11 +1,12 @@
-//! Finds the settings that render the stiffest wall on a device: rate, velocity estimator, cutoff, damping, stiffness,
-//! washout and feed-forward, within margins, a ripple limit and the motors' torque.
+//! Finds the settings of the stiffest wall on a device (rate, velocity estimator, cutoff, damping, stiffness, washout
+//! and feed-forward) within margins, a ripple limit and the motors' torque.
 //!
-//! Stability is that of the exact sampled loop ([`haptic_stability::analysis`]), for a device that deviates from its
-//! file ([`Margins`]). Ripple is the effect of encoder steps on a pressed wall. It is simulated
-//! ([`crate::bench::wall`]) on that device and on deviating ones, because the analysis is linear and does not know
-//! steps. A single simulated hand may hide ripple, so a second hand presses the wall on a complete simulated board
-//! ([`measured`]). A tip that taps the wall may rebound at most [`MOST_REBOUNDS`] times. `criteria` contains all
+//! The exact sampled loop ([`haptic_stability::analysis`]) decides stability, for devices that deviate from the file
+//! ([`Margins`]). A simulation ([`crate::bench::wall`]) computes the ripple that encoder steps cause on a pressed wall,
+//! because the analysis is linear, for the device in the file and for deviating ones.
+//!
+//! A single simulated hand may hide ripple, so a second hand presses the wall on a complete simulated board
+//! ([`measured`]). A tip that taps the wall may rebound at most [`MAX_REBOUNDS`] times. `criteria` contains all
 //! criteria, and `search` finds the stiffest wall that meets them.
 
 mod alternatives;
@@ -18,15 +19,11 @@ pub mod measured;
 mod scene;
 mod search;
 
+use crate::bench::wall::RenderedWall;
 pub use alternatives::Alternative;
 pub use baseline::{Baseline, LEAST_RIPPLE_N, USUAL_RIPPLE_N, baseline, ripple_like};
-pub use criteria::{MOST_REBOUNDS, keeps, ripple};
-pub use limits::{Limit, NeighbourWall};
-pub use margins::{Margins, vertex};
-pub use scene::to_toml;
-
-use crate::bench::wall::Rendered;
 use criteria::SearchContext;
+pub use criteria::{MAX_REBOUNDS, accepted_wall, ripple};
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::render::scene::{FeedForward, Scene};
 use haptic_bridge::render::velocity::{CutoffMeaning, Estimator};
@@ -36,46 +33,47 @@ use haptic_stability::analysis::control_loop::TorquePath;
 use haptic_stability::analysis::sampled::{LinearEstimator, Loop, Mode};
 use haptic_stability::sweep::Sweep;
 use limits::limits;
+pub use limits::{Limit, NeighbourWall};
+pub use margins::{Margins, vertex};
+pub use scene::to_toml;
 use serde::Serialize;
 use std::collections::BTreeSet;
 
-/// Highest rate at which the emulated chip missed no period in contact with the shipped estimator, Hz
-/// (docs/results/timing.md).
+/// Highest rate at which the emulated chip missed no period in contact, Hz (docs/results/timing.md).
 pub const FASTEST_HZ: f64 = 30_000.0;
 /// Rates that are searched by default, Hz.
 pub const RATES_HZ: [f64; 4] = [1_000.0, 5_000.0, 10_000.0, 20_000.0];
-/// Precision of the stiffness, as a ratio. Of walls that differ by less, the one without feed-forward is chosen.
+/// Ratio below which two stiffnesses count as equal. Of equal walls the one without feed-forward is chosen.
 const STIFFNESS_RATIO: f64 = 1.03;
 
-/// Request for a search.
+/// Request to [`tune`].
 #[derive(Clone, Debug)]
 pub struct Question<'a> {
-    /// The device.
+    /// Device file.
     pub file: &'a DeviceFile,
     /// Pose, rad.
     pub q: Vec<f64>,
     /// Unit normal of the wall.
     pub normal: Vec<f64>,
-    /// The coordinate that a redundant device holds.
+    /// The coordinate that the feed-forward of a redundant device holds.
     pub admissible: Admissible,
-    /// The deviations of the device from its file that the wall must tolerate.
+    /// Deviations of the device from its file that the wall must tolerate.
     pub margins: Margins,
-    /// Limit of the ripple: root mean square of the wall's force above 20 Hz under a hand that slides along it, N.
+    /// Largest root mean square of the force above 20 Hz while a hand slides along the wall, N.
     pub ripple_n: f64,
-    /// The same limit on the simulated board with its hand, N; `None` skips that simulation.
+    /// Ripple limit on the simulated board with its hand, N; `None` skips that simulation.
     pub board_ripple_n: Option<f64>,
-    /// Smallest penetration in encoder counts at which the wall may need all of the motors' torque; a larger value is
-    /// finer.
+    /// Smallest penetration at which the wall may need all of the motors' torque, encoder counts.
     pub counts: f64,
     /// Speed at which the wall's damping alone may need all of the motors' torque, m/s.
     pub speed: f64,
     /// Control rates, Hz.
     pub rates_hz: Vec<f64>,
-    /// Velocity estimators; the search chooses their parameters and cutoffs.
+    /// Velocity estimators. The search chooses their parameters and cutoffs.
     pub estimators: Vec<Estimator>,
-    /// Feed-forwards that are allowed.
+    /// Allowed feed-forwards.
     pub feed_forwards: Vec<FeedForward>,
-    /// Known settings with stiffness and damping that keep the margins: the result is at least as stiff.
+    /// Known settings within the margins; the result is at least as stiff.
     pub known: Option<Settings>,
 }
 
@@ -89,11 +87,11 @@ pub struct Settings {
     pub kind: Estimator,
     /// Name of the estimator.
     pub estimator: &'static str,
-    /// Parameter of the estimator, 0 if it has none.
+    /// Parameter of the estimator; 0 if it has none.
     pub value: u32,
     /// Cutoff of the estimator, Hz.
     pub cutoff_hz: f64,
-    /// The wall's feed-forward.
+    /// Feed-forward of the wall.
     pub feed_forward: FeedForward,
     /// Corner of the washout, Hz.
     pub washout_hz: f64,
@@ -106,7 +104,7 @@ pub struct Settings {
 }
 
 impl Settings {
-    /// Returns the settings of a wall in a scene.
+    /// Returns the settings of a wall in a scene; `None` if there is no such wall.
     #[must_use]
     pub fn of(scene: &Scene<f64>, wall: usize) -> Option<Self> {
         let wall = scene.walls.get(wall)?;
@@ -124,8 +122,8 @@ impl Settings {
         })
     }
 
-    pub(crate) fn rendered(&self, admissible: Admissible) -> Rendered {
-        Rendered {
+    pub(crate) fn rendered(&self, admissible: Admissible) -> RenderedWall {
+        RenderedWall {
             kind: self.kind,
             cutoff_hz: self.cutoff_hz,
             feed_forward: self.feed_forward,
@@ -151,10 +149,10 @@ impl Settings {
         }
     }
 
-    /// Returns the control loop of the usual board with these settings; `None` if the estimator has no linear model.
+    /// Returns the control loop of a board with these settings; `None` if the estimator has no linear model.
     fn loop_settings(&self) -> Option<Loop> {
         let estimator = LinearEstimator::of(self.kind, self.cutoff_hz)?;
-        let around = Loop::through(&TorquePath::usual(self.rate_hz), self.rate_hz, estimator);
+        let around = Loop::with_torque_path(&TorquePath::usual(self.rate_hz), self.rate_hz, estimator);
         Some(Loop { damping_compensation: self.damping_compensation, ..around })
     }
 }
@@ -162,15 +160,14 @@ impl Settings {
 /// A wall that meets all criteria.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct TunedWall {
-    /// The settings.
+    /// Settings of the wall.
     #[serde(flatten)]
     pub settings: Settings,
-    /// Root mean square of the force above 20 Hz under a hand that slides along the wall, N: the largest of the device
-    /// in the file and the deviating ones.
+    /// Largest root mean square of the force above 20 Hz under a sliding hand over all tested devices, N.
     pub ripple_n: f64,
-    /// The same on the simulated board with the device in the file and its hand, N; `None` if it was not simulated.
+    /// Ripple on the simulated board with its hand, N; `None` if it was not simulated.
     pub board_ripple_n: Option<f64>,
-    /// Stiffness that a hand at the tip feels at rest, N/m; `None` if no transmission is compliant.
+    /// Stiffness that a hand feels at rest, N/m; `None` if no transmission is compliant.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub felt: Option<f64>,
 }
@@ -178,26 +175,25 @@ pub struct TunedWall {
 /// The result of a search.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct TuneResult {
-    /// The stiffest wall; of those within 3 % of it the stiffest without feed-forward.
+    /// The stiffest wall, or the stiffest without feed-forward if it is within 3 %.
     pub best: TunedWall,
-    /// The stiffest wall of all, if `best` is a different one.
+    /// The stiffest wall if it is not `best`.
     pub passed_over: Option<TunedWall>,
-    /// The limit that a stiffer wall exceeds first.
+    /// Name of the limit that a stiffer wall exceeds first.
     pub active: &'static str,
-    /// The gains that each limit alone would allow.
+    /// Gains that each limit alone would allow.
     pub limits: Vec<Limit>,
-    /// Neighbouring walls: stiffer, with more damping, with less damping.
+    /// Neighbouring walls: stiffer, with more damping, and with less damping.
     pub beside: Vec<NeighbourWall>,
-    /// The best wall of each estimator, the stiffest first.
+    /// The stiffest wall of each estimator, in descending order of stiffness.
     pub others: Vec<TunedWall>,
-    /// The results with the other feed-forwards.
+    /// Results with the other feed-forwards.
     pub feed_forwards: Vec<Alternative>,
-    /// Number of combinations of rate, estimator, cutoff and feed-forward, and number of those whose ripple was
-    /// simulated.
+    /// Number of combinations of rate, estimator, cutoff and feed-forward, and number of these that were simulated.
     pub looked_at: (usize, usize),
 }
 
-/// Rounds `value` to three digits; `down` rounds towards zero.
+/// Rounds `value` to three digits; towards zero if `down`.
 pub(crate) fn three_digits(value: f64, down: bool) -> f64 {
     if value <= 0.0 || !value.is_finite() {
         return value;
@@ -207,14 +203,14 @@ pub(crate) fn three_digits(value: f64, down: bool) -> f64 {
     (if down { (scaled + 1e-9).floor() } else { scaled.round() }) / unit
 }
 
-/// Returns the velocity estimators that can be searched, each with its default parameter.
+/// Returns the velocity estimators that can be searched, with default parameters.
 #[must_use]
 pub fn estimators() -> Vec<Estimator> {
     let all = Estimator::ALL.iter().map(|(_, kind)| *kind);
     all.filter(|kind| LinearEstimator::of(*kind, 1.0).is_some()).collect()
 }
 
-/// Rejects requests beyond every board.
+/// Rejects requests that no board can meet.
 fn check(question: &Question<'_>) -> Result<(), Failure> {
     if let Some(rate) = question.rates_hz.iter().find(|rate| !(200.0..=FASTEST_HZ).contains(*rate)) {
         return Err(Failure::wrong(format!("no board has kept up with {rate} Hz in contact"))
@@ -230,9 +226,9 @@ fn check(question: &Question<'_>) -> Result<(), Failure> {
 /// Searches for the stiffest wall. The result does not depend on the number of cores.
 pub fn tune(question: &Question<'_>, sweep: &Sweep) -> Result<TuneResult, Failure> {
     let context = SearchContext::new(question, sweep)?;
-    let (mut all, looked_at) = context.all()?;
+    let (mut all, looked_at) = context.search_all()?;
     all.iter_mut().for_each(|candidate| candidate.felt = context.felt(&candidate.settings));
-    let Some((best, passed_over)) = choose(&all) else {
+    let Some((best, passed_over)) = choose_wall(&all) else {
         return Err(Failure::impossible(format!(
             "no wall here is stable within the margins and ripples by at most {} N",
             question.ripple_n
@@ -240,7 +236,7 @@ pub fn tune(question: &Question<'_>, sweep: &Sweep) -> Result<TuneResult, Failur
         .remedy("choose another pose or normal (`haptic design`), or allow more ripple")
         .choose(Choice::Ripple));
     };
-    let (active, limits, beside) = sweep.during("what limits it", || limits(&context, &best))?;
+    let (active, limits, beside) = sweep.during("limits of the wall", || limits(&context, &best))?;
     let feed_forwards = sweep.during("other feed-forwards", || alternatives::alternatives(&context, &best, &all))?;
     Ok(TuneResult {
         best,
@@ -254,15 +250,15 @@ pub fn tune(question: &Question<'_>, sweep: &Sweep) -> Result<TuneResult, Failur
     })
 }
 
-/// Returns the stiffest wall, the first of equals.
+/// Returns the stiffest wall; the first of equally stiff walls.
 fn stiffest<'a>(walls: impl IntoIterator<Item = &'a TunedWall>) -> Option<TunedWall> {
     let stiffer = |other: &TunedWall, best: &TunedWall| other.settings.stiffness > best.settings.stiffness;
     walls.into_iter().copied().reduce(|best, other| if stiffer(&other, &best) { other } else { best })
 }
 
-/// Returns the chosen wall, and the stiffest if that is a different one. A feed-forward needs a correct model and
-/// pushes along the wall, so it is left out if it makes no difference.
-fn choose(all: &[TunedWall]) -> Option<(TunedWall, Option<TunedWall>)> {
+/// Returns the chosen wall, and the stiffest wall if that is not the chosen one. A feed-forward needs a correct model
+/// and pushes along the wall, so a wall without it is chosen if it is equally stiff.
+fn choose_wall(all: &[TunedWall]) -> Option<(TunedWall, Option<TunedWall>)> {
     let top = stiffest(all)?;
     let plain = stiffest(all.iter().filter(|candidate| candidate.settings.feed_forward == FeedForward::Off));
     match plain {
@@ -273,7 +269,7 @@ fn choose(all: &[TunedWall]) -> Option<(TunedWall, Option<TunedWall>)> {
     }
 }
 
-/// Returns the stiffest wall of each estimator, the stiffest first; equals keep their order.
+/// Returns the stiffest wall of each estimator in descending order of stiffness; equally stiff walls keep their order.
 fn best_of_each_estimator(mut all: Vec<TunedWall>) -> Vec<TunedWall> {
     all.sort_by(|a, b| b.settings.stiffness.total_cmp(&a.settings.stiffness));
     let mut seen = BTreeSet::new();

@@ -1,4 +1,4 @@
-//! The default wall in front of a device without a scene.
+//! The default wall in front of a device for which the user has written no scene.
 
 use crate::plausible::scene::{Contact, Ripple, SOFTEST_WALL, file_warnings, ripple};
 use crate::tune::three_digits;
@@ -16,19 +16,18 @@ use haptic_stability::analysis::sampled::Mode;
 /// Distance of the wall from the tip, m.
 const WALL_DISTANCE: f64 = 0.006;
 
-/// Penetration at which a first wall may need all of the motors' torque, m: a hand then feels a wall and not a switch.
+/// Penetration at which a first wall may need all of the motors' torque, m. Less feels like a switch.
 const FULL_FORCE_DEPTH: f64 = 1e-3;
-/// Share of the allowed ripple that a first wall may have, because other hands press it as well.
+/// Share of the allowed ripple that a first wall may have, because other hands also press it.
 const RIPPLE_SHARE: f64 = 0.7;
-/// Largest number of times that gains are reduced before a wall is accepted as it is.
-const REDUCTIONS: usize = 12;
+const MAX_REDUCTIONS: usize = 12;
 
-/// A scene of one wall, and the wall's ripple under a hand; `None` if the device has no encoders.
+/// A scene of one wall, and the wall's ripple under a hand.
 #[derive(Clone, Debug)]
 pub struct FirstWall {
     /// The scene.
     pub scene: Scene<f32>,
-    /// Ripple of the wall.
+    /// Ripple of the wall; `None` if it was not simulated.
     pub ripple: Option<Ripple>,
 }
 
@@ -37,9 +36,8 @@ pub fn wall_ahead(file: &DeviceFile) -> Result<Scene<f32>, Failure> {
     first_wall(file).map(|first| first.scene)
 }
 
-/// Returns a wall in front of the tip at home without any warning of `haptic check`: stable, within the motors' torque,
-/// and so soft that it does not rattle. It is on the other side of the tip if a hand cannot reach the wall on this
-/// side.
+/// Returns a wall in front of the tip at home for which `haptic check` prints no warning: stable, within the motors'
+/// torque, and without rattle. It is on the side of the tip that a hand can reach.
 pub fn first_wall(file: &DeviceFile) -> Result<FirstWall, Failure> {
     let first = first_wall_on(file, 1.0)?;
     if is_touched(file, &first.scene) {
@@ -49,14 +47,14 @@ pub fn first_wall(file: &DeviceFile) -> Result<FirstWall, Failure> {
     Ok(if is_touched(file, &other.scene) { other } else { first })
 }
 
-/// Returns true if a hand that moves around like that of `haptic sim` reaches a wall of the scene from home.
+/// Returns true if a hand that moves like that of `haptic sim` reaches a wall of the scene from home.
 fn is_touched(file: &DeviceFile, scene: &Scene<f32>) -> bool {
     let home = file.description.home.unwrap_or_default();
     let pose = TaskPose::at(&file.description, &home[..file.spec().joints]);
     pose.is_ok_and(|pose| HandLoop::find(file, Some(&scene.cast()), padded(&pose.position)).on_a_wall)
 }
 
-/// Returns the wall on one side. `side`: 1 for a wall below the tip, -1 for one above it.
+/// Returns the wall on one side: below the tip if `side` is 1, above it if -1.
 fn first_wall_on(file: &DeviceFile, side: f64) -> Result<FirstWall, Failure> {
     let stable = stable_wall(file, side)?;
     let subject = Subject::new(&file.description).map_err(Failure::wrong)?;
@@ -64,7 +62,7 @@ fn first_wall_on(file: &DeviceFile, side: f64) -> Result<FirstWall, Failure> {
     for feed_forward in [FeedForward::Washout, FeedForward::Off] {
         let mut scene = stable.clone();
         scene.walls.iter_mut().for_each(|wall| wall.feed_forward = feed_forward);
-        for _ in 0..REDUCTIONS {
+        for _ in 0..MAX_REDUCTIONS {
             let (warnings, contacts) = file_warnings(&subject, &scene.cast());
             match contacts.first() {
                 Some(contact) if warnings.is_empty() => return Ok(without_rattle(file, scene, contact)),
@@ -76,21 +74,19 @@ fn first_wall_on(file: &DeviceFile, side: f64) -> Result<FirstWall, Failure> {
     Ok(FirstWall { scene: stable, ripple: None })
 }
 
-/// Returns the scene with a wall that is within the motors' torque and does not rattle where it is touched, if
-/// possible.
+/// Makes the wall softer until it is within the motors' torque and does not rattle, if possible.
 fn without_rattle(file: &DeviceFile, mut scene: Scene<f32>, contact: &Contact) -> FirstWall {
     let stiffness = |scene: &Scene<f32>| scene.walls.first().map_or(0.0, |wall| f64::from(wall.stiffness));
     let most = contact.force.map_or(f64::INFINITY, |force| force / FULL_FORCE_DEPTH).max(SOFTEST_WALL);
     let factor = (most / stiffness(&scene)).min(1.0);
     weaken(&mut scene, factor, factor);
-    for _ in 0..REDUCTIONS {
+    for _ in 0..MAX_REDUCTIONS {
         let Some(ripple) = ripple(&file.description, &scene.cast(), contact) else { break };
         let over = ripple.ripple_n.map_or(f64::INFINITY, |ripple_rms| ripple_rms / (RIPPLE_SHARE * ripple.allowed_n));
         if over <= 1.0 {
             break;
         }
-        // Ripple grows roughly in proportion to the gains. Once a wall has the smallest stiffness, only its damping is
-        // reduced.
+        // Ripple grows roughly in proportion to the gains. From the smallest stiffness on, only the damping is reduced.
         let factor = (0.95 / over).clamp(0.25, 0.85);
         let softer = factor.max(SOFTEST_WALL / stiffness(&scene)).min(1.0);
         weaken(&mut scene, softer, factor);
@@ -98,7 +94,7 @@ fn without_rattle(file: &DeviceFile, mut scene: Scene<f32>, contact: &Contact) -
     FirstWall { ripple: ripple(&file.description, &scene.cast(), contact), scene }
 }
 
-/// Multiplies stiffness and damping of every wall and rounds to three digits, the precision of a prediction.
+/// Multiplies stiffness and damping of all walls, and rounds them to three digits.
 fn weaken(scene: &mut Scene<f32>, stiffness: f64, damping: f64) {
     for wall in &mut scene.walls {
         wall.stiffness = three_digits(stiffness * f64::from(wall.stiffness), true) as f32;
@@ -106,8 +102,7 @@ fn weaken(scene: &mut Scene<f32>, stiffness: f64, damping: f64) {
     }
 }
 
-/// Returns a wall in front of the tip at home (below or above the tip in a plane or in space), with half the stiffness
-/// that is predicted stable.
+/// Returns a wall in front of the tip at home with half the stiffness that is predicted stable.
 fn stable_wall(file: &DeviceFile, side: f64) -> Result<Scene<f32>, Failure> {
     let task = file.spec().task;
     let none = || {
@@ -146,7 +141,7 @@ fn stable_wall(file: &DeviceFile, side: f64) -> Result<Scene<f32>, Failure> {
     let damping = 0.2 * largest_damping;
     let (largest_stiffness, _) = prediction.stiffness_at(q, &normal, Mode::Off, damping)?;
     (wall.stiffness, wall.damping) = ((0.5 * largest_stiffness) as f32, damping as f32);
-    // Cannot fail: a scene holds eight walls.
+    // The push cannot fail because a scene holds eight walls.
     let _ = scene.walls.push(wall);
     Ok(scene)
 }

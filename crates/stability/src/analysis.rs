@@ -1,32 +1,27 @@
-//! Sampled-data analysis: which walls a device renders before the control loop oscillates, and how its inertia is
-//! distributed.
+//! Sampled-data analysis: predicts the stable walls of a device and the distribution of its inertia.
 //!
-//! The analysis uses no board. Its input is a pose, a direction and a few numbers about the control loop; its output
-//! are predictions.
+//! The analysis needs no board. It computes its predictions from a pose, a direction and the data of the control loop.
 //!
 //! - [`amplitudes`]: amplitude spectrum of a recorded signal
-//! - [`control_loop`]: rate, delay, estimator, drives and feed-forward: everything about a control loop except the
-//!   device
-//! - [`cut`]: the plane of the inertia map that is drawn, in tiles
+//! - [`control_loop`]: a control loop without its device: rate, delay, estimator, drives and feed-forward
+//! - [`cut`]: the plane of the inertia map that is drawn, divided into tiles
 //! - [`estimator`]: the velocity estimators as linear filters
-//! - [`flexible`]: compliant transmissions and modes, a hand on the tip, and a posture that holds the device
+//! - [`flexible`]: compliant transmissions and modes, a hand at the tip, and the posture control of a redundant device
 //! - [`host`]: a wall rendered by a program on a computer
-//! - [`mod@line`]: walls along a line with a rule for their damping, and their largest stable stiffness
+//! - [`mod@line`]: walls whose damping follows a rule, and their largest stable stiffness
 //! - [`map`]: inertia over the workspace, the output of `haptic map`
 //! - [`oscillation`]: frequency and growth of a wall's oscillation at given gains
-//! - [`passivity`]: the classical bounds of walls that no hand can make oscillate
+//! - [`passivity`]: the classical bounds for walls that stay stable with any hand
 //! - [`plant`]: the device linearised at a pose, its joint damping and its drives, in continuous time
-//! - [`sampled`]: the sampled loop with zero-order hold, fractional delay, velocity estimator and feed-forward, in
-//!   delta form
-//! - [`spectrum`]: small dense linear algebra (matrix exponential, resolvent, growth), with its own eigenvalue
-//!   iteration
-//! - [`boundary`]: the stiffness at which a mode leaves the unit circle, and every other stable interval
-//! - [`pose`]: matrices of the analysis from a device description and joint angles
-//! - [`domain`]: boundary, area and islands of one device with one feed-forward
-//! - [`prediction`]: a device in a control loop, the prediction that every command uses
-//! - [`range`]: the domains of every feed-forward side by side, the output of `haptic range`
+//! - [`sampled`]: the sampled loop with zero-order hold, fractional delay, velocity estimator and feed-forward
+//! - [`spectrum`]: small dense linear algebra: matrix exponential, resolvent and growth
+//! - [`boundary`]: the stable intervals of stiffness and of damping
+//! - [`pose`]: the analysis's matrices for a device description and joint angles
+//! - [`domain`]: boundary, area and islands for one device and one feed-forward
+//! - [`prediction`]: the prediction for a device in a control loop, used by every command
+//! - [`range`]: the domains of all feed-forwards, the output of `haptic range`
 //! - [`several`]: the sampled loop with several walls that act together
-//! - [`why`]: the share of each effect in the boundary
+//! - [`why`]: the share of each effect in the stability boundary
 //!
 //! Source: "Inertia Properties and Their Role in Haptic Rendering", the stable domain of virtual walls; sampled-data
 //! theory as in Åström and Wittenmark, *Computer-Controlled Systems*, chapters 2 and 3.

@@ -1,9 +1,9 @@
-//! Parallel work: the same computation on many items, on all cores. The results are in the order of the items.
+//! Applies a function to many items on all cores.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc;
 
-/// Applies `work` to each item. `progress` receives the number of finished items and their total, from any thread.
+/// Applies `work` to all items in parallel. `progress` receives the number of finished items and the total.
 pub fn map<T: Sync, R: Send>(
     items: &[T],
     progress: &(dyn Fn(usize, usize) + Sync),
@@ -21,7 +21,7 @@ pub fn map<T: Sync, R: Send>(
                     let index = next.fetch_add(1, Ordering::Relaxed);
                     items.get(index).map(|item| (index, item))
                 } {
-                    // The receiver lives as long as this scope.
+                    // The send cannot fail because the receiver outlives this scope.
                     let _ = send.send((index, work(item)));
                     progress(done.fetch_add(1, Ordering::Relaxed) + 1, items.len());
                 }

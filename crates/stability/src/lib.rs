@@ -1,6 +1,6 @@
 //! Predicts which walls a device renders stably, by theory alone: the exact sampled loop of device, drives, velocity
-//! estimator and delay, linearised at a pose, in double precision. The crate also evaluates and maps the device's
-//! inertia, optionally in the board's own precision. It uses no board, simulates nothing and draws nothing.
+//! estimator and delay, linearised at a pose, in double precision. The crate also maps the device's inertia, optionally
+//! in the board's precision. It needs no board and simulates and draws nothing.
 //!
 //! ```
 //! use haptic_host::device_file::DeviceFile;
@@ -32,8 +32,7 @@
 //! | predict which walls are stable | [`analysis`] |
 //! | get the positions of a mechanism's links | [`skeleton`] |
 //!
-//! Long work goes through a [`sweep`], which uses every core ([`cores`]), shows progress and resumes after an
-//! interruption.
+//! Long computations run in a [`sweep`] on every core ([`cores`]), with progress, and can be resumed.
 #![forbid(unsafe_code)]
 
 pub mod analysis;

@@ -1,7 +1,6 @@
-//! Quantities of the paper for a device at one configuration, as `haptic model` prints them (docs/files.md).
+//! The paper's quantities for a device at one configuration, as `haptic model` prints them (docs/files.md).
 //!
-//! The numbers come from the shared library: in double precision, or in single precision with the mechanism and the
-//! trigonometry of the board.
+//! The shared library computes the numbers in f64, or in f32 with the board's mechanism and trigonometry.
 
 use crate::perception::Perception;
 use haptic_bridge::control::compiled::BoardMath;
@@ -15,34 +14,34 @@ use haptic_host::device_file::DeviceFile;
 use nalgebra::{DMatrix, SMatrix, SVector};
 use serde::{Deserialize, Serialize};
 
-/// A list of rows.
+/// A matrix as a list of rows.
 pub type Rows = Vec<Vec<f64>>;
 
 /// Arithmetic of a computation.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Precision {
-    /// Arithmetic of the board: 32-bit floats and its own trigonometry.
+    /// The board's arithmetic: 32-bit floats and its own trigonometry.
     F32,
-    /// Arithmetic of the analysis: 64-bit floats.
+    /// The analysis's arithmetic: 64-bit floats.
     #[default]
     F64,
 }
 
 impl Precision {
-    /// Every precision with its name.
+    /// All precisions with their names.
     pub const ALL: [(&'static str, Self); 2] = [("f64", Self::F64), ("f32", Self::F32)];
 }
 
-/// A wall: its unit normal (task dimension entries) and its force along it, N.
+/// A wall with its force.
 #[derive(Clone, Debug, PartialEq)]
 pub struct WallForce {
     /// Unit normal, d entries.
     pub normal: Vec<f64>,
     /// Force along the normal, N.
     pub force: f64,
-    /// Stiffness in any unit that all walls share; for several walls it determines the rendered directions.
+    /// Stiffness in any unit common to all walls; for several walls it determines the rendered directions.
     pub stiffness: f64,
-    /// True if the wall has the feed-forward; one of several walls may be without.
+    /// True if the wall uses the feed-forward.
     pub feed_forward: bool,
 }
 
@@ -51,15 +50,16 @@ pub struct WallForce {
 pub struct Direction {
     /// Unit vector, d entries.
     pub along: Vec<f64>,
-    /// Stiffness along the unit vector, as a ratio to that of the stiffest wall.
+    /// Stiffness along the unit vector, relative to the stiffest wall.
     pub stiffness: f64,
-    /// Share of the level that renders this direction and the stiffer ones; `None` for the last direction, because
-    /// nothing remains to shape.
+    /// Share of the level that renders this direction and the stiffer ones; `None` for the last direction.
     pub share: Option<f64>,
 }
 
-/// All quantities of equation (4), for R rendered directions, N joints and d task dimensions; sizes are in parentheses.
-/// One wall renders its normal, several walls the principal directions of their stiffness, the stiffest first.
+/// All quantities of equation (4), for R rendered directions, N joints and d task dimensions.
+///
+/// Sizes are in parentheses. One wall renders its normal; several walls render the principal directions of their
+/// stiffness in descending order of stiffness.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Report {
     /// Position of the tip, m (d).
@@ -86,7 +86,7 @@ pub struct Report {
     pub coupling: Rows,
     /// fa of (4) (N-R).
     pub f_a: Vec<f64>,
-    /// τ of (4) with g in z, N m (N); with several walls by the levels of docs/model.md section 2.
+    /// Torques τ of (4) with g in z, N m (N); for several walls by the levels of docs/model.md section 2.
     pub torque: Vec<f64>,
     /// Jrᵀ fr, N m (N).
     pub torque_without_feed_forward: Vec<f64>,
@@ -94,7 +94,7 @@ pub struct Report {
     pub condition: Condition,
     /// Inertia that a hand feels at the tip.
     pub perception: Perception,
-    /// Directions that several walls render, the stiffest first; empty for one wall.
+    /// Directions that several walls render, in descending order of stiffness; empty for one wall.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub directions: Vec<Direction>,
 }
@@ -111,21 +111,21 @@ pub struct Condition {
 /// Reason why the quantities cannot be computed at a configuration.
 #[derive(Clone, Debug, PartialEq)]
 pub enum ModelError {
-    /// J loses rank: joint velocities along `joints` do not move the tip (on a redundant arm, nor turn it).
+    /// J loses rank: joint velocities along `joints` do not move the tip and, on a redundant arm, do not turn it.
     Serial {
         /// True if the task has the orientation φ as its last entry.
         oriented: bool,
-        /// The joint motion that does not move the tip, a unit vector (N).
+        /// Joint motion that does not move the tip, a unit vector (N).
         joints: Vec<f64>,
-        /// The task direction that no joint motion reaches, a unit vector (N).
+        /// Task direction that no joint motion reaches, a unit vector (N).
         lost: Vec<f64>,
     },
-    /// J⁻¹ loses rank: the tip moves along `free` with the joints held.
+    /// J⁻¹ loses rank: the tip moves along `free` while the joints are held.
     Parallel {
-        /// The task direction that the joints do not hold, a unit vector (N).
+        /// Task direction that the joints do not hold, a unit vector (N).
         free: Vec<f64>,
     },
-    /// At these angles the closing links do not reach each other, or meet only when they are in one line.
+    /// The closing links do not meet at these angles, or only when they are in one line.
     CannotClose,
     /// A result is infinite or not a number.
     NotFinite,
@@ -171,7 +171,7 @@ fn vector(values: &[f64]) -> String {
     format!("[{}]", entries.join(", "))
 }
 
-/// Describes which joint turns, or which joints turn together.
+/// Returns a text that names the moving joints.
 fn moving_joints(direction: &[f64]) -> String {
     let moving: Vec<String> =
         (0..direction.len()).filter(|joint| direction[*joint].abs() > 1.0e-3).map(|joint| joint.to_string()).collect();
@@ -184,13 +184,10 @@ fn moving_joints(direction: &[f64]) -> String {
     }
 }
 
-/// Sine of the angle to a singularity below which a pose counts as singular. Below it the library clamps its
-/// reciprocals.
+/// Smallest sine of the singular angle at which a pose counts as regular. Below it the library clamps its reciprocals.
 pub const SINGULAR: f64 = 1.0e-6;
 
-/// Evaluates equation (4) at joint angles `q` (rad) and velocities `qd` (rad/s) against `walls`.
-///
-/// `q` and `qd` have N entries, each normal d. Errors name the singularity.
+/// Evaluates equation (4) at joint angles `q` (rad) and velocities `qd` (rad/s). An error names the singularity.
 pub fn evaluate(
     device: &DeviceFile,
     q: &[f64],
@@ -201,7 +198,7 @@ pub fn evaluate(
     evaluate_holding(device, q, qd, walls, precision, Admissible::default())
 }
 
-/// Like [`evaluate`], but a redundant device holds `admissible` instead of φ.
+/// Like [`evaluate`], for a redundant device whose feed-forward holds `admissible`.
 pub fn evaluate_holding(
     device: &DeviceFile,
     q: &[f64],
@@ -216,7 +213,7 @@ pub fn evaluate_holding(
             with_mechanism!(&device.mechanism, m => report::<f64, FineTable, _, _>(m, q, qd, walls, admissible))
         }
         Precision::F32 => {
-            // The controller passes angles within a turn to the step, where the board's trigonometry is accurate.
+            // Wrap the angles as the controller does, because the board's trigonometry is accurate within a turn.
             let turn = core::f64::consts::TAU;
             let wrap =
                 |angle: &f64| if device.spec().periodic { angle - turn * (angle / turn).round() } else { *angle };
@@ -228,7 +225,7 @@ pub fn evaluate_holding(
     if report.is_finite() { Ok(report) } else { Err(ModelError::NotFinite) }
 }
 
-/// Returns an error that names the singularity at `q`, if there is one.
+/// Rejects a singular pose with an error that names the singularity.
 fn regular<const N: usize, M: Mechanism<f64, N>>(mechanism: &M, q: &[f64]) -> Result<(), ModelError> {
     let pose = mechanism.pose::<FineTable>(&vector_of(q));
     let regularity = mechanism.regularity(&pose);
@@ -237,19 +234,19 @@ fn regular<const N: usize, M: Mechanism<f64, N>>(mechanism: &M, q: &[f64]) -> Re
     }
     if regularity.parallel < SINGULAR {
         let inverse = DMatrix::from_fn(N, N, |i, j| mechanism.jacobian_inverse(&pose)[(i, j)]);
-        let (_, free) = weakest(inverse);
+        let (_, free) = weakest_singular_vectors(inverse);
         return Err(ModelError::Parallel { free });
     }
     if regularity.serial < SINGULAR {
         let jacobian = mechanism.jacobian(&pose);
-        let (lost, joints) = weakest(DMatrix::from_fn(N, N, |i, j| jacobian[(i, j)]));
+        let (lost, joints) = weakest_singular_vectors(DMatrix::from_fn(N, N, |i, j| jacobian[(i, j)]));
         return Err(ModelError::Serial { oriented: N > M::SPEC.task, joints, lost });
     }
     Ok(())
 }
 
 /// Returns the (left, right) singular vectors of the smallest singular value, with their largest entries positive.
-fn weakest(matrix: DMatrix<f64>) -> (Vec<f64>, Vec<f64>) {
+fn weakest_singular_vectors(matrix: DMatrix<f64>) -> (Vec<f64>, Vec<f64>) {
     let size = matrix.nrows();
     let svd = matrix.svd(true, true);
     let last = svd.singular_values.imin();
@@ -299,7 +296,7 @@ fn report<T: Real, K: Math<T>, const N: usize, M: Mechanism<T, N>>(
     Report {
         position: list(&mechanism.tip(&pose), 0..task),
         perception: Perception::new(&jacobian, &mass, normal),
-        condition: Condition { jacobian: condition(&jacobian), mass: condition(&mass) },
+        condition: Condition { jacobian: condition_number(&jacobian), mass: condition_number(&mass) },
         bias: list(&bias, 0..N),
         w_rr: rows(&inertia.w, 0..r, 0..r),
         w_ra: rows(&inertia.w, 0..r, r..N),
@@ -340,7 +337,7 @@ fn rows<T: Real, const N: usize>(
 }
 
 /// Returns the ratio of the largest to the smallest singular value.
-fn condition(rows: &Rows) -> f64 {
+fn condition_number(rows: &Rows) -> f64 {
     let columns = rows.first().map_or(0, Vec::len);
     let values = DMatrix::from_fn(rows.len(), columns, |i, j| rows[i][j]).singular_values();
     values.max() / values.min()
@@ -358,7 +355,7 @@ impl Report {
             && self.perception.is_finite()
     }
 
-    /// Returns Wrr/Weff - 1 of one wall; 0 without a wall.
+    /// Returns Wrr/Weff - 1 for one wall, otherwise 0.
     pub fn gain(&self) -> f64 {
         match (self.w_rr.as_slice(), self.w_eff.as_slice()) {
             ([w_rr], [w_eff]) => w_rr[0] / w_eff[0] - 1.0,

@@ -1,21 +1,21 @@
-//! Links and joints of a mechanism in its own plane, for drawings of the device.
+//! Links and joints of a mechanism in the plane of its linkage, for drawings.
 //!
-//! A device on a turret is drawn in the plane that joint 0 turns, with x and y as at joint 0 = 0.
+//! Joint 0 of a device on a turret turns this plane. The plane's x and y are those at joint 0 = 0.
 
 use haptic_bridge::model::catalogue::Kind;
 use haptic_bridge::model::description::Description;
 
-/// A point of the linkage's plane, m.
+/// A point in the linkage's plane, m.
 pub type Point = (f64, f64);
 
 /// A rigid link, drawn as a straight bar.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Bar {
-    /// Name of the link, as in device files.
+    /// Name of the link as in device files.
     pub name: &'static str,
-    /// End at the joint nearer to the base.
+    /// End nearer to the base.
     pub from: Point,
-    /// Other end.
+    /// End farther from the base.
     pub to: Point,
     /// Length in the device file, m.
     pub length: f64,
@@ -28,15 +28,15 @@ pub struct Angle {
     pub joint: usize,
     /// Vertex of the angle.
     pub at: Point,
-    /// Direction in which the joint's angle is zero, rad from +x.
+    /// Direction of joint angle zero, rad from +x.
     pub zero: f64,
     /// Angle of the joint, rad, counter-clockwise from `zero`.
     pub angle: f64,
-    /// Length of the link at this angle, m.
+    /// Length of the joint's link, m.
     pub arm: f64,
 }
 
-/// The axis of a turret in the linkage's plane.
+/// Axis of a turret in the linkage's plane.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Turret {
     /// Joint 0 turns the plane about its x axis.
@@ -46,7 +46,7 @@ pub enum Turret {
 }
 
 impl Turret {
-    /// Returns the turret of a mechanism; `None` if it has none.
+    /// Returns the turret of a mechanism, or `None` if it has no turret.
     pub fn of(kind: Kind) -> Option<Self> {
         match kind {
             Kind::FiveBarTurret => Some(Self::AboutX),
@@ -63,9 +63,9 @@ pub struct Skeleton {
     pub bars: Vec<Bar>,
     /// The angles of the joints that act in the plane.
     pub angles: Vec<Angle>,
-    /// Pivots that are fixed to the base.
+    /// Pivots on the base.
     pub base: Vec<Point>,
-    /// Points with the letters that the documentation uses.
+    /// Points with the letters that the documentation uses for them.
     pub letters: Vec<(&'static str, Point)>,
     /// The tip.
     pub tip: Point,
@@ -75,7 +75,7 @@ fn along(from: Point, length: f64, angle: f64) -> Point {
     (from.0 + length * angle.cos(), from.1 + length * angle.sin())
 }
 
-/// Returns the device at joint angles `q` (rad); `None` if its linkage does not close, or `q` has too few angles.
+/// Returns the device at joint angles `q` (rad), or `None` if its linkage does not close or `q` has too few angles.
 pub fn skeleton(description: &Description, q: &[f64]) -> Option<Skeleton> {
     if q.len() < description.kind.spec().joints {
         return None;
@@ -107,7 +107,7 @@ fn five_bar(description: &Description, q: [f64; 2], first: usize) -> Option<Skel
     let (c, d) = (along(a, l1, q[0]), along(b, l2, q[1]));
     let (dx, dy) = (d.0 - c.0, d.1 - c.1);
     let apart = dx.hypot(dy);
-    // The tip's foot on the line from C to D, and its height above the line.
+    // Position of the tip's foot on the line from C to D, and height of the tip above the line.
     let foot = (r1 * r1 - r2 * r2 + apart * apart) / (2.0 * apart);
     let height = (r1 * r1 - foot * foot).sqrt() * assembly;
     let tip = (c.0 + (foot * dx - height * dy) / apart, c.1 + (foot * dy + height * dx) / apart);
@@ -137,7 +137,7 @@ fn parallelogram(description: &Description, q1: f64, q2: f64) -> Skeleton {
     Skeleton {
         bars: vec![
             Bar { name: "upper", from: o, to: e, length: upper },
-            // Drawn from its rear end; length and centre of mass count from E.
+            // The bar begins at the forearm's rear end; length and centre of mass count from E.
             Bar { name: "fore", from: rear, to: tip, length: fore },
             Bar { name: "crank", from: o, to: crank_tip, length: crank },
             Bar { name: "coupler", from: crank_tip, to: rear, length: upper },

@@ -1,8 +1,8 @@
-//! Long work on many items, on all cores: it shows progress, can be interrupted with Ctrl-C, and resumes. On a terminal
-//! one line shows the progress; elsewhere each stage of long work prints lines.
+//! Long computations on many items, on all cores, with progress display. Ctrl-C interrupts a computation, and the same
+//! command resumes it. A terminal shows the progress in one line; otherwise each stage prints lines.
 //!
-//! Results are in the order of the items, and stored results are equal to recomputed ones to the bit. So the result
-//! does not depend on the number of cores, on the order of the work or on interruptions.
+//! Results are in the order of the items, and stored results equal recomputed ones to the bit. The result therefore
+//! does not depend on the number of cores, the order of the work or interruptions.
 
 use haptic_host::error::{Choice, Failure};
 use haptic_host::output::{self, Overwrite};
@@ -15,43 +15,41 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
-/// Interval between writes of the checkpoint: a crash loses at most this time.
+/// Interval between writes of the checkpoint. A crash loses at most this much work.
 const WRITE_INTERVAL: Duration = Duration::from_secs(2);
-/// Smallest pause after a write, as a multiple of the time that the write took.
-const LEAST_PAUSE: u32 = 20;
+/// Smallest pause after a write, as a multiple of the duration of the write.
+const MIN_PAUSE_FACTOR: u32 = 20;
 
-/// Number of items from which a stage prints a line at every quarter.
-const LONG_STAGE: usize = 16;
+/// A stage with at least this many items prints a progress line after each quarter.
+const LONG_STAGE_ITEMS: usize = 16;
 
 /// State that is stored between runs.
 #[derive(Debug, Default, Deserialize, Serialize)]
 struct Checkpoint {
-    /// Version of the tool: another version may compute other numbers.
+    /// Version of the tool. Another version may compute other numbers.
     version: String,
-    /// The command.
     command: String,
-    /// All inputs that determine the results.
+    /// All inputs that determine the results, as text.
     question: String,
     stages: BTreeMap<String, Stage>,
 }
 
-/// One round of work.
+/// A list of items that a command computes in one call of [`Sweep::map`].
 #[derive(Debug, Default, Deserialize, Serialize)]
 struct Stage {
-    /// Number of items.
     of: usize,
-    /// Results by the index of their item, in postcard's bytes as hex: decimals would lose values that are not finite.
+    /// Results by item index: postcard's bytes as hex, because decimals lose values that are not finite.
     done: BTreeMap<usize, String>,
 }
 
 impl Checkpoint {
-    /// Returns true if both belong to the same question.
+    /// Returns true if command, version and inputs are equal.
     fn matches(&self, other: &Self) -> bool {
         (&self.version, &self.command, &self.question) == (&other.version, &other.command, &other.question)
     }
 }
 
-/// Long work, with the inputs that decide its results.
+/// A long computation with progress display and stored results.
 pub struct Sweep {
     interrupted: Box<dyn Fn() -> bool + Send + Sync>,
     file: Option<PathBuf>,
@@ -59,7 +57,6 @@ pub struct Sweep {
     state: Mutex<State>,
 }
 
-/// Display of progress.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Display {
     Never,
@@ -67,27 +64,26 @@ enum Display {
     Lines,
 }
 
-/// Environment variable that suppresses progress lines. A program sets it if it shows the standard error of its
-/// commands.
+/// Environment variable that suppresses progress lines, for programs that show the standard error of their commands.
 pub const QUIET: &str = "HAPTIC_NO_PROGRESS";
 
 struct State {
-    kept: Checkpoint,
-    /// Time of the next write.
+    checkpoint: Checkpoint,
+    /// Time after which the checkpoint is written again.
     due: Instant,
 }
 
 impl Sweep {
-    /// Stores results in `file`, if given, and loads those of an earlier run of the same `command` with the same
-    /// `question`, which contains all inputs that decide the results. Rejects a file with the results of another
-    /// question. The work ends once `interrupted` returns true.
+    /// Creates a sweep that stores its results in `file`, if given. Loads the results of an earlier run with the same
+    /// `command` and `question`; `question` contains all inputs that determine the results. Rejects a file with the
+    /// results of another question. The work ends once `interrupted` returns true.
     pub fn new(
         command: &str,
         question: &str,
         file: Option<&Path>,
         interrupted: impl Fn() -> bool + Send + Sync + 'static,
     ) -> Result<Self, Failure> {
-        let mut kept = Checkpoint {
+        let mut checkpoint = Checkpoint {
             version: env!("CARGO_PKG_VERSION").into(),
             command: command.into(),
             question: question.into(),
@@ -95,8 +91,8 @@ impl Sweep {
         };
         if let Some(path) = file {
             if let Some(earlier) = read_checkpoint(path)? {
-                if earlier.matches(&kept) {
-                    kept = earlier;
+                if earlier.matches(&checkpoint) {
+                    checkpoint = earlier;
                 } else if !earlier.stages.is_empty() {
                     let reason = format!(
                         "{} holds results of `haptic {}` {} with another device file or other options",
@@ -109,22 +105,22 @@ impl Sweep {
                         .choose(Choice::ResultsFile));
                 }
             }
-            // A file that cannot be written is reported before the work, not after it.
-            write(path, &kept)?;
+            // Write now, so that an error is reported before the work.
+            write(path, &checkpoint)?;
         }
         let display = if std::io::stderr().is_terminal() { Display::InPlace } else { Display::Never };
-        let state = Mutex::new(State { kept, due: Instant::now() + WRITE_INTERVAL });
+        let state = Mutex::new(State { checkpoint, due: Instant::now() + WRITE_INTERVAL });
         Ok(Self { interrupted: Box::new(interrupted), file: file.map(Path::to_path_buf), display, state })
     }
 
-    /// Creates a sweep that cannot be interrupted and neither shows nor stores anything.
+    /// Creates a sweep that cannot be interrupted and that displays and stores nothing.
     #[must_use]
     pub fn quiet() -> Self {
-        let state = Mutex::new(State { kept: Checkpoint::default(), due: Instant::now() });
+        let state = Mutex::new(State { checkpoint: Checkpoint::default(), due: Instant::now() });
         Self { interrupted: Box::new(|| false), file: None, display: Display::Never, state }
     }
 
-    /// Shows a line for each stage if standard error is not a terminal.
+    /// Prints progress lines if standard error is not a terminal.
     #[must_use]
     pub fn in_lines(mut self) -> Self {
         if self.display == Display::Never && std::env::var_os(QUIET).is_none() {
@@ -133,12 +129,12 @@ impl Sweep {
         self
     }
 
-    /// Returns an error if the user has interrupted the work. Long computations call it repeatedly.
-    pub fn go_on(&self) -> Result<(), Failure> {
+    /// Returns an error if the user has interrupted the work. Call it repeatedly in long computations.
+    pub fn check_interrupted(&self) -> Result<(), Failure> {
         if (self.interrupted)() { Err(self.interrupted_failure("interrupted".into())) } else { Ok(()) }
     }
 
-    /// Shows work that is not divided into items.
+    /// Displays the name of a stage while work runs that is not divided into items.
     pub fn during<R>(&self, stage: &str, work: impl FnOnce() -> R) -> R {
         match self.display {
             Display::InPlace => haptic_host::error::overwrite_line(format_args!("{stage}"), false),
@@ -166,16 +162,15 @@ impl Sweep {
             Display::InPlace if of > 1 => {
                 haptic_host::error::overwrite_line(format_args!("{stage}: {done} of {of}"), done == of);
             }
-            // With many items a line for each quarter.
-            Display::Lines if done == of || of >= LONG_STAGE && done * 4 / of > (done - 1) * 4 / of => {
+            // Stages with many items print a line for each quarter.
+            Display::Lines if done == of || of >= LONG_STAGE_ITEMS && done * 4 / of > (done - 1) * 4 / of => {
                 haptic_host::error::say(format_args!("{stage}: {done} of {of}\n"));
             }
             _ => {}
         }
     }
 
-    /// Applies `work` to each item, except those with a stored result of this `stage`, which needs a unique name. If
-    /// several items fail, the failure of the first item is returned.
+    /// Applies `work` to items without a stored result of this `stage`. Returns the failure of the first that fails.
     pub fn map<T: Sync, R: Serialize + DeserializeOwned + Send>(
         &self,
         stage: &str,
@@ -186,8 +181,7 @@ impl Sweep {
         let missing: Vec<usize> = (0..items.len()).filter(|index| !results.contains_key(index)).collect();
         let before = results.len();
         let progress = |done: usize, _: usize| {
-            // After an interruption skipped items count as done, which clears the line in place; separate lines are not
-            // printed.
+            // After an interruption skipped items count as done, which clears the line in place.
             if self.display == Display::InPlace || !(self.interrupted)() {
                 self.show(stage, before + done, items.len());
             }
@@ -198,7 +192,7 @@ impl Sweep {
                 return None;
             }
             let result = work(&items[index]);
-            // The result of an interrupted item is not valid.
+            // The result of an interrupted item is invalid.
             if (self.interrupted)() {
                 return None;
             }
@@ -225,23 +219,23 @@ impl Sweep {
         Err(self.interrupted_failure(format!("interrupted with {} of {} done ({stage})", results.len(), items.len())))
     }
 
-    /// Removes the stored results once the final result has been printed.
+    /// Removes the stored results; call it after printing the final result.
     pub fn finish(self) {
         if let Some(file) = self.file {
-            // The file may already have been removed.
+            // Ignore the error because the file may already be removed.
             let _ = std::fs::remove_file(file);
         }
     }
 
-    /// Begins a stage and returns the results that are already stored for it.
+    /// Begins a stage and returns its stored results.
     fn begin<R: DeserializeOwned>(&self, stage: &str, of: usize) -> Result<BTreeMap<usize, R>, Failure> {
         let Some(file) = &self.file else { return Ok(BTreeMap::new()) };
         let mut state = self.lock();
-        let kept = state.kept.stages.entry(stage.into()).or_insert_with(|| Stage { of, done: BTreeMap::new() });
+        let stored = state.checkpoint.stages.entry(stage.into()).or_insert_with(|| Stage { of, done: BTreeMap::new() });
         let read = |(index, text): (&usize, &String)| Some((*index, read(text).filter(|_| *index < of)?));
-        let results: Option<BTreeMap<usize, R>> = kept.done.iter().map(read).collect();
+        let results: Option<BTreeMap<usize, R>> = stored.done.iter().map(read).collect();
         results
-            .filter(|_| kept.of == of)
+            .filter(|_| stored.of == of)
             .ok_or_else(|| damaged_file(file, &format!("its results of stage \"{stage}\" do not fit")))
     }
 
@@ -252,8 +246,7 @@ impl Sweep {
     fn keep<R: Serialize + DeserializeOwned>(&self, stage: &str, index: usize, result: &R) -> Result<(), Failure> {
         let Some(file) = &self.file else { return Ok(()) };
         let bytes = postcard::to_allocvec(result).map_err(Failure::impossible)?;
-        // Reject a type that does not read back equal, for example because it leaves out fields: a resumed run would
-        // use other values.
+        // Reject types that do not read back equal, because a resumed run would use other values.
         let back = postcard::take_from_bytes::<R>(&bytes).ok().filter(|(_, rest)| rest.is_empty());
         if back.and_then(|(back, _)| postcard::to_allocvec(&back).ok()).as_ref() != Some(&bytes) {
             return Err(Failure::impossible(format!("a result of stage \"{stage}\" changes when it is stored"))
@@ -262,26 +255,25 @@ impl Sweep {
         }
         let text = bytes.iter().map(|byte| format!("{byte:02x}")).collect();
         let mut state = self.lock();
-        state.kept.stages.entry(stage.into()).or_default().done.insert(index, text);
+        state.checkpoint.stages.entry(stage.into()).or_default().done.insert(index, text);
         if Instant::now() > state.due {
             let begun = Instant::now();
-            // A write error is reported when the work is interrupted.
-            let _ = write(file, &state.kept);
-            state.due = Instant::now() + WRITE_INTERVAL.max(begun.elapsed() * LEAST_PAUSE);
+            // Ignore a write error here; it is reported when the work is interrupted.
+            let _ = write(file, &state.checkpoint);
+            state.due = Instant::now() + WRITE_INTERVAL.max(begun.elapsed() * MIN_PAUSE_FACTOR);
         }
         Ok(())
     }
 
     fn save(&self) -> Result<(), Failure> {
-        self.file.as_ref().map_or(Ok(()), |file| write(file, &self.lock().kept))
+        self.file.as_ref().map_or(Ok(()), |file| write(file, &self.lock().checkpoint))
     }
 }
 
-fn write(file: &Path, kept: &Checkpoint) -> Result<(), Failure> {
-    output::write(file, &serde_json::to_vec(kept).map_err(Failure::impossible)?, Overwrite::Replace)
+fn write(file: &Path, checkpoint: &Checkpoint) -> Result<(), Failure> {
+    output::write(file, &serde_json::to_vec(checkpoint).map_err(Failure::impossible)?, Overwrite::Replace)
 }
 
-/// Reads the checkpoint of an earlier run.
 fn read_checkpoint(file: &Path) -> Result<Option<Checkpoint>, Failure> {
     match haptic_host::input::read_any_size(file) {
         Err(error) if error.kind() == ErrorKind::NotFound => Ok(None),
@@ -296,7 +288,7 @@ fn damaged_file(file: &Path, why: &dyn std::fmt::Display) -> Failure {
         .choose(Choice::ResultsFile)
 }
 
-/// Decodes a result from its hex; `None` if the text is not valid.
+/// Decodes a result from hex, or returns `None` if the text is invalid.
 fn read<R: DeserializeOwned>(text: &str) -> Option<R> {
     let digits = |at: usize| u8::from_str_radix(text.get(at..at + 2)?, 16).ok();
     let bytes: Option<Vec<u8>> = (0..text.len()).step_by(2).map(digits).collect();
@@ -308,7 +300,7 @@ mod tests {
     use super::*;
     use std::sync::Arc;
 
-    /// A folder for the checkpoint, and a count of the items that were computed.
+    /// A folder for the checkpoint, and the number of computed items.
     struct Case {
         folder: tempfile::TempDir,
         worked: Arc<AtomicUsize>,
@@ -333,7 +325,7 @@ mod tests {
         (0..200).map(|i| 0.1 + f64::from(i) / 7.0).collect()
     }
 
-    /// Numbers that need all digits, and values that are not finite.
+    /// Returns numbers that need all digits, and values that are not finite.
     fn work(x: &f64) -> (Vec<f64>, Option<f64>) {
         let odd = f64::from_bits(f64::NAN.to_bits() ^ 0x8000_0000_0000_0001);
         (vec![x.sin(), 1.0 / x, x * 1e-300, f64::NEG_INFINITY, -0.0, odd], (*x > 9.0).then(|| x.sqrt()))
@@ -361,10 +353,10 @@ mod tests {
         let before = case.worked.load(Ordering::SeqCst);
         assert!(before < 60, "{before} items were started despite the interruption");
         let again = case.sweep("question", usize::MAX).unwrap();
-        let kept = again.lock().kept.stages["stage"].done.len();
-        assert!(kept > 40, "{kept} results were stored");
+        let stored = again.lock().checkpoint.stages["stage"].done.len();
+        assert!(stored > 40, "{stored} results were stored");
         assert_eq!(bits(&run(&again).unwrap()), bits(&whole));
-        assert_eq!(case.worked.load(Ordering::SeqCst), before + 200 - kept, "stored results were computed again");
+        assert_eq!(case.worked.load(Ordering::SeqCst), before + 200 - stored, "stored results were computed again");
         assert!(case.file().exists());
         again.finish();
         assert!(!case.file().exists());
@@ -411,7 +403,7 @@ mod tests {
         }
         let sweep = case.sweep("question", usize::MAX).unwrap();
         sweep.map("stage", &items, |item| if *item < 9 { Ok(0) } else { Err(Failure::wrong("no")) }).unwrap_err();
-        assert_eq!(case.sweep("question", usize::MAX).unwrap().lock().kept.stages["stage"].done.len(), 9);
+        assert_eq!(case.sweep("question", usize::MAX).unwrap().lock().checkpoint.stages["stage"].done.len(), 9);
     }
 
     #[test]

@@ -201,7 +201,7 @@ pub fn device(path: &Path, for_a_loop: bool) -> Result<(DeviceFile, Vec<Warning>
 
 /// Returns warnings about implausible joint angles: probably in degrees, or beyond the joints' limits.
 pub fn pose_warnings(q: &[f64], file: &DeviceFile) -> Vec<Warning> {
-    let mut warnings = plausible::angles(q, "--q", file.description.kind);
+    let mut warnings = plausible::angle_warnings(q, "--q", file.description.kind);
     if warnings.is_empty() {
         warnings = plausible::pose_limit_warnings(q, &file.description);
     }

@@ -6,7 +6,7 @@ use haptic_host::device_file::DeviceFile;
 use haptic_host::digits::print_json;
 use haptic_host::error::{Failure, print};
 use haptic_host::output;
-use haptic_predict::bench::error::Parts;
+use haptic_predict::bench::error::ErrorSources;
 use haptic_predict::bench::report::{Variant, by_mechanism, by_variant, devices, variants};
 use haptic_show::plot::speed;
 use serde_json::json;
@@ -78,7 +78,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         "variant", "target", "instructions", "ns", "left out", "matrix", "rounding", "tip", "area"
     );
     for variant in every.iter().flat_map(|(_, variants)| variants) {
-        let Parts { dropped, model, rounding, tip, area, .. } = variant.parts;
+        let ErrorSources { dropped, model, rounding, tip, area, .. } = variant.parts;
         text.push_str(&format!(
             "{:<52}{:>11}{:>14}{:>10}{dropped:>12.1e}{model:>12.1e}{rounding:>12.1e}{tip:>12.1e}{:>7.1} %{}\n",
             variant.name,

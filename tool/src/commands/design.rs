@@ -8,8 +8,8 @@ use haptic_host::error::Failure;
 use haptic_host::words::percent;
 use haptic_predict::design::place::{Directions, Places, WallPlace, directions, places};
 use haptic_predict::design::posture::{Posture, Postures, postures};
-use haptic_predict::design::sensitivity::{Buys, CHANGE, Effect, Sensitivity, buys_most, sensitivities};
-use haptic_predict::design::{Stiffest, singular};
+use haptic_predict::design::sensitivity::{BestChange, CHANGE, Effect, Sensitivity, buys_most, sensitivities};
+use haptic_predict::design::{Stiffest, singular_pose};
 use haptic_predict::plausible::{Warned, warn};
 use haptic_show::plot::coupling::draw;
 use haptic_stability::analysis::control_loop::{Loop, TorquePath};
@@ -80,7 +80,7 @@ struct Document {
     sensitivities: Vec<Sensitivity>,
     /// Changes with the largest benefit for the stiffest wall without the feed-forward, for the stiffest wall with the
     /// feed-forward, and for the latter per kilogram of Weff.
-    buys_most: [Option<Buys>; 3],
+    buys_most: [Option<BestChange>; 3],
     #[serde(skip_serializing_if = "Option::is_none")]
     postures: Option<Postures>,
 }
@@ -118,12 +118,12 @@ pub fn run(args: Args) -> Result<(), Failure> {
         &sweep,
     )?;
     let (path, subject) = (TorquePath::usual(args.rate), Subject::new(description).map_err(Failure::wrong)?);
-    let control_loop = Loop::through(&path, args.rate, LinearEstimator::Butterworth(args.cutoff));
+    let control_loop = Loop::with_torque_path(&path, args.rate, LinearEstimator::Butterworth(args.cutoff));
     let prediction = Prediction { admissible: args.holding.admissible, ..Prediction::new(subject, control_loop) };
     let sensitivities = sensitivities(description, &q, &normal, args.holding.admissible, &prediction.around)?;
     let pose = TaskPose::at(description, &q)?.regular()?.holding(args.holding.admissible);
     let unit = haptic_stability::analysis::pose::unit_normal(&normal, spec.task, spec.joints)?;
-    let (w_eff, w_rr) = haptic_stability::analysis::map::along(&pose, &unit).ok_or_else(singular)?;
+    let (w_eff, w_rr) = haptic_stability::analysis::map::along(&pose, &unit).ok_or_else(singular_pose)?;
     let mut here = WallPlace {
         q: q.clone(),
         position: pose.position.clone(),

@@ -6,7 +6,7 @@ use super::continued::Continue;
 use haptic_bridge::render::scene::DEFAULT_RATE_HZ;
 use haptic_host::device_file::DeviceFile;
 use haptic_host::error::Failure;
-use haptic_predict::bench::estimators::{Comparison, RESOLUTION_N, Row, compare, telling_wall};
+use haptic_predict::bench::estimators::{Comparison, RESOLUTION_N, Row, compare, comparison_wall};
 use haptic_stability::analysis::control_loop::{Loop, TorquePath};
 use haptic_stability::analysis::estimator::LinearEstimator;
 use haptic_stability::analysis::prediction::{Prediction, Subject};
@@ -62,14 +62,14 @@ pub fn run(args: Args) -> Result<(), Failure> {
             }
             (wall[0], wall[1])
         }
-        None => telling_wall(&file, &q, &normal, args.rate, cutoff)?,
+        None => comparison_wall(&file, &q, &normal, args.rate, cutoff)?,
     };
     let comparison = Comparison { file: &file, q: &q, normal: &normal, rate_hz: args.rate, cutoff_hz: cutoff, wall };
     let question = format!("{:?} {q:?} {normal:?} {} {cutoff} {wall:?}", file.description, args.rate);
     let sweep = args.continued.sweep("estimators", &question)?.in_lines();
     let rows = compare(&comparison, &sweep)?;
     let path = TorquePath::usual(args.rate);
-    let control_loop = Loop::through(&path, args.rate, LinearEstimator::Butterworth(cutoff));
+    let control_loop = Loop::with_torque_path(&path, args.rate, LinearEstimator::Butterworth(cutoff));
     let options = Prediction::new(Subject::new(&file.description).map_err(Failure::wrong)?, control_loop)
         .options(&q, &[Member::new(normal.clone(), 1.0)]);
     let document = json!({

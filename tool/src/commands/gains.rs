@@ -9,7 +9,7 @@ use haptic_bridge::safety::refusal::Refusal;
 use haptic_host::error::Failure;
 use haptic_host::link::{Board, BoardError};
 use haptic_predict::boards::torque_path;
-use haptic_predict::plausible::scene::{at, beyond};
+use haptic_predict::plausible::scene::{contact_limits_at, gain_warnings};
 use haptic_predict::plausible::{FileWarning, Warning, warn};
 use haptic_stability::analysis::prediction::Subject;
 use serde_json::json;
@@ -62,10 +62,10 @@ fn gain_warnings(board: &mut Board, scene: &Scene<f32>, index: usize) -> Result<
     };
     let axes = device.axes();
     let (subject, path) = (Subject::on_board(device, None), torque_path(board.info(), &details));
-    let Some(contact) = at(&subject, &scene, index, &q[..axes], &path) else {
+    let Some(contact) = contact_limits_at(&subject, &scene, index, &q[..axes], &path) else {
         return Ok(Vec::new());
     };
-    Ok(beyond(&scene.walls[index], &contact, false).into_iter().map(FileWarning::typed).collect())
+    Ok(gain_warnings(&scene.walls[index], &contact, false).into_iter().map(FileWarning::typed).collect())
 }
 
 /// Reads the gains, changes the requested ones, and reports all.

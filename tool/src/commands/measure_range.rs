@@ -18,8 +18,8 @@ use haptic_host::error::Failure;
 use haptic_host::link::{Board, PortSpec};
 use haptic_host::output::{self, Overwrite};
 use haptic_host::vectors::padded;
+use haptic_predict::measure::board_measurement::{self, BoardMeasurement};
 use haptic_predict::measure::campaign::{BOTH_SIDES, Plan};
-use haptic_predict::measure::occasion::{self, Occasion};
 use haptic_predict::measure::progress::{Progress, ProgressError};
 use haptic_predict::measure::simulated::{Friction, World};
 use haptic_predict::measure::{LONGEST_PULL, Law, MeasureError, MeasurementSetup, PreparedBoard, most_tested};
@@ -164,19 +164,18 @@ pub fn run(args: Args) -> Result<(), Failure> {
         washout_hz: args.washout,
         law: Law {
             posture: held,
-            farther: args.pull.is_none() && file.description.joints.iter().any(|joint| joint.coulomb > 0.0),
+            may_lengthen_pull: args.pull.is_none() && file.description.joints.iter().any(|joint| joint.coulomb > 0.0),
             ..Law::default()
         },
         torque_limit: args.torque_limit,
         largest_pull,
     };
-    let what = occasion::what(&file.name, &setup, &plan.pulls, &world);
+    let what = board_measurement::description(&file.name, &setup, &plan.pulls, &world);
     // Check that the results can be written before anything moves.
     output::check(&args.progress, Overwrite::Replace)?;
     let mut progress = match args.anew {
-        true => {
-            Progress::read(&args.progress).map(|found| found.map_or(Progress::new(&what), |found| found.anew(&what)))
-        }
+        true => Progress::read(&args.progress)
+            .map(|found| found.map_or(Progress::new(&what), |found| found.without_results(&what))),
         false => Progress::open(&args.progress, &what),
     }
     .map_err(progress_failure)?;
@@ -194,40 +193,40 @@ pub fn run(args: Args) -> Result<(), Failure> {
         }
         _ => args.port.open()?,
     };
-    let before = occasion::before(&mut board, &progress)?;
+    let before = board_measurement::settings_to_restore(&mut board, &progress)?;
     ready(&mut board, &file, &args, &setup)?;
-    let earlier = progress.measured(&plan);
+    let earlier = progress.measured_repeats(&plan);
     if earlier > 0 {
         let (total, place) = (plan.total(), args.progress.display());
         let date = progress.date.as_ref().map_or(String::new(), |date| format!(", the last of {date}"));
         let none = if earlier == total { ": none is measured now (--anew measures them again)" } else { "" };
         haptic_host::tell!("{earlier} of {total} repeats are in {place} already{date}{none}");
     }
-    let meter = Meter::new(plan.total(), plan.searches(), earlier);
+    let meter = Meter::new(plan.total(), plan.repeats_per_damping(), earlier);
     let stop = || {
         meter.tick();
         interrupt.is_set()
     };
     let mut theory = None;
     let path = args.progress.as_path();
-    let mut occasion = Occasion {
+    let mut measurement = BoardMeasurement {
         board: &mut board,
         file: &file,
         before,
         progress: &mut progress,
         path: Some(path),
-        remembers: !simulated,
+        keeps_settings: !simulated,
     };
     let begun = |prepared: &mut PreparedBoard<'_>, q: &[f64]| {
         let (info, details) = (prepared.board().info().clone(), prepared.board().details()?);
-        let around = occasion::around(&setup, &info, &details);
+        let around = board_measurement::control_loop(&setup, &info, &details);
         theory = Some(Theory::new(&args, &file, &setup, q, around, *prepared.excitation())?);
         Ok(())
     };
-    let measured = occasion.measure(setup.clone(), &plan, &stop, begun, |done| meter.done(done));
+    let measured = measurement.measure(setup.clone(), &plan, &stop, begun, |done| meter.done(done));
     meter.finish();
     // Also removes a device that was loaded for this measurement.
-    occasion.put_back().map_err(progress_failure)?;
+    measurement.restore().map_err(progress_failure)?;
     let report =
         theory.map(|theory| Report { name: &file.name, args: &args, plan: &plan, progress: &progress, theory });
     match (measured, report) {
@@ -325,7 +324,7 @@ fn holds(found: &str, file: &DeviceFile) -> Result<(), Failure> {
 fn ready(board: &mut Board, file: &DeviceFile, args: &Args, setup: &MeasurementSetup) -> Result<(), Failure> {
     let details = board.details()?;
     let device = Device::new(&file.name, &file.description).map_err(Failure::wrong)?;
-    if let Some(found) = occasion::another(board, &device)? {
+    if let Some(found) = board_measurement::other_loaded_device(board, &device)? {
         if args.load && !details.real {
             board.set_device(&device)?;
         } else {
@@ -345,7 +344,7 @@ fn ready(board: &mut Board, file: &DeviceFile, args: &Args, setup: &MeasurementS
         "This moves the motors by themselves: the tip swings by up to {} mm with at most {} N m, and will oscillate briefly, \
          many times.\nHold a device that has weight in its pose until the motors carry it; then keep your hands \
          away from it. Ctrl-C turns the motors off.",
-        12e3 * if setup.law.farther { LONGEST_PULL } else { setup.largest_pull },
+        12e3 * if setup.law.may_lengthen_pull { LONGEST_PULL } else { setup.largest_pull },
         args.torque_limit
     );
     confirm(false, "the device will move")

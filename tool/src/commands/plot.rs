@@ -7,7 +7,7 @@ use haptic_host::device_file::DeviceFile;
 use haptic_host::digits::print_json;
 use haptic_host::error::{Failure, print};
 use haptic_host::words::short;
-use haptic_predict::plausible::scene::at;
+use haptic_predict::plausible::scene::contact_limits_at;
 use haptic_show::plot::signals::{Analysis, Request, View, draw, panels};
 use haptic_show::recorder::Recording;
 use haptic_stability::analysis::control_loop::TorquePath;
@@ -113,7 +113,7 @@ fn felt_stiffness(recording: &Recording, file: &DeviceFile, stiffness: f64) -> R
     let joints = (0..file.spec().joints).map(|joint| column(&format!("q{joint}_rad")));
     let q: Vec<f64> = joints.map(|column| column.map(mean)).collect::<Result<_, _>>()?;
     let subject = Subject::new(&file.description).map_err(Failure::wrong)?;
-    Ok(at(&subject, &scene, 0, &q, &TorquePath::usual(scene.rate_hz)).and_then(|contact| contact.felt))
+    Ok(contact_limits_at(&subject, &scene, 0, &q, &TorquePath::usual(scene.rate_hz)).and_then(|contact| contact.felt))
 }
 
 fn readable(recording: &Recording, found: &Analysis, felt: Option<f64>) -> String {

@@ -176,7 +176,7 @@ impl Args {
             })?),
         };
         let path = TorquePath { delay_samples: self.delay(), drive };
-        let mut control_loop = Loop::through(&path, self.rate, estimator(self)?);
+        let mut control_loop = Loop::with_torque_path(&path, self.rate, estimator(self)?);
         control_loop.damping_compensation = self.damping_compensation;
         let subject = Subject::new(&file.description).map_err(Failure::wrong)?;
         let subject = if self.undamped { subject.undamped() } else { subject };
@@ -362,7 +362,7 @@ fn explain(prediction: &Prediction, q: &[f64], normals: &[Vec<f64>], sweep: &Swe
         let reason = "--why applies to one wall, and there are several --normal";
         return Err(Failure::wrong(reason).remedy("give one --normal"));
     };
-    why(&prediction.seen(q, normal)?, &prediction.around, sweep)
+    why(&prediction.linearise(q, normal)?, &prediction.around, sweep)
 }
 
 /// Returns the requested estimator.

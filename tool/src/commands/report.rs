@@ -9,7 +9,7 @@ use haptic_host::error::{Failure, print};
 use haptic_host::output;
 use haptic_host::scene_file::{DEFAULT_CUTOFF_HZ, SceneFile};
 use haptic_predict::design::place::directions;
-use haptic_predict::plausible::scene::{file_warnings, usual_hand};
+use haptic_predict::plausible::scene::{default_hand, file_warnings};
 use haptic_stability::analysis::control_loop::{Loop, TorquePath};
 use haptic_stability::analysis::prediction::{self, Prediction};
 use haptic_stability::analysis::sampled::LinearEstimator;
@@ -150,7 +150,7 @@ fn values(args: &Args, file: &DeviceFile) -> Result<Values, Failure> {
     let in_scene = scene.as_ref().and_then(|scene| Prediction::in_scene(&device, scene, wall, &path));
     let prediction = in_scene.unwrap_or_else(|| {
         // For an estimator without a linear analysis, the usual one is shown.
-        Prediction::new(device.clone(), Loop::through(&path, rate, LinearEstimator::Butterworth(cutoff)))
+        Prediction::new(device.clone(), Loop::with_torque_path(&path, rate, LinearEstimator::Butterworth(cutoff)))
     });
     let rounded = |values: &[f64]| values.iter().map(|value| (value * 1e6).round() / 1e6 + 0.0).collect::<Vec<_>>();
     let (q, normal) = (rounded(&q), rounded(&normal));
@@ -210,7 +210,7 @@ fn sections(args: &Args, values: &Values) -> Vec<Section> {
         Some("range.svg"),
         &range,
     );
-    let hand = usual_hand();
+    let hand = default_hand();
     let hand = format!("{},{},{}", hand.mass, hand.damping, hand.stiffness);
     let mut in_hand = range.clone();
     // Compensated damping is not predicted in a hand.

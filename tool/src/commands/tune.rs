@@ -14,8 +14,8 @@ use haptic_host::link::{Board, PortSpec};
 use haptic_host::output;
 use haptic_host::scene_file::SceneFile;
 use haptic_host::words::digits;
-use haptic_predict::measure::occasion;
-use haptic_predict::plausible::scene::{at, file_warnings};
+use haptic_predict::measure::board_measurement;
+use haptic_predict::plausible::scene::{contact_limits_at, file_warnings};
 use haptic_predict::tune::measured::{self, Measured};
 use haptic_predict::tune::{
     Alternative, Baseline, Margins, Question, RATES_HZ, Settings, TuneResult, TunedWall, USUAL_RIPPLE_N, baseline,
@@ -211,7 +211,9 @@ fn search(args: Search) -> Result<(), Failure> {
     let tuned = SceneFile::parse(&text, "tuned.toml", file.spec().task)?;
     let options = Subject::new(&file.description)
         .ok()
-        .and_then(|subject| at(&subject, &tuned.scene, 0, &question.q, &TorquePath::usual(tuned.scene.rate_hz)))
+        .and_then(|subject| {
+            contact_limits_at(&subject, &tuned.scene, 0, &question.q, &TorquePath::usual(tuned.scene.rate_hz))
+        })
         .map(|contact| contact.options);
     let scene: Scene<f32> =
         tuned.scene().map_err(|error| Failure::impossible(format!("the resulting scene cannot be used: {error}")))?;
@@ -256,7 +258,7 @@ fn search(args: Search) -> Result<(), Failure> {
 fn open_with_device(port: &PortSpec, file: &DeviceFile) -> Result<Board, Failure> {
     let mut board = haptic_sim::open(port)?;
     let device = haptic_bridge::model::device::Device::new(&file.name, &file.description).map_err(Failure::wrong)?;
-    match occasion::another(&mut board, &device)? {
+    match board_measurement::other_loaded_device(&mut board, &device)? {
         None => Ok(board),
         Some(loaded) => {
             Err(Failure::impossible(format!("the board has {loaded} loaded, and the file is {}", file.name))

@@ -3,7 +3,7 @@
 use super::prelude::*;
 use super::shipped;
 use haptic_bridge::render::velocity::{Chosen, CutoffMeaning, Estimator};
-use haptic_predict::tune::{Margins, Question, Settings, TunedWall, estimators, keeps, tune};
+use haptic_predict::tune::{Margins, Question, Settings, TunedWall, accepted_wall, estimators, tune};
 use std::f64::consts::TAU;
 
 /// Returns a shipped device with random inertias, friction and counts. Devices with odd numbers have cables.
@@ -59,7 +59,7 @@ pub fn question(file: &DeviceFile, rate_hz: f64) -> Question<'_> {
 pub fn none_is_stiffer(question: &Question<'_>, dampings: &[f64], stiffer: &[f64]) -> (TunedWall, usize) {
     let found = tune(question, &Sweep::quiet()).unwrap();
     let best = found.best.settings;
-    assert_eq!(keeps(question, &best).unwrap(), Some(found.best), "the result does not meet its own limits");
+    assert_eq!(accepted_wall(question, &best).unwrap(), Some(found.best), "the result does not meet its own limits");
     let mut candidates: Vec<Settings> = Vec::new();
     let mut add = |kind: Estimator, cutoff_hz: f64| {
         let value = kind.chosen().map_or(0, |chosen| chosen.value);
@@ -81,7 +81,8 @@ pub fn none_is_stiffer(question: &Question<'_>, dampings: &[f64], stiffer: &[f64
         .flat_map(|settings| dampings.iter().map(|share| Settings { damping: share * best.damping, ..*settings }))
         .flat_map(|wall| stiffer.iter().map(move |share| Settings { stiffness: share * best.stiffness, ..wall }))
         .collect();
-    let kept = Sweep::quiet().map("grid", &walls, |wall| Ok(keeps(question, wall)?.map(|_| format!("{wall:?}"))));
+    let kept =
+        Sweep::quiet().map("grid", &walls, |wall| Ok(accepted_wall(question, wall)?.map(|_| format!("{wall:?}"))));
     let kept: Vec<String> = kept.unwrap().into_iter().flatten().collect();
     assert!(kept.is_empty(), "{}: {best:?} is softer than {}", question.file.name, kept.join("\n"));
     (found.best, walls.len())

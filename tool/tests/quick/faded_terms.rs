@@ -3,7 +3,7 @@
 use crate::common::prelude::*;
 use crate::common::{file, plane_wall, shipped};
 use haptic_bridge::render::controller::Controller;
-use haptic_predict::bench::error::{Law, Terms, TorqueVariant, Trigonometry, errors, parts};
+use haptic_predict::bench::error::{Law, Terms, TorqueVariant, Trigonometry, error_sources, errors};
 use haptic_predict::bench::precompute::Precomputed;
 use haptic_predict::bench::probe::Probe;
 use haptic_predict::plan::{Budget, plan};
@@ -160,7 +160,7 @@ fn faded_velocity_terms_count_as_an_error() {
                 found.given.force.max < 1e-3,
                 "the faded terms count against the planner's choice: {name} {rate:?}: {found:?}"
             );
-            let parts = parts(&device, &probes, &way);
+            let parts = error_sources(&device, &probes, &way);
             assert!((parts.dropped / left - 1.0).abs() < 1e-3, "{name} {rate:?}: {parts:?}, left {left} N");
         }
     }

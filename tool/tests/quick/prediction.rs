@@ -141,7 +141,7 @@ fn a_gear_ratio_changes_only_the_motors_inertia() {
         joint.transmission.as_mut().unwrap().motor_inertia = motor;
     }
     let (q, n) = ([2.6, 1.75], [0.94, -0.34]);
-    let around = Loop::through(&TorquePath::usual(2e4), 2e4, LinearEstimator::Butterworth(500.0));
+    let around = Loop::with_torque_path(&TorquePath::usual(2e4), 2e4, LinearEstimator::Butterworth(500.0));
     let found = sensitivities(&description, &q, &n, Admissible::default(), &around).unwrap();
     let gear = found.iter().find(|one| one.part == "gear ratio of joint 0").unwrap().more.unwrap();
     let seen = Linearised::at(&description, &q, &n).unwrap();
@@ -265,9 +265,11 @@ fn a_passive_wall_is_stable() {
                 TorquePath { delay_samples: 1.3, drive: Drive::Current { bandwidth_hz: 500.0 } },
             ] {
                 let estimator = LinearEstimator::Butterworth(cutoff);
-                let prediction =
-                    Prediction::new(Subject::new(&device.description).unwrap(), Loop::through(&path, rate, estimator));
-                let seen = prediction.seen(q, normal).unwrap();
+                let prediction = Prediction::new(
+                    Subject::new(&device.description).unwrap(),
+                    Loop::with_torque_path(&path, rate, estimator),
+                );
+                let seen = prediction.linearise(q, normal).unwrap();
                 let Some(passivity) = Passivity::new(&seen, &device.description, &prediction.around) else {
                     panic!("{}: encoders sit on the motors", device.name)
                 };
@@ -361,7 +363,8 @@ fn the_demos_wall_buzzes_at_the_predicted_frequency() {
         let mean = resting.iter().sum::<f64>() / resting.len() as f64;
         let upward: Vec<usize> = (1..resting.len()).filter(|i| resting[i - 1] < mean && resting[*i] >= mean).collect();
         let measured = demo.rate_hz * (upward.len() - 1) as f64 / (upward[upward.len() - 1] - upward[0]) as f64;
-        let around = Loop::through(&TorquePath::usual(demo.rate_hz), demo.rate_hz, LinearEstimator::Butterworth(100.0));
+        let around =
+            Loop::with_torque_path(&TorquePath::usual(demo.rate_hz), demo.rate_hz, LinearEstimator::Butterworth(100.0));
         let prediction = Prediction::new(Subject::new(&demo.file.description).unwrap(), around);
         let wall = Member::new(demo.normal.to_vec(), 1.0);
         let buzz =

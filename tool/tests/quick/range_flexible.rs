@@ -21,7 +21,7 @@ fn every_boundary_agrees_with_independent_values() {
         let file = DeviceFile::parse(case["device"].as_str().unwrap(), id).unwrap();
         let device = Linearised::at(&file.description, &numbers(&case["q"]), &numbers(&case["normal"])).unwrap();
         let [mass, damping, stiffness] = numbers(&case["hand"])[..] else { panic!("{id}") };
-        let device = device.held(Hand { mass, damping, stiffness });
+        let device = device.with_hand(Hand { mass, damping, stiffness });
         let samples = case["difference_over"].as_u64().unwrap() as usize;
         let [rate_hz, delay, cutoff] = ["rate", "delay", "cutoff"].map(|key| case[key].as_f64().unwrap());
         let around = ideal_loop(rate_hz, delay, LinearEstimator::Butterworth(cutoff).over(samples));

@@ -6,9 +6,9 @@ use crate::common::tuned::{drawn, none_is_stiffer, question};
 use crate::common::{Folder, json, read, run, shipped, type_lines};
 use haptic_bridge::render::velocity::Estimator;
 use haptic_host::error::Failure;
-use haptic_predict::bench::estimators::{Comparison, compare, telling_wall};
-use haptic_predict::bench::wall::{Rendered, WallSimulation};
-use haptic_predict::tune::{MOST_REBOUNDS, Margins, Question, Settings, keeps, ripple, tune};
+use haptic_predict::bench::estimators::{Comparison, compare, comparison_wall};
+use haptic_predict::bench::wall::{RenderedWall, WallSimulation};
+use haptic_predict::tune::{MAX_REBOUNDS, Margins, Question, Settings, accepted_wall, ripple, tune};
 use std::collections::BTreeSet;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -58,7 +58,7 @@ fn estimators_are_compared_on_a_wall_that_range_finds_stable() {
     let path = folder.write("cables.toml", with_cables("motor"));
     let file = DeviceFile::load(&path).unwrap();
     assert!(file.description.joints[0].transmission.is_some_and(|cable| cable.encoder_at == EncoderAt::Motor));
-    let (stiffness, damping) = telling_wall(&file, &[2.6, 1.75], &[0.6, 0.8], 5_000.0, 200.0).unwrap();
+    let (stiffness, damping) = comparison_wall(&file, &[2.6, 1.75], &[0.6, 0.8], 5_000.0, 200.0).unwrap();
     let words = ["--q", "2.6,1.75", "--normal", "0.6,0.8", "--rate", "5000", "--cutoff", "200", "--board", "odrive-v3"];
     let kd = damping.to_string();
     let said = json(&[&["range", &path, "--kd", &kd], &words[..]].concat());
@@ -147,8 +147,8 @@ fn taps_rebound_like_a_mass_on_a_spring() {
             let near = found.abs_diff(known) <= usize::from(known > 2);
             assert!(near, "{stiffness} N/m at {ratio} of critical damping: {found}, not {known}");
             assert_eq!(
-                keeps(&question, &wall).unwrap().is_some(),
-                known <= MOST_REBOUNDS,
+                accepted_wall(&question, &wall).unwrap().is_some(),
+                known <= MAX_REBOUNDS,
                 "{known} rebounds: {wall:?}"
             );
             seen.insert(known);
@@ -157,8 +157,8 @@ fn taps_rebound_like_a_mass_on_a_spring() {
     assert!(seen.contains(&0) && seen.contains(&1) && seen.len() > 3, "{seen:?}");
 }
 
-fn rendered(wall: &Settings) -> Rendered {
-    Rendered {
+fn rendered(wall: &Settings) -> RenderedWall {
+    RenderedWall {
         kind: wall.kind,
         cutoff_hz: wall.cutoff_hz,
         feed_forward: wall.feed_forward,

@@ -520,7 +520,7 @@ fn the_boundary_includes_compliance_posture_and_drive() {
         let (scene, wall) = (scene.cast::<f64>(), scene.walls[0]);
         let Surface::Plane(surface) = wall.surface else { panic!("{name}: the wall is no plane") };
         let estimator = LinearEstimator::of(scene.estimator, scene.cutoff_hz).unwrap();
-        let mut around = Loop::through(&TorquePath::usual(scene.rate_hz), scene.rate_hz, estimator);
+        let mut around = Loop::with_torque_path(&TorquePath::usual(scene.rate_hz), scene.rate_hz, estimator);
         around.damping_compensation = wall.damping_compensation;
         let posture = scene.posture.map(|held| Posture { stiffness: held.stiffness, damping: held.damping });
         let with = Prediction { admissible: scene.admissible, posture, ..Prediction::new(subject, around) };

@@ -59,7 +59,7 @@ fn every_effect_is_compared_with_the_loop_without_it() {
         ..around.clone()
     };
     same(found.effects[0].limits.off, alone(&device, &faster));
-    same(found.effects[6].limits.off, alone(&device.clone().held(Hand::default()), &around));
+    same(found.effects[6].limits.off, alone(&device.clone().with_hand(Hand::default()), &around));
 }
 
 #[test]

@@ -4,7 +4,6 @@ use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::sync::OnceLock;
 
-/// The counts for this version of the source.
 const COUNTS_JSON: &str = include_str!("counts.json");
 
 #[derive(Deserialize)]
@@ -27,7 +26,7 @@ fn counts_by_name() -> &'static BTreeMap<String, u32> {
     })
 }
 
-/// Returns the instructions of a complete control step at its slowest pose; `None` if the variant was not counted.
+/// Returns the instructions of a complete control step at its slowest pose, or `None` if the variant was not counted.
 pub fn instructions(mechanism: &str, trigonometry: &str, model: &str, terms: &str) -> Option<u32> {
     counts_by_name().get(&format!("{mechanism}/{trigonometry}/{model}/{terms}")).copied()
 }

@@ -1,8 +1,8 @@
-//! Torque of a variant, by the board's own code in the board's precision, compared with f64 and the closed form.
+//! Torque of a variant, computed by the board's code in the board's precision, compared with the closed form in f64.
 //!
-//! The reference is the scene's law with all its velocity terms (docs/model.md section 2). So terms that a variant
-//! leaves out count as error, and so do terms that the board fades because its velocity estimates lag. Torque errors
-//! are expressed as forces at the tip, J⁻ᵀ Δτ: the force that a hand would have to hold.
+//! The reference is the scene's law with all velocity terms (docs/model.md section 2). Terms count as error if a
+//! variant omits them, or if the board fades them because its velocity estimates lag. A torque error is expressed as
+//! the force J⁻ᵀ Δτ at the tip, which a hand would have to hold.
 
 use crate::bench::precompute::Precomputed;
 use crate::bench::probe::Probe;
@@ -22,27 +22,27 @@ use haptic_host::error::Failure;
 use nalgebra::SVector;
 use serde::Serialize;
 
-/// Bus voltage for duty steps, V.
+/// Bus voltage that converts torque errors to duty steps, V.
 pub const BUS_VOLTAGE: f64 = 24.0;
-/// Number of duty steps: a centre-aligned carrier of 20 kHz from 168 MHz counts to 4200.
+/// Duty steps of a centre-aligned 20 kHz carrier from 168 MHz.
 pub const DUTY_STEPS: f64 = 4200.0;
 
 /// Terms of equation (4) that a variant computes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Terms {
-    /// Jᵀ f alone.
+    /// Only Jᵀ f.
     None,
-    /// The feed-forward without velocity terms.
+    /// Feed-forward without velocity terms.
     FeedForward,
     /// All terms.
     FeedForwardZ,
 }
 
 impl Terms {
-    /// All choices, the cheapest first.
+    /// All values in ascending order of cost.
     pub const ALL: [Terms; 3] = [Terms::None, Terms::FeedForward, Terms::FeedForwardZ];
 
-    /// Name in reports and counts.
+    /// Returns the name in reports and counts.
     pub fn name(self) -> &'static str {
         match self {
             Terms::None => "none",
@@ -52,36 +52,36 @@ impl Terms {
     }
 }
 
-/// Law of the velocity terms, and the properties of the velocity estimates that they are computed from.
+/// Law of the velocity terms, with lag and resolution of the velocity estimates.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Law {
-    /// Velocity terms of the scene. The reference of `Off` is `Rendered`, so the terms left out count as error.
+    /// Velocity terms of the scene. `Off` is compared with `Rendered`, so omitted terms count as error.
     pub terms: VelocityTerms,
     /// Lag of the estimates, s.
     pub lag: f64,
-    /// Largest change of each estimate by one encoder count, rad/s.
+    /// Largest change of each velocity estimate by one encoder count, rad/s.
     pub one_count: [f64; MAX_JOINTS],
 }
 
 impl Law {
-    /// Returns the law of a scene on a device. Errors if the cutoff does not fit the rate.
+    /// Returns the law of a scene on a device. Rejects a cutoff that does not fit the rate.
     pub fn of(scene: &Scene<f64>, device: &Device<f64>) -> Result<Self, Failure> {
         let estimator = Coefficients::of_device::<Libm>((scene.estimator, scene.rate_hz, scene.cutoff_hz), device)
             .map_err(|_| Failure::wrong("the cutoff must lie between 0 and half the control rate"))?;
         Ok(Self { terms: scene.velocity_terms, lag: estimator.lag(), one_count: *estimator.one_count() })
     }
 
-    /// Returns the same law with exact velocities without lag, so that nothing fades.
+    /// Returns this law with exact velocities without lag, so that no term fades.
     fn without_fading(self) -> Self {
         Self { lag: 0.0, one_count: [0.0; MAX_JOINTS], ..self }
     }
 
-    /// Returns the joint velocities of `probe` with which the velocity terms are computed, rad/s.
+    /// Returns the joint velocities from which the velocity terms are computed, rad/s.
     fn velocities<T: Real, const N: usize>(self, probe: &Probe) -> SVector<T, N> {
         SVector::from_fn(|i, _| beyond_uncertainty(T::from_f64(probe.qd[i]), T::from_f64(self.one_count[i])))
     }
 
-    /// Returns the shares of `probes` in which the velocity terms are faded, and in which they are off.
+    /// Returns the shares of `probes` at which the velocity terms are faded and at which they are off.
     pub fn fading(self, device: &Device<f64>, probes: &[Probe]) -> [f64; 2] {
         let shares: Vec<f64> =
             with_mechanism!(&device.mechanism, m => probes.iter().map(|probe| self.share(m, probe)).collect());
@@ -91,7 +91,7 @@ impl Law {
         })
     }
 
-    /// Returns the share of the velocity terms that acts in a situation.
+    /// Returns the share of the velocity terms that acts at a probe.
     fn share<M: Mechanism<f64, N>, const N: usize>(self, mechanism: &M, probe: &Probe) -> f64 {
         let pose = mechanism.pose::<Libm>(&SVector::from_fn(|i, _| probe.q[i]));
         velocity_term_share(&mechanism.regularity(&pose), &self.velocities::<f64, N>(probe), self.lag)
@@ -101,7 +101,7 @@ impl Law {
 /// Implementation of sines, cosines and square roots.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Trigonometry {
-    /// A table and two terms of a series, and the FPU's square root: the shipped one.
+    /// Table with two terms of a series, and the FPU's square root; used by the firmware.
     Tabulated,
     /// Minimax polynomials.
     Minimax,
@@ -110,19 +110,19 @@ pub enum Trigonometry {
 /// A variant of the torque computation.
 #[derive(Clone, Copy, Debug)]
 pub struct TorqueVariant<'a> {
-    /// Mass matrix.
+    /// Mass model.
     pub model: &'a Precomputed,
     /// Terms of equation (4).
     pub terms: Terms,
-    /// Sines, cosines and square roots.
+    /// Implementation of sines, cosines and square roots.
     pub trigonometry: Trigonometry,
     /// Law of the velocity terms.
     pub law: Law,
 }
 
-/// Size of a set of errors.
+/// Statistics of a set of errors.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
-pub struct Size {
+pub struct ErrorStatistics {
     /// Largest error.
     pub max: f64,
     /// 99th percentile.
@@ -131,7 +131,7 @@ pub struct Size {
     pub rms: f64,
 }
 
-impl Size {
+impl ErrorStatistics {
     fn of(mut errors: Vec<f64>) -> Self {
         errors.sort_by(f64::total_cmp);
         let count = errors.len().max(1);
@@ -144,18 +144,17 @@ impl Size {
     }
 }
 
-/// Errors of a variant over a set of situations; the worst joint of each situation counts.
+/// Errors of a variant over a set of situations. Each situation counts with its worst joint.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Errors {
     /// Torque, N m.
-    pub torque: Size,
+    pub torque: ErrorStatistics,
     /// Force at the tip, N.
-    pub force: Size,
-    /// Share of the motor's torque at the worst joint. It equals the share of the motors' largest force at the tip in
-    /// the direction of the error.
-    pub share: Size,
-    /// Duty steps: torque / torque constant · resistance, on a 24 V bus.
-    pub duty: Size,
+    pub force: ErrorStatistics,
+    /// Share of the motor's torque at the worst joint, which is also the share of the largest tip force.
+    pub share: ErrorStatistics,
+    /// Duty steps on a 24 V bus: torque / torque constant · resistance.
+    pub duty: ErrorStatistics,
 }
 
 /// Errors of a variant against two references.
@@ -163,8 +162,7 @@ pub struct Errors {
 pub struct VariantErrors {
     /// Errors relative to the complete law.
     pub whole: Errors,
-    /// Errors relative to a board that computes exactly but fades its velocity terms: the part of the error that
-    /// depends on the choice of a variant.
+    /// Errors relative to a board that computes exactly but fades its velocity terms.
     pub given: Errors,
 }
 
@@ -178,7 +176,7 @@ pub fn torque<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
 ) -> [f64; MAX_JOINTS] {
     let vector = |values: &[f64; MAX_JOINTS]| SVector::<T, N>::from_fn(|i, _| T::from_f64(values[i]));
     let (q, n, force) = (vector(&probe.q), vector(&probe.normal), T::from_f64(probe.force));
-    // The board represents encoder angles as parts of a turn.
+    // A board represents encoder angles as parts of a turn.
     let angles = std::array::from_fn(|i| Angle { radians: q[i], binary: Some(BinaryAngle::from_radians(probe.q[i])) });
     let pose = mechanism.pose_at::<K>(&angles);
     let torque = if terms == Terms::None {
@@ -194,7 +192,7 @@ pub fn torque<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
             b = mechanism.velocity_torque(&pose, &qd) + mechanism.shaping(&pose, &turning).me;
             b *= velocity_term_share(&mechanism.regularity(&pose), &qd, T::from_f64(law.lag));
         }
-        // With the paper's law the wall absorbs b along the normal; with the rendered law it absorbs nothing.
+        // With the paper's law the wall absorbs b along the normal; with the rendered law it absorbs none of b.
         let met = if law.terms == VelocityTerms::Paper { b } else { SVector::zeros() };
         shaping.torque(force, &b, &met)
     };
@@ -226,10 +224,10 @@ pub fn errors(device: &Device<f64>, probes: &[Probe], way: &TorqueVariant<'_>) -
     })
 }
 
-/// Returns the sources of a variant's error over `probes`.
-pub fn parts(device: &Device<f64>, probes: &[Probe], way: &TorqueVariant<'_>) -> Parts {
+/// Computes the sources of a variant's error over `probes`.
+pub fn error_sources(device: &Device<f64>, probes: &[Probe], way: &TorqueVariant<'_>) -> ErrorSources {
     with_mechanism!(&device.mechanism, exact => {
-        with_trigonometry!(way.trigonometry, K => parts_of::<K, _, _, _>(exact, &exact.cast(), probes, way))
+        with_trigonometry!(way.trigonometry, K => error_sources_of::<K, _, _, _>(exact, &exact.cast(), probes, way))
     })
 }
 
@@ -246,7 +244,7 @@ fn compare<K: Math<f32>, E: Mechanism<f64, N>, B: Mechanism<f32, N>, const N: us
     VariantErrors { whole: against(law.without_fading()), given: against(law) }
 }
 
-/// Computes the errors of `torques` against a law.
+/// Computes the errors of the torques `actual` against a law.
 fn errors_against<E: Mechanism<f64, N>, const N: usize>(
     device: &Device<f64>,
     exact: &E,
@@ -267,7 +265,12 @@ fn errors_against<E: Mechanism<f64, N>, const N: usize>(
         shares.push((0..N).map(share).fold(0.0, f64::max));
         duties.push(largest(std::array::from_fn(|i| off[i] * steps[i])));
     }
-    Errors { torque: Size::of(torques), force: Size::of(forces), share: Size::of(shares), duty: Size::of(duties) }
+    Errors {
+        torque: ErrorStatistics::of(torques),
+        force: ErrorStatistics::of(forces),
+        share: ErrorStatistics::of(shares),
+        duty: ErrorStatistics::of(duties),
+    }
 }
 
 fn reference<E: Mechanism<f64, N>, const N: usize>(
@@ -279,7 +282,7 @@ fn reference<E: Mechanism<f64, N>, const N: usize>(
     torque::<f64, Libm, E, N>(exact, &MassModel::Exact, terms, law, probe)
 }
 
-/// Returns the error of each torque, N m; infinite if the error is not finite.
+/// Returns the error of each joint torque, N m; infinity if it is not finite.
 fn difference(actual: [f64; MAX_JOINTS], right: [f64; MAX_JOINTS]) -> [f64; MAX_JOINTS] {
     std::array::from_fn(|i| {
         let off = actual[i] - right[i];
@@ -291,41 +294,41 @@ fn largest(values: [f64; MAX_JOINTS]) -> f64 {
     values.into_iter().fold(0.0, |most, value| most.max(value.abs()))
 }
 
-/// Returns the tip force that corresponds to these joint torques, N.
+/// Returns the tip force of these joint torques, N.
 fn force_at_tip<E: Mechanism<f64, N>, const N: usize>(exact: &E, probe: &Probe, torque: [f64; MAX_JOINTS]) -> f64 {
     let pose = exact.pose::<Libm>(&SVector::from_fn(|i, _| probe.q[i]));
     let force = exact.jacobian_inverse(&pose).tr_mul(&SVector::from_fn(|i, _| torque[i]));
     force.iter().take(E::SPEC.task).map(|entry| entry * entry).sum::<f64>().sqrt()
 }
 
-/// Stiffness that converts a position error of the tip into a force error, N/m.
-pub const STIFFNESS: f64 = 20_000.0;
+/// Stiffness that converts a position error of the tip to a force error, N/m.
+pub const TIP_ERROR_STIFFNESS: f64 = 20_000.0;
 
-/// Sources of a variant's error. Each is computed without the others and is the largest over the situations.
+/// Sources of a variant's error. Each source is computed separately, as its largest value over all situations.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
-pub struct Parts {
-    /// Terms left out or faded, computed exactly, N at the tip.
+pub struct ErrorSources {
+    /// Force at the tip of terms that are omitted or faded, N.
     pub dropped: f64,
-    /// The 90th percentile of `dropped` over the situations.
+    /// 90th percentile of `dropped`.
     pub dropped_mostly: f64,
-    /// Error of the mass model relative to the closed form, N at the tip.
+    /// Force at the tip by the error of the mass model, N.
     pub model: f64,
-    /// Torque error by f32 rounding and trigonometry for a given force, N at the tip.
+    /// Force at the tip by the torque error from f32 rounding and trigonometry, N.
     pub rounding: f64,
-    /// Position error of the tip by f32 rounding and trigonometry, times [`STIFFNESS`], N.
+    /// Tip position error from f32 rounding and trigonometry, times [`TIP_ERROR_STIFFNESS`], N.
     pub tip: f64,
-    /// Smallest remaining share of the exact feed-forward's stable area: (effective inertia / Wrr)².
+    /// Smallest share of the exact feed-forward's stable area that remains: (effective inertia / Wrr)².
     pub area: f64,
 }
 
-fn parts_of<K: Math<f32>, E: Mechanism<f64, N>, B: Mechanism<f32, N>, const N: usize>(
+fn error_sources_of<K: Math<f32>, E: Mechanism<f64, N>, B: Mechanism<f32, N>, const N: usize>(
     exact: &E,
     board: &B,
     probes: &[Probe],
     &TorqueVariant { model, terms, law, .. }: &TorqueVariant<'_>,
-) -> Parts {
-    let Some(mass) = MassModel::<f32, N>::new::<B>(&model.data, &model.values) else { return Parts::default() };
-    let mut parts = Parts { area: f64::INFINITY, ..Parts::default() };
+) -> ErrorSources {
+    let Some(mass) = MassModel::<f32, N>::new::<B>(&model.data, &model.values) else { return ErrorSources::default() };
+    let mut parts = ErrorSources { area: f64::INFINITY, ..ErrorSources::default() };
     let more = |most: &mut f64, value: f64| *most = most.max(value);
     let mut dropped = Vec::new();
     for probe in probes {
@@ -340,12 +343,12 @@ fn parts_of<K: Math<f32>, E: Mechanism<f64, N>, B: Mechanism<f32, N>, const N: u
         let (q, q32) = (SVector::<f64, N>::from_fn(|i, _| probe.q[i]), SVector::from_fn(|i, _| probe.q[i] as f32));
         let pose = exact.pose::<Libm>(&q);
         let seen = board.tip(&board.pose::<K>(&q32));
-        // Both tip positions use the angles as rounded to f32, so that only the computation differs.
+        // Both tip positions use angles rounded to f32, so that they differ only by the computation.
         let expected = exact.tip(&exact.pose::<Libm>(&q32.map(f64::from)));
         let off = (0..E::SPEC.task).map(|i| (f64::from(seen[i]) - expected[i]).powi(2)).sum::<f64>().sqrt();
-        more(&mut parts.tip, STIFFNESS * off);
+        more(&mut parts.tip, TIP_ERROR_STIFFNESS * off);
 
-        // Effective inertia at rest: from the acceleration by the torque for a force of 1 N.
+        // The effective inertia at rest follows from the acceleration for a force of 1 N.
         let resting = Probe { qd: [0.0; MAX_JOINTS], force: 1.0, ..*probe };
         let without = if terms == Terms::None { Terms::None } else { Terms::FeedForward };
         let newton = torque::<f32, K, B, N>(board, &mass, without, law, &resting);
@@ -361,9 +364,9 @@ fn parts_of<K: Math<f32>, E: Mechanism<f64, N>, B: Mechanism<f32, N>, const N: u
     parts
 }
 
-/// Returns the largest motion of the tip by one encoder count over `probes`, m; 0 without encoders.
+/// Returns the largest tip motion by one encoder count over `probes`, m; 0 without encoders.
 pub fn encoder_step(device: &Device<f64>, probes: &[Probe]) -> f64 {
-    fn farthest<M: Mechanism<f64, N>, const N: usize>(m: &M, device: &Device<f64>, probes: &[Probe]) -> f64 {
+    fn largest_step<M: Mechanism<f64, N>, const N: usize>(m: &M, device: &Device<f64>, probes: &[Probe]) -> f64 {
         let moves = |probe: &Probe| {
             let jacobian = m.jacobian(&m.pose::<Libm>(&SVector::from_fn(|i, _| probe.q[i])));
             (0..N).map(move |joint| {
@@ -373,10 +376,10 @@ pub fn encoder_step(device: &Device<f64>, probes: &[Probe]) -> f64 {
         };
         probes.iter().flat_map(moves).fold(0.0, f64::max)
     }
-    with_mechanism!(&device.mechanism, m => farthest(m, device, probes))
+    with_mechanism!(&device.mechanism, m => largest_step(m, device, probes))
 }
 
-/// Returns duty steps per N m at each joint; 0 if the device file has no motor there.
+/// Returns the duty steps per N m of each joint; 0 for a joint without a motor.
 pub fn duty_steps(device: &Device<f64>) -> [f64; MAX_JOINTS] {
     device.joints.map(|joint| {
         joint.motor.map_or(0.0, |motor| motor.resistance / motor.torque_constant.abs() / BUS_VOLTAGE * DUTY_STEPS)

@@ -1,9 +1,8 @@
-//! Compares velocity estimators on a device, in simulation with encoder steps: the area of quiet walls, the ripple of a
-//! pressed wall's force, and the delay and noise of the velocity.
+//! Compares velocity estimators on a device by simulation: stable area, force ripple, delay and noise.
 //!
-//! Every wall is simulated by [`super::wall`]: the board's own step with the device's complete equations.
+//! [`super::wall`] simulates every wall with the board's own step and the device's complete equations.
 
-use super::wall::{Rendered, Trial, WallSimulation};
+use super::wall::{RenderedWall, Trial, WallSimulation};
 use crate::contact::deviation_from_line;
 use crate::ripple::{self, PUSH_N};
 use haptic_bridge::model::admissible::Admissible;
@@ -19,23 +18,23 @@ use haptic_stability::analysis::sampled::{LinearEstimator, Loop, Mode};
 use haptic_stability::sweep::Sweep;
 use serde::{Deserialize, Serialize};
 
-/// Time to settle before the ripple is recorded, and time of recording, s.
 const SETTLE_S: f64 = 0.3;
 const RECORD_S: f64 = 0.3;
-/// Speed (m/s) and duration (s) of the slow motion for the noise of the velocity estimate.
+/// Speed of the slow motion in which the velocity noise is computed, m/s.
 const SLOW_SPEED: f64 = 0.01;
 const SLOW_S: f64 = 0.2;
 /// Number of dampings at which the largest quiet stiffness is searched.
 const DAMPINGS: usize = 8;
-/// Precision of a largest stiffness, as a ratio.
-const PRECISION: f64 = 1.05;
-/// Amplitude of the tip in counts when a wall is struck, and the amplitude below which the wall counts as quiet.
+/// Largest ratio of unstable to stable stiffness at the end of a search.
+const STIFFNESS_RATIO: f64 = 1.05;
+/// Amplitude of the tip when a wall is struck, encoder counts.
 const STRIKE_COUNTS: f64 = 40.0;
+/// Amplitude below which the wall counts as quiet, encoder counts.
 const QUIET_COUNTS: f64 = 6.0;
-/// Time within which a struck wall must come to rest, s.
+/// Time within which the tip must come to rest in a struck wall, s.
 const REST_S: f64 = 0.25;
 
-/// Device and wall for which the estimators are compared.
+/// Device and wall with which the estimators are compared.
 pub struct Comparison<'a> {
     /// The device.
     pub file: &'a DeviceFile,
@@ -45,16 +44,15 @@ pub struct Comparison<'a> {
     pub normal: &'a [f64],
     /// Control rate, Hz.
     pub rate_hz: f64,
-    /// Cutoff, Hz.
+    /// Cutoff of the estimator, Hz.
     pub cutoff_hz: f64,
     /// Stiffness (N/m) and damping (N s/m) of the wall that is pressed for the ripple.
     pub wall: (f64, f64),
 }
 
 impl Comparison<'_> {
-    /// Returns the wall with another estimator, without feed-forward.
-    fn rendered(&self, kind: Estimator, cutoff_hz: f64) -> Rendered {
-        Rendered {
+    fn rendered(&self, kind: Estimator, cutoff_hz: f64) -> RenderedWall {
+        RenderedWall {
             kind,
             cutoff_hz,
             feed_forward: FeedForward::Off,
@@ -67,25 +65,23 @@ impl Comparison<'_> {
     }
 }
 
-/// Results of one estimator.
+/// Results for one estimator.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Row {
-    /// Name in scene files.
+    /// Name of the estimator in scene files.
     pub estimator: String,
-    /// Parameter of the estimator, if it has one.
+    /// Parameter of the estimator; `None` if it has none.
     pub value: Option<u32>,
-    /// Cutoff, Hz, if the estimator has one.
+    /// Cutoff, Hz; `None` if the estimator has none.
     pub cutoff_hz: Option<f64>,
-    /// ∫ largest quiet stiffness over damping, N²s/m²: simulated, with encoder steps and friction. The search ends at
-    /// 1e7 N/m and at five times the damping that is predicted stable with the Butterworth, so the area may be larger.
+    /// ∫ largest quiet stiffness over damping, N²s/m², with encoder steps and friction. A lower bound: the search ends
+    /// at 1e7 N/m and at five times the damping that is predicted stable with the Butterworth.
     pub area: f64,
-    /// Root mean square of the wall's force about its fitted line, N, under a hand that presses ever harder: without
-    /// and with the full feed-forward. `None` if the tip flies off.
+    /// Root mean square of the force about its fitted line under a growing push, N, without and with feed-forward.
     pub press_n: [Option<f64>; 2],
-    /// Root mean square of the wall's force about its mean, N, under a hand with a steady push, without feed-forward.
-    /// Friction may hold the tip between two counts.
+    /// Root mean square of the force about its mean under a steady push, N, without feed-forward.
     pub ripple_n: Option<f64>,
-    /// True if the mean force of the pressed wall differs from the hand's by at most a tenth.
+    /// True if the mean force on the pressed wall is within a tenth of the hand's push.
     pub holds: bool,
     /// Delay of the velocity, s.
     pub delay_s: f64,
@@ -93,12 +89,12 @@ pub struct Row {
     pub noise_m_s: f64,
 }
 
-/// Press ripples below this count as equal, because a board's arithmetic and a hand vary more, N.
+/// Difference of press ripples that counts as zero, N. A board's arithmetic and a hand vary by more.
 pub const RESOLUTION_N: f64 = 1e-3;
 
-/// Returns every estimator with its default parameter and its longest window. If the cutoff is the estimator's
-/// bandwidth, a quarter, a sixteenth and a thirty-second of it are candidates too. An optional low-pass is left out.
-fn candidates(comparison: &Comparison<'_>) -> Vec<Rendered> {
+/// Returns each estimator with its default parameter and with its longest window. For estimators whose cutoff is the
+/// bandwidth, adds a quarter, a sixteenth and a thirty-second of the cutoff. Omits optional low-passes.
+fn candidates(comparison: &Comparison<'_>) -> Vec<RenderedWall> {
     let mut results = Vec::new();
     let mut add = |kind, share| results.push(comparison.rendered(kind, share * comparison.cutoff_hz));
     for (_, kind) in Estimator::ALL {
@@ -118,16 +114,16 @@ fn candidates(comparison: &Comparison<'_>) -> Vec<Rendered> {
     results
 }
 
-/// Returns a wall that shows differences between estimators, N/m and N s/m: half of the damping and a quarter of the
-/// stiffness that `haptic range --board` predicts stable with the Butterworth.
-pub fn telling_wall(
+/// Returns stiffness (N/m) and damping (N s/m) of a wall on which estimators differ: half of the damping and a quarter
+/// of the stiffness that `haptic range --board` predicts stable with the Butterworth.
+pub fn comparison_wall(
     file: &DeviceFile,
     q: &[f64],
     normal: &[f64],
     rate_hz: f64,
     cutoff_hz: f64,
 ) -> Result<(f64, f64), Failure> {
-    let around = Loop::through(&TorquePath::usual(rate_hz), rate_hz, LinearEstimator::Butterworth(cutoff_hz));
+    let around = Loop::with_torque_path(&TorquePath::usual(rate_hz), rate_hz, LinearEstimator::Butterworth(cutoff_hz));
     let prediction = Prediction::new(Subject::new(&file.description).map_err(Failure::wrong)?, around);
     let damping = 0.5 * prediction.stiffness_at(q, normal, Mode::Off, 0.0)?.1;
     let (stiffness, _) = prediction.stiffness_at(q, normal, Mode::Off, damping)?;
@@ -142,13 +138,13 @@ pub fn telling_wall(
     .choose(Choice::Wall))
 }
 
-/// Compares every estimator. Estimators with at least the Butterworth's area come first, sorted by their ripple under a
-/// hand that presses ever harder; the others follow by area. The result does not depend on the number of cores.
+/// Compares all estimators. Those with at least the Butterworth's area that hold the hand come first, in ascending
+/// order of press ripple; the others follow in descending order of area.
 pub fn compare(comparison: &Comparison<'_>, sweep: &Sweep) -> Result<Vec<Row>, Failure> {
     let tried = Trials::new(comparison, sweep)?;
     let (rate_hz, butterworth) = (comparison.rate_hz, LinearEstimator::Butterworth(comparison.cutoff_hz));
     let path = TorquePath { drive: Drive::Ideal, ..TorquePath::usual(rate_hz) };
-    let around = Loop::through(&path, rate_hz, butterworth);
+    let around = Loop::with_torque_path(&path, rate_hz, butterworth);
     let (_, damping) = stiffness_at(&tried.linearised, &around, Mode::Off, 0.0)?;
     let mut rows = sweep.map("estimators", &candidates(comparison), |candidate| tried.row(candidate, damping))?;
     let enough = rows.iter().find(|row| row.estimator == "butterworth").map_or(0.0, |row| row.area);
@@ -168,13 +164,12 @@ pub fn compare(comparison: &Comparison<'_>, sweep: &Sweep) -> Result<Vec<Row>, F
     Ok(rows)
 }
 
-/// Returns the root mean square of the pressed wall's force with one estimator, as [`Row::ripple_n`], N.
+/// Returns [`Row::ripple_n`] for one estimator, N.
 pub fn ripple_of(comparison: &Comparison<'_>, kind: Estimator) -> Result<Option<f64>, Failure> {
     let sweep = Sweep::quiet();
     Ok(Trials::new(comparison, &sweep)?.ripple(&comparison.rendered(kind, comparison.cutoff_hz))?.0)
 }
 
-/// The simulation and the linearised device of a comparison.
 struct Trials<'a> {
     rate_hz: f64,
     simulation: WallSimulation,
@@ -194,7 +189,7 @@ impl<'a> Trials<'a> {
         })
     }
 
-    fn row(&self, wall: &Rendered, damping: f64) -> Result<Row, Failure> {
+    fn row(&self, wall: &RenderedWall, damping: f64) -> Result<Row, Failure> {
         let (ripple_n, holds) = self.ripple(wall)?;
         let spec = wall.kind.spec();
         let plain = matches!(wall.kind, Estimator::BackwardDifference);
@@ -205,23 +200,23 @@ impl<'a> Trials<'a> {
             value: spec.and_then(|spec| spec.key).and(wall.kind.chosen()).map(|chosen| chosen.value),
             cutoff_hz: has_cutoff.then_some(wall.cutoff_hz),
             area: self.area(wall, damping)?,
-            press_n: [self.press(wall, FeedForward::Off)?, self.press(wall, FeedForward::Full)?],
+            press_n: [self.press_ripple(wall, FeedForward::Off)?, self.press_ripple(wall, FeedForward::Full)?],
             ripple_n,
             holds,
             delay_s: coefficients.lag(),
-            noise_m_s: self.noise(wall)?,
+            noise_m_s: self.velocity_noise(wall)?,
         })
     }
 
-    /// Computes ∫ largest quiet stiffness over damping by the trapezoidal rule on even dampings, until no wall is
-    /// quiet. `damping` (N s/m) is the largest that is predicted stable with the Butterworth.
-    fn area(&self, wall: &Rendered, damping: f64) -> Result<f64, Failure> {
+    /// Computes ∫ largest quiet stiffness over damping by the trapezoidal rule at evenly spaced dampings, until no wall
+    /// is quiet. `damping` (N s/m) is the largest that is predicted stable with the Butterworth.
+    fn area(&self, wall: &RenderedWall, damping: f64) -> Result<f64, Failure> {
         let step = damping * 1.25 / DAMPINGS as f64;
         let (mut area, mut last) = (0.0, 0.0);
         let mut i = 1.0;
-        // An estimator without lag is stable with more damping; four times the range is enough.
+        // Estimators without lag are stable with more damping; five times the predicted damping is enough.
         while step > 0.0 && i <= 4.0 * DAMPINGS as f64 {
-            let most = self.stiffest(&Rendered { damping: i * step, ..*wall })?;
+            let most = self.largest_quiet_stiffness(&RenderedWall { damping: i * step, ..*wall })?;
             area += step * 0.5 * (last + most);
             if most == 0.0 {
                 break;
@@ -232,10 +227,10 @@ impl<'a> Trials<'a> {
         Ok(area)
     }
 
-    /// Returns the largest stiffness (N/m) up to which every wall with this damping comes to rest; 0 if none does.
-    fn stiffest(&self, wall: &Rendered) -> Result<f64, Failure> {
-        // At the smallest stiffness the tip still swings back within the time allowed.
-        let comes_to_rest = |stiffness: f64| self.is_quiet_when_struck(&Rendered { stiffness, ..*wall });
+    /// Returns the largest stiffness up to which every wall with this damping comes to rest, N/m; 0 if none does.
+    fn largest_quiet_stiffness(&self, wall: &RenderedWall) -> Result<f64, Failure> {
+        // The smallest stiffness is large enough for the tip to swing back within the allowed time.
+        let comes_to_rest = |stiffness: f64| self.is_quiet_when_struck(&RenderedWall { stiffness, ..*wall });
         let (mut low, mut high) = (100.0, 100.0);
         if !comes_to_rest(low)? {
             return Ok(0.0);
@@ -248,19 +243,19 @@ impl<'a> Trials<'a> {
         }
         low = high.max(low);
         high *= 2.0;
-        while high / low > PRECISION {
+        while high / low > STIFFNESS_RATIO {
             let middle = (low * high).sqrt();
             if comes_to_rest(middle)? { low = middle } else { high = middle }
         }
         Ok(low)
     }
 
-    /// Returns true if the tip, struck along the normal in the wall, comes to rest.
-    fn is_quiet_when_struck(&self, wall: &Rendered) -> Result<bool, Failure> {
-        self.sweep.go_on()?;
+    /// Returns true if the tip comes to rest after it was struck along the normal.
+    fn is_quiet_when_struck(&self, wall: &RenderedWall) -> Result<bool, Failure> {
+        self.sweep.check_interrupted()?;
         let mass = self.linearised.w_eff().ok_or_else(|| Failure::impossible("the device has no inertia here"))?;
         let count = self.simulation.count;
-        // The speed of the wall's own swing with this amplitude, but at most that of a hand's strike.
+        // Initial speed of the wall's own oscillation with this amplitude, at most that of a hand's strike.
         let speed = (STRIKE_COUNTS * count * (wall.stiffness / mass).sqrt()).min(0.5);
         let late = (REST_S * self.rate_hz) as usize * 3 / 4;
         let (mut n, mut low, mut high) = (0, f64::INFINITY, f64::NEG_INFINITY);
@@ -274,16 +269,16 @@ impl<'a> Trials<'a> {
         Ok(tip_stays && high - low < QUIET_COUNTS * count)
     }
 
-    /// Returns the wall's force in the last `recorded` of `seconds` s of a trial, N; `None` if the tip flies off.
+    /// Returns the wall's force in the last `recorded` seconds of a trial, N, or `None` if the tip flies off.
     fn last_forces(
         &self,
         simulation: &WallSimulation,
-        wall: &Rendered,
+        wall: &RenderedWall,
         trial: Trial,
         seconds: f64,
         recorded: f64,
     ) -> Result<Option<Vec<f64>>, Failure> {
-        self.sweep.go_on()?;
+        self.sweep.check_interrupted()?;
         let mut forces = Vec::new();
         let tip_stays = simulation.run(wall, trial, seconds, |force, _| {
             forces.push(force);
@@ -293,21 +288,20 @@ impl<'a> Trials<'a> {
         Ok(tip_stays.then(|| forces.split_off(begin)))
     }
 
-    /// Returns the ripple of the force under a hand that presses, and true if the wall holds the hand.
-    fn ripple(&self, wall: &Rendered) -> Result<(Option<f64>, bool), Failure> {
+    /// Returns the force ripple under a hand that presses, and true if the wall holds the hand.
+    fn ripple(&self, wall: &RenderedWall) -> Result<(Option<f64>, bool), Failure> {
         let late = self.last_forces(&self.simulation, wall, Trial::Pressed, SETTLE_S + RECORD_S, RECORD_S)?;
         let Some(late) = late else { return Ok((None, false)) };
         let mean = late.iter().sum::<f64>() / late.len() as f64;
         let square = late.iter().map(|force| (force - mean).powi(2)).sum::<f64>() / late.len() as f64;
-        // The hand's own stiffness and friction carry a part of the push.
+        // Friction and the hand's own stiffness carry a part of the push.
         let friction = self.simulation.friction();
         Ok((Some(square.sqrt()), (mean / PUSH_N - 1.0).abs() < 0.1 + friction / PUSH_N))
     }
 
-    /// Returns the ripple of the force under a hand that presses ever harder, N: the largest of several encoder
-    /// offsets.
-    fn press(&self, wall: &Rendered, feed_forward: FeedForward) -> Result<Option<f64>, Failure> {
-        let wall = Rendered { feed_forward, ..*wall };
+    /// Returns the largest force ripple over several encoder offsets while a hand presses ever harder, N.
+    fn press_ripple(&self, wall: &RenderedWall, feed_forward: FeedForward) -> Result<Option<f64>, Failure> {
+        let wall = RenderedWall { feed_forward, ..*wall };
         let mut most: f64 = 0.0;
         for offset in 0..ripple::COUNT_OFFSETS {
             let moved = self
@@ -321,10 +315,10 @@ impl<'a> Trials<'a> {
         Ok(Some(most))
     }
 
-    /// Returns the root mean square of the velocity's error while the joints turn slowly and steadily, m/s.
-    fn noise(&self, wall: &Rendered) -> Result<f64, Failure> {
-        let still = Rendered { stiffness: 0.0, damping: 0.0, ..*wall };
-        let velocities = self.simulation.velocities(&still, SLOW_SPEED, SLOW_S)?;
+    /// Returns the root mean square of the velocity error while the joints turn slowly and steadily, m/s.
+    fn velocity_noise(&self, wall: &RenderedWall) -> Result<f64, Failure> {
+        let still = RenderedWall { stiffness: 0.0, damping: 0.0, ..*wall };
+        let velocities = self.simulation.velocity_estimates(&still, SLOW_SPEED, SLOW_S)?;
         let late = &velocities[velocities.len() / 2 + 1..];
         Ok((late.iter().map(|velocity| (velocity - SLOW_SPEED).powi(2)).sum::<f64>() / late.len() as f64).sqrt())
     }

@@ -1,4 +1,4 @@
-//! Mass matrices computed in advance: the closed form, a frozen matrix, or a table that fits the board's memory.
+//! Mass models for a board: the closed form, a frozen matrix, or a table that fits the board's memory.
 
 use crate::bench::probe::Probe;
 use haptic_bridge::math::Libm;
@@ -9,17 +9,17 @@ use haptic_bridge::model::precomputed::{Grid, Interpolation, MassModelData, TABL
 use haptic_bridge::with_mechanism;
 use nalgebra::SVector;
 
-/// A mass model as it is sent to a board, with the values of its table.
+/// A mass model with the values of its table.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Precomputed {
     /// The model as it is sent to the board.
     pub data: MassModelData,
-    /// Values of the table, which are sent first; empty for other models.
+    /// Table values, which are sent before the model; empty for other models.
     pub values: Vec<f32>,
 }
 
 impl Precomputed {
-    /// Name of the model in the instruction counts.
+    /// Returns the model's name in the instruction counts.
     pub fn name(&self) -> &'static str {
         match &self.data {
             MassModelData::Exact => "exact",
@@ -31,13 +31,13 @@ impl Precomputed {
         }
     }
 
-    /// Size of the values on the board, bytes.
+    /// Returns the size of the table values on the board, bytes.
     pub fn bytes(&self) -> usize {
         4 * self.values.len()
     }
 }
 
-/// Returns one matrix for all poses: the mean of M over `probes`.
+/// Returns a frozen mass matrix: the mean of M over `probes`.
 pub fn frozen(device: &Device<f64>, probes: &[Probe]) -> Precomputed {
     fn mean<M: Mechanism<f64, N>, const N: usize>(m: &M, probes: &[Probe]) -> [f32; 6] {
         let mut triangle = [0.0; 6];
@@ -53,13 +53,13 @@ pub fn frozen(device: &Device<f64>, probes: &[Probe]) -> Precomputed {
     Precomputed { data: MassModelData::Frozen(triangle), values: Vec::new() }
 }
 
-/// Returns the largest number of points along each coordinate of a square grid that fits the board's memory.
+/// Returns the largest number of points per coordinate for which a square grid fits the board's memory.
 pub fn most_points(device: &Device<f64>) -> u8 {
     let entries = device.mechanism.mass_entries().len();
     ((TABLE_VALUES / entries) as f64).sqrt().floor().min(255.0) as u8
 }
 
-/// Returns the range of the two coordinates that M depends on, over `probes`, widened by 1 %; rad.
+/// Returns the ranges of the two coordinates that M depends on, over `probes`, widened by 1 %, rad.
 pub fn range(device: &Device<f64>, probes: &[Probe]) -> [[f64; 2]; 2] {
     let [mut low, mut high] = [[f64::INFINITY; 2], [f64::NEG_INFINITY; 2]];
     for probe in probes {
@@ -83,8 +83,7 @@ fn shape(device: &Device<f64>, q: &[f64; MAX_JOINTS]) -> [f64; 2] {
     with_mechanism!(&device.mechanism, m => of(m, q))
 }
 
-/// Computes a table over a range of the two shape coordinates (lowest, highest; rad). `None` if it does not fit the
-/// board.
+/// Computes a table over `range` (low and high of both shape coordinates, rad); `None` if the board has no room.
 pub fn table(
     device: &Device<f64>,
     interpolation: Interpolation,

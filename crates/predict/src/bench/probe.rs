@@ -1,5 +1,5 @@
-//! Situations in which errors are computed: a pose, a wall's normal, a hand motion, and the largest force of the motors
-//! along the normal in addition to weight and motion. Motions that need more than the motors' torque are left out.
+//! Situations in which errors are computed: pose, wall normal, hand motion, and the largest force that the motors can
+//! make along the normal in addition to weight and motion. Motions that need more than the motors' torque are omitted.
 
 use crate::boards::torque_at_rest;
 use haptic_bridge::math::Libm;
@@ -15,14 +15,13 @@ use haptic_stability::analysis::map::Reachable;
 use haptic_stability::analysis::pose::PoseError;
 use nalgebra::SVector;
 
-/// Force if a device file has no motors, N.
 const FORCE_WITHOUT_MOTORS: f64 = 5.0;
 /// Default speed of the hand, m/s.
 pub const HAND_SPEED: f64 = 0.5;
 /// Turning rate of the redundant arm's last link per speed of the hand, rad/m.
-const TURNING: f64 = 4.0;
+const LAST_LINK_TURN_PER_METRE: f64 = 4.0;
 
-/// A situation. Entries beyond the device's joints are zero.
+/// A situation in which errors are computed. Entries beyond the device's joints are zero.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Probe {
     /// Joint angles, rad.
@@ -35,12 +34,12 @@ pub struct Probe {
     pub normal_rate: [f64; MAX_JOINTS],
     /// Task velocity, m/s (and rad/s for φ).
     pub velocity: [f64; MAX_JOINTS],
-    /// Largest force of the motors along the normal in addition to weight and motion, N.
+    /// Largest force that the motors can make along the normal in addition to weight and motion, N.
     pub force: f64,
 }
 
-/// Returns normals that cover the directions of a task space.
-fn directions(task: usize) -> Vec<[f64; MAX_JOINTS]> {
+/// Returns unit normals that cover the directions of a task space.
+fn unit_normals(task: usize) -> Vec<[f64; MAX_JOINTS]> {
     match task {
         1 => vec![[1.0, 0.0, 0.0]],
         2 => (0..4).map(|i| (f64::from(i) * std::f64::consts::FRAC_PI_4).sin_cos()).map(|(s, c)| [c, s, 0.0]).collect(),
@@ -51,21 +50,20 @@ fn directions(task: usize) -> Vec<[f64; MAX_JOINTS]> {
     }
 }
 
-/// Returns situations throughout the reachable workspace: `per_joint` angles per joint, normals in every direction, and
-/// hand motions at `speed` (m/s) along and across them.
+/// Returns situations throughout the workspace, with `per_joint` angles per joint and hands at `speed` (m/s).
 pub fn workspace(device: &Device<f64>, per_joint: usize, speed: f64) -> Result<Vec<Probe>, PoseError> {
     let reachable = Reachable::of(device, per_joint, None)?;
     let mut probes = Vec::new();
     for index in reachable.indices() {
         let q = padded(&reachable.angles(index));
-        for normal in directions(device.mechanism.kind().spec().task) {
+        for normal in unit_normals(device.mechanism.kind().spec().task) {
             with_mechanism!(&device.mechanism, m => push_situations(m, device, &q, &normal, None, speed, &mut probes));
         }
     }
     Ok(probes)
 }
 
-/// Returns situations on a surface where the tip can touch it: grid poses near the surface, moved onto it.
+/// Returns situations at which the tip touches a surface. Grid poses near the surface are moved onto it.
 pub fn on_surface(
     device: &Device<f64>,
     surface: &Surface<f64>,
@@ -90,8 +88,7 @@ fn task_part<M: Mechanism<f64, N>, const N: usize>(task: &SVector<f64, N>) -> SV
     SVector::from_fn(|i, _| if i < M::SPEC.task { task[i] } else { 0.0 })
 }
 
-/// Moves a pose onto the surface by Newton's method along the normal; `None` if the surface is more than about a grid
-/// cell away.
+/// Moves a pose onto the surface by Newton's method; returns `None` if it is more than a grid cell away.
 fn move_onto<M: Mechanism<f64, N>, const N: usize>(
     m: &M,
     device: &Device<f64>,
@@ -127,24 +124,23 @@ fn push_situations<M: Mechanism<f64, N>, const N: usize>(
     let n = SVector::<f64, N>::from_fn(|i, _| normal[i]);
     let pose = m.pose::<Libm>(&joints);
     let regularity = m.regularity(&pose);
-    // Nearer to a singularity the control step fades the feed-forward out, whatever the variant.
+    // Nearer to a singularity every variant fades the feed-forward out.
     if regularity.serial < FULL_REGULARITY || regularity.parallel < FULL_REGULARITY * PARALLEL_REGULARITY {
         return;
     }
     let weight = m.gravity(&pose);
     let (plain, shaping) = (m.transpose(&pose, &n), m.shaping(&pose, &n));
     let per_newton = SVector::<f64, N>::from_fn(|i, _| plain[i].abs().max((shaping.me[i] / shaping.w_rr).abs()));
-    // Force that the motors have left after weight and motion; not positive if weight and motion need all of the
-    // torque.
+    // Force that the motors can make in addition to weight and motion; at most zero if they cannot.
     let remaining_force = |b: &SVector<f64, N>| {
         let joints = (0..N).filter_map(|i| device.joints[i].motor.map(|motor| (i, torque_at_rest(&motor, N))));
         let share = joints.map(|(i, most)| (most - weight[i].abs() - b[i].abs()) / per_newton[i].max(1.0e-9));
         share.fold(f64::INFINITY, f64::min)
     };
     let here = task_part::<M, N>(&m.tip(&pose));
-    // At higher joint speeds the guard trips and the board renders no torque.
+    // The guard trips at higher joint speeds, and the board then renders no torque.
     let fastest = f64::from(Limits::default().speed[0]);
-    for velocity in motions::<M, N>(normal) {
+    for velocity in hand_motions::<M, N>(normal) {
         let velocity = SVector::<f64, N>::from_fn(|i, _| speed * velocity[i]);
         let qd = m.inverse(&pose, &velocity);
         if qd.iter().any(|rate| rate.abs() > fastest) {
@@ -167,8 +163,8 @@ fn push_situations<M: Mechanism<f64, N>, const N: usize>(
     }
 }
 
-/// Returns hand motions per m/s: into the wall, along it, and oblique.
-fn motions<M: Mechanism<f64, N>, const N: usize>(n: &[f64; MAX_JOINTS]) -> Vec<[f64; MAX_JOINTS]> {
+/// Returns hand motions per m/s: into the wall, along it, and obliquely.
+fn hand_motions<M: Mechanism<f64, N>, const N: usize>(n: &[f64; MAX_JOINTS]) -> Vec<[f64; MAX_JOINTS]> {
     let d = std::f64::consts::FRAC_1_SQRT_2;
     match (M::SPEC.task, N) {
         (1, _) => vec![*n],
@@ -178,7 +174,13 @@ fn motions<M: Mechanism<f64, N>, const N: usize>(n: &[f64; MAX_JOINTS]) -> Vec<[
         }
         (2, _) => {
             let t = [-n[1], n[0], 0.0];
-            vec![*n, t, [n[0], n[1], TURNING], [t[0], t[1], TURNING], [t[0], t[1], -TURNING]]
+            vec![
+                *n,
+                t,
+                [n[0], n[1], LAST_LINK_TURN_PER_METRE],
+                [t[0], t[1], LAST_LINK_TURN_PER_METRE],
+                [t[0], t[1], -LAST_LINK_TURN_PER_METRE],
+            ]
         }
         _ => {
             let n = nalgebra::Vector3::from(*n);

@@ -1,8 +1,9 @@
-//! Cost and error of every variant of every mechanism, and tables of them.
+//! Tables of the cost and error of all variants of all mechanisms.
 
 use crate::bench::counts;
 use crate::bench::error::{
-    Errors, Law, Parts, STIFFNESS, Terms, TorqueVariant, Trigonometry, encoder_step, errors, parts, with_trigonometry,
+    ErrorSources, Errors, Law, TIP_ERROR_STIFFNESS, Terms, TorqueVariant, Trigonometry, encoder_step, error_sources,
+    errors, with_trigonometry,
 };
 use crate::bench::precompute::{Precomputed, frozen, most_points, range, table};
 use crate::bench::probe::{HAND_SPEED, Probe, workspace};
@@ -23,7 +24,7 @@ use serde::Serialize;
 use std::hint::black_box;
 use std::time::Instant;
 
-/// Returns the example device of a mechanism for the figures. The image that counts instructions has the same devices.
+/// Returns the example device of a mechanism. The image that counts instructions uses the same devices.
 fn example_of(kind: Kind) -> &'static str {
     match kind {
         Kind::Paddle => shipped::HAPKIT_PADDLE,
@@ -40,37 +41,35 @@ pub fn devices() -> Result<Vec<Device<f64>>, Failure> {
     Kind::ALL.iter().map(|kind| read(example_of(*kind))).collect()
 }
 
-/// One variant on one target.
+/// Cost and error of one variant on one target.
 #[derive(Clone, Debug, Serialize)]
 pub struct Variant {
     /// `mechanism/trigonometry/mass model/terms`
     pub name: String,
-    /// Its mechanism.
+    /// Name of the mechanism.
     pub mechanism: &'static str,
     /// `cortex-m4f` or `host`.
     pub target: &'static str,
-    /// Instructions of a complete control step in contact with one wall, counted on the emulated chip; null elsewhere.
+    /// Instructions of a complete control step with one wall, counted on the emulated chip; null for the host.
     pub instructions: Option<u32>,
-    /// Time of the torque alone, measured on this computer; null elsewhere.
+    /// Time to compute the torque on this computer, ns; null for the chip.
     pub nanoseconds: Option<f64>,
     /// Largest torque error, N m.
     pub error_max: f64,
     /// Root mean square of the torque error, N m.
     pub error_rms: f64,
-    /// Errors of torque, force, share and duty.
+    /// Errors of torque, force, share and duty steps.
     pub errors: Errors,
-    /// Errors without the part that fades in every variant.
+    /// Errors without the fading that is common to all variants.
     #[serde(skip)]
     pub given: Errors,
-    /// The sources of the errors.
-    pub parts: Parts,
-    /// True if no variant of the same mechanism is both cheaper and better: instructions against the error of the force
-    /// at the tip, including the force from the error of the tip's position.
+    /// Sources of the errors.
+    pub parts: ErrorSources,
+    /// True if no other variant of the mechanism has both fewer instructions and a smaller tip force error.
     pub pareto: bool,
 }
 
-/// Returns the number of angles per joint of the grid over the workspace.
-fn density(joints: usize) -> usize {
+fn angles_per_joint(joints: usize) -> usize {
     match joints {
         1 => 41,
         2 => 25,
@@ -78,17 +77,16 @@ fn density(joints: usize) -> usize {
     }
 }
 
-/// Returns the situations of a device; none if it cannot be analysed.
+/// Returns the situations of a device; empty if the device cannot be analysed.
 fn probes(device: &Device<f64>) -> Vec<Probe> {
-    workspace(device, density(device.mechanism.kind().spec().joints), HAND_SPEED).unwrap_or_default()
+    workspace(device, angles_per_joint(device.mechanism.kind().spec().joints), HAND_SPEED).unwrap_or_default()
 }
 
-/// Returns the law of a default scene.
 fn law(device: &Device<f64>) -> Result<Law, Failure> {
     Law::of(&Scene::default(), device)
 }
 
-/// Computes every variant of `device`; `timed` adds the time on this computer.
+/// Computes all variants of `device`. `timed` adds times on this computer.
 pub fn variants(device: &Device<f64>, timed: bool) -> Result<Vec<Variant>, Failure> {
     let spec = device.mechanism.kind().spec();
     let (probes, law) = (probes(device), law(device)?);
@@ -104,7 +102,7 @@ pub fn variants(device: &Device<f64>, timed: bool) -> Result<Vec<Variant>, Failu
                     continue;
                 }
                 let way = TorqueVariant { model, terms, trigonometry, law };
-                let (errors, parts) = (errors(device, &probes, &way), parts(device, &probes, &way));
+                let (errors, parts) = (errors(device, &probes, &way), error_sources(device, &probes, &way));
                 let variant = |target, instructions, nanoseconds| Variant {
                     name: format!("{}/{name}/{}/{}", spec.name, model.name(), terms.name()),
                     mechanism: spec.name,
@@ -121,26 +119,25 @@ pub fn variants(device: &Device<f64>, timed: bool) -> Result<Vec<Variant>, Failu
                 let count = counts::instructions(spec.name, name, model.name(), terms.name());
                 results.push(variant("cortex-m4f", count, None));
                 if timed {
-                    results.push(variant("host", None, Some(nanoseconds(device, &probes, &way))));
+                    results.push(variant("host", None, Some(torque_time_ns(device, &probes, &way))));
                 }
             }
         }
     }
-    mark_front(&mut results);
+    mark_pareto_front(&mut results);
     Ok(results)
 }
 
 impl Variant {
-    /// Error of the force at the tip, N: the torque's error without the part that fades in every variant, plus the
-    /// wall's position error at 20 kN/m.
-    pub fn felt(&self) -> f64 {
+    /// Returns the tip force error without common fading plus that of the tip's position at 20 kN/m, N.
+    pub fn tip_force_error(&self) -> f64 {
         self.given.force.max + self.parts.tip
     }
 }
 
-fn mark_front(variants: &mut [Variant]) {
+fn mark_pareto_front(variants: &mut [Variant]) {
     let cost: Vec<Option<(u32, f64)>> =
-        variants.iter().map(|variant| variant.instructions.map(|count| (count, variant.felt()))).collect();
+        variants.iter().map(|variant| variant.instructions.map(|count| (count, variant.tip_force_error()))).collect();
     for (index, variant) in variants.iter_mut().enumerate() {
         let Some((count, error)) = cost[index] else { continue };
         variant.pareto = !cost
@@ -150,8 +147,8 @@ fn mark_front(variants: &mut [Variant]) {
     }
 }
 
-/// Returns the time of one torque on this computer, ns: the best of several runs over the probes.
-fn nanoseconds(device: &Device<f64>, probes: &[Probe], way: &TorqueVariant<'_>) -> f64 {
+/// Returns the time of one torque computation on this computer, ns: the best of five runs over up to 1000 probes.
+fn torque_time_ns(device: &Device<f64>, probes: &[Probe], way: &TorqueVariant<'_>) -> f64 {
     with_mechanism!(device.mechanism.cast::<f32>(), m => {
         with_trigonometry!(way.trigonometry, K => time::<K, _, _>(&m, probes, way))
     })
@@ -176,44 +173,31 @@ fn time<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(
     (0..5).map(|_| run()).fold(f64::INFINITY, f64::min)
 }
 
-/// Writes every variant on the chip, by mechanism, the cheapest first: docs/results/speed-against-error.csv.
+/// Writes docs/results/speed-against-error.csv: all variants on the chip by mechanism, in ascending order of cost.
 pub fn by_variant(every: &[(Device<f64>, Vec<Variant>)]) -> String {
-    let mut text = csv_line([
-        "mechanism",
-        "device",
-        "trigonometry",
-        "mass matrix",
-        "terms",
-        "instructions",
-        "terms left out (N)",
-        "left out in 90 % (N)",
-        "mass matrix (N)",
-        "rounding (N)",
-        "tip (N)",
-        "area (%)",
-        "duty (steps)",
-        "front",
-    ]);
+    let head = "mechanism,device,trigonometry,mass matrix,terms,instructions,terms left out (N),left out in 90 % (N),\
+                mass matrix (N),rounding (N),tip (N),area (%),duty (steps),front";
+    let mut text = csv_line(head.split(','));
     for (device, variants) in every {
         let mut rows: Vec<&Variant> = variants.iter().filter(|variant| variant.target == "cortex-m4f").collect();
         rows.sort_by_key(|variant| variant.instructions);
         for variant in rows {
             let mut cells = vec![variant.mechanism.to_owned(), device.name.to_string()];
             cells.extend(variant.name.split('/').skip(1).map(String::from));
-            cells.push(count(variant.instructions));
-            let Parts { dropped, dropped_mostly, model, rounding, tip, area } = variant.parts;
+            cells.push(format_count(variant.instructions));
+            let ErrorSources { dropped, dropped_mostly, model, rounding, tip, area } = variant.parts;
             cells.extend([dropped, dropped_mostly, model, rounding, tip].map(|newtons| format!("{newtons:.1e}")));
             let front = if variant.pareto { "F" } else { "" };
-            cells.extend([format!("{:.1}", 100.0 * area), steps(variant.errors.duty.max), front.into()]);
+            cells.extend([format!("{:.1}", 100.0 * area), format_steps(variant.errors.duty.max), front.into()]);
             text += &csv_line(cells);
         }
     }
     text
 }
 
-/// Writes the numbers of a mechanism that do not depend on the variant: the motion of the tip by one encoder count, the
-/// share of situations in which the velocity terms fade and are off, and the instructions of the step with a wall and
-/// its feed-forward for each velocity estimator with its longest window: docs/results/speed-by-mechanism.csv.
+/// Writes docs/results/speed-by-mechanism.csv, the numbers that do not depend on the variant: the tip motion per
+/// encoder count, the shares of situations in which the velocity terms fade or are off, and the instructions of a step
+/// with a wall and feed-forward for each velocity estimator with its longest window.
 pub fn by_mechanism(every: &[(Device<f64>, Vec<Variant>)]) -> Result<String, Failure> {
     let head = ["mechanism", "device", "encoder step (µm)", "encoder step (N)", "terms fade (%)", "terms off (%)"];
     let mut text = csv_line(head.into_iter().chain(Estimator::ALL.iter().map(|(name, _)| *name)));
@@ -224,21 +208,22 @@ pub fn by_mechanism(every: &[(Device<f64>, Vec<Variant>)]) -> Result<String, Fai
             spec.name.to_owned(),
             device.name.to_string(),
             format!("{:.1}", 1.0e6 * step),
-            format!("{:.1e}", STIFFNESS * step),
+            format!("{:.1e}", TIP_ERROR_STIFFNESS * step),
         ];
         cells.extend([faded, off].map(|share| format!("{:.1}", 100.0 * share)));
         cells.extend(Estimator::ALL.iter().map(|(estimator, _)| {
-            count(counts::instructions(spec.name, BoardMath::NAME, "exact", &format!("feed-forward, {estimator}")))
+            let terms = format!("feed-forward, {estimator}");
+            format_count(counts::instructions(spec.name, BoardMath::NAME, "exact", &terms))
         }));
         text += &csv_line(cells);
     }
     Ok(text)
 }
 
-fn count(instructions: Option<u32>) -> String {
+fn format_count(instructions: Option<u32>) -> String {
     instructions.map_or("-".into(), |count| count.to_string())
 }
 
-fn steps(value: f64) -> String {
+fn format_steps(value: f64) -> String {
     if value < 0.1 { format!("{value:.1e}") } else { format!("{value:.1}") }
 }

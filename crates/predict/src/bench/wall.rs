@@ -1,9 +1,7 @@
-//! Simulates one wall on a device, rendered by the board's own control step in its precision: pressed, slid along,
-//! struck or tapped (`contact`).
+//! Simulates one wall, rendered by the board's own control step, with a hand, a tap or a strike.
 //!
-//! Torque follows half a carrier period late and is not limited: motors and their limits are the same for every
-//! estimator. `haptic tune estimators` compares estimators with this simulation ([`super::estimators`]), and
-//! [`mod@crate::tune`] searches with it.
+//! Torques act half a carrier period late. They are not limited, because motors and limits are the same for all
+//! estimators. [`super::estimators`] compares estimators by this simulation, and [`mod@crate::tune`] searches with it.
 
 use crate::contact::{Contact, Grip, Law, LawOutput, RippleFilter};
 use crate::measure::complement;
@@ -27,30 +25,31 @@ use haptic_stability::analysis::plant::Drive;
 use haptic_stability::analysis::pose::TaskPose;
 use haptic_stability::analysis::sampled::LinearEstimator;
 
-/// Time to settle before a slide is recorded, and time of the slide, s.
 const SETTLE_S: f64 = 0.3;
 const SLIDE_S: f64 = 0.5;
-/// Speed along the wall, m/s, and variation of a sliding hand's push: share of the push, and frequency, Hz.
-const SLIDE: f64 = 0.03;
-const SWINGS: (f64, f64) = (0.5, 1.0);
-/// Speed of a tap, m/s, and time in which its rebounds are counted, s.
-pub const TAP: f64 = 0.2;
+/// Speed along the wall, m/s.
+const SLIDE_SPEED: f64 = 0.03;
+/// Variation of a sliding hand's push: share of the push, and frequency, Hz.
+const PUSH_VARIATION: (f64, f64) = (0.5, 1.0);
+/// Speed of a tap, m/s.
+pub const TAP_SPEED: f64 = 0.2;
+/// Time in which the rebounds of a tap are counted, s.
 const TAP_S: f64 = 0.3;
 
 /// Settings of a rendered wall.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Rendered {
+pub struct RenderedWall {
     /// Velocity estimator.
     pub kind: Estimator,
     /// Cutoff of the estimator, Hz.
     pub cutoff_hz: f64,
-    /// The wall's feed-forward.
+    /// Feed-forward of the wall.
     pub feed_forward: FeedForward,
     /// Corner of the washout, Hz.
     pub washout_hz: f64,
     /// True if the joints' own damping is compensated.
     pub damping_compensation: bool,
-    /// The coordinate that a redundant device holds.
+    /// The coordinate that the feed-forward of a redundant device holds.
     pub admissible: Admissible,
     /// Stiffness, N/m.
     pub stiffness: f64,
@@ -58,35 +57,34 @@ pub struct Rendered {
     pub damping: f64,
 }
 
-/// Motion by which a wall is tried.
+/// Motion with which a wall is tested.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Trial {
-    /// A hand pushes steadily. Friction may lock the tip between two encoder counts, so a wall that would rattle may be
-    /// quiet.
+    /// A hand pushes steadily. Friction may lock the tip between two encoder counts and so hide a rattle.
     Pressed,
-    /// A hand pushes ever harder, as in [`crate::ripple`]: friction cannot hold the tip permanently.
+    /// A hand pushes ever harder, as in [`crate::ripple`], so that friction cannot hold the tip permanently.
     PressedHarder,
-    /// A hand pushes with varying force and slides along the wall.
+    /// A hand slides along the wall with varying push.
     SlidAlong,
-    /// The tip of a `bilateral` wall starts with this speed (m/s) into the wall, without a hand.
+    /// The tip starts in a `bilateral` wall at this speed into the wall (m/s), without a hand.
     Struck(f64),
-    /// The tip arrives at this speed, pushed by a hand, m/s.
+    /// A hand pushes the tip onto the wall at this speed, m/s.
     Tapped(f64),
 }
 
-/// Behaviour of a wall under a hand that presses and slides.
+/// Result of a slide along a wall.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Pressed {
+pub struct SlideResult {
     /// Root mean square of the force above 20 Hz, N; `None` if the tip flies off.
     pub ripple_n: Option<f64>,
-    /// True if the mean force differs from the hand's expected push by at most a tenth of the push plus friction.
+    /// True if the mean force differs from the hand's expected push by at most a tenth of it plus friction.
     pub holds: bool,
 }
 
 /// A device with a wall at its tip.
 #[derive(Clone)]
 pub struct WallSimulation {
-    /// The device with the mass of a light hand, and alone.
+    /// The device with the mass of a light hand at its tip.
     held: Description,
     alone: Description,
     board: Device<f32>,
@@ -95,17 +93,17 @@ pub struct WallSimulation {
     pub(super) q: [f64; MAX_JOINTS],
     normal: [f64; MAX_JOINTS],
     tip: [f64; MAX_JOINTS],
-    /// Unit vector along the wall; zero if the task has only one direction.
+    /// Unit vector along the wall; zero if the task has one direction.
     across: [f64; MAX_JOINTS],
     /// Joint motion per metre of tip motion along the normal, rad/m.
     pub(super) motion: [f64; MAX_JOINTS],
-    /// Motion of the tip along the normal per count of the coarsest joint, m.
+    /// Tip motion along the normal per count of the coarsest joint, m.
     pub(super) count: f64,
 }
 
 impl WallSimulation {
-    /// Sets up the device that the board models and the device that moves, at a pose (rad), with a wall across the unit
-    /// normal, at a control rate, Hz.
+    /// Prepares a simulation at a pose (rad) with a wall across the unit normal `normal` and a control rate (Hz). The
+    /// board models the device `believed`, and the device `moving` moves.
     pub fn new(
         believed: &Description,
         moving: &Description,
@@ -122,7 +120,7 @@ impl WallSimulation {
                     .remedy("add the encoders: walls are simulated with their steps")
             })?;
         let pose = TaskPose::at(believed, q)?.regular()?;
-        // The device's home may not be at count 0; in this simulation counts start at the encoders' offset.
+        // Remove the device's home, because counts start at the encoders' offset in this simulation.
         let board = Device::<f32>::new("tried", &Description { home: None, ..*believed }).map_err(Failure::wrong)?;
         let alone = *moving;
         let mut held = alone;
@@ -139,8 +137,8 @@ impl WallSimulation {
             alone,
             board,
             encoders,
-            // The loop has no estimator of its own, because the board's step estimates velocities.
-            around: Loop::through(
+            // The loop has no estimator because the board's step estimates velocities.
+            around: Loop::with_torque_path(
                 &TorquePath { drive: Drive::Ideal, ..TorquePath::usual(rate_hz) },
                 rate_hz,
                 LinearEstimator::BackwardDifference,
@@ -154,21 +152,20 @@ impl WallSimulation {
         })
     }
 
-    /// Returns the same simulation with each encoder's counts shifted by a share of one count.
+    /// Returns this simulation with each encoder shifted by a share of one count.
     pub(super) fn with_count_offsets(&self, share: impl Fn(usize) -> f64) -> Self {
         let moved = self.encoders.iter().enumerate().map(|(j, encoder)| encoder.shifted(share(j))).collect();
         Self { encoders: moved, ..self.clone() }
     }
 
-    /// Returns the largest force along the normal that dry friction can hold, N.
+    /// Returns the largest force along the normal that dry friction holds, N.
     pub(super) fn friction(&self) -> f64 {
         let joints = self.alone.joints;
         joints.iter().zip(self.motion).map(|(joint, motion)| joint.dry_friction(0.0) * motion.abs()).sum()
     }
 
-    /// Slides along a wall. Stops as soon as the ripple of the complete slide must exceed `bound_n` (N); the returned
-    /// ripple then exceeds `bound_n` as well.
-    pub fn slid_along(&self, wall: &Rendered, bound_n: f64) -> Result<Pressed, Failure> {
+    /// Simulates a slide along a wall, and stops early once the ripple must exceed `bound_n` (N).
+    pub fn slide(&self, wall: &RenderedWall, bound_n: f64) -> Result<SlideResult, Failure> {
         let rate_hz = self.around.rate_hz;
         let (settle, all) = ((SETTLE_S * rate_hz) as usize, ((SETTLE_S + SLIDE_S) * rate_hz).round() as usize);
         let recorded = (all - settle) as f64;
@@ -185,21 +182,21 @@ impl WallSimulation {
             square <= enough
         })?;
         if !tip_stays {
-            return Ok(Pressed { ripple_n: None, holds: false });
+            return Ok(SlideResult { ripple_n: None, holds: false });
         }
-        // A soft wall gives way, so the hand's own stiffness carries a part of the push.
+        // A soft wall moves, so the hand's own stiffness carries a part of the push.
         let pushes = (settle..all).map(|n| hand_push(Trial::SlidAlong, n as f64 / rate_hz));
         let expected = pushes.sum::<f64>() / recorded * wall.stiffness / (wall.stiffness + LIGHT_HAND.stiffness);
-        Ok(Pressed {
+        Ok(SlideResult {
             ripple_n: Some((square / recorded).sqrt()),
             holds: n == all && (force_sum / recorded / expected - 1.0).abs() < 0.1 + self.friction() / expected,
         })
     }
 
-    /// Counts the rebounds of a tip that arrives at 0.2 m/s, pushed with 3 N; `None` if the tip flies off.
-    pub fn rebounds(&self, wall: &Rendered) -> Result<Option<usize>, Failure> {
+    /// Counts the rebounds of a tip that arrives at 0.2 m/s with a push of 3 N, or returns `None` if the tip flies off.
+    pub fn rebounds(&self, wall: &RenderedWall) -> Result<Option<usize>, Failure> {
         let (mut inside, mut left) = (false, 0);
-        let tip_stays = self.run(wall, Trial::Tapped(TAP), TAP_S, |_, along| {
+        let tip_stays = self.run(wall, Trial::Tapped(TAP_SPEED), TAP_S, |_, along| {
             left += usize::from(inside && along > 0.0);
             inside = along < 0.0;
             true
@@ -207,11 +204,11 @@ impl WallSimulation {
         Ok(tip_stays.then_some(left))
     }
 
-    /// Simulates `seconds` of a trial, until `seen` returns false. `seen` receives the wall's force (N) and the tip's
-    /// position along the normal (m) in each period. Returns false if the tip flies off.
+    /// Simulates a trial for `seconds`, or until `seen` returns false. In each period `seen` receives the wall's force
+    /// (N) and the tip's position along the normal (m). Returns false if the tip flies off.
     pub(super) fn run(
         &self,
-        wall: &Rendered,
+        wall: &RenderedWall,
         trial: Trial,
         seconds: f64,
         seen: impl FnMut(f64, f64) -> bool,
@@ -224,7 +221,7 @@ impl WallSimulation {
         let scene = self.scene(wall, alone);
         let Hand { mass, .. } = LIGHT_HAND;
         let grip = |time: f64| {
-            let along = if trial == Trial::SlidAlong { SLIDE * time } else { 0.0 };
+            let along = if trial == Trial::SlidAlong { SLIDE_SPEED * time } else { 0.0 };
             (!alone).then(|| Grip {
                 goal: core::array::from_fn(|i| self.tip[i] + along * self.across[i]),
                 // A hand carries its own weight.
@@ -238,8 +235,7 @@ impl WallSimulation {
         })
     }
 
-    /// Returns a scene of one wall through the tip.
-    fn scene(&self, wall: &Rendered, bilateral: bool) -> Scene<f32> {
+    fn scene(&self, wall: &RenderedWall, bilateral: bool) -> Scene<f32> {
         let surface =
             Surface::Plane(Plane { point: self.tip.map(|v| v as f32), normal: self.normal.map(|v| v as f32) });
         Scene {
@@ -263,8 +259,13 @@ impl WallSimulation {
         }
     }
 
-    /// Returns the board's velocity estimates, m/s, while the joints turn steadily with the tip at `speed`, m/s.
-    pub(super) fn velocities(&self, wall: &Rendered, speed: f64, seconds: f64) -> Result<Vec<f64>, Failure> {
+    /// Returns the board's velocity estimates while the joints turn steadily and the tip moves at `speed`, m/s.
+    pub(super) fn velocity_estimates(
+        &self,
+        wall: &RenderedWall,
+        speed: f64,
+        seconds: f64,
+    ) -> Result<Vec<f64>, Failure> {
         let scene = self.scene(wall, true);
         let rate_hz = self.around.rate_hz;
         with_mechanism!(&self.board.mechanism, m => {
@@ -278,12 +279,11 @@ impl WallSimulation {
     }
 }
 
-/// Returns the force of the hand's push, N.
 fn hand_push(trial: Trial, time: f64) -> f64 {
     match trial {
         Trial::PressedHarder => PUSH_N + PUSH_RISE * time,
         Trial::SlidAlong => {
-            let (share, hz) = SWINGS;
+            let (share, hz) = PUSH_VARIATION;
             PUSH_N * (1.0 + share * (std::f64::consts::TAU * hz * time).sin())
         }
         Trial::Pressed | Trial::Struck(_) | Trial::Tapped(_) => PUSH_N,
@@ -294,7 +294,6 @@ fn plant(description: &Description, q: [f64; MAX_JOINTS]) -> Result<Plant, Failu
     Plant::new(description, q, true, [(f64::NEG_INFINITY, f64::INFINITY); 3]).map_err(Failure::wrong)
 }
 
-/// The board's own step with its encoders.
 struct BoardLaw<'a, M: Mechanism<f32, N>, const N: usize> {
     controller: Controller<f32, M, BoardMath, N>,
     encoders: &'a [EncoderModel],

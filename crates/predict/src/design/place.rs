@@ -1,12 +1,12 @@
-//! Directions at a pose and places in the workspace.
+//! Best directions at a pose, and best places in the workspace.
 
-use super::{Stiffest, angles_at, build_device, clearance, singular, task_position, within_limits};
+use super::{Stiffest, angles_at, build_device, clearance, singular_pose, task_position, within_limits};
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::description::Description;
 use haptic_bridge::model::device::Device;
 use haptic_host::error::{Choice, Failure};
 use haptic_sim::Random;
-use haptic_stability::analysis::map::{MapPoint, Reachable, along, at_holding};
+use haptic_stability::analysis::map::{MapPoint, Reachable, along, map_point_at};
 use haptic_stability::analysis::pose::{LEAST_ANALYSED_SINE, Stance, TaskPose, unit_normal};
 use haptic_stability::analysis::prediction::Prediction;
 use haptic_stability::analysis::range::Range;
@@ -26,11 +26,11 @@ pub struct WallPlace {
     pub normal: Vec<f64>,
     /// Effective inertia without the feed-forward, kg.
     pub w_eff: f64,
-    /// Effective inertia with it, kg.
+    /// Effective inertia with the feed-forward, kg.
     pub w_rr: f64,
-    /// Sine of the nearest singular angle.
+    /// Sine of the nearest singular angle, on a patch the smallest.
     pub clearance: f64,
-    /// The stiffest walls that are predicted stable there, if requested; for a patch, in its middle.
+    /// The stiffest walls that are predicted stable at this place, if requested. For a patch they are in its middle.
     #[serde(flatten)]
     pub walls: Option<Stiffest>,
 }
@@ -38,41 +38,39 @@ pub struct WallPlace {
 /// The most notable directions at a pose.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Directions {
-    /// The heaviest direction, with the stiffest wall. It is an axis of the tip's inertia, so no coupling exists,
-    /// except from the held coordinate of a redundant arm.
+    /// The direction of the largest inertia, an axis of the tip's inertia, with the stiffest wall.
     pub stiffest: WallPlace,
-    /// The lightest direction, with the softest wall. It is also an axis of the tip's inertia.
+    /// The direction of the smallest inertia, with the softest wall. It is also an axis of the tip's inertia.
     pub softest: WallPlace,
-    /// The direction in which the feed-forward multiplies the inertia most.
+    /// The direction in which the feed-forward increases the inertia by the largest factor.
     pub feed_forward_buys_most: WallPlace,
-    /// The direction in which the feed-forward adds most inertia, kg.
+    /// The direction in which the feed-forward adds the most inertia, kg.
     pub couples_most: WallPlace,
 }
 
-/// Best places for walls.
+/// The best places for walls.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Places {
     /// Number of poses that were searched.
     pub poses: usize,
-    /// The stiffest wall in any direction.
+    /// Place and direction of the stiffest wall.
     pub stiffest: WallPlace,
-    /// The largest Weff in the lightest direction: the place for a surface of varying direction, without the
-    /// feed-forward.
+    /// Place with the largest Weff in its lightest direction, for surfaces of any direction.
     pub every_direction: WallPlace,
-    /// The place at which the feed-forward multiplies the inertia most.
+    /// Place at which the feed-forward increases the inertia by the largest factor.
     pub feed_forward_buys_most: WallPlace,
-    /// The places for the requested normal; `None` if none was requested.
-    pub along: Option<Along>,
+    /// Places for the requested normal; `None` if none was requested.
+    pub along: Option<PatchPlaces>,
 }
 
-/// The best places for a wall patch with one normal, rated by the smallest effective inertia on the patch.
+/// Places for a wall patch with one normal, rated by the smallest effective inertia on the patch.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Along {
+pub struct PatchPlaces {
     /// Half the width of the patch, m.
     pub patch: f64,
-    /// Middle of the best place without the feed-forward; Weff and Wrr are the smallest on the patch.
+    /// Middle of the best place without the feed-forward. Weff and Wrr are the smallest on the patch.
     pub off: WallPlace,
-    /// The same with the feed-forward.
+    /// Middle of the best place with the feed-forward. Weff and Wrr are the smallest on the patch.
     pub full: WallPlace,
     /// Middle of the worst place without the feed-forward.
     pub worst: WallPlace,
@@ -100,16 +98,16 @@ fn place_wall(pose: &TaskPose, q: &[f64], normal: &DVector<f64>) -> Option<WallP
     })
 }
 
-/// Returns the most notable directions at one pose.
+/// Returns the most notable directions at a pose.
 pub fn directions(description: &Description, q: &[f64], admissible: Admissible) -> Result<Directions, Failure> {
     let pose = TaskPose::at(description, q)?.regular()?.holding(admissible);
     let spec = description.kind.spec();
     let any = unit_normal(&[1.0, 0.0, 0.0][..spec.task], spec.task, spec.joints)?;
-    let point = at_holding(description, q, &any, admissible)?;
-    let point: MapPoint = point.ok_or_else(singular)?;
+    let point = map_point_at(description, q, &any, admissible)?;
+    let point: MapPoint = point.ok_or_else(singular_pose)?;
     let along = |normal: &[f64]| -> Result<WallPlace, Failure> {
         let normal = unit_normal(normal, spec.task, spec.joints)?;
-        place_wall(&pose, q, &normal).ok_or_else(singular)
+        place_wall(&pose, q, &normal).ok_or_else(singular_pose)
     };
     let last = point.eigenvectors.len() - 1;
     Ok(Directions {
@@ -120,22 +118,22 @@ pub fn directions(description: &Description, q: &[f64], admissible: Admissible) 
     })
 }
 
-/// Rating of a pose, which the search maximises, and the wall that has it.
+/// Function that rates a pose and returns the rating with its wall. The search maximises the rating.
 type PoseRating<'a> = &'a (dyn Fn(&[f64]) -> Option<(f64, WallPlace)> + Sync);
 
-/// Smallest distance (rad) between the grid poses from which the search continues, and largest number of such poses.
-/// The rating is steep along the edge of the allowed poses, so a pose with a poor rating on a coarse grid may be next
-/// to the best pose: with 6 starts a grid of 300 poses found 1.67 kg on coupled-five-bar, and a grid of 1000 found 1.96
-/// kg.
+/// Smallest distance between the grid poses from which the search starts, rad.
 const START_SPACING: f64 = 0.4;
+/// Maximum number of grid poses from which the search starts. The rating is steep along the edge of the allowed poses,
+/// so a pose with a poor rating on a coarse grid may be next to the best pose. With 6 starts a grid of 300 poses found
+/// 1.67 kg on coupled-five-bar, and a grid of 1000 found 1.96 kg.
 const MAX_STARTS: usize = 60;
-/// Number of end poses of the coarse search from which the fine search continues.
+/// Number of end poses of the coarse search from which the fine search starts.
 const REFINED_ENDS: usize = 4;
 
 /// Returns the poses with the highest ratings that are not near each other.
 fn search_starts(poses: &[Vec<f64>], rating: PoseRating<'_>) -> Vec<Vec<f64>> {
     let mut valued: Vec<(f64, &Vec<f64>)> = poses.iter().filter_map(|q| Some((rating(q)?.0, q))).collect();
-    // The sort is stable: equals keep the order of the grid.
+    // The sort is stable, so poses with equal ratings keep the order of the grid.
     valued.sort_by(|a, b| b.0.total_cmp(&a.0));
     let mut result: Vec<Vec<f64>> = Vec::new();
     for (_, q) in valued {
@@ -147,33 +145,35 @@ fn search_starts(poses: &[Vec<f64>], rating: PoseRating<'_>) -> Vec<Vec<f64>> {
     result
 }
 
-/// Searches from some poses: in coarse steps from all of them, then in fine steps from the best end poses. Returns the
-/// best result.
-fn best(starts: &[Vec<f64>], allowed: &dyn Fn(&[f64]) -> bool, rating: PoseRating<'_>) -> Option<(f64, WallPlace)> {
+/// Searches in coarse steps from all starts, then in fine steps from the best end poses. Returns the best result.
+fn search_best(
+    starts: &[Vec<f64>],
+    allowed: &dyn Fn(&[f64]) -> bool,
+    rating: PoseRating<'_>,
+) -> Option<(f64, WallPlace)> {
     let mut ends: Vec<(f64, WallPlace)> =
-        starts.iter().filter_map(|start| climb(start, COARSE, allowed, rating)).collect();
-    // The sort is stable: equals keep their order.
+        starts.iter().filter_map(|start| climb(start, COARSE_STEPS, allowed, rating)).collect();
+    // The sort is stable, so results with equal ratings keep their order.
     ends.sort_by(|a, b| b.0.total_cmp(&a.0));
-    let result = ends.iter().take(REFINED_ENDS).filter_map(|(_, end)| climb(&end.q, FINE, allowed, rating));
+    let result = ends.iter().take(REFINED_ENDS).filter_map(|(_, end)| climb(&end.q, FINE_STEPS, allowed, rating));
     result.reduce(|best, other| if other.0 > best.0 { other } else { best })
 }
 
-/// Step sizes of a search between the poses of a grid.
 #[derive(Clone, Copy)]
 struct Steps {
-    /// First and last step, rad.
+    /// First step, rad.
     from: f64,
     to: f64,
-    /// Number of random directions in addition to the compass directions. The best pose often lies on the edge of the
-    /// allowed poses, and a compass search does not follow an edge.
+    /// Number of random directions in addition to the compass directions. They are needed because a compass search does
+    /// not follow the edge of the allowed poses, where the best pose often lies.
     random_directions: usize,
 }
 
-const COARSE: Steps = Steps { from: 0.1, to: 0.01, random_directions: 30 };
-/// This many directions reach the best rating within 1 % (tool/tests/deep/tune/design.rs).
-const FINE: Steps = Steps { from: 0.05, to: 1e-5, random_directions: 120 };
+const COARSE_STEPS: Steps = Steps { from: 0.1, to: 0.01, random_directions: 30 };
+/// With 120 random directions the search reaches the best rating within 1 % (tool/tests/deep/tune/design.rs).
+const FINE_STEPS: Steps = Steps { from: 0.05, to: 1e-5, random_directions: 120 };
 
-/// Searches uphill along compass and random directions, with steps that halve.
+/// Climbs along compass and random directions with steps that halve.
 fn climb(
     start: &[f64],
     steps: Steps,
@@ -183,7 +183,7 @@ fn climb(
     let (mut value, mut result) = rating(start)?;
     let mut q = start.to_vec();
     let mut step = steps.from;
-    // A fixed seed: the numbers are the same every time.
+    // The seed is fixed so that results are reproducible.
     let mut random = Random::new(1);
     let compass = 3_usize.pow(q.len() as u32);
     while step > steps.to {
@@ -209,7 +209,7 @@ fn climb(
     Some((value, result))
 }
 
-/// Returns points on the edge of a wall's patch, relative to its middle.
+/// Returns points on the edge of a wall patch, relative to its middle.
 fn patch_edge(normal: &DVector<f64>, task: usize, patch: f64) -> Vec<DVector<f64>> {
     if task < 2 || patch <= 0.0 {
         return Vec::new();
@@ -228,8 +228,7 @@ fn patch_edge(normal: &DVector<f64>, task: usize, patch: f64) -> Vec<DVector<f64
         .collect()
 }
 
-/// Searches the workspace for the best places for walls, at poses whose singular sine is at least `clear`. The search
-/// rates `points` poses before it continues between them.
+/// Searches the workspace from `points` grid poses on, where the singular sine is at least `clear`.
 pub fn places(
     description: &Description,
     normal: Option<&[f64]>,
@@ -251,7 +250,7 @@ pub fn places(
     let at = |q: &[f64]| -> Option<TaskPose> {
         if is_clear(q) { Some(TaskPose::of(&device.mechanism, q).ok()?.holding(admissible)) } else { None }
     };
-    let allowed = |q: &[f64]| is_clear(q) && reachable.walkable(q);
+    let allowed = |q: &[f64]| is_clear(q) && reachable.is_on_reached_side(q);
     let poses: Vec<Vec<f64>> = all.into_iter().filter(|q| is_clear(q)).collect();
     if poses.is_empty() {
         return Err(Failure::impossible(format!("every pose is nearer to a singularity than a sine of {clear}"))
@@ -260,7 +259,7 @@ pub fn places(
     }
     let point = |q: &[f64]| {
         let any = unit_normal(&[1.0, 0.0, 0.0][..spec.task], spec.task, spec.joints).ok()?;
-        at_holding(description, q, &any, admissible).ok().flatten()
+        map_point_at(description, q, &any, admissible).ok().flatten()
     };
     let wall = |q: &[f64], normal: &[f64]| {
         let normal = unit_normal(normal, spec.task, spec.joints).ok()?;
@@ -281,7 +280,7 @@ pub fn places(
     };
     let along = normal.map(|normal| unit_normal(normal, spec.task, spec.joints)).transpose()?;
     let edge = along.as_ref().map_or(Vec::new(), |normal| patch_edge(normal, spec.task, patch));
-    // The smallest inertia on the patch; `None` if part of the patch is out of reach.
+    // Computes the smallest inertia on the patch; `None` if a part of the patch is out of reach.
     let least = |q: &[f64]| -> Option<WallPlace> {
         let normal = along.as_ref()?;
         let pose = at(q)?;
@@ -289,7 +288,7 @@ pub fn places(
         let middle = task_position(&pose, q);
         for aside in &edge {
             let there = angles_at(&device, q, &(&middle + aside))?;
-            if !reachable.walkable(&there) {
+            if !reachable.is_on_reached_side(&there) {
                 return None;
             }
             let other = place_wall(&at(&there)?, &there, normal)?;
@@ -308,17 +307,17 @@ pub fn places(
         jobs.extend([&off as PoseRating<'_>, &full, &worst]);
     }
     let indices: Vec<usize> = (0..jobs.len()).collect();
-    // The sweep stores only the pose, because the other numbers follow from it.
+    // The sweep stores only the pose because the other numbers follow from it.
     let first = sweep.map("places", &indices, |job| {
-        Ok(best(&search_starts(&poses, jobs[*job]), &allowed, jobs[*job]).map(|(_, placed)| placed.q))
+        Ok(search_best(&search_starts(&poses, jobs[*job]), &allowed, jobs[*job]).map(|(_, placed)| placed.q))
     })?;
-    // The end pose of another job may lead to a better result than this job's own start.
+    // The end pose of another job may be a better start than this job's own.
     let ends: Vec<Vec<f64>> = first.into_iter().flatten().collect();
-    let refined = sweep.map("between them", &indices, |job| {
+    let refined = sweep.map("places between grid poses", &indices, |job| {
         let rating = jobs[*job];
         let better = ends.iter().filter_map(|q| Some((rating(q)?.0, q)));
         let start = better.reduce(|best, other| if other.0 > best.0 { other } else { best });
-        Ok(start.and_then(|(_, start)| climb(start, FINE, &allowed, rating)).map(|(_, placed)| placed.q))
+        Ok(start.and_then(|(_, start)| climb(start, FINE_STEPS, &allowed, rating)).map(|(_, placed)| placed.q))
     })?;
     let final_place = |index: usize| -> Result<WallPlace, Failure> {
         let nowhere =
@@ -327,7 +326,7 @@ pub fn places(
         jobs[index](&q).map(|(_, placed)| placed).ok_or_else(nowhere)
     };
     let along = match along {
-        Some(_) => Some(Along { patch, off: final_place(3)?, full: final_place(4)?, worst: final_place(5)? }),
+        Some(_) => Some(PatchPlaces { patch, off: final_place(3)?, full: final_place(4)?, worst: final_place(5)? }),
         None => None,
     };
     Ok(Places {

@@ -1,11 +1,11 @@
-//! Postures of a redundant arm at one tip position, and the inertia in each.
+//! Postures of a redundant arm at one tip position, with the inertia of each.
 //!
-//! The arm moves along its null motion, a joint motion that keeps the tip in place. It moves in both directions from
-//! the given posture, until a joint limit or a singularity is near or it has made a full turn. Weff depends on the
-//! posture. Wrr depends on the held coordinate ([`Admissible`]) as well, and grows without bound towards postures in
-//! which that coordinate cannot be held; `clear` limits how near to them the arm may come.
+//! The arm moves along its null motion, a joint motion that keeps the tip in place, in both directions from the given
+//! posture. It stops near a joint limit or a singularity, or after a full turn. Weff depends on the posture. Wrr also
+//! depends on the held coordinate ([`Admissible`]), and grows without bound towards postures in which this coordinate
+//! cannot be held; `clear` is the smallest allowed sine.
 
-use super::{angles_at, build_device, clearance, singular, task_position, within_limits};
+use super::{angles_at, build_device, clearance, singular_pose, task_position, within_limits};
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::description::Description;
 use haptic_bridge::model::device::Device;
@@ -16,18 +16,18 @@ use nalgebra::DVector;
 use serde::Serialize;
 
 /// Difference in orientation between two postures, rad.
-const STEP: f64 = 0.001;
+const ORIENTATION_STEP: f64 = 0.001;
 
 /// A posture of the arm.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Posture {
     /// Joint angles, rad.
     pub q: Vec<f64>,
-    /// Sum of the joint angles, φ: it distinguishes the postures at one tip position, rad.
+    /// Orientation φ, the sum of the joint angles, rad. It distinguishes the postures at one tip position.
     pub orientation: f64,
     /// Effective inertia without the feed-forward, kg.
     pub w_eff: f64,
-    /// Effective inertia with it, kg.
+    /// Effective inertia with the feed-forward, kg.
     pub w_rr: f64,
     /// Sine of the nearest singular angle.
     pub clearance: f64,
@@ -56,8 +56,7 @@ fn posture(device: &Device<f64>, q: &[f64], normal: &DVector<f64>, admissible: A
     Some(Posture { q: q.to_vec(), orientation: q.iter().sum(), w_eff, w_rr, clearance: clearance(&pose) })
 }
 
-/// Returns the postures of a redundant device that keep the tip position of `q` (rad), for a wall along `normal`;
-/// `None` for a device that is not redundant.
+/// Returns the most notable postures at the tip position of `q` (rad); `None` without redundancy.
 pub fn postures(
     description: &Description,
     q: &[f64],
@@ -72,13 +71,13 @@ pub fn postures(
     let device = build_device(description)?;
     let n = unit_normal(normal, spec.task, spec.joints)?;
     let start = TaskPose::of(&device.mechanism, q)?.regular()?;
-    let here = posture(&device, q, &n, admissible).ok_or_else(singular)?;
+    let here = posture(&device, q, &n, admissible).ok_or_else(singular_pose)?;
     let mut all = vec![here.clone()];
-    for direction in [STEP, -STEP] {
+    for direction in [ORIENTATION_STEP, -ORIENTATION_STEP] {
         let mut at = q.to_vec();
         let mut place = task_position(&start, q);
-        // At most a full turn of φ.
-        for _ in 0..(std::f64::consts::TAU / STEP) as usize {
+        // Try at most a full turn of φ.
+        for _ in 0..(std::f64::consts::TAU / ORIENTATION_STEP) as usize {
             place[spec.task] += direction;
             let Some(next) = angles_at(&device, &at, &place) else { break };
             let is_far = next.iter().zip(&at).any(|(next, at)| (next - at).abs() > 0.3);

@@ -1,7 +1,6 @@
-//! Effect of each number of a device on one wall: the wall stays at the same tip position while one number becomes a
-//! tenth larger or smaller.
+//! Effect on one wall if one number of the device becomes a tenth larger or smaller at the same tip position.
 
-use super::{angles_at, singular, task_position};
+use super::{angles_at, singular_pose, task_position};
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::catalogue::Kind;
 use haptic_bridge::model::description::{Description, Joint};
@@ -13,55 +12,55 @@ use haptic_stability::analysis::prediction::{Prediction, Subject};
 use haptic_stability::analysis::range::boundary_of;
 use serde::Serialize;
 
-/// Relative change of a number, up and down.
+/// Relative change of each number, up and down.
 pub const CHANGE: f64 = 0.1;
 
-/// Results of a changed device at the wall, as ratios to those of the original.
+/// Properties of a changed device at the wall, relative to those of the unchanged device.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Effect {
-    /// Weff, which is also the inertia felt in free motion.
+    /// Weff, the inertia without the feed-forward and in free motion.
     pub w_eff: f64,
     /// Wrr, the inertia with the feed-forward.
     pub w_rr: f64,
-    /// Stiffness of the stiffest wall that is predicted stable without the feed-forward.
+    /// Largest stiffness that is predicted stable without the feed-forward.
     pub off: f64,
-    /// The same with the feed-forward.
+    /// Largest stiffness that is predicted stable with the feed-forward.
     pub full: f64,
     /// Largest force of the motors along the normal; `None` without motors.
     pub force: Option<f64>,
-    /// Motion of the tip per encoder count; `None` without encoders.
+    /// Tip motion per encoder count; `None` without encoders.
     pub count: Option<f64>,
-    /// Largest joint torque that holds the device's weight, N m; not a ratio.
+    /// Largest joint torque that holds the device's weight, N m; this value is absolute.
     pub weight: f64,
 }
 
-/// One number of the device, with the effect of a change.
+/// One number of the device with its effects.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Sensitivity {
     /// Description of the number.
     pub part: String,
-    /// Effect of a tenth more (for a counterweight: of adding one); `None` if the tip cannot reach the same place.
+    /// Effect of a tenth more, or of adding a counterweight; `None` if the tip cannot reach the same position.
     pub more: Option<Effect>,
-    /// Effect of a tenth less; also `None` for a counterweight, because the device has none yet.
+    /// Effect of a tenth less; `None` for a counterweight, or if the tip cannot reach the same position.
     pub less: Option<Effect>,
 }
 
-/// A change of a device.
+/// Function that changes a device by a factor.
 type Change = Box<dyn Fn(&mut Description, f64)>;
 
-/// Returns the links that an entry of a mechanism's geometry belongs to.
+/// Returns the links that scale with an entry of a mechanism's geometry.
 fn links_of(kind: Kind, entry: usize) -> &'static [usize] {
     let of_each: &[&[usize]] = match kind {
         Kind::Paddle => &[],
         Kind::FiveBar | Kind::FiveBarTurret => &[&[], &[0], &[1], &[2], &[3]],
-        // The coupler is as long as the upper arm.
+        // The coupler has the length of the upper arm.
         Kind::Parallelogram => &[&[0, 3], &[1], &[2]],
         Kind::Serial3r => &[&[0], &[1], &[2]],
     };
     of_each.get(entry).copied().unwrap_or_default()
 }
 
-/// Adds a counterweight of a tenth of the link's mass, as far behind its joint as the centre of mass is in front of it.
+/// Adds a counterweight of a tenth of the link's mass, as far behind the joint as the centre of mass is in front.
 fn add_counterweight(description: &mut Description, link: usize) {
     let link = &mut description.links[link];
     let (added, place) = (CHANGE * link.mass, -link.com);
@@ -73,7 +72,7 @@ fn add_counterweight(description: &mut Description, link: usize) {
     (link.mass, link.com) = (mass, com);
 }
 
-/// Scales the inertia on the motor's side: the joint's complete inertia unless the transmission states `motor_inertia`.
+/// Scales the motor's inertia: `motor_inertia` of the transmission, or else the joint's complete inertia.
 fn scale_motor(joint: &mut Joint, factor: f64) {
     let motor = joint.transmission.map_or(joint.inertia, |transmission| transmission.motor_inertia);
     joint.inertia += (factor - 1.0) * motor;
@@ -82,7 +81,7 @@ fn scale_motor(joint: &mut Joint, factor: f64) {
     }
 }
 
-/// Returns every change: its description, the change itself, and true if it applies in both directions.
+/// Returns all changes: name, function, and true if the change applies in both directions.
 fn changes(description: &Description) -> Vec<(String, Change, bool)> {
     let spec = description.kind.spec();
     let mut all: Vec<(String, Change, bool)> = Vec::new();
@@ -168,13 +167,13 @@ fn changes(description: &Description) -> Vec<(String, Change, bool)> {
     all
 }
 
-/// Number of dampings on the boundary, as even shares of the damping at which it ends, before and after a change.
+/// Number of dampings on a boundary. They are evenly spaced shares of the largest damping, before and after a change.
 const DAMPINGS: usize = 40;
 
-/// Computes the results at a pose of a device, absolute.
+/// Computes the absolute properties of a device at a pose.
 fn results_at(prediction: &Prediction, q: &[f64], normal: &[f64]) -> Option<Effect> {
     let (device, admissible) = (&prediction.subject.device, prediction.admissible);
-    let linearised = prediction.seen(q, normal).ok()?;
+    let linearised = prediction.linearise(q, normal).ok()?;
     let stiffest = |mode| {
         let shares = |end: f64| (0..DAMPINGS).map(|i| end * (i as f64 + 0.5) / DAMPINGS as f64).collect();
         let boundary = boundary_of(&linearised, &linearised, &prediction.around, mode, shares).ok()?;
@@ -199,7 +198,7 @@ fn results_at(prediction: &Prediction, q: &[f64], normal: &[f64]) -> Option<Effe
     })
 }
 
-fn relative_to(after: Effect, before: Effect) -> Effect {
+fn ratios_of(after: Effect, before: Effect) -> Effect {
     let ratio = |a: Option<f64>, b: Option<f64>| a.zip(b).map(|(a, b)| a / b);
     Effect {
         w_eff: after.w_eff / before.w_eff,
@@ -212,8 +211,7 @@ fn relative_to(after: Effect, before: Effect) -> Effect {
     }
 }
 
-/// Returns the effect of every number on a wall along `normal` with the tip at `q` (rad), in this control loop, sorted
-/// by effect on the stiffest wall.
+/// Returns the effects on a wall along `normal` at `q` (rad), in descending order of effect on its stiffness.
 pub fn sensitivities(
     description: &Description,
     q: &[f64],
@@ -225,15 +223,15 @@ pub fn sensitivities(
         let subject = Subject::new(description).map_err(Failure::wrong)?;
         Ok(Prediction { admissible, ..Prediction::new(subject, around.clone()) })
     };
-    let as_it_is = predicted(description)?;
-    let before = results_at(&as_it_is, q, normal).ok_or_else(singular)?;
-    let place = task_position(&TaskPose::of(&as_it_is.subject.device.mechanism, q)?, q);
+    let unchanged = predicted(description)?;
+    let before = results_at(&unchanged, q, normal).ok_or_else(singular_pose)?;
+    let place = task_position(&TaskPose::of(&unchanged.subject.device.mechanism, q)?, q);
     let changed = |change: &Change, factor: f64| -> Option<Effect> {
         let mut other = *description;
         change(&mut other, factor);
         let prediction = predicted(&other).ok()?;
         let there = angles_at(&prediction.subject.device, q, &place)?;
-        Some(relative_to(results_at(&prediction, &there, normal)?, before))
+        Some(ratios_of(results_at(&prediction, &there, normal)?, before))
     };
     let mut results: Vec<Sensitivity> = changes(description)
         .into_iter()
@@ -253,24 +251,25 @@ pub fn sensitivities(
 
 /// A change that improves a quantity.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Buys {
-    /// Description of the number.
+pub struct BestChange {
+    /// Name of the changed number.
     pub part: String,
     /// True if the number is made larger, false if smaller.
     pub more: bool,
-    /// The effect of the change.
+    /// Effect of the change.
     pub effect: Effect,
 }
 
 /// Smallest improvement that is reported, as a ratio.
 const WORTHWHILE_RATIO: f64 = 1.01;
 
-/// Returns the change that improves a quantity most; `None` if that is by less than 1 %.
+/// Returns the change that improves a quantity most, or `None` if no change improves it by 1 %.
 #[must_use]
-pub fn buys_most(all: &[Sensitivity], of: impl Fn(&Effect) -> f64) -> Option<Buys> {
+pub fn buys_most(all: &[Sensitivity], of: impl Fn(&Effect) -> f64) -> Option<BestChange> {
     let sides = all.iter().flat_map(|one| {
-        let side =
-            |more: bool, effect: Option<Effect>| effect.map(|effect| Buys { part: one.part.clone(), more, effect });
+        let side = |more: bool, effect: Option<Effect>| {
+            effect.map(|effect| BestChange { part: one.part.clone(), more, effect })
+        };
         [side(true, one.more), side(false, one.less)].into_iter().flatten()
     });
     let most = sides.reduce(|best, other| if of(&other.effect) > of(&best.effect) { other } else { best });

@@ -1,10 +1,9 @@
-//! The settings that a board had before a measurement, and a check that it has them again afterwards.
+//! Settings of a board before a measurement, and their restoration.
 
+use super::walls::is_measurement;
 use haptic_bridge::board::protocol::{DeviceData, SceneData};
 use haptic_bridge::control::Rules;
 use haptic_bridge::render::scene::Scene;
-
-use super::walls::is_measurement;
 use haptic_host::backup::{self, BackupError};
 use haptic_host::link::{Board, BoardError, LinkError};
 use serde::{Deserialize, Serialize};
@@ -17,14 +16,14 @@ pub struct Before {
     rules: Rules,
 }
 
-/// The part of [`Before`] that a file keeps during a measurement, because a tool that is killed restores nothing.
+/// The part of [`Before`] that is kept in a file, for the case that the tool is killed.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RestorePoint {
     /// Serial number of the board.
     pub serial: String,
     scene: Option<backup::SavedSetting>,
     rules: backup::SavedSetting,
-    /// The rules that the measurement sets. If the board still has these rules, no user has changed them since.
+    /// Rules that the measurement sets. If the board still has them, no user has changed the rules since.
     #[serde(default)]
     measuring: Option<backup::SavedSetting>,
 }
@@ -35,21 +34,21 @@ impl Before {
         Ok(Self { device: board.device()?, scene: board.scene()?, rules: board.rules()? })
     }
 
-    /// Returns the device that was loaded.
+    /// Returns the loaded device.
     #[must_use]
     pub fn device(&self) -> Option<&DeviceData> {
         self.device.as_ref()
     }
 
-    /// Returns true if the scene is one that an interrupted measurement left behind.
+    /// Returns true if the scene is left over from an interrupted measurement.
     #[must_use]
-    pub fn is_left_over(&self) -> bool {
+    pub fn is_of_interrupted_measurement(&self) -> bool {
         self.scene.as_ref().is_some_and(is_measurement)
     }
 
     /// Returns the part for a file: scene and rules of this board, and the rules that the measurement will set.
     #[must_use]
-    pub fn keep(&self, serial: &str, measuring: &Rules) -> Option<RestorePoint> {
+    pub fn restore_point(&self, serial: &str, measuring: &Rules) -> Option<RestorePoint> {
         let scene = match &self.scene {
             Some(scene) => Some(backup::SavedSetting::of(scene)?),
             None => None,
@@ -58,19 +57,17 @@ impl Before {
         Some(RestorePoint { serial: serial.into(), scene, rules, measuring })
     }
 
-    /// Returns the settings from before an interrupted measurement. Rules that the measurement set are replaced by
-    /// those kept in the file; other rules stay, because a user has set them since. The flag is true if the rules equal
-    /// the kept ones.
-    pub fn from_kept(&self, kept: &RestorePoint) -> Result<(Self, bool), BackupError> {
+    /// Returns the settings from before an interrupted measurement. Replaces rules that the measurement set by the kept
+    /// ones; keeps other rules, because a user has set them since. The flag is true if the rules equal the kept ones.
+    pub fn restored_from(&self, kept: &RestorePoint) -> Result<(Self, bool), BackupError> {
         let scene = kept.scene.as_ref().map(backup::SavedSetting::read::<Scene<f32>>).transpose()?;
         let then = kept.rules.read::<Rules>()?;
-        let rules = self.without_its_rules(kept)?.map_or(self.rules, |before| before.rules);
+        let rules = self.with_earlier_rules(kept)?.map_or(self.rules, |before| before.rules);
         Ok((Self { scene, rules, ..self.clone() }, rules == then))
     }
 
-    /// Returns these settings with the rules from before an interrupted measurement; `None` if the board no longer has
-    /// the rules that the measurement set.
-    pub fn without_its_rules(&self, kept: &RestorePoint) -> Result<Option<Self>, BackupError> {
+    /// Returns these settings with the earlier rules; `None` if the measurement's rules are no longer set.
+    pub fn with_earlier_rules(&self, kept: &RestorePoint) -> Result<Option<Self>, BackupError> {
         let then = kept.rules.read::<Rules>()?;
         let measuring = kept.measuring.as_ref().map(backup::SavedSetting::read::<Rules>).transpose()?;
         let left = measuring == Some(self.rules) && then != self.rules;
@@ -83,13 +80,13 @@ impl Before {
         &self.rules
     }
 
-    /// Turns the motors off and restores rules, device and scene if they have changed. A board that had no scene gets an
-    /// empty one, because no request removes a scene. Tries every part even after an error, and returns the first error.
-    pub fn put_back(&self, board: &mut Board) -> Result<(), BoardError> {
+    /// Turns the motors off and restores rules, device and scene that differ, even after an error. A board without a
+    /// scene gets an empty one because no request removes a scene. Returns the first error.
+    pub fn restore(&self, board: &mut Board) -> Result<(), BoardError> {
         let off = board.disarm();
         let rules = board.set_rules(&self.rules);
         let device = match &self.device {
-            // A real board forgets homing when a device is loaded, so load only a different one.
+            // Load only a different device, because a real board forgets its home when a device is loaded.
             Some(device) if board.device()?.as_ref() != Some(device) => board.set_device(device),
             _ => Ok(()),
         };
@@ -103,8 +100,8 @@ impl Before {
         off.and(rules).and(device).and(scene)
     }
 
-    /// Returns the names of the board's settings that differ from these.
-    pub fn missing(&self, board: &mut Board) -> Result<Vec<&'static str>, LinkError> {
+    /// Returns the names of the board's settings that differ from these settings.
+    pub fn differing_settings(&self, board: &mut Board) -> Result<Vec<&'static str>, LinkError> {
         let now = Self::of(board)?;
         let empty = now.scene.as_ref().is_none_or(|scene| scene.walls.is_empty());
         let scene = now.scene == self.scene || (self.scene.is_none() && empty);
@@ -126,16 +123,16 @@ mod tests {
     #[test]
     fn rules_of_an_interrupted_measurement_are_replaced_and_others_stay() {
         let (before, measuring) = (with_torque(5.0), with_torque(1.0));
-        let kept = before.keep("1", &measuring.rules).unwrap();
-        assert_eq!(measuring.from_kept(&kept).unwrap(), (before.clone(), true));
-        assert_eq!(before.from_kept(&kept).unwrap(), (before.clone(), true));
-        assert_eq!(measuring.without_its_rules(&kept).unwrap(), Some(before.clone()));
-        assert_eq!(before.without_its_rules(&kept).unwrap(), None);
+        let kept = before.restore_point("1", &measuring.rules).unwrap();
+        assert_eq!(measuring.restored_from(&kept).unwrap(), (before.clone(), true));
+        assert_eq!(before.restored_from(&kept).unwrap(), (before.clone(), true));
+        assert_eq!(measuring.with_earlier_rules(&kept).unwrap(), Some(before.clone()));
+        assert_eq!(before.with_earlier_rules(&kept).unwrap(), None);
         let lowered = with_torque(0.5);
-        assert_eq!(lowered.without_its_rules(&kept).unwrap(), None);
-        assert_eq!(lowered.from_kept(&kept).unwrap(), (lowered, false));
-        // A file of an earlier version lacks the rules that the measurement set.
+        assert_eq!(lowered.with_earlier_rules(&kept).unwrap(), None);
+        assert_eq!(lowered.restored_from(&kept).unwrap(), (lowered, false));
+        // A file of an earlier version does not contain the rules that the measurement set.
         let kept = RestorePoint { measuring: None, ..kept };
-        assert_eq!(measuring.from_kept(&kept).unwrap(), (measuring, false));
+        assert_eq!(measuring.restored_from(&kept).unwrap(), (measuring, false));
     }
 }

@@ -1,29 +1,26 @@
-//! The distance by which the tip is pulled aside before a trial: longer than the motion that encoder steps explain,
-//! within the force of the motors, and long enough that friction is small in comparison.
-
-use haptic_bridge::control::Rules;
-use nalgebra::DVector;
+//! Length of the pull before a trial, between encoder steps, friction and the force of the motors.
 
 use super::MeasureError;
 use super::swing::ENCODER_STEPS;
+use haptic_bridge::control::Rules;
 use haptic_host::device_file::DeviceFile;
 use haptic_stability::analysis::plant::Linearised;
+use nalgebra::DVector;
 
-/// Share of the motors' force that the tested wall needs for a pull. A swing may then grow to six times its size before
-/// the motors saturate.
-const GENTLE_SHARE: f64 = 0.15;
-/// The same share if friction requires more force.
+/// Usual share of the motors' force for a pull. The swing can grow to six times its size before they saturate.
+const USUAL_SHARE: f64 = 0.15;
+/// Largest share of the motors' force for a pull, used if friction requires more force.
 const LARGEST_SHARE: f64 = 0.6;
-/// Smallest ratio of a pull's force to friction. Coulomb friction F damps a swing of amplitude A and frequency w like
-/// 4 F / (pi A w): at forty times F this is a thirtieth of the spring's force.
+/// Smallest ratio of a pull's force to friction. Coulomb friction F damps a swing of amplitude A and angular frequency
+/// w like a damper of 4 F / (π A w); at a ratio of 40 the damping force is a thirtieth of the spring's.
 const LEAST_FRICTION_RATIO: f64 = 40.0;
 
-/// The bounds of a pull.
+/// Bounds of a pull.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Excitation {
-    /// Motion of the tip along the pull by one count of every encoder, m.
+    /// Tip motion along the pull by one count of every encoder, m.
     pub quantum: f64,
-    /// Largest stiffness times pull without saturation, N; for one wall this is its force.
+    /// Largest product of stiffness and pull without saturation, N; for one wall this is the wall's force.
     pub force: f64,
     /// Coulomb friction at the tip along the pull, N.
     pub friction: f64,
@@ -32,8 +29,8 @@ pub struct Excitation {
 }
 
 impl Excitation {
-    /// Computes the bounds at the pose of `device` along the pull, within `rules` and the motors' currents. `torques` are
-    /// the joint torques per metre of pull and N/m of stiffness, without and with the feed-forward, m.
+    /// Computes the bounds at the pose of `device` within `rules` and the motors' currents. `torques` are the joint
+    /// torques per metre of pull and per N/m of stiffness, without and with the feed-forward, m.
     #[must_use]
     pub fn new(
         file: &DeviceFile,
@@ -62,24 +59,24 @@ impl Excitation {
         Self { quantum, force, friction, largest }
     }
 
-    /// Returns the shortest pull that encoder steps cannot explain, m.
+    /// Returns the shortest pull that exceeds the motion by encoder steps, m.
     #[must_use]
     pub fn smallest(&self) -> f64 {
         ENCODER_STEPS * self.quantum
     }
 
-    /// Returns the length of a pull (m) against `stiffness` (N/m); `of` names the wall or hold that has it.
+    /// Returns the length of a pull against `stiffness` (N/m), m. `of` names the wall or hold for the error message.
     pub fn pull(&self, stiffness: f64, of: &'static str) -> Result<f64, MeasureError> {
         let smallest = self.smallest();
         if smallest * stiffness > self.force {
             return Err(MeasureError::Saturates { stiffness, of, pull: smallest, force: self.force });
         }
-        let force = (LEAST_FRICTION_RATIO * self.friction).clamp(GENTLE_SHARE * self.force, LARGEST_SHARE * self.force);
+        let force = (LEAST_FRICTION_RATIO * self.friction).clamp(USUAL_SHARE * self.force, LARGEST_SHARE * self.force);
         Ok(self.largest.min(force / stiffness).max(smallest))
     }
 }
 
-/// Formats a length in mm with at least two digits.
+/// Formats a length in millimetres with at least two digits.
 #[must_use]
 pub fn millimetres(metres: f64) -> String {
     let mm = metres * 1e3;
@@ -98,7 +95,7 @@ mod tests {
         assert_eq!(COARSE.pull(100.0, "a wall").unwrap(), 5e-4);
         assert!((COARSE.pull(1200.0, "a wall").unwrap() - 0.15 * 1.6 / 1200.0).abs() < 1e-15);
         assert_eq!(COARSE.pull(5_000.0, "a wall").unwrap(), 6.0 * 30e-6);
-        // 6 x 30 um x 10 kN/m is 1.8 N.
+        // 6 · 30 µm · 10 kN/m = 1.8 N, more than the motors' 1.6 N.
         assert!(matches!(COARSE.pull(10_000.0, "a wall"), Err(MeasureError::Saturates { .. })));
     }
 

@@ -1,101 +1,97 @@
-//! A board prepared for a measurement: holds the tip, pulls it aside, hands it over to the tested walls and follows it.
+//! A board prepared for a measurement: holds the tip, pulls it aside and follows its motion in the tested walls.
 
-use std::f64::consts::{PI, TAU};
-use std::time::Duration;
-
+use super::before::Before;
+use super::excitation::Excitation;
+use super::swing::{Swing, Verdict};
+use super::walls::{ASIDE_DISTANCE, LONGEST_PULL, Layout, complement, scene};
+use super::{MeasureError, MeasurementSetup};
 use haptic_bridge::board::telemetry::Field;
 use haptic_bridge::control::{HostAction, Rules};
 use haptic_bridge::render::controller::Gains;
 use haptic_bridge::render::scene::FeedForward;
 use haptic_bridge::safety::fault::{Fault, State};
-use nalgebra::{DMatrix, DVector};
-
-use super::before::Before;
-use super::excitation::Excitation;
-use super::swing::{Swing, Verdict};
-use super::walls::{APART, LONGEST_PULL, Layout, complement, scene};
-use super::{MeasureError, MeasurementSetup};
 use haptic_host::device_file::DeviceFile;
 use haptic_host::link::{Board, columns, fields};
 use haptic_stability::analysis::plant::Linearised;
 use haptic_stability::analysis::pose::PoseError;
 use haptic_stability::analysis::several::WallSet;
+use nalgebra::{DMatrix, DVector};
+use std::f64::consts::{PI, TAU};
+use std::time::Duration;
 
-/// Time after which the board turns the motors off without this tool, s.
+/// Time after which the board turns the motors off if it no longer hears from this tool, s.
 const HOST_SECONDS: f32 = 1.0;
 
-/// Smallest and largest share of a pull at which the tip may come to rest, and maximum number of corrections of the
-/// pull.
+/// Smallest and largest position at which the tip may come to rest, as shares of the pull.
 const PULL_RANGE: (f64, f64) = (0.9, 1.15);
-const CORRECTIONS: usize = 16;
+const MAX_CORRECTIONS: usize = 16;
 
-/// Distance by which friction may hold the tip away from its position, m. If it is longer, the hold is made firmer.
+/// Largest distance to which friction may hold the tip off, m. Beyond it the hold is made firmer.
 const FRICTION_OFFSET: f64 = 5e-4;
 
-/// Frequency of the hold per control rate, rad/s per Hz, and its maximum with friction. The maximum is half of the 0.4
-/// at which the stiffest wall of the paper's setting swings.
+/// Angular frequency of a soft hold per control rate, rad/s per Hz.
 const SOFT_HOLD: f64 = 0.05;
+/// Largest angular frequency of a hold per control rate, rad/s per Hz: half that of the paper's stiffest wall.
 const FIRM_HOLD: f64 = 0.2;
 
-/// Largest deviation of a joint from its first angle beyond the part that the tip's motion explains, rad: friction
-/// holds joints. Another pose with the same tip is farther away, unless that pose is nearly singular.
-const SAME_POSE: f64 = 0.03;
-/// Singular values of a Jacobian below this count as zero, m.
-const SINGULAR: f64 = 1e-9;
-/// Factor on the joint angle that the Jacobian predicts for a tip that is up to [`LEFT_POSE_DISTANCE`] away.
+/// Largest deviation of a joint from its first angle that friction causes, in addition to the tip's motion, rad.
+/// Another pose with the same tip position is farther away unless it is nearly singular.
+const SAME_POSE_RAD: f64 = 0.03;
+/// Singular value of a Jacobian below which the value counts as zero, m.
+const ZERO_SINGULAR_VALUE: f64 = 1e-9;
+/// Factor on joint deviations that the Jacobian predicts, because the tip may be [`LEFT_POSE_DISTANCE`] away.
 const JACOBIAN_FACTOR: f64 = 1.5;
-/// Motion of the tip after which it counts as swinging, m.
+/// Tip motion after which the tip counts as swinging, m.
 const SWING_START: f64 = 2e-5;
-/// Motion of the tip along the walls after which the device has left its pose, m. In a long pull the tip slides by up
-/// to four times the pull if friction brakes the joints unevenly.
+/// Tip motion along the walls after which the device has left its pose, m. In a long pull the tip slides by up to four
+/// times the pull if friction brakes the joints unevenly.
 const LEFT_POSE_DISTANCE: f64 = 0.03;
-/// Maximum number of repeats of a trial in which the device left its pose.
 const MAX_RETRIES: usize = 2;
-/// Time that the user of a simulated device needs to bring it back, s.
+/// Time that the user of a simulated device needs to bring it back to its pose, s.
 const CARRY_SECONDS: f64 = 3.0;
 
-/// Largest distance of the held tip, as a share of [`APART`].
-const MAX_ASIDE: f64 = 0.9;
+/// Largest distance to which the tip is held aside, as a share of [`ASIDE_DISTANCE`].
+const MAX_ASIDE_SHARE: f64 = 0.9;
 
-/// Factor on the frequency of the hold if the tip does not come to rest, and maximum number of reductions: down to a
-/// 32nd.
+/// Factor on the frequency of the hold if the tip does not come to rest.
 const SOFTEN_FACTOR: f64 = 0.5;
+/// Maximum number of reductions of the frequency of the hold, down to a 32nd.
 const MAX_SOFTENINGS: usize = 5;
 
-/// A board prepared for a measurement. If the tool is killed or unplugged, the board turns the motors off. Dropping
-/// this value disarms the board and restores the settings from before.
+/// A board prepared for a measurement. The board turns the motors off if the tool is killed or unplugged. Dropping this
+/// value disarms the board and restores its earlier settings.
 pub struct PreparedBoard<'a> {
     board: &'a mut Board,
     setup: MeasurementSetup,
     interrupted: &'a dyn Fn() -> bool,
     q: Vec<f64>,
     tip: DVector<f64>,
-    /// Unit direction of the pulls, d entries: the normal of one wall.
+    /// Unit vector along the pulls, d entries; for one wall its normal.
     direction: DVector<f64>,
     layout: Layout,
-    /// Share of each tested wall in the gains, and true if it has the feed-forward.
+    /// Share of each tested wall in the gains, and true if the wall has the feed-forward.
     shares: Vec<(f64, bool)>,
     /// Force along the pull per newton of total stiffness times pull; 1 for one wall.
     along: f64,
-    /// Effective inertia along the pull, then along each direction across it, kg.
+    /// Effective inertia along the pull, then along each direction across the pull, kg.
     inertia: Vec<f64>,
     /// Largest effective inertia at the tested walls, kg.
     heaviest: f64,
-    /// Natural frequency of the hold, rad/s, and number of reductions.
+    /// Natural angular frequency of the hold, rad/s.
     hold_frequency: f64,
     softened: usize,
-    /// Joint angle per motion of the tip along each axis, N x d, rad/m.
-    turns: DMatrix<f64>,
+    /// Joint motion per tip motion along each axis, N x d, rad/m.
+    joint_per_tip_motion: DMatrix<f64>,
     excitation: Excitation,
     divider: u32,
-    /// Columns of the tip's position in a telemetry row, and column of the board's state.
+    /// Columns of the tip's position in a telemetry row.
     tip_columns: Vec<usize>,
     state_column: usize,
     before: Before,
 }
 
 impl<'a> PreparedBoard<'a> {
-    /// Loads the scene at the present position of the tip, limits the torque, arms and waits until the tip rests.
+    /// Loads the scene at the tip's position, limits the torque, arms the board and waits until the tip rests.
     pub fn new(
         board: &'a mut Board,
         file: &DeviceFile,
@@ -112,7 +108,7 @@ impl<'a> PreparedBoard<'a> {
         let total: f64 = setup.walls.iter().map(|wall| wall.share).sum();
         let shares = setup.walls.iter().map(|wall| (wall.share / total, wall.feed_forward)).collect();
 
-        // The natural frequency of the hold is well below the filter and the rate.
+        // Keep the natural frequency of the hold well below the filter and the rate.
         let at_most = |share: f64| (share * setup.rate_hz).min(0.3 * TAU * setup.tempo_hz());
         let mut hold_frequency = at_most(SOFT_HOLD);
         let mut inertia = Vec::new();
@@ -120,7 +116,10 @@ impl<'a> PreparedBoard<'a> {
             let seen = Linearised::at(&file.description, &q, direction.as_slice())?;
             inertia.push(seen.w_eff().unwrap_or_else(|| seen.w_rr()));
         }
-        let heaviest = [false, true].into_iter().filter_map(|feed_forward| set.met(feed_forward)).fold(0.0, f64::max);
+        let heaviest = [false, true]
+            .into_iter()
+            .filter_map(|feed_forward| set.effective_inertia(feed_forward))
+            .fold(0.0, f64::max);
 
         let before = Before::of(board)?;
         let rules = rules_for(before.rules(), setup.torque_limit);
@@ -132,10 +131,10 @@ impl<'a> PreparedBoard<'a> {
             let firmer = hold_frequency * (offset / FRICTION_OFFSET).sqrt();
             hold_frequency = firmer.min(at_most(FIRM_HOLD)).max(hold_frequency);
         }
-        if setup.law.farther {
+        if setup.law.may_lengthen_pull {
             excitation.largest = excitation.largest.max(offset).min(LONGEST_PULL);
         }
-        // Change nothing on the board if even the motion of the soft hold cannot be measured.
+        // Leave the board unchanged if not even the soft hold can be measured.
         excitation.pull(gains_of(inertia[0], hold_frequency).0, "the hold for this rate, cutoff and inertia")?;
 
         let request = fields("tip,state").map_err(MeasureError::Scene)?;
@@ -159,7 +158,12 @@ impl<'a> PreparedBoard<'a> {
             heaviest,
             hold_frequency,
             softened: 0,
-            turns: device.flexible.tip.pseudo_inverse(SINGULAR).map_err(|why| MeasureError::Scene(why.into()))?.abs(),
+            joint_per_tip_motion: device
+                .flexible
+                .tip
+                .pseudo_inverse(ZERO_SINGULAR_VALUE)
+                .map_err(|why| MeasureError::Scene(why.into()))?
+                .abs(),
             excitation,
             divider: (setup.rate_hz / 10_000.0).ceil().max(1.0) as u32,
             setup,
@@ -173,39 +177,37 @@ impl<'a> PreparedBoard<'a> {
         prepared.hold(0.0)?;
         prepared.board.arm()?;
         prepared.board.start_stream(request, prepared.divider)?;
-        prepared.settle()?;
+        prepared.wait_for_rest()?;
         Ok(prepared)
     }
 
-    /// Waits until the tip of the armed device rests.
-    fn settle(&mut self) -> Result<(), MeasureError> {
+    fn wait_for_rest(&mut self) -> Result<(), MeasureError> {
         loop {
-            // Torque ramps up over half a second after arming.
-            match self.wait(0.6).and_then(|()| self.rest(0.0)) {
+            // The board raises torques over half a second after arming.
+            match self.wait(0.6).and_then(|()| self.rest_at(0.0)) {
                 Err(MeasureError::Fault(fault)) if is_caused_by_oscillation(fault) && self.soften() => {
                     self.hold(0.0)?;
                     self.arm_again()?;
                 }
-                other => return other.and_then(|_| self.check_pose(APART)),
+                other => return other.and_then(|_| self.check_pose(ASIDE_DISTANCE)),
             }
         }
     }
 
-    /// Returns an error if a joint has left its first angle by more than a motion of the tip by at most `apart` (m)
-    /// along each axis explains.
+    /// Returns an error if a joint moved farther than a tip motion of `apart` (m) along each axis explains.
     fn check_pose(&mut self, apart: f64) -> Result<(), MeasureError> {
         let now = self.board.status()?;
         let off = DVector::from_fn(self.tip.len(), |i, _| (f64::from(now.tip[i]) - self.tip[i]).abs().min(apart));
-        for (joint, (began, turned)) in self.q.iter().zip(&(&self.turns * off)).enumerate() {
+        for (joint, (began, turned)) in self.q.iter().zip(&(&self.joint_per_tip_motion * off)).enumerate() {
             let by = f64::from(now.q[joint]) - began;
-            if by.abs() > SAME_POSE + JACOBIAN_FACTOR * turned {
+            if by.abs() > SAME_POSE_RAD + JACOBIAN_FACTOR * turned {
                 return Err(MeasureError::Away { joint, by });
             }
         }
         Ok(())
     }
 
-    /// Lowers the frequency of the hold. Returns false if it is the lowest.
+    /// Lowers the frequency of the hold, or returns false if it is the lowest.
     fn soften(&mut self) -> bool {
         if self.softened == MAX_SOFTENINGS {
             return false;
@@ -215,8 +217,8 @@ impl<'a> PreparedBoard<'a> {
         true
     }
 
-    /// Returns stiffness and damping of the hold along the pull, N/m and N s/m.
-    fn holding(&self) -> (f64, f64) {
+    /// Returns stiffness (N/m) and damping (N s/m) of the hold along the pull.
+    fn hold_gains(&self) -> (f64, f64) {
         gains_of(self.inertia[0], self.hold_frequency)
     }
 
@@ -235,18 +237,17 @@ impl<'a> PreparedBoard<'a> {
         &self.excitation
     }
 
-    /// Returns the stiffness at which a search begins, that of the soft hold, N/m.
+    /// Returns the stiffness at which a search starts, that of the soft hold, N/m.
     pub fn gentle_stiffness(&self) -> f64 {
-        self.holding().0
+        self.hold_gains().0
     }
 
-    /// Returns the damping at which a search begins, N s/m.
+    /// Returns the damping at which a search starts, that of the soft hold, N s/m.
     pub fn gentle_damping(&self) -> f64 {
-        self.holding().1
+        self.hold_gains().1
     }
 
-    /// Returns true if walls with this total stiffness and damping oscillate. `strength` scales the pull (1 or a little
-    /// less) and gives its sign.
+    /// Returns true if walls with this total stiffness (N/m) and damping (N s/m) oscillate after a pull.
     pub fn oscillates(
         &mut self,
         feed_forward: FeedForward,
@@ -257,8 +258,7 @@ impl<'a> PreparedBoard<'a> {
         Ok(self.judge(feed_forward, kp, kd, strength)? != Verdict::Decays)
     }
 
-    /// Judges the motion of the tip in walls with this total stiffness (N/m) and damping (N s/m). `strength` scales the
-    /// pull (1 or a little less) and gives its sign.
+    /// Judges the tip's motion in walls with these totals. `strength` is the signed factor on the pull.
     pub fn judge(
         &mut self,
         feed_forward: FeedForward,
@@ -279,12 +279,12 @@ impl<'a> PreparedBoard<'a> {
         loop {
             match self.swing_from_rest(feed_forward, pull, kp > gentle) {
                 // An earlier oscillation may have left the device in a pose in which it cannot be pulled.
-                Err(error) if error.is_local() && left < MAX_RETRIES && self.check_pose(APART).is_err() => {
+                Err(error) if error.is_local() && left < MAX_RETRIES && self.check_pose(ASIDE_DISTANCE).is_err() => {
                     left += 1;
                     self.bring_back()?;
                     continue;
                 }
-                // A limit tripped because the device was still ringing from an earlier oscillation. It has stopped now.
+                // A limit tripped because the device still oscillated. The motors have stopped it now.
                 Err(MeasureError::Fault(fault)) if is_caused_by_oscillation(fault) && trips < 3 => {
                     trips += 1;
                     self.arm_again()?;
@@ -292,13 +292,13 @@ impl<'a> PreparedBoard<'a> {
                 }
                 other => other?,
             }
-            let verdict = self.follow(feed_forward, kp, kd, pull);
-            // Only a motion that grows may leave the pose.
+            let verdict = self.follow_motion(feed_forward, kp, kd, pull);
+            // Only a growing motion may leave the pose.
             let there = match &verdict {
                 Ok(Verdict::Decays | Verdict::Vibrates(_)) => self.check_pose(LEFT_POSE_DISTANCE),
                 _ => Ok(()),
             };
-            // Return to the hold at once, whatever the verdict.
+            // Return to the hold at once after any verdict.
             self.hold(0.0)?;
             match (verdict, there) {
                 (Ok(_), Err(MeasureError::Away { .. })) | (Err(MeasureError::Away { .. }), _) if left < MAX_RETRIES => {
@@ -306,7 +306,7 @@ impl<'a> PreparedBoard<'a> {
                     self.bring_back()?;
                 }
                 (Ok(_), Err(error)) => return Err(error),
-                // The limit tripped before the telemetry showed the oscillation.
+                // A limit tripped before the telemetry showed the oscillation.
                 (Err(MeasureError::Fault(fault)), _) if is_caused_by_oscillation(fault) => {
                     self.arm_again()?;
                     return Ok(Verdict::Grows);
@@ -317,17 +317,17 @@ impl<'a> PreparedBoard<'a> {
         }
     }
 
-    /// Pulls the tip aside by `pull` and lets it swing back. Pulls harder if friction holds the tip, because a shorter
-    /// pull has another boundary.
+    /// Pulls the tip aside by `pull` (m) and lets it swing back. Pulls harder if friction holds the tip.
     fn swing_from_rest(&mut self, feed_forward: FeedForward, pull: f64, stiffer: bool) -> Result<(), MeasureError> {
-        let friction = self.excitation.friction / self.holding().0;
+        let friction = self.excitation.friction / self.hold_gains().0;
         let mut aim = pull + friction * pull.signum();
         let enough = (PULL_RANGE.0 * pull.abs()).min(pull.abs() - 2.0 * self.excitation.quantum);
-        for _ in 0..CORRECTIONS {
-            let rested = self.rest(aim.clamp(-MAX_ASIDE * APART, MAX_ASIDE * APART))?;
+        for _ in 0..MAX_CORRECTIONS {
+            let rested =
+                self.rest_at(aim.clamp(-MAX_ASIDE_SHARE * ASIDE_DISTANCE, MAX_ASIDE_SHARE * ASIDE_DISTANCE))?;
             let along = rested * pull.signum();
             if along >= enough && along <= PULL_RANGE.1 * pull.abs() + 2.0 * self.excitation.quantum {
-                self.check_pose(APART)?;
+                self.check_pose(ASIDE_DISTANCE)?;
                 return self.swing_back(feed_forward, pull, rested, stiffer);
             }
             aim += pull - rested;
@@ -335,10 +335,9 @@ impl<'a> PreparedBoard<'a> {
         Err(self.friction_error(pull))
     }
 
-    /// Brings the device back to its pose with the hold. If only the tip returns, the user of a simulated device moves
-    /// the joints back, and the user of a real device gets an error.
+    /// Brings the device back to its pose with the hold, or by the user of a simulated device.
     fn bring_back(&mut self) -> Result<(), MeasureError> {
-        if self.rest(0.0).and_then(|_| self.check_pose(APART)).is_ok() {
+        if self.rest_at(0.0).and_then(|_| self.check_pose(ASIDE_DISTANCE)).is_ok() {
             return Ok(());
         }
         if self.board.details()?.real {
@@ -346,16 +345,15 @@ impl<'a> PreparedBoard<'a> {
         }
         self.board.disarm()?;
         self.arm()?;
-        self.settle()
+        self.wait_for_rest()
     }
 
     fn friction_error(&self, pull: f64) -> MeasureError {
         let (pull, friction) = (pull.abs(), self.excitation.friction);
-        MeasureError::Stuck { pull, force: pull * self.holding().0, friction }
+        MeasureError::Stuck { pull, force: pull * self.hold_gains().0, friction }
     }
 
-    /// Clears the fault of a violent oscillation and arms with the soft hold. Returns an error if another program has
-    /// cleared the fault.
+    /// Clears the fault of an oscillation and arms with the soft hold, unless another program cleared it.
     fn arm_again(&mut self) -> Result<(), MeasureError> {
         if self.board.status()?.state != State::Fault {
             return Err(MeasureError::Disarmed);
@@ -365,17 +363,16 @@ impl<'a> PreparedBoard<'a> {
         self.wait(0.4)
     }
 
-    /// Arms after the user of a simulated device has brought it back.
+    /// Arms the board. The user of a simulated device first brings it back.
     fn arm(&mut self) -> Result<(), MeasureError> {
         if !self.board.details()?.real {
             self.wait_in_any_state(CARRY_SECONDS)?;
         }
         self.board.arm()?;
-        // Rows that are already on their way still have the state of a fault or of motors that are off.
+        // Rows on their way may still have the state of a fault or of disarmed motors.
         self.wait_in_any_state(0.3)
     }
 
-    /// Waits (s) in any state of the board.
     fn wait_in_any_state(&mut self, seconds: f64) -> Result<(), MeasureError> {
         let until = self.board.now() + Duration::from_secs_f64(seconds);
         while self.board.now() < until {
@@ -402,7 +399,7 @@ impl<'a> PreparedBoard<'a> {
         Ok(self.board.set_wall_gains(gains)?)
     }
 
-    /// Sets the gains of the tested walls to their shares of these gains.
+    /// Sets the gains of the tested walls to their shares of these totals.
     fn set_tested_gains(&mut self, kp: f64, kd: f64, feed_forward: FeedForward) -> Result<(), MeasureError> {
         for (wall, (share, with)) in self.shares.clone().into_iter().enumerate() {
             let feed_forward = if with { feed_forward } else { FeedForward::Off };
@@ -411,16 +408,16 @@ impl<'a> PreparedBoard<'a> {
         Ok(())
     }
 
-    /// Holds the tip at `pull` metres along the pull: the wall at its position and a wall aside share the stiffness.
+    /// Holds the tip at `pull` (m) along the pull: the wall at the tip's position and a wall aside share the stiffness.
     fn hold(&mut self, pull: f64) -> Result<(), MeasureError> {
-        let (kp, kd) = self.holding();
-        let share = (pull / APART).clamp(-MAX_ASIDE, MAX_ASIDE);
+        let (kp, kd) = self.hold_gains();
+        let share = (pull / ASIDE_DISTANCE).clamp(-MAX_ASIDE_SHARE, MAX_ASIDE_SHARE);
         let Layout { hold, aside, across } = self.layout;
         self.set_wall_gains(hold, kp * (1.0 - share.abs()), kd, FeedForward::Off)?;
         if hold > 0 {
             self.set_tested_gains(0.0, 0.0, FeedForward::Off)?;
         }
-        // Of the walls at +APART and -APART only one is used, by the sign of the pull.
+        // Only one of the walls at +ASIDE_DISTANCE and -ASIDE_DISTANCE is used, by the sign of the pull.
         let [used, unused] = if pull >= 0.0 { aside } else { [aside[1], aside[0]] };
         self.set_wall_gains(unused, 0.0, 0.0, FeedForward::Off)?;
         self.set_wall_gains(used, kp * share.abs(), 0.0, FeedForward::Off)?;
@@ -446,9 +443,8 @@ impl<'a> PreparedBoard<'a> {
         Ok(())
     }
 
-    /// Waits until the tip rests near `pull`, and makes the hold softer until it does. Returns its position along the
-    /// pull, m.
-    fn rest(&mut self, pull: f64) -> Result<f64, MeasureError> {
+    /// Waits until the tip rests near `pull`, softening the hold if needed. Returns its position, m.
+    fn rest_at(&mut self, pull: f64) -> Result<f64, MeasureError> {
         loop {
             match self.hold_until_still(pull) {
                 Err(MeasureError::Restless) if self.soften() => {}
@@ -457,16 +453,16 @@ impl<'a> PreparedBoard<'a> {
         }
     }
 
-    /// Holds the tip near `pull` until it rests along the pull and across it. Returns its position along the pull, m.
+    /// Holds the tip near `pull` (m) until it rests in all directions. Returns its position along the pull, m.
     fn hold_until_still(&mut self, pull: f64) -> Result<f64, MeasureError> {
         self.hold(pull)?;
         let period = TAU / self.hold_frequency;
-        // A motion by encoder steps only counts as rest.
+        // A motion within the encoder steps counts as rest.
         let steps = self.excitation.smallest();
         let tolerance = steps.max(0.1 * pull.abs()).max(self.setup.largest_pull * 1e-3);
         let mut quiet = Vec::new();
         let started = self.board.now();
-        // Friction may hold the tip away from its target; there it rests as well.
+        // Friction may hold the tip away from its target, so accept rest at any position.
         while (self.board.now() - started).as_secs_f64() < (60.0 * period).max(0.5) {
             for at in self.tip_positions(period / 4.0)? {
                 quiet.push(at);
@@ -476,7 +472,7 @@ impl<'a> PreparedBoard<'a> {
                 let recent = &quiet[quiet.len() - window..];
                 let (low, high) = span(recent.iter().map(|at| at.place));
                 let (near, far) = span(recent.iter().map(|at| at.aside));
-                // A tip that slides across the pull would go on sliding in the trial.
+                // A tip that slides across the pull would also slide in the trial.
                 if high - low <= tolerance && far - near <= tolerance {
                     return Ok((high + low) / 2.0);
                 }
@@ -485,11 +481,10 @@ impl<'a> PreparedBoard<'a> {
         Err(MeasureError::Restless)
     }
 
-    /// Pulls the tip back with the tested walls, as softly as the hold, and returns as soon as the tip moves. If
-    /// friction stops the tip before, it does not swing, and its motion cannot be judged.
+    /// Pulls the tip back with the tested walls as softly as the hold, and returns as soon as the tip moves. Returns an
+    /// error if friction stops the tip, because its motion then cannot be judged.
     ///
-    /// The tested feed-forward acts already, because without it the pull would move the admissible directions, and the
-    /// feed-forward would not stop them.
+    /// The tested feed-forward already acts, because otherwise the pull would start admissible motions.
     fn swing_back(
         &mut self,
         feed_forward: FeedForward,
@@ -497,13 +492,12 @@ impl<'a> PreparedBoard<'a> {
         rested: f64,
         stiffer: bool,
     ) -> Result<(), MeasureError> {
-        let (kp, _) = self.holding();
+        let (kp, _) = self.hold_gains();
         self.release()?;
         self.set_tested_gains(kp / self.along, 0.0, feed_forward)?;
         let started = self.board.now();
         let quarter = 0.5 * PI / self.hold_frequency;
-        // Friction takes much of the soft pull's force. So a stiffer wall takes over almost at once and pulls the tip
-        // itself.
+        // Friction takes much of the soft pull's force, so a stiffer wall takes over almost at once and pulls the tip.
         let aim = if stiffer && self.excitation.friction > 0.0 {
             rested - SWING_START.min(0.1 * pull.abs()).copysign(pull)
         } else {
@@ -516,12 +510,18 @@ impl<'a> PreparedBoard<'a> {
                 return Ok(());
             }
         }
-        // A fast swing may be over before its rows arrive; friction this small does not hold the tip.
+        // A fast swing may be over before its rows arrive. Friction this small does not hold the tip.
         if self.excitation.friction < 0.05 * kp * rested.abs() { Ok(()) } else { Err(self.friction_error(pull)) }
     }
 
-    /// Hands the moving tip over to the tested gains and follows it until the verdict.
-    fn follow(&mut self, feed_forward: FeedForward, kp: f64, kd: f64, pull: f64) -> Result<Verdict, MeasureError> {
+    /// Switches to the tested gains while the tip moves, and follows the motion until its verdict.
+    fn follow_motion(
+        &mut self,
+        feed_forward: FeedForward,
+        kp: f64,
+        kd: f64,
+        pull: f64,
+    ) -> Result<Verdict, MeasureError> {
         self.set_tested_gains(kp, kd, feed_forward)?;
         let row_seconds = f64::from(self.divider) / self.setup.rate_hz;
         let slowest = (TAU * (self.heaviest / kp).sqrt(), kd < 2.0 * (kp * self.heaviest).sqrt());
@@ -529,16 +529,16 @@ impl<'a> PreparedBoard<'a> {
         let first = self.board.status()?.step;
         loop {
             for at in self.tip_positions(0.02)? {
-                // Rows from before the hand-over may arrive late.
+                // Rows from before the switch may arrive late.
                 if at.step.wrapping_sub(first) > u32::MAX / 2 {
                     continue;
                 }
-                if let Some(verdict) = swing.take(at.place) {
+                if let Some(verdict) = swing.add_position(at.place) {
                     return Ok(verdict);
                 }
                 if at.aside > LEFT_POSE_DISTANCE {
-                    let lost = self.check_pose(APART).err().unwrap_or(MeasureError::Restless);
-                    return if swing.continues() { Ok(Verdict::Grows) } else { Err(lost) };
+                    let lost = self.check_pose(ASIDE_DISTANCE).err().unwrap_or(MeasureError::Restless);
+                    return if swing.still_swings() { Ok(Verdict::Grows) } else { Err(lost) };
                 }
             }
         }
@@ -556,7 +556,7 @@ impl<'a> PreparedBoard<'a> {
         Ok(())
     }
 
-    /// Returns the positions of the tip from the rows that have arrived, after waiting at most `seconds` for the first.
+    /// Returns the tip positions in the rows that have arrived. Waits at most `seconds` for the first row.
     fn tip_positions(&mut self, seconds: f64) -> Result<Vec<TipPosition>, MeasureError> {
         if (self.interrupted)() {
             return Err(MeasureError::Interrupted);
@@ -569,7 +569,7 @@ impl<'a> PreparedBoard<'a> {
                 return Err(MeasureError::Disarmed);
             }
             if state == f64::from(State::Fault as u8) {
-                // A fault without a record means that numbers of the row were not finite.
+                // A fault without a record means that numbers in the row were not finite.
                 let fault = self.board.status()?.fault.map_or(Fault::NotFinite, |record| record.fault);
                 return Err(MeasureError::Fault(fault));
             }
@@ -581,8 +581,7 @@ impl<'a> PreparedBoard<'a> {
     }
 }
 
-/// Returns the rules of a measurement on a board with the rules `before`: the motors go off soon after the tool is lost,
-/// and torques are at most `torque_limit` (N m).
+/// Returns the rules of a measurement: motors go off without the tool, torques are at most `torque_limit` (N m).
 #[must_use]
 pub fn rules_for(before: &Rules, torque_limit: f64) -> Rules {
     let mut rules = *before;
@@ -597,30 +596,29 @@ pub fn rules_for(before: &Rules, torque_limit: f64) -> Rules {
 
 impl Drop for PreparedBoard<'_> {
     fn drop(&mut self) {
-        // If the board is lost, the rules of the measurement turn the motors off.
+        // If the board does not reply, the rules of the measurement turn the motors off.
         let _ = self.board.stop_stream();
-        let _ = self.before.put_back(self.board);
+        let _ = self.before.restore(self.board);
     }
 }
 
-/// Position of the tip at a control step: along the pull, and distance across it, m.
+/// Tip position at a control step: position along the pull, and distance across it, m.
 struct TipPosition {
     step: u32,
     place: f64,
     aside: f64,
 }
 
-/// Returns stiffness and damping for an inertia (kg) at a natural frequency (rad/s) with 0.7 of critical damping.
+/// Returns stiffness and damping for an inertia (kg), a natural frequency (rad/s) and a damping ratio of 0.7.
 fn gains_of(inertia: f64, frequency: f64) -> (f64, f64) {
     (inertia * frequency.powi(2), 1.4 * inertia * frequency)
 }
 
-/// Returns the smallest and the largest value.
 fn span(values: impl Iterator<Item = f64>) -> (f64, f64) {
     values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), value| (low.min(value), high.max(value)))
 }
 
-/// Returns true for a fault that an oscillation causes and that can be cleared once it has stopped.
+/// Returns true for faults that an oscillation causes and that can be cleared after it.
 fn is_caused_by_oscillation(fault: Fault) -> bool {
     matches!(fault, Fault::SpeedLimit | Fault::OverCurrent | Fault::PowerLimit | Fault::ForceLimit)
 }

@@ -1,27 +1,26 @@
-//! The results so far, saved after every repeat so that an interrupted measurement continues where it stopped.
+//! Results of a measurement so far. They are saved after every repeat, so an interrupted measurement can continue.
 
 use super::before::RestorePoint;
 use haptic_bridge::render::scene::FeedForward;
 use haptic_host::error::Failure;
 use haptic_host::output::{self, Overwrite};
-use std::path::Path;
-
 use serde::{Deserialize, Serialize};
+use std::path::Path;
 use thiserror::Error;
 
-/// All repeats at one damping.
+/// All repeats for one feed-forward and damping.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Point {
-    /// Kind of feed-forward.
+    /// Feed-forward of the walls.
     pub mode: FeedForward,
     /// Damping, N s/m.
     pub kd: f64,
-    /// Largest stable stiffness of each repeat, N/m; the repeats take the pulls in turn.
+    /// Largest stable stiffness of each repeat, N/m. The repeats use the pulls in turn.
     pub repeats: Vec<f64>,
-    /// Largest vibration just beyond the boundary, m from peak to peak; `None` if the motion built up.
+    /// Largest vibration just beyond the boundary, m from peak to peak; `None` if all motions grew.
     #[serde(default)]
     pub vibration_m: Option<f64>,
-    /// Reason why there are no more repeats, if the search ended early.
+    /// Reason why the search ended early; `None` if it did not.
     #[serde(default)]
     pub open: Option<Open>,
 }
@@ -29,25 +28,25 @@ pub struct Point {
 /// A search that ended without a boundary.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Open {
-    /// Largest stiffness that was stable, N/m.
+    /// Largest stable stiffness, N/m.
     pub stable_up_to: f64,
-    /// The error that ended the search.
+    /// Text of the error that ended the search.
     pub reason: String,
 }
 
 impl Point {
-    /// Returns the median of the repeats of all pulls; 0 without repeats.
+    /// Returns the median of all repeats; 0 without repeats.
     pub fn median(&self) -> f64 {
         median(&self.repeats)
     }
 
-    /// Returns the lowest and the highest repeat of all pulls.
+    /// Returns the lowest and the highest of all repeats.
     pub fn bounds(&self) -> (f64, f64) {
         bounds(&self.repeats)
     }
 }
 
-/// Returns the median; 0 without repeats.
+/// Returns the median of repeats; 0 without repeats.
 #[must_use]
 pub fn median(repeats: &[f64]) -> f64 {
     let mut sorted = repeats.to_vec();
@@ -59,7 +58,7 @@ pub fn median(repeats: &[f64]) -> f64 {
     }
 }
 
-/// Returns the lowest and the highest repeat.
+/// Returns the lowest and the highest of some repeats.
 #[must_use]
 pub fn bounds(repeats: &[f64]) -> (f64, f64) {
     let low = repeats.iter().copied().fold(f64::INFINITY, f64::min);
@@ -67,26 +66,26 @@ pub fn bounds(repeats: &[f64]) -> (f64, f64) {
     (low.min(high), high)
 }
 
-/// A measurement, finished or not.
+/// State of a measurement, finished or not.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Progress {
-    /// Description of the measurement: device, pose, loop. The file is continued only by the same measurement.
+    /// Description of the measurement. Only a measurement with the same description continues the file.
     pub what: String,
-    /// Dampings at which the range ends, N s/m, for the modes whose end was measured.
+    /// Largest stable damping of each mode for which it was measured, N s/m.
     #[serde(default)]
     pub ends: Vec<(FeedForward, f64)>,
-    /// Modes whose range extends to a larger damping that was not found, and the reason.
+    /// Modes whose largest stable damping was not found, and the reason.
     #[serde(default)]
     pub open_ends: Vec<(FeedForward, String)>,
     /// Joint angles of the measurement, rad.
     #[serde(default)]
     pub q: Vec<f64>,
-    /// The points with their repeats so far.
+    /// Points with their repeats so far.
     pub points: Vec<Point>,
     /// Time of the last result (RFC 3339, UTC).
     #[serde(default)]
     pub date: Option<String>,
-    /// Settings of the board to restore; `None` once they are restored.
+    /// Settings of the board to restore; `None` after they are restored.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub before: Option<RestorePoint>,
 }
@@ -94,15 +93,15 @@ pub struct Progress {
 /// Reason why a progress file cannot be used.
 #[derive(Debug, Error)]
 pub enum ProgressError {
-    /// Not readable.
+    /// The file cannot be read.
     #[error("{path} is not a progress file: {reason}")]
     File {
         /// Path of the file.
         path: String,
-        /// Message of the system or of the parser.
+        /// Message of the operating system or of the parser.
         reason: String,
     },
-    /// Not writable.
+    /// The file cannot be written.
     #[error(transparent)]
     Unwritten(Failure),
     /// The file belongs to another measurement.
@@ -110,7 +109,7 @@ pub enum ProgressError {
     Another {
         /// Path of the file.
         path: String,
-        /// Time of its last result.
+        /// Time of the file's last result.
         date: Option<String>,
         /// Description of the measurement in the file.
         found: String,
@@ -118,7 +117,7 @@ pub enum ProgressError {
 }
 
 impl Progress {
-    /// Returns a progress without results.
+    /// Returns an empty progress for this measurement.
     pub fn new(what: &str) -> Self {
         Self {
             what: what.into(),
@@ -131,17 +130,17 @@ impl Progress {
         }
     }
 
-    /// Returns true if nothing has been measured.
+    /// Returns true if the progress has no results.
     pub fn is_empty(&self) -> bool {
         self.ends.is_empty() && self.points.iter().all(|point| point.repeats.is_empty() && point.open.is_none())
     }
 
-    /// Removes the results, but keeps the settings to restore on the board.
-    pub fn anew(self, what: &str) -> Self {
+    /// Removes the results, and keeps the settings to restore on the board.
+    pub fn without_results(self, what: &str) -> Self {
         Self { before: self.before, ..Self::new(what) }
     }
 
-    /// Reads the file at `path`, of any measurement; `None` if it does not exist.
+    /// Reads the file of any measurement at `path`; returns `None` if it does not exist.
     pub fn read(path: &Path) -> Result<Option<Self>, ProgressError> {
         let file = |reason: String| ProgressError::File { path: path.display().to_string(), reason };
         match haptic_host::input::read_to_string(path) {
@@ -151,40 +150,40 @@ impl Progress {
         }
     }
 
-    /// Reads the file at `path`, or starts without results if the file does not exist.
+    /// Reads the file of this measurement at `path`, or returns an empty progress if the file does not exist.
     pub fn open(path: &Path, what: &str) -> Result<Self, ProgressError> {
         match Self::read(path)? {
             None => Ok(Self::new(what)),
             Some(found) if found.what == what => Ok(found),
-            Some(found) if found.is_empty() => Ok(found.anew(what)),
+            Some(found) if found.is_empty() => Ok(found.without_results(what)),
             Some(Self { what: found, date, .. }) => {
                 Err(ProgressError::Another { path: path.display().to_string(), date, found })
             }
         }
     }
 
-    /// Sets the time of the last result to now.
-    pub fn now(&mut self) {
+    /// Sets the time of the last result to the present time.
+    pub fn set_date(&mut self) {
         self.date = Some(output::date());
     }
 
-    /// Writes the file, either completely or not at all.
+    /// Writes the complete file or nothing.
     pub fn save(&self, path: &Path) -> Result<(), ProgressError> {
         let text = serde_json::to_string_pretty(self).map_err(|e| ProgressError::Unwritten(Failure::impossible(e)))?;
         output::write(path, text.as_bytes(), Overwrite::Replace).map_err(ProgressError::Unwritten)
     }
 
-    /// Returns the damping at which the range of a mode ends, if it was measured.
+    /// Returns the largest stable damping of a mode, if it was measured.
     pub fn end(&self, mode: FeedForward) -> Option<f64> {
         self.ends.iter().find(|(measured, _)| *measured == mode).map(|(_, end)| *end)
     }
 
-    /// Returns the points of a mode that have a boundary, by damping.
+    /// Returns the points of a mode with a boundary, in order of damping.
     pub fn of(&self, mode: FeedForward) -> Vec<&Point> {
         self.all(mode).into_iter().filter(|point| !point.repeats.is_empty()).collect()
     }
 
-    /// Returns the points of a mode, also those without a boundary, by damping.
+    /// Returns the points of a mode with or without a boundary, in order of damping.
     pub fn all(&self, mode: FeedForward) -> Vec<&Point> {
         let mut found: Vec<&Point> =
             self.points.iter().filter(|p| p.mode == mode && !(p.repeats.is_empty() && p.open.is_none())).collect();
@@ -192,7 +191,7 @@ impl Progress {
         found
     }
 
-    /// Returns the point of a mode at a damping; adds a new point if there is none.
+    /// Returns the point of a mode at a damping. Adds it if it does not exist.
     pub fn point(&mut self, mode: FeedForward, kd: f64) -> &mut Point {
         let found = self.points.iter().position(|p| p.mode == mode && same_damping(p.kd, kd));
         let index = found.unwrap_or_else(|| {
@@ -203,7 +202,7 @@ impl Progress {
     }
 }
 
-/// Returns true if two dampings (N s/m) are equal up to the rounding in a file.
+/// Returns true if two dampings (N s/m) differ only by the rounding in a file.
 pub(super) fn same_damping(one: f64, other: f64) -> bool {
     (one - other).abs() <= 1e-9 * other.abs()
 }

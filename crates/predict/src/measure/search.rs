@@ -1,30 +1,26 @@
-//! The search for the boundary: raises the gain by a factor until the loop oscillates, then bisects.
-
-use haptic_bridge::render::scene::FeedForward;
+//! Search for a stability boundary: the gain rises by a factor until the loop oscillates, then bisection refines it.
 
 use super::swing::Verdict;
 use super::{MeasureError, PreparedBoard};
+use haptic_bridge::render::scene::FeedForward;
 
-/// Ratio of the unstable to the stable gain at which the search ends.
+/// Ratio of unstable to stable gain at which the search ends.
 pub const RESOLUTION: f64 = 1.005;
-/// Factor by which gains are raised.
 const RAISE_FACTOR: f64 = 1.3;
-/// Maximum number of raises.
 const MAX_RAISES: usize = 60;
 
-/// The end of the stable walls.
+/// Boundary of the stable walls.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Boundary {
-    /// The largest gain that is stable, N/m or N s/m.
+    /// Largest stable gain, N/m or N s/m.
     pub gain: f64,
-    /// Motion of the tip just beyond the boundary: it builds up, or continues as a vibration.
+    /// Motion of the tip just beyond the boundary: it grows, or continues as a vibration.
     pub beyond: Verdict,
 }
 
-/// Finds the gain up to which `judge` returns [`Verdict::Decays`], from `start` upward; 0 if a thousandth of `start`
-/// already oscillates. Returns [`MeasureError::Open`] if a gain cannot be judged.
-///
-/// `guess`, the result of an earlier repeat, only shortens the search.
+/// Returns the largest gain for which `judge` returns [`Verdict::Decays`], or 0 if a thousandth of `start` oscillates.
+/// The result `guess` of an earlier repeat shortens the search. Returns [`MeasureError::Open`] if a gain cannot be
+/// judged.
 fn find_boundary(
     start: f64,
     guess: Option<f64>,
@@ -71,7 +67,7 @@ fn find_boundary(
 }
 
 impl PreparedBoard<'_> {
-    /// Measures the largest stable stiffness (N/m) at one damping. `strength` scales and signs the pull.
+    /// Measures the largest stable stiffness (N/m) at damping `kd`. `strength` is the signed factor on the pull.
     pub fn boundary(
         &mut self,
         feed_forward: FeedForward,
@@ -83,7 +79,7 @@ impl PreparedBoard<'_> {
         find_boundary(start, guess.filter(|g| *g > 0.0), |kp| self.judge(feed_forward, kp, kd, strength))
     }
 
-    /// Measures the damping (N s/m) at which the range ends, because even a soft wall oscillates.
+    /// Measures the damping at which even a soft wall oscillates, N s/m.
     pub fn damping_end(&mut self, feed_forward: FeedForward) -> Result<Boundary, MeasureError> {
         let (kp, start) = (0.02 * self.gentle_stiffness(), self.gentle_damping());
         find_boundary(start, None, |kd| self.judge(feed_forward, kp, kd, 1.0))
@@ -94,7 +90,7 @@ impl PreparedBoard<'_> {
 mod tests {
     use super::*;
 
-    /// Returns a loop that vibrates above `edge`.
+    /// Returns a verdict function for a loop that vibrates above `edge`.
     fn vibrating(edge: f64) -> impl Fn(f64) -> Result<Verdict, MeasureError> {
         move |gain| Ok(if gain > edge { Verdict::Vibrates(1e-4) } else { Verdict::Decays })
     }

@@ -1,5 +1,4 @@
-//! A simulated board for measurements: the device as its file describes it, or without friction, with finer encoders,
-//! with torques that act at once, in any pose.
+//! A simulated board for measurements, optionally without friction, with finer encoders or ideal drives.
 
 use haptic_host::device_file::DeviceFile;
 use haptic_sim::{
@@ -7,42 +6,42 @@ use haptic_sim::{
     ready_board,
 };
 
-/// Part of the friction in the device file that is simulated.
+/// Part of the device file's friction that is simulated.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Friction {
     /// All friction.
     #[default]
     All,
-    /// The viscous part.
+    /// Only viscous friction.
     Viscous,
-    /// The Coulomb part.
+    /// Only Coulomb friction.
     Coulomb,
     /// No friction.
     None,
 }
 
-/// The simulated world.
+/// Settings of the simulation.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct World {
     /// Pose of the device, rad; `None` for its home.
     pub q: Option<[f64; 3]>,
     /// Friction that is simulated.
     pub friction: Friction,
-    /// True if commanded torques act at once, without bridges, windings and current loops.
+    /// True if torques act at once, without bridges, windings and current loops.
     pub ideal_drive: bool,
-    /// Counts per turn of every encoder; `None` for those of the device file.
+    /// Counts per turn of all encoders; `None` for the counts in the device file.
     pub counts: Option<f64>,
-    /// True if a relaxed grip at rest holds the tip ([`HandSettings::default`]).
+    /// True if a relaxed hand at rest holds the tip ([`HandSettings::default`]).
     pub grip: bool,
 }
 
-/// Simulation steps in a control period. The torque is constant during a period, so slow loops need no finer steps.
+/// Number of simulation steps per control period. The torque is constant in a period, so more steps are not needed.
 const STEPS: f64 = 100.0;
-/// Shortest and longest simulation step, s. The longest is half a carrier period at 20 kHz.
+/// Shortest and longest simulation step, s. The longest is half of a 20 kHz carrier period.
 const STEP_RANGE_S: (f64, f64) = (2e-6, 2.5e-5);
 
 impl World {
-    /// Changes the description to this world, so that predictions from it apply to the same world.
+    /// Changes the description to this world, so that predictions apply to the same device.
     pub fn apply(&self, file: &mut DeviceFile) {
         for joint in &mut file.description.joints {
             if matches!(self.friction, Friction::Coulomb | Friction::None) {
@@ -58,7 +57,7 @@ impl World {
         }
     }
 
-    /// Returns a board that will run at `rate_hz` with the device of `file`, which [`World::apply`] has changed.
+    /// Returns a board for `rate_hz` with the device of `file`. [`World::apply`] must have changed `file`.
     pub fn board(&self, file: &DeviceFile, rate_hz: f64) -> Result<SharedBoard, DeviceError> {
         let device = Options {
             start: self.q,
@@ -66,7 +65,7 @@ impl World {
             ..Options::default()
         };
         let drive = if self.ideal_drive { DriveModel::Ideal } else { DriveModel::Electric };
-        // A user holds the device until the motors carry it, because a device with weight would fall into another pose.
+        // A user holds the device until the motors carry it, because otherwise its weight would move it.
         let options = BoardOptions { device, drive, support: Support::Held, ..BoardOptions::default() };
         let mut board = ready_board(file, options)?;
         if self.grip {

@@ -1,74 +1,72 @@
-//! The verdict on a motion from its sampled positions: it dies out, builds up, or continues as a vibration of constant
-//! size.
+//! Judges a motion by its sampled positions: the motion decays, grows, or continues as a vibration of constant size.
 //!
-//! The position is high-passed below the velocity filter's cutoff, because a slow return to the wall would hide a small
-//! fast oscillation. An oscillation of a rigid device is below that cutoff and seldom far below it. The swing between
-//! two turning points grows or shrinks by a constant factor per half cycle of the dominant mode. The verdict follows
-//! from the slope of a straight line through the swing's logarithm, relative to the uncertainty of the slope.
+//! A high-pass below the velocity filter's cutoff filters the position, because a slow return to the wall would hide a
+//! small fast oscillation. An oscillation of a rigid device is seldom far below the cutoff. The swing between two
+//! turning points grows or shrinks by a constant factor per half cycle of the dominant mode. The verdict follows from
+//! the slope of a straight line through the swing's logarithm, relative to the slope's uncertainty.
 //!
-//! **Several modes.** A device with compliant transmissions has modes on both sides of the cutoff, and a washout has one
-//! far below it. Two modes of similar size occasionally make a tiny swing, so a motion has died out only when several
-//! swings in a row are small. Their beat hides the trend of single swings; the largest of a few swings, over at least
-//! three periods of the slowest mode, shows it. If one mode decays faster than the other, the trend bends as if the
-//! motion approached a constant size, so such a motion is followed until it is constant or dies out. A large slow mode
-//! that dies out can hide a small fast one that builds up. The acceleration is therefore judged too, because it shows the
-//! fast mode larger by the square of the ratio of their frequencies.
+//! **Several modes.** Compliant transmissions cause modes on both sides of the cutoff, and a washout causes one far
+//! below. Two modes of similar size occasionally make a tiny swing, so a motion has decayed only when several swings in
+//! a row are small.
 //!
-//! **Encoder steps.** A quantiser in a stable loop can sustain a vibration. Its describing function, the gain of a
-//! sine's first harmonic, is at most 1.0365 for a sine of six steps and falls from there (1.023 at eight). A vibration of
-//! more than [`ENCODER_STEPS`] steps from peak to peak therefore continues only if 3.6 % more gain would make the loop
-//! unstable without steps. Larger vibrations count as not stable, so a boundary may be found up to 3.6 % too low; smaller
+//! The beat of two modes hides the trend of single swings. The largest of a few swings, over at least three periods of
+//! the slowest mode, shows the trend. If one mode decays faster than another, the trend bends as if the motion
+//! approached a constant size. Such a motion is followed until it is constant or has decayed.
+//!
+//! A large slow mode that decays can hide a small fast mode that grows. Therefore the acceleration is judged too: it
+//! shows the fast mode larger by the square of the ratio of their frequencies.
+//!
+//! **Encoder steps.** A quantiser in a stable loop can sustain a vibration. Its describing function, the gain for a
+//! sine's first harmonic, is at most 1.0365 for a sine of six steps and falls from there (1.023 at eight). A vibration
+//! of more than [`ENCODER_STEPS`] steps from peak to peak therefore continues only if 3.6 % more gain would make the
+//! loop without steps unstable. Larger vibrations count as unstable, so a boundary may be up to 3.6 % too low; smaller
 //! ones count as rest.
 
 use std::f64::consts::TAU;
 
-/// Largest vibration that encoder steps explain, steps from peak to peak.
+/// Largest vibration that encoder steps can cause, steps from peak to peak.
 pub const ENCODER_STEPS: f64 = 6.0;
 
-/// Corner of the high-pass as a share of the velocity filter's cutoff.
+/// Corner of the high-pass, as a share of the velocity filter's cutoff.
 const HIGH_PASS_SHARE: f64 = 0.125;
-/// Turning points that are ignored at the start, while faster modes die out.
-const SETTLING: usize = 8;
-/// Number of swings of one check of the trend.
-const CHECK: usize = 22;
-/// Number of checks after which a motion that neither grows nor shrinks is a vibration: for the position, and for the
-/// acceleration, whose swings are faster.
-const CHECKS: (usize, usize) = (4, 16);
-/// Minimum number of swings in a stretch: longer than the beat of two modes.
-const BEAT: usize = 6;
-/// Minimum duration of a stretch, and of a check that finds a motion dying out, in periods of the slowest mode.
-const PERIODS: f64 = 3.0;
-/// Minimum number of stretches for a verdict.
-const STRETCHES: usize = 8;
-/// Factor on the number of checks before a motion whose trend bends is a vibration.
-const PATIENCE: usize = 16;
+/// Number of turning points that are ignored at the start, while faster modes decay.
+const IGNORED_TURNS: usize = 8;
+const SWINGS_PER_CHECK: usize = 22;
+/// Number of checks after which a motion of constant size is a vibration, for position and acceleration.
+const CHECKS_BEFORE_VIBRATION: (usize, usize) = (4, 16);
+/// Minimum number of swings in a stretch. It is longer than the beat of two modes.
+const MIN_STRETCH_SWINGS: usize = 6;
+/// Minimum duration of a stretch, and of a check that judges a motion as decaying, in periods of the slowest mode.
+const MIN_STRETCH_PERIODS: f64 = 3.0;
+const MIN_STRETCHES: usize = 8;
+/// Factor on the number of checks before a motion with a bending trend counts as a vibration.
+const BENDING_TREND_FACTOR: usize = 16;
 /// Share of the recent swings below which a swing is the ripple of a faster mode.
 const RIPPLE_SHARE: f64 = 0.4;
-/// Number of standard errors by which a slope must differ from zero. The number is large because encoder steps disturb
+/// Number of standard errors by which a slope must differ from zero. It is large because encoder steps disturb
 /// neighbouring swings alike, which the standard error does not include.
-const SIGNIFICANT: f64 = 4.0;
-/// Slope per swing below which the size of a motion is constant: 0.4 % over one check.
+const SIGNIFICANT_STANDARD_ERRORS: f64 = 4.0;
+/// Largest slope per swing of a motion with constant size, 0.4 % over one check.
 const FLAT_SLOPE: f64 = 2e-4;
-/// Growth, relative to the first swings and to the pull, at which a motion counts as building up without a trend.
+/// Growth relative to the first swings and the pull at which a motion counts as growing without a trend.
 const RUNAWAY_GROWTH: f64 = 4.0;
-/// Distance from the wall at which a motion counts as building up: a number of pulls, or for long pulls two pulls plus
-/// a distance, m.
+/// Distance from the wall at which a motion counts as growing, in pulls.
 const FARTHEST_PULLS: f64 = 12.0;
-const FARTHEST: f64 = 0.005;
-/// Share of the largest swing below which a motion has died out.
+/// Distance that is added to two pulls and limits [`FARTHEST_PULLS`] for long pulls, m.
+const FARTHEST_OFFSET_M: f64 = 0.005;
+/// Share of the largest swing below which a motion has decayed.
 const DIED_OUT_SHARE: f64 = 0.02;
-/// Periods of the cutoff without a turning point after which a motion has ended: minimum, and maximum if a slower mode
-/// is expected.
+/// Shortest and longest time without a turning point before a motion has ended, in periods of the cutoff.
 const SILENT_PERIODS: (f64, f64) = (10.0, 200.0);
 
-/// The course of a motion.
+/// Judgement of a motion.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Verdict {
-    /// It dies out, at least down to the size that encoder steps explain.
+    /// The motion decays at least to the size that encoder steps can cause.
     Decays,
-    /// It builds up: the loop oscillates.
+    /// The motion grows, so the loop oscillates.
     Grows,
-    /// It continues at this size (m from peak to peak), larger than encoder steps explain: not stable either.
+    /// The motion continues at this size, m from peak to peak, so the loop is unstable.
     Vibrates(f64),
 }
 
@@ -78,47 +76,51 @@ pub struct Swing {
     position: Trace,
     /// Second difference of the position, m.
     acceleration: Trace,
-    /// The last two positions.
     previous: [Option<f64>; 2],
-    /// The verdicts on position and acceleration so far.
+    /// Verdicts on the position and on the acceleration.
     verdicts: [Option<Verdict>; 2],
 }
 
 impl Swing {
-    /// Follows positions every `row_seconds`, in steps of `quantum` (m), after a pull of `pull` (m). The velocity filter
-    /// of the loop has the cutoff `cutoff_hz`; its slowest mode has about this `period` (s) if it `oscillates`.
+    /// Creates a judge for positions every `row_seconds` in steps of `quantum` (m) after a pull of `pull` (m). The
+    /// velocity filter has the cutoff `cutoff_hz`; the slowest mode has about this `period` (s) if it `oscillates`.
     pub fn new(row_seconds: f64, cutoff_hz: f64, (period, oscillates): (f64, bool), quantum: f64, pull: f64) -> Self {
         let rows_a_period = 1.0 / (row_seconds * cutoff_hz);
         let slowest = period / row_seconds;
         let silent = slowest.clamp(SILENT_PERIODS.0 * rows_a_period, SILENT_PERIODS.1 * rows_a_period);
-        // A motion that is damped beyond critical does not swing.
+        // An overdamped motion does not swing.
         let slowest = if oscillates { slowest } else { 0.0 };
         Self {
-            position: Trace::new(rows_a_period, (slowest, silent), quantum, pull, CHECKS.0),
-            // A second difference adds up the errors of four positions. Its initial size is unknown.
-            acceleration: Trace::new(rows_a_period, (slowest, silent), 4.0 * quantum, f64::INFINITY, CHECKS.1),
+            position: Trace::new(rows_a_period, (slowest, silent), quantum, pull, CHECKS_BEFORE_VIBRATION.0),
+            // A second difference has the errors of four positions. The initial size of the acceleration is unknown.
+            acceleration: Trace::new(
+                rows_a_period,
+                (slowest, silent),
+                4.0 * quantum,
+                f64::INFINITY,
+                CHECKS_BEFORE_VIBRATION.1,
+            ),
             previous: [None; 2],
             verdicts: [None; 2],
         }
     }
 
-    /// Returns true if the motion has kept half of its size since the first swings.
+    /// Returns true if the motion still has half of its largest size after the first swings.
     #[must_use]
-    pub fn continues(&self) -> bool {
-        let settled: Vec<f64> = self.position.spans.iter().skip(SETTLING).map(|(low, high)| high - low).collect();
-        let (_, latest) = settled.split_at(settled.len().saturating_sub(CHECK / 4));
-        settled.len() > CHECK / 4 && largest(latest) > 0.5 * largest(&settled)
+    pub fn still_swings(&self) -> bool {
+        let settled: Vec<f64> = self.position.spans.iter().skip(IGNORED_TURNS).map(|(low, high)| high - low).collect();
+        let (_, latest) = settled.split_at(settled.len().saturating_sub(SWINGS_PER_CHECK / 4));
+        settled.len() > SWINGS_PER_CHECK / 4 && largest(latest) > 0.5 * largest(&settled)
     }
 
-    /// Takes the next position (m). Returns the verdict as soon as there is one.
-    pub fn take(&mut self, position: f64) -> Option<Verdict> {
+    /// Adds the next position (m). Returns the verdict as soon as it is known.
+    pub fn add_position(&mut self, position: f64) -> Option<Verdict> {
         if self.verdicts[0].is_none() {
-            self.verdicts[0] = self.position.take(position);
+            self.verdicts[0] = self.position.add_position(position);
         }
-        // A mode that dies out in the acceleration may have hidden another that builds up, so follow the acceleration
-        // as long as the position.
+        // A decaying mode of the acceleration may hide a growing mode, so follow both signals to the end.
         if let [Some(first), Some(second)] = self.previous {
-            self.verdicts[1] = self.acceleration.take(position - 2.0 * second + first).or(self.verdicts[1]);
+            self.verdicts[1] = self.acceleration.add_position(position - 2.0 * second + first).or(self.verdicts[1]);
         }
         self.previous = [self.previous[1], Some(position)];
         match self.verdicts {
@@ -130,34 +132,34 @@ impl Swing {
     }
 }
 
-/// The swings of a signal.
+/// The swings of one signal.
 #[derive(Clone, Debug)]
 struct Trace {
-    /// Coefficient per row of the two low-passes that the high-pass subtracts.
+    /// Coefficient per row of the high-pass's two low-passes.
     share: f64,
     slow: Option<[f64; 2]>,
-    /// Reversal that encoder steps can cause, m: a smaller one is no turning point.
+    /// Largest reversal that encoder steps can cause, m. A smaller reversal is no turning point.
     noise: f64,
-    /// Size below which encoder steps explain a lasting motion, m from peak to peak.
-    explained: f64,
+    /// Largest motion from peak to peak that encoder steps can sustain, m.
+    encoder_motion: f64,
     /// Initial size of the motion, m.
     pull: f64,
-    /// Number of checks after which a motion that continues is a vibration.
+    /// Number of checks after which a motion with constant size is a vibration.
     checks: usize,
-    /// Expected period of the slowest mode, rows; 0 if it does not oscillate.
+    /// Expected period of the slowest mode, rows; 0 if the mode does not oscillate.
     slowest: f64,
     /// Number of rows without a turning point after which the motion has ended.
     silent: f64,
-    /// The extreme since the last turning point, and true if the signal rises.
+    /// Extreme value since the last turning point, and true if the signal rises.
     extreme: Option<(f64, bool)>,
     last_turn: Option<f64>,
     swings: Vec<f64>,
-    /// The row in which each swing ended.
+    /// The row at the end of each swing.
     ends: Vec<usize>,
-    /// Lowest and highest position since the last turning point, and during each swing, m.
+    /// Lowest and highest position since the last turning point, m.
     span: (f64, f64),
     spans: Vec<(f64, f64)>,
-    /// Lowest and highest high-passed position since the last turning point, and during each swing, m.
+    /// Lowest and highest high-passed position since the last turning point, m.
     extent: (f64, f64),
     extents: Vec<(f64, f64)>,
     rows: usize,
@@ -172,26 +174,26 @@ impl Trace {
             share: 1.0 - (-TAU * HIGH_PASS_SHARE / rows_a_period).exp(),
             slow: None,
             noise: 1.5 * quantum,
-            explained: ENCODER_STEPS * quantum,
+            encoder_motion: ENCODER_STEPS * quantum,
             pull,
             silent,
             extreme: None,
             last_turn: None,
             swings: Vec::new(),
             ends: Vec::new(),
-            span: EMPTY,
+            span: EMPTY_SPAN,
             spans: Vec::new(),
-            extent: EMPTY,
+            extent: EMPTY_SPAN,
             extents: Vec::new(),
             rows: 0,
             since_turn: 0,
         }
     }
 
-    fn take(&mut self, position: f64) -> Option<Verdict> {
+    fn add_position(&mut self, position: f64) -> Option<Verdict> {
         self.rows += 1;
         self.since_turn += 1;
-        if position.abs() > (FARTHEST_PULLS * self.pull).min(2.0 * self.pull + FARTHEST) {
+        if position.abs() > (FARTHEST_PULLS * self.pull).min(2.0 * self.pull + FARTHEST_OFFSET_M) {
             return Some(Verdict::Grows);
         }
         let [first, second] = self.slow.get_or_insert([position, 0.0]);
@@ -206,12 +208,11 @@ impl Trace {
         {
             return Some(verdict);
         }
-        // The motion has ended if it has not turned for much longer than the average time between turning points.
+        // The motion has ended if it has not turned for much longer than the average time between turns.
         (self.since_turn as f64 > self.silent.max(6.0 * self.rows_per_turn())).then_some(Verdict::Decays)
     }
 
-    /// Notes a turning point if the motion has returned from its extreme by more than noise. Returns true if there are
-    /// enough swings for a verdict.
+    /// Records a turning point that exceeds noise. Returns true if there are enough swings for a verdict.
     fn record_turn(&mut self, fast: f64) -> bool {
         let Some((extreme, rising)) = self.extreme else {
             self.extreme = Some((fast, true));
@@ -227,16 +228,16 @@ impl Trace {
         if let Some(before) = self.last_turn.replace(extreme) {
             self.swings.push((extreme - before).abs());
             self.ends.push(self.rows);
-            self.spans.push(std::mem::replace(&mut self.span, EMPTY));
-            self.extents.push(std::mem::replace(&mut self.extent, EMPTY));
+            self.spans.push(std::mem::replace(&mut self.span, EMPTY_SPAN));
+            self.extents.push(std::mem::replace(&mut self.extent, EMPTY_SPAN));
         }
         self.extreme = Some((fast, !rising));
         self.since_turn = 0;
         self.swings.len() > 3
     }
 
-    /// Returns the size below which a reversal is the ripple of a faster mode, m. It falls while there is no turning
-    /// point, so that a small mode is found after a large one has died out.
+    /// Returns the size below which a reversal is the ripple of a faster mode, m. The size falls over the time without
+    /// a turning point, so that a small mode is found after a large one has decayed.
     fn ripple(&self) -> f64 {
         let recent = largest(&self.swings[self.swings.len().saturating_sub(4)..]);
         RIPPLE_SHARE * recent * (-(self.since_turn as f64) / (2.0 * self.rows_per_turn())).exp2()
@@ -250,51 +251,51 @@ impl Trace {
     fn verdict_at_turn(&self) -> Option<Verdict> {
         let count = self.swings.len();
         let latest = self.swings[count - 1];
-        // The first swings may be only the ripple of a fast mode while a slow mode has not turned yet.
-        if latest > RUNAWAY_GROWTH * largest(&self.swings[1..4]).max(self.explained).max(self.pull) {
+        // The first swings may be only the ripple of a fast mode while a slow mode has not yet turned.
+        if latest > RUNAWAY_GROWTH * largest(&self.swings[1..4]).max(self.encoder_motion).max(self.pull) {
             return Some(Verdict::Grows);
         }
         let small = |swings: &[f64]| largest(swings) < DIED_OUT_SHARE * largest(&self.swings) && trend(swings).0 <= 0.0;
-        if count > CHECK / 2 && small(&self.swings[count - CHECK / 2..]) {
+        if count > SWINGS_PER_CHECK / 2 && small(&self.swings[count - SWINGS_PER_CHECK / 2..]) {
             return Some(Verdict::Decays);
         }
         // Check the trend whenever half of its swings are new.
-        let seen = count.checked_sub(SETTLING + CHECK)?;
-        if !seen.is_multiple_of(CHECK / 2) {
+        let seen = count.checked_sub(IGNORED_TURNS + SWINGS_PER_CHECK)?;
+        if !seen.is_multiple_of(SWINGS_PER_CHECK / 2) {
             return None;
         }
         // Compare extents, because swings also grow when a ripple no longer divides them.
-        let (earlier, later) = self.extents[SETTLING..].split_at(seen + CHECK / 2);
+        let (earlier, later) = self.extents[IGNORED_TURNS..].split_at(seen + SWINGS_PER_CHECK / 2);
         let larger = size_of(later) > size_of(earlier);
-        let lasted = (self.ends[count - 1] - self.ends[count - 1 - CHECK]) as f64;
-        // Within a few periods of a slower mode, a motion that dies out may hide that mode building up.
+        let lasted = (self.ends[count - 1] - self.ends[count - 1 - SWINGS_PER_CHECK]) as f64;
+        // A decaying motion may hide a growing slower mode for a few of its periods.
         let verdict = self
-            .verdict_of_trend(&self.swings[count - CHECK..], larger)
-            .filter(|verdict| *verdict != Verdict::Decays || lasted > PERIODS * self.slowest);
-        let checks = seen / (CHECK / 2);
+            .verdict_of_trend(&self.swings[count - SWINGS_PER_CHECK..], larger)
+            .filter(|verdict| *verdict != Verdict::Decays || lasted > MIN_STRETCH_PERIODS * self.slowest);
+        let checks = seen / (SWINGS_PER_CHECK / 2);
         if verdict.is_some() || checks < self.checks {
             return verdict;
         }
         let stretches = self.stretches();
         let latest = &stretches[stretches.len() / 2..];
-        let enough = latest.len() >= STRETCHES;
-        let patient = checks < PATIENCE * self.checks;
+        let enough = latest.len() >= MIN_STRETCHES;
+        let patient = checks < BENDING_TREND_FACTOR * self.checks;
         if !enough && patient {
             return None;
         }
         let larger = largest(&latest[latest.len() / 2..]) >= largest(&stretches);
-        // A motion whose trend still bends, or that rises in a beat, has no constant size.
+        // A motion whose trend bends, or that rises in a beat, has no constant size.
         self.verdict_of_trend(latest, larger)
             .or_else(|| (!patient || !is_sure(trend(latest))).then(|| self.verdict_of_size()))
     }
 
-    /// Returns the size of the motion in each stretch of [`BEAT`] swings, or more if [`PERIODS`] of the slowest mode last
-    /// longer, m.
+    /// Returns the size of the motion in each stretch, m. A stretch has at least [`MIN_STRETCH_SWINGS`] swings and lasts
+    /// at least [`MIN_STRETCH_PERIODS`] of the slowest mode.
     fn stretches(&self) -> Vec<f64> {
-        let (mut stretches, mut first) = (Vec::new(), SETTLING);
-        for at in SETTLING..self.swings.len() {
+        let (mut stretches, mut first) = (Vec::new(), IGNORED_TURNS);
+        for at in IGNORED_TURNS..self.swings.len() {
             let rows = self.ends[at] - self.ends[first - 1];
-            if at + 1 - first >= BEAT && rows as f64 >= PERIODS * self.slowest {
+            if at + 1 - first >= MIN_STRETCH_SWINGS && rows as f64 >= MIN_STRETCH_PERIODS * self.slowest {
                 stretches.push(size_of(&self.extents[first..=at]));
                 first = at + 1;
             }
@@ -302,28 +303,26 @@ impl Trace {
         stretches
     }
 
-    /// Returns the verdict of the trend, if it is clear. Growth counts only if the motion is `larger` than ever, because
-    /// the beat of two close modes also grows for a while.
+    /// Returns the verdict if the trend is clear. The beat of two modes grows too, but is not `larger` than before.
     fn verdict_of_trend(&self, swings: &[f64], larger: bool) -> Option<Verdict> {
         let (slope, error) = trend(swings);
         let sure = is_sure((slope, error));
         let (earlier, later) = swings.split_at(swings.len() / 2);
-        if sure && slope > 0.0 && larger && self.size() > self.explained {
+        if sure && slope > 0.0 && larger && self.size() > self.encoder_motion {
             return Some(Verdict::Grows);
         }
-        // A motion that shrinks more and more slowly may continue at a constant size.
+        // A motion that shrinks ever more slowly may settle at a constant size.
         (sure && slope < 0.0 && trend(later).0 < 0.5 * trend(earlier).0).then_some(Verdict::Decays)
     }
 
-    /// Returns the verdict on a motion of constant size.
     fn verdict_of_size(&self) -> Verdict {
         let size = self.size();
-        if size > self.explained { Verdict::Vibrates(size) } else { Verdict::Decays }
+        if size > self.encoder_motion { Verdict::Vibrates(size) } else { Verdict::Decays }
     }
 
-    /// Returns the size of the latest swings from peak to peak, m: the median of pairs, which ignores a stray swing.
+    /// Returns the size of the latest swings from peak to peak, m. The median of pairs ignores a stray swing.
     fn size(&self) -> f64 {
-        let recent = &self.spans[self.spans.len().saturating_sub(CHECK / 2)..];
+        let recent = &self.spans[self.spans.len().saturating_sub(SWINGS_PER_CHECK / 2)..];
         let mut sizes: Vec<f64> =
             recent.windows(2).map(|two| two[0].1.max(two[1].1) - two[0].0.min(two[1].0)).collect();
         sizes.sort_by(f64::total_cmp);
@@ -331,12 +330,11 @@ impl Trace {
     }
 }
 
-/// A span without values.
-const EMPTY: (f64, f64) = (f64::INFINITY, f64::NEG_INFINITY);
+const EMPTY_SPAN: (f64, f64) = (f64::INFINITY, f64::NEG_INFINITY);
 
 /// Returns the distance from the lowest to the highest value of all spans; negative infinity without spans.
 fn size_of(spans: &[(f64, f64)]) -> f64 {
-    let (low, high) = spans.iter().fold(EMPTY, |(low, high), span| (low.min(span.0), high.max(span.1)));
+    let (low, high) = spans.iter().fold(EMPTY_SPAN, |(low, high), span| (low.min(span.0), high.max(span.1)));
     high - low
 }
 
@@ -346,10 +344,10 @@ fn largest(swings: &[f64]) -> f64 {
 
 /// Returns true if a slope with this standard error differs from zero.
 fn is_sure((slope, error): (f64, f64)) -> bool {
-    slope.abs() > FLAT_SLOPE.max(SIGNIFICANT * error)
+    slope.abs() > FLAT_SLOPE.max(SIGNIFICANT_STANDARD_ERRORS * error)
 }
 
-/// Returns the slope of ln(swing) over the number of the swing, and its standard error.
+/// Returns the slope of ln(swing) per swing, and its standard error.
 fn trend(swings: &[f64]) -> (f64, f64) {
     let logs: Vec<f64> = swings.iter().filter(|s| **s > 0.0).map(|s| s.ln()).collect();
     let n = logs.len() as f64;
@@ -381,14 +379,14 @@ mod tests {
         for k in 0..60_000 {
             let x = motion(f64::from(k) * dt);
             let x = if quantum > 0.0 { (x / quantum).round() * quantum } else { x };
-            if let Some(verdict) = swing.take(x) {
+            if let Some(verdict) = swing.add_position(x) {
                 return verdict;
             }
         }
         panic!("no verdict");
     }
 
-    /// Returns the sum of modes, each (share, growth in 1/s, frequency in Hz), after a pull of 1 mm.
+    /// Returns a sum of modes after a pull of 1 mm. Each mode is (share, growth in 1/s, frequency in Hz).
     fn modes(all: &[(f64, f64, f64)]) -> impl Fn(f64) -> f64 {
         let all = all.to_vec();
         move |t| all.iter().map(|(share, grows, hz)| 1e-3 * share * (grows * t).exp() * (TAU * hz * t).cos()).sum()
@@ -396,27 +394,16 @@ mod tests {
 
     #[test]
     fn one_small_swing_of_two_modes_is_no_decay() {
-        // Modes of a wall at 1 kHz on a cable of 120 Hz, a seventh, a third and a factor of two beyond its boundary.
+        // Modes of a wall at 1 kHz on a 120 Hz cable, a seventh, a third and a factor of 2 beyond its boundary.
         for [(slow, slow_hz), (fast, fast_hz)] in
             [[(2.0, 46.0), (3.8, 164.2)], [(5.3, 48.5), (8.2, 165.0)], [(18.0, 58.0), (32.0, 170.0)]]
         {
             for share in [0.2, 0.35, 0.5, 0.65] {
-                let found = verdict_of_samples(
-                    DT,
-                    100.0,
-                    1.0 / slow_hz,
-                    1e-7,
-                    modes(&[(1.0 - share, slow, slow_hz), (share, fast, fast_hz)]),
-                );
-                assert_eq!(found, Verdict::Grows, "{slow_hz} and {fast_hz} Hz, {share} of it fast");
-                let found = verdict_of_samples(
-                    DT,
-                    100.0,
-                    1.0 / slow_hz,
-                    1e-7,
-                    modes(&[(1.0 - share, -slow, slow_hz), (share, -fast, fast_hz)]),
-                );
-                assert_eq!(found, Verdict::Decays, "{slow_hz} and {fast_hz} Hz, {share} of it fast");
+                for (sign, expected) in [(1.0, Verdict::Grows), (-1.0, Verdict::Decays)] {
+                    let both = [(1.0 - share, sign * slow, slow_hz), (share, sign * fast, fast_hz)];
+                    let found = verdict_of_samples(DT, 100.0, 1.0 / slow_hz, 1e-7, modes(&both));
+                    assert_eq!(found, expected, "{slow_hz} and {fast_hz} Hz, {share} of it fast");
+                }
             }
         }
     }
@@ -434,8 +421,7 @@ mod tests {
 
     #[test]
     fn a_slow_and_a_fast_decaying_mode_are_no_vibration() {
-        // The WoodenHaptics with cables of 400 Hz at 20 kHz, a tenth below its limit: the wall at 57 Hz and the cables at
-        // 472 Hz decay at different rates.
+        // WoodenHaptics with 400 Hz cables at 20 kHz, a tenth below its limit: modes at 57 Hz and 472 Hz.
         let at = |quantum: f64, share: f64, phase: f64, slow: f64, fast: f64| {
             let motion = move |t: f64| {
                 let ripple = share * (fast * t).exp() * (TAU * (472.0 * t + phase)).cos();
@@ -460,39 +446,34 @@ mod tests {
 
     #[test]
     fn an_initial_fast_ripple_is_no_growth_of_a_slow_mode() {
-        // A wall of 2 kN/m on the shipped Phantom with cables of 400 Hz, sampled at 5 kHz: stable up to 8.4 kN/m.
+        // A wall of 2 kN/m on the shipped Phantom with 400 Hz cables at 5 kHz, stable up to 8.4 kN/m.
         let mut swing = Swing::new(2e-4, 200.0, (0.03, true), 3e-7, 1.4e-4);
         let position = |t: f64| {
             let slow = 7e-5 * (-25.0 * t).exp() * (TAU * 32.5 * t).cos();
             slow + 5e-6 * (-70.0 * t).exp() * (TAU * 433.0 * t).cos()
         };
-        let verdict = (0..10_000).find_map(|k| swing.take(position(2e-4 * f64::from(k))));
+        let verdict = (0..10_000).find_map(|k| swing.add_position(position(2e-4 * f64::from(k))));
         assert_eq!(verdict, Some(Verdict::Decays));
     }
 
     #[test]
     fn the_beat_of_two_fast_modes_is_not_growth() {
         for (a, b) in [(-3.0, -4.0), (-10.0, -20.0), (-20.0, -70.0)] {
-            let found = verdict_of_samples(
-                DT,
-                100.0,
-                1.0 / 40.0,
-                1e-7,
-                modes(&[(0.5, -5.0, 40.0), (0.25, a, 170.0), (0.22, b, 164.0)]),
-            );
+            let all = [(0.5, -5.0, 40.0), (0.25, a, 170.0), (0.22, b, 164.0)];
+            let found = verdict_of_samples(DT, 100.0, 1.0 / 40.0, 1e-7, modes(&all));
             assert_eq!(found, Verdict::Decays, "{a} {b}");
         }
     }
 
     #[test]
     fn a_mode_far_below_the_cutoff_is_judged() {
-        // Such a mode comes from a washout of 2 Hz with a cutoff of 100 Hz.
+        // A washout of 2 Hz causes this mode; the cutoff is 100 Hz.
         for (grows, verdict) in [(-2.0, Verdict::Decays), (-0.5, Verdict::Decays), (0.3, Verdict::Grows)] {
             assert_eq!(verdict_at_cutoff(100.0, 1e-7, modes(&[(1.0, grows, 6.0)])), verdict, "{grows}");
         }
     }
 
-    /// Returns a swing that grows, with a slow return to the wall.
+    /// Returns a growing swing with a slow return to the wall.
     fn growing_swing(per_second: f64, drift: f64) -> impl Fn(f64) -> f64 {
         move |t| 1e-3 * (per_second * t).exp() * (70.0 * t).sin() + drift * (-2.0 * t).exp()
     }
@@ -516,7 +497,7 @@ mod tests {
 
     #[test]
     fn a_swing_of_constant_size_is_a_vibration() {
-        // The size is constant from the start, falls from three times, or rises from nine tenths of its final value.
+        // The size is constant, falls from three times, or rises from nine tenths of its final value.
         for begin in [0.0, 2.0, -0.1] {
             let verdict = verdict_on(2e-5, |t| 3e-4 * (1.0 + begin * (-6.0 * t).exp()) * (70.0 * t).sin());
             let Verdict::Vibrates(size) = verdict else { panic!("{begin}: {verdict:?}") };
@@ -534,7 +515,7 @@ mod tests {
         }
     }
 
-    /// Returns the describing function of a quantiser by its definition: the first harmonic of a quantised sine.
+    /// Returns the describing function of a quantiser, computed from the first harmonic of a quantised sine.
     fn describing_function(amplitude: f64) -> f64 {
         let parts = 20_000;
         let sum: f64 = (0..parts)

@@ -1,27 +1,25 @@
-//! The walls of a measurement's scene: the tested walls, two walls that pull the tip aside, and one wall for every
-//! direction across the pull. Between trials a single tested wall also holds the tip; for several tested walls the
-//! scene has one more wall that does.
-
-use haptic_bridge::render::scene::{FeedForward, MAX_WALLS, Plane, Posture, Scene, Surface, VelocityTerms, Wall};
-use nalgebra::DVector;
+//! Walls in a measurement's scene: the tested walls, two that pull the tip aside, and one per direction across the
+//! pull. Between trials a single tested wall also holds the tip; several tested walls need an additional wall.
 
 use super::{MeasureError, MeasurementSetup};
+use haptic_bridge::render::scene::{FeedForward, MAX_WALLS, Plane, Posture, Scene, Surface, VelocityTerms, Wall};
 use haptic_host::vectors::padded;
 use haptic_stability::analysis::pose::unit_normal;
+use nalgebra::DVector;
 
-/// Distance between the wall that holds the tip and each wall that pulls it aside, m; longer than any pull.
-pub const APART: f64 = 0.01;
+/// Distance from the wall that holds the tip to each wall that pulls it aside, m. It exceeds every pull.
+pub const ASIDE_DISTANCE: f64 = 0.01;
 /// Longest pull, m.
-pub const LONGEST_PULL: f64 = 0.5 * APART;
+pub const LONGEST_PULL: f64 = 0.5 * ASIDE_DISTANCE;
 
-/// Indices of the walls that hold the tip. The tested walls come first in the scene; a single one also holds the tip.
+/// Indices of the walls that hold the tip. They follow the tested walls; a single tested wall also holds the tip.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Layout {
-    /// The wall at the position of the tip, normal to the pulls.
+    /// Wall at the position of the tip, normal to the pulls.
     pub hold: u8,
-    /// The walls at +[`APART`] and -[`APART`] from there.
+    /// Walls at +[`ASIDE_DISTANCE`] and -[`ASIDE_DISTANCE`] from the tip's position.
     pub aside: [u8; 2],
-    /// The first wall for the directions across the pull.
+    /// First wall of the directions across the pull.
     pub across: u8,
 }
 
@@ -32,8 +30,7 @@ impl Layout {
     }
 }
 
-/// Returns the maximum number of walls that can be tested together on a device of `task` dimensions: the maximum of a
-/// scene minus the walls that hold the tip.
+/// Returns the maximum number of walls that can be tested together: those of a scene minus the holding walls.
 #[must_use]
 pub fn most_tested(task: usize) -> usize {
     MAX_WALLS - 2 - task
@@ -56,8 +53,7 @@ pub fn complement(normal: &DVector<f64>) -> Vec<DVector<f64>> {
     }
 }
 
-/// Returns true if a measurement made this scene: bilateral planes, two of them at +[`APART`] and -[`APART`] from the
-/// first.
+/// Returns true if a measurement made this scene: bilateral planes, two at ±[`ASIDE_DISTANCE`] from another.
 #[must_use]
 pub fn is_measurement(scene: &Scene<f32>) -> bool {
     let plane = |wall: &Wall<f32>| match wall.surface {
@@ -73,13 +69,12 @@ pub fn is_measurement(scene: &Scene<f32>) -> bool {
     };
     scene.springs.is_empty()
         && scene.field_damping == 0.0
-        && planes
-            .windows(2)
-            .any(|pair| pair[0].normal == pair[1].normal && apart(&pair[0], APART) && apart(&pair[1], -APART))
+        && planes.windows(2).any(|pair| {
+            pair[0].normal == pair[1].normal && apart(&pair[0], ASIDE_DISTANCE) && apart(&pair[1], -ASIDE_DISTANCE)
+        })
 }
 
-/// Returns the scene of a measurement at `q` (rad), with all gains 0, for pulls along `direction`; `across` are the other
-/// directions.
+/// Returns the scene of a measurement at `q` (rad), for pulls along `direction`, with all gains 0.
 pub fn scene(
     setup: &MeasurementSetup,
     q: &[f64],
@@ -109,7 +104,7 @@ pub fn scene(
     if layout.hold > 0 {
         places.push((tip.clone(), direction.clone()));
     }
-    places.extend([APART, -APART].map(|apart| (tip + direction * apart, direction.clone())));
+    places.extend([ASIDE_DISTANCE, -ASIDE_DISTANCE].map(|apart| (tip + direction * apart, direction.clone())));
     places.extend(across.iter().map(|other| (tip.clone(), other.clone())));
     let single = |v: &DVector<f64>| padded::<3>(v.as_slice()).map(|v| v as f32);
     for (point, normal) in &places {

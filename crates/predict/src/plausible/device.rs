@@ -18,26 +18,25 @@ use nalgebra::{DMatrix, DVector, SVector};
 
 /// Density of steel, kg/m³.
 const STEEL_DENSITY: f64 = 7850.0;
-/// Lengths of links of desktop devices and exoskeletons, m.
+/// Plausible lengths of links, m, from desktop devices to exoskeletons.
 const LINK_LENGTHS_M: (f64, f64) = (1e-3, 3.0);
-/// Inertia of 20 kg at 10 cm, kg m²: a larger rotor and gear belong to a machine tool.
+/// Smallest implausible joint inertia, kg m²: that of 20 kg at 10 cm, typical of machine tools.
 const IMPLAUSIBLE_JOINT_INERTIA: f64 = 0.2;
-/// Fewest plausible counts per turn at the joint. A smaller number is probably lines, before x4 decoding and the ratio:
-/// encoders of devices that render a wall have at least 700 counts.
+/// Fewest plausible counts per turn at the joint. A smaller number is probably lines before x4 decoding and the gear
+/// ratio; encoders of devices that render walls have at least 700 counts.
 const LEAST_COUNTS: f64 = 600.0;
-/// Largest plausible ratio of resistance times inertia to the torque constant squared, s. A gear ratio does not change
-/// it. Motors have 2 to 30 ms; if only the torque constant lacks the gear ratio, the value is larger by the ratio
-/// squared.
-const MOTOR_SECONDS: f64 = 0.25;
-/// Largest plausible angle by which a motor winds up its transmission, rad: cables and belts wind up by hundredths.
+/// Largest plausible resistance times inertia over the torque constant squared, s. Motors have 2 to 30 ms whatever the
+/// gear. The value is too large by the ratio squared if only the torque constant lacks the gear ratio.
+const LARGEST_MOTOR_TIME_S: f64 = 0.25;
+/// Largest plausible twist of a transmission by its motor, rad. Cables and belts twist by hundredths.
 const LARGEST_WIND_UP: f64 = 0.1;
-/// Largest plausible voltage of resistance times largest current, V; the boards take up to 56 V.
+/// Largest plausible product of resistance and largest current, V. The boards take up to 56 V.
 const LARGEST_SUPPLY_V: f64 = 120.0;
-/// Smallest implausible inductance, H: windings of desktop motors have 0.01 to 10 mH.
+/// Smallest implausible inductance, H. Windings of desktop motors have 0.01 to 10 mH.
 const IMPLAUSIBLE_INDUCTANCE: f64 = 0.1;
-/// Force that exceeds what a hand can hold, N.
+/// Force that no hand can hold, N.
 const LARGEST_FORCE_N: f64 = 500.0;
-/// Sine of the singular angle at home below which a device can hardly work there.
+/// Sine of the singular angle at home below which a device can hardly push.
 const HOME_SINE: f64 = 0.02;
 
 fn key(table: &'static str, index: Option<usize>, part: &'static str, name: &'static str) -> Key {
@@ -72,7 +71,7 @@ pub fn file_warnings(file: &DeviceFile) -> Vec<FileWarning> {
     warnings
 }
 
-/// Warns if the file leaves out the compliance between motor and link, which decides how stiff a wall can be.
+/// Warns if the file does not state the compliance between motor and link, which limits the stiffness of walls.
 fn missing_transmission(description: &Description) -> Option<FileWarning> {
     let joints = &description.joints[..description.kind.spec().joints];
     let is_unspecified = |joint: &Joint| joint.motor.is_some() && joint.transmission.is_none() && !joint.rigid;
@@ -91,12 +90,11 @@ fn missing_transmission(description: &Description) -> Option<FileWarning> {
     Some(FileWarning::new(key("joint", Some(first), "", "transmission"), text))
 }
 
-/// Returns the length of the mechanism's longest link, m.
 fn longest(description: &Description) -> f64 {
     named_lengths(description).map(|(_, length)| length).fold(0.0, f64::max)
 }
 
-/// Returns the lengths of the geometry with their keys, without signs such as `assembly`.
+/// Returns the lengths of the geometry with their keys, without the sign `assembly`.
 fn named_lengths(description: &Description) -> impl Iterator<Item = (&'static str, f64)> + '_ {
     let keys = description.kind.spec().geometry.iter().flat_map(|(key, count)| (0..*count).map(move |_| *key));
     keys.zip(description.geometry).filter(|(key, _)| *key != "assembly")
@@ -105,7 +103,7 @@ fn named_lengths(description: &Description) -> impl Iterator<Item = (&'static st
 fn length_warnings(description: &Description) -> Vec<FileWarning> {
     let mut warnings: Vec<FileWarning> = Vec::new();
     for (name, length) in named_lengths(description) {
-        // The base may be zero: two motors may share an axis.
+        // The base may be zero because two motors may share an axis.
         let short = length < LINK_LENGTHS_M.0 && name != "base";
         let at = key("geometry", None, "", name);
         if (short || length > LINK_LENGTHS_M.1) && warnings.iter().all(|warning| warning.key != Some(at)) {
@@ -133,7 +131,7 @@ fn too_heavy(at: Key, place: &str, mass: f64, heaviest: f64) -> FileWarning {
     FileWarning::new(at, text)
 }
 
-/// Warns of values that no body of this mass and length can have.
+/// Warns of values that no body of this mass and length has.
 fn link_warnings(link: &Link, index: usize, place: &str, longest: f64, heaviest: f64) -> Vec<FileWarning> {
     let at = |name| key("link", Some(index), "", name);
     let mut warnings = Vec::new();
@@ -148,7 +146,7 @@ fn link_warnings(link: &Link, index: usize, place: &str, longest: f64, heaviest:
         );
         warnings.push(FileWarning::new(at("com"), text));
     }
-    // Zero stands for a point mass.
+    // A link with an inertia of zero is a point mass.
     if link.mass == 0.0 || link.inertia == 0.0 {
         return warnings;
     }
@@ -171,7 +169,7 @@ fn link_warnings(link: &Link, index: usize, place: &str, longest: f64, heaviest:
         );
         warnings.push(FileWarning::new(at("inertia"), text));
     }
-    // About the perpendicular axes of any body, no inertia exceeds the sum of the other two.
+    // No body has an inertia that exceeds the sum of the inertias about the two perpendicular axes.
     let three = [link.inertia, link.inertia_axial, link.inertia_transverse];
     let sum: f64 = three.iter().sum();
     if three.iter().any(|one| *one > 1.01 * (sum - one)) {
@@ -221,7 +219,7 @@ fn joint_warnings(joint: &Joint, index: usize, kind: Kind) -> Vec<FileWarning> {
     warnings
 }
 
-/// Warns of a `max_current` that the supply or the board cannot drive.
+/// Warns of a `max_current` that the supply cannot drive through the motor.
 fn current_shortfall(file: &DeviceFile, index: usize) -> Option<FileWarning> {
     let motor = file.description.joints[index].motor?;
     let (volts, supply) = (motor.resistance * motor.max_current, PowerStage::default().bus_voltage);
@@ -244,7 +242,7 @@ fn current_shortfall(file: &DeviceFile, index: usize) -> Option<FileWarning> {
     Some(FileWarning::new(key("joint", Some(index), "motor", "max_current"), text))
 }
 
-/// Warns of implausible motor values. `carries_body`: the joint's inertia includes more than the motor's.
+/// Warns of implausible motor values. `carries_body` is true if the joint's inertia includes more than the motor's.
 fn motor_warnings(joint: &Joint, index: usize, joints: usize, carries_body: bool) -> Vec<FileWarning> {
     let mut warnings = Vec::new();
     let mut warning =
@@ -271,7 +269,7 @@ fn motor_warnings(joint: &Joint, index: usize, joints: usize, carries_body: bool
         warning("motor", "inductance", text);
     }
     let seconds = motor.resistance * joint.inertia / motor.torque_constant.powi(2);
-    if seconds > MOTOR_SECONDS && !carries_body {
+    if seconds > LARGEST_MOTOR_TIME_S && !carries_body {
         let text = format!(
             "`torque_constant` of joint {index}, {} N m/A, takes {seconds:.1} s to speed up its own rotor (resistance times \
              inertia over its square), and motors take hundredths: write the motor's constant times the gear ratio, and as \
@@ -309,8 +307,7 @@ fn motor_warnings(joint: &Joint, index: usize, joints: usize, carries_body: bool
     warnings
 }
 
-/// Warns of angles in degrees at home, a singular home pose, motors too weak to hold the device up, and excessive
-/// force.
+/// Warns of angles in degrees, a singular pose, motors too weak for the device's weight, and excessive force at home.
 fn home_warnings(description: &Description) -> Vec<FileWarning> {
     let joints = description.kind.spec().joints;
     let at = key("home", None, "", "q");
@@ -363,7 +360,7 @@ fn arms_cross(description: &Description, q: &[f64]) -> bool {
         _ => return false,
     };
     let [base, first, second, ..] = description.geometry;
-    // Elbows relative to the left motor. Arms on one axis do not cross.
+    // Elbow positions relative to the left motor. Arms on one axis do not cross.
     let (c, d) = ((first * q[0].cos(), first * q[0].sin()), (base + second * q[1].cos(), second * q[1].sin()));
     let cross_product =
         |p: (f64, f64), q: (f64, f64), r: (f64, f64)| (q.0 - p.0) * (r.1 - p.1) - (q.1 - p.1) * (r.0 - p.0);
@@ -372,7 +369,7 @@ fn arms_cross(description: &Description, q: &[f64]) -> bool {
     base > 0.0 && apart(a, c, b, d) && apart(b, d, a, c)
 }
 
-/// Returns the joint torques that hold the device up, N m.
+/// Returns the joint torques that carry the device's weight, N m.
 pub(crate) fn weight(device: &Device<f64>, q: &[f64]) -> Vec<f64> {
     fn of<const N: usize, M: Mechanism<f64, N>>(m: &M, q: &[f64]) -> Vec<f64> {
         m.gravity(&m.pose::<Libm>(&SVector::<f64, N>::from_column_slice(q))).iter().copied().collect()
@@ -380,12 +377,11 @@ pub(crate) fn weight(device: &Device<f64>, q: &[f64]) -> Vec<f64> {
     with_mechanism!(&device.mechanism, m => of(m, q))
 }
 
-/// Returns the largest force of the motors at a pose along their weakest and strongest direction, N. The force is along
-/// that direction only: on a redundant device without a moment on the tip.
+/// Returns the largest force of the motors at a pose along their weakest and their strongest direction, N. The force
+/// acts only along this direction; a redundant device makes no moment at the tip.
 ///
-/// Forces f with |Jᵀ f| within the motors' torques fill a polytope. Its nearest boundary point lies on a face, one pair
-/// of faces per joint. Its farthest is a corner, where as many joints as there are directions give their largest
-/// torque.
+/// Forces f with |Jᵀ f| within the motors' torques fill a polytope. Its nearest boundary point is on one of the joints'
+/// faces. Its farthest is a corner, at which as many joints as directions give their largest torque.
 pub fn force_at(device: &Device<f64>, pose: &TaskPose) -> Option<(f64, f64)> {
     let jacobian = pose.jacobian.rows(0, pose.task);
     let motors = device.joints.iter().take(jacobian.ncols()).map(|joint| joint.motor);

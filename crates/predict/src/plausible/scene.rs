@@ -1,5 +1,4 @@
-//! Warnings about a scene on a device: walls out of reach, beyond their stable range or beyond the motors, springs and
-//! fields beyond what is stable at home.
+//! Warnings about a scene on a device: walls, springs and fields that it cannot reach or render stably.
 
 use super::{FileWarning, Key};
 use crate::bench::probe::on_surface;
@@ -23,7 +22,7 @@ use haptic_stability::analysis::map::Reachable;
 use haptic_stability::analysis::oscillation::Oscillation;
 use haptic_stability::analysis::plant::Linearised;
 use haptic_stability::analysis::pose::TaskPose;
-use haptic_stability::analysis::prediction::{Prediction, Subject, printed};
+use haptic_stability::analysis::prediction::{Prediction, Subject, round_as_printed};
 use haptic_stability::analysis::range::{COSTLY_RATIO, lower_corner, oscillation, stiffness_at};
 use haptic_stability::analysis::sampled::{AnalysisError, Mode};
 use haptic_stability::analysis::several::Member;
@@ -31,74 +30,71 @@ use nalgebra::{DVector, SVector};
 use serde::Serialize;
 use std::convert::Infallible;
 
-/// Hand speed (m/s) at which a wall's damping alone should not need all of the motors' torque.
-const SLOW_HAND: f64 = 0.1;
-/// Change of a wall's force by one encoder count above which it buzzes, N: its ripple is about half of that, root mean
-/// square (docs/encoder-steps.md).
+/// Hand speed at which a wall's damping alone should not need all of the motors' torque, m/s.
+const SLOW_HAND_SPEED: f64 = 0.1;
+/// Largest force change by one count without a warning, N. Its ripple is half of it (docs/encoder-steps.md).
 const BUZZ_N: f64 = 1.0;
-/// Stiffness too small to be felt, N/m.
+/// Largest stiffness that a hand cannot feel, N/m.
 const IMPERCEPTIBLE_STIFFNESS: f64 = 1.0;
-/// Grid poses per joint, by number of joints.
-const PER_JOINT: [usize; 3] = [400, 60, 16];
-/// Limits of a wall where the tip touches it.
+/// Number of grid poses per joint, by number of joints.
+const POSES_PER_JOINT: [usize; 3] = [400, 60, 16];
+/// Limits of a wall at the pose in which the tip touches it.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Contact {
     /// Index of the wall, from 0.
     pub wall: usize,
-    /// Pose of the device on the wall, rad.
+    /// Pose of the device with the tip on the wall, rad.
     pub q: Vec<f64>,
     /// Normal of the wall at that pose.
     pub normal: Vec<f64>,
     /// Stiffness of the wall, N/m.
     pub stiffness: f64,
-    /// Largest stiffness that is predicted stable with the damping and feed-forward of this wall, N/m.
+    /// Largest stiffness that is predicted stable with the wall's damping and feed-forward, N/m.
     pub stable_to: f64,
-    /// The same without the feed-forward, N/m; `None` if the wall has none.
+    /// Largest stiffness that is predicted stable without the feed-forward, N/m; `None` if the wall has none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub off_to: Option<f64>,
-    /// Stiffness that a hand at the tip feels at rest at `stable_to`, N/m; `None` if no transmission is compliant.
+    /// Stiffness that a hand feels at rest at `stable_to`, N/m; `None` if no transmission is compliant.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub felt_to: Option<f64>,
-    /// The same for the stiffness of this wall, N/m.
+    /// Stiffness that a hand feels at rest at the wall's own stiffness, N/m; `None` if no transmission is compliant.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub felt: Option<f64>,
-    /// Largest damping with which any stiffness is stable, N s/m.
+    /// Largest damping at which any stiffness is stable, N s/m.
     pub damping_to: f64,
-    /// The same limits in a hand; `None` if they are not predicted, as with compensated damping.
+    /// Limits in a hand; `None` if they are not predicted, for example with compensated damping.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub in_hand: Option<InHand>,
-    /// Frequency at which this wall oscillates in that hand, Hz; for a stable wall, the frequency just beyond the
-    /// boundary.
+    /// Frequency at which the wall, or a stiffer one if it is stable, oscillates in the hand, Hz.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub hz: Option<f64>,
-    /// Growing oscillation with this wall's gains in that hand; `None` if none grows.
+    /// Growing oscillation of the wall in the hand; `None` if no oscillation grows.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub buzz: Option<Oscillation>,
     /// Largest force of the motors along the normal, N; `None` if a joint has no motor.
     pub force: Option<f64>,
-    /// Motion of the tip along the normal per encoder count, m.
+    /// Tip motion along the normal per encoder count, m.
     pub count: f64,
-    /// Largest force of a single count with this wall's gains and this scene's estimator, N.
+    /// Largest force change by one encoder count with the wall's gains and the scene's estimator, N.
     pub step_n: f64,
-    /// Root mean square of the force above 20 Hz under a hand that slides along the wall, simulated, N; `None` if it
-    /// was not simulated ([`simulate_ripple`]) or the tip flies off.
+    /// Simulated rms force above 20 Hz under a sliding hand, N; `None` without [`simulate_ripple`].
     #[serde(skip_serializing_if = "Option::is_none")]
     pub ripple_n: Option<f64>,
-    /// Options with which `haptic range DEVICE` predicts the same limits.
+    /// Options with which `haptic range DEVICE` predicts these limits.
     pub options: String,
-    /// True if the device was read from a board, which does not know its compliant parts.
+    /// True if the device comes from a board, which does not know its compliant parts.
     #[serde(skip)]
-    pub taken_for_rigid: bool,
+    pub is_assumed_rigid: bool,
 }
 
-/// Limits of a wall with a hand on the tip: behind cables a hand may reduce them.
+/// Limits of a wall with a hand at the tip. A hand may reduce the limits of a device with cables.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct InHand {
     /// Mass (kg), damping (N s/m) and stiffness (N/m) of the hand.
     pub hand: [f64; 3],
-    /// Largest stable stiffness in that hand, as [`Contact::stable_to`], N/m.
+    /// Largest stable stiffness in the hand, N/m.
     pub stable_to: f64,
-    /// Largest damping in that hand, as [`Contact::damping_to`], N s/m.
+    /// Largest damping in the hand at which any stiffness is stable, N s/m.
     pub damping_to: f64,
 }
 
@@ -109,29 +105,28 @@ impl core::fmt::Display for InHand {
     }
 }
 
-/// Returns the default hand of predictions: that of `haptic sim --hand loop`.
+/// Returns the default hand of predictions, which `haptic sim --hand loop` simulates.
 #[must_use]
-pub fn usual_hand() -> Hand {
+pub fn default_hand() -> Hand {
     let HandSettings { mass, grip_damping, grip_stiffness, .. } = HandSettings::default();
     Hand { mass, damping: grip_damping, stiffness: grip_stiffness }
 }
 
-/// Returns all warnings about a scene, and the limits of each wall where the device touches it, on a board with the
-/// usual torque path.
+/// Returns all warnings about a scene, and the limits of each wall at the pose in which the tip touches it.
 pub fn file_warnings(subject: &Subject, scene: &Scene<f64>) -> (Vec<FileWarning>, Vec<Contact>) {
     let (mut warnings, mut contacts) = (Vec::new(), Vec::new());
     let (device, path) = (&subject.device, TorquePath::usual(scene.rate_hz));
     for (index, wall) in scene.walls.iter().enumerate() {
         match first_touch(device, &wall.surface) {
             FirstTouch::At(q, normal) => {
-                let Some(contact) = meets(subject, scene, index, &q, &normal, &path) else {
-                    warnings.extend(without_prediction(subject, index, wall));
+                let Some(contact) = contact_limits(subject, scene, index, &q, &normal, &path) else {
+                    warnings.extend(unpredicted_warning(subject, index, wall));
                     continue;
                 };
-                warnings.extend(beyond(wall, &contact, true));
+                warnings.extend(gain_warnings(wall, &contact, true));
                 warnings.extend(soft_wall_warning(device, wall, &contact));
                 warnings.extend(buzz_warning(scene, &contact));
-                warnings.extend(costly_washout(subject, scene, &path, &contact));
+                warnings.extend(washout_warning(subject, scene, &path, &contact));
                 contacts.push(contact);
             }
             FirstTouch::Never(nearest) => warnings.push(reach_warning(index, &wall.surface, nearest)),
@@ -143,15 +138,15 @@ pub fn file_warnings(subject: &Subject, scene: &Scene<f64>) -> (Vec<FileWarning>
     (warnings, contacts)
 }
 
-/// Warns of a wall on a compliant device whose feed-forward compensates damping: its stability is not predicted.
-fn without_prediction(subject: &Subject, index: usize, wall: &Wall<f64>) -> Option<FileWarning> {
+/// Warns that stability is not predicted because the wall compensates damping on a compliant device.
+fn unpredicted_warning(subject: &Subject, index: usize, wall: &Wall<f64>) -> Option<FileWarning> {
     let shaped = wall.damping_compensation && wall.feed_forward != FeedForward::Off;
     let text = format!("the stability of wall {index} is not predicted: {}", AnalysisError::CompensatedFlexible);
     let key = Key { table: "wall", index: Some(index), part: "", name: "damping_compensation" };
     (shaped && subject.is_flexible()).then(|| FileWarning::new(key, text))
 }
 
-/// Warns of springs and fields beyond what is stable at home in the direction in which the device is lightest.
+/// Warns of springs and fields that are unstable at home along the direction of the smallest inertia.
 fn home_warnings(subject: &Subject, scene: &Scene<f64>, path: &TorquePath) -> Option<Vec<FileWarning>> {
     let device = &subject.device;
     let spec = device.mechanism.kind().spec();
@@ -189,7 +184,7 @@ fn home_warnings(subject: &Subject, scene: &Scene<f64>, path: &TorquePath) -> Op
     Some(warnings)
 }
 
-/// Warns of a posture that the device cannot hold, or whose spring is unstable when sampled.
+/// Warns of a posture that the device cannot hold, or whose sampled spring is unstable.
 fn posture_warning(subject: &Subject, scene: &Scene<f64>, path: &TorquePath) -> Option<FileWarning> {
     let (device, posture) = (&subject.device, scene.posture?);
     let key = |name| Key { table: "posture", index: None, part: "", name };
@@ -206,7 +201,7 @@ fn posture_warning(subject: &Subject, scene: &Scene<f64>, path: &TorquePath) -> 
     let unit_motion = pose.inverse.column(spec.joints - 1).into_owned();
     let row = pose.jacobian.row(spec.joints - 1).transpose();
     let viscous = DVector::from_fn(spec.joints, |i, _| device.joints[i].viscous);
-    let flexible = Flexible { normal: DVector::zeros(spec.task), ..subject.gives() };
+    let flexible = Flexible { normal: DVector::zeros(spec.task), ..subject.compliant_parts() };
     let turning = Linearised { mass: pose.mass, viscous, row, unit_motion, gain: 1.0, flexible };
     let around = Prediction::in_scene(subject, scene, None, path)?.around;
     let (stable_to, damping_to) = stiffness_at(&turning, &around, Mode::Off, posture.damping).ok()?;
@@ -226,9 +221,9 @@ fn posture_warning(subject: &Subject, scene: &Scene<f64>, path: &TorquePath) -> 
     Some(FileWarning::new(key(name), text))
 }
 
-/// Returns the limits of wall `index` of a scene at a pose, through this torque path. `None` at a singularity, with an
-/// estimator that has no linear analysis, and with compensated damping on a compliant device.
-pub fn meets(
+/// Returns the limits of wall `index` of a scene at a pose, with this torque path. Returns `None` at a singularity, for
+/// an estimator without linear analysis, and for compensated damping on a compliant device.
+pub fn contact_limits(
     subject: &Subject,
     scene: &Scene<f64>,
     index: usize,
@@ -238,19 +233,19 @@ pub fn meets(
 ) -> Option<Contact> {
     let (device, wall) = (&subject.device, scene.walls.get(index)?);
     // Round the values as the options print them.
-    let rounded = |values: &[f64]| values.iter().map(|value| printed(*value)).collect::<Vec<_>>();
+    let rounded = |values: &[f64]| values.iter().map(|value| round_as_printed(*value)).collect::<Vec<_>>();
     let (q, normal) = (rounded(q), rounded(normal));
     let pose = TaskPose::of(&device.mechanism, &q).ok()?.regular().ok()?;
     let prediction = Prediction::in_scene(subject, scene, Some(wall), path)?;
     let mode = Mode::of(wall.feed_forward, wall.washout_hz);
-    let linearised = prediction.seen(&q, &normal).ok()?;
+    let linearised = prediction.linearise(&q, &normal).ok()?;
     let (stable_to, damping_to) = stiffness_at(&linearised, &prediction.around, mode, wall.damping).ok()?;
     let off_to = match mode {
         Mode::Off => None,
         _ => stiffness_at(&linearised, &prediction.around, Mode::Off, wall.damping).ok().map(|(off_to, _)| off_to),
     };
-    let hand = usual_hand();
-    let held = linearised.clone().held(hand);
+    let hand = default_hand();
+    let held = linearised.clone().with_hand(hand);
     let in_hand = stiffness_at(&held, &prediction.around, mode, wall.damping).ok().map(|(stable_to, damping_to)| {
         InHand { hand: [hand.mass, hand.damping, hand.stiffness], stable_to, damping_to }
     });
@@ -258,7 +253,7 @@ pub fn meets(
         let swing = oscillation(&held, &prediction.around, mode, stiffness, wall.damping).ok().flatten();
         swing.filter(Oscillation::grows)
     };
-    // Just beyond the boundary, where the oscillation grows.
+    // Use a stiffness just beyond the boundary, where the oscillation grows.
     let beyond = in_hand.map_or(0.0, |held| 1.001 * held.stable_to);
     let count = count_along(device, &pose, &normal);
     let estimator = prediction.around.estimator;
@@ -282,35 +277,34 @@ pub fn meets(
         step_n: count * (wall.stiffness + wall.damping * estimator.peak_step_response(scene.rate_hz)),
         ripple_n: None,
         options: format!("{options} --kd {}", wall.damping),
-        taken_for_rigid: subject.joints.is_none(),
+        is_assumed_rigid: subject.joints.is_none(),
         q,
         normal,
     })
 }
 
-/// Returns the largest motion of the tip along a normal per encoder count, m.
+/// Returns the largest tip motion along a normal per encoder count, m.
 pub fn count_along(device: &Device<f64>, pose: &TaskPose, normal: &[f64]) -> f64 {
     let per_radian = pose.jacobian.tr_mul(&padded_to(pose.jacobian.nrows(), normal));
     let moved = per_radian.iter().zip(&device.joints).map(|(move_, joint)| (move_ * joint.radians_per_count).abs());
     moved.fold(0.0, f64::max)
 }
 
-/// Gains beyond which a wall can only be on or off, at a pose and within a board's limits.
+/// Gains above which a wall can only be on or off, at a pose and within a board's limits.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LargestGains {
-    /// Stiffness at which one encoder count needs the full force, N/m.
+    /// Stiffness at which one encoder count needs the largest force, N/m.
     pub stiffness: f64,
-    /// Damping at which a hand at 1 cm/s needs the full force, N s/m.
+    /// Damping at which a hand at 1 cm/s needs the largest force, N s/m.
     pub damping: f64,
-    /// Largest force that motors and limits allow along the normal, N.
+    /// Largest force along the normal that motors and limits allow, N.
     pub force: f64,
 }
 
-/// Speed of a hand that hardly moves, m/s.
+/// Speed of a hand that barely moves, m/s.
 const CREEP_SPEED: f64 = 0.01;
 
-/// Returns the largest useful gains of a wall that is touched at joint angles `q` (rad). `None` at a singularity, or if
-/// a joint has no motor.
+/// Returns the largest useful gains of a wall at `q` (rad); `None` at a singularity or without a motor.
 pub fn largest_gains(device: &Device<f64>, surface: &Surface<f64>, q: &[f64], limits: &Limits) -> Option<LargestGains> {
     let pose = TaskPose::of(&device.mechanism, q).ok()?.regular().ok()?;
     let tip = SVector::from(padded::<3>(&pose.position));
@@ -327,19 +321,24 @@ pub fn largest_gains(device: &Device<f64>, surface: &Surface<f64>, q: &[f64], li
     Some(LargestGains { stiffness, damping: force / CREEP_SPEED, force })
 }
 
-/// Returns the limits of wall `index` of a scene as if it were touched at this pose.
-pub fn at(subject: &Subject, scene: &Scene<f64>, index: usize, q: &[f64], path: &TorquePath) -> Option<Contact> {
+/// Returns the limits of wall `index` of a scene as if the tip touched it at this pose.
+pub fn contact_limits_at(
+    subject: &Subject,
+    scene: &Scene<f64>,
+    index: usize,
+    q: &[f64],
+    path: &TorquePath,
+) -> Option<Contact> {
     let pose = TaskPose::of(&subject.device.mechanism, q).ok()?;
     let tip = SVector::from(padded::<3>(&pose.position));
     let normal = scene.walls.get(index)?.surface.contact::<Libm, 3>(&tip).normal;
-    meets(subject, scene, index, q, &normal.as_slice()[..pose.task], path)
+    contact_limits(subject, scene, index, q, &normal.as_slice()[..pose.task], path)
 }
 
-/// Warns of a wall's gains beyond what the loop or the motors can render. `in_file`: the warnings have a place in a
-/// scene file.
-pub fn beyond(wall: &Wall<f64>, contact: &Contact, in_file: bool) -> Vec<FileWarning> {
+/// Warns of gains that the loop or the motors cannot render. `in_file` is true for a wall in a scene file.
+pub fn gain_warnings(wall: &Wall<f64>, contact: &Contact, in_file: bool) -> Vec<FileWarning> {
     let index = contact.wall;
-    let rigid = if contact.taken_for_rigid { ", if the device is rigid" } else { "" };
+    let rigid = if contact.is_assumed_rigid { ", if the device is rigid" } else { "" };
     let warning = |name: &'static str, text: String| FileWarning {
         key: in_file.then_some(Key { table: "wall", index: Some(index), part: "", name }),
         text,
@@ -401,10 +400,10 @@ pub fn beyond(wall: &Wall<f64>, contact: &Contact, in_file: bool) -> Vec<FileWar
         );
         warnings.push(warning("stiffness", text));
     }
-    if wall.damping * SLOW_HAND > force {
+    if wall.damping * SLOW_HAND_SPEED > force {
         let text = format!(
-            "the damping of wall {index} needs {} at {SLOW_HAND} m/s, but the motors have {} there",
-            with_unit(wall.damping * SLOW_HAND, "N"),
+            "the damping of wall {index} needs {} at {SLOW_HAND_SPEED} m/s, but the motors have {} there",
+            with_unit(wall.damping * SLOW_HAND_SPEED, "N"),
             with_unit(force, "N")
         );
         warnings.push(warning("damping", text));
@@ -412,16 +411,16 @@ pub fn beyond(wall: &Wall<f64>, contact: &Contact, in_file: bool) -> Vec<FileWar
     warnings
 }
 
-/// Describes the behaviour of a wall that is unstable with or without a hand on the tip.
+/// Describes the behaviour of a wall that is unstable with or without a hand.
 fn instability_text(wall: &Wall<f64>, contact: &Contact) -> String {
     let Some(held) = contact.in_hand else { return "it will vibrate unless friction damps it".into() };
-    let (limit, end) = match wall.damping > held.damping_to {
+    let (limit, gain) = match wall.damping > held.damping_to {
         true => (with_unit(held.damping_to, "N s/m"), "damping"),
         false => (with_unit(held.stable_to, "N/m"), "stiffness"),
     };
     match contact.buzz {
         Some(buzz) => format!(
-            "in {held}, where {end} ends at {limit}, it will vibrate at about {:.0} Hz unless friction damps it",
+            "in {held}, which allows a {gain} of up to {limit}, it will vibrate at about {:.0} Hz unless friction damps it",
             buzz.hz
         ),
         None => format!("it will vibrate unless friction or a hand damps it: {held} damps it up to {limit}"),
@@ -448,24 +447,23 @@ fn buzz_warning(scene: &Scene<f64>, contact: &Contact) -> Option<FileWarning> {
     Some(FileWarning::new(Key { table: "wall", index: Some(contact.wall), part: "", name: "damping" }, text))
 }
 
-/// Stiffness of the softest useful wall, N/m: that of a light hand's own spring. Without damping its ripple is the
-/// smallest that the encoders of a device allow.
+/// Stiffness of the softest useful wall, that of a light hand, N/m.
 pub const SOFTEST_WALL: f64 = LIGHT_HAND.stiffness;
 
-/// Ripple of a wall under a hand, by the simulation with which `haptic tune` searches.
+/// Ripple of a wall under a hand, by the simulation that `haptic tune` uses.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ripple {
-    /// Root mean square of the wall's force above 20 Hz while a hand slides along it, N; `None` if the tip flies off.
+    /// Root mean square of the force above 20 Hz while a hand slides along the wall, N; `None` if the tip flies off.
     pub ripple_n: Option<f64>,
-    /// Allowed ripple of a wall here, N: [`USUAL_RIPPLE_N`], or the smallest that the encoders allow if that is larger.
+    /// Allowed ripple, N: [`USUAL_RIPPLE_N`], or the smallest ripple that the encoders allow if it is larger.
     pub allowed_n: f64,
 }
 
-/// Simulates the ripple of a wall where it is touched; `None` if a joint has no encoder.
+/// Simulates the ripple of a wall at its contact pose; returns `None` if a joint has no encoder.
 pub fn ripple(description: &Description, scene: &Scene<f64>, contact: &Contact) -> Option<Ripple> {
     let wall = Settings::of(scene, contact.wall)?;
     let simulation = WallSimulation::new(description, description, &contact.q, &contact.normal, scene.rate_hz).ok()?;
-    let of = |wall: Settings| simulation.slid_along(&wall.rendered(scene.admissible), f64::INFINITY).ok();
+    let of = |wall: Settings| simulation.slide(&wall.rendered(scene.admissible), f64::INFINITY).ok();
     let ripple_n = of(wall)?.ripple_n;
     if ripple_n.is_some_and(|ripple| ripple <= USUAL_RIPPLE_N) {
         return Some(Ripple { ripple_n, allowed_n: USUAL_RIPPLE_N });
@@ -482,7 +480,7 @@ pub fn simulate_ripple(description: &Description, scene: &Scene<f64>, contact: &
     if wall.stiffness > contact.stable_to || wall.damping > contact.damping_to {
         return None;
     }
-    // A hand presses through a wall that is softer than its own spring, so there is no contact to judge.
+    // A hand passes through a wall that is softer than its own spring, so there is no contact to judge.
     if wall.stiffness < SOFTEST_WALL {
         return None;
     }
@@ -503,12 +501,12 @@ pub fn simulate_ripple(description: &Description, scene: &Scene<f64>, contact: &
     Some(FileWarning::new(Key { table: "wall", index: Some(contact.wall), part: "", name: "damping" }, text))
 }
 
-/// Share of the stable stiffness from which on a wall counts as near its limit.
+/// Share of the stable stiffness at which a wall is near its limit.
 const NEAR_SHARE: f64 = 0.25;
 
-/// Warns of a washout that reduces the stable stiffness below that without feed-forward, at the wall's own damping: its
-/// corner is not far enough below the frequencies of the loop.
-fn costly_washout(subject: &Subject, scene: &Scene<f64>, path: &TorquePath, contact: &Contact) -> Option<FileWarning> {
+/// Warns of a washout with which the stable stiffness is smaller than without feed-forward at the wall's damping. The
+/// washout's corner is then too close to the frequencies of the loop.
+fn washout_warning(subject: &Subject, scene: &Scene<f64>, path: &TorquePath, contact: &Contact) -> Option<FileWarning> {
     let wall = scene.walls.get(contact.wall)?;
     if wall.feed_forward != FeedForward::Washout || wall.stiffness <= NEAR_SHARE * contact.stable_to {
         return None;
@@ -533,7 +531,6 @@ fn costly_washout(subject: &Subject, scene: &Scene<f64>, path: &TorquePath, cont
     Some(FileWarning::new(Key { table: "wall", index: Some(contact.wall), part: "", name: "washout_hz" }, text))
 }
 
-/// Formats a ratio with two significant digits.
 fn two_digits(ratio: f64) -> String {
     if ratio < 10.0 {
         return format!("{ratio:.1}");
@@ -545,7 +542,7 @@ fn two_digits(ratio: f64) -> String {
 enum FirstTouch {
     /// At these joint angles, with this normal.
     At(Vec<f64>, Vec<f64>),
-    /// Never; the smallest distance of a tip outside, m, or `None` if the tip is always inside.
+    /// Out of reach: smallest distance of the tip outside, m, or `None` if the tip is always inside.
     Never(Option<f64>),
     /// The workspace has no grid.
     Unknown,
@@ -554,14 +551,14 @@ enum FirstTouch {
 /// Finds the pose on a surface that is nearest to home.
 fn first_touch(device: &Device<f64>, surface: &Surface<f64>) -> FirstTouch {
     let spec = device.mechanism.kind().spec();
-    let per_joint = PER_JOINT[spec.joints - 1];
+    let per_joint = POSES_PER_JOINT[spec.joints - 1];
     let home = device.home.unwrap_or_default();
     let far = |q: &[f64]| q.iter().zip(home).map(|(q, home)| (q - home).powi(2)).sum::<f64>();
     let Ok(poses) = on_surface(device, surface, per_joint, 0.0) else { return FirstTouch::Unknown };
     if let Some(nearest) = poses.iter().min_by(|a, b| far(&a.q[..spec.joints]).total_cmp(&far(&b.q[..spec.joints]))) {
         return FirstTouch::At(nearest.q[..spec.joints].to_vec(), nearest.normal[..spec.task].to_vec());
     }
-    let Some((low, high)) = distances(device, surface) else { return FirstTouch::Unknown };
+    let Some((low, high)) = tip_distances(device, surface) else { return FirstTouch::Unknown };
     match (low, high) {
         (low, _) if low > 0.0 && low.is_finite() => FirstTouch::Never(Some(low)),
         (_, high) if high < 0.0 && high.is_finite() => FirstTouch::Never(None),
@@ -569,10 +566,9 @@ fn first_touch(device: &Device<f64>, surface: &Surface<f64>) -> FirstTouch {
     }
 }
 
-/// Returns the smallest and the largest distance of the tip from a surface, negative inside it, m. `None` if the
-/// workspace has no grid.
-fn distances(device: &Device<f64>, surface: &Surface<f64>) -> Option<(f64, f64)> {
-    let grid = Reachable::of(device, PER_JOINT[device.mechanism.kind().spec().joints - 1], None).ok()?;
+/// Returns the smallest and largest distance of the tip from a surface, negative inside it, m.
+fn tip_distances(device: &Device<f64>, surface: &Surface<f64>) -> Option<(f64, f64)> {
+    let grid = Reachable::of(device, POSES_PER_JOINT[device.mechanism.kind().spec().joints - 1], None).ok()?;
     let distances = grid.indices().filter_map(|index| {
         let pose = TaskPose::of(&device.mechanism, &grid.angles(index)).ok()?;
         let tip = SVector::from(padded::<3>(&pose.position));
@@ -581,8 +577,8 @@ fn distances(device: &Device<f64>, surface: &Surface<f64>) -> Option<(f64, f64)>
     Some(distances.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), d| (l.min(d), h.max(d))))
 }
 
-/// Warns of a wall so soft that it reaches its force only deeper than the tip can move along the normal. The force is
-/// [`GENTLE_FORCE`] or, if smaller, the motors' largest. A wall without stiffness only damps and gets no warning.
+/// Warns of a wall that is so soft that its force needs more depth than the tip can move along the normal. The force is
+/// [`GENTLE_FORCE`], or the motors' largest if that is smaller. A wall without stiffness gets no warning.
 fn soft_wall_warning(device: &Device<f64>, wall: &Wall<f64>, contact: &Contact) -> Option<FileWarning> {
     let force = contact.force.unwrap_or(f64::INFINITY).min(GENTLE_FORCE.into());
     let depth = force / wall.stiffness;
@@ -590,7 +586,7 @@ fn soft_wall_warning(device: &Device<f64>, wall: &Wall<f64>, contact: &Contact) 
     if !(wall.stiffness > 0.0 && depth > 0.01) {
         return None;
     }
-    let (low, high) = distances(device, &wall.surface).filter(|(low, high)| low < high)?;
+    let (low, high) = tip_distances(device, &wall.surface).filter(|(low, high)| low < high)?;
     let text = format!(
         "wall {} is so soft that it pushes with {} only at a depth of {}, and the tip moves by at most {} along its normal: \
          stiffness is in N/m, and {} N/mm are {} N/m",

@@ -1,4 +1,4 @@
-//! Effects of the feed-forwards that were not chosen.
+//! Results with the feed-forwards that were not chosen.
 
 use super::criteria::SearchContext;
 use super::{Settings, TunedWall, ripple, stiffest};
@@ -6,21 +6,20 @@ use haptic_bridge::render::scene::FeedForward;
 use haptic_host::error::Failure;
 use serde::Serialize;
 
-/// A feed-forward that was not chosen, compared with the result.
+/// A feed-forward that was not chosen, compared with the chosen wall.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Alternative {
     /// The feed-forward.
     pub feed_forward: FeedForward,
-    /// The stiffest wall with it; `None` if that wall is softer than the result by a third, or fails the margins or the
-    /// ripple limit.
+    /// The stiffest wall with this feed-forward; `None` if it is much softer or breaks a limit.
     pub best: Option<TunedWall>,
-    /// Largest stiffness within margins and motors with the result's rate, estimator, cutoff and damping, N/m.
+    /// Largest stiffness within margins and motors with the chosen wall's rate, estimator, cutoff and damping, N/m.
     pub allowed: f64,
-    /// Ripple of the result's wall with this feed-forward, N; `None` if the tip flies off.
+    /// Ripple of the chosen wall with this feed-forward, N; `None` if the tip flies off.
     pub ripple_n: Option<f64>,
 }
 
-/// Compares each of the other allowed feed-forwards; returns none if no coupling exists.
+/// Compares the other allowed feed-forwards. Returns none if the pose has no coupling.
 pub(super) fn alternatives(
     context: &SearchContext<'_>,
     result: &TunedWall,

@@ -1,4 +1,4 @@
-//! Checks the wall that a scene already has against the criteria of the search.
+//! Checks the wall of a scene against the criteria of the search.
 
 use super::criteria::SearchContext;
 use super::{Question, Settings, TunedWall, measured, ripple, three_digits};
@@ -6,38 +6,36 @@ use haptic_host::error::Failure;
 use haptic_stability::sweep::Sweep;
 use serde::Serialize;
 
-/// The settings of the scene's wall with the stiffness that meets the criteria.
+/// The scene's wall with the largest stiffness that meets all criteria.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Baseline {
-    /// Rate, estimator, cutoff, damping and feed-forward of the scene, with the largest stiffness that meets all
-    /// criteria; 0 if no stiffness does.
+    /// Settings of the scene's wall, with the largest stiffness that meets all criteria; 0 if none does.
     #[serde(flatten)]
     pub settings: Settings,
     /// Stiffness that a hand feels at rest, N/m; `None` if no transmission is compliant.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub felt: Option<f64>,
-    /// Ripple at that stiffness, N.
+    /// Ripple at this stiffness, N.
     pub ripple_n: Option<f64>,
-    /// Largest stiffness within the margins, without regard to ripple, N/m.
+    /// Largest stiffness within the margins, regardless of ripple, N/m.
     pub within_margins: f64,
     /// Stiffness in the scene, N/m.
     pub as_written: f64,
 }
 
-/// Default limit of a wall's ripple, N: the estimators were designed to stay below it.
+/// Default ripple limit of a wall, N. The estimators were designed to stay below it.
 pub const USUAL_RIPPLE_N: f64 = 0.1;
 
-/// Smallest ripple limit, N, for a scene whose wall ripples less.
+/// Smallest ripple limit for a scene whose wall ripples less, N.
 pub const LEAST_RIPPLE_N: f64 = 0.002;
 
-/// Returns the ripple limits in the search and on the simulated board: the ripple of the wall as written, but at least
-/// [`LEAST_RIPPLE_N`].
+/// Returns the ripple of the wall as written in the search and on the board, N, at least [`LEAST_RIPPLE_N`].
 pub fn ripple_like(question: &Question<'_>, written: &Settings, sweep: &Sweep) -> Result<(f64, f64), Failure> {
     let bound = |ripple_n: Option<f64>| ripple_n.unwrap_or(USUAL_RIPPLE_N).max(LEAST_RIPPLE_N);
     Ok((bound(ripple(question, written)?.ripple_n), bound(measured::ripple(question, written, sweep)?)))
 }
 
-/// Returns the settings of a scene's wall with the largest stiffness that meets all criteria.
+/// Returns the scene's wall with the largest stiffness that meets all criteria.
 pub fn baseline(question: &Question<'_>, written: &Settings, sweep: &Sweep) -> Result<Baseline, Failure> {
     let context = SearchContext::new(question, sweep)?;
     if written.loop_settings().is_none() {
@@ -55,7 +53,7 @@ pub fn baseline(question: &Question<'_>, written: &Settings, sweep: &Sweep) -> R
     let passes = Option::is_some;
     let mut best = at(most)?;
     if most > 0.0 && !passes(&best) {
-        // Reduce the stiffness until it meets the criteria, but not below the scene's own if that meets them.
+        // Reduce the stiffness until the wall meets the criteria, but not below the scene's own if that meets them.
         let (mut low, mut high) = (0.0_f64, most);
         let mut step = most;
         best = None;

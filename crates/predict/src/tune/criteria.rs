@@ -1,9 +1,8 @@
-//! Criteria for a wall: stability within the margins, the motors' torque, ripple under two hands, and few rebounds
-//! after a tap.
+//! Criteria for a wall: stability within margins, the motors' torque, ripple under two hands, and rebounds.
 
 use super::margins::Corner;
 use super::{Question, Settings, TunedWall, check, measured, three_digits};
-use crate::bench::wall::{Pressed, WallSimulation};
+use crate::bench::wall::{SlideResult, WallSimulation};
 use crate::boards::force_along;
 use haptic_bridge::render::scene::FeedForward;
 use haptic_host::error::Failure;
@@ -14,31 +13,30 @@ use haptic_stability::analysis::range::{boundary_of, stiffnesses};
 use haptic_stability::sweep::Sweep;
 use serde::{Deserialize, Serialize};
 
-/// Largest number of rebounds of a tip that taps a wall at 0.2 m/s with a push of 3 N: a finger feels one rebound as
-/// hardness and more as rattling.
-pub const MOST_REBOUNDS: usize = 1;
+/// Largest allowed number of rebounds of a tip that taps a wall at 0.2 m/s with a push of 3 N. A finger feels one
+/// rebound as hardness, and more as rattling.
+pub const MAX_REBOUNDS: usize = 1;
 
-/// Number of dampings of a curve. The largest damping is the share `HIGHEST_SHARE` of the damping limit. The smallest is the
-/// share `LOWEST_SHARE` of the largest, or more: a wall with a quarter of the stiffness of the encoders' rule of thumb needs
-/// a damping ratio of `LEAST_DAMPING_RATIO`, because with less damping the tip rebounds.
 const DAMPINGS: usize = 9;
+/// Largest damping of a curve, as a share of the largest stable damping.
 const HIGHEST_SHARE: f64 = 0.9;
+/// Smallest damping of a curve, as a share of the largest.
 const LOWEST_SHARE: f64 = 0.003;
+/// Smallest damping ratio at a quarter of the encoders' rule of thumb. With less damping the tip rebounds.
 const LEAST_DAMPING_RATIO: f64 = 0.04;
 
-/// Simulates the ripple of a wall with these settings: the largest of the device in the file and the deviating ones.
-/// The hand counts as held if it is held on all of them.
-pub fn ripple(question: &Question<'_>, settings: &Settings) -> Result<Pressed, Failure> {
+/// Simulates the largest ripple of a wall over all tested devices. `holds` is true if all walls hold the hand.
+pub fn ripple(question: &Question<'_>, settings: &Settings) -> Result<SlideResult, Failure> {
     worst_ripple(question, settings, f64::INFINITY)
 }
 
-/// Like [`ripple`], but stops once the ripple exceeds `bound_n`, N.
-fn worst_ripple(question: &Question<'_>, settings: &Settings, bound_n: f64) -> Result<Pressed, Failure> {
+/// Like [`ripple`], but stops when the ripple exceeds `bound_n` (N).
+fn worst_ripple(question: &Question<'_>, settings: &Settings, bound_n: f64) -> Result<SlideResult, Failure> {
     let Question { file, q, normal, margins, admissible, .. } = question;
-    let mut worst = Pressed { ripple_n: Some(0.0), holds: true };
+    let mut worst = SlideResult { ripple_n: Some(0.0), holds: true };
     for (believed, moving) in margins.deviations(&file.description) {
         let simulation = WallSimulation::new(&believed, &moving, q, normal, settings.rate_hz)?;
-        let result = simulation.slid_along(&settings.rendered(*admissible), bound_n)?;
+        let result = simulation.slide(&settings.rendered(*admissible), bound_n)?;
         worst.ripple_n = worst.ripple_n.zip(result.ripple_n).map(|(one, other)| one.max(other));
         worst.holds &= result.holds;
         if worst.ripple_n.is_none_or(|ripple| ripple > bound_n) {
@@ -48,8 +46,8 @@ fn worst_ripple(question: &Question<'_>, settings: &Settings, bound_n: f64) -> R
     Ok(worst)
 }
 
-/// Returns a wall with these settings if it meets all criteria.
-pub fn keeps(question: &Question<'_>, settings: &Settings) -> Result<Option<TunedWall>, Failure> {
+/// Returns the wall with these settings if it meets all criteria.
+pub fn accepted_wall(question: &Question<'_>, settings: &Settings) -> Result<Option<TunedWall>, Failure> {
     let sweep = Sweep::quiet();
     let context = SearchContext::new(question, &sweep)?;
     let kept =
@@ -57,29 +55,29 @@ pub fn keeps(question: &Question<'_>, settings: &Settings) -> Result<Option<Tune
     Ok(kept.map(|wall| TunedWall { felt: context.felt(settings), ..wall }))
 }
 
-/// The request together with everything that is the same for all candidates.
+/// A request, with the values that all candidates share.
 pub(super) struct SearchContext<'a> {
     pub question: &'a Question<'a>,
     pub sweep: &'a Sweep,
     nominal: Linearised,
-    /// Corners of the margins, without and with feed-forward.
+    /// Corners of the margins without and with feed-forward.
     corners: [Vec<Corner>; 2],
-    /// Largest stiffness (N/m) and damping (N s/m) for the motors.
-    pub motors: (f64, f64),
-    /// Stiffness (N/m) at which encoder steps alone cause the allowed ripple while the tip moves evenly across them:
-    /// the error of one step is uniformly distributed with standard deviation 1/√12 of the step, independent in each
-    /// joint. This is a rule of thumb: a tip that follows the steps, or that friction holds between two, ripples less.
-    pub steps: f64,
+    /// Largest stiffness (N/m) and damping (N s/m) that the motors allow.
+    pub motor_limits: (f64, f64),
+    /// Stiffness at which encoder steps alone cause the allowed ripple, N/m. Rule of thumb: the tip moves evenly, and
+    /// each joint's error is independent with a standard deviation of 1/√12 of its step. A tip that follows the steps,
+    /// or that friction holds between two, ripples less.
+    pub rule_of_thumb_stiffness: f64,
 }
 
-/// Largest stiffness of a candidate within the margins and the motors' torque, as a function of damping.
+/// Largest stiffness of a candidate within margins and motors over damping, as (damping, stiffness).
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct Curve {
     pub points: Vec<(f64, f64)>,
 }
 
 impl Curve {
-    pub fn top(&self) -> f64 {
+    pub fn largest_stiffness(&self) -> f64 {
         self.points.iter().map(|point| point.1).fold(0.0, f64::max)
     }
 }
@@ -107,12 +105,12 @@ impl<'a> SearchContext<'a> {
             sweep,
             nominal,
             corners: [off?, shaped?],
-            motors: (force / (question.counts * count), force / question.speed),
-            steps: question.ripple_n / spread,
+            motor_limits: (force / (question.counts * count), force / question.speed),
+            rule_of_thumb_stiffness: question.ripple_n / spread,
         })
     }
 
-    /// Returns true if equation (4) differs from Jᵀ here.
+    /// Returns true if equation (4) differs from Jᵀ at this pose.
     pub fn is_coupled(&self) -> bool {
         self.nominal.w_eff().is_some_and(|w_eff| self.nominal.w_rr() / w_eff > 1.0 + 1e-3)
     }
@@ -126,17 +124,16 @@ impl<'a> SearchContext<'a> {
         &self.corners[usize::from(settings.feed_forward != FeedForward::Off)]
     }
 
-    /// Computes kp over damping within margins and motors. `None` if a corner is unstable at every gain or has no
-    /// bound.
+    /// Computes a candidate's curve; `None` if a corner is unstable at every gain or has no bound.
     pub fn curve(&self, settings: &Settings) -> Result<Option<Curve>, Failure> {
         let (Some(around), Some(corner)) = (settings.loop_settings(), self.corners(settings).first()) else {
             return Ok(None);
         };
-        let stiffness = 0.25 * self.steps.min(self.motors.0);
+        let stiffness = 0.25 * self.rule_of_thumb_stiffness.min(self.motor_limits.0);
         let least_damping = 2.0 * LEAST_DAMPING_RATIO * (stiffness * self.nominal.w_eff().unwrap_or_default()).sqrt();
         let points =
             boundary_of(&corner.device, &corner.believed, &corner.adjusted_loop(&around), settings.mode(), |end| {
-                let high = (HIGHEST_SHARE * end).min(self.motors.1);
+                let high = (HIGHEST_SHARE * end).min(self.motor_limits.1);
                 let low = least_damping.max(LOWEST_SHARE * high).min(0.5 * high);
                 let share = |i: usize| (high / low).powf(i as f64 / (DAMPINGS - 1) as f64);
                 let mut dampings: Vec<f64> = (0..DAMPINGS).map(|i| three_digits(low * share(i), true)).collect();
@@ -145,18 +142,18 @@ impl<'a> SearchContext<'a> {
             });
         let Ok(points) = points else { return Ok(None) };
         let dampings: Vec<f64> = points.iter().map(|point| point.kd).collect();
-        let Some(most) = self.allowed(settings, &dampings)? else { return Ok(None) };
+        let Some(most) = self.allowed_stiffnesses(settings, &dampings)? else { return Ok(None) };
         let curve = Curve { points: dampings.into_iter().zip(most).collect() };
-        Ok((curve.top() > 0.0).then_some(curve))
+        Ok((curve.largest_stiffness() > 0.0).then_some(curve))
     }
 
-    /// Computes the largest stiffness at each damping within margins and motors; `None` if a corner has no such bound.
-    pub fn allowed(&self, settings: &Settings, dampings: &[f64]) -> Result<Option<Vec<f64>>, Failure> {
+    /// Computes the largest stiffness at each damping within margins and motors; `None` without a bound.
+    pub fn allowed_stiffnesses(&self, settings: &Settings, dampings: &[f64]) -> Result<Option<Vec<f64>>, Failure> {
         let Some(around) = settings.loop_settings() else { return Ok(None) };
-        let (most, damped) = self.motors;
+        let (most, damped) = self.motor_limits;
         let mut least: Vec<f64> = dampings.iter().map(|damping| if *damping > damped { 0.0 } else { most }).collect();
         for corner in self.corners(settings) {
-            self.sweep.go_on()?;
+            self.sweep.check_interrupted()?;
             let around = corner.adjusted_loop(&around);
             match stiffnesses(&corner.device, &corner.believed, &around, settings.mode(), dampings) {
                 Ok(result) => least.iter_mut().zip(result).for_each(|(least, result)| *least = least.min(result)),
@@ -166,33 +163,33 @@ impl<'a> SearchContext<'a> {
         Ok(Some(least))
     }
 
-    /// Computes the largest stiffness at the settings' own damping, N/m; 0 if no stiffness is allowed.
+    /// Computes the largest stiffness at the settings' damping, N/m; 0 if no stiffness is allowed.
     pub fn largest_stiffness(&self, settings: &Settings) -> Result<f64, Failure> {
-        Ok(self.allowed(settings, &[settings.damping])?.map_or(0.0, |most| most[0]))
+        Ok(self.allowed_stiffnesses(settings, &[settings.damping])?.map_or(0.0, |most| most[0]))
     }
 
-    /// Simulates the ripple under a sliding hand, N; `None` if it exceeds the limit or the wall does not hold the hand.
+    /// Simulates the ripple under a sliding hand, N; `None` if it exceeds the limit or the hand is not held.
     pub fn slide_ripple(&self, settings: &Settings) -> Result<Option<f64>, Failure> {
-        self.sweep.go_on()?;
+        self.sweep.check_interrupted()?;
         let bound = self.question.ripple_n;
-        let Pressed { ripple_n, holds } = worst_ripple(self.question, settings, bound)?;
+        let SlideResult { ripple_n, holds } = worst_ripple(self.question, settings, bound)?;
         Ok(ripple_n.filter(|ripple| holds && *ripple <= bound))
     }
 
-    /// Returns true if a tip that taps the wall rebounds at most as often as allowed.
+    /// Returns true if a tip that taps the wall rebounds no more often than allowed.
     pub fn passes_tap(&self, settings: &Settings) -> Result<bool, Failure> {
         let Question { file, q, normal, admissible, .. } = self.question;
         let simulation = WallSimulation::new(&file.description, &file.description, q, normal, settings.rate_hz)?;
         let rebounds = simulation.rebounds(&settings.rendered(*admissible))?;
-        Ok(rebounds.is_some_and(|rebounds| rebounds <= MOST_REBOUNDS))
+        Ok(rebounds.is_some_and(|rebounds| rebounds <= MAX_REBOUNDS))
     }
 
-    /// Simulates the ripple on the simulated board, N; `None` if it exceeds `bound_n`.
+    /// Simulates the ripple on the simulated board, N. Returns `None` if it exceeds `bound_n`.
     pub fn board_ripple(&self, settings: &Settings, bound_n: f64) -> Result<Option<f64>, Failure> {
         Ok(measured::ripple(self.question, settings, self.sweep)?.filter(|ripple| *ripple <= bound_n))
     }
 
-    /// Returns the wall if it meets the limits of ripple and rebounds. The cheaper simulation comes first.
+    /// Returns the wall if it meets the limits of ripple and rebounds. The cheaper simulation runs first.
     pub fn check_ripple(&self, settings: &Settings) -> Result<Option<TunedWall>, Failure> {
         let Some(ripple_n) = self.slide_ripple(settings)? else { return Ok(None) };
         Ok(self.passes_tap(settings)?.then_some(TunedWall {
@@ -203,7 +200,7 @@ impl<'a> SearchContext<'a> {
         }))
     }
 
-    /// Returns the wall if it also meets the ripple limit on the simulated board: all criteria that are simulated.
+    /// Returns the wall if it meets all simulated criteria, also the ripple limit on the simulated board.
     pub fn check_all(&self, settings: &Settings) -> Result<Option<TunedWall>, Failure> {
         let Some(result) = self.check_ripple(settings)? else { return Ok(None) };
         let Some(bound) = self.question.board_ripple_n else { return Ok(Some(result)) };

@@ -1,4 +1,4 @@
-//! Limits of the resulting wall: the gains that each limit alone would allow, and the neighbouring walls.
+//! Limits of the chosen wall: the gains that each limit alone would allow, and the neighbouring walls.
 
 use super::criteria::SearchContext;
 use super::{STIFFNESS_RATIO, Settings, TunedWall, ripple, three_digits};
@@ -8,35 +8,34 @@ use haptic_stability::analysis::error::AnalysisError;
 use haptic_stability::analysis::range::stiffnesses;
 use serde::Serialize;
 
-/// Factor by which gains are raised and lowered to find the limits.
+/// Factor on a gain for the neighbouring walls.
 pub(super) const RAISE_FACTOR: f64 = 1.15;
 
-/// Names of the simulated limits and of those that can bind the result.
-const RIPPLE: &str = "ripple";
-const ON_BOARD: &str = "ripple on the simulated board";
-const REBOUNDS: &str = "rebounds after a tap";
-const MARGINS: &str = "all margins together";
-const MOTORS: &str = "motors and encoder counts";
-/// Stiffnesses at which the simulated limits are checked, as ratios to the wall's. The last limit has fewer, because it
-/// takes longest.
+const RIPPLE_LIMIT: &str = "ripple";
+const ON_BOARD_LIMIT: &str = "ripple on the simulated board";
+const REBOUNDS_LIMIT: &str = "rebounds after a tap";
+const MARGINS_LIMIT: &str = "all margins together";
+const MOTORS_LIMIT: &str = "motors and encoder counts";
+/// Factors on the wall's stiffness at which the simulated limits are checked.
 const CHECKED_FACTORS: [f64; 7] = [STIFFNESS_RATIO, 1.06, RAISE_FACTOR, 1.25, 1.5, 2.0, 4.0];
+/// Factors on the wall's stiffness at which the simulated board is checked. They are few because it takes longest.
 const CHECKED_ON_BOARD: [f64; 2] = [STIFFNESS_RATIO, RAISE_FACTOR];
-/// Name of a value that is listed for reference and limits nothing.
+/// Name of a value that is listed for reference and is not a limit.
 pub const RULE_OF_THUMB: &str = "rule of thumb, encoder steps";
 
-/// The gains that one limit alone would allow at the damping of the wall.
+/// Gains that one limit alone would allow at the damping of the wall.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Limit {
     /// Name of the limit.
     pub limit: &'static str,
-    /// Largest stiffness, N/m; `None` if the limit sets no bound within the range that was checked.
+    /// Largest stiffness, N/m; `None` if the limit sets no bound in the checked range.
     pub stiffness: Option<f64>,
-    /// Stiffness that a hand feels at that stiffness, N/m; `None` if no transmission is compliant.
+    /// Stiffness that a hand feels at the largest stiffness, N/m; `None` if no transmission is compliant.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub felt: Option<f64>,
 }
 
-/// A wall with slightly different gains.
+/// A wall with slightly different gains than the chosen one.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct NeighbourWall {
     /// Stiffness, N/m.
@@ -51,7 +50,7 @@ pub struct NeighbourWall {
     pub rebounds: bool,
 }
 
-/// Computes the limits of the wall, each alone, and the neighbouring walls.
+/// Computes the limits of the wall, each without the others, and the neighbouring walls.
 pub(super) fn limits(
     context: &SearchContext<'_>,
     best: &TunedWall,
@@ -65,7 +64,7 @@ pub(super) fn limits(
         let felt = stiffness.and_then(|stiffness| context.felt(&Settings { stiffness, ..*settings }));
         limits.push(Limit { limit, stiffness, felt });
     };
-    for (limit, margins) in question.margins.each_alone() {
+    for (limit, margins) in question.margins.named_margins() {
         let corners =
             margins.corners(&question.file.description, &question.q, &question.normal, question.admissible, shaped)?;
         let mut least = f64::INFINITY;
@@ -79,17 +78,17 @@ pub(super) fn limits(
         }
         push(limit, least.is_finite().then_some(least));
     }
-    push(MOTORS, Some(context.motors.0));
+    push(MOTORS_LIMIT, Some(context.motor_limits.0));
     let passes_ripple = |wall: &Settings| Ok(context.slide_ripple(wall)?.is_some());
-    push(RIPPLE, largest_passing(settings, &CHECKED_FACTORS, &passes_ripple)?);
+    push(RIPPLE_LIMIT, largest_passing(settings, &CHECKED_FACTORS, &passes_ripple)?);
     let passes_tap = |wall: &Settings| context.passes_tap(wall);
-    push(REBOUNDS, largest_passing(settings, &CHECKED_FACTORS, &passes_tap)?);
+    push(REBOUNDS_LIMIT, largest_passing(settings, &CHECKED_FACTORS, &passes_tap)?);
     if let Some(bound) = question.board_ripple_n {
         let passes_on_board = |wall: &Settings| Ok(context.board_ripple(wall, bound)?.is_some());
-        push(ON_BOARD, largest_passing(settings, &CHECKED_ON_BOARD, &passes_on_board)?);
+        push(ON_BOARD_LIMIT, largest_passing(settings, &CHECKED_ON_BOARD, &passes_on_board)?);
     }
-    push(RULE_OF_THUMB, Some(context.steps));
-    let active = first_limit(&limits, settings, context.motors.1);
+    push(RULE_OF_THUMB, Some(context.rule_of_thumb_stiffness));
+    let active = first_limit(&limits, settings, context.motor_limits.1);
 
     let mut beside = Vec::new();
     for (stiffer, more) in [(RAISE_FACTOR, 1.0), (1.0, RAISE_FACTOR), (1.0, 1.0 / RAISE_FACTOR)] {
@@ -103,9 +102,9 @@ pub(super) fn limits(
     Ok((active, limits, beside))
 }
 
-/// Returns the limit that a stiffer wall exceeds first.
+/// Returns the name of the limit that a stiffer wall exceeds first.
 fn first_limit(limits: &[Limit], settings: &Settings, damped: f64) -> &'static str {
-    let binding = [RIPPLE, ON_BOARD, REBOUNDS, MARGINS, MOTORS];
+    let binding = [RIPPLE_LIMIT, ON_BOARD_LIMIT, REBOUNDS_LIMIT, MARGINS_LIMIT, MOTORS_LIMIT];
     let among = limits.iter().filter(|limit| binding.contains(&limit.limit));
     let least = among.min_by(|a, b| {
         let stiffness = |limit: &Limit| limit.stiffness.unwrap_or(f64::INFINITY);
@@ -113,11 +112,10 @@ fn first_limit(limits: &[Limit], settings: &Settings, damped: f64) -> &'static s
     });
     let limit = least.map_or("", |limit| limit.limit);
     // More damping would allow a stiffer wall, but the motors lack the torque for it.
-    if limit == MARGINS && settings.damping * STIFFNESS_RATIO > damped { "motors and damping" } else { limit }
+    if limit == MARGINS_LIMIT && settings.damping * STIFFNESS_RATIO > damped { "motors and damping" } else { limit }
 }
 
-/// Returns the largest stiffness at which this wall still passes a check, among `factors` of its own stiffness; `None`
-/// if it passes at the last of them.
+/// Returns the largest stiffness that passes a check; `None` if the wall passes at the last of `factors`.
 fn largest_passing(
     settings: &Settings,
     factors: &[f64],

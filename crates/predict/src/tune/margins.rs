@@ -1,14 +1,13 @@
-//! Deviations of a device from its file: as loops that must be stable, and as devices on which a wall must not ripple
-//! more.
+//! Deviations of a device from its file: loops that must be stable, and devices on which the ripple limit must hold.
 //!
-//! A torque constant larger than in the file acts like a device that is lighter by the same factor and whose controller
-//! does not know it. A device with smaller masses acts the same way. An error of the mass distribution, with some links
-//! and rotors too heavy and others too light in the file, changes Weff and spoils the feed-forward, which is computed
-//! from the file. Each such error is applied in the direction that reduces the effective inertia. All margins act
-//! together, at both ends: light and strong, heavy and weak.
+//! A torque constant that is larger than in the file acts like a device that is lighter by the same factor and a
+//! controller that does not know it. Smaller masses act the same way. Errors of the mass distribution, with some links
+//! and rotors too heavy and others too light, change Weff and spoil the feed-forward, which uses the file. Each such
+//! error is applied in the direction that reduces the effective inertia. All margins act together at both ends: light
+//! and strong, heavy and weak.
 //!
-//! A hand calms a wall if the controller does not use the device's inertia. A controller with feed-forward takes the
-//! hand's mass for an error of its model. So the device of the file must be stable in hands, too ([`HANDS`]).
+//! A hand stabilises a wall whose controller does not use the device's inertia. For a controller with feed-forward the
+//! hand's mass is a model error, so the device of the file must also be stable in hands ([`HANDS`]).
 
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::description::Description;
@@ -19,39 +18,39 @@ use haptic_stability::analysis::pose::PoseError;
 use haptic_stability::analysis::sampled::Loop;
 use serde::Serialize;
 
-/// Hands in which a wall must be stable: two fingers, and a firm grip.
+/// Hands in which a wall must be stable: two fingers and a firm grip.
 pub const HANDS: [Hand; 2] =
     [Hand { mass: 0.05, damping: 3.0, stiffness: 200.0 }, Hand { mass: 0.3, damping: 10.0, stiffness: 1000.0 }];
 
-/// The deviations of the device from its file that a wall must tolerate.
+/// Deviations of the device from its file that a wall must tolerate.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Margins {
-    /// Factor by which the motors may be stronger or weaker; 1 for no margin.
+    /// Factor by which the motors may be stronger or weaker; 1 is no margin.
     pub gain: f64,
-    /// Delay in addition to the board's own, s.
+    /// Delay in addition to the board's own delay, s.
     pub delay_s: f64,
-    /// Relative error of the mass of the complete device, in both directions.
+    /// Relative error of the complete device's mass, in both directions.
     pub mass: f64,
-    /// Relative error of each link and rotor, each in the worse direction.
+    /// Relative error of each link and rotor, in the less favourable direction.
     pub inertia: f64,
     /// Relative error of viscous and dry friction, in both directions.
     pub friction: f64,
     /// Relative error of the encoder counts per turn, in both directions.
     pub counts: f64,
-    /// True if the wall must be stable in `HANDS` as well.
+    /// True if the wall must also be stable in `HANDS`.
     pub hand: bool,
 }
 
 impl Default for Margins {
-    /// Margins for a torque constant from a data sheet (±10 %) that varies with the magnet's temperature (another ±10
-    /// %), half a carrier period of delay, computed instead of weighed masses, friction that varies with temperature
-    /// and grease, and a cable radius that was measured at the pulley.
+    /// Returns margins for a torque constant from a data sheet (±10 %) that varies with the magnet's temperature
+    /// (another ±10 %), half a carrier period of delay, computed instead of weighed masses, friction that varies with
+    /// temperature and grease, and a cable radius measured at the pulley.
     fn default() -> Self {
         Self { gain: 1.25, delay_s: 25.0e-6, mass: 0.1, inertia: 0.1, friction: 0.25, counts: 0.03, hand: true }
     }
 }
 
-/// A device, the controller's model of it, and an additional delay of the torque.
+/// A device, the controller's model of the device, and an additional delay of the torque.
 #[derive(Clone, Debug)]
 pub(super) struct Corner {
     pub device: Linearised,
@@ -60,8 +59,7 @@ pub(super) struct Corner {
 }
 
 impl Corner {
-    /// Returns the control loop with this corner's delay. Compensated damping is analysed without a hand; in a hand it
-    /// is small compared with the hand's.
+    /// Returns the loop with this corner's delay. In a hand damping compensation is negligible and left out.
     pub fn adjusted_loop(&self, around: &Loop) -> Loop {
         Loop {
             delay_samples: around.delay_samples + self.delay_s * around.rate_hz,
@@ -71,15 +69,14 @@ impl Corner {
     }
 }
 
-/// Returns the effective inertia along the device's direction if the joint torques are in proportion to `torque` (m),
-/// kg.
+/// Returns the effective inertia along the device's direction for joint torques in proportion to `torque` (m), kg.
 fn inertia_along(device: &Linearised, torque: &nalgebra::DVector<f64>) -> f64 {
     let per_newton = device.mass.clone().cholesky().map(|mass| device.row.dot(&mass.solve(torque)));
     per_newton.map_or(f64::INFINITY, |per_newton| 1.0 / per_newton)
 }
 
-/// Scales the mass of one part of a description. Parts are the links, the rotors and the handle, in this order.
-fn scaled(description: &Description, part: usize, factor: f64) -> Description {
+/// Scales the mass of one part of a description. The parts are the links, the rotors and the handle, in this order.
+fn scale_part(description: &Description, part: usize, factor: f64) -> Description {
     let spec = description.kind.spec();
     let mut other = *description;
     let links = spec.links.len();
@@ -101,9 +98,8 @@ fn scaled(description: &Description, part: usize, factor: f64) -> Description {
     other
 }
 
-/// Returns the description with every link, every rotor and the handle changed by `share`, each in the direction that
-/// reduces (or, if `heavier`, increases) the effective inertia of a wall along `normal` with a controller that uses the
-/// file.
+/// Returns the description with each link, each rotor and the handle changed by `share`. Each change reduces (or, if
+/// `heavier`, increases) the effective inertia of a wall along `normal` with a controller that uses the file.
 pub fn vertex(
     description: &Description,
     q: &[f64],
@@ -120,21 +116,21 @@ pub fn vertex(
     let mut result = *description;
     for part in 0..spec.links.len() + spec.joints + 1 {
         let more = inertia_along(
-            &Linearised::holding(&scaled(description, part, 1.0 + 1e-4), q, normal, admissible)?,
+            &Linearised::holding(&scale_part(description, part, 1.0 + 1e-4), q, normal, admissible)?,
             &torque,
         );
         let grows = (more > nominal) == heavier;
-        result = scaled(&result, part, if grows { 1.0 + share } else { 1.0 - share });
+        result = scale_part(&result, part, if grows { 1.0 + share } else { 1.0 - share });
     }
     Ok(result)
 }
 
 impl Margins {
-    /// No margins.
+    /// Margins for a device that equals its file.
     pub const NONE: Self =
         Self { gain: 1.0, delay_s: 0.0, mass: 0.0, inertia: 0.0, friction: 0.0, counts: 0.0, hand: false };
 
-    /// Rejects values that are not margins.
+    /// Rejects values out of range.
     pub(super) fn check(&self) -> Result<(), Failure> {
         let share = |share: f64| (0.0..0.9).contains(&share);
         let is_valid = (1.0..=10.0).contains(&self.gain) && (0.0..=0.01).contains(&self.delay_s);
@@ -145,9 +141,9 @@ impl Margins {
             .remedy("write a gain from 1 to 10, a delay up to 0.01 s, and errors from 0 to 0.9"))
     }
 
-    /// Returns the devices on which a wall must keep its ripple limit, each as the board models it and as it moves: a
-    /// light one with little friction and coarse counts, on which most walls ripple most, that of the file, and the
-    /// opposite. The board knows its counts, but neither its mass nor its friction.
+    /// Returns the devices on which a wall must meet its ripple limit, each as the board models it and as it moves: a
+    /// light one with little friction and coarse counts, on which most walls ripple most; that of the file; and the
+    /// opposite. The board knows its counts but not its mass and friction.
     pub(super) fn deviations(self, description: &Description) -> Vec<(Description, Description)> {
         let Self { mass, friction, counts, .. } = self;
         let deviation = |sign: f64| {
@@ -156,7 +152,7 @@ impl Margins {
                 encoder.counts_per_turn *= 1.0 + sign * counts;
             }
             let parts = description.kind.spec().links.len() + description.kind.spec().joints + 1;
-            let mut moving = (0..parts).fold(believed, |moving, part| scaled(&moving, part, 1.0 + sign * mass));
+            let mut moving = (0..parts).fold(believed, |moving, part| scale_part(&moving, part, 1.0 + sign * mass));
             for joint in &mut moving.joints {
                 joint.viscous *= 1.0 + sign * friction;
                 joint.coulomb *= 1.0 + sign * friction;
@@ -170,8 +166,8 @@ impl Margins {
         signs.iter().map(|sign| deviation(*sign)).collect()
     }
 
-    /// Returns each margin without the others, by name, together with no margins and all margins.
-    pub(super) fn each_alone(self) -> [(&'static str, Self); 7] {
+    /// Returns named margins: none, each margin without the others, and all together.
+    pub(super) fn named_margins(self) -> [(&'static str, Self); 7] {
         let Self { gain, delay_s, mass, inertia, hand, .. } = self;
         [
             ("stability, no margin", Self::NONE),
@@ -184,7 +180,7 @@ impl Margins {
         ]
     }
 
-    /// Returns the loops that must be stable: light and strong first, heavy and weak second, then those in hands.
+    /// Returns the loops that must be stable: light and strong, then heavy and weak, then those in hands.
     pub(super) fn corners(
         self,
         description: &Description,
@@ -207,8 +203,7 @@ impl Margins {
                 transmission.motor_inertia *= gain * mass;
             }
             let mut believed = believed.clone();
-            // Compensation that exceeds the real damping drives the device. No wall tolerates that, so there is no
-            // margin on damping.
+            // Damping has no margin because no wall tolerates compensation that exceeds the real damping.
             believed.viscous.clone_from(&device.viscous);
             Ok(Corner { device, believed, delay_s: self.delay_s })
         };
@@ -218,7 +213,7 @@ impl Margins {
         }
         let hands = if self.hand { HANDS.as_slice() } else { &[] };
         corners.extend(hands.iter().map(|hand| Corner {
-            device: believed.clone().held(*hand),
+            device: believed.clone().with_hand(*hand),
             believed: believed.clone(),
             delay_s: self.delay_s,
         }));

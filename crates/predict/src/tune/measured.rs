@@ -1,5 +1,4 @@
-//! Tries settings on the simulated board with all effects: the firmware's own step, the protocol, bridges and windings,
-//! friction, and encoder steps.
+//! Tests settings on the simulated board, with the firmware's step, protocol, bridges, friction and encoder steps.
 
 use super::{Question, Settings};
 use crate::contact::RippleFilter;
@@ -17,37 +16,36 @@ use haptic_stability::sweep::Sweep;
 use serde::Serialize;
 use std::time::Duration;
 
-/// Depth of the hand's target (m), at which its stiffness of 250 N/m pushes with 3 N; the distance that the hand slides
-/// (m); the times to settle and to record, s.
-const DEPTH: f64 = 0.012;
-const SLIDE: f64 = 0.02;
-const SETTLE: f64 = 1.5;
-const RECORD: f64 = 1.0;
-/// Mean force below which the hand does not count as held by the wall, N.
+/// Depth of the hand's target, m. At this depth its stiffness of 250 N/m pushes with 3 N.
+const TARGET_DEPTH: f64 = 0.012;
+/// Distance that the hand slides, m.
+const SLIDE_DISTANCE: f64 = 0.02;
+const SETTLE_S: f64 = 1.5;
+const RECORD_S: f64 = 1.0;
+/// Smallest mean force of a wall that holds the hand, N.
 const LEAST_HELD_FORCE: f64 = 1.0;
-/// Limits of the measurement, N m and m: those of `haptic measure-range`.
-const TORQUE: f64 = 1.0;
-const PULL: f64 = 0.5e-3;
-/// Bandwidth of the hold of the tip between trials, Hz: soft with any encoder.
+/// Torque limit of the measurement, N m, as in `haptic measure-range`.
+const TORQUE_LIMIT: f64 = 1.0;
+/// Longest pull of the measurement, m, as in `haptic measure-range`.
+const MAX_PULL: f64 = 0.5e-3;
+/// Frequency of the hold between trials, Hz. It is soft with any encoder.
 const HOLD_HZ: f64 = 40.0;
 
-/// Measurements on the simulated board.
+/// Results of measurements on the simulated board.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Measured {
-    /// Largest stiffness at this damping that came to rest after the tip was pulled aside and released, N/m.
+    /// Largest stiffness at which the tip came to rest after a pull, N/m, at the settings' damping.
     pub stiffness: f64,
-    /// Reason why the boundary was not found and may be higher; `None` if it was found.
+    /// Reason why the boundary may be higher; `None` if it was found.
     pub open: Option<String>,
-    /// Root mean square of the force above 20 Hz under a hand that presses with about 3 N and slides, at the stiffness
-    /// of the settings, N; `None` if the wall does not hold the hand.
+    /// Root mean square of the force above 20 Hz under a sliding hand, N; `None` if the hand is not held.
     pub ripple_n: Option<f64>,
 }
 
-/// Raises the stiffness on a simulated board until the wall oscillates, and simulates the ripple of the wall of the
-/// settings.
+/// Measures the largest stable stiffness on a simulated board, and simulates the ripple at the settings' stiffness.
 pub fn measure(question: &Question<'_>, settings: &Settings, sweep: &Sweep) -> Result<Measured, Failure> {
-    let result = boundary(question, settings, &|| sweep.go_on().is_err());
-    sweep.go_on()?;
+    let result = boundary(question, settings, &|| sweep.check_interrupted().is_err());
+    sweep.check_interrupted()?;
     let (stiffness, open) = match result {
         Ok(stiffness) => (stiffness, None),
         Err(MeasureError::Open { stable, why }) => (stable, Some(why.to_string())),
@@ -74,8 +72,8 @@ fn boundary(question: &Question<'_>, settings: &Settings, stop: &dyn Fn() -> boo
             hold_hz: HOLD_HZ,
             ..Law::default()
         },
-        torque_limit: TORQUE,
-        largest_pull: PULL,
+        torque_limit: TORQUE_LIMIT,
+        largest_pull: MAX_PULL,
     };
     let mut prepared = PreparedBoard::new(&mut board, question.file, setup, stop)?;
     let result = prepared.boundary(settings.feed_forward, settings.damping, 1.0, None)?.gain;
@@ -83,7 +81,7 @@ fn boundary(question: &Question<'_>, settings: &Settings, stop: &dyn Fn() -> boo
     Ok(result)
 }
 
-/// Returns the scene of one wall with these settings, its surface through `point` (m).
+/// Returns a scene of one wall with these settings; `point` (m) is on its surface.
 #[must_use]
 pub fn scene(question: &Question<'_>, settings: &Settings, point: &[f64]) -> Scene<f64> {
     let wall = Wall {
@@ -106,14 +104,14 @@ pub fn scene(question: &Question<'_>, settings: &Settings, point: &[f64]) -> Sce
     }
 }
 
-/// Simulates the ripple of the wall's force on the board, N; `None` if the wall does not hold the hand.
+/// Simulates the ripple of the wall's force on the board, N; returns `None` if the wall does not hold the hand.
 pub fn ripple(question: &Question<'_>, settings: &Settings, sweep: &Sweep) -> Result<Option<f64>, Failure> {
     let device = Options { start: Some(padded(&question.q)), ..Options::default() };
     let mut simulated = ready_board(question.file, BoardOptions { device, ..BoardOptions::default() })
         .map_err(|error| Failure::wrong(format!("{}: {error}", question.file.path.display())))?;
     let tip = simulated.device().tip();
     let task = question.normal.len();
-    // A board does not arm inside a wall: the surface is slightly beyond the tip, and the hand moves there.
+    // A board does not arm inside a wall, so the surface is slightly beyond the tip and the hand moves there.
     let point: Vec<f64> = (0..task).map(|i| tip[i] - 2e-4 * question.normal[i]).collect();
     let normal = nalgebra::DVector::from_column_slice(&question.normal);
     let across = complement(&normal).first().map_or([0.0; MAX_JOINTS], |across| padded(across.as_slice()));
@@ -122,9 +120,9 @@ pub fn ripple(question: &Question<'_>, settings: &Settings, sweep: &Sweep) -> Re
     let intent = Intent::Follow(vec![
         Waypoint { time: 0.0, value: tip },
         Waypoint { time: 0.7, value: tip },
-        Waypoint { time: 1.0, value: aim(DEPTH, 0.0) },
-        Waypoint { time: SETTLE, value: aim(DEPTH, 0.0) },
-        Waypoint { time: SETTLE + RECORD, value: aim(DEPTH, SLIDE) },
+        Waypoint { time: 1.0, value: aim(TARGET_DEPTH, 0.0) },
+        Waypoint { time: SETTLE_S, value: aim(TARGET_DEPTH, 0.0) },
+        Waypoint { time: SETTLE_S + RECORD_S, value: aim(TARGET_DEPTH, SLIDE_DISTANCE) },
     ]);
     simulated.device_mut().set_hand(Hand::new(HandSettings::default(), intent, tip, 0.0));
     let shared = SharedBoard::new(simulated);
@@ -135,16 +133,16 @@ pub fn ripple(question: &Question<'_>, settings: &Settings, sweep: &Sweep) -> Re
     let wanted = fields("force").map_err(Failure::impossible)?;
     let divider = (settings.rate_hz / 10_000.0).ceil().max(1.0) as u32;
     let begun = board.now();
-    let settled = begun + Duration::from_secs_f64(SETTLE);
+    let settled = begun + Duration::from_secs_f64(SETTLE_S);
     while board.now() < settled {
-        sweep.go_on()?;
+        sweep.check_interrupted()?;
         board.rows(Duration::from_millis(20))?;
     }
     board.start_stream(wanted, divider)?;
     let mut forces = Vec::new();
-    let end = board.now() + Duration::from_secs_f64(RECORD);
+    let end = board.now() + Duration::from_secs_f64(RECORD_S);
     while board.now() < end {
-        sweep.go_on()?;
+        sweep.check_interrupted()?;
         for row in board.rows(Duration::from_millis(20))? {
             forces.extend(row.get(Field::WallForce));
         }
@@ -156,7 +154,7 @@ pub fn ripple(question: &Question<'_>, settings: &Settings, sweep: &Sweep) -> Re
         return Ok(None);
     }
     let row_hz = settings.rate_hz / f64::from(divider);
-    // The trend needs a tenth of a second to settle.
+    // The filter's trend needs a tenth of a second to settle.
     let from = (0.1 * row_hz) as usize;
     let mean = forces.iter().sum::<f64>() / forces.len() as f64;
     let mut fast = RippleFilter::new(row_hz);

@@ -1,11 +1,11 @@
-//! Writes a scene file with one flat wall from the result of a search.
+//! Writes a scene file with one flat wall from settings.
 
 use super::Settings;
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::render::scene::FeedForward;
 use std::fmt::Write;
 
-/// Formats a scene with one wall through `point` (m) with the unit `normal`. `about` becomes its comment.
+/// Formats a scene with one wall through `point` (m) with the unit `normal`. `about` are the lines of its comment.
 #[must_use]
 pub fn to_toml(settings: &Settings, admissible: Admissible, point: &[f64], normal: &[f64], about: &[String]) -> String {
     let mut text = String::new();

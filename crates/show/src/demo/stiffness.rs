@@ -59,9 +59,9 @@ pub fn limit(demo: &Demo, feed_forward: FeedForward) -> Result<Limit, DemoError>
 
 fn predict(demo: &Demo, feed_forward: FeedForward, delay_samples: f64) -> Result<f64, DemoError> {
     let path = TorquePath { delay_samples, drive: Drive::Ideal };
-    let control_loop = Loop::through(&path, demo.rate_hz, LinearEstimator::Butterworth(demo.cutoff_hz));
+    let control_loop = Loop::with_torque_path(&path, demo.rate_hz, LinearEstimator::Butterworth(demo.cutoff_hz));
     let subject = Subject::new(&demo.file.description).map_err(PoseError::from)?.undamped();
-    let device = Prediction::new(subject, control_loop.clone()).seen(demo.q(), &demo.normal)?;
+    let device = Prediction::new(subject, control_loop.clone()).linearise(demo.q(), &demo.normal)?;
     let mode = Mode::of(feed_forward, demo.washout_hz);
     let boundary = domain(&device, &control_loop, mode, Some(&[demo.damping]))?.boundary;
     Ok(boundary.first().map_or(0.0, |point| point.kp))

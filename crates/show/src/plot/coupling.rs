@@ -12,7 +12,7 @@ use super::{Picture, linkage};
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::description::Description;
 use haptic_host::vectors::padded_to;
-use haptic_stability::analysis::map::{MapPoint, along, at_holding};
+use haptic_stability::analysis::map::{MapPoint, along, map_point_at};
 use haptic_stability::analysis::plant::Linearised;
 use haptic_stability::analysis::pose::{PoseError, TaskPose, unit_normal};
 use haptic_stability::skeleton::{Point, Skeleton, skeleton};
@@ -47,7 +47,7 @@ pub fn draw(
     let Some(here) = skeleton(description, q) else { return Ok(None) };
     let pose = TaskPose::at(description, q)?.regular()?.holding(admissible);
     let n = unit_normal(normal, spec.task, spec.joints)?;
-    let Some(point) = at_holding(description, q, &n, admissible)? else { return Ok(None) };
+    let Some(point) = map_point_at(description, q, &n, admissible)? else { return Ok(None) };
     let device = Linearised::holding(description, q, normal, admissible)?;
     let title = format!("{name}: motion along n, and coupling over all directions");
     let list = |values: &[f64]| values.iter().map(|v| format!("{v:.3}")).collect::<Vec<_>>().join(", ");

@@ -127,7 +127,7 @@ pub fn chart(
     frame.draw(&mut canvas, "");
 
     let arrow_at = if page.is_narrow() { page.wide - ARROW } else { frame.at.0 + frame.size.0 - 24.0 };
-    arrow(&mut canvas, arrow_at, cut.seen(normal));
+    arrow(&mut canvas, arrow_at, cut.project(normal));
     colour_bar(&mut canvas, &frame, step, top, highest, !page.is_narrow());
     key(&mut canvas, &page, bottom + 74.0, typical, home.is_some());
     for (i, line) in coloured.iter().enumerate() {
@@ -191,20 +191,20 @@ fn ellipses(canvas: &mut Canvas, frame: &PlotArea, cut: &Cut, pixels: f64) -> Re
     let mut chosen = std::collections::BTreeMap::<(i64, i64), (f64, &MapPoint)>::new();
     // Near a singularity an ellipse is so long that it hides its neighbours.
     for point in points.iter().filter(|p| p.eigenvalues.last().is_some_and(|&l| l < 3.0 * typical)) {
-        let (cell, off) = off(cut.seen(&point.position));
+        let (cell, off) = off(cut.project(&point.position));
         let best = chosen.entry(cell).or_insert((off, point));
         if off < best.0 {
             *best = (off, point);
         }
     }
     for (_, point) in chosen.values() {
-        let centre = cut.seen(&point.position);
+        let centre = cut.project(&point.position);
         let outline: Vec<(f64, f64)> = (0..=48)
             .map(|i| {
                 let (sin, cos) = (f64::from(i) * std::f64::consts::TAU / 48.0).sin_cos();
                 let mut at = frame.pixel(centre.0, centre.1);
                 for (value, vector) in point.eigenvalues.iter().zip(&point.eigenvectors) {
-                    let axis = cut.seen(vector);
+                    let axis = cut.project(vector);
                     let reach = RADIUS * (value / typical).sqrt() * (cos * axis.0 + sin * axis.1);
                     at = (at.0 + reach * axis.0, at.1 - reach * axis.1);
                 }

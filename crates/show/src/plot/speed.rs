@@ -22,7 +22,7 @@ fn colour_of(kind: Kind) -> &'static str {
 /// Draws instructions over the error of the force at the tip, with each mechanism's Pareto front as a line.
 pub fn draw(every: &[(Device<f64>, Vec<Variant>)]) -> Picture {
     let (low, high) = (-6.0, 4.0);
-    let decades = |variant: &Variant| variant.felt().max(1.0e-12).log10().clamp(low, high);
+    let decades = |variant: &Variant| variant.tip_force_error().max(1.0e-12).log10().clamp(low, high);
     let mut canvas = Canvas::new(760.0, 540.0);
     let frame = PlotArea {
         at: (80.0, 110.0),

@@ -6,7 +6,7 @@ use super::canvas::{Anchor, SMALL, Stroke};
 use super::colour::{FAINT, FULL, OFF};
 use super::paper::{EDGE, Paper};
 use haptic_host::words::with_unit;
-use haptic_stability::analysis::why::{Both, Why};
+use haptic_stability::analysis::why::{LimitPair, Why};
 
 /// Maximum width of a letter, width of the bars on a screen, width of the values behind them, height of one effect,
 /// pixels.
@@ -24,7 +24,7 @@ const BAR_MEANING: &str = "largest stable stiffness without the effect";
 
 /// Draws the picture under a heading and two smaller lines.
 pub fn draw(title: &str, subtitle: &[String; 2], why: &Why, paper: Paper) -> Picture {
-    let rows: Vec<(String, Both)> = std::iter::once(("with everything".to_string(), why.limits))
+    let rows: Vec<(String, LimitPair)> = std::iter::once(("with everything".to_string(), why.limits))
         .chain(why.effects.iter().map(|without| (format!("{}: {}", without.effect, without.instead), without.limits)))
         .collect();
     let longest = rows.iter().map(|(name, _)| name.chars().count()).max().unwrap_or(0);

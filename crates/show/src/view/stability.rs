@@ -116,7 +116,7 @@ impl PredictionRequest {
     fn prediction(&self) -> Option<(Prediction, Linearised)> {
         let wall = self.scene.walls.get(self.wall)?;
         let prediction = Prediction::in_scene(&self.subject, &self.scene, Some(wall), &self.path)?;
-        let model = prediction.seen(&self.q, &self.normal).ok()?;
+        let model = prediction.linearise(&self.q, &self.normal).ok()?;
         Some((prediction, model))
     }
 
@@ -174,7 +174,7 @@ fn explain(request: &PredictionRequest, prediction: &Prediction, model: &Lineari
                 with_unit(hand.stiffness, "N/m"),
                 with_unit(hand.damping, "N s/m")
             ),
-            stiffness: domain(&model.clone().held(hand), control, mode, None).ok().map(|domain| domain.top.kp),
+            stiffness: domain(&model.clone().with_hand(hand), control, mode, None).ok().map(|domain| domain.top.kp),
         });
     }
     let device = &request.subject.device;

@@ -2,10 +2,8 @@
 
 use std::f64::consts::TAU;
 
-/// Longest piece of a signal for one transform, samples.
-const LONGEST: usize = 16_384;
-/// Shortest useful piece, samples.
-const SHORTEST: usize = 64;
+const MAX_PIECE_SAMPLES: usize = 16_384;
+const MIN_PIECE_SAMPLES: usize = 64;
 
 /// A line of a spectrum.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
@@ -25,28 +23,30 @@ pub struct Spectrum {
     pub samples: usize,
 }
 
-/// Lowest frequency of ripple, Hz: slower changes of a force come from the hand.
+/// Lowest frequency that counts as ripple, Hz. Slower force changes come from the hand.
 pub const RIPPLE_HZ: f64 = 20.0;
-/// Power of a sine under a Hann window, in lines: the window's equivalent noise bandwidth.
-const HANN_LINES: f64 = 1.5;
+/// Number of lines over which a Hann window spreads the power of a sine (its equivalent noise bandwidth).
+const HANN_BANDWIDTH_LINES: f64 = 1.5;
 
 impl Spectrum {
-    /// Returns the root mean square of the signal from [`RIPPLE_HZ`] on, in its unit.
+    /// Returns the root mean square of the signal's part at and above [`RIPPLE_HZ`], in the signal's unit.
     #[must_use]
     pub fn ripple(&self) -> f64 {
         let fast = self.lines.iter().filter(|line| line.frequency >= RIPPLE_HZ);
-        (fast.map(|line| 0.5 * line.amplitude.powi(2)).sum::<f64>() / HANN_LINES).sqrt()
+        (fast.map(|line| 0.5 * line.amplitude.powi(2)).sum::<f64>() / HANN_BANDWIDTH_LINES).sqrt()
     }
 }
 
-/// Computes the amplitudes of a signal's sines from evenly sampled `stretches` (Welch 1967), which it divides into
-/// pieces of equal length: the largest power of two of samples that fits the longest stretch, at most 16384. Each piece
-/// has its mean removed and a Hann window, and the powers of all pieces are averaged. The pieces of a stretch overlap
-/// by at least half, so that the first begins and the last ends with the stretch; stretches shorter than a piece are
-/// left out. `None` if the longest stretch has fewer than 64 samples.
+/// Computes a spectrum from evenly sampled `stretches` (Welch 1967).
+///
+/// Divides the stretches into pieces of equal length: the largest power of two of samples that fits the longest
+/// stretch, at most 16384. Removes each piece's mean, applies a Hann window and averages the powers of all pieces. The
+/// pieces of a stretch overlap by at least half and cover the stretch from its first to its last sample. Skips
+/// stretches that are shorter than a piece. Returns `None` if the longest stretch has fewer than 64 samples.
 pub fn spectrum(stretches: &[&[f64]], rate_hz: f64) -> Option<Spectrum> {
-    let longest = stretches.iter().map(|stretch| stretch.len()).max().filter(|longest| *longest >= SHORTEST)?;
-    let size = (1 << longest.ilog2()).min(LONGEST);
+    let longest =
+        stretches.iter().map(|stretch| stretch.len()).max().filter(|longest| *longest >= MIN_PIECE_SAMPLES)?;
+    let size = (1 << longest.ilog2()).min(MAX_PIECE_SAMPLES);
     let window: Vec<f64> = (0..size).map(|i| 0.5 - 0.5 * (TAU * i as f64 / size as f64).cos()).collect();
     let gain: f64 = window.iter().sum();
     let mut power = vec![0.0; size / 2 + 1];
@@ -74,7 +74,7 @@ pub fn spectrum(stretches: &[&[f64]], rate_hz: f64) -> Option<Spectrum> {
     Some(Spectrum { lines: power.into_iter().enumerate().map(line).collect(), samples })
 }
 
-/// Transforms a power of two of complex numbers in place (FFT, Cooley and Tukey 1965).
+/// Transforms numbers in place by the FFT of Cooley and Tukey (1965). The number of values must be a power of two.
 fn transform(values: &mut [(f64, f64)]) {
     let count = values.len();
     let bits = count.trailing_zeros();
@@ -125,7 +125,7 @@ mod tests {
                 (0..50_000).map(|i| 7.0 + amplitude * (TAU * hz * f64::from(i) / rate).sin()).collect();
             let result = spectrum(&[&signal], rate).unwrap();
             let top = result.lines.iter().max_by(|a, b| a.amplitude.total_cmp(&b.amplitude)).unwrap();
-            assert!((top.frequency - hz).abs() < rate / LONGEST as f64, "{top:?}");
+            assert!((top.frequency - hz).abs() < rate / MAX_PIECE_SAMPLES as f64, "{top:?}");
             // Between two lines the Hann window shows at most 15 % less.
             assert!(top.amplitude <= 1.001 * amplitude && top.amplitude > 0.84 * amplitude, "{top:?}");
             let ripple = result.ripple() / (amplitude * 0.5_f64.sqrt());
@@ -134,7 +134,7 @@ mod tests {
         assert_eq!(spectrum(&[&[0.0; 63]], 1.0), None);
     }
 
-    /// Pieces that follow each other from the start would leave out nearly half of 1000 samples, and a third of 767.
+    /// Pieces without overlap would leave out nearly half of 1000 samples, and a third of 767.
     #[test]
     fn every_sample_of_a_stretch_counts() {
         let rate = 1000.0;

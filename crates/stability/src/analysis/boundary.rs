@@ -1,24 +1,22 @@
-//! Gains at which modes leave the unit circle: the exact crossings of one gain with the other held, and the stable
-//! intervals between them.
+//! Gains at which modes leave the unit circle, and the stable intervals between these gains.
 //!
 //! On the unit circle, z = e^{iθ}, the loop 1 + kp Gx(z) + kd Gv(z) = 0 determines the gain as a function of θ. The
-//! gain must be real, so the crossings are the zeros of one real function of θ. The responses Gx and Gv do not depend
-//! on the gains, so they are tabulated once per loop; for each gain the sign changes (and the near misses) are refined.
+//! gain must be real, so the crossings are the zeros of a real function of θ. The responses Gx and Gv do not depend on
+//! the gains, so they are tabulated once per loop. For each gain, sign changes and near misses are then refined.
 //! Eigenvalues decide which intervals between crossings are stable.
 //!
 //! This is Neimark's D-decomposition; see Gryazina and Polyak, "Stability regions in the parameter space:
 //! D-decomposition revisited", Automatica 42 (2006) 13-26.
 
-use nalgebra::Complex;
-
 use super::sampled::{AnalysisError, OpenLoop};
 use super::spectrum::Resolvent;
+use nalgebra::Complex;
 
 /// Smallest stiffness that is analysed, in units of m/T².
 pub(crate) const SMALLEST_STIFFNESS: f64 = 1e-9;
 
-/// Lowest frequency at which a mode can cross, rad per sample: the smallest stiffness on the mass alone gives 3e-5.
-const LOWEST_ANGLE: f64 = 3e-6;
+/// Lowest frequency that is searched, rad per sample. The smallest stiffness oscillates with the mass alone at 3e-5.
+const LOWEST_ANGLE_RAD: f64 = 3e-6;
 
 /// A stable interval of a gain.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -27,15 +25,15 @@ pub(crate) struct Interval {
     pub high: f64,
 }
 
-/// Responses to the wall force around the unit circle.
-pub(crate) struct Circle<'a> {
+/// Responses of the loop to the wall force around the unit circle.
+pub(crate) struct CircleResponses<'a> {
     open: &'a OpenLoop,
     resolvent: Resolvent,
     samples: Vec<Response>,
     at_nyquist: Response,
 }
 
-/// Rendered position and estimated velocity per wall force at one angle.
+/// Rendered position and estimated velocity per wall force at one angle of the unit circle.
 #[derive(Clone, Copy)]
 struct Response {
     angle: f64,
@@ -43,7 +41,6 @@ struct Response {
     velocity: Complex<f64>,
 }
 
-/// The gain whose crossings are searched.
 #[derive(Clone, Copy, PartialEq)]
 enum SearchedGain {
     Stiffness,
@@ -51,16 +48,16 @@ enum SearchedGain {
 }
 
 /// Largest phase difference between the responses of neighbouring samples, rad.
-const LARGEST_TURN: f64 = 0.25;
+const MAX_PHASE_STEP_RAD: f64 = 0.25;
 
 impl Response {
-    /// Returns true if the response turns so far between two samples that a crossing between them could be missed.
+    /// Returns true if a crossing between two neighbouring samples could be missed.
     fn is_far_from(&self, other: &Response) -> bool {
-        let turned = |a: Complex<f64>, b: Complex<f64>| (b * a.conj()).arg().abs() > LARGEST_TURN;
+        let turned = |a: Complex<f64>, b: Complex<f64>| (b * a.conj()).arg().abs() > MAX_PHASE_STEP_RAD;
         turned(self.position, other.position) || turned(self.velocity, other.velocity)
     }
 
-    /// Returns the complex gain that puts a mode at this angle while the other gain is `held`; a crossing if real.
+    /// Returns the complex gain that puts a mode at this angle. A real result is a crossing.
     fn gain(&self, searched: SearchedGain, held: f64) -> Complex<f64> {
         let (own, other) = match searched {
             SearchedGain::Stiffness => (self.position, self.velocity),
@@ -69,7 +66,7 @@ impl Response {
         -(other * held + 1.0) / own
     }
 
-    /// Returns the imaginary part of [`Response::gain`] times a positive factor; finite even where the gain is not.
+    /// Returns the imaginary part of [`Response::gain`] times a positive factor. The result is always finite.
     fn mismatch(&self, searched: SearchedGain, held: f64) -> f64 {
         let (own, other) = match searched {
             SearchedGain::Stiffness => (self.position, self.velocity),
@@ -79,8 +76,8 @@ impl Response {
     }
 }
 
-impl<'a> Circle<'a> {
-    /// Tabulates the responses of one loop.
+impl<'a> CircleResponses<'a> {
+    /// Tabulates the responses of a loop.
     pub fn new(open: &'a OpenLoop, delay_samples: f64) -> Self {
         let mut circle = Self {
             open,
@@ -94,10 +91,10 @@ impl<'a> Circle<'a> {
         };
         let even = (48.0 * (3.0 + delay_samples)) as usize;
         let start = 0.05;
-        let decades = (start / LOWEST_ANGLE).log10();
+        let decades = (start / LOWEST_ANGLE_RAD).log10();
         let below = (decades * 48.0) as usize;
         let angles: Vec<f64> = (0..below)
-            .map(|i| LOWEST_ANGLE * 10f64.powf(decades * i as f64 / below as f64))
+            .map(|i| LOWEST_ANGLE_RAD * 10f64.powf(decades * i as f64 / below as f64))
             .chain(
                 (0..even).map(|i| start + (std::f64::consts::PI * (1.0 - 1e-9) - start) * i as f64 / (even - 1) as f64),
             )
@@ -110,8 +107,7 @@ impl<'a> Circle<'a> {
         circle
     }
 
-    /// Adds samples where the responses turn quickly: a cluster at every resonance, then midpoints between neighbours
-    /// whose responses differ too much.
+    /// Adds samples at resonances, and between neighbouring samples whose responses differ too much.
     fn refine_resonances(&mut self) {
         let top = self.samples.last().map_or(0.0, |last| last.angle);
         for &(radius, centre) in self.open.resonances() {
@@ -122,7 +118,7 @@ impl<'a> Circle<'a> {
                 near.extend([centre - aside, centre + aside]);
                 aside *= 1.6;
             }
-            let within = near.into_iter().filter(|angle| (LOWEST_ANGLE..top).contains(angle));
+            let within = near.into_iter().filter(|angle| (LOWEST_ANGLE_RAD..top).contains(angle));
             for angle in within.collect::<Vec<_>>() {
                 let response = self.respond(angle);
                 self.samples.push(response);
@@ -163,7 +159,7 @@ impl<'a> Circle<'a> {
             if (values[i] > 0.0) != (values[i - 1] > 0.0) {
                 gains.push(self.refine(searched, held, i - 1, i, values[i - 1]));
             }
-            // Two crossings may lie between samples where an extremum is near zero but does not reach zero on the grid.
+            // Two crossings lie between samples if an extremum is near zero but no sample reaches zero.
             if i >= 2 {
                 let (a, b, c) = (values[i - 2], values[i - 1], values[i]);
                 let same_side = (a > 0.0) == (b > 0.0) && (b > 0.0) == (c > 0.0);
@@ -172,7 +168,7 @@ impl<'a> Circle<'a> {
                 }
             }
         }
-        if self.own_at_nyquist(searched).norm() > 1e-14 {
+        if self.nyquist_response(searched).norm() > 1e-14 {
             gains.push(self.at_nyquist.gain(searched, held).re);
         }
         gains.retain(|gain| gain.is_finite() && *gain > 0.0);
@@ -180,15 +176,14 @@ impl<'a> Circle<'a> {
         gains
     }
 
-    fn own_at_nyquist(&self, searched: SearchedGain) -> Complex<f64> {
+    fn nyquist_response(&self, searched: SearchedGain) -> Complex<f64> {
         match searched {
             SearchedGain::Stiffness => self.at_nyquist.position,
             SearchedGain::Damping => self.at_nyquist.velocity,
         }
     }
 
-    /// Refines a crossing between two angles of opposite sign by bisection with secant steps (Illinois). Returns the
-    /// gain.
+    /// Refines a crossing between two samples by bisection with secant steps (Illinois). Returns the gain.
     fn refine(&mut self, searched: SearchedGain, held: f64, from: usize, to: usize, at_from: f64) -> f64 {
         let (a, b) = (self.samples[from].angle, self.samples[to].angle);
         let at_to = self.samples[to].mismatch(searched, held);
@@ -220,7 +215,7 @@ impl<'a> Circle<'a> {
         last.gain(searched, held).re
     }
 
-    /// Searches the extremum between two samples and, if it crosses zero, refines the crossings on both sides.
+    /// Searches the extremum between two samples. If the extremum crosses zero, returns the gains on both sides of it.
     fn refine_pair(&mut self, searched: SearchedGain, held: f64, from: usize, to: usize, middle: f64) -> Vec<f64> {
         let sign = middle.signum();
         let (mut low, mut high) = (self.samples[from].angle, self.samples[to].angle);
@@ -250,27 +245,27 @@ impl<'a> Circle<'a> {
         Vec::new()
     }
 
-    /// Returns the stable intervals of the stiffness from [`SMALLEST_STIFFNESS`] up, at one damping; sample units.
+    /// Returns the stable intervals of stiffness above [`SMALLEST_STIFFNESS`] for one damping, in sample units.
     pub fn stiffness_intervals(&mut self, kd: f64) -> Result<Vec<Interval>, AnalysisError> {
         let crossings = self.crossings(SearchedGain::Stiffness, kd);
         let open = self.open;
         stable_between(SMALLEST_STIFFNESS, &crossings, |kp| open.is_stable(kp, kd))
     }
 
-    /// Returns the stable intervals of the damping from zero up, at the smallest stiffness; sample units.
+    /// Returns the stable intervals of damping from zero up at the smallest stiffness, in sample units.
     pub fn damping_intervals(&mut self) -> Result<Vec<Interval>, AnalysisError> {
         let crossings = self.crossings(SearchedGain::Damping, SMALLEST_STIFFNESS);
         let open = self.open;
         stable_between(0.0, &crossings, |kd| open.is_stable(SMALLEST_STIFFNESS, kd))
     }
 
-    /// The loop of these responses.
+    /// Returns the loop of these responses.
     pub fn open(&self) -> &OpenLoop {
         self.open
     }
 }
 
-/// Splits [start, ∞) at the crossings and keeps the stable intervals, with neighbours joined.
+/// Splits [start, ∞) at the crossings, keeps the stable intervals and joins neighbours.
 fn stable_between(
     start: f64,
     crossings: &[f64],
@@ -286,7 +281,7 @@ fn stable_between(
         if high - low <= 1e-12 * high || !is_stable((low + high) / 2.0) {
             continue;
         }
-        // If the smallest stiffness is unstable, the first interval does not count.
+        // The first interval does not count if the smallest stiffness is unstable.
         if i == 0 && start > 0.0 && !is_stable(start) {
             continue;
         }
@@ -310,7 +305,7 @@ mod tests {
     use haptic_sim::Random;
     use nalgebra::{DMatrix, DVector};
 
-    /// Returns a device of random inertia, damping (sometimes none, sometimes on some joints only) and direction.
+    /// Returns a device with random inertia, direction and damping. Some or all joints may have no damping.
     fn random_device(random: &mut Random, joints: usize) -> Linearised {
         let factor = DMatrix::from_fn(joints, joints, |_, _| random.between(-1.0, 1.0));
         let mass = (&factor * factor.transpose() + DMatrix::identity(joints, joints) * 0.05) * 1e-3;
@@ -363,8 +358,8 @@ mod tests {
             let device = random_device(&mut random, joints);
             let around = random_loop(&mut random, joints);
             let mode = [Mode::Off, Mode::Full, Mode::Washout(2.0)][(case / 3) % 3];
-            let open = OpenLoop::believing(&device, &device, &around, mode).unwrap();
-            let mut circle = Circle::new(&open, around.delay_samples);
+            let open = OpenLoop::with_believed_model(&device, &device, &around, mode).unwrap();
+            let mut circle = CircleResponses::new(&open, around.delay_samples);
             let support = circle.damping_intervals().unwrap();
             for interval in &support {
                 for share in [0.03, 0.3, 0.6, 0.9] {

@@ -1,32 +1,31 @@
 //! The control loop of a wall: rate, delay, estimator, drives, and the torque that renders the wall's force.
 
-use haptic_bridge::render::scene::FeedForward;
-
 use super::error::AnalysisError;
 use super::estimator::LinearEstimator;
-use super::flexible::felt;
+use super::flexible::felt_stiffness;
 use super::plant::{Drive, Linearised};
+use haptic_bridge::render::scene::FeedForward;
 
 /// Longest delay that can be analysed, samples.
 pub const LONGEST_DELAY: f64 = 64.0;
 /// Default bandwidth (Hz) of the first-order lag that represents a board's current loop (docs/results.md).
 pub const CURRENT_LOOP_HZ: f64 = 6400.0;
-/// Carrier frequency of the boards, Hz: torque follows the encoders half a carrier period later.
+/// Carrier frequency of the boards, Hz. A torque acts half a carrier period after the encoders are read.
 pub const CARRIER_HZ: f64 = 20_000.0;
 
-/// Torque that renders the wall force: a wall's feed-forward with its parameters.
+/// Feed-forward of a wall with its parameters.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Mode {
-    /// τ = Jrᵀ fr.
+    /// Without feed-forward: τ = Jrᵀ fr.
     Off,
-    /// Equation (4).
+    /// Full feed-forward: equation (4).
     Full,
-    /// Equation (4) with the force behind fa high-passed at this frequency, Hz.
+    /// Equation (4) with a high-pass on the force of the feed-forward; corner frequency, Hz.
     Washout(f64),
 }
 
 impl Mode {
-    /// Returns the mode of a wall with this feed-forward and this corner of its washout (Hz).
+    /// Returns the mode for a feed-forward; `washout_hz` is the corner of the washout, Hz.
     #[must_use]
     pub fn of(feed_forward: FeedForward, washout_hz: f64) -> Self {
         match feed_forward {
@@ -42,9 +41,9 @@ impl Mode {
 pub struct Loop {
     /// Control steps per second, Hz.
     pub rate_hz: f64,
-    /// Samples from reading the position to the torque; fractions allowed.
+    /// Delay from reading the position to the torque, control samples; fractions allowed.
     pub delay_samples: f64,
-    /// Velocity estimator of every wall.
+    /// Velocity estimator of all walls.
     pub estimator: LinearEstimator,
     /// Motor drives.
     pub drive: Drive,
@@ -53,9 +52,9 @@ pub struct Loop {
 }
 
 impl Loop {
-    /// Returns a control loop at this rate (Hz) with this estimator, through a board's torque path.
+    /// Returns a control loop with this rate (Hz), this estimator and a board's torque path.
     #[must_use]
-    pub fn through(path: &TorquePath, rate_hz: f64, estimator: LinearEstimator) -> Self {
+    pub fn with_torque_path(path: &TorquePath, rate_hz: f64, estimator: LinearEstimator) -> Self {
         let TorquePath { delay_samples, drive } = path.clone();
         Self { rate_hz, delay_samples, estimator, drive, damping_compensation: false }
     }
@@ -106,15 +105,15 @@ impl TorquePath {
     }
 }
 
-/// Returns the default delay of a board at a control rate, control samples: half a carrier period.
+/// Returns the default delay of a board, control samples: half a carrier period.
 pub fn usual_delay(rate_hz: f64) -> f64 {
     0.5 / (CARRIER_HZ / rate_hz).round().max(1.0)
 }
 
 impl Linearised {
-    /// Returns the additional displacement of the tip along the normal at rest that the wall does not measure, m/N: Σⱼ
-    /// Jrⱼ τⱼ/kⱼ with the joint torques τ per newton of wall. These torques are those of equation (4) with the full
-    /// feed-forward, and Jrᵀ without feed-forward or behind a washout. `None` if no transmission is compliant.
+    /// Returns the displacement of the tip along the normal at rest that the encoders do not measure, m/N: Σⱼ Jrⱼ
+    /// τⱼ/kⱼ. The joint torques τ per newton of wall force are those of equation (4) for the full feed-forward,
+    /// otherwise Jrᵀ. Returns `None` if no transmission is compliant.
     #[must_use]
     pub fn compliance(&self, mode: Mode) -> Option<f64> {
         match mode {
@@ -123,9 +122,9 @@ impl Linearised {
         }
     }
 
-    /// Returns the stiffness (N/m) that a hand feels at rest; `None` if no transmission is compliant.
+    /// Returns the stiffness that a hand feels at rest, N/m; `None` if no transmission is compliant.
     #[must_use]
     pub fn felt(&self, mode: Mode, stiffness: f64) -> Option<f64> {
-        felt(stiffness, self.compliance(mode)?)
+        felt_stiffness(stiffness, self.compliance(mode)?)
     }
 }

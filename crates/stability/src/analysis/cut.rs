@@ -1,37 +1,34 @@
-//! The plane of the workspace that a map shows, divided into tiles that are small enough for a drawing, with the
-//! quantities of [`super::map`] between its grid poses.
+//! The plane of the workspace that a map shows, divided into tiles with the quantities of [`super::map`].
 //!
-//! Two joints sweep the plane from home, within their limits and up to the singularities, exactly like the map's grid.
-//! Every corner of a tile is an evaluated pose; nothing is interpolated between tiles.
+//! The angles of two joints span the plane. They start at home and end at joint limits and singularities, as in the
+//! map's grid. Every corner of a tile is an evaluated pose; values are not interpolated.
 //!
-//! A device on a turret is cut at joint 0 = 0 (or, if its limits exclude 0, at the angle of joint 0 at home) and drawn
-//! in its linkage's plane. The redundant arm keeps its orientation at home.
+//! A device on a turret is cut at joint 0 = 0, or at its home angle if its limits exclude 0, and is drawn in the plane
+//! of its linkage. The redundant arm keeps the orientation that it has at home.
 
+use super::map::{FixedCoordinate, MapPoint, Reachable, along, map_point_at};
+use super::pose::{PoseError, TaskPose, unit_normal};
+use crate::skeleton::{Point, Turret};
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::description::Description;
 use haptic_bridge::model::device::Device;
 use nalgebra::DVector;
 
-use super::map::{Held, MapPoint, Reachable, along, at_holding};
-use super::pose::{PoseError, TaskPose, unit_normal};
-use crate::skeleton::{Point, Turret};
+/// Number of grid angles per swept joint before tiles are divided.
+const GRID_ANGLES: usize = 64;
+/// Maximum number of halvings of a tile inside the workspace.
+const MAX_HALVINGS: usize = 4;
+/// Maximum number of halvings of an edge tile. Two leave 1.4° of a turn, where the edge is nearly straight.
+const MAX_EDGE_HALVINGS: usize = 2;
 
-/// Grid angles per swept joint before tiles are divided.
-const GRID: usize = 64;
-/// Largest number of times that a tile is halved; at the smallest size a tile on the edge is cut where the workspace
-/// ends.
-const DEPTH: usize = 4;
-/// Maximum number of halvings of a tile on the edge. Two leave 1.4° of a full turn, where the edge is nearly straight.
-const EDGE_DEPTH: usize = 2;
-
-/// A pose of the plane.
+/// A pose in the plane.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Node {
     /// Angles of the two swept joints, rad.
     pub swept: [f64; 2],
-    /// Tip in the linkage's plane, m.
+    /// Position of the tip in the plane of the linkage, m.
     pub place: Point,
-    /// The coupling's share of the rendered inertia, (Wrr - Weff)/Wrr.
+    /// Share of the coupling in the rendered inertia, (Wrr - Weff)/Wrr.
     pub share: f64,
 }
 
@@ -40,12 +37,12 @@ pub struct Node {
 pub struct Tile {
     /// Outline, m.
     pub outline: Vec<Point>,
-    /// Mean share at its corners.
+    /// Mean of the corners' shares.
     pub share: f64,
 }
 
 impl Tile {
-    /// Area, m².
+    /// Returns the area, m².
     pub fn area(&self) -> f64 {
         let next = self.outline.iter().cycle().skip(1);
         let twice: f64 = self.outline.iter().zip(next).map(|(a, b)| a.0 * b.1 - b.0 * a.1).sum();
@@ -58,9 +55,9 @@ impl Tile {
 pub struct Fineness {
     /// Largest side of a tile, m.
     pub side: f64,
-    /// Size below which a tile is not divided further because of its shares, m.
+    /// Side below which a tile is not divided further, even if its shares differ, m.
     pub least: f64,
-    /// Largest difference of the share between a tile's corners, for shares below `top`.
+    /// Largest allowed difference of the share between a tile's corners, for shares below `top`.
     pub step: f64,
     /// Share above which all shares count as equal.
     pub top: f64,
@@ -73,17 +70,16 @@ pub struct Cut {
     device: Device<f64>,
     reachable: Reachable,
     swept: [usize; 2],
-    /// Description of the held coordinate; empty if none is held.
+    /// Text that names the held coordinate and its value; empty if no coordinate is held.
     pub caption: String,
     normal: DVector<f64>,
     admissible: Admissible,
-    /// The plane's x and y in the task's frame.
+    /// Unit vectors of the plane's x and y in the task's frame.
     axes: [[f64; 3]; 2],
 }
 
 impl Cut {
-    /// Sets up the plane of a device with at least two joints, for a normal of d entries; a redundant device's
-    /// feed-forward holds `admissible`.
+    /// Prepares the plane of a device with at least two joints for the wall normal `normal` (d entries).
     pub fn new(description: &Description, normal: &[f64], admissible: Admissible) -> Result<Self, PoseError> {
         let spec = description.kind.spec();
         let device = Device::new("", description)?;
@@ -93,7 +89,7 @@ impl Cut {
                 let allowed = |angle: &f64| device.joints[0].limits.is_none_or(|(l, h)| (l..=h).contains(angle));
                 let middle = device.joints[0].limits.map_or(0.0, |(l, h)| (l + h) / 2.0);
                 let angle = [0.0, home[0]].into_iter().find(allowed).unwrap_or(middle);
-                (Some(Held::Joint(0, angle)), [1, 2], format!("joint 0 at {angle:.3} rad"))
+                (Some(FixedCoordinate::Joint(0, angle)), [1, 2], format!("joint 0 at {angle:.3} rad"))
             }
             (3, _) => {
                 let phi: f64 = home.iter().sum();
@@ -101,29 +97,29 @@ impl Cut {
                     Admissible::Orientation => format!("orientation held at {phi:.3} rad, as at home"),
                     other => format!("{} held; shown where the orientation is {phi:.3} rad, as at home", other.name()),
                 };
-                (Some(Held::Orientation(phi)), [0, 1], caption)
+                (Some(FixedCoordinate::Orientation(phi)), [0, 1], caption)
             }
             _ => (None, [0, 1], String::new()),
         };
-        let turned = if let Some(Held::Joint(_, angle)) = held { angle } else { 0.0 };
+        let turned = if let Some(FixedCoordinate::Joint(_, angle)) = held { angle } else { 0.0 };
         let (sin, cos) = turned.sin_cos();
         let axes = match Turret::of(description.kind) {
             Some(Turret::AboutX) => [[1.0, 0.0, 0.0], [0.0, cos, sin]],
             Some(Turret::AboutY) => [[cos, 0.0, -sin], [0.0, 1.0, 0.0]],
             None => [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]],
         };
-        let reachable = Reachable::of(&device, GRID, held)?;
+        let reachable = Reachable::of(&device, GRID_ANGLES, held)?;
         let normal = unit_normal(normal, spec.task, spec.joints)?;
         Ok(Self { description: *description, device, reachable, swept, caption, normal, admissible, axes })
     }
 
     /// Projects a task vector onto the plane.
-    pub fn seen(&self, vector: &[f64]) -> Point {
+    pub fn project(&self, vector: &[f64]) -> Point {
         let on = |axis: &[f64; 3]| vector.iter().zip(axis).map(|(v, a)| v * a).sum();
         (on(&self.axes[0]), on(&self.axes[1]))
     }
 
-    /// Returns the joint angles for two swept ones, rad.
+    /// Returns all joint angles for two swept angles, rad.
     pub fn q(&self, swept: [f64; 2]) -> Vec<f64> {
         let mut q: Vec<f64> = self.reachable.axes.iter().map(|axis| axis[0]).collect();
         q[self.swept[0]] = swept[0];
@@ -132,26 +128,27 @@ impl Cut {
         q
     }
 
-    /// Returns the pose at two swept angles; `None` if the device cannot reach it.
+    /// Returns the pose at two swept angles, or `None` if the device cannot reach it.
     pub fn node(&self, swept: [f64; 2]) -> Option<Node> {
         let q = self.q(swept);
-        self.reachable.walkable(&q).then(|| self.evaluate(&q, swept)).flatten()
+        self.reachable.is_on_reached_side(&q).then(|| self.evaluate(&q, swept)).flatten()
     }
 
     fn evaluate(&self, q: &[f64], swept: [f64; 2]) -> Option<Node> {
         let pose = TaskPose::of(&self.device.mechanism, q).ok()?.holding(self.admissible);
         let (w_eff, w_rr) = along(&pose, &self.normal)?;
-        Some(Node { swept, place: self.seen(&pose.position), share: ((w_rr - w_eff) / w_rr).max(0.0) })
+        Some(Node { swept, place: self.project(&pose.position), share: ((w_rr - w_eff) / w_rr).max(0.0) })
     }
 
-    /// Evaluates the reached grid poses at the `wanted` places.
+    /// Evaluates the reachable grid poses whose tip position is `wanted`.
     pub fn points(&self, wanted: impl Fn(Point) -> bool) -> Result<Vec<MapPoint>, PoseError> {
         let angles = self.reachable.indices().map(|index| self.reachable.angles(index));
-        let is_wanted =
-            |q: &Vec<f64>| TaskPose::of(&self.device.mechanism, q).is_ok_and(|pose| wanted(self.seen(&pose.position)));
+        let is_wanted = |q: &Vec<f64>| {
+            TaskPose::of(&self.device.mechanism, q).is_ok_and(|pose| wanted(self.project(&pose.position)))
+        };
         angles
             .filter(is_wanted)
-            .filter_map(|q| at_holding(&self.description, &q, &self.normal, self.admissible).transpose())
+            .filter_map(|q| map_point_at(&self.description, &q, &self.normal, self.admissible).transpose())
             .collect()
     }
 
@@ -171,7 +168,7 @@ impl Cut {
             |axis: &Vec<f64>, joint: usize| if self.reachable.wraps[joint] { axis.len() } else { axis.len() - 1 };
         let angle = |axis: &Vec<f64>, i: usize| match axis.get(i) {
             Some(angle) => *angle,
-            // After a full turn the grid ends at the first angle plus a turn.
+            // A full turn ends at the first angle plus 2π.
             None => axis[0] + std::f64::consts::TAU,
         };
         let corner = |i: usize, j: usize| {
@@ -198,7 +195,7 @@ impl Cut {
             return;
         }
         let whole = nodes.len() == 4;
-        if depth < if whole { DEPTH } else { EDGE_DEPTH } && (!whole || too_coarse(&nodes, fineness)) {
+        if depth < if whole { MAX_HALVINGS } else { MAX_EDGE_HALVINGS } && (!whole || too_coarse(&nodes, fineness)) {
             let [a, b, c, d] = corners;
             let between = |a: &Corner, b: &Corner| {
                 let swept = [(a.swept[0] + b.swept[0]) / 2.0, (a.swept[1] + b.swept[1]) / 2.0];
@@ -215,7 +212,7 @@ impl Cut {
         for (corner, next) in corners.iter().zip(corners.iter().cycle().skip(1)) {
             match (corner.node, next.node) {
                 (Some(here), None) => outline.extend([Some(here), self.last_reachable(here, next.swept)]),
-                (None, Some(is_wanted)) => outline.push(self.last_reachable(is_wanted, corner.swept)),
+                (None, Some(reached)) => outline.push(self.last_reachable(reached, corner.swept)),
                 (here, _) => outline.push(here),
             }
         }
@@ -224,7 +221,7 @@ impl Cut {
         tiles.push(Tile { outline: outline.iter().map(|n| n.place).collect(), share });
     }
 
-    /// Returns the last pose between `inside` and swept angles that the device cannot reach.
+    /// Returns the last reachable pose on the way from `inside` to the unreachable angles `outside`.
     fn last_reachable(&self, inside: Node, outside: [f64; 2]) -> Option<Node> {
         let mut last = inside;
         let mut beyond = outside;
@@ -239,7 +236,7 @@ impl Cut {
     }
 }
 
-/// A corner of a cell: swept angles, and the pose is_wanted if the device can reach it.
+/// A corner of a cell: its swept angles, and its pose if reachable.
 #[derive(Clone, Copy, Debug)]
 struct Corner {
     swept: [f64; 2],

@@ -1,42 +1,39 @@
 //! Stable domain of a wall on one device: boundary, area and islands.
 //!
-//! The area is ∫ kp_max dkd. A stable interval above the first crossing is an island: it is reported but does not
-//! count. The integral is computed like that of the reference cases (tests/golden/range.json, reproduced to 1e-8), by
-//! the trapezoidal rule on dampings spaced like Chebyshev points. Compared with the exact integral it is 5e-4 low on a
-//! smooth boundary of any shape, and up to 2e-2 off if kp_max jumps (tool/tests/quick/range_golden.rs). Ratios of areas
-//! of the same shape have no such error.
+//! The area is ∫ kp_max dkd. A stable interval above the first crossing is an island: it is reported but not added to
+//! the area. The integral uses the trapezoidal rule on dampings spaced like Chebyshev points, like the reference cases
+//! (tests/golden/range.json, reproduced to 1e-8). On a smooth boundary the result is 5e-4 lower than the exact
+//! integral; if kp_max jumps, the error is up to 2e-2 (tool/tests/quick/range_golden.rs). Ratios of areas of the same
+//! shape have no such error.
 
-use serde::Serialize;
-
-use super::boundary::{Circle, Interval};
+use super::boundary::{CircleResponses, Interval};
 use super::control_loop::{Loop, Mode};
 use super::error::AnalysisError;
-use super::flexible::felt;
+use super::flexible::felt_stiffness;
 use super::oscillation::Oscillation;
 use super::plant::Linearised;
 use super::several::{WallLoops, WallSet, open_loop};
+use serde::Serialize;
 
 /// Default number of damping values on a boundary.
 pub const BOUNDARY_POINTS: usize = 200;
 
-/// Damping limit below which nothing counts as stable, in units of m/T: such a limit only reflects the smallest
-/// stiffness that is analysed.
+/// Largest damping that counts as zero, in units of m/T. A smaller limit only reflects the smallest stiffness analysed.
 const SMALLEST_DAMPING: f64 = 1e-7;
-/// Range of dampings in which islands are searched if nothing is stable from zero up, in the same units.
-const ISLANDS: (f64, f64) = (1e-5, 2.0);
+/// Range of dampings searched for islands if nothing is stable from zero up, in units of m/T.
+const ISLAND_DAMPINGS: (f64, f64) = (1e-5, 2.0);
 
 /// A point of the boundary.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, serde::Deserialize)]
 pub struct BoundaryPoint {
     /// Damping, N s/m.
     pub kd: f64,
-    /// Largest stiffness that is stable from zero up, N/m; zero if none is.
+    /// Largest stiffness up to which all stiffnesses are stable, N/m; zero if none is stable.
     pub kp: f64,
-    /// Stiffness that a hand at the tip feels if transmissions are compliant, N/m ([`super::flexible::felt`]).
+    /// Stiffness that a hand at the tip feels if transmissions are compliant, N/m ([`super::flexible::felt_stiffness`]).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub felt: Option<f64>,
-    /// Frequency at which a stiffer wall begins to oscillate, Hz; `None` if nothing is stable, or if the wall creeps
-    /// instead.
+    /// Frequency at which a stiffer wall oscillates, Hz; `None` if nothing is stable or the wall creeps instead.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub hz: Option<f64>,
 }
@@ -48,14 +45,14 @@ impl BoundaryPoint {
     }
 }
 
-/// A stable interval of stiffness that cannot be reached from zero at the same damping.
+/// A stable interval of stiffness above an unstable one at the same damping.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Island {
     /// Damping, N s/m.
     pub kd: f64,
-    /// Lower end, N/m.
+    /// Lower end of the interval, N/m.
     pub kp_low: f64,
-    /// Upper end, N/m.
+    /// Upper end of the interval, N/m.
     pub kp_high: f64,
 }
 
@@ -66,20 +63,20 @@ pub struct Domain {
     pub area: f64,
     /// Damping at which kp_max reaches zero, N s/m.
     pub kd_max: f64,
-    /// Point of the largest stiffness; if dampings were requested, among these dampings.
+    /// Point with the largest stiffness; only among the requested dampings if any were requested.
     #[serde(skip)]
     pub top: BoundaryPoint,
-    /// kp_max over damping.
+    /// Boundary points in order of damping.
     pub boundary: Vec<BoundaryPoint>,
-    /// Stable intervals above the boundary, at the same damping values and slightly beyond.
+    /// Stable intervals above the boundary, at the same dampings and slightly beyond.
     pub islands: Vec<Island>,
 }
 
 impl Domain {
-    /// Adds the stiffness that a hand feels with this compliance (m/N).
+    /// Sets the stiffness that a hand feels, for transmissions with this compliance (m/N).
     pub(super) fn with_compliance(mut self, compliance: Option<f64>) -> Self {
         for point in self.boundary.iter_mut().chain([&mut self.top]) {
-            point.felt = compliance.and_then(|compliance| felt(point.kp, compliance));
+            point.felt = compliance.and_then(|compliance| felt_stiffness(point.kp, compliance));
         }
         self
     }
@@ -91,11 +88,12 @@ pub fn domain(device: &Linearised, around: &Loop, mode: Mode, kd: Option<&[f64]>
         return Err(AnalysisError::Damping(refused));
     }
     let open = open_loop(device, device, around, mode)?;
-    let result = domain_from_intervals(&mut Circle::new(&open, around.delay_samples), open.mass, open.sample_s, kd)?;
+    let result =
+        domain_from_intervals(&mut CircleResponses::new(&open, around.delay_samples), open.mass, open.sample_s, kd)?;
     Ok(result.with_compliance(device.compliance(mode)))
 }
 
-/// Like [`domain`], for walls that act together.
+/// Like [`domain`], for several walls that act together.
 pub fn domain_of_several(
     set: &WallSet,
     around: &Loop,
@@ -110,19 +108,19 @@ pub fn domain_of_several(
     domain_from_intervals(&mut loops, mass, sample_s, kd)
 }
 
-/// Stable intervals of one gain with the other held, in sample units.
+/// Computes the stable intervals of one gain while the other is constant, in sample units.
 pub(super) trait StableIntervals {
     fn stiffness_intervals(&mut self, kd: f64) -> Result<Vec<Interval>, AnalysisError>;
     fn damping_intervals(&mut self) -> Result<Vec<Interval>, AnalysisError>;
     fn oscillation(&self, kp: f64, kd: f64) -> Option<Oscillation>;
 }
 
-impl StableIntervals for Circle<'_> {
+impl StableIntervals for CircleResponses<'_> {
     fn stiffness_intervals(&mut self, kd: f64) -> Result<Vec<Interval>, AnalysisError> {
-        Circle::stiffness_intervals(self, kd)
+        CircleResponses::stiffness_intervals(self, kd)
     }
     fn damping_intervals(&mut self) -> Result<Vec<Interval>, AnalysisError> {
-        Circle::damping_intervals(self)
+        CircleResponses::damping_intervals(self)
     }
     fn oscillation(&self, kp: f64, kd: f64) -> Option<Oscillation> {
         self.open().oscillation(kp, kd)
@@ -163,7 +161,9 @@ pub(super) fn domain_from_intervals(
     let at: Vec<f64> = match kd {
         Some(requested) => requested.iter().map(|kd| kd / damping_unit).collect(),
         None if kd_max > 0.0 => (0..BOUNDARY_POINTS).map(|i| kd_max * share(i)).collect(),
-        None => (0..BOUNDARY_POINTS).map(|i| ISLANDS.0 * (ISLANDS.1 / ISLANDS.0).powf(share(i))).collect(),
+        None => (0..BOUNDARY_POINTS)
+            .map(|i| ISLAND_DAMPINGS.0 * (ISLAND_DAMPINGS.1 / ISLAND_DAMPINGS.0).powf(share(i)))
+            .collect(),
     };
     let mut boundary: Vec<BoundaryPoint> = Vec::with_capacity(at.len());
     let mut islands = Vec::new();
@@ -186,7 +186,7 @@ pub(super) fn domain_from_intervals(
         })?;
     }
     if kd.is_none() && kd_max > 0.0 {
-        // Islands may lie beyond the domain; search as far again as the domain extends.
+        // Islands may lie beyond the largest damping, so search up to twice this damping.
         for i in 1..=32 {
             let kd_hat = kd_max + kd_max * f64::from(i) / 32.0;
             let stable = stable_at(kd_hat)?;
@@ -214,7 +214,7 @@ pub fn oscillation(
     Ok(open.oscillation(kp, kd))
 }
 
-/// Like [`oscillation`], for walls that act together, with total stiffness and damping.
+/// Like [`oscillation`], for several walls that act together with this total stiffness and damping.
 pub fn oscillation_of_several(
     set: &WallSet,
     around: &Loop,
@@ -232,12 +232,11 @@ fn in_sample_units(kp: f64, kd: f64, mass: f64, sample_s: f64) -> Result<(f64, f
     refused.map_or(Ok((kp * sample_s * sample_s / mass, kd * sample_s / mass)), |gain| Err(AnalysisError::Gain(gain)))
 }
 
-/// Returns the largest stiffness (N/m) that is stable with damping `kd` (N s/m), zero if none is, and the largest
-/// damping with which any stiffness is stable.
+/// Returns the largest stable stiffness (N/m) at damping `kd`, zero if none, and the largest stable damping.
 pub fn stiffness_at(device: &Linearised, around: &Loop, mode: Mode, kd: f64) -> Result<(f64, f64), AnalysisError> {
     let open = open_loop(device, device, around, mode)?;
     let damping_unit = open.mass / open.sample_s;
-    let mut circle = Circle::new(&open, around.delay_samples);
+    let mut circle = CircleResponses::new(&open, around.delay_samples);
     let support = support(&mut circle)?;
     let kd_max = support.last().map_or(0.0, |last| last.high);
     let kd_hat = kd / damping_unit;
@@ -248,8 +247,7 @@ pub fn stiffness_at(device: &Linearised, around: &Loop, mode: Mode, kd: f64) -> 
     Ok((kp * damping_unit / open.sample_s, kd_max * damping_unit))
 }
 
-/// Returns the largest stiffness (N/m) that is stable at each damping of `kd` (N s/m), zero if none is, on a device
-/// whose controller uses the model `believed`.
+/// Returns the largest stable stiffness at each damping of `kd`, N/m, with the controller's model `believed`.
 pub fn stiffnesses(
     device: &Linearised,
     believed: &Linearised,
@@ -261,8 +259,8 @@ pub fn stiffnesses(
     Ok(points.into_iter().map(|point| point.kp).collect())
 }
 
-/// Returns the boundary of a device whose controller uses the model `believed`, at the dampings (N s/m) that `kd`
-/// chooses from the largest damping with which any stiffness is stable.
+/// Returns boundary points of a device whose controller uses the model `believed`. The function `kd` receives the
+/// largest damping at which any stiffness is stable and returns the dampings of the points, N s/m.
 pub fn boundary_of(
     device: &Linearised,
     believed: &Linearised,
@@ -272,7 +270,7 @@ pub fn boundary_of(
 ) -> Result<Vec<BoundaryPoint>, AnalysisError> {
     let open = open_loop(device, believed, around, mode)?;
     let damping_unit = open.mass / open.sample_s;
-    let mut circle = Circle::new(&open, around.delay_samples);
+    let mut circle = CircleResponses::new(&open, around.delay_samples);
     let support = support(&mut circle)?;
     let kd_max = support.last().map_or(0.0, |last| last.high) * damping_unit;
     let mut points = Vec::new();
@@ -287,7 +285,7 @@ pub fn boundary_of(
     Ok(points)
 }
 
-/// Returns the dampings at which the smallest stiffness is stable, in units of m/T; none if they are negligible.
+/// Returns the dampings at which the smallest stiffness is stable, in units of m/T; empty if all are negligible.
 fn support(circle: &mut impl StableIntervals) -> Result<Vec<Interval>, AnalysisError> {
     let result = circle.damping_intervals()?;
     Ok(if result.last().is_some_and(|last| last.high > SMALLEST_DAMPING) { result } else { Vec::new() })
@@ -298,8 +296,7 @@ fn is_supported(support: &[Interval], kd_hat: f64) -> bool {
     support.iter().any(|interval| interval.low <= kd_hat && kd_hat < interval.high)
 }
 
-/// Returns kp_max at one damping: the end of the interval that starts at the smallest stiffness; zero outside the
-/// support.
+/// Returns kp_max at one damping: the end of the interval from the smallest stiffness; zero without one.
 fn supported_stiffness(support: &[Interval], kd_hat: f64, stable: &[Interval]) -> f64 {
     match stable.first() {
         Some(first) if is_supported(support, kd_hat) && first.low <= super::boundary::SMALLEST_STIFFNESS => first.high,
@@ -307,11 +304,10 @@ fn supported_stiffness(support: &[Interval], kd_hat: f64, stable: &[Interval]) -
     }
 }
 
-/// Number of times that the bracket of the largest stiffness is narrowed, to 0.3 % of the two grid intervals that it
-/// starts with. If the boundary has a kink there, the result is within 1e-5.
-const NARROWINGS: usize = 12;
+/// Number of golden-section steps. They narrow two grid intervals to 0.3 %; at a kink the stiffness is within 1e-5.
+const GOLDEN_SECTION_STEPS: usize = 12;
 
-/// Searches the largest value between the ends of a bracket by golden section.
+/// Searches the largest value in a bracket by golden section. The caller keeps the largest value.
 fn maximise(
     (mut low, mut high): (f64, f64),
     mut value: impl FnMut(f64) -> Result<f64, AnalysisError>,
@@ -319,7 +315,7 @@ fn maximise(
     let golden = (5.0_f64.sqrt() - 1.0) / 2.0;
     let mut inner = [high - golden * (high - low), low + golden * (high - low)];
     let mut values = [value(inner[0])?, value(inner[1])?];
-    for _ in 0..NARROWINGS {
+    for _ in 0..GOLDEN_SECTION_STEPS {
         if values[0] > values[1] {
             high = inner[1];
             (inner[1], values[1]) = (inner[0], values[0]);
@@ -338,7 +334,7 @@ fn maximise(
 /// Number of intervals of the trapezoidal rule for the area.
 const AREA_INTERVALS: u32 = 60;
 
-/// Computes ∫₀^end value by trapezoids between end (1 - cos φ)/2 at even φ.
+/// Computes ∫₀^end value by trapezoids between end (1 - cos φ)/2 at evenly spaced φ.
 fn area(end: f64, mut value: impl FnMut(f64) -> Result<f64, AnalysisError>) -> Result<f64, AnalysisError> {
     let at = |i: u32| end * (1.0 - (std::f64::consts::PI * f64::from(i) / f64::from(AREA_INTERVALS)).cos()) / 2.0;
     let mut total = 0.0;
@@ -416,11 +412,10 @@ mod tests {
         let (kp, kd) = (result.top.kp * 1e-6, result.top.kd * 1e-3);
         assert!((kp / (12.0 - 8.0 * 2.0_f64.sqrt()) - 1.0).abs() < 1e-8, "{kp}");
         assert!((kd - 2.0 * (2.0_f64.sqrt() - 1.0)).abs() < 1e-4, "{kd}");
-        // The two neighbouring points of the grid are 3e-6 lower. At a kink, which soft transmissions cause, they would
-        // be up to 3e-3 lower.
+        // The neighbouring grid points are 3e-6 lower. At a kink of soft transmissions it could be 3e-3.
         let grid = result.boundary.iter().map(|point| point.kp).fold(0.0, f64::max) * 1e-6;
         assert!(grid < kp - 1e-7, "{grid}");
-        // If dampings are requested, the top is the largest stiffness at these.
+        // If dampings are requested, the top is the largest stiffness at the requested dampings.
         let requested = domain(&mass(1.0, 0.0), &around, Mode::Off, Some(&[300.0, 700.0])).unwrap();
         assert_eq!(requested.top, requested.boundary[1]);
     }
@@ -435,12 +430,12 @@ mod tests {
 
     #[test]
     fn domain_without_filter_or_delay_equals_the_textbook() {
-        // Backward difference, double integrator: 1 + K (z+1)/(2(z-1)²) + D (z+1)/(2z(z-1)), by Jury with the
+        // By Jury. Backward difference and double integrator, 1 + K (z+1)/(2(z-1)²) + D (z+1)/(2z(z-1)), have the
         // polynomial
         // z(z-1)² + (k/2) z (z+1) + (d/2)(z+1)(z-1) = z³ + (k/2 + d/2 - 2) z² + (1 + k/2) z - d/2.
         let around = Loop { estimator: LinearEstimator::BackwardDifference, ..control_loop(1000.0, 1.0, 0.0) };
         let result = domain(&mass(1.0, 0.0), &around, Mode::Off, Some(&[200.0])).unwrap();
-        // Jury for a cubic with a0 = -d/2: |a0² - 1| > |a0 a2 - a1| gives the limit at d = 0.2.
+        // Jury for a cubic with a0 = -d/2: |a0² - 1| > |a0 a2 - a1| is the limit at d = 0.2.
         let d = 0.2;
         let stable = |k: f64| {
             let (a2, a1, a0) = (k / 2.0 + d / 2.0 - 2.0, 1.0 + k / 2.0, -d / 2.0);
@@ -455,29 +450,23 @@ mod tests {
             if stable(middle) { low = middle } else { high = middle }
         }
         assert!((result.boundary[0].kp * 1e-6 / low - 1.0).abs() < 1e-9);
-        // At k = 0 the polynomial is (z - 1)(z² - (1 - d/2) z + d/2), with a second factor that is stable up to d = 2.
+        // At k = 0 the polynomial is (z - 1)(z² - (1 - d/2) z + d/2); its second factor is stable up to d = 2.
         assert!((result.kd_max * 1e-3 - 2.0).abs() < 1e-6, "{}", result.kd_max);
     }
 
     const RATE: f64 = 1000.0;
 
-    /// Returns a joint of 1 kg with a backward difference, no filter and no delay. In units of m/T² and m/T its
-    /// characteristic polynomial is z³ + (k/2 + d/2 - 2) z² + (1 + k/2) z - d/2.
+    /// Returns a joint of 1 kg and a loop with backward difference, no filter and no delay. In units of m/T² and m/T
+    /// the characteristic polynomial is z³ + (k/2 + d/2 - 2) z² + (1 + k/2) z - d/2.
     fn joint() -> (Linearised, Loop) {
-        let around = Loop {
-            rate_hz: RATE,
-            delay_samples: 0.0,
-            estimator: LinearEstimator::BackwardDifference,
-            drive: Drive::Ideal,
-            damping_compensation: false,
-        };
+        let around = Loop { estimator: LinearEstimator::BackwardDifference, ..control_loop(RATE, 1.0, 0.0) };
         (mass(1.0, 0.0), around)
     }
 
     #[test]
     fn oscillation_of_a_joint_matches_its_polynomial() {
         let (device, around) = joint();
-        // Without damping one root is 0, and the pair has |z|² = 1 + k/2 and the sum 2 - k/2.
+        // Without damping one root is 0, and the pair has |z|² = 1 + k/2 and sum 2 - k/2.
         for k in [1e-6, 0.01, 1.0, 3.0] {
             let result = oscillation(&device, &around, Mode::Off, k * RATE * RATE, 0.0).unwrap().unwrap();
             let size = (1.0 + k / 2.0_f64).sqrt();
@@ -485,7 +474,7 @@ mod tests {
             assert!((result.hz / hz - 1.0).abs() < 1e-6, "{k}: {result:?} is not {hz} Hz");
             assert!((result.growth_per_s / (size.ln() * RATE) - 1.0).abs() < 1e-6, "{k}: {result:?}");
         }
-        // With d = 0.4 and the pair at 0.9 e^{±iθ}, the third root is r = d/2/0.81. The sum of all roots and the sum of
+        // With d = 0.4 and a pair at 0.9 e^{±iθ}, the third root is r = d/2/0.81. The sum of all roots and the sum of
         // their products in pairs give θ and k.
         let (size, d) = (0.9_f64, 0.4_f64);
         let r = d / 2.0 / (size * size);
@@ -499,7 +488,7 @@ mod tests {
     #[test]
     fn the_boundary_reports_its_frequency() {
         let (device, around) = joint();
-        // On the circle the third root is d/2 and cos θ = (2 - d)/(2 + d).
+        // On the unit circle the third root is d/2, and cos θ = (2 - d)/(2 + d).
         let requested: Vec<f64> = [0.0, 0.1, 0.5, 1.9, 2.5].iter().map(|d| d * RATE).collect();
         let result = domain(&device, &around, Mode::Off, Some(&requested)).unwrap();
         for (point, d) in result.boundary.iter().zip(&requested).skip(1).take(3) {

@@ -1,26 +1,24 @@
-//! Motions without feedback: if the joints' damping is exactly compensated, a device drifts. The analysis of the loop
-//! removes these motions, because modes that rest on the unit circle cannot be distinguished from unstable ones.
-
-use nalgebra::{DMatrix, DVector};
+//! Motions without feedback. If the joints' damping is exactly compensated, a device drifts freely. The analysis
+//! removes these motions because their modes on the unit circle cannot be distinguished from unstable modes.
 
 use super::control_loop::{Loop, Mode};
 use super::plant::{ContinuousPlant, Linearised};
+use nalgebra::{DMatrix, DVector};
 
-/// Constant states of the loop at any gains: one column of states per motion, and the force that the motion needs.
+/// Constant motions of the loop, which exist at any gains.
 #[derive(Clone, Debug)]
 pub(super) struct Drift {
-    /// States per unit of motion, without the rendered position.
+    /// States per unit of motion, one column per motion, without the rendered position.
     states: DMatrix<f64>,
-    /// Wall force per unit of motion, in force units: the rendered position settles at -force/kp.
+    /// Wall force that each motion needs, in force units. The rendered position settles at -force/kp.
     force: DVector<f64>,
-    /// Index of each motion's own state, which is one for this motion and zero for the others.
+    /// Index of the state that is one for this motion and zero for every other motion, for each motion.
     pivot: Vec<usize>,
-    /// Index of the rendered position.
     position: usize,
 }
 
 impl Drift {
-    /// Returns F on the remaining states after the constant motions are removed.
+    /// Returns F on the remaining states after removing the constant motions.
     pub fn remove_from(&self, f: DMatrix<f64>, kp: f64) -> DMatrix<f64> {
         let mut motion = self.states.clone();
         for column in 0..motion.ncols() {
@@ -38,10 +36,10 @@ impl Drift {
 /// One constant motion: (velocities of the damped joints, share of the undamped ones, lagging torques, wall force).
 pub(super) type ConstantMotion = (Vec<f64>, f64, Vec<f64>, f64);
 
-/// Finds the constant joint velocities that no torque changes if the joints' damping is exactly compensated.
+/// Finds the constant joint velocities that persist if the joints' damping is exactly compensated.
 ///
-/// They have no part along the wall. With the full feed-forward the wall balances a force EᵀB q̇. Behind a washout no
-/// such force lasts, so only velocities with EᵀB q̇ = 0 remain. Drives that damp the joints (back-EMF) leave none.
+/// These velocities do not move the tip along the wall's normal. With the full feed-forward the wall balances a force
+/// EᵀB q̇; a washout removes it, so only velocities with EᵀB q̇ = 0 persist. With back-EMF no velocity persists.
 pub(super) fn find_drift(
     device: &Linearised,
     around: &Loop,
@@ -90,8 +88,8 @@ pub(super) fn find_drift(
     Some(Drift { states: states(&constants), force, pivot, position: plant.position })
 }
 
-/// Returns a basis of the vectors orthogonal to all conditions, by Gauss-Jordan elimination, and the pivot of each: the
-/// coordinate at which this vector is one and the others are zero.
+/// Returns a basis of the vectors orthogonal to all conditions, by Gauss-Jordan elimination, and a pivot for each
+/// vector: the coordinate at which this vector is one and the other vectors are zero.
 fn null_space(dimension: usize, conditions: &[DVector<f64>]) -> (Vec<DVector<f64>>, Vec<usize>) {
     let mut rows: Vec<DVector<f64>> = Vec::new();
     let mut bound = Vec::new();

@@ -1,14 +1,12 @@
-//! Eigenvalues of a small real matrix: balancing, Hessenberg form, and the double-shift QR iteration with exceptional
-//! shifts.
+//! Eigenvalues of a small real matrix by double-shift QR iteration with exceptional shifts.
 //!
-//! nalgebra's Schur decomposition has no exceptional shifts after 10 and 20 iterations. Therefore it does not converge
-//! on some of the graded, nearly defective matrices of a sampled loop (one in a few hundred). Algorithm: Wilkinson and
-//! Reinsch, *Handbook for Automatic Computation II: Linear Algebra* (1971), contributions II/11, II/13 and II/14
-//! (`balance`, `elmhes`, `hqr`).
+//! nalgebra's Schur decomposition has no exceptional shifts after 10 and 20 iterations, so it fails to converge on one
+//! in a few hundred of the graded, nearly defective matrices of a sampled loop. Algorithm: Wilkinson and Reinsch,
+//! *Handbook for Automatic Computation II: Linear Algebra* (1971), contributions II/11, II/13 and II/14 (`balance`,
+//! `elmhes`, `hqr`).
 
 use nalgebra::{Complex, DMatrix, linalg::balancing};
 
-/// Largest number of iterations for one eigenvalue.
 const MAX_ITERATIONS: usize = 100;
 
 /// Returns all eigenvalues of a square matrix; `None` if the iteration does not converge or the matrix is not finite.
@@ -21,7 +19,7 @@ pub(crate) fn eigenvalues(mut a: DMatrix<f64>) -> Option<Vec<Complex<f64>>> {
     quotient_iteration(&mut a)
 }
 
-/// Reduces to upper Hessenberg form by elimination with pivoting (`elmhes`).
+/// Reduces a matrix to upper Hessenberg form by elimination with pivoting (`elmhes`).
 fn hessenberg(a: &mut DMatrix<f64>) {
     let n = a.nrows();
     for m in 1..n.saturating_sub(1) {
@@ -92,7 +90,7 @@ fn quotient_iteration(a: &mut DMatrix<f64>) -> Option<Vec<Complex<f64>>> {
             }
             let (mut x, mut y, mut w) = (x, y, w);
             if iterations > 0 && iterations % 10 == 0 {
-                // The exceptional shift.
+                // Apply the exceptional shift.
                 shifted += x;
                 for i in 0..=hi {
                     a[(i, i)] -= x;
@@ -122,7 +120,7 @@ fn pair(x: f64, y: f64, w: f64, shifted: f64) -> [Complex<f64>; 2] {
     }
 }
 
-/// Performs one double-shift sweep over rows and columns `l` to `hi`.
+/// Performs a double-shift sweep over rows and columns `l` to `hi`.
 fn sweep(a: &mut DMatrix<f64>, l: usize, hi: usize, x: f64, y: f64, w: f64) {
     let start = |m: usize, a: &DMatrix<f64>| -> (f64, f64, f64) {
         let z = a[(m, m)];
@@ -133,7 +131,7 @@ fn sweep(a: &mut DMatrix<f64>, l: usize, hi: usize, x: f64, y: f64, w: f64) {
         let scale = p.abs() + q.abs() + r.abs();
         (p / scale, q / scale, r / scale)
     };
-    // Two consecutive small subdiagonal entries allow the sweep to begin further down.
+    // Two consecutive small subdiagonal entries allow the sweep to start further down.
     let mut m = hi - 2;
     let (mut p, mut q, mut r) = start(m, a);
     while m > l {
@@ -206,7 +204,6 @@ mod tests {
     use super::*;
     use haptic_sim::Random;
 
-    /// Sorts by real part, then imaginary part.
     fn sorted(mut values: Vec<Complex<f64>>) -> Vec<Complex<f64>> {
         values.sort_by(|a, b| (a.re, a.im).partial_cmp(&(b.re, b.im)).unwrap());
         values

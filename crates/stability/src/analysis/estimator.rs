@@ -1,7 +1,7 @@
-//! Velocity estimators of the control step as linear filters, for the analysis of the loop.
+//! Velocity estimators of the control step as linear filters for the stability analysis.
 //!
-//! Each filter takes the change of position over the last sample and returns a velocity per sample. Its states are
-//! chosen so that their change over a sample is computed directly, not as the difference of two nearly equal numbers.
+//! Each filter takes the change of position over the last sample and returns a velocity per sample. The changes of its
+//! states are computed directly, because differences of nearly equal numbers lose precision.
 
 use super::error::AnalysisError;
 use haptic_bridge::render::velocity::{Chosen, Estimator as Kind};
@@ -15,41 +15,40 @@ pub const LONGEST_DIFFERENCE: usize = 64;
 pub enum LinearEstimator {
     /// Backward difference without filter.
     BackwardDifference,
-    /// Backward difference, then one pole, bilinear, prewarped at the cutoff (Hz).
+    /// Backward difference and a one-pole bilinear low-pass, prewarped at the cutoff (Hz).
     FirstOrder(f64),
-    /// Backward difference, then a second-order Butterworth, bilinear, prewarped at the cutoff (Hz).
+    /// Backward difference and a second-order bilinear Butterworth low-pass, prewarped at the cutoff (Hz).
     Butterworth(f64),
-    /// The difference over several samples, `(x[n] - x[n-k])/(k T)`, then a low-pass.
+    /// Difference over several samples, `(x[n] - x[n-k])/(k T)`, followed by a low-pass.
     Over {
-        /// k, from 1 to [`LONGEST_DIFFERENCE`].
+        /// Number of samples k, from 1 to [`LONGEST_DIFFERENCE`].
         samples: usize,
-        /// Low-pass after the difference.
+        /// Low-pass that follows the difference.
         then: LowPass,
     },
-    /// α-β-γ filter with its poles at this frequency (Hz); it uses the acceleration from the last sample's command.
+    /// α-β-γ filter with its poles at this frequency (Hz). It uses the acceleration that the last command causes.
     Predicted(f64),
 }
 
-/// Low-pass after a difference over several samples.
+/// Low-pass that follows a difference over several samples.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum LowPass {
     /// No low-pass.
     None,
-    /// See [`LinearEstimator::FirstOrder`].
+    /// Low-pass of [`LinearEstimator::FirstOrder`], Hz.
     FirstOrder(f64),
-    /// See [`LinearEstimator::Butterworth`].
+    /// Low-pass of [`LinearEstimator::Butterworth`], Hz.
     Butterworth(f64),
 }
 
-/// Output of a filter for one sample: the velocity per sample, and the change of each state.
+/// Output of a filter for one sample: velocity per sample, and change of each state.
 struct FilterOutput {
     velocity: f64,
     change: Vec<f64>,
 }
 
 impl LinearEstimator {
-    /// Returns the estimator with the difference taken over `samples` samples; estimators without a difference stay
-    /// unchanged.
+    /// Returns this estimator with its difference taken over `samples` samples, or unchanged if it takes no difference.
     pub fn over(self, samples: usize) -> Self {
         let then = match self {
             Self::BackwardDifference => LowPass::None,
@@ -61,7 +60,7 @@ impl LinearEstimator {
         Self::Over { samples, then }
     }
 
-    /// Returns the linear form of a scene's estimator near rest; `None` if it has none.
+    /// Returns the linear form of a scene's estimator near rest; `None` if the estimator has no linear form.
     pub fn of(kind: Kind, cutoff_hz: f64) -> Option<Self> {
         let behind = |chosen: Chosen| if chosen.filtered { LowPass::Butterworth(cutoff_hz) } else { LowPass::None };
         match kind {
@@ -73,20 +72,19 @@ impl LinearEstimator {
         }
     }
 
-    /// Returns the estimators of scenes without a window of their own, by name. One filter represents each;
-    /// [`LinearEstimator::over`] adds a window to any estimator with a difference.
+    /// Returns the linear estimators without a window. [`LinearEstimator::over`] adds one.
     pub fn named() -> impl Iterator<Item = (&'static str, Kind)> {
         let windowless = |kind: Kind| kind.spec().is_none_or(|spec| spec.key.is_none());
         let all = Kind::ALL.iter().copied();
         all.filter(move |(_, kind)| windowless(*kind) && Self::of(*kind, 1.0).is_some())
     }
 
-    /// Returns true if the estimator begins with a difference, which can be taken over more samples.
+    /// Returns true if the estimator begins with a difference.
     pub fn takes_difference(self) -> bool {
         !matches!(self, Self::Predicted(_))
     }
 
-    /// Returns the cutoff, Hz, if the estimator has one.
+    /// Returns the cutoff, Hz; `None` if the estimator has no low-pass.
     pub fn cutoff_hz(self) -> Option<f64> {
         match self {
             Self::BackwardDifference | Self::Over { then: LowPass::None, .. } => None,
@@ -97,7 +95,6 @@ impl LinearEstimator {
         }
     }
 
-    /// Returns the window of the difference, samples.
     pub(super) fn samples(self) -> usize {
         match self {
             Self::Over { samples, .. } => samples,
@@ -105,7 +102,7 @@ impl LinearEstimator {
         }
     }
 
-    /// Rejects a cutoff at or above half the rate, and windows beyond those of boards.
+    /// Rejects a cutoff at or above half the rate, and a window longer than boards support.
     pub(super) fn check(self, rate_hz: f64) -> Result<(), AnalysisError> {
         let cutoff = self.cutoff_hz();
         match (self, cutoff) {
@@ -119,7 +116,6 @@ impl LinearEstimator {
         }
     }
 
-    /// Returns the number of states.
     pub(super) fn states(self) -> usize {
         match self {
             Self::BackwardDifference => 0,
@@ -130,13 +126,11 @@ impl LinearEstimator {
         }
     }
 
-    /// Returns true if the estimator uses the command.
-    pub(super) fn predicts(self) -> bool {
+    pub(super) fn uses_commands(self) -> bool {
         matches!(self, Self::Predicted(_))
     }
 
-    /// Computes one sample from these states, after the joint moved by `moved` and the commanded torque added `pushed`
-    /// to its velocity per sample.
+    /// Computes one sample after the joint moved by `moved`; commands added `pushed` to its velocity per sample.
     fn filter_sample(self, rate_hz: f64, states: &[f64], moved: f64, pushed: f64) -> FilterOutput {
         let warped = |hz: f64| (std::f64::consts::PI * hz / rate_hz).tan();
         match (self, states) {
@@ -145,7 +139,7 @@ impl LinearEstimator {
                 FilterOutput { velocity: low + step, change: vec![2.0 * step] }
             }
             (Self::Butterworth(hz), [s1, s2]) => {
-                // Trapezoidal state-variable filter: the bilinear Butterworth, exactly.
+                // A trapezoidal state-variable filter equals the bilinear Butterworth exactly.
                 let (g, damping) = (warped(hz), std::f64::consts::SQRT_2);
                 let high = (moved - (damping + g) * s1 - s2) / (1.0 + g * (damping + g));
                 let band = s1 + g * high;
@@ -179,8 +173,7 @@ impl LinearEstimator {
         }
     }
 
-    /// Returns the velocity per sample for a position of amplitude 1, as a function of the angle per sample, rad. A
-    /// predicting estimator is evaluated without commands.
+    /// Returns velocity over position as a function of the angle per sample (rad), without commands.
     pub(super) fn response(self, rate_hz: f64) -> impl Fn(f64) -> Complex<f64> {
         let (samples, filter) = match self {
             Self::Over { samples, then } => (samples, then.after_backward_difference()),
@@ -190,7 +183,7 @@ impl LinearEstimator {
         move |angle: f64| {
             let back = |steps: f64| Complex::from_polar(1.0, -angle * steps);
             let difference = (1.0 - back(samples as f64)) / samples as f64;
-            // The states times z - 1 are their change.
+            // A state times (z - 1) is its change over a sample.
             let mut states_part = matrix.view((0, 0), (states, states)).map(|value| Complex::from(-value));
             states_part.iter_mut().step_by(states + 1).for_each(|entry| *entry += back(-1.0) - 1.0);
             let driven = matrix.view((0, states), (states, 1)).map(Complex::from);
@@ -201,8 +194,8 @@ impl LinearEstimator {
         }
     }
 
-    /// Returns the filter as a matrix. Columns: its states, the change of position and the velocity from the command.
-    /// Rows: the change of each state and the velocity.
+    /// Returns the filter as a matrix. Its columns are the states, the change of position and the velocity from the
+    /// command; its rows are the change of each state and the velocity.
     pub fn matrix(self, rate_hz: f64) -> DMatrix<f64> {
         let states = self.states();
         let mut matrix = DMatrix::zeros(states + 1, states + 2);
@@ -218,7 +211,7 @@ impl LinearEstimator {
         matrix
     }
 
-    /// Returns the name on a command line, and the number of samples of the difference.
+    /// Returns the command-line name, and the window of the difference in samples.
     pub fn name_and_window(self) -> (&'static str, usize) {
         match self {
             Self::BackwardDifference => ("backward-difference", 1),
@@ -233,13 +226,13 @@ impl LinearEstimator {
 }
 
 impl LinearEstimator {
-    /// Returns the largest velocity after a step of the position, per metre of the step, 1/s.
+    /// Returns the largest velocity after a position step, per metre of the step, 1/s.
     pub fn peak_step_response(self, rate_hz: f64) -> f64 {
         let matrix: DMatrix<f64> = self.matrix(rate_hz);
         let states = matrix.nrows() - 1;
         let mut memory = DVector::zeros(states + 2);
         let mut most: f64 = 0.0;
-        // The step response of a low-pass ends within ten of its periods.
+        // The step response of a low-pass ends within ten periods of its cutoff.
         let cutoff = self.cutoff_hz().unwrap_or(rate_hz);
         let samples = (10.0 * rate_hz / cutoff).ceil() as usize + self.samples();
         for n in 0..samples {
@@ -253,9 +246,8 @@ impl LinearEstimator {
         most * rate_hz
     }
 
-    /// Returns the states after a long time at this velocity per sample, of which `pushed` per sample comes from
-    /// commands.
-    pub(super) fn rest(self, rate_hz: f64, moved: f64, pushed: f64) -> DVector<f64> {
+    /// Returns the states at a constant velocity `moved` per sample, of which commands added `pushed`.
+    pub(super) fn steady_states(self, rate_hz: f64, moved: f64, pushed: f64) -> DVector<f64> {
         let (matrix, states) = (self.matrix(rate_hz), self.states());
         if states == 0 {
             return DVector::zeros(0);
@@ -268,7 +260,7 @@ impl LinearEstimator {
 }
 
 impl LowPass {
-    /// Returns the low-pass after a backward difference.
+    /// Returns this low-pass after a backward difference.
     fn after_backward_difference(self) -> LinearEstimator {
         match self {
             Self::None => LinearEstimator::BackwardDifference,

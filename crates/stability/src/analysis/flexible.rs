@@ -1,11 +1,10 @@
-//! Compliant parts of a device: transmissions between motors and links, structural modes of the links, and a hand on
-//! the tip (docs/model.md section 4), linearised at a pose in continuous time.
-
-use nalgebra::{DMatrix, DVector};
+//! Compliant parts of a device at a pose, linearised in continuous time: transmissions between motors and links,
+//! structural modes of the links, and a hand on the tip (docs/model.md section 4).
 
 use haptic_bridge::model::description::{EncoderAt, Joint, StructuralMode, Transmission};
+use nalgebra::{DMatrix, DVector};
 
-/// A hand as a mass, a damper and a spring to its target position, at the tip and equal in every direction.
+/// A hand at the tip: a mass, a damper and a spring to a target position, equal in every direction.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Hand {
     /// Mass, kg.
@@ -23,7 +22,7 @@ impl Hand {
     }
 }
 
-/// Spring and damper that hold the orientation of a redundant device's last link: a scene's `[posture]` at rest.
+/// Spring and damper that hold the orientation of a redundant device's last link; `[posture]` in a scene.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Posture {
     /// Stiffness, N m/rad.
@@ -32,17 +31,16 @@ pub struct Posture {
     pub damping: f64,
 }
 
-/// Compliant parts of a device at a pose, the hand on its tip and the posture that holds it. The default is a rigid
-/// device without hand and posture.
+/// Compliant parts of a device at a pose, with hand and posture control. The default is a free rigid device.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Flexible {
     /// Transmission of each joint; empty if all are rigid.
     pub transmissions: Vec<Option<Transmission>>,
-    /// Structural modes, each with its joint.
+    /// Structural modes, each with the index of its joint.
     pub modes: Vec<(usize, StructuralMode)>,
-    /// Hand on the tip.
+    /// Hand at the tip.
     pub hand: Hand,
-    /// The posture that the board renders, with the row of the orientation's Jacobian, N.
+    /// Posture control by the board, with the Jacobian row of the orientation (N entries).
     pub posture: Option<(Posture, DVector<f64>)>,
     /// Jacobian of the tip, d x N, m/rad, for the hand's motion.
     pub tip: DMatrix<f64>,
@@ -50,11 +48,10 @@ pub struct Flexible {
     pub normal: DVector<f64>,
 }
 
-/// Returns the stiffness that a hand feels at rest, N/m: that of a wall of `stiffness` (N/m) in series with parts of
-/// this `compliance` (m/N). `None` if the wall cannot hold a hand at rest, because the torques of its feed-forward move
-/// the tip into it.
+/// Returns the stiffness that a hand feels at rest, N/m: a wall of `stiffness` (N/m) in series with this `compliance`
+/// (m/N). Returns `None` if the wall cannot hold a hand at rest because its feed-forward moves the tip into the wall.
 #[must_use]
-pub fn felt(stiffness: f64, compliance: f64) -> Option<f64> {
+pub fn felt_stiffness(stiffness: f64, compliance: f64) -> Option<f64> {
     let share = 1.0 + stiffness * compliance;
     (share > 0.0).then(|| stiffness / share)
 }
@@ -68,10 +65,10 @@ impl Flexible {
         self
     }
 
-    /// Returns the displacement of the tip along a direction with Jacobian `row` (m/rad, N) by the transmissions, while
-    /// the motors are held at their encoders and give `torque` (N m per newton of wall, N): Σⱼ rowⱼ torqueⱼ/kⱼ, m/N. A
-    /// joint with its encoder on the link's side is left out, because its wall measures that displacement. `None` if
-    /// no such transmission is compliant.
+    /// Returns the displacement of the tip by compliant transmissions while the encoders do not move: Σⱼ rowⱼ
+    /// torqueⱼ/kⱼ, m/N. `row` is the Jacobian along the direction (m/rad, N entries); `torque` is in N m per newton of
+    /// wall (N entries). Joints with the encoder at the link are left out because their wall measures the displacement.
+    /// Returns `None` if no other transmission is compliant.
     #[must_use]
     pub fn compliance_at_tip(&self, row: &DVector<f64>, torque: &DVector<f64>) -> Option<f64> {
         let joints = self.transmissions.iter().zip(row.iter().zip(torque.iter()));
@@ -84,14 +81,13 @@ impl Flexible {
         (compliance != 0.0).then_some(compliance)
     }
 
-    /// Returns true if an encoder is on the link's side of a compliant transmission: its motor then acts through a
-    /// spring on the measured angle.
+    /// Returns true if a motor drives a measured angle through a spring.
     #[must_use]
     pub fn is_sensed_behind_a_spring(&self) -> bool {
         self.transmissions.iter().flatten().any(|transmission| transmission.encoder_at == EncoderAt::Joint)
     }
 
-    /// Returns true if everything is rigid and no hand holds the device.
+    /// Returns true if all parts are rigid and no hand holds the device.
     pub fn is_rigid(&self) -> bool {
         !self.hand.is_there() && self.modes.is_empty() && self.transmissions.iter().all(Option::is_none)
     }

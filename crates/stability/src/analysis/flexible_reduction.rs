@@ -1,65 +1,61 @@
-//! Reduces a compliant device to the part that affects the wall.
+//! Reduces a compliant device to the motions that affect the wall.
 //!
-//! Generalised coordinates are the links' joint angles q, the motor's angle θ behind each transmission, and the angle
-//! of the swinging part of each mode. The states are scaled by their energy: velocities by a Cholesky factor of the
-//! mass matrix, every spring's deflection by the root of its stiffness. A lossless device is then a rotation, however
-//! far apart its frequencies lie.
+//! The generalised coordinates are the links' joint angles q, the motor angle θ behind each transmission, and the angle
+//! of each structural mode. The states are scaled by energy: velocities by a Cholesky factor of the mass matrix, spring
+//! deflections by the root of the stiffness. The matrix of a lossless device is then skew-symmetric, however far apart
+//! its frequencies lie.
 //!
 //! The walls measure only the rendered positions, x = Jr (the angles at the encoders). Motions that the walls cannot
-//! measure, and motions that their torques cannot cause, are removed exactly. Arnoldi's method builds the basis of the
-//! rest and ends when the next power of the system matrix adds nothing (the staircase form; Paige, "Properties of
-//! numerical algorithms related to computing controllability", IEEE TAC 26, 1981). So rounding never decides if an
-//! undamped motion along the wall counts as stable.
-
-use nalgebra::{DMatrix, DVector};
-
-use haptic_bridge::model::description::{EncoderAt, StructuralMode, Transmission};
+//! measure or cause are removed exactly. Arnoldi's method builds a basis of the remaining motions and ends when the
+//! next power of the system matrix adds no direction (the staircase form; Paige, "Properties of numerical algorithms
+//! related to computing controllability", IEEE TAC 26, 1981). Rounding therefore never decides if an undamped motion
+//! along the wall counts as stable.
 
 use super::flexible::Flexible;
 use super::plant::{ContinuousPlant, Lags, Linearised};
+use haptic_bridge::model::description::{EncoderAt, StructuralMode, Transmission};
+use nalgebra::{DMatrix, DVector};
 
-/// Angle (rad per sample) of a transmission's own oscillation above which it counts as rigid: its effect is smaller by
-/// the square of that.
-const RIGID_PER_SAMPLE: f64 = 1e5;
+/// Frequency, rad per sample, above which a transmission counts as rigid. The relative error is 1e-10.
+const RIGID_ABOVE_RAD_PER_SAMPLE: f64 = 1e5;
 
-/// Length of a new direction, as a share of the system matrix, below which it is rounding.
-const ROUNDING: f64 = 1e-13;
+/// Length of a new basis vector, relative to the system matrix, below which the vector is only rounding.
+const BASIS_ROUNDING: f64 = 1e-13;
 
-/// A compliant device, and the directions along which its walls measure it.
+/// A compliant device with the directions along which its walls measure it.
 pub(crate) struct ObservedDevice<'a> {
     /// M of the rigid device, N x N, kg m².
     pub mass: &'a DMatrix<f64>,
     /// B of each joint, N m s/rad.
     pub viscous: &'a DVector<f64>,
-    /// The parts that are not rigid.
+    /// The compliant parts, and the hand.
     pub flexible: &'a Flexible,
-    /// Rendered directions as rows, R x N, m/rad, and the tip's directions, which come first, as columns in the task.
+    /// Rendered directions as rows, R x N, m/rad. The directions of the tip come first.
     pub rows: &'a DMatrix<f64>,
     pub directions: &'a DMatrix<f64>,
 }
 
-/// The reduced device: ẋ = a x + b u, and the rendered positions as R rows over the states.
+/// The reduced device ẋ = a x + b u, and its rendered positions as R rows over the states.
 pub(crate) struct ReducedDevice {
     pub a: DMatrix<f64>,
     pub b: DMatrix<f64>,
-    pub seen: DMatrix<f64>,
+    pub rendered_rows: DMatrix<f64>,
 }
 
 /// Matrices of the device in generalised coordinates, in sample units (see [`super::plant`]): time in samples, forces
-/// in m/T². Links come first, then the motors of the joints with a transmission, then the swinging parts of the links.
+/// in m/T². The coordinates are the links, then the motors of joints with a transmission, then the structural modes.
 struct Bodies {
     mass: DMatrix<f64>,
     damping: DMatrix<f64>,
-    /// Deflection of each spring per motion, and its stiffness.
+    /// Deflection of each spring per unit of motion.
     deflection: DMatrix<f64>,
     stiffness: DVector<f64>,
-    /// Coordinate of each joint's motor, and coordinate that its encoder measures.
+    /// Coordinate of each joint's motor.
     motor: Vec<usize>,
     encoder: Vec<usize>,
-    /// Spring of each joint's transmission.
-    twist: Vec<Option<usize>>,
-    /// Index of the hand's first spring, if there is one.
-    held: Option<usize>,
+    transmission_spring: Vec<Option<usize>>,
+    /// Index of the hand's first spring; `None` without a hand.
+    hand_spring: Option<usize>,
 }
 
 impl Bodies {
@@ -79,8 +75,8 @@ impl Bodies {
         let mobility = links.clone().cholesky()?.inverse();
         let (swinging, stiff): (Vec<(usize, StructuralMode)>, Vec<_>) =
             flexible.modes.iter().partition(|(joint, mode)| {
-                let ease = 1.0 / mode.inertia + mobility[(*joint, *joint)];
-                (mode.stiffness() * ease).sqrt() * t < RIGID_PER_SAMPLE
+                let mobility_sum = 1.0 / mode.inertia + mobility[(*joint, *joint)];
+                (mode.stiffness() * mobility_sum).sqrt() * t < RIGID_ABOVE_RAD_PER_SAMPLE
             });
         for (joint, mode) in &stiff {
             links[(*joint, *joint)] += mode.inertia;
@@ -88,8 +84,8 @@ impl Bodies {
         let compliant: Vec<(usize, Transmission)> = (0..joints)
             .filter_map(|joint| transmission_of(joint).map(|transmission| (joint, transmission)))
             .filter(|(joint, transmission)| {
-                let ease = 1.0 / transmission.motor_inertia + mobility[(*joint, *joint)];
-                (transmission.stiffness * ease).sqrt() * t < RIGID_PER_SAMPLE
+                let mobility_sum = 1.0 / transmission.motor_inertia + mobility[(*joint, *joint)];
+                (transmission.stiffness * mobility_sum).sqrt() * t < RIGID_ABOVE_RAD_PER_SAMPLE
             })
             .collect();
         for joint in 0..joints {
@@ -108,8 +104,8 @@ impl Bodies {
             stiffness: DVector::zeros(springs),
             motor: (0..joints).collect(),
             encoder: (0..joints).collect(),
-            twist: vec![None; joints],
-            held: (held > 0).then_some(compliant.len() + swinging.len()),
+            transmission_spring: vec![None; joints],
+            hand_spring: (held > 0).then_some(compliant.len() + swinging.len()),
         };
         bodies.mass.view_mut((0, 0), (joints, joints)).copy_from(&links);
         if hand.is_there() {
@@ -124,7 +120,7 @@ impl Bodies {
             if transmission.encoder_at == EncoderAt::Motor {
                 bodies.encoder[q] = theta;
             }
-            bodies.twist[q] = Some(spring);
+            bodies.transmission_spring[q] = Some(spring);
             bodies.mass[(theta, theta)] = transmission.motor_inertia;
             bodies.deflection[(spring, theta)] = 1.0;
             bodies.deflection[(spring, q)] = -1.0;
@@ -161,8 +157,7 @@ impl Bodies {
     }
 }
 
-/// Returns the continuous plant of a compliant device, for torque `inputs` (N x p, units of m/T² times metres). `None`
-/// if a mass matrix is not positive definite.
+/// Returns the plant of a compliant device for the torque `inputs` (N x p, units of m/T² times metres).
 pub(crate) fn reduce(
     device: &Linearised,
     lags: &Lags,
@@ -174,8 +169,8 @@ pub(crate) fn reduce(
     let rows = DMatrix::from_rows(&[row.transpose()]);
     let directions = DMatrix::from_columns(std::slice::from_ref(&flexible.normal));
     let observed = ObservedDevice { mass, viscous, flexible, rows: &rows, directions: &directions };
-    let ReducedDevice { a, b, seen } = reduce_observed(&observed, lags, inputs, sample_s, reference_mass)?;
-    Some(ContinuousPlant::of_flexible_device(a, b, seen.row(0).transpose()))
+    let ReducedDevice { a, b, rendered_rows } = reduce_observed(&observed, lags, inputs, sample_s, reference_mass)?;
+    Some(ContinuousPlant::of_flexible_device(a, b, rendered_rows.row(0).transpose()))
 }
 
 /// Like [`reduce`], for walls along several directions.
@@ -190,11 +185,10 @@ pub(crate) fn reduce_observed(
     let bodies = Bodies::new(device, lags, sample_s, reference_mass)?;
     let (moving, springs) = (bodies.mass.nrows(), bodies.stiffness.len());
     let lagging: Vec<usize> = (0..joints).filter(|&joint| lags.rate[joint].is_some()).collect();
-    // States: scaled velocities L' v, scaled deflections, torques of the lagging drives, and every rendered position
-    // that the hand's springs do not hold.
+    // States: scaled velocities L' v, scaled deflections, lagging torques, positions without a hand's spring.
     let (torques, position) = (moving + springs, moving + springs + lagging.len());
-    // A hand's springs hold the tip, not its orientation.
-    let held = |k: usize| bodies.held.filter(|_| k < device.directions.ncols());
+    // A hand's springs hold the tip's position but not its orientation.
+    let held = |k: usize| bodies.hand_spring.filter(|_| k < device.directions.ncols());
     let integrated: Vec<usize> = (0..rendered).filter(|&k| held(k).is_none()).collect();
     let size = position + integrated.len();
     let (mut a, mut b) = (DMatrix::zeros(size, size), DMatrix::zeros(size, inputs.ncols()));
@@ -224,8 +218,8 @@ pub(crate) fn reduce_observed(
             }
         }
     }
-    // Rendered positions, one per column.
-    let mut seen = DMatrix::zeros(size, rendered);
+    // The rendered positions, one per column.
+    let mut rendered_rows = DMatrix::zeros(size, rendered);
     for k in 0..rendered {
         let Some(held) = held(k) else {
             let state = position + integrated.iter().position(|&other| other == k)?;
@@ -233,33 +227,32 @@ pub(crate) fn reduce_observed(
                 let mut row = a.view_mut((state, 0), (1, moving));
                 row += velocities.row(bodies.encoder[joint]) * device.rows[(k, joint)];
             }
-            seen[(state, k)] = 1.0;
+            rendered_rows[(state, k)] = 1.0;
             continue;
         };
-        // Jr q is the tip's own displacement, the deflection of the hand's springs; an encoder on a motor measures the
-        // twist as well.
+        // Jr q is the deflection of the hand's springs; an encoder on a motor also measures the twist.
         for (direction, along) in device.directions.column(k).iter().enumerate() {
-            seen[(moving + held + direction, k)] += along / roots[held + direction];
+            rendered_rows[(moving + held + direction, k)] += along / roots[held + direction];
         }
         for joint in (0..joints).filter(|&joint| bodies.encoder[joint] != joint) {
-            if let Some(spring) = bodies.twist[joint] {
-                seen[(moving + spring, k)] += device.rows[(k, joint)] / roots[spring];
+            if let Some(spring) = bodies.transmission_spring[joint] {
+                rendered_rows[(moving + spring, k)] += device.rows[(k, joint)] / roots[spring];
             }
         }
     }
 
-    let basis = krylov_basis(&a.transpose(), &seen);
-    let (a, b, seen) = (basis.tr_mul(&(&a * &basis)), basis.tr_mul(&b), basis.tr_mul(&seen));
+    let basis = krylov_basis(&a.transpose(), &rendered_rows);
+    let (a, b, rendered_rows) = (basis.tr_mul(&(&a * &basis)), basis.tr_mul(&b), basis.tr_mul(&rendered_rows));
     let basis = krylov_basis(&a, &b);
-    let (a, b, seen) = if basis.ncols() < a.nrows() {
-        (basis.tr_mul(&(&a * &basis)), basis.tr_mul(&b), basis.tr_mul(&seen))
+    let (a, b, rendered_rows) = if basis.ncols() < a.nrows() {
+        (basis.tr_mul(&(&a * &basis)), basis.tr_mul(&b), basis.tr_mul(&rendered_rows))
     } else {
-        (a, b, seen)
+        (a, b, rendered_rows)
     };
-    Some(ReducedDevice { a, b, seen: seen.transpose() })
+    Some(ReducedDevice { a, b, rendered_rows: rendered_rows.transpose() })
 }
 
-/// Returns an orthonormal basis of the Krylov space of `from`: span(from, a from, a² from, …).
+/// Returns an orthonormal basis of the Krylov space span(from, a from, a² from, …).
 fn krylov_basis(a: &DMatrix<f64>, from: &DMatrix<f64>) -> DMatrix<f64> {
     let size = a.nrows();
     let mut basis: Vec<DVector<f64>> = Vec::new();
@@ -271,7 +264,7 @@ fn krylov_basis(a: &DMatrix<f64>, from: &DMatrix<f64>) -> DMatrix<f64> {
             }
         }
         let length = candidate.norm();
-        if basis.len() < size && length > ROUNDING * scale {
+        if basis.len() < size && length > BASIS_ROUNDING * scale {
             basis.push(candidate / length);
         }
     };

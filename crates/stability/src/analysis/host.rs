@@ -1,11 +1,10 @@
-//! A wall rendered by a program on a computer instead of the board: sampled at the program's rate, while the board
-//! holds the last force.
+//! A wall rendered by a program on a computer. The program samples at its own rate, and the board holds the last force.
 //!
-//! The program reads position and velocity (as the board estimates it) in the reply to its last request, and sends the
-//! force with the next request. The board does not shape this force: τ = Jᵀ f. So the loop is the board's own, cut at
-//! the force and taken over the number of control periods between two requests.
+//! The program reads position and velocity (the board's estimate) in the reply to its last request, and sends the force
+//! with its next request. The board applies this force without feed-forward: τ = Jᵀ f. The analysis therefore opens the
+//! board's loop at the force and samples it once per request.
 
-use super::boundary::Circle;
+use super::boundary::CircleResponses;
 use super::domain::{Domain, domain_from_intervals};
 use super::plant::Linearised;
 use super::sampled::{AnalysisError, LONGEST_DELAY, Loop, Mode, OpenLoop};
@@ -14,24 +13,23 @@ use nalgebra::{DMatrix, DVector};
 use serde::Serialize;
 
 /// Lowest request rate that is analysed, Hz.
-pub const SLOWEST_HZ: f64 = 1.0;
+pub const MIN_REQUEST_HZ: f64 = 1.0;
 
 /// A program that renders the wall.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Host {
     /// Request rate, Hz.
     pub rate_hz: f64,
-    /// Age of a force when the board accepts it, s, counted from the state that the program received. `haptic board
-    /// latency` measures it.
+    /// Age of a force when the board accepts it, s, as measured by `haptic board latency`.
     pub delay_s: f64,
 }
 
 /// The stable domain of a wall that a program renders.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct HostWall {
-    /// Request rate, Hz: the requested one, rounded to whole control periods.
+    /// Request rate, rounded to whole control periods, Hz.
     pub rate_hz: f64,
-    /// Age of a force when it begins to act, s, in whole control periods; the board's own delay is added.
+    /// Age of a force when the board accepts it, in whole control periods, s. The board's own delay is not included.
     pub delay_s: f64,
     /// Boundary and area.
     #[serde(flatten)]
@@ -39,10 +37,10 @@ pub struct HostWall {
 }
 
 impl Host {
-    /// Predicts the stable domain of `device` with the wall rendered through the board's loop `around`.
+    /// Predicts the stable domain of a wall that this program renders on `device` through the board's loop `around`.
     pub fn domain(&self, device: &Linearised, around: &Loop, kd: Option<&[f64]>) -> Result<HostWall, AnalysisError> {
         around.check()?;
-        if !(SLOWEST_HZ..=around.rate_hz).contains(&self.rate_hz) {
+        if !(MIN_REQUEST_HZ..=around.rate_hz).contains(&self.rate_hz) {
             return Err(AnalysisError::HostRate { rate: self.rate_hz, board: around.rate_hz });
         }
         let steps = (around.rate_hz / self.rate_hz).round().max(1.0) as usize;
@@ -51,19 +49,19 @@ impl Host {
             let longest = LONGEST_DELAY * steps as f64 / around.rate_hz;
             return Err(AnalysisError::HostDelay { delay: self.delay_s, longest });
         }
-        // The difference of 1e-6 to whole periods is rounding.
+        // A difference of less than 1e-6 to a whole number of periods is rounding.
         let late = (self.delay_s * around.rate_hz - 1e-6).ceil().max(0.0) as usize;
         let board = open_loop(device, device, around, Mode::Off)?;
         let open = host_loop(&board, steps, late);
         let delay = (late as f64 + around.delay_samples) / steps as f64;
-        let domain = domain_from_intervals(&mut Circle::new(&open, delay), open.mass, open.sample_s, kd)?;
+        let domain = domain_from_intervals(&mut CircleResponses::new(&open, delay), open.mass, open.sample_s, kd)?;
         let domain = domain.with_compliance(device.compliance(Mode::Off));
         Ok(HostWall { rate_hz: around.rate_hz / steps as f64, delay_s: late as f64 / around.rate_hz, domain })
     }
 }
 
-/// Returns the loop of `board` sampled once in `steps` samples, with its force held in between and applied `late`
-/// samples after its sample; in units of the longer sample.
+/// Returns the loop of `board` sampled once in `steps` samples, in units of the longer sample. The force is held for
+/// `steps` samples and applied `late` board samples after its sample.
 fn host_loop(board: &OpenLoop, steps: usize, late: usize) -> OpenLoop {
     let states = board.input.len();
     let (whole, rest) = (late / steps, late % steps);
@@ -73,9 +71,9 @@ fn host_loop(board: &OpenLoop, steps: usize, late: usize) -> OpenLoop {
     let size = states + slots;
     let mut f = DMatrix::zeros(size, size);
     let mut input = DVector::zeros(size);
-    // A^{N-r} A^r - I, without forming the difference.
+    // This is A^{N-r} A^r - I, computed without subtracting nearly equal numbers.
     f.view_mut((0, 0), (states, states)).copy_from(&(&until + &after + &after * &until));
-    // A force in units of m/T² is smaller in units of the shorter sample.
+    // The same force in units of m/T² has a smaller value with the shorter T.
     let unit = 1.0 / (steps * steps) as f64;
     let early = (&pushed_until + &after * &pushed_until) * unit;
     let mut acts = |asked: usize, by: &DVector<f64>| match asked {
@@ -108,7 +106,7 @@ fn host_loop(board: &OpenLoop, steps: usize, late: usize) -> OpenLoop {
     }
 }
 
-/// Returns A^n - I and the effect of a unit force held for n samples.
+/// Returns A^n - I, and the effect of a unit force held for n samples.
 fn advance(board: &OpenLoop, samples: usize) -> (DMatrix<f64>, DVector<f64>) {
     let size = board.input.len();
     let mut change = DMatrix::zeros(size, size);
@@ -172,8 +170,8 @@ mod tests {
 
     #[test]
     fn undamped_wall_equals_the_loop_sampled_at_the_host_rate() {
-        // Without damping no velocity is estimated, so only the sampling at 20 or 7 board periods remains.
-        let held = mass(0.2, 0.3).held(Hand { mass: 0.1, damping: 2.0, stiffness: 300.0 });
+        // Without damping the estimated velocity has no effect, so only the sampling at 20 or 7 board periods remains.
+        let held = mass(0.2, 0.3).with_hand(Hand { mass: 0.1, damping: 2.0, stiffness: 300.0 });
         for (device, drive) in [
             (mass(0.2, 0.3), Drive::Ideal),
             (mass(0.2, 0.3), Drive::Current { bandwidth_hz: 300.0 }),
@@ -197,8 +195,8 @@ mod tests {
 
     #[test]
     fn damped_wall_has_the_closed_form_of_exact_velocity() {
-        // x⁺ = x + v + f/2, v⁺ = v + f, f = -α x - β v: by Jury α < 2β and β < 2. The lag of a difference over one
-        // board period is a five-hundredth of the host's period.
+        // For x⁺ = x + v + f/2, v⁺ = v + f, f = -α x - β v, Jury gives α < 2β and β < 2. The lag of the difference,
+        // half a board period, is negligible against the host's 500 board periods.
         let around =
             Loop { estimator: LinearEstimator::BackwardDifference, ..control_loop(50_000.0, 0.0, Drive::Ideal) };
         let (m, t) = (0.2, 0.01);
@@ -210,8 +208,8 @@ mod tests {
         }
     }
 
-    /// Simulates a free mass with the difference of two board samples as velocity, and the force computed every `steps`
-    /// samples and applied `late` samples later, independently of the analysis. Returns true if the motion grows.
+    /// Simulates a free mass with a velocity from the difference of two board samples, independently of the analysis.
+    /// The force is computed every `steps` samples and applied `late` samples later. Returns true if the motion grows.
     fn grows(steps: usize, late: usize, alpha: f64, beta: f64) -> bool {
         let one = Matrix3::new(1.0, 1.0, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0); // x, v, x before
         let (alpha, beta) = (alpha / (steps * steps) as f64, beta / steps as f64);

@@ -1,20 +1,19 @@
-//! Walls along a line: their stiffness grows, and a rule gives the damping of each.
+//! Walls whose stiffness increases along a line while a rule determines their damping.
 
 use super::control_loop::{Loop, Mode};
 use super::error::AnalysisError;
 use super::plant::Linearised;
 use super::several::open_loop;
 
-/// Stiffnesses tried per decade, and number of decades.
-const PER_DECADE: u32 = 64;
+const STIFFNESSES_PER_DECADE: u32 = 64;
 const DECADES: u32 = 8;
 
 /// Rule for the damping at a stiffness.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum DampingRule {
-    /// This share of the critical damping with the effective inertia, kd = 2 ζ √(kp m).
+    /// Damping ratio ζ with the effective inertia: kd = 2 ζ √(kp m).
     Ratio(f64),
-    /// This damping, N s/m.
+    /// Constant damping, N s/m.
     Damping(f64),
 }
 
@@ -29,7 +28,7 @@ impl DampingRule {
     }
 }
 
-/// The stable part of a line of walls.
+/// Stable part of a line of walls.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StableLine {
     /// Effective inertia, kg.
@@ -39,16 +38,16 @@ pub struct StableLine {
 }
 
 impl StableLine {
-    /// Computes the stable part for walls on `device` in the control loop `around`.
+    /// Computes the stable part of the line for `device` in the control loop `around`.
     pub fn of(device: &Linearised, around: &Loop, mode: Mode, rule: DampingRule) -> Result<Self, AnalysisError> {
         let open = open_loop(device, device, around, mode)?;
         let (mass, t) = (open.mass, open.sample_s);
         let stable = |kp: f64| open.is_stable(kp * t * t / mass, rule.damping(kp, mass) * t / mass);
-        // The largest stable stiffness at this rate is of the order of m/T².
+        // At this rate the largest stable stiffness is of the order of m/T².
         let largest = 4.0 * mass / (t * t);
         let (mut low, mut high) = (0.0, largest);
-        for i in 0..=DECADES * PER_DECADE {
-            let kp = largest * 10_f64.powf(f64::from(i) / f64::from(PER_DECADE) - f64::from(DECADES));
+        for i in 0..=DECADES * STIFFNESSES_PER_DECADE {
+            let kp = largest * 10_f64.powf(f64::from(i) / f64::from(STIFFNESSES_PER_DECADE) - f64::from(DECADES));
             if !stable(kp) {
                 high = kp;
                 break;

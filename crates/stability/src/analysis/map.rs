@@ -1,37 +1,36 @@
-//! Inertia over the workspace at each pose: effective inertias along one normal, the worst normals, and the axes of Λ.
+//! Inertia over the workspace: effective inertias along one normal, worst normals, and axes of Λ.
 //!
-//! The poses are those that the device reaches from the home pose without crossing a singularity: a grid over the
-//! joints' ranges, flooded from home through regular poses of the same orientation of J. So each tip position appears
-//! once, in the device's own working mode.
+//! The poses are those that the device reaches from home without crossing a singularity. The grid over the joints'
+//! ranges is flooded from home through regular poses with the same orientation of J. Each tip position therefore
+//! appears once, in the device's own working mode.
 //!
 //! With a full task (J square) both worst normals are closed forms in the eigenvalues of Λ (docs/model.md section 2).
-//! The tip of a redundant arm has two different matrices, Λ's own block and the inverse of the mobility's block. There
-//! the normal is searched, and the axes are those of the tip's inertia (J M⁻¹ Jᵀ)⁻¹.
-
-use haptic_bridge::model::admissible::Admissible;
-use haptic_bridge::model::description::Description;
-use haptic_bridge::model::device::{Device, Joint};
-use haptic_bridge::model::mechanism::AnyMechanism;
-use nalgebra::{DMatrix, DVector, SymmetricEigen};
-use serde::{Deserialize, Serialize};
+//! The tip of a redundant arm has two different matrices, the block of Λ and the inverse of the block of the mobility.
+//! Its worst normals are searched, and its axes are those of the tip's inertia (J M⁻¹ Jᵀ)⁻¹.
 
 use super::pose::{PoseError, Stance, TaskPose, unit_normal};
 use crate::model::Condition;
 use crate::sweep::Sweep;
+use haptic_bridge::model::admissible::Admissible;
+use haptic_bridge::model::description::Description;
+use haptic_bridge::model::device::{Device, Joint};
+use haptic_bridge::model::mechanism::AnyMechanism;
 use haptic_host::error::Failure;
+use nalgebra::{DMatrix, DVector, SymmetricEigen};
+use serde::{Deserialize, Serialize};
 
-/// Smallest sine of the singular angle at which a pose counts as regular when flooding.
+/// Smallest sine of the singular angle at which flooding accepts a pose.
 const WALKABLE_SINE: f64 = 0.08;
-/// Longest step while flooding, rad. The excluded band around a singularity ([`WALKABLE_SINE`] on either side) is wider,
-/// so no step crosses one, not even where two meet and J's determinant has the same sign behind both.
-const STEP: f64 = 0.1;
+/// Longest step while flooding, rad. The excluded band around a singularity is wider ([`WALKABLE_SINE`] on either
+/// side), so no step crosses one, even where two meet and J's determinant has the same sign behind both.
+const MAX_FLOOD_STEP_RAD: f64 = 0.1;
 
-/// A normal and its effect on the inertia.
+/// A wall normal and the largest value that it causes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct WorstNormal {
     /// Unit normal in the task frame.
     pub normal: Vec<f64>,
-    /// Wrr/Weff (for the ratio) or Wrr - Weff in kg (for the coupling).
+    /// Wrr/Weff for the worst ratio, Wrr - Weff in kg for the worst coupling.
     pub value: f64,
 }
 
@@ -40,7 +39,7 @@ pub struct WorstNormal {
 pub struct MapPoint {
     /// Joint angles, rad.
     pub q: Vec<f64>,
-    /// Tip, m.
+    /// Position of the tip, m.
     pub position: Vec<f64>,
     /// Effective inertia along the normal, kg.
     pub w_eff: f64,
@@ -50,43 +49,42 @@ pub struct MapPoint {
     pub coupling: f64,
     /// Condition numbers of the tip Jacobian and of M.
     pub condition: Condition,
-    /// Normal of the largest Wrr/Weff here.
+    /// Normal with the largest Wrr/Weff at this pose.
     pub worst_ratio: WorstNormal,
-    /// Normal of the largest Wrr - Weff here.
+    /// Normal with the largest Wrr - Weff at this pose.
     pub worst_coupling: WorstNormal,
-    /// Eigenvalues of the tip's operational-space inertia, ascending, kg.
+    /// Eigenvalues of the tip's operational-space inertia in ascending order, kg.
     pub eigenvalues: Vec<f64>,
-    /// Unit eigenvectors: entry k belongs to eigenvalue k.
+    /// Unit eigenvectors in the order of the eigenvalues.
     pub eigenvectors: Vec<Vec<f64>>,
 }
 
 /// The joint or coordinate that stays fixed while the other joints sweep a plane.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Held {
-    /// A joint at an angle, rad.
+pub enum FixedCoordinate {
+    /// Joint with this index at this angle, rad.
     Joint(usize, f64),
-    /// The redundant arm's orientation φ, rad: its last joint follows the others, so that each tip position appears
-    /// once.
+    /// Orientation φ of the redundant arm, rad. Its last joint follows, so each tip position appears once.
     Orientation(f64),
 }
 
-/// A grid over the joints, with the poses that can be reached.
+/// A grid over the joints with the poses that the device can reach.
 #[derive(Clone, Debug)]
 pub struct Reachable {
-    /// Angles of the grid along each joint, rad; a single angle for a joint that does not sweep.
+    /// Grid angles of each joint, rad; one angle for a joint that does not sweep.
     pub axes: Vec<Vec<f64>>,
-    /// The joints whose grid closes on itself.
+    /// True for joints whose grid closes on itself.
     pub wraps: Vec<bool>,
-    /// True for reached poses, by flat index, joint 0 slowest.
+    /// True for reached poses, by flat index; joint 0 varies slowest.
     reached: Vec<bool>,
-    held: Option<Held>,
+    held: Option<FixedCoordinate>,
     device: Device<f64>,
-    /// Side of the singularities on which the reached poses lie.
+    /// Side of the singularities on which the reached poses lie; `None` if no pose was reached.
     side: Option<bool>,
 }
 
-/// Evaluates one pose of a device that holds `admissible`; `None` if it is singular.
-pub fn at_holding(
+/// Evaluates one pose of a device whose feed-forward holds `admissible`. Returns `None` if the pose is singular.
+pub fn map_point_at(
     description: &Description,
     q: &[f64],
     normal: &DVector<f64>,
@@ -95,7 +93,7 @@ pub fn at_holding(
     Ok(evaluate(&TaskPose::at(description, q)?.holding(admissible), q, normal))
 }
 
-/// Returns Weff and Wrr (kg) along a normal of N entries; `None` if a singularity makes them infinite.
+/// Returns Weff and Wrr (kg) along a normal of N entries, or `None` if a singularity makes them infinite.
 pub fn along(pose: &TaskPose, normal: &DVector<f64>) -> Option<(f64, f64)> {
     let force = pose.jacobian.tr_mul(normal);
     let w_eff = 1.0 / force.dot(&pose.mass.clone().cholesky()?.solve(&force));
@@ -134,7 +132,7 @@ fn evaluate(pose: &TaskPose, q: &[f64], normal: &DVector<f64>) -> Option<MapPoin
         position: pose.position.clone(),
         w_eff,
         w_rr,
-        // Negative only by rounding.
+        // The difference is negative only by rounding.
         coupling: (w_rr - w_eff).max(0.0),
         condition: Condition {
             jacobian: condition(&pose.jacobian.rows(0, d).into_owned()),
@@ -149,8 +147,8 @@ fn evaluate(pose: &TaskPose, q: &[f64], normal: &DVector<f64>) -> Option<MapPoin
     numbers.iter().all(|v| v.is_finite()).then_some(point)
 }
 
-/// Returns both worst normals, in the plane of the eigenvectors of the smallest and largest eigenvalue (docs/model.md
-/// section 2).
+/// Returns the normals of the largest ratio and of the largest coupling. Both lie in the plane of the eigenvectors of
+/// the smallest and the largest eigenvalue (docs/model.md section 2).
 fn closed_form(eigenvalues: &[f64], eigenvectors: &[DVector<f64>]) -> (WorstNormal, WorstNormal) {
     let (low, high) = (eigenvalues[0], eigenvalues[eigenvalues.len() - 1]);
     let (e_low, e_high) = (&eigenvectors[0], &eigenvectors[eigenvectors.len() - 1]);
@@ -169,7 +167,7 @@ fn closed_form(eigenvalues: &[f64], eigenvectors: &[DVector<f64>]) -> (WorstNorm
     )
 }
 
-/// Searches the planar direction of the largest `value`, by a scan refined with golden sections.
+/// Searches the planar direction with the largest `value` by a scan and golden section.
 fn search_worst(value: impl Fn(&DVector<f64>) -> f64) -> WorstNormal {
     let along = |angle: f64| DVector::from_vec(vec![angle.cos(), angle.sin()]);
     let steps = 180;
@@ -188,17 +186,17 @@ fn search_worst(value: impl Fn(&DVector<f64>) -> f64) -> WorstNormal {
     WorstNormal { value: value(&normal), normal: normal.iter().copied().collect() }
 }
 
-/// Returns the highest `value` that a device reaches from the pose `from` (rad) without crossing a singularity or a
-/// limit. The search is a compass search over all directions of the grid, with steps of at most `step` rad that halve
-/// to 1e-5 rad. It continues to within the sine 1e-3 of a singularity, which brings a stretched arm to within a
-/// millionth of its length.
+/// Returns the largest `value` on a way from `from` (rad) that crosses no singularity and no limit.
+///
+/// A compass search over all grid directions takes steps of at most `step` rad and halves them to 1e-5 rad. It stops at
+/// the sine 1e-3 from a singularity, where an arm is stretched to within a millionth of its length.
 pub fn climb(
     device: &Device<f64>,
     from: &[f64],
     step: f64,
     value: impl Fn(&TaskPose) -> f64,
 ) -> Result<f64, PoseError> {
-    // The angles of a mechanism that is not periodic, such as a paddle on its arc, end where the grid ends.
+    // The angles of a non-periodic mechanism, such as a paddle on its arc, end where the grid ends.
     let periodic = device.mechanism.kind().spec().periodic;
     let at = |q: &[f64]| -> Result<Option<(bool, f64)>, PoseError> {
         if !periodic && q.iter().any(|angle| angle.abs() > std::f64::consts::PI) {
@@ -228,9 +226,9 @@ pub fn climb(
     Ok(best)
 }
 
-/// Returns the side of the singularities on which a pose lies; `None` nearer to one than `sine` or beyond the limits.
+/// Returns the pose's side of the singularities, or `None` beyond a limit or within `sine` of a singularity.
 fn side(device: &Device<f64>, q: &[f64], sine: f64) -> Result<Option<bool>, PoseError> {
-    // A grid angle on a limit may be rounded to just beyond it.
+    // Rounding may put a grid angle on a limit slightly beyond the limit.
     let allowed = |(angle, joint): (&f64, &Joint<f64>)| {
         joint.limits.is_none_or(|(low, high)| (low - 1e-9..=high + 1e-9).contains(angle))
     };
@@ -242,30 +240,33 @@ fn side(device: &Device<f64>, q: &[f64], sine: f64) -> Result<Option<bool>, Pose
 }
 
 impl Reachable {
-    /// Floods a grid of `per_joint` angles per joint from the home pose (or, without one, from the most regular pose).
-    /// `held` restricts it to a plane.
-    pub fn from_home(description: &Description, per_joint: usize, held: Option<Held>) -> Result<Self, PoseError> {
+    /// Floods a grid of `per_joint` angles per joint from home, or from the most regular pose if the device has no
+    /// home. `held` restricts the grid to a plane.
+    pub fn from_home(
+        description: &Description,
+        per_joint: usize,
+        held: Option<FixedCoordinate>,
+    ) -> Result<Self, PoseError> {
         Self::of(&Device::new("", description)?, per_joint, held)
     }
 
-    /// Like [`Reachable::from_home`], for a device that is already built.
-    pub fn of(device: &Device<f64>, per_joint: usize, held: Option<Held>) -> Result<Self, PoseError> {
+    /// Like [`Reachable::from_home`], for a [`Device`].
+    pub fn of(device: &Device<f64>, per_joint: usize, held: Option<FixedCoordinate>) -> Result<Self, PoseError> {
         let spec = device.mechanism.kind().spec();
         let mut axes = Vec::new();
         let mut wraps = Vec::new();
         for joint in 0..spec.joints {
             match (held, device.joints[joint].limits) {
-                (Some(Held::Joint(at, angle)), _) if at == joint => {
+                (Some(FixedCoordinate::Joint(at, angle)), _) if at == joint => {
                     axes.push(vec![angle]);
                     wraps.push(false);
                 }
-                (Some(Held::Orientation(_)), _) if joint + 1 == spec.joints => {
+                (Some(FixedCoordinate::Orientation(_)), _) if joint + 1 == spec.joints => {
                     axes.push(vec![0.0]);
                     wraps.push(false);
                 }
                 (_, Some((low, high))) if spec.periodic && high - low > std::f64::consts::TAU => {
-                    // Angles beyond a turn add nothing and would make the grid coarser. With at least two turns the
-                    // grid closes on itself.
+                    // Angles beyond a turn add no pose. With at least two turns the grid closes on itself.
                     let (pi, turn) = (std::f64::consts::PI, std::f64::consts::TAU);
                     let first = 0.0_f64.clamp(low + pi, high - pi) - pi;
                     let step = turn / per_joint as f64;
@@ -278,7 +279,7 @@ impl Reachable {
                     wraps.push(false);
                 }
                 (_, None) => {
-                    // A full turn in cells, so that -π does not appear twice.
+                    // A full turn is divided into cells so that -π does not appear twice.
                     let step = std::f64::consts::TAU / per_joint as f64;
                     axes.push((0..per_joint).map(|i| -std::f64::consts::PI + (i as f64 + 0.5) * step).collect());
                     wraps.push(spec.periodic && per_joint > 2);
@@ -320,7 +321,7 @@ impl Reachable {
         Ok(())
     }
 
-    /// Returns the joint angles of a flat index.
+    /// Returns the joint angles of a grid pose.
     pub fn angles(&self, mut index: usize) -> Vec<f64> {
         let mut q = vec![0.0; self.axes.len()];
         for joint in (0..self.axes.len()).rev() {
@@ -331,9 +332,9 @@ impl Reachable {
         q
     }
 
-    /// Sets the joint that follows the others, within its limits if a full turn brings it there.
+    /// Computes the last angle of `q` if the orientation is held, plus or minus whole turns to lie within the limits.
     pub fn complete(&self, q: &mut [f64]) {
-        let Some(Held::Orientation(phi)) = self.held else { return };
+        let Some(FixedCoordinate::Orientation(phi)) = self.held else { return };
         let Some((last, others)) = q.split_last_mut() else { return };
         let turn = std::f64::consts::TAU;
         let angle = phi - others.iter().sum::<f64>();
@@ -341,12 +342,12 @@ impl Reachable {
         *last = low + (angle - low).rem_euclid(turn);
     }
 
-    /// Returns true if `q` (rad) lies on the reached side of the singularities and within the limits.
-    pub fn walkable(&self, q: &[f64]) -> bool {
+    /// Returns true if `q` (rad) is within the limits and on the reached side of the singularities.
+    pub fn is_on_reached_side(&self, q: &[f64]) -> bool {
         self.side.is_some() && side(&self.device, q, WALKABLE_SINE).is_ok_and(|result| result == self.side)
     }
 
-    /// Returns true if no singularity lies between two neighbours of the grid.
+    /// Returns true if no singularity lies between two neighbouring grid poses.
     fn is_connected(&self, from: usize, to: usize) -> bool {
         let (from, to) = (self.angles(from), self.angles(to));
         let turn = std::f64::consts::TAU;
@@ -356,16 +357,16 @@ impl Reachable {
         };
         let travels: Vec<f64> = (0..from.len()).map(travel).collect();
         let swept = travels.iter().zip(&self.axes).filter(|(_, axis)| axis.len() > 1);
-        let steps = (swept.map(|(travel, _)| travel.abs()).fold(0.0, f64::max) / STEP).ceil() as usize;
+        let steps = (swept.map(|(travel, _)| travel.abs()).fold(0.0, f64::max) / MAX_FLOOD_STEP_RAD).ceil() as usize;
         (1..steps).all(|i| {
             let mut q: Vec<f64> =
                 from.iter().zip(&travels).map(|(from, travel)| from + travel * i as f64 / steps as f64).collect();
             self.complete(&mut q);
-            self.walkable(&q)
+            self.is_on_reached_side(&q)
         })
     }
 
-    /// Returns true if the pose of a flat index was reached.
+    /// Returns true if the pose with this flat index was reached.
     pub fn is_reached(&self, index: usize) -> bool {
         self.reached.get(index) == Some(&true)
     }
@@ -398,12 +399,12 @@ impl Reachable {
     }
 }
 
-/// Computes the map of a device for one normal (d entries, any length but zero), over about `points` grid poses.
+/// Computes the map of a device over about `points` grid poses, for one normal (d entries, any length but zero).
 pub fn map(description: &Description, normal: &[f64], points: usize) -> Result<Vec<MapPoint>, PoseError> {
     map_holding(description, normal, points, Admissible::default())
 }
 
-/// Like [`map`], but a redundant device holds `admissible` instead of φ.
+/// Like [`map`], for a redundant device whose feed-forward holds `admissible`.
 pub fn map_holding(
     description: &Description,
     normal: &[f64],
@@ -413,7 +414,7 @@ pub fn map_holding(
     map_until(description, normal, points, admissible, &|| false)
 }
 
-/// Like [`map_holding`], but leaves out the remaining poses once `stop` returns true.
+/// Like [`map_holding`], but skips the remaining poses once `stop` returns true.
 pub fn map_until(
     description: &Description,
     normal: &[f64],
@@ -427,10 +428,9 @@ pub fn map_until(
     })
 }
 
-/// Number of poses per item of a sweep.
-const PIECE: usize = 256;
+const POSES_PER_ITEM: usize = 256;
 
-/// Like [`map_holding`], as a sweep that can be interrupted and resumed.
+/// Like [`map_holding`], as an interruptible sweep.
 pub fn map_swept(
     description: &Description,
     normal: &[f64],
@@ -443,7 +443,6 @@ pub fn map_swept(
     })
 }
 
-/// Computes the map of one piece of the poses.
 type PieceWork<'a> = &'a (dyn Fn(&Vec<Vec<f64>>) -> Vec<MapPoint> + Sync);
 
 fn evaluate_pieces<E: From<PoseError>>(
@@ -459,9 +458,9 @@ fn evaluate_pieces<E: From<PoseError>>(
     let reachable = Reachable::from_home(description, per_joint, None)?;
     let device = AnyMechanism::new(description).map_err(PoseError::from)?;
     let poses: Vec<Vec<f64>> = reachable.indices().map(|index| reachable.angles(index)).collect();
-    let pieces: Vec<Vec<Vec<f64>>> = poses.chunks(PIECE).map(<[Vec<f64>]>::to_vec).collect();
+    let pieces: Vec<Vec<Vec<f64>>> = poses.chunks(POSES_PER_ITEM).map(<[Vec<f64>]>::to_vec).collect();
     sweep(&pieces, &|piece| {
-        // Every pose was valid for this device when it was reached.
+        // The pose is valid because the device reached it.
         let at = |q: &Vec<f64>| evaluate(&TaskPose::of(&device, q).ok()?.holding(admissible), q, &normal);
         piece.iter().filter_map(at).collect()
     })
@@ -477,7 +476,7 @@ mod tests {
         DeviceFile::load(path).unwrap().description
     }
 
-    /// Returns Wrr/Weff and Wrr - Weff along any normal, from M and J alone.
+    /// Returns Wrr/Weff and Wrr - Weff along a normal, computed from M and J alone.
     fn inertia_ratio_and_coupling(description: &Description, q: &[f64], normal: &[f64]) -> (f64, f64) {
         let device = super::super::plant::Linearised::at(description, q, normal).unwrap();
         let (held, free) = (device.w_rr(), device.w_eff().unwrap());
@@ -495,7 +494,7 @@ mod tests {
             let description = device(name);
             let task = description.kind.spec().task;
             let n = unit_normal(&vec![1.0; task], task, q.len()).unwrap();
-            let point = at_holding(&description, &q, &n, Admissible::default()).unwrap().unwrap();
+            let point = map_point_at(&description, &q, &n, Admissible::default()).unwrap().unwrap();
             let (ratio, _) = inertia_ratio_and_coupling(&description, &q, &point.worst_ratio.normal);
             let (_, coupling) = inertia_ratio_and_coupling(&description, &q, &point.worst_coupling.normal);
             assert!((ratio / point.worst_ratio.value - 1.0).abs() < 1e-9, "{name}");

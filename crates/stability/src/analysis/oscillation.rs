@@ -1,10 +1,10 @@
 //! Oscillation of a wall at given gains: its frequency and growth.
 //!
-//! A mode z of the sampled loop oscillates at arg z/(2π T) and grows as exp(t ln|z|/T). Of all oscillating modes, a
-//! hand feels and hears the one with the largest growth: above the boundary the wall buzzes at its frequency. The
-//! prediction is linear and leaves out three effects: a wall only pushes, so the tip flies free for a part of every
-//! period; friction; and the limit of motor torque. The sustained buzz lies within 13 % of the predicted frequency on
-//! the demo's wall (tool/tests/quick/prediction.rs).
+//! A mode z of the sampled loop oscillates at arg z/(2π T) and grows as exp(t ln|z|/T). A hand feels and hears the
+//! oscillating mode with the largest growth; above the stability boundary the wall buzzes at its frequency.
+//!
+//! The linear prediction leaves out that a wall only pushes, friction, and the torque limit. On the demo's wall the
+//! buzz lies within 13 % of the predicted frequency (tool/tests/quick/prediction.rs).
 
 use super::eigenvalues::eigenvalues;
 use nalgebra::DMatrix;
@@ -13,23 +13,21 @@ use serde::{Deserialize, Serialize};
 /// An oscillating mode of the closed loop.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Oscillation {
-    /// Frequency, Hz: half the control rate if the sign changes with every sample.
+    /// Frequency, Hz; half the control rate if the sign changes with every sample.
     pub hz: f64,
-    /// Rate of exponential growth, 1/s: negative if the oscillation dies out.
+    /// Rate of exponential growth, 1/s; negative if the oscillation decays.
     pub growth_per_s: f64,
 }
 
-/// Tolerance of |z| = 1 on the boundary. On the boundary of a creep, a mode that does not oscillate, every oscillation
-/// decays faster.
+/// Largest growth per sample on the stability boundary. Where a creep is the boundary, oscillations decay faster.
 const ON_THE_CIRCLE: f64 = 1e-6;
 
 impl Oscillation {
-    /// Returns the least damped of the modes z = 1 + γ of a delta-form matrix F sampled every `sample_s` (s); `None` if
-    /// no mode oscillates.
+    /// Returns the least damped mode z = 1 + γ of F = A - I; `None` if no mode oscillates.
     pub(super) fn least_damped(f: DMatrix<f64>, sample_s: f64) -> Option<Self> {
         eigenvalues(f)?
             .into_iter()
-            // One mode of each pair counts. A negative mode oscillates as well; a mode at zero is gone after a sample.
+            // Only one mode of each complex pair counts. A mode with negative z oscillates at half the rate.
             .filter(|gamma| gamma.im > 0.0 || (gamma.im == 0.0 && gamma.re < -1.0))
             .map(|gamma| Self {
                 hz: gamma.im.atan2(1.0 + gamma.re) / (std::f64::consts::TAU * sample_s),
@@ -45,7 +43,7 @@ impl Oscillation {
         self.growth_per_s > 0.0
     }
 
-    /// Returns the frequency (Hz) if the oscillation neither grows nor dies out, as on a boundary that it causes.
+    /// Returns the frequency (Hz) if the oscillation neither grows nor decays, as on its own stability boundary.
     pub(super) fn sustained_hz(&self, sample_s: f64) -> Option<f64> {
         ((self.growth_per_s * sample_s).abs() < ON_THE_CIRCLE).then_some(self.hz)
     }
@@ -58,7 +56,7 @@ mod tests {
 
     #[test]
     fn a_creep_has_no_frequency() {
-        // Only real modes, one of which grows, as in a creep.
+        // Both modes are real and one grows, as in a creep.
         let creep = DMatrix::from_diagonal(&DVector::from_vec(vec![1e-4, -0.5]));
         assert_eq!(Oscillation::least_damped(creep, 1e-3), None);
         // A mode that changes its sign with every sample oscillates at half the rate.

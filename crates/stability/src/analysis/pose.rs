@@ -1,5 +1,8 @@
-//! Matrices of the analysis from a device description and joint angles.
+//! The analysis's matrices for a device description and joint angles.
 
+use super::flexible::{Flexible, Hand};
+use super::plant::{Linearised, MotorElectrics};
+use super::subject::Subject;
 use haptic_bridge::math::FineTable;
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
@@ -7,49 +10,45 @@ use haptic_bridge::model::description::{Description, DescriptionError};
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::mechanism::{AnyMechanism, Mechanism, Regularity, Shaping};
 use haptic_bridge::with_mechanism;
+use haptic_host::vectors::{padded_to, unit};
 use nalgebra::{DMatrix, DVector, SMatrix, SVector};
 use thiserror::Error;
 
-use super::flexible::{Flexible, Hand};
-use super::plant::{Linearised, MotorElectrics};
-use super::subject::Subject;
-use haptic_host::vectors::{padded_to, unit};
-
-/// Sine of the singular angle below which poses are rejected.
+/// Smallest sine of the singular angle that is analysed.
 pub const LEAST_ANALYSED_SINE: f64 = 1e-6;
 
 /// Reason why a pose cannot be analysed.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum PoseError {
-    /// Wrong number of joint angles.
+    /// The number of joint angles is wrong.
     #[error("this device has {joints} joints, so a pose has {joints} angles, not {found}")]
     Joints {
         /// Number of joints of the device, N.
         joints: usize,
-        /// Number of given angles.
+        /// Number of angles in the pose.
         found: usize,
     },
-    /// Wrong number of entries of a normal.
+    /// The number of entries in a normal is wrong.
     #[error("this device's task has {task} dimensions, so a normal has {task} entries, not {found}")]
     Normal {
         /// Task dimension of the device, d.
         task: usize,
-        /// Number of given entries.
+        /// Number of entries in the normal.
         found: usize,
     },
-    /// A normal that is zero, infinite or NaN.
+    /// The normal is zero, infinite or NaN.
     #[error("a normal must be finite and not zero")]
     NoDirection,
-    /// An angle is not a number.
+    /// A joint angle is not finite.
     #[error("joint angles must be finite numbers of radians")]
     Angle,
     /// The arm is stretched or folded.
     #[error("this pose is singular: the arm is in line with itself, so the tip cannot move in every direction")]
     Serial,
-    /// The closed loop is stretched, or cannot close at all.
+    /// The closed loop is stretched or cannot close.
     #[error("this pose is singular or cannot be reached: the closed linkage is stretched to a line or does not close")]
     Parallel,
-    /// The description is not that of a device.
+    /// The description is not valid.
     #[error(transparent)]
     Description(#[from] DescriptionError),
 }
@@ -65,10 +64,10 @@ impl From<PoseError> for haptic_host::error::Failure {
     }
 }
 
-/// The device at one pose, in task coordinates: the common start of range and map.
+/// The device at one pose, in task coordinates.
 #[derive(Clone, Debug)]
 pub struct TaskPose {
-    /// Task position: tip in metres (d entries).
+    /// Position of the tip, m (d entries).
     pub position: Vec<f64>,
     /// J, N x N.
     pub jacobian: DMatrix<f64>,
@@ -78,24 +77,24 @@ pub struct TaskPose {
     pub mass: DMatrix<f64>,
     /// Λ = J⁻ᵀ M J⁻¹, N x N.
     pub operational: DMatrix<f64>,
-    /// Distance from singularities.
+    /// Distances from singularities.
     pub regularity: Regularity<f64>,
     /// Task dimension, d.
     pub task: usize,
 }
 
 impl TaskPose {
-    /// Computes the pose. Errors on wrong lengths, not on singular poses (see [`TaskPose::regular`]).
+    /// Computes the pose. Rejects wrong lengths but not singular poses (see [`TaskPose::regular`]).
     pub fn at(description: &Description, q: &[f64]) -> Result<Self, PoseError> {
         Self::of(&AnyMechanism::new(description)?, q)
     }
 
-    /// Like [`TaskPose::at`], for a mechanism that is already built.
+    /// Like [`TaskPose::at`], for an existing mechanism.
     pub fn of(mechanism: &AnyMechanism<f64>, q: &[f64]) -> Result<Self, PoseError> {
         with_mechanism!(mechanism, m => evaluate(m, q))
     }
 
-    /// Replaces φ by another coordinate as the last of a redundant device's task: its row of J, and with it J⁻¹ and Λ.
+    /// Replaces φ by another coordinate as the last task coordinate of a redundant device, in J, J⁻¹ and Λ.
     pub fn holding(mut self, admissible: Admissible) -> Self {
         let joints = self.mass.nrows();
         if self.task == joints || admissible == Admissible::Orientation {
@@ -109,7 +108,7 @@ impl TaskPose {
             let held = admissible.hold(&shaping(column(i)), &null);
             inverse.column_mut(i).copy_from(&held.e);
         }
-        // Scales the last column so that the new coordinate is the held joint's angle.
+        // Scale the last column so that the new coordinate is the angle of the held joint.
         if let Some(joint) = admissible.joint() {
             let scaled = inverse.column(joints - 1) / inverse[(joint, joints - 1)];
             inverse.set_column(joints - 1, &scaled);
@@ -128,17 +127,17 @@ impl TaskPose {
     }
 }
 
-/// The few numbers of a pose that a search over many poses needs, without matrices.
+/// Two properties of a pose for a search over many poses, computed without dynamic matrices.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Stance {
-    /// Distance from singularities.
+    /// Distances from singularities.
     pub regularity: Regularity<f64>,
-    /// Side of the singularities: true if J's determinant is positive.
+    /// Side of the singularities; true if J's determinant is positive.
     pub positive: bool,
 }
 
 impl Stance {
-    /// Computes the numbers at joint angles `q` (rad). Errors on wrong lengths, not on singular poses.
+    /// Computes the properties at joint angles `q` (rad). Rejects wrong lengths but not singular poses.
     pub fn of(mechanism: &AnyMechanism<f64>, q: &[f64]) -> Result<Self, PoseError> {
         angles(q, mechanism.kind().spec().joints)?;
         Ok(with_mechanism!(mechanism, m => {
@@ -147,13 +146,13 @@ impl Stance {
         }))
     }
 
-    /// Returns true if the pose is at least as far as `sine` from all singularities.
+    /// Returns true if the pose is at least the sine `sine` away from all singularities.
     pub fn is_clear(&self, sine: f64) -> bool {
         self.regularity.serial >= sine && self.regularity.parallel >= sine
     }
 }
 
-/// Checks number and finiteness of joint angles.
+/// Rejects a wrong number of joint angles, and angles that are not finite.
 pub fn angles(q: &[f64], joints: usize) -> Result<(), PoseError> {
     if q.len() != joints {
         return Err(PoseError::Joints { joints, found: q.len() });
@@ -164,7 +163,7 @@ pub fn angles(q: &[f64], joints: usize) -> Result<(), PoseError> {
     Ok(())
 }
 
-/// Checks that a pose is not singular.
+/// Rejects singular poses.
 pub fn regular(regularity: &Regularity<f64>) -> Result<(), PoseError> {
     if regularity.parallel.is_nan() || regularity.parallel < LEAST_ANALYSED_SINE {
         Err(PoseError::Parallel)
@@ -190,7 +189,7 @@ fn evaluate<const N: usize, M: Mechanism<f64, N>>(mechanism: &M, q: &[f64]) -> R
     })
 }
 
-/// Normalises `normal` and pads it with zeros to N entries.
+/// Scales `normal` to unit length and pads it with zeros to N entries.
 pub fn unit_normal(normal: &[f64], task: usize, joints: usize) -> Result<DVector<f64>, PoseError> {
     if normal.len() != task {
         return Err(PoseError::Normal { task, found: normal.len() });
@@ -199,13 +198,12 @@ pub fn unit_normal(normal: &[f64], task: usize, joints: usize) -> Result<DVector
 }
 
 impl Linearised {
-    /// Linearises the device at rest at `q` (rad), along `normal` (d entries, any length but zero), with its joint
-    /// damping, its transmissions and its structural modes.
+    /// Linearises the device at rest at `q` (rad) along `normal` (d entries, any length but zero).
     pub fn at(description: &Description, q: &[f64], normal: &[f64]) -> Result<Self, PoseError> {
         Self::holding(description, q, normal, Admissible::default())
     }
 
-    /// Like [`Linearised::at`], but a redundant device holds `admissible`.
+    /// Like [`Linearised::at`], for a redundant device whose feed-forward holds `admissible`.
     pub fn holding(
         description: &Description,
         q: &[f64],
@@ -215,8 +213,7 @@ impl Linearised {
         Subject::new(description)?.along(q, normal, admissible)
     }
 
-    /// Like [`Linearised::holding`], for a device that is already built, without its compliant parts.
-    /// [`super::prediction`] includes them.
+    /// Like [`Linearised::holding`], for a [`Device`] without its compliant parts. [`super::prediction`] includes them.
     pub fn of(device: &Device<f64>, q: &[f64], normal: &[f64], admissible: Admissible) -> Result<Self, PoseError> {
         let pose = TaskPose::of(&device.mechanism, q)?.regular()?.holding(admissible);
         let joints = q.len();
@@ -236,7 +233,7 @@ impl Linearised {
     }
 
     /// Adds a hand.
-    pub fn held(mut self, hand: Hand) -> Self {
+    pub fn with_hand(mut self, hand: Hand) -> Self {
         self.flexible.hand = hand;
         self
     }
@@ -252,13 +249,13 @@ impl Subject {
     /// Linearises the device at rest at `q` (rad), along `normal` (d entries, any length but zero).
     pub fn along(&self, q: &[f64], normal: &[f64], admissible: Admissible) -> Result<Linearised, PoseError> {
         let mut linearised = Linearised::of(&self.device, q, normal, admissible)?;
-        let Flexible { transmissions, modes, .. } = self.gives();
+        let Flexible { transmissions, modes, .. } = self.compliant_parts();
         (linearised.flexible.transmissions, linearised.flexible.modes) = (transmissions, modes);
         Ok(linearised)
     }
 }
 
-/// Returns the motors of all joints, if every joint has one.
+/// Returns the motors of all joints, or `None` if a joint has no motor.
 pub fn motors(description: &Description) -> Option<Vec<MotorElectrics>> {
     let joints = description.kind.spec().joints;
     description.joints[..joints]

@@ -1,7 +1,7 @@
-//! The prediction of stable walls on a device, with a board and a hand. Every command uses it.
+//! Prediction of the stable walls of a device on a board, with a hand. All commands use this prediction.
 //!
-//! A [`Subject`] is the device with its compliant parts. A [`Prediction`] puts it into a control loop: the scene's
-//! rate, estimator, feed-forward and posture, the board's delay and drives, and a hand.
+//! A [`Subject`] is the device with its compliant parts. A [`Prediction`] adds the control loop: the scene's rate,
+//! estimator, feed-forward and posture, the board's delay and drives, and the hand.
 
 use super::control_loop::{CURRENT_LOOP_HZ, Loop, Mode, TorquePath};
 use super::domain::{oscillation, oscillation_of_several, stiffness_at};
@@ -25,29 +25,27 @@ use std::fmt::Write;
 pub struct Prediction {
     /// The device.
     pub subject: Subject,
-    /// Rate, delay, estimator and drives.
+    /// Rate, delay, estimator and drives of the control loop.
     pub around: Loop,
-    /// The coordinate that a redundant device holds.
+    /// The coordinate that the feed-forward of a redundant device holds.
     pub admissible: Admissible,
-    /// α of the feed-forward; a board limits it to [`Linearised::largest_gain`].
+    /// Gain α of the feed-forward; a board limits it to [`Linearised::largest_gain`].
     pub gain: f64,
-    /// Posture in which the board holds a redundant device.
+    /// Posture control of a redundant device.
     pub posture: Option<Posture>,
-    /// Hand on the tip.
+    /// Hand at the tip.
     pub hand: Hand,
 }
 
 impl Prediction {
-    /// Creates the prediction for this device in this control loop, without a hand or a posture, with the plain
-    /// equation (4).
+    /// Creates a prediction without hand and posture, with the feed-forward of equation (4).
     #[must_use]
     pub fn new(subject: Subject, around: Loop) -> Self {
         let (admissible, hand) = (Admissible::default(), Hand::default());
         Self { subject, around, admissible, gain: 1.0, posture: None, hand }
     }
 
-    /// Creates the prediction for this device in a scene on a board, for `wall` or for any wall; `None` if the
-    /// estimator has no linear model.
+    /// Creates a prediction for a scene on a board; `None` if the estimator has no linear model.
     #[must_use]
     pub fn in_scene(
         subject: &Subject,
@@ -56,7 +54,7 @@ impl Prediction {
         path: &TorquePath,
     ) -> Option<Self> {
         let estimator = LinearEstimator::of(scene.estimator, scene.cutoff_hz)?;
-        let mut around = Loop::through(path, scene.rate_hz, estimator);
+        let mut around = Loop::with_torque_path(path, scene.rate_hz, estimator);
         around.damping_compensation = wall.is_some_and(|wall| wall.damping_compensation);
         let held = scene.posture.map(|held| Posture { stiffness: held.stiffness, damping: held.damping });
         Some(Self {
@@ -67,24 +65,24 @@ impl Prediction {
         })
     }
 
-    /// Returns the device linearised for one wall at `q` (rad) along `normal` (d entries, any length but zero).
-    pub fn seen(&self, q: &[f64], normal: &[f64]) -> Result<Linearised, PoseError> {
-        let mut linearised = self.subject.along(q, normal, self.admissible)?.held(self.hand);
+    /// Linearises the device for one wall at `q` (rad) along `normal` (d entries, any length but zero).
+    pub fn linearise(&self, q: &[f64], normal: &[f64]) -> Result<Linearised, PoseError> {
+        let mut linearised = self.subject.along(q, normal, self.admissible)?.with_hand(self.hand);
         linearised.gain = self.gain.min(linearised.largest_gain().unwrap_or(1.0));
-        linearised.flexible.posture = self.posture_row(q)?;
+        linearised.flexible.posture = self.posture_with_jacobian(q)?;
         Ok(linearised)
     }
 
-    /// Returns the device linearised for these walls at `q` (rad).
+    /// Linearises the device for these walls at `q` (rad).
     pub fn walls(&self, q: &[f64], members: &[Member]) -> Result<Walls, PoseError> {
         if let [only] = members {
-            return Ok(Walls::One(self.seen(q, &only.normal)?));
+            return Ok(Walls::One(self.linearise(q, &only.normal)?));
         }
-        let set = WallSet::of(&self.subject, q, members, self.admissible)?.held(self.hand);
-        Ok(Walls::Several(set.in_posture(self.posture_row(q)?)))
+        let set = WallSet::of(&self.subject, q, members, self.admissible)?.with_hand(self.hand);
+        Ok(Walls::Several(set.in_posture(self.posture_with_jacobian(q)?)))
     }
 
-    /// Returns α as the board applies it here: several walls use the plain equation (4).
+    /// Returns the gain α that the board applies; for several walls α is 1.
     fn gain_at(&self, q: &[f64], members: &[Member]) -> f64 {
         match self.walls(q, members) {
             Ok(Walls::One(linearised)) => linearised.gain,
@@ -92,9 +90,9 @@ impl Prediction {
         }
     }
 
-    /// Returns the posture with the row of the orientation's Jacobian.
-    fn posture_row(&self, q: &[f64]) -> Result<Option<(Posture, nalgebra::DVector<f64>)>, PoseError> {
-        // Without stiffness and damping a posture has no effect.
+    /// Returns the posture control with the Jacobian row of the orientation; `None` if it has no effect.
+    fn posture_with_jacobian(&self, q: &[f64]) -> Result<Option<(Posture, nalgebra::DVector<f64>)>, PoseError> {
+        // A posture without stiffness and damping has no effect.
         let acts = |held: &Posture| held.stiffness > 0.0 || held.damping > 0.0;
         let Some(held) = self.posture.filter(acts) else { return Ok(None) };
         let pose = TaskPose::of(&self.subject.device.mechanism, q)?;
@@ -102,8 +100,8 @@ impl Prediction {
         Ok(redundant.then(|| (held, pose.jacobian.row(pose.task).transpose())))
     }
 
-    /// Predicts the stable domain of these walls at `q` (rad) in the totals of stiffness and damping: without, with,
-    /// and (at `washout_hz`) with washed-out feed-forward; at these dampings (N s/m), or at even ones.
+    /// Predicts the stable domains of these walls at `q` (rad) without feed-forward, with it, and with it behind a
+    /// washout at `washout_hz`, in the totals of stiffness and damping. The dampings are `kd` (N s/m) or evenly spaced.
     pub fn range(
         &self,
         q: &[f64],
@@ -114,14 +112,13 @@ impl Prediction {
         Ok(self.walls(q, members)?.range(&self.around, kd, washout_hz)?)
     }
 
-    /// Returns the largest stiffness (N/m) of a wall that is stable with damping `kd` (N s/m), zero if none is, and the
-    /// largest damping with which any stiffness is stable.
+    /// Returns the largest stable stiffness with damping `kd`, N/m, zero if none, and the largest stable damping.
     pub fn stiffness_at(&self, q: &[f64], normal: &[f64], mode: Mode, kd: f64) -> Result<(f64, f64), Failure> {
-        Ok(stiffness_at(&self.seen(q, normal)?, &self.around, mode, kd)?)
+        Ok(stiffness_at(&self.linearise(q, normal)?, &self.around, mode, kd)?)
     }
 
-    /// Returns the least damped oscillation of these walls at `q` (rad) with the totals `kp` (N/m) and `kd` (N s/m);
-    /// beyond the boundary this is the buzz. `None` if no mode oscillates.
+    /// Returns the least damped oscillation of these walls at `q` (rad) with the totals `kp` (N/m) and `kd` (N s/m), or
+    /// `None` if no mode oscillates. Beyond the stability boundary this oscillation is the buzz.
     pub fn buzz(
         &self,
         q: &[f64],
@@ -136,8 +133,8 @@ impl Prediction {
         }?)
     }
 
-    /// Returns the options with which `haptic range DEVICE` predicts the same for these walls, except dampings and
-    /// washout. Numbers are printed with all digits: round them before predicting.
+    /// Returns the options with which `haptic range DEVICE` repeats this prediction, without dampings and washout. The
+    /// options contain all digits, so round the numbers before predicting.
     #[must_use]
     pub fn options(&self, q: &[f64], members: &[Member]) -> String {
         let list = |values: &[f64]| values.iter().map(f64::to_string).collect::<Vec<_>>().join(",");
@@ -161,7 +158,7 @@ impl Prediction {
         line + &self.loop_options(self.gain_at(q, members))
     }
 
-    /// Returns the options of the control loop alone, with this α of the feed-forward, each after a space.
+    /// Returns the options of the control loop for this gain α. Each option begins with a space.
     #[must_use]
     pub fn loop_options(&self, gain: f64) -> String {
         let Loop { rate_hz, delay_samples, estimator, drive, damping_compensation } = &self.around;
@@ -206,13 +203,13 @@ fn estimator_options(estimator: LinearEstimator) -> String {
     if samples > 1 { format!("{kind} --difference-over {samples}") } else { kind }
 }
 
-/// Rounds a value to the six digits that are printed, so that prediction and printed line agree in every digit.
+/// Rounds a value to the six printed digits, so that a prediction equals one that repeats the printed options.
 #[must_use]
-pub fn printed(value: f64) -> f64 {
+pub fn round_as_printed(value: f64) -> f64 {
     digits(value).parse().unwrap_or(value)
 }
 
-/// One wall, whose boundary is exact, or several that act together.
+/// Device linearised for one wall, whose boundary is exact, or for several walls that act together.
 #[derive(Clone, Debug)]
 pub enum Walls {
     /// One wall.
@@ -222,7 +219,7 @@ pub enum Walls {
 }
 
 impl Walls {
-    /// See [`Prediction::range`].
+    /// Computes the result of [`Prediction::range`] for these walls.
     pub fn range(&self, around: &Loop, kd: Option<&[f64]>, washout_hz: Option<f64>) -> Result<Range, AnalysisError> {
         match self {
             Self::One(device) => predict(device, around, kd, washout_hz),

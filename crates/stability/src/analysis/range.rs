@@ -1,6 +1,4 @@
-//! The result of `haptic range`: the stable domain of a wall on one device with each kind of feed-forward.
-
-use serde::Serialize;
+//! The result of `haptic range`: the stable domain of a wall on one device for each feed-forward.
 
 use super::control_loop::{Loop, Mode};
 pub use super::domain::{
@@ -12,18 +10,18 @@ use super::host::HostWall;
 use super::plant::Linearised;
 use super::several::WallSet;
 use haptic_bridge::render::scene::FeedForward;
+use serde::Serialize;
 
-/// Smallest ratio of areas with and without the feed-forward that is worth its cost.
+/// Smallest ratio of areas with and without the feed-forward that justifies its cost.
 pub const WORTHWHILE_RATIO: f64 = 1.05;
 
-/// Share of the stable area or stiffness below which a feed-forward costs more than it gains; the last percent is
-/// rounding.
+/// Ratio of stable areas or stiffnesses below which a feed-forward does harm; the last percent is rounding.
 pub const COSTLY_RATIO: f64 = 0.99;
 
-/// Maximum number of halvings in the search for a washout's corner.
+/// Maximum number of halvings in the search for a washout corner.
 const HALVINGS: i32 = 10;
 
-/// Halves `corner` (Hz) repeatedly and returns the first result that is `free`.
+/// Halves `corner` (Hz) repeatedly and returns the first corner that is `free`.
 pub fn lower_corner<E>(corner: f64, free: impl Fn(f64) -> Result<bool, E>) -> Result<Option<f64>, E> {
     for lower in (1..=HALVINGS).map(|halvings| corner / 2.0_f64.powi(halvings)) {
         if free(lower)? {
@@ -36,37 +34,36 @@ pub fn lower_corner<E>(corner: f64, free: impl Fn(f64) -> Result<bool, E>) -> Re
 /// The result of `haptic range`.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Range {
-    /// Effective inertia without the feed-forward, kg. With several walls: the effective inertia of their total
-    /// stiffness in the stiffest motion; `w_rr` is the same with the feed-forward.
+    /// Effective inertia without the feed-forward, kg. For several walls it is the effective inertia of their total
+    /// stiffness in the stiffest motion; `w_rr` is the corresponding value with the feed-forward.
     pub w_eff: f64,
-    /// Rendered inertia, kg: the effective inertia with the feed-forward.
+    /// Rendered inertia, which is the effective inertia with the feed-forward, kg.
     pub w_rr: f64,
-    /// Gain α of the feed-forward, if it is not 1.
+    /// Gain α of the feed-forward; `None` if it is 1.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub feed_forward_gain: Option<f64>,
-    /// Effective inertia with that gain, kg.
+    /// Effective inertia with this gain α, kg.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub inertia_met: Option<f64>,
-    /// Stiffness of the transmissions at the tip along the wall, N/m, if any is compliant: a hand feels a wall without
-    /// the feed-forward in series with it.
+    /// Stiffness of the transmissions at the tip, in series with a wall, N/m; `None` if all are rigid.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub transmissions: Option<f64>,
-    /// Domain without feed-forward.
+    /// Domain without the feed-forward.
     pub off: Domain,
-    /// Domain with equation (4).
+    /// Domain with the feed-forward of equation (4).
     pub full: Domain,
-    /// Domain with equation (4) behind a washout, if requested.
+    /// Domain with the feed-forward behind a washout, if requested.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub washout: Option<Domain>,
-    /// Area with the feed-forward over area without; zero if nothing is stable.
+    /// Ratio of the areas with and without the feed-forward; zero if nothing is stable.
     pub area_ratio: f64,
-    /// The same wall rendered by a program on a computer, if requested.
+    /// The wall rendered by a program on a computer, if requested.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub host: Option<HostWall>,
 }
 
 impl Range {
-    /// Returns the domain with this feed-forward; that of equation (4) for a washout that was not requested.
+    /// Returns the domain with this feed-forward. For a washout that was not requested, returns that of equation (4).
     #[must_use]
     pub fn of(&self, feed_forward: FeedForward) -> &Domain {
         match feed_forward {
@@ -77,10 +74,8 @@ impl Range {
     }
 }
 
-/// Predicts the stable domain of `device` in `around`: without, with, and (at `washout_hz`) with washed-out
-/// feed-forward.
-///
-/// `kd` requests the boundary at exactly these damping values (N s/m); otherwise it has [`BOUNDARY_POINTS`] even ones.
+/// Predicts the stable domains of `device` in `around`: without feed-forward, with it, and with it behind a washout at
+/// `washout_hz`. The dampings are `kd` (N s/m) or [`BOUNDARY_POINTS`] evenly spaced ones.
 pub fn predict(
     device: &Linearised,
     around: &Loop,
@@ -99,7 +94,7 @@ pub fn predict(
     Ok(Range { w_eff, w_rr, feed_forward_gain, inertia_met, transmissions, off, full, washout, area_ratio, host })
 }
 
-/// Predicts the stable domain of walls that act together, in the totals of stiffness and damping.
+/// Like [`predict`], for several walls that act together, in the totals of stiffness and damping.
 pub fn predict_several(
     set: &WallSet,
     around: &Loop,
@@ -110,8 +105,8 @@ pub fn predict_several(
     let (off, full) = (of(Mode::Off)?, of(Mode::Full)?);
     let washout = washout_hz.map(|hz| of(Mode::Washout(hz))).transpose()?;
     let area_ratio = if off.area > 0.0 { full.area / off.area } else { 0.0 };
-    let met = |feed_forward| set.met(feed_forward).ok_or(AnalysisError::Singular);
-    let (w_eff, w_rr) = (met(false)?, met(true)?);
+    let effective_inertia = |feed_forward| set.effective_inertia(feed_forward).ok_or(AnalysisError::Singular);
+    let (w_eff, w_rr) = (effective_inertia(false)?, effective_inertia(true)?);
     let (feed_forward_gain, inertia_met, transmissions, host) = (None, None, None, None);
     Ok(Range { w_eff, w_rr, feed_forward_gain, inertia_met, transmissions, off, full, washout, area_ratio, host })
 }

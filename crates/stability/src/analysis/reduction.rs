@@ -1,18 +1,14 @@
-//! Reduces a device with its drives to the part that affects the wall (see [`super::plant`]). This module handles rigid
-//! devices, [`super::flexible_reduction`] compliant ones.
-
-use nalgebra::{DMatrix, DVector};
+//! Reduces a rigid device to the motions that affect the wall, as [`super::flexible_reduction`] a compliant one.
 
 use super::flexible_reduction;
 use super::plant::{ContinuousPlant, Drive, Lags, Linearised};
+use nalgebra::{DMatrix, DVector};
 
-/// Decay time in samples above which a joint's own damping counts as none.
+/// Longest decay time of a joint's own damping, samples. Slower damping counts as none.
 const SLOWEST_DECAY_SAMPLES: f64 = 1e10;
 
-/// Builds the reduced plant. `inputs` is N x p: torque of each input in units of m/T² times metres. `sense_damped` adds
-/// the positions of the damped joints.
-///
-/// `None` if M is not positive definite.
+/// Builds the reduced plant, or returns `None` if M is not positive definite. `inputs` (N x p) has the torques of each
+/// input in units of m/T² times metres. `sense_damped` adds the positions of the damped joints.
 pub(crate) fn reduce(
     device: &Linearised,
     drive: &Drive,
@@ -47,7 +43,7 @@ pub(crate) fn reduce(
     let mut a = DMatrix::zeros(size, size);
     let mut b = DMatrix::zeros(size, inputs.ncols());
 
-    // Writes the acceleration of a joint, or of a weighted sum of joints, into one row: weights · M⁻¹ (τ - B q̇).
+    // Adds the acceleration of a weighted sum of joints to row `into`: weights · M⁻¹ (τ - B q̇).
     let mut accelerate = |into: usize, weights: &DVector<f64>, b: &mut DMatrix<f64>| {
         let pull = &mobility * weights; // M⁻¹ is symmetric
         for (column, &joint) in damped.iter().enumerate() {
@@ -96,7 +92,7 @@ pub(crate) fn reduce(
         lagging,
         has_share,
         position,
-        seen: DVector::from_fn(position + 1, |state, _| if state == position { 1.0 } else { 0.0 }),
+        rendered_rows: DVector::from_fn(position + 1, |state, _| if state == position { 1.0 } else { 0.0 }),
         sensed,
     })
 }

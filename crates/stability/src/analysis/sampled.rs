@@ -1,12 +1,11 @@
 //! The sampled loop of a wall: zero-order hold, computation delay, velocity estimator and feed-forward, in delta form.
 //!
-//! The loop is cut at the wall force of one sample: s⁺ = s + F s + b f, with the rendered position x and the estimated
-//! velocity v as outputs. A wall closes it with f = -kp x - kd v, so both gains are rank-one changes of F.
+//! The loop is opened at the wall force of one sample: s⁺ = s + F s + b f, with the rendered position x and the
+//! estimated velocity v as outputs. A wall closes the loop with f = -kp x - kd v, so both gains are rank-one changes of
+//! F.
 //!
-//! Every state is chosen so that its change over a sample is computed directly and not as a difference of nearly equal
-//! numbers: the change of position is a state of its own, and filters are trapezoidal integrators.
-
-use nalgebra::{DMatrix, DVector};
+//! Each state is chosen so that its change over a sample is computed directly, because a difference of nearly equal
+//! numbers loses precision. So the change of position is a state, and filters are trapezoidal integrators.
 
 pub use super::control_loop::{CARRIER_HZ, CURRENT_LOOP_HZ, LONGEST_DELAY, Loop, Mode, usual_delay};
 use super::drift::{Drift, find_drift};
@@ -17,11 +16,12 @@ use super::oscillation::Oscillation;
 use super::plant::{ContinuousPlant, Drive, Linearised};
 use super::reduction::reduce;
 use super::spectrum::{exp_minus_identity, growth};
+use nalgebra::{DMatrix, DVector};
 
-/// The loop cut at the wall force, in sample units (see [`super::plant`]).
+/// The loop opened at the wall force, in sample units (see [`super::plant`]).
 #[derive(Clone, Debug)]
 pub(crate) struct OpenLoop {
-    /// A - I.
+    /// F = A - I.
     pub f: DMatrix<f64>,
     /// Effect of the wall force.
     pub input: DVector<f64>,
@@ -29,11 +29,11 @@ pub(crate) struct OpenLoop {
     pub position: DVector<f64>,
     /// Estimated rendered velocity per sample, as a row over the states.
     pub velocity: DVector<f64>,
-    /// Reference mass, kg: stiffness unit is `mass/T²`, damping unit `mass/T`.
+    /// Reference mass, kg; the unit of stiffness is `mass/T²`, and of damping `mass/T`.
     pub mass: f64,
     /// Sample period, s.
     pub sample_s: f64,
-    /// Motions without feedback by construction, which only damping compensation causes.
+    /// Motions without feedback; only damping compensation causes them.
     pub(super) drift: Option<Drift>,
     pub(super) resonances: Vec<(f64, f64)>,
     /// Largest |z|² - 1 that counts as rounding.
@@ -63,7 +63,7 @@ impl Signal {
     }
 }
 
-/// Collects the change per sample of every state.
+/// Sums the changes of all states over a sample.
 struct Assembly {
     f: DMatrix<f64>,
     input: DVector<f64>,
@@ -85,8 +85,8 @@ impl Assembly {
         self.input[state] += by.force;
     }
 
-    /// Adds an estimator with its states from `first` on, driven by the change of position `moved` and by `pushed`, the
-    /// velocity per sample from the last command. Returns the velocity per sample.
+    /// Adds an estimator whose states begin at `first` and returns its velocity per sample. The inputs are the change
+    /// of position `moved` and the velocity per sample from the last command, `pushed`.
     fn estimate(&mut self, estimator: &DMatrix<f64>, first: usize, moved: &Signal, pushed: &Signal) -> Signal {
         let size = self.size();
         let states = estimator.nrows() - 1;
@@ -111,9 +111,8 @@ fn one_pole(hz: f64, rate_hz: f64, signal: &Signal, state: &Signal) -> (Signal, 
 }
 
 impl OpenLoop {
-    /// Builds the loop of the device, without a held posture. The controller uses the model `believed` for
-    /// feed-forward, damping compensation and predictions.
-    pub fn believing(
+    /// Builds the loop of a device without posture control, for a controller with the model `believed`.
+    pub fn with_believed_model(
         device: &Linearised,
         believed: &Linearised,
         around: &Loop,
@@ -143,7 +142,7 @@ impl OpenLoop {
             return Err(AnalysisError::CompensatedFlexible);
         }
 
-        // Torque directions, in metres: the torque of one force unit of each input.
+        // Each direction is the torque of one force unit of an input, in metres.
         let shaped = believed.shaped_torque();
         let mut directions = match mode {
             Mode::Off => vec![device.row.clone()],
@@ -153,7 +152,7 @@ impl OpenLoop {
         let walls = directions.len();
         let projected = &believed.mass * &believed.unit_motion / believed.w_rr();
         if compensated {
-            // τ += (I - M E Wrr⁻¹ Eᵀ) B q̇, one input per damped joint, its velocity per sample.
+            // Equation: τ += (I - M E Wrr⁻¹ Eᵀ) B q̇. Each damped joint has an input, its velocity per sample.
             for joint in (0..joints).filter(|&j| is_damped(device, j, sample_s)) {
                 let mut column = &projected * -believed.unit_motion[joint];
                 column[joint] += 1.0;
@@ -163,7 +162,7 @@ impl OpenLoop {
         let inputs = DMatrix::from_columns(&directions);
         let plant =
             reduce(device, &around.drive, &inputs, sample_s, mass, compensated).ok_or(AnalysisError::Singular)?;
-        // Acceleration per sample² of one unit of each input: along the normal, then of each joint.
+        // Acceleration per sample² for one unit of each input: first along the normal, then of each joint.
         let inverse = believed.mass.clone().cholesky().ok_or(AnalysisError::Singular)?.inverse();
         let given = inverse * &inputs * mass;
         let pushes = DMatrix::from_fn(joints + 1, inputs.ncols(), |i, input| match i {
@@ -183,27 +182,26 @@ impl OpenLoop {
         }
     }
 
-    /// Returns the modes of a compliant device without the wall, |z| and its angle (rad) if that is not 0: the loop's
-    /// responses turn quickly around them.
+    /// Returns radius and angle (rad) of the oscillating modes of a compliant device without the wall.
     pub fn resonances(&self) -> &[(f64, f64)] {
         &self.resonances
     }
 
-    /// Returns the least damped oscillation; gains in sample units.
+    /// Returns the least damped oscillation for gains in sample units.
     pub fn oscillation(&self, kp: f64, kd: f64) -> Option<Oscillation> {
         Oscillation::least_damped(self.closed(kp, kd), self.sample_s)
     }
 
-    /// Returns true if all modes decay; gains in sample units.
+    /// Returns true if all modes decay for gains in sample units.
     pub fn is_stable(&self, kp: f64, kd: f64) -> bool {
         growth(self.closed(kp, kd)) < self.rounding
     }
 }
 
-/// Largest |z|² - 1 that counts as rounding: a mode this slow needs 10¹² samples to show.
+/// Largest |z|² - 1 that counts as rounding. A mode this slow needs 10¹² samples to grow.
 const ROUNDING: f64 = 1e-12;
 
-/// Returns true if a joint's own damping acts within the time that [`reduce`] considers.
+/// Returns true if a joint's own damping is large enough for [`reduce`] to include it.
 fn is_damped(device: &Linearised, joint: usize, sample_s: f64) -> bool {
     let inverse = device.mass.clone().cholesky().map(|c| c.inverse()[(joint, joint)]);
     inverse.is_some_and(|mobility| device.viscous[joint] * sample_s * mobility >= 1e-10)
@@ -224,7 +222,7 @@ fn assemble(
     let (whole, fraction) = (whole as usize, if fraction < 1e-12 { 0.0 } else { fraction });
     let per_estimate = around.estimator.states();
 
-    // State layout.
+    // Indices of the states.
     let plant_states = plant.states();
     let moved = plant_states; // change of x over the last sample
     let filter = moved + 1;
@@ -234,9 +232,9 @@ fn assemble(
     let queue = washout + usize::from(matches!(mode, Mode::Washout(_)));
     let held = queue + whole * inputs;
     let acted = held + if fraction > 0.0 { inputs } else { 0 };
-    let size = acted + if around.estimator.predicts() { inputs } else { 0 };
+    let size = acted + if around.estimator.uses_commands() { inputs } else { 0 };
     let estimator = around.estimator.matrix(around.rate_hz);
-    // Velocity per sample from the last command, along the normal and of each joint.
+    // Returns the velocity per sample from the last command: along the normal for row 0, then of each joint.
     let pushed = |row: usize| {
         (acted..size).enumerate().fold(Signal { state: DVector::zeros(size), force: 0.0 }, |sum, (input, state)| {
             sum.plus(pushes[(row, input)], &Signal::of_state(size, state))
@@ -244,7 +242,7 @@ fn assemble(
     };
     let mut loop_ = Assembly::new(size);
 
-    // The controller's inputs and its command at this sample.
+    // Compute the controller's inputs and its command at this sample.
     let velocity = loop_.estimate(&estimator, filter, &Signal::of_state(size, moved), &pushed(0));
     let force = Signal { state: DVector::zeros(size), force: 1.0 };
     let mut commands = vec![force.clone()];
@@ -260,7 +258,7 @@ fn assemble(
         commands.push(loop_.estimate(&estimator, first, &sensed_motion, &pushed(plant.sensed[joint] + 1)));
     }
 
-    // Delay: whole samples in a queue; the fraction splits the interval between the last command and this one.
+    // Whole samples of delay are a queue; the fraction splits the interval between two commands.
     let steps = DiscretePlant::new(plant, fraction);
     let mut change = vec![Signal { state: DVector::zeros(size), force: 0.0 }; plant.a.nrows()];
     for (row, change) in change.iter_mut().enumerate() {
@@ -269,7 +267,7 @@ fn assemble(
         }
     }
     for (input, commands) in commands.iter().enumerate() {
-        if around.estimator.predicts() {
+        if around.estimator.uses_commands() {
             loop_.change(acted + input, &commands.plus(-1.0, &Signal::of_state(size, acted + input)));
         }
         let mut now = commands.clone();
@@ -299,7 +297,7 @@ fn assemble(
     let nothing = Signal { state: DVector::zeros(size), force: 0.0 };
     let rendered_change =
         |sum: Signal, (change, share): (&Signal, &f64)| if *share == 0.0 { sum } else { sum.plus(*share, change) };
-    follow(&mut loop_, moved, &change.iter().zip(&plant.seen).fold(nothing, rendered_change));
+    follow(&mut loop_, moved, &change.iter().zip(&plant.rendered_rows).fold(nothing, rendered_change));
     for joint in 0..plant.sensed.len() {
         follow(&mut loop_, joint_moved + joint, &change[plant_states + joint]);
     }
@@ -326,11 +324,12 @@ fn assemble(
                 constant.push(v);
                 states[(joint_moved + slot, column)] = v;
             }
-            // States of the estimators at constant velocities (none along the normal) and commands.
+            // Set the estimators' states for constant velocities (zero along the normal) and commands.
             let commands = DVector::from_column_slice(&constant);
-            let given = |row: usize| if around.estimator.predicts() { pushes.row(row).tr_dot(&commands) } else { 0.0 };
+            let given =
+                |row: usize| if around.estimator.uses_commands() { pushes.row(row).tr_dot(&commands) } else { 0.0 };
             let mut remember = |first: usize, v: f64, given: f64| {
-                for (state, value) in around.estimator.rest(around.rate_hz, v, given).iter().enumerate() {
+                for (state, value) in around.estimator.steady_states(around.rate_hz, v, given).iter().enumerate() {
                     states[(first + state, column)] = *value;
                 }
             };
@@ -356,7 +355,7 @@ fn assemble(
     OpenLoop {
         f: loop_.f,
         input: loop_.input,
-        position: plant.seen.clone().resize_vertically(size, 0.0),
+        position: plant.rendered_rows.clone().resize_vertically(size, 0.0),
         velocity: velocity.state,
         mass,
         sample_s: 1.0 / around.rate_hz,
@@ -372,7 +371,7 @@ pub(super) fn resonances(free: &DMatrix<f64>, states: usize) -> Vec<(f64, f64)> 
     polar.filter(|(_, angle)| *angle > 0.0 && *angle < std::f64::consts::PI).collect()
 }
 
-/// The plant over one sample: its free change, and the effects of the present and the previous command.
+/// The plant over one sample: its free change, and the effects of the present and of the previous command.
 struct DiscretePlant {
     free: DMatrix<f64>,
     now: DMatrix<f64>,

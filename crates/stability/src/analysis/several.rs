@@ -1,22 +1,12 @@
-//! Walls that act together: the totals of stiffness and damping at which they stay stable.
+//! Walls that act together: the totals of stiffness and damping at which they are stable.
 //!
-//! Each wall has a share of both totals. In the basis of the principal directions of the walls' stiffness their forces
-//! are φ_k = -κ_k (kp x_k + kd v_k) for each direction k, with κ the eigenvalues of Σ shareᵢ nᵢ nᵢᵀ. So the walls are
-//! one feedback loop per direction, whatever their number. The torques of φ are those of the board's own law
-//! (docs/model.md section 2), or Jᵀ. The device has its transmissions, its modes and a hand, as with one wall.
+//! Each wall has a share of both totals. In the principal directions of the walls' stiffness their forces are φ_k =
+//! -κ_k (kp x_k + kd v_k), with κ the eigenvalues of Σ shareᵢ nᵢ nᵢᵀ. Any number of walls is therefore one feedback
+//! loop per direction. The torques of φ follow the board's law (docs/model.md section 2), or are Jᵀ φ. Transmissions,
+//! modes and a hand are included as for one wall.
 //!
-//! A single loop has exact crossings ([`super::boundary`]); several loops that are coupled by joint damping have none.
-//! Here the stable intervals of a gain are searched on a fine grid and refined by bisection of the eigenvalues.
-
-use nalgebra::{DMatrix, DVector, SVector};
-
-use haptic_bridge::math::FineTable;
-use haptic_bridge::model::admissible::Admissible;
-use haptic_bridge::model::description::Description;
-use haptic_bridge::model::inertia::MIN_STIFFNESS_SHARE;
-use haptic_bridge::model::mechanism::{Mechanism, Shaping};
-use haptic_bridge::model::principal::{Principal, Pull};
-use haptic_bridge::with_mechanism;
+//! A single loop has exact crossings ([`super::boundary`]). For several loops coupled by joint damping, the stable
+//! intervals of a gain are searched on a fine grid and refined by bisection of the eigenvalues.
 
 use super::boundary::{Interval, SMALLEST_STIFFNESS};
 use super::flexible::{Flexible, Hand, Posture};
@@ -27,15 +17,23 @@ use super::pose::{PoseError, TaskPose, unit_normal};
 use super::sampled::{AnalysisError, Loop, Mode, OpenLoop, resonances};
 use super::spectrum::{exp_minus_identity, growth};
 use super::subject::Subject;
+use haptic_bridge::math::FineTable;
+use haptic_bridge::model::admissible::Admissible;
+use haptic_bridge::model::description::Description;
+use haptic_bridge::model::inertia::MIN_STIFFNESS_SHARE;
+use haptic_bridge::model::mechanism::{Mechanism, Shaping};
+use haptic_bridge::model::principal::{Principal, Pull};
+use haptic_bridge::with_mechanism;
+use nalgebra::{DMatrix, DVector, SVector};
 
-/// One wall of a set that acts together.
+/// One of several walls that act together.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Member {
     /// Normal in the task frame, d entries, any length but zero.
     pub normal: Vec<f64>,
-    /// Share of the total stiffness and damping: positive, in any unit that all walls share.
+    /// Share of the total stiffness and damping, positive, in any unit common to all walls.
     pub share: f64,
-    /// True if this wall has the feed-forward when the others have it.
+    /// True if the wall uses the feed-forward.
     pub feed_forward: bool,
 }
 
@@ -50,7 +48,7 @@ impl Member {
 /// Several walls on a device at rest at one pose.
 #[derive(Clone, Debug)]
 pub struct WallSet {
-    /// Unit normal of the first wall, d.
+    /// Unit normal of the first wall, d entries.
     first: DVector<f64>,
     /// M, N x N, kg m².
     mass: DMatrix<f64>,
@@ -60,18 +58,17 @@ pub struct WallSet {
     directions: DMatrix<f64>,
     /// Rendered directions as rows, R x N, m/rad.
     rows: DMatrix<f64>,
-    /// κ, R: share of the total stiffness along each direction.
+    /// Share κ of the total stiffness along each direction, R entries.
     stiffness: DVector<f64>,
-    /// Torques of a unit force along each direction with the feed-forward, N x R, m.
+    /// Torques for a unit force along each direction with the feed-forward, N x R, m.
     shaped: DMatrix<f64>,
-    /// Torques that the feed-forward commands for the joint torques b, N x N, including the part of b that acts at the
-    /// walls.
+    /// Torques that the feed-forward commands for the joint torques b, N x N.
     bias: DMatrix<f64>,
     /// Compliant parts of the device, and the hand that holds it.
     flexible: Flexible,
 }
 
-/// Builds the loop of one wall, with any posture that holds the device, for a controller with the model `believed`.
+/// Builds the loop of one wall, with posture control if the device has it. The controller uses the model `believed`.
 pub(super) fn open_loop(
     device: &Linearised,
     believed: &Linearised,
@@ -80,12 +77,12 @@ pub(super) fn open_loop(
 ) -> Result<OpenLoop, AnalysisError> {
     match device.flexible.posture {
         Some(_) => Ok(WallLoops::new(&WallSet::of_one(device, believed), around, mode)?.single_loop()),
-        None => OpenLoop::believing(device, believed, around, mode),
+        None => OpenLoop::with_believed_model(device, believed, around, mode),
     }
 }
 
 impl WallSet {
-    /// Linearises the device for these walls. A redundant device holds `admissible`.
+    /// Linearises the device for these walls. The feed-forward of a redundant device holds `admissible`.
     pub fn at(
         description: &Description,
         q: &[f64],
@@ -95,7 +92,7 @@ impl WallSet {
         Self::of(&Subject::new(description)?, q, walls, admissible)
     }
 
-    /// Like [`WallSet::at`], for a device that is already built.
+    /// Like [`WallSet::at`], for a [`Subject`].
     pub fn of(subject: &Subject, q: &[f64], walls: &[Member], admissible: Admissible) -> Result<Self, PoseError> {
         let mechanism = &subject.device.mechanism;
         TaskPose::of(mechanism, q)?.regular()?;
@@ -120,7 +117,7 @@ impl WallSet {
         }
     }
 
-    /// Adds a posture, with the row of the orientation's Jacobian.
+    /// Sets the posture control with the Jacobian row of the orientation.
     pub(super) fn in_posture(mut self, posture: Option<(Posture, DVector<f64>)>) -> Self {
         self.flexible.posture = posture;
         self
@@ -133,24 +130,22 @@ impl WallSet {
     }
 
     /// Adds a hand.
-    pub fn held(mut self, hand: Hand) -> Self {
+    pub fn with_hand(mut self, hand: Hand) -> Self {
         self.flexible.hand = hand;
         self
     }
 
-    /// Returns the effective inertia for the walls' total stiffness in their stiffest motion, with or without the
-    /// feed-forward, kg. For one wall it is Weff or Wrr.
-    pub fn met(&self, feed_forward: bool) -> Option<f64> {
+    /// Returns the effective inertia in the stiffest motion, kg. For one wall this is Weff or Wrr.
+    pub fn effective_inertia(&self, feed_forward: bool) -> Option<f64> {
         let stiffest = self.acceleration(feed_forward)?.complex_eigenvalues();
         let largest = stiffest.iter().map(|value| value.norm()).fold(0.0, f64::max);
         (largest > 0.0 && largest.is_finite()).then(|| 1.0 / largest)
     }
 
-    /// Returns the motion of the tip in the stiffest direction that the walls allow, with or without the feed-forward:
-    /// a unit vector, d entries, on the first wall's side. For one wall it is the normal.
+    /// Returns the tip's unit direction in the stiffest motion, on the first wall's side.
     pub fn stiffest(&self, feed_forward: bool) -> Option<DVector<f64>> {
         let answer = self.acceleration(feed_forward)?;
-        let fastest = 1.0 / self.met(feed_forward)?;
+        let fastest = 1.0 / self.effective_inertia(feed_forward)?;
         let rest = &answer - DMatrix::identity(answer.nrows(), answer.ncols()) * fastest;
         let still = rest.svd(false, true);
         let least = still.singular_values.imin();
@@ -158,32 +153,30 @@ impl WallSet {
         Some(if along.dot(&self.first) < 0.0 { -along } else { along })
     }
 
-    /// Returns the direction half way between [`WallSet::stiffest`] without and with the feed-forward: at most 45
-    /// degrees from either.
+    /// Returns the direction half way between the stiffest ones without and with the feed-forward.
     pub fn between_stiffest(&self) -> Option<DVector<f64>> {
         let (without, with) = (self.stiffest(false)?, self.stiffest(true)?);
         let turned = if with.dot(&without) < 0.0 { -with } else { with };
         Some((without + turned).normalize())
     }
 
-    /// Returns the walls' force while the tip is 1 m along `direction` (d entries) from walls of 1 N/m in total, N (d).
+    /// Returns the walls' force at 1 m along `direction` (d entries) for a total stiffness of 1 N/m, N (d entries).
     pub fn force(&self, direction: &DVector<f64>) -> DVector<f64> {
         &self.directions * self.parts(direction)
     }
 
-    /// Returns the joint torques of [`WallSet::force`], N m (N), without or with the feed-forward.
+    /// Returns the joint torques for [`WallSet::force`], N m (N entries), without or with the feed-forward.
     pub fn torque(&self, direction: &DVector<f64>, feed_forward: bool) -> DVector<f64> {
         let force = self.parts(direction);
         if feed_forward { &self.shaped * force } else { self.rows.tr_mul(&force) }
     }
 
-    /// Returns [`WallSet::force`] along each rendered direction, R.
+    /// Returns the components of [`WallSet::force`] along the rendered directions, R entries.
     fn parts(&self, direction: &DVector<f64>) -> DVector<f64> {
         self.directions.tr_mul(direction).component_mul(&self.stiffness)
     }
 
-    /// Returns the acceleration of every rendered direction per displacement along another at a total stiffness of 1
-    /// N/m, R x R, 1/kg.
+    /// Returns acceleration over displacement in the rendered directions at 1 N/m, R x R, 1/kg.
     fn acceleration(&self, feed_forward: bool) -> Option<DMatrix<f64>> {
         let levers = if feed_forward { self.shaped.clone() } else { self.rows.transpose() };
         let mobility = &self.rows * self.mass.clone().cholesky()?.solve(&levers);
@@ -212,7 +205,8 @@ fn linearised<const N: usize, M: Mechanism<f64, N>>(
     }
     let principal = Principal::new::<FineTable>(&pulls, M::SPEC.task);
     let most = pulls.iter().map(|pull| pull.stiffness).fold(0.0, f64::max);
-    let seen: Vec<usize> = (0..N).filter(|i| principal.along(*i) > MIN_STIFFNESS_SHARE * principal.along(0)).collect();
+    let rendered_indices: Vec<usize> =
+        (0..N).filter(|i| principal.along(*i) > MIN_STIFFNESS_SHARE * principal.along(0)).collect();
     let null = m.shaping(&pose, &SVector::from_fn(|i, _| f64::from(u8::from(i == N - 1))));
     let shapings: [Shaping<f64, N>; N] = core::array::from_fn(|i| {
         let along = m.shaping(&pose, &principal.direction(i));
@@ -225,48 +219,55 @@ fn linearised<const N: usize, M: Mechanism<f64, N>>(
         DVector::from_iterator(N, torque.iter().copied())
     };
     let dense = |v: SVector<f64, N>| DVector::from_iterator(N, v.iter().copied());
-    let rows: Vec<DVector<f64>> = seen.iter().map(|i| dense(m.transpose(&pose, &principal.direction(*i)))).collect();
-    let shaped: Vec<DVector<f64>> = seen.iter().map(|i| torque(&principal.direction(*i), None)).collect();
+    let rows: Vec<DVector<f64>> =
+        rendered_indices.iter().map(|i| dense(m.transpose(&pose, &principal.direction(*i)))).collect();
+    let shaped: Vec<DVector<f64>> = rendered_indices.iter().map(|i| torque(&principal.direction(*i), None)).collect();
     let bias: Vec<DVector<f64>> =
         (0..N).map(|j| torque(&SVector::zeros(), Some(SVector::from_fn(|i, _| f64::from(u8::from(i == j)))))).collect();
     let mass = m.mass(&pose);
     let tips: Vec<DVector<f64>> = (0..M::SPEC.task)
         .map(|axis| dense(m.transpose(&pose, &SVector::from_fn(|i, _| f64::from(u8::from(i == axis))))))
         .collect();
-    let flexible = Flexible { tip: DMatrix::from_columns(&tips).transpose(), ..subject.gives() };
+    let flexible = Flexible { tip: DMatrix::from_columns(&tips).transpose(), ..subject.compliant_parts() };
     Ok(WallSet {
         flexible,
         mass: DMatrix::from_fn(N, N, |i, j| mass[(i, j)]),
         viscous: DVector::from_fn(N, |j, _| subject.device.joints[j].viscous),
         first: DVector::from_fn(M::SPEC.task, |i, _| pulls.first().map_or(0.0, |pull| pull.normal[i])),
-        directions: DMatrix::from_fn(M::SPEC.task, seen.len(), |i, column| principal.direction(seen[column])[i]),
+        directions: DMatrix::from_fn(M::SPEC.task, rendered_indices.len(), |i, column| {
+            principal.direction(rendered_indices[column])[i]
+        }),
         rows: DMatrix::from_columns(&rows).transpose(),
-        stiffness: DVector::from_iterator(seen.len(), seen.iter().map(|i| principal.along(*i) * most)),
+        stiffness: DVector::from_iterator(
+            rendered_indices.len(),
+            rendered_indices.iter().map(|i| principal.along(*i) * most),
+        ),
         shaped: DMatrix::from_columns(&shaped),
         bias: DMatrix::from_columns(&bias),
     })
 }
 
-/// Wall loops, cut at the walls' forces, in sample units: the change per sample of every state is `f` s + `input` φ.
+/// The walls' loops, opened at their forces φ, in sample units: each sample adds `f` s + `input` φ to the states s.
 pub(crate) struct WallLoops {
     f: DMatrix<f64>,
     input: DMatrix<f64>,
     position: DMatrix<f64>,
     velocity: DMatrix<f64>,
     stiffness: DVector<f64>,
-    /// Reference mass, kg, and sample period, s: stiffness unit `mass/T²`, damping unit `mass/T`.
+    /// Reference mass, kg; the unit of stiffness is `mass/T²`, and of damping `mass/T`.
     pub mass: f64,
     pub sample_s: f64,
 }
 
-/// Largest |z|² - 1 that counts as rounding. Constant motions that no wall measures rest on the unit circle by
-/// construction, and eigenvalues are exact to 1e-15 of the fastest change.
+/// Largest |z|² - 1 that counts as rounding. Motions that no wall measures rest on the unit circle, and eigenvalues are
+/// exact to 1e-15 of the fastest change.
 const ROUNDING: f64 = 1.0e-11;
 
-/// Smallest gain that is analysed, as a share of its unit, ratio of the grid, and largest gain.
-const SMALLEST: f64 = 1.0e-6;
-const STEP: f64 = 1.15;
-const LARGEST: f64 = 40.0;
+/// Smallest analysed gain, in sample units.
+const SMALLEST_GAIN: f64 = 1.0e-6;
+/// Ratio of neighbouring gains on the grid.
+const GAIN_RATIO: f64 = 1.15;
+const LARGEST_GAIN: f64 = 40.0;
 
 impl WallLoops {
     /// Builds the loops of the device.
@@ -276,7 +277,7 @@ impl WallLoops {
             around.check_cutoff(hz)?;
         }
         let (walls, joints) = set.rows.shape();
-        // The posture is one more direction, whose loop is closed below.
+        // The posture control is an additional direction; its loop is closed below.
         let rows = match &set.flexible.posture {
             Some((_, row)) => {
                 DMatrix::from_fn(walls + 1, joints, |i, j| if i < walls { set.rows[(i, j)] } else { row[j] })
@@ -284,7 +285,7 @@ impl WallLoops {
             None => set.rows.clone(),
         };
         let directions = rows.nrows();
-        let mass = set.met(mode != Mode::Off).ok_or(AnalysisError::Singular)?;
+        let mass = set.effective_inertia(mode != Mode::Off).ok_or(AnalysisError::Singular)?;
         let inverse = set.mass.clone().cholesky().ok_or(AnalysisError::Singular)?.inverse();
         let t = 1.0 / around.rate_hz;
         if matches!(&around.drive, Drive::Voltage(motors) if motors.len() != joints) {
@@ -295,27 +296,26 @@ impl WallLoops {
             return Err(AnalysisError::CompensatedFlexible);
         }
         let lags = Lags::new(&around.drive, joints, t);
-        // A device with a posture is reduced like a compliant one, so that unmeasured motions are not modes.
-        let seen = match set.flexible.is_rigid() && (set.flexible.posture.is_none() || compensated) {
-            true => rigid(set, &rows, &lags, &inverse, t, mass, compensated),
+        // With posture control, use the reduction for compliant devices because it removes unmeasured motions.
+        let rendered_plant = match set.flexible.is_rigid() && (set.flexible.posture.is_none() || compensated) {
+            true => rigid_plant(set, &rows, &lags, &inverse, t, mass, compensated),
             false => {
                 let WallSet { mass: m, viscous, flexible, directions, .. } = set;
                 let observed = ObservedDevice { mass: m, viscous, flexible, rows: &rows, directions };
-                // Torques in units of m/T² times metres.
+                // Torques are in units of m/T² times metres.
                 let reduced = reduce_observed(&observed, &lags, &DMatrix::identity(joints, joints), t, mass);
-                let ReducedDevice { a, b, seen } = reduced.ok_or(AnalysisError::Singular)?;
-                let turning = DMatrix::zeros(0, a.nrows());
-                RenderedPlant { a, b, positions: seen, turning }
+                let ReducedDevice { a, b, rendered_rows } = reduced.ok_or(AnalysisError::Singular)?;
+                let joint_velocities = DMatrix::zeros(0, a.nrows());
+                RenderedPlant { a, b, positions: rendered_rows, joint_velocities }
             }
         };
-        // The angles of the joints with compensated damping, in addition to the plant's states, which do not depend on
-        // them.
-        let (plant, sensed) = (seen.a.nrows(), seen.turning.nrows());
+        // The joints with compensated damping add their angles to the states; the plant's states do not depend on them.
+        let (plant, sensed) = (rendered_plant.a.nrows(), rendered_plant.joint_velocities.nrows());
         let all = plant + sensed;
         let mut joined = DMatrix::zeros(all + joints, all + joints);
-        joined.view_mut((0, 0), (plant, plant)).copy_from(&seen.a);
-        joined.view_mut((0, all), (plant, joints)).copy_from(&seen.b);
-        joined.view_mut((plant, 0), (sensed, plant)).copy_from(&seen.turning);
+        joined.view_mut((0, 0), (plant, plant)).copy_from(&rendered_plant.a);
+        joined.view_mut((0, all), (plant, joints)).copy_from(&rendered_plant.b);
+        joined.view_mut((plant, 0), (sensed, plant)).copy_from(&rendered_plant.joint_velocities);
         let over = |time: f64| {
             let e = exp_minus_identity(&(&joined * time));
             (e.view((0, 0), (all, plant)).into_owned(), e.view((0, all), (all, joints)).into_owned())
@@ -332,7 +332,7 @@ impl WallLoops {
             now = late;
         }
 
-        // States in addition to the plant's: the filters of each direction (and joint), and commands in the delay.
+        // More states follow: the filters of each direction and joint, and the commands in the delay.
         let per = around.estimator.states();
         let moved = plant;
         let filters = moved + directions + sensed;
@@ -340,7 +340,7 @@ impl WallLoops {
         let queue = washout + if matches!(mode, Mode::Washout(_)) { walls } else { 0 };
         let held = queue + whole * joints;
         let acted = held + if fraction > 0.0 { joints } else { 0 };
-        let size = acted + if around.estimator.predicts() { joints } else { 0 };
+        let size = acted + if around.estimator.uses_commands() { joints } else { 0 };
         let estimator = around.estimator.matrix(around.rate_hz);
 
         let change = |s: &DVector<f64>, forces: &DVector<f64>| {
@@ -362,14 +362,14 @@ impl WallLoops {
             };
             command += rows.rows(walls, directions - walls).tr_mul(&forces.rows(walls, directions - walls));
             let mut estimates = DVector::zeros(directions + sensed);
-            // Effect of the last command: on the directions, then on the joints.
+            // Effect of the last command on the directions and on the joints.
             let given = &inverse * s.rows(acted, size - acted).into_owned().resize_vertically(joints, 0.0) * mass;
             let along = &rows * &given;
             for k in 0..directions + sensed {
                 let first = filters + per * k;
                 let pushed = if k < directions { along[k] } else { given[k - directions] };
-                let seen = s.rows(first, per).into_owned().push(s[moved + k]).push(pushed);
-                let answer = &estimator * seen;
+                let filter_input = s.rows(first, per).into_owned().push(s[moved + k]).push(pushed);
+                let answer = &estimator * filter_input;
                 estimates[k] = answer[per];
                 change.rows_mut(first, per).copy_from(&answer.rows(0, per));
             }
@@ -392,7 +392,7 @@ impl WallLoops {
                 motion += &before * &last;
                 change.rows_mut(held, joints).copy_from(&(&command - &last));
             }
-            let along = &seen.positions * motion.rows(0, plant);
+            let along = &rendered_plant.positions * motion.rows(0, plant);
             for k in 0..directions {
                 change[moved + k] = along[k] - s[moved + k];
             }
@@ -408,7 +408,7 @@ impl WallLoops {
         let mut f = DMatrix::zeros(size, size);
         let mut velocity = DMatrix::zeros(directions, size);
         let mut position = DMatrix::zeros(directions, size);
-        position.view_mut((0, 0), (directions, plant)).copy_from(&seen.positions);
+        position.view_mut((0, 0), (directions, plant)).copy_from(&rendered_plant.positions);
         for column in 0..size {
             let (changed, estimates) = change(&unit(size, column), &none);
             f.set_column(column, &changed);
@@ -428,7 +428,6 @@ impl WallLoops {
         Ok(Self { f, input, position, velocity, stiffness: set.stiffness.clone(), mass, sample_s: t })
     }
 
-    /// Returns the loop of a single wall.
     fn single_loop(self) -> OpenLoop {
         let first = |rows: &DMatrix<f64>| rows.row(0).transpose();
         OpenLoop {
@@ -444,7 +443,7 @@ impl WallLoops {
         }
     }
 
-    /// Returns F of the closed loops for totals in sample units.
+    /// Returns F of the closed loops for the totals in sample units.
     fn closed(&self, kp: f64, kd: f64) -> DMatrix<f64> {
         let mut feedback = &self.position * kp + &self.velocity * kd;
         for (mut row, stiffness) in feedback.row_iter_mut().zip(self.stiffness.iter()) {
@@ -457,26 +456,26 @@ impl WallLoops {
         growth(self.closed(kp, kd)) < ROUNDING
     }
 
-    /// Returns the least damped oscillation at these totals; sample units.
+    /// Returns the least damped oscillation for totals in sample units.
     pub fn oscillation(&self, kp: f64, kd: f64) -> Option<Oscillation> {
         Oscillation::least_damped(self.closed(kp, kd), self.sample_s)
     }
 
-    /// Returns the stable intervals of the total stiffness at one damping; sample units. An interval that begins at the
-    /// smallest analysed stiffness is taken to begin at [`SMALLEST_STIFFNESS`].
+    /// Returns the stable intervals of the total stiffness at one damping, in sample units. An interval from the
+    /// smallest grid value begins at [`SMALLEST_STIFFNESS`], like those of a single loop.
     pub fn stiffness_intervals(&self, kd: f64) -> Result<Vec<Interval>, AnalysisError> {
         let mut result = intervals(|kp| self.is_stable(kp, kd))?;
-        if let Some(first) = result.first_mut().filter(|first| first.low <= SMALLEST) {
+        if let Some(first) = result.first_mut().filter(|first| first.low <= SMALLEST_GAIN) {
             first.low = SMALLEST_STIFFNESS;
         }
         Ok(result)
     }
 
-    /// Returns the stable intervals of the total damping at the smallest stiffness; sample units.
+    /// Returns the stable intervals of the total damping at the smallest stiffness, in sample units.
     pub fn damping_intervals(&self) -> Result<Vec<Interval>, AnalysisError> {
-        let mut result = intervals(|kd| self.is_stable(SMALLEST, kd))?;
-        if let Some(first) = result.first_mut().filter(|first| first.low <= SMALLEST)
-            && self.is_stable(SMALLEST, 0.0)
+        let mut result = intervals(|kd| self.is_stable(SMALLEST_GAIN, kd))?;
+        if let Some(first) = result.first_mut().filter(|first| first.low <= SMALLEST_GAIN)
+            && self.is_stable(SMALLEST_GAIN, 0.0)
         {
             first.low = 0.0;
         }
@@ -484,18 +483,17 @@ impl WallLoops {
     }
 }
 
-/// The continuous plant per sample: ẋ = a x + b τ of all joint torques (m/T² times metres), the rendered positions, and
-/// the velocities of the joints with compensated damping, rad per sample, as rows over the states.
+/// The continuous plant ẋ = a x + b τ per sample, for all joint torques τ (m/T² times metres), with rows of rendered
+/// positions and of the velocities of joints with compensated damping (rad per sample).
 struct RenderedPlant {
     a: DMatrix<f64>,
     b: DMatrix<f64>,
     positions: DMatrix<f64>,
-    turning: DMatrix<f64>,
+    joint_velocities: DMatrix<f64>,
 }
 
-/// Returns the plant of a rigid device without a hand. States: joint velocities (rad per sample), lagging torques,
-/// positions (m).
-fn rigid(
+/// Returns the plant of a rigid device without a hand: joint velocities, lagging torques, positions.
+fn rigid_plant(
     set: &WallSet,
     rows: &DMatrix<f64>,
     lags: &Lags,
@@ -531,11 +529,11 @@ fn rigid(
     }
     a.view_mut((positions, 0), (directions, joints)).copy_from(rows);
     let pick = |rows: usize, from: usize| DMatrix::from_fn(rows, plant, |i, j| f64::from(u8::from(j == from + i)));
-    let turning = pick(if compensated { joints } else { 0 }, 0);
-    RenderedPlant { a, b, positions: pick(directions, positions), turning }
+    let joint_velocities = pick(if compensated { joints } else { 0 }, 0);
+    RenderedPlant { a, b, positions: pick(directions, positions), joint_velocities }
 }
 
-/// Returns the stable intervals of a gain on the grid, with their ends bisected.
+/// Returns the stable intervals of a gain from a search on a grid; their ends are refined by bisection.
 fn intervals(is_stable: impl Fn(f64) -> bool) -> Result<Vec<Interval>, AnalysisError> {
     let edge = |stable: f64, unstable: f64| {
         let (mut stable, mut unstable) = (stable, unstable);
@@ -546,12 +544,12 @@ fn intervals(is_stable: impl Fn(f64) -> bool) -> Result<Vec<Interval>, AnalysisE
         stable
     };
     let mut result: Vec<Interval> = Vec::new();
-    let (mut last, mut last_stable) = (SMALLEST, is_stable(SMALLEST));
+    let (mut last, mut last_stable) = (SMALLEST_GAIN, is_stable(SMALLEST_GAIN));
     if last_stable {
-        result.push(Interval { low: SMALLEST, high: f64::INFINITY });
+        result.push(Interval { low: SMALLEST_GAIN, high: f64::INFINITY });
     }
-    while last < LARGEST {
-        let next = last * STEP;
+    while last < LARGEST_GAIN {
+        let next = last * GAIN_RATIO;
         let stable = is_stable(next);
         match (last_stable, stable) {
             (false, true) => result.push(Interval { low: edge(next, last), high: f64::INFINITY }),

@@ -1,15 +1,11 @@
-//! Small dense linear algebra for delta-form systems: exp(X) - I, growth of modes, and solutions of (γ I - F) s = b.
+//! Small dense linear algebra for delta-form systems: exp(X) - I, growth of modes, and solution of (γ I - F) s = b.
 //!
-//! Everything uses F = A - I, never A: at 50 kHz the modes of a device are 1e-5 from z = 1, and differences from 1
-//! decide stability.
-
-use nalgebra::{Complex, DMatrix, DVector};
+//! All functions use F = A - I, because at 50 kHz modes are 1e-5 from z = 1, which decides stability.
 
 use super::eigenvalues::eigenvalues;
+use nalgebra::{Complex, DMatrix, DVector};
 
-/// Computes exp(X) - I without the cancellation of forming exp(X) first.
-///
-/// Taylor series on X/2ˢ (norm at most 1/4, truncation below rounding), then E ← 2E + E² s times.
+/// Computes exp(X) - I without cancellation, by a Taylor series of X/2ˢ and s doublings E ← 2E + E².
 pub(crate) fn exp_minus_identity(x: &DMatrix<f64>) -> DMatrix<f64> {
     let norm = x.column_iter().map(|c| c.iter().map(|v| v.abs()).sum::<f64>()).fold(0.0, f64::max);
     let halvings = if norm > 0.25 { (norm / 0.25).log2().ceil() as i32 } else { 0 };
@@ -27,8 +23,7 @@ pub(crate) fn exp_minus_identity(x: &DMatrix<f64>) -> DMatrix<f64> {
     e
 }
 
-/// Returns the largest |z|² - 1 over the modes z = 1 + γ of a delta-form matrix F. Infinite if the eigenvalues cannot
-/// be computed.
+/// Returns the largest |z|² - 1 of the modes z = 1 + γ of F; infinite without eigenvalues.
 pub(crate) fn growth(f: DMatrix<f64>) -> f64 {
     match eigenvalues(f) {
         Some(values) => values.iter().map(|g| 2.0 * g.re + g.norm_sqr()).fold(f64::NEG_INFINITY, f64::max),
@@ -36,7 +31,7 @@ pub(crate) fn growth(f: DMatrix<f64>) -> f64 {
     }
 }
 
-/// Solves (γ I - F) s = b by Gaussian elimination with partial pivoting, in place over caller-provided storage.
+/// Solves (γ I - F) s = b by Gaussian elimination with partial pivoting, and reuses its storage.
 pub(crate) struct Resolvent {
     f: DMatrix<f64>,
     work: Vec<Complex<f64>>,
@@ -44,7 +39,7 @@ pub(crate) struct Resolvent {
 }
 
 impl Resolvent {
-    /// Prepares repeated solves with one F.
+    /// Prepares repeated solutions for one F.
     pub fn new(f: DMatrix<f64>) -> Self {
         let n = f.nrows();
         let zero = Complex::new(0.0, 0.0);

@@ -1,4 +1,4 @@
-//! The device of a prediction: the board's device and the compliant parts between its motors and links.
+//! The device of a prediction: a board's device and the compliant parts between its motors and links.
 
 use super::flexible::Flexible;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
@@ -11,18 +11,17 @@ use haptic_host::device_file::DeviceFile;
 pub struct Subject {
     /// The device as it is loaded on a board.
     pub device: Device<f64>,
-    /// Joints as the file describes them, with the transmissions and structural modes that a board's device lacks.
-    /// `None` if only a board is known; then the device counts as rigid.
+    /// Joints of the device file, with their compliant parts; `None` without a file, for a rigid device.
     pub joints: Option<[Joint; MAX_JOINTS]>,
 }
 
 impl Subject {
-    /// Creates the subject of a device that a file describes.
+    /// Creates the subject from a device description.
     pub fn new(description: &Description) -> Result<Self, DescriptionError> {
         Ok(Self { device: Device::new("", description)?, joints: Some(description.joints) })
     }
 
-    /// Creates the subject of a board's device, with its compliant parts if `file` describes the same device.
+    /// Creates the subject for a board's device. Adds the compliant parts if `file` describes the same device.
     #[must_use]
     pub fn on_board(device: Device<f64>, file: Option<&DeviceFile>) -> Self {
         let same = |file: &&DeviceFile| file.device::<f32>().is_ok_and(|described| described == device.cast());
@@ -38,7 +37,7 @@ impl Subject {
 
     /// Returns the compliant parts.
     #[must_use]
-    pub fn gives(&self) -> Flexible {
+    pub fn compliant_parts(&self) -> Flexible {
         let joints = self.joints.as_ref().map(|joints| &joints[..self.device.axes()]);
         joints.map_or_else(Flexible::default, |joints| Flexible::default().of_joints(joints))
     }
@@ -46,6 +45,6 @@ impl Subject {
     /// Returns true if the device has compliant parts.
     #[must_use]
     pub fn is_flexible(&self) -> bool {
-        !self.gives().is_rigid()
+        !self.compliant_parts().is_rigid()
     }
 }

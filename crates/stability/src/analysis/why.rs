@@ -1,9 +1,6 @@
-//! Explains the boundary by removing one effect at a time from the loop.
+//! Explains a stability boundary by removing one effect at a time from the loop.
 //!
-//! An effect's share is 1 - (limit with all effects)/(limit without it); it is negative if the effect helps, as a hand
-//! does. Effects do not add up: without one of two lags that each take half, a quarter or nothing may remain.
-
-use serde::{Deserialize, Serialize};
+//! An effect's share is 1 - (limit with all effects)/(limit without it). Shares interact and do not add up to 1.
 
 use super::flexible::Hand;
 use super::plant::{Drive, Linearised};
@@ -11,25 +8,26 @@ use super::range::{Domain, domain};
 use super::sampled::{AnalysisError, LONGEST_DELAY, LONGEST_DIFFERENCE, LinearEstimator, Loop, Mode};
 use crate::sweep::Sweep;
 use haptic_host::error::Failure;
+use serde::{Deserialize, Serialize};
 
-/// Factor by which the rate of the comparison without sampling is higher.
-pub const FASTER: usize = 10;
+/// Ratio of control rates for the comparison without sampling.
+pub const RATE_FACTOR: usize = 10;
 
-/// The limits of a boundary.
+/// Limits of a stable domain.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Limits {
     /// Largest stiffness over all dampings, N/m.
     pub kp_max: f64,
-    /// Damping at that stiffness, N s/m.
+    /// Damping at the largest stiffness, N s/m.
     pub kd: f64,
-    /// Largest damping, N s/m.
+    /// Largest stable damping, N s/m.
     pub kd_max: f64,
-    /// ∫ kp_max dkd, N² s/m².
+    /// Area of the domain, ∫ kp_max dkd, N² s/m².
     pub area: f64,
 }
 
 impl Limits {
-    /// Returns the limits of a domain; `None` if no limit was found.
+    /// Returns the limits of a domain, or `None` if the stiffness is unbounded.
     fn of(result: Result<Domain, AnalysisError>) -> Result<Option<Self>, AnalysisError> {
         let domain = match result {
             Err(AnalysisError::Unbounded) => return Ok(None),
@@ -40,16 +38,16 @@ impl Limits {
     }
 }
 
-/// Limits without and with the feed-forward; `None` if there is no limit.
+/// Limits without and with the feed-forward; `None` if the stiffness is unbounded.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Both {
+pub struct LimitPair {
     /// Limits without the feed-forward.
     pub off: Option<Limits>,
-    /// Limits with equation (4).
+    /// Limits with the feed-forward of equation (4).
     pub full: Option<Limits>,
 }
 
-/// The control loop without one effect.
+/// The limits of a control loop without one effect.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct WithoutEffect {
     /// Name of the effect.
@@ -57,19 +55,19 @@ pub struct WithoutEffect {
     /// Condition that replaces the effect.
     pub instead: &'static str,
     /// Limits without the effect.
-    pub limits: Both,
-    /// Share of the largest stiffness that the effect takes: negative if it helps.
+    pub limits: LimitPair,
+    /// Share of the largest stiffness that the effect costs; negative if it helps.
     pub takes: Shares,
-    /// The same for the area.
+    /// Share of the area that the effect costs; negative if it helps.
     pub takes_area: Shares,
 }
 
-/// A share without and with the feed-forward; `None` if either limit is missing or zero.
+/// Shares without and with the feed-forward; `None` if a limit is missing or zero.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Shares {
     /// Share without the feed-forward.
     pub off: Option<f64>,
-    /// Share with equation (4).
+    /// Share with the feed-forward of equation (4).
     pub full: Option<f64>,
 }
 
@@ -77,24 +75,23 @@ pub struct Shares {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Why {
     /// Limits with all effects.
-    pub limits: Both,
-    /// The share of each effect.
+    pub limits: LimitPair,
+    /// Shares of the effects.
     pub effects: Vec<WithoutEffect>,
 }
 
-/// A device and a control loop.
 type Case = (Linearised, Loop);
 
-/// Returns the case without each present effect.
+/// Returns one case per effect that is present, without this effect.
 fn cases(device: &Linearised, around: &Loop) -> Vec<(&'static str, &'static str, Case)> {
     let mut cases = Vec::new();
     let mut add = |effect, instead, device: Linearised, around: Loop| cases.push((effect, instead, (device, around)));
     let samples = around.estimator.samples();
-    let delay_samples = around.delay_samples * FASTER as f64;
-    if delay_samples <= LONGEST_DELAY && (samples == 1 || samples * FASTER <= LONGEST_DIFFERENCE) {
-        // Everything else stays equal in seconds: the delay, the filter, the difference.
-        let estimator = if samples > 1 { around.estimator.over(samples * FASTER) } else { around.estimator };
-        let faster = Loop { rate_hz: around.rate_hz * FASTER as f64, delay_samples, estimator, ..around.clone() };
+    let delay_samples = around.delay_samples * RATE_FACTOR as f64;
+    if delay_samples <= LONGEST_DELAY && (samples == 1 || samples * RATE_FACTOR <= LONGEST_DIFFERENCE) {
+        // Delay, filter and window keep their lengths in seconds.
+        let estimator = if samples > 1 { around.estimator.over(samples * RATE_FACTOR) } else { around.estimator };
+        let faster = Loop { rate_hz: around.rate_hz * RATE_FACTOR as f64, delay_samples, estimator, ..around.clone() };
         add("sampling", "ten times the rate", device.clone(), faster);
     }
     if around.delay_samples > 0.0 {
@@ -128,7 +125,7 @@ fn cases(device: &Linearised, around: &Loop) -> Vec<(&'static str, &'static str,
         add("posture", "no posture", free, around.clone());
     }
     if device.flexible.hand.is_there() {
-        add("hand", "no hand", device.clone().held(Hand::default()), around.clone());
+        add("hand", "no hand", device.clone().with_hand(Hand::default()), around.clone());
     }
     if device.viscous.iter().any(|viscous| *viscous > 0.0) {
         add("joint damping", "no joint damping", device.clone().undamped(), around.clone());
@@ -136,11 +133,10 @@ fn cases(device: &Linearised, around: &Loop) -> Vec<(&'static str, &'static str,
     cases
 }
 
-/// Name of an effect, the condition that replaces it, and the limits without it.
+/// Name of an effect, the replacing condition, and the limits without the effect.
 pub type LimitsWithout = (&'static str, &'static str, Option<Limits>);
 
-/// Returns the limits for one kind of feed-forward with all effects, and without each effect in turn, in the order of
-/// [`why`].
+/// Returns the limits for one feed-forward with all effects and without each effect, in the order of [`why`].
 pub fn limits_without(
     device: &Linearised,
     around: &Loop,
@@ -153,7 +149,7 @@ pub fn limits_without(
     Ok((limits(device, around)?, without.collect::<Result<_, AnalysisError>>()?))
 }
 
-/// Computes the share of the boundary of `device` in `around` that each effect takes; the order is always the same.
+/// Computes the share of each effect in the boundary of `device` in `around`, always in the same order.
 pub fn why(device: &Linearised, around: &Loop, sweep: &Sweep) -> Result<Why, Failure> {
     let mut all = vec![("", "", (device.clone(), around.clone()))];
     all.extend(cases(device, around));
@@ -162,7 +158,7 @@ pub fn why(device: &Linearised, around: &Loop, sweep: &Sweep) -> Result<Why, Fai
     let results = sweep.map("loops without one effect", &jobs, |((device, around), mode)| {
         Ok(Limits::of(domain(device, around, *mode, None))?)
     })?;
-    let both = |at: usize| Both { off: results[2 * at], full: results[2 * at + 1] };
+    let both = |at: usize| LimitPair { off: results[2 * at], full: results[2 * at + 1] };
     let limits = both(0);
     let share = |with: Option<Limits>, without: Option<Limits>, of: fn(&Limits) -> f64| {
         let (with, without) = (of(&with?), of(&without?));

@@ -15,7 +15,7 @@ use haptic_show::plot::range::{Contents, MeasuredPoint, draw};
 use haptic_stability::analysis::control_loop::Mode;
 use haptic_stability::analysis::plant::Drive;
 use haptic_stability::analysis::pose::PoseError;
-use haptic_stability::analysis::prediction::{Prediction, Subject, Walls, printed};
+use haptic_stability::analysis::prediction::{Prediction, Subject, Walls, round_as_printed};
 use haptic_stability::analysis::range::{BoundaryPoint, Range};
 use haptic_stability::analysis::sampled::Loop;
 use haptic_stability::analysis::several::Member;
@@ -124,7 +124,7 @@ impl Report<'_> {
 
     /// Returns the points of the plan; a progress file may contain other dampings too.
     fn points(&self, mode: FeedForward) -> Vec<&Point> {
-        self.plan.asked(self.progress.all(mode))
+        self.plan.points_of_plan(self.progress.all(mode))
     }
 
     /// Writes the pictures and prints the table or JSON.
@@ -143,7 +143,7 @@ impl Report<'_> {
         let mut rows = Vec::new();
         for &mode in &self.plan.modes {
             let points = self.points_with_theory(mode)?.into_iter().filter(|(point, _)| !point.repeats.is_empty());
-            let far = points.filter(|(point, theory)| self.plan.at_every_pull(point) < FAR_BELOW * theory.kp);
+            let far = points.filter(|(point, theory)| self.plan.stiffness_at_every_pull(point) < FAR_BELOW * theory.kp);
             rows.extend(far.map(|(point, _)| format!("{} at kd {:.4}", mode.name(), point.kd)));
         }
         let text = format!(
@@ -161,7 +161,7 @@ impl Report<'_> {
     /// Returns the points of a mode with the theory at the same dampings.
     fn points_with_theory(&self, mode: FeedForward) -> Result<Vec<(&Point, BoundaryPoint)>, Failure> {
         let points = self.points(mode);
-        let kd: Vec<f64> = points.iter().map(|point| printed(point.kd)).collect();
+        let kd: Vec<f64> = points.iter().map(|point| round_as_printed(point.kd)).collect();
         let range = self.theory.predict(Some(&kd), self.washout())?;
         Ok(points.into_iter().zip(range.of(mode).boundary.iter().copied()).collect())
     }
@@ -169,7 +169,7 @@ impl Report<'_> {
     /// Returns the `haptic range` command that prints the theory.
     fn line(&self) -> String {
         let points = self.plan.modes.iter().flat_map(|mode| self.points(*mode));
-        let mut kd: Vec<f64> = points.map(|point| printed(point.kd)).collect();
+        let mut kd: Vec<f64> = points.map(|point| round_as_printed(point.kd)).collect();
         kd.sort_by(f64::total_cmp);
         kd.dedup();
         format!("{} --kd {}", self.theory.line, list(&kd))
@@ -323,12 +323,13 @@ impl Report<'_> {
             }
             let domain = range.of(mode);
             let top = domain.boundary.iter().map(|point| point.kp).fold(0.0, f64::max);
-            let apart = points.iter().map(|(point, theory)| (self.plan.at_every_pull(point) - theory.kp).abs() / top);
+            let apart =
+                points.iter().map(|(point, theory)| (self.plan.stiffness_at_every_pull(point) - theory.kp).abs() / top);
             // The dampings are the middles of equal cells.
             let cell = end / self.plan.points as f64;
             areas.push(Area {
                 mode,
-                measured: points.iter().map(|(point, _)| self.plan.at_every_pull(point) * cell).sum(),
+                measured: points.iter().map(|(point, _)| self.plan.stiffness_at_every_pull(point) * cell).sum(),
                 theory: domain.area,
                 furthest: apart.fold(0.0, f64::max),
                 spread: points
@@ -346,7 +347,7 @@ impl Report<'_> {
         for &mode in &self.plan.modes {
             for (point, theory) in self.points_with_theory(mode)? {
                 let (low, high) = point.bounds();
-                let found = (!point.repeats.is_empty()).then(|| (self.plan.at_every_pull(point), low, high));
+                let found = (!point.repeats.is_empty()).then(|| (self.plan.stiffness_at_every_pull(point), low, high));
                 let pulls: Vec<_> = self
                     .plan
                     .by_pull(point)

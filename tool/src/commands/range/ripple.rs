@@ -4,7 +4,7 @@ use super::Args;
 use crate::commands::arguments::Numbers;
 use haptic_host::device_file::DeviceFile;
 use haptic_host::error::Failure;
-use haptic_predict::ripple::{Along, LIGHT_HAND, PUSH_N, Pressed, Ripple};
+use haptic_predict::ripple::{LIGHT_HAND, PUSH_N, Pressed, Ripple, RippleLine};
 use haptic_stability::analysis::line::DampingRule;
 use haptic_stability::analysis::oscillation::Oscillation;
 use haptic_stability::analysis::prediction::Prediction;
@@ -35,10 +35,10 @@ struct RippleAlong {
     damping_ratio: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
     kd: Option<f64>,
-    off: Along,
-    full: Along,
+    off: RippleLine,
+    full: RippleLine,
     #[serde(skip_serializing_if = "Option::is_none")]
-    washout: Option<Along>,
+    washout: Option<RippleLine>,
 }
 
 #[derive(serde::Serialize)]
@@ -82,7 +82,7 @@ pub fn simulate_ripple(
         true => Ok(value),
         false => Err(Failure::wrong(format!("{what} {value} is not more than zero")).remedy("write a positive number")),
     };
-    let device = prediction.seen(q, normal)?;
+    let device = prediction.linearise(q, normal)?;
     let mut description = file.description;
     if args.undamped {
         description.joints.iter_mut().for_each(|joint| joint.viscous = 0.0);
@@ -165,7 +165,7 @@ impl EncoderRipple {
                 (Some(ratio), _) => format!("{ratio} of critical damping"),
                 (_, kd) => format!("kd = {} N s/m", kd.unwrap_or_default()),
             };
-            let mut row = |label: &str, along: &Along| {
+            let mut row = |label: &str, along: &RippleLine| {
                 let from = match along.kp_from {
                     Some(kp) => format!("from {kp:.1} N/m on"),
                     None => "at no wall that was tried".into(),

@@ -12,7 +12,7 @@ use haptic_stability::analysis::range::{
     BoundaryPoint, COSTLY_RATIO, Domain, Island, Range, WORTHWHILE_RATIO, lower_corner,
 };
 use haptic_stability::analysis::sampled::LinearEstimator;
-use haptic_stability::analysis::why::{Both, Limits, Why};
+use haptic_stability::analysis::why::{LimitPair, Limits, Why};
 use std::fmt::Write;
 
 /// Returns pose, walls and loop, for titles.
@@ -230,7 +230,7 @@ pub fn describe_why(why: &Why) -> String {
         format!("\n  {:<40}{:>16}{:>9}{:>16}{:>9}\n", "largest kp without", "off N/m", "takes", "full N/m", "takes");
     let number = |limits: Option<Limits>| limits.map_or("no limit".into(), |limits| format!("{:.2}", limits.kp_max));
     let share = |share: Option<f64>| share.map_or("-".into(), |share| percent(share, 1, false));
-    let mut row = |name: &str, limits: &Both, takes: [String; 2]| {
+    let mut row = |name: &str, limits: &LimitPair, takes: [String; 2]| {
         let [off, full] = takes;
         let _ = writeln!(text, "  {name:<40}{:>16}{off:>9}{:>16}{full:>9}", number(limits.off), number(limits.full));
     };

@@ -85,7 +85,7 @@ fn a_range_with_its_ripple_and_its_reasons() {
     let file = shipped("coupled-five-bar");
     let (q, normal) = (vec![2.6, 1.75], vec![0.6, 0.8]);
     let hand = Hand { mass: 0.1, damping: 3.0, stiffness: 200.0 };
-    let device = Linearised::at(&file.description, &q, &normal).unwrap().held(hand);
+    let device = Linearised::at(&file.description, &q, &normal).unwrap().with_hand(hand);
     let ideal = ideal_loop(1_000.0, 0.5, LinearEstimator::Butterworth(100.0));
     let around = Loop { drive: Drive::Current { bandwidth_hz: 500.0 }, ..ideal };
     check_interrupted(2, 12, |sweep| why(&device, &around, sweep));

@@ -304,7 +304,7 @@ fn the_measurement_after_a_killed_one_restores_the_rules() {
         let held = Before::of(&mut board).unwrap();
         let measuring = rules_for(held.rules(), 1.0);
         let mut progress = Progress::new("any");
-        progress.before = held.keep(&board.info().serial, &measuring);
+        progress.before = held.restore_point(&board.info().serial, &measuring);
         progress.save(&note).unwrap();
         board.set_rules(&measuring).unwrap();
     }

@@ -177,7 +177,7 @@ fn a_device_with_weight_is_measured_only_in_its_pose() {
 #[test]
 fn a_tip_held_by_friction_is_no_stable_wall() {
     let world = World { q: Some(POSE), ..World::default() };
-    let law = Law { farther: true, ..Law::default() };
+    let law = Law { may_lengthen_pull: true, ..Law::default() };
     let normal = [0.947, -0.321];
     let (file, setup, prediction) = at_the_papers_setting("coupled-five-bar", &world, &normal, law);
     let theory = prediction.range(&POSE[..2], &setup.walls, None, None).unwrap().off.kd_max;
@@ -200,7 +200,7 @@ fn boundaries_with_friction_are_found_at_the_papers_setting() {
         (phantom, FeedForward::Full, 5.76, -1.0),
         (five_bar, FeedForward::Off, 10.55, -1.0),
     ] {
-        let law = Law { farther: true, ..Law::default() };
+        let law = Law { may_lengthen_pull: true, ..Law::default() };
         let (file, setup, prediction) = at_the_papers_setting(name, &world, normal, law);
         let pose = world.q.or(file.description.home).unwrap();
         let joints = file.spec().joints;

@@ -19,7 +19,7 @@ fn pressed<T>(
 ) -> T {
     let description = shipped(device).description;
     let q = description.home.unwrap()[..description.kind.spec().joints].to_vec();
-    let device = Linearised::at(&description, &q, normal).unwrap().held(hand.unwrap_or_default());
+    let device = Linearised::at(&description, &q, normal).unwrap().with_hand(hand.unwrap_or_default());
     let around = ideal_loop(rate_hz, 0.0, estimator);
     let (normal, hand) = (normal.to_vec(), hand.unwrap_or(LIGHT_HAND));
     work(&Pressed { device: &device, description, q, normal, around: &around, hand, push_n: PUSH_N })

@@ -76,8 +76,8 @@ fn one_wall_given_twice_equals_the_wall_with_cables_and_hand() {
         for (hz, hand) in [(Some(150.0), Hand::default()), (None, HAND), (Some(150.0), HAND)] {
             let file = device(name, hz);
             let walls = [Member::new(normal.clone(), 0.3), Member::new(normal.clone(), 0.7)];
-            let set = WallSet::at(&file.description, q, &walls, Admissible::default()).unwrap().held(hand);
-            let alone = Linearised::at(&file.description, q, &normal).unwrap().held(hand);
+            let set = WallSet::at(&file.description, q, &walls, Admissible::default()).unwrap().with_hand(hand);
+            let alone = Linearised::at(&file.description, q, &normal).unwrap().with_hand(hand);
             for mode in [Mode::Off, Mode::Full, Mode::Washout(2.0)] {
                 let kd = [1.0, 6.0, 12.0];
                 let known = domain(&alone, &around(), mode, Some(&kd)).unwrap();
@@ -124,7 +124,7 @@ fn sets_of_walls_have_the_limits_of_loops_of_bodies() {
                 let unit = |axis: usize| DVector::from_fn(task, |i, _| f64::from(u8::from(i == axis)));
                 let torques: Vec<_> = (0..task).map(|axis| set.torque(&unit(axis), feed_forward)).collect();
                 let bodies = Bodies::new(&file, q, hand, DMatrix::from_columns(&torques));
-                let kp = boundary(&set.clone().held(hand), mode, &[kd])[0];
+                let kp = boundary(&set.clone().with_hand(hand), mode, &[kd])[0];
                 bodies.assert_limit(kp, kd, &format!("{name} {hz:?} {hand:?} {mode:?}"));
             }
         }

@@ -14,7 +14,7 @@ const PHI: Admissible = Admissible::Orientation;
 
 /// Returns the control loop of a board.
 fn around() -> Loop {
-    Loop::through(&TorquePath::usual(20_000.0), 20_000.0, LinearEstimator::Butterworth(500.0))
+    Loop::with_torque_path(&TorquePath::usual(20_000.0), 20_000.0, LinearEstimator::Butterworth(500.0))
 }
 
 #[test]

@@ -5,7 +5,7 @@ use crate::common::prelude::*;
 use crate::common::{file, shipped};
 use haptic_predict::bench::error::{Law, Terms, TorqueVariant, Trigonometry, errors};
 use haptic_predict::bench::probe::HAND_SPEED;
-use haptic_predict::plan::{Budget, Plan, cost, plan, touched};
+use haptic_predict::plan::{Budget, Plan, cost, plan, probes_on_walls};
 
 fn device(name: &str) -> Device<f64> {
     shipped(name).device().unwrap()
@@ -82,7 +82,7 @@ fn the_budget_is_kept_at_poses_that_the_planner_did_not_use() {
         let file = scene(&device, file);
         let speed = file.hand_speed.unwrap_or(HAND_SPEED);
         let plan = plan(&device, &file.scene, Budget::Percent(budget), speed).unwrap();
-        let elsewhere = touched(&device, &file.scene, other, speed).unwrap();
+        let elsewhere = probes_on_walls(&device, &file.scene, other, speed).unwrap();
         assert!(elsewhere.len() > 50, "{name}: {} situations", elsewhere.len());
         let law = Law::of(&file.scene, &device).unwrap();
         let way = TorqueVariant { model: &plan.mass, terms: plan.terms, trigonometry: Trigonometry::Tabulated, law };

@@ -3,7 +3,7 @@
 use crate::common::prelude::*;
 use crate::common::{Folder, ideal_loop, json, point_mass, root, shipped, tuned, type_lines};
 use haptic_bridge::render::velocity::{Chosen, Estimator};
-use haptic_predict::tune::{Margins, Question, Settings, estimators, keeps, to_toml, tune, vertex};
+use haptic_predict::tune::{Margins, Question, Settings, accepted_wall, estimators, to_toml, tune, vertex};
 use haptic_stability::analysis::control_loop::CURRENT_LOOP_HZ;
 use haptic_stability::analysis::range::stiffnesses;
 
@@ -117,7 +117,7 @@ fn no_wall_of_a_plain_scan_is_much_stiffer() {
             if most < settings.stiffness {
                 continue;
             }
-            let keeps = keeps(&question, &settings).unwrap();
+            let keeps = accepted_wall(&question, &settings).unwrap();
             assert!(keeps.is_none(), "{keeps:?} is stiffer than the result, {best:?}");
             tried += 1;
         }

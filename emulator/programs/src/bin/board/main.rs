@@ -53,7 +53,7 @@ fn parse_arguments(mut words: impl Iterator<Item = String>) -> Option<Arguments>
             "--device" => arguments.device = words.next()?.into(),
             "--tcp" => arguments.port = words.next()?.parse().ok()?,
             "--fast" => arguments.fast = true,
-            name => arguments.board = BoardKind::named(name)?,
+            name => arguments.board = BoardKind::from_name(name)?,
         }
     }
     Some(arguments)

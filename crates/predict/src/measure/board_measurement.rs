@@ -1,7 +1,4 @@
-//! A complete measurement of a board, with its progress in a file and the board's settings restored afterwards; used by
-//! `haptic measure-range` and the Python package.
-
-use std::path::Path;
+//! A complete measurement of a board, with progress in a file and the board's settings restored afterwards.
 
 use super::before::Before;
 use super::campaign::{self, BOTH_SIDES, Plan};
@@ -14,30 +11,30 @@ use haptic_bridge::model::device::Device;
 use haptic_host::device_file::DeviceFile;
 use haptic_host::link::{Board, BoardError, LinkError};
 use haptic_stability::analysis::sampled::{LinearEstimator, Loop};
+use std::path::Path;
 
-/// Largest difference of a joint angle in the same pose, rad.
-const SAME_POSE: f64 = 0.02;
+/// Largest difference of a joint angle at which two poses count as equal, rad.
+const SAME_POSE_RAD: f64 = 0.02;
 
-/// One measurement of a board: the board, its device file, the results so far and the file that keeps them.
-pub struct Occasion<'a> {
-    /// The board, with the device loaded.
+/// A measurement of a board with its device file, its results so far and the file that keeps them.
+pub struct BoardMeasurement<'a> {
+    /// The board, on which the device is loaded.
     pub board: &'a mut Board,
-    /// The device.
+    /// The device file.
     pub file: &'a DeviceFile,
-    /// The settings to restore afterwards.
+    /// The board's settings, which are restored afterwards.
     pub before: Before,
     /// The results so far.
     pub progress: &'a mut Progress,
     /// The file that keeps the results.
     pub path: Option<&'a Path>,
-    /// True if the file also keeps the settings to restore, so that the next measurement can restore them if this one is
-    /// killed.
-    pub remembers: bool,
+    /// True if the file also keeps the board's settings, for the case that this measurement is killed.
+    pub keeps_settings: bool,
 }
 
-impl Occasion<'_> {
-    /// Measures the repeats of `plan` that `progress` lacks. Ends if `stop`, which is polled often, returns true. Calls
-    /// `begun` with the prepared board before the first repeat, and `done` with the number of measured repeats.
+impl BoardMeasurement<'_> {
+    /// Measures the repeats of `plan` that `progress` lacks. Calls `begun` before the first repeat, and `done` with the
+    /// number of finished repeats after each. Ends if `stop`, which is polled often, returns true.
     pub fn measure(
         &mut self,
         setup: MeasurementSetup,
@@ -46,17 +43,17 @@ impl Occasion<'_> {
         begun: impl FnOnce(&mut PreparedBoard<'_>, &[f64]) -> Result<(), MeasureError>,
         mut done: impl FnMut(usize),
     ) -> Result<(), MeasureError> {
-        if self.remembers {
+        if self.keeps_settings {
             let rules = rules_for(self.before.rules(), setup.torque_limit);
-            self.progress.before = self.before.keep(&self.board.info().serial, &rules);
+            self.progress.before = self.before.restore_point(&self.board.info().serial, &rules);
             save(self.progress, self.path)?;
         }
         let mut prepared = PreparedBoard::new(self.board, self.file, setup, stop)?;
-        // Round as in the printed output, so that the theory uses exactly the printed pose.
+        // Round as in the printed output, so that the theory uses the printed pose.
         let q: Vec<f64> = prepared.pose().iter().map(|angle| (angle * 1e6).round() / 1e6).collect();
         if self.progress.q.is_empty() {
             self.progress.q.clone_from(&q);
-        } else if self.progress.q.iter().zip(&q).any(|(then, now)| (then - now).abs() > SAME_POSE) {
+        } else if self.progress.q.iter().zip(&q).any(|(then, now)| (then - now).abs() > SAME_POSE_RAD) {
             return Err(MeasureError::Moved);
         }
         begun(&mut prepared, &q)?;
@@ -68,10 +65,10 @@ impl Occasion<'_> {
         prepared.finish()
     }
 
-    /// Restores the board's settings, and reports on standard error which could not be restored.
-    pub fn put_back(self) -> Result<(), ProgressError> {
-        let back = self.before.put_back(self.board);
-        let missing = self.before.missing(self.board).unwrap_or_else(|_| vec!["device", "scene", "rules"]);
+    /// Restores the board's settings, and prints on standard error the names of settings that cannot be restored.
+    pub fn restore(self) -> Result<(), ProgressError> {
+        let back = self.before.restore(self.board);
+        let missing = self.before.differing_settings(self.board).unwrap_or_else(|_| vec!["device", "scene", "rules"]);
         if back.is_err() || !missing.is_empty() {
             haptic_host::tell!(
                 "these settings could not be restored on the board, so load them again: {}",
@@ -93,15 +90,15 @@ fn save(progress: &Progress, path: Option<&Path>) -> Result<(), ProgressError> {
     path.map_or(Ok(()), |path| progress.save(path))
 }
 
-/// Returns the settings to restore after a measurement: the present settings or, if an earlier measurement was killed,
-/// those from before it. If an earlier measurement left traces, reports on standard error which settings are restored.
-pub fn before(board: &mut Board, progress: &Progress) -> Result<Before, BoardError> {
+/// Returns the settings to restore after a measurement: the present ones or, if an earlier measurement was killed,
+/// those from before it. In the second case prints on standard error which settings are restored.
+pub fn settings_to_restore(board: &mut Board, progress: &Progress) -> Result<Before, BoardError> {
     let now = Before::of(board)?;
     let serial = board.info().serial.clone();
     let kept = progress.before.as_ref().filter(|kept| kept.serial == serial.as_str());
-    if !now.is_left_over() {
-        // A measurement that ended before it set its scene leaves only its rules on the board.
-        let Some(Ok(Some(before))) = kept.map(|kept| now.without_its_rules(kept)) else { return Ok(now) };
+    if !now.is_of_interrupted_measurement() {
+        // A measurement that ended before setting its scene leaves only its rules on the board.
+        let Some(Ok(Some(before))) = kept.map(|kept| now.with_earlier_rules(kept)) else { return Ok(now) };
         haptic_host::tell!(
             "the rules on the board were left by an interrupted measurement: the earlier rules are restored"
         );
@@ -109,7 +106,7 @@ pub fn before(board: &mut Board, progress: &Progress) -> Result<Before, BoardErr
         board.set_rules(before.rules())?;
         return Ok(before);
     }
-    let Some(Ok((before, as_before))) = kept.map(|kept| now.from_kept(kept)) else {
+    let Some(Ok((before, as_before))) = kept.map(|kept| now.restored_from(kept)) else {
         haptic_host::tell!(
             "the scene on the board was left by an interrupted measurement: load your scene again with `haptic scene`, \
              and check `haptic rules`"
@@ -126,8 +123,8 @@ pub fn before(board: &mut Board, progress: &Progress) -> Result<Before, BoardErr
     Ok(before)
 }
 
-/// Returns the name of the loaded device if it is not `device`.
-pub fn another(board: &mut Board, device: &Device<f32>) -> Result<Option<String>, LinkError> {
+/// Returns a description of the loaded device if it is not `device`.
+pub fn other_loaded_device(board: &mut Board, device: &Device<f32>) -> Result<Option<String>, LinkError> {
     let held = board.device()?;
     Ok((held.as_ref() != Some(device)).then(|| match held {
         None => "no device".into(),
@@ -136,17 +133,17 @@ pub fn another(board: &mut Board, device: &Device<f32>) -> Result<Option<String>
     }))
 }
 
-/// Returns the control loop of the board with `setup` for the theory, with the delay and the drive of the board.
+/// Returns the control loop of `setup` for the theory, with the delay and the drive of the board.
 #[must_use]
-pub fn around(setup: &MeasurementSetup, info: &Info, details: &Details) -> Loop {
-    Loop::through(&torque_path(info, details), setup.rate_hz, LinearEstimator::Butterworth(setup.cutoff_hz))
+pub fn control_loop(setup: &MeasurementSetup, info: &Info, details: &Details) -> Loop {
+    Loop::with_torque_path(&torque_path(info, details), setup.rate_hz, LinearEstimator::Butterworth(setup.cutoff_hz))
 }
 
-/// Describes the measurement. Only a measurement with the same description continues a progress file.
+/// Returns a description of the measurement. Only a measurement with the same description continues a progress file.
 #[must_use]
-pub fn what(name: &str, setup: &MeasurementSetup, pulls: &[f64], world: &World) -> String {
+pub fn description(name: &str, setup: &MeasurementSetup, pulls: &[f64], world: &World) -> String {
     let listed = |values: &[f64]| {
-        // Removes the rounding error of the unit vector.
+        // Remove the rounding error of the unit vector.
         let rounded = values.iter().map(|value| ((value * 1e9).round() / 1e9 + 0.0).to_string());
         format!("({})", rounded.collect::<Vec<_>>().join(", "))
     };
@@ -159,13 +156,13 @@ pub fn what(name: &str, setup: &MeasurementSetup, pulls: &[f64], world: &World) 
         })
         .collect();
     let along = each.join(" and ");
-    // Removes the rounding error of the multiplication.
+    // Remove the rounding error of the multiplication.
     let mm = |pull: &f64| ((setup.largest_pull * pull * 1e9).round() / 1e6).to_string();
     let mut pull_mm = match pulls == BOTH_SIDES {
         true => mm(&1.0),
         false => pulls.iter().map(mm).collect::<Vec<_>>().join(" and "),
     };
-    if setup.law.farther {
+    if setup.law.may_lengthen_pull {
         pull_mm = format!("of at least {pull_mm}");
     }
     let mut what = format!(
