@@ -18,7 +18,7 @@ use haptic_sim::DeviceError;
 use haptic_stability::analysis::plant::Linearised;
 use haptic_stability::analysis::pose::PoseError;
 
-/// Device of the demo: strongly coupled, so that the feed-forward matters.
+/// Device of the demo, whose strong coupling makes the benefit of the feed-forward visible.
 pub use haptic_bridge::model::shipped::COUPLED_FIVE_BAR as DEVICE;
 
 /// The demonstration.
@@ -156,7 +156,7 @@ impl Demo {
         };
         let mut scene =
             Scene { task: 2, rate_hz: self.rate_hz as f32, cutoff_hz: self.cutoff_hz as f32, ..Scene::default() };
-        // A scene has room for eight walls.
+        // Cannot fail, because a scene has room for eight walls.
         let _ = scene.walls.push(wall);
         scene
     }

@@ -1,10 +1,10 @@
 //! A board as a Haply device: the JSON over WebSocket of Haply's inverse service (`haptic serve --haply`,
 //! docs/haply.md).
 //!
-//! Lock-step, as in Haply's service: the first frame has the full state. Then the server replies to each message of the
-//! program with one frame of the device's state.
+//! The exchange is lock-step, as in Haply's service: the server sends a frame with the full state, then one frame of
+//! the state for each message of the program.
 //!
-//! The frame is Haply's: x to the operator's right, y away from the operator, z up, the origin at the device's base.
+//! Coordinates are Haply's: x to the operator's right, y away from the operator, z up, the origin at the device's base.
 
 mod inverse3;
 mod request;
@@ -36,10 +36,10 @@ const MAX_MESSAGE: usize = 256 * 1024;
 const MAX_HANDSHAKES: usize = 32;
 /// Time for which a connection is read before the server checks if it should stop.
 const READ_TIME: Duration = Duration::from_millis(20);
-/// Maximum time for which a reply may stay unread, and for which a program waits until a silent program has left.
+/// Maximum time for which a reply may stay unread, and for which a new program waits until a silent program has left.
 const SEND_TIMEOUT: Duration = Duration::from_secs(2);
-/// Interval without an exchange after which the board is polled, because a simulated board closes a silent connection
-/// if another tool connects; also the interval between attempts to open a lost board, so that other tools can connect.
+/// Interval between polls of an unused board, because a simulated board drops a silent tool if another one connects.
+/// Also the interval between attempts to open a lost board, so that other tools can connect.
 const POLL_INTERVAL: Duration = Duration::from_millis(500);
 /// Time without a message after which a program loses the device to another program that requests it.
 const MAX_SILENCE: Duration = Duration::from_secs(3);
@@ -49,7 +49,7 @@ const BOARD_LOST: &str = "the board is gone; it is opened again once it is back"
 /// A port on which programs reach a board.
 pub struct HaplyListener {
     listener: TcpListener,
-    /// Token that a page in a browser must send.
+    /// Token that a page in a browser must send, drawn at random.
     token: String,
     silence: Duration,
 }
@@ -72,8 +72,8 @@ impl HaplyListener {
         Ok(format!("ws://localhost:{}", self.listener.local_addr()?.port()))
     }
 
-    /// Returns the address for a page in a browser on this computer. Pages of any other server on this computer could
-    /// connect, so a page must send a token, which each listener draws at random.
+    /// Returns the address for a page in a browser on this computer. It contains the token, because pages of any other
+    /// server on this computer could connect.
     pub fn url_for_pages(&self) -> io::Result<String> {
         Ok(format!("{}/?token={}", self.url()?, self.token))
     }
@@ -190,7 +190,7 @@ impl DeviceSlot {
     }
 }
 
-/// The right to use the device, from the handshake until drop; dropping turns the motors off.
+/// The right to use the device, from the handshake until it is dropped, which turns the motors off.
 struct DeviceUse<'s>(&'s Shared);
 
 impl<'s> DeviceUse<'s> {
@@ -312,7 +312,7 @@ fn converse(stream: TcpStream, device_use: &DeviceUse<'_>) -> tungstenite::Resul
             return socket.close(Some(CloseFrame { code: CloseCode::Away, reason: why.into() }));
         }
         match socket.read() {
-            // Python's orjson produces bytes, which become binary frames; the service replies to both with text.
+            // Accepts binary frames too, because Python's orjson produces bytes; replies are always text.
             Ok(message @ (Message::Text(_) | Message::Binary(_))) => {
                 device_use.note_message();
                 let mut device_slot = device_use.0.device_slot();

@@ -3,8 +3,7 @@
 use haptic_bridge::render::scene::Surface;
 use serde::{Deserialize, Serialize};
 
-/// Sine of the largest angle from the plane (or its normal) at which a direction still counts as in the plane (or
-/// normal to it).
+/// Sine of the largest angle at which a direction counts as parallel to the drawing plane or to its normal.
 const ALIGNED_SINE: f64 = 1e-3;
 
 /// The intersection of a wall's surface with the drawing plane.
@@ -49,8 +48,8 @@ pub fn outline(surface: &Surface<f64>) -> Option<Outline> {
     }
 }
 
-/// Returns the outline for a device whose task is the length of an arc with this radius (m) about the origin: a wall
-/// across the arc.
+/// Returns the outline of a wall on a device whose task is an arc length: a line across the arc of this radius (m)
+/// about the origin.
 pub fn on_an_arc(surface: &Surface<f64>, radius: f64) -> Option<Outline> {
     let Surface::Plane(plane) = surface else { return None };
     let (sin, cos) = (plane.point[0] / radius).sin_cos();

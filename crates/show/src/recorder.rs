@@ -20,7 +20,7 @@ use std::fs::File;
 use std::io::{self, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
-/// Bytes gathered before they are written; `flush` writes them earlier.
+/// Number of gathered bytes at which a block is written; `flush` writes it earlier.
 const BLOCK_BYTES: usize = 64 * 1024;
 
 /// Names of the states in a recording, by their numbers.
@@ -38,7 +38,7 @@ pub enum Value {
 }
 
 impl Value {
-    /// Converts a column's number: a state to its name, a measured value to the board's precision.
+    /// Converts a number of a column: a state to its name, a measured value to the board's precision.
     pub fn of(column: &Column, value: f64) -> Self {
         let state = (column.field == Field::State && column.axis == 0).then(|| STATES.get(value as usize)).flatten();
         match (state, column.field) {
@@ -60,7 +60,6 @@ impl std::fmt::Display for Value {
     }
 }
 
-/// Destination of the lines.
 #[derive(Debug)]
 enum Sink {
     /// `complete`: bytes of complete lines in the file; `None` if it cannot be truncated (a pipe).
@@ -78,8 +77,9 @@ pub struct Recorder {
     path: PathBuf,
     block: String,
     columns: usize,
-    /// Number of rows in the file, and number of rows in the block.
+    /// Number of rows in the file.
     rows: u64,
+    /// Number of rows in the block.
     gathered: u64,
     /// Written bytes.
     bytes: u64,
@@ -319,16 +319,16 @@ impl RowWriter {
     }
 }
 
-/// A recording that was read.
+/// A recording read from a file.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Recording {
     /// Comment lines, without their `# `.
     pub about: Vec<String>,
     /// Names of the columns.
     pub columns: Vec<String>,
-    /// The rows; a state is its number.
+    /// Rows of numbers; a state is its index in [`STATES`].
     pub rows: Vec<Vec<f64>>,
-    /// True if the file ended within a line, which was left out.
+    /// True if the file is cut short: a partial last line or chunk is left out.
     pub torn: bool,
 }
 
@@ -353,7 +353,7 @@ impl Recording {
         Ok(recording)
     }
 
-    /// Returns the text that follows this word at the beginning of a comment line.
+    /// Returns the rest of the first comment line that begins with this word.
     pub fn header_value(&self, word: &str) -> Option<&str> {
         self.about.iter().find_map(|line| line.strip_prefix(word)?.strip_prefix(' '))
     }

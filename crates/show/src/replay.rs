@@ -1,9 +1,9 @@
-//! Replays a recording: plays its encoder counts into the simulated board's control code and compares the torques.
+//! Replays a recording: feeds its encoder counts to the simulated board's control code and compares the torques.
 //!
 //! Device, scene and rules are the recording's. The control code is deterministic, so the same counts at every step
-//! give the same torques to the bit. Inputs that are not in the recording cause differences: gains that changed during
-//! the recording, forces from a host, and the state of the velocity estimators before the first row, which fades within
-//! the first rows.
+//! give the same torques to the bit. Inputs that a recording does not hold cause differences: changes of gains, forces
+//! from a host, and the state of the velocity estimators before the first row, whose effect fades within the first
+//! rows.
 
 use crate::recorder::{Recording, STATES};
 use haptic_bridge::board::settings::Setting;
@@ -23,7 +23,7 @@ use haptic_host::words::counted;
 use serde::Serialize;
 use std::collections::BTreeMap;
 
-/// A torque difference.
+/// A difference between a recorded and a replayed torque.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Difference {
     /// Control step of the board.
@@ -47,7 +47,7 @@ pub struct ReplayResult {
     pub rows: u64,
     /// Played rows with the motors on.
     pub armed: u64,
-    /// Rows in which a torque differs.
+    /// Rows in which any torque differs.
     pub differing: u64,
     /// The first difference.
     pub first: Option<Difference>,
@@ -216,7 +216,7 @@ fn enter_state(
     if now as usize == recorded || !now.drives() && !motors_are_on(recorded) {
         return Ok(());
     }
-    // At its end a polarity check turns the motors off by itself, in the step that shows the new state.
+    // Waits, because a polarity check turns the motors off by itself in the step that shows the new state.
     if now == State::CheckingPolarity {
         return Ok(());
     }

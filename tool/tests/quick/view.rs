@@ -506,7 +506,7 @@ fn refusals_name_the_gains_and_gains_have_an_upper_limit() {
 #[test]
 fn the_boundary_includes_compliance_posture_and_drive() {
     let cases = [
-        ("cable-five-bar", "wall", "Transmissions: joints 0 and 1 give as in the device file"),
+        ("cable-five-bar", "wall", "Transmissions: joints 0 and 1 are compliant as in the device file"),
         ("serial-3r", "wall-held", "Posture: the last link is held by"),
         ("haply-2diy", "wall-stiff", "Drive: a current loop that lags as 6.40 kHz does."),
     ];

@@ -10,11 +10,11 @@ use std::time::Duration;
 
 /// Height above the wall at which the hand starts, m.
 const START_HEIGHT: f64 = 0.006;
-/// Target depth of the hand below the wall's surface, m. The hand's arm of 250 N/m then presses with about 5 N.
+/// Target depth of the hand below the wall's surface, m, at which its arm of 250 N/m presses with about 5 N.
 const TARGET_DEPTH: f64 = 0.02;
-/// Distance of the slide, m: it ends before the device's distal links become collinear.
+/// Length of the slide, m: it ends before the device's distal links become collinear.
 pub const SLIDE: f64 = 0.02;
-/// Time at which the hand starts to move (after the torque ramp), s after arming.
+/// Time at which the hand starts to move, s after arming, when the torque ramp is over.
 const START_TIME: f64 = 0.6;
 /// Time at which the hand reaches its target depth, s.
 const DEPTH_TIME: f64 = 0.85;
@@ -22,7 +22,7 @@ const DEPTH_TIME: f64 = 0.85;
 const SLIDE_START: f64 = 1.4;
 /// Time at which the slide ends, s.
 const SLIDE_END: f64 = 2.4;
-/// Time at which the hand is lifted again, which ends the crossing, s.
+/// Time at which the crossing ends with the hand lifted, s.
 const END_TIME: f64 = 2.9;
 
 /// One sample of a crossing.
@@ -36,7 +36,7 @@ pub struct Moment {
     pub force: f64,
     /// Largest |duty| of any axis.
     pub duty: f64,
-    /// True if a wall is touched.
+    /// True if the tip touches a wall.
     pub touching: bool,
 }
 
@@ -51,9 +51,9 @@ pub struct Crossing {
     pub peak_force: f64,
     /// Deviation of the wall's force from its mean while the hand rests on the wall, N rms.
     pub ripple: f64,
-    /// Number of times that the wall's force falls to zero between touching and lifting: the hand loses contact.
+    /// Number of contact losses: falls of the wall's force to zero between touch and lift.
     pub bounces: usize,
-    /// Lost rows of telemetry.
+    /// Number of lost telemetry rows.
     pub lost: u64,
     /// The fault that the board latched; `None` without one.
     pub fault: Option<String>,
@@ -155,8 +155,8 @@ fn assess(moments: Vec<Moment>, lost: u64, fault: Option<String>) -> Crossing {
     }
 }
 
-/// Computes the root mean square deviation from a moving mean over 21 steps (20 steps wide), because slow changes of
-/// the force are not ripple.
+/// Computes the root mean square deviation from a moving mean over 21 samples, because slow changes of the force are
+/// not ripple.
 fn ripple(force: &[f64]) -> f64 {
     const HALF: usize = 10;
     if force.len() <= 2 * HALF {

@@ -1,4 +1,4 @@
-//! The picture of the crossing: position, force and duty over time, without and with the feed-forward.
+//! The picture of the crossing: distance and force over time, without and with the feed-forward.
 
 use super::Demo;
 use super::comparison::Comparison;
@@ -21,11 +21,12 @@ const COLUMN_GAP: f64 = 84.0;
 
 /// Time interval that the last row shows enlarged, s.
 const ENLARGED: std::ops::Range<f64> = 0.5..0.6;
-/// The device above the panels: its centre in the drawing, and pixels per metre.
+/// Centre of the device's drawing above the panels, pixels.
 const DEVICE_AT: (f64, f64) = (862.0, 74.0);
+/// Scale of the device's drawing, pixels per metre.
 const DEVICE_SCALE: f64 = 500.0;
 
-/// Contents of one row of panels; both panels of a row have the same scale.
+/// Contents of one row of panels; both panels of the row have the same scale.
 struct Row {
     title: &'static str,
     axis: &'static str,
@@ -62,7 +63,7 @@ fn device(canvas: &mut Canvas, demo: &Demo) {
     canvas.text((words.0, words.1), 11.5, Anchor::Start, false, "wall");
 }
 
-/// Draws both crossings.
+/// Draws the crossings without and with the feed-forward side by side.
 pub fn draw(demo: &Demo, without: &Crossing, with: &Crossing) -> Picture {
     let both = || without.moments.iter().chain(&with.moments);
     let top = |value: fn(&Moment) -> f64| both().map(value).fold(0.0, f64::max);
@@ -167,5 +168,5 @@ pub fn draw(demo: &Demo, without: &Crossing, with: &Crossing) -> Picture {
         with.ripple
     );
     canvas
-        .finish("Position, force and duty while a hand crosses a wall, without and with the feed-forward", &description)
+        .finish("Distance and force while a hand crosses a wall, without and with the feed-forward", &description)
 }

@@ -1,7 +1,7 @@
 //! The highest stable stiffness, found by raising it on the simulated board until the loop oscillates.
 //!
-//! Friction, hand and encoder steps are left out and the drive is ideal, as in the linear theory. With them the limit
-//! is higher or lower, and a comparison with the theory would be meaningless.
+//! Friction, hand and encoder steps are left out and the drive is ideal, as in the linear theory, because they raise or
+//! lower the limit and would make the comparison with the theory meaningless.
 
 use super::{Demo, DemoError};
 use haptic_bridge::render::scene::FeedForward;
@@ -23,7 +23,7 @@ pub struct Limit {
     pub measured: f64,
     /// Stiffness at which the theory predicts oscillation.
     pub predicted: f64,
-    /// Delay that the board reports and the theory assumes, control samples.
+    /// Delay that the board reports and the theory uses, control samples.
     pub delay_samples: f64,
 }
 

@@ -11,13 +11,13 @@ use haptic_host::words::{commands_to_calls, fault_and_remedy};
 use serde_json::{Value, json};
 use std::time::{Duration, Instant};
 
-/// Id of the handle that programs expect: it does not turn, and its buttons are not pressed.
+/// Id of the grip that programs expect; it never turns, and its buttons are never pressed.
 const GRIP: &str = "HB00";
 /// `device_type` of an Inverse3 in Haply's service.
 const INVERSE3: u32 = 4;
 /// Maximum simulated time to catch up in one call.
 const MAX_ADVANCE: Duration = Duration::from_millis(100);
-/// Commands that messages recommend to a person, with the request that a program sends instead.
+/// Commands in remedies for people, each with the request that a program sends instead.
 const CALLS: [(&str, &str); 1] = [(CLEARING, "`clear_fault`")];
 
 /// A board that appears to programs as a Haply device.
@@ -34,7 +34,7 @@ pub struct Inverse3 {
     fault: Option<FaultRecord>,
     /// True if the board is homed and its motors' polarity is known, or if it needs neither.
     calibrated: bool,
-    /// The board's reason not to turn the motors on for this program.
+    /// Reason for which the board refused to turn the motors on for this program.
     refusal: Option<String>,
     /// Control step from which a force may arm again after a fault was cleared.
     arms_from: Option<u32>,
@@ -88,7 +88,7 @@ impl Inverse3 {
         &self.id
     }
 
-    /// Reports something to the operator of the server, once.
+    /// Prints a notice for the operator of the server, each text once.
     pub(super) fn notify(&mut self, words: String) {
         if !self.notices.contains(&words) {
             haptic_host::tell!("{words}");
@@ -166,7 +166,7 @@ impl Inverse3 {
         }
     }
 
-    /// Lets simulated time catch up with real time: a simulated board runs only while a request waits.
+    /// Lets simulated time catch up with real time, because a simulated board runs only while a request waits.
     fn advance(&mut self) -> Result<(), LinkError> {
         if self.simulated {
             self.session.rows(self.polled.elapsed().min(MAX_ADVANCE))?;

@@ -14,7 +14,7 @@ pub struct ProgramRequest {
     pub full: bool,
     /// Axes of the program's vectors from now on, both sent and received; `None` to keep the present axes.
     pub basis: Option<Basis>,
-    /// True if the program requests that a latched fault be cleared. Haply has no such command.
+    /// True if the program requests to clear a latched fault, a command that Haply does not have.
     pub clear_fault: bool,
     /// Commands and settings that a board does not support.
     pub others: Vec<String>,
@@ -76,7 +76,7 @@ fn entries(value: &Value) -> impl Iterator<Item = (&String, &Value)> {
     value.as_object().into_iter().flatten()
 }
 
-/// The mapping from Haply's axes to a program's x, y and z: axis and sign of each.
+/// The mapping from Haply's axes to x, y and z of a program: Haply's axis and the sign of each.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Basis([(usize, f64); 3]);
 

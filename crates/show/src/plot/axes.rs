@@ -19,12 +19,12 @@ pub struct Axis {
     pub high: f64,
 }
 
-/// A plot's frame: its place on the canvas, in pixels, and its axes.
+/// The frame of a plot: its position on the canvas, and its axes.
 #[derive(Clone, Debug)]
 pub struct PlotArea {
-    /// Left and top edge.
+    /// Left and top edge, pixels.
     pub at: (f64, f64),
-    /// Width and height.
+    /// Width and height, pixels.
     pub size: (f64, f64),
     /// Horizontal axis.
     pub x: Axis,
@@ -48,15 +48,15 @@ pub enum Mark<'a> {
 }
 
 impl Axis {
-    /// Returns the prefixed unit and the factor from values to it: 12000 N/m is 12 kN/m.
+    /// Returns the factor from values to the prefixed unit, and that unit: 12000 N/m is 12 kN/m.
     fn with_prefix(&self) -> (f64, String) {
         let size = self.low.abs().max(self.high.abs());
         let prefixes = [(1e9, "G"), (1e6, "M"), (1e3, "k"), (1.0, ""), (1e-3, "m"), (1e-6, "µ")];
-        // Base units get a prefix only if it reads well: never "mkg", and no prefix without a unit.
+        // Kilograms (never "mkg"), decibels and numbers without a unit get no prefix.
         if self.unit.is_empty() || self.unit == "kg" || self.unit == "dB" {
             return (1.0, self.unit.clone());
         }
-        // 1500 N/m reads well, 1500 mN does not.
+        // A larger unit begins at 2: 1500 N/m stays, but 1500 mN is 1.5 N.
         let fits = |f: f64| size >= if f > 1.0 { 2.0 * f } else { f };
         let (factor, prefix) = prefixes.into_iter().find(|(f, _)| fits(*f)).unwrap_or((1e-6, "µ"));
         (1.0 / factor, format!("{prefix}{}", self.unit))
@@ -79,7 +79,7 @@ impl Axis {
         let power = 10f64.powf(raw.log10().floor());
         let first = |step: f64| (low / step - 1e-9).ceil() as i64;
         let last = |step: f64| (high / step + 1e-9).floor() as i64;
-        // Steps from coarse to fine. The first step is not finer than `count` requires.
+        // Lists steps from coarse to fine. The first candidate is not finer than `count` requires.
         let steps = [10.0, 5.0, 2.0, 1.0, 0.5].map(|s| s * power);
         let coarse = steps.into_iter().rposition(|step| step >= raw).unwrap_or(0);
         let step = steps[coarse..].iter().copied().find(|step| last(*step) - first(*step) >= 3).unwrap_or(steps[4]);
@@ -105,7 +105,7 @@ impl PlotArea {
         self.draw_along(canvas, title, &self.x.ticks(self.size.0 / 75.0), &self.x.label());
     }
 
-    /// Draws the frame with an x axis of logarithms: each even decade is labelled with its power of ten.
+    /// Draws the frame with a logarithmic x axis, labelled with the power of ten at each even decade.
     pub fn draw_decades(&self, canvas: &mut Canvas) {
         let superscript = |digit: char| match digit {
             '-' => '⁻',
@@ -146,7 +146,7 @@ impl PlotArea {
         canvas.text((left, top - 10.0), 13.5, Anchor::Start, false, title);
     }
 
-    /// Clips the shapes that `draw` adds to the frame.
+    /// Runs `draw` and clips its shapes to the frame.
     pub fn clipped(&self, canvas: &mut Canvas, draw: impl FnOnce(&mut Canvas)) {
         canvas.begin_clip(self.at, self.size);
         draw(canvas);
@@ -181,8 +181,8 @@ impl PlotArea {
         canvas.circle(self.pixel(x, y), 3.2, "white", Stroke::solid(colour, 1.6));
     }
 
-    /// Draws a legend that hides nothing: in the first corner of the frame that is free of the lines and dots `drawn`
-    /// (values), otherwise below the picture, which grows.
+    /// Draws a legend in the first corner of the frame without lines or dots of `drawn` (values), or else below the
+    /// picture, which then grows.
     pub fn clear_legend(&self, canvas: &mut Canvas, drawn: &[Vec<(f64, f64)>], entries: &[(Mark<'_>, String)]) {
         const GAP: f64 = 10.0;
         let (width, height) = Self::legend_size(entries);
@@ -240,7 +240,7 @@ impl PlotArea {
         }
     }
 
-    /// Draws a symbol with its left end at this pixel, and its text.
+    /// Draws a legend entry: the symbol with its left end at this pixel, then the text.
     fn entry(canvas: &mut Canvas, (left, y): (f64, f64), (mark, text): &(Mark<'_>, String)) {
         match mark {
             Mark::Line(stroke) => canvas.line((left, y), (left + 26.0, y), *stroke),
@@ -297,7 +297,7 @@ mod tests {
         let texts = |axis: Axis| axis.ticks(6.0).into_iter().map(|t| t.1).collect::<Vec<_>>();
         assert_eq!(texts(axis(0.0, 0.103, "m")), ["0", "20", "40", "60", "80", "100"]);
         assert_eq!(texts(axis(-0.5, 0.5, "")), ["-0.4", "-0.2", "0.0", "0.2", "0.4"]);
-        // Two ticks would not show the scale, so a low panel has more.
+        // A low panel has at least four ticks, because two would not show the scale.
         let low = axis(0.0, 17.3, "N").ticks(3.2).into_iter().map(|t| t.1).collect::<Vec<_>>();
         assert_eq!(low, ["0", "5", "10", "15"]);
         assert_eq!(axis(0.0, 12_000.0, "N/m").label(), "x (kN/m)");

@@ -2,25 +2,25 @@
 //!
 //! Palette: Okabe and Ito, "Color Universal Design" (2008). Scale: viridis (Smith and van der Walt, 2015), sampled.
 
-/// Without feed-forward.
+/// Colour of results without feed-forward.
 pub const OFF: &str = "#0072B2";
-/// With feed-forward.
+/// Colour of results with feed-forward.
 pub const FULL: &str = "#D55E00";
-/// With washed-out feed-forward.
+/// Colour of results with washed-out feed-forward.
 pub const WASHOUT: &str = "#009E73";
-/// Walls rendered by a computer.
+/// Colour of walls rendered by a computer.
 pub const HOST: &str = "#CC79A7";
-/// Bounds such as passivity, in contrast to the stability boundary itself.
+/// Colour of passivity bounds, in contrast to the stability boundary.
 pub const BOUND: &str = "#7A5195";
-/// Frames, ticks and text.
+/// Colour of frames, ticks and text.
 pub const INK: &str = "#222222";
-/// Background elements.
+/// Colour of background elements.
 pub const FAINT: &str = "#9a9a9a";
 
-/// Values above the end of the scale.
+/// Colour of values above the end of the scale.
 pub const ABOVE: &str = "#f4a58a";
 
-/// Viridis in equal steps.
+/// The viridis scale sampled in equal steps, RGB.
 const SCALE: [(u8, u8, u8); 11] = [
     (68, 1, 84),
     (72, 36, 117),

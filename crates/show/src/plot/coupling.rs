@@ -18,23 +18,24 @@ use haptic_stability::analysis::pose::{PoseError, TaskPose, unit_normal};
 use haptic_stability::skeleton::{Point, Skeleton, skeleton};
 use nalgebra::{DVector, Vector3};
 
-/// Side of each drawing on a screen, width of both with the room around them, and height of a drawing's axis and legend
-/// below it, pixels.
+/// Side of each drawing on a screen, pixels.
 const SIDE: f64 = 380.0;
+/// Page width on a screen, with two drawings side by side, pixels.
 const USUAL: f64 = 2.0 * SIDE + 190.0;
+/// Height of the axis labels and the legend below a drawing, pixels.
 const UNDER: f64 = 165.0;
-/// Distance by which the drawn motion moves the tip, as a share of the drawing.
+/// Distance by which the drawn motion moves the tip, as a share of the side of the drawing.
 const MOTION: f64 = 0.1;
-/// Number of directions in which a surface is sampled, around a half turn and around a full turn.
+/// Number of directions in which a surface is sampled: around a half turn, and around a full turn.
 const DIRECTIONS: (usize, usize) = (24, 48);
-/// Viewing direction of a surface: turned about its vertical and then tilted, rad.
+/// Angles of the view of a surface, rad: the turn about its vertical, then the tilt.
 const VIEW: (f64, f64) = (-0.6, 0.45);
 
 /// Line style of the moved linkage.
 const GHOST: Stroke<'static> = Stroke { colour: FAINT, width: 1.2, dash: "4 3" };
 
-/// Draws a device at `q` (rad) with its motion along `normal`; `None` if its linkage does not close or the pose is
-/// singular.
+/// Draws a device at `q` (rad) with its motion along `normal`. Returns `None` if its linkage does not close or the pose
+/// is singular.
 pub fn draw(
     description: &Description,
     name: &str,
@@ -116,7 +117,7 @@ fn direction(description: &Description, q: &[f64], here: &Skeleton, motion: &DVe
     Some(((there.tip.0 - here.tip.0) / size, (there.tip.1 - here.tip.1) / size))
 }
 
-/// Draws the device, and the motions that a push along n causes: with the feed-forward, and without.
+/// Draws the device, and its motions under a push along n with and without the feed-forward.
 fn motion(
     canvas: &mut Canvas,
     description: &Description,
@@ -132,7 +133,7 @@ fn motion(
     let axis =
         |name: &str, middle: f64| Axis { name: name.into(), unit: "m".into(), low: middle - half, high: middle + half };
     let frame = PlotArea { at, size: (side, side), x: axis("x", middle.0), y: axis("y", middle.1) };
-    // Joint motion per metre of the tip along n: constrained, and free, which is the motion that Jᵀ causes.
+    // Joint motions per metre of the tip along n: constrained to n (`held`), and as torques Jᵀn alone cause (`free`).
     let held = device.unit_motion.clone();
     let free = device.mass.clone().cholesky().map(|mass| mass.solve(&device.row));
     let free = free.and_then(|push| Some(push * device.w_eff()?)).unwrap_or_else(|| held.clone());
@@ -232,7 +233,7 @@ fn draw_axis_names(canvas: &mut Canvas, pixel: &dyn Fn(&[f64]) -> Point, point: 
     }
 }
 
-/// Draws the coupling as a surface over all directions of space; its distance from the middle is the coupling.
+/// Draws the coupling as a surface over all directions of space; the distance from the middle is the coupling.
 fn surface(canvas: &mut Canvas, Place { at, side }: Place, pose: &TaskPose, point: &MapPoint, n: &DVector<f64>) {
     let joints = pose.jacobian.nrows();
     let (halves, wholes) = DIRECTIONS;
@@ -276,7 +277,7 @@ fn surface(canvas: &mut Canvas, Place { at, side }: Place, pose: &TaskPose, poin
         canvas.polygon(corners, &scale(*share), 0.92);
         canvas.polyline(&[corners[0], corners[1], corners[2]], Stroke::solid("white", 0.3));
     }
-    // The surface may hide the end of an axis, but not its name.
+    // Draws the names last, because the surface may hide the end of an axis but not its name.
     draw_axis_names(canvas, &end, point, 1.12 * largest);
     let n = Vector3::new(n[0], n[1], n[2]);
     arrow(canvas, pixel(&Vector3::zeros()), pixel(&(n * (1.1 * largest))), BOUND);

@@ -1,5 +1,5 @@
-//! The drawing of a device: its linkage at home, the zero angle and direction of each joint, the reach of the tip. A
-//! mirrored assembly or swapped motors would look wrong in it.
+//! The drawing of a device: its linkage at home, the zero angle and direction of each joint, the reach of the tip. It
+//! makes a mirrored assembly or swapped motors visible.
 
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::catalogue::Kind;
@@ -15,19 +15,18 @@ use haptic_stability::analysis::cut::{Cut, Fineness};
 use haptic_stability::analysis::pose::PoseError;
 use haptic_stability::skeleton::{Angle, Bar, Point, Skeleton, Turret, skeleton};
 
-/// Longest side of the plane, pixels: for a linkage alone or with joint limits, and for a reach without joint limits.
+/// Longest side of the plane for a linkage alone or with joint limits, pixels.
 const LINKAGE_SIDE: f64 = 460.0;
+/// Longest side of the plane for a reach without joint limits, pixels.
 const REACH_SIDE: f64 = 760.0;
-/// Colour of the workspace.
 const REACH: &str = "#e6edf5";
-/// Colour of links.
 const LINK: &str = "#b9bec6";
 /// Half of a link's width, pixels.
 const HALF_LINK: f64 = 4.5;
 /// Largest radius of an angle's arc, pixels.
 const ARC: f64 = 46.0;
 
-/// Draws a device at joint angles `q` (rad); `None` if its linkage does not close. `lines` are written below it.
+/// Draws a device at joint angles `q` (rad), with `lines` of text below. Returns `None` if its linkage does not close.
 pub fn draw(
     description: &Description,
     name: &str,
@@ -41,7 +40,7 @@ pub fn draw(
     let bars = skeleton.bars.iter().flat_map(|bar| [bar.from, bar.to]);
     let limited = description.joints[..spec.joints].iter().all(|joint| joint.limits.is_some());
     let (low, high) = bounds(bars.chain(reach.iter().flatten().copied()));
-    // Room for arcs and labels; a linkage without its reach needs more.
+    // Adds room for arcs and labels; a linkage without its reach needs more.
     let (room, side) = match (reach.is_empty(), limited) {
         (true, _) => (0.22, LINKAGE_SIDE),
         (false, true) => (0.08, LINKAGE_SIDE),
@@ -83,11 +82,11 @@ pub fn draw(
             reach.iter().map(|tile| tile.iter().map(|&(x, y)| frame.pixel(x, y)).collect()).collect();
         canvas.tiles(&tiles, REACH);
         turret_axis(canvas, &frame, description.kind);
-        let mut taken: Vec<Area> = skeleton.angles.iter().map(|angle| label(&frame, angle, &skeleton).area()).collect();
-        taken.extend(turret_label(&frame, description.kind));
+        let mut occupied: Vec<Area> = skeleton.angles.iter().map(|angle| label(&frame, angle, &skeleton).area()).collect();
+        occupied.extend(turret_label(&frame, description.kind));
         let tip = frame.pixel(skeleton.tip.0, skeleton.tip.1);
-        taken.push([tip.0 - 18.0, tip.1 - 24.0, tip.0 + 18.0, tip.1 + 6.0]);
-        links(canvas, &frame, &skeleton, &names, taken);
+        occupied.push([tip.0 - 18.0, tip.1 - 24.0, tip.0 + 18.0, tip.1 + 6.0]);
+        links(canvas, &frame, &skeleton, &names, occupied);
         for (angle, colour) in skeleton.angles.iter().zip([OFF, FULL, WASHOUT]) {
             arc(canvas, &frame, angle, pixels, description, colour, &skeleton);
         }
@@ -143,8 +142,8 @@ fn notes(description: &Description) -> Vec<String> {
         ],
         Kind::Serial3r => vec![
             angles,
-            "each angle counts from the link before".into(),
-            "pale area: for the last link's direction at home".into(),
+            "each angle is measured from the previous link".into(),
+            "pale area: with the last link in its direction at home".into(),
         ],
     }
 }
@@ -156,8 +155,8 @@ fn overlap(a: &Area, b: &Area) -> bool {
     a[0] < b[2] && b[0] < a[2] && a[1] < b[3] && b[1] < a[3]
 }
 
-/// Draws the links, with their names outside the areas that are already `taken`.
-fn links(canvas: &mut Canvas, frame: &PlotArea, skeleton: &Skeleton, names: &[String], mut taken: Vec<Area>) {
+/// Draws the links, and their names outside the `occupied` areas.
+fn links(canvas: &mut Canvas, frame: &PlotArea, skeleton: &Skeleton, names: &[String], mut occupied: Vec<Area>) {
     for bar in &skeleton.bars {
         let ends = [bar.from, bar.to].map(|p| frame.pixel(p.0, p.1));
         canvas.polyline(&ends, Stroke::solid(INK, 2.0 * HALF_LINK));
@@ -172,7 +171,7 @@ fn links(canvas: &mut Canvas, frame: &PlotArea, skeleton: &Skeleton, names: &[St
         for end in [from, to] {
             canvas.circle(end, 3.4, "white", Stroke::solid(INK, 1.4));
         }
-        // The name is along the link, on the side away from the other links.
+        // Writes the name along the link, on the side away from the other links.
         let (dx, dy) = (to.0 - from.0, to.1 - from.1);
         let (mut slope, length) = (dy.atan2(dx).to_degrees(), dx.hypot(dy).max(1e-9));
         if !(-90.0..=90.0).contains(&slope) {
@@ -203,7 +202,7 @@ fn links(canvas: &mut Canvas, frame: &PlotArea, skeleton: &Skeleton, names: &[St
         // Uses the first free place: outside, inside, towards the other end of the link. Prefers a place without other
         // labels and links, then one without other labels.
         let places = [(past, outward), (past, -outward), (-past, outward), (-past, -outward)].map(|(p, s)| place(p, s));
-        let has_label = |at: (f64, f64)| taken.iter().any(|other| overlap(&area(at), other));
+        let has_label = |at: (f64, f64)| occupied.iter().any(|other| overlap(&area(at), other));
         let has_link = |at: (f64, f64)| {
             // Coordinates along the label and across it. The letters are above the baseline.
             let along = |p: Point| {
@@ -217,7 +216,7 @@ fn links(canvas: &mut Canvas, frame: &PlotArea, skeleton: &Skeleton, names: &[St
         };
         let free = places.iter().find(|at| !has_label(**at) && !has_link(**at));
         let at = *free.or_else(|| places.iter().find(|at| !has_label(**at))).unwrap_or(&places[0]);
-        taken.push(area(at));
+        occupied.push(area(at));
         canvas.slanted_text(at, slope, text);
     }
     for (letter, at) in &skeleton.letters {
@@ -225,15 +224,15 @@ fn links(canvas: &mut Canvas, frame: &PlotArea, skeleton: &Skeleton, names: &[St
         let (dx, dy) = (x - centre.0, y - centre.1);
         let away = 17.0 / dx.hypot(dy).max(1e-9);
         let outside = (x + away * dx, y + away * dy + 4.0);
-        // The letter of a pivot is below it, or next to it if a label is below.
+        // A base pivot's letter is below the pivot, or next to it if a label is below.
         let places = if skeleton.base.contains(at) { [(x, y + 19.0), (x + 12.0, y - 7.0)] } else { [outside; 2] };
         let area = |(x, y): Point| [x - 5.0, y - 10.0, x + 5.0, y + 1.0];
-        let free = places.iter().find(|at| !taken.iter().any(|other| overlap(&area(**at), other)));
+        let free = places.iter().find(|at| !occupied.iter().any(|other| overlap(&area(**at), other)));
         canvas.text(*free.unwrap_or(&places[0]), 12.5, Anchor::Middle, false, letter);
     }
 }
 
-/// Draws a joint's angle: its zero, its arc with an arrow, its limits.
+/// Draws a joint's angle: the line of zero angle, the arc with an arrow, the arc of the limits.
 fn arc(
     canvas: &mut Canvas,
     frame: &PlotArea,
@@ -297,7 +296,8 @@ impl Label {
 fn label(frame: &PlotArea, angle: &Angle, skeleton: &Skeleton) -> Label {
     let centre = frame.pixel(angle.at.0, angle.at.1);
     let text = format!("joint {}: {:.1}°", angle.joint, angle.angle.to_degrees());
-    // Below the pivot, where usual poses have no links, or else above it; the labels of two base pivots keep apart.
+    // Places the label below the pivot, where usual poses have no links, or else above. Labels of two base pivots point
+    // away from each other.
     let left = skeleton.base.first().is_some_and(|first| skeleton.base.len() > 1 && *first == angle.at);
     let right = skeleton.base.len() > 1 && !left;
     let (shift, anchor) = if left {
@@ -360,13 +360,12 @@ mod tests {
     use super::*;
     use haptic_host::device_file::DeviceFile;
 
-    /// Returns the number behind `key` in a line of SVG.
+    /// Returns the number after `key` in a line of SVG.
     fn number(line: &str, key: &str) -> f64 {
         let value = line.split_once(key).unwrap_or_else(|| panic!("{key} in {line}")).1;
         value.split(['"', ' ', ')']).next().unwrap().parse().unwrap()
     }
 
-    /// Labels of links and angles do not cover links if there is room elsewhere.
     #[test]
     fn labels_do_not_cover_links() {
         let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../../devices");

@@ -5,7 +5,7 @@ use super::canvas::{Canvas, Stroke};
 use super::colour::INK;
 use haptic_stability::skeleton::{Point, Skeleton};
 
-/// Draws the linkage as thin bars that stay readable on any background: base pivots square, tip round.
+/// Draws the linkage as thin bars that stay readable on any background, with square base pivots and a round tip.
 pub fn outline(canvas: &mut Canvas, frame: &PlotArea, skeleton: &Skeleton) {
     for (colour, width) in [("white", 4.6), (INK, 1.8)] {
         for bar in &skeleton.bars {
@@ -33,7 +33,7 @@ pub fn tip(canvas: &mut Canvas, at: (f64, f64)) {
     canvas.circle(at, 1.6, INK, Stroke::solid(INK, 0.0));
 }
 
-/// Returns a box around points, with a margin.
+/// Returns the lower and the upper corner of a box around points, with a margin of 5 %.
 pub fn bounds(points: impl Iterator<Item = Point>) -> (Point, Point) {
     let empty = ((f64::INFINITY, f64::INFINITY), (f64::NEG_INFINITY, f64::NEG_INFINITY));
     let (low, high) = points.fold(empty, |(l, h), p| ((l.0.min(p.0), l.1.min(p.1)), (h.0.max(p.0), h.1.max(p.1))));

@@ -1,7 +1,7 @@
 //! The picture of a map, after the paper's Fig. 1: coupling as colour over the plane of the linkage, with the ellipses
 //! of the operational-space inertia Λ, and the linkage itself at home.
 //!
-//! The colour is the coupling's share of the rendered inertia, (Wrr - Weff)/Wrr: it is between 0 and 1 everywhere,
+//! The colour is the coupling's share of the rendered inertia, (Wrr - Weff)/Wrr, which is between 0 and 1 everywhere,
 //! while the coupling itself grows without bound towards singularities. The scale covers 95 % of the area, so that the
 //! rim near the singularities does not use up the colours; higher values have a separate colour. Ellipse axes are
 //! square roots of Λ's eigenvalues.
@@ -26,18 +26,21 @@ const COVERED_SHARE: f64 = 0.95;
 const COLOURS: f64 = 50.0;
 /// Longest side of the plane, pixels.
 const PLANE_SIDE: f64 = 500.0;
-/// Room to the left of the plane, and to the right of it for the colour scale, with and without the scale's name.
+/// Margin left of the plane, pixels.
 const LEFT: f64 = 86.0;
+/// Margin right of the plane for the colour scale and its name, pixels.
 const RIGHT: f64 = 130.0;
+/// Margin right of the plane for the colour scale without its name, pixels.
 const NARROW_RIGHT: f64 = 92.0;
-/// Distance of the normal's arrow from the edge of a narrow page, with room for its name.
+/// Distance of the normal's arrow from the right edge of a narrow page, pixels.
 const ARROW: f64 = 40.0;
 const COLOUR_NAME: &str = "coupling (Wrr - Weff)/Wrr";
-/// Distance of ellipse centres, pixels, and the radius of an ellipse of typical size.
+/// Distance between ellipse centres, pixels.
 const SPACING: f64 = 56.0;
+/// Radius of an ellipse of median size, pixels.
 const RADIUS: f64 = 0.36 * SPACING;
 
-/// A drawn map: the picture, and the data to read numbers off the picture.
+/// A drawn map, with the data to read numbers off the picture.
 #[derive(Clone, Debug)]
 pub struct Chart {
     /// The picture.
@@ -48,7 +51,7 @@ pub struct Chart {
     pub top: f64,
 }
 
-/// Draws the map of a device for one normal. `admissible`: motion that a redundant device's feed-forward allows.
+/// Draws the map of a device for one normal. `admissible` selects the coordinate that a redundant device holds.
 pub fn draw(
     description: &Description,
     name: &str,
@@ -111,7 +114,7 @@ pub fn chart(
     let axis_note = if Turret::of(description.kind).is_some() { " (such as joint 0's axis)" } else { "" };
     let coloured = [
         format!("coloured: positions that the tip reaches from home, clear of singular poses{axis_note}"),
-        "in home's arm pose: other arm poses with the same tip position are not drawn".into(),
+        "arm pose as at home; other arm poses with the same tip position are not drawn".into(),
     ];
     let coloured = page.notes(coloured.iter().map(String::as_str));
     let key_high = if page.is_narrow() { 36.0 } else { 0.0 };
@@ -189,7 +192,7 @@ fn ellipses(canvas: &mut Canvas, frame: &PlotArea, cut: &Cut, pixels: f64) -> Re
     sizes.sort_by(f64::total_cmp);
     let Some(&typical) = sizes.get(sizes.len() / 2) else { return Ok(None) };
     let mut chosen = std::collections::BTreeMap::<(i64, i64), (f64, &MapPoint)>::new();
-    // Near a singularity an ellipse is so long that it hides its neighbours.
+    // Skips ellipses near singularities, because they are so long that they hide their neighbours.
     for point in points.iter().filter(|p| p.eigenvalues.last().is_some_and(|&l| l < 3.0 * typical)) {
         let (cell, off) = off(cut.seen(&point.position));
         let best = chosen.entry(cell).or_insert((off, point));
@@ -241,7 +244,7 @@ fn arrow(canvas: &mut Canvas, x: f64, (nx, ny): Point) {
     canvas.text((middle.0 + 12.0 * uy.abs() + 6.0, middle.1 + 14.0 * ux.abs() + 2.0), 13.0, Anchor::Start, false, "n");
 }
 
-/// Draws the scale to the right of the frame, with its `name` next to it if there is room.
+/// Draws the colour scale to the right of the frame, with its name next to it if `name` is true.
 fn colour_bar(canvas: &mut Canvas, frame: &PlotArea, step: f64, top: f64, highest: f64, name: bool) {
     let left = frame.at.0 + frame.size.0 + 22.0;
     let above = if highest > top { 26.0 } else { 0.0 };

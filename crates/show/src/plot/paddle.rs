@@ -1,5 +1,5 @@
-//! The counterpart of a map for a device with one joint: there is no coupling and the inertia is constant, so the
-//! picture shows the reach of the handle and the inertia felt there.
+//! The picture of a device with one joint: the reach of its handle, and the constant inertia felt there. A single joint
+//! has no coupling, so there is no map.
 
 use haptic_bridge::model::description::Description;
 

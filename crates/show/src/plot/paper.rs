@@ -1,26 +1,28 @@
-//! The width of a picture, on a screen or on paper, and text that fits it.
+//! Page widths on a screen and on paper, and text wrapping.
 //!
-//! On paper the unit of a drawing is chosen so that the smallest letters have 8 pt, as journals require; a column of 85
-//! mm then has 346 units, a page of 170 mm 693. A picture is laid out for this number of units and never shrunk.
+//! On paper the unit of a drawing is chosen so that the smallest letters have 8 pt, as journals require: a column of 85
+//! mm has 346 units, a page of 170 mm 693. A picture is laid out for this width and never shrunk.
 
 use super::canvas::{Anchor, Canvas, SMALL};
 
-/// Millimetres of paper per unit that give the smallest text 8 pt.
+/// Millimetres of paper per drawing unit that give the smallest text 8 pt.
 const UNIT_MM: f64 = 8.0 * 25.4 / 72.0 / SMALL;
-/// On a page narrower than this, text begins at the edge and numbers along an axis get less room.
+/// Page width below which text begins at the edge and axis numbers get less room, units.
 const NARROW: f64 = 500.0;
+/// Left edge of frames on a narrow page, units.
 const NARROW_LEFT: f64 = 78.0;
-/// Margin at the edge of a page.
+/// Margin at the edge of a page, units.
 pub const EDGE: f64 = 10.0;
-/// Letter size and line height of a title, and of the lines under the title.
+/// Letter size and line height of a title, units.
 const TITLE: (f64, f64) = (15.0, 19.0);
+/// Letter size and line height of a subtitle, units.
 const UNDER: (f64, f64) = (12.0, 18.0);
 
 /// Requested width of a picture, mm of paper; `None` for a screen.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Paper(pub Option<f64>);
 
-/// A page with a width in units.
+/// A page of a picture, measured in drawing units.
 #[derive(Clone, Copy, Debug)]
 pub struct Page {
     paper: Paper,
@@ -40,14 +42,14 @@ impl Paper {
         Page { paper: self, wide, left, begin }
     }
 
-    /// Returns true on paper.
+    /// Returns true if the picture has a width on paper.
     pub fn is_printed(self) -> bool {
         self.0.is_some()
     }
 }
 
 impl Page {
-    /// Returns true if frames get less room.
+    /// Returns true if the page is too narrow for the usual left margin.
     pub fn is_narrow(&self) -> bool {
         self.wide < NARROW
     }
@@ -106,7 +108,7 @@ impl Heading {
     }
 }
 
-/// Wraps words into lines not wider than `room` at this letter size; a single long word may be wider.
+/// Wraps words into lines of at most `room` units at this letter size; a single long word may be wider.
 pub fn wrap(text: &str, room: f64, size: f64) -> Vec<String> {
     // A letter of the font is at most 0.6 of its size wide.
     let max_letters = (room / (0.6 * size)) as usize;

@@ -1,5 +1,5 @@
-//! The picture of a stable domain: stiffness over damping, without and with the feed-forward, with the passivity bounds
-//! and with measured dots if there are any.
+//! The picture of a stable domain: stiffness over damping, without and with the feed-forward, with passivity bounds and
+//! measured dots where available.
 
 use super::Picture;
 use super::axes::{Axis, Mark, PlotArea};
@@ -10,7 +10,7 @@ use haptic_host::words::with_unit;
 use haptic_stability::analysis::passivity::Passivity;
 use haptic_stability::analysis::range::{Domain, Range};
 
-/// Distance of the lines below the axes, pixels.
+/// Line height of the notes below the axes, pixels.
 const LINE: f64 = 17.0;
 
 /// A measured point of the boundary.
@@ -33,7 +33,7 @@ pub struct MeasuredPoint {
 pub struct Contents<'a> {
     /// Title, such as the device.
     pub title: String,
-    /// Smaller lines under the title: the pose, the loop.
+    /// Subtitle lines: the pose, and the control loop.
     pub subtitle: [String; 2],
     /// The predicted domain.
     pub range: &'a Range,
@@ -41,13 +41,13 @@ pub struct Contents<'a> {
     pub passivity: Option<&'a Passivity>,
     /// Frequency of the feed-forward's washout, Hz.
     pub washout_hz: Option<f64>,
-    /// Meaning of the measured dots, for the legend.
+    /// Legend text of the measured dots.
     pub measured: String,
     /// Measured dots without feed-forward.
     pub measured_off: &'a [MeasuredPoint],
     /// Measured dots with feed-forward.
     pub measured_full: &'a [MeasuredPoint],
-    /// A note that a reader needs to compare the dots with the curves.
+    /// Note below the axes that explains differences between dots and curves.
     pub note: Option<String>,
     /// Width of the picture.
     pub paper: Paper,
@@ -148,20 +148,20 @@ pub fn draw(contents: &Contents<'_>) -> Picture {
         .finish(&contents.title, "Stable stiffness over damping of a virtual wall, without and with the feed-forward.")
 }
 
-/// A bound of passivity, as a line.
+/// A passivity bound, drawn as a line.
 struct Bound {
     name: &'static str,
     dash: &'static str,
     line: Vec<(f64, f64)>,
-    /// Description of the bound if it cannot be seen in the picture; `None` if it is drawn.
+    /// Description of the bound if it is too small to see; `None` if it is drawn.
     hidden: Option<String>,
 }
 
-/// Returns the bounds, with a description of each bound that cannot be seen in this frame.
+/// Returns the bounds, with a description of each bound that is too small to see in this frame.
 fn bounds(passivity: &Passivity, frame: &PlotArea) -> Vec<Bound> {
     // Smallest visible distance from an axis, pixels.
     const MIN_VISIBLE: f64 = 2.0;
-    /// Pieces of the curve of the first bound.
+    /// Straight pieces of the Colgate and Schenkel curve.
     const PIECES: usize = 40;
     let (max_stiffness, end) = (passivity.sampled(0.0), passivity.largest_damping());
     let (right, top) = frame.pixel(end, max_stiffness);
@@ -187,7 +187,7 @@ fn bounds(passivity: &Passivity, frame: &PlotArea) -> Vec<Bound> {
     bounds
 }
 
-/// Explains the legend's symbols with their values, and lists the bounds that cannot be seen.
+/// Explains the symbols of the legend with their values, and lists the bounds that are too small to see.
 fn symbols(passivity: &Passivity, bounds: &[Bound]) -> Vec<String> {
     let mut lines =
         vec!["Weff, Wrr: inertia that the wall meets; passive: stable in any hand, without feed-forward".into()];

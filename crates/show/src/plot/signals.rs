@@ -1,7 +1,7 @@
 //! Pictures of a recording: signals over time, force over penetration, spectrum, phase.
 //!
-//! The curves are computed first, as points in SI units ([`panels`]), and then drawn ([`draw`]). A lost row is a gap:
-//! no line crosses it.
+//! The curves are computed first, as points in SI units ([`panels`]), and then drawn ([`draw`]). A lost row leaves a
+//! gap in every curve.
 
 mod contact;
 mod paper;
@@ -43,7 +43,7 @@ impl View {
 pub struct Request {
     /// Views; empty for all views that the recording has the columns for.
     pub views: Vec<View>,
-    /// Columns over time and as a spectrum; empty for the rendered force.
+    /// Columns to draw over time and as a spectrum; empty for the rendered force.
     pub signals: Vec<String>,
     /// Start time, s; `None` for the first row.
     pub from: Option<f64>,
@@ -65,7 +65,7 @@ pub struct Quantity {
 pub struct Curve {
     /// Name.
     pub name: String,
-    /// Points in SI units.
+    /// Pieces between gaps, each a list of points in SI units.
     pub pieces: Vec<Vec<(f64, f64)>>,
 }
 
@@ -78,7 +78,7 @@ pub struct Panel {
     pub x: Quantity,
     /// Vertical axis.
     pub y: Quantity,
-    /// Lines.
+    /// Curves in the panel.
     pub curves: Vec<Curve>,
     /// Ends of the straight line through the points; `None` without a line.
     pub line: Option<[(f64, f64); 2]>,
@@ -95,17 +95,17 @@ pub struct Analysis {
     pub seconds: f64,
     /// Rows missing between the drawn rows.
     pub missing: u64,
-    /// The strongest sine of the first signal, of all frequencies from 10 Hz on.
+    /// Strongest spectral line of the first signal at 10 Hz or above.
     pub strongest: Option<SpectralLine>,
-    /// Root mean square of the first signal from 20 Hz on, in the signal's unit.
+    /// Root mean square of the first signal above 20 Hz, in the signal's unit.
     pub ripple: Option<f64>,
     /// Stiffness of the line through force over penetration, from rows in contact whose force no limit cut, N/m.
     pub stiffness: Option<f64>,
     /// Rows in contact with the motors on, after the torque ramp.
     pub contact_rows: usize,
-    /// Number of these rows in which a limit cut the force; `None` if saturation is not recorded.
+    /// Number of contact rows in which a limit cut the force; `None` if saturation is not recorded.
     pub saturated_rows: Option<usize>,
-    /// Notes for the reader in addition to those of the panels.
+    /// Notes for the reader that belong to no panel.
     pub said: Vec<String>,
     /// The panels to draw.
     pub panels: Vec<Panel>,
@@ -119,7 +119,7 @@ struct Rows<'a> {
     recording: &'a Recording,
     rows: &'a [Vec<f64>],
     time: usize,
-    /// Row rate, rows a second.
+    /// Rows a second.
     rate_hz: f64,
     /// Index of the first row of each stretch without a gap, and the index after the last row.
     stretches: Vec<usize>,
@@ -142,7 +142,7 @@ impl<'a> Rows<'a> {
             return Err(Failure::wrong(format!("{} to draw; the recording has {span}", counted(rows.len(), "row")))
                 .remedy("draw a longer time, or record more"));
         }
-        // A restarted board counts from 0 again; the number of missing rows is then not known.
+        // A restarted board counts its steps from 0 again; the number of missing rows is then unknown.
         let step_difference = |i: usize| rows[i + 1][step] - rows[i][step];
         let every = (0..rows.len() - 1).map(step_difference).filter(|steps| *steps > 0.0).fold(f64::INFINITY, f64::min);
         let mut stretches = vec![0];
@@ -180,14 +180,13 @@ impl<'a> Rows<'a> {
         self.stretches.windows(2).map(piece).collect()
     }
 
-    /// Returns the number of rows to combine into one drawn point, because single rows show encoder steps. Together
-    /// they last at least a millisecond; at 1 kHz and below every row is drawn.
+    /// Returns the number of rows that a phase portrait averages into one point, because single rows show encoder
+    /// steps. They last at least a millisecond; at 1 kHz and below every row is drawn.
     fn rows_per_point(&self) -> usize {
         (self.rate_hz / MAX_PHASE_HZ).ceil().max(1.0) as usize
     }
 
-    /// Returns a test for rows in which torque still ramps up after the motors were switched on: their force is less
-    /// than the wall's.
+    /// Returns a predicate for rows in the torque ramp after arming, in which the force is less than the wall's.
     fn ramp_test(&self) -> impl Fn(&[f64]) -> bool {
         let armed =
             |row: &[f64]| self.recording.column("state").map(|state| row[state] == State::Armed as usize as f64);
@@ -198,7 +197,7 @@ impl<'a> Rows<'a> {
         move |row: &[f64]| times.iter().any(|on| (0.0..f64::from(ARM_SECONDS)).contains(&(row[time] - on)))
     }
 
-    /// Returns a test for rows whose force was cut by a limit; `None` if saturation is not recorded.
+    /// Returns a predicate for rows whose force a limit cut; `None` if saturation is not recorded.
     fn limit_test(&self) -> Option<impl Fn(&[f64]) -> bool> {
         let names = (0..MAX_JOINTS).map(|joint| format!("saturated{joint}"));
         let columns: Vec<usize> = names.filter_map(|name| self.recording.column(&name)).collect();
@@ -206,15 +205,15 @@ impl<'a> Rows<'a> {
     }
 }
 
-/// Row rate above which a phase portrait shows means, Hz: differences between single rows are encoder steps, whose
-/// velocities would turn the line into an area.
+/// Row rate above which a phase portrait averages rows, Hz, because the encoder steps of single rows would turn its
+/// line into an area.
 const MAX_PHASE_HZ: f64 = 1000.0;
-/// Lower frequencies are motion and not vibration, Hz.
+/// Lowest frequency that counts as vibration and not as motion, Hz.
 const SLOW_HZ: f64 = 10.0;
-/// Smallest amplitude that is drawn, relative to the strongest line.
+/// Smallest drawn amplitude, relative to the strongest spectral line.
 const FLOOR: f64 = 1e-6;
 
-/// Returns unit and name of a column by its label; an unknown column has no unit.
+/// Returns name and unit of the column with this label; an unknown column has no unit.
 pub(crate) fn quantity(label: &str) -> Quantity {
     let known = columns(Fields::ALL, MAX_JOINTS);
     let unit = known.iter().find(|column| column.label == label).map_or("", |column| column.field.unit());
@@ -229,7 +228,7 @@ fn quantity_of(name: &str, unit: &str) -> Quantity {
     Quantity { name: name.into(), unit: unit.into() }
 }
 
-/// Computes the panels.
+/// Computes the panels of a recording.
 pub fn panels(recording: &Recording, request: &Request) -> Result<Analysis, Failure> {
     let rows = Rows::of(recording, request)?;
     let force = ["rendered_n", "force_n"].into_iter().find(|name| rows.has_column(name));
@@ -296,7 +295,7 @@ pub fn panels(recording: &Recording, request: &Request) -> Result<Analysis, Fail
     Ok(analysis)
 }
 
-/// Creates a panel for each unit.
+/// Creates one time panel for each unit among the signals.
 fn over_time(rows: &Rows<'_>, signals: &[String]) -> Result<Vec<Panel>, Failure> {
     let mut panels: Vec<Panel> = Vec::new();
     for signal in signals {
@@ -322,7 +321,7 @@ fn over_time(rows: &Rows<'_>, signals: &[String]) -> Result<Vec<Panel>, Failure>
     Ok(panels)
 }
 
-/// Highest frequency in a spectrum, Hz: a hand feels nothing above it.
+/// Highest drawn frequency of a spectrum, Hz, because a hand feels nothing above it.
 const MAX_HZ: f64 = 1000.0;
 
 fn amplitudes(rows: &Rows<'_>, signals: &[String], analysis: &mut Analysis) -> Result<Panel, Failure> {
@@ -360,7 +359,7 @@ fn amplitudes(rows: &Rows<'_>, signals: &[String], analysis: &mut Analysis) -> R
         }
         let shown = lines.iter().filter(|line| line.frequency <= highest_hz);
         let highest = lines.iter().fold(0.0, |highest: f64, line| highest.max(line.amplitude));
-        // A signal that never moved is drawn at the floor of its unit, not thousands of decibels below it.
+        // Draws a constant signal at the floor of its unit, not thousands of decibels below it.
         let highest = if highest > 0.0 { highest } else { 1.0 };
         let points = shown.map(|line| (line.frequency, 20.0 * line.amplitude.max(FLOOR * highest).log10())).collect();
         panel.curves.push(Curve { name: signal.clone(), pieces: vec![points] });
@@ -397,7 +396,7 @@ fn phase(rows: &Rows<'_>) -> Result<Panel, Failure> {
     };
     let note = match measured {
         Some(_) => String::new(),
-        None => "velocity: differences of the distance, because the recording has none".into(),
+        None => "velocity computed from the distance, because the recording has no column velocity_m_s".into(),
     };
     Ok(Panel {
         view: View::Phase,
@@ -424,8 +423,8 @@ fn smooth_panel(panel: &Panel, rows_per_point: usize) -> Panel {
     smooth
 }
 
-/// Returns true if the values of a panel's first curve move and do not only jump: the mean square difference of
-/// consecutive points (von Neumann 1941) is below their variance; for noise it is twice the variance.
+/// Returns true if the values of a panel's first curve are motion and not noise: the mean square difference of
+/// consecutive points (von Neumann 1941) is below the variance. For noise it is twice the variance.
 fn is_motion(panel: &Panel) -> bool {
     let values = || panel.curves[0].pieces.iter().flatten().map(|point| point.1);
     let count = values().count().max(1) as f64;

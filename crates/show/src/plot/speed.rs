@@ -1,4 +1,4 @@
-//! The picture of cost over error: instructions of each way to compute the control step, over its error.
+//! The picture of speed against error: instructions of each variant of the control step, over its error.
 
 use super::Picture;
 use super::axes::{Axis, Mark, PlotArea};
@@ -8,7 +8,6 @@ use haptic_bridge::model::catalogue::Kind;
 use haptic_bridge::model::device::Device;
 use haptic_predict::bench::report::Variant;
 
-/// Returns the colour of a mechanism.
 fn colour_of(kind: Kind) -> &'static str {
     match kind {
         Kind::Paddle => "#7f7f7f",

@@ -8,21 +8,20 @@ use super::paper::{EDGE, Paper};
 use haptic_host::words::with_unit;
 use haptic_stability::analysis::why::{Both, Why};
 
-/// Maximum width of a letter, width of the bars on a screen, width of the values behind them, height of one effect,
-/// pixels.
+/// Maximum width of a letter, pixels.
 const LETTER: f64 = 6.8;
 const WIDTH: f64 = 420.0;
 const VALUE: f64 = 120.0;
 const ROW: f64 = 40.0;
 const TOP: f64 = 92.0;
-/// Shorter bars are placed under their names instead of next to them, pixels.
+/// Bar width below which names are placed above their bars instead of next to them, pixels.
 const MIN_BAR_WIDTH: f64 = 200.0;
-/// Minimum distance between the names of decades, pixels.
+/// Minimum distance between labels of decades, pixels.
 const DECADE_GAP: f64 = 78.0;
-/// Meaning of the bars, next to the names of their colours.
+/// Legend text that explains the bars.
 const BAR_MEANING: &str = "largest stable stiffness without the effect";
 
-/// Draws the picture under a heading and two smaller lines.
+/// Draws the picture with a title and two subtitle lines.
 pub fn draw(title: &str, subtitle: &[String; 2], why: &Why, paper: Paper) -> Picture {
     let rows: Vec<(String, Both)> = std::iter::once(("with everything".to_string(), why.limits))
         .chain(why.effects.iter().map(|without| (format!("{}: {}", without.effect, without.instead), without.limits)))
@@ -53,7 +52,7 @@ pub fn draw(title: &str, subtitle: &[String; 2], why: &Why, paper: Paper) -> Pic
         let line = Stroke { colour: FAINT, width: 0.8, dash: "2 3" };
         canvas.line((at(kp), top_of_rows - 6.0), (at(kp), bottom), line);
         if index % every == 0 {
-            // The first name must not begin before the page.
+            // Keeps the first label on the page.
             let anchor = if at(kp) < DECADE_GAP / 2.0 { Anchor::Start } else { Anchor::Middle };
             canvas.text((at(kp), bottom + 16.0), SMALL, anchor, false, &with_unit(kp, "N/m"));
         }

@@ -26,8 +26,9 @@ use std::time::{SystemTime, UNIX_EPOCH};
 pub const MAGIC: &[u8] = b"\x89MCAP0\r\n";
 /// Message bytes in a chunk; `flush` ends a chunk earlier.
 const CHUNK_BYTES: usize = 512 * 1024;
-/// Names of the metadata records at the head and at the end.
+/// Name of the metadata record at the head.
 const HEAD_RECORD: &str = "haptic-bridge";
+/// Name of the metadata record at the end.
 const END_RECORD: &str = "haptic-bridge end";
 
 /// Encoded bytes that are not yet in the file.
@@ -56,7 +57,7 @@ pub struct McapRecorder {
     pending: Pending,
     file: File,
     path: PathBuf,
-    /// Bytes of complete chunks in the file, and true if the file can be truncated to them.
+    /// Bytes of complete chunks in the file.
     complete: u64,
     can_truncate: bool,
     row: MessageDescriptor,
@@ -66,7 +67,7 @@ pub struct McapRecorder {
     start_ns: u64,
     sequence: u32,
     gathered_bytes: usize,
-    /// Rows in the file, and in the unfinished chunk.
+    /// Rows in complete chunks.
     rows: u64,
     pending_rows: u64,
     is_ended: bool,
@@ -87,7 +88,7 @@ fn kind(column: &Column) -> Type {
     }
 }
 
-/// Converts an error of the writer. Writing into memory fails only if the format is used wrongly.
+/// Converts an error of the MCAP writer. Writing into memory fails only if the format is used wrongly.
 fn to_error(error: McapError) -> RecordError {
     RecordError::Failed(Failure::impossible(error))
 }

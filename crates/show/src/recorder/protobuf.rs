@@ -1,5 +1,5 @@
-//! A recording's messages as protocol buffers (numbers and texts), with the `FileDescriptorSet` that describes them:
-//! the schema in an MCAP file.
+//! Protocol buffers of numbers and texts for the messages of a recording, with the `FileDescriptorSet` that is their
+//! schema in an MCAP file.
 
 use prost_reflect::prost::Message as _;
 use prost_reflect::prost_types::field_descriptor_proto::Label;
@@ -67,7 +67,7 @@ pub fn names(message: &MessageDescriptor) -> Vec<String> {
     message.fields().map(|field| field.name().to_owned()).collect()
 }
 
-/// Encodes a message with one number for each field, in the order of their numbers, in the field's type.
+/// Encodes a message from one number per field, in the order of field numbers, each in its field's type.
 pub fn pack(message: &MessageDescriptor, numbers: impl IntoIterator<Item = f64>) -> Vec<u8> {
     let mut packed = DynamicMessage::new(message.clone());
     for (field, number) in message.fields().zip(numbers) {
@@ -85,15 +85,15 @@ pub fn pack(message: &MessageDescriptor, numbers: impl IntoIterator<Item = f64>)
     packed.encode_to_vec()
 }
 
-/// Encodes a message with one text.
+/// Encodes a message that has one text.
 pub fn pack_text(message: &MessageDescriptor, text: &str) -> Vec<u8> {
     let mut packed = DynamicMessage::new(message.clone());
     message.fields().for_each(|field| packed.set_field(&field, Value::String(text.into())));
     packed.encode_to_vec()
 }
 
-/// Decodes a message's numbers in the order of its fields' numbers: 0 for a missing field; NaN for a field that is not
-/// a number, and for all fields if the message is incomplete.
+/// Decodes the numbers of a message, in the order of field numbers: 0 for a missing field; NaN for a field that is not
+/// a number, and for all fields of an incomplete message.
 pub fn values(message: &MessageDescriptor, bytes: &[u8]) -> Vec<f64> {
     let decoded = DynamicMessage::decode(message.clone(), bytes);
     let number = |field| match decoded.as_ref().ok().map(|message| message.get_field(&field).into_owned()) {

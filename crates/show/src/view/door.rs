@@ -1,7 +1,7 @@
 //! The page's server: HTTP and WebSocket on one port of this computer.
 //!
-//! An unauthenticated connection gets one of a few places for a short time and loses it to later connections; an
-//! authenticated connection gets a place of another kind. A page uses bounded memory, and takes turns with other pages.
+//! An unauthenticated connection gets one of a few places for a short time and loses the place to later connections; an
+//! authenticated connection gets a place of another kind. A page uses bounded memory and takes turns with other pages.
 //!
 //! `GET /` is the page, `GET /live` its WebSocket. Only this computer can connect unless the address allows others, who
 //! then need the token. Pages of other sites in the same browser are refused as well: the request must name this server
@@ -36,13 +36,13 @@ static PAGE: LazyLock<String> = LazyLock::new(|| {
     let page = include_str!("page/page.html").to_owned();
     parts.iter().fold(page, |page, (name, text)| page.replacen(&format!("/* {name} */\n"), text, 1))
 });
-/// The page's rights: it may run its own scripts and connect to its own server, and use nothing else of the network.
+/// Content security policy: the page may run its own scripts and connect to its own server, and nothing else.
 const POLICY: &str = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:; \
                       connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 /// Maximum length of a request's head, bytes.
 const MAX_HEAD: usize = 8192;
-/// Time limit for a head: browsers open connections before they use them. Silent connections are closed first if places
-/// are short, so the long limit does no harm.
+/// Time limit for the head of a request; long, because browsers open connections before they use them. Silent
+/// connections are closed first if places are short.
 const HEAD_TIMEOUT: Duration = Duration::from_secs(10);
 /// Maximum number of connections whose head has not been read, in total and from one address: a browser opens six.
 const MAX_HANDSHAKES: (usize, usize) = (32, 8);
@@ -50,16 +50,16 @@ const MAX_HANDSHAKES: (usize, usize) = (32, 8);
 const MAX_MESSAGE: usize = 16 * 1024;
 /// Time for which a page's thread reads before it sends messages: 8 ms, half a picture.
 const READ_TIME: Duration = Duration::from_millis(8);
-/// Maximum number of a page's messages in that time; further messages wait.
+/// Maximum number of messages that a page's thread reads in `READ_TIME`; further messages wait.
 const MAX_MESSAGES: usize = 32;
-/// Maximum number of bytes that a page has not read: room for some pictures with sweeps and sound.
+/// Maximum number of unread bytes for a page: room for some pictures with sweeps and sound.
 const MAX_UNREAD: usize = 4 * 1024 * 1024;
 /// Longest time for which a page may leave data unread.
 const SEND_TIMEOUT: Duration = Duration::from_secs(2);
-/// Maximum number of authenticated connections, of pages and others.
+/// Maximum number of authenticated connections, pages included.
 const MAX_CONNECTIONS: usize = 64;
 
-/// Clients that can use a printed address.
+/// The clients that can use a printed address.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Reach {
     /// All clients that can reach the requested address.
@@ -78,7 +78,7 @@ pub struct PageListener {
 }
 
 impl PageListener {
-    /// Listens. Clients beyond this computer need a token, which is drawn at random here.
+    /// Listens on an address. Other computers need a token, which is drawn at random here.
     pub fn open(address: SocketAddr) -> io::Result<Self> {
         let listener = TcpListener::bind(address)?;
         let token = if address.ip().is_loopback() { None } else { Some(token()?) };
@@ -106,7 +106,7 @@ impl PageListener {
         })
     }
 
-    /// Serves pages from now on, on separate threads.
+    /// Serves pages on separate threads until the process ends.
     pub fn serve(self, hub: Hub) {
         let token = Arc::new(self.token);
         let open = Arc::new(AtomicUsize::new(0));
@@ -117,7 +117,7 @@ impl PageListener {
                 let Some(place) = handshakes.enter(&stream) else { continue };
                 let (hub, token, open) = (hub.clone(), Arc::clone(&token), Arc::clone(&open));
                 thread::spawn(move || {
-                    // A failed connection concerns only the browser, which reports it and retries.
+                    // Ignores a failed connection, because the browser reports and repeats it.
                     let _ = handle_connection(stream, place, &hub, token.as_deref(), &open);
                 });
             }
@@ -141,7 +141,7 @@ fn loopback_address(all: IpAddr) -> IpAddr {
     if all.is_ipv4() { Ipv4Addr::LOCALHOST.into() } else { Ipv6Addr::LOCALHOST.into() }
 }
 
-/// Returns 128 random bits, which cannot be guessed.
+/// Returns a token of 128 random bits in hexadecimal.
 pub(crate) fn token() -> io::Result<String> {
     let mut bytes = [0_u8; 16];
     getrandom::fill(&mut bytes).map_err(io::Error::other)?;
@@ -179,7 +179,7 @@ fn try_read_request(stream: &mut TcpStream, bytes: &mut Vec<u8>) -> Option<Reque
     None
 }
 
-/// Reason for a refusal: status and words.
+/// HTTP status and text of a refusal.
 type Refusal = (&'static str, &'static str);
 
 /// Returns the token in a request.

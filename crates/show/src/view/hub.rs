@@ -1,7 +1,7 @@
-//! The open pages: their outgoing messages and their incoming messages.
+//! The open pages, with the queues of their outgoing and incoming messages.
 //!
-//! A page uses bounded memory and delays no other page: if its incoming or outgoing messages are too many, the oldest
-//! are dropped. Messages that turn motors off have priority: [`Hub::next`] returns them before all others.
+//! A page uses bounded memory and delays no other page: full queues drop their oldest messages. Messages that turn
+//! motors off have priority: [`Hub::next`] returns them before all others.
 
 use super::message::FromPage;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
@@ -37,7 +37,8 @@ pub enum Event {
 pub enum Message {
     /// A JSON document.
     Text(String),
-    /// Numbers of four bytes each: their kind, then a sweep ([`super::scope::Scope::bytes`]) or rate and sound.
+    /// Numbers of four bytes each, little-endian: their kind, then a sweep ([`super::scope::Scope::bytes`]) or rate and
+    /// sound.
     Bytes(Vec<u8>),
 }
 
@@ -45,11 +46,11 @@ pub enum Message {
 /// only the newest picture and scope are kept.
 #[derive(Debug, Default)]
 pub struct Outbox {
-    /// JSON documents, see [`Outbox::tell`].
+    /// JSON documents in sending order.
     pub messages: VecDeque<String>,
     /// Newest picture, a JSON document.
     pub picture: Option<String>,
-    /// Newest scope, encoded by [`super::scope::Scope::bytes`].
+    /// Newest sweep of the oscilloscope, encoded by [`super::scope::Scope::bytes`].
     pub scope: Option<Vec<u8>>,
     /// Rate in Hz and samples of motor torque (N m), for the sound.
     pub sound: (f32, VecDeque<f32>),
@@ -75,7 +76,7 @@ impl Outbox {
         self.messages.push_back(document);
     }
 
-    /// Adds samples of the sound.
+    /// Adds samples of motor torque for the sound.
     pub fn hear(&mut self, rate_hz: f32, samples: &[f32]) {
         self.sound.0 = rate_hz;
         self.sound.1.extend(samples);
@@ -94,7 +95,7 @@ struct Page {
     dropped: u64,
     /// Queued release of the key, or motors-off, which replaces a release.
     stop: Option<FromPage>,
-    /// Newest message about the page's key, which replaces older ones.
+    /// Control step of the newest hold message, which replaces older ones.
     hold: Option<u32>,
 }
 
@@ -197,7 +198,7 @@ impl Hub {
         if let Some(gone) = pages.gone.pop_first() {
             return Some(Event::Disconnected(gone));
         }
-        // The stage learns of a page before its messages, except for those that turn motors off.
+        // Reports a page to the stage before its messages, except for messages that turn motors off.
         let stop = pages.open.iter_mut().find_map(|(id, page)| Some((*id, page.stop.take()?)));
         if let Some((id, stop)) = stop {
             return Some(Event::Received(id, Ok(stop)));
@@ -218,7 +219,7 @@ impl Hub {
         None
     }
 
-    /// Drops the queued messages of all pages, which stay known.
+    /// Drops the queued incoming messages of all pages. The stage still knows the pages.
     pub fn forget(&self) {
         let mut pages = self.pages();
         pages.gone.clear();
@@ -288,7 +289,7 @@ mod tests {
         assert_eq!((outbox.sound.1.len(), outbox.sound.1.back()), (MAX_SOUND, Some(&7.0)));
     }
 
-    /// A hub with pages that the stage knows.
+    /// Returns a hub with pages that the stage knows.
     fn hub_with_pages(pages: u64) -> Hub {
         let hub = Hub::default();
         (0..pages).for_each(|_| assert!(hub.come().is_some()));
@@ -326,7 +327,7 @@ mod tests {
         (0..10_000).for_each(|_| hub.said(2, Ok(FromPage::Here {})));
         hub.go(1);
         assert_eq!(hub.next(), Some(Event::Disconnected(1)));
-        // The stage never learns of a page that disconnects first.
+        // A page that disconnects at once is never reported to the stage.
         let third = hub.come().unwrap();
         hub.go(third);
         assert!(

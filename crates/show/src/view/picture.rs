@@ -1,7 +1,7 @@
-//! One moment as a page draws it: positions and numbers.
+//! The state at one moment as a page draws it: positions and numbers.
 //!
-//! A planar device is drawn as it is. A device in space is drawn in the xy plane, which is the plane of the linkage at
-//! joint 0 = 0.
+//! A planar device is drawn in its plane. A device in space is drawn in the xy plane, which is the plane of the linkage
+//! at joint 0 = 0.
 
 use super::scope::Ring;
 use haptic_bridge::board::telemetry::{Field, Fields};
@@ -40,7 +40,7 @@ const OSCILLATION_TIME: f64 = 0.3;
 /// A point or a vector of the drawn plane.
 type Flat = [f64; 2];
 
-/// The ellipse of effective inertia, from Λ: each half axis is the inertia that a push along it meets.
+/// The ellipse of effective inertia, from Λ; each half axis is the inertia that a push along the axis meets.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Ellipse {
     /// Largest and smallest effective inertia, kg.
@@ -73,7 +73,7 @@ pub struct Numbers {
     pub force: f64,
     /// Depth in the nearest wall, m; negative outside.
     pub depth: f64,
-    /// Motor force across that normal, N: it pushes a hand along the wall.
+    /// Motor force across the nearest wall's normal, N, which pushes a hand along the wall.
     pub sideways: f64,
     /// Deviation of the force from its mean over the last tenth of a second, N rms.
     pub ripple: f64,
@@ -86,7 +86,7 @@ pub struct Numbers {
     pub energy: f64,
     /// Share of the last tenth of a second in which a motor was at its limit.
     pub saturated: f64,
-    /// Weff and Wrr along that normal, kg; `None` at a singular pose.
+    /// Weff and Wrr along the nearest wall's normal, kg; `None` at a singular pose.
     pub inertia: Option<Flat>,
     /// Index of the nearest wall, from 0.
     pub wall: Option<usize>,
@@ -202,7 +202,7 @@ fn spring_anchor(spring: &Spring<f64>, tip: &[f64]) -> [f64; 3] {
     core::array::from_fn(|i| point[i] + along * direction[i])
 }
 
-/// Returns the drawn position of a paddle's tip: from its skeleton, because its task is the length of an arc.
+/// Returns the drawn position of a paddle's tip, from its skeleton, because its task coordinate is an arc length.
 fn paddle_tip(links: Option<&Description>, q: &[f64], tip: &[f64]) -> Flat {
     let drawn = links.and_then(|links| skeleton(links, q));
     drawn.map_or([tip.first().copied().unwrap_or(0.0), 0.0], |drawn| drawn.tip.into())
@@ -226,7 +226,7 @@ fn ripple(values: impl Iterator<Item = f64>) -> f64 {
 }
 
 /// Computes the frequency of an oscillation about the mean from its upward crossings. A crossing counts only after the
-/// value was below the mean by half the rms, so that noise is not counted.
+/// value was below the mean by half the rms, so that noise does not count.
 fn frequency(values: &[f64], rows_hz: f64) -> Option<f64> {
     let mean = values.iter().sum::<f64>() / values.len() as f64;
     let margin = 0.5 * ripple(values.iter().copied());
@@ -346,7 +346,7 @@ mod tests {
         assert!((x + 2.0 * angle.sin()).abs() < 1e-5 && (y - 2.0 * angle.cos()).abs() < 1e-5, "{x} {y}");
     }
 
-    /// The torques Jᵀ n f of a force f along the wall's normal push the tip with f along the normal, and not sideways.
+    /// Torques Jᵀ n f for a force f along the wall's normal push the tip with f along the normal, and not sideways.
     #[test]
     fn a_force_along_the_normal_is_drawn_along_it() {
         let demo = Demo::shipped(1).unwrap();

@@ -1,9 +1,9 @@
-//! An oscilloscope for telemetry: it keeps every row for a while, and its trigger checks every row.
+//! An oscilloscope for telemetry, which keeps the rows of the last seconds and checks its trigger at every row.
 
 use super::message::{ScopeRequest, Trigger};
 use std::collections::VecDeque;
 
-/// Maximum number of columns of a sweep; with more rows, each column has their smallest and largest value.
+/// Maximum number of columns of a sweep; each column has the smallest and the largest value of its rows.
 pub const MAX_COLUMNS: usize = 800;
 /// Longest window, s.
 pub const LONGEST: f64 = 2.0;
@@ -58,13 +58,13 @@ impl Ring {
         self.end
     }
 
-    /// Returns a number by its row and column.
+    /// Returns the value in a row and a column.
     pub fn at(&self, row: u64, column: usize) -> Option<f32> {
         let index = usize::try_from(row.checked_sub(self.begin())?).ok()?;
         (column < self.columns).then(|| self.values.get(index * self.columns + column).copied()).flatten()
     }
 
-    /// Returns the last `rows` numbers of a column that arrived, oldest first.
+    /// Returns the values that arrived among the last `rows` rows of a column, oldest first.
     pub fn last(&self, column: usize, rows: u64) -> impl Iterator<Item = f32> {
         (self.end.saturating_sub(rows).max(self.begin())..self.end)
             .filter_map(move |row| self.at(row, column))
@@ -88,7 +88,7 @@ pub enum Phase {
 /// A window of rows for the screen.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sweep {
-    /// Kind.
+    /// Kind of the sweep.
     pub phase: Phase,
     /// Smallest and largest value of each column, for each channel.
     pub channels: Vec<Vec<(f32, f32)>>,
@@ -100,7 +100,7 @@ struct ActiveTrigger {
     column: usize,
     /// Rows of the window before the crossing.
     before: u64,
-    /// Number of the first row that was not checked yet.
+    /// Number of the first row that the trigger has not checked.
     next: u64,
     /// Row of a crossing whose window is not complete yet.
     crossing: Option<u64>,
@@ -152,7 +152,7 @@ impl Scope {
         Ok(Self { columns, rows, seconds: request.seconds, trigger: active })
     }
 
-    /// Returns the newest sweep, if there is a new one.
+    /// Returns a sweep if a new one is complete.
     pub fn sweep(&mut self, ring: &Ring) -> Option<Sweep> {
         let Some(active) = &mut self.trigger else { return Some(self.window(ring, ring.end(), Phase::Rolling)) };
         if active.is_done {
@@ -182,7 +182,7 @@ impl Scope {
                 Some(self.window(ring, end, phase))
             }
             Some(_) => None,
-            // Without a crossing for two windows, the signal is shown anyway, so that a level can be chosen.
+            // Shows the newest rows after two windows without a crossing, so that a level can be chosen.
             None if !active.trigger.once && ring.end() > active.sweep_end + 2 * self.rows => {
                 Some(self.window(ring, ring.end(), Phase::Waiting))
             }

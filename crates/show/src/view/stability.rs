@@ -1,5 +1,5 @@
-//! The predicted boundary of a wall's gains at the present pose, computed on a separate thread; in a browser, which has
-//! no threads here, computed on request (some milliseconds).
+//! The predicted boundary of a wall's gains at the present pose. A separate thread computes it; without threads, as in
+//! a browser, it is computed at once on request, in some milliseconds.
 
 use haptic_bridge::render::scene::{FeedForward, Scene};
 use haptic_host::words::{counted, digits, listed, with_unit};
@@ -52,9 +52,9 @@ pub struct Plane {
     pub w_rr: f64,
     /// kp_max (N/m) over damping (N s/m), without feed-forward.
     pub off: Vec<BoundaryPoint>,
-    /// With feed-forward.
+    /// kp_max over damping, with feed-forward.
     pub full: Vec<BoundaryPoint>,
-    /// With the feed-forward behind the wall's washout.
+    /// kp_max over damping, with the feed-forward behind the wall's washout.
     pub washout: Vec<BoundaryPoint>,
     /// Assumptions of the prediction, and effects that it leaves out: one sentence each.
     #[serde(default)]
@@ -83,9 +83,9 @@ pub struct Explained {
 pub struct Without {
     /// The effect.
     pub effect: String,
-    /// The condition that replaces it.
+    /// The condition that replaces the effect.
     pub instead: String,
-    /// Largest stable stiffness then, N/m; `None` if it is unlimited.
+    /// Largest stable stiffness without the effect, N/m; `None` if it is unlimited.
     pub stiffness: Option<f64>,
 }
 
@@ -147,7 +147,7 @@ pub fn predict(request: &PredictionRequest) -> Option<Plane> {
     })
 }
 
-/// Returns the oscillation of the wall with its present gains: outside the boundary, its buzz.
+/// Returns the predicted oscillation of the wall with its present gains: the buzz of an unstable wall.
 pub fn buzz(request: &PredictionRequest) -> Option<Oscillation> {
     let wall = request.scene.walls.get(request.wall)?;
     let (prediction, _) = request.prediction()?;
@@ -207,7 +207,7 @@ fn assumptions(request: &PredictionRequest, prediction: &Prediction, model: &Lin
         ),
         format!("Velocity: {estimator}{over}{filter}."),
         match &control.drive {
-            Drive::Ideal => "Drive: torque at once.".into(),
+            Drive::Ideal => "Drive: ideal, torque acts at once.".into(),
             Drive::Current { bandwidth_hz } => {
                 format!("Drive: a current loop that lags as {} does.", with_unit(*bandwidth_hz, "Hz"))
             }
@@ -230,9 +230,9 @@ fn assumptions(request: &PredictionRequest, prediction: &Prediction, model: &Lin
         (None, _) => "Transmissions: assumed to be rigid, because no file of this device is known here.".into(),
         (_, true) => "Transmissions: rigid, as in the device file.".into(),
         (_, false) => format!(
-            "Transmissions: {} give{} as in the device file{}.",
+            "Transmissions: {} {} compliant as in the device file{}.",
             joints(compliant.clone()),
-            if compliant.len() == 1 { "s" } else { "" },
+            if compliant.len() == 1 { "is" } else { "are" },
             at_tip.unwrap_or_default()
         ),
     });
@@ -253,14 +253,14 @@ fn assumptions(request: &PredictionRequest, prediction: &Prediction, model: &Lin
         sentences.push(format!("Feed-forward: {} times equation (4), as in the scene.", digits(model.gain)));
     }
     sentences.push(match prediction.hand.is_there() {
-        true => "Hand: as given.".into(),
+        true => "Hand: as in the device file or the scene.".into(),
         false => {
             "Hand: none, because neither device file nor scene has one. A light grip mostly quiets a wall.".to_string()
         }
     });
     let list = |values: &[f64]| values.iter().map(|value| format!("{value:.2}")).collect::<Vec<_>>().join(", ");
     sentences.push(format!("Pose: joints at {} rad, this wall along ({}).", list(&request.q), list(&request.normal)));
-    let mut left_out = vec!["that a wall only pushes", "dry friction", "encoder steps", "the motors' limits"];
+    let mut left_out = vec!["one-sided contact", "dry friction", "encoder steps", "the motors' limits"];
     if scene.walls.len() > 1 {
         left_out.push("the scene's other walls");
     }
@@ -274,10 +274,10 @@ fn assumptions(request: &PredictionRequest, prediction: &Prediction, model: &Lin
     sentences
 }
 
-/// Computes the newest request and skips older ones that are still waiting.
+/// Computes predictions; skips all waiting requests except the newest.
 #[derive(Debug)]
 pub struct Predictor {
-    /// Channel to a thread that computes; `None` without threads, where each request is computed at once.
+    /// Channel to the computing thread; `None` without threads, where each request is computed at once.
     requests: Option<Sender<PredictionRequest>>,
     result_sender: Sender<Option<Plane>>,
     results: Receiver<Option<Plane>>,
@@ -314,8 +314,8 @@ impl Predictor {
         self.explain = true;
     }
 
-    /// Returns true if the limiting effects should be requested now, with the motors on or off. Without a thread the
-    /// computation would delay messages about the key by some tenths of a second, so it waits until the motors are off.
+    /// Returns true if the limiting effects should be requested now. Without a thread their computation would delay
+    /// messages about the key by some tenths of a second, so it waits until the motors are off.
     pub fn should_explain(&self, motors_on: bool) -> bool {
         self.explain && !(motors_on && self.requests.is_none())
     }
@@ -329,7 +329,7 @@ impl Predictor {
         };
     }
 
-    /// Returns the result, once it is available.
+    /// Returns the newest result if a request was completed.
     pub fn take_result(&mut self) -> Option<Option<Plane>> {
         let result = self.results.try_iter().last();
         self.is_busy &= result.is_none();
@@ -371,7 +371,7 @@ mod tests {
         assert!(to(FeedForward::Off) < demo.stiffness && demo.stiffness < to(FeedForward::Washout));
         assert!(to(FeedForward::Washout) < to(FeedForward::Full));
         assert_eq!(plane.stiffness_to(FeedForward::Off, 1e6), 0.0, "no damping beyond the boundary is stable");
-        // Without a thread, the long computation waits for the motors to be off.
+        // Without a thread, the long computation waits until the motors are off.
         predictor.explain();
         assert!(predictor.should_explain(true) && predictor.should_explain(false));
         predictor.requests = None;

@@ -2,13 +2,13 @@
 //!
 //! One page commands, the others watch. The motors are on only while the page in command holds its key down: if the
 //! page releases the key, closes, or sends no hold message for [`KEY_TIMEOUT`], the motors go off. Any page may turn
-//! them off. With its key a page sends the newest control step that it had been shown when it saw the key, and this
-//! step goes on to the board ([`Board::hold_key`]): the board thus knows the age of the press, however slow the link
-//! is. Simulated motors are harmless: they stay on until the key is released or the page is gone, however slow the
-//! computer is.
+//! the motors off. With each message about its key a page sends the control step of the newest picture that it had
+//! received when it detected the key. The stage passes this step to the board ([`Board::hold_key`]), which thus knows
+//! the age of the key press on a link of any delay. Simulated motors are harmless, so they stay on until the key is
+//! released or the page is gone, however slow the computer is.
 //!
-//! The stage reads no clock: the caller of [`Stage::turn`] passes the time. The tool calls it in a loop
-//! ([`Stage::run`]), the page as a file whenever the browser allows (clients/page/).
+//! The stage reads no clock: the caller of [`Stage::turn`] passes the time. The tool calls `turn` in a loop
+//! ([`Stage::run`]), and the page as a file whenever the browser allows (clients/page/).
 
 mod messages;
 mod recording;
@@ -45,14 +45,15 @@ use std::thread;
 use std::time::{Duration, Instant};
 use walls::check_scene;
 
-/// Maximum number of events in a turn; those that turn motors off come first ([`Hub::next`]).
+/// Maximum number of events that one turn handles.
 const MAX_EVENTS: usize = 64;
 /// Longest age of the key press, both by the board's steps and by the page's last message, before the motors go off. It
 /// is shorter than the board's own limit ([`haptic_bridge::control::KEY_SECONDS`]), which causes a fault; the margin is
 /// a heartbeat and a turn of this stage.
 pub const KEY_TIMEOUT: Duration = Duration::from_millis(400);
-/// Distance out of a wall to which the simulated hand first moves a tip, m, and time limit of this movement.
+/// Distance from the wall to which the simulated hand moves a tip before the motors go on, m.
 const EXIT_DISTANCE: f64 = 0.005;
+/// Time limit for the movement out of a wall.
 const EXIT_TIMEOUT: Duration = Duration::from_secs(2);
 /// Longest silence of the page in command before another page may take command.
 const COMMAND_TIMEOUT: Duration = Duration::from_secs(5);
@@ -62,7 +63,7 @@ const PICTURE_INTERVAL: Duration = Duration::from_micros(16_600);
 const SWEEP_INTERVAL: Duration = Duration::from_millis(40);
 /// Interval between polls of slowly changing state.
 const POLL_INTERVAL: Duration = Duration::from_millis(500);
-/// Maximum simulated time to catch up after the computer was busy, and maximum time that a turn counts as listening.
+/// Maximum simulated time to catch up after the computer was busy, and maximum part of a turn that counts as listening.
 const MAX_CATCH_UP: Duration = Duration::from_millis(50);
 /// Simulated time between two polls of the pages' messages.
 const SLICE: Duration = Duration::from_millis(8);
@@ -74,21 +75,20 @@ const CORE_HZ: f64 = 168e6;
 /// Outcome of a turn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Turn {
-    /// Time has passed; there may be more to catch up.
+    /// Time has passed, and there may be more to catch up.
     Played,
     /// Simulated time is up to date.
     Ahead,
 }
 
-/// The stage.
+/// State of the thread that owns the board.
 pub struct Stage {
     world: World,
     hub: Hub,
-    /// Time since the stage was opened, and the part of it in which the stage received messages: its own long waits are
-    /// not counted, because messages of that time may not have arrived yet.
+    /// Time since the stage was opened.
     now: Duration,
+    /// Part of `now` in which the stage could receive messages, without its own long waits.
     listened: Duration,
-    /// Times of the last picture, sweep, and poll.
     last_picture: Duration,
     last_sweep: Duration,
     last_poll: Duration,
@@ -100,8 +100,9 @@ pub struct Stage {
     rules: Rules,
     columns: Vec<Column>,
     rows_hz: f64,
-    /// The device with its transmissions, and the board's delay and drives.
+    /// The device with its transmissions.
     subject: Subject,
+    /// The board's delay and drives.
     path: TorquePath,
     ring: Ring,
     last_step: Option<u32>,
@@ -111,10 +112,11 @@ pub struct Stage {
     scopes: BTreeMap<PageId, Scope>,
     listeners: Vec<PageId>,
     command: Option<(PageId, Duration)>,
-    /// Newest step that the page had been shown when it saw its key down, and time of its last message, by `listened`.
+    /// Control step of the newest picture when the page detected its key; `None` without a held key.
     held: Option<u32>,
+    /// Value of `listened` at the last message about the key.
     key_time: Duration,
-    /// Time of the key press, while a simulated hand moves the tip out of a wall; the motors go on afterwards.
+    /// Time of the key press while a simulated hand moves the tip out of a wall, before the motors go on.
     exiting: Option<Duration>,
     goal: Option<[f64; 2]>,
     state: State,
@@ -126,7 +128,7 @@ pub struct Stage {
     /// Predicted oscillation of the plane's wall if its gains are unstable.
     buzz: Option<Oscillation>,
     pace: Pace,
-    /// Folder for recordings, if there is one, and the active recording.
+    /// Folder for recordings; `None` disables recording.
     folder: Option<PathBuf>,
     recording: Option<ActiveRecording>,
 }
@@ -217,7 +219,7 @@ impl Stage {
         result.and(ended)
     }
 
-    /// Ends the view, with the motors off. A board that was `lost` turns them off itself.
+    /// Ends the view, with the motors off. A board that was `lost` turns its motors off itself.
     pub fn end(&mut self, lost: bool) -> Result<(), LinkError> {
         self.stop_recording(lost);
         self.disarm()?;
@@ -276,7 +278,7 @@ impl Stage {
         }
         let passed = self.world.board.now().saturating_sub(self.pace.board_began);
         let behind = self.now.saturating_sub(self.pace.began).saturating_sub(passed);
-        // Time for which the computer was too slow is not made up, because the picture would race.
+        // Does not catch up with more than `MAX_CATCH_UP`, because the picture would race.
         self.pace.began += behind.saturating_sub(MAX_CATCH_UP);
         Some(behind.min(SLICE)).filter(|behind| !behind.is_zero())
     }
@@ -327,7 +329,7 @@ impl Stage {
         Ok(())
     }
 
-    /// Checks the dead man's key of real motors: silence counts as a release. The age by the board's steps is not
+    /// Checks the dead man's key of real motors; silence of its page counts as a release. The age in board steps is not
     /// sufficient, because an emulated board may run slower than real time.
     fn check_key(&mut self) -> Result<(), LinkError> {
         let age = |seen: u32| f64::from(self.world.board.step().wrapping_sub(seen)) / self.scene.rate_hz;
@@ -435,7 +437,7 @@ impl Stage {
     }
 
     fn execute(&mut self, id: PageId, message: FromPage) -> Result<(), BoardError> {
-        // Any page may send these.
+        // Handles the messages that any page may send.
         match &message {
             FromPage::Here {} => return Ok(()),
             FromPage::Disarm {} => return Ok(self.disarm()?),
@@ -480,7 +482,7 @@ impl Stage {
             FromPage::Release {} => self.disarm()?,
             FromPage::Arm { seen } if self.held.is_none() => self.press(seen)?,
             FromPage::Hold { seen } if self.exiting.is_some() => self.press(seen)?,
-            // Only a press arms, not a key that was down when something else turned the motors off.
+            // Only a press arms. A key that stayed down while something else turned the motors off does not arm.
             FromPage::Arm { seen } | FromPage::Hold { seen } => {
                 self.key_time = self.listened;
                 if self.held.is_some_and(|before| before != seen) {
@@ -539,7 +541,7 @@ impl Stage {
         lead(simulated, None);
         self.goal = None;
         simulated.lock().device_mut().place(start);
-        // The board's encoders see this as a jump: clear the fault before it is reported.
+        // The jump of the encoders is a fault: clears it before it is reported.
         self.world.board.rows(SLICE)?;
         match self.board().clear() {
             Err(BoardError::Link(error)) => return Err(error.into()),

@@ -5,11 +5,11 @@ use haptic_bridge::safety::fault::State;
 use haptic_host::error::Failure;
 use haptic_host::words::{counted, short};
 
-/// Creates the panel of a recording's force; the stiffness goes into `analysis`.
+/// Creates the panel of force over penetration, and writes the fitted stiffness into `analysis`.
 pub(super) fn over_penetration(rows: &Rows<'_>, force: &str, analysis: &mut Analysis) -> Result<Panel, Failure> {
     let (distance, column) = (rows.column("distance_m")?, rows.column(force)?);
     let deepest = rows.rows.iter().fold(0.0_f64, |deepest, row| deepest.max(-row[distance]));
-    // Rows far from the wall are left out, because they would be a line of points along the axis.
+    // Leaves out rows far from the wall, because they would be a line of points along the axis.
     let near = |row: &[f64]| -row[distance] >= -0.1 * deepest;
     let mut pieces = Vec::new();
     for piece in rows.pieces(|i, _| (i as f64, 0.0)) {
@@ -25,7 +25,7 @@ pub(super) fn over_penetration(rows: &Rows<'_>, force: &str, analysis: &mut Anal
         pieces.push(open);
     }
     pieces.retain(|piece| piece.len() > 1);
-    // With the motors off there is no wall, at any depth.
+    // Leaves out rows with the motors off, in which no wall is rendered.
     let state = rows.recording.column("state");
     let on = |row: &&Vec<f64>| state.is_none_or(|state| row[state] == State::Armed as usize as f64);
     let ramping = rows.ramp_test();
@@ -82,7 +82,7 @@ enum NoLine {
 const MIN_POINTS: usize = 20;
 /// Largest standard error of a slope, as a share of the slope.
 const MAX_SLOPE_ERROR: f64 = 0.2;
-/// Relative depth differences below this are rounding errors: single precision has seven digits.
+/// Relative range of depths below which they differ only by rounding errors of single precision.
 const MIN_DEPTH_RANGE: f64 = 1e-5;
 
 fn fit_line(points: &[(f64, f64)]) -> Result<Fit, NoLine> {
@@ -98,7 +98,7 @@ fn fit_line(points: &[(f64, f64)]) -> Result<Fit, NoLine> {
     let rest: f64 = points.iter().map(|p| (p.1 - y - slope * (p.0 - x)).powi(2)).sum();
     let error = (rest / ((count - 2.0) * spread)).sqrt();
     let (low, high) = points.iter().fold((x, x), |(low, high), p| (low.min(p.0), high.max(p.0)));
-    // Rejects depths that differ only by rounding errors, and NaN, the result without motion.
+    // Rejects depths that differ only by rounding errors, and NaN, which results without motion.
     if !(slope > 0.0 && error < MAX_SLOPE_ERROR * slope && high - low > MIN_DEPTH_RANGE * high.abs()) {
         return Err(NoLine::Scattered);
     }

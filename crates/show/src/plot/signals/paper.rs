@@ -7,13 +7,13 @@ use crate::plot::canvas::{Anchor, Canvas, SMALL, Stroke};
 use crate::plot::colour::{BOUND, FULL, INK, OFF, WASHOUT};
 use crate::plot::paper::{EDGE, Paper, wrap};
 
-/// Size of a panel's frame, and of the room around it, in units of the drawing (pixels on a screen).
+/// Width and height of a panel's frame, drawing units (pixels on a screen).
 const SIZE: (f64, f64) = (600.0, 190.0);
 const LEFT: f64 = 96.0;
 const RIGHT: f64 = 24.0;
 const HEAD: f64 = 86.0;
 const FOOT: f64 = 84.0;
-/// Number of points from which on a line that may cross itself is drawn thin.
+/// Number of points above which force and phase curves are drawn thin.
 const MANY_POINTS: usize = 1000;
 const COLOURS: [&str; 4] = [FULL, OFF, WASHOUT, BOUND];
 
@@ -36,7 +36,7 @@ pub fn draw(title: &str, subtitle: &[String], analysis: &Analysis, paper: Paper)
     canvas.finish(title, &format!("A recording: {}.", views.join("; ")))
 }
 
-/// Adds a panel below the others, with the left edge of its frame at `left` and this size.
+/// Draws a panel at the bottom of the canvas; `left` and `size` are those of its frame.
 fn draw_panel(canvas: &mut Canvas, left: f64, size: (f64, f64), panel: &Panel) {
     let notes = wrap(&panel.note, left + size.0 - EDGE, SMALL);
     let colours = COLOURS.into_iter().cycle();
@@ -49,7 +49,7 @@ fn draw_panel(canvas: &mut Canvas, left: f64, size: (f64, f64), panel: &Panel) {
     let longest = entries.iter().map(|(_, name)| name.chars().count()).max().unwrap_or(0) as f64;
     let in_a_row = ((size.0 / (53.0 + 6.5 * longest)) as usize).max(1);
     let legend: Vec<_> = if entries.len() > 1 { entries.chunks(in_a_row).collect() } else { Vec::new() };
-    // One line of notes and one line of the legend have room between two frames.
+    // Between two frames there is room for one line of notes and one line of the legend.
     let noted = 14.0 * (notes.len() - 1) as f64;
     let above = noted + 18.0 * legend.len().saturating_sub(1) as f64;
     let at = (left, canvas.lengthen(above + size.1 + FOOT) + above);
@@ -61,7 +61,7 @@ fn draw_panel(canvas: &mut Canvas, left: f64, size: (f64, f64), panel: &Panel) {
         if low > high { (0.0, 1.0) } else { (low, high) }
     };
     let axis = |quantity: &Quantity, (low, high): (f64, f64), room: f64| {
-        // A constant gets an axis with the line in its middle.
+        // Centres the axis on the value of a constant curve.
         let span =
             if high - low > 1e-12 * high.abs().max(low.abs()) { high - low } else { 1e-3_f64.max(0.2 * high.abs()) };
         Axis {
@@ -111,7 +111,7 @@ fn is_finite(point: &(f64, f64)) -> bool {
     point.0.is_finite() && point.1.is_finite()
 }
 
-/// Thins out points if more than one is within half a pixel: keeps the first, lowest, highest and last of each half
+/// Thins out points if more than four are within half a pixel: keeps the first, lowest, highest and last of each half
 /// pixel, so that no peak is lost.
 fn envelope(frame: &PlotArea, piece: &[(f64, f64)]) -> Vec<(f64, f64)> {
     let mut kept: Vec<(f64, f64)> = Vec::new();

@@ -99,7 +99,7 @@ impl Stage {
         let has_moved = self.requested.as_ref().is_none_or(|(requested, at)| {
             *requested != wall || at.iter().zip(&q).any(|(before, now)| (before - now).abs() > MAX_ROTATION)
         });
-        // The limiting effects are computed once for a pose and a feed-forward, however often pages request them.
+        // Computes the limiting effects once for a pose and a feed-forward, however often pages request them.
         let explain = self.predictor.should_explain(self.state.drives());
         let explained = self.plane.as_ref().and_then(|plane| plane.limits.as_ref()).map(|limits| limits.feed_forward);
         let is_unexplained = explain
@@ -119,7 +119,7 @@ impl Stage {
 
     fn prediction_request(&self, wall: usize, q: Vec<f64>, normal: &Vector3<f64>) -> PredictionRequest {
         let hand = hand_settings();
-        // At the frequency of a buzz a hand hardly moves, so its grip holds the tip.
+        // The hand's grip holds the tip, because a hand hardly moves at the frequency of a buzz.
         let grip = Hand { mass: 0.0, damping: hand.grip_damping, stiffness: hand.grip_stiffness };
         PredictionRequest {
             subject: self.subject.clone(),
@@ -148,7 +148,7 @@ impl Stage {
     /// Describes the state of the motors if the connection to this stage is lost.
     fn if_lost(&self) -> &'static str {
         match (self.world.simulated.is_some(), self.state.drives(), self.rules.host_action) {
-            (true, ..) => "the simulated board is gone too, or turned its motors off with the key",
+            (true, ..) => "the simulated motors are off: the board is gone, or the lost key turned its motors off",
             _ if self.held.is_some() => {
                 "the board turns its motors off half a second after the last message about the key"
             }
@@ -170,7 +170,7 @@ impl Stage {
         }
     }
 
-    /// Returns the facts that do not change.
+    /// Returns the message with the facts that do not change during a view.
     pub(super) fn hello(&self) -> Value {
         let info = self.world.board.info();
         let hand = hand_settings();
@@ -237,7 +237,8 @@ impl Stage {
         self.send(id, &json!({"is": "refused", "why": why}));
     }
 
-    /// Sends a refusal that is shown while its cause persists, with the page's name for the cause (page/link.js).
+    /// Sends a refusal that the page shows while its cause persists; `cause` is the page's name for the cause
+    /// (page/link.js).
     pub(super) fn refuse_while(&self, cause: &str, id: PageId, why: &str) {
         self.send(id, &json!({"is": "refused", "of": cause, "why": why}));
     }

@@ -1,4 +1,4 @@
-//! The recording that a page starts and stops.
+//! Recordings that pages start and stop.
 
 use super::Stage;
 use crate::recorder::about::About;
@@ -13,7 +13,7 @@ use serde_json::json;
 pub(super) struct ActiveRecording {
     writer: RowWriter,
     rate_hz: f64,
-    /// Steps of the first and the newest row.
+    /// Control steps of the first and the newest row.
     steps: Option<(u32, u32)>,
     rows: u64,
     /// The board's losses at the start of the recording.
@@ -38,7 +38,6 @@ impl ActiveRecording {
         self.writer.event(self.time(), words)
     }
 
-    /// Writes the gathered rows to the file.
     pub(super) fn flush(&mut self) -> Result<(), RecordError> {
         self.writer.flush()
     }

@@ -1,4 +1,4 @@
-//! Changes of walls by pages (gains, positions), and the board's scene afterwards.
+//! Changes that pages make to walls (gains, positions).
 
 use super::Stage;
 use crate::view::hub::PageId;
@@ -24,7 +24,7 @@ pub(super) fn check_scene(scene: &Scene<f32>, device: &Device<f64>) -> Result<Sc
     }
 }
 
-/// Tolerance of a gain, because links round gains to six digits.
+/// Factor by which a gain may exceed a limit, because links to the page round gains to six digits.
 const TOLERANCE: f64 = 1.000_01;
 
 impl Stage {
@@ -60,7 +60,7 @@ impl Stage {
         if let Some(plane) = self.plane.as_ref().filter(|plane| plane.wall == usize::from(wall) && !beyond) {
             let max = plane.stiffness_to(feed_forward, f64::from(damping));
             let max_now = plane.stiffness_to(present.feed_forward, present.damping);
-            // If the gains are already outside, only a feed-forward with a smaller range needs a confirmation.
+            // With gains already outside the boundary, only a feed-forward with a smaller range needs a confirmation.
             let less_stable = feed_forward != present.feed_forward && max < max_now;
             if f64::from(stiffness) > max && (present.stiffness <= max_now || less_stable) {
                 let why = format!(
