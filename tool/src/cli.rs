@@ -41,7 +41,7 @@ fn overwrite_error(matches: &ArgMatches) -> Option<clap::Error> {
     if !matches.try_get_one::<bool>("force").ok()?.is_some_and(|force| *force) {
         return None;
     }
-    // The values of a group are the names of its options, not files.
+    // Skips groups, whose values are names of options and not files.
     let named = matches.ids().filter(|id| matches.try_get_many::<clap::Id>(id.as_str()).is_err());
     let values = named.filter_map(|id| matches.try_get_raw(id.as_str()).ok()?).flatten();
     let mut files = values.filter_map(|value| std::fs::canonicalize(value).ok().filter(|path| path.is_file()));
@@ -55,7 +55,7 @@ fn overwrite_error(matches: &ArgMatches) -> Option<clap::Error> {
     Some(clap::Error::raw(clap::error::ErrorKind::ArgumentConflict, message).with_cmd(&command()))
 }
 
-/// Commands of the previous version that have another name now: old and new spelling.
+/// Old and new spelling of the commands that the previous version calls by another name.
 const RENAMED: &[(&str, &str)] = &[
     ("backup", "haptic board backup"),
     ("clear", "haptic faults --clear"),
@@ -164,7 +164,7 @@ mod tests {
         assert!(shown <= 30, "{shown} commands are too many for one help page");
     }
 
-    /// Names of all commands and subcommands.
+    /// Returns the names of all commands and subcommands.
     fn command_names() -> Vec<String> {
         let mut pending = vec![(String::new(), command())];
         let mut names = Vec::new();
@@ -182,7 +182,7 @@ mod tests {
     fn every_example_parses() {
         for command in command_names() {
             for line in examples(&command) {
-                // The rest of the line belongs to the shell.
+                // Parses only the part before a pipe or a redirection.
                 let words = line.split(['|', '>']).next().unwrap_or_default().split_whitespace();
                 let parsed = parse_words(words.map(OsString::from).collect());
                 assert!(parsed.is_ok(), "{line}: {}", parsed.err().unwrap());

@@ -9,7 +9,7 @@ mod commands;
 use haptic_host::error::Choice;
 use std::process::ExitCode;
 
-/// Returns the option that makes a choice.
+/// Returns the option with which a user makes the choice that a failure asks for.
 fn option(choice: Choice) -> &'static str {
     match choice {
         Choice::Pose => "--q",

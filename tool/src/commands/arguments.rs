@@ -41,7 +41,7 @@ impl std::fmt::Display for Numbers {
 }
 
 impl Numbers {
-    /// Returns the numbers if there are exactly `count`; `option` and `meaning` are for the message.
+    /// Returns the numbers if there are exactly `count`. `option` and `meaning` appear in the error.
     pub fn exactly(&self, count: usize, option: &str, meaning: &str) -> Result<Vec<f64>, Failure> {
         if self.0.len() == count {
             return Ok(self.0.clone());
@@ -64,8 +64,8 @@ impl Numbers {
         Ok(self.0.clone())
     }
 
-    /// Returns for each of `walls` walls true if it has the feed-forward: false for the indices in `without`, which
-    /// count from 0. Returns an error if no wall has it.
+    /// Returns one flag per wall, false for a wall in `without` (indices from 0), whose feed-forward is off. Returns an
+    /// error if every wall is in `without`.
     pub fn with_feed_forward(without: Option<&Self>, walls: usize, option: &str) -> Result<Vec<bool>, Failure> {
         let mut with = vec![true; walls];
         for index in without.iter().flat_map(|without| &without.0) {
@@ -111,7 +111,6 @@ impl DeviceAt {
     }
 }
 
-/// The coordinate that a redundant device holds.
 #[derive(clap::Args)]
 pub struct Holding {
     /// Coordinate that a redundant device holds
@@ -119,7 +118,6 @@ pub struct Holding {
     pub admissible: Admissible,
 }
 
-/// Walls that act together.
 #[derive(clap::Args)]
 pub struct WallArgs {
     /// Normal of a wall at the tip, of any length; once for each wall that acts
@@ -135,22 +133,20 @@ pub struct WallArgs {
 }
 
 impl WallArgs {
-    /// Number of walls.
     pub fn count(&self) -> usize {
         self.normal.len()
     }
 
-    /// Returns the normals as typed.
     pub fn normals(&self) -> impl Iterator<Item = &Numbers> {
         self.normal.iter()
     }
 
-    /// Returns each wall's share as typed; `None` for one wall.
+    /// Returns the shares of the walls as typed; `None` for one wall.
     pub fn parts(&self) -> Option<&Numbers> {
         self.share.as_ref().filter(|_| self.normal.len() > 1)
     }
 
-    /// Returns each wall with its share, at a tip of `task` dimensions.
+    /// Returns the walls with their shares, at a tip of `task` dimensions.
     pub fn members(&self, task: usize) -> Result<Vec<Member>, Failure> {
         let shares = match &self.share {
             Some(share) => share.per_wall(self.count(), "--share")?,
@@ -164,7 +160,7 @@ impl WallArgs {
         self.normal.iter().zip(parts).map(member).collect()
     }
 
-    /// Returns the options that describe the same walls.
+    /// Returns the command-line options that describe these walls.
     pub fn line(&self) -> String {
         let mut line: String = self.normal.iter().map(|normal| format!(" --normal={normal}")).collect();
         if let Some(parts) = self.parts() {
@@ -188,8 +184,8 @@ pub fn pose(q: Option<&Numbers>, file: &DeviceFile) -> Result<Vec<f64>, Failure>
     }
 }
 
-/// Loads a device file with warnings about implausible values. If `for_a_loop` is false, warnings about the
-/// transmission are left out, because inertia does not depend on it.
+/// Loads a device file, and returns warnings about implausible values. Without `for_a_loop` there are no warnings about
+/// the transmission, because inertia does not depend on it.
 pub fn device(path: &Path, for_a_loop: bool) -> Result<(DeviceFile, Vec<Warning>), Failure> {
     let document = Document::load(path)?;
     let file = DeviceFile::read(&document)?;
@@ -208,7 +204,6 @@ pub fn pose_warnings(q: &[f64], file: &DeviceFile) -> Vec<Warning> {
     warnings.into_iter().map(FileWarning::typed).collect()
 }
 
-/// Returns an error for a control rate that no board has.
 pub fn check_rate(rate_hz: f64) -> Result<(), Failure> {
     if (MIN_RATE_HZ..=MAX_RATE_HZ).contains(&rate_hz) {
         return Ok(());
@@ -244,12 +239,10 @@ fn parse_words<T: Copy + Send + Sync + 'static>(
     })
 }
 
-/// Parses the name of a feed-forward.
 pub fn feed_forward() -> impl TypedValueParser<Value = FeedForward> {
     one_of(FeedForward::ALL.map(|(name, kind)| (name, what(kind), kind)))
 }
 
-/// Describes a kind of feed-forward.
 pub fn what(kind: FeedForward) -> &'static str {
     match kind {
         FeedForward::Off => "None",
@@ -270,7 +263,6 @@ pub fn linear_estimator() -> impl TypedValueParser<Value = Estimator> {
     one_of(LinearEstimator::named().map(move |(name, kind)| (name, describe(kind), kind)))
 }
 
-/// Parses the name of an arithmetic.
 pub fn precision() -> impl TypedValueParser<Value = Precision> {
     one_of_names(Precision::ALL)
 }
@@ -280,7 +272,6 @@ pub fn board() -> impl TypedValueParser<Value = BoardKind> {
     one_of_names(BoardKind::ALL.map(|kind| (kind.name(), kind)))
 }
 
-/// Parses the name of the coordinate that a redundant device holds.
 pub fn admissible() -> impl TypedValueParser<Value = Admissible> {
     one_of_names(Admissible::ALL)
 }

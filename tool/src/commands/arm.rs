@@ -32,7 +32,6 @@ pub struct Args {
     key: bool,
 }
 
-/// Arms, and stays if the board watches its host.
 pub fn run(args: Args) -> Result<(), Failure> {
     let mut board = args.on.open_to_stay()?;
     let host_action = board.rules()?.host_action;

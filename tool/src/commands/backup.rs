@@ -21,7 +21,6 @@ pub struct Args {
     on: OnBoard,
 }
 
-/// Reads the board, then writes the file.
 pub fn run(args: Args) -> Result<(), Failure> {
     args.force.check([&args.file])?;
     let mut board = args.on.open_to_stay()?;

@@ -42,7 +42,6 @@ area: remaining share of the exact feed-forward's stable area of stiffness and d
 front: no variant of the same mechanism is both cheaper and nearer to the ideal force (without the fade near singular poses)
 ";
 
-/// Computes and prints, or writes the report.
 pub fn run(args: Args) -> Result<(), Failure> {
     let names = ["speed-by-mechanism.csv", "speed-against-error.csv", "speed-against-error.svg"];
     let files = args.report.as_ref().map(|folder| names.map(|name| folder.join(name)));

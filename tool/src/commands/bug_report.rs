@@ -36,7 +36,7 @@ pub struct Args {
 #[derive(Serialize)]
 struct Finding {
     part: String,
-    /// `OK`, `look at`, `bad` or `not known`.
+    /// One of `OK`, `look at`, `bad` and `not known`.
     verdict: &'static str,
     what: String,
 }
@@ -48,14 +48,13 @@ const UNKNOWN: &str = "not known";
 
 /// Duration of the measurement of encoders and currents, s.
 const SECONDS: f32 = 1.0;
-/// Row rate of this measurement, rows a second.
+/// Rows per second of the measurement of encoders and currents.
 const ROWS: f32 = 1000.0;
-/// Largest current at rest that is accepted, A: bring-up requires less without torque (docs/bring-up.md, step 8).
+/// Largest accepted current at rest, A: bring-up requires less without torque (docs/bring-up.md, step 8).
 const REST_CURRENT: f64 = 0.1;
-/// Smallest acceptable amount of never used stack, bytes.
+/// Smallest accepted amount of never used stack, bytes.
 const SPARE_STACK: u32 = 1024;
 
-/// Examines the board, then writes the page.
 pub fn run(args: Args) -> Result<(), Failure> {
     args.force.check(&args.output)?;
     let mut board = args.on.open()?;
@@ -71,7 +70,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     args.on.answer(json!({ "findings": findings, "page": page }), &page)
 }
 
-/// Samples the sensors at rest.
+/// Samples encoders, currents and the bus voltage at rest.
 fn sample_at_rest(board: &mut Board) -> Result<Vec<Row>, Failure> {
     let rate = board.details()?.rate_hz;
     let divider = (rate / ROWS).max(1.0) as u32;
@@ -172,7 +171,7 @@ fn findings(board: &mut Board) -> Result<Vec<Finding>, Failure> {
     Ok(findings)
 }
 
-/// Returns the mean, and the difference of the highest and the lowest value.
+/// Returns the mean, and the difference between the highest and the lowest value; `None` without values.
 fn mean_and_spread(values: &[f64]) -> Option<(f64, f64)> {
     let low = values.iter().copied().reduce(f64::min)?;
     let high = values.iter().copied().reduce(f64::max)?;
@@ -214,7 +213,7 @@ fn format_page(board: &mut Board, findings: &[Finding]) -> Result<String, Failur
         page += &format!("\n## {title}\n\n");
         page += &text.map_or("None.\n".into(), |text| format!("```\n{}\n```\n", text.trim()));
     };
-    // Names are left out, because they may identify a person.
+    // Leaves names out, because they may identify a person.
     let unnamed =
         |text: String| text.lines().filter(|line| !line.starts_with("name = ")).collect::<Vec<_>>().join("\n");
     part("Device", board.device()?.map(|device| unnamed(to_toml(&[], &running(&device)))));

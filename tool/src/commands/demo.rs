@@ -17,7 +17,7 @@ use std::path::PathBuf;
 /// Let a simulated hand press on a wall, without and with the feed-forward, and see the benefit
 ///
 /// Runs a simulated board with the firmware's own control code over the real protocol: no hardware needed, a few
-/// seconds. Prints a table and draws position, force and duty into an SVG file.
+/// seconds. Prints a table and draws distance and force into an SVG file.
 #[derive(clap::Args)]
 pub struct Args {
     /// File for the picture [default: haptic-demo.svg, or with a number if that exists]
@@ -32,7 +32,7 @@ pub struct Args {
 /// Seed of the hand's tremor, the same for both runs.
 const SEED: u64 = 1;
 
-/// Units of the progress bar in one part of the work.
+/// Units of the progress bar for one of the four parts of the work.
 const PART: u64 = 100;
 
 /// A progress bar on standard error, which is drawn only on a terminal.
@@ -51,7 +51,7 @@ impl Bar {
         Self { bar, done: 0 }
     }
 
-    /// Shows the share of the present part that is done.
+    /// Shows the progress in the present part, as a share, and the activity `doing`.
     fn show(&self, share: f64, doing: &'static str) {
         self.bar.set_message(doing);
         self.bar.set_position(self.done * PART + (share * PART as f64) as u64);
@@ -73,7 +73,6 @@ struct Results {
     limits: [Limit; 2],
 }
 
-/// Runs the demo, prints the report and draws the picture.
 pub fn run(args: Args) -> Result<(), Failure> {
     args.force.check_pictures(args.svg.as_ref(), None)?;
     let demo = Demo::shipped(SEED)?;
@@ -107,7 +106,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     args.json.answer(document(&demo, &results, &place), &words)
 }
 
-/// Returns the contents of `report` as JSON: SI units, `without` the feed-forward and `with` it.
+/// Returns the contents of `report` as JSON in SI units, `without` and `with` the feed-forward.
 fn document(demo: &Demo, results: &Results, picture: &str) -> serde_json::Value {
     let run = |crossing: &Crossing, inertia: f64, limit: &Limit| {
         json!({
@@ -187,7 +186,7 @@ fn report(demo: &Demo, results: &Results) -> String {
     text
 }
 
-/// Describes the benefit of the feed-forward, from the numbers of this run.
+/// Describes the benefit of the feed-forward in this run.
 fn benefit(demo: &Demo, results: &Results) -> String {
     let Results { inertia, crossings: [without, with], limits: [low, high] } = results;
     let gain = 100.0 * (high.measured / low.measured - 1.0);

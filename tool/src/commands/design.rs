@@ -63,7 +63,6 @@ pub struct Args {
     pictures: Pictures,
 }
 
-/// The document of `--json`.
 #[derive(Serialize)]
 struct Document {
     device: String,
@@ -72,20 +71,19 @@ struct Document {
     clear: f64,
     /// Options with which `haptic range DEVICE` predicts the walls at the pose.
     options: String,
-    /// Stable area at the pose with the feed-forward, relative to that without.
+    /// Stable area at the pose with the feed-forward, relative to the area without it.
     area_ratio: f64,
     here: WallPlace,
     directions: Directions,
     places: Places,
     sensitivities: Vec<Sensitivity>,
-    /// Changes with the largest benefit for the stiffest wall without the feed-forward, for the stiffest wall with the
-    /// feed-forward, and for the latter per kilogram of Weff.
+    /// Changes with the largest benefit for three quantities: the stiffest wall without the feed-forward, the stiffest
+    /// wall with it, and the stiffest wall with it per kilogram of Weff.
     buys_most: [Option<Buys>; 3],
     #[serde(skip_serializing_if = "Option::is_none")]
     postures: Option<Postures>,
 }
 
-/// Searches, prints and draws.
 pub fn run(args: Args) -> Result<(), Failure> {
     args.pictures.check()?;
     let (file, mut warnings) = arguments::device(&args.at.device, true)?;

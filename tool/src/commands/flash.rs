@@ -37,7 +37,6 @@ pub struct Args {
     json: Json,
 }
 
-/// Finds the board, then its image, then flashes.
 pub fn run(args: Args) -> Result<(), Failure> {
     let serial = serial(args.port.spec())?;
     let file = args.file.as_deref().map(read_image).transpose()?;
@@ -61,7 +60,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
                 board.protocol
             );
             let image = image(&file, args.board.as_deref().unwrap_or(&board.board))?;
-            // The image of another board is refused below, without a question first.
+            // Refuses the image of another board below without a question.
             if image.board == board.board {
                 confirm_restart(&board.serial, args.yes)?;
             }
@@ -144,7 +143,7 @@ fn serial(port: &PortSpec) -> Result<Option<String>, Failure> {
     }
 }
 
-/// Asks before a restart that turns off a running board's motors or loses unsaved settings.
+/// Asks before a restart that turns motors off or loses unsaved settings.
 fn confirm_restart(serial: &str, yes: bool) -> Result<(), Failure> {
     match haptic_flash::motors_and_unsaved(serial)? {
         None => confirm(yes, "the board restarts, and its motors go off if they are on"),
@@ -164,7 +163,7 @@ fn confirm_restart(serial: &str, yes: bool) -> Result<(), Failure> {
     }
 }
 
-/// Returns the image for a boot loader, after asking for the board, because a boot loader does not know its board.
+/// Returns the image for a boot loader, and asks for the kind of board, because a boot loader does not know it.
 fn image_for_boot_loader(args: &Args, file: &Option<Image>) -> Result<Image, Failure> {
     let board = match (&args.board, file) {
         (Some(board), Some(image)) if *board != image.board => {
@@ -219,7 +218,7 @@ fn flash_by_probe(args: &Args, file: &Option<Image>) -> Result<(), Failure> {
     args.json.answer(json!({ "board": board, "bytes": image.size(), "by": "probe-rs" }), &words)
 }
 
-/// Shows the progress, on a line that is overwritten on a terminal.
+/// Shows the progress, on a terminal on a line that is overwritten.
 fn show_progress(progress: Progress) {
     let terminal = std::io::stderr().is_terminal();
     match progress {

@@ -8,7 +8,7 @@ use haptic_show::view::message::FromPage;
 use std::io;
 use std::time::{Duration, Instant};
 
-/// Longest time that a held key may take to begin repeating. Terminals take 250 to 660 ms.
+/// Longest delay between the first press of a held key and its first repeat. Terminals take 250 to 660 ms.
 const REPEAT: Duration = Duration::from_millis(1000);
 /// Longest pause between repeats before the key counts as released.
 const RELEASED: Duration = Duration::from_millis(400);
@@ -20,7 +20,7 @@ pub struct HeldKey {
     pressed: Option<Instant>,
     /// True while the motors are requested.
     on: bool,
-    /// The newest control step that was known when the terminal had no more keys: later keys were pressed after it.
+    /// Newest control step that was known when the terminal had no more keys; later keys were pressed after that step.
     seen: u32,
 }
 
@@ -39,8 +39,8 @@ impl HeldKey {
         }
     }
 
-    /// Handles a terminal without more keys, after the board has reported this control step. Returns the message for the
-    /// board.
+    /// Handles a moment without more keys, after the board has reported control step `step`. Returns the message for
+    /// the board.
     pub fn wait(&mut self, now: Instant, step: u32) -> Option<FromPage> {
         self.seen = step;
         let silent = self.pressed.is_none_or(|before| now.duration_since(before) > RELEASED);
@@ -53,8 +53,8 @@ impl HeldKey {
         FromPage::Release {}
     }
 
-    /// Reads the keys of a raw terminal, after the board has reported this control step. Returns the message for the board,
-    /// or `None` to end.
+    /// Reads the keys of a raw terminal, after the board has reported control step `step`. Returns the message for the
+    /// board, or `None` to end.
     pub fn listen(&mut self, step: u32) -> io::Result<Option<Option<FromPage>>> {
         let mut message = None;
         while event::poll(Duration::ZERO)? {
@@ -62,7 +62,6 @@ impl HeldKey {
                 Event::Key(key) if key.kind == KeyEventKind::Release => {}
                 Event::Key(key) if is_end(&key) => return Ok(None),
                 Event::Key(key) if key.code == KeyCode::Char(' ') => message = self.press(Instant::now()).or(message),
-                // Any other key stops the motors.
                 Event::Key(_) => message = Some(self.release()),
                 _ => {}
             }
@@ -71,7 +70,7 @@ impl HeldKey {
         Ok(Some(message.or(release)))
     }
 
-    /// Forgets the key because something else turned the motors off: it must be pressed again.
+    /// Forgets the key after something else turned the motors off, so that the key must be pressed again.
     pub fn forget(&mut self) {
         (self.pressed, self.on) = (None, false);
     }
@@ -101,7 +100,7 @@ mod tests {
         let at = |ms: u64| began + Duration::from_millis(ms);
         assert_eq!(held.press(at(0)), None, "one press alone does not hold");
         assert_eq!(held.wait(at(500), 10), None);
-        // Spaces may have waited in the terminal, so no Space is known to be newer than the last `wait`.
+        // The last `wait` gives the step, because the Spaces may have waited in the terminal since then.
         assert_eq!(held.press(at(600)), Some(FromPage::Arm { seen: 10 }));
         assert_eq!(held.press(at(640)), Some(FromPage::Hold { seen: 10 }));
         assert_eq!(held.wait(at(1000), 20), None);

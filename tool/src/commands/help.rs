@@ -11,12 +11,10 @@ use clap::{CommandFactory, Parser};
 #[derive(Parser)]
 #[command(name = "haptic", version, max_term_width = 110)]
 pub struct Cli {
-    /// Command to run.
     #[command(subcommand)]
     pub command: Command,
 }
 
-/// Returns the command with its help page.
 pub fn command() -> clap::Command {
     let command = Cli::command();
     let listed = || HEADINGS.iter().filter(|(heading, _)| *heading != DEVELOPERS);
@@ -27,7 +25,7 @@ pub fn command() -> clap::Command {
     for (heading, names) in listed() {
         listing.push_str(&format!("{heading}:\n"));
         for name in *names {
-            // Module names have underscores, command names hyphens.
+            // Converts the name of a module to the name of its command.
             let name = name.replace('_', "-");
             let about = command.find_subcommand(&name).and_then(|found| found.get_about()).map(ToString::to_string);
             listing.push_str(&format!("  {name:width$}{}\n", about.unwrap_or_default()));

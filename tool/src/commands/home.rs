@@ -14,11 +14,10 @@ pub struct Args {
     on: OnBoard,
 }
 
-/// Homes, and reports the pose.
 pub fn run(args: Args) -> Result<(), Failure> {
     let mut board = args.on.open()?;
     board.home_at_rest()?;
-    // The next control step computes the new pose.
+    // Reads the status, whose pose the next control step computes.
     let axes = board.device()?.map_or(0, |device| device.axes());
     let status = board.status()?;
     let (q, tip) = (&status.q[..axes], &status.tip[..axes]);

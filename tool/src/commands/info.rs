@@ -13,7 +13,6 @@ pub struct Args {
     on: OnBoard,
 }
 
-/// Reads the board and reports.
 pub fn run(args: Args) -> Result<(), Failure> {
     let mut board = args.on.open()?;
     let info = board.info().clone();

@@ -1,4 +1,4 @@
-//! Ctrl-C: a flag that long-running commands check, so that they end in order.
+//! Ctrl-C sets a flag that long-running commands check, so that they end in order.
 
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 static INTERRUPTED: AtomicBool = AtomicBool::new(false);
 static WATCHED: OnceLock<()> = OnceLock::new();
 
-/// Flag that Ctrl-C sets.
+/// Access to the flag that Ctrl-C sets.
 #[derive(Clone, Copy, Debug)]
 pub struct Interrupt(());
 
@@ -20,12 +20,10 @@ pub fn watch() -> Interrupt {
 }
 
 impl Interrupt {
-    /// Returns true if the flag is set.
     pub fn is_set(self) -> bool {
         INTERRUPTED.load(Ordering::SeqCst)
     }
 
-    /// Returns the flag itself.
     pub fn flag(self) -> &'static AtomicBool {
         &INTERRUPTED
     }

@@ -37,13 +37,11 @@ pub struct Args {
     pictures: Pictures,
 }
 
-/// The document of `--json`.
 #[derive(serde::Serialize)]
 struct Document {
     points: Vec<MapPoint>,
 }
 
-/// Maps, prints and draws.
 pub fn run(args: Args) -> Result<(), Failure> {
     args.pictures.check()?;
     let (file, warnings) = arguments::device(&args.device, false)?;

@@ -117,7 +117,6 @@ pub struct Args {
     pictures: Pictures,
 }
 
-/// Friction that is simulated.
 #[derive(Clone, Copy, Debug, ValueEnum)]
 enum FrictionKind {
     All,
@@ -126,7 +125,7 @@ enum FrictionKind {
     None,
 }
 
-/// Returns the parser of the feed-forwards, which are measured one after the other.
+/// Returns the parser of --feed-forward, whose words name feed-forwards to measure one after the other.
 fn kinds() -> impl TypedValueParser<Value = &'static [FeedForward]> {
     let one = |alone: &'static [FeedForward; 1]| (alone[0].name(), arguments::what(alone[0]), &alone[..]);
     let all = &[FeedForward::Off, FeedForward::Full, FeedForward::Washout];
@@ -139,7 +138,6 @@ fn kinds() -> impl TypedValueParser<Value = &'static [FeedForward]> {
     ])
 }
 
-/// Measures, prints and draws.
 pub fn run(args: Args) -> Result<(), Failure> {
     args.pictures.check()?;
     let mut file = DeviceFile::load(&args.device)?;
@@ -171,7 +169,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         largest_pull,
     };
     let what = occasion::what(&file.name, &setup, &plan.pulls, &world);
-    // Check that the results can be written before anything moves.
+    // Checks that the results can be written before anything moves.
     output::check(&args.progress, Overwrite::Replace)?;
     let mut progress = match args.anew {
         true => {
@@ -226,14 +224,14 @@ pub fn run(args: Args) -> Result<(), Failure> {
     };
     let measured = occasion.measure(setup.clone(), &plan, &stop, begun, |done| meter.done(done));
     meter.finish();
-    // Also removes a device that was loaded for this measurement.
+    // Also restores the device that was replaced for this measurement.
     occasion.put_back().map_err(progress_failure)?;
     let report =
         theory.map(|theory| Report { name: &file.name, args: &args, plan: &plan, progress: &progress, theory });
     match (measured, report) {
         (Ok(()), Some(report)) if report.measured() => report.out(),
         (measured, report) => {
-            // Report the measured points, then the reason why there are no more.
+            // Reports the measured points, then the reason for which there are no more.
             if let Some(report) = report.filter(Report::any) {
                 report.out()?;
             }
@@ -248,11 +246,11 @@ pub fn run(args: Args) -> Result<(), Failure> {
     }
 }
 
-/// Remedy if the encoders are too coarse or friction is too large.
+/// Remedy for encoders that are too coarse, or friction that is too large, to find a boundary.
 const REMEDY: &str = "use finer encoders (--counts on --port sim), a lower --rate and --cutoff, a larger --pull or \
                       --torque-limit, another pose or normal";
 
-/// Returns the plan and the longest pull, m.
+/// Returns the plan of the measurement, and the length of its longest pull, m.
 fn plan(args: &Args, joints: usize) -> Result<(Plan, f64), Failure> {
     if !(args.torque_limit > 0.0 && args.torque_limit.is_finite()) {
         return Err(Failure::wrong(format!("--torque-limit is {} N m, and must be positive", args.torque_limit)));
@@ -264,7 +262,7 @@ fn plan(args: &Args, joints: usize) -> Result<(Plan, f64), Failure> {
         return Err(Failure::wrong(format!("--pull is {pull} mm, and must not be 0 or more than {longest}")));
     }
     let largest = pulls.iter().fold(0.0_f64, |largest, pull| largest.max(pull.abs()));
-    // One joint has no coupling.
+    // A single joint has no coupling, so the feed-forward has no effect.
     let modes = if joints == 1 && args.feed_forward.len() > 1 { &[FeedForward::Off][..] } else { args.feed_forward };
     if modes.len() < args.feed_forward.len() {
         haptic_host::tell!("with one joint the feed-forward has no effect, so it is not measured");
@@ -280,7 +278,6 @@ fn plan(args: &Args, joints: usize) -> Result<(Plan, f64), Failure> {
     Ok((Plan { modes: modes.to_vec(), kd, points, repeats, pulls }, largest * 1e-3))
 }
 
-/// Returns the walls that are measured together, with their shares.
 fn walls(args: &Args, task: usize) -> Result<Vec<Member>, Failure> {
     let (count, most) = (args.walls.count(), most_tested(task));
     if count > most {
@@ -312,7 +309,6 @@ fn world(args: &Args, file: &DeviceFile, walls: &[Member]) -> Result<World, Fail
     Ok(World { q, friction, ideal_drive: args.ideal_drive, counts: args.counts, grip: args.grip })
 }
 
-/// Returns an error if the board has another device.
 fn holds(found: &str, file: &DeviceFile) -> Result<(), Failure> {
     if found == file.name {
         return Ok(());
@@ -321,7 +317,7 @@ fn holds(found: &str, file: &DeviceFile) -> Result<(), Failure> {
         .remedy("name the file of the device that is on the board"))
 }
 
-/// Checks that the board has the device, and that the user agrees that the motors move.
+/// Checks that the board has the device of the file, and asks if the motors may move.
 fn ready(board: &mut Board, file: &DeviceFile, args: &Args, setup: &MeasurementSetup) -> Result<(), Failure> {
     let details = board.details()?;
     let device = Device::new(&file.name, &file.description).map_err(Failure::wrong)?;
@@ -370,7 +366,7 @@ fn motors(board: &mut Board) -> &'static str {
     }
 }
 
-/// Converts the error that ended a measurement, with its remedy.
+/// Converts the error that ended a measurement to a failure with a remedy.
 fn failure(error: MeasureError, args: &Args, redundant: bool, board: &mut Board) -> Failure {
     let again = match args.progress.exists() {
         true => format!("run the same command again to continue where it stopped ({})", args.progress.display()),

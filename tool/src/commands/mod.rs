@@ -56,8 +56,8 @@ mod view;
 use haptic_host::error::Failure;
 pub use stream::list_of_fields;
 
-/// Heading of the commands that the help page omits: those for developers of the control step, and those that the page
-/// of another command names.
+/// Heading of commands that the help page omits, because they are for developers of the control step or are named by
+/// the page of another command.
 pub const DEVELOPERS: &str = "";
 
 /// Declares the subcommands: under each heading of `haptic --help`, `(Variant, module)` in the order of that page.
@@ -127,7 +127,7 @@ commands! {
 
 #[cfg(test)]
 mod tests {
-    /// The file of a command.
+    /// The file of a toy command.
     mod greet {
         use haptic_host::error::Failure;
 

@@ -45,7 +45,6 @@ pub struct Args {
     json: Json,
 }
 
-/// Computes and prints.
 pub fn run(args: Args) -> Result<(), Failure> {
     let (device, mut warnings) = arguments::device(&args.at.device, false)?;
     let spec = device.spec();
@@ -92,8 +91,8 @@ struct Document<'a> {
     report: &'a Report,
 }
 
-/// Describes Wrr/Weff of a redundant device for every coordinate that it may hold, because the gain depends on that
-/// choice.
+/// Describes Wrr/Weff of a redundant device for every coordinate that the device can hold, because the ratio depends on
+/// this coordinate.
 fn compare_holding(device: &DeviceFile, q: &[f64], wall: &WallForce, chosen: Admissible) -> Result<String, Failure> {
     let mut text = format!(
         "This device is redundant: Wrr is with {} held constant. Wrr/Weff here for each coordinate held:",
@@ -107,7 +106,7 @@ fn compare_holding(device: &DeviceFile, q: &[f64], wall: &WallForce, chosen: Adm
     Ok(text + ".\n")
 }
 
-/// Combines normals, made unit vectors, with forces and stiffness.
+/// Returns the walls of the options, with unit normals.
 fn walls(
     normals: &[Numbers],
     forces: &[Numbers],
@@ -201,8 +200,8 @@ fn readable(report: &Report, q: &[f64], qd: &[f64], walls: &[WallForce]) -> Stri
     text
 }
 
-/// Returns the force along a single wall that the feed-forward adds at rest for each newton across it; `None` if it is
-/// too small to feel.
+/// Returns the force along a single wall, per newton across the wall, that the feed-forward adds at rest; `None` if the
+/// force is too small to feel.
 fn sideways_push(report: &Report) -> Option<f64> {
     let [coupled] = report.w_ra.as_slice() else { return None };
     let tip = coupled.iter().take(report.position.len() - 1);
@@ -237,7 +236,7 @@ fn verdict(report: &Report) -> String {
 }
 
 fn row(values: &[f64]) -> String {
-    // An entry that is tiny compared with the largest is the rounding error of a zero.
+    // Prints an entry that is tiny beside the largest as 0, because it is a rounding error.
     let smallest = 1e-12 * values.iter().fold(0.0_f64, |largest, value| largest.max(value.abs()));
     let clean = values.iter().map(|value| if value.abs() < smallest { 0.0 } else { *value });
     clean.map(|value| format!("{:>13}", number(value))).collect::<String>()
@@ -247,7 +246,7 @@ fn matrix(rows: &Rows) -> String {
     rows.iter().map(|values| row(values)).collect::<Vec<_>>().join("\n")
 }
 
-/// Formats six significant digits, in powers of ten if that is shorter.
+/// Formats a number with six significant digits, as a power of ten if that is shorter.
 fn number(value: f64) -> String {
     let size = value.abs();
     if value == 0.0 {

@@ -12,7 +12,6 @@ use serde::Serialize;
 use std::io::{BufRead, IsTerminal};
 use std::net::{SocketAddr, ToSocketAddrs};
 
-/// The board to use.
 #[derive(clap::Args)]
 pub struct Port {
     /// The board: a serial port or a board's serial number, tcp:HOST:PORT, sim, or sim:DEVICE.toml [default:
@@ -22,17 +21,15 @@ pub struct Port {
 }
 
 impl Port {
-    /// Opens the board.
     pub fn open(&self) -> Result<Board, Failure> {
         Ok(haptic_sim::open(self.spec())?)
     }
 
-    /// Returns the requested port.
     pub fn spec(&self) -> &PortSpec {
         self.port.as_ref().unwrap_or(&PortSpec::Find)
     }
 
-    /// Opens the board for a command that changes its state. Refuses a board that exists only during the command.
+    /// Opens the board for a command that changes its state. Refuses a board that exists only during this command.
     pub fn open_to_stay(&self) -> Result<Board, Failure> {
         match &self.port {
             Some(PortSpec::Sim(_)) => Err(Failure::wrong("a board on --port sim exists only during this command")
@@ -52,17 +49,15 @@ pub struct OnBoard {
 }
 
 impl OnBoard {
-    /// Opens the board.
     pub fn open(&self) -> Result<Board, Failure> {
         self.port.open()
     }
 
-    /// Opens the board for a command that changes its state: see [`Port::open_to_stay`].
+    /// Opens the board for a command that changes its state, as [`Port::open_to_stay`] does.
     pub fn open_to_stay(&self) -> Result<Board, Failure> {
         self.port.open_to_stay()
     }
 
-    /// Returns the requested port.
     pub fn spec(&self) -> &PortSpec {
         self.port.spec()
     }
@@ -93,7 +88,6 @@ pub fn address(text: &str, option: &str) -> Result<SocketAddr, Failure> {
     })
 }
 
-/// Describes a state.
 pub fn state_in_words(state: State) -> &'static str {
     match state {
         State::Disarmed => "disarmed (motors off, the device moves freely)",
@@ -150,7 +144,7 @@ pub fn fault_alone(record: &FaultRecord, rate_hz: f32) -> String {
     format!("{}{axis}, value {}, {seconds:.3} s after boot", record.fault, record.value)
 }
 
-/// Warns on standard error about protection that is weaker under the present rules than before.
+/// Warns on standard error if the present rules protect less than those before.
 pub fn warn_of_weaker(before: &Rules, now: &Rules) {
     if now.host_action != HostAction::Disarm && before.host_action == HostAction::Disarm {
         haptic_host::tell!(
@@ -172,7 +166,7 @@ pub fn warn_of_weaker(before: &Rules, now: &Rules) {
     }
 }
 
-/// Returns the failure of a command whose motors a fault turned off.
+/// Returns the failure of a command after a fault turned the motors off.
 pub fn motors_off(record: &FaultRecord, rate_hz: f32) -> Failure {
     Failure::impossible(format!("the motors are off: {}", fault_alone(record, rate_hz))).remedy(record.fault.remedy())
 }

@@ -121,7 +121,6 @@ pub struct Args {
     pictures: Pictures,
 }
 
-/// Drives of the analysis.
 #[derive(Clone, Copy, Debug, PartialEq, ValueEnum)]
 enum DriveKind {
     Ideal,
@@ -130,7 +129,7 @@ enum DriveKind {
 }
 
 impl Args {
-    /// Delay, control samples.
+    /// Returns the delay in control samples.
     fn delay(&self) -> f64 {
         match self.board {
             // Both boards sample at the middle of a carrier period and apply the duty at its end.
@@ -209,7 +208,6 @@ pub(super) fn posture(numbers: Option<&Numbers>, file: &DeviceFile) -> Result<Op
     }
 }
 
-/// Analyses, prints and draws.
 pub fn run(args: Args) -> Result<(), Failure> {
     args.pictures.check()?;
     let (file, mut warnings) = arguments::device(&args.at.device, true)?;
@@ -248,7 +246,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         let picture = haptic_show::plot::why::draw(&title, &under, why, args.pictures.paper());
         args.pictures.save(&picture)?;
     } else if has_picture {
-        // A picture always shows the complete boundary, even if single points were requested.
+        // Draws the complete boundary even if single points were requested.
         let complete = if args.kd.is_some() { analyse(None, args.washout)? } else { range.clone() };
         let picture = draw(&Contents {
             title: format!("{}: stable walls, predicted", file.name),
@@ -278,14 +276,13 @@ pub fn run(args: Args) -> Result<(), Failure> {
     Ok(())
 }
 
-/// The document of `--json`.
 #[derive(serde::Serialize)]
 struct Document<'a> {
     #[serde(flatten)]
     request: Request,
     #[serde(flatten)]
     range: &'a Range,
-    /// `None` if no bound is known: with several walls, and where [`Passivity::new`] returns none.
+    /// `None` with several walls, and if [`Passivity::new`] returns `None`.
     #[serde(skip_serializing_if = "Option::is_none")]
     passive: Option<Passive>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -312,7 +309,7 @@ impl Passive {
     }
 }
 
-/// The inputs, so that the result can be computed again.
+/// The inputs of the prediction, so that a program can repeat the prediction.
 #[derive(serde::Serialize)]
 struct Request {
     /// Joint angles, rad.
@@ -356,7 +353,7 @@ impl Request {
     }
 }
 
-/// Computes the effect of each part of the loop on the boundary, for one wall only.
+/// Computes the effect of each part of the loop on the boundary of one wall; several walls are an error.
 fn explain(prediction: &Prediction, q: &[f64], normals: &[Vec<f64>], sweep: &Sweep) -> Result<Why, Failure> {
     let [normal] = normals else {
         let reason = "--why applies to one wall, and there are several --normal";
@@ -365,7 +362,6 @@ fn explain(prediction: &Prediction, q: &[f64], normals: &[Vec<f64>], sweep: &Swe
     why(&prediction.seen(q, normal)?, &prediction.around, sweep)
 }
 
-/// Returns the requested estimator.
 fn estimator(args: &Args) -> Result<LinearEstimator, Failure> {
     let over = args.difference_over;
     let alone = LinearEstimator::of(args.estimator, args.cutoff).ok_or_else(|| {

@@ -8,7 +8,6 @@ use haptic_host::read_back::Difference;
 use serde_json::json;
 use std::path::{Path, PathBuf};
 
-/// Options for reading from the board.
 #[derive(clap::Args)]
 pub struct Read {
     /// Write the board's contents to standard output; or with FILE list the differences between that file and the
@@ -29,7 +28,7 @@ impl Read {
         Ok(self.read)
     }
 
-    /// Writes `text`, the board's `what`, or reports how it differs from the file in `compared`.
+    /// Writes `text`, the text form of the board's `what`, or reports its differences from the file in `compared`.
     pub fn report(
         &self,
         on: &OnBoard,

@@ -8,7 +8,7 @@ use haptic_host::error::Failure;
 use haptic_host::link::{fields, max_rows_per_second};
 use std::path::PathBuf;
 
-/// Default fields: those for a person, and those that `haptic replay` needs.
+/// Default fields: those that a person reads, and those that `haptic replay` needs.
 const FIELDS: Fields = Fields(
     Fields::USUAL.0 | Field::Angle.bit() | Field::NormalVelocity.bit() | Field::Energy.bit() | Field::Counts.bit(),
 );
@@ -44,7 +44,6 @@ pub struct Args {
     json: bool,
 }
 
-/// Records until the time is over, Ctrl-C, or the board is lost.
 pub fn run(args: Args) -> Result<(), Failure> {
     let extension = args.file.extension().map(|extension| extension.to_string_lossy().to_ascii_lowercase());
     if args.file.as_os_str() != "-" && !matches!(extension.as_deref(), Some("mcap" | "csv")) {

@@ -64,19 +64,17 @@ enum Part {
     Map,
 }
 
-/// A part of the page: one command.
+/// A section of the page: one command and its output.
 #[derive(Clone, Debug)]
 struct Section {
     title: &'static str,
-    /// The subject of the section, in a sentence.
+    /// Sentence about the subject of the section.
     about: &'static str,
-    /// Arguments of the command.
     words: Vec<String>,
     /// File name of the picture, if the command draws one.
     picture: Option<&'static str>,
 }
 
-/// Output of a command.
 #[derive(Clone, Debug, Default, Deserialize, Serialize)]
 struct Output {
     text: String,
@@ -85,7 +83,7 @@ struct Output {
     done: bool,
 }
 
-/// Values for the command lines.
+/// Values for the options of the command lines.
 struct Values {
     q: String,
     normal: String,
@@ -98,7 +96,6 @@ struct Values {
     wall: Option<String>,
 }
 
-/// Runs every command and writes the page.
 pub fn run(args: Args) -> Result<(), Failure> {
     output::check(&args.out, args.force.overwrite())?;
     let file = DeviceFile::load(&args.device)?;
@@ -149,7 +146,7 @@ fn values(args: &Args, file: &DeviceFile) -> Result<Values, Failure> {
     let path = TorquePath::usual(rate);
     let in_scene = scene.as_ref().and_then(|scene| Prediction::in_scene(&device, scene, wall, &path));
     let prediction = in_scene.unwrap_or_else(|| {
-        // For an estimator without a linear analysis, the usual one is shown.
+        // Shows the usual estimator in place of one without a linear analysis.
         Prediction::new(device.clone(), Loop::through(&path, rate, LinearEstimator::Butterworth(cutoff)))
     });
     let rounded = |values: &[f64]| values.iter().map(|value| (value * 1e6).round() / 1e6 + 0.0).collect::<Vec<_>>();
@@ -213,7 +210,7 @@ fn sections(args: &Args, values: &Values) -> Vec<Section> {
     let hand = usual_hand();
     let hand = format!("{},{},{}", hand.mass, hand.damping, hand.stiffness);
     let mut in_hand = range.clone();
-    // Compensated damping is not predicted in a hand.
+    // A hand with compensated damping cannot be predicted.
     let has_hand = !options.contains("--damping-compensation");
     if has_hand {
         in_hand.extend(["--hand", &hand]);
@@ -263,7 +260,6 @@ fn sections(args: &Args, values: &Values) -> Vec<Section> {
 }
 
 impl Section {
-    /// Returns the command line.
     fn line(&self) -> String {
         let quoted = |word: &String| match word.chars().all(|c| c.is_ascii_alphanumeric() || "-_./=,+:".contains(c)) {
             true => word.clone(),
@@ -276,7 +272,6 @@ impl Section {
         line
     }
 
-    /// Runs the command line.
     fn run(&self, tool: &Path) -> Output {
         let folder = tempfile::tempdir().ok();
         let picture = folder.as_ref().zip(self.picture).map(|(folder, name)| folder.path().join(name));
@@ -297,7 +292,6 @@ impl Section {
     }
 }
 
-/// Escapes text for HTML.
 fn escape(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }

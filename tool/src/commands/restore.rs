@@ -23,13 +23,12 @@ pub struct Args {
     on: OnBoard,
 }
 
-/// Parses the complete file, then writes the board.
 pub fn run(args: Args) -> Result<(), Failure> {
     let place = args.file.display();
     let document = Document::load(&args.file)?;
     let wrong = |error| Failure::wrong(format!("{place}: {error}"));
     let backup = Backup::parse(document.text()).map_err(wrong)?;
-    // Damage is reported before a board is opened.
+    // Reports damage before a board is opened.
     backup.ready().map_err(wrong)?;
     let mut board = args.on.open()?;
     let mut ready = backup.ready().map_err(wrong)?;

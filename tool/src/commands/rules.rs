@@ -54,7 +54,6 @@ pub struct Args {
     index_period: Vec<i32>,
 }
 
-/// Parses the name of an action.
 fn action_parser() -> impl TypedValueParser<Value = HostAction> {
     let what = |action| match action {
         HostAction::Ignore => "Nothing",
@@ -84,7 +83,6 @@ fn parse_seconds(text: &str) -> Result<f32, String> {
     })
 }
 
-/// Reads the rules, changes the requested ones, and reports all.
 pub fn run(args: Args) -> Result<(), Failure> {
     let mut board = args.on.open()?;
     let before = board.rules()?;
@@ -120,7 +118,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     args.on.answer(as_json(&now, joints), &describe(&now, joints))
 }
 
-/// Warns about torque limits above the motor's own limit, because they have no effect.
+/// Warns about torque limits that have no effect, because they are above the motor's own limit.
 fn warn_of_weaker_motors(device: &Device<f32>, limits: &Limits) {
     for (index, (joint, limit)) in device.joints.iter().zip(limits.torque).enumerate().take(device.axes()) {
         let Some(motor) = joint.motor else { continue };
@@ -135,7 +133,7 @@ fn warn_of_weaker_motors(device: &Device<f32>, limits: &Limits) {
     }
 }
 
-/// Sets `place` to the given values: none, or one for every joint.
+/// Sets `place` to the given values, which are none or one per joint.
 fn set_per_joint<T: Copy>(
     (owner, joints): (&str, usize),
     name: &str,
@@ -153,7 +151,6 @@ fn set_per_joint<T: Copy>(
     Ok(())
 }
 
-/// Lists the value of every joint.
 fn list<T: std::fmt::Display>(values: &[T], joints: usize) -> String {
     values.iter().take(joints).map(ToString::to_string).collect::<Vec<_>>().join(", ")
 }

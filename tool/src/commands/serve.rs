@@ -27,7 +27,6 @@ pub struct Args {
     port: Port,
 }
 
-/// Serves until Ctrl-C.
 pub fn run(args: Args) -> Result<(), Failure> {
     let stop = interrupt::watch();
     let simulated = matches!(args.port.spec(), PortSpec::Sim(_));

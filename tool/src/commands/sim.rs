@@ -57,7 +57,6 @@ enum HandKind {
     Loop,
 }
 
-/// Runs the board.
 pub fn run(args: Args) -> Result<(), Failure> {
     let file = match &args.device {
         Some(path) => DeviceFile::load(path)?,

@@ -57,7 +57,6 @@ pub fn list_of_fields() -> String {
     text
 }
 
-/// Destination of rows.
 enum Sink {
     Terminal { since_header: usize },
     Memory(Vec<Vec<Value>>),
@@ -69,14 +68,12 @@ pub(super) struct Options<'a> {
     pub file: Option<&'a Path>,
     pub overwrite: Overwrite,
     pub fields: Fields,
-    /// Rows a second.
     pub rate: f64,
     pub arm: bool,
     pub seconds: Option<f64>,
     pub json: bool,
 }
 
-/// Streams until the time is over, Ctrl-C, or the board is lost.
 pub fn run(args: Args) -> Result<(), Failure> {
     let mut board = args.port.open()?;
     let options = Options {
@@ -91,7 +88,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     follow(&mut board, &options)
 }
 
-/// Follows the board's telemetry as the options say.
+/// Streams the board's telemetry to its destination until it ends.
 pub(super) fn follow(board: &mut Board, options: &Options<'_>) -> Result<(), Failure> {
     let rate_hz = f64::from(board.details()?.rate_hz);
     let axes = board.device()?.map_or(0, |device| device.axes());
@@ -112,7 +109,7 @@ pub(super) fn follow(board: &mut Board, options: &Options<'_>) -> Result<(), Fai
     if options.arm {
         board.arm()?;
     }
-    // Creates the file last, so that no file is created or replaced if the board refuses.
+    // Creates the file last, so that a refusal of the board neither creates nor replaces a file.
     let sink = match (options.file, about) {
         (Some(path), Some(about)) => match RowWriter::create(path, &about, &columns, options.overwrite) {
             Ok(writer) => Sink::File(Box::new(writer)),
@@ -188,7 +185,6 @@ enum End {
     NoRoom(Failure),
 }
 
-/// State of the stream.
 struct Stream {
     rate_hz: f64,
     divider: u32,
@@ -196,15 +192,16 @@ struct Stream {
     sink: Sink,
     first_step: Option<u32>,
     last_step: u32,
-    /// Rows passed on, and rows missing between them.
+    /// Number of rows passed on.
     rows: u64,
+    /// Number of rows missing between them.
     missing: u64,
     shown: Losses,
     last_note: Duration,
 }
 
 impl Stream {
-    /// Passes rows on. Returns true if the time is over.
+    /// Passes rows on to their destination. Returns true if the time is over.
     fn take(&mut self, rows: &[Row], seconds: Option<f64>) -> Result<bool, RecordError> {
         for row in rows {
             let first = *self.first_step.get_or_insert(row.step);
@@ -258,7 +255,7 @@ impl Stream {
         }
     }
 
-    /// Records an event, if rows go to a file.
+    /// Adds an event if rows go to a file.
     fn record_event(&mut self, words: &str) -> Result<(), RecordError> {
         let first = self.first_step.unwrap_or(self.last_step);
         let time = f64::from(self.last_step.wrapping_sub(first)) / self.rate_hz;
@@ -331,7 +328,7 @@ fn finish(end: End, board: &mut Board, mut stream: Stream, json: bool) -> Result
             let cut = if matches!(end, End::BoardLost(_)) { "cut short: the board was lost; " } else { "" };
             written = recorder.end(&format!("{cut}{losses}"), &losses);
         }
-        // A reader that closes the pipe at the end is no error.
+        // Ignores a reader that closes the pipe at the end.
         if matches!((&end, &written), (End::Requested, Err(RecordError::ReaderGone))) {
             return Ok(stopped?);
         }

@@ -45,7 +45,6 @@ pub struct Args {
     search: Search,
 }
 
-/// Other commands of tuning.
 #[derive(clap::Subcommand)]
 enum Subcommand {
     Estimators(estimators::Args),
@@ -107,7 +106,6 @@ struct Search {
     force: Force,
 }
 
-/// The document of `--json`.
 #[derive(Serialize)]
 struct Document<'a> {
     device: &'a str,
@@ -132,7 +130,7 @@ struct Document<'a> {
     scene_measured: Option<&'a Measured>,
 }
 
-/// Pose, normal and position of the wall.
+/// The wall to make stiffer, and the pose in which it is touched.
 struct Place {
     q: Vec<f64>,
     normal: Vec<f64>,
@@ -141,7 +139,6 @@ struct Place {
     admissible: Admissible,
 }
 
-/// Searches, or compares estimators.
 pub fn run(args: Args) -> Result<(), Failure> {
     match args.subcommand {
         Some(Subcommand::Estimators(args)) => estimators::run(args),
@@ -149,7 +146,6 @@ pub fn run(args: Args) -> Result<(), Failure> {
     }
 }
 
-/// Searches, prints, writes and loads.
 fn search(args: Search) -> Result<(), Failure> {
     let overwrite = args.force.overwrite();
     if let Some(out) = &args.out {
@@ -252,7 +248,7 @@ fn search(args: Search) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Opens the board. Returns an error unless the board has this device loaded.
+/// Opens the board, which must have this device loaded.
 fn open_with_device(port: &PortSpec, file: &DeviceFile) -> Result<Board, Failure> {
     let mut board = haptic_sim::open(port)?;
     let device = haptic_bridge::model::device::Device::new(&file.name, &file.description).map_err(Failure::wrong)?;
@@ -269,7 +265,7 @@ fn tip(file: &DeviceFile, q: &[f64]) -> Result<Vec<f64>, Failure> {
     Ok(haptic_stability::analysis::pose::TaskPose::at(&file.description, q)?.regular()?.position)
 }
 
-/// Returns pose, normal and position of the wall: as typed, from the scene's wall, or from home.
+/// Returns the wall as typed, as in the scene, or at home.
 fn place(args: &Search, file: &DeviceFile) -> Result<Place, Failure> {
     let spec = file.spec();
     let q = args.q.as_ref().map(|q| q.exactly(spec.joints, "--q", "joint angles")).transpose()?;
@@ -335,12 +331,12 @@ fn comments(args: &Search, file: &DeviceFile, answer: &TuneResult, ripple: f64) 
     ]
 }
 
-/// Formats the stiffness that a hand feels if transmissions are compliant, to follow the stiffness of the wall.
+/// Formats the stiffness that a hand feels if transmissions are compliant, as an addition to the wall's stiffness.
 fn felt(felt: Option<f64>) -> String {
     felt.map_or(String::new(), |felt| format!(" (felt at the tip: {felt:.0} N/m)"))
 }
 
-/// Formats the ripple, and the ripple on the simulated board if it was measured.
+/// Formats the ripple of a wall, with its ripple on the simulated board if that was measured.
 fn ripples(found: &TunedWall) -> String {
     let board = found.board_ripple_n.map_or(String::new(), |ripple| format!(", {ripple:.4} N on the simulated board"));
     format!("ripple {:.4} N{board}", found.ripple_n)
@@ -388,7 +384,7 @@ fn readable(document: &Document<'_>) -> String {
         let felt = felt(scene.felt);
         line(format!("  the scene's settings     {:>10} N/m{felt}   {ripple}", scene.settings.stiffness));
         line(format!(
-            "    {}; {} N/m as written, {} N/m within margins and motors with any ripple",
+            "    {}; {} N/m as written, {} N/m within the margins and the motors' limits with any ripple",
             describe(&scene.settings),
             scene.as_written,
             scene.within_margins
@@ -402,7 +398,7 @@ fn readable(document: &Document<'_>) -> String {
         ));
     }
     line(format!(
-        "\n  limited by: {}, the first limit that a stiffer wall exceeds; within a gain margin of {}, {:.1} us more delay, {:.0} % of mass, {:.0} % of each inertia, {:.0} % of friction, {:.0} % of counts, and in hands",
+        "\n  limited by: {}, the first limit that a stiffer wall exceeds; margins: gain {}, {:.1} us more delay, {:.0} % of mass, {:.0} % of each inertia, {:.0} % of friction, {:.0} % of counts, and hands",
         answer.active,
         margins.gain,
         1e6 * margins.delay_s,
@@ -419,7 +415,7 @@ fn readable(document: &Document<'_>) -> String {
     line("  nearby".into());
     for neighbour in &answer.beside {
         let ripple = neighbour.ripple_n.map_or("the tip flies off".into(), |ripple| format!("ripple {ripple:.4} N"));
-        let beyond = if neighbour.allowed { "" } else { ", beyond margins or motors" };
+        let beyond = if neighbour.allowed { "" } else { ", beyond the margins or the motors' limits" };
         let rebounds = if neighbour.rebounds { ", rebounds" } else { "" };
         line(format!(
             "    {:>10} N/m with {} N s/m: {ripple}{beyond}{rebounds}",
@@ -457,7 +453,7 @@ fn readable(document: &Document<'_>) -> String {
     text
 }
 
-/// Describes the benefit and the cost of another feed-forward.
+/// Describes the best wall with another feed-forward.
 fn describe_other(other: &Alternative, best: &TunedWall, passed_over: Option<&TunedWall>) -> String {
     let mut text = format!("  feed-forward {}: ", other.feed_forward.name());
     match &other.best {
@@ -481,7 +477,7 @@ fn describe_other(other: &Alternative, best: &TunedWall, passed_over: Option<&Tu
     text
 }
 
-/// Describes the cost of a stiffer wall: the change in the stiffness up to which a struck tip comes to rest.
+/// Describes the cost of a stiffer wall: a struck tip comes to rest up to another stiffness.
 fn rest_range(before: &Measured, found: &Measured) -> String {
     let at_least = |measured: &Measured| if measured.open.is_some() { "at least " } else { "" };
     format!(

@@ -18,7 +18,6 @@ pub struct Args {
     force: Force,
 }
 
-/// Prints the rule or writes it to a file.
 pub fn run(args: Args) -> Result<(), Failure> {
     let Some(file) = args.file else { return print(&rule()) };
     output::write(&file, rule().as_bytes(), args.force.overwrite())?;

@@ -18,10 +18,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::Duration;
 
-/// Interval between attempts to reopen a lost board: long enough for other tools to connect in between.
+/// Interval between attempts to reopen a lost board, long enough for other tools to connect in between.
 const RETRY: Duration = Duration::from_millis(500);
 
-/// Default TCP port of the page.
 const DEFAULT_PORT: u16 = 7720;
 
 /// Watch a device in the browser: walls to drag, gains to change, signals, recording
@@ -59,14 +58,14 @@ pub struct Args {
 pub(super) struct View {
     port: Port,
     file: Option<DeviceFile>,
-    /// The scene, and the name of its file.
+    /// The scene, and the name of its file for links to the page.
     scene: Option<(Scene<f32>, Option<String>)>,
     rate: Option<f64>,
     folder: PathBuf,
 }
 
 impl View {
-    /// Reads the files.
+    /// Reads the device file and the scene file.
     fn of(
         port: Port,
         device: Option<&PathBuf>,
@@ -110,8 +109,8 @@ impl View {
         }
     }
 
-    /// Opens a lost board once it is back. The error is the reason if the board is back but cannot be shown yet. Until
-    /// then the board is free for other tools, which may load the device or scene that it lacks.
+    /// Tries to reopen a lost board. The error is the reason if the board is connected again but lacks something for a
+    /// view, or `None` while it is gone. Meanwhile other tools may load the missing device or scene.
     fn reopen(&self, hub: &Hub) -> Result<Stage, Option<String>> {
         let back = |why: &dyn Display| Some(format!("the board is connected again, but {why}"));
         let mut world = self.open().map_err(|_| None)?;
@@ -123,8 +122,7 @@ impl View {
     }
 
     /// Shows the board until `stop`. Waits for a board that was unplugged, also if it returns without its device or
-    /// scene. `opened` is called once, when there is something to show, and `lost` with the reason whenever the wait
-    /// begins.
+    /// scene. Calls `opened` once when the view begins, and `lost` with the reason whenever a wait begins.
     pub(super) fn play(
         &self,
         hub: &Hub,
@@ -139,7 +137,7 @@ impl View {
             if matches!(self.port.spec(), PortSpec::Sim(_)) {
                 return Err(error.into());
             }
-            // The pages stay open and show the loss. The board's port is closed first.
+            // Keeps the pages open, and closes the port of the lost board.
             drop(stage);
             let mut why = error.to_string();
             lost(&why);
@@ -159,13 +157,12 @@ impl View {
                     Err(_) => {}
                 }
             };
-            // No page is in command of a board that has just come back.
+            // Drops old messages, so that no page is in command of a reopened board.
             hub.forget();
         }
     }
 }
 
-/// Serves the page.
 pub fn run(args: Args) -> Result<(), Failure> {
     let stop = interrupt::watch();
     let view = View::of(args.port, args.device.as_ref(), args.scene.as_ref(), args.rate, args.record_to)?;

@@ -167,6 +167,5 @@ pub fn draw(demo: &Demo, without: &Crossing, with: &Crossing) -> Picture {
         without.ripple,
         with.ripple
     );
-    canvas
-        .finish("Distance and force while a hand crosses a wall, without and with the feed-forward", &description)
+    canvas.finish("Distance and force while a hand crosses a wall, without and with the feed-forward", &description)
 }

@@ -82,7 +82,8 @@ pub fn draw(
             reach.iter().map(|tile| tile.iter().map(|&(x, y)| frame.pixel(x, y)).collect()).collect();
         canvas.tiles(&tiles, REACH);
         turret_axis(canvas, &frame, description.kind);
-        let mut occupied: Vec<Area> = skeleton.angles.iter().map(|angle| label(&frame, angle, &skeleton).area()).collect();
+        let mut occupied: Vec<Area> =
+            skeleton.angles.iter().map(|angle| label(&frame, angle, &skeleton).area()).collect();
         occupied.extend(turret_label(&frame, description.kind));
         let tip = frame.pixel(skeleton.tip.0, skeleton.tip.1);
         occupied.push([tip.0 - 18.0, tip.1 - 24.0, tip.0 + 18.0, tip.1 + 6.0]);

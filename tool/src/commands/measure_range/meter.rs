@@ -1,11 +1,11 @@
-//! Progress and remaining time of a measurement: a bar on a terminal, otherwise a line every few seconds.
+//! Progress and remaining time of a measurement: a bar on a terminal, or else a line every few seconds.
 
 use indicatif::{ProgressBar, ProgressStyle};
 use std::cell::{Cell, RefCell};
 use std::io::IsTerminal;
 use std::time::{Duration, Instant};
 
-/// Time between two lines without a terminal.
+/// Interval between lines without a terminal.
 const EVERY: Duration = Duration::from_secs(5);
 
 /// Reports the progress of a measurement on standard error.
@@ -13,14 +13,14 @@ pub struct Meter {
     total: usize,
     /// Repeats at each damping.
     repeats: usize,
-    /// Repeats of an earlier run that are still to be counted as done.
+    /// Number of repeats of an earlier run that `done` has not counted yet.
     earlier: Cell<usize>,
     done: Cell<usize>,
     began: Instant,
     last_done: Cell<Instant>,
     last_line: Cell<Instant>,
-    /// Number and total time (s) of the searches without and with a guess from an earlier repeat. The first search of a
-    /// damping has no guess and takes about twice as long.
+    /// Number and total time (s) of the searches without a guess, and of those with a guess from an earlier repeat. The
+    /// first search at a damping has no guess and takes about twice as long.
     took: RefCell<[(f64, f64); 2]>,
     bar: Option<ProgressBar>,
 }
@@ -67,7 +67,7 @@ impl Meter {
         self.tick();
     }
 
-    /// Prints a line if it is due. Call this often.
+    /// Prints a line if the interval is over; callers call this often.
     pub fn tick(&self) {
         if self.bar.is_some() || self.last_line.get().elapsed() < EVERY {
             return;
@@ -88,12 +88,11 @@ impl Meter {
         let done = self.done.get();
         let firsts = (done..self.total).filter(|repeat| repeat.is_multiple_of(self.repeats)).count();
         let whole = firsts as f64 * first_mean + (self.total - done - firsts) as f64 * later_mean;
-        // Subtracts the time of the present search, up to the mean time of a search.
+        // Subtracts the time of the present search, at most the mean time of a search.
         let under_way = if done.is_multiple_of(self.repeats) { first_mean } else { later_mean };
         Some(whole - since.min(under_way).min(whole))
     }
 
-    /// Removes the bar.
     pub fn finish(&self) {
         if let Some(bar) = &self.bar {
             bar.finish_and_clear();
@@ -101,7 +100,6 @@ impl Meter {
     }
 }
 
-/// Formats a time in seconds, minutes or hours.
 fn in_words(seconds: f64) -> String {
     match seconds {
         seconds if seconds < 99.5 => format!("{seconds:.0} s"),
@@ -120,7 +118,7 @@ mod tests {
         assert_eq!(meter.left(0.0), None);
         *meter.took.borrow_mut() = [(1.0, 10.0), (0.0, 0.0)];
         meter.done.set(1);
-        // Two later searches at half the time, then 10 + 5 + 5.
+        // Two later searches take 5 s each (half of the first), then come 10 + 5 + 5 s.
         assert_eq!([0.0, 4.0, 40.0].map(|since| meter.left(since)), [Some(30.0), Some(26.0), Some(25.0)]);
         *meter.took.borrow_mut() = [(1.0, 10.0), (2.0, 6.0)];
         meter.done.set(3);

@@ -22,7 +22,7 @@ use haptic_stability::analysis::several::Member;
 use serde_json::json;
 use std::fmt::Write;
 
-/// The linear theory of the board that was measured.
+/// The linear theory of the measured board.
 pub struct Theory {
     device: Walls,
     walls: Vec<Member>,
@@ -39,7 +39,7 @@ fn list(values: &[f64]) -> String {
 }
 
 impl Theory {
-    /// Computes the theory of a measurement with this setup at `q` in the loop `around`.
+    /// Computes the theory of a measurement at `q` in the loop `around`.
     pub fn new(
         args: &Args,
         file: &DeviceFile,
@@ -67,7 +67,7 @@ impl Theory {
     /// Returns the felt stiffness of a wall at the tip (N/m) if transmissions are compliant.
     fn felt(&self, mode: FeedForward, kp: f64) -> Option<f64> {
         let Walls::One(device) = &self.device else { return None };
-        // The corner of a washout has no effect at rest.
+        // Uses any corner of the washout, because it has no effect at rest.
         device.felt(Mode::of(mode, 0.0), kp)
     }
 
@@ -76,12 +76,13 @@ impl Theory {
     }
 }
 
-/// The complete range of one mode.
+/// Results over the complete range of one mode.
 #[derive(serde::Serialize)]
 struct Area {
     mode: FeedForward,
-    /// ∫ kp dkd of the stiffness that was stable at every pull, and of the theory, N² s/m².
+    /// ∫ kp dkd of the stiffness that was stable at every pull, N² s/m².
     measured: f64,
+    /// ∫ kp dkd of the theory, N² s/m².
     theory: f64,
     /// Largest difference between the measured stiffness and the theory, as a share of the theory's maximum.
     furthest: f64,
@@ -89,20 +90,18 @@ struct Area {
     spread: f64,
 }
 
-/// Returns the spread of the repeats of one pull as a share of their median.
 fn spread(repeats: &[f64]) -> f64 {
     let ((low, high), median) = (bounds(repeats), median(repeats));
     if median > 0.0 { (high - low) / median } else { 0.0 }
 }
 
-/// Distance of the dots of two pulls in the picture, pixels.
+/// Distance between the dots of two pulls in the picture, pixels.
 const APART: f64 = 7.0;
 
-/// Share of the theory's stiffness below which the boundary has another cause than the effects that the theory omits,
-/// which reduce it by at most a fifth on the simulated board (docs/results/complete.md).
+/// Share of the theory's stiffness below which a boundary is reported as implausible: the effects that the theory omits
+/// reduce it by at most a fifth on the simulated board (docs/results/complete.md).
 const FAR_BELOW: f64 = 0.5;
 
-/// The contents of the report.
 pub struct Report<'a> {
     pub name: &'a str,
     pub args: &'a Args,
@@ -122,7 +121,7 @@ impl Report<'_> {
         self.plan.modes.iter().any(|mode| self.points(*mode).iter().any(|point| !point.repeats.is_empty()))
     }
 
-    /// Returns the points of the plan; a progress file may contain other dampings too.
+    /// Returns the points at dampings of the plan; a progress file may contain other dampings too.
     fn points(&self, mode: FeedForward) -> Vec<&Point> {
         self.plan.asked(self.progress.all(mode))
     }
@@ -298,7 +297,7 @@ impl Report<'_> {
         Ok(text)
     }
 
-    /// Describes the encoders that could measure up to `stiffness` (N/m), if the present ones cannot.
+    /// Describes the encoders that a measurement up to `stiffness` (N/m) needs, if the present ones are too coarse.
     fn finer(&self, stiffness: f64) -> String {
         let Excitation { force, .. } = self.theory.excitation;
         let factor = 2.0 * self.theory.excitation.smallest() * stiffness / force;
@@ -324,7 +323,7 @@ impl Report<'_> {
             let domain = range.of(mode);
             let top = domain.boundary.iter().map(|point| point.kp).fold(0.0, f64::max);
             let apart = points.iter().map(|(point, theory)| (self.plan.at_every_pull(point) - theory.kp).abs() / top);
-            // The dampings are the middles of equal cells.
+            // Integrates with cells of equal width, because the dampings are the middles of cells.
             let cell = end / self.plan.points as f64;
             areas.push(Area {
                 mode,
@@ -398,7 +397,7 @@ impl Report<'_> {
 
     fn picture(&self) -> Result<haptic_show::plot::Picture, Failure> {
         let range = self.theory.predict(None, self.washout())?;
-        // Dots stand side by side, so that bars do not hide each other.
+        // Places the dots of the pulls side by side, so that their bars do not hide each other.
         let beside = |nth: usize| (nth as f64 - (self.plan.pulls.len() as f64 - 1.0) / 2.0) * APART;
         let dots = |mode| -> Vec<MeasuredPoint> {
             let of = |point: &Point| {
@@ -427,7 +426,7 @@ impl Report<'_> {
         }))
     }
 
-    /// Describes the damping that only the measurement has, which puts the dots above the curves.
+    /// Describes the damping that only the measurement has and that lifts the dots above the curves.
     fn left_out(&self) -> Option<String> {
         let known = matches!(self.args.friction, Some(FrictionKind::Viscous | FrictionKind::None));
         let dry = !self.args.frictionless && !known;
