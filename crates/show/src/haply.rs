@@ -28,14 +28,14 @@ use tungstenite::protocol::{CloseFrame, Role, WebSocketConfig};
 use tungstenite::{Message, WebSocket};
 
 /// Default port of the service.
-pub const USUAL_PORT: u16 = 10_001;
+pub const DEFAULT_PORT: u16 = 10_001;
 
 /// Maximum length of a program's message, bytes.
-const MAX_MESSAGE: usize = 256 * 1024;
+const MAX_MESSAGE_BYTES: usize = 256 * 1024;
 /// Maximum number of connections whose handshake is not complete.
 const MAX_HANDSHAKES: usize = 32;
 /// Time for which a connection is read before the server checks if it should stop.
-const READ_TIME: Duration = Duration::from_millis(20);
+const READ_TIMEOUT: Duration = Duration::from_millis(20);
 /// Maximum time for which a reply may stay unread, and for which a new program waits until a silent program has left.
 const SEND_TIMEOUT: Duration = Duration::from_secs(2);
 /// Interval between polls of an unused board, because a simulated board drops a silent tool if another one connects.
@@ -99,7 +99,7 @@ impl HaplyListener {
                         let _ = handle_connection(stream, place, &shared);
                     }));
                 }
-                Err(_) => thread::sleep(READ_TIME / 4),
+                Err(_) => thread::sleep(READ_TIMEOUT / 4),
             }
             threads.retain(|thread| !thread.is_finished());
             shared.maintain(&open, &mut failed);
@@ -115,11 +115,11 @@ impl HaplyListener {
 struct DeviceSlot {
     /// `None` while its board is lost.
     device: Option<Inverse3>,
-    user: Option<User>,
+    user: Option<DeviceUser>,
 }
 
 /// A program that uses the device.
-struct User {
+struct DeviceUser {
     last_message: Instant,
     /// Reason why the program must leave; `None` if it may stay.
     ejection: Option<&'static str>,
@@ -204,7 +204,7 @@ impl<'s> DeviceUse<'s> {
                 (None, _) => return Err(BOARD_LOST),
                 (Some(device), None) => {
                     device.begin_session();
-                    *user = Some(User { last_message: Instant::now(), ejection: None });
+                    *user = Some(DeviceUser { last_message: Instant::now(), ejection: None });
                     return Ok(Self(shared));
                 }
                 (_, Some(user)) if user.last_message.elapsed() >= shared.silence && began.elapsed() < SEND_TIMEOUT => {
@@ -213,7 +213,7 @@ impl<'s> DeviceUse<'s> {
                 _ => return Err("another program uses the device"),
             }
             drop(device_slot);
-            thread::sleep(READ_TIME / 4);
+            thread::sleep(READ_TIMEOUT / 4);
         }
     }
 
@@ -235,7 +235,7 @@ fn handle_connection(mut stream: TcpStream, place: Place, shared: &Shared) -> tu
     stream.set_nodelay(true)?;
     stream.set_write_timeout(Some(SEND_TIMEOUT))?;
     let Some(request) = crate::view::door::read_request(&mut stream) else {
-        return respond(
+        return send_json(
             &mut stream,
             "400 Bad Request",
             &json!({"ok": false, "error": "not a request of this service"}),
@@ -243,32 +243,32 @@ fn handle_connection(mut stream: TcpStream, place: Place, shared: &Shared) -> tu
     };
     if !is_allowed(&request, &shared.token) {
         let error = "only for programs on this computer; a page needs the token that `haptic serve` printed";
-        return respond(&mut stream, "403 Forbidden", &json!({"ok": false, "error": error}));
+        return send_json(&mut stream, "403 Forbidden", &json!({"ok": false, "error": error}));
     }
     drop(place);
     if let Ok(response) = create_response(&request) {
         let device_use = match DeviceUse::take(shared) {
             Ok(device_use) => device_use,
             Err(error) => {
-                return respond(&mut stream, "503 Service Unavailable", &json!({"ok": false, "error": error}));
+                return send_json(&mut stream, "503 Service Unavailable", &json!({"ok": false, "error": error}));
             }
         };
         write_response(&mut stream, &response)?;
-        return converse(stream, &device_use);
+        return exchange_messages(stream, &device_use);
     }
     match request.uri().path() {
         "/devices" => {
             let Some(frame) = shared.frame(true, Inverse3::poll) else {
                 let gone = json!({"ok": false, "error": BOARD_LOST});
-                return respond(&mut stream, "503 Service Unavailable", &gone);
+                return send_json(&mut stream, "503 Service Unavailable", &gone);
             };
-            respond(&mut stream, "200 OK", &frame)
+            send_json(&mut stream, "200 OK", &frame)
         }
         "/version" => {
             let version = concat!("haptic-bridge ", env!("CARGO_PKG_VERSION"));
-            respond(&mut stream, "200 OK", &json!({"version": version, "service_version": version}))
+            send_json(&mut stream, "200 OK", &json!({"version": version, "service_version": version}))
         }
-        _ => respond(&mut stream, "404 Not Found", &json!({"ok": false, "error": "not served by haptic-bridge"})),
+        _ => send_json(&mut stream, "404 Not Found", &json!({"ok": false, "error": "not served by haptic-bridge"})),
     }
 }
 
@@ -287,7 +287,7 @@ fn is_allowed(request: &Request, token: &str) -> bool {
     local(host) && origin
 }
 
-fn respond(stream: &mut TcpStream, status: &str, document: &Value) -> tungstenite::Result<()> {
+fn send_json(stream: &mut TcpStream, status: &str, document: &Value) -> tungstenite::Result<()> {
     let text = document.to_string();
     write!(
         stream,
@@ -297,9 +297,10 @@ fn respond(stream: &mut TcpStream, status: &str, document: &Value) -> tungstenit
     Ok(())
 }
 
-fn converse(stream: TcpStream, device_use: &DeviceUse<'_>) -> tungstenite::Result<()> {
-    stream.set_read_timeout(Some(READ_TIME))?;
-    let config = WebSocketConfig::default().max_message_size(Some(MAX_MESSAGE)).max_frame_size(Some(MAX_MESSAGE));
+fn exchange_messages(stream: TcpStream, device_use: &DeviceUse<'_>) -> tungstenite::Result<()> {
+    stream.set_read_timeout(Some(READ_TIMEOUT))?;
+    let config =
+        WebSocketConfig::default().max_message_size(Some(MAX_MESSAGE_BYTES)).max_frame_size(Some(MAX_MESSAGE_BYTES));
     let mut socket = WebSocket::from_raw_socket(stream, Role::Server, Some(config));
     let mut next = Some(ProgramRequest { full: true, ..ProgramRequest::default() });
     loop {

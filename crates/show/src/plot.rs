@@ -101,7 +101,7 @@ impl Picture {
         fonts.load_font_data(dejavu::sans::oblique().to_vec());
         let options = usvg::Options {
             fontdb: std::sync::Arc::new(fonts),
-            font_family: canvas::FONT.into(),
+            font_family: canvas::FONT_FAMILY.into(),
             ..usvg::Options::default()
         };
         let tree = usvg::Tree::from_str(&self.svg, &options).map_err(|e| drawing(e.to_string()))?;

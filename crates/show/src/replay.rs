@@ -64,7 +64,7 @@ impl ReplayResult {
     }
 }
 
-fn setting<S: Setting>(settings: &BTreeMap<String, SavedSetting>, name: &str) -> Result<S, Failure> {
+fn read_setting<S: Setting>(settings: &BTreeMap<String, SavedSetting>, name: &str) -> Result<S, Failure> {
     let missing = || {
         Failure::wrong(format!("the recording does not have the board's {name}"))
             .remedy("record with a device and a scene loaded, by haptic record")
@@ -111,9 +111,10 @@ pub fn replay(recording: &Recording) -> Result<ReplayResult, Failure> {
         Failure::wrong("the recording does not have the board's settings").remedy("record with haptic record")
     })?;
     let settings: BTreeMap<String, SavedSetting> = serde_json::from_str(settings).map_err(Failure::wrong)?;
-    let (device, scene): (Device<f32>, Scene<f32>) = (setting(&settings, "device")?, setting(&settings, "scene")?);
+    let (device, scene): (Device<f32>, Scene<f32>) =
+        (read_setting(&settings, "device")?, read_setting(&settings, "scene")?);
     // A replay has no host that sends heartbeats.
-    let rules = Rules { host_action: HostAction::Ignore, ..setting(&settings, "rules")? };
+    let rules = Rules { host_action: HostAction::Ignore, ..read_setting(&settings, "rules")? };
     let joints = device.axes();
     let columns = Columns::of(recording, joints)?;
     let rows = &recording.rows;

@@ -30,7 +30,7 @@ pub struct Args {
 }
 
 /// Explanation of the columns and of the parts of a variant's name.
-const LEGEND: &str = "
+const COLUMN_LEGEND: &str = "
 variant: mechanism/trigonometry/mass matrix/terms
   trigonometry: table (and two terms of a series, as in the firmware), minimax (polynomials)
   mass matrix: exact (closed form), frozen (one for the workspace), bilinear and bicubic (tables)
@@ -88,6 +88,6 @@ pub fn run(args: Args) -> Result<(), Failure> {
             if variant.pareto { "  front" } else { "" }
         ));
     }
-    text.push_str(LEGEND);
+    text.push_str(COLUMN_LEGEND);
     print(&text)
 }

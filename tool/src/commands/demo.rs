@@ -30,21 +30,21 @@ pub struct Args {
 }
 
 /// Seed of the hand's tremor, the same for both runs.
-const SEED: u64 = 1;
+const TREMOR_SEED: u64 = 1;
 
 /// Units of the progress bar for one of the four parts of the work.
-const PART: u64 = 100;
+const UNITS_PER_PART: u64 = 100;
 
 /// A progress bar on standard error, which is drawn only on a terminal.
-struct Bar {
+struct PartsBar {
     bar: ProgressBar,
     /// Number of finished parts.
     done: u64,
 }
 
-impl Bar {
+impl PartsBar {
     fn new(parts: u64) -> Self {
-        let bar = ProgressBar::new(parts * PART);
+        let bar = ProgressBar::new(parts * UNITS_PER_PART);
         if let Ok(style) = ProgressStyle::with_template("{bar:32} {percent:3} %  {msg}") {
             bar.set_style(style);
         }
@@ -54,7 +54,7 @@ impl Bar {
     /// Shows the progress in the present part, as a share, and the activity `doing`.
     fn show(&self, share: f64, doing: &'static str) {
         self.bar.set_message(doing);
-        self.bar.set_position(self.done * PART + (share * PART as f64) as u64);
+        self.bar.set_position(self.done * UNITS_PER_PART + (share * UNITS_PER_PART as f64) as u64);
     }
 
     fn next(&mut self) {
@@ -75,8 +75,8 @@ struct Results {
 
 pub fn run(args: Args) -> Result<(), Failure> {
     args.force.check_pictures(args.svg.as_ref(), None)?;
-    let demo = Demo::shipped(SEED)?;
-    let mut bar = Bar::new(4);
+    let demo = Demo::shipped(TREMOR_SEED)?;
+    let mut bar = PartsBar::new(4);
     let mut crossing = |feed_forward, doing: &'static str| {
         let result = cross(&demo, feed_forward, &mut |share| bar.show(share, doing));
         bar.next();

@@ -9,9 +9,9 @@ use std::io;
 use std::time::{Duration, Instant};
 
 /// Longest delay between the first press of a held key and its first repeat. Terminals take 250 to 660 ms.
-const REPEAT: Duration = Duration::from_millis(1000);
+const MAX_REPEAT_DELAY: Duration = Duration::from_millis(1000);
 /// Longest pause between repeats before the key counts as released.
-const RELEASED: Duration = Duration::from_millis(400);
+const MAX_REPEAT_PAUSE: Duration = Duration::from_millis(400);
 
 /// The dead man's key of a terminal.
 #[derive(Debug, Default)]
@@ -27,7 +27,7 @@ pub struct HeldKey {
 impl HeldKey {
     /// Handles a Space. Returns the message for the board.
     pub fn press(&mut self, now: Instant) -> Option<FromPage> {
-        let repeats = self.pressed.is_some_and(|before| now.duration_since(before) <= REPEAT);
+        let repeats = self.pressed.is_some_and(|before| now.duration_since(before) <= MAX_REPEAT_DELAY);
         self.pressed = Some(now);
         match (self.on, repeats) {
             (true, _) => Some(FromPage::Hold { seen: self.seen }),
@@ -43,7 +43,7 @@ impl HeldKey {
     /// the board.
     pub fn wait(&mut self, now: Instant, step: u32) -> Option<FromPage> {
         self.seen = step;
-        let silent = self.pressed.is_none_or(|before| now.duration_since(before) > RELEASED);
+        let silent = self.pressed.is_none_or(|before| now.duration_since(before) > MAX_REPEAT_PAUSE);
         (self.on && silent).then(|| self.release())
     }
 

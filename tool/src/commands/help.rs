@@ -33,7 +33,7 @@ pub fn command() -> clap::Command {
         listing.push('\n');
     }
     let template = format!(
-        "{{about-with-newline}}\n{{usage-heading}} {{usage}}\n\n{listing}{START}\n\
+        "{{about-with-newline}}\n{{usage-heading}} {{usage}}\n\n{listing}{FIRST_COMMANDS}\n\
          `haptic help COMMAND` explains one command; `haptic --version` prints the version.\n\
          Not listed, each with its own page: {}.\n\
          Exit codes: 0 done, 1 it could not be done, 2 the command or a file is wrong, 3 what was compared differs.",
@@ -67,7 +67,7 @@ fn add_examples(command: clap::Command, above: &str) -> clap::Command {
 }
 
 /// First commands for a new user.
-const START: &str = "Start here, without hardware:
+const FIRST_COMMANDS: &str = "Start here, without hardware:
   haptic demo                     the benefit of the feed-forward, in seconds
   haptic view --port sim          a device, a wall and a hand that you move, in the browser
   haptic sim                      a simulated board; it prints the PORT for the commands \"With a board\"

@@ -239,7 +239,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
                 (Err(error), _) => failure(error, &args, spec.joints > spec.task, &mut board),
                 (Ok(()), open) => {
                     let reason = open.map_or_else(String::new, |open| open.reason.clone());
-                    Failure::impossible(format!("no boundary was found: {reason}")).remedy(REMEDY)
+                    Failure::impossible(format!("no boundary was found: {reason}")).remedy(NO_BOUNDARY_REMEDY)
                 }
             })
         }
@@ -247,7 +247,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
 }
 
 /// Remedy for encoders that are too coarse, or friction that is too large, to find a boundary.
-const REMEDY: &str = "use finer encoders (--counts on --port sim), a lower --rate and --cutoff, a larger --pull or \
+const NO_BOUNDARY_REMEDY: &str = "use finer encoders (--counts on --port sim), a lower --rate and --cutoff, a larger --pull or \
                       --torque-limit, another pose or normal";
 
 /// Returns the plan of the measurement, and the length of its longest pull, m.
@@ -395,7 +395,7 @@ fn failure(error: MeasureError, args: &Args, redundant: bool, board: &mut Board)
             })
         }
         MeasureError::Stuck { .. } | MeasureError::Unbounded | MeasureError::Saturates { .. } | MeasureError::Open { .. } => {
-            Failure::impossible(error).remedy(REMEDY)
+            Failure::impossible(error).remedy(NO_BOUNDARY_REMEDY)
         }
         MeasureError::Scene(_) => Failure::wrong(error),
     }

@@ -9,7 +9,7 @@ use haptic_host::link::{fields, max_rows_per_second};
 use std::path::PathBuf;
 
 /// Default fields: those that a person reads, and those that `haptic replay` needs.
-const FIELDS: Fields = Fields(
+const DEFAULT_FIELDS: Fields = Fields(
     Fields::USUAL.0 | Field::Angle.bit() | Field::NormalVelocity.bit() | Field::Energy.bit() | Field::Counts.bit(),
 );
 
@@ -52,7 +52,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     }
     args.force.check([&args.file])?;
     let mut board = args.port.open()?;
-    let fields = args.fields.unwrap_or(FIELDS);
+    let fields = args.fields.unwrap_or(DEFAULT_FIELDS);
     let rate = match args.rate {
         Some(rate) => rate,
         None => {

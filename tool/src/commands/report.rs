@@ -303,7 +303,7 @@ fn inline(svg: &str, number: usize) -> String {
         .replace("url(#clip", &format!("url(#p{number}clip"))
 }
 
-const STYLE: &str = "body{font-family:sans-serif;max-width:60rem;margin:2rem auto;padding:0 1rem;color:#222}\
+const PAGE_STYLE: &str = "body{font-family:sans-serif;max-width:60rem;margin:2rem auto;padding:0 1rem;color:#222}\
     h1{font-size:1.5rem}h2{font-size:1.15rem;margin-top:2.2rem;border-top:1px solid #ccc;padding-top:.8rem}\
     pre{font-size:.72rem;overflow-x:auto;background:#f6f6f6;padding:.6rem;white-space:pre}\
     code.line{display:block;background:#eef3f8;padding:.4rem .6rem;font-size:.78rem;overflow-wrap:anywhere}\
@@ -324,7 +324,7 @@ fn page(name: &str, args: &Args, sections: &[Section], outputs: &[Output]) -> St
     let _ = write!(
         page,
         "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\"/>\n<title>{name}</title>\n\
-         <meta name=\"viewport\" content=\"width=device-width\"/>\n<style>{STYLE}</style>\n</head>\n<body>\n\
+         <meta name=\"viewport\" content=\"width=device-width\"/>\n<style>{PAGE_STYLE}</style>\n</head>\n<body>\n\
          <h1>{name}</h1>\n<p>{about}</p>\n\
          <p>Every number on this page is the output of the command above it, run where the page was made. Predictions are for the \
          device in the file; nothing was measured on a real device.</p>\n<ol>\n"

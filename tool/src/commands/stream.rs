@@ -138,10 +138,10 @@ pub(super) fn follow(board: &mut Board, options: &Options<'_>) -> Result<(), Fai
     };
     let end = loop {
         if stop.is_set() {
-            break End::Requested;
+            break StreamEnd::Requested;
         }
         match board.rows(Duration::from_millis(200)) {
-            Err(error) => break End::BoardLost(error),
+            Err(error) => break StreamEnd::BoardLost(error),
             Ok(rows) => {
                 let mut result = Ok(());
                 for record in board.take_reported_faults() {
@@ -152,16 +152,16 @@ pub(super) fn follow(board: &mut Board, options: &Options<'_>) -> Result<(), Fai
                 let is_over = result.and_then(|()| stream.take(&rows, options.seconds));
                 match is_over.and_then(|is_over| stream.note(board).map(|()| is_over)) {
                     Ok(false) => {}
-                    Ok(true) => break End::Requested,
-                    Err(RecordError::ReaderGone) => break End::ReaderGone,
-                    Err(RecordError::Failed(failure)) => break End::NoRoom(failure),
+                    Ok(true) => break StreamEnd::Requested,
+                    Err(RecordError::ReaderGone) => break StreamEnd::ReaderGone,
+                    Err(RecordError::Failed(failure)) => break StreamEnd::NoRoom(failure),
                 }
             }
         }
     };
     // Turns the motors off first; errors of the file come later.
     let disarmed = match end {
-        End::BoardLost(_) => Ok(()),
+        StreamEnd::BoardLost(_) => Ok(()),
         _ if options.arm => disarm(board, rate_hz as f32),
         _ => Ok(()),
     };
@@ -178,7 +178,7 @@ fn disarm(board: &mut Board, rate_hz: f32) -> Result<(), Failure> {
 }
 
 /// Reason for the end of the stream.
-enum End {
+enum StreamEnd {
     Requested,
     ReaderGone,
     BoardLost(LinkError),
@@ -311,12 +311,12 @@ fn as_json(value: &Value) -> serde_json::Value {
 }
 
 /// Stops the stream and reports the result: the same count in the file, on the terminal and in JSON.
-fn finish(end: End, board: &mut Board, mut stream: Stream, json: bool) -> Result<(), Failure> {
+fn finish(end: StreamEnd, board: &mut Board, mut stream: Stream, json: bool) -> Result<(), Failure> {
     let stopped = match end {
-        End::BoardLost(_) => Ok(()),
+        StreamEnd::BoardLost(_) => Ok(()),
         _ => board.stop_stream(),
     };
-    if matches!(end, End::ReaderGone) {
+    if matches!(end, StreamEnd::ReaderGone) {
         return Ok(());
     }
     let losses = stream.losses(board);
@@ -324,12 +324,12 @@ fn finish(end: End, board: &mut Board, mut stream: Stream, json: bool) -> Result
     let mut summary = losses.to_string();
     let mut file = None;
     if let Sink::File(recorder) = &mut stream.sink {
-        if !matches!(end, End::NoRoom(_)) {
-            let cut = if matches!(end, End::BoardLost(_)) { "cut short: the board was lost; " } else { "" };
+        if !matches!(end, StreamEnd::NoRoom(_)) {
+            let cut = if matches!(end, StreamEnd::BoardLost(_)) { "cut short: the board was lost; " } else { "" };
             written = recorder.end(&format!("{cut}{losses}"), &losses);
         }
         // Ignores a reader that closes the pipe at the end.
-        if matches!((&end, &written), (End::Requested, Err(RecordError::ReaderGone))) {
+        if matches!((&end, &written), (StreamEnd::Requested, Err(RecordError::ReaderGone))) {
             return Ok(stopped?);
         }
         let verb = if recorder.rows() == 1 { "is" } else { "are" };
@@ -371,9 +371,9 @@ fn finish(end: End, board: &mut Board, mut stream: Stream, json: bool) -> Result
         print(&format!("{document}\n"))?;
     }
     match (end, written) {
-        (End::NoRoom(failure), _) | (_, Err(RecordError::Failed(failure))) => Err(failure),
-        (End::BoardLost(error), _) if file.is_none() => Err(error.into()),
-        (End::BoardLost(error), _) => Err(Failure::impossible(error).remedy(summary)),
+        (StreamEnd::NoRoom(failure), _) | (_, Err(RecordError::Failed(failure))) => Err(failure),
+        (StreamEnd::BoardLost(error), _) if file.is_none() => Err(error.into()),
+        (StreamEnd::BoardLost(error), _) => Err(Failure::impossible(error).remedy(summary)),
         _ => Ok(stopped?),
     }
 }

@@ -19,7 +19,7 @@ use std::thread;
 use std::time::Duration;
 
 /// Interval between attempts to reopen a lost board, long enough for other tools to connect in between.
-const RETRY: Duration = Duration::from_millis(500);
+const RETRY_INTERVAL: Duration = Duration::from_millis(500);
 
 const DEFAULT_PORT: u16 = 7720;
 
@@ -147,7 +147,7 @@ impl View {
                 }
                 let notice = serde_json::json!({"is": "lost", "why": why}).to_string();
                 hub.to_all(|outbox| outbox.tell(notice.clone()));
-                thread::sleep(RETRY);
+                thread::sleep(RETRY_INTERVAL);
                 match self.reopen(hub) {
                     Ok(stage) => break stage,
                     Err(Some(reason)) if reason != why => {

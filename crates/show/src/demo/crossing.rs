@@ -73,7 +73,7 @@ pub fn run(demo: &Demo, feed_forward: FeedForward, progress: &mut dyn FnMut(f64)
         let mut board = shared.lock();
         let now = board.time();
         let settings = HandSettings { tremor: 2e-4, seed: demo.seed, ..HandSettings::default() };
-        board.device_mut().set_hand(Hand::new(settings, Intent::Follow(path(demo, tip)), tip, now));
+        board.device_mut().set_hand(Hand::new(settings, Intent::Follow(hand_path(demo, tip)), tip, now));
     }
     board.arm()?;
     let selected = fields("duty,distance,force,state").unwrap_or(haptic_bridge::board::telemetry::Fields::ALL);
@@ -92,11 +92,11 @@ pub fn run(demo: &Demo, feed_forward: FeedForward, progress: &mut dyn FnMut(f64)
     }
     let lost = board.losses().missing;
     let axes = demo.file.spec().joints;
-    Ok(assess(moments(&rows, &columns(selected, axes), demo.rate_hz), lost, fault))
+    Ok(assess(moments_of_rows(&rows, &columns(selected, axes), demo.rate_hz), lost, fault))
 }
 
 /// Returns the hand's path: down, rest, along, rest, up.
-fn path(demo: &Demo, tip: [f64; 3]) -> Vec<Waypoint> {
+fn hand_path(demo: &Demo, tip: [f64; 3]) -> Vec<Waypoint> {
     let [nx, ny] = demo.normal;
     let at = |time: f64, up: f64, along: f64| Waypoint {
         time,
@@ -113,7 +113,7 @@ fn path(demo: &Demo, tip: [f64; 3]) -> Vec<Waypoint> {
     ]
 }
 
-fn moments(rows: &[Row], columns: &[haptic_host::link::Column], rate_hz: f64) -> Vec<Moment> {
+fn moments_of_rows(rows: &[Row], columns: &[haptic_host::link::Column], rate_hz: f64) -> Vec<Moment> {
     let first = rows.first().map_or(0, |row| row.step);
     let value = |row: &Row, field: Field, axis: usize| {
         let index = columns.iter().position(|column| column.field == field && column.axis == axis);
@@ -147,7 +147,7 @@ fn assess(moments: Vec<Moment>, lost: u64, fault: Option<String>) -> Crossing {
     Crossing {
         penetration: largest(|moment| -moment.distance),
         peak_force: largest(|moment| moment.force),
-        ripple: ripple(&resting),
+        ripple: detrended_rms(&resting),
         bounces: contact.windows(2).filter(|pair| pair[0] && !pair[1]).count(),
         moments,
         lost,
@@ -157,15 +157,15 @@ fn assess(moments: Vec<Moment>, lost: u64, fault: Option<String>) -> Crossing {
 
 /// Computes the root mean square deviation from a moving mean over 21 samples, because slow changes of the force are
 /// not ripple.
-fn ripple(force: &[f64]) -> f64 {
-    const HALF: usize = 10;
-    if force.len() <= 2 * HALF {
+fn detrended_rms(force: &[f64]) -> f64 {
+    const HALF_WINDOW: usize = 10;
+    if force.len() <= 2 * HALF_WINDOW {
         return 0.0;
     }
-    let deviations = force.windows(2 * HALF + 1).map(|window| {
+    let deviations = force.windows(2 * HALF_WINDOW + 1).map(|window| {
         let mean = window.iter().sum::<f64>() / window.len() as f64;
-        (window[HALF] - mean).powi(2)
+        (window[HALF_WINDOW] - mean).powi(2)
     });
-    let count = force.len() - 2 * HALF;
+    let count = force.len() - 2 * HALF_WINDOW;
     (deviations.sum::<f64>() / count as f64).sqrt()
 }

@@ -54,10 +54,10 @@ pub fn limit(demo: &Demo, feed_forward: FeedForward) -> Result<Limit, DemoError>
     // The prediction uses the delay that the board reports while it runs at the demo's rate.
     let delay_samples = f64::from(prepared.board().details()?.delay_samples);
     prepared.finish()?;
-    Ok(Limit { measured, predicted: predict(&demo, feed_forward, delay_samples)?, delay_samples })
+    Ok(Limit { measured, predicted: predict_limit(&demo, feed_forward, delay_samples)?, delay_samples })
 }
 
-fn predict(demo: &Demo, feed_forward: FeedForward, delay_samples: f64) -> Result<f64, DemoError> {
+fn predict_limit(demo: &Demo, feed_forward: FeedForward, delay_samples: f64) -> Result<f64, DemoError> {
     let path = TorquePath { delay_samples, drive: Drive::Ideal };
     let control_loop = Loop::through(&path, demo.rate_hz, LinearEstimator::Butterworth(demo.cutoff_hz));
     let subject = Subject::new(&demo.file.description).map_err(PoseError::from)?.undamped();

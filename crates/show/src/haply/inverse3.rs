@@ -12,13 +12,13 @@ use serde_json::{Value, json};
 use std::time::{Duration, Instant};
 
 /// Id of the grip that programs expect; it never turns, and its buttons are never pressed.
-const GRIP: &str = "HB00";
+const GRIP_ID: &str = "HB00";
 /// `device_type` of an Inverse3 in Haply's service.
-const INVERSE3: u32 = 4;
+const INVERSE3_TYPE: u32 = 4;
 /// Maximum simulated time to catch up in one call.
-const MAX_ADVANCE: Duration = Duration::from_millis(100);
+const MAX_CATCH_UP: Duration = Duration::from_millis(100);
 /// Commands in remedies for people, each with the request that a program sends instead.
-const CALLS: [(&str, &str); 1] = [(CLEARING, "`clear_fault`")];
+const COMMAND_REPLACEMENTS: [(&str, &str); 1] = [(CLEARING, "`clear_fault`")];
 
 /// A board that appears to programs as a Haply device.
 pub struct Inverse3 {
@@ -169,7 +169,7 @@ impl Inverse3 {
     /// Lets simulated time catch up with real time, because a simulated board runs only while a request waits.
     fn advance(&mut self) -> Result<(), LinkError> {
         if self.simulated {
-            self.session.rows(self.polled.elapsed().min(MAX_ADVANCE))?;
+            self.session.rows(self.polled.elapsed().min(MAX_CATCH_UP))?;
         }
         self.polled = Instant::now();
         Ok(())
@@ -208,7 +208,7 @@ impl Inverse3 {
         self.fault = self.session.fault();
         if self.armed && self.last.state != State::Armed {
             self.armed = false;
-            let why = self.fault.map_or_else(|| "another tool turned them off".into(), |fault| describe(&fault));
+            let why = self.fault.map_or_else(|| "another tool turned them off".into(), |fault| describe_fault(&fault));
             let reconnect = self.fault.is_none_or(|fault| fault.fault == Fault::HostLost);
             let action = if reconnect { "connects again" } else { "clears the fault" };
             self.notify(format!("the motors are off: {why}; a program that {action} arms them"));
@@ -242,7 +242,7 @@ impl Inverse3 {
         match self.session.arm() {
             Ok(()) => (self.armed, self.may_arm, self.refusal) = (true, false, None),
             Err(BoardError::Refused(refusal)) => {
-                let refusal = commands_to_calls(&refusal.to_string(), &CALLS);
+                let refusal = commands_to_calls(&refusal.to_string(), &COMMAND_REPLACEMENTS);
                 self.notify(format!("the motors stay off: {refusal}"));
                 self.refusal = Some(refusal);
             }
@@ -293,14 +293,14 @@ impl Inverse3 {
         if let Some(FaultRecord { fault, axis, value, .. }) = self.fault {
             device["fault"] = json!({
                 "code": fault.code(), "name": fault.name(), "what": fault.what(), "joint": axis, "value": value,
-                "remedy": commands_to_calls(fault.remedy(), &CALLS),
+                "remedy": commands_to_calls(fault.remedy(), &COMMAND_REPLACEMENTS),
             });
         }
         if let Some(refusal) = &self.refusal {
             device["refusal"] = json!(refusal);
         }
         let mut grip = json!({
-            "device_id": GRIP,
+            "device_id": GRIP_ID,
             "state": {
                 "battery_level": 1.0,
                 "battery_voltage": 3.7,
@@ -316,7 +316,7 @@ impl Inverse3 {
                 "id": self.id,
                 "type": "inverse3",
                 "device_info": {
-                    "id": self.id, "major_version": 0, "minor_version": 1, "device_type": INVERSE3, "uuid": self.id,
+                    "id": self.id, "major_version": 0, "minor_version": 1, "device_type": INVERSE3_TYPE, "uuid": self.id,
                 },
                 "port": self.session.port(),
                 "extended_device_id": self.id,
@@ -333,7 +333,7 @@ impl Inverse3 {
                 "streaming_mode": "USB",
             });
             grip["config"] = json!({
-                "id": GRIP,
+                "id": GRIP_ID,
                 "type": "wireless_verse_grip",
                 "port": "",
                 "major_version": 0,
@@ -347,6 +347,6 @@ impl Inverse3 {
     }
 }
 
-fn describe(fault: &FaultRecord) -> String {
-    commands_to_calls(&fault_and_remedy(fault), &CALLS)
+fn describe_fault(fault: &FaultRecord) -> String {
+    commands_to_calls(&fault_and_remedy(fault), &COMMAND_REPLACEMENTS)
 }

@@ -80,7 +80,7 @@ fn entries(value: &Value) -> impl Iterator<Item = (&String, &Value)> {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Basis([(usize, f64); 3]);
 
-const LETTERS: [char; 3] = ['X', 'Y', 'Z'];
+const AXIS_LETTERS: [char; 3] = ['X', 'Y', 'Z'];
 
 impl Default for Basis {
     fn default() -> Self {
@@ -114,7 +114,7 @@ impl FromStr for Basis {
         };
         let (mut axes, mut sign) = (Vec::new(), 1.0);
         for letter in text.chars() {
-            match LETTERS.iter().position(|axis| *axis == letter) {
+            match AXIS_LETTERS.iter().position(|axis| *axis == letter) {
                 Some(axis) => axes.push((axis, std::mem::replace(&mut sign, 1.0))),
                 None if letter == '-' => sign = -1.0,
                 None if letter == '+' => {}
@@ -131,7 +131,7 @@ impl fmt::Display for Basis {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         self.0.iter().try_for_each(|(axis, sign)| {
             let sign = if *sign < 0.0 { "-" } else { "" };
-            write!(f, "{sign}{}", LETTERS[*axis])
+            write!(f, "{sign}{}", AXIS_LETTERS[*axis])
         })
     }
 }

@@ -1,10 +1,10 @@
 //! A framed coordinate system on a canvas: round ticks, SI prefixes, curves, dots with error bars, a legend.
 
-use super::canvas::{Anchor, Canvas, SMALL, Stroke};
-use super::colour::{FAINT, INK};
-use super::paper::{EDGE, wrap};
+use super::canvas::{Anchor, Canvas, SMALL_TEXT, Stroke};
+use super::colour::{FAINT_GREY, INK};
+use super::paper::{EDGE_MARGIN, wrap};
 
-const TEXT: f64 = 12.0;
+const TICK_TEXT_SIZE: f64 = 12.0;
 
 /// A quantity along an axis.
 #[derive(Clone, Debug, PartialEq)]
@@ -130,14 +130,14 @@ impl PlotArea {
         for (value, text) in ticks {
             let (x, _) = self.pixel(*value, self.y.low);
             canvas.line((x, bottom), (x, bottom + 5.0), Stroke::solid(INK, 1.0));
-            canvas.text((x, bottom + 19.0), TEXT, Anchor::Middle, false, text);
+            canvas.text((x, bottom + 19.0), TICK_TEXT_SIZE, Anchor::Middle, false, text);
         }
         let mut widest = 0;
         for (value, text) in self.y.ticks(height / 55.0) {
             let (_, y) = self.pixel(self.x.low, value);
             widest = widest.max(text.chars().count());
             canvas.line((left - 5.0, y), (left, y), Stroke::solid(INK, 1.0));
-            canvas.text((left - 9.0, y + 4.2), TEXT, Anchor::End, false, &text);
+            canvas.text((left - 9.0, y + 4.2), TICK_TEXT_SIZE, Anchor::End, false, &text);
         }
         canvas.rectangle(self.at, self.size, "none", Stroke::solid(INK, 1.0));
         canvas.text((left + width / 2.0, bottom + 40.0), 13.0, Anchor::Middle, false, label);
@@ -184,34 +184,34 @@ impl PlotArea {
     /// Draws a legend in the first corner of the frame without lines or dots of `drawn` (values), or else below the
     /// picture, which then grows.
     pub fn clear_legend(&self, canvas: &mut Canvas, drawn: &[Vec<(f64, f64)>], entries: &[(Mark<'_>, String)]) {
-        const GAP: f64 = 10.0;
+        const LEGEND_GAP: f64 = 10.0;
         let (width, height) = Self::legend_size(entries);
-        let (left, right) = (self.at.0 + GAP, self.at.0 + self.size.0 - GAP);
-        let (top, bottom) = (self.at.1 + GAP, self.at.1 + self.size.1 - GAP);
-        let fits = width + 2.0 * GAP < self.size.0 && height + 2.0 * GAP < self.size.1;
+        let (left, right) = (self.at.0 + LEGEND_GAP, self.at.0 + self.size.0 - LEGEND_GAP);
+        let (top, bottom) = (self.at.1 + LEGEND_GAP, self.at.1 + self.size.1 - LEGEND_GAP);
+        let fits = width + 2.0 * LEGEND_GAP < self.size.0 && height + 2.0 * LEGEND_GAP < self.size.1;
         let corners = [(right, top), (left + width, top), (right, bottom - height), (left + width, bottom - height)];
         let free = corners.into_iter().find(|&(right, top)| {
             // Half the width of a dot with its outline.
-            const MARGIN: f64 = 5.0;
-            let low = (right - width - MARGIN, top - MARGIN);
-            let high = (right + MARGIN, top + height + MARGIN);
+            const DOT_MARGIN: f64 = 5.0;
+            let low = (right - width - DOT_MARGIN, top - DOT_MARGIN);
+            let high = (right + DOT_MARGIN, top + height + DOT_MARGIN);
             let pixels = |line: &Vec<(f64, f64)>| line.iter().map(|&(x, y)| self.pixel(x, y)).collect::<Vec<_>>();
             fits && !drawn.iter().map(pixels).any(|line| crosses_box(&line, low, high))
         });
         if let Some((right, top)) = free {
             return Self::legend(canvas, right, top, entries);
         }
-        let max_width = canvas.width() - 2.0 * EDGE - 48.0;
+        let max_width = canvas.width() - 2.0 * EDGE_MARGIN - 48.0;
         let folded: Vec<(Mark<'_>, String)> = entries
             .iter()
             .flat_map(|(mark, text)| {
-                let lines = wrap(text, max_width, SMALL);
+                let lines = wrap(text, max_width, SMALL_TEXT);
                 lines.into_iter().enumerate().map(|(i, line)| (if i == 0 { *mark } else { Mark::Continued }, line))
             })
             .collect();
         let (width, height) = Self::legend_size(&folded);
-        let right = (self.at.0 + width).min(canvas.width() - EDGE);
-        let top = canvas.lengthen(height + 2.0 * GAP);
+        let right = (self.at.0 + width).min(canvas.width() - EDGE_MARGIN);
+        let top = canvas.lengthen(height + 2.0 * LEGEND_GAP);
         Self::legend(canvas, right, top, &folded);
     }
 
@@ -225,7 +225,7 @@ impl PlotArea {
     pub fn legend(canvas: &mut Canvas, right: f64, top: f64, entries: &[(Mark<'_>, String)]) {
         let (width, height) = Self::legend_size(entries);
         let left = right - width;
-        canvas.rectangle((left, top), (width, height), "#ffffffee", Stroke::solid(FAINT, 0.6));
+        canvas.rectangle((left, top), (width, height), "#ffffffee", Stroke::solid(FAINT_GREY, 0.6));
         for (i, entry) in entries.iter().enumerate() {
             Self::entry(canvas, (left + 8.0, top + 14.0 + 18.0 * i as f64), entry);
         }

@@ -7,9 +7,9 @@ use super::Picture;
 use super::colour::INK;
 
 /// Font family of all text; compiled in for PNG, with a fallback for SVG viewers.
-pub const FONT: &str = "DejaVu Sans";
+pub const FONT_FAMILY: &str = "DejaVu Sans";
 /// Size of the smallest text, units.
-pub const SMALL: f64 = 11.5;
+pub const SMALL_TEXT: f64 = 11.5;
 
 /// Alignment of a text relative to its point.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -88,7 +88,7 @@ impl Canvas {
         };
         let svg = format!(
             "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{}\" height=\"{}\" \
-             viewBox=\"0 0 {width} {height}\" font-family=\"{FONT}, Verdana, sans-serif\" fill=\"{INK}\">\n\
+             viewBox=\"0 0 {width} {height}\" font-family=\"{FONT_FAMILY}, Verdana, sans-serif\" fill=\"{INK}\">\n\
              <title>{title}</title>\n<desc>{description}</desc>\n\
              <rect width=\"{width}\" height=\"{height}\" fill=\"white\"/>\n{}</svg>\n",
             size[0], size[1], self.body
@@ -165,7 +165,7 @@ impl Canvas {
     pub fn slanted_text(&mut self, at: (f64, f64), degrees: f64, text: &str) {
         let text = escape(text);
         self.push(format_args!(
-            r#"<text transform="translate({:.2} {:.2}) rotate({degrees:.2})" font-size="{SMALL}" text-anchor="middle" stroke="white" stroke-width="3" paint-order="stroke">{text}</text>"#,
+            r#"<text transform="translate({:.2} {:.2}) rotate({degrees:.2})" font-size="{SMALL_TEXT}" text-anchor="middle" stroke="white" stroke-width="3" paint-order="stroke">{text}</text>"#,
             at.0, at.1
         ));
     }
@@ -267,7 +267,7 @@ mod tests {
     use super::*;
 
     /// Returns twice the area of outlines, with the sign of their sense of rotation.
-    fn area(outlines: &[Vec<(i64, i64)>]) -> i64 {
+    fn twice_signed_area(outlines: &[Vec<(i64, i64)>]) -> i64 {
         let twice = |o: &Vec<(i64, i64)>| {
             o.iter().zip(o.iter().cycle().skip(1)).map(|(a, b)| a.0 * b.1 - b.0 * a.1).sum::<i64>()
         };
@@ -285,6 +285,6 @@ mod tests {
         let ring: Vec<_> = (0..9).filter(|i| *i != 4).map(|i| square(f64::from(i % 3), f64::from(i / 3))).collect();
         let merged_ring = merge_outlines(&ring);
         assert_eq!(merged_ring.iter().map(Vec::len).sum::<usize>(), 12 + 4);
-        assert_eq!(area(&merged_ring), 2 * 8 * 100);
+        assert_eq!(twice_signed_area(&merged_ring), 2 * 8 * 100);
     }
 }

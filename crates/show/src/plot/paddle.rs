@@ -13,7 +13,7 @@ use haptic_stability::analysis::pose::{PoseError, TaskPose, unit_normal};
 use haptic_stability::skeleton::{Point, skeleton};
 
 /// Points on the arc.
-const POINTS: usize = 180;
+const ARC_POINTS: usize = 180;
 
 /// Draws the arc that the handle can reach.
 pub fn draw(description: &Description, name: &str, paper: Paper) -> Result<Picture, PoseError> {
@@ -22,7 +22,7 @@ pub fn draw(description: &Description, name: &str, paper: Paper) -> Result<Pictu
     let half = std::f64::consts::PI;
     let (low, high) = joint.limits.unwrap_or((home - half, home + half));
     let place = |q: f64| skeleton(description, &[q]).map_or((0.0, 0.0), |s| s.tip);
-    let arc: Vec<Point> = (0..=POINTS).map(|i| place(low + (high - low) * i as f64 / POINTS as f64)).collect();
+    let arc: Vec<Point> = (0..=ARC_POINTS).map(|i| place(low + (high - low) * i as f64 / ARC_POINTS as f64)).collect();
     let (_, w_rr) =
         along(&TaskPose::at(description, &[home])?, &unit_normal(&[1.0], 1, 1)?).ok_or(PoseError::Serial)?;
 

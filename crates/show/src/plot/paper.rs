@@ -3,20 +3,20 @@
 //! On paper the unit of a drawing is chosen so that the smallest letters have 8 pt, as journals require: a column of 85
 //! mm has 346 units, a page of 170 mm 693. A picture is laid out for this width and never shrunk.
 
-use super::canvas::{Anchor, Canvas, SMALL};
+use super::canvas::{Anchor, Canvas, SMALL_TEXT};
 
 /// Millimetres of paper per drawing unit that give the smallest text 8 pt.
-const UNIT_MM: f64 = 8.0 * 25.4 / 72.0 / SMALL;
+const UNIT_MM: f64 = 8.0 * 25.4 / 72.0 / SMALL_TEXT;
 /// Page width below which text begins at the edge and axis numbers get less room, units.
-const NARROW: f64 = 500.0;
+const NARROW_WIDTH: f64 = 500.0;
 /// Left edge of frames on a narrow page, units.
-const NARROW_LEFT: f64 = 78.0;
+const NARROW_LEFT_EDGE: f64 = 78.0;
 /// Margin at the edge of a page, units.
-pub const EDGE: f64 = 10.0;
+pub const EDGE_MARGIN: f64 = 10.0;
 /// Letter size and line height of a title, units.
-const TITLE: (f64, f64) = (15.0, 19.0);
+const TITLE_SIZES: (f64, f64) = (15.0, 19.0);
 /// Letter size and line height of a subtitle, units.
-const UNDER: (f64, f64) = (12.0, 18.0);
+const SUBTITLE_SIZES: (f64, f64) = (12.0, 18.0);
 
 /// Requested width of a picture, mm of paper; `None` for a screen.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -38,7 +38,7 @@ impl Paper {
     /// Returns a page that is `usual` units wide on a screen, with frames and text at `left` if there is room.
     pub fn page(self, usual: f64, left: f64) -> Page {
         let wide = self.0.map_or(usual, |mm| mm / UNIT_MM);
-        let (left, begin) = if wide < NARROW { (NARROW_LEFT, EDGE) } else { (left, left) };
+        let (left, begin) = if wide < NARROW_WIDTH { (NARROW_LEFT_EDGE, EDGE_MARGIN) } else { (left, left) };
         Page { paper: self, wide, left, begin }
     }
 
@@ -51,7 +51,7 @@ impl Paper {
 impl Page {
     /// Returns true if the page is too narrow for the usual left margin.
     pub fn is_narrow(&self) -> bool {
-        self.wide < NARROW
+        self.wide < NARROW_WIDTH
     }
 
     /// Returns an empty canvas of the page's width.
@@ -65,18 +65,18 @@ impl Page {
 
     /// Wraps a title and the lines under it.
     pub fn heading(&self, title: &str, under: &[String]) -> Heading {
-        let room = self.wide - self.begin - EDGE;
+        let room = self.wide - self.begin - EDGE_MARGIN;
         Heading {
             begin: self.begin,
-            titles: wrap(title, room, TITLE.0),
-            under: under.iter().flat_map(|line| wrap(line, room, UNDER.0)).collect(),
+            titles: wrap(title, room, TITLE_SIZES.0),
+            under: under.iter().flat_map(|line| wrap(line, room, SUBTITLE_SIZES.0)).collect(),
         }
     }
 
     /// Wraps notes in small text below a frame.
     pub fn notes<'a>(&self, notes: impl IntoIterator<Item = &'a str>) -> Vec<String> {
-        let room = self.wide - self.begin - EDGE;
-        notes.into_iter().flat_map(|note| wrap(note, room, SMALL)).collect()
+        let room = self.wide - self.begin - EDGE_MARGIN;
+        notes.into_iter().flat_map(|note| wrap(note, room, SMALL_TEXT)).collect()
     }
 }
 
@@ -91,19 +91,19 @@ impl Heading {
     /// Returns the additional height compared with a title of one line and `usual` lines under it.
     pub fn beyond(&self, usual: usize) -> f64 {
         let more = |lines: &[String], usual: usize| lines.len().saturating_sub(usual) as f64;
-        TITLE.1 * more(&self.titles, 1) + UNDER.1 * more(&self.under, usual)
+        TITLE_SIZES.1 * more(&self.titles, 1) + SUBTITLE_SIZES.1 * more(&self.under, usual)
     }
 
     /// Draws the heading at the top of a page.
     pub fn draw(&self, canvas: &mut Canvas) {
         let mut y = 28.0;
         for title in &self.titles {
-            canvas.text((self.begin, y), TITLE.0, Anchor::Start, false, title);
-            y += TITLE.1;
+            canvas.text((self.begin, y), TITLE_SIZES.0, Anchor::Start, false, title);
+            y += TITLE_SIZES.1;
         }
         for line in &self.under {
-            canvas.text((self.begin, y + 1.0), UNDER.0, Anchor::Start, false, line);
-            y += UNDER.1;
+            canvas.text((self.begin, y + 1.0), SUBTITLE_SIZES.0, Anchor::Start, false, line);
+            y += SUBTITLE_SIZES.1;
         }
     }
 }

@@ -209,9 +209,9 @@ impl<'a> Rows<'a> {
 /// line into an area.
 const MAX_PHASE_HZ: f64 = 1000.0;
 /// Lowest frequency that counts as vibration and not as motion, Hz.
-const SLOW_HZ: f64 = 10.0;
+const MIN_VIBRATION_HZ: f64 = 10.0;
 /// Smallest drawn amplitude, relative to the strongest spectral line.
-const FLOOR: f64 = 1e-6;
+const MIN_RELATIVE_AMPLITUDE: f64 = 1e-6;
 
 /// Returns name and unit of the column with this label; an unknown column has no unit.
 pub(crate) fn quantity(label: &str) -> Quantity {
@@ -224,7 +224,7 @@ pub(crate) fn quantity(label: &str) -> Quantity {
     Quantity { name: name.replace('_', " "), unit: unit.into() }
 }
 
-fn quantity_of(name: &str, unit: &str) -> Quantity {
+fn named_quantity(name: &str, unit: &str) -> Quantity {
     Quantity { name: name.into(), unit: unit.into() }
 }
 
@@ -263,7 +263,7 @@ pub fn panels(recording: &Recording, request: &Request) -> Result<Analysis, Fail
         rows_per_point: rows.rows_per_point(),
     };
     if is_drawn(View::Time) {
-        analysis.panels.extend(over_time(&rows, &signals)?);
+        analysis.panels.extend(time_panels(&rows, &signals)?);
     }
     if is_drawn(View::Force) {
         let force = force.ok_or_else(|| {
@@ -274,11 +274,11 @@ pub fn panels(recording: &Recording, request: &Request) -> Result<Analysis, Fail
         analysis.panels.push(panel);
     }
     if is_drawn(View::Spectrum) {
-        let panel = amplitudes(&rows, &signals, &mut analysis)?;
+        let panel = spectrum_panel(&rows, &signals, &mut analysis)?;
         analysis.panels.push(panel);
     }
     if is_drawn(View::Phase) {
-        let panel = phase(&rows)?;
+        let panel = phase_panel(&rows)?;
         if request.views.is_empty()
             && !is_motion(&smooth_panel(&panel, rows.rows_per_point()))
             && !analysis.panels.is_empty()
@@ -296,7 +296,7 @@ pub fn panels(recording: &Recording, request: &Request) -> Result<Analysis, Fail
 }
 
 /// Creates one time panel for each unit among the signals.
-fn over_time(rows: &Rows<'_>, signals: &[String]) -> Result<Vec<Panel>, Failure> {
+fn time_panels(rows: &Rows<'_>, signals: &[String]) -> Result<Vec<Panel>, Failure> {
     let mut panels: Vec<Panel> = Vec::new();
     for signal in signals {
         let column = rows.column(signal)?;
@@ -310,7 +310,7 @@ fn over_time(rows: &Rows<'_>, signals: &[String]) -> Result<Vec<Panel>, Failure>
             }
             None => panels.push(Panel {
                 view: View::Time,
-                x: quantity_of("time", "s"),
+                x: named_quantity("time", "s"),
                 y: signal_quantity,
                 curves: vec![curve],
                 line: None,
@@ -322,15 +322,15 @@ fn over_time(rows: &Rows<'_>, signals: &[String]) -> Result<Vec<Panel>, Failure>
 }
 
 /// Highest drawn frequency of a spectrum, Hz, because a hand feels nothing above it.
-const MAX_HZ: f64 = 1000.0;
+const MAX_SPECTRUM_HZ: f64 = 1000.0;
 
-fn amplitudes(rows: &Rows<'_>, signals: &[String], analysis: &mut Analysis) -> Result<Panel, Failure> {
+fn spectrum_panel(rows: &Rows<'_>, signals: &[String], analysis: &mut Analysis) -> Result<Panel, Failure> {
     let half = 0.5 * rows.rate_hz;
-    let highest_hz = half.min(MAX_HZ);
+    let highest_hz = half.min(MAX_SPECTRUM_HZ);
     let mut panel = Panel {
         view: View::Spectrum,
-        x: quantity_of("frequency", "Hz"),
-        y: quantity_of("amplitude", "dB"),
+        x: named_quantity("frequency", "Hz"),
+        y: named_quantity("amplitude", "dB"),
         curves: Vec::new(),
         line: None,
         note: String::new(),
@@ -351,7 +351,7 @@ fn amplitudes(rows: &Rows<'_>, signals: &[String], analysis: &mut Analysis) -> R
         })?;
         let Spectrum { lines, samples } = &spectrum;
         used = *samples;
-        let fast = lines.iter().filter(|line| line.frequency >= SLOW_HZ);
+        let fast = lines.iter().filter(|line| line.frequency >= MIN_VIBRATION_HZ);
         let top = fast.max_by(|a, b| a.amplitude.total_cmp(&b.amplitude));
         if panel.curves.is_empty() {
             analysis.strongest = top.copied().filter(|top| top.amplitude > 0.0);
@@ -361,7 +361,9 @@ fn amplitudes(rows: &Rows<'_>, signals: &[String], analysis: &mut Analysis) -> R
         let highest = lines.iter().fold(0.0, |highest: f64, line| highest.max(line.amplitude));
         // Draws a constant signal at the floor of its unit, not thousands of decibels below it.
         let highest = if highest > 0.0 { highest } else { 1.0 };
-        let points = shown.map(|line| (line.frequency, 20.0 * line.amplitude.max(FLOOR * highest).log10())).collect();
+        let points = shown
+            .map(|line| (line.frequency, 20.0 * line.amplitude.max(MIN_RELATIVE_AMPLITUDE * highest).log10()))
+            .collect();
         panel.curves.push(Curve { name: signal.clone(), pieces: vec![points] });
     }
     if used < rows.rows.len() {
@@ -371,7 +373,7 @@ fn amplitudes(rows: &Rows<'_>, signals: &[String], analysis: &mut Analysis) -> R
     if let (Some(line), Some(ripple)) = (analysis.strongest, analysis.ripple) {
         let (size, ripple) = (with_unit(line.amplitude, &unit), with_unit(ripple, &unit));
         let says = format!(
-            "strongest above {SLOW_HZ} Hz: {size} at {:.1} Hz; above {RIPPLE_HZ} Hz: {ripple} rms",
+            "strongest above {MIN_VIBRATION_HZ} Hz: {size} at {:.1} Hz; above {RIPPLE_HZ} Hz: {ripple} rms",
             line.frequency
         );
         panel.note = if panel.note.is_empty() { says } else { format!("{says}; {}", panel.note) };
@@ -379,7 +381,7 @@ fn amplitudes(rows: &Rows<'_>, signals: &[String], analysis: &mut Analysis) -> R
     Ok(panel)
 }
 
-fn phase(rows: &Rows<'_>) -> Result<Panel, Failure> {
+fn phase_panel(rows: &Rows<'_>) -> Result<Panel, Failure> {
     let distance = rows.column("distance_m")?;
     let measured = rows.recording.column("velocity_m_s");
     let ends = |i: usize| {
@@ -400,8 +402,8 @@ fn phase(rows: &Rows<'_>) -> Result<Panel, Failure> {
     };
     Ok(Panel {
         view: View::Phase,
-        x: quantity_of("distance to the wall", "m"),
-        y: quantity_of("velocity", "m/s"),
+        x: named_quantity("distance to the wall", "m"),
+        y: named_quantity("velocity", "m/s"),
         curves: vec![Curve { name: "velocity".into(), pieces: rows.pieces(|i, row| (row[distance], speed(i, row))) }],
         line: None,
         note,

@@ -33,15 +33,15 @@ const END_RECORD: &str = "haptic-bridge end";
 
 /// Encoded bytes that are not yet in the file.
 #[derive(Clone, Debug, Default)]
-struct Pending(Arc<Mutex<Vec<u8>>>);
+struct PendingBytes(Arc<Mutex<Vec<u8>>>);
 
-impl Pending {
+impl PendingBytes {
     fn take(&self) -> Vec<u8> {
         std::mem::take(&mut *self.0.lock().unwrap_or_else(PoisonError::into_inner))
     }
 }
 
-impl Write for Pending {
+impl Write for PendingBytes {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner).extend_from_slice(bytes);
         Ok(bytes.len())
@@ -53,8 +53,8 @@ impl Write for Pending {
 
 /// An MCAP file being written.
 pub struct McapRecorder {
-    writer: Writer<NoSeek<Pending>>,
-    pending: Pending,
+    writer: Writer<NoSeek<PendingBytes>>,
+    pending: PendingBytes,
     file: File,
     path: PathBuf,
     /// Bytes of complete chunks in the file.
@@ -79,7 +79,7 @@ impl std::fmt::Debug for McapRecorder {
     }
 }
 
-fn kind(column: &Column) -> Type {
+fn field_type(column: &Column) -> Type {
     match (column.field, column.axis) {
         (Field::State, 0) => Type::Enum,
         (Field::State | Field::Saturated, _) => Type::Uint32,
@@ -89,7 +89,7 @@ fn kind(column: &Column) -> Type {
 }
 
 /// Converts an error of the MCAP writer. Writing into memory fails only if the format is used wrongly.
-fn to_error(error: McapError) -> RecordError {
+fn record_error(error: McapError) -> RecordError {
     RecordError::Failed(Failure::impossible(error))
 }
 
@@ -98,12 +98,12 @@ impl McapRecorder {
     pub fn create(path: &Path, about: &About, columns: &[Column], overwrite: Overwrite) -> Result<Self, Failure> {
         let fields: Vec<Packed> = [("step".to_string(), Type::Uint32), ("time_s".into(), Type::Double)]
             .into_iter()
-            .chain(columns.iter().map(|column| (column.label.clone(), kind(column))))
+            .chain(columns.iter().map(|column| (column.label.clone(), field_type(column))))
             .collect();
         let states = if fields.iter().any(|(_, kind)| *kind == Type::Enum) { &STATES[..] } else { &[] };
         let row = describe("Row", &fields, states).map_err(Failure::impossible)?;
         let event = describe("Event", &[("text".into(), Type::String)], &[]).map_err(Failure::impossible)?;
-        let pending = Pending::default();
+        let pending = PendingBytes::default();
         let begin = || -> Result<_, McapError> {
             let mut writer = WriteOptions::new()
                 .library(format!("haptic {}", env!("CARGO_PKG_VERSION")))
@@ -162,7 +162,7 @@ impl McapRecorder {
             log_time,
             publish_time: log_time,
         };
-        self.writer.write_to_known_channel(&header, message).map_err(to_error)?;
+        self.writer.write_to_known_channel(&header, message).map_err(record_error)?;
         self.gathered_bytes += message.len();
         Ok(())
     }
@@ -184,7 +184,7 @@ impl McapRecorder {
     /// Ends the chunk and writes it; if the disk has no room for it, the file keeps the previous chunks.
     pub fn flush(&mut self) -> Result<(), RecordError> {
         self.gathered_bytes = 0;
-        self.writer.flush().map_err(to_error)?;
+        self.writer.flush().map_err(record_error)?;
         let pending_rows = std::mem::take(&mut self.pending_rows);
         match self.write_pending() {
             Ok(()) => {
@@ -225,8 +225,8 @@ impl McapRecorder {
             ("frames_garbled", losses.garbled.to_string()),
         ];
         let metadata = entries.map(|(name, value)| (name.to_string(), value)).into();
-        self.writer.write_metadata(&Metadata { name: END_RECORD.into(), metadata }).map_err(to_error)?;
-        self.writer.finish().map_err(to_error)?;
+        self.writer.write_metadata(&Metadata { name: END_RECORD.into(), metadata }).map_err(record_error)?;
+        self.writer.finish().map_err(record_error)?;
         let result = self.write_pending().map_err(|error| RecordError::Failed(output::refused(&self.path, &error)));
         self.is_ended = true;
         result

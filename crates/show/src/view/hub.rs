@@ -10,11 +10,11 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 /// Maximum number of pages at once.
 pub const MAX_PAGES: usize = 16;
 /// Maximum number of a page's messages that wait for the stage.
-const MAX_INCOMING: usize = 64;
+const MAX_INCOMING_MESSAGES: usize = 64;
 /// Maximum number of documents queued for one page, pictures not counted.
-const MAX_OUTGOING: usize = 256;
+const MAX_OUTGOING_DOCUMENTS: usize = 256;
 /// Maximum number of sound samples queued for a page; older samples are dropped.
-const MAX_SOUND: usize = 16_384;
+const MAX_SOUND_SAMPLES: usize = 16_384;
 
 /// Number of a page, in the order of connection.
 pub type PageId = u64;
@@ -70,7 +70,7 @@ impl Outbox {
 
     /// Adds a JSON document.
     pub fn tell(&mut self, document: String) {
-        if self.messages.len() >= MAX_OUTGOING {
+        if self.messages.len() >= MAX_OUTGOING_DOCUMENTS {
             self.messages.pop_front();
         }
         self.messages.push_back(document);
@@ -80,7 +80,7 @@ impl Outbox {
     pub fn hear(&mut self, rate_hz: f32, samples: &[f32]) {
         self.sound.0 = rate_hz;
         self.sound.1.extend(samples);
-        let excess = self.sound.1.len().saturating_sub(MAX_SOUND);
+        let excess = self.sound.1.len().saturating_sub(MAX_SOUND_SAMPLES);
         self.sound.1.drain(..excess);
     }
 }
@@ -104,7 +104,7 @@ impl Page {
         match message {
             Ok(FromPage::Hold { seen }) => self.hold = Some(seen),
             message => {
-                if self.incoming.len() >= MAX_INCOMING {
+                if self.incoming.len() >= MAX_INCOMING_MESSAGES {
                     self.incoming.pop_front();
                     self.dropped += 1;
                 }
@@ -284,9 +284,9 @@ mod tests {
     #[test]
     fn excess_sound_is_dropped_from_its_beginning() {
         let mut outbox = Outbox::default();
-        outbox.hear(1000.0, &vec![0.0; MAX_SOUND]);
+        outbox.hear(1000.0, &vec![0.0; MAX_SOUND_SAMPLES]);
         outbox.hear(1000.0, &[7.0]);
-        assert_eq!((outbox.sound.1.len(), outbox.sound.1.back()), (MAX_SOUND, Some(&7.0)));
+        assert_eq!((outbox.sound.1.len(), outbox.sound.1.back()), (MAX_SOUND_SAMPLES, Some(&7.0)));
     }
 
     /// Returns a hub with pages that the stage knows.
@@ -344,8 +344,8 @@ mod tests {
         let events: Vec<Event> = std::iter::from_fn(|| hub.next()).collect();
         let second = events.iter().position(|event| *event == Event::Received(2, Ok(FromPage::Take {})));
         assert!(second.is_some_and(|at| at < 2), "{second:?}");
-        assert_eq!(events.len(), MAX_INCOMING + 2);
-        assert!(events.contains(&Event::Dropped(1, 100_000 - MAX_INCOMING as u64)));
+        assert_eq!(events.len(), MAX_INCOMING_MESSAGES + 2);
+        assert!(events.contains(&Event::Dropped(1, 100_000 - MAX_INCOMING_MESSAGES as u64)));
         assert_eq!(events.last(), Some(&Event::Received(1, Err("99999".into()))));
     }
 
@@ -360,6 +360,9 @@ mod tests {
     fn unread_documents_are_dropped_from_the_oldest() {
         let mut outbox = Outbox::default();
         (0..1_000).for_each(|number| outbox.tell(number.to_string()));
-        assert_eq!((outbox.messages.len(), outbox.messages.back().map(String::as_str)), (MAX_OUTGOING, Some("999")));
+        assert_eq!(
+            (outbox.messages.len(), outbox.messages.back().map(String::as_str)),
+            (MAX_OUTGOING_DOCUMENTS, Some("999"))
+        );
     }
 }

@@ -168,7 +168,7 @@ impl<'a> Newest<'a> {
                 stiffness,
             ) / RECENT_TIME,
             saturated: (0..joints)
-                .map(|axis| share(self.recent(Field::Saturated, axis, recent), |value| value > 0.0))
+                .map(|axis| share_matching(self.recent(Field::Saturated, axis, recent), |value| value > 0.0))
                 .fold(0.0, f64::max),
             wall: wall.map(|(index, _)| index),
             ..Numbers::default()
@@ -255,7 +255,7 @@ fn energy_given_out(rows: impl Iterator<Item = (f64, f64)>, stiffness: f64) -> f
     given
 }
 
-fn share(values: impl Iterator<Item = f64>, matches: impl Fn(f64) -> bool) -> f64 {
+fn share_matching(values: impl Iterator<Item = f64>, matches: impl Fn(f64) -> bool) -> f64 {
     let (mut count, mut matching) = (0_u32, 0_u32);
     for value in values {
         count += 1;

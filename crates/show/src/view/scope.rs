@@ -6,9 +6,9 @@ use std::collections::VecDeque;
 /// Maximum number of columns of a sweep; each column has the smallest and the largest value of its rows.
 pub const MAX_COLUMNS: usize = 800;
 /// Longest window, s.
-pub const LONGEST: f64 = 2.0;
+pub const MAX_WINDOW_SECONDS: f64 = 2.0;
 /// Maximum number of channels.
-pub const CHANNELS: usize = 4;
+pub const MAX_CHANNELS: usize = 4;
 
 /// The rows of the last seconds. Lost rows are NaN, so that time stays uniform.
 #[derive(Clone, Debug)]
@@ -126,11 +126,11 @@ impl Scope {
             let index = labels.iter().position(|label| label == name);
             index.ok_or_else(|| format!("`{name}` is not a signal of this stream"))
         };
-        if request.channels.is_empty() || request.channels.len() > CHANNELS {
-            return Err(format!("an oscilloscope has 1 to {CHANNELS} channels"));
+        if request.channels.is_empty() || request.channels.len() > MAX_CHANNELS {
+            return Err(format!("an oscilloscope has 1 to {MAX_CHANNELS} channels"));
         }
-        if !(request.seconds > 0.0 && request.seconds <= LONGEST) {
-            return Err(format!("a sweep takes more than 0 and at most {LONGEST} s"));
+        if !(request.seconds > 0.0 && request.seconds <= MAX_WINDOW_SECONDS) {
+            return Err(format!("a sweep takes more than 0 and at most {MAX_WINDOW_SECONDS} s"));
         }
         let columns = request.channels.iter().map(column).collect::<Result<Vec<usize>, String>>()?;
         let rows = ((request.seconds * rows_hz).round() as u64).max(2);
@@ -234,16 +234,16 @@ mod tests {
         vec!["force_n".into(), "distance_m".into()]
     }
 
-    fn request(trigger: Option<Trigger>) -> ScopeRequest {
+    fn scope_request(trigger: Option<Trigger>) -> ScopeRequest {
         ScopeRequest { channels: vec!["force_n".into()], seconds: 0.1, trigger }
     }
 
-    fn rising(once: bool) -> Option<Trigger> {
+    fn rising_trigger(once: bool) -> Option<Trigger> {
         Some(Trigger { channel: "force_n".into(), level: 1.5, rising: true, before: 0.25, once })
     }
 
     /// Adds rows of a force that is 2 in the first ten of every hundred rows, and otherwise 0.
-    fn feed(ring: &mut Ring, rows: std::ops::Range<u64>) {
+    fn push_force_rows(ring: &mut Ring, rows: std::ops::Range<u64>) {
         for row in rows {
             ring.push([if row % 100 < 10 && row >= 100 { 2.0 } else { 0.0 }, row as f32]);
         }
@@ -252,36 +252,36 @@ mod tests {
     #[test]
     fn every_row_is_checked_and_the_crossing_is_at_its_share() {
         let mut ring = Ring::new(2, 1000);
-        let mut scope = Scope::new(request(rising(false)), &labels(), 400.0, 0).unwrap();
+        let mut scope = Scope::new(scope_request(rising_trigger(false)), &labels(), 400.0, 0).unwrap();
         // 40 rows, of which round(39 · 0.25) = 10 come before the crossing.
-        feed(&mut ring, 0..129);
+        push_force_rows(&mut ring, 0..129);
         assert_eq!(scope.sweep(&ring), None, "the window is not full yet");
-        feed(&mut ring, 129..130);
+        push_force_rows(&mut ring, 129..130);
         let sweep = scope.sweep(&ring).unwrap();
         assert_eq!(sweep.phase, Phase::Triggered);
         let expected: Vec<(f32, f32)> =
             (90..130).map(|row| if (100..110).contains(&row) { (2.0, 2.0) } else { (0.0, 0.0) }).collect();
         assert_eq!(sweep.channels, [expected]);
         assert_eq!(scope.sweep(&ring), None, "one crossing makes one sweep");
-        feed(&mut ring, 130..235);
+        push_force_rows(&mut ring, 130..235);
         assert_eq!(scope.sweep(&ring).unwrap().channels[0][10], (2.0, 2.0));
     }
 
     #[test]
     fn a_single_sweep_is_not_repeated() {
         let mut ring = Ring::new(2, 1000);
-        let mut scope = Scope::new(request(rising(true)), &labels(), 400.0, 0).unwrap();
-        feed(&mut ring, 0..150);
+        let mut scope = Scope::new(scope_request(rising_trigger(true)), &labels(), 400.0, 0).unwrap();
+        push_force_rows(&mut ring, 0..150);
         assert_eq!(scope.sweep(&ring).unwrap().phase, Phase::Stopped);
-        feed(&mut ring, 150..500);
+        push_force_rows(&mut ring, 150..500);
         assert_eq!(scope.sweep(&ring), None);
     }
 
     #[test]
     fn a_trigger_without_a_crossing_shows_the_newest_rows() {
         let mut ring = Ring::new(2, 1000);
-        let mut scope = Scope::new(request(rising(false)), &labels(), 400.0, 0).unwrap();
-        feed(&mut ring, 0..90);
+        let mut scope = Scope::new(scope_request(rising_trigger(false)), &labels(), 400.0, 0).unwrap();
+        push_force_rows(&mut ring, 0..90);
         let sweep = scope.sweep(&ring).unwrap();
         assert_eq!((sweep.phase, sweep.channels[0].len()), (Phase::Waiting, 40));
     }
@@ -308,7 +308,7 @@ mod tests {
     #[test]
     fn the_ring_keeps_the_newest_rows_by_their_numbers() {
         let mut ring = Ring::new(2, 10);
-        feed(&mut ring, 0..25);
+        push_force_rows(&mut ring, 0..25);
         assert_eq!((ring.begin(), ring.end()), (15, 25));
         assert_eq!(
             (ring.at(14, 1), ring.at(15, 1), ring.at(24, 1), ring.at(25, 1)),
@@ -319,12 +319,14 @@ mod tests {
     #[test]
     fn invalid_requests_are_refused_with_a_reason() {
         let refused = |request: ScopeRequest| Scope::new(request, &labels(), 1000.0, 0).unwrap_err();
-        assert!(refused(ScopeRequest { channels: vec!["x".into()], ..request(None) }).contains("`x` is not a signal"));
-        assert!(refused(ScopeRequest { channels: vec![], ..request(None) }).contains("1 to 4 channels"));
+        assert!(
+            refused(ScopeRequest { channels: vec!["x".into()], ..scope_request(None) }).contains("`x` is not a signal")
+        );
+        assert!(refused(ScopeRequest { channels: vec![], ..scope_request(None) }).contains("1 to 4 channels"));
         for seconds in [0.0, -1.0, 3.0, f64::NAN] {
-            assert!(refused(ScopeRequest { seconds, ..request(None) }).contains("at most 2 s"));
+            assert!(refused(ScopeRequest { seconds, ..scope_request(None) }).contains("at most 2 s"));
         }
-        let trigger = Trigger { level: f64::NAN, ..rising(false).unwrap() };
-        assert!(refused(request(Some(trigger))).contains("level"));
+        let trigger = Trigger { level: f64::NAN, ..rising_trigger(false).unwrap() };
+        assert!(refused(scope_request(Some(trigger))).contains("level"));
     }
 }

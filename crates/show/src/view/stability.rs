@@ -133,7 +133,7 @@ pub fn predict(request: &PredictionRequest) -> Option<Plane> {
     let (prediction, model) = request.prediction()?;
     let range = prediction.range(q, &[Member::new(normal.clone(), 1.0)], None, Some(wall.washout_hz)).ok()?;
     let washout = range.washout.map_or_else(Vec::new, |domain| domain.boundary);
-    let limits = if request.explain { explain(request, &prediction, &model) } else { None };
+    let limits = if request.explain { limiting_effects(request, &prediction, &model) } else { None };
     Some(Plane {
         wall: *index,
         q: q.clone(),
@@ -155,7 +155,7 @@ pub fn buzz(request: &PredictionRequest) -> Option<Oscillation> {
     prediction.buzz(&request.q, &members, request.mode()?, wall.stiffness, wall.damping).ok()?
 }
 
-fn explain(request: &PredictionRequest, prediction: &Prediction, model: &Linearised) -> Option<Explained> {
+fn limiting_effects(request: &PredictionRequest, prediction: &Prediction, model: &Linearised) -> Option<Explained> {
     let (mode, control) = (request.mode()?, &prediction.around);
     let (all, without) = limits_without(model, control, mode).ok()?;
     let mut without: Vec<Without> = without

@@ -17,7 +17,7 @@ mod walls;
 use super::hub::{Event, Hub, PageId};
 use super::message::FromPage;
 use super::picture::{FIELDS, Newest, nearest_wall};
-use super::scope::{LONGEST, Ring, Scope};
+use super::scope::{MAX_WINDOW_SECONDS, Ring, Scope};
 use super::stability::{Plane, Predictor};
 use super::world::{World, lead};
 use haptic_bridge::board::telemetry::Field;
@@ -66,9 +66,9 @@ const POLL_INTERVAL: Duration = Duration::from_millis(500);
 /// Maximum simulated time to catch up after the computer was busy, and maximum part of a turn that counts as listening.
 const MAX_CATCH_UP: Duration = Duration::from_millis(50);
 /// Simulated time between two polls of the pages' messages.
-const SLICE: Duration = Duration::from_millis(8);
+const TIME_SLICE: Duration = Duration::from_millis(8);
 /// Rotation of a joint after which the boundary is predicted again, rad.
-const MAX_ROTATION: f64 = 0.02;
+const MAX_JOINT_ROTATION: f64 = 0.02;
 /// Clock of the boards' core, Hz.
 const CORE_HZ: f64 = 168e6;
 
@@ -164,7 +164,7 @@ impl Stage {
         board.start_stream(FIELDS, divider)?;
         let (now, board_now) = (Duration::ZERO, board.now());
         let stage = Self {
-            ring: Ring::new(columns.len(), (1.5 * LONGEST * rows_hz).ceil() as usize),
+            ring: Ring::new(columns.len(), (1.5 * MAX_WINDOW_SECONDS * rows_hz).ceil() as usize),
             hub,
             now,
             listened: now,
@@ -280,7 +280,7 @@ impl Stage {
         let behind = self.now.saturating_sub(self.pace.began).saturating_sub(passed);
         // Does not catch up with more than `MAX_CATCH_UP`, because the picture would race.
         self.pace.began += behind.saturating_sub(MAX_CATCH_UP);
-        Some(behind.min(SLICE)).filter(|behind| !behind.is_zero())
+        Some(behind.min(TIME_SLICE)).filter(|behind| !behind.is_zero())
     }
 
     fn pass_time(&mut self, wait: Duration) -> Result<(), LinkError> {
@@ -542,17 +542,17 @@ impl Stage {
         self.goal = None;
         simulated.lock().device_mut().place(start);
         // The jump of the encoders is a fault: clears it before it is reported.
-        self.world.board.rows(SLICE)?;
+        self.world.board.rows(TIME_SLICE)?;
         match self.board().clear() {
             Err(BoardError::Link(error)) => return Err(error.into()),
             Ok(()) | Err(BoardError::Refused(_)) => {}
         }
-        self.world.board.rows(SLICE)?;
+        self.world.board.rows(TIME_SLICE)?;
         self.world.board.take_reported_faults();
         let first = self.first.clone();
         self.board().set_scene(&first)?;
         (self.last_step, self.requested, self.plane) = (None, None, None);
-        self.pass_time(SLICE)?;
+        self.pass_time(TIME_SLICE)?;
         self.trail.clear();
         self.record_event("started over");
         self.send_to_all(&self.hello());

@@ -6,7 +6,7 @@ use std::io::IsTerminal;
 use std::time::{Duration, Instant};
 
 /// Interval between lines without a terminal.
-const EVERY: Duration = Duration::from_secs(5);
+const LINE_INTERVAL: Duration = Duration::from_secs(5);
 
 /// Reports the progress of a measurement on standard error.
 pub struct Meter {
@@ -69,7 +69,7 @@ impl Meter {
 
     /// Prints a line if the interval is over; callers call this often.
     pub fn tick(&self) {
-        if self.bar.is_some() || self.last_line.get().elapsed() < EVERY {
+        if self.bar.is_some() || self.last_line.get().elapsed() < LINE_INTERVAL {
             return;
         }
         self.last_line.set(Instant::now());

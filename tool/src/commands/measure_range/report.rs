@@ -96,11 +96,11 @@ fn spread(repeats: &[f64]) -> f64 {
 }
 
 /// Distance between the dots of two pulls in the picture, pixels.
-const APART: f64 = 7.0;
+const DOT_DISTANCE: f64 = 7.0;
 
 /// Share of the theory's stiffness below which a boundary is reported as implausible: the effects that the theory omits
 /// reduce it by at most a fifth on the simulated board (docs/results/complete.md).
-const FAR_BELOW: f64 = 0.5;
+const IMPLAUSIBLE_SHARE: f64 = 0.5;
 
 pub struct Report<'a> {
     pub name: &'a str,
@@ -142,7 +142,7 @@ impl Report<'_> {
         let mut rows = Vec::new();
         for &mode in &self.plan.modes {
             let points = self.points_with_theory(mode)?.into_iter().filter(|(point, _)| !point.repeats.is_empty());
-            let far = points.filter(|(point, theory)| self.plan.at_every_pull(point) < FAR_BELOW * theory.kp);
+            let far = points.filter(|(point, theory)| self.plan.at_every_pull(point) < IMPLAUSIBLE_SHARE * theory.kp);
             rows.extend(far.map(|(point, _)| format!("{} at kd {:.4}", mode.name(), point.kd)));
         }
         let text = format!(
@@ -398,7 +398,7 @@ impl Report<'_> {
     fn picture(&self) -> Result<haptic_show::plot::Picture, Failure> {
         let range = self.theory.predict(None, self.washout())?;
         // Places the dots of the pulls side by side, so that their bars do not hide each other.
-        let beside = |nth: usize| (nth as f64 - (self.plan.pulls.len() as f64 - 1.0) / 2.0) * APART;
+        let beside = |nth: usize| (nth as f64 - (self.plan.pulls.len() as f64 - 1.0) / 2.0) * DOT_DISTANCE;
         let dots = |mode| -> Vec<MeasuredPoint> {
             let of = |point: &Point| {
                 let (kd, pulls) = (point.kd, self.plan.by_pull(point).into_iter().enumerate());

@@ -1,6 +1,6 @@
 //! Force over penetration, and the rendered stiffness, from rows in which no limit cut the force.
 
-use super::{Analysis, Curve, Panel, Rows, View, quantity, quantity_of};
+use super::{Analysis, Curve, Panel, Rows, View, named_quantity, quantity};
 use haptic_bridge::safety::fault::State;
 use haptic_host::error::Failure;
 use haptic_host::words::{counted, short};
@@ -51,13 +51,13 @@ pub(super) fn over_penetration(rows: &Rows<'_>, force: &str, analysis: &mut Anal
     let note = match &fit {
         _ if touched.is_empty() => "no wall was touched".into(),
         Ok(fit) => format!("line through {kept}: {} N/m", short(fit.slope as f32)),
-        Err(NoLine::TooFew) => format!("no stiffness, too few for a line: {kept}"),
-        Err(NoLine::Scattered) => format!("no stiffness, the force does not follow the depth: {kept}"),
+        Err(NoLineReason::TooFew) => format!("no stiffness, too few for a line: {kept}"),
+        Err(NoLineReason::Scattered) => format!("no stiffness, the force does not follow the depth: {kept}"),
     };
     analysis.stiffness = fit.as_ref().ok().map(|fit| fit.slope);
     Ok(Panel {
         view: View::Force,
-        x: quantity_of("penetration", "m"),
+        x: named_quantity("penetration", "m"),
         y: quantity(force),
         curves: vec![Curve { name: force.into(), pieces }],
         line: fit.ok().map(|fit| fit.ends),
@@ -66,28 +66,28 @@ pub(super) fn over_penetration(rows: &Rows<'_>, force: &str, analysis: &mut Anal
 }
 
 /// The least-squares line through points.
-struct Fit {
+struct LineFit {
     slope: f64,
     /// Ends of the line, at the lowest and the highest x of the points.
     ends: [(f64, f64); 2],
 }
 
 /// Reason why there is no line whose slope is a stiffness.
-enum NoLine {
+enum NoLineReason {
     TooFew,
     Scattered,
 }
 
 /// Smallest number of points for a line.
-const MIN_POINTS: usize = 20;
+const MIN_FIT_POINTS: usize = 20;
 /// Largest standard error of a slope, as a share of the slope.
-const MAX_SLOPE_ERROR: f64 = 0.2;
+const MAX_RELATIVE_SLOPE_ERROR: f64 = 0.2;
 /// Relative range of depths below which they differ only by rounding errors of single precision.
-const MIN_DEPTH_RANGE: f64 = 1e-5;
+const MIN_RELATIVE_DEPTH_RANGE: f64 = 1e-5;
 
-fn fit_line(points: &[(f64, f64)]) -> Result<Fit, NoLine> {
-    if points.len() < MIN_POINTS {
-        return Err(NoLine::TooFew);
+fn fit_line(points: &[(f64, f64)]) -> Result<LineFit, NoLineReason> {
+    if points.len() < MIN_FIT_POINTS {
+        return Err(NoLineReason::TooFew);
     }
     let count = points.len() as f64;
     let mean = |pick: fn(&(f64, f64)) -> f64| points.iter().map(pick).sum::<f64>() / count;
@@ -99,10 +99,11 @@ fn fit_line(points: &[(f64, f64)]) -> Result<Fit, NoLine> {
     let error = (rest / ((count - 2.0) * spread)).sqrt();
     let (low, high) = points.iter().fold((x, x), |(low, high), p| (low.min(p.0), high.max(p.0)));
     // Rejects depths that differ only by rounding errors, and NaN, which results without motion.
-    if !(slope > 0.0 && error < MAX_SLOPE_ERROR * slope && high - low > MIN_DEPTH_RANGE * high.abs()) {
-        return Err(NoLine::Scattered);
+    if !(slope > 0.0 && error < MAX_RELATIVE_SLOPE_ERROR * slope && high - low > MIN_RELATIVE_DEPTH_RANGE * high.abs())
+    {
+        return Err(NoLineReason::Scattered);
     }
-    Ok(Fit { slope, ends: [low, high].map(|at| (at, y + slope * (at - x))) })
+    Ok(LineFit { slope, ends: [low, high].map(|at| (at, y + slope * (at - x))) })
 }
 
 #[cfg(test)]

@@ -3,26 +3,26 @@
 use super::{Analysis, Panel, Quantity, View, smooth_panel};
 use crate::plot::Picture;
 use crate::plot::axes::{Axis, Mark, PlotArea};
-use crate::plot::canvas::{Anchor, Canvas, SMALL, Stroke};
-use crate::plot::colour::{BOUND, FULL, INK, OFF, WASHOUT};
-use crate::plot::paper::{EDGE, Paper, wrap};
+use crate::plot::canvas::{Anchor, Canvas, SMALL_TEXT, Stroke};
+use crate::plot::colour::{BOUND_COLOUR, FULL_COLOUR, INK, OFF_COLOUR, WASHOUT_COLOUR};
+use crate::plot::paper::{EDGE_MARGIN, Paper, wrap};
 
 /// Width and height of a panel's frame, drawing units (pixels on a screen).
-const SIZE: (f64, f64) = (600.0, 190.0);
-const LEFT: f64 = 96.0;
-const RIGHT: f64 = 24.0;
-const HEAD: f64 = 86.0;
-const FOOT: f64 = 84.0;
+const FRAME_SIZE: (f64, f64) = (600.0, 190.0);
+const LEFT_MARGIN: f64 = 96.0;
+const RIGHT_MARGIN: f64 = 24.0;
+const HEADING_HEIGHT: f64 = 86.0;
+const PANEL_FOOT_HEIGHT: f64 = 84.0;
 /// Number of points above which force and phase curves are drawn thin.
 const MANY_POINTS: usize = 1000;
-const COLOURS: [&str; 4] = [FULL, OFF, WASHOUT, BOUND];
+const CURVE_COLOURS: [&str; 4] = [FULL_COLOUR, OFF_COLOUR, WASHOUT_COLOUR, BOUND_COLOUR];
 
 /// Draws the panels, one below the other.
 pub fn draw(title: &str, subtitle: &[String], analysis: &Analysis, paper: Paper) -> Picture {
-    let page = paper.page(LEFT + SIZE.0 + RIGHT, LEFT);
-    let size = (page.wide - page.left - RIGHT, SIZE.1);
+    let page = paper.page(LEFT_MARGIN + FRAME_SIZE.0 + RIGHT_MARGIN, LEFT_MARGIN);
+    let size = (page.wide - page.left - RIGHT_MARGIN, FRAME_SIZE.1);
     let heading = page.heading(title, subtitle);
-    let mut canvas = page.canvas(HEAD + heading.beyond(1));
+    let mut canvas = page.canvas(HEADING_HEIGHT + heading.beyond(1));
     heading.draw(&mut canvas);
     for panel in &analysis.panels {
         match panel.view {
@@ -38,8 +38,8 @@ pub fn draw(title: &str, subtitle: &[String], analysis: &Analysis, paper: Paper)
 
 /// Draws a panel at the bottom of the canvas; `left` and `size` are those of its frame.
 fn draw_panel(canvas: &mut Canvas, left: f64, size: (f64, f64), panel: &Panel) {
-    let notes = wrap(&panel.note, left + size.0 - EDGE, SMALL);
-    let colours = COLOURS.into_iter().cycle();
+    let notes = wrap(&panel.note, left + size.0 - EDGE_MARGIN, SMALL_TEXT);
+    let colours = CURVE_COLOURS.into_iter().cycle();
     let entries: Vec<(Mark<'_>, String)> = panel
         .curves
         .iter()
@@ -52,7 +52,7 @@ fn draw_panel(canvas: &mut Canvas, left: f64, size: (f64, f64), panel: &Panel) {
     // Between two frames there is room for one line of notes and one line of the legend.
     let noted = 14.0 * (notes.len() - 1) as f64;
     let above = noted + 18.0 * legend.len().saturating_sub(1) as f64;
-    let at = (left, canvas.lengthen(above + size.1 + FOOT) + above);
+    let at = (left, canvas.lengthen(above + size.1 + PANEL_FOOT_HEIGHT) + above);
 
     let points = || panel.curves.iter().flat_map(|curve| curve.pieces.iter().flatten()).filter(|p| is_finite(p));
     let ends = |pick: fn(&(f64, f64)) -> f64| {
@@ -77,7 +77,7 @@ fn draw_panel(canvas: &mut Canvas, left: f64, size: (f64, f64), panel: &Panel) {
         for (curve, colour) in panel.curves.iter().zip(colours) {
             for piece in &curve.pieces {
                 let points = match panel.view {
-                    View::Time | View::Spectrum => envelope(&frame, piece),
+                    View::Time | View::Spectrum => thin_to_envelope(&frame, piece),
                     View::Force | View::Phase => thin_out(&frame, piece),
                 };
                 // A line that crosses itself many times would become an area.
@@ -99,7 +99,7 @@ fn draw_panel(canvas: &mut Canvas, left: f64, size: (f64, f64), panel: &Panel) {
     frame.draw(canvas, "");
     for (line, note) in notes.iter().rev().enumerate().filter(|(_, note)| !note.is_empty()) {
         let y = at.1 - 6.0 - 14.0 * line as f64;
-        canvas.text((at.0 + size.0, y), SMALL, Anchor::End, false, note);
+        canvas.text((at.0 + size.0, y), SMALL_TEXT, Anchor::End, false, note);
     }
     // The legend is above the frame and its note, so it hides no curve.
     for (row, entries) in legend.iter().rev().enumerate() {
@@ -113,7 +113,7 @@ fn is_finite(point: &(f64, f64)) -> bool {
 
 /// Thins out points if more than four are within half a pixel: keeps the first, lowest, highest and last of each half
 /// pixel, so that no peak is lost.
-fn envelope(frame: &PlotArea, piece: &[(f64, f64)]) -> Vec<(f64, f64)> {
+fn thin_to_envelope(frame: &PlotArea, piece: &[(f64, f64)]) -> Vec<(f64, f64)> {
     let mut kept: Vec<(f64, f64)> = Vec::new();
     let place = |point: &(f64, f64)| (2.0 * frame.pixel(point.0, point.1).0).floor();
     for column in piece.chunk_by(|a, b| place(a) == place(b)) {

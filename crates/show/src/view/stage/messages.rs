@@ -1,7 +1,7 @@
 //! Messages to pages: pictures, sweeps, the device, the walls, and refusals.
 
 use super::recording::{ActiveRecording, RecordingStatus};
-use super::{MAX_ROTATION, Stage};
+use super::{MAX_JOINT_ROTATION, Stage};
 use crate::outline::{on_an_arc, outline};
 use crate::view::hub::PageId;
 use crate::view::picture::{Geometry, Newest, Numbers, nearest_wall};
@@ -97,7 +97,7 @@ impl Stage {
         }
         let Some((wall, normal)) = nearest_wall(&self.scene, &self.tip()) else { return };
         let has_moved = self.requested.as_ref().is_none_or(|(requested, at)| {
-            *requested != wall || at.iter().zip(&q).any(|(before, now)| (before - now).abs() > MAX_ROTATION)
+            *requested != wall || at.iter().zip(&q).any(|(before, now)| (before - now).abs() > MAX_JOINT_ROTATION)
         });
         // Computes the limiting effects once for a pose and a feed-forward, however often pages request them.
         let explain = self.predictor.should_explain(self.state.drives());

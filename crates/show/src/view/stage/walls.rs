@@ -25,7 +25,7 @@ pub(super) fn check_scene(scene: &Scene<f32>, device: &Device<f64>) -> Result<Sc
 }
 
 /// Factor by which a gain may exceed a limit, because links to the page round gains to six digits.
-const TOLERANCE: f64 = 1.000_01;
+const GAIN_TOLERANCE: f64 = 1.000_01;
 
 impl Stage {
     pub(super) fn change_gains(
@@ -44,8 +44,8 @@ impl Stage {
         let requested = format!("{} with {}", with_unit(stiffness.into(), "N/m"), with_unit(damping.into(), "N s/m"));
         let q = Newest::of(&self.ring, &self.columns).q(self.device.axes());
         if let Some(max) = largest_gains(&self.device, &present.surface, &q, &self.rules.limits)
-            && (f64::from(stiffness) > max.stiffness.max(TOLERANCE * present.stiffness)
-                || f64::from(damping) > max.damping.max(TOLERANCE * present.damping))
+            && (f64::from(stiffness) > max.stiffness.max(GAIN_TOLERANCE * present.stiffness)
+                || f64::from(damping) > max.damping.max(GAIN_TOLERANCE * present.damping))
         {
             let why = format!(
                 "wall {wall} cannot have {requested}: above {} one encoder count, and above {} a slow hand, needs the full \
