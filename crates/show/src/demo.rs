@@ -119,12 +119,12 @@ impl Demo {
     }
 
     /// Returns the command line that prints Weff and Wrr.
-    pub fn model_line(&self) -> String {
+    pub fn model_command(&self) -> String {
         format!("haptic model devices/{}.toml {}", self.file.name, self.pose_options())
     }
 
     /// Returns the command line that prints the predicted highest stiffness without feed-forward and with the washout.
-    pub fn range_line(&self, delay_samples: f64) -> String {
+    pub fn range_command(&self, delay_samples: f64) -> String {
         format!(
             "haptic range devices/{}.toml {} --rate {} --cutoff {} --delay {delay_samples:.6} --undamped --kd {} --washout {}",
             self.file.name,

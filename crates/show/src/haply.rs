@@ -102,7 +102,7 @@ impl HaplyListener {
                 Err(_) => thread::sleep(READ_TIMEOUT / 4),
             }
             threads.retain(|thread| !thread.is_finished());
-            shared.maintain(&open, &mut failed);
+            shared.poll_or_reopen(&open, &mut failed);
         }
         shared.is_over.store(true, Ordering::Relaxed);
         for thread in threads {
@@ -140,15 +140,19 @@ impl Shared {
 
     /// Returns the device's state after `work`; `None` while its board is lost.
     fn frame(&self, full: bool, work: impl FnOnce(&mut Inverse3) -> Result<(), BoardError>) -> Option<Value> {
-        self.device_slot().work(work).map(|device| device.frame(full))
+        self.device_slot().apply(work).map(|device| device.frame(full))
     }
 
     /// Polls the board if no program has done so for a while, and reopens a lost board after its user has left, because
     /// a program must arm only the board that it has connected to.
-    fn maintain<E: Display>(&self, open: impl Fn() -> Result<Inverse3, E>, failed: &mut Option<(Instant, String)>) {
+    fn poll_or_reopen<E: Display>(
+        &self,
+        open: impl Fn() -> Result<Inverse3, E>,
+        failed: &mut Option<(Instant, String)>,
+    ) {
         let mut device_slot = self.device_slot();
         if device_slot.device.as_ref().is_some_and(|device| device.idle_time() >= POLL_INTERVAL) {
-            device_slot.work(Inverse3::poll);
+            device_slot.apply(Inverse3::poll);
         }
         let is_soon = failed.as_ref().is_some_and(|(when, _)| when.elapsed() < POLL_INTERVAL);
         if device_slot.device.is_some() || device_slot.user.is_some() || is_soon {
@@ -180,7 +184,7 @@ impl Shared {
 
 impl DeviceSlot {
     /// Returns the device after `work`; `None` if its board is lost, which ends its user's connection.
-    fn work(&mut self, work: impl FnOnce(&mut Inverse3) -> Result<(), BoardError>) -> Option<&Inverse3> {
+    fn apply(&mut self, work: impl FnOnce(&mut Inverse3) -> Result<(), BoardError>) -> Option<&Inverse3> {
         if let Err(lost) = work(self.device.as_mut()?) {
             haptic_host::tell!("{lost}; waiting for it");
             self.device = None;

@@ -50,7 +50,7 @@ pub fn outline(surface: &Surface<f64>) -> Option<Outline> {
 
 /// Returns the outline of a wall on a device whose task is an arc length: a line across the arc of this radius (m)
 /// about the origin.
-pub fn on_an_arc(surface: &Surface<f64>, radius: f64) -> Option<Outline> {
+pub fn outline_on_arc(surface: &Surface<f64>, radius: f64) -> Option<Outline> {
     let Surface::Plane(plane) = surface else { return None };
     let (sin, cos) = (plane.point[0] / radius).sin_cos();
     let side = plane.normal[0].signum();

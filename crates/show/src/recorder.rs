@@ -212,7 +212,7 @@ impl Recorder {
     }
 
     /// Describes the destination of the rows.
-    pub fn place(&self) -> String {
+    pub fn destination(&self) -> String {
         match self.sink {
             Sink::StandardOutput => "standard output".into(),
             Sink::File { .. } => self.path.display().to_string(),
@@ -311,10 +311,10 @@ impl RowWriter {
     }
 
     /// Describes the destination of the rows.
-    pub fn place(&self) -> String {
+    pub fn destination(&self) -> String {
         match self {
             Self::Mcap(recorder) => recorder.path().display().to_string(),
-            Self::Csv(recorder, _) => recorder.place(),
+            Self::Csv(recorder, _) => recorder.destination(),
         }
     }
 }

@@ -8,7 +8,7 @@ use haptic_host::output;
 use haptic_show::demo::comparison::Comparison;
 use haptic_show::demo::crossing::{Crossing, run as cross};
 use haptic_show::demo::picture::draw;
-use haptic_show::demo::stiffness::{Limit, limit};
+use haptic_show::demo::stiffness::{StiffnessLimit, stiffness_limit};
 use haptic_show::demo::{Demo, Inertia};
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
@@ -70,7 +70,7 @@ impl PartsBar {
 struct Results {
     inertia: Inertia,
     crossings: [Crossing; 2],
-    limits: [Limit; 2],
+    limits: [StiffnessLimit; 2],
 }
 
 pub fn run(args: Args) -> Result<(), Failure> {
@@ -88,7 +88,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     ];
     let mut search = |feed_forward, doing: &'static str| {
         bar.show(0.0, doing);
-        let result = limit(&demo, feed_forward);
+        let result = stiffness_limit(&demo, feed_forward);
         bar.next();
         result
     };
@@ -108,7 +108,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
 
 /// Returns the contents of `report` as JSON in SI units, `without` and `with` the feed-forward.
 fn document(demo: &Demo, results: &Results, picture: &str) -> serde_json::Value {
-    let run = |crossing: &Crossing, inertia: f64, limit: &Limit| {
+    let run = |crossing: &Crossing, inertia: f64, limit: &StiffnessLimit| {
         json!({
             "penetration_m": crossing.penetration,
             "peak_force_n": crossing.peak_force,
@@ -130,8 +130,8 @@ fn document(demo: &Demo, results: &Results, picture: &str) -> serde_json::Value 
         "washout_hz": demo.washout_hz,
         "without": run(without, inertia.effective, low),
         "with": run(with, inertia.rendered, high),
-        "model": demo.model_line(),
-        "range": demo.range_line(low.delay_samples),
+        "model": demo.model_command(),
+        "range": demo.range_command(low.delay_samples),
         "picture": picture,
     })
 }
@@ -146,7 +146,7 @@ fn report(demo: &Demo, results: &Results) -> String {
         demo.rate_hz,
         demo.stiffness / 1000.0,
         demo.damping,
-        1e3 * haptic_show::demo::crossing::SLIDE,
+        1e3 * haptic_show::demo::crossing::SLIDE_DISTANCE,
         demo.seed,
         demo.washout_hz
     );
@@ -176,8 +176,8 @@ fn report(demo: &Demo, results: &Results) -> String {
     }
     text.push_str(&format!(
         "Weff, Wrr and the predictions are also printed by (run next to the folder devices/)\n    {}\n    {}\n",
-        demo.model_line(),
-        demo.range_line(low.delay_samples)
+        demo.model_command(),
+        demo.range_command(low.delay_samples)
     ));
     text.push_str(
         "The stable stiffness is measured without friction, hand and encoder steps, as in the theory; with them the\n\

@@ -334,7 +334,7 @@ fn finish(end: StreamEnd, board: &mut Board, mut stream: Stream, json: bool) -> 
         }
         let verb = if recorder.rows() == 1 { "is" } else { "are" };
         let size = bytes_in_words(recorder.bytes());
-        let all = format!("{} {verb} in {}, {size}", counted(recorder.rows(), "row"), recorder.place());
+        let all = format!("{} {verb} in {}, {size}", counted(recorder.rows(), "row"), recorder.destination());
         let text = losses.to_string();
         let other_losses = text.trim_start_matches(|c: char| c != ',');
         summary = match losses.received.saturating_sub(recorder.rows()) {
@@ -346,7 +346,7 @@ fn finish(end: StreamEnd, board: &mut Board, mut stream: Stream, json: bool) -> 
                 format!("{all}, {unwritten} received rows could not be written and are lost{other_losses} before")
             }
         };
-        file = Some((recorder.place(), recorder.rows(), recorder.bytes()));
+        file = Some((recorder.destination(), recorder.rows(), recorder.bytes()));
         if std::io::stderr().is_terminal() {
             haptic_host::tell!("");
         }

@@ -114,7 +114,7 @@ impl View {
     fn reopen(&self, hub: &Hub) -> Result<Stage, Option<String>> {
         let back = |why: &dyn Display| Some(format!("the board is connected again, but {why}"));
         let mut world = self.open().map_err(|_| None)?;
-        match world.missing() {
+        match world.missing_setting() {
             Ok(None) => Stage::open(world, hub.clone(), self.rate, Some(self.folder.clone())).map_err(|why| back(&why)),
             Ok(Some(refusal)) => Err(back(&refusal)),
             Err(_) => Err(None),
@@ -146,7 +146,7 @@ impl View {
                     return Err(error.into());
                 }
                 let notice = serde_json::json!({"is": "lost", "why": why}).to_string();
-                hub.to_all(|outbox| outbox.tell(notice.clone()));
+                hub.with_every_outbox(|outbox| outbox.queue_document(notice.clone()));
                 thread::sleep(RETRY_INTERVAL);
                 match self.reopen(hub) {
                     Ok(stage) => break stage,
@@ -158,7 +158,7 @@ impl View {
                 }
             };
             // Drops old messages, so that no page is in command of a reopened board.
-            hub.forget();
+            hub.drop_incoming();
         }
     }
 }

@@ -74,7 +74,7 @@ impl TestView {
 
     /// Connects a page and returns its number.
     fn add_page(&mut self) -> usize {
-        let (id, heard) = (self.hub.come().unwrap(), Received::default());
+        let (id, heard) = (self.hub.add_page().unwrap(), Received::default());
         self.pages.push(Page { id, heard, repeated: Some(FromPage::Here {}) });
         self.play(0.02);
         self.pages.len() - 1
@@ -82,7 +82,7 @@ impl TestView {
 
     /// Sends a message of a page and lets the stage handle it.
     fn send(&mut self, page: usize, message: Value) {
-        self.hub.said(self.pages[page].id, FromPage::parse(&message.to_string()));
+        self.hub.queue_incoming(self.pages[page].id, FromPage::parse(&message.to_string()));
         self.play(0.02);
     }
 
@@ -124,11 +124,11 @@ impl TestView {
             if let Some(FromPage::Hold { seen }) = &mut page.repeated {
                 *seen = page.heard.step();
             }
-            page.repeated.iter().for_each(|repeated| self.hub.said(page.id, Ok(repeated.clone())));
+            page.repeated.iter().for_each(|repeated| self.hub.queue_incoming(page.id, Ok(repeated.clone())));
         }
         while self.stage.turn(self.now).unwrap() == Turn::Played && self.simulated {}
         for Page { id, heard, .. } in &mut self.pages {
-            for message in self.hub.take(*id).messages() {
+            for message in self.hub.take_outbox(*id).messages() {
                 match message {
                     Sent::Text(text) => heard.text(&text),
                     Sent::Bytes(bytes) => heard.bytes(&bytes),
@@ -287,7 +287,7 @@ fn a_key_reported_with_old_steps_is_released() {
     view.pages[0].repeated = None;
     let seen = view.heard(0).step();
     for _ in 0..100 {
-        view.hub.said(view.pages[0].id, Ok(FromPage::Hold { seen }));
+        view.hub.queue_incoming(view.pages[0].id, Ok(FromPage::Hold { seen }));
         view.step();
     }
     assert_eq!(view.state(), "Disarmed");
@@ -379,8 +379,8 @@ fn flooding_pages_do_not_delay_a_release() {
     let flood = |view: &mut TestView| {
         for page in watching {
             for _ in 0..5_000 {
-                view.hub.said(view.pages[page].id, Err("noise".into()));
-                view.hub.said(view.pages[page].id, Ok(FromPage::Take {}));
+                view.hub.queue_incoming(view.pages[page].id, Err("noise".into()));
+                view.hub.queue_incoming(view.pages[page].id, Ok(FromPage::Take {}));
             }
         }
     };
@@ -392,7 +392,7 @@ fn flooding_pages_do_not_delay_a_release() {
     let before: Vec<usize> = watching.iter().map(|page| view.heard(*page).refused.len()).collect();
     flood(&mut view);
     view.pages[0].repeated = None;
-    view.hub.said(view.pages[0].id, Ok(FromPage::Release {}));
+    view.hub.queue_incoming(view.pages[0].id, Ok(FromPage::Release {}));
     view.step();
     assert_eq!(simulated.lock().status().state, State::Disarmed, "the release was not handled in the next turn");
     for (page, before) in watching.into_iter().zip(before) {
@@ -421,7 +421,7 @@ fn a_page_that_leaves_releases_the_key() {
     view.arm(0);
     assert!(!view.heard(second).picture["hand"].is_null());
     let first = view.pages.remove(0);
-    view.hub.go(first.id);
+    view.hub.remove_page(first.id);
     view.play(0.02);
     assert_eq!(view.state(), "Disarmed");
     let seen = &view.heard(0).picture;
@@ -794,7 +794,7 @@ fn the_feed_forward_button_makes_a_pressed_wall_buzz_or_quiet() {
             ripples.iter().filter(|ripple| **ripple > RED).count() as f64 / 48.0
         });
         let plane = view.boundary();
-        let [off, washout] = [FeedForward::Off, FeedForward::Washout].map(|kind| plane.stiffness_to(kind, damping));
+        let [off, washout] = [FeedForward::Off, FeedForward::Washout].map(|kind| plane.max_stiffness(kind, damping));
         said += &format!(
             "{depth} mm, {aside} mm aside: red {shares:.2?}, stable to {off:.0} off, {washout:.0} washed out\n"
         );

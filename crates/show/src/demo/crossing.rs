@@ -13,7 +13,7 @@ const START_HEIGHT: f64 = 0.006;
 /// Target depth of the hand below the wall's surface, m, at which its arm of 250 N/m presses with about 5 N.
 const TARGET_DEPTH: f64 = 0.02;
 /// Length of the slide, m: it ends before the device's distal links become collinear.
-pub const SLIDE: f64 = 0.02;
+pub const SLIDE_DISTANCE: f64 = 0.02;
 /// Time at which the hand starts to move, s after arming, when the torque ramp is over.
 const START_TIME: f64 = 0.6;
 /// Time at which the hand reaches its target depth, s.
@@ -107,9 +107,9 @@ fn hand_path(demo: &Demo, tip: [f64; 3]) -> Vec<Waypoint> {
         at(START_TIME, 0.0, 0.0),
         at(DEPTH_TIME, down, 0.0),
         at(SLIDE_START, down, 0.0),
-        at(SLIDE_END, down, SLIDE),
-        at(SLIDE_END + 0.2, down, SLIDE),
-        at(END_TIME, 0.0, SLIDE),
+        at(SLIDE_END, down, SLIDE_DISTANCE),
+        at(SLIDE_END + 0.2, down, SLIDE_DISTANCE),
+        at(END_TIME, 0.0, SLIDE_DISTANCE),
     ]
 }
 

@@ -42,7 +42,7 @@ const ENLARGED_BACKGROUND: &str = "#e8e8e8";
 /// Draws the device at its pose, with the wall and the path of the hand.
 fn draw_device(canvas: &mut Canvas, demo: &Demo) {
     let Some(skeleton) = skeleton(&demo.file.description, demo.q()) else { return };
-    let (low, high) = linkage::bounds(skeleton.bars.iter().flat_map(|bar| [bar.from, bar.to]));
+    let (low, high) = linkage::bounding_box(skeleton.bars.iter().flat_map(|bar| [bar.from, bar.to]));
     let middle = ((low.0 + high.0) / 2.0, (low.1 + high.1) / 2.0);
     let pixel = |x: f64, y: f64| {
         (DEVICE_CENTRE.0 + DEVICE_SCALE * (x - middle.0), DEVICE_CENTRE.1 - DEVICE_SCALE * (y - middle.1))
@@ -57,9 +57,9 @@ fn draw_device(canvas: &mut Canvas, demo: &Demo) {
         canvas.circle(pixel(bar.from.0, bar.from.1), 2.6, "white", Stroke::solid(INK, 1.4));
     }
     for base in &skeleton.base {
-        linkage::base_pivot(canvas, pixel(base.0, base.1));
+        linkage::draw_base_pivot(canvas, pixel(base.0, base.1));
     }
-    linkage::tip(canvas, pixel(x, y));
+    linkage::draw_tip(canvas, pixel(x, y));
     let words = at(-0.095, 0.016);
     canvas.text((words.0, words.1), 11.5, Anchor::Start, false, "wall");
 }

@@ -18,7 +18,7 @@ use haptic_stability::analysis::several::Member;
 
 /// Measured and predicted limit, N/m.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Limit {
+pub struct StiffnessLimit {
     /// Stiffness at which the simulated board began to oscillate.
     pub measured: f64,
     /// Stiffness at which the theory predicts oscillation.
@@ -28,7 +28,7 @@ pub struct Limit {
 }
 
 /// Measures and predicts the largest stable stiffness at the demo's damping.
-pub fn limit(demo: &Demo, feed_forward: FeedForward) -> Result<Limit, DemoError> {
+pub fn stiffness_limit(demo: &Demo, feed_forward: FeedForward) -> Result<StiffnessLimit, DemoError> {
     let mut demo = demo.clone();
     for joint in &mut demo.file.description.joints {
         if let Some(encoder) = &mut joint.encoder {
@@ -54,7 +54,7 @@ pub fn limit(demo: &Demo, feed_forward: FeedForward) -> Result<Limit, DemoError>
     // The prediction uses the delay that the board reports while it runs at the demo's rate.
     let delay_samples = f64::from(prepared.board().details()?.delay_samples);
     prepared.finish()?;
-    Ok(Limit { measured, predicted: predict_limit(&demo, feed_forward, delay_samples)?, delay_samples })
+    Ok(StiffnessLimit { measured, predicted: predict_limit(&demo, feed_forward, delay_samples)?, delay_samples })
 }
 
 fn predict_limit(demo: &Demo, feed_forward: FeedForward, delay_samples: f64) -> Result<f64, DemoError> {

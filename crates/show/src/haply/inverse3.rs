@@ -138,7 +138,7 @@ impl Inverse3 {
     /// program that uses the device.
     pub(super) fn poll(&mut self) -> Result<(), BoardError> {
         let read = |device: &mut Self| {
-            device.advance()?;
+            device.catch_up()?;
             device.last = Board::force(&mut device.session, &ForceRequest::default())?;
             device.fault = match (device.last.state, device.fault) {
                 (State::Fault, None) => device.session.status()?.fault,
@@ -167,7 +167,7 @@ impl Inverse3 {
     }
 
     /// Lets simulated time catch up with real time, because a simulated board runs only while a request waits.
-    fn advance(&mut self) -> Result<(), LinkError> {
+    fn catch_up(&mut self) -> Result<(), LinkError> {
         if self.simulated {
             self.session.rows(self.polled.elapsed().min(MAX_CATCH_UP))?;
         }
@@ -176,7 +176,7 @@ impl Inverse3 {
     }
 
     fn exchange(&mut self, request: &ProgramRequest) -> Result<(), BoardError> {
-        self.advance()?;
+        self.catch_up()?;
         if request.clear_fault {
             self.clear()?;
         }

@@ -62,7 +62,7 @@ impl Canvas {
     }
 
     /// Sets the width on paper, mm.
-    pub fn print_at(&mut self, mm: f64) {
+    pub fn set_printed_width(&mut self, mm: f64) {
         self.printed = Some(mm);
     }
 

@@ -62,7 +62,7 @@ pub fn draw(
         (_, true) => (page.wide - (SCREEN_WIDTH - 2.0 * DRAWING_SIDE)) / 2.0,
         _ => DRAWING_SIDE,
     };
-    let top = 70.0 + heading.beyond(1);
+    let top = 70.0 + heading.extra_height(1);
     let under = side + LEGEND_HEIGHT;
     let second = if page.is_narrow() { (page.left, top + under) } else { (page.left + side + 65.0, top) };
     let lines = [
@@ -127,7 +127,7 @@ fn draw_motion(
     DrawingArea { at, side }: DrawingArea,
 ) {
     let points = here.bars.iter().flat_map(|bar| [bar.from, bar.to]).chain(here.base.iter().copied());
-    let (low, high) = super::linkage::bounds(points);
+    let (low, high) = super::linkage::bounding_box(points);
     let middle = ((low.0 + high.0) / 2.0, (low.1 + high.1) / 2.0);
     let half = 0.68 * (high.0 - low.0).max(high.1 - low.1);
     let axis =
@@ -147,7 +147,7 @@ fn draw_motion(
                 canvas.polyline(&ends, MOVED_LINKAGE_STROKE);
             }
         }
-        linkage::outline(canvas, &frame, here);
+        linkage::draw_linkage(canvas, &frame, here);
         for (motion, colour) in [(&free, OFF_COLOUR), (&held, FULL_COLOUR)] {
             let Some(along) = tip_displacement(description, q, here, motion) else { continue };
             let end = (here.tip.0 + 2.0 * far * along.0, here.tip.1 + 2.0 * far * along.1);

@@ -8,7 +8,7 @@ use haptic_bridge::model::description::Description;
 use super::axes::{Axis, PlotArea, crosses_box};
 use super::canvas::{Anchor, Canvas, SMALL_TEXT, Stroke};
 use super::colour::{FAINT_GREY, FULL_COLOUR, INK, OFF_COLOUR, WASHOUT_COLOUR};
-use super::linkage::bounds;
+use super::linkage::bounding_box;
 use super::paper::Paper;
 use super::{Picture, linkage};
 use haptic_stability::analysis::cut::{Cut, Fineness};
@@ -39,7 +39,7 @@ pub fn draw(
     let reach = reachable_outlines(description)?;
     let bars = skeleton.bars.iter().flat_map(|bar| [bar.from, bar.to]);
     let limited = description.joints[..spec.joints].iter().all(|joint| joint.limits.is_some());
-    let (low, high) = bounds(bars.chain(reach.iter().flatten().copied()));
+    let (low, high) = bounding_box(bars.chain(reach.iter().flatten().copied()));
     // Adds room for arcs and labels; a linkage without its reach needs more.
     let (room, side) = match (reach.is_empty(), limited) {
         (true, _) => (0.22, LINKAGE_SIDE),
@@ -58,7 +58,7 @@ pub fn draw(
     let ground = if reach.is_empty() { "" } else { "; pale area: reach of the tip, clear of singular poses" };
     let heading = page.heading(&title, &[format!("{what}{ground}")]);
     let frame = PlotArea {
-        at: (page.left, 62.0 + heading.beyond(1)),
+        at: (page.left, 62.0 + heading.extra_height(1)),
         size: (across * pixels, up * pixels),
         x: Axis { name: "x".into(), unit: "m".into(), low: low.0, high: high.0 },
         y: Axis { name: "y".into(), unit: "m".into(), low: low.1, high: high.1 },
@@ -92,9 +92,9 @@ pub fn draw(
             draw_joint_angle(canvas, &frame, angle, pixels, description, colour, &skeleton);
         }
         for base in &skeleton.base {
-            linkage::base_pivot(canvas, frame.pixel(base.0, base.1));
+            linkage::draw_base_pivot(canvas, frame.pixel(base.0, base.1));
         }
-        linkage::tip(canvas, tip);
+        linkage::draw_tip(canvas, tip);
         let name = if skeleton.letters.is_empty() { "tip" } else { "tip P" };
         canvas.text((tip.0, tip.1 - 12.0), 12.5, Anchor::Middle, false, name);
     });

@@ -85,7 +85,7 @@ pub fn chart(
     let (step, top, highest) = colour_scale(&coarse);
 
     let tips = coarse.iter().flat_map(|tile| tile.outline.iter().copied());
-    let (low, high) = linkage::bounds(tips.chain(home.iter().flat_map(link_ends)));
+    let (low, high) = linkage::bounding_box(tips.chain(home.iter().flat_map(link_ends)));
     let (across, up) = (high.0 - low.0, high.1 - low.1);
     // On a screen the page is as wide as the plane requires; on paper the plane is as wide as the page allows.
     let usual = PLANE_SIDE / across.max(up);
@@ -101,7 +101,7 @@ pub fn chart(
     under.extend(page.is_narrow().then(|| format!("colour: {COLOUR_LABEL}")));
     let heading = page.heading(&title, &under);
     let mut frame = PlotArea {
-        at: (page.left, 92.0 + heading.beyond(2)),
+        at: (page.left, 92.0 + heading.extra_height(2)),
         size: ((high.0 - low.0) * pixels, (high.1 - low.1) * pixels),
         x: Axis { name: "x".into(), unit: "m".into(), low: low.0, high: high.0 },
         y: Axis { name: "y".into(), unit: "m".into(), low: low.1, high: high.1 },
@@ -125,7 +125,7 @@ pub fn chart(
     frame.clipped(&mut canvas, |canvas| draw_tiles(canvas, &frame, &fine, top));
     let typical = draw_ellipses(&mut canvas, &frame, &cut, pixels)?;
     if let Some(home) = &home {
-        linkage::outline(&mut canvas, &frame, home);
+        linkage::draw_linkage(&mut canvas, &frame, home);
     }
     frame.draw(&mut canvas, "");
 
@@ -294,8 +294,8 @@ fn draw_key(canvas: &mut Canvas, page: &Page, y: f64, typical: Option<f64>, home
     }
     if home {
         canvas.line((x, y + 3.0), (x + 26.0, y - 5.0), Stroke::solid(FAINT_GREY, 1.8));
-        linkage::base_pivot(canvas, (x, y + 3.0));
-        linkage::tip(canvas, (x + 26.0, y - 5.0));
+        linkage::draw_base_pivot(canvas, (x, y + 3.0));
+        linkage::draw_tip(canvas, (x + 26.0, y - 5.0));
         canvas.text((x + 38.0, y + 4.0), 11.5, Anchor::Start, false, "base, and tip at home");
     }
 }

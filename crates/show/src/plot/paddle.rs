@@ -41,14 +41,14 @@ pub fn draw(description: &Description, name: &str, paper: Paper) -> Result<Pictu
         format!("task coordinate along the arc: {along}"),
     ];
 
-    let (min, max) = linkage::bounds(arc.iter().copied().chain([(0.0, 0.0)]));
+    let (min, max) = linkage::bounding_box(arc.iter().copied().chain([(0.0, 0.0)]));
     let (across, up) = (max.0 - min.0, max.1 - min.1);
     let usual = 380.0 / across.max(up);
     let page = paper.page((86.0 + across * usual + 30.0).max(560.0), 86.0);
     let pixels = if paper.is_printed() { usual.min((page.wide - page.left - 30.0) / across) } else { usual };
     let heading = page.heading(&title, &under);
     let frame = PlotArea {
-        at: (page.left, 104.0 + heading.beyond(3)),
+        at: (page.left, 104.0 + heading.extra_height(3)),
         size: (across * pixels, up * pixels),
         x: Axis { name: "x".into(), unit: "m".into(), low: min.0, high: max.0 },
         y: Axis { name: "y".into(), unit: "m".into(), low: min.1, high: max.1 },
@@ -62,7 +62,7 @@ pub fn draw(description: &Description, name: &str, paper: Paper) -> Result<Pictu
         canvas.line((fx, fy), (tx, ty), Stroke::solid(INK, 2.0));
     }
     if let Some(skeleton) = skeleton(description, &[home]) {
-        linkage::outline(&mut canvas, &frame, &skeleton);
+        linkage::draw_linkage(&mut canvas, &frame, &skeleton);
     }
     frame.draw(&mut canvas, "");
     Ok(canvas.finish(&title, "The arc that the handle of a device with one joint can reach."))

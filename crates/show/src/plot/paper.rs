@@ -58,7 +58,7 @@ impl Page {
     pub fn canvas(&self, height: f64) -> Canvas {
         let mut canvas = Canvas::new(self.wide, height);
         if let Some(mm) = self.paper.0 {
-            canvas.print_at(mm);
+            canvas.set_printed_width(mm);
         }
         canvas
     }
@@ -89,7 +89,7 @@ pub struct Heading {
 
 impl Heading {
     /// Returns the additional height compared with a title of one line and `usual` lines under it.
-    pub fn beyond(&self, usual: usize) -> f64 {
+    pub fn extra_height(&self, usual: usize) -> f64 {
         let more = |lines: &[String], usual: usize| lines.len().saturating_sub(usual) as f64;
         TITLE_SIZES.1 * more(&self.titles, 1) + SUBTITLE_SIZES.1 * more(&self.under, usual)
     }

@@ -74,7 +74,7 @@ pub fn draw(contents: &Contents<'_>) -> Picture {
     let page = contents.paper.page(720.0, 86.0);
     let heading = page.heading(&contents.title, &contents.subtitle);
     let frame = PlotArea {
-        at: (page.left, 82.0 + heading.beyond(2)),
+        at: (page.left, 82.0 + heading.extra_height(2)),
         size: (page.wide - page.left - 24.0, if page.is_narrow() { 220.0 } else { 340.0 }),
         x: Axis { name: "wall damping kd".into(), unit: "N s/m".into(), low: 0.0, high: above(widest) },
         y: Axis { name: "wall stiffness kp".into(), unit: "N/m".into(), low: 0.0, high: above(tallest) },

@@ -36,7 +36,7 @@ pub fn draw(title: &str, subtitle: &[String; 2], why: &Why, paper: Paper) -> Pic
     let below = in_line && page.wide - left - 260.0 > LETTER_WIDTH * BAR_MEANING.len() as f64;
     under.extend((!below).then(|| format!("bars: {BAR_MEANING}")));
     let heading = page.heading(title, &under);
-    let top_of_rows = TOP_MARGIN + heading.beyond(2);
+    let top_of_rows = TOP_MARGIN + heading.extra_height(2);
     let values = || rows.iter().flat_map(|(_, both)| [both.off, both.full]).flatten().map(|limits| limits.kp_max);
     let highest = values().fold(0.0, f64::max).max(f64::MIN_POSITIVE);
     let lowest = values().filter(|kp| *kp > 0.0).fold(highest, f64::min);

@@ -68,7 +68,7 @@ impl About {
     }
 
     /// Returns the description as entries for programs: all lines together, and each line by its first word.
-    pub fn map(&self) -> BTreeMap<String, String> {
+    pub fn entries(&self) -> BTreeMap<String, String> {
         let lines = self.text.lines().skip(1).filter(|line| !line.starts_with("control rate"));
         // Splits the line of versions: "tool 0.1.0, firmware 0.1.0, protocol 6".
         let parts =

@@ -110,7 +110,7 @@ impl McapRecorder {
                 .chunk_size(None)
                 .disable_seeking(true)
                 .create(NoSeek::new(pending.clone()))?;
-            writer.write_metadata(&Metadata { name: HEAD_RECORD.into(), metadata: about.map() })?;
+            writer.write_metadata(&Metadata { name: HEAD_RECORD.into(), metadata: about.entries() })?;
             let mut channel = |topic, message: &MessageDescriptor| -> Result<u16, McapError> {
                 let set = message.parent_pool().encode_to_vec();
                 let schema = writer.add_schema(message.full_name(), "protobuf", &set)?;
@@ -169,7 +169,8 @@ impl McapRecorder {
 
     /// Adds a row: its step, its time since the first row (s), and a number for each column.
     pub fn row(&mut self, step: u32, time: f64, row: &[f64]) -> Result<(), RecordError> {
-        let message = protobuf::pack(&self.row, [f64::from(step), time].into_iter().chain(row.iter().copied()));
+        let message =
+            protobuf::encode_numbers(&self.row, [f64::from(step), time].into_iter().chain(row.iter().copied()));
         self.write(0, time, &message)?;
         self.pending_rows += 1;
         if self.gathered_bytes >= CHUNK_BYTES { self.flush() } else { Ok(()) }
@@ -177,7 +178,7 @@ impl McapRecorder {
 
     /// Adds an event at a time since the first row, s.
     pub fn event(&mut self, time: f64, words: &str) -> Result<(), RecordError> {
-        let message = protobuf::pack_text(&self.event, words);
+        let message = protobuf::encode_text(&self.event, words);
         self.write(1, time, &message)
     }
 
@@ -281,7 +282,7 @@ pub fn parse(bytes: &[u8]) -> Result<Recording, String> {
                 let message = schemas.get(&channel.schema_id).and_then(|(name, set)| protobuf::find_message(set, name));
                 match (channel.topic.as_str(), message) {
                     ("/rows", Some(message)) => {
-                        recording.columns = protobuf::names(&message);
+                        recording.columns = protobuf::field_names(&message);
                         rows = Some((channel.id, message));
                     }
                     ("/events", Some(message)) => events = Some((channel.id, message)),
@@ -290,7 +291,7 @@ pub fn parse(bytes: &[u8]) -> Result<Recording, String> {
             }
             Record::Message { header, data } => match (&rows, &events) {
                 (Some((id, message)), _) if *id == header.channel_id => {
-                    recording.rows.push(protobuf::values(message, &data));
+                    recording.rows.push(protobuf::decode_numbers(message, &data));
                 }
                 (_, Some((id, message))) if *id == header.channel_id => {
                     recording.about.extend(protobuf::first_text(message, &data));

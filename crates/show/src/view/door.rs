@@ -256,11 +256,11 @@ fn serve_live(mut stream: TcpStream, request: &Request, hub: &Hub) -> tungstenit
     let Ok(response) = create_response(request) else {
         return send_refusal(&mut stream, ("400 Bad Request", "this address is a WebSocket; the page is at /"));
     };
-    let Some(id) = hub.come() else {
+    let Some(id) = hub.add_page() else {
         return send_refusal(&mut stream, ("503 Service Unavailable", "too many pages are open"));
     };
     let result = exchange_messages(stream, &response, hub, id);
-    hub.go(id);
+    hub.remove_page(id);
     result
 }
 
@@ -281,8 +281,10 @@ fn exchange_messages(
         let began = Instant::now();
         for count in 1..=MAX_MESSAGES_PER_READ {
             match socket.read() {
-                Ok(Message::Text(text)) => hub.said(id, FromPage::parse(&text)),
-                Ok(Message::Binary(_)) => hub.said(id, Err("not a message of this page: it is binary".into())),
+                Ok(Message::Text(text)) => hub.queue_incoming(id, FromPage::parse(&text)),
+                Ok(Message::Binary(_)) => {
+                    hub.queue_incoming(id, Err("not a message of this page: it is binary".into()))
+                }
                 Ok(Message::Close(_)) => return Ok(()),
                 Ok(_) => {}
                 Err(tungstenite::Error::Io(error)) if nothing_yet(&error) => break,
@@ -295,7 +297,7 @@ fn exchange_messages(
                 None => break,
             }
         }
-        for message in hub.take(id).messages() {
+        for message in hub.take_outbox(id).messages() {
             socket.write(match message {
                 hub::Message::Text(text) => Message::text(text),
                 hub::Message::Bytes(bytes) => Message::binary(bytes),

@@ -37,7 +37,7 @@ pub enum Event {
 pub enum Message {
     /// A JSON document.
     Text(String),
-    /// Numbers of four bytes each, little-endian: their kind, then a sweep ([`super::scope::Scope::bytes`]) or rate and
+    /// Numbers of four bytes each, little-endian: their kind, then a sweep ([`super::scope::Scope::encode`]) or rate and
     /// sound.
     Bytes(Vec<u8>),
 }
@@ -50,7 +50,7 @@ pub struct Outbox {
     pub messages: VecDeque<String>,
     /// Newest picture, a JSON document.
     pub picture: Option<String>,
-    /// Newest sweep of the oscilloscope, encoded by [`super::scope::Scope::bytes`].
+    /// Newest sweep of the oscilloscope, encoded by [`super::scope::Scope::encode`].
     pub scope: Option<Vec<u8>>,
     /// Rate in Hz and samples of motor torque (N m), for the sound.
     pub sound: (f32, VecDeque<f32>),
@@ -69,7 +69,7 @@ impl Outbox {
     }
 
     /// Adds a JSON document.
-    pub fn tell(&mut self, document: String) {
+    pub fn queue_document(&mut self, document: String) {
         if self.messages.len() >= MAX_OUTGOING_DOCUMENTS {
             self.messages.pop_front();
         }
@@ -77,7 +77,7 @@ impl Outbox {
     }
 
     /// Adds samples of motor torque for the sound.
-    pub fn hear(&mut self, rate_hz: f32, samples: &[f32]) {
+    pub fn queue_sound(&mut self, rate_hz: f32, samples: &[f32]) {
         self.sound.0 = rate_hz;
         self.sound.1.extend(samples);
         let excess = self.sound.1.len().saturating_sub(MAX_SOUND_SAMPLES);
@@ -100,7 +100,7 @@ struct Page {
 }
 
 impl Page {
-    fn receive(&mut self, message: Result<FromPage, String>) {
+    fn queue(&mut self, message: Result<FromPage, String>) {
         match message {
             Ok(FromPage::Hold { seen }) => self.hold = Some(seen),
             message => {
@@ -152,7 +152,7 @@ impl Hub {
     }
 
     /// Adds a page; `None` if there are too many.
-    pub fn come(&self) -> Option<PageId> {
+    pub fn add_page(&self) -> Option<PageId> {
         let mut pages = self.pages();
         if pages.open.len() >= MAX_PAGES {
             return None;
@@ -160,13 +160,13 @@ impl Hub {
         pages.newest += 1;
         let id = pages.newest;
         let mut page = Page::default();
-        page.outbox.tell(format!(r#"{{"is":"you","you":{id}}}"#));
+        page.outbox.queue_document(format!(r#"{{"is":"you","you":{id}}}"#));
         pages.open.insert(id, page);
         Some(id)
     }
 
     /// Removes a page.
-    pub fn go(&self, id: PageId) {
+    pub fn remove_page(&self, id: PageId) {
         let mut pages = self.pages();
         if pages.open.remove(&id).is_some_and(|page| page.known) {
             pages.gone.insert(id);
@@ -175,7 +175,7 @@ impl Hub {
 
     /// Queues a page's message. A message that turns motors off drops the queued messages that would turn them on: of
     /// this page for a release, of all pages for a disarm.
-    pub fn said(&self, id: PageId, message: Result<FromPage, String>) {
+    pub fn queue_incoming(&self, id: PageId, message: Result<FromPage, String>) {
         let mut pages = self.pages();
         let Some(page) = pages.open.get_mut(&id) else { return };
         match message {
@@ -187,7 +187,7 @@ impl Hub {
                 page.stop = Some(FromPage::Disarm {});
                 pages.open.values_mut().for_each(Page::drop_key_messages);
             }
-            message => page.receive(message),
+            message => page.queue(message),
         }
     }
 
@@ -220,7 +220,7 @@ impl Hub {
     }
 
     /// Drops the queued incoming messages of all pages. The stage still knows the pages.
-    pub fn forget(&self) {
+    pub fn drop_incoming(&self) {
         let mut pages = self.pages();
         pages.gone.clear();
         for page in pages.open.values_mut() {
@@ -230,19 +230,19 @@ impl Hub {
     }
 
     /// Takes the outgoing queue of a page.
-    pub fn take(&self, id: PageId) -> Outbox {
+    pub fn take_outbox(&self, id: PageId) -> Outbox {
         self.pages().open.get_mut(&id).map(|page| std::mem::take(&mut page.outbox)).unwrap_or_default()
     }
 
     /// Applies `put` to the outgoing queue of one page.
-    pub fn to(&self, id: PageId, put: impl FnOnce(&mut Outbox)) {
+    pub fn with_outbox(&self, id: PageId, put: impl FnOnce(&mut Outbox)) {
         if let Some(page) = self.pages().open.get_mut(&id) {
             put(&mut page.outbox);
         }
     }
 
     /// Applies `put` to the outgoing queue of every page.
-    pub fn to_all(&self, mut put: impl FnMut(&mut Outbox)) {
+    pub fn with_every_outbox(&self, mut put: impl FnMut(&mut Outbox)) {
         self.pages().open.values_mut().for_each(|page| put(&mut page.outbox));
     }
 
@@ -259,40 +259,40 @@ mod tests {
     #[test]
     fn late_pages_get_the_newest_picture_and_every_message() {
         let hub = Hub::default();
-        let page = hub.come().unwrap();
+        let page = hub.add_page().unwrap();
         assert_eq!(hub.next(), Some(Event::Connected(page)));
         for number in 0..3 {
-            hub.to_all(|outbox| {
+            hub.with_every_outbox(|outbox| {
                 outbox.picture = Some(number.to_string());
-                outbox.tell(number.to_string());
+                outbox.queue_document(number.to_string());
             });
         }
-        let waiting = hub.take(page);
+        let waiting = hub.take_outbox(page);
         assert_eq!((waiting.picture.as_deref(), waiting.messages.len()), (Some("2"), 4));
-        assert!(hub.take(page).picture.is_none());
-        hub.go(page);
+        assert!(hub.take_outbox(page).picture.is_none());
+        hub.remove_page(page);
         assert_eq!((hub.next(), hub.next()), (Some(Event::Disconnected(page)), None));
     }
 
     #[test]
     fn pages_connect_up_to_the_maximum() {
         let hub = Hub::default();
-        let pages: Vec<_> = (0..=MAX_PAGES).map(|_| hub.come()).collect();
+        let pages: Vec<_> = (0..=MAX_PAGES).map(|_| hub.add_page()).collect();
         assert!(pages[..MAX_PAGES].iter().all(Option::is_some) && pages[MAX_PAGES].is_none());
     }
 
     #[test]
     fn excess_sound_is_dropped_from_its_beginning() {
         let mut outbox = Outbox::default();
-        outbox.hear(1000.0, &vec![0.0; MAX_SOUND_SAMPLES]);
-        outbox.hear(1000.0, &[7.0]);
+        outbox.queue_sound(1000.0, &vec![0.0; MAX_SOUND_SAMPLES]);
+        outbox.queue_sound(1000.0, &[7.0]);
         assert_eq!((outbox.sound.1.len(), outbox.sound.1.back()), (MAX_SOUND_SAMPLES, Some(&7.0)));
     }
 
     /// Returns a hub with pages that the stage knows.
     fn hub_with_pages(pages: u64) -> Hub {
         let hub = Hub::default();
-        (0..pages).for_each(|_| assert!(hub.come().is_some()));
+        (0..pages).for_each(|_| assert!(hub.add_page().is_some()));
         (1..=pages).for_each(|id| assert_eq!(hub.next(), Some(Event::Connected(id))));
         hub
     }
@@ -306,10 +306,10 @@ mod tests {
         for (page, stop) in [(1, FromPage::Release {}), (1, FromPage::Disarm {}), (2, FromPage::Disarm {})] {
             let hub = hub_with_pages(3);
             for message in [FromPage::Take {}, FromPage::Arm { seen: 1 }, FromPage::Hold { seen: 2 }] {
-                hub.said(1, Ok(message));
+                hub.queue_incoming(1, Ok(message));
             }
-            (0..10_000).for_each(|_| hub.said(3, Err("noise".into())));
-            hub.said(page, Ok(stop.clone()));
+            (0..10_000).for_each(|_| hub.queue_incoming(3, Err("noise".into())));
+            hub.queue_incoming(page, Ok(stop.clone()));
             assert_eq!(hub.next(), received(page, stop));
             let rest: Vec<Event> = std::iter::from_fn(|| hub.next()).collect();
             assert!(
@@ -324,12 +324,12 @@ mod tests {
     #[test]
     fn a_disconnect_comes_before_the_messages_of_other_pages() {
         let hub = hub_with_pages(2);
-        (0..10_000).for_each(|_| hub.said(2, Ok(FromPage::Here {})));
-        hub.go(1);
+        (0..10_000).for_each(|_| hub.queue_incoming(2, Ok(FromPage::Here {})));
+        hub.remove_page(1);
         assert_eq!(hub.next(), Some(Event::Disconnected(1)));
         // A page that disconnects at once is never reported to the stage.
-        let third = hub.come().unwrap();
-        hub.go(third);
+        let third = hub.add_page().unwrap();
+        hub.remove_page(third);
         assert!(
             std::iter::from_fn(|| hub.next())
                 .all(|event| !matches!(event, Event::Connected(_) | Event::Disconnected(_)))
@@ -339,8 +339,8 @@ mod tests {
     #[test]
     fn a_flooding_page_takes_turns_and_loses_its_oldest_messages() {
         let hub = hub_with_pages(2);
-        (0..100_000).for_each(|number| hub.said(1, Err(number.to_string())));
-        hub.said(2, Ok(FromPage::Take {}));
+        (0..100_000).for_each(|number| hub.queue_incoming(1, Err(number.to_string())));
+        hub.queue_incoming(2, Ok(FromPage::Take {}));
         let events: Vec<Event> = std::iter::from_fn(|| hub.next()).collect();
         let second = events.iter().position(|event| *event == Event::Received(2, Ok(FromPage::Take {})));
         assert!(second.is_some_and(|at| at < 2), "{second:?}");
@@ -352,14 +352,14 @@ mod tests {
     #[test]
     fn only_the_newest_hold_message_waits() {
         let hub = hub_with_pages(1);
-        (0..1_000).for_each(|seen| hub.said(1, Ok(FromPage::Hold { seen })));
+        (0..1_000).for_each(|seen| hub.queue_incoming(1, Ok(FromPage::Hold { seen })));
         assert_eq!((hub.next(), hub.next()), (received(1, FromPage::Hold { seen: 999 }), None));
     }
 
     #[test]
     fn unread_documents_are_dropped_from_the_oldest() {
         let mut outbox = Outbox::default();
-        (0..1_000).for_each(|number| outbox.tell(number.to_string()));
+        (0..1_000).for_each(|number| outbox.queue_document(number.to_string()));
         assert_eq!(
             (outbox.messages.len(), outbox.messages.back().map(String::as_str)),
             (MAX_OUTGOING_DOCUMENTS, Some("999"))

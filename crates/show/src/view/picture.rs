@@ -114,7 +114,7 @@ impl<'a> Newest<'a> {
     /// Returns the number in a field's column; 0 before the first row.
     pub fn get(&self, field: Field, axis: usize) -> f64 {
         let column = self.columns.iter().position(|column| column.field == field && column.axis == axis);
-        let value = column.and_then(|column| self.ring.at(self.ring.end().checked_sub(1)?, column));
+        let value = column.and_then(|column| self.ring.value(self.ring.end().checked_sub(1)?, column));
         value.filter(|value| value.is_finite()).map_or(0.0, f64::from)
     }
 
@@ -122,9 +122,9 @@ impl<'a> Newest<'a> {
         (0..count).map(|axis| self.get(field, axis)).collect()
     }
 
-    fn recent(&self, field: Field, axis: usize, rows: u64) -> impl Iterator<Item = f64> {
+    fn recent_values(&self, field: Field, axis: usize, rows: u64) -> impl Iterator<Item = f64> {
         let column = self.columns.iter().position(|column| column.field == field && column.axis == axis);
-        column.into_iter().flat_map(move |column| self.ring.last(column, rows)).map(f64::from)
+        column.into_iter().flat_map(move |column| self.ring.last_values(column, rows)).map(f64::from)
     }
 
     /// Returns the joint angles, rad.
@@ -156,19 +156,19 @@ impl<'a> Newest<'a> {
         let wall = nearest_wall(scene, &tip[..task]);
         let stiffness = wall.map_or(0.0, |(index, _)| scene.walls[index].stiffness);
         let force: Vec<f64> =
-            self.recent(Field::RenderedForce, 0, (OSCILLATION_TIME * rows_hz).ceil() as u64).collect();
+            self.recent_values(Field::RenderedForce, 0, (OSCILLATION_TIME * rows_hz).ceil() as u64).collect();
         let mut numbers = Numbers {
             force: self.get(Field::RenderedForce, 0),
             depth: -self.get(Field::Distance, 0),
             energy: self.get(Field::Energy, 0),
-            ripple: ripple(self.recent(Field::RenderedForce, 0, recent)),
+            ripple: ripple(self.recent_values(Field::RenderedForce, 0, recent)),
             frequency: frequency(&force, rows_hz),
             power: energy_given_out(
-                self.recent(Field::RenderedForce, 0, recent).zip(self.recent(Field::Distance, 0, recent)),
+                self.recent_values(Field::RenderedForce, 0, recent).zip(self.recent_values(Field::Distance, 0, recent)),
                 stiffness,
             ) / RECENT_TIME,
             saturated: (0..joints)
-                .map(|axis| share_matching(self.recent(Field::Saturated, axis, recent), |value| value > 0.0))
+                .map(|axis| share_matching(self.recent_values(Field::Saturated, axis, recent), |value| value > 0.0))
                 .fold(0.0, f64::max),
             wall: wall.map(|(index, _)| index),
             ..Numbers::default()

@@ -38,7 +38,7 @@ impl Ring {
     }
 
     /// Adds lost rows.
-    pub fn lose(&mut self, rows: u64) {
+    pub fn push_lost(&mut self, rows: u64) {
         for _ in 0..rows.min(self.capacity as u64) {
             self.push([]);
         }
@@ -59,15 +59,15 @@ impl Ring {
     }
 
     /// Returns the value in a row and a column.
-    pub fn at(&self, row: u64, column: usize) -> Option<f32> {
+    pub fn value(&self, row: u64, column: usize) -> Option<f32> {
         let index = usize::try_from(row.checked_sub(self.begin())?).ok()?;
         (column < self.columns).then(|| self.values.get(index * self.columns + column).copied()).flatten()
     }
 
     /// Returns the values that arrived among the last `rows` rows of a column, oldest first.
-    pub fn last(&self, column: usize, rows: u64) -> impl Iterator<Item = f32> {
+    pub fn last_values(&self, column: usize, rows: u64) -> impl Iterator<Item = f32> {
         (self.end.saturating_sub(rows).max(self.begin())..self.end)
-            .filter_map(move |row| self.at(row, column))
+            .filter_map(move |row| self.value(row, column))
             .filter(|value| value.is_finite())
     }
 }
@@ -163,7 +163,8 @@ impl Scope {
         while active.crossing.is_none() && active.next < ring.end() {
             let row = active.next;
             active.next += 1;
-            let (Some(before), Some(value)) = (ring.at(row - 1, active.column), ring.at(row, active.column)) else {
+            let (Some(before), Some(value)) = (ring.value(row - 1, active.column), ring.value(row, active.column))
+            else {
                 continue;
             };
             let level = active.trigger.level as f32;
@@ -193,7 +194,7 @@ impl Scope {
     fn window(&self, ring: &Ring, end: u64, phase: Phase) -> Sweep {
         let columns = self.rows.min(MAX_COLUMNS as u64);
         // Rows before the start are empty.
-        let at = |row: u64, column| (row + end).checked_sub(self.rows).and_then(|row| ring.at(row, column));
+        let at = |row: u64, column| (row + end).checked_sub(self.rows).and_then(|row| ring.value(row, column));
         let channels = self.columns.iter().map(|column| {
             (0..columns)
                 .map(|i| {
@@ -209,7 +210,7 @@ impl Scope {
     /// Encodes a sweep for the page, as 32-bit floats, little-endian: 1, the phase, the window in seconds, the time of
     /// the crossing in it in seconds, channels, columns; then for each channel and column the smallest and the largest
     /// value.
-    pub fn bytes(&self, sweep: &Sweep) -> Vec<u8> {
+    pub fn encode(&self, sweep: &Sweep) -> Vec<u8> {
         let crossing =
             self.trigger.as_ref().map_or(0.0, |active| self.seconds * active.before as f64 / (self.rows - 1) as f64);
         let columns = sweep.channels.first().map_or(0, Vec::len);
@@ -292,15 +293,15 @@ mod tests {
         for row in 0..3999_u32 {
             ring.push([if row == 1234 { 9.0 } else { 0.0 }]);
         }
-        ring.lose(1);
+        ring.push_lost(1);
         let request = ScopeRequest { channels: vec!["force_n".into()], seconds: 2.0, trigger: None };
         let mut scope = Scope::new(request, &labels()[..1], 2000.0, 0).unwrap();
         let sweep = scope.sweep(&ring).unwrap();
         let channel = &sweep.channels[0];
         assert_eq!((channel.len(), channel.iter().filter(|(_, high)| *high == 9.0).count()), (800, 1));
         assert_eq!(channel[1234 / 5], (0.0, 9.0));
-        assert_eq!(ring.last(0, 3).count(), 2, "a lost row is not a number");
-        let bytes = scope.bytes(&sweep);
+        assert_eq!(ring.last_values(0, 3).count(), 2, "a lost row is not a number");
+        let bytes = scope.encode(&sweep);
         assert_eq!(bytes.len(), 4 * (6 + 2 * 800));
         assert_eq!(bytes[..4], 1.0_f32.to_le_bytes());
     }
@@ -311,7 +312,7 @@ mod tests {
         push_force_rows(&mut ring, 0..25);
         assert_eq!((ring.begin(), ring.end()), (15, 25));
         assert_eq!(
-            (ring.at(14, 1), ring.at(15, 1), ring.at(24, 1), ring.at(25, 1)),
+            (ring.value(14, 1), ring.value(15, 1), ring.value(24, 1), ring.value(25, 1)),
             (None, Some(15.0), Some(24.0), None)
         );
     }

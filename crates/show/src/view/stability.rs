@@ -60,12 +60,12 @@ pub struct Plane {
     #[serde(default)]
     pub assumes: Vec<String>,
     /// Limiting effects, if they were requested.
-    pub limits: Option<Explained>,
+    pub limits: Option<LimitingEffects>,
 }
 
 /// The limiting effects of a wall's stiffness.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Explained {
+pub struct LimitingEffects {
     /// Feed-forward of the wall.
     pub feed_forward: FeedForward,
     /// Largest stable stiffness over all dampings, N/m; `None` if it is unlimited.
@@ -73,14 +73,14 @@ pub struct Explained {
     /// Damping at that stiffness, N s/m.
     pub damping: Option<f64>,
     /// Limits with each effect removed in turn.
-    pub without: Vec<Without>,
+    pub without: Vec<LimitWithout>,
     /// Motion of the tip along the normal for one encoder count, m.
     pub count: f64,
 }
 
 /// The limit without one effect.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Without {
+pub struct LimitWithout {
     /// The effect.
     pub effect: String,
     /// The condition that replaces the effect.
@@ -100,7 +100,7 @@ impl Plane {
     }
 
     /// Returns the largest stiffness (N/m) that is predicted to be stable with this damping (N s/m).
-    pub fn stiffness_to(&self, mode: FeedForward, damping: f64) -> f64 {
+    pub fn max_stiffness(&self, mode: FeedForward, damping: f64) -> f64 {
         let boundary = self.boundary(mode);
         let next = boundary.partition_point(|point| point.kd < damping);
         match (next.checked_sub(1).and_then(|i| boundary.get(i)), boundary.get(next)) {
@@ -127,7 +127,7 @@ impl PredictionRequest {
 }
 
 /// Computes the boundary; `None` if the pose is singular or the loop cannot be analysed.
-pub fn predict(request: &PredictionRequest) -> Option<Plane> {
+pub fn predict_plane(request: &PredictionRequest) -> Option<Plane> {
     let PredictionRequest { scene, wall: index, q, normal, .. } = request;
     let wall = scene.walls.get(*index)?;
     let (prediction, model) = request.prediction()?;
@@ -148,26 +148,30 @@ pub fn predict(request: &PredictionRequest) -> Option<Plane> {
 }
 
 /// Returns the predicted oscillation of the wall with its present gains: the buzz of an unstable wall.
-pub fn buzz(request: &PredictionRequest) -> Option<Oscillation> {
+pub fn predict_buzz(request: &PredictionRequest) -> Option<Oscillation> {
     let wall = request.scene.walls.get(request.wall)?;
     let (prediction, _) = request.prediction()?;
     let members = [Member::new(request.normal.clone(), 1.0)];
     prediction.buzz(&request.q, &members, request.mode()?, wall.stiffness, wall.damping).ok()?
 }
 
-fn limiting_effects(request: &PredictionRequest, prediction: &Prediction, model: &Linearised) -> Option<Explained> {
+fn limiting_effects(
+    request: &PredictionRequest,
+    prediction: &Prediction,
+    model: &Linearised,
+) -> Option<LimitingEffects> {
     let (mode, control) = (request.mode()?, &prediction.around);
     let (all, without) = limits_without(model, control, mode).ok()?;
-    let mut without: Vec<Without> = without
+    let mut without: Vec<LimitWithout> = without
         .into_iter()
-        .map(|(effect, instead, limits)| Without {
+        .map(|(effect, instead, limits)| LimitWithout {
             effect: effect.into(),
             instead: instead.into(),
             stiffness: limits.map(|limits| limits.kp_max),
         })
         .collect();
     if let Some(hand) = request.hand {
-        without.push(Without {
+        without.push(LimitWithout {
             effect: "empty hand".into(),
             instead: format!(
                 "held by {} and {}, as this page's hand does",
@@ -179,7 +183,7 @@ fn limiting_effects(request: &PredictionRequest, prediction: &Prediction, model:
     }
     let device = &request.subject.device;
     let pose = TaskPose::of(&device.mechanism, &request.q).ok()?;
-    Some(Explained {
+    Some(LimitingEffects {
         feed_forward: request.scene.walls.get(request.wall)?.feed_forward,
         stiffness: all.map(|limits| limits.kp_max),
         damping: all.map(|limits| limits.kd),
@@ -294,7 +298,7 @@ impl Default for Predictor {
         let thread = thread::Builder::new().spawn(move || {
             while let Ok(first) = received.recv() {
                 let newest = received.try_iter().last().unwrap_or(first);
-                if sender.send(predict(&newest)).is_err() {
+                if sender.send(predict_plane(&newest)).is_err() {
                     return;
                 }
             }
@@ -314,7 +318,7 @@ impl Predictor {
         self.explain = true;
     }
 
-    /// Returns true if the limiting effects should be requested now. Without a thread their computation would delay
+    /// Returns true if the limiting effects should be requested now. LimitWithout a thread their computation would delay
     /// messages about the key by some tenths of a second, so it waits until the motors are off.
     pub fn should_explain(&self, motors_on: bool) -> bool {
         self.explain && !(motors_on && self.requests.is_none())
@@ -325,7 +329,7 @@ impl Predictor {
         self.explain &= !request.explain;
         self.is_busy = match &self.requests {
             Some(requests) => requests.send(request).is_ok(),
-            None => self.result_sender.send(predict(&request)).is_ok(),
+            None => self.result_sender.send(predict_plane(&request)).is_ok(),
         };
     }
 
@@ -367,11 +371,11 @@ mod tests {
             thread::yield_now();
         };
         assert!(!predictor.is_busy());
-        let to = |mode| plane.stiffness_to(mode, demo.damping);
+        let to = |mode| plane.max_stiffness(mode, demo.damping);
         assert!(to(FeedForward::Off) < demo.stiffness && demo.stiffness < to(FeedForward::Washout));
         assert!(to(FeedForward::Washout) < to(FeedForward::Full));
-        assert_eq!(plane.stiffness_to(FeedForward::Off, 1e6), 0.0, "no damping beyond the boundary is stable");
-        // Without a thread, the long computation waits until the motors are off.
+        assert_eq!(plane.max_stiffness(FeedForward::Off, 1e6), 0.0, "no damping beyond the boundary is stable");
+        // LimitWithout a thread, the long computation waits until the motors are off.
         predictor.explain();
         assert!(predictor.should_explain(true) && predictor.should_explain(false));
         predictor.requests = None;

@@ -202,7 +202,7 @@ impl Stage {
             recording: None,
             world,
         };
-        stage.send_to_all(&stage.hello());
+        stage.send_to_all(&stage.hello_message());
         stage.send_to_all(&stage.walls_message());
         Ok(stage)
     }
@@ -246,7 +246,7 @@ impl Stage {
         self.now = now;
         for _ in 0..MAX_EVENTS {
             let Some(event) = self.hub.next() else { break };
-            self.handle(event)?;
+            self.handle_event(event)?;
         }
         self.check_key()?;
         let turn = match self.time_to_pass() {
@@ -288,12 +288,12 @@ impl Stage {
             if let Some(last) = self.last_step {
                 let ahead = row.step.wrapping_sub(last) / self.divider;
                 if ahead < u32::MAX / 2 / self.divider {
-                    self.ring.lose(u64::from(ahead.saturating_sub(1)));
+                    self.ring.push_lost(u64::from(ahead.saturating_sub(1)));
                 }
             }
             self.last_step = Some(row.step);
             if let Some(recording) = &mut self.recording
-                && let Err(error) = recording.take(&row)
+                && let Err(error) = recording.add_row(&row)
             {
                 self.recording_failed(error);
             }
@@ -386,10 +386,10 @@ impl Stage {
         self.disarm()
     }
 
-    fn handle(&mut self, event: Event) -> Result<(), LinkError> {
+    fn handle_event(&mut self, event: Event) -> Result<(), LinkError> {
         match event {
             Event::Connected(id) => {
-                self.send(id, &self.hello());
+                self.send(id, &self.hello_message());
                 self.send(id, &self.walls_message());
                 if let Some(plane) = &self.plane {
                     self.send(id, &plane_message(plane));
@@ -426,7 +426,7 @@ impl Stage {
     /// Writes an event to the recording, if there is one.
     fn record_event(&mut self, words: &str) {
         if let Some(recording) = &mut self.recording
-            && let Err(error) = recording.note(words)
+            && let Err(error) = recording.add_event(words)
         {
             self.recording_failed(error);
         }
@@ -555,7 +555,7 @@ impl Stage {
         self.pass_time(TIME_SLICE)?;
         self.trail.clear();
         self.record_event("started over");
-        self.send_to_all(&self.hello());
+        self.send_to_all(&self.hello_message());
         self.reread_scene()
     }
 

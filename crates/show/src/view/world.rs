@@ -41,7 +41,7 @@ impl World {
     }
 
     /// Returns the refusal of a view if the connected board lacks a device or a scene.
-    pub fn missing(&mut self) -> Result<Option<Refusal>, LinkError> {
+    pub fn missing_setting(&mut self) -> Result<Option<Refusal>, LinkError> {
         Ok(match (self.board.device()?, self.board.scene()?) {
             (None, _) => Some(Refusal::NoDevice),
             (_, None) => Some(Refusal::NoScene),

@@ -22,7 +22,7 @@ pub fn draw(title: &str, subtitle: &[String], analysis: &Analysis, paper: Paper)
     let page = paper.page(LEFT_MARGIN + FRAME_SIZE.0 + RIGHT_MARGIN, LEFT_MARGIN);
     let size = (page.wide - page.left - RIGHT_MARGIN, FRAME_SIZE.1);
     let heading = page.heading(title, subtitle);
-    let mut canvas = page.canvas(HEADING_HEIGHT + heading.beyond(1));
+    let mut canvas = page.canvas(HEADING_HEIGHT + heading.extra_height(1));
     heading.draw(&mut canvas);
     for panel in &analysis.panels {
         match panel.view {

@@ -2,10 +2,10 @@
 
 use super::recording::{ActiveRecording, RecordingStatus};
 use super::{MAX_JOINT_ROTATION, Stage};
-use crate::outline::{on_an_arc, outline};
+use crate::outline::{outline, outline_on_arc};
 use crate::view::hub::PageId;
 use crate::view::picture::{Geometry, Newest, Numbers, nearest_wall};
-use crate::view::stability::{Plane, PredictionRequest, buzz};
+use crate::view::stability::{Plane, PredictionRequest, predict_buzz};
 use crate::view::world::hand_settings;
 use haptic_bridge::control::HostAction;
 use haptic_bridge::render::scene::Surface;
@@ -85,15 +85,15 @@ impl Stage {
             pages: self.hub.count(),
             buzz: self.buzz.filter(|_| numbers.wall == self.plane.as_ref().map(|plane| plane.wall)),
             recording: self.recording.as_ref().map(ActiveRecording::status),
-            if_lost: self.if_lost(),
+            if_lost: self.motors_if_lost(),
         };
         // NaN and infinities become null, which a page ignores.
         if let Ok(text) = serde_json::to_string(&picture) {
-            self.hub.to_all(|outbox| outbox.picture = Some(text.clone()));
+            self.hub.with_every_outbox(|outbox| outbox.picture = Some(text.clone()));
         }
         let sound = std::mem::take(&mut self.sound);
         for listener in &self.listeners {
-            self.hub.to(*listener, |outbox| outbox.hear(self.rows_hz as f32, &sound));
+            self.hub.with_outbox(*listener, |outbox| outbox.queue_sound(self.rows_hz as f32, &sound));
         }
         let Some((wall, normal)) = nearest_wall(&self.scene, &self.tip()) else { return };
         let has_moved = self.requested.as_ref().is_none_or(|(requested, at)| {
@@ -139,14 +139,14 @@ impl Stage {
         let (index, normal) = nearest_wall(&self.scene, &self.tip())?;
         let (requested, q) = self.requested.as_ref()?;
         let (plane, wall) = (self.plane.as_ref()?, self.scene.walls.get(index)?);
-        let is_unstable = wall.stiffness > plane.stiffness_to(wall.feed_forward, wall.damping);
+        let is_unstable = wall.stiffness > plane.max_stiffness(wall.feed_forward, wall.damping);
         let is_valid = [*requested, plane.wall].iter().all(|wall| *wall == index) && is_unstable;
-        let oscillation = is_valid.then(|| buzz(&self.prediction_request(index, q.clone(), &normal)))??;
+        let oscillation = is_valid.then(|| predict_buzz(&self.prediction_request(index, q.clone(), &normal)))??;
         (oscillation.growth_per_s > 0.0).then_some(oscillation)
     }
 
     /// Describes the state of the motors if the connection to this stage is lost.
-    fn if_lost(&self) -> &'static str {
+    fn motors_if_lost(&self) -> &'static str {
         match (self.world.simulated.is_some(), self.state.drives(), self.rules.host_action) {
             (true, ..) => "the simulated motors are off: the board is gone, or the lost key turned its motors off",
             _ if self.held.is_some() => {
@@ -164,14 +164,14 @@ impl Stage {
     pub(super) fn send_sweeps(&mut self) {
         for (id, scope) in &mut self.scopes {
             if let Some(sweep) = scope.sweep(&self.ring) {
-                let bytes = scope.bytes(&sweep);
-                self.hub.to(*id, |outbox| outbox.scope = Some(bytes));
+                let bytes = scope.encode(&sweep);
+                self.hub.with_outbox(*id, |outbox| outbox.scope = Some(bytes));
             }
         }
     }
 
     /// Returns the message with the facts that do not change during a view.
-    pub(super) fn hello(&self) -> Value {
+    pub(super) fn hello_message(&self) -> Value {
         let info = self.world.board.info();
         let hand = hand_settings();
         json!({
@@ -202,7 +202,7 @@ impl Stage {
         let paddle = self.scene.task == 1;
         let length = self.world.file.as_ref().map(|file| file.description.geometry[0]);
         let wall_outline = |surface: &Surface<f64>| match paddle {
-            true => length.and_then(|length| on_an_arc(surface, length)),
+            true => length.and_then(|length| outline_on_arc(surface, length)),
             false => outline(surface),
         };
         let walls = self.scene.walls.iter().map(|wall| {
@@ -225,12 +225,12 @@ impl Stage {
     }
 
     pub(super) fn send(&self, id: PageId, message: &Value) {
-        self.hub.to(id, |outbox| outbox.tell(message.to_string()));
+        self.hub.with_outbox(id, |outbox| outbox.queue_document(message.to_string()));
     }
 
     pub(super) fn send_to_all(&self, message: &Value) {
         let text = message.to_string();
-        self.hub.to_all(|outbox| outbox.tell(text.clone()));
+        self.hub.with_every_outbox(|outbox| outbox.queue_document(text.clone()));
     }
 
     pub(super) fn refuse(&self, id: PageId, why: &str) {

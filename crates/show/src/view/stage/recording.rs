@@ -26,7 +26,7 @@ impl ActiveRecording {
         self.steps.map_or(0.0, |(first, newest)| f64::from(newest.wrapping_sub(first)) / self.rate_hz)
     }
 
-    pub(super) fn take(&mut self, row: &Row) -> Result<(), RecordError> {
+    pub(super) fn add_row(&mut self, row: &Row) -> Result<(), RecordError> {
         let first = self.steps.map_or(row.step, |(first, _)| first);
         self.steps = Some((first, row.step));
         self.rows += 1;
@@ -34,7 +34,7 @@ impl ActiveRecording {
     }
 
     /// Writes an event at the time of the newest row.
-    pub(super) fn note(&mut self, words: &str) -> Result<(), RecordError> {
+    pub(super) fn add_event(&mut self, words: &str) -> Result<(), RecordError> {
         self.writer.event(self.time(), words)
     }
 
@@ -44,7 +44,7 @@ impl ActiveRecording {
 
     /// Returns the recording's state for pages.
     pub(super) fn status(&self) -> RecordingStatus {
-        RecordingStatus { file: self.writer.place(), rows: self.rows, bytes: self.writer.bytes() }
+        RecordingStatus { file: self.writer.destination(), rows: self.rows, bytes: self.writer.bytes() }
     }
 
     /// Ends the recording. Returns a summary.
@@ -58,7 +58,7 @@ impl ActiveRecording {
         };
         let cut = if is_cut { "cut short: the board was lost; " } else { "" };
         self.writer.end(&format!("{cut}{losses}"), &losses)?;
-        Ok(format!("recorded {}: {losses}", self.writer.place()))
+        Ok(format!("recorded {}: {losses}", self.writer.destination()))
     }
 }
 

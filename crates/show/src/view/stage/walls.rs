@@ -58,8 +58,8 @@ impl Stage {
             return Ok(());
         }
         if let Some(plane) = self.plane.as_ref().filter(|plane| plane.wall == usize::from(wall) && !beyond) {
-            let max = plane.stiffness_to(feed_forward, f64::from(damping));
-            let max_now = plane.stiffness_to(present.feed_forward, present.damping);
+            let max = plane.max_stiffness(feed_forward, f64::from(damping));
+            let max_now = plane.max_stiffness(present.feed_forward, present.damping);
             // With gains already outside the boundary, only a feed-forward with a smaller range needs a confirmation.
             let less_stable = feed_forward != present.feed_forward && max < max_now;
             if f64::from(stiffness) > max && (present.stiffness <= max_now || less_stable) {
