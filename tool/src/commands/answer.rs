@@ -1,6 +1,6 @@
 //! The output of a command: text, or one document with `--json`; and pictures.
 
-use super::force::Force;
+use super::force::ForceOption;
 use haptic_host::digits::print_json;
 use haptic_host::error::{Failure, print};
 use haptic_show::plot::paper::Paper;
@@ -41,7 +41,7 @@ pub struct Pictures {
     #[arg(long, value_name = "MM", value_parser = parse_width)]
     width: Option<f64>,
     #[command(flatten)]
-    force: Force,
+    force: ForceOption,
 }
 
 /// Minimum and maximum width: narrower pictures have no room for the numbers along an axis, wider ones fit no page.

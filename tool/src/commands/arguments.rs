@@ -112,9 +112,9 @@ impl DeviceAt {
 }
 
 #[derive(clap::Args)]
-pub struct Holding {
+pub struct HoldingArgs {
     /// Coordinate that a redundant device holds
-    #[arg(long, value_name = "COORDINATE", default_value = "orientation", value_parser = admissible())]
+    #[arg(long, value_name = "COORDINATE", default_value = "orientation", value_parser = admissible_parser())]
     pub admissible: Admissible,
 }
 
@@ -142,7 +142,7 @@ impl WallArgs {
     }
 
     /// Returns the shares of the walls as typed; `None` for one wall.
-    pub fn parts(&self) -> Option<&Numbers> {
+    pub fn shares(&self) -> Option<&Numbers> {
         self.share.as_ref().filter(|_| self.normal.len() > 1)
     }
 
@@ -161,9 +161,9 @@ impl WallArgs {
     }
 
     /// Returns the command-line options that describe these walls.
-    pub fn line(&self) -> String {
+    pub fn options(&self) -> String {
         let mut line: String = self.normal.iter().map(|normal| format!(" --normal={normal}")).collect();
-        if let Some(parts) = self.parts() {
+        if let Some(parts) = self.shares() {
             line += &format!(" --share {parts}");
         }
         if let Some(without) = &self.no_feed_forward {
@@ -186,7 +186,7 @@ pub fn pose(q: Option<&Numbers>, file: &DeviceFile) -> Result<Vec<f64>, Failure>
 
 /// Loads a device file, and returns warnings about implausible values. Without `for_a_loop` there are no warnings about
 /// the transmission, because inertia does not depend on it.
-pub fn device(path: &Path, for_a_loop: bool) -> Result<(DeviceFile, Vec<Warning>), Failure> {
+pub fn load_device(path: &Path, for_a_loop: bool) -> Result<(DeviceFile, Vec<Warning>), Failure> {
     let document = Document::load(path)?;
     let file = DeviceFile::read(&document)?;
     let mut warnings = plausible::device::file_warnings(&file);
@@ -213,7 +213,7 @@ pub fn check_rate(rate_hz: f64) -> Result<(), Failure> {
 }
 
 /// Returns a parser from words to values, with a description of each word for the help page.
-pub fn one_of<T: Copy + Send + Sync + 'static>(
+pub fn words_parser<T: Copy + Send + Sync + 'static>(
     words: impl IntoIterator<Item = (&'static str, &'static str, T)>,
 ) -> impl TypedValueParser<Value = T> {
     let words: Vec<_> = words.into_iter().collect();
@@ -222,7 +222,7 @@ pub fn one_of<T: Copy + Send + Sync + 'static>(
 }
 
 /// Returns a parser from words to values, without descriptions.
-fn one_of_names<T: Copy + Send + Sync + 'static>(
+fn names_parser<T: Copy + Send + Sync + 'static>(
     words: impl IntoIterator<Item = (&'static str, T)>,
 ) -> impl TypedValueParser<Value = T> {
     let words: Vec<_> = words.into_iter().collect();
@@ -239,11 +239,11 @@ fn parse_words<T: Copy + Send + Sync + 'static>(
     })
 }
 
-pub fn feed_forward() -> impl TypedValueParser<Value = FeedForward> {
-    one_of(FeedForward::ALL.map(|(name, kind)| (name, what(kind), kind)))
+pub fn feed_forward_parser() -> impl TypedValueParser<Value = FeedForward> {
+    words_parser(FeedForward::ALL.map(|(name, kind)| (name, describe_feed_forward(kind), kind)))
 }
 
-pub fn what(kind: FeedForward) -> &'static str {
+pub fn describe_feed_forward(kind: FeedForward) -> &'static str {
     match kind {
         FeedForward::Off => "None",
         FeedForward::Full => "The paper's equation (4)",
@@ -252,7 +252,7 @@ pub fn what(kind: FeedForward) -> &'static str {
 }
 
 /// Parses the name, as in scene files, of a velocity estimator that has a linear analysis.
-pub fn linear_estimator() -> impl TypedValueParser<Value = Estimator> {
+pub fn linear_estimator_parser() -> impl TypedValueParser<Value = Estimator> {
     let describe = |kind| match kind {
         Estimator::Butterworth => "Backward difference and a 2nd-order Butterworth low-pass",
         Estimator::FirstOrder => "Backward difference and a 1st-order low-pass",
@@ -260,20 +260,20 @@ pub fn linear_estimator() -> impl TypedValueParser<Value = Estimator> {
         Estimator::Predicted(_) => "Observer with the motors' torques as inputs and its poles at the cutoff",
         _ => "As in scene files",
     };
-    one_of(LinearEstimator::named().map(move |(name, kind)| (name, describe(kind), kind)))
+    words_parser(LinearEstimator::named().map(move |(name, kind)| (name, describe(kind), kind)))
 }
 
-pub fn precision() -> impl TypedValueParser<Value = Precision> {
-    one_of_names(Precision::ALL)
+pub fn precision_parser() -> impl TypedValueParser<Value = Precision> {
+    names_parser(Precision::ALL)
 }
 
 /// Parses the name of a board that has firmware.
-pub fn board() -> impl TypedValueParser<Value = BoardKind> {
-    one_of_names(BoardKind::ALL.map(|kind| (kind.name(), kind)))
+pub fn board_parser() -> impl TypedValueParser<Value = BoardKind> {
+    names_parser(BoardKind::ALL.map(|kind| (kind.name(), kind)))
 }
 
-pub fn admissible() -> impl TypedValueParser<Value = Admissible> {
-    one_of_names(Admissible::ALL)
+pub fn admissible_parser() -> impl TypedValueParser<Value = Admissible> {
+    names_parser(Admissible::ALL)
 }
 
 #[cfg(test)]

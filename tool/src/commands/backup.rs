@@ -1,6 +1,6 @@
 //! `haptic board backup`: writes a board's saved settings to a file.
 
-use super::force::Force;
+use super::force::ForceOption;
 use super::port::OnBoard;
 use haptic_host::backup::Backup;
 use haptic_host::error::Failure;
@@ -16,7 +16,7 @@ pub struct Args {
     /// File to write (JSON)
     file: PathBuf,
     #[command(flatten)]
-    force: Force,
+    force: ForceOption,
     #[command(flatten)]
     on: OnBoard,
 }

@@ -1,7 +1,7 @@
 //! `haptic bench`: the cost and the error of every variant of the control step.
 
 use super::answer::Json;
-use super::force::Force;
+use super::force::ForceOption;
 use haptic_host::device_file::DeviceFile;
 use haptic_host::digits::print_json;
 use haptic_host::error::{Failure, print};
@@ -24,7 +24,7 @@ pub struct Args {
     #[arg(long, value_name = "DIRECTORY")]
     report: Option<PathBuf>,
     #[command(flatten)]
-    force: Force,
+    force: ForceOption,
     #[command(flatten)]
     json: Json,
 }

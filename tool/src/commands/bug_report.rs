@@ -1,7 +1,7 @@
 //! `haptic board report`: describes a board's condition on a page to send with a question; the motors stay off.
 
-use super::force::Force;
-use super::port::{OnBoard, fault_alone, state_in_words};
+use super::force::ForceOption;
+use super::port::{OnBoard, fault_without_remedy, state_in_words};
 use haptic_bridge::board::telemetry::{Field, Fields};
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::safety::refusal::Refusal;
@@ -27,7 +27,7 @@ pub struct Args {
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
     #[command(flatten)]
-    force: Force,
+    force: ForceOption,
     #[command(flatten)]
     on: OnBoard,
 }
@@ -95,7 +95,7 @@ fn findings(board: &mut Board) -> Result<Vec<Finding>, Failure> {
     let axes = board.device()?.map_or(0, |device| device.axes());
     match &status.fault {
         Some(record) => {
-            add("fault", BAD, format!("{}: {}", fault_alone(record, details.rate_hz), record.fault.remedy()))
+            add("fault", BAD, format!("{}: {}", fault_without_remedy(record, details.rate_hz), record.fault.remedy()))
         }
         None => add("fault", OK, "no fault is latched".into()),
     }
@@ -202,7 +202,7 @@ fn format_page(board: &mut Board, findings: &[Finding]) -> Result<String, Failur
     page += "\n## Faults since the board started\n\n";
     let faults = board.faults()?;
     for record in &faults {
-        page += &format!("- {}\n", fault_alone(record, details.rate_hz));
+        page += &format!("- {}\n", fault_without_remedy(record, details.rate_hz));
     }
     if faults.is_empty() {
         page += "None.\n";

@@ -32,11 +32,11 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let mut haptic = help::command();
     haptic.build();
     let Some(folder) = args.man.flatten() else {
-        return print(&page(&haptic, "haptic")?);
+        return print(&manual_page(&haptic, "haptic")?);
     };
     std::fs::create_dir_all(&folder).map_err(|error| output::refused(&folder, &error))?;
     let write = |name: &str, command: &clap::Command| {
-        let text = page(command, name)?;
+        let text = manual_page(command, name)?;
         output::write(&folder.join(format!("{name}.1")), text.as_bytes(), Overwrite::Replace)
     };
     let mut pending = vec![("haptic".to_string(), &haptic)];
@@ -49,7 +49,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
 }
 
 /// Renders a manual page, with the sections that clap does not write: exit codes, examples, files.
-fn page(command: &clap::Command, name: &str) -> Result<String, Failure> {
+fn manual_page(command: &clap::Command, name: &str) -> Result<String, Failure> {
     let words = command.get_bin_name().unwrap_or_default();
     let examples = help::examples(words.strip_prefix("haptic ").unwrap_or_default());
     // Removes the examples from the description, because they have their own section.

@@ -1,7 +1,7 @@
 //! `haptic demo`: the benefit of the feed-forward, in a few seconds, without hardware.
 
 use super::answer::Json;
-use super::force::Force;
+use super::force::ForceOption;
 use haptic_bridge::render::scene::FeedForward;
 use haptic_host::error::Failure;
 use haptic_host::output;
@@ -24,7 +24,7 @@ pub struct Args {
     #[arg(long, value_name = "FILE")]
     svg: Option<PathBuf>,
     #[command(flatten)]
-    force: Force,
+    force: ForceOption,
     #[command(flatten)]
     json: Json,
 }
@@ -102,7 +102,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     draw(&demo, &results.crossings[0], &results.crossings[1]).save_svg(&svg)?;
     let place = std::path::absolute(&svg).unwrap_or(svg);
     let place = place.display().to_string();
-    let words = format!("{}picture: {place}\n", report(&demo, &results));
+    let words = format!("{}picture: {place}\n", format_report(&demo, &results));
     args.json.answer(document(&demo, &results, &place), &words)
 }
 
@@ -136,7 +136,7 @@ fn document(demo: &Demo, results: &Results, picture: &str) -> serde_json::Value 
     })
 }
 
-fn report(demo: &Demo, results: &Results) -> String {
+fn format_report(demo: &Demo, results: &Results) -> String {
     let Results { inertia, crossings: [without, with], limits: [low, high] } = results;
     let mut text = format!(
         "{}: a simulated board at {:.0} Hz, over the board's own protocol.\n\
@@ -168,7 +168,7 @@ fn report(demo: &Demo, results: &Results) -> String {
         1e3 * inertia.rendered,
         1e3 * (inertia.rendered - inertia.effective)
     ));
-    text.push_str(&benefit(demo, results));
+    text.push_str(&describe_benefit(demo, results));
     for crossing in [without, with] {
         if let Some(fault) = &crossing.fault {
             text.push_str(&format!("The board stopped a run: {fault}.\n"));
@@ -187,7 +187,7 @@ fn report(demo: &Demo, results: &Results) -> String {
 }
 
 /// Describes the benefit of the feed-forward in this run.
-fn benefit(demo: &Demo, results: &Results) -> String {
+fn describe_benefit(demo: &Demo, results: &Results) -> String {
     let Results { inertia, crossings: [without, with], limits: [low, high] } = results;
     let gain = 100.0 * (high.measured / low.measured - 1.0);
     let mut text = format!(

@@ -1,7 +1,7 @@
 //! `haptic design`: finds the place, direction, links and posture with which a device renders walls best.
 
 use super::answer::{Json, Pictures};
-use super::arguments::{self, DeviceAt, Holding, Numbers};
+use super::arguments::{self, DeviceAt, HoldingArgs, Numbers};
 use super::continued::Continue;
 use haptic_bridge::render::scene::DEFAULT_RATE_HZ;
 use haptic_host::error::Failure;
@@ -54,7 +54,7 @@ pub struct Args {
     #[arg(long, value_name = "HZ", default_value_t = 500.0)]
     cutoff: f64,
     #[command(flatten)]
-    holding: Holding,
+    holding: HoldingArgs,
     #[command(flatten)]
     continued: Continue,
     #[command(flatten)]
@@ -86,7 +86,7 @@ struct Document {
 
 pub fn run(args: Args) -> Result<(), Failure> {
     args.pictures.check()?;
-    let (file, mut warnings) = arguments::device(&args.at.device, true)?;
+    let (file, mut warnings) = arguments::load_device(&args.at.device, true)?;
     let spec = file.spec();
     arguments::check_rate(args.rate)?;
     if !(0.0..1.0).contains(&args.clear) || !(0.0..=1.0).contains(&args.patch) {
@@ -169,7 +169,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     Ok(())
 }
 
-fn list(values: &[f64]) -> String {
+fn join_numbers(values: &[f64]) -> String {
     // Removes the sign of a number that rounds to zero.
     values.iter().map(|v| format!("{:.3}", (1e3 * v).round() / 1e3 + 0.0)).collect::<Vec<_>>().join(", ")
 }
@@ -179,7 +179,12 @@ fn readable(document: &Document, has_normal: bool, args: &Args) -> String {
     let mut line = |content: String| {
         let _ = writeln!(text, "{content}");
     };
-    line(format!("{}: q = ({}) rad, n = ({})", document.device, list(&document.q), list(&document.normal)));
+    line(format!(
+        "{}: q = ({}) rad, n = ({})",
+        document.device,
+        join_numbers(&document.q),
+        join_numbers(&document.normal)
+    ));
     line(format!(
         "  the stiffest walls as predicted by haptic range {} {}",
         args.at.device.display(),
@@ -202,12 +207,18 @@ fn readable(document: &Document, has_normal: bool, args: &Args) -> String {
             at.w_rr / at.w_eff,
             stiffest(|walls| walls.off),
             stiffest(|walls| walls.full),
-            list(&at.normal)
+            join_numbers(&at.normal)
         )
     };
     let felt = if is_compliant { format!("{:>11}", "felt N/m") } else { String::new() };
     let placed = |name: &str, at: &WallPlace| {
-        format!("{}  q ({}), tip ({}) m, sine {:.2}", wall(name, at), list(&at.q), list(&at.position), at.clearance)
+        format!(
+            "{}  q ({}), tip ({}) m, sine {:.2}",
+            wall(name, at),
+            join_numbers(&at.q),
+            join_numbers(&at.position),
+            at.clearance
+        )
     };
     line(format!(
         "\n  {:<34}{:>10}{:>10}{:>8}{:>11}{felt}{:>11}{felt}",
@@ -292,7 +303,7 @@ fn readable(document: &Document, has_normal: bool, args: &Args) -> String {
                 at.w_eff,
                 at.w_rr,
                 at.w_rr / at.w_eff,
-                list(&at.q),
+                join_numbers(&at.q),
                 at.clearance
             )
         };

@@ -1,7 +1,7 @@
 //! `haptic device`: loads a device file onto a board, or reads back the board's device.
 
-use super::port::{OnBoard, warn_of_weaker};
-use super::read_back::{Read, required_file};
+use super::port::{OnBoard, warn_of_weaker_rules};
+use super::read_back::{ReadOptions, required_file};
 use haptic_bridge::model::device::Device;
 use haptic_bridge::safety::limits::{GENTLE_FORCE, Limit, VOLTS_MARGIN};
 use haptic_bridge::safety::refusal::Refusal;
@@ -28,7 +28,7 @@ pub struct Args {
     #[arg(required_unless_present = "read")]
     file: Option<PathBuf>,
     #[command(flatten)]
-    read: Read,
+    read: ReadOptions,
     /// Largest force of walls, springs and fields at the tip, N [default: the board's, at most 5 with real motors].
     /// Also lowers the board's torque limits, so that the torques cannot exceed this force in the home pose
     #[arg(long, value_name = "N", value_parser = parse_newtons, conflicts_with = "read")]
@@ -140,7 +140,7 @@ fn limit_force(board: &mut Board, file: &DeviceFile, newtons: Option<f32>) -> Re
     }
     if rules != before {
         board.set_rules(&rules)?;
-        warn_of_weaker(&before, &rules);
+        warn_of_weaker_rules(&before, &rules);
     }
     let hidden = VOLTS_MARGIN * newtons;
     let faster = match Tip::at_home(&file.description) {

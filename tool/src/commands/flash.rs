@@ -38,13 +38,13 @@ pub struct Args {
 }
 
 pub fn run(args: Args) -> Result<(), Failure> {
-    let serial = serial(args.port.spec())?;
+    let serial = requested_serial(args.port.spec())?;
     let file = args.file.as_deref().map(read_image).transpose()?;
     if file.is_none() && embedded().is_empty() {
         return Err(Failure::impossible(WITHOUT_IMAGES).choose(Choice::Image));
     }
     if let Some(board) = &args.board {
-        image(&file, board)?;
+        image_for_board(&file, board)?;
     }
     if args.probe {
         return flash_by_probe(&args, &file);
@@ -59,7 +59,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
                 on_one_line(&board.firmware),
                 board.protocol
             );
-            let image = image(&file, args.board.as_deref().unwrap_or(&board.board))?;
+            let image = image_for_board(&file, args.board.as_deref().unwrap_or(&board.board))?;
             // Refuses the image of another board below without a question.
             if image.board == board.board {
                 confirm_restart(&board.serial, args.yes)?;
@@ -71,7 +71,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
             image_for_boot_loader(&args, &file)?
         }
     };
-    haptic_host::tell!("flashing {}", describe(&image));
+    haptic_host::tell!("flashing {}", describe_image(&image));
     let done = flash(&mut Bus::here(), &target, image, &mut |progress| show_progress(progress));
     let FlashSummary { identity, restored, sectors, bytes } = done.map_err(Failure::impossible)?;
     let mut words = format!(
@@ -98,7 +98,7 @@ fn read_image(file: &Path) -> Result<Image, Failure> {
 
 /// Returns the image for this kind of board: the file's, or the one in this tool. The caller checks that a file is for
 /// this board.
-fn image(file: &Option<Image>, board: &str) -> Result<Image, Failure> {
+fn image_for_board(file: &Option<Image>, board: &str) -> Result<Image, Failure> {
     if let Some(image) = file {
         return Ok(image.clone());
     }
@@ -122,7 +122,7 @@ fn boards_with_images() -> Vec<&'static str> {
     embedded().iter().map(|image| image.board).collect()
 }
 
-fn describe(image: &Image) -> String {
+fn describe_image(image: &Image) -> String {
     let board = on_one_line(&image.board);
     match (&image.version, image.protocol) {
         (Some(version), Some(protocol)) => format!("{board} {version} (protocol {protocol}), {} bytes", image.size()),
@@ -131,7 +131,7 @@ fn describe(image: &Image) -> String {
 }
 
 /// Returns the serial number of the requested port; `None` if no port was given.
-fn serial(port: &PortSpec) -> Result<Option<String>, Failure> {
+fn requested_serial(port: &PortSpec) -> Result<Option<String>, Failure> {
     match port {
         PortSpec::Find => Ok(None),
         PortSpec::Serial(name) => {
@@ -174,7 +174,7 @@ fn image_for_boot_loader(args: &Args, file: &Option<Image>) -> Result<Image, Fai
         (None, Some(image)) => image.board.clone(),
         (None, None) => ask_for_board()?,
     };
-    let image = image(file, &board)?;
+    let image = image_for_board(file, &board)?;
     let board = on_one_line(&image.board);
     confirm(args.yes, &format!("a boot loader does not identify its board: the image drives the pins of {board}"))?;
     Ok(image)
@@ -206,13 +206,13 @@ fn flash_by_probe(args: &Args, file: &Option<Image>) -> Result<(), Failure> {
             return Err(Failure::wrong(reason).remedy(format!("give the kind, as in haptic flash {first} --probe")));
         }
     };
-    let image = image(file, &board)?;
+    let image = image_for_board(file, &board)?;
     if image.board != board {
         return Err(Failure::wrong(format!("the file is for {} and the board is {board}", on_one_line(&image.board)))
             .remedy("give the update file for this board"));
     }
     confirm(args.yes, &format!("the board at the probe restarts as {board}, and its motors go off"))?;
-    haptic_host::tell!("flashing {}", describe(&image));
+    haptic_host::tell!("flashing {}", describe_image(&image));
     probe::flash("probe-rs", &image).map_err(Failure::impossible)?;
     let words = format!("{board} is flashed through the probe and has restarted; settings kept\n");
     args.json.answer(json!({ "board": board, "bytes": image.size(), "by": "probe-rs" }), &words)

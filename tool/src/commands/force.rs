@@ -5,18 +5,18 @@ use haptic_host::output::{Overwrite, check};
 use std::path::{Path, PathBuf};
 
 #[derive(clap::Args)]
-pub struct Force {
+pub struct ForceOption {
     /// Replace a file that exists
     #[arg(long)]
     force: bool,
 }
 
-impl Force {
+impl ForceOption {
     pub fn overwrite(&self) -> Overwrite {
         if self.force { Overwrite::Replace } else { Overwrite::Never }
     }
 
-    /// Checks the files as [`Force::check`] does, and refuses a picture with the extension of the other format.
+    /// Checks the files as [`ForceOption::check`] does, and refuses a picture with the extension of the other format.
     pub fn check_pictures(&self, svg: Option<&PathBuf>, png: Option<&PathBuf>) -> Result<(), Failure> {
         for (path, option, other) in [(svg, "--svg", "png"), (png, "--png", "svg")] {
             let ending = path.and_then(|path| Path::new(path).extension());

@@ -31,7 +31,7 @@ pub struct Args {
     #[arg(long, value_name = "N S/M", value_parser = parse_gain, allow_hyphen_values = true)]
     damping: Option<f32>,
     /// Feed-forward of the wall's force
-    #[arg(long, value_name = "KIND", value_parser = arguments::feed_forward())]
+    #[arg(long, value_name = "KIND", value_parser = arguments::feed_forward_parser())]
     feed_forward: Option<FeedForward>,
     /// Corner of the washout in Hz
     #[arg(long, value_name = "HZ", value_parser = parse_gain, allow_hyphen_values = true)]

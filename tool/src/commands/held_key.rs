@@ -26,7 +26,7 @@ pub struct HeldKey {
 
 impl HeldKey {
     /// Handles a Space. Returns the message for the board.
-    pub fn press(&mut self, now: Instant) -> Option<FromPage> {
+    pub fn handle_space(&mut self, now: Instant) -> Option<FromPage> {
         let repeats = self.pressed.is_some_and(|before| now.duration_since(before) <= MAX_REPEAT_DELAY);
         self.pressed = Some(now);
         match (self.on, repeats) {
@@ -41,7 +41,7 @@ impl HeldKey {
 
     /// Handles a moment without more keys, after the board has reported control step `step`. Returns the message for
     /// the board.
-    pub fn wait(&mut self, now: Instant, step: u32) -> Option<FromPage> {
+    pub fn handle_pause(&mut self, now: Instant, step: u32) -> Option<FromPage> {
         self.seen = step;
         let silent = self.pressed.is_none_or(|before| now.duration_since(before) > MAX_REPEAT_PAUSE);
         (self.on && silent).then(|| self.release())
@@ -55,18 +55,20 @@ impl HeldKey {
 
     /// Reads the keys of a raw terminal, after the board has reported control step `step`. Returns the message for the
     /// board, or `None` to end.
-    pub fn listen(&mut self, step: u32) -> io::Result<Option<Option<FromPage>>> {
+    pub fn read_keys(&mut self, step: u32) -> io::Result<Option<Option<FromPage>>> {
         let mut message = None;
         while event::poll(Duration::ZERO)? {
             match event::read()? {
                 Event::Key(key) if key.kind == KeyEventKind::Release => {}
                 Event::Key(key) if is_end(&key) => return Ok(None),
-                Event::Key(key) if key.code == KeyCode::Char(' ') => message = self.press(Instant::now()).or(message),
+                Event::Key(key) if key.code == KeyCode::Char(' ') => {
+                    message = self.handle_space(Instant::now()).or(message)
+                }
                 Event::Key(_) => message = Some(self.release()),
                 _ => {}
             }
         }
-        let release = self.wait(Instant::now(), step);
+        let release = self.handle_pause(Instant::now(), step);
         Ok(Some(message.or(release)))
     }
 
@@ -98,15 +100,15 @@ mod tests {
     fn a_repeating_key_arms_and_the_end_of_its_repeats_releases() {
         let (mut held, began) = (HeldKey::default(), Instant::now());
         let at = |ms: u64| began + Duration::from_millis(ms);
-        assert_eq!(held.press(at(0)), None, "one press alone does not hold");
-        assert_eq!(held.wait(at(500), 10), None);
-        // The last `wait` gives the step, because the Spaces may have waited in the terminal since then.
-        assert_eq!(held.press(at(600)), Some(FromPage::Arm { seen: 10 }));
-        assert_eq!(held.press(at(640)), Some(FromPage::Hold { seen: 10 }));
-        assert_eq!(held.wait(at(1000), 20), None);
-        assert_eq!(held.wait(at(1041), 21), Some(FromPage::Release {}));
-        assert_eq!(held.wait(at(5000), 99), None);
-        assert_eq!(held.press(at(5000)), None, "after a release, one press does not hold");
-        assert_eq!(held.press(at(6001)), None, "two presses far apart do not hold");
+        assert_eq!(held.handle_space(at(0)), None, "one press alone does not hold");
+        assert_eq!(held.handle_pause(at(500), 10), None);
+        // The last pause gives the step, because the Spaces may have waited in the terminal since then.
+        assert_eq!(held.handle_space(at(600)), Some(FromPage::Arm { seen: 10 }));
+        assert_eq!(held.handle_space(at(640)), Some(FromPage::Hold { seen: 10 }));
+        assert_eq!(held.handle_pause(at(1000), 20), None);
+        assert_eq!(held.handle_pause(at(1041), 21), Some(FromPage::Release {}));
+        assert_eq!(held.handle_pause(at(5000), 99), None);
+        assert_eq!(held.handle_space(at(5000)), None, "after a release, one press does not hold");
+        assert_eq!(held.handle_space(at(6001)), None, "two presses far apart do not hold");
     }
 }

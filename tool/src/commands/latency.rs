@@ -31,12 +31,12 @@ pub fn run(args: Args) -> Result<(), Failure> {
         format!("{} exchanges, {:.0} a second, on {}\n", latency.round_trip.count, latency.per_second, board.port());
     for (name, spread) in [("round trip", &latency.round_trip), ("age of a force when it begins to act", &latency.age)]
     {
-        report.push_str(&describe(name, spread));
+        report.push_str(&describe_spread(name, spread));
     }
     print(&report)
 }
 
-fn describe(name: &str, spread: &Spread) -> String {
+fn describe_spread(name: &str, spread: &Spread) -> String {
     let ms = |seconds: f64| format!("{:.3} ms", 1e3 * seconds);
     let mut text = format!(
         "\n{name}: median {}, 99 % within {}, 99.9 % within {}, longest {}\n",

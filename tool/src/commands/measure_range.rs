@@ -6,7 +6,7 @@ mod report;
 use super::answer::{Json, Pictures};
 use super::interrupt;
 use super::port::{Port, confirm};
-use super::range::posture;
+use super::range::requested_posture;
 use crate::commands::arguments::{self, Numbers, WallArgs};
 use clap::ValueEnum;
 use clap::builder::TypedValueParser;
@@ -24,7 +24,7 @@ use haptic_predict::measure::progress::{Progress, ProgressError};
 use haptic_predict::measure::simulated::{Friction, World};
 use haptic_predict::measure::{LONGEST_PULL, Law, MeasureError, MeasurementSetup, PreparedBoard, most_tested};
 use haptic_stability::analysis::several::{Member, WallSet};
-use meter::Meter;
+use meter::ProgressMeter;
 use report::{Report, Theory};
 use std::path::PathBuf;
 
@@ -65,7 +65,7 @@ pub struct Args {
     #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u16).range(1..=100))]
     repeats: u16,
     /// Feed-forward to measure with
-    #[arg(long, value_name = "KIND", default_value = "both", value_parser = kinds())]
+    #[arg(long, value_name = "KIND", default_value = "both", value_parser = feed_forwards_parser())]
     feed_forward: &'static [FeedForward],
     /// Corner of the washout in Hz, for --feed-forward washout
     #[arg(long, value_name = "HZ", default_value_t = 2.0)]
@@ -126,10 +126,11 @@ enum FrictionKind {
 }
 
 /// Returns the parser of --feed-forward, whose words name feed-forwards to measure one after the other.
-fn kinds() -> impl TypedValueParser<Value = &'static [FeedForward]> {
-    let one = |alone: &'static [FeedForward; 1]| (alone[0].name(), arguments::what(alone[0]), &alone[..]);
+fn feed_forwards_parser() -> impl TypedValueParser<Value = &'static [FeedForward]> {
+    let one =
+        |alone: &'static [FeedForward; 1]| (alone[0].name(), arguments::describe_feed_forward(alone[0]), &alone[..]);
     let all = &[FeedForward::Off, FeedForward::Full, FeedForward::Washout];
-    arguments::one_of([
+    arguments::words_parser([
         ("both", "Without, then with equation (4)", &all[..2]),
         ("all", "Without, with equation (4), and with it behind a washout", &all[..]),
         one(&[FeedForward::Off]),
@@ -142,10 +143,10 @@ pub fn run(args: Args) -> Result<(), Failure> {
     args.pictures.check()?;
     let mut file = DeviceFile::load(&args.device)?;
     let spec = file.spec();
-    let walls = walls(&args, spec.task)?;
-    let (plan, largest_pull) = plan(&args, spec.joints)?;
-    let held = posture(args.posture.as_ref(), &file)?;
-    let world = world(&args, &file, &walls)?;
+    let walls = requested_walls(&args, spec.task)?;
+    let (plan, largest_pull) = requested_plan(&args, spec.joints)?;
+    let held = requested_posture(args.posture.as_ref(), &file)?;
+    let world = requested_world(&args, &file, &walls)?;
     let simulated = matches!(args.port.spec(), PortSpec::Sim(_));
     if simulated {
         world.apply(&mut file);
@@ -183,7 +184,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let mut board = match args.port.spec() {
         PortSpec::Sim(other) => {
             if let Some(other) = other {
-                holds(&DeviceFile::load(other)?.name, &file)?;
+                check_same_device(&DeviceFile::load(other)?.name, &file)?;
             }
             let shared = world
                 .board(&file, args.rate)
@@ -193,7 +194,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         _ => args.port.open()?,
     };
     let before = occasion::before(&mut board, &progress)?;
-    ready(&mut board, &file, &args, &setup)?;
+    check_ready(&mut board, &file, &args, &setup)?;
     let earlier = progress.measured(&plan);
     if earlier > 0 {
         let (total, place) = (plan.total(), args.progress.display());
@@ -201,7 +202,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         let none = if earlier == total { ": none is measured now (--anew measures them again)" } else { "" };
         haptic_host::tell!("{earlier} of {total} repeats are in {place} already{date}{none}");
     }
-    let meter = Meter::new(plan.total(), plan.searches(), earlier);
+    let meter = ProgressMeter::new(plan.total(), plan.searches(), earlier);
     let stop = || {
         meter.tick();
         interrupt.is_set()
@@ -222,21 +223,21 @@ pub fn run(args: Args) -> Result<(), Failure> {
         theory = Some(Theory::new(&args, &file, &setup, q, around, *prepared.excitation())?);
         Ok(())
     };
-    let measured = occasion.measure(setup.clone(), &plan, &stop, begun, |done| meter.done(done));
+    let measured = occasion.measure(setup.clone(), &plan, &stop, begun, |done| meter.set_done(done));
     meter.finish();
     // Also restores the device that was replaced for this measurement.
     occasion.put_back().map_err(progress_failure)?;
     let report =
         theory.map(|theory| Report { name: &file.name, args: &args, plan: &plan, progress: &progress, theory });
     match (measured, report) {
-        (Ok(()), Some(report)) if report.measured() => report.out(),
+        (Ok(()), Some(report)) if report.has_boundary() => report.write(),
         (measured, report) => {
             // Reports the measured points, then the reason for which there are no more.
-            if let Some(report) = report.filter(Report::any) {
-                report.out()?;
+            if let Some(report) = report.filter(Report::has_points) {
+                report.write()?;
             }
             Err(match (measured, progress.points.iter().find_map(|point| point.open.as_ref())) {
-                (Err(error), _) => failure(error, &args, spec.joints > spec.task, &mut board),
+                (Err(error), _) => measurement_failure(error, &args, spec.joints > spec.task, &mut board),
                 (Ok(()), open) => {
                     let reason = open.map_or_else(String::new, |open| open.reason.clone());
                     Failure::impossible(format!("no boundary was found: {reason}")).remedy(NO_BOUNDARY_REMEDY)
@@ -251,7 +252,7 @@ const NO_BOUNDARY_REMEDY: &str = "use finer encoders (--counts on --port sim), a
                       --torque-limit, another pose or normal";
 
 /// Returns the plan of the measurement, and the length of its longest pull, m.
-fn plan(args: &Args, joints: usize) -> Result<(Plan, f64), Failure> {
+fn requested_plan(args: &Args, joints: usize) -> Result<(Plan, f64), Failure> {
     if !(args.torque_limit > 0.0 && args.torque_limit.is_finite()) {
         return Err(Failure::wrong(format!("--torque-limit is {} N m, and must be positive", args.torque_limit)));
     }
@@ -278,7 +279,7 @@ fn plan(args: &Args, joints: usize) -> Result<(Plan, f64), Failure> {
     Ok((Plan { modes: modes.to_vec(), kd, points, repeats, pulls }, largest * 1e-3))
 }
 
-fn walls(args: &Args, task: usize) -> Result<Vec<Member>, Failure> {
+fn requested_walls(args: &Args, task: usize) -> Result<Vec<Member>, Failure> {
     let (count, most) = (args.walls.count(), most_tested(task));
     if count > most {
         let reason = format!("{count} walls are too many: more than {most} hold the tip in place");
@@ -287,7 +288,7 @@ fn walls(args: &Args, task: usize) -> Result<Vec<Member>, Failure> {
     args.walls.members(task)
 }
 
-fn world(args: &Args, file: &DeviceFile, walls: &[Member]) -> Result<World, Failure> {
+fn requested_world(args: &Args, file: &DeviceFile, walls: &[Member]) -> Result<World, Failure> {
     if args.counts.is_some_and(|counts| !(counts >= 1.0 && counts.is_finite())) {
         return Err(Failure::wrong("--counts must be at least 1"));
     }
@@ -309,7 +310,7 @@ fn world(args: &Args, file: &DeviceFile, walls: &[Member]) -> Result<World, Fail
     Ok(World { q, friction, ideal_drive: args.ideal_drive, counts: args.counts, grip: args.grip })
 }
 
-fn holds(found: &str, file: &DeviceFile) -> Result<(), Failure> {
+fn check_same_device(found: &str, file: &DeviceFile) -> Result<(), Failure> {
     if found == file.name {
         return Ok(());
     }
@@ -318,7 +319,7 @@ fn holds(found: &str, file: &DeviceFile) -> Result<(), Failure> {
 }
 
 /// Checks that the board has the device of the file, and asks if the motors may move.
-fn ready(board: &mut Board, file: &DeviceFile, args: &Args, setup: &MeasurementSetup) -> Result<(), Failure> {
+fn check_ready(board: &mut Board, file: &DeviceFile, args: &Args, setup: &MeasurementSetup) -> Result<(), Failure> {
     let details = board.details()?;
     let device = Device::new(&file.name, &file.description).map_err(Failure::wrong)?;
     if let Some(found) = occasion::another(board, &device)? {
@@ -359,7 +360,7 @@ fn progress_failure(error: ProgressError) -> Failure {
 }
 
 /// Describes the state of the motors as reported by the board.
-fn motors(board: &mut Board) -> &'static str {
+fn describe_motors(board: &mut Board) -> &'static str {
     match board.status() {
         Ok(status) if !status.state.drives() => "motors are off",
         _ => "the board DOES NOT CONFIRM that its motors are off; use the emergency stop",
@@ -367,7 +368,7 @@ fn motors(board: &mut Board) -> &'static str {
 }
 
 /// Converts the error that ended a measurement to a failure with a remedy.
-fn failure(error: MeasureError, args: &Args, redundant: bool, board: &mut Board) -> Failure {
+fn measurement_failure(error: MeasureError, args: &Args, redundant: bool, board: &mut Board) -> Failure {
     let again = match args.progress.exists() {
         true => format!("run the same command again to continue where it stopped ({})", args.progress.display()),
         false => "nothing was measured yet; run the same command again".into(),
@@ -377,7 +378,7 @@ fn failure(error: MeasureError, args: &Args, redundant: bool, board: &mut Board)
         MeasureError::Link(error) => error.into(),
         MeasureError::Pose(error) => error.into(),
         MeasureError::Progress(error) => progress_failure(error),
-        MeasureError::Interrupted => Failure::impossible(format!("{error}: {}", motors(board))).remedy(again),
+        MeasureError::Interrupted => Failure::impossible(format!("{error}: {}", describe_motors(board))).remedy(again),
         MeasureError::Disarmed => Failure::impossible(error).remedy(again),
         MeasureError::Fault(_) => {
             Failure::impossible(error).remedy(format!("see `haptic faults`, put the device back and {again}"))
@@ -412,8 +413,8 @@ mod tests {
         let simulated = SharedBoard::new(ready_board(&file, BoardOptions::default()).unwrap());
         let mut board = Board::over(simulated.wire(), "sim").unwrap();
         board.set_scene(&haptic_predict::wall_ahead::wall_ahead(&file).unwrap()).unwrap();
-        assert_eq!(motors(&mut board), "motors are off");
+        assert_eq!(describe_motors(&mut board), "motors are off");
         board.arm().unwrap();
-        assert!(motors(&mut board).contains("DOES NOT CONFIRM"));
+        assert!(describe_motors(&mut board).contains("DOES NOT CONFIRM"));
     }
 }

@@ -1,6 +1,6 @@
 //! `haptic new`: writes a device or scene file to start from.
 
-use super::force::Force;
+use super::force::ForceOption;
 use clap::ValueEnum;
 use clap::builder::PossibleValue;
 use haptic_bridge::model::catalogue::Kind;
@@ -26,7 +26,7 @@ pub struct Args {
     #[arg(long, value_name = "FILE")]
     device: Option<PathBuf>,
     #[command(flatten)]
-    force: Force,
+    force: ForceOption,
 }
 
 /// Kind of the file: the device of a mechanism, or a scene.

@@ -80,7 +80,7 @@ impl OnBoard {
 }
 
 /// Returns the address to listen on, from the value of `option`: PORT on this computer, or HOST:PORT.
-pub fn address(text: &str, option: &str) -> Result<SocketAddr, Failure> {
+pub fn parse_address(text: &str, option: &str) -> Result<SocketAddr, Failure> {
     let full = if text.contains(':') { text.to_string() } else { format!("127.0.0.1:{text}") };
     let address = full.to_socket_addrs().ok().and_then(|mut addresses| addresses.next());
     address.ok_or_else(|| {
@@ -134,18 +134,18 @@ pub fn scene_in_words(scene: &Scene<f32>) -> String {
 
 /// Describes a fault, with its remedy on a line of its own.
 pub fn fault_in_words(record: &FaultRecord, rate_hz: f32) -> String {
-    format!("{}\n    {}", fault_alone(record, rate_hz), record.fault.remedy())
+    format!("{}\n    {}", fault_without_remedy(record, rate_hz), record.fault.remedy())
 }
 
 /// Describes a fault, without its remedy.
-pub fn fault_alone(record: &FaultRecord, rate_hz: f32) -> String {
+pub fn fault_without_remedy(record: &FaultRecord, rate_hz: f32) -> String {
     let axis = record.axis.map_or(String::new(), |axis| format!(", joint {axis}"));
     let seconds = f64::from(record.step) / f64::from(rate_hz.max(1.0));
     format!("{}{axis}, value {}, {seconds:.3} s after boot", record.fault, record.value)
 }
 
 /// Warns on standard error if the present rules protect less than those before.
-pub fn warn_of_weaker(before: &Rules, now: &Rules) {
+pub fn warn_of_weaker_rules(before: &Rules, now: &Rules) {
     if now.host_action != HostAction::Disarm && before.host_action == HostAction::Disarm {
         haptic_host::tell!(
             "the board no longer watches its host: if this tool is killed or its cable pulled, the motors stay on"
@@ -167,12 +167,13 @@ pub fn warn_of_weaker(before: &Rules, now: &Rules) {
 }
 
 /// Returns the failure of a command after a fault turned the motors off.
-pub fn motors_off(record: &FaultRecord, rate_hz: f32) -> Failure {
-    Failure::impossible(format!("the motors are off: {}", fault_alone(record, rate_hz))).remedy(record.fault.remedy())
+pub fn motors_off_failure(record: &FaultRecord, rate_hz: f32) -> Failure {
+    Failure::impossible(format!("the motors are off: {}", fault_without_remedy(record, rate_hz)))
+        .remedy(record.fault.remedy())
 }
 
 /// Formats numbers in parentheses with their unit; a number that rounds to zero has no sign.
-pub fn numbers(values: &[f32], unit: &str) -> String {
+pub fn numbers_in_words(values: &[f32], unit: &str) -> String {
     let numbers: Vec<String> = values.iter().map(|value| format!("{:.4}", (1e4 * value).round() / 1e4 + 0.0)).collect();
     format!("({}) {unit}", numbers.join(", "))
 }

@@ -2,7 +2,7 @@
 
 use super::answer::Json;
 use super::arguments::Numbers;
-use super::force::Force;
+use super::force::ForceOption;
 use clap::ValueEnum;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::precomputed::{Interpolation, MassModelData, TABLE_VALUES};
@@ -38,7 +38,7 @@ pub struct Args {
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
     #[command(flatten)]
-    force: Force,
+    force: ForceOption,
     #[command(flatten)]
     json: Json,
 }

@@ -4,7 +4,7 @@ mod ripple;
 mod words;
 
 use super::answer::{Json, Pictures};
-use super::arguments::{self, DeviceAt, Holding, Numbers, WallArgs};
+use super::arguments::{self, DeviceAt, HoldingArgs, Numbers, WallArgs};
 use super::continued::Continue;
 use super::port::counted;
 use clap::{Args as ClapArgs, ValueEnum};
@@ -51,7 +51,7 @@ pub struct Args {
     #[arg(long, value_name = "SAMPLES", allow_hyphen_values = true, conflicts_with = "board")]
     delay: Option<f64>,
     /// Velocity estimator
-    #[arg(long, value_name = "KIND", default_value = "butterworth", value_parser = arguments::linear_estimator())]
+    #[arg(long, value_name = "KIND", default_value = "butterworth", value_parser = arguments::linear_estimator_parser())]
     estimator: Estimator,
     /// Take the velocity from the difference over this number of samples, before the estimator's filter
     #[arg(long, value_name = "SAMPLES", default_value_t = 1)]
@@ -78,13 +78,13 @@ pub struct Args {
     #[arg(long, value_name = "ALPHA", default_value_t = 1.0)]
     feed_forward_gain: f64,
     #[command(flatten)]
-    holding: Holding,
+    holding: HoldingArgs,
     /// Drive of the motors: ideal (torque at once), voltage (resistance, inductance and back-EMF of the device file's
     /// motors), current (a current loop of --current-bandwidth) [default: ideal]
     #[arg(long, value_name = "KIND", conflicts_with = "board")]
     drive: Option<DriveKind>,
     /// Use the drive and the delay of this board, instead of an ideal drive without delay
-    #[arg(long, value_name = "BOARD", value_parser = arguments::board())]
+    #[arg(long, value_name = "BOARD", value_parser = arguments::board_parser())]
     board: Option<BoardKind>,
     /// Bandwidth of the current loop in Hz, for --drive current; the default lags by half a carrier period at 20 kHz,
     /// as the boards' loops do, which reach a current within one period
@@ -175,14 +175,14 @@ impl Args {
             })?),
         };
         let path = TorquePath { delay_samples: self.delay(), drive };
-        let mut control_loop = Loop::through(&path, self.rate, estimator(self)?);
+        let mut control_loop = Loop::through(&path, self.rate, requested_estimator(self)?);
         control_loop.damping_compensation = self.damping_compensation;
         let subject = Subject::new(&file.description).map_err(Failure::wrong)?;
         let subject = if self.undamped { subject.undamped() } else { subject };
         Ok(Prediction {
             admissible: self.holding.admissible,
             gain: self.feed_forward_gain,
-            posture: posture(self.posture.as_ref(), file)?,
+            posture: requested_posture(self.posture.as_ref(), file)?,
             hand: self.hand()?,
             ..Prediction::new(subject, control_loop)
         })
@@ -190,7 +190,7 @@ impl Args {
 }
 
 /// Returns the posture of --posture, for a redundant device.
-pub(super) fn posture(numbers: Option<&Numbers>, file: &DeviceFile) -> Result<Option<Posture>, Failure> {
+pub(super) fn requested_posture(numbers: Option<&Numbers>, file: &DeviceFile) -> Result<Option<Posture>, Failure> {
     let Some(numbers) = numbers else { return Ok(None) };
     let remedy = "write stiffness (N m/rad) and damping (N m s/rad), such as 0.5,0.03";
     let spec = file.spec();
@@ -210,7 +210,7 @@ pub(super) fn posture(numbers: Option<&Numbers>, file: &DeviceFile) -> Result<Op
 
 pub fn run(args: Args) -> Result<(), Failure> {
     args.pictures.check()?;
-    let (file, mut warnings) = arguments::device(&args.at.device, true)?;
+    let (file, mut warnings) = arguments::load_device(&args.at.device, true)?;
     let spec = file.spec();
     arguments::check_rate(args.rate)?;
     let q = args.at.pose(&file)?;
@@ -226,7 +226,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         return Err(Failure::wrong(reason).remedy(remedy));
     }
     let prediction = args.prediction(&file)?;
-    let (analyse, passivity) = analysis(&args, &file, &q, &members, &prediction)?;
+    let (analyse, passivity) = wall_analysis(&args, &file, &q, &members, &prediction)?;
     let requested_kd = args.kd.as_ref().map(|kd| kd.0.as_slice());
     let range = analyse(requested_kd, args.washout)?;
     let costs = costly_warnings(&range, args.washout, |corner| analyse(requested_kd, Some(corner)))?;
@@ -237,7 +237,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let question =
         format!("{device:?} {q:?} {normals:?} {:?} {:?} {requested:?}", prediction.around, prediction.posture);
     let sweep = args.continued.sweep("range", &question)?;
-    let why = if args.why { Some(explain(&prediction, &q, &normals, &sweep)?) } else { None };
+    let why = if args.why { Some(limiting_effects(&prediction, &q, &normals, &sweep)?) } else { None };
     let ripple = simulate_ripple(&args, &file, &q, &normals, &prediction, &sweep)?;
     let has_picture = args.pictures.is_requested();
     if let Some(why) = why.as_ref().filter(|_| has_picture) {
@@ -264,7 +264,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     }
     if args.json.is_requested() {
         let request = Request::of(&args, &prediction, &q, &members);
-        let passive = passivity.as_ref().map(Passive::of);
+        let passive = passivity.as_ref().map(PassiveBounds::of);
         let result = Document { request, range: &range, passive, why: why.as_ref(), ripple: ripple.as_ref() };
         print_json(Warned { result: &result, warnings: &warnings })?;
     } else {
@@ -284,7 +284,7 @@ struct Document<'a> {
     range: &'a Range,
     /// `None` with several walls, and if [`Passivity::new`] returns `None`.
     #[serde(skip_serializing_if = "Option::is_none")]
-    passive: Option<Passive>,
+    passive: Option<PassiveBounds>,
     #[serde(skip_serializing_if = "Option::is_none")]
     why: Option<&'a Why>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -293,7 +293,7 @@ struct Document<'a> {
 
 /// Bounds below which a wall without feed-forward is passive.
 #[derive(serde::Serialize)]
-struct Passive {
+struct PassiveBounds {
     /// Stiffness without damping, N/m.
     kp: f64,
     /// Damping, N s/m.
@@ -303,7 +303,7 @@ struct Passive {
     kp_quantised: Option<f64>,
 }
 
-impl Passive {
+impl PassiveBounds {
     fn of(passivity: &Passivity) -> Self {
         Self { kp: passivity.sampled(0.0), kd: passivity.largest_damping(), kp_quantised: passivity.quantised() }
     }
@@ -354,7 +354,7 @@ impl Request {
 }
 
 /// Computes the effect of each part of the loop on the boundary of one wall; several walls are an error.
-fn explain(prediction: &Prediction, q: &[f64], normals: &[Vec<f64>], sweep: &Sweep) -> Result<Why, Failure> {
+fn limiting_effects(prediction: &Prediction, q: &[f64], normals: &[Vec<f64>], sweep: &Sweep) -> Result<Why, Failure> {
     let [normal] = normals else {
         let reason = "--why applies to one wall, and there are several --normal";
         return Err(Failure::wrong(reason).remedy("give one --normal"));
@@ -362,7 +362,7 @@ fn explain(prediction: &Prediction, q: &[f64], normals: &[Vec<f64>], sweep: &Swe
     why(&prediction.seen(q, normal)?, &prediction.around, sweep)
 }
 
-fn estimator(args: &Args) -> Result<LinearEstimator, Failure> {
+fn requested_estimator(args: &Args) -> Result<LinearEstimator, Failure> {
     let over = args.difference_over;
     let alone = LinearEstimator::of(args.estimator, args.cutoff).ok_or_else(|| {
         Failure::wrong(format!("{} has no linear analysis", args.estimator.name())).remedy("choose another --estimator")
@@ -381,7 +381,7 @@ fn estimator(args: &Args) -> Result<LinearEstimator, Failure> {
 type Analysis<'a> = Box<dyn Fn(Option<&[f64]>, Option<f64>) -> Result<Range, AnalysisError> + 'a>;
 
 /// Returns the analysis of one wall, with its passive limits, or of several walls.
-fn analysis<'a>(
+fn wall_analysis<'a>(
     args: &'a Args,
     file: &DeviceFile,
     q: &[f64],

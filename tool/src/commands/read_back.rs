@@ -1,6 +1,6 @@
 //! `--read` of `haptic device` and `haptic scene`: writes a board's device or scene as text, or compares it with a file.
 
-use super::force::Force;
+use super::force::ForceOption;
 use super::port::{OnBoard, counted};
 use haptic_host::error::Failure;
 use haptic_host::output;
@@ -9,7 +9,7 @@ use serde_json::json;
 use std::path::{Path, PathBuf};
 
 #[derive(clap::Args)]
-pub struct Read {
+pub struct ReadOptions {
     /// Write the board's contents to standard output; or with FILE list the differences between that file and the
     /// board, and end with exit code 3 if there are any. Changes nothing
     #[arg(long)]
@@ -18,10 +18,10 @@ pub struct Read {
     #[arg(short, long, value_name = "FILE", requires = "read")]
     output: Option<PathBuf>,
     #[command(flatten)]
-    force: Force,
+    force: ForceOption,
 }
 
-impl Read {
+impl ReadOptions {
     /// Returns true if `--read` was given. Refuses an output file that could not be written later.
     pub fn is_requested(&self) -> Result<bool, Failure> {
         self.force.check(&self.output)?;

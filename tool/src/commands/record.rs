@@ -1,6 +1,6 @@
 //! `haptic record`: writes telemetry to a file that other programs open, at any rate up to the control rate.
 
-use super::force::Force;
+use super::force::ForceOption;
 use super::port::Port;
 use super::stream::{Options, follow, parse_positive};
 use haptic_bridge::board::telemetry::{Field, Fields};
@@ -25,7 +25,7 @@ pub struct Args {
     #[command(flatten)]
     port: Port,
     #[command(flatten)]
-    force: Force,
+    force: ForceOption,
     /// Fields, separated by commas: usual, all, or any from the list of `haptic stream --help` [default: usual and q,
     /// velocity, energy, counts]
     #[arg(long, value_name = "NAMES", value_parser = fields)]

@@ -2,7 +2,7 @@
 
 use super::arguments::{self, Numbers};
 use super::continued::Continue;
-use super::force::Force;
+use super::force::ForceOption;
 use haptic_bridge::render::scene::{DEFAULT_RATE_HZ, FeedForward};
 use haptic_host::device_file::DeviceFile;
 use haptic_host::error::{Failure, print};
@@ -48,7 +48,7 @@ pub struct Args {
     #[command(flatten)]
     continued: Continue,
     #[command(flatten)]
-    force: Force,
+    force: ForceOption,
 }
 
 /// A part of the page that can be left out.
@@ -99,7 +99,7 @@ struct Values {
 pub fn run(args: Args) -> Result<(), Failure> {
     output::check(&args.out, args.force.overwrite())?;
     let file = DeviceFile::load(&args.device)?;
-    let values = values(&args, &file)?;
+    let values = page_values(&args, &file)?;
     let sections = sections(&args, &values);
     let scene = args.scene.as_ref().map(|path| SceneFile::load(path, file.spec().task)).transpose()?;
     let scene = scene.map(|file| file.scene);
@@ -118,12 +118,12 @@ pub fn run(args: Args) -> Result<(), Failure> {
 }
 
 /// Formats numbers with up to six decimals, without trailing zeros.
-fn list(values: &[f64]) -> String {
+fn option_value(values: &[f64]) -> String {
     let rounded = values.iter().map(|value| (value * 1e6).round() / 1e6 + 0.0);
     rounded.map(|value| value.to_string()).collect::<Vec<_>>().join(",")
 }
 
-fn values(args: &Args, file: &DeviceFile) -> Result<Values, Failure> {
+fn page_values(args: &Args, file: &DeviceFile) -> Result<Values, Failure> {
     let spec = file.spec();
     let scene = args.scene.as_ref().map(|path| SceneFile::load(path, spec.task)).transpose()?.map(|file| file.scene);
     let device = prediction::Subject::new(&file.description).map_err(Failure::wrong)?;
@@ -154,13 +154,13 @@ fn values(args: &Args, file: &DeviceFile) -> Result<Values, Failure> {
     Ok(Values {
         options: prediction.options(&q, &[Member::new(normal.clone(), 1.0)]),
         wall: wall.map(|wall| format!("{},{}", wall.stiffness, wall.damping)),
-        q: list(&q),
-        normal: list(&normal),
-        rate: list(&[rate]),
-        cutoff: list(&[cutoff]),
+        q: option_value(&q),
+        normal: option_value(&normal),
+        rate: option_value(&[rate]),
+        cutoff: option_value(&[cutoff]),
         washout: wall
             .filter(|wall| wall.feed_forward == FeedForward::Washout)
-            .map_or(Some("2".into()), |wall| Some(list(&[wall.washout_hz]))),
+            .map_or(Some("2".into()), |wall| Some(option_value(&[wall.washout_hz]))),
     })
 }
 
@@ -385,7 +385,7 @@ mod tests {
             words.extend(scene.map(|scene| path(format!("devices/scenes/{device}/{scene}.toml"))));
             let args = CommandLine::parse_from(words).args;
             let file = DeviceFile::load(&args.device).unwrap();
-            let values = values(&args, &file).unwrap();
+            let values = page_values(&args, &file).unwrap();
             for section in sections(&args, &values) {
                 // Splits as a shell does, because no path here needs quotes.
                 let line = section.line();

@@ -1,6 +1,6 @@
 //! `haptic board restore`: restores a backup to a board.
 
-use super::port::{OnBoard, confirm, warn_of_weaker};
+use super::port::{OnBoard, confirm, warn_of_weaker_rules};
 use haptic_bridge::board::settings::Key;
 use haptic_host::backup::{Backup, Ready, Restored, restore};
 use haptic_host::error::{Failure, on_one_line};
@@ -48,7 +48,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     haptic_host::tell!("writing flash: the board pauses for up to a second");
     let before = board.rules()?;
     restore(&mut board, &ready)?;
-    warn_of_weaker(&before, &board.rules()?);
+    warn_of_weaker_rules(&before, &board.rules()?);
     let mut report = String::new();
     for setting in &ready {
         report += &match setting.how {

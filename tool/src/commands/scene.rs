@@ -2,7 +2,7 @@
 //! the board's scene.
 
 use super::port::{OnBoard, scene_in_words};
-use super::read_back::{Read, required_file};
+use super::read_back::{ReadOptions, required_file};
 use haptic_bridge::render::scene::Scene;
 use haptic_bridge::safety::fault::State;
 use haptic_bridge::safety::refusal::Refusal;
@@ -33,7 +33,7 @@ pub struct Args {
     #[arg(required_unless_present = "read")]
     file: Option<PathBuf>,
     #[command(flatten)]
-    read: Read,
+    read: ReadOptions,
     #[command(flatten)]
     on: OnBoard,
 }

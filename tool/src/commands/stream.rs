@@ -1,7 +1,7 @@
 //! `haptic stream`: shows telemetry on the terminal and counts every loss. `haptic record` uses the same code.
 
 use super::interrupt;
-use super::port::{Port, counted, fault_in_words, motors_off, short};
+use super::port::{Port, counted, fault_in_words, motors_off_failure, short};
 use haptic_bridge::board::telemetry::{Field, Fields};
 use haptic_bridge::control::Status;
 use haptic_bridge::safety::fault::State;
@@ -149,8 +149,8 @@ pub(super) fn follow(board: &mut Board, options: &Options<'_>) -> Result<(), Fai
                     haptic_host::tell!("fault: {words}");
                     result = result.and(stream.record_event(&words));
                 }
-                let is_over = result.and_then(|()| stream.take(&rows, options.seconds));
-                match is_over.and_then(|is_over| stream.note(board).map(|()| is_over)) {
+                let is_over = result.and_then(|()| stream.pass_rows(&rows, options.seconds));
+                match is_over.and_then(|is_over| stream.report_losses(board).map(|()| is_over)) {
                     Ok(false) => {}
                     Ok(true) => break StreamEnd::Requested,
                     Err(RecordError::ReaderGone) => break StreamEnd::ReaderGone,
@@ -172,7 +172,7 @@ pub(super) fn follow(board: &mut Board, options: &Options<'_>) -> Result<(), Fai
 fn disarm(board: &mut Board, rate_hz: f32) -> Result<(), Failure> {
     board.disarm()?;
     match board.status()? {
-        Status { state: State::Fault, fault: Some(record), .. } => Err(motors_off(&record, rate_hz)),
+        Status { state: State::Fault, fault: Some(record), .. } => Err(motors_off_failure(&record, rate_hz)),
         _ => Ok(()),
     }
 }
@@ -202,7 +202,7 @@ struct Stream {
 
 impl Stream {
     /// Passes rows on to their destination. Returns true if the time is over.
-    fn take(&mut self, rows: &[Row], seconds: Option<f64>) -> Result<bool, RecordError> {
+    fn pass_rows(&mut self, rows: &[Row], seconds: Option<f64>) -> Result<bool, RecordError> {
         for row in rows {
             let first = *self.first_step.get_or_insert(row.step);
             let time = f64::from(row.step.wrapping_sub(first)) / self.rate_hz;
@@ -214,12 +214,12 @@ impl Stream {
                 self.missing += u64::from((steps / self.divider).saturating_sub(1));
             }
             (self.last_step, self.rows) = (row.step, self.rows + 1);
-            self.pass(row, time)?;
+            self.pass_row(row, time)?;
         }
         Ok(false)
     }
 
-    fn pass(&mut self, row: &Row, time: f64) -> Result<(), RecordError> {
+    fn pass_row(&mut self, row: &Row, time: f64) -> Result<(), RecordError> {
         let values = self.columns.iter().zip(&row.values).map(|(column, value)| Value::of(column, *value));
         match &mut self.sink {
             Sink::File(writer) => writer.row(row.step, time, &row.values),
@@ -266,7 +266,7 @@ impl Stream {
     }
 
     /// Flushes the file and reports new losses, twice a second.
-    fn note(&mut self, board: &Board) -> Result<(), RecordError> {
+    fn report_losses(&mut self, board: &Board) -> Result<(), RecordError> {
         let now = board.now();
         if now.saturating_sub(self.last_note) < Duration::from_millis(500) {
             return Ok(());

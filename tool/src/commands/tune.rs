@@ -4,7 +4,7 @@ use super::answer::Json;
 use super::arguments::{self, Numbers};
 use super::continued::Continue;
 use super::estimators;
-use super::force::Force;
+use super::force::ForceOption;
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::render::scene::{FeedForward, Scene, Surface};
 use haptic_host::device_file::DeviceFile;
@@ -77,7 +77,7 @@ struct Search {
     #[arg(long, value_name = "A,B,..", default_value = "1000,5000,10000,20000")]
     rates: Numbers,
     /// Feed-forwards to try; full pushes a resting hand along the wall
-    #[arg(long, value_name = "KIND", value_delimiter = ',', default_value = "off,washout", value_parser = arguments::feed_forward())]
+    #[arg(long, value_name = "KIND", value_delimiter = ',', default_value = "off,washout", value_parser = arguments::feed_forward_parser())]
     feed_forward: Vec<FeedForward>,
     /// Penetration in encoder counts at which the motors may reach their limit
     #[arg(long, value_name = "N", default_value_t = 1.0)]
@@ -86,7 +86,7 @@ struct Search {
     #[arg(long, value_name = "M/S", default_value_t = 0.1)]
     speed: f64,
     /// Coordinate that a redundant device holds [default: the scene's, or orientation]
-    #[arg(long, value_name = "COORDINATE", value_parser = arguments::admissible())]
+    #[arg(long, value_name = "COORDINATE", value_parser = arguments::admissible_parser())]
     admissible: Option<Admissible>,
     /// Also measure both walls on the simulated board with all effects: some minutes
     #[arg(long)]
@@ -103,7 +103,7 @@ struct Search {
     #[command(flatten)]
     json: Json,
     #[command(flatten)]
-    force: Force,
+    force: ForceOption,
 }
 
 #[derive(Serialize)]
@@ -131,7 +131,7 @@ struct Document<'a> {
 }
 
 /// The wall to make stiffer, and the pose in which it is touched.
-struct Place {
+struct WallPlace {
     q: Vec<f64>,
     normal: Vec<f64>,
     point: Option<Vec<f64>>,
@@ -157,7 +157,7 @@ fn search(args: Search) -> Result<(), Failure> {
     }
     let Some(device) = &args.device else { return Err(Failure::wrong("no device file")) };
     let file = DeviceFile::load(device)?;
-    let place = place(&args, &file)?;
+    let place = requested_place(&args, &file)?;
     let mut board = args.port.as_ref().map(|port| open_with_device(port, &file)).transpose()?;
     let mut question = Question {
         file: &file,
@@ -200,9 +200,9 @@ fn search(args: Search) -> Result<(), Failure> {
     let point = match &place.point {
         Some(point) => point.clone(),
         // Places the wall 5 mm in front of the tip, so that the board can be armed.
-        None => tip(&file, &question.q)?.iter().zip(&question.normal).map(|(p, n)| p - 5e-3 * n).collect(),
+        None => tip_position(&file, &question.q)?.iter().zip(&question.normal).map(|(p, n)| p - 5e-3 * n).collect(),
     };
-    let comments = comments(&args, &file, &answer, question.ripple_n);
+    let comments = scene_comments(&args, &file, &answer, question.ripple_n);
     let text = to_toml(&answer.best.settings, question.admissible, &point, &question.normal, &comments);
     let tuned = SceneFile::parse(&text, "tuned.toml", file.spec().task)?;
     let options = Subject::new(&file.description)
@@ -261,12 +261,12 @@ fn open_with_device(port: &PortSpec, file: &DeviceFile) -> Result<Board, Failure
     }
 }
 
-fn tip(file: &DeviceFile, q: &[f64]) -> Result<Vec<f64>, Failure> {
+fn tip_position(file: &DeviceFile, q: &[f64]) -> Result<Vec<f64>, Failure> {
     Ok(haptic_stability::analysis::pose::TaskPose::at(&file.description, q)?.regular()?.position)
 }
 
 /// Returns the wall as typed, as in the scene, or at home.
-fn place(args: &Search, file: &DeviceFile) -> Result<Place, Failure> {
+fn requested_place(args: &Search, file: &DeviceFile) -> Result<WallPlace, Failure> {
     let spec = file.spec();
     let q = args.q.as_ref().map(|q| q.exactly(spec.joints, "--q", "joint angles")).transpose()?;
     let normal = args.normal.as_ref().map(|normal| normal.unit(spec.task, "--normal")).transpose()?;
@@ -275,7 +275,7 @@ fn place(args: &Search, file: &DeviceFile) -> Result<Place, Failure> {
         let normal =
             normal.ok_or_else(|| Failure::wrong("no --normal").remedy("give the normal of the wall, such as 0,1"))?;
         let admissible = args.admissible.unwrap_or_default();
-        return Ok(Place { q: q.map_or_else(home, Ok)?, normal, point: None, written: None, admissible });
+        return Ok(WallPlace { q: q.map_or_else(home, Ok)?, normal, point: None, written: None, admissible });
     };
     let scene = SceneFile::load(path, spec.task)?.scene;
     if scene.posture.is_some() {
@@ -306,9 +306,9 @@ fn place(args: &Search, file: &DeviceFile) -> Result<Place, Failure> {
     };
     let point = match wall.surface {
         Surface::Plane(plane) if args.normal.is_none() => plane.point[..spec.task].to_vec(),
-        _ => tip(file, &q)?,
+        _ => tip_position(file, &q)?,
     };
-    Ok(Place {
+    Ok(WallPlace {
         q,
         normal,
         point: Some(point),
@@ -323,7 +323,7 @@ fn touching_pose(file: &DeviceFile, scene: &Scene<f64>, wall: usize) -> Option<(
     contacts.into_iter().find(|contact| contact.wall == wall).map(|contact| (contact.q, contact.normal))
 }
 
-fn comments(args: &Search, file: &DeviceFile, answer: &TuneResult, ripple: f64) -> Vec<String> {
+fn scene_comments(args: &Search, file: &DeviceFile, answer: &TuneResult, ripple: f64) -> Vec<String> {
     let scene = args.scene.as_deref().map_or(String::new(), |scene: &Path| format!(", after {}", scene.display()));
     vec![
         format!("The stiffest wall that `haptic tune` found on {}{scene}.", file.name),
@@ -332,18 +332,18 @@ fn comments(args: &Search, file: &DeviceFile, answer: &TuneResult, ripple: f64) 
 }
 
 /// Formats the stiffness that a hand feels if transmissions are compliant, as an addition to the wall's stiffness.
-fn felt(felt: Option<f64>) -> String {
+fn felt_in_words(felt: Option<f64>) -> String {
     felt.map_or(String::new(), |felt| format!(" (felt at the tip: {felt:.0} N/m)"))
 }
 
 /// Formats the ripple of a wall, with its ripple on the simulated board if that was measured.
-fn ripples(found: &TunedWall) -> String {
+fn ripple_in_words(found: &TunedWall) -> String {
     let board = found.board_ripple_n.map_or(String::new(), |ripple| format!(", {ripple:.4} N on the simulated board"));
     format!("ripple {:.4} N{board}", found.ripple_n)
 }
 
 /// Formats settings in one line.
-fn describe(settings: &Settings) -> String {
+fn settings_in_words(settings: &Settings) -> String {
     let mut text = format!("{} Hz, {}", settings.rate_hz, settings.estimator);
     if settings.value != 0 {
         let _ = write!(text, " {}", settings.value);
@@ -373,19 +373,19 @@ fn readable(document: &Document<'_>) -> String {
     line(format!(
         "  the stiffest wall        {:>10} N/m{}   {}",
         best.settings.stiffness,
-        felt(best.felt),
-        ripples(best)
+        felt_in_words(best.felt),
+        ripple_in_words(best)
     ));
-    line(format!("    {}", describe(&best.settings)));
+    line(format!("    {}", settings_in_words(&best.settings)));
     if let Some(scene) = document.scene {
         let ripple = scene
             .ripple_n
             .map_or("no stiffness meets margins, ripple and rebounds".into(), |ripple| format!("ripple {ripple:.4} N"));
-        let felt = felt(scene.felt);
+        let felt = felt_in_words(scene.felt);
         line(format!("  the scene's settings     {:>10} N/m{felt}   {ripple}", scene.settings.stiffness));
         line(format!(
             "    {}; {} N/m as written, {} N/m within the margins and the motors' limits with any ripple",
-            describe(&scene.settings),
+            settings_in_words(&scene.settings),
             scene.as_written,
             scene.within_margins
         ));
@@ -410,7 +410,7 @@ fn readable(document: &Document<'_>) -> String {
     line(format!("  {:<30}{:>14}", "at this damping, alone", "up to N/m"));
     for limit in &answer.limits {
         let up_to = limit.stiffness.map_or("no bound".into(), |stiffness| format!("{stiffness:.0}"));
-        line(format!("    {:<28}{up_to:>14}{}", limit.limit, felt(limit.felt)));
+        line(format!("    {:<28}{up_to:>14}{}", limit.limit, felt_in_words(limit.felt)));
     }
     line("  nearby".into());
     for neighbour in &answer.beside {
@@ -427,8 +427,8 @@ fn readable(document: &Document<'_>) -> String {
     }
     line("\n  the best of each estimator".into());
     for found in &answer.others {
-        let (felt, settings) = (felt(found.felt), describe(&found.settings));
-        line(format!("    {:>10} N/m{felt}  {}  {settings}", found.settings.stiffness, ripples(found)));
+        let (felt, settings) = (felt_in_words(found.felt), settings_in_words(&found.settings));
+        line(format!("    {:>10} N/m{felt}  {}  {settings}", found.settings.stiffness, ripple_in_words(found)));
     }
     line(format!("  {} combinations, {} of them simulated", answer.looked_at.0, answer.looked_at.1));
     let describe_measured = |name: &str, measured: &Measured| {
@@ -462,7 +462,7 @@ fn describe_other(other: &Alternative, best: &TunedWall, passed_over: Option<&Tu
                 text,
                 "{} N/m{} at most, {:.2} times, with a ripple of {:.4} N",
                 found.settings.stiffness,
-                felt(found.felt),
+                felt_in_words(found.felt),
                 found.settings.stiffness / best.settings.stiffness,
                 found.ripple_n
             );

@@ -1,6 +1,6 @@
 //! `haptic udev`: the udev rule that lets a user open boards and boot loaders on Linux.
 
-use super::force::Force;
+use super::force::ForceOption;
 use haptic_flash::udev::{PLACE, rule};
 use haptic_host::error::{Failure, print};
 use haptic_host::output;
@@ -15,7 +15,7 @@ pub struct Args {
     /// File to write
     file: Option<PathBuf>,
     #[command(flatten)]
-    force: Force,
+    force: ForceOption,
 }
 
 pub fn run(args: Args) -> Result<(), Failure> {

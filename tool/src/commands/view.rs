@@ -1,7 +1,7 @@
 //! `haptic view`: shows a board, real or simulated, on a page in the browser.
 
 use super::interrupt;
-use super::port::{Port, address};
+use super::port::{Port, parse_address};
 use super::stream::parse_positive;
 use haptic_bridge::render::scene::Scene;
 use haptic_host::device_file::DeviceFile;
@@ -66,7 +66,7 @@ pub(super) struct View {
 
 impl View {
     /// Reads the device file and the scene file.
-    fn of(
+    fn load(
         port: Port,
         device: Option<&PathBuf>,
         scene: Option<&PathBuf>,
@@ -123,7 +123,7 @@ impl View {
 
     /// Shows the board until `stop`. Waits for a board that was unplugged, also if it returns without its device or
     /// scene. Calls `opened` once when the view begins, and `lost` with the reason whenever a wait begins.
-    pub(super) fn play(
+    pub(super) fn show(
         &self,
         hub: &Hub,
         stop: &AtomicBool,
@@ -165,12 +165,12 @@ impl View {
 
 pub fn run(args: Args) -> Result<(), Failure> {
     let stop = interrupt::watch();
-    let view = View::of(args.port, args.device.as_ref(), args.scene.as_ref(), args.rate, args.record_to)?;
+    let view = View::load(args.port, args.device.as_ref(), args.scene.as_ref(), args.rate, args.record_to)?;
     let hub = Hub::default();
     let opened = || {
         let listener = match &args.listen {
             Some(text) => {
-                let address = address(text, "--listen")?;
+                let address = parse_address(text, "--listen")?;
                 PageListener::open(address).map_err(|error| {
                     Failure::impossible(format!("cannot listen on {address}: {error}"))
                         .remedy("choose another --listen PORT")
@@ -190,5 +190,5 @@ pub fn run(args: Args) -> Result<(), Failure> {
         listener.serve(hub.clone());
         Ok(())
     };
-    view.play(&hub, stop.flag(), opened, |lost| haptic_host::tell!("{lost}; waiting for it"))
+    view.show(&hub, stop.flag(), opened, |lost| haptic_host::tell!("{lost}; waiting for it"))
 }

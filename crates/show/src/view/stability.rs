@@ -318,7 +318,7 @@ impl Predictor {
         self.explain = true;
     }
 
-    /// Returns true if the limiting effects should be requested now. LimitWithout a thread their computation would delay
+    /// Returns true if the limiting effects should be requested now. Without a thread their computation would delay
     /// messages about the key by some tenths of a second, so it waits until the motors are off.
     pub fn should_explain(&self, motors_on: bool) -> bool {
         self.explain && !(motors_on && self.requests.is_none())
@@ -375,7 +375,7 @@ mod tests {
         assert!(to(FeedForward::Off) < demo.stiffness && demo.stiffness < to(FeedForward::Washout));
         assert!(to(FeedForward::Washout) < to(FeedForward::Full));
         assert_eq!(plane.max_stiffness(FeedForward::Off, 1e6), 0.0, "no damping beyond the boundary is stable");
-        // LimitWithout a thread, the long computation waits until the motors are off.
+        // Without a thread, the long computation waits until the motors are off.
         predictor.explain();
         assert!(predictor.should_explain(true) && predictor.should_explain(false));
         predictor.requests = None;

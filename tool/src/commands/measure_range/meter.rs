@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 const LINE_INTERVAL: Duration = Duration::from_secs(5);
 
 /// Reports the progress of a measurement on standard error.
-pub struct Meter {
+pub struct ProgressMeter {
     total: usize,
     /// Repeats at each damping.
     repeats: usize,
@@ -25,7 +25,7 @@ pub struct Meter {
     bar: Option<ProgressBar>,
 }
 
-impl Meter {
+impl ProgressMeter {
     /// Starts a meter of `total` repeats, `repeats` at each damping, of which an earlier run has measured `earlier`.
     pub fn new(total: usize, repeats: usize, earlier: usize) -> Self {
         let bar = std::io::stderr().is_terminal().then(|| ProgressBar::new(total as u64));
@@ -48,7 +48,7 @@ impl Meter {
     }
 
     /// Sets the number of repeats that are done.
-    pub fn done(&self, done: usize) {
+    pub fn set_done(&self, done: usize) {
         let now = Instant::now();
         let seconds = (now - self.last_done.replace(now)).as_secs_f64();
         if done > self.done.replace(done) {
@@ -62,7 +62,10 @@ impl Meter {
         }
         if let Some(bar) = &self.bar {
             bar.set_position(done as u64);
-            bar.set_message(self.left(0.0).map_or(String::new(), |left| format!(", about {} left", in_words(left))));
+            bar.set_message(
+                self.remaining_seconds(0.0)
+                    .map_or(String::new(), |left| format!(", about {} left", duration_in_words(left))),
+            );
         }
         self.tick();
     }
@@ -74,13 +77,18 @@ impl Meter {
         }
         self.last_line.set(Instant::now());
         let since = self.last_done.get().elapsed().as_secs_f64();
-        let left = self.left(since).map_or(String::new(), |left| format!(", about {} left", in_words(left)));
+        let left = self
+            .remaining_seconds(since)
+            .map_or(String::new(), |left| format!(", about {} left", duration_in_words(left)));
         let (done, total) = (self.done.get(), self.total);
-        haptic_host::tell!("{done} of {total} repeats after {}{left}", in_words(self.began.elapsed().as_secs_f64()));
+        haptic_host::tell!(
+            "{done} of {total} repeats after {}{left}",
+            duration_in_words(self.began.elapsed().as_secs_f64())
+        );
     }
 
     /// Returns the remaining time (s) `since` seconds after the last repeat; `None` before the first repeat.
-    fn left(&self, since: f64) -> Option<f64> {
+    fn remaining_seconds(&self, since: f64) -> Option<f64> {
         let [first, later] = *self.took.borrow();
         let mean = |(count, seconds): (f64, f64)| (count > 0.0).then(|| seconds / count);
         let first_mean = mean(first).or_else(|| mean(later).map(|seconds| 2.0 * seconds))?;
@@ -100,7 +108,7 @@ impl Meter {
     }
 }
 
-fn in_words(seconds: f64) -> String {
+fn duration_in_words(seconds: f64) -> String {
     match seconds {
         seconds if seconds < 99.5 => format!("{seconds:.0} s"),
         seconds if seconds < 5940.0 => format!("{:.0} min", seconds / 60.0),
@@ -114,15 +122,18 @@ mod tests {
 
     #[test]
     fn first_and_later_searches_are_estimated_separately() {
-        let meter = Meter::new(6, 3, 0);
-        assert_eq!(meter.left(0.0), None);
+        let meter = ProgressMeter::new(6, 3, 0);
+        assert_eq!(meter.remaining_seconds(0.0), None);
         *meter.took.borrow_mut() = [(1.0, 10.0), (0.0, 0.0)];
         meter.done.set(1);
         // Two later searches take 5 s each (half of the first), then come 10 + 5 + 5 s.
-        assert_eq!([0.0, 4.0, 40.0].map(|since| meter.left(since)), [Some(30.0), Some(26.0), Some(25.0)]);
+        assert_eq!([0.0, 4.0, 40.0].map(|since| meter.remaining_seconds(since)), [Some(30.0), Some(26.0), Some(25.0)]);
         *meter.took.borrow_mut() = [(1.0, 10.0), (2.0, 6.0)];
         meter.done.set(3);
-        assert_eq!(meter.left(0.0), Some(16.0));
-        assert_eq!([in_words(42.4), in_words(130.0), in_words(7200.0)], ["42 s", "2 min", "2.0 h"]);
+        assert_eq!(meter.remaining_seconds(0.0), Some(16.0));
+        assert_eq!(
+            [duration_in_words(42.4), duration_in_words(130.0), duration_in_words(7200.0)],
+            ["42 s", "2 min", "2.0 h"]
+        );
     }
 }

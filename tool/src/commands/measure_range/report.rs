@@ -34,7 +34,7 @@ pub struct Theory {
 }
 
 /// Formats numbers as a value of an option.
-fn list(values: &[f64]) -> String {
+fn option_value(values: &[f64]) -> String {
     values.iter().map(f64::to_string).collect::<Vec<_>>().join(",")
 }
 
@@ -52,8 +52,8 @@ impl Theory {
         let subject = Subject::new(&file.description)?;
         let prediction = Prediction { posture: setup.law.posture, ..Prediction::new(subject, around) };
         let device = prediction.walls(q, &walls)?;
-        let mut line = format!("haptic range {} --q={}", args.device.display(), list(q));
-        line += &args.walls.line();
+        let mut line = format!("haptic range {} --q={}", args.device.display(), option_value(q));
+        line += &args.walls.options();
         line += &prediction.loop_options(prediction.gain);
         if file.description.joints.iter().all(|joint| joint.viscous == 0.0) {
             line.push_str(" --undamped");
@@ -65,7 +65,7 @@ impl Theory {
     }
 
     /// Returns the felt stiffness of a wall at the tip (N/m) if transmissions are compliant.
-    fn felt(&self, mode: FeedForward, kp: f64) -> Option<f64> {
+    fn felt_stiffness(&self, mode: FeedForward, kp: f64) -> Option<f64> {
         let Walls::One(device) = &self.device else { return None };
         // Uses any corner of the washout, because it has no effect at rest.
         device.felt(Mode::of(mode, 0.0), kp)
@@ -112,24 +112,24 @@ pub struct Report<'a> {
 
 impl Report<'_> {
     /// Returns true if there is any point to report.
-    pub fn any(&self) -> bool {
-        self.plan.modes.iter().any(|mode| !self.points(*mode).is_empty())
+    pub fn has_points(&self) -> bool {
+        self.plan.modes.iter().any(|mode| !self.planned_points(*mode).is_empty())
     }
 
     /// Returns true if a boundary was found.
-    pub fn measured(&self) -> bool {
-        self.plan.modes.iter().any(|mode| self.points(*mode).iter().any(|point| !point.repeats.is_empty()))
+    pub fn has_boundary(&self) -> bool {
+        self.plan.modes.iter().any(|mode| self.planned_points(*mode).iter().any(|point| !point.repeats.is_empty()))
     }
 
     /// Returns the points at dampings of the plan; a progress file may contain other dampings too.
-    fn points(&self, mode: FeedForward) -> Vec<&Point> {
+    fn planned_points(&self, mode: FeedForward) -> Vec<&Point> {
         self.plan.asked(self.progress.all(mode))
     }
 
     /// Writes the pictures and prints the table or JSON.
-    pub fn out(&self) -> Result<(), Failure> {
+    pub fn write(&self) -> Result<(), Failure> {
         let args = self.args;
-        let warnings = self.far_below()?;
+        let warnings = self.implausible_boundaries()?;
         warn(&warnings);
         if args.pictures.is_requested() {
             args.pictures.save(&self.picture()?)?;
@@ -138,7 +138,7 @@ impl Report<'_> {
     }
 
     /// Returns a warning if boundaries are far below the theory.
-    fn far_below(&self) -> Result<Vec<Warning>, Failure> {
+    fn implausible_boundaries(&self) -> Result<Vec<Warning>, Failure> {
         let mut rows = Vec::new();
         for &mode in &self.plan.modes {
             let points = self.points_with_theory(mode)?.into_iter().filter(|(point, _)| !point.repeats.is_empty());
@@ -159,19 +159,19 @@ impl Report<'_> {
 
     /// Returns the points of a mode with the theory at the same dampings.
     fn points_with_theory(&self, mode: FeedForward) -> Result<Vec<(&Point, BoundaryPoint)>, Failure> {
-        let points = self.points(mode);
+        let points = self.planned_points(mode);
         let kd: Vec<f64> = points.iter().map(|point| printed(point.kd)).collect();
         let range = self.theory.predict(Some(&kd), self.washout())?;
         Ok(points.into_iter().zip(range.of(mode).boundary.iter().copied()).collect())
     }
 
     /// Returns the `haptic range` command that prints the theory.
-    fn line(&self) -> String {
-        let points = self.plan.modes.iter().flat_map(|mode| self.points(*mode));
+    fn range_command(&self) -> String {
+        let points = self.plan.modes.iter().flat_map(|mode| self.planned_points(*mode));
         let mut kd: Vec<f64> = points.map(|point| printed(point.kd)).collect();
         kd.sort_by(f64::total_cmp);
         kd.dedup();
-        format!("{} --kd {}", self.theory.line, list(&kd))
+        format!("{} --kd {}", self.theory.line, option_value(&kd))
     }
 
     /// Returns the longest pull of this strength, mm.
@@ -187,11 +187,11 @@ impl Report<'_> {
     }
 
     /// Describes pose, walls and loop in two lines, with numbers formatted by `joined`.
-    fn setting(&self, joined: fn(&[f64]) -> String) -> [String; 2] {
+    fn describe_setting(&self, joined: fn(&[f64]) -> String) -> [String; 2] {
         let (args, around) = (self.args, &self.theory.around);
         let normals: Vec<String> = args.walls.normals().map(|normal| format!("({})", joined(&normal.0))).collect();
         let mut place = format!("q = ({}) rad, n = {}", joined(&self.theory.q), normals.join(" + "));
-        if let Some(parts) = args.walls.parts() {
+        if let Some(parts) = args.walls.shares() {
             let _ = write!(place, ", parts {}", joined(&parts.0));
         }
         [
@@ -207,7 +207,7 @@ impl Report<'_> {
     }
 
     fn table(&self) -> Result<String, Failure> {
-        let [place, around] = self.setting(|values| list(values).replace(',', ", "));
+        let [place, around] = self.describe_setting(|values| option_value(values).replace(',', ", "));
         let mut text =
             format!("{}: largest stable stiffness, measured ({} repeats of each pull)\n", self.name, self.plan.repeats);
         if let Some(date) = &self.progress.date {
@@ -240,7 +240,7 @@ impl Report<'_> {
                 }
                 for (pull, repeats) in self.plan.by_pull(point) {
                     let (median, (low, high)) = (median(&repeats), bounds(&repeats));
-                    let felt = self.theory.felt(mode, median);
+                    let felt = self.theory.felt_stiffness(mode, median);
                     let felt = felt.map_or(String::new(), |felt| format!("; felt at the tip: {felt:.0} N/m"));
                     let pull =
                         format!("{:+.3}", self.pull_mm(pull)).trim_end_matches('0').trim_end_matches('.').to_string();
@@ -260,7 +260,7 @@ impl Report<'_> {
                 point.repeats.len() + 1,
                 why.stable_up_to,
                 why.reason,
-                self.finer(theory.max(why.stable_up_to))
+                self.encoder_advice(theory.max(why.stable_up_to))
             );
         }
         for (mode, why) in &self.progress.open_ends {
@@ -292,13 +292,13 @@ impl Report<'_> {
         let _ = writeln!(
             text,
             "The theory has no Coulomb friction, hand, encoder steps or saturation. Its command is:\n  {}",
-            self.line()
+            self.range_command()
         );
         Ok(text)
     }
 
     /// Describes the encoders that a measurement up to `stiffness` (N/m) needs, if the present ones are too coarse.
-    fn finer(&self, stiffness: f64) -> String {
+    fn encoder_advice(&self, stiffness: f64) -> String {
         let Excitation { force, .. } = self.theory.excitation;
         let factor = 2.0 * self.theory.excitation.smallest() * stiffness / force;
         if factor <= 1.0 {
@@ -367,7 +367,7 @@ impl Report<'_> {
                     "open": point.open,
                     "theory_kp": theory.kp,
                 });
-                if let Some(felt) = found.and_then(|found| self.theory.felt(mode, found.0)) {
+                if let Some(felt) = found.and_then(|found| self.theory.felt_stiffness(mode, found.0)) {
                     entry["felt"] = felt.into();
                 }
                 points.push(entry);
@@ -387,7 +387,7 @@ impl Report<'_> {
             "cutoff_hz": self.args.cutoff,
             "delay_samples": self.theory.around.delay_samples,
             "drive": self.drive(),
-            "theory": self.line(),
+            "theory": self.range_command(),
             "encoder_step_m": self.theory.excitation.quantum,
             "areas": self.areas()?,
             "points": points,
@@ -408,26 +408,27 @@ impl Report<'_> {
                 };
                 pulls.map(dot).collect::<Vec<_>>()
             };
-            self.points(mode).into_iter().flat_map(of).collect()
+            self.planned_points(mode).into_iter().flat_map(of).collect()
         };
         let pulls: Vec<String> = self.plan.pulls.iter().map(|pull| format!("{:+}", self.pull_mm(*pull))).collect();
         let (off, full, washed) = (dots(FeedForward::Off), dots(FeedForward::Full), dots(FeedForward::Washout));
         Ok(draw(&Contents {
             title: format!("{}: stable walls, measured and predicted", self.name),
-            subtitle: self.setting(|values| values.iter().map(|v| format!("{v:.3}")).collect::<Vec<_>>().join(", ")),
+            subtitle: self
+                .describe_setting(|values| values.iter().map(|v| format!("{v:.3}")).collect::<Vec<_>>().join(", ")),
             range: &range,
             passivity: None,
             washout_hz: self.washout(),
             measured_off: &off,
             measured: format!("measured, pulled by {} mm: median and all repeats", listed(&pulls)),
             measured_full: if full.is_empty() { &washed } else { &full },
-            note: self.left_out(),
+            note: self.left_out_note(),
             paper: self.args.pictures.paper(),
         }))
     }
 
     /// Describes the damping that only the measurement has and that lifts the dots above the curves.
-    fn left_out(&self) -> Option<String> {
+    fn left_out_note(&self) -> Option<String> {
         let known = matches!(self.args.friction, Some(FrictionKind::Viscous | FrictionKind::None));
         let dry = !self.args.frictionless && !known;
         let hand = self.args.grip.then_some("the hand that holds the tip");

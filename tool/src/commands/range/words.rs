@@ -1,6 +1,6 @@
 //! The text output of `haptic range`.
 
-use super::{Args, estimator};
+use super::{Args, requested_estimator};
 use crate::commands::arguments::Numbers;
 use crate::commands::port::counted;
 use haptic_bridge::model::description::{Description, EncoderAt, Joint};
@@ -27,7 +27,7 @@ pub fn subtitle(args: &Args, q: &[f64], normals: &[Vec<f64>], ratio: f64) -> [St
         format!(
             "{} Hz, {}, delay {}, {:?} drive; area ratio {ratio:.3}",
             args.rate,
-            filter(args),
+            estimator_and_cutoff(args),
             counted(args.delay(), "sample"),
             args.drive()
         )
@@ -37,9 +37,10 @@ pub fn subtitle(args: &Args, q: &[f64], normals: &[Vec<f64>], ratio: f64) -> [St
 }
 
 /// Returns the estimator, unless it is the usual one, and its cutoff, if it has one.
-fn filter(args: &Args) -> String {
+fn estimator_and_cutoff(args: &Args) -> String {
     let kind = (args.estimator != Estimator::Butterworth).then(|| args.estimator.name().to_string());
-    let cutoff = estimator(args).ok().and_then(LinearEstimator::cutoff_hz).map(|hz| format!("cutoff {hz} Hz"));
+    let cutoff =
+        requested_estimator(args).ok().and_then(LinearEstimator::cutoff_hz).map(|hz| format!("cutoff {hz} Hz"));
     kind.into_iter().chain(cutoff).collect::<Vec<_>>().join(", ")
 }
 
@@ -176,9 +177,9 @@ pub fn readable(
         }
     }
     if let Some(host) = &range.host {
-        line(format!("  {}", on_a_computer(range, host)));
+        line(format!("  {}", benefit_over_computer(range, host)));
     }
-    line(verdict(range));
+    line(feed_forward_benefit(range));
     text
 }
 
@@ -194,7 +195,7 @@ fn cost_of_gain(w_eff: f64, w_rr: f64, gain: f64) -> String {
 }
 
 /// Describes the benefit of rendering on the board instead of on a computer.
-fn on_a_computer(range: &Range, host: &HostWall) -> String {
+fn benefit_over_computer(range: &Range, host: &HostWall) -> String {
     let by = format!("a computer with {:.0} exchanges a second and forces {} ms old", host.rate_hz, 1e3 * host.delay_s);
     if host.domain.top.kp == 0.0 {
         return format!("rendered by {by}: never stable");
@@ -204,7 +205,7 @@ fn on_a_computer(range: &Range, host: &HostWall) -> String {
 }
 
 /// Describes the benefit of the feed-forward.
-fn verdict(range: &Range) -> String {
+fn feed_forward_benefit(range: &Range) -> String {
     let ratio = range.area_ratio;
     if range.off.area == 0.0 && range.full.area == 0.0 {
         "Nothing is stable here from zero stiffness up, without the feed-forward or with it: lower the delay or raise the \
