@@ -56,7 +56,7 @@ fn overwrite_error(matches: &ArgMatches) -> Option<clap::Error> {
 }
 
 /// Old and new spelling of the commands that the previous version calls by another name.
-const RENAMED: &[(&str, &str)] = &[
+const RENAMED_COMMANDS: &[(&str, &str)] = &[
     ("backup", "haptic board backup"),
     ("clear", "haptic faults --clear"),
     ("dfu", "haptic board dfu"),
@@ -83,7 +83,7 @@ fn renamed_error(words: &[OsString]) -> Option<clap::Error> {
     if typed == "stream" && words.any(|word| word == "--csv" || word.starts_with("--csv=")) {
         return renamed_to("stream --csv", "haptic record FILE.csv");
     }
-    RENAMED.iter().find(|(old, _)| *old == typed).and_then(|(old, now)| renamed_to(old, now))
+    RENAMED_COMMANDS.iter().find(|(old, _)| *old == typed).and_then(|(old, now)| renamed_to(old, now))
 }
 
 /// Corrects clap's suggestions: never suggests to pass an unknown option as a value, because the value would become a
@@ -194,7 +194,7 @@ mod tests {
     #[test]
     fn old_spellings_cause_an_error_with_the_new_spelling() {
         let names = command_names();
-        for (old, now) in RENAMED {
+        for (old, now) in RENAMED_COMMANDS {
             assert!(!names.iter().any(|command| command == old), "{old}");
             let words = now.trim_start_matches("haptic ").split(" --").next().unwrap();
             assert!(names.iter().any(|command| command == words), "{now}");

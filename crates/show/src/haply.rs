@@ -43,7 +43,7 @@ const SEND_TIMEOUT: Duration = Duration::from_secs(2);
 const POLL_INTERVAL: Duration = Duration::from_millis(500);
 /// Time without a message after which a program loses the device to another program that requests it.
 const MAX_SILENCE: Duration = Duration::from_secs(3);
-/// Reply while the board is lost.
+/// Reply to programs while the board is lost.
 const BOARD_LOST: &str = "the board is gone; it is opened again once it is back";
 
 /// A port on which programs reach a board.

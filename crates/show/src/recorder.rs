@@ -113,7 +113,7 @@ impl Recorder {
             gathered: 0,
             bytes: 0,
         };
-        recorder.comment(about);
+        recorder.add_comment(about);
         recorder.block.push_str(&columns.join(","));
         recorder.block.push('\n');
         match recorder.flush() {
@@ -131,7 +131,7 @@ impl Recorder {
     }
 
     /// Adds comment lines.
-    pub fn comment(&mut self, text: &str) {
+    pub fn add_comment(&mut self, text: &str) {
         for line in text.lines() {
             self.block.push_str("# ");
             self.block.push_str(line);
@@ -140,7 +140,7 @@ impl Recorder {
     }
 
     /// Adds a row with one value per column; missing values are left empty, extra ones ignored.
-    pub fn row(&mut self, values: &[Value]) -> Result<(), RecordError> {
+    pub fn add_row(&mut self, values: &[Value]) -> Result<(), RecordError> {
         for column in 0..self.columns {
             if column > 0 {
                 self.block.push(',');
@@ -252,24 +252,24 @@ impl RowWriter {
     }
 
     /// Adds a row: its step, its time since the first row (s), and a number for each column.
-    pub fn row(&mut self, step: u32, time: f64, row: &[f64]) -> Result<(), RecordError> {
+    pub fn add_row(&mut self, step: u32, time: f64, row: &[f64]) -> Result<(), RecordError> {
         match self {
-            Self::Mcap(recorder) => recorder.row(step, time, row),
+            Self::Mcap(recorder) => recorder.add_row(step, time, row),
             Self::Csv(recorder, columns) => {
                 let values = columns.iter().zip(row).map(|(column, value)| Value::of(column, *value));
                 let row: Vec<Value> =
                     [Value::Number(f64::from(step)), Value::Number(time)].into_iter().chain(values).collect();
-                recorder.row(&row)
+                recorder.add_row(&row)
             }
         }
     }
 
     /// Adds an event at a time since the first row (s).
-    pub fn event(&mut self, time: f64, words: &str) -> Result<(), RecordError> {
+    pub fn add_event(&mut self, time: f64, words: &str) -> Result<(), RecordError> {
         match self {
-            Self::Mcap(recorder) => recorder.event(time, words),
+            Self::Mcap(recorder) => recorder.add_event(time, words),
             Self::Csv(recorder, _) => {
-                recorder.comment(&format!("{time} s: {words}"));
+                recorder.add_comment(&format!("{time} s: {words}"));
                 Ok(())
             }
         }
@@ -288,7 +288,7 @@ impl RowWriter {
         match self {
             Self::Mcap(recorder) => recorder.end(words, losses),
             Self::Csv(recorder, _) => {
-                recorder.comment(words);
+                recorder.add_comment(words);
                 recorder.flush()
             }
         }
@@ -415,9 +415,9 @@ mod tests {
         let mut recorder = Recorder::create(&path, "a device\n20 kHz", &columns(), Overwrite::Never).unwrap();
         for step in 0..10_000 {
             let force = 0.1 * f64::from(step) / 3.0;
-            recorder.row(&[Value::Number(f64::from(step)), Value::Number(force), Value::Word("Fault")]).unwrap();
+            recorder.add_row(&[Value::Number(f64::from(step)), Value::Number(force), Value::Word("Fault")]).unwrap();
         }
-        recorder.comment("10000 rows");
+        recorder.add_comment("10000 rows");
         drop(recorder);
         let text = std::fs::read_to_string(&path).unwrap();
         assert!(text.contains("\n1,0.03333333333333333,Fault\n"), "{}", &text[..200]);

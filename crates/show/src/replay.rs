@@ -43,11 +43,11 @@ pub struct Difference {
 /// Result of a replay.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct ReplayResult {
-    /// Rows that were played.
+    /// Number of played rows.
     pub rows: u64,
-    /// Played rows with the motors on.
+    /// Number of played rows with the motors on.
     pub armed: u64,
-    /// Rows in which any torque differs.
+    /// Number of rows in which any torque differs.
     pub differing: u64,
     /// The first difference.
     pub first: Option<Difference>,
@@ -124,7 +124,7 @@ pub fn replay(recording: &Recording) -> Result<ReplayResult, Failure> {
         return Err(Failure::wrong(format!(
             "the recording has one control step in {every}, and a replay needs every step"
         ))
-        .remedy("record at the control rate: haptic record does if the link carries it, with fewer fields")
+        .remedy("record at the control rate, with fewer fields if the link cannot carry it")
         .choose(Choice::Fields));
     }
     if motors_are_on(first[columns.state] as usize) {

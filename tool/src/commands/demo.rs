@@ -103,11 +103,11 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let place = std::path::absolute(&svg).unwrap_or(svg);
     let place = place.display().to_string();
     let words = format!("{}picture: {place}\n", format_report(&demo, &results));
-    args.json.answer(document(&demo, &results, &place), &words)
+    args.json.answer(json_document(&demo, &results, &place), &words)
 }
 
-/// Returns the contents of `report` as JSON in SI units, `without` and `with` the feed-forward.
-fn document(demo: &Demo, results: &Results, picture: &str) -> serde_json::Value {
+/// Returns the contents of `format_report` as JSON in SI units, `without` and `with` the feed-forward.
+fn json_document(demo: &Demo, results: &Results, picture: &str) -> serde_json::Value {
     let run = |crossing: &Crossing, inertia: f64, limit: &StiffnessLimit| {
         json!({
             "penetration_m": crossing.penetration,

@@ -50,7 +50,7 @@ pub struct Args {
     /// Control rate of the predicted walls, in Hz
     #[arg(long, value_name = "HZ", default_value_t = DEFAULT_RATE_HZ)]
     rate: f64,
-    /// Cutoff of their velocity filter, in Hz
+    /// Cutoff of the predicted walls' velocity filter, in Hz
     #[arg(long, value_name = "HZ", default_value_t = 500.0)]
     cutoff: f64,
     #[command(flatten)]

@@ -1,6 +1,6 @@
 //! The help page: commands under headings, and examples.
 
-use super::{Command, DEVELOPERS, HEADINGS, list_of_fields};
+use super::{Command, HEADINGS, UNLISTED_HEADING, list_of_fields};
 use clap::{CommandFactory, Parser};
 
 /// Configure, watch, simulate and analyse haptic-bridge boards: motor drivers that render hard walls on a device
@@ -17,10 +17,14 @@ pub struct Cli {
 
 pub fn command() -> clap::Command {
     let command = Cli::command();
-    let listed = || HEADINGS.iter().filter(|(heading, _)| *heading != DEVELOPERS);
+    let listed = || HEADINGS.iter().filter(|(heading, _)| *heading != UNLISTED_HEADING);
     let width = listed().flat_map(|(_, names)| *names).map(|name| name.len()).max().unwrap_or(0) + 2;
-    let hidden: Vec<&str> =
-        HEADINGS.iter().filter(|(heading, _)| *heading == DEVELOPERS).flat_map(|(_, names)| *names).copied().collect();
+    let hidden: Vec<&str> = HEADINGS
+        .iter()
+        .filter(|(heading, _)| *heading == UNLISTED_HEADING)
+        .flat_map(|(_, names)| *names)
+        .copied()
+        .collect();
     let mut listing = String::new();
     for (heading, names) in listed() {
         listing.push_str(&format!("{heading}:\n"));

@@ -58,7 +58,7 @@ pub struct Args {
     /// range]
     #[arg(long, value_name = "A,B,..", allow_hyphen_values = true)]
     kd: Option<Numbers>,
-    /// Number of dampings
+    /// Number of dampings to measure without --kd
     #[arg(long, value_name = "N", default_value_t = 12, value_parser = clap::value_parser!(u16).range(1..=200))]
     points: u16,
     /// Repeats of each pull at each damping
@@ -105,7 +105,7 @@ pub struct Args {
     /// Save the results in this file, and continue from it
     #[arg(long, value_name = "FILE", default_value = "measured-range.json")]
     progress: PathBuf,
-    /// Measure from the beginning and replace that file
+    /// Measure from the beginning and replace the file of --progress
     #[arg(long)]
     anew: bool,
     /// Do not ask before a real motor moves

@@ -58,7 +58,7 @@ pub use stream::list_of_fields;
 
 /// Heading of commands that the help page omits, because they are for developers of the control step or are named by
 /// the page of another command.
-pub const DEVELOPERS: &str = "";
+pub const UNLISTED_HEADING: &str = "";
 
 /// Declares the subcommands: under each heading of `haptic --help`, `(Variant, module)` in the order of that page.
 macro_rules! commands {
@@ -118,7 +118,7 @@ commands! {
     "Shell" {
         (Completions, completions)
     }
-    DEVELOPERS {
+    UNLISTED_HEADING {
         (Bench, bench)
         (Precompute, precompute)
         (Udev, udev)

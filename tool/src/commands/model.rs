@@ -219,7 +219,8 @@ fn feed_forward_benefit(report: &Report) -> String {
          shows the benefit.\n"
             .into()
     } else if report.w_aa.is_empty() {
-        "No direction is left free: nothing couples, and the feed-forward adds only the compensation of z.\n".into()
+        "No direction is left free, so there is no coupling, and the feed-forward adds only the compensation of z.\n"
+            .into()
     } else if gain < 0.03 {
         format!(
             "With the feed-forward this wall meets {:.1} % more inertia here: it has almost no benefit at this pose and \

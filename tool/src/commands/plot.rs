@@ -31,7 +31,7 @@ pub struct Args {
     /// Start time in the recording, s
     #[arg(long, value_name = "SECONDS")]
     from: Option<f64>,
-    /// End time, s
+    /// End time in the recording, s
     #[arg(long, value_name = "SECONDS")]
     to: Option<f64>,
     /// Device file of the recorded device, for the stiffness that a hand feels behind its transmissions

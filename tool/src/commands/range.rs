@@ -94,8 +94,8 @@ pub struct Args {
     /// second
     #[arg(long, value_name = "HZ")]
     host_rate: Option<f64>,
-    /// Age of that program's forces when they begin to act, in seconds, as `haptic board latency` measures it [default:
-    /// the time between two requests]
+    /// With --host-rate: age of the program's forces when they begin to act, in seconds, as `haptic board latency`
+    /// measures it [default: the time between two requests]
     #[arg(long, value_name = "S", requires = "host_rate", allow_hyphen_values = true)]
     host_delay: Option<f64>,
     /// Print the limiting effects: how much sampling, delay, drive, filter, transmissions, hand and joint damping each
@@ -282,7 +282,7 @@ struct Document<'a> {
     request: Request,
     #[serde(flatten)]
     range: &'a Range,
-    /// `None` with several walls, and if [`Passivity::new`] returns `None`.
+    /// Passivity bounds; `None` with several walls, or if [`Passivity::new`] returns `None`.
     #[serde(skip_serializing_if = "Option::is_none")]
     passive: Option<PassiveBounds>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -317,11 +317,11 @@ struct Request {
     /// Unit normals, d entries each.
     normals: Vec<Vec<f64>>,
     rate_hz: f64,
-    /// `None` for an estimator without a cutoff.
+    /// Cutoff of the velocity filter, Hz; `None` for an estimator without a cutoff.
     cutoff_hz: Option<f64>,
     delay_samples: f64,
     drive: String,
-    /// Options with which `haptic range DEVICE` predicts the same.
+    /// Options with which `haptic range DEVICE` repeats this prediction.
     options: String,
 }
 
@@ -394,7 +394,7 @@ fn wall_analysis<'a>(
         Walls::One(device) => {
             let max = device.largest_gain().unwrap_or(1.0);
             if !(0.0..=max).contains(&gain) {
-                let reason = format!("--feed-forward-gain {gain} is not from 0 to {max:.3}");
+                let reason = format!("--feed-forward-gain {gain} is not between 0 and {max:.3}");
                 return Err(Failure::wrong(reason)
                     .remedy("lower it: a board allows no more here, because of the pole of the inertia"));
             }

@@ -177,7 +177,7 @@ fn sections(args: &Args, values: &Values) -> Vec<Section> {
     check.extend(scene.as_deref());
     add(
         "The description of the file, and the largest force",
-        "Reach, weight and inertia; what a person at the tip can meet; what a real board still lacks.",
+        "Reach, weight and inertia; force and energy at the tip; what is missing before a real board arms.",
         Some("device.svg"),
         &check,
     );
@@ -292,12 +292,12 @@ impl Section {
     }
 }
 
-fn escape(text: &str) -> String {
+fn escape_html(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
 
 /// Converts an SVG document for a page with several pictures: with unique ids and without a namespace declaration.
-fn inline(svg: &str, number: usize) -> String {
+fn inline_svg(svg: &str, number: usize) -> String {
     svg.replace(" xmlns=\"http://www.w3.org/2000/svg\"", "")
         .replace("id=\"clip", &format!("id=\"p{number}clip"))
         .replace("url(#clip", &format!("url(#p{number}clip"))
@@ -313,9 +313,9 @@ const PAGE_STYLE: &str = "body{font-family:sans-serif;max-width:60rem;margin:2re
 
 fn page(name: &str, args: &Args, sections: &[Section], outputs: &[Output]) -> String {
     let mut page = String::new();
-    let name = escape(name);
+    let name = escape_html(name);
     let scene = args.scene.as_ref().map_or(String::new(), |scene| format!(" with {}", scene.display()));
-    let about = escape(&format!(
+    let about = escape_html(&format!(
         "{}{scene}, by haptic {}, {}",
         args.device.display(),
         env!("CARGO_PKG_VERSION"),
@@ -330,7 +330,7 @@ fn page(name: &str, args: &Args, sections: &[Section], outputs: &[Output]) -> St
          device in the file; nothing was measured on a real device.</p>\n<ol>\n"
     );
     for section in sections {
-        let _ = writeln!(page, "<li>{}</li>", escape(section.title));
+        let _ = writeln!(page, "<li>{}</li>", escape_html(section.title));
     }
     page.push_str("</ol>\n");
     for (number, (section, output)) in sections.iter().zip(outputs).enumerate() {
@@ -338,18 +338,18 @@ fn page(name: &str, args: &Args, sections: &[Section], outputs: &[Output]) -> St
             page,
             "<section>\n<h2>{}. {}</h2>\n<p>{}</p>\n<code class=\"line\">{}</code>\n",
             number + 1,
-            escape(section.title),
-            escape(section.about),
-            escape(&section.line())
+            escape_html(section.title),
+            escape_html(section.about),
+            escape_html(&section.line())
         );
         if !output.notes.trim().is_empty() {
-            let _ = writeln!(page, "<p class=\"notes\">{}</p>", escape(output.notes.trim()));
+            let _ = writeln!(page, "<p class=\"notes\">{}</p>", escape_html(output.notes.trim()));
         }
         if let Some(picture) = &output.picture {
-            let _ = writeln!(page, "<figure>\n{}</figure>", inline(picture, number + 1));
+            let _ = writeln!(page, "<figure>\n{}</figure>", inline_svg(picture, number + 1));
         }
         if !output.text.trim().is_empty() {
-            let _ = writeln!(page, "<pre>{}</pre>", escape(output.text.trim_end()));
+            let _ = writeln!(page, "<pre>{}</pre>", escape_html(output.text.trim_end()));
         }
         page.push_str("</section>\n");
     }

@@ -194,7 +194,7 @@ struct Stream {
     last_step: u32,
     /// Number of rows passed on.
     rows: u64,
-    /// Number of rows missing between them.
+    /// Number of rows missing between the passed rows.
     missing: u64,
     shown: Losses,
     last_note: Duration,
@@ -222,7 +222,7 @@ impl Stream {
     fn pass_row(&mut self, row: &Row, time: f64) -> Result<(), RecordError> {
         let values = self.columns.iter().zip(&row.values).map(|(column, value)| Value::of(column, *value));
         match &mut self.sink {
-            Sink::File(writer) => writer.row(row.step, time, &row.values),
+            Sink::File(writer) => writer.add_row(row.step, time, &row.values),
             Sink::Memory(rows) => {
                 rows.push(
                     [Value::Number(f64::from(row.step)), Value::Number(time)].into_iter().chain(values).collect(),
@@ -260,7 +260,7 @@ impl Stream {
         let first = self.first_step.unwrap_or(self.last_step);
         let time = f64::from(self.last_step.wrapping_sub(first)) / self.rate_hz;
         match &mut self.sink {
-            Sink::File(writer) => writer.event(time, words),
+            Sink::File(writer) => writer.add_event(time, words),
             _ => Ok(()),
         }
     }

@@ -439,7 +439,7 @@ fn readable(document: &Document<'_>) -> String {
             .open
             .as_ref()
             .map_or(String::new(), |why| format!(" or more, because no limit was reached: {why}"));
-        format!("  {name}: {ripple}; struck, it comes to rest up to {:.0} N/m{open}", measured.stiffness)
+        format!("  {name}: {ripple}; a struck tip comes to rest up to {:.0} N/m{open}", measured.stiffness)
     };
     if let Some(found) = document.scene_measured {
         line(describe_measured("on the simulated board, the scene's settings", found));
@@ -448,7 +448,7 @@ fn readable(document: &Document<'_>) -> String {
         line(describe_measured("on the simulated board, these", found));
     }
     if let (Some(before), Some(found)) = (document.scene_measured, document.measured) {
-        line(rest_range(before, found));
+        line(rest_range_in_words(before, found));
     }
     text
 }
@@ -478,7 +478,7 @@ fn describe_other(other: &Alternative, best: &TunedWall, passed_over: Option<&Tu
 }
 
 /// Describes the cost of a stiffer wall: a struck tip comes to rest up to another stiffness.
-fn rest_range(before: &Measured, found: &Measured) -> String {
+fn rest_range_in_words(before: &Measured, found: &Measured) -> String {
     let at_least = |measured: &Measured| if measured.open.is_some() { "at least " } else { "" };
     format!(
         "  cost: at these dampings a struck tip came to rest up to {}{:.0} N/m, and now up to {}{:.0} N/m",

@@ -10,7 +10,7 @@ use haptic_show::recorder::Recording;
 use haptic_show::view::hub::{Hub, Message as Sent, PageId};
 use haptic_show::view::message::FromPage;
 use haptic_show::view::stability::Plane;
-use haptic_show::view::world::lead;
+use haptic_show::view::world::lead_hand;
 use haptic_show::view::{PageListener, Stage, Turn, World};
 use haptic_stability::analysis::control_loop::TorquePath;
 use haptic_stability::analysis::flexible::Posture;
@@ -188,7 +188,7 @@ fn one_page_commands_and_the_others_watch() {
     view.send(first, json!({"do": "give"}));
     assert!(view.heard(second).picture["command"].is_null());
     view.send(first, json!({"do": "arm", "seen": 1}));
-    assert_eq!(view.heard(first).why(), "no page is in command: take it first");
+    assert_eq!(view.heard(first).why(), "no page is in command: take command first");
     view.send(second, json!({"do": "take"}));
     assert_eq!(view.heard(first).picture["command"], view.pages[second].id);
 }
@@ -693,7 +693,7 @@ fn leading_the_hand_never_folds_the_linkage() {
             let (before, tip) = (stance(), board.lock().device().tip());
             let goal = goal.unwrap_or(core::array::from_fn(|i| tip[i] - 0.07 * f64::from(plane.normal[i])));
             world.board.arm().unwrap();
-            lead(&board, Some(goal));
+            lead_hand(&board, Some(goal));
             let plays = |seconds: f64| {
                 for _ in 0..(200.0 * seconds) as usize {
                     board.lock().run(0.005);
@@ -704,7 +704,7 @@ fn leading_the_hand_never_folds_the_linkage() {
             };
             plays(0.3);
             match releases {
-                true => lead(&board, None),
+                true => lead_hand(&board, None),
                 false => world.board.disarm().unwrap(),
             }
             plays(seconds);

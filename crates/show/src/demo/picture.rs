@@ -148,7 +148,7 @@ pub fn draw(demo: &Demo, without: &Crossing, with: &Crossing) -> Picture {
                     Stroke::solid(FAINT_GREY, 0.0),
                 );
             }
-            frame.clipped(&mut canvas, |canvas| {
+            frame.draw_clipped(&mut canvas, |canvas| {
                 let points: Vec<(f64, f64)> =
                     crossing.moments.iter().map(|moment| (moment.time, (row.value)(moment))).collect();
                 frame.curve(canvas, &points, Stroke::solid(colour, 1.0));

@@ -147,7 +147,7 @@ impl PlotArea {
     }
 
     /// Runs `draw` and clips its shapes to the frame.
-    pub fn clipped(&self, canvas: &mut Canvas, draw: impl FnOnce(&mut Canvas)) {
+    pub fn draw_clipped(&self, canvas: &mut Canvas, draw: impl FnOnce(&mut Canvas)) {
         canvas.begin_clip(self.at, self.size);
         draw(canvas);
         canvas.end_clip();
@@ -183,7 +183,7 @@ impl PlotArea {
 
     /// Draws a legend in the first corner of the frame without lines or dots of `drawn` (values), or else below the
     /// picture, which then grows.
-    pub fn clear_legend(&self, canvas: &mut Canvas, drawn: &[Vec<(f64, f64)>], entries: &[(Mark<'_>, String)]) {
+    pub fn place_legend(&self, canvas: &mut Canvas, drawn: &[Vec<(f64, f64)>], entries: &[(Mark<'_>, String)]) {
         const LEGEND_GAP: f64 = 10.0;
         let (width, height) = Self::legend_size(entries);
         let (left, right) = (self.at.0 + LEGEND_GAP, self.at.0 + self.size.0 - LEGEND_GAP);
@@ -227,7 +227,7 @@ impl PlotArea {
         let left = right - width;
         canvas.rectangle((left, top), (width, height), "#ffffffee", Stroke::solid(FAINT_GREY, 0.6));
         for (i, entry) in entries.iter().enumerate() {
-            Self::entry(canvas, (left + 8.0, top + 14.0 + 18.0 * i as f64), entry);
+            Self::draw_entry(canvas, (left + 8.0, top + 14.0 + 18.0 * i as f64), entry);
         }
     }
 
@@ -235,13 +235,13 @@ impl PlotArea {
     pub fn legend_line(canvas: &mut Canvas, at: (f64, f64), entries: &[(Mark<'_>, String)]) {
         let mut left = at.0;
         for entry in entries {
-            Self::entry(canvas, (left, at.1), entry);
+            Self::draw_entry(canvas, (left, at.1), entry);
             left += 33.0 + 6.5 * entry.1.chars().count() as f64 + 20.0;
         }
     }
 
     /// Draws a legend entry: the symbol with its left end at this pixel, then the text.
-    fn entry(canvas: &mut Canvas, (left, y): (f64, f64), (mark, text): &(Mark<'_>, String)) {
+    fn draw_entry(canvas: &mut Canvas, (left, y): (f64, f64), (mark, text): &(Mark<'_>, String)) {
         match mark {
             Mark::Line(stroke) => canvas.line((left, y), (left + 26.0, y), *stroke),
             Mark::Dot(colour) => {

@@ -138,7 +138,7 @@ fn draw_motion(
     let free = device.mass.clone().cholesky().map(|mass| mass.solve(&device.row));
     let free = free.and_then(|push| Some(push * device.w_eff()?)).unwrap_or_else(|| held.clone());
     let far = 2.0 * half * MOTION_SHARE;
-    frame.clipped(canvas, |canvas| {
+    frame.draw_clipped(canvas, |canvas| {
         for share in [-1.0, 1.0] {
             let moved: Vec<f64> = q.iter().zip(held.iter()).map(|(q, m)| q + share * far * m).collect();
             let Some(ghost) = skeleton(description, &moved) else { continue };
@@ -201,7 +201,7 @@ fn draw_planar_coupling(
     let polar = |value: fn(&(f64, f64, f64)) -> f64| -> Vec<(f64, f64)> {
         samples.iter().map(|sample| (value(sample) * sample.0.cos(), value(sample) * sample.0.sin())).collect()
     };
-    frame.clipped(canvas, |canvas| {
+    frame.draw_clipped(canvas, |canvas| {
         let (pixel, length) = (|v: &[f64]| frame.pixel(v[0], v[1]), 0.98 * largest);
         draw_axes(canvas, &pixel, point, length);
         draw_axis_names(canvas, &pixel, point, length);

@@ -77,7 +77,7 @@ pub fn draw(
     let notes = page.notes(notes.iter().map(String::as_str));
     let mut canvas = page.canvas(bottom + 17.0 * notes.len() as f64);
     heading.draw(&mut canvas);
-    frame.clipped(&mut canvas, |canvas| {
+    frame.draw_clipped(&mut canvas, |canvas| {
         let tiles: Vec<Vec<Point>> =
             reach.iter().map(|tile| tile.iter().map(|&(x, y)| frame.pixel(x, y)).collect()).collect();
         canvas.tiles(&tiles, REACH_COLOUR);

@@ -122,7 +122,7 @@ pub fn chart(
     heading.draw(&mut canvas);
 
     let fine = cut.tiles(Fineness { side: 12.0 / pixels, least: 3.0 / pixels, step: 2.0 * top / COLOUR_COUNT, top });
-    frame.clipped(&mut canvas, |canvas| draw_tiles(canvas, &frame, &fine, top));
+    frame.draw_clipped(&mut canvas, |canvas| draw_tiles(canvas, &frame, &fine, top));
     let typical = draw_ellipses(&mut canvas, &frame, &cut, pixels)?;
     if let Some(home) = &home {
         linkage::draw_linkage(&mut canvas, &frame, home);

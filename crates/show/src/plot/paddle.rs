@@ -34,7 +34,7 @@ pub fn draw(description: &Description, name: &str, paper: Paper) -> Result<Pictu
         ),
         None => ("no joint limits".into(), format!("home {:.1} mm", length * home)),
     };
-    let title = format!("{name}: one joint, nothing to couple");
+    let title = format!("{name}: one joint, no coupling");
     let under = [
         format!("inertia felt at the handle: Weff = Wrr = {:.1} g along its arc, everywhere", 1e3 * w_rr),
         format!("{limits}; zero angle along +x, growing counter-clockwise"),

@@ -89,7 +89,7 @@ pub fn draw(contents: &Contents<'_>) -> Picture {
     let (off, full) = (points(&range.off), points(&range.full));
     let mut drawn = vec![off.clone(), full.clone()];
     let mut entries = Vec::new();
-    frame.clipped(&mut canvas, |canvas| {
+    frame.draw_clipped(&mut canvas, |canvas| {
         frame.area_under(canvas, &full, FULL_COLOUR, 0.10);
         frame.area_under(canvas, &off, OFF_COLOUR, 0.16);
         for (domain, colour) in
@@ -146,7 +146,7 @@ pub fn draw(contents: &Contents<'_>) -> Picture {
     for (line, text) in symbols.iter().enumerate() {
         canvas.text((page.begin, below + LINE_HEIGHT * line as f64), SMALL_TEXT, Anchor::Start, false, text);
     }
-    frame.clear_legend(&mut canvas, &drawn, &entries);
+    frame.place_legend(&mut canvas, &drawn, &entries);
     canvas
         .finish(&contents.title, "Stable stiffness over damping of a virtual wall, without and with the feed-forward.")
 }

@@ -89,11 +89,11 @@ pub struct Panel {
 /// Results of a recording in numbers, and its panels.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Analysis {
-    /// Drawn rows.
+    /// Number of drawn rows.
     pub rows: usize,
     /// Time that the drawn rows cover, s.
     pub seconds: f64,
-    /// Rows missing between the drawn rows.
+    /// Number of rows missing between the drawn rows.
     pub missing: u64,
     /// Strongest spectral line of the first signal at 10 Hz or above.
     pub strongest: Option<SpectralLine>,
@@ -101,7 +101,7 @@ pub struct Analysis {
     pub ripple: Option<f64>,
     /// Stiffness of the line through force over penetration, from rows in contact whose force no limit cut, N/m.
     pub stiffness: Option<f64>,
-    /// Rows in contact with the motors on, after the torque ramp.
+    /// Number of rows in contact with the motors on, after the torque ramp.
     pub contact_rows: usize,
     /// Number of contact rows in which a limit cut the force; `None` if saturation is not recorded.
     pub saturated_rows: Option<usize>,
@@ -187,7 +187,7 @@ impl<'a> Rows<'a> {
     }
 
     /// Returns a predicate for rows in the torque ramp after arming, in which the force is less than the wall's.
-    fn ramp_test(&self) -> impl Fn(&[f64]) -> bool {
+    fn ramp_predicate(&self) -> impl Fn(&[f64]) -> bool {
         let armed =
             |row: &[f64]| self.recording.column("state").map(|state| row[state] == State::Armed as usize as f64);
         let pairs = self.recording.rows.windows(2);
@@ -198,7 +198,7 @@ impl<'a> Rows<'a> {
     }
 
     /// Returns a predicate for rows whose force a limit cut; `None` if saturation is not recorded.
-    fn limit_test(&self) -> Option<impl Fn(&[f64]) -> bool> {
+    fn limit_predicate(&self) -> Option<impl Fn(&[f64]) -> bool> {
         let names = (0..MAX_JOINTS).map(|joint| format!("saturated{joint}"));
         let columns: Vec<usize> = names.filter_map(|name| self.recording.column(&name)).collect();
         (!columns.is_empty()).then_some(move |row: &[f64]| columns.iter().any(|column| row[*column] != 0.0))
@@ -214,7 +214,7 @@ const MIN_VIBRATION_HZ: f64 = 10.0;
 const MIN_RELATIVE_AMPLITUDE: f64 = 1e-6;
 
 /// Returns name and unit of the column with this label; an unknown column has no unit.
-pub(crate) fn quantity(label: &str) -> Quantity {
+pub(crate) fn column_quantity(label: &str) -> Quantity {
     let known = columns(Fields::ALL, MAX_JOINTS);
     let unit = known.iter().find(|column| column.label == label).map_or("", |column| column.field.unit());
     let unit = if label == "time_s" { "s" } else { unit };
@@ -270,7 +270,7 @@ pub fn panels(recording: &Recording, request: &Request) -> Result<Analysis, Fail
             Failure::wrong("the recording has neither rendered_n nor force_n")
                 .remedy("record the fields distance, rendered")
         })?;
-        let panel = contact::over_penetration(&rows, force, &mut analysis)?;
+        let panel = contact::force_panel(&rows, force, &mut analysis)?;
         analysis.panels.push(panel);
     }
     if is_drawn(View::Spectrum) {
@@ -300,13 +300,13 @@ fn time_panels(rows: &Rows<'_>, signals: &[String]) -> Result<Vec<Panel>, Failur
     let mut panels: Vec<Panel> = Vec::new();
     for signal in signals {
         let column = rows.column(signal)?;
-        let signal_quantity = quantity(signal);
+        let signal_quantity = column_quantity(signal);
         let curve = Curve { name: signal.clone(), pieces: rows.pieces(|_, row| (row[rows.time], row[column])) };
         match panels.iter_mut().find(|panel| panel.y.unit == signal_quantity.unit) {
             Some(panel) => {
                 panel.curves.push(curve);
                 panel.y.name =
-                    panel.curves.iter().map(|curve| quantity(&curve.name).name).collect::<Vec<_>>().join(", ");
+                    panel.curves.iter().map(|curve| column_quantity(&curve.name).name).collect::<Vec<_>>().join(", ");
             }
             None => panels.push(Panel {
                 view: View::Time,
@@ -335,11 +335,11 @@ fn spectrum_panel(rows: &Rows<'_>, signals: &[String], analysis: &mut Analysis) 
         line: None,
         note: String::new(),
     };
-    let unit = quantity(&signals[0]).unit;
+    let unit = column_quantity(&signals[0]).unit;
     let reference = if unit.is_empty() { String::new() } else { format!(" re 1 {unit}") };
     panel.y.name.push_str(&reference);
     let mut used = 0;
-    for signal in signals.iter().filter(|signal| quantity(signal).unit == unit) {
+    for signal in signals.iter().filter(|signal| column_quantity(signal).unit == unit) {
         let column = rows.column(signal)?;
         let values: Vec<f64> = rows.rows.iter().map(|row| row[column]).collect();
         let stretches: Vec<&[f64]> = rows.stretches.windows(2).map(|ends| &values[ends[0]..ends[1]]).collect();

@@ -168,7 +168,7 @@ impl McapRecorder {
     }
 
     /// Adds a row: its step, its time since the first row (s), and a number for each column.
-    pub fn row(&mut self, step: u32, time: f64, row: &[f64]) -> Result<(), RecordError> {
+    pub fn add_row(&mut self, step: u32, time: f64, row: &[f64]) -> Result<(), RecordError> {
         let message =
             protobuf::encode_numbers(&self.row, [f64::from(step), time].into_iter().chain(row.iter().copied()));
         self.write(0, time, &message)?;
@@ -177,7 +177,7 @@ impl McapRecorder {
     }
 
     /// Adds an event at a time since the first row, s.
-    pub fn event(&mut self, time: f64, words: &str) -> Result<(), RecordError> {
+    pub fn add_event(&mut self, time: f64, words: &str) -> Result<(), RecordError> {
         let message = protobuf::encode_text(&self.event, words);
         self.write(1, time, &message)
     }

@@ -19,7 +19,7 @@ use super::message::FromPage;
 use super::picture::{FIELDS, Newest, nearest_wall};
 use super::scope::{MAX_WINDOW_SECONDS, Ring, Scope};
 use super::stability::{Plane, Predictor};
-use super::world::{World, lead};
+use super::world::{World, lead_hand};
 use haptic_bridge::board::telemetry::Field;
 use haptic_bridge::control::Rules;
 use haptic_bridge::model::device::Device;
@@ -337,7 +337,7 @@ impl Stage {
         let is_too_old = self.held.is_some_and(|seen| is_silent || age(seen) > KEY_TIMEOUT.as_secs_f64());
         if is_too_old && self.world.simulated.is_none() {
             self.disarm()?;
-            self.refuse_all(Some("off"), "no message from the page in command: motors off");
+            self.refuse_all(Some("off"), "no message from the page in command, so the motors went off");
         }
         if self.command.is_some_and(|(_, last)| self.now.saturating_sub(last) > COMMAND_TIMEOUT) {
             self.give_up_command()?;
@@ -367,7 +367,7 @@ impl Stage {
             let tip: [f64; 2] = padded(&self.tip());
             let distance = EXIT_DISTANCE - Newest::of(&self.ring, &self.columns).get(Field::Distance, 0);
             let goal = [tip[0] + distance * normal[0], tip[1] + distance * normal[1]];
-            lead(simulated, Some(goal));
+            lead_hand(simulated, Some(goal));
             (self.goal, self.exiting) = (Some(goal), Some(began));
             return Ok(());
         }
@@ -381,7 +381,7 @@ impl Stage {
         self.command = None;
         self.goal = None;
         if let Some(simulated) = &self.world.simulated {
-            lead(simulated, None);
+            lead_hand(simulated, None);
         }
         self.disarm()
     }
@@ -472,7 +472,7 @@ impl Stage {
             if !matches!(message, FromPage::Release {} | FromPage::Hold { .. }) {
                 match self.command {
                     Some(_) => self.refuse_while("watching", id, "another page is in command; this one watches"),
-                    None => self.refuse_while("nobody", id, "no page is in command: take it first"),
+                    None => self.refuse_while("nobody", id, "no page is in command: take command first"),
                 }
             }
             return Ok(());
@@ -501,7 +501,7 @@ impl Stage {
             FromPage::Wall { wall, point, normal } => self.move_wall(id, usize::from(wall), point, normal)?,
             FromPage::Hand { at } => match &self.world.simulated {
                 Some(simulated) if at.is_none_or(|at| at.iter().all(|v| v.is_finite())) => {
-                    lead(simulated, at);
+                    lead_hand(simulated, at);
                     self.goal = at;
                 }
                 Some(_) => self.refuse(id, "a position is two finite numbers"),
@@ -538,7 +538,7 @@ impl Stage {
             }
         };
         self.disarm()?;
-        lead(simulated, None);
+        lead_hand(simulated, None);
         self.goal = None;
         simulated.lock().device_mut().place(start);
         // The jump of the encoders is a fault: clears it before it is reported.

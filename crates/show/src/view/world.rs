@@ -107,7 +107,7 @@ pub fn hand_settings() -> HandSettings {
 }
 
 /// Moves the simulated hand to `goal` (m) in the drawn plane, or removes it from the tip.
-pub fn lead(board: &SharedBoard, goal: Option<[f64; 2]>) {
+pub fn lead_hand(board: &SharedBoard, goal: Option<[f64; 2]>) {
     let mut board = board.lock();
     let now = board.time();
     let device = board.device_mut();

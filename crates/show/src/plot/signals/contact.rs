@@ -1,12 +1,12 @@
 //! Force over penetration, and the rendered stiffness, from rows in which no limit cut the force.
 
-use super::{Analysis, Curve, Panel, Rows, View, named_quantity, quantity};
+use super::{Analysis, Curve, Panel, Rows, View, column_quantity, named_quantity};
 use haptic_bridge::safety::fault::State;
 use haptic_host::error::Failure;
 use haptic_host::words::{counted, short};
 
 /// Creates the panel of force over penetration, and writes the fitted stiffness into `analysis`.
-pub(super) fn over_penetration(rows: &Rows<'_>, force: &str, analysis: &mut Analysis) -> Result<Panel, Failure> {
+pub(super) fn force_panel(rows: &Rows<'_>, force: &str, analysis: &mut Analysis) -> Result<Panel, Failure> {
     let (distance, column) = (rows.column("distance_m")?, rows.column(force)?);
     let deepest = rows.rows.iter().fold(0.0_f64, |deepest, row| deepest.max(-row[distance]));
     // Leaves out rows far from the wall, because they would be a line of points along the axis.
@@ -28,10 +28,10 @@ pub(super) fn over_penetration(rows: &Rows<'_>, force: &str, analysis: &mut Anal
     // Leaves out rows with the motors off, in which no wall is rendered.
     let state = rows.recording.column("state");
     let on = |row: &&Vec<f64>| state.is_none_or(|state| row[state] == State::Armed as usize as f64);
-    let ramping = rows.ramp_test();
+    let ramping = rows.ramp_predicate();
     let pressed = rows.rows.iter().filter(|row| row[distance] < 0.0).filter(on);
     let (early, touched): (Vec<&Vec<f64>>, Vec<&Vec<f64>>) = pressed.partition(|row| ramping(row));
-    let cut = rows.limit_test();
+    let cut = rows.limit_predicate();
     let uncut = |row: &&&Vec<f64>| cut.as_ref().is_none_or(|cut| !cut(row.as_slice()));
     let points: Vec<(f64, f64)> = touched.iter().filter(uncut).map(|row| (-row[distance], row[column])).collect();
     analysis.contact_rows = touched.len();
@@ -58,7 +58,7 @@ pub(super) fn over_penetration(rows: &Rows<'_>, force: &str, analysis: &mut Anal
     Ok(Panel {
         view: View::Force,
         x: named_quantity("penetration", "m"),
-        y: quantity(force),
+        y: column_quantity(force),
         curves: vec![Curve { name: force.into(), pieces }],
         line: fit.ok().map(|fit| fit.ends),
         note,

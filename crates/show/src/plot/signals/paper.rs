@@ -73,7 +73,7 @@ fn draw_panel(canvas: &mut Canvas, left: f64, size: (f64, f64), panel: &Panel) {
     };
     let y = axis(&panel.y, ends(|p| p.1), 0.06);
     let frame = PlotArea { at, size, x: axis(&panel.x, ends(|p| p.0), 0.0), y };
-    frame.clipped(canvas, |canvas| {
+    frame.draw_clipped(canvas, |canvas| {
         for (curve, colour) in panel.curves.iter().zip(colours) {
             for piece in &curve.pieces {
                 let points = match panel.view {

@@ -30,12 +30,12 @@ impl ActiveRecording {
         let first = self.steps.map_or(row.step, |(first, _)| first);
         self.steps = Some((first, row.step));
         self.rows += 1;
-        self.writer.row(row.step, self.time(), &row.values)
+        self.writer.add_row(row.step, self.time(), &row.values)
     }
 
     /// Writes an event at the time of the newest row.
     pub(super) fn add_event(&mut self, words: &str) -> Result<(), RecordError> {
-        self.writer.event(self.time(), words)
+        self.writer.add_event(self.time(), words)
     }
 
     pub(super) fn flush(&mut self) -> Result<(), RecordError> {
