@@ -32,8 +32,7 @@ pub fn parse_words(words: Vec<OsString>) -> Result<Command, clap::Error> {
     Ok(Cli::from_arg_matches(&matches)?.command)
 }
 
-/// Returns an error if `--force` is given and two values name the same file: the command would overwrite its own input,
-/// or one of its outputs with another.
+/// Returns an error if `--force` would overwrite an input, or an output with another, of the same command.
 fn overwrite_error(matches: &ArgMatches) -> Option<clap::Error> {
     if let Some((_, matches)) = matches.subcommand() {
         return overwrite_error(matches);
@@ -164,7 +163,6 @@ mod tests {
         assert!(shown <= 30, "{shown} commands are too many for one help page");
     }
 
-    /// Returns the names of all commands and subcommands.
     fn command_names() -> Vec<String> {
         let mut pending = vec![(String::new(), command())];
         let mut names = Vec::new();

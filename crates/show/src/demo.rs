@@ -88,9 +88,8 @@ pub struct Inertia {
 impl Demo {
     /// Returns the demo that `haptic demo` runs.
     ///
-    /// The pose is a good working pose of the device, and the normal is one of the normals with the strongest coupling
-    /// there (`haptic map`). 1 kHz and 100 Hz are typical of computer-controlled devices; at these rates the loop, not
-    /// the motors, limits the stiffness.
+    /// The pose is a good working pose with a normal of nearly the strongest coupling there (`haptic map`). 1 kHz and
+    /// 100 Hz are typical of computer-controlled devices; there the loop limits the stiffness, not the motors.
     pub fn shipped(seed: u64) -> Result<Self, Failure> {
         let (sine, cosine) = 75.0_f64.to_radians().sin_cos();
         Ok(Self {

@@ -1,5 +1,4 @@
-//! A board as a Haply device: the JSON over WebSocket of Haply's inverse service (`haptic serve --haply`,
-//! docs/haply.md).
+//! A board as a Haply device: JSON over WebSocket as in Haply's inverse service (`haptic serve`, docs/haply.md).
 //!
 //! The exchange is lock-step, as in Haply's service: the server sends a frame with the full state, then one frame of
 //! the state for each message of the program.
@@ -30,7 +29,6 @@ use tungstenite::{Message, WebSocket};
 /// Default port of the service.
 pub const DEFAULT_PORT: u16 = 10_001;
 
-/// Maximum length of a program's message, bytes.
 const MAX_MESSAGE_BYTES: usize = 256 * 1024;
 /// Maximum number of connections whose handshake is not complete.
 const MAX_HANDSHAKES: usize = 32;
@@ -72,8 +70,7 @@ impl HaplyListener {
         Ok(format!("ws://localhost:{}", self.listener.local_addr()?.port()))
     }
 
-    /// Returns the address for a page in a browser on this computer. It contains the token, because pages of any other
-    /// server on this computer could connect.
+    /// Returns the address for a page in a browser, with the token, because pages of any local server could connect.
     pub fn url_for_pages(&self) -> io::Result<String> {
         Ok(format!("{}/?token={}", self.url()?, self.token))
     }
@@ -111,21 +108,18 @@ impl HaplyListener {
     }
 }
 
-/// The device and the program that uses it.
 struct DeviceSlot {
     /// `None` while its board is lost.
     device: Option<Inverse3>,
     user: Option<DeviceUser>,
 }
 
-/// A program that uses the device.
 struct DeviceUser {
     last_message: Instant,
     /// Reason why the program must leave; `None` if it may stay.
     ejection: Option<&'static str>,
 }
 
-/// State that the connections share.
 struct Shared {
     device_slot: Mutex<DeviceSlot>,
     is_over: AtomicBool,

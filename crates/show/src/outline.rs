@@ -48,8 +48,7 @@ pub fn outline(surface: &Surface<f64>) -> Option<Outline> {
     }
 }
 
-/// Returns the outline of a wall on a device whose task is an arc length: a line across the arc of this radius (m)
-/// about the origin.
+/// Returns the outline of a paddle's wall: a line across the arc of this radius (m) about the origin.
 pub fn outline_on_arc(surface: &Surface<f64>, radius: f64) -> Option<Outline> {
     let Surface::Plane(plane) = surface else { return None };
     let (sin, cos) = (plane.point[0] / radius).sin_cos();

@@ -1,8 +1,7 @@
 //! Recordings: telemetry rows in a file that is consistent at every moment, CSV or MCAP ([`mcap`]) by its extension.
 //!
 //! Rows of a CSV file reach the file in blocks of complete lines. On a full disk the file is truncated to its last
-//! complete line, and the rows in it are counted. A file whose writer was killed in the middle of a block is readable
-//! up to its last complete line.
+//! complete line. A file whose writer was killed is readable up to its last complete line.
 
 pub mod about;
 pub mod mcap;
@@ -95,8 +94,7 @@ pub enum RecordError {
 }
 
 impl Recorder {
-    /// Creates the file (`-`: standard output) and writes `about` as comment lines (`# …`) and the names of the
-    /// columns.
+    /// Creates the file (`-`: standard output), and writes `about` as comment lines and the column names.
     pub fn create(path: &Path, about: &str, columns: &[String], overwrite: Overwrite) -> Result<Self, Failure> {
         let sink = if path == Path::new("-") {
             Sink::StandardOutput

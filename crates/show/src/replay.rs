@@ -1,9 +1,8 @@
 //! Replays a recording: feeds its encoder counts to the simulated board's control code and compares the torques.
 //!
-//! Device, scene and rules are the recording's. The control code is deterministic, so the same counts at every step
-//! give the same torques to the bit. Inputs that a recording does not hold cause differences: changes of gains, forces
-//! from a host, and the state of the velocity estimators before the first row, whose effect fades within the first
-//! rows.
+//! Device, scene and rules are the recording's. The control code is deterministic, so the same counts give the same
+//! torques to the bit. Differences come from inputs that a recording does not hold: changed gains, forces from a host,
+//! and for the first rows the state of the velocity estimators before them.
 
 use crate::recorder::{Recording, STATES};
 use haptic_bridge::board::settings::Setting;
@@ -72,7 +71,6 @@ fn read_setting<S: Setting>(settings: &BTreeMap<String, SavedSetting>, name: &st
     settings.get(name).ok_or_else(missing)?.read().map_err(Failure::wrong)
 }
 
-/// Indices of the recording's columns.
 struct Columns {
     step: usize,
     time: usize,
@@ -203,7 +201,6 @@ pub fn replay(recording: &Recording) -> Result<ReplayResult, Failure> {
     Ok(replayed)
 }
 
-/// Returns true if the motors are on in a recorded state.
 fn motors_are_on(recorded: usize) -> bool {
     State::ALL.get(recorded).is_some_and(|state| state.drives())
 }

@@ -64,8 +64,7 @@ impl Numbers {
         Ok(self.0.clone())
     }
 
-    /// Returns one flag per wall, false for a wall in `without` (indices from 0), whose feed-forward is off. Returns an
-    /// error if every wall is in `without`.
+    /// Returns one flag per wall, false for indices in `without` (from 0). Returns an error if all are false.
     pub fn with_feed_forward(without: Option<&Self>, walls: usize, option: &str) -> Result<Vec<bool>, Failure> {
         let mut with = vec![true; walls];
         for index in without.iter().flat_map(|without| &without.0) {
@@ -94,7 +93,6 @@ impl Numbers {
     }
 }
 
-/// A device file and the pose of the device.
 #[derive(clap::Args)]
 pub struct DeviceAt {
     /// Device file (TOML)
@@ -105,7 +103,6 @@ pub struct DeviceAt {
 }
 
 impl DeviceAt {
-    /// Returns the joint angles of --q, or the home pose of the file.
     pub fn pose(&self, file: &DeviceFile) -> Result<Vec<f64>, Failure> {
         pose(self.q.as_ref(), file)
     }
@@ -173,7 +170,6 @@ impl WallArgs {
     }
 }
 
-/// Returns the joint angles of --q, or the home pose of the file.
 pub fn pose(q: Option<&Numbers>, file: &DeviceFile) -> Result<Vec<f64>, Failure> {
     let joints = file.spec().joints;
     match (q, file.description.home) {

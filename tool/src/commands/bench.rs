@@ -29,7 +29,6 @@ pub struct Args {
     json: Json,
 }
 
-/// Explanation of the columns and of the parts of a variant's name.
 const COLUMN_LEGEND: &str = "
 variant: mechanism/trigonometry/mass matrix/terms
   trigonometry: table (and two terms of a series, as in the firmware), minimax (polynomials)

@@ -32,7 +32,6 @@ pub struct Args {
     on: OnBoard,
 }
 
-/// Result for one part of the board.
 #[derive(Serialize)]
 struct Finding {
     part: String,

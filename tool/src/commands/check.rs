@@ -1,5 +1,4 @@
-//! `haptic check`: checks a device file and its scene files without a board: errors, description, probable mistakes,
-//! and the board's computation.
+//! `haptic check`: checks a device file and scene files without a board, and shows the board's computation.
 
 use super::answer::{Json, Pictures};
 use super::port::counted;

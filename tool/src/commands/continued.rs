@@ -13,8 +13,7 @@ pub struct Continue {
 }
 
 impl Continue {
-    /// Creates the `Sweep` that does the work of a command and ends cleanly at Ctrl-C. `question` holds all inputs that
-    /// determine the results.
+    /// Creates the `Sweep` of a command, which Ctrl-C ends cleanly. `question` holds all inputs of the results.
     pub fn sweep(&self, command: &str, question: &str) -> Result<Sweep, Failure> {
         let interrupt = interrupt::watch();
         Sweep::new(command, question, self.file.as_deref(), move || interrupt.is_set())

@@ -66,7 +66,6 @@ impl PartsBar {
     }
 }
 
-/// Results without and with the feed-forward.
 struct Results {
     inertia: Inertia,
     crossings: [Crossing; 2],

@@ -113,8 +113,7 @@ fn read_back(args: &Args) -> Result<(), Failure> {
     args.read.report(&args.on, "device", Ok(text), compared)
 }
 
-/// Returns the highest torque limit (N m) that the board allows. Finds it by requesting an infinite limit, which every
-/// board refuses.
+/// Returns the board's highest torque limit (N m), from its refusal of an infinite limit.
 fn max_torque(board: &mut Board) -> Option<f32> {
     let mut rules = board.rules().ok()?;
     rules.limits.torque[0] = f32::INFINITY;

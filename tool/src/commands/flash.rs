@@ -96,8 +96,7 @@ fn read_image(file: &Path) -> Result<Image, Failure> {
     parse(&bytes).map_err(|error| wrong(&error))
 }
 
-/// Returns the image for this kind of board: the file's, or the one in this tool. The caller checks that a file is for
-/// this board.
+/// Returns the file's image, which the caller must check for this board, or the image in this tool.
 fn image_for_board(file: &Option<Image>, board: &str) -> Result<Image, Failure> {
     if let Some(image) = file {
         return Ok(image.clone());

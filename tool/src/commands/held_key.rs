@@ -13,7 +13,6 @@ const MAX_REPEAT_DELAY: Duration = Duration::from_millis(1000);
 /// Longest pause between repeats before the key counts as released.
 const MAX_REPEAT_PAUSE: Duration = Duration::from_millis(400);
 
-/// The dead man's key of a terminal.
 #[derive(Debug, Default)]
 pub struct HeldKey {
     /// Time of the last Space.
@@ -39,22 +38,19 @@ impl HeldKey {
         }
     }
 
-    /// Handles a moment without more keys, after the board has reported control step `step`. Returns the message for
-    /// the board.
+    /// Handles a moment without more keys at the board's control step `step`. Returns the message for the board.
     pub fn handle_pause(&mut self, now: Instant, step: u32) -> Option<FromPage> {
         self.seen = step;
         let silent = self.pressed.is_none_or(|before| now.duration_since(before) > MAX_REPEAT_PAUSE);
         (self.on && silent).then(|| self.release())
     }
 
-    /// Releases the key. Returns the message for the board.
     pub fn release(&mut self) -> FromPage {
         self.forget();
         FromPage::Release {}
     }
 
-    /// Reads the keys of a raw terminal, after the board has reported control step `step`. Returns the message for the
-    /// board, or `None` to end.
+    /// Reads the keys of a raw terminal at control step `step`. Returns the message for the board; `None` ends.
     pub fn read_keys(&mut self, step: u32) -> io::Result<Option<Option<FromPage>>> {
         let mut message = None;
         while event::poll(Duration::ZERO)? {

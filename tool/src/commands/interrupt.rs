@@ -10,8 +10,7 @@ static WATCHED: OnceLock<()> = OnceLock::new();
 #[derive(Clone, Copy, Debug)]
 pub struct Interrupt(());
 
-/// Makes Ctrl-C (and SIGTERM) set the flag instead of ending the process. If the system does not allow a handler,
-/// Ctrl-C ends the process as before.
+/// Makes Ctrl-C and SIGTERM set the flag. If the system allows no handler, they end the process as before.
 pub fn watch() -> Interrupt {
     WATCHED.get_or_init(|| {
         let _ = ctrlc::set_handler(|| INTERRUPTED.store(true, Ordering::SeqCst));

@@ -56,8 +56,7 @@ mod view;
 use haptic_host::error::Failure;
 pub use stream::list_of_fields;
 
-/// Heading of commands that the help page omits, because they are for developers of the control step or are named by
-/// the page of another command.
+/// Heading of commands that the help page omits, for developers or named on another command's page.
 pub const UNLISTED_HEADING: &str = "";
 
 /// Declares the subcommands: under each heading of `haptic --help`, `(Variant, module)` in the order of that page.

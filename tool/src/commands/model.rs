@@ -92,8 +92,7 @@ struct Document<'a> {
     report: &'a Report,
 }
 
-/// Describes Wrr/Weff of a redundant device for every coordinate that the device can hold, because the ratio depends on
-/// this coordinate.
+/// Describes Wrr/Weff of a redundant device for every coordinate that the device can hold.
 fn compare_holding(device: &DeviceFile, q: &[f64], wall: &WallForce, chosen: Admissible) -> Result<String, Failure> {
     let mut text = format!(
         "This device is redundant: Wrr is with {} held constant. Wrr/Weff here for each coordinate held:",
@@ -201,8 +200,7 @@ fn readable(report: &Report, q: &[f64], qd: &[f64], walls: &[WallForce]) -> Stri
     text
 }
 
-/// Returns the force along a single wall, per newton across the wall, that the feed-forward adds at rest; `None` if the
-/// force is too small to feel.
+/// Returns the force along a single wall per newton across it, at rest; `None` if too small to feel.
 fn sideways_push(report: &Report) -> Option<f64> {
     let [coupled] = report.w_ra.as_slice() else { return None };
     let tip = coupled.iter().take(report.position.len() - 1);

@@ -120,7 +120,6 @@ pub fn confirm(yes: bool, what: &str) -> Result<(), Failure> {
     }
 }
 
-/// Describes the contents of a scene.
 pub fn scene_in_words(scene: &Scene<f32>) -> String {
     let mut parts = vec![counted(scene.walls.len(), "wall")];
     if !scene.springs.is_empty() {
@@ -137,7 +136,6 @@ pub fn fault_in_words(record: &FaultRecord, rate_hz: f32) -> String {
     format!("{}\n    {}", fault_without_remedy(record, rate_hz), record.fault.remedy())
 }
 
-/// Describes a fault, without its remedy.
 pub fn fault_without_remedy(record: &FaultRecord, rate_hz: f32) -> String {
     let axis = record.axis.map_or(String::new(), |axis| format!(", joint {axis}"));
     let seconds = f64::from(record.step) / f64::from(rate_hz.max(1.0));

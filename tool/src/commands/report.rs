@@ -83,7 +83,6 @@ struct Output {
     done: bool,
 }
 
-/// Values for the options of the command lines.
 struct Values {
     q: String,
     normal: String,

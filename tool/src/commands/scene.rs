@@ -1,5 +1,4 @@
-//! `haptic scene`: loads a scene file onto a board, computed in the cheapest sufficiently accurate way, or reads back
-//! the board's scene.
+//! `haptic scene`: loads a scene file onto a board in the cheapest accurate form, or reads the scene back.
 
 use super::port::{OnBoard, scene_in_words};
 use super::read_back::{ReadOptions, required_file};

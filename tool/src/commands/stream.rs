@@ -177,7 +177,6 @@ fn disarm(board: &mut Board, rate_hz: f32) -> Result<(), Failure> {
     }
 }
 
-/// Reason for the end of the stream.
 enum StreamEnd {
     Requested,
     ReaderGone,

@@ -50,7 +50,6 @@ enum Subcommand {
     Estimators(estimators::Args),
 }
 
-/// Options of the search.
 #[derive(clap::Args)]
 struct Search {
     /// Device file (TOML)
@@ -342,7 +341,6 @@ fn ripple_in_words(found: &TunedWall) -> String {
     format!("ripple {:.4} N{board}", found.ripple_n)
 }
 
-/// Formats settings in one line.
 fn settings_in_words(settings: &Settings) -> String {
     let mut text = format!("{} Hz, {}", settings.rate_hz, settings.estimator);
     if settings.value != 0 {

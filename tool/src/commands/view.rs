@@ -65,7 +65,6 @@ pub(super) struct View {
 }
 
 impl View {
-    /// Reads the device file and the scene file.
     fn load(
         port: Port,
         device: Option<&PathBuf>,

@@ -155,8 +155,7 @@ fn assess(moments: Vec<Moment>, lost: u64, fault: Option<String>) -> Crossing {
     }
 }
 
-/// Computes the root mean square deviation from a moving mean over 21 samples, because slow changes of the force are
-/// not ripple.
+/// Computes the rms deviation from a moving mean over 21 samples, because slow force changes are not ripple.
 fn detrended_rms(force: &[f64]) -> f64 {
     const HALF_WINDOW: usize = 10;
     if force.len() <= 2 * HALF_WINDOW {

@@ -39,8 +39,7 @@ pub struct Inverse3 {
     /// Control step from which a force may arm again after a fault was cleared.
     arms_from: Option<u32>,
     armed: bool,
-    /// True if the next force arms. Only the first force of a program arms, because motors that go off later were
-    /// turned off on purpose.
+    /// True if the next force arms: only a program's first, because later the motors went off on purpose.
     may_arm: bool,
     /// Axes of the connected program.
     basis: Basis,
@@ -50,8 +49,8 @@ pub struct Inverse3 {
 }
 
 impl Inverse3 {
-    /// Creates the device for an open board with a device; a board without a scene gets free space. `axes` are
-    /// CHAI3D's, as in [`Axes::of`].
+    /// Creates the device for a board with a device, and gives it free space if it has no scene. `axes` are CHAI3D's
+    /// ([`Axes::of`]).
     pub fn new(mut session: Session, axes: Option<Axes>, simulated: bool) -> Result<Self, BoardError> {
         let device = session.device()?.ok_or(Refusal::NoDevice)?;
         let task = device.mechanism.kind().spec().task;
@@ -96,13 +95,11 @@ impl Inverse3 {
         }
     }
 
-    /// Begins the session of another program.
     pub(super) fn begin_session(&mut self) {
         self.sessions += 1;
     }
 
-    /// Returns the time since the board was last polled; zero for a simulated board in this process, which does not
-    /// time out silent programs.
+    /// Returns the time since the last poll of the board; zero for a simulated board, which does not time out programs.
     pub(super) fn idle_time(&self) -> Duration {
         if self.simulated { Duration::ZERO } else { self.polled.elapsed() }
     }
@@ -134,8 +131,7 @@ impl Inverse3 {
         self.report_failure(result)
     }
 
-    /// Reads the device's state for a client that does not use the device. This does not count as activity of the
-    /// program that uses the device.
+    /// Reads the state for a client that does not use the device, without counting it as activity of the user.
     pub(super) fn poll(&mut self) -> Result<(), BoardError> {
         let read = |device: &mut Self| {
             device.catch_up()?;
@@ -215,8 +211,7 @@ impl Inverse3 {
         }
     }
 
-    /// Clears the latched fault. A force arms one second later at the earliest, so that a person notices the fault even
-    /// if a program clears it in every message.
+    /// Clears the latched fault. A force arms at the earliest 1 s later, so that a person notices the fault.
     fn clear(&mut self) -> Result<(), BoardError> {
         self.last = self.session.read_state()?;
         self.check_motors();

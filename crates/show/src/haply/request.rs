@@ -1,5 +1,4 @@
-//! A program's message in the JSON of Haply's service: forces in both spellings, `values` (3.1) and `vector` (3.5), and
-//! the requested axes.
+//! A program's message in Haply's JSON: forces as `values` (3.1) or `vector` (3.5), and the requested axes.
 
 use serde_json::Value;
 use std::fmt;

@@ -181,8 +181,7 @@ impl PlotArea {
         canvas.circle(self.pixel(x, y), 3.2, "white", Stroke::solid(colour, 1.6));
     }
 
-    /// Draws a legend in the first corner of the frame without lines or dots of `drawn` (values), or else below the
-    /// picture, which then grows.
+    /// Draws a legend in a corner of the frame free of `drawn` (values), or else below the picture, which then grows.
     pub fn place_legend(&self, canvas: &mut Canvas, drawn: &[Vec<(f64, f64)>], entries: &[(Mark<'_>, String)]) {
         const LEGEND_GAP: f64 = 10.0;
         let (width, height) = Self::legend_size(entries);

@@ -132,8 +132,8 @@ impl Canvas {
         for outline in merge_outlines(outlines) {
             let mut command = "m";
             for &(x, y) in &outline {
-                // Moves relative to the previous point, first relative to the previous outline's start. Writing to a
-                // String cannot fail.
+                // Moves are relative to the last point, or to the last outline's start. Writing to a String cannot
+                // fail.
                 let _ = write!(path, "{command}{} {}", x - pen.0, y - pen.1);
                 (pen, command) = ((x, y), " ");
             }
@@ -160,8 +160,7 @@ impl Canvas {
         self.push(format_args!(r#"<circle cx="{:.2}" cy="{:.2}" r="{radius}" fill="{fill}" {style}/>"#, at.0, at.1));
     }
 
-    /// Draws small text centred on a point, turned clockwise by `degrees`, with a white outline that interrupts lines
-    /// under it.
+    /// Draws small text centred on a point, turned clockwise by `degrees`, with a white outline over lines.
     pub fn slanted_text(&mut self, at: (f64, f64), degrees: f64, text: &str) {
         let text = escape(text);
         self.push(format_args!(

@@ -31,11 +31,9 @@ const SURFACE_DIRECTIONS: (usize, usize) = (24, 48);
 /// Angles of the view of a surface, rad: the turn about its vertical, then the tilt.
 const VIEW_ANGLES: (f64, f64) = (-0.6, 0.45);
 
-/// Line style of the moved linkage.
 const MOVED_LINKAGE_STROKE: Stroke<'static> = Stroke { colour: FAINT_GREY, width: 1.2, dash: "4 3" };
 
-/// Draws a device at `q` (rad) with its motion along `normal`. Returns `None` if its linkage does not close or the pose
-/// is singular.
+/// Draws a device at `q` (rad) and its motion along `normal`; `None` if it cannot close or the pose is singular.
 pub fn draw(
     description: &Description,
     name: &str,
@@ -231,7 +229,6 @@ fn draw_axes(canvas: &mut Canvas, pixel: &dyn Fn(&[f64]) -> Point, point: &MapPo
     }
 }
 
-/// Draws the names of the axes, next to their ends.
 fn draw_axis_names(canvas: &mut Canvas, pixel: &dyn Fn(&[f64]) -> Point, point: &MapPoint, length: f64) {
     for (k, axis) in point.eigenvectors.iter().enumerate() {
         let end = pixel(&axis.iter().map(|v| length * v).collect::<Vec<_>>());

@@ -181,8 +181,7 @@ fn draw_links(canvas: &mut Canvas, frame: &PlotArea, skeleton: &Skeleton, names:
         let middle = ((from.0 + to.0) / 2.0, (from.1 + to.1) / 2.0);
         let (nx, ny) = (dy / length, -dx / length);
         let outward = if (middle.0 - centre.0) * nx + (middle.1 - centre.1) * ny < 0.0 { -1.0 } else { 1.0 };
-        // Moves the label away from the arcs at the link's base. A label longer than its link starts at the start of
-        // the link.
+        // Moves the label away from the arcs at the link's base; a label longer than its link starts with the link.
         let past = (3.1 * text.chars().count() as f64 + 6.0 - length / 2.0).max(0.06 * length);
         let half = (3.1 * text.chars().count() as f64, 6.0);
         let (sin, cos) = slope.to_radians().sin_cos();
@@ -278,7 +277,6 @@ fn draw_joint_angle(
     canvas.coloured_text(label.at, 12.0, label.anchor, colour, &label.text);
 }
 
-/// A text next to a joint.
 struct Label {
     text: String,
     at: (f64, f64),
@@ -286,7 +284,6 @@ struct Label {
 }
 
 impl Label {
-    /// Returns the area that the text covers.
     fn area(&self) -> Area {
         let width = 6.1 * self.text.chars().count() as f64;
         let start = if self.anchor == Anchor::End { self.at.0 - width } else { self.at.0 };
@@ -297,8 +294,7 @@ impl Label {
 fn angle_label(frame: &PlotArea, angle: &Angle, skeleton: &Skeleton) -> Label {
     let centre = frame.pixel(angle.at.0, angle.at.1);
     let text = format!("joint {}: {:.1}°", angle.joint, angle.angle.to_degrees());
-    // Places the label below the pivot, where usual poses have no links, or else above. Labels of two base pivots point
-    // away from each other.
+    // Places the label below the pivot if no link is there, or above. Labels of two base pivots point apart.
     let left = skeleton.base.first().is_some_and(|first| skeleton.base.len() > 1 && *first == angle.at);
     let right = skeleton.base.len() > 1 && !left;
     let (shift, anchor) = if left {

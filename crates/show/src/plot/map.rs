@@ -1,10 +1,9 @@
 //! The picture of a map, after the paper's Fig. 1: coupling as colour over the plane of the linkage, with the ellipses
 //! of the operational-space inertia Λ, and the linkage itself at home.
 //!
-//! The colour is the coupling's share of the rendered inertia, (Wrr - Weff)/Wrr, which is between 0 and 1 everywhere,
-//! while the coupling itself grows without bound towards singularities. The scale covers 95 % of the area, so that the
-//! rim near the singularities does not use up the colours; higher values have a separate colour. Ellipse axes are
-//! square roots of Λ's eigenvalues.
+//! The colour is the coupling's share of the rendered inertia, (Wrr - Weff)/Wrr, which is between 0 and 1, while the
+//! coupling itself grows without bound towards singularities. The scale covers 95 % of the area, so that the rim near
+//! the singularities does not use up the colours. Ellipse axes are square roots of Λ's eigenvalues.
 
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::description::Description;

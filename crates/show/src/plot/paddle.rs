@@ -1,5 +1,4 @@
-//! The picture of a device with one joint: the reach of its handle, and the constant inertia felt there. A single joint
-//! has no coupling, so there is no map.
+//! The picture of a device with one joint and thus no map: the reach of its handle, and its constant inertia.
 
 use haptic_bridge::model::description::Description;
 
@@ -12,7 +11,6 @@ use haptic_stability::analysis::map::along;
 use haptic_stability::analysis::pose::{PoseError, TaskPose, unit_normal};
 use haptic_stability::skeleton::{Point, skeleton};
 
-/// Points on the arc.
 const ARC_POINTS: usize = 180;
 
 /// Draws the arc that the handle can reach.

@@ -1,5 +1,4 @@
-//! The picture of a stable domain: stiffness over damping, without and with the feed-forward, with passivity bounds and
-//! measured dots where available.
+//! The picture of stable stiffness over damping, with passivity bounds and measured dots where available.
 
 use super::Picture;
 use super::axes::{Axis, Mark, PlotArea};
@@ -151,7 +150,6 @@ pub fn draw(contents: &Contents<'_>) -> Picture {
         .finish(&contents.title, "Stable stiffness over damping of a virtual wall, without and with the feed-forward.")
 }
 
-/// A passivity bound, drawn as a line.
 struct PassivityBound {
     name: &'static str,
     dash: &'static str,

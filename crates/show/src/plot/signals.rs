@@ -1,7 +1,6 @@
 //! Pictures of a recording: signals over time, force over penetration, spectrum, phase.
 //!
-//! The curves are computed first, as points in SI units ([`panels`]), and then drawn ([`draw`]). A lost row leaves a
-//! gap in every curve.
+//! [`panels`] computes the curves in SI units, and [`draw`] draws them. A lost row leaves a gap in every curve.
 
 mod contact;
 mod paper;
@@ -205,8 +204,7 @@ impl<'a> Rows<'a> {
     }
 }
 
-/// Row rate above which a phase portrait averages rows, Hz, because the encoder steps of single rows would turn its
-/// line into an area.
+/// Row rate above which a phase portrait averages rows, Hz: encoder steps of single rows would fill an area.
 const MAX_PHASE_HZ: f64 = 1000.0;
 /// Lowest frequency that counts as vibration and not as motion, Hz.
 const MIN_VIBRATION_HZ: f64 = 10.0;

@@ -1,5 +1,4 @@
-//! Protocol buffers of numbers and texts for the messages of a recording, with the `FileDescriptorSet` that is their
-//! schema in an MCAP file.
+//! Protocol buffers of a recording's numbers and texts, and the `FileDescriptorSet` that describes them.
 
 use prost_reflect::prost::Message as _;
 use prost_reflect::prost_types::field_descriptor_proto::Label;

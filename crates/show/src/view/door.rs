@@ -39,14 +39,12 @@ static PAGE: LazyLock<String> = LazyLock::new(|| {
 /// Content security policy: the page may run its own scripts and connect to its own server, and nothing else.
 const SECURITY_POLICY: &str = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:; \
                       connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
-/// Maximum length of a request's head, bytes.
 const MAX_HEAD_BYTES: usize = 8192;
 /// Time limit for the head of a request; long, because browsers open connections before they use them. Silent
 /// connections are closed first if places are short.
 const HEAD_TIMEOUT: Duration = Duration::from_secs(10);
 /// Maximum number of connections whose head has not been read, in total and from one address: a browser opens six.
 const MAX_HANDSHAKES: (usize, usize) = (32, 8);
-/// Maximum length of a page's message, bytes.
 const MAX_MESSAGE_BYTES: usize = 16 * 1024;
 /// Time for which a page's thread reads before it sends messages: 8 ms, half a picture.
 const READ_TIMEOUT: Duration = Duration::from_millis(8);
@@ -182,7 +180,6 @@ fn try_read_request(stream: &mut TcpStream, bytes: &mut Vec<u8>) -> Option<Reque
 /// HTTP status and text of a refusal.
 type Refusal = (&'static str, &'static str);
 
-/// Returns the token in a request.
 pub(crate) fn request_token(request: &Request) -> Option<&str> {
     request.uri().query().unwrap_or_default().split('&').find_map(|part| part.strip_prefix("token="))
 }

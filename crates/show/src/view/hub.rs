@@ -9,7 +9,6 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// Maximum number of pages at once.
 pub const MAX_PAGES: usize = 16;
-/// Maximum number of a page's messages that wait for the stage.
 const MAX_INCOMING_MESSAGES: usize = 64;
 /// Maximum number of documents queued for one page, pictures not counted.
 const MAX_OUTGOING_DOCUMENTS: usize = 256;
@@ -37,8 +36,7 @@ pub enum Event {
 pub enum Message {
     /// A JSON document.
     Text(String),
-    /// Numbers of four bytes each, little-endian: their kind, then a sweep ([`super::scope::Scope::encode`]) or rate and
-    /// sound.
+    /// Little-endian `f32`: the kind, then a sweep ([`super::scope::Scope::encode`]), or rate and sound.
     Bytes(Vec<u8>),
 }
 
@@ -85,7 +83,6 @@ impl Outbox {
     }
 }
 
-/// A page in the hub.
 #[derive(Debug, Default)]
 struct Page {
     /// True if the stage has received [`Event::Connected`].
@@ -113,7 +110,6 @@ impl Page {
         }
     }
 
-    /// Drops the messages about the key that are queued.
     fn drop_key_messages(&mut self) {
         self.hold = None;
         self.incoming.retain(|message| !matches!(message, Ok(FromPage::Arm { .. })));
@@ -131,7 +127,6 @@ impl Page {
 
 #[derive(Debug, Default)]
 struct Pages {
-    /// Number of the newest page.
     newest: PageId,
     open: BTreeMap<PageId, Page>,
     /// Disconnected pages that the stage knows.

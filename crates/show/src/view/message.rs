@@ -20,8 +20,7 @@ pub enum FromPage {
     },
     /// The key is still down; sent several times a second. It never turns the motors on, because only a press arms.
     Hold {
-        /// Control step of the newest picture that the page had received when it detected the key. The board derives
-        /// the age of the key press from this step.
+        /// Control step of the newest picture when the page detected its key, for the age of the key press.
         seen: u32,
     },
     /// The key was released: motors off.

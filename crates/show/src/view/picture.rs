@@ -1,7 +1,6 @@
 //! The state at one moment as a page draws it: positions and numbers.
 //!
-//! A planar device is drawn in its plane. A device in space is drawn in the xy plane, which is the plane of the linkage
-//! at joint 0 = 0.
+//! A device in space is drawn in the xy plane, which is the plane of the linkage at joint 0 = 0.
 
 use super::scope::Ring;
 use haptic_bridge::board::telemetry::{Field, Fields};

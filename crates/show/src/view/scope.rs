@@ -119,8 +119,7 @@ pub struct Scope {
 }
 
 impl Scope {
-    /// Creates an oscilloscope on a stream with these labels and this row rate, from row `now` on. The error describes
-    /// a mistake in the request.
+    /// Creates an oscilloscope on a stream, from row `now` on. The error describes a mistake in the request.
     pub fn new(request: ScopeRequest, labels: &[String], rows_hz: f64, now: u64) -> Result<Self, String> {
         let column = |name: &String| {
             let index = labels.iter().position(|label| label == name);
@@ -211,9 +210,8 @@ impl Scope {
         Sweep { phase, channels: channels.collect() }
     }
 
-    /// Encodes a sweep for the page, as 32-bit floats, little-endian: 1, the phase, the window in seconds, the time of
-    /// the crossing in it in seconds, channels, columns; then for each channel and column the smallest and the largest
-    /// value.
+    /// Encodes a sweep as little-endian `f32`: 1, phase, window (s), time of the crossing (s), number of channels and
+    /// of columns; then for each channel and column the smallest and the largest value.
     pub fn encode(&self, sweep: &Sweep) -> Vec<u8> {
         let crossing =
             self.trigger.as_ref().map_or(0.0, |active| self.seconds * active.before as f64 / (self.rows - 1) as f64);

@@ -375,7 +375,6 @@ mod tests {
         assert!(to(FeedForward::Off) < demo.stiffness && demo.stiffness < to(FeedForward::Washout));
         assert!(to(FeedForward::Washout) < to(FeedForward::Full));
         assert_eq!(plane.max_stiffness(FeedForward::Off, 1e6), 0.0, "no damping beyond the boundary is stable");
-        // Without a thread, the long computation waits until the motors are off.
         predictor.explain();
         assert!(predictor.should_explain(true) && predictor.should_explain(false));
         predictor.requests = None;

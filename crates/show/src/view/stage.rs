@@ -47,9 +47,8 @@ use walls::check_scene;
 
 /// Maximum number of events that one turn handles.
 const MAX_EVENTS: usize = 64;
-/// Longest age of the key press, both by the board's steps and by the page's last message, before the motors go off. It
-/// is shorter than the board's own limit ([`haptic_bridge::control::KEY_SECONDS`]), which causes a fault; the margin is
-/// a heartbeat and a turn of this stage.
+/// Longest age of the key press, by board steps and by page messages, before the motors go off. It is a heartbeat and a
+/// turn shorter than the board's own limit ([`haptic_bridge::control::KEY_SECONDS`]), which causes a fault.
 pub const KEY_TIMEOUT: Duration = Duration::from_millis(400);
 /// Distance from the wall to which the simulated hand moves a tip before the motors go on, m.
 const EXIT_DISTANCE: f64 = 0.005;
@@ -57,9 +56,7 @@ const EXIT_DISTANCE: f64 = 0.005;
 const EXIT_TIMEOUT: Duration = Duration::from_secs(2);
 /// Longest silence of the page in command before another page may take command.
 const COMMAND_TIMEOUT: Duration = Duration::from_secs(5);
-/// Interval between pictures: 60 a second.
 const PICTURE_INTERVAL: Duration = Duration::from_micros(16_600);
-/// Interval between sweeps of an oscilloscope.
 const SWEEP_INTERVAL: Duration = Duration::from_millis(40);
 /// Interval between polls of slowly changing state.
 const POLL_INTERVAL: Duration = Duration::from_millis(500);
@@ -96,7 +93,6 @@ pub struct Stage {
     scene: Scene<f64>,
     /// The scene when the stage was opened.
     first: Scene<f32>,
-    /// The rules at the last poll.
     rules: Rules,
     columns: Vec<Column>,
     rows_hz: f64,
@@ -211,8 +207,7 @@ impl Stage {
         &mut self.world.board
     }
 
-    /// Runs until `stop` is set, or the board is lost or does not reply. Without an error the motors are off
-    /// afterwards.
+    /// Runs until `stop` is set or the board is lost. Without an error the motors are off afterwards.
     pub fn run(&mut self, stop: &AtomicBool) -> Result<(), LinkError> {
         let result = self.play(stop);
         let ended = self.end(result.is_err());
@@ -239,8 +234,7 @@ impl Stage {
         Ok(())
     }
 
-    /// Does the work that is due at `now`, the time since the stage was opened: receives messages, lets a few
-    /// milliseconds pass, sends pictures.
+    /// Does the work that is due at `now` (since opening): receives messages, lets time pass, sends pictures.
     pub fn turn(&mut self, now: Duration) -> Result<Turn, LinkError> {
         self.listened += now.saturating_sub(self.now).min(MAX_CATCH_UP);
         self.now = now;
@@ -376,7 +370,6 @@ impl Stage {
         Ok(())
     }
 
-    /// Takes command away from the page that has it.
     fn give_up_command(&mut self) -> Result<(), LinkError> {
         self.command = None;
         self.goal = None;
@@ -423,7 +416,6 @@ impl Stage {
         Ok(())
     }
 
-    /// Writes an event to the recording, if there is one.
     fn record_event(&mut self, words: &str) {
         if let Some(recording) = &mut self.recording
             && let Err(error) = recording.add_event(words)

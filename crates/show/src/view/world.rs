@@ -52,9 +52,8 @@ impl World {
     /// Creates the device of `haptic demo` in another pose, with another wall: at any force up to the motors' limit the
     /// wall buzzes without the feed-forward and is quiet with it, both in the prediction and in simulation.
     ///
-    /// Joint friction can hold an unstable wall still, and keep a stable wall near its boundary oscillating; encoder
-    /// steps make a stiff wall tremble. This device has little of both, because they would hide the effect of the
-    /// feed-forward, and pages report this.
+    /// Joint friction can hold an unstable wall still, or keep a stable wall near its boundary oscillating; encoder
+    /// steps make a stiff wall tremble. This device has little of both, and pages report this.
     pub fn demo() -> Result<Self, Failure> {
         let mut demo = Demo::shipped(1)?;
         let (sine, cosine) = 45.0_f64.to_radians().sin_cos();

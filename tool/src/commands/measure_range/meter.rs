@@ -8,7 +8,6 @@ use std::time::{Duration, Instant};
 /// Interval between lines without a terminal.
 const LINE_INTERVAL: Duration = Duration::from_secs(5);
 
-/// Reports the progress of a measurement on standard error.
 pub struct ProgressMeter {
     total: usize,
     /// Repeats at each damping.

@@ -22,7 +22,6 @@ use haptic_stability::analysis::several::Member;
 use serde_json::json;
 use std::fmt::Write;
 
-/// The linear theory of the measured board.
 pub struct Theory {
     device: Walls,
     walls: Vec<Member>,
@@ -33,7 +32,6 @@ pub struct Theory {
     q: Vec<f64>,
 }
 
-/// Formats numbers as a value of an option.
 fn option_value(values: &[f64]) -> String {
     values.iter().map(f64::to_string).collect::<Vec<_>>().join(",")
 }
@@ -111,12 +109,10 @@ pub struct Report<'a> {
 }
 
 impl Report<'_> {
-    /// Returns true if there is any point to report.
     pub fn has_points(&self) -> bool {
         self.plan.modes.iter().any(|mode| !self.planned_points(*mode).is_empty())
     }
 
-    /// Returns true if a boundary was found.
     pub fn has_boundary(&self) -> bool {
         self.plan.modes.iter().any(|mode| self.planned_points(*mode).iter().any(|point| !point.repeats.is_empty()))
     }
@@ -126,7 +122,6 @@ impl Report<'_> {
         self.plan.asked(self.progress.all(mode))
     }
 
-    /// Writes the pictures and prints the table or JSON.
     pub fn write(&self) -> Result<(), Failure> {
         let args = self.args;
         let warnings = self.implausible_boundaries()?;
@@ -165,7 +160,6 @@ impl Report<'_> {
         Ok(points.into_iter().zip(range.of(mode).boundary.iter().copied()).collect())
     }
 
-    /// Returns the `haptic range` command that prints the theory.
     fn range_command(&self) -> String {
         let points = self.plan.modes.iter().flat_map(|mode| self.planned_points(*mode));
         let mut kd: Vec<f64> = points.map(|point| printed(point.kd)).collect();

@@ -13,7 +13,6 @@ use haptic_stability::analysis::several::Member;
 use haptic_stability::sweep::Sweep;
 use std::fmt::Write;
 
-/// The effect of encoder steps on pressed walls.
 #[derive(serde::Serialize)]
 pub struct EncoderRipple {
     /// Motion along the normal for one count of the coarsest joint's encoder, m.

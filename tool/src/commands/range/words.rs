@@ -68,7 +68,6 @@ fn optional_parts(args: &Args, description: &Description) -> Vec<String> {
     parts
 }
 
-/// Formats the complete result as a table.
 pub fn readable(
     name: &str,
     args: &Args,
@@ -194,7 +193,6 @@ fn cost_of_gain(w_eff: f64, w_rr: f64, gain: f64) -> String {
     )
 }
 
-/// Describes the benefit of rendering on the board instead of on a computer.
 fn benefit_over_computer(range: &Range, host: &HostWall) -> String {
     let by = format!("a computer with {:.0} exchanges a second and forces {} ms old", host.rate_hz, 1e3 * host.delay_s);
     if host.domain.top.kp == 0.0 {
@@ -204,7 +202,6 @@ fn benefit_over_computer(range: &Range, host: &HostWall) -> String {
     format!("rendered by {by}: the board's own wall is up to {times:.1} times as stiff")
 }
 
-/// Describes the benefit of the feed-forward.
 fn feed_forward_benefit(range: &Range) -> String {
     let ratio = range.area_ratio;
     if range.off.area == 0.0 && range.full.area == 0.0 {
@@ -226,7 +223,6 @@ fn feed_forward_benefit(range: &Range) -> String {
     }
 }
 
-/// Formats the limiting effects as a table.
 pub fn describe_why(why: &Why) -> String {
     let mut text =
         format!("\n  {:<40}{:>16}{:>9}{:>16}{:>9}\n", "largest kp without", "off N/m", "takes", "full N/m", "takes");

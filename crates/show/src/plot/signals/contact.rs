@@ -65,7 +65,6 @@ pub(super) fn force_panel(rows: &Rows<'_>, force: &str, analysis: &mut Analysis)
     })
 }
 
-/// The least-squares line through points.
 struct LineFit {
     slope: f64,
     /// Ends of the line, at the lowest and the highest x of the points.

@@ -111,8 +111,7 @@ fn is_finite(point: &(f64, f64)) -> bool {
     point.0.is_finite() && point.1.is_finite()
 }
 
-/// Thins out points if more than four are within half a pixel: keeps the first, lowest, highest and last of each half
-/// pixel, so that no peak is lost.
+/// Keeps the first, lowest, highest and last point of each half pixel, so that no peak is lost.
 fn thin_to_envelope(frame: &PlotArea, piece: &[(f64, f64)]) -> Vec<(f64, f64)> {
     let mut kept: Vec<(f64, f64)> = Vec::new();
     let place = |point: &(f64, f64)| (2.0 * frame.pixel(point.0, point.1).0).floor();

@@ -16,7 +16,6 @@ use nalgebra::Vector3;
 use serde::Serialize;
 use serde_json::{Value, json};
 
-/// A picture for pages, as JSON.
 #[derive(Serialize)]
 struct Picture<'a> {
     is: &'static str,
@@ -50,7 +49,6 @@ struct HandState {
 }
 
 impl Stage {
-    /// Sends the present state to every page.
     pub(super) fn send_pictures(&mut self) {
         let newest = Newest::of(&self.ring, &self.columns);
         let links = self.world.file.as_ref().map(|file| &file.description);
@@ -148,7 +146,7 @@ impl Stage {
     /// Describes the state of the motors if the connection to this stage is lost.
     fn motors_if_lost(&self) -> &'static str {
         match (self.world.simulated.is_some(), self.state.drives(), self.rules.host_action) {
-            (true, ..) => "the simulated motors are off: the board is gone, or the lost key turned its motors off",
+            (true, ..) => "the simulated board is gone, or the lost key turned its motors off",
             _ if self.held.is_some() => {
                 "the board turns its motors off half a second after the last message about the key"
             }
@@ -160,7 +158,6 @@ impl Stage {
         }
     }
 
-    /// Sends the newest sweep to every page that has a scope.
     pub(super) fn send_sweeps(&mut self) {
         for (id, scope) in &mut self.scopes {
             if let Some(sweep) = scope.sweep(&self.ring) {
@@ -237,8 +234,7 @@ impl Stage {
         self.send(id, &json!({"is": "refused", "why": why}));
     }
 
-    /// Sends a refusal that the page shows while its cause persists; `cause` is the page's name for the cause
-    /// (page/link.js).
+    /// Sends a refusal that the page shows while `cause` persists, a name in page/link.js.
     pub(super) fn refuse_while(&self, cause: &str, id: PageId, why: &str) {
         self.send(id, &json!({"is": "refused", "of": cause, "why": why}));
     }

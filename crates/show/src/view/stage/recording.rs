@@ -9,7 +9,6 @@ use haptic_host::output::{self, Overwrite};
 use serde::Serialize;
 use serde_json::json;
 
-/// An active recording.
 pub(super) struct ActiveRecording {
     writer: RowWriter,
     rate_hz: f64,
@@ -42,7 +41,6 @@ impl ActiveRecording {
         self.writer.flush()
     }
 
-    /// Returns the recording's state for pages.
     pub(super) fn status(&self) -> RecordingStatus {
         RecordingStatus { file: self.writer.destination(), rows: self.rows, bytes: self.writer.bytes() }
     }
@@ -62,7 +60,6 @@ impl ActiveRecording {
     }
 }
 
-/// State of the active recording for pages.
 #[derive(Serialize)]
 pub(super) struct RecordingStatus {
     file: String,
