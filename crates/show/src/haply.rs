@@ -99,7 +99,7 @@ impl HaplyListener {
                 Err(_) => thread::sleep(READ_TIMEOUT / 4),
             }
             threads.retain(|thread| !thread.is_finished());
-            shared.poll_or_reopen(&open, &mut failed);
+            shared.refresh(&open, &mut failed);
         }
         shared.is_over.store(true, Ordering::Relaxed);
         for thread in threads {
@@ -139,11 +139,7 @@ impl Shared {
 
     /// Polls the board if no program has done so for a while, and reopens a lost board after its user has left, because
     /// a program must arm only the board that it has connected to.
-    fn poll_or_reopen<E: Display>(
-        &self,
-        open: impl Fn() -> Result<Inverse3, E>,
-        failed: &mut Option<(Instant, String)>,
-    ) {
+    fn refresh<E: Display>(&self, open: impl Fn() -> Result<Inverse3, E>, failed: &mut Option<(Instant, String)>) {
         let mut device_slot = self.device_slot();
         if device_slot.device.as_ref().is_some_and(|device| device.idle_time() >= POLL_INTERVAL) {
             device_slot.apply(Inverse3::poll);

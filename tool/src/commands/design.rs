@@ -169,7 +169,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     Ok(())
 }
 
-fn join_numbers(values: &[f64]) -> String {
+fn join(values: &[f64]) -> String {
     // Removes the sign of a number that rounds to zero.
     values.iter().map(|v| format!("{:.3}", (1e3 * v).round() / 1e3 + 0.0)).collect::<Vec<_>>().join(", ")
 }
@@ -179,12 +179,7 @@ fn readable(document: &Document, has_normal: bool, args: &Args) -> String {
     let mut line = |content: String| {
         let _ = writeln!(text, "{content}");
     };
-    line(format!(
-        "{}: q = ({}) rad, n = ({})",
-        document.device,
-        join_numbers(&document.q),
-        join_numbers(&document.normal)
-    ));
+    line(format!("{}: q = ({}) rad, n = ({})", document.device, join(&document.q), join(&document.normal)));
     line(format!(
         "  the stiffest walls as predicted by haptic range {} {}",
         args.at.device.display(),
@@ -207,18 +202,12 @@ fn readable(document: &Document, has_normal: bool, args: &Args) -> String {
             at.w_rr / at.w_eff,
             stiffest(|walls| walls.off),
             stiffest(|walls| walls.full),
-            join_numbers(&at.normal)
+            join(&at.normal)
         )
     };
     let felt = if is_compliant { format!("{:>11}", "felt N/m") } else { String::new() };
     let placed = |name: &str, at: &WallPlace| {
-        format!(
-            "{}  q ({}), tip ({}) m, sine {:.2}",
-            wall(name, at),
-            join_numbers(&at.q),
-            join_numbers(&at.position),
-            at.clearance
-        )
+        format!("{}  q ({}), tip ({}) m, sine {:.2}", wall(name, at), join(&at.q), join(&at.position), at.clearance)
     };
     line(format!(
         "\n  {:<34}{:>10}{:>10}{:>8}{:>11}{felt}{:>11}{felt}",
@@ -303,7 +292,7 @@ fn readable(document: &Document, has_normal: bool, args: &Args) -> String {
                 at.w_eff,
                 at.w_rr,
                 at.w_rr / at.w_eff,
-                join_numbers(&at.q),
+                join(&at.q),
                 at.clearance
             )
         };

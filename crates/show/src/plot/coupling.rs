@@ -84,15 +84,15 @@ pub fn draw(
     let bottom = second.1 + under;
     let mut canvas = page.canvas(bottom + 4.0 + 18.0 * lines.len() as f64);
     heading.draw(&mut canvas);
-    draw_motion(&mut canvas, description, q, &here, &device, DrawingArea { at: (page.left, top), side });
-    let place = DrawingArea { at: second, side };
+    draw_motion(&mut canvas, description, q, &here, &device, Square { at: (page.left, top), side });
+    let place = Square { at: second, side };
     match spec.task {
         1 => {
             let at = (second.0, second.1 + 40.0);
             canvas.text(at, 12.0, Anchor::Start, false, "One task direction: there is no coupling.");
         }
-        2 => draw_planar_coupling(&mut canvas, place, &pose, &point, &n),
-        _ => draw_coupling_surface(&mut canvas, place, &pose, &point, &n),
+        2 => draw_curve(&mut canvas, place, &pose, &point, &n),
+        _ => draw_surface(&mut canvas, place, &pose, &point, &n),
     }
     for (i, line) in lines.iter().enumerate() {
         canvas.text((page.begin, bottom + 18.0 * i as f64), SMALL_TEXT, Anchor::Start, false, line);
@@ -100,9 +100,9 @@ pub fn draw(
     Ok(Some(canvas.finish(&title, "The linkage moved along the normal, and the coupling Wrr - Weff by direction.")))
 }
 
-/// Position of a drawing: its upper left corner, and its side, pixels.
+/// The square of a drawing: its upper left corner, and its side, pixels.
 #[derive(Clone, Copy)]
-struct DrawingArea {
+struct Square {
     at: Point,
     side: f64,
 }
@@ -122,7 +122,7 @@ fn draw_motion(
     q: &[f64],
     here: &Skeleton,
     device: &Linearised,
-    DrawingArea { at, side }: DrawingArea,
+    Square { at, side }: Square,
 ) {
     let points = here.bars.iter().flat_map(|bar| [bar.from, bar.to]).chain(here.base.iter().copied());
     let (low, high) = super::linkage::bounding_box(points);
@@ -158,13 +158,13 @@ fn draw_motion(
         (Mark::Line(Stroke::solid(OFF_COLOUR, 2.0)), "push along n, without the feed-forward".to_string()),
         (Mark::Line(MOVED_LINKAGE_STROKE), "the linkage moved along n, with feed-forward".to_string()),
     ];
-    draw_legend(canvas, DrawingArea { at, side }, &entries);
+    draw_legend(canvas, Square { at, side }, &entries);
 }
 
 /// Draws a legend below a drawing, right-aligned with it, or at the page's left edge if it is too wide.
-fn draw_legend(canvas: &mut Canvas, DrawingArea { at, side }: DrawingArea, entries: &[(Mark<'_>, String)]) {
+fn draw_legend(canvas: &mut Canvas, Square { at, side }: Square, entries: &[(Mark<'_>, String)]) {
     let width = PlotArea::legend_size(entries).0;
-    PlotArea::draw_legend(canvas, (at.0 + side).max(EDGE_MARGIN + width), at.1 + side + 52.0, entries);
+    PlotArea::legend(canvas, (at.0 + side).max(EDGE_MARGIN + width), at.1 + side + 52.0, entries);
 }
 
 fn draw_arrow(canvas: &mut Canvas, from: Point, to: Point, colour: &str) {
@@ -177,13 +177,7 @@ fn draw_arrow(canvas: &mut Canvas, from: Point, to: Point, colour: &str) {
 }
 
 /// Draws Weff, Wrr and their difference around a full turn.
-fn draw_planar_coupling(
-    canvas: &mut Canvas,
-    DrawingArea { at, side }: DrawingArea,
-    pose: &TaskPose,
-    point: &MapPoint,
-    n: &DVector<f64>,
-) {
+fn draw_curve(canvas: &mut Canvas, Square { at, side }: Square, pose: &TaskPose, point: &MapPoint, n: &DVector<f64>) {
     let joints = pose.jacobian.nrows();
     let samples: Vec<(f64, f64, f64)> = (0..=180)
         .filter_map(|i| {
@@ -218,7 +212,7 @@ fn draw_planar_coupling(
         (Mark::Area(WASHOUT_COLOUR), "coupling Wrr - Weff".to_string()),
         (Mark::Line(Stroke::solid(BOUND_COLOUR, 2.0)), "n".to_string()),
     ];
-    draw_legend(canvas, DrawingArea { at, side }, &entries);
+    draw_legend(canvas, Square { at, side }, &entries);
 }
 
 /// Draws the axes of the tip's inertia, as lines through the middle.
@@ -237,13 +231,7 @@ fn draw_axis_names(canvas: &mut Canvas, pixel: &dyn Fn(&[f64]) -> Point, point: 
 }
 
 /// Draws the coupling as a surface over all directions of space; the distance from the middle is the coupling.
-fn draw_coupling_surface(
-    canvas: &mut Canvas,
-    DrawingArea { at, side }: DrawingArea,
-    pose: &TaskPose,
-    point: &MapPoint,
-    n: &DVector<f64>,
-) {
+fn draw_surface(canvas: &mut Canvas, Square { at, side }: Square, pose: &TaskPose, point: &MapPoint, n: &DVector<f64>) {
     let joints = pose.jacobian.nrows();
     let (halves, wholes) = SURFACE_DIRECTIONS;
     let reach = |i: usize, j: usize| -> (Vector3<f64>, f64) {
@@ -280,7 +268,6 @@ fn draw_coupling_surface(
             tiles.push((depth, corners.map(|(v, _)| pixel(v)), coupling / largest));
         }
     }
-    // Paints from back to front.
     tiles.sort_by(|a, b| a.0.total_cmp(&b.0));
     for (_, corners, share) in &tiles {
         canvas.polygon(corners, &scale(*share), 0.92);

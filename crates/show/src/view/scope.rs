@@ -146,11 +146,7 @@ impl Scope {
                     is_done: false,
                 })
             }
-            Some(_) => {
-                return Err(
-                    "a trigger needs a finite level, and a share of the window before the crossing from 0 to 1".into(),
-                );
-            }
+            Some(_) => return Err("a trigger needs a finite level, and a share before the crossing from 0 to 1".into()),
         };
         Ok(Self { columns, rows, seconds: request.seconds, trigger: active })
     }

@@ -62,8 +62,7 @@ impl ProgressMeter {
         if let Some(bar) = &self.bar {
             bar.set_position(done as u64);
             bar.set_message(
-                self.remaining_seconds(0.0)
-                    .map_or(String::new(), |left| format!(", about {} left", duration_in_words(left))),
+                self.time_left(0.0).map_or(String::new(), |left| format!(", about {} left", format_time(left))),
             );
         }
         self.tick();
@@ -76,18 +75,13 @@ impl ProgressMeter {
         }
         self.last_line.set(Instant::now());
         let since = self.last_done.get().elapsed().as_secs_f64();
-        let left = self
-            .remaining_seconds(since)
-            .map_or(String::new(), |left| format!(", about {} left", duration_in_words(left)));
+        let left = self.time_left(since).map_or(String::new(), |left| format!(", about {} left", format_time(left)));
         let (done, total) = (self.done.get(), self.total);
-        haptic_host::tell!(
-            "{done} of {total} repeats after {}{left}",
-            duration_in_words(self.began.elapsed().as_secs_f64())
-        );
+        haptic_host::tell!("{done} of {total} repeats after {}{left}", format_time(self.began.elapsed().as_secs_f64()));
     }
 
     /// Returns the remaining time (s) `since` seconds after the last repeat; `None` before the first repeat.
-    fn remaining_seconds(&self, since: f64) -> Option<f64> {
+    fn time_left(&self, since: f64) -> Option<f64> {
         let [first, later] = *self.took.borrow();
         let mean = |(count, seconds): (f64, f64)| (count > 0.0).then(|| seconds / count);
         let first_mean = mean(first).or_else(|| mean(later).map(|seconds| 2.0 * seconds))?;
@@ -107,7 +101,7 @@ impl ProgressMeter {
     }
 }
 
-fn duration_in_words(seconds: f64) -> String {
+fn format_time(seconds: f64) -> String {
     match seconds {
         seconds if seconds < 99.5 => format!("{seconds:.0} s"),
         seconds if seconds < 5940.0 => format!("{:.0} min", seconds / 60.0),
@@ -122,17 +116,14 @@ mod tests {
     #[test]
     fn first_and_later_searches_are_estimated_separately() {
         let meter = ProgressMeter::new(6, 3, 0);
-        assert_eq!(meter.remaining_seconds(0.0), None);
+        assert_eq!(meter.time_left(0.0), None);
         *meter.took.borrow_mut() = [(1.0, 10.0), (0.0, 0.0)];
         meter.done.set(1);
         // Two later searches take 5 s each (half of the first), then come 10 + 5 + 5 s.
-        assert_eq!([0.0, 4.0, 40.0].map(|since| meter.remaining_seconds(since)), [Some(30.0), Some(26.0), Some(25.0)]);
+        assert_eq!([0.0, 4.0, 40.0].map(|since| meter.time_left(since)), [Some(30.0), Some(26.0), Some(25.0)]);
         *meter.took.borrow_mut() = [(1.0, 10.0), (2.0, 6.0)];
         meter.done.set(3);
-        assert_eq!(meter.remaining_seconds(0.0), Some(16.0));
-        assert_eq!(
-            [duration_in_words(42.4), duration_in_words(130.0), duration_in_words(7200.0)],
-            ["42 s", "2 min", "2.0 h"]
-        );
+        assert_eq!(meter.time_left(0.0), Some(16.0));
+        assert_eq!([format_time(42.4), format_time(130.0), format_time(7200.0)], ["42 s", "2 min", "2.0 h"]);
     }
 }

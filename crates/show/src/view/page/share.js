@@ -51,7 +51,6 @@ function follow() {
   if (task) done(task, 30);
 }
 const short = value => +value.toPrecision(6);
-// Returns device and scene as in a link.
 const shown = () => view.hello.device + (view.hello.scene ? "/" + view.hello.scene : "");
 function link() {
   const turned = wall => wall.outline?.is === "line" && view.hello.task > 1;

@@ -100,7 +100,6 @@ function wallHandle(wall) {
   if (view.hello.task === 1) return fromTask([v[0], 0]);
   return line ? [line.at[0] + aside * line.normal[1], line.at[1] - aside * line.normal[0]] : [v[0], v[1]];
 }
-// Fill pattern of the solid side of walls.
 let hatch = {};
 function hatchPattern(c) {
   if (hatch.of !== palette.hatch) {
@@ -189,7 +188,6 @@ function drawStage() {
   // A newton is drawn as 12 pixels.
   arrow(c, x, y, g.force[0] * 12, -g.force[1] * 12);
   drawLens(c, w, h, size);
-  // Scale and legend.
   const bar = view.close ? 0.005 : 0.05, length = bar * f.scale;
   c.strokeStyle = c.fillStyle = palette.dim; c.lineWidth = 2; c.beginPath(); c.moveTo(12, h - 12); c.lineTo(12 + length, h - 12); c.stroke();
   c.fillText(bar * 1000 + " mm", 12, h - 18);
