@@ -248,7 +248,7 @@ pub fn describe_feed_forward(kind: FeedForward) -> &'static str {
 }
 
 /// Parses the name, as in scene files, of a velocity estimator that has a linear analysis.
-pub fn linear_estimator_parser() -> impl TypedValueParser<Value = Estimator> {
+pub fn estimator_parser() -> impl TypedValueParser<Value = Estimator> {
     let describe = |kind| match kind {
         Estimator::Butterworth => "Backward difference and a 2nd-order Butterworth low-pass",
         Estimator::FirstOrder => "Backward difference and a 1st-order low-pass",

@@ -248,8 +248,8 @@ pub fn run(args: Args) -> Result<(), Failure> {
 }
 
 /// Remedy for encoders that are too coarse, or friction that is too large, to find a boundary.
-const NO_BOUNDARY_REMEDY: &str = "use finer encoders (--counts on --port sim), a lower --rate and --cutoff, a larger --pull or \
-                      --torque-limit, another pose or normal";
+const NO_BOUNDARY_REMEDY: &str = "use finer encoders (--counts on --port sim), a lower --rate and --cutoff, a larger \
+                                  --pull or --torque-limit, another pose or normal";
 
 /// Returns the plan of the measurement, and the length of its longest pull, m.
 fn requested_plan(args: &Args, joints: usize) -> Result<(Plan, f64), Failure> {

@@ -51,7 +51,7 @@ pub struct Args {
     #[arg(long, value_name = "SAMPLES", allow_hyphen_values = true, conflicts_with = "board")]
     delay: Option<f64>,
     /// Velocity estimator
-    #[arg(long, value_name = "KIND", default_value = "butterworth", value_parser = arguments::linear_estimator_parser())]
+    #[arg(long, value_name = "KIND", default_value = "butterworth", value_parser = arguments::estimator_parser())]
     estimator: Estimator,
     /// Take the velocity from the difference over this number of samples, before the estimator's filter
     #[arg(long, value_name = "SAMPLES", default_value_t = 1)]

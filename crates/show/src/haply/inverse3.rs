@@ -14,7 +14,7 @@ use std::time::{Duration, Instant};
 /// Id of the grip that programs expect; it never turns, and its buttons are never pressed.
 const GRIP_ID: &str = "HB00";
 /// `device_type` of an Inverse3 in Haply's service.
-const INVERSE3_TYPE: u32 = 4;
+const DEVICE_TYPE: u32 = 4;
 /// Maximum simulated time to catch up in one call.
 const MAX_CATCH_UP: Duration = Duration::from_millis(100);
 /// Commands in remedies for people, each with the request that a program sends instead.
@@ -311,7 +311,7 @@ impl Inverse3 {
                 "id": self.id,
                 "type": "inverse3",
                 "device_info": {
-                    "id": self.id, "major_version": 0, "minor_version": 1, "device_type": INVERSE3_TYPE, "uuid": self.id,
+                    "id": self.id, "major_version": 0, "minor_version": 1, "device_type": DEVICE_TYPE, "uuid": self.id,
                 },
                 "port": self.session.port(),
                 "extended_device_id": self.id,

@@ -37,7 +37,7 @@ static PAGE: LazyLock<String> = LazyLock::new(|| {
     parts.iter().fold(page, |page, (name, text)| page.replacen(&format!("/* {name} */\n"), text, 1))
 });
 /// Content security policy: the page may run its own scripts and connect to its own server, and nothing else.
-const SECURITY_POLICY: &str = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:; \
+const PAGE_POLICY: &str = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:; \
                       connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 const MAX_HEAD_BYTES: usize = 8192;
 /// Time limit for the head of a request; long, because browsers open connections before they use them. Silent
@@ -231,7 +231,7 @@ fn send_page(stream: &mut TcpStream) -> tungstenite::Result<()> {
     write!(
         stream,
         "HTTP/1.1 200 OK\r\nContent-Type: text/html; charset=utf-8\r\nContent-Length: {}\r\n\
-         Content-Security-Policy: {SECURITY_POLICY}\r\nX-Content-Type-Options: nosniff\r\nReferrer-Policy: no-referrer\r\n\
+         Content-Security-Policy: {PAGE_POLICY}\r\nX-Content-Type-Options: nosniff\r\nReferrer-Policy: no-referrer\r\n\
          Cache-Control: no-store\r\nConnection: close\r\n\r\n{}",
         PAGE.len(),
         *PAGE

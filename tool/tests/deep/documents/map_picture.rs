@@ -164,7 +164,10 @@ fn scale_is_round(name: &str, chart: &Chart) {
     let svg = chart.picture.svg();
     let percent = (100.0 * chart.top * 1e6).round() / 1e6;
     assert_eq!(svg.contains(ABOVE_SCALE), svg.contains(&format!("&gt; {percent}")), "{name}: {percent}");
-    assert!(colour(1.001 * chart.top, chart.top) == ABOVE_SCALE && colour(0.999 * chart.top, chart.top) != ABOVE_SCALE, "{name}");
+    assert!(
+        colour(1.001 * chart.top, chart.top) == ABOVE_SCALE && colour(0.999 * chart.top, chart.top) != ABOVE_SCALE,
+        "{name}"
+    );
     assert!(svg.contains(&format!(">{percent} %<")), "{name}: no tick at the top, {percent} %");
     assert!(svg.contains("g in every direction"), "{name}");
     assert!(svg.len() < SMALL, "{name}: {} bytes", svg.len());
