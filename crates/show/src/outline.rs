@@ -1,4 +1,4 @@
-//! The outline of a wall in a drawing of the xy plane, for every shape. The page and the terminal share this code.
+//! The outline of a wall in a drawing of the xy plane, for every shape.
 
 use haptic_bridge::render::scene::Surface;
 use serde::{Deserialize, Serialize};

@@ -97,7 +97,7 @@ pub fn state_in_words(state: State) -> &'static str {
     }
 }
 
-/// Warning before motors that are on go off.
+/// Warning that is shown before a command switches motors off.
 pub const MOTORS_GO_OFF: &str = "the motors are on and will go off: a device with weight falls";
 
 /// Asks for confirmation on the terminal, unless `yes` is true; `what` describes the effect.

@@ -65,7 +65,7 @@ impl Theory {
     /// Returns the felt stiffness of a wall at the tip (N/m) if transmissions are compliant.
     fn felt_stiffness(&self, mode: FeedForward, kp: f64) -> Option<f64> {
         let Walls::One(device) = &self.device else { return None };
-        // Uses any corner of the washout, because it has no effect at rest.
+        // The corner does not matter, because a washout has no effect at rest.
         device.felt(Mode::of(mode, 0.0), kp)
     }
 
