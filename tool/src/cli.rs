@@ -32,8 +32,7 @@ pub fn parse_words(words: Vec<OsString>) -> Result<Command, clap::Error> {
     Ok(Cli::from_arg_matches(&matches)?.command)
 }
 
-/// Returns an error if `--force` is given and two values name the same file: the command would overwrite its own input,
-/// or one of its outputs with another.
+/// Returns an error if `--force` would overwrite an input, or an output with another, of the same command.
 fn overwrite_error(matches: &ArgMatches) -> Option<clap::Error> {
     if let Some((_, matches)) = matches.subcommand() {
         return overwrite_error(matches);
@@ -41,7 +40,7 @@ fn overwrite_error(matches: &ArgMatches) -> Option<clap::Error> {
     if !matches.try_get_one::<bool>("force").ok()?.is_some_and(|force| *force) {
         return None;
     }
-    // The values of a group are the names of its options, not files.
+    // Skips groups, whose values are names of options and not files.
     let named = matches.ids().filter(|id| matches.try_get_many::<clap::Id>(id.as_str()).is_err());
     let values = named.filter_map(|id| matches.try_get_raw(id.as_str()).ok()?).flatten();
     let mut files = values.filter_map(|value| std::fs::canonicalize(value).ok().filter(|path| path.is_file()));
@@ -55,8 +54,8 @@ fn overwrite_error(matches: &ArgMatches) -> Option<clap::Error> {
     Some(clap::Error::raw(clap::error::ErrorKind::ArgumentConflict, message).with_cmd(&command()))
 }
 
-/// Commands of the previous version that have another name now: old and new spelling.
-const RENAMED: &[(&str, &str)] = &[
+/// Old and new spelling of the commands that the previous version calls by another name.
+const RENAMED_COMMANDS: &[(&str, &str)] = &[
     ("backup", "haptic board backup"),
     ("clear", "haptic faults --clear"),
     ("dfu", "haptic board dfu"),
@@ -83,7 +82,7 @@ fn renamed_error(words: &[OsString]) -> Option<clap::Error> {
     if typed == "stream" && words.any(|word| word == "--csv" || word.starts_with("--csv=")) {
         return renamed_to("stream --csv", "haptic record FILE.csv");
     }
-    RENAMED.iter().find(|(old, _)| *old == typed).and_then(|(old, now)| renamed_to(old, now))
+    RENAMED_COMMANDS.iter().find(|(old, _)| *old == typed).and_then(|(old, now)| renamed_to(old, now))
 }
 
 /// Corrects clap's suggestions: never suggests to pass an unknown option as a value, because the value would become a
@@ -164,7 +163,6 @@ mod tests {
         assert!(shown <= 30, "{shown} commands are too many for one help page");
     }
 
-    /// Names of all commands and subcommands.
     fn command_names() -> Vec<String> {
         let mut pending = vec![(String::new(), command())];
         let mut names = Vec::new();
@@ -182,7 +180,7 @@ mod tests {
     fn every_example_parses() {
         for command in command_names() {
             for line in examples(&command) {
-                // The rest of the line belongs to the shell.
+                // Parses only the part before a pipe or a redirection.
                 let words = line.split(['|', '>']).next().unwrap_or_default().split_whitespace();
                 let parsed = parse_words(words.map(OsString::from).collect());
                 assert!(parsed.is_ok(), "{line}: {}", parsed.err().unwrap());
@@ -194,7 +192,7 @@ mod tests {
     #[test]
     fn old_spellings_cause_an_error_with_the_new_spelling() {
         let names = command_names();
-        for (old, now) in RENAMED {
+        for (old, now) in RENAMED_COMMANDS {
             assert!(!names.iter().any(|command| command == old), "{old}");
             let words = now.trim_start_matches("haptic ").split(" --").next().unwrap();
             assert!(names.iter().any(|command| command == words), "{now}");

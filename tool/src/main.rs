@@ -9,8 +9,8 @@ mod commands;
 use haptic_host::error::Choice;
 use std::process::ExitCode;
 
-/// Returns the option that makes a choice.
-fn option(choice: Choice) -> &'static str {
+/// Returns the option with which a user makes the choice that a failure asks for.
+fn option_for(choice: Choice) -> &'static str {
     match choice {
         Choice::Pose => "--q",
         Choice::Clearance => "--clear",
@@ -30,7 +30,7 @@ fn main() -> ExitCode {
     match commands::run(cli::parse()) {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => {
-            match failure.choice().map(option) {
+            match failure.choice().map(option_for) {
                 Some(option) => haptic_host::tell!("error: {failure} ({option})"),
                 None => haptic_host::tell!("error: {failure}"),
             }

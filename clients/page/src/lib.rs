@@ -115,7 +115,7 @@ impl Page {
         if matches!(message, Ok(FromPage::Hold { .. })) && self.has_board && at.saturating_sub(before) > KEY_TIMEOUT {
             message = Ok(FromPage::Release {});
         }
-        self.hub.said(self.id, message);
+        self.hub.queue_incoming(self.id, message);
     }
 }
 
@@ -139,7 +139,7 @@ fn with<T, R>(cell: &'static LocalKey<RefCell<Option<T>>>, apply: impl FnOnce(&m
 fn start(world: Result<World, Failure>) -> bool {
     let result = world.and_then(|world| {
         let hub = Hub::default();
-        let id = hub.come().ok_or_else(|| Failure::impossible("no page can connect"))?;
+        let id = hub.add_page().ok_or_else(|| Failure::impossible("no page can connect"))?;
         let has_board = world.simulated.is_none();
         STAGE.replace(Some(Stage::open(world, hub.clone(), None, None)?));
         PAGE.replace(Some(Page { hub, id, waiting: VecDeque::new(), has_board, key_time: Duration::ZERO }));
@@ -227,7 +227,7 @@ pub extern "C" fn turn(milliseconds: f64) -> u32 {
 pub extern "C" fn next() -> u32 {
     let message = with(&PAGE, |page| {
         if page.waiting.is_empty() {
-            page.waiting.extend(page.hub.take(page.id).messages());
+            page.waiting.extend(page.hub.take_outbox(page.id).messages());
         }
         page.waiting.pop_front()
     });

@@ -18,7 +18,7 @@ use haptic_sim::DeviceError;
 use haptic_stability::analysis::plant::Linearised;
 use haptic_stability::analysis::pose::PoseError;
 
-/// Device of the demo: strongly coupled, so that the feed-forward matters.
+/// Device of the demo, whose strong coupling makes the benefit of the feed-forward visible.
 pub use haptic_bridge::model::shipped::COUPLED_FIVE_BAR as DEVICE;
 
 /// The demonstration.
@@ -88,9 +88,8 @@ pub struct Inertia {
 impl Demo {
     /// Returns the demo that `haptic demo` runs.
     ///
-    /// The pose is a good working pose of the device, and the normal is one of the normals with the strongest coupling
-    /// there (`haptic map`). 1 kHz and 100 Hz are typical of computer-controlled devices; at these rates the loop, not
-    /// the motors, limits the stiffness.
+    /// The pose is a good working pose with a normal of nearly the strongest coupling there (`haptic map`). 1 kHz and
+    /// 100 Hz are typical of computer-controlled devices; there the loop limits the stiffness, not the motors.
     pub fn shipped(seed: u64) -> Result<Self, Failure> {
         let (sine, cosine) = 75.0_f64.to_radians().sin_cos();
         Ok(Self {
@@ -119,12 +118,12 @@ impl Demo {
     }
 
     /// Returns the command line that prints Weff and Wrr.
-    pub fn model_line(&self) -> String {
+    pub fn model_command(&self) -> String {
         format!("haptic model devices/{}.toml {}", self.file.name, self.pose_options())
     }
 
     /// Returns the command line that prints the predicted highest stiffness without feed-forward and with the washout.
-    pub fn range_line(&self, delay_samples: f64) -> String {
+    pub fn range_command(&self, delay_samples: f64) -> String {
         format!(
             "haptic range devices/{}.toml {} --rate {} --cutoff {} --delay {delay_samples:.6} --undamped --kd {} --washout {}",
             self.file.name,
@@ -156,7 +155,7 @@ impl Demo {
         };
         let mut scene =
             Scene { task: 2, rate_hz: self.rate_hz as f32, cutoff_hz: self.cutoff_hz as f32, ..Scene::default() };
-        // A scene has room for eight walls.
+        // Cannot fail, because a scene has room for eight walls.
         let _ = scene.walls.push(wall);
         scene
     }

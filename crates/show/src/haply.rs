@@ -1,10 +1,9 @@
-//! A board as a Haply device: the JSON over WebSocket of Haply's inverse service (`haptic serve --haply`,
-//! docs/haply.md).
+//! A board as a Haply device: JSON over WebSocket as in Haply's inverse service (`haptic serve`, docs/haply.md).
 //!
-//! Lock-step, as in Haply's service: the first frame has the full state. Then the server replies to each message of the
-//! program with one frame of the device's state.
+//! The exchange is lock-step, as in Haply's service: the server sends a frame with the full state, then one frame of
+//! the state for each message of the program.
 //!
-//! The frame is Haply's: x to the operator's right, y away from the operator, z up, the origin at the device's base.
+//! Coordinates are Haply's: x to the operator's right, y away from the operator, z up, the origin at the device's base.
 
 mod inverse3;
 mod request;
@@ -28,28 +27,27 @@ use tungstenite::protocol::{CloseFrame, Role, WebSocketConfig};
 use tungstenite::{Message, WebSocket};
 
 /// Default port of the service.
-pub const USUAL_PORT: u16 = 10_001;
+pub const DEFAULT_PORT: u16 = 10_001;
 
-/// Maximum length of a program's message, bytes.
-const MAX_MESSAGE: usize = 256 * 1024;
+const MAX_MESSAGE_BYTES: usize = 256 * 1024;
 /// Maximum number of connections whose handshake is not complete.
 const MAX_HANDSHAKES: usize = 32;
 /// Time for which a connection is read before the server checks if it should stop.
-const READ_TIME: Duration = Duration::from_millis(20);
-/// Maximum time for which a reply may stay unread, and for which a program waits until a silent program has left.
+const READ_TIMEOUT: Duration = Duration::from_millis(20);
+/// Maximum time for which a reply may stay unread, and for which a new program waits until a silent program has left.
 const SEND_TIMEOUT: Duration = Duration::from_secs(2);
-/// Interval without an exchange after which the board is polled, because a simulated board closes a silent connection
-/// if another tool connects; also the interval between attempts to open a lost board, so that other tools can connect.
+/// Interval between polls of an unused board, because a simulated board drops a silent tool if another one connects.
+/// Also the interval between attempts to open a lost board, so that other tools can connect.
 const POLL_INTERVAL: Duration = Duration::from_millis(500);
 /// Time without a message after which a program loses the device to another program that requests it.
 const MAX_SILENCE: Duration = Duration::from_secs(3);
-/// Reply while the board is lost.
+/// Reply to programs while the board is lost.
 const BOARD_LOST: &str = "the board is gone; it is opened again once it is back";
 
 /// A port on which programs reach a board.
 pub struct HaplyListener {
     listener: TcpListener,
-    /// Token that a page in a browser must send.
+    /// Token that a page in a browser must send, drawn at random.
     token: String,
     silence: Duration,
 }
@@ -72,8 +70,7 @@ impl HaplyListener {
         Ok(format!("ws://localhost:{}", self.listener.local_addr()?.port()))
     }
 
-    /// Returns the address for a page in a browser on this computer. Pages of any other server on this computer could
-    /// connect, so a page must send a token, which each listener draws at random.
+    /// Returns the address for a page in a browser, with the token, because pages of any local server could connect.
     pub fn url_for_pages(&self) -> io::Result<String> {
         Ok(format!("{}/?token={}", self.url()?, self.token))
     }
@@ -99,10 +96,10 @@ impl HaplyListener {
                         let _ = handle_connection(stream, place, &shared);
                     }));
                 }
-                Err(_) => thread::sleep(READ_TIME / 4),
+                Err(_) => thread::sleep(READ_TIMEOUT / 4),
             }
             threads.retain(|thread| !thread.is_finished());
-            shared.maintain(&open, &mut failed);
+            shared.refresh(&open, &mut failed);
         }
         shared.is_over.store(true, Ordering::Relaxed);
         for thread in threads {
@@ -111,21 +108,18 @@ impl HaplyListener {
     }
 }
 
-/// The device and the program that uses it.
 struct DeviceSlot {
     /// `None` while its board is lost.
     device: Option<Inverse3>,
-    user: Option<User>,
+    user: Option<DeviceUser>,
 }
 
-/// A program that uses the device.
-struct User {
+struct DeviceUser {
     last_message: Instant,
     /// Reason why the program must leave; `None` if it may stay.
     ejection: Option<&'static str>,
 }
 
-/// State that the connections share.
 struct Shared {
     device_slot: Mutex<DeviceSlot>,
     is_over: AtomicBool,
@@ -140,15 +134,15 @@ impl Shared {
 
     /// Returns the device's state after `work`; `None` while its board is lost.
     fn frame(&self, full: bool, work: impl FnOnce(&mut Inverse3) -> Result<(), BoardError>) -> Option<Value> {
-        self.device_slot().work(work).map(|device| device.frame(full))
+        self.device_slot().apply(work).map(|device| device.frame(full))
     }
 
     /// Polls the board if no program has done so for a while, and reopens a lost board after its user has left, because
     /// a program must arm only the board that it has connected to.
-    fn maintain<E: Display>(&self, open: impl Fn() -> Result<Inverse3, E>, failed: &mut Option<(Instant, String)>) {
+    fn refresh<E: Display>(&self, open: impl Fn() -> Result<Inverse3, E>, failed: &mut Option<(Instant, String)>) {
         let mut device_slot = self.device_slot();
         if device_slot.device.as_ref().is_some_and(|device| device.idle_time() >= POLL_INTERVAL) {
-            device_slot.work(Inverse3::poll);
+            device_slot.apply(Inverse3::poll);
         }
         let is_soon = failed.as_ref().is_some_and(|(when, _)| when.elapsed() < POLL_INTERVAL);
         if device_slot.device.is_some() || device_slot.user.is_some() || is_soon {
@@ -180,7 +174,7 @@ impl Shared {
 
 impl DeviceSlot {
     /// Returns the device after `work`; `None` if its board is lost, which ends its user's connection.
-    fn work(&mut self, work: impl FnOnce(&mut Inverse3) -> Result<(), BoardError>) -> Option<&Inverse3> {
+    fn apply(&mut self, work: impl FnOnce(&mut Inverse3) -> Result<(), BoardError>) -> Option<&Inverse3> {
         if let Err(lost) = work(self.device.as_mut()?) {
             haptic_host::tell!("{lost}; waiting for it");
             self.device = None;
@@ -190,7 +184,7 @@ impl DeviceSlot {
     }
 }
 
-/// The right to use the device, from the handshake until drop; dropping turns the motors off.
+/// The right to use the device, from the handshake until it is dropped, which turns the motors off.
 struct DeviceUse<'s>(&'s Shared);
 
 impl<'s> DeviceUse<'s> {
@@ -204,7 +198,7 @@ impl<'s> DeviceUse<'s> {
                 (None, _) => return Err(BOARD_LOST),
                 (Some(device), None) => {
                     device.begin_session();
-                    *user = Some(User { last_message: Instant::now(), ejection: None });
+                    *user = Some(DeviceUser { last_message: Instant::now(), ejection: None });
                     return Ok(Self(shared));
                 }
                 (_, Some(user)) if user.last_message.elapsed() >= shared.silence && began.elapsed() < SEND_TIMEOUT => {
@@ -213,7 +207,7 @@ impl<'s> DeviceUse<'s> {
                 _ => return Err("another program uses the device"),
             }
             drop(device_slot);
-            thread::sleep(READ_TIME / 4);
+            thread::sleep(READ_TIMEOUT / 4);
         }
     }
 
@@ -235,7 +229,7 @@ fn handle_connection(mut stream: TcpStream, place: Place, shared: &Shared) -> tu
     stream.set_nodelay(true)?;
     stream.set_write_timeout(Some(SEND_TIMEOUT))?;
     let Some(request) = crate::view::door::read_request(&mut stream) else {
-        return respond(
+        return send_json(
             &mut stream,
             "400 Bad Request",
             &json!({"ok": false, "error": "not a request of this service"}),
@@ -243,32 +237,32 @@ fn handle_connection(mut stream: TcpStream, place: Place, shared: &Shared) -> tu
     };
     if !is_allowed(&request, &shared.token) {
         let error = "only for programs on this computer; a page needs the token that `haptic serve` printed";
-        return respond(&mut stream, "403 Forbidden", &json!({"ok": false, "error": error}));
+        return send_json(&mut stream, "403 Forbidden", &json!({"ok": false, "error": error}));
     }
     drop(place);
     if let Ok(response) = create_response(&request) {
         let device_use = match DeviceUse::take(shared) {
             Ok(device_use) => device_use,
             Err(error) => {
-                return respond(&mut stream, "503 Service Unavailable", &json!({"ok": false, "error": error}));
+                return send_json(&mut stream, "503 Service Unavailable", &json!({"ok": false, "error": error}));
             }
         };
         write_response(&mut stream, &response)?;
-        return converse(stream, &device_use);
+        return exchange_messages(stream, &device_use);
     }
     match request.uri().path() {
         "/devices" => {
             let Some(frame) = shared.frame(true, Inverse3::poll) else {
                 let gone = json!({"ok": false, "error": BOARD_LOST});
-                return respond(&mut stream, "503 Service Unavailable", &gone);
+                return send_json(&mut stream, "503 Service Unavailable", &gone);
             };
-            respond(&mut stream, "200 OK", &frame)
+            send_json(&mut stream, "200 OK", &frame)
         }
         "/version" => {
             let version = concat!("haptic-bridge ", env!("CARGO_PKG_VERSION"));
-            respond(&mut stream, "200 OK", &json!({"version": version, "service_version": version}))
+            send_json(&mut stream, "200 OK", &json!({"version": version, "service_version": version}))
         }
-        _ => respond(&mut stream, "404 Not Found", &json!({"ok": false, "error": "not served by haptic-bridge"})),
+        _ => send_json(&mut stream, "404 Not Found", &json!({"ok": false, "error": "not served by haptic-bridge"})),
     }
 }
 
@@ -287,7 +281,7 @@ fn is_allowed(request: &Request, token: &str) -> bool {
     local(host) && origin
 }
 
-fn respond(stream: &mut TcpStream, status: &str, document: &Value) -> tungstenite::Result<()> {
+fn send_json(stream: &mut TcpStream, status: &str, document: &Value) -> tungstenite::Result<()> {
     let text = document.to_string();
     write!(
         stream,
@@ -297,9 +291,10 @@ fn respond(stream: &mut TcpStream, status: &str, document: &Value) -> tungstenit
     Ok(())
 }
 
-fn converse(stream: TcpStream, device_use: &DeviceUse<'_>) -> tungstenite::Result<()> {
-    stream.set_read_timeout(Some(READ_TIME))?;
-    let config = WebSocketConfig::default().max_message_size(Some(MAX_MESSAGE)).max_frame_size(Some(MAX_MESSAGE));
+fn exchange_messages(stream: TcpStream, device_use: &DeviceUse<'_>) -> tungstenite::Result<()> {
+    stream.set_read_timeout(Some(READ_TIMEOUT))?;
+    let config =
+        WebSocketConfig::default().max_message_size(Some(MAX_MESSAGE_BYTES)).max_frame_size(Some(MAX_MESSAGE_BYTES));
     let mut socket = WebSocket::from_raw_socket(stream, Role::Server, Some(config));
     let mut next = Some(ProgramRequest { full: true, ..ProgramRequest::default() });
     loop {
@@ -312,7 +307,7 @@ fn converse(stream: TcpStream, device_use: &DeviceUse<'_>) -> tungstenite::Resul
             return socket.close(Some(CloseFrame { code: CloseCode::Away, reason: why.into() }));
         }
         match socket.read() {
-            // Python's orjson produces bytes, which become binary frames; the service replies to both with text.
+            // Accepts binary frames too, because Python's orjson produces bytes; replies are always text.
             Ok(message @ (Message::Text(_) | Message::Binary(_))) => {
                 device_use.note_message();
                 let mut device_slot = device_use.0.device_slot();

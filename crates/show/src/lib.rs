@@ -1,7 +1,6 @@
-//! Shows devices and measurements on them: drawings, the page of `haptic view`, the monitor in a terminal, and
-//! recordings. Recordings are read and written without any feature; PNG (feature `png`), the servers for browsers and
-//! for programs made for other devices (`serve`) and the monitor (`monitor`) each bring their own dependencies. The
-//! demonstration is also here: a wall that buzzes without the feed-forward and is quiet with it, with its picture.
+//! Shows devices and measurements on them: drawings, recordings, the page of `haptic view`, and the demonstration of a
+//! wall that buzzes without the feed-forward. Recordings and SVG need no feature; PNG (feature `png`) and the servers
+//! for browsers and for programs made for other devices (`serve`) bring their own dependencies.
 //!
 //! ```
 //! use haptic_show::recorder::Recording;
@@ -17,7 +16,7 @@
 //! |---|---|
 //! | record, and replay a recording | [`recorder`], [`replay`] |
 //! | draw | [`plot`] |
-//! | show a device in the browser or in a terminal | [`view`], `monitor` |
+//! | show a device in the browser | [`view`] |
 //! | let programs made for other devices use one | `haply` |
 #![forbid(unsafe_code)]
 

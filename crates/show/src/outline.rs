@@ -1,10 +1,9 @@
-//! The outline of a wall in a drawing of the xy plane, for every shape. The page and the terminal share this code.
+//! The outline of a wall in a drawing of the xy plane, for every shape.
 
 use haptic_bridge::render::scene::Surface;
 use serde::{Deserialize, Serialize};
 
-/// Sine of the largest angle from the plane (or its normal) at which a direction still counts as in the plane (or
-/// normal to it).
+/// Sine of the largest angle at which a direction counts as parallel to the drawing plane or to its normal.
 const ALIGNED_SINE: f64 = 1e-3;
 
 /// The intersection of a wall's surface with the drawing plane.
@@ -49,9 +48,8 @@ pub fn outline(surface: &Surface<f64>) -> Option<Outline> {
     }
 }
 
-/// Returns the outline for a device whose task is the length of an arc with this radius (m) about the origin: a wall
-/// across the arc.
-pub fn on_an_arc(surface: &Surface<f64>, radius: f64) -> Option<Outline> {
+/// Returns the outline of a paddle's wall: a line across the arc of this radius (m) about the origin.
+pub fn outline_on_arc(surface: &Surface<f64>, radius: f64) -> Option<Outline> {
     let Surface::Plane(plane) = surface else { return None };
     let (sin, cos) = (plane.point[0] / radius).sin_cos();
     let side = plane.normal[0].signum();

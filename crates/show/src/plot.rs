@@ -1,17 +1,17 @@
-//! Pictures for papers and notes: SVG by hand, PNG from the same SVG.
+//! Pictures for papers and notes, drawn as SVG; PNG is rendered from the SVG.
 //!
 //! - [`canvas`]: an SVG document and its shapes
 //! - [`axes`]: a framed coordinate system with round ticks, curves, dots with error bars, and a legend
 //! - [`colour`]: the palette, and a colour scale that also works in print
-//! - [`coupling`]: a device moved along a normal, and its coupling over all directions (the paper's Fig. 1)
+//! - [`coupling`]: the linkage moved along a normal, and its coupling over all directions (the paper's Fig. 1)
 //! - [`device`]: a device at home, with its joints
 //! - [`linkage`]: a device's links and joints
 //! - [`map`]: inertia over the workspace (the paper's Fig. 1)
-//! - [`paddle`]: the counterpart of a map for a device with one joint
-//! - [`paper`]: the width of a picture on a screen and on paper, and text that fits it
+//! - [`paddle`]: the reach of a device with one joint, which has no map
+//! - [`paper`]: page widths on a screen and on paper, and text wrapping
 //! - [`range`]: the stable domain of a device (the paper's Fig. 3)
 //! - [`signals`]: a recording over time, over penetration, as a spectrum, as a phase portrait
-//! - [`speed`]: the cost of each way to compute the control step, over its error
+//! - [`speed`]: instructions of each variant of the control step, over its error
 //! - [`why`]: the reduction of the stable range by each effect
 //!
 //! PNG is rendered by resvg with the DejaVu fonts compiled in, so a picture is the same on every machine.
@@ -67,7 +67,7 @@ impl From<PictureError> for Failure {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Picture {
     svg: String,
-    /// True if the picture has a size on paper, which determines its number of pixels.
+    /// True if the picture has a size on paper, which then determines its pixels.
     #[cfg_attr(not(feature = "png"), allow(dead_code, reason = "only PNG uses it"))]
     printed: bool,
 }
@@ -78,7 +78,7 @@ impl Picture {
         &self.svg
     }
 
-    /// Writes the picture as SVG. Replaces an existing file: callers check for one before the work ([`output::check`]).
+    /// Writes the picture as SVG. Replaces an existing file; callers check for it beforehand ([`output::check`]).
     pub fn save_svg(&self, path: &Path) -> Result<(), PictureError> {
         Ok(output::write(path, self.svg.as_bytes(), Overwrite::Replace)?)
     }
@@ -101,7 +101,7 @@ impl Picture {
         fonts.load_font_data(dejavu::sans::oblique().to_vec());
         let options = usvg::Options {
             fontdb: std::sync::Arc::new(fonts),
-            font_family: canvas::FONT.into(),
+            font_family: canvas::FONT_FAMILY.into(),
             ..usvg::Options::default()
         };
         let tree = usvg::Tree::from_str(&self.svg, &options).map_err(|e| drawing(e.to_string()))?;

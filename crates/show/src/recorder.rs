@@ -1,8 +1,7 @@
 //! Recordings: telemetry rows in a file that is consistent at every moment, CSV or MCAP ([`mcap`]) by its extension.
 //!
 //! Rows of a CSV file reach the file in blocks of complete lines. On a full disk the file is truncated to its last
-//! complete line, and the rows in it are counted. A file whose writer was killed in the middle of a block is readable
-//! up to its last complete line.
+//! complete line. A file whose writer was killed is readable up to its last complete line.
 
 pub mod about;
 pub mod mcap;
@@ -20,7 +19,7 @@ use std::fs::File;
 use std::io::{self, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
-/// Bytes gathered before they are written; `flush` writes them earlier.
+/// Number of gathered bytes at which a block is written; `flush` writes it earlier.
 const BLOCK_BYTES: usize = 64 * 1024;
 
 /// Names of the states in a recording, by their numbers.
@@ -38,7 +37,7 @@ pub enum Value {
 }
 
 impl Value {
-    /// Converts a column's number: a state to its name, a measured value to the board's precision.
+    /// Converts a number of a column: a state to its name, a measured value to the board's precision.
     pub fn of(column: &Column, value: f64) -> Self {
         let state = (column.field == Field::State && column.axis == 0).then(|| STATES.get(value as usize)).flatten();
         match (state, column.field) {
@@ -60,7 +59,6 @@ impl std::fmt::Display for Value {
     }
 }
 
-/// Destination of the lines.
 #[derive(Debug)]
 enum Sink {
     /// `complete`: bytes of complete lines in the file; `None` if it cannot be truncated (a pipe).
@@ -78,8 +76,9 @@ pub struct Recorder {
     path: PathBuf,
     block: String,
     columns: usize,
-    /// Number of rows in the file, and number of rows in the block.
+    /// Number of rows in the file.
     rows: u64,
+    /// Number of rows in the block.
     gathered: u64,
     /// Written bytes.
     bytes: u64,
@@ -95,8 +94,7 @@ pub enum RecordError {
 }
 
 impl Recorder {
-    /// Creates the file (`-`: standard output) and writes `about` as comment lines (`# …`) and the names of the
-    /// columns.
+    /// Creates the file (`-`: standard output), and writes `about` as comment lines and the column names.
     pub fn create(path: &Path, about: &str, columns: &[String], overwrite: Overwrite) -> Result<Self, Failure> {
         let sink = if path == Path::new("-") {
             Sink::StandardOutput
@@ -113,7 +111,7 @@ impl Recorder {
             gathered: 0,
             bytes: 0,
         };
-        recorder.comment(about);
+        recorder.add_comment(about);
         recorder.block.push_str(&columns.join(","));
         recorder.block.push('\n');
         match recorder.flush() {
@@ -131,7 +129,7 @@ impl Recorder {
     }
 
     /// Adds comment lines.
-    pub fn comment(&mut self, text: &str) {
+    pub fn add_comment(&mut self, text: &str) {
         for line in text.lines() {
             self.block.push_str("# ");
             self.block.push_str(line);
@@ -140,7 +138,7 @@ impl Recorder {
     }
 
     /// Adds a row with one value per column; missing values are left empty, extra ones ignored.
-    pub fn row(&mut self, values: &[Value]) -> Result<(), RecordError> {
+    pub fn add_row(&mut self, values: &[Value]) -> Result<(), RecordError> {
         for column in 0..self.columns {
             if column > 0 {
                 self.block.push(',');
@@ -212,7 +210,7 @@ impl Recorder {
     }
 
     /// Describes the destination of the rows.
-    pub fn place(&self) -> String {
+    pub fn destination(&self) -> String {
         match self.sink {
             Sink::StandardOutput => "standard output".into(),
             Sink::File { .. } => self.path.display().to_string(),
@@ -252,24 +250,24 @@ impl RowWriter {
     }
 
     /// Adds a row: its step, its time since the first row (s), and a number for each column.
-    pub fn row(&mut self, step: u32, time: f64, row: &[f64]) -> Result<(), RecordError> {
+    pub fn add_row(&mut self, step: u32, time: f64, row: &[f64]) -> Result<(), RecordError> {
         match self {
-            Self::Mcap(recorder) => recorder.row(step, time, row),
+            Self::Mcap(recorder) => recorder.add_row(step, time, row),
             Self::Csv(recorder, columns) => {
                 let values = columns.iter().zip(row).map(|(column, value)| Value::of(column, *value));
                 let row: Vec<Value> =
                     [Value::Number(f64::from(step)), Value::Number(time)].into_iter().chain(values).collect();
-                recorder.row(&row)
+                recorder.add_row(&row)
             }
         }
     }
 
     /// Adds an event at a time since the first row (s).
-    pub fn event(&mut self, time: f64, words: &str) -> Result<(), RecordError> {
+    pub fn add_event(&mut self, time: f64, words: &str) -> Result<(), RecordError> {
         match self {
-            Self::Mcap(recorder) => recorder.event(time, words),
+            Self::Mcap(recorder) => recorder.add_event(time, words),
             Self::Csv(recorder, _) => {
-                recorder.comment(&format!("{time} s: {words}"));
+                recorder.add_comment(&format!("{time} s: {words}"));
                 Ok(())
             }
         }
@@ -288,7 +286,7 @@ impl RowWriter {
         match self {
             Self::Mcap(recorder) => recorder.end(words, losses),
             Self::Csv(recorder, _) => {
-                recorder.comment(words);
+                recorder.add_comment(words);
                 recorder.flush()
             }
         }
@@ -311,24 +309,24 @@ impl RowWriter {
     }
 
     /// Describes the destination of the rows.
-    pub fn place(&self) -> String {
+    pub fn destination(&self) -> String {
         match self {
             Self::Mcap(recorder) => recorder.path().display().to_string(),
-            Self::Csv(recorder, _) => recorder.place(),
+            Self::Csv(recorder, _) => recorder.destination(),
         }
     }
 }
 
-/// A recording that was read.
+/// A recording read from a file.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Recording {
     /// Comment lines, without their `# `.
     pub about: Vec<String>,
     /// Names of the columns.
     pub columns: Vec<String>,
-    /// The rows; a state is its number.
+    /// Rows of numbers; a state is its index in [`STATES`].
     pub rows: Vec<Vec<f64>>,
-    /// True if the file ended within a line, which was left out.
+    /// True if the file is cut short: a partial last line or chunk is left out.
     pub torn: bool,
 }
 
@@ -353,7 +351,7 @@ impl Recording {
         Ok(recording)
     }
 
-    /// Returns the text that follows this word at the beginning of a comment line.
+    /// Returns the rest of the first comment line that begins with this word.
     pub fn header_value(&self, word: &str) -> Option<&str> {
         self.about.iter().find_map(|line| line.strip_prefix(word)?.strip_prefix(' '))
     }
@@ -415,9 +413,9 @@ mod tests {
         let mut recorder = Recorder::create(&path, "a device\n20 kHz", &columns(), Overwrite::Never).unwrap();
         for step in 0..10_000 {
             let force = 0.1 * f64::from(step) / 3.0;
-            recorder.row(&[Value::Number(f64::from(step)), Value::Number(force), Value::Word("Fault")]).unwrap();
+            recorder.add_row(&[Value::Number(f64::from(step)), Value::Number(force), Value::Word("Fault")]).unwrap();
         }
-        recorder.comment("10000 rows");
+        recorder.add_comment("10000 rows");
         drop(recorder);
         let text = std::fs::read_to_string(&path).unwrap();
         assert!(text.contains("\n1,0.03333333333333333,Fault\n"), "{}", &text[..200]);

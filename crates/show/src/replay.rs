@@ -1,9 +1,8 @@
-//! Replays a recording: plays its encoder counts into the simulated board's control code and compares the torques.
+//! Replays a recording: feeds its encoder counts to the simulated board's control code and compares the torques.
 //!
-//! Device, scene and rules are the recording's. The control code is deterministic, so the same counts at every step
-//! give the same torques to the bit. Inputs that are not in the recording cause differences: gains that changed during
-//! the recording, forces from a host, and the state of the velocity estimators before the first row, which fades within
-//! the first rows.
+//! Device, scene and rules are the recording's. The control code is deterministic, so the same counts give the same
+//! torques to the bit. Differences come from inputs that a recording does not hold: changed gains, forces from a host,
+//! and for the first rows the state of the velocity estimators before them.
 
 use crate::recorder::{Recording, STATES};
 use haptic_bridge::board::settings::Setting;
@@ -23,7 +22,7 @@ use haptic_host::words::counted;
 use serde::Serialize;
 use std::collections::BTreeMap;
 
-/// A torque difference.
+/// A difference between a recorded and a replayed torque.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Difference {
     /// Control step of the board.
@@ -43,11 +42,11 @@ pub struct Difference {
 /// Result of a replay.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct ReplayResult {
-    /// Rows that were played.
+    /// Number of played rows.
     pub rows: u64,
-    /// Played rows with the motors on.
+    /// Number of played rows with the motors on.
     pub armed: u64,
-    /// Rows in which a torque differs.
+    /// Number of rows in which any torque differs.
     pub differing: u64,
     /// The first difference.
     pub first: Option<Difference>,
@@ -64,7 +63,7 @@ impl ReplayResult {
     }
 }
 
-fn setting<S: Setting>(settings: &BTreeMap<String, SavedSetting>, name: &str) -> Result<S, Failure> {
+fn read_setting<S: Setting>(settings: &BTreeMap<String, SavedSetting>, name: &str) -> Result<S, Failure> {
     let missing = || {
         Failure::wrong(format!("the recording does not have the board's {name}"))
             .remedy("record with a device and a scene loaded, by haptic record")
@@ -72,7 +71,6 @@ fn setting<S: Setting>(settings: &BTreeMap<String, SavedSetting>, name: &str) ->
     settings.get(name).ok_or_else(missing)?.read().map_err(Failure::wrong)
 }
 
-/// Indices of the recording's columns.
 struct Columns {
     step: usize,
     time: usize,
@@ -111,9 +109,10 @@ pub fn replay(recording: &Recording) -> Result<ReplayResult, Failure> {
         Failure::wrong("the recording does not have the board's settings").remedy("record with haptic record")
     })?;
     let settings: BTreeMap<String, SavedSetting> = serde_json::from_str(settings).map_err(Failure::wrong)?;
-    let (device, scene): (Device<f32>, Scene<f32>) = (setting(&settings, "device")?, setting(&settings, "scene")?);
+    let (device, scene): (Device<f32>, Scene<f32>) =
+        (read_setting(&settings, "device")?, read_setting(&settings, "scene")?);
     // A replay has no host that sends heartbeats.
-    let rules = Rules { host_action: HostAction::Ignore, ..setting(&settings, "rules")? };
+    let rules = Rules { host_action: HostAction::Ignore, ..read_setting(&settings, "rules")? };
     let joints = device.axes();
     let columns = Columns::of(recording, joints)?;
     let rows = &recording.rows;
@@ -123,7 +122,7 @@ pub fn replay(recording: &Recording) -> Result<ReplayResult, Failure> {
         return Err(Failure::wrong(format!(
             "the recording has one control step in {every}, and a replay needs every step"
         ))
-        .remedy("record at the control rate: haptic record does if the link carries it, with fewer fields")
+        .remedy("record at the control rate, with fewer fields if the link cannot carry it")
         .choose(Choice::Fields));
     }
     if motors_are_on(first[columns.state] as usize) {
@@ -202,7 +201,6 @@ pub fn replay(recording: &Recording) -> Result<ReplayResult, Failure> {
     Ok(replayed)
 }
 
-/// Returns true if the motors are on in a recorded state.
 fn motors_are_on(recorded: usize) -> bool {
     State::ALL.get(recorded).is_some_and(|state| state.drives())
 }
@@ -216,7 +214,7 @@ fn enter_state(
     if now as usize == recorded || !now.drives() && !motors_are_on(recorded) {
         return Ok(());
     }
-    // At its end a polarity check turns the motors off by itself, in the step that shows the new state.
+    // Waits, because a polarity check turns the motors off by itself in the step that shows the new state.
     if now == State::CheckingPolarity {
         return Ok(());
     }

@@ -1,5 +1,4 @@
-//! A page in the browser: a device, walls to drag, gains to change, and a hand if the device is simulated (`haptic
-//! view`, docs/view.md).
+//! The page of `haptic view`: a device, walls to drag, gains, and a hand if the device is simulated (docs/view.md).
 //!
 //! One thread owns the board ([`stage`]). Each page has a thread that carries messages ([`door`]) and a slot for its
 //! newest picture ([`hub`]), so that a slow page gets fewer pictures and does not delay others. The complete page is

@@ -1,6 +1,6 @@
 //! The output of a command: text, or one document with `--json`; and pictures.
 
-use super::force::Force;
+use super::force::ForceOption;
 use haptic_host::digits::print_json;
 use haptic_host::error::{Failure, print};
 use haptic_show::plot::paper::Paper;
@@ -17,7 +17,6 @@ pub struct Json {
 }
 
 impl Json {
-    /// Returns true if the document was requested.
     pub fn is_requested(self) -> bool {
         self.requested
     }
@@ -42,10 +41,10 @@ pub struct Pictures {
     #[arg(long, value_name = "MM", value_parser = parse_width)]
     width: Option<f64>,
     #[command(flatten)]
-    force: Force,
+    force: ForceOption,
 }
 
-/// Limits of the width: narrower pictures have no room for the numbers along an axis, wider ones fit no page.
+/// Minimum and maximum width: narrower pictures have no room for the numbers along an axis, wider ones fit no page.
 const WIDTHS_MM: (f64, f64) = (60.0, 400.0);
 
 fn parse_width(text: &str) -> Result<f64, String> {
@@ -55,22 +54,19 @@ fn parse_width(text: &str) -> Result<f64, String> {
 }
 
 impl Pictures {
-    /// Returns an error if the files could not be written after the work.
+    /// Returns an error, before the work, for files that could not be written after it.
     pub fn check(&self) -> Result<(), Failure> {
         self.force.check_pictures(self.svg.as_ref(), self.png.as_ref())
     }
 
-    /// Returns true if a picture was requested.
     pub fn is_requested(&self) -> bool {
         self.svg.is_some() || self.png.is_some()
     }
 
-    /// Returns the requested width.
     pub fn paper(&self) -> Paper {
         Paper(self.width)
     }
 
-    /// Writes the requested files.
     pub fn save(&self, picture: &Picture) -> Result<(), PictureError> {
         self.svg.as_deref().map_or(Ok(()), |path| picture.save_svg(path))?;
         self.png.as_deref().map_or(Ok(()), |path| picture.save_png(path))

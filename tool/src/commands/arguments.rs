@@ -41,7 +41,7 @@ impl std::fmt::Display for Numbers {
 }
 
 impl Numbers {
-    /// Returns the numbers if there are exactly `count`; `option` and `meaning` are for the message.
+    /// Returns the numbers if there are exactly `count`. `option` and `meaning` appear in the error.
     pub fn exactly(&self, count: usize, option: &str, meaning: &str) -> Result<Vec<f64>, Failure> {
         if self.0.len() == count {
             return Ok(self.0.clone());
@@ -64,8 +64,7 @@ impl Numbers {
         Ok(self.0.clone())
     }
 
-    /// Returns for each of `walls` walls true if it has the feed-forward: false for the indices in `without`, which
-    /// count from 0. Returns an error if no wall has it.
+    /// Returns one flag per wall, false for indices in `without` (from 0). Returns an error if all are false.
     pub fn with_feed_forward(without: Option<&Self>, walls: usize, option: &str) -> Result<Vec<bool>, Failure> {
         let mut with = vec![true; walls];
         for index in without.iter().flat_map(|without| &without.0) {
@@ -94,7 +93,6 @@ impl Numbers {
     }
 }
 
-/// A device file and the pose of the device.
 #[derive(clap::Args)]
 pub struct DeviceAt {
     /// Device file (TOML)
@@ -105,21 +103,18 @@ pub struct DeviceAt {
 }
 
 impl DeviceAt {
-    /// Returns the joint angles of --q, or the home pose of the file.
     pub fn pose(&self, file: &DeviceFile) -> Result<Vec<f64>, Failure> {
         pose(self.q.as_ref(), file)
     }
 }
 
-/// The coordinate that a redundant device holds.
 #[derive(clap::Args)]
-pub struct Holding {
+pub struct HoldingArgs {
     /// Coordinate that a redundant device holds
-    #[arg(long, value_name = "COORDINATE", default_value = "orientation", value_parser = admissible())]
+    #[arg(long, value_name = "COORDINATE", default_value = "orientation", value_parser = admissible_parser())]
     pub admissible: Admissible,
 }
 
-/// Walls that act together.
 #[derive(clap::Args)]
 pub struct WallArgs {
     /// Normal of a wall at the tip, of any length; once for each wall that acts
@@ -135,22 +130,20 @@ pub struct WallArgs {
 }
 
 impl WallArgs {
-    /// Number of walls.
     pub fn count(&self) -> usize {
         self.normal.len()
     }
 
-    /// Returns the normals as typed.
     pub fn normals(&self) -> impl Iterator<Item = &Numbers> {
         self.normal.iter()
     }
 
-    /// Returns each wall's share as typed; `None` for one wall.
-    pub fn parts(&self) -> Option<&Numbers> {
+    /// Returns the shares of the walls as typed; `None` for one wall.
+    pub fn shares(&self) -> Option<&Numbers> {
         self.share.as_ref().filter(|_| self.normal.len() > 1)
     }
 
-    /// Returns each wall with its share, at a tip of `task` dimensions.
+    /// Returns the walls with their shares, at a tip of `task` dimensions.
     pub fn members(&self, task: usize) -> Result<Vec<Member>, Failure> {
         let shares = match &self.share {
             Some(share) => share.per_wall(self.count(), "--share")?,
@@ -164,10 +157,10 @@ impl WallArgs {
         self.normal.iter().zip(parts).map(member).collect()
     }
 
-    /// Returns the options that describe the same walls.
-    pub fn line(&self) -> String {
+    /// Returns the command-line options that describe these walls.
+    pub fn options(&self) -> String {
         let mut line: String = self.normal.iter().map(|normal| format!(" --normal={normal}")).collect();
-        if let Some(parts) = self.parts() {
+        if let Some(parts) = self.shares() {
             line += &format!(" --share {parts}");
         }
         if let Some(without) = &self.no_feed_forward {
@@ -177,7 +170,6 @@ impl WallArgs {
     }
 }
 
-/// Returns the joint angles of --q, or the home pose of the file.
 pub fn pose(q: Option<&Numbers>, file: &DeviceFile) -> Result<Vec<f64>, Failure> {
     let joints = file.spec().joints;
     match (q, file.description.home) {
@@ -188,9 +180,9 @@ pub fn pose(q: Option<&Numbers>, file: &DeviceFile) -> Result<Vec<f64>, Failure>
     }
 }
 
-/// Loads a device file with warnings about implausible values. If `for_a_loop` is false, warnings about the
-/// transmission are left out, because inertia does not depend on it.
-pub fn device(path: &Path, for_a_loop: bool) -> Result<(DeviceFile, Vec<Warning>), Failure> {
+/// Loads a device file, and returns warnings about implausible values. Without `for_a_loop` there are no warnings about
+/// the transmission, because inertia does not depend on it.
+pub fn load_device(path: &Path, for_a_loop: bool) -> Result<(DeviceFile, Vec<Warning>), Failure> {
     let document = Document::load(path)?;
     let file = DeviceFile::read(&document)?;
     let mut warnings = plausible::device::file_warnings(&file);
@@ -208,7 +200,6 @@ pub fn pose_warnings(q: &[f64], file: &DeviceFile) -> Vec<Warning> {
     warnings.into_iter().map(FileWarning::typed).collect()
 }
 
-/// Returns an error for a control rate that no board has.
 pub fn check_rate(rate_hz: f64) -> Result<(), Failure> {
     if (MIN_RATE_HZ..=MAX_RATE_HZ).contains(&rate_hz) {
         return Ok(());
@@ -218,7 +209,7 @@ pub fn check_rate(rate_hz: f64) -> Result<(), Failure> {
 }
 
 /// Returns a parser from words to values, with a description of each word for the help page.
-pub fn one_of<T: Copy + Send + Sync + 'static>(
+pub fn words_parser<T: Copy + Send + Sync + 'static>(
     words: impl IntoIterator<Item = (&'static str, &'static str, T)>,
 ) -> impl TypedValueParser<Value = T> {
     let words: Vec<_> = words.into_iter().collect();
@@ -227,7 +218,7 @@ pub fn one_of<T: Copy + Send + Sync + 'static>(
 }
 
 /// Returns a parser from words to values, without descriptions.
-fn one_of_names<T: Copy + Send + Sync + 'static>(
+fn names_parser<T: Copy + Send + Sync + 'static>(
     words: impl IntoIterator<Item = (&'static str, T)>,
 ) -> impl TypedValueParser<Value = T> {
     let words: Vec<_> = words.into_iter().collect();
@@ -244,13 +235,11 @@ fn parse_words<T: Copy + Send + Sync + 'static>(
     })
 }
 
-/// Parses the name of a feed-forward.
-pub fn feed_forward() -> impl TypedValueParser<Value = FeedForward> {
-    one_of(FeedForward::ALL.map(|(name, kind)| (name, what(kind), kind)))
+pub fn feed_forward_parser() -> impl TypedValueParser<Value = FeedForward> {
+    words_parser(FeedForward::ALL.map(|(name, kind)| (name, describe_feed_forward(kind), kind)))
 }
 
-/// Describes a kind of feed-forward.
-pub fn what(kind: FeedForward) -> &'static str {
+pub fn describe_feed_forward(kind: FeedForward) -> &'static str {
     match kind {
         FeedForward::Off => "None",
         FeedForward::Full => "The paper's equation (4)",
@@ -259,7 +248,7 @@ pub fn what(kind: FeedForward) -> &'static str {
 }
 
 /// Parses the name, as in scene files, of a velocity estimator that has a linear analysis.
-pub fn linear_estimator() -> impl TypedValueParser<Value = Estimator> {
+pub fn estimator_parser() -> impl TypedValueParser<Value = Estimator> {
     let describe = |kind| match kind {
         Estimator::Butterworth => "Backward difference and a 2nd-order Butterworth low-pass",
         Estimator::FirstOrder => "Backward difference and a 1st-order low-pass",
@@ -267,22 +256,20 @@ pub fn linear_estimator() -> impl TypedValueParser<Value = Estimator> {
         Estimator::Predicted(_) => "Observer with the motors' torques as inputs and its poles at the cutoff",
         _ => "As in scene files",
     };
-    one_of(LinearEstimator::named().map(move |(name, kind)| (name, describe(kind), kind)))
+    words_parser(LinearEstimator::named().map(move |(name, kind)| (name, describe(kind), kind)))
 }
 
-/// Parses the name of an arithmetic.
-pub fn precision() -> impl TypedValueParser<Value = Precision> {
-    one_of_names(Precision::ALL)
+pub fn precision_parser() -> impl TypedValueParser<Value = Precision> {
+    names_parser(Precision::ALL)
 }
 
 /// Parses the name of a board that has firmware.
-pub fn board() -> impl TypedValueParser<Value = BoardKind> {
-    one_of_names(BoardKind::ALL.map(|kind| (kind.name(), kind)))
+pub fn board_parser() -> impl TypedValueParser<Value = BoardKind> {
+    names_parser(BoardKind::ALL.map(|kind| (kind.name(), kind)))
 }
 
-/// Parses the name of the coordinate that a redundant device holds.
-pub fn admissible() -> impl TypedValueParser<Value = Admissible> {
-    one_of_names(Admissible::ALL)
+pub fn admissible_parser() -> impl TypedValueParser<Value = Admissible> {
+    names_parser(Admissible::ALL)
 }
 
 #[cfg(test)]

@@ -3,7 +3,7 @@
 use super::answer::Json;
 use super::held_key::{HeldKey, in_raw_terminal};
 use super::interrupt::{self, Interrupt};
-use super::port::{OnBoard, motors_off};
+use super::port::{OnBoard, motors_off_failure};
 use haptic_bridge::control::{ARM_SECONDS, HostAction};
 use haptic_bridge::safety::fault::State;
 use haptic_host::error::{Failure, print};
@@ -32,13 +32,12 @@ pub struct Args {
     key: bool,
 }
 
-/// Arms, and stays if the board watches its host.
 pub fn run(args: Args) -> Result<(), Failure> {
     let mut board = args.on.open_to_stay()?;
     let host_action = board.rules()?.host_action;
     let stop = interrupt::watch();
     if args.key {
-        return hold(&mut board, args.on.json, stop);
+        return arm_while_held(&mut board, args.on.json, stop);
     }
     board.arm()?;
     let document = json!({ "state": "Armed", "ramp_seconds": ARM_SECONDS, "host_action": host_action });
@@ -57,7 +56,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         board.rows(Duration::from_millis(200))?;
         let status = board.status()?;
         match status.fault {
-            Some(record) if status.state == State::Fault => return Err(motors_off(&record, rate)),
+            Some(record) if status.state == State::Fault => return Err(motors_off_failure(&record, rate)),
             _ if status.state != State::Armed => {
                 return print_end(args.on.json, "disarmed by another tool: the motors are off\n");
             }
@@ -74,7 +73,7 @@ const KEY_INTERVAL: Duration = Duration::from_millis(20);
 const STATUS_INTERVAL: Duration = Duration::from_millis(200);
 
 /// Keeps the motors on while Space is held, until `q`.
-fn hold(board: &mut Board, json: Json, stop: Interrupt) -> Result<(), Failure> {
+fn arm_while_held(board: &mut Board, json: Json, stop: Interrupt) -> Result<(), Failure> {
     if json.is_requested() {
         return Err(Failure::wrong("--key does not apply with --json: it needs a person at the terminal"));
     }
@@ -97,7 +96,7 @@ fn follow_key(board: &mut Board, stop: Interrupt) -> Result<(), Failure> {
     let show = |words: &str| haptic_host::error::overwrite_line(format_args!("{words:40}"), false);
     while !stop.is_set() {
         board.rows(KEY_INTERVAL)?;
-        let Some(message) = key.listen(board.step()).map_err(Failure::impossible)? else { return Ok(()) };
+        let Some(message) = key.read_keys(board.step()).map_err(Failure::impossible)? else { return Ok(()) };
         match message {
             Some(FromPage::Arm { seen }) => {
                 board.arm_held(seen)?;
@@ -116,7 +115,7 @@ fn follow_key(board: &mut Board, stop: Interrupt) -> Result<(), Failure> {
             polled = Instant::now();
             let status = board.status()?;
             match status.fault {
-                Some(record) if status.state == State::Fault => return Err(motors_off(&record, rate)),
+                Some(record) if status.state == State::Fault => return Err(motors_off_failure(&record, rate)),
                 _ if status.state != State::Armed => {
                     key.forget();
                     on = false;

@@ -1,6 +1,6 @@
 //! `haptic board backup`: writes a board's saved settings to a file.
 
-use super::force::Force;
+use super::force::ForceOption;
 use super::port::OnBoard;
 use haptic_host::backup::Backup;
 use haptic_host::error::Failure;
@@ -16,12 +16,11 @@ pub struct Args {
     /// File to write (JSON)
     file: PathBuf,
     #[command(flatten)]
-    force: Force,
+    force: ForceOption,
     #[command(flatten)]
     on: OnBoard,
 }
 
-/// Reads the board, then writes the file.
 pub fn run(args: Args) -> Result<(), Failure> {
     args.force.check([&args.file])?;
     let mut board = args.on.open_to_stay()?;

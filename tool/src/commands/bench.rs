@@ -1,7 +1,7 @@
 //! `haptic bench`: the cost and the error of every variant of the control step.
 
 use super::answer::Json;
-use super::force::Force;
+use super::force::ForceOption;
 use haptic_host::device_file::DeviceFile;
 use haptic_host::digits::print_json;
 use haptic_host::error::{Failure, print};
@@ -24,13 +24,12 @@ pub struct Args {
     #[arg(long, value_name = "DIRECTORY")]
     report: Option<PathBuf>,
     #[command(flatten)]
-    force: Force,
+    force: ForceOption,
     #[command(flatten)]
     json: Json,
 }
 
-/// Explanation of the columns and of the parts of a variant's name.
-const LEGEND: &str = "
+const COLUMN_LEGEND: &str = "
 variant: mechanism/trigonometry/mass matrix/terms
   trigonometry: table (and two terms of a series, as in the firmware), minimax (polynomials)
   mass matrix: exact (closed form), frozen (one for the workspace), bilinear and bicubic (tables)
@@ -42,7 +41,6 @@ area: remaining share of the exact feed-forward's stable area of stiffness and d
 front: no variant of the same mechanism is both cheaper and nearer to the ideal force (without the fade near singular poses)
 ";
 
-/// Computes and prints, or writes the report.
 pub fn run(args: Args) -> Result<(), Failure> {
     let names = ["speed-by-mechanism.csv", "speed-against-error.csv", "speed-against-error.svg"];
     let files = args.report.as_ref().map(|folder| names.map(|name| folder.join(name)));
@@ -89,6 +87,6 @@ pub fn run(args: Args) -> Result<(), Failure> {
             if variant.pareto { "  front" } else { "" }
         ));
     }
-    text.push_str(LEGEND);
+    text.push_str(COLUMN_LEGEND);
     print(&text)
 }

@@ -23,7 +23,6 @@ enum Command {
     Dfu(dfu::Args),
 }
 
-/// Runs the subcommand.
 pub fn run(args: Args) -> Result<(), Failure> {
     match args.command {
         Command::List(args) => list::run(args),

@@ -1,7 +1,7 @@
 //! `haptic board report`: describes a board's condition on a page to send with a question; the motors stay off.
 
-use super::force::Force;
-use super::port::{OnBoard, fault_alone, state_in_words};
+use super::force::ForceOption;
+use super::port::{OnBoard, fault_without_remedy, state_in_words};
 use haptic_bridge::board::telemetry::{Field, Fields};
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::safety::refusal::Refusal;
@@ -27,35 +27,33 @@ pub struct Args {
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
     #[command(flatten)]
-    force: Force,
+    force: ForceOption,
     #[command(flatten)]
     on: OnBoard,
 }
 
-/// Result for one part of the board.
 #[derive(Serialize)]
 struct Finding {
     part: String,
-    /// `OK`, `look at`, `bad` or `not known`.
+    /// One of `OK`, `look at`, `bad` and `not known`.
     verdict: &'static str,
     what: String,
 }
 
 const OK: &str = "OK";
-const LOOK: &str = "look at";
+const LOOK_AT: &str = "look at";
 const BAD: &str = "bad";
-const UNKNOWN: &str = "not known";
+const NOT_KNOWN: &str = "not known";
 
 /// Duration of the measurement of encoders and currents, s.
-const SECONDS: f32 = 1.0;
-/// Row rate of this measurement, rows a second.
-const ROWS: f32 = 1000.0;
-/// Largest current at rest that is accepted, A: bring-up requires less without torque (docs/bring-up.md, step 8).
-const REST_CURRENT: f64 = 0.1;
-/// Smallest acceptable amount of never used stack, bytes.
-const SPARE_STACK: u32 = 1024;
+const MEASUREMENT_SECONDS: f32 = 1.0;
+/// Rows per second of the measurement of encoders and currents.
+const ROWS_PER_SECOND: f32 = 1000.0;
+/// Largest accepted current at rest, A: bring-up requires less without torque (docs/bring-up.md, step 8).
+const MAX_REST_CURRENT: f64 = 0.1;
+/// Smallest accepted amount of never used stack, bytes.
+const MIN_FREE_STACK: u32 = 1024;
 
-/// Examines the board, then writes the page.
 pub fn run(args: Args) -> Result<(), Failure> {
     args.force.check(&args.output)?;
     let mut board = args.on.open()?;
@@ -71,13 +69,13 @@ pub fn run(args: Args) -> Result<(), Failure> {
     args.on.answer(json!({ "findings": findings, "page": page }), &page)
 }
 
-/// Samples the sensors at rest.
+/// Samples encoders, currents and the bus voltage at rest.
 fn sample_at_rest(board: &mut Board) -> Result<Vec<Row>, Failure> {
     let rate = board.details()?.rate_hz;
-    let divider = (rate / ROWS).max(1.0) as u32;
-    let count = (SECONDS * rate / divider as f32) as usize;
+    let divider = (rate / ROWS_PER_SECOND).max(1.0) as u32;
+    let count = (MEASUREMENT_SECONDS * rate / divider as f32) as usize;
     board.start_stream(Fields(Field::Current.bit() | Field::Counts.bit() | Field::BusVoltage.bit()), divider)?;
-    let deadline = board.now() + Duration::from_secs_f32(3.0 * SECONDS);
+    let deadline = board.now() + Duration::from_secs_f32(3.0 * MEASUREMENT_SECONDS);
     let mut rows = Vec::new();
     let mut received = Ok(());
     while received.is_ok() && rows.len() < count && board.now() < deadline {
@@ -96,12 +94,12 @@ fn findings(board: &mut Board) -> Result<Vec<Finding>, Failure> {
     let axes = board.device()?.map_or(0, |device| device.axes());
     match &status.fault {
         Some(record) => {
-            add("fault", BAD, format!("{}: {}", fault_alone(record, details.rate_hz), record.fault.remedy()))
+            add("fault", BAD, format!("{}: {}", fault_without_remedy(record, details.rate_hz), record.fault.remedy()))
         }
         None => add("fault", OK, "no fault is latched".into()),
     }
     if axes == 0 {
-        add("encoders and currents", LOOK, "not read, because no device is loaded: load one first".into());
+        add("encoders and currents", LOOK_AT, "not read, because no device is loaded: load one first".into());
     } else {
         let before = board.details()?.overruns;
         let rows = sample_at_rest(board)?;
@@ -117,7 +115,7 @@ fn findings(board: &mut Board) -> Result<Vec<Finding>, Failure> {
                     ..=1.0 => add(&format!("encoder {axis}"), OK, what + "; turn the joint by hand to see it count"),
                     _ => add(
                         &format!("encoder {axis}"),
-                        LOOK,
+                        LOOK_AT,
                         what + ": if the device was not touched, check its wires for noise",
                     ),
                 }
@@ -126,12 +124,12 @@ fn findings(board: &mut Board) -> Result<Vec<Finding>, Failure> {
                 let what = format!("mean {mean:.4} A, lowest to highest {spread:.4} A, bridges off");
                 match mean.abs().max(spread) {
                     _ if details.unsensed.contains(&Fault::OverCurrent.code()) => {
-                        add(&format!("current {axis}"), UNKNOWN, "this board does not sense current".into());
+                        add(&format!("current {axis}"), NOT_KNOWN, "this board does not sense current".into());
                     }
-                    size if size <= REST_CURRENT => add(&format!("current {axis}"), OK, what),
+                    size if size <= MAX_REST_CURRENT => add(&format!("current {axis}"), OK, what),
                     _ => add(
                         &format!("current {axis}"),
-                        LOOK,
+                        LOOK_AT,
                         what + ": more than 0.1 A; a half bridge conducts, or the zero of the current sensor is wrong: see docs/bring-up.md",
                     ),
                 }
@@ -140,16 +138,16 @@ fn findings(board: &mut Board) -> Result<Vec<Finding>, Failure> {
         let lost = board.losses();
         let overruns = board.details()?.overruns;
         let clean = lost.missing == 0 && lost.garbled == 0;
-        add("link", if clean { OK } else { LOOK }, lost.to_string());
+        add("link", if clean { OK } else { LOOK_AT }, lost.to_string());
         if overruns > before {
             add("overruns now", BAD, format!("{} during this second: lower rate_hz", overruns - before));
         }
     }
     let (volts, low, high) = (status.bus_voltage, rules.limits.bus_min, rules.limits.bus_max);
     match volts {
-        0.0 => add("bus", UNKNOWN, "not sensed: measure the supply yourself".into()),
+        0.0 => add("bus", NOT_KNOWN, "not sensed: measure the supply yourself".into()),
         _ if (low..=high).contains(&volts) => add("bus", OK, format!("{volts:.2} V of {low} to {high} V")),
-        _ => add("bus", LOOK, format!("{volts:.2} V, outside {low} to {high} V: is the supply on?")),
+        _ => add("bus", LOOK_AT, format!("{volts:.2} V, outside {low} to {high} V: is the supply on?")),
     }
     match details.damage.as_slice() {
         [] => add("flash", OK, "every stored setting is valid".into()),
@@ -159,8 +157,8 @@ fn findings(board: &mut Board) -> Result<Vec<Finding>, Failure> {
         }
     }
     match details.stack_free {
-        0 => add("stack", UNKNOWN, "not measured on this board".into()),
-        free if free < SPARE_STACK => add("stack", BAD, format!("only {free} bytes were never used: report it")),
+        0 => add("stack", NOT_KNOWN, "not measured on this board".into()),
+        free if free < MIN_FREE_STACK => add("stack", BAD, format!("only {free} bytes were never used: report it")),
         free => add("stack", OK, format!("{free} bytes were never used")),
     }
     let timing = match details.longest_cycles {
@@ -172,7 +170,7 @@ fn findings(board: &mut Board) -> Result<Vec<Finding>, Failure> {
     Ok(findings)
 }
 
-/// Returns the mean, and the difference of the highest and the lowest value.
+/// Returns the mean, and the difference between the highest and the lowest value; `None` without values.
 fn mean_and_spread(values: &[f64]) -> Option<(f64, f64)> {
     let low = values.iter().copied().reduce(f64::min)?;
     let high = values.iter().copied().reduce(f64::max)?;
@@ -203,7 +201,7 @@ fn format_page(board: &mut Board, findings: &[Finding]) -> Result<String, Failur
     page += "\n## Faults since the board started\n\n";
     let faults = board.faults()?;
     for record in &faults {
-        page += &format!("- {}\n", fault_alone(record, details.rate_hz));
+        page += &format!("- {}\n", fault_without_remedy(record, details.rate_hz));
     }
     if faults.is_empty() {
         page += "None.\n";
@@ -214,7 +212,7 @@ fn format_page(board: &mut Board, findings: &[Finding]) -> Result<String, Failur
         page += &format!("\n## {title}\n\n");
         page += &text.map_or("None.\n".into(), |text| format!("```\n{}\n```\n", text.trim()));
     };
-    // Names are left out, because they may identify a person.
+    // Leaves names out, because they may identify a person.
     let unnamed =
         |text: String| text.lines().filter(|line| !line.starts_with("name = ")).collect::<Vec<_>>().join("\n");
     part("Device", board.device()?.map(|device| unnamed(to_toml(&[], &device_entries(&device)))));

@@ -1,5 +1,4 @@
-//! `haptic check`: checks a device file and its scene files without a board: errors, description, probable mistakes,
-//! and the board's computation.
+//! `haptic check`: checks a device file and scene files without a board, and shows the board's computation.
 
 use super::answer::{Json, Pictures};
 use super::port::counted;
@@ -47,7 +46,6 @@ pub struct Args {
     json: Json,
 }
 
-/// The document of `--json`.
 #[derive(serde::Serialize)]
 struct Report {
     path: String,
@@ -61,7 +59,6 @@ struct Report {
     warnings: Vec<Warning>,
 }
 
-/// One scene of the report.
 #[derive(serde::Serialize)]
 struct SceneReport {
     path: String,
@@ -72,14 +69,13 @@ struct SceneReport {
     rate_hz: f64,
     entered_at_home: Vec<usize>,
     contacts: Vec<Contact>,
-    /// The board's plan of the computation; `None` if it cannot be planned.
+    /// Computation that the board will use; `None` if it cannot be planned.
     plan: Option<Value>,
     /// The plan in words, or the reason why there is no plan.
     #[serde(skip)]
     planned: String,
 }
 
-/// Checks every file.
 pub fn run(args: Args) -> Result<(), Failure> {
     args.pictures.check()?;
     let document = Document::load(&args.device)?;
@@ -174,7 +170,6 @@ fn plan_in_words(plan: &Plan) -> String {
     text
 }
 
-/// Draws the device at home.
 fn picture(file: &DeviceFile, summary: &Summary, paper: Paper) -> Result<Picture, Failure> {
     let no_pose = || Failure::wrong(format!("{} has no [home], so there is no pose to draw", file.path.display()));
     let home = file.description.home.ok_or_else(|| no_pose().remedy("add [home] q"))?;

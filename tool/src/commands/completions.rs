@@ -23,7 +23,6 @@ pub struct Args {
     man: Option<Option<PathBuf>>,
 }
 
-/// Writes the script or the pages.
 pub fn run(args: Args) -> Result<(), Failure> {
     if let Some(shell) = args.shell {
         let mut document = Vec::new();
@@ -33,11 +32,11 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let mut haptic = help::command();
     haptic.build();
     let Some(folder) = args.man.flatten() else {
-        return print(&page(&haptic, "haptic")?);
+        return print(&manual_page(&haptic, "haptic")?);
     };
     std::fs::create_dir_all(&folder).map_err(|error| output::write_failure(&folder, &error))?;
     let write = |name: &str, command: &clap::Command| {
-        let text = page(command, name)?;
+        let text = manual_page(command, name)?;
         output::write(&folder.join(format!("{name}.1")), text.as_bytes(), Overwrite::Replace)
     };
     let mut pending = vec![("haptic".to_string(), &haptic)];
@@ -49,11 +48,11 @@ pub fn run(args: Args) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Renders a manual page, with the parts that clap does not know: exit codes, examples, files.
-fn page(command: &clap::Command, name: &str) -> Result<String, Failure> {
+/// Renders a manual page, with the sections that clap does not write: exit codes, examples, files.
+fn manual_page(command: &clap::Command, name: &str) -> Result<String, Failure> {
     let words = command.get_bin_name().unwrap_or_default();
     let examples = help::examples(words.strip_prefix("haptic ").unwrap_or_default());
-    // Examples have their own section in the manual.
+    // Removes the examples from the description, because they have their own section.
     let man = Man::new(command.clone().after_help(Resettable::<StyledStr>::Reset).display_name(name));
     let mut text = Vec::new();
     man.render(&mut text).map_err(|error| Failure::impossible(format!("cannot render the manual page: {error}")))?;

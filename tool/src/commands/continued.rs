@@ -5,7 +5,6 @@ use haptic_host::error::Failure;
 use haptic_stability::sweep::Sweep;
 use std::path::PathBuf;
 
-/// File for unfinished work.
 #[derive(clap::Args)]
 pub struct Continue {
     /// Keep unfinished work in this file: after Ctrl-C the same command continues from there
@@ -14,8 +13,7 @@ pub struct Continue {
 }
 
 impl Continue {
-    /// Creates the `Sweep` that does the work of a command and that Ctrl-C ends cleanly. `question` holds all inputs
-    /// that determine the results.
+    /// Creates the `Sweep` of a command, which Ctrl-C ends cleanly. `question` holds all inputs of the results.
     pub fn sweep(&self, command: &str, question: &str) -> Result<Sweep, Failure> {
         let interrupt = interrupt::watch();
         Sweep::new(command, question, self.file.as_deref(), move || interrupt.is_set())

@@ -1,14 +1,14 @@
 //! `haptic demo`: the benefit of the feed-forward, in a few seconds, without hardware.
 
 use super::answer::Json;
-use super::force::Force;
+use super::force::ForceOption;
 use haptic_bridge::render::scene::FeedForward;
 use haptic_host::error::Failure;
 use haptic_host::output;
 use haptic_show::demo::comparison::Comparison;
 use haptic_show::demo::crossing::{Crossing, run as cross};
 use haptic_show::demo::picture::draw;
-use haptic_show::demo::stiffness::{Limit, limit};
+use haptic_show::demo::stiffness::{StiffnessLimit, stiffness_limit};
 use haptic_show::demo::{Demo, Inertia};
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
@@ -17,44 +17,44 @@ use std::path::PathBuf;
 /// Let a simulated hand press on a wall, without and with the feed-forward, and see the benefit
 ///
 /// Runs a simulated board with the firmware's own control code over the real protocol: no hardware needed, a few
-/// seconds. Prints a table and draws position, force and duty into an SVG file.
+/// seconds. Prints a table and draws distance and force into an SVG file.
 #[derive(clap::Args)]
 pub struct Args {
     /// File for the picture [default: haptic-demo.svg, or with a number if that exists]
     #[arg(long, value_name = "FILE")]
     svg: Option<PathBuf>,
     #[command(flatten)]
-    force: Force,
+    force: ForceOption,
     #[command(flatten)]
     json: Json,
 }
 
 /// Seed of the hand's tremor, the same for both runs.
-const SEED: u64 = 1;
+const TREMOR_SEED: u64 = 1;
 
-/// Units of the progress bar in one part of the work.
-const PART: u64 = 100;
+/// Units of the progress bar for one of the four parts of the work.
+const UNITS_PER_PART: u64 = 100;
 
 /// A progress bar on standard error, which is drawn only on a terminal.
-struct Bar {
+struct PartsBar {
     bar: ProgressBar,
     /// Number of finished parts.
     done: u64,
 }
 
-impl Bar {
+impl PartsBar {
     fn new(parts: u64) -> Self {
-        let bar = ProgressBar::new(parts * PART);
+        let bar = ProgressBar::new(parts * UNITS_PER_PART);
         if let Ok(style) = ProgressStyle::with_template("{bar:32} {percent:3} %  {msg}") {
             bar.set_style(style);
         }
         Self { bar, done: 0 }
     }
 
-    /// Shows the share of the present part that is done.
+    /// Shows the progress in the present part, as a share, and the activity `doing`.
     fn show(&self, share: f64, doing: &'static str) {
         self.bar.set_message(doing);
-        self.bar.set_position(self.done * PART + (share * PART as f64) as u64);
+        self.bar.set_position(self.done * UNITS_PER_PART + (share * UNITS_PER_PART as f64) as u64);
     }
 
     fn next(&mut self) {
@@ -66,18 +66,16 @@ impl Bar {
     }
 }
 
-/// Results without and with the feed-forward.
 struct Results {
     inertia: Inertia,
     crossings: [Crossing; 2],
-    limits: [Limit; 2],
+    limits: [StiffnessLimit; 2],
 }
 
-/// Runs the demo, prints the report and draws the picture.
 pub fn run(args: Args) -> Result<(), Failure> {
     args.force.check_pictures(args.svg.as_ref(), None)?;
-    let demo = Demo::shipped(SEED)?;
-    let mut bar = Bar::new(4);
+    let demo = Demo::shipped(TREMOR_SEED)?;
+    let mut bar = PartsBar::new(4);
     let mut crossing = |feed_forward, doing: &'static str| {
         let result = cross(&demo, feed_forward, &mut |share| bar.show(share, doing));
         bar.next();
@@ -89,7 +87,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     ];
     let mut search = |feed_forward, doing: &'static str| {
         bar.show(0.0, doing);
-        let result = limit(&demo, feed_forward);
+        let result = stiffness_limit(&demo, feed_forward);
         bar.next();
         result
     };
@@ -103,13 +101,13 @@ pub fn run(args: Args) -> Result<(), Failure> {
     draw(&demo, &results.crossings[0], &results.crossings[1]).save_svg(&svg)?;
     let place = std::path::absolute(&svg).unwrap_or(svg);
     let place = place.display().to_string();
-    let words = format!("{}picture: {place}\n", report(&demo, &results));
-    args.json.answer(document(&demo, &results, &place), &words)
+    let words = format!("{}picture: {place}\n", format_report(&demo, &results));
+    args.json.answer(json_document(&demo, &results, &place), &words)
 }
 
-/// Returns the contents of `report` as JSON: SI units, `without` the feed-forward and `with` it.
-fn document(demo: &Demo, results: &Results, picture: &str) -> serde_json::Value {
-    let run = |crossing: &Crossing, inertia: f64, limit: &Limit| {
+/// Returns the contents of `format_report` as JSON in SI units, `without` and `with` the feed-forward.
+fn json_document(demo: &Demo, results: &Results, picture: &str) -> serde_json::Value {
+    let run = |crossing: &Crossing, inertia: f64, limit: &StiffnessLimit| {
         json!({
             "penetration_m": crossing.penetration,
             "peak_force_n": crossing.peak_force,
@@ -131,13 +129,13 @@ fn document(demo: &Demo, results: &Results, picture: &str) -> serde_json::Value 
         "washout_hz": demo.washout_hz,
         "without": run(without, inertia.effective, low),
         "with": run(with, inertia.rendered, high),
-        "model": demo.model_line(),
-        "range": demo.range_line(low.delay_samples),
+        "model": demo.model_command(),
+        "range": demo.range_command(low.delay_samples),
         "picture": picture,
     })
 }
 
-fn report(demo: &Demo, results: &Results) -> String {
+fn format_report(demo: &Demo, results: &Results) -> String {
     let Results { inertia, crossings: [without, with], limits: [low, high] } = results;
     let mut text = format!(
         "{}: a simulated board at {:.0} Hz, over the board's own protocol.\n\
@@ -147,7 +145,7 @@ fn report(demo: &Demo, results: &Results) -> String {
         demo.rate_hz,
         demo.stiffness / 1000.0,
         demo.damping,
-        1e3 * haptic_show::demo::crossing::SLIDE,
+        1e3 * haptic_show::demo::crossing::SLIDE_DISTANCE,
         demo.seed,
         demo.washout_hz
     );
@@ -169,7 +167,7 @@ fn report(demo: &Demo, results: &Results) -> String {
         1e3 * inertia.rendered,
         1e3 * (inertia.rendered - inertia.effective)
     ));
-    text.push_str(&benefit(demo, results));
+    text.push_str(&describe_benefit(demo, results));
     for crossing in [without, with] {
         if let Some(fault) = &crossing.fault {
             text.push_str(&format!("The board stopped a run: {fault}.\n"));
@@ -177,8 +175,8 @@ fn report(demo: &Demo, results: &Results) -> String {
     }
     text.push_str(&format!(
         "Weff, Wrr and the predictions are also printed by (run next to the folder devices/)\n    {}\n    {}\n",
-        demo.model_line(),
-        demo.range_line(low.delay_samples)
+        demo.model_command(),
+        demo.range_command(low.delay_samples)
     ));
     text.push_str(
         "The stable stiffness is measured without friction, hand and encoder steps, as in the theory; with them the\n\
@@ -187,8 +185,8 @@ fn report(demo: &Demo, results: &Results) -> String {
     text
 }
 
-/// Describes the benefit of the feed-forward, from the numbers of this run.
-fn benefit(demo: &Demo, results: &Results) -> String {
+/// Describes the benefit of the feed-forward in this run.
+fn describe_benefit(demo: &Demo, results: &Results) -> String {
     let Results { inertia, crossings: [without, with], limits: [low, high] } = results;
     let gain = 100.0 * (high.measured / low.measured - 1.0);
     let mut text = format!(

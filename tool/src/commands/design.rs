@@ -1,7 +1,7 @@
 //! `haptic design`: finds the place, direction, links and posture with which a device renders walls best.
 
 use super::answer::{Json, Pictures};
-use super::arguments::{self, DeviceAt, Holding, Numbers};
+use super::arguments::{self, DeviceAt, HoldingArgs, Numbers};
 use super::continued::Continue;
 use haptic_bridge::render::scene::DEFAULT_RATE_HZ;
 use haptic_host::error::Failure;
@@ -50,11 +50,11 @@ pub struct Args {
     /// Control rate of the predicted walls, in Hz
     #[arg(long, value_name = "HZ", default_value_t = DEFAULT_RATE_HZ)]
     rate: f64,
-    /// Cutoff of their velocity filter, in Hz
+    /// Cutoff of the predicted walls' velocity filter, in Hz
     #[arg(long, value_name = "HZ", default_value_t = 500.0)]
     cutoff: f64,
     #[command(flatten)]
-    holding: Holding,
+    holding: HoldingArgs,
     #[command(flatten)]
     continued: Continue,
     #[command(flatten)]
@@ -63,7 +63,6 @@ pub struct Args {
     pictures: Pictures,
 }
 
-/// The document of `--json`.
 #[derive(Serialize)]
 struct Document {
     device: String,
@@ -72,23 +71,22 @@ struct Document {
     clear: f64,
     /// Options with which `haptic range DEVICE` predicts the walls at the pose.
     options: String,
-    /// Stable area at the pose with the feed-forward, relative to that without.
+    /// Stable area at the pose with the feed-forward, relative to the area without it.
     area_ratio: f64,
     here: WallPlace,
     directions: Directions,
     places: Places,
     sensitivities: Vec<Sensitivity>,
-    /// Changes with the largest benefit for the stiffest wall without the feed-forward, for the stiffest wall with the
-    /// feed-forward, and for the latter per kilogram of Weff.
+    /// Changes with the largest benefit for three quantities: the stiffest wall without the feed-forward, the stiffest
+    /// wall with it, and the stiffest wall with it per kilogram of Weff.
     buys_most: [Option<BestChange>; 3],
     #[serde(skip_serializing_if = "Option::is_none")]
     postures: Option<Postures>,
 }
 
-/// Searches, prints and draws.
 pub fn run(args: Args) -> Result<(), Failure> {
     args.pictures.check()?;
-    let (file, mut warnings) = arguments::device(&args.at.device, true)?;
+    let (file, mut warnings) = arguments::load_device(&args.at.device, true)?;
     let spec = file.spec();
     arguments::check_rate(args.rate)?;
     if !(0.0..1.0).contains(&args.clear) || !(0.0..=1.0).contains(&args.patch) {
@@ -171,7 +169,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     Ok(())
 }
 
-fn list(values: &[f64]) -> String {
+fn join(values: &[f64]) -> String {
     // Removes the sign of a number that rounds to zero.
     values.iter().map(|v| format!("{:.3}", (1e3 * v).round() / 1e3 + 0.0)).collect::<Vec<_>>().join(", ")
 }
@@ -181,7 +179,7 @@ fn readable(document: &Document, has_normal: bool, args: &Args) -> String {
     let mut line = |content: String| {
         let _ = writeln!(text, "{content}");
     };
-    line(format!("{}: q = ({}) rad, n = ({})", document.device, list(&document.q), list(&document.normal)));
+    line(format!("{}: q = ({}) rad, n = ({})", document.device, join(&document.q), join(&document.normal)));
     line(format!(
         "  the stiffest walls as predicted by haptic range {} {}",
         args.at.device.display(),
@@ -204,12 +202,12 @@ fn readable(document: &Document, has_normal: bool, args: &Args) -> String {
             at.w_rr / at.w_eff,
             stiffest(|walls| walls.off),
             stiffest(|walls| walls.full),
-            list(&at.normal)
+            join(&at.normal)
         )
     };
     let felt = if is_compliant { format!("{:>11}", "felt N/m") } else { String::new() };
     let placed = |name: &str, at: &WallPlace| {
-        format!("{}  q ({}), tip ({}) m, sine {:.2}", wall(name, at), list(&at.q), list(&at.position), at.clearance)
+        format!("{}  q ({}), tip ({}) m, sine {:.2}", wall(name, at), join(&at.q), join(&at.position), at.clearance)
     };
     line(format!(
         "\n  {:<34}{:>10}{:>10}{:>8}{:>11}{felt}{:>11}{felt}",
@@ -294,7 +292,7 @@ fn readable(document: &Document, has_normal: bool, args: &Args) -> String {
                 at.w_eff,
                 at.w_rr,
                 at.w_rr / at.w_eff,
-                list(&at.q),
+                join(&at.q),
                 at.clearance
             )
         };

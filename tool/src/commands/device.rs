@@ -1,7 +1,7 @@
 //! `haptic device`: loads a device file onto a board, or reads back the board's device.
 
-use super::port::{OnBoard, warn_of_weaker};
-use super::read_back::{Read, required_file};
+use super::port::{OnBoard, warn_of_weaker_rules};
+use super::read_back::{ReadOptions, required_file};
 use haptic_bridge::model::device::Device;
 use haptic_bridge::safety::limits::{GENTLE_FORCE, Limit, VOLTS_MARGIN};
 use haptic_bridge::safety::refusal::Refusal;
@@ -28,7 +28,7 @@ pub struct Args {
     #[arg(required_unless_present = "read")]
     file: Option<PathBuf>,
     #[command(flatten)]
-    read: Read,
+    read: ReadOptions,
     /// Largest force of walls, springs and fields at the tip, N [default: the board's, at most 5 with real motors].
     /// Also lowers the board's torque limits, so that the torques cannot exceed this force in the home pose
     #[arg(long, value_name = "N", value_parser = parse_newtons, conflicts_with = "read")]
@@ -45,7 +45,6 @@ fn parse_newtons(text: &str) -> Result<f32, String> {
     }
 }
 
-/// Checks the file, then the board, then loads.
 pub fn run(args: Args) -> Result<(), Failure> {
     if args.read.is_requested()? {
         return read_back(&args);
@@ -86,7 +85,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     args.on.answer(document, &report)
 }
 
-/// Writes the board's data of its device, or reports how they differ from a file.
+/// Writes the board's data of its device, or reports their differences from a file.
 fn read_back(args: &Args) -> Result<(), Failure> {
     let file = args.file.as_deref().map(DeviceFile::load).transpose()?;
     let device = args.on.open()?.device()?.ok_or(BoardError::Refused(Refusal::NoDevice))?;
@@ -114,7 +113,7 @@ fn read_back(args: &Args) -> Result<(), Failure> {
     args.read.report(&args.on, "device", Ok(text), compared)
 }
 
-/// Returns the highest torque limit (N m) that the board allows, found by requesting a limit that every board refuses.
+/// Returns the board's highest torque limit (N m), from its refusal of an infinite limit.
 fn max_torque(board: &mut Board) -> Option<f32> {
     let mut rules = board.rules().ok()?;
     rules.limits.torque[0] = f32::INFINITY;
@@ -124,13 +123,13 @@ fn max_torque(board: &mut Board) -> Option<f32> {
     }
 }
 
-/// Limits the force at the tip, lowers the torque limits to match it in the home pose, and describes the result.
+/// Limits the force at the tip, lowers the torque limits to match in the home pose, and describes the result.
 fn limit_force(board: &mut Board, file: &DeviceFile, newtons: Option<f32>) -> Result<String, Failure> {
     let before = board.rules()?;
     let newtons = newtons.unwrap_or(before.limits.tip_force.min(GENTLE_FORCE));
     let mut rules = before;
     rules.limits.tip_force = newtons;
-    // Torques that make this force and also carry the device.
+    // Torques that make this force in addition to carrying the device.
     let needs: Vec<f32> = match Tip::at_home(&file.description) {
         Some(Ok(tip)) => tip.limits_for(newtons.into()).into_iter().map(|torque| torque as f32).collect(),
         _ => Vec::new(),
@@ -140,7 +139,7 @@ fn limit_force(board: &mut Board, file: &DeviceFile, newtons: Option<f32>) -> Re
     }
     if rules != before {
         board.set_rules(&rules)?;
-        warn_of_weaker(&before, &rules);
+        warn_of_weaker_rules(&before, &rules);
     }
     let hidden = VOLTS_MARGIN * newtons;
     let faster = match Tip::at_home(&file.description) {
@@ -159,7 +158,7 @@ fn limit_force(board: &mut Board, file: &DeviceFile, newtons: Option<f32>) -> Re
         each.join(", ")
     };
     let limits = list(&rules.limits.torque);
-    // A limit that was lower before stays, because it may have been set on purpose.
+    // Keeps a limit that was lower before, because it may have been set on purpose.
     if rules.limits.torque.iter().zip(&needs).any(|(limit, needed)| *limit < 0.99 * needed) {
         let needs_in_words =
             format!("{newtons} N at the tip in the home pose, and the weight of the device, take {}", list(&needs));

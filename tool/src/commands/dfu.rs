@@ -17,7 +17,6 @@ pub struct Args {
     yes: bool,
 }
 
-/// Restarts the board into its boot loader, after asking if motors are on.
 pub fn run(args: Args) -> Result<(), Failure> {
     let mut board = args.on.open()?;
     if board.status()?.state.drives() {

@@ -17,7 +17,6 @@ pub struct Args {
     on: OnBoard,
 }
 
-/// Disarms, and reports a fault that is latched.
 pub fn run(args: Args) -> Result<(), Failure> {
     let port = args.on.spec();
     let mut board = match Board::stop(port) {
@@ -26,7 +25,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
             let words = format!("disarmed: the motors are off; the board uses protocol version {version}\n");
             return args.on.answer(json!({ "state": "Disarmed" }), &words);
         }
-        // Opens the board for a complete report, if the other tool has closed the port meanwhile.
+        // Tries to open the board for a complete report, because the other tool may have closed the port meanwhile.
         Ok(Stopped::Held) => match haptic_sim::open(port) {
             Ok(board) => Box::new(board),
             Err(_) => return report_disarmed(args.on.json),

@@ -44,7 +44,6 @@ pub struct Args {
     json: Json,
 }
 
-/// Compares and prints.
 pub fn run(args: Args) -> Result<(), Failure> {
     let file = DeviceFile::load(&args.at.device)?;
     let spec = file.spec();

@@ -20,7 +20,6 @@ pub struct Args {
     on: OnBoard,
 }
 
-/// Reads the faults and reports them.
 pub fn run(args: Args) -> Result<(), Failure> {
     if args.clear {
         return clear(&args);

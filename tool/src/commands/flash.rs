@@ -37,15 +37,14 @@ pub struct Args {
     json: Json,
 }
 
-/// Finds the board, then its image, then flashes.
 pub fn run(args: Args) -> Result<(), Failure> {
-    let serial = serial(args.port.spec())?;
+    let serial = requested_serial(args.port.spec())?;
     let file = args.file.as_deref().map(read_image).transpose()?;
     if file.is_none() && embedded().is_empty() {
         return Err(Failure::impossible(WITHOUT_IMAGES).choose(Choice::Image));
     }
     if let Some(board) = &args.board {
-        image(&file, board)?;
+        image_for_board(&file, board)?;
     }
     if args.probe {
         return flash_by_probe(&args, &file);
@@ -60,8 +59,8 @@ pub fn run(args: Args) -> Result<(), Failure> {
                 on_one_line(&board.firmware),
                 board.protocol
             );
-            let image = image(&file, args.board.as_deref().unwrap_or(&board.board))?;
-            // The image of another board is refused below, without a question first.
+            let image = image_for_board(&file, args.board.as_deref().unwrap_or(&board.board))?;
+            // Refuses the image of another board below without a question.
             if image.board == board.board {
                 confirm_restart(&board.serial, args.yes)?;
             }
@@ -72,7 +71,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
             image_for_boot_loader(&args, &file)?
         }
     };
-    haptic_host::tell!("flashing {}", describe(&image));
+    haptic_host::tell!("flashing {}", describe_image(&image));
     let done = flash(&mut Bus::here(), &target, image, &mut |progress| show_progress(progress));
     let FlashSummary { identity, restored, sectors, bytes } = done.map_err(Failure::impossible)?;
     let mut words = format!(
@@ -97,9 +96,8 @@ fn read_image(file: &Path) -> Result<Image, Failure> {
     parse(&bytes).map_err(|error| wrong(&error))
 }
 
-/// Returns the image for this kind of board: the file's, or the one in this tool. The caller checks that a file is for
-/// this board.
-fn image(file: &Option<Image>, board: &str) -> Result<Image, Failure> {
+/// Returns the file's image, which the caller must check for this board, or the image in this tool.
+fn image_for_board(file: &Option<Image>, board: &str) -> Result<Image, Failure> {
     if let Some(image) = file {
         return Ok(image.clone());
     }
@@ -123,7 +121,7 @@ fn boards_with_images() -> Vec<&'static str> {
     embedded().iter().map(|image| image.board).collect()
 }
 
-fn describe(image: &Image) -> String {
+fn describe_image(image: &Image) -> String {
     let board = on_one_line(&image.board);
     match (&image.version, image.protocol) {
         (Some(version), Some(protocol)) => format!("{board} {version} (protocol {protocol}), {} bytes", image.size()),
@@ -132,7 +130,7 @@ fn describe(image: &Image) -> String {
 }
 
 /// Returns the serial number of the requested port; `None` if no port was given.
-fn serial(port: &PortSpec) -> Result<Option<String>, Failure> {
+fn requested_serial(port: &PortSpec) -> Result<Option<String>, Failure> {
     match port {
         PortSpec::Find => Ok(None),
         PortSpec::Serial(name) => {
@@ -144,7 +142,7 @@ fn serial(port: &PortSpec) -> Result<Option<String>, Failure> {
     }
 }
 
-/// Asks before a restart that turns off a running board's motors or loses unsaved settings.
+/// Asks before a restart that turns motors off or loses unsaved settings.
 fn confirm_restart(serial: &str, yes: bool) -> Result<(), Failure> {
     match haptic_flash::motors_and_unsaved(serial)? {
         None => confirm(yes, "the board restarts, and its motors go off if they are on"),
@@ -164,7 +162,7 @@ fn confirm_restart(serial: &str, yes: bool) -> Result<(), Failure> {
     }
 }
 
-/// Returns the image for a boot loader, after asking for the board, because a boot loader does not know its board.
+/// Returns the image for a boot loader, and asks for the kind of board, because a boot loader does not know it.
 fn image_for_boot_loader(args: &Args, file: &Option<Image>) -> Result<Image, Failure> {
     let board = match (&args.board, file) {
         (Some(board), Some(image)) if *board != image.board => {
@@ -175,7 +173,7 @@ fn image_for_boot_loader(args: &Args, file: &Option<Image>) -> Result<Image, Fai
         (None, Some(image)) => image.board.clone(),
         (None, None) => ask_for_board()?,
     };
-    let image = image(file, &board)?;
+    let image = image_for_board(file, &board)?;
     let board = on_one_line(&image.board);
     confirm(args.yes, &format!("a boot loader does not identify its board: the image drives the pins of {board}"))?;
     Ok(image)
@@ -207,19 +205,19 @@ fn flash_by_probe(args: &Args, file: &Option<Image>) -> Result<(), Failure> {
             return Err(Failure::wrong(reason).remedy(format!("give the kind, as in haptic flash {first} --probe")));
         }
     };
-    let image = image(file, &board)?;
+    let image = image_for_board(file, &board)?;
     if image.board != board {
         return Err(Failure::wrong(format!("the file is for {} and the board is {board}", on_one_line(&image.board)))
             .remedy("give the update file for this board"));
     }
     confirm(args.yes, &format!("the board at the probe restarts as {board}, and its motors go off"))?;
-    haptic_host::tell!("flashing {}", describe(&image));
+    haptic_host::tell!("flashing {}", describe_image(&image));
     probe::flash("probe-rs", &image).map_err(Failure::impossible)?;
     let words = format!("{board} is flashed through the probe and has restarted; settings kept\n");
     args.json.answer(json!({ "board": board, "bytes": image.size(), "by": "probe-rs" }), &words)
 }
 
-/// Shows the progress, on a line that is overwritten on a terminal.
+/// Shows the progress, on a terminal on a line that is overwritten.
 fn show_progress(progress: Progress) {
     let terminal = std::io::stderr().is_terminal();
     match progress {

@@ -4,21 +4,19 @@ use haptic_host::error::Failure;
 use haptic_host::output::{Overwrite, check};
 use std::path::{Path, PathBuf};
 
-/// The option to replace existing files.
 #[derive(clap::Args)]
-pub struct Force {
+pub struct ForceOption {
     /// Replace a file that exists
     #[arg(long)]
     force: bool,
 }
 
-impl Force {
-    /// Returns the option in the library's form.
+impl ForceOption {
     pub fn overwrite(&self) -> Overwrite {
         if self.force { Overwrite::Replace } else { Overwrite::Never }
     }
 
-    /// Does the checks of [`Force::check`]. Also refuses a picture whose file extension is that of the other format.
+    /// Checks the files as [`ForceOption::check`] does, and refuses a picture with the extension of the other format.
     pub fn check_pictures(&self, svg: Option<&PathBuf>, png: Option<&PathBuf>) -> Result<(), Failure> {
         for (path, option, other) in [(svg, "--svg", "png"), (png, "--png", "svg")] {
             let ending = path.and_then(|path| Path::new(path).extension());

@@ -31,7 +31,7 @@ pub struct Args {
     #[arg(long, value_name = "N S/M", value_parser = parse_gain, allow_hyphen_values = true)]
     damping: Option<f32>,
     /// Feed-forward of the wall's force
-    #[arg(long, value_name = "KIND", value_parser = arguments::feed_forward())]
+    #[arg(long, value_name = "KIND", value_parser = arguments::feed_forward_parser())]
     feed_forward: Option<FeedForward>,
     /// Corner of the washout in Hz
     #[arg(long, value_name = "HZ", value_parser = parse_gain, allow_hyphen_values = true)]
@@ -49,8 +49,7 @@ fn parse_gain(text: &str) -> Result<f32, String> {
     }
 }
 
-/// Returns warnings about gains that the loop or the motors cannot render, at the present pose, or at home before
-/// homing.
+/// Returns warnings about gains that the loop or the motors cannot render at the present pose; before homing, at home.
 fn gain_warnings(board: &mut Board, scene: &Scene<f32>, index: usize) -> Result<Vec<Warning>, Failure> {
     let (Some(device), status, details) = (board.device()?, board.status()?, board.details()?) else {
         return Ok(Vec::new());
@@ -68,7 +67,6 @@ fn gain_warnings(board: &mut Board, scene: &Scene<f32>, index: usize) -> Result<
     Ok(gain_warnings(&scene.walls[index], &contact, false).into_iter().map(FileWarning::typed).collect())
 }
 
-/// Reads the gains, changes the requested ones, and reports all.
 pub fn run(args: Args) -> Result<(), Failure> {
     let mut board = args.on.open()?;
     let scene = board.scene()?.ok_or(BoardError::Refused(Refusal::NoScene))?;

@@ -1,6 +1,6 @@
 //! The help page: commands under headings, and examples.
 
-use super::{Command, DEVELOPERS, HEADINGS, list_of_fields};
+use super::{Command, HEADINGS, UNLISTED_HEADING, list_of_fields};
 use clap::{CommandFactory, Parser};
 
 /// Configure, watch, simulate and analyse haptic-bridge boards: motor drivers that render hard walls on a device
@@ -11,23 +11,25 @@ use clap::{CommandFactory, Parser};
 #[derive(Parser)]
 #[command(name = "haptic", version, max_term_width = 110)]
 pub struct Cli {
-    /// Command to run.
     #[command(subcommand)]
     pub command: Command,
 }
 
-/// Returns the command with its help page.
 pub fn command() -> clap::Command {
     let command = Cli::command();
-    let listed = || HEADINGS.iter().filter(|(heading, _)| *heading != DEVELOPERS);
+    let listed = || HEADINGS.iter().filter(|(heading, _)| *heading != UNLISTED_HEADING);
     let width = listed().flat_map(|(_, names)| *names).map(|name| name.len()).max().unwrap_or(0) + 2;
-    let hidden: Vec<&str> =
-        HEADINGS.iter().filter(|(heading, _)| *heading == DEVELOPERS).flat_map(|(_, names)| *names).copied().collect();
+    let hidden: Vec<&str> = HEADINGS
+        .iter()
+        .filter(|(heading, _)| *heading == UNLISTED_HEADING)
+        .flat_map(|(_, names)| *names)
+        .copied()
+        .collect();
     let mut listing = String::new();
     for (heading, names) in listed() {
         listing.push_str(&format!("{heading}:\n"));
         for name in *names {
-            // Module names have underscores, command names hyphens.
+            // Converts the name of a module to the name of its command.
             let name = name.replace('_', "-");
             let about = command.find_subcommand(&name).and_then(|found| found.get_about()).map(ToString::to_string);
             listing.push_str(&format!("  {name:width$}{}\n", about.unwrap_or_default()));
@@ -35,7 +37,7 @@ pub fn command() -> clap::Command {
         listing.push('\n');
     }
     let template = format!(
-        "{{about-with-newline}}\n{{usage-heading}} {{usage}}\n\n{listing}{START}\n\
+        "{{about-with-newline}}\n{{usage-heading}} {{usage}}\n\n{listing}{FIRST_COMMANDS}\n\
          `haptic help COMMAND` explains one command; `haptic --version` prints the version.\n\
          Not listed, each with its own page: {}.\n\
          Exit codes: 0 done, 1 it could not be done, 2 the command or a file is wrong, 3 what was compared differs.",
@@ -69,7 +71,7 @@ fn add_examples(command: clap::Command, above: &str) -> clap::Command {
 }
 
 /// First commands for a new user.
-const START: &str = "Start here, without hardware:
+const FIRST_COMMANDS: &str = "Start here, without hardware:
   haptic demo                     the benefit of the feed-forward, in seconds
   haptic view --port sim          a device, a wall and a hand that you move, in the browser
   haptic sim                      a simulated board; it prints the PORT for the commands \"With a board\"

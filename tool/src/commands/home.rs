@@ -1,6 +1,6 @@
 //! `haptic home`: declares the present pose to be the home pose of the device file.
 
-use super::port::{OnBoard, numbers};
+use super::port::{OnBoard, numbers_in_words};
 use haptic_host::error::Failure;
 use serde_json::json;
 
@@ -14,14 +14,13 @@ pub struct Args {
     on: OnBoard,
 }
 
-/// Homes, and reports the pose.
 pub fn run(args: Args) -> Result<(), Failure> {
     let mut board = args.on.open()?;
     board.home_at_rest()?;
-    // The next control step computes the new pose.
+    // Reads the status, whose pose the next control step computes.
     let axes = board.device()?.map_or(0, |device| device.axes());
     let status = board.status()?;
     let (q, tip) = (&status.q[..axes], &status.tip[..axes]);
-    let words = format!("homed: joints {}, tip {}\n", numbers(q, "rad"), numbers(tip, "m"));
+    let words = format!("homed: joints {}, tip {}\n", numbers_in_words(q, "rad"), numbers_in_words(tip, "m"));
     args.on.answer(json!({ "homed": status.homed, "q": q, "tip": tip }), &words)
 }

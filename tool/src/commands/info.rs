@@ -1,6 +1,6 @@
 //! `haptic info`: the board, its device and scene, and its state.
 
-use super::port::{OnBoard, fault_alone, numbers, scene_in_words, state_in_words, wall_in_words};
+use super::port::{OnBoard, fault_without_remedy, numbers_in_words, scene_in_words, state_in_words, wall_in_words};
 use haptic_bridge::safety::fault::Fault;
 use haptic_host::digits::print_json;
 use haptic_host::error::{Failure, on_one_line, print};
@@ -13,7 +13,6 @@ pub struct Args {
     on: OnBoard,
 }
 
-/// Reads the board and reports.
 pub fn run(args: Args) -> Result<(), Failure> {
     let mut board = args.on.open()?;
     let info = board.info().clone();
@@ -65,11 +64,11 @@ pub fn run(args: Args) -> Result<(), Failure> {
     line("bus", format!("{:.2} V", status.bus_voltage));
     if axes > 0 {
         let unknown = if status.homed { "" } else { "  (not homed: relative to the pose at power-on)" };
-        line("joints", numbers(&status.q[..axes], "rad") + unknown);
-        line("tip", numbers(&status.tip[..axes], "m") + unknown);
+        line("joints", numbers_in_words(&status.q[..axes], "rad") + unknown);
+        line("tip", numbers_in_words(&status.tip[..axes], "m") + unknown);
     }
     if let Some(record) = &status.fault {
-        line("fault", fault_alone(record, details.rate_hz));
+        line("fault", fault_without_remedy(record, details.rate_hz));
         line("", record.fault.remedy().into());
     }
     if details.overruns > 0 {

@@ -1,4 +1,4 @@
-//! Ctrl-C: a flag that long-running commands check, so that they end in order.
+//! Ctrl-C sets a flag that long-running commands check, so that they end in order.
 
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -6,12 +6,11 @@ use std::sync::atomic::{AtomicBool, Ordering};
 static INTERRUPTED: AtomicBool = AtomicBool::new(false);
 static WATCHED: OnceLock<()> = OnceLock::new();
 
-/// Flag that Ctrl-C sets.
+/// Access to the flag that Ctrl-C sets.
 #[derive(Clone, Copy, Debug)]
 pub struct Interrupt(());
 
-/// Makes Ctrl-C (and SIGTERM) set the flag instead of ending the process. If the system does not allow a handler,
-/// Ctrl-C ends the process as before.
+/// Makes Ctrl-C and SIGTERM set the flag. If the system allows no handler, they end the process as before.
 pub fn watch() -> Interrupt {
     WATCHED.get_or_init(|| {
         let _ = ctrlc::set_handler(|| INTERRUPTED.store(true, Ordering::SeqCst));
@@ -20,12 +19,10 @@ pub fn watch() -> Interrupt {
 }
 
 impl Interrupt {
-    /// Returns true if the flag is set.
     pub fn is_set(self) -> bool {
         INTERRUPTED.load(Ordering::SeqCst)
     }
 
-    /// Returns the flag itself.
     pub fn flag(self) -> &'static AtomicBool {
         &INTERRUPTED
     }

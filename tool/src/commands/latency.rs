@@ -20,7 +20,6 @@ pub struct Args {
     exchanges: u32,
 }
 
-/// Measures and reports.
 pub fn run(args: Args) -> Result<(), Failure> {
     let mut board = args.on.open()?;
     let stop = interrupt::watch();
@@ -32,13 +31,12 @@ pub fn run(args: Args) -> Result<(), Failure> {
         format!("{} exchanges, {:.0} a second, on {}\n", latency.round_trip.count, latency.per_second, board.port());
     for (name, spread) in [("round trip", &latency.round_trip), ("age of a force when it begins to act", &latency.age)]
     {
-        report.push_str(&describe(name, spread));
+        report.push_str(&describe_spread(name, spread));
     }
     print(&report)
 }
 
-/// Formats a spread with its histogram.
-fn describe(name: &str, spread: &Spread) -> String {
+fn describe_spread(name: &str, spread: &Spread) -> String {
     let ms = |seconds: f64| format!("{:.3} ms", 1e3 * seconds);
     let mut text = format!(
         "\n{name}: median {}, 99 % within {}, 99.9 % within {}, longest {}\n",
@@ -49,7 +47,7 @@ fn describe(name: &str, spread: &Spread) -> String {
     );
     let most = spread.histogram.iter().map(|bin| bin.count).max().unwrap_or(1).max(1);
     for bin in &spread.histogram {
-        // A bin that is not empty has at least one mark.
+        // Prints at least one mark for a bin that is not empty.
         let length = (40 * bin.count).div_ceil(most);
         text.push_str(&format!("  up to {:>9} {:>8}  {}\n", ms(bin.to), bin.count, "#".repeat(length)));
     }

@@ -13,7 +13,7 @@ pub struct Args {
     json: Json,
 }
 
-/// Lists boards by their USB identifiers, without opening any port.
+/// Finds boards by their USB identifiers, without opening any port.
 pub fn run(args: Args) -> Result<(), Failure> {
     let (boards, others) = boards();
     if args.json.is_requested() {

@@ -1,7 +1,7 @@
 //! `haptic map`: the inertia that a wall meets over the workspace, and the benefit of the feed-forward there.
 
 use super::answer::{Json, Pictures};
-use super::arguments::{self, Holding, Numbers};
+use super::arguments::{self, HoldingArgs, Numbers};
 use super::continued::Continue;
 use haptic_host::error::Failure;
 use haptic_predict::plausible::{Warned, warn};
@@ -28,7 +28,7 @@ pub struct Args {
     #[arg(long, value_name = "N", default_value_t = 2000, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     points: u32,
     #[command(flatten)]
-    holding: Holding,
+    holding: HoldingArgs,
     #[command(flatten)]
     continued: Continue,
     #[command(flatten)]
@@ -37,16 +37,14 @@ pub struct Args {
     pictures: Pictures,
 }
 
-/// The document of `--json`.
 #[derive(serde::Serialize)]
 struct Document {
     points: Vec<MapPoint>,
 }
 
-/// Maps, prints and draws.
 pub fn run(args: Args) -> Result<(), Failure> {
     args.pictures.check()?;
-    let (file, warnings) = arguments::device(&args.device, false)?;
+    let (file, warnings) = arguments::load_device(&args.device, false)?;
     warn(&warnings);
     let normal = args.normal.unit(file.spec().task, "--normal")?;
     let has_picture = args.pictures.is_requested();

@@ -6,7 +6,7 @@ mod report;
 use super::answer::{Json, Pictures};
 use super::interrupt;
 use super::port::{Port, confirm};
-use super::range::posture;
+use super::range::requested_posture;
 use crate::commands::arguments::{self, Numbers, WallArgs};
 use clap::ValueEnum;
 use clap::builder::TypedValueParser;
@@ -24,7 +24,7 @@ use haptic_predict::measure::progress::{Progress, ProgressError};
 use haptic_predict::measure::simulated::{Friction, World};
 use haptic_predict::measure::{LONGEST_PULL, Law, MeasureError, MeasurementSetup, PreparedBoard, most_tested};
 use haptic_stability::analysis::several::{Member, WallSet};
-use meter::Meter;
+use meter::ProgressMeter;
 use report::{Report, Theory};
 use std::path::PathBuf;
 
@@ -58,14 +58,14 @@ pub struct Args {
     /// range]
     #[arg(long, value_name = "A,B,..", allow_hyphen_values = true)]
     kd: Option<Numbers>,
-    /// Number of dampings
+    /// Number of dampings to measure without --kd
     #[arg(long, value_name = "N", default_value_t = 12, value_parser = clap::value_parser!(u16).range(1..=200))]
     points: u16,
     /// Repeats of each pull at each damping
     #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u16).range(1..=100))]
     repeats: u16,
     /// Feed-forward to measure with
-    #[arg(long, value_name = "KIND", default_value = "both", value_parser = kinds())]
+    #[arg(long, value_name = "KIND", default_value = "both", value_parser = feed_forwards_parser())]
     feed_forward: &'static [FeedForward],
     /// Corner of the washout in Hz, for --feed-forward washout
     #[arg(long, value_name = "HZ", default_value_t = 2.0)]
@@ -105,7 +105,7 @@ pub struct Args {
     /// Save the results in this file, and continue from it
     #[arg(long, value_name = "FILE", default_value = "measured-range.json")]
     progress: PathBuf,
-    /// Measure from the beginning and replace that file
+    /// Measure from the beginning and replace the file of --progress
     #[arg(long)]
     anew: bool,
     /// Do not ask before a real motor moves
@@ -117,7 +117,6 @@ pub struct Args {
     pictures: Pictures,
 }
 
-/// Friction that is simulated.
 #[derive(Clone, Copy, Debug, ValueEnum)]
 enum FrictionKind {
     All,
@@ -126,11 +125,12 @@ enum FrictionKind {
     None,
 }
 
-/// Returns the parser of the feed-forwards, which are measured one after the other.
-fn kinds() -> impl TypedValueParser<Value = &'static [FeedForward]> {
-    let one = |alone: &'static [FeedForward; 1]| (alone[0].name(), arguments::what(alone[0]), &alone[..]);
+/// Returns the parser of --feed-forward, whose words name feed-forwards to measure one after the other.
+fn feed_forwards_parser() -> impl TypedValueParser<Value = &'static [FeedForward]> {
+    let one =
+        |alone: &'static [FeedForward; 1]| (alone[0].name(), arguments::describe_feed_forward(alone[0]), &alone[..]);
     let all = &[FeedForward::Off, FeedForward::Full, FeedForward::Washout];
-    arguments::one_of([
+    arguments::words_parser([
         ("both", "Without, then with equation (4)", &all[..2]),
         ("all", "Without, with equation (4), and with it behind a washout", &all[..]),
         one(&[FeedForward::Off]),
@@ -139,15 +139,14 @@ fn kinds() -> impl TypedValueParser<Value = &'static [FeedForward]> {
     ])
 }
 
-/// Measures, prints and draws.
 pub fn run(args: Args) -> Result<(), Failure> {
     args.pictures.check()?;
     let mut file = DeviceFile::load(&args.device)?;
     let spec = file.spec();
-    let walls = walls(&args, spec.task)?;
-    let (plan, largest_pull) = plan(&args, spec.joints)?;
-    let held = posture(args.posture.as_ref(), &file)?;
-    let world = world(&args, &file, &walls)?;
+    let walls = requested_walls(&args, spec.task)?;
+    let (plan, largest_pull) = requested_plan(&args, spec.joints)?;
+    let held = requested_posture(args.posture.as_ref(), &file)?;
+    let world = requested_world(&args, &file, &walls)?;
     let simulated = matches!(args.port.spec(), PortSpec::Sim(_));
     if simulated {
         world.apply(&mut file);
@@ -171,7 +170,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         largest_pull,
     };
     let what = board_measurement::description(&file.name, &setup, &plan.pulls, &world);
-    // Check that the results can be written before anything moves.
+    // Checks that the results can be written before anything moves.
     output::check(&args.progress, Overwrite::Replace)?;
     let mut progress = match args.anew {
         true => Progress::read(&args.progress)
@@ -184,7 +183,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let mut board = match args.port.spec() {
         PortSpec::Sim(other) => {
             if let Some(other) = other {
-                holds(&DeviceFile::load(other)?.name, &file)?;
+                check_same_device(&DeviceFile::load(other)?.name, &file)?;
             }
             let shared = world
                 .board(&file, args.rate)
@@ -194,7 +193,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         _ => args.port.open()?,
     };
     let before = board_measurement::settings_to_restore(&mut board, &progress)?;
-    ready(&mut board, &file, &args, &setup)?;
+    check_ready(&mut board, &file, &args, &setup)?;
     let earlier = progress.measured_repeats(&plan);
     if earlier > 0 {
         let (total, place) = (plan.total(), args.progress.display());
@@ -202,7 +201,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         let none = if earlier == total { ": none is measured now (--anew measures them again)" } else { "" };
         haptic_host::tell!("{earlier} of {total} repeats are in {place} already{date}{none}");
     }
-    let meter = Meter::new(plan.total(), plan.repeats_per_damping(), earlier);
+    let meter = ProgressMeter::new(plan.total(), plan.repeats_per_damping(), earlier);
     let stop = || {
         meter.tick();
         interrupt.is_set()
@@ -223,36 +222,36 @@ pub fn run(args: Args) -> Result<(), Failure> {
         theory = Some(Theory::new(&args, &file, &setup, q, around, *prepared.excitation())?);
         Ok(())
     };
-    let measured = measurement.measure(setup.clone(), &plan, &stop, begun, |done| meter.done(done));
+    let measured = measurement.measure(setup.clone(), &plan, &stop, begun, |done| meter.set_done(done));
     meter.finish();
-    // Also removes a device that was loaded for this measurement.
+    // Also restores the device that was replaced for this measurement.
     measurement.restore().map_err(progress_failure)?;
     let report =
         theory.map(|theory| Report { name: &file.name, args: &args, plan: &plan, progress: &progress, theory });
     match (measured, report) {
-        (Ok(()), Some(report)) if report.measured() => report.out(),
+        (Ok(()), Some(report)) if report.has_boundary() => report.write(),
         (measured, report) => {
-            // Report the measured points, then the reason why there are no more.
-            if let Some(report) = report.filter(Report::any) {
-                report.out()?;
+            // Reports the measured points, then the reason for which there are no more.
+            if let Some(report) = report.filter(Report::has_points) {
+                report.write()?;
             }
             Err(match (measured, progress.points.iter().find_map(|point| point.open.as_ref())) {
-                (Err(error), _) => failure(error, &args, spec.joints > spec.task, &mut board),
+                (Err(error), _) => measurement_failure(error, &args, spec.joints > spec.task, &mut board),
                 (Ok(()), open) => {
                     let reason = open.map_or_else(String::new, |open| open.reason.clone());
-                    Failure::impossible(format!("no boundary was found: {reason}")).remedy(REMEDY)
+                    Failure::impossible(format!("no boundary was found: {reason}")).remedy(NO_BOUNDARY_REMEDY)
                 }
             })
         }
     }
 }
 
-/// Remedy if the encoders are too coarse or friction is too large.
-const REMEDY: &str = "use finer encoders (--counts on --port sim), a lower --rate and --cutoff, a larger --pull or \
-                      --torque-limit, another pose or normal";
+/// Remedy for encoders that are too coarse, or friction that is too large, to find a boundary.
+const NO_BOUNDARY_REMEDY: &str = "use finer encoders (--counts on --port sim), a lower --rate and --cutoff, a larger \
+                                  --pull or --torque-limit, another pose or normal";
 
-/// Returns the plan and the longest pull, m.
-fn plan(args: &Args, joints: usize) -> Result<(Plan, f64), Failure> {
+/// Returns the plan of the measurement, and the length of its longest pull, m.
+fn requested_plan(args: &Args, joints: usize) -> Result<(Plan, f64), Failure> {
     if !(args.torque_limit > 0.0 && args.torque_limit.is_finite()) {
         return Err(Failure::wrong(format!("--torque-limit is {} N m, and must be positive", args.torque_limit)));
     }
@@ -263,7 +262,7 @@ fn plan(args: &Args, joints: usize) -> Result<(Plan, f64), Failure> {
         return Err(Failure::wrong(format!("--pull is {pull} mm, and must not be 0 or more than {longest}")));
     }
     let largest = pulls.iter().fold(0.0_f64, |largest, pull| largest.max(pull.abs()));
-    // One joint has no coupling.
+    // A single joint has no coupling, so the feed-forward has no effect.
     let modes = if joints == 1 && args.feed_forward.len() > 1 { &[FeedForward::Off][..] } else { args.feed_forward };
     if modes.len() < args.feed_forward.len() {
         haptic_host::tell!("with one joint the feed-forward has no effect, so it is not measured");
@@ -279,8 +278,7 @@ fn plan(args: &Args, joints: usize) -> Result<(Plan, f64), Failure> {
     Ok((Plan { modes: modes.to_vec(), kd, points, repeats, pulls }, largest * 1e-3))
 }
 
-/// Returns the walls that are measured together, with their shares.
-fn walls(args: &Args, task: usize) -> Result<Vec<Member>, Failure> {
+fn requested_walls(args: &Args, task: usize) -> Result<Vec<Member>, Failure> {
     let (count, most) = (args.walls.count(), most_tested(task));
     if count > most {
         let reason = format!("{count} walls are too many: more than {most} hold the tip in place");
@@ -289,7 +287,7 @@ fn walls(args: &Args, task: usize) -> Result<Vec<Member>, Failure> {
     args.walls.members(task)
 }
 
-fn world(args: &Args, file: &DeviceFile, walls: &[Member]) -> Result<World, Failure> {
+fn requested_world(args: &Args, file: &DeviceFile, walls: &[Member]) -> Result<World, Failure> {
     if args.counts.is_some_and(|counts| !(counts >= 1.0 && counts.is_finite())) {
         return Err(Failure::wrong("--counts must be at least 1"));
     }
@@ -311,8 +309,7 @@ fn world(args: &Args, file: &DeviceFile, walls: &[Member]) -> Result<World, Fail
     Ok(World { q, friction, ideal_drive: args.ideal_drive, counts: args.counts, grip: args.grip })
 }
 
-/// Returns an error if the board has another device.
-fn holds(found: &str, file: &DeviceFile) -> Result<(), Failure> {
+fn check_same_device(found: &str, file: &DeviceFile) -> Result<(), Failure> {
     if found == file.name {
         return Ok(());
     }
@@ -320,8 +317,8 @@ fn holds(found: &str, file: &DeviceFile) -> Result<(), Failure> {
         .remedy("name the file of the device that is on the board"))
 }
 
-/// Checks that the board has the device, and that the user agrees that the motors move.
-fn ready(board: &mut Board, file: &DeviceFile, args: &Args, setup: &MeasurementSetup) -> Result<(), Failure> {
+/// Checks that the board has the device of the file, and asks if the motors may move.
+fn check_ready(board: &mut Board, file: &DeviceFile, args: &Args, setup: &MeasurementSetup) -> Result<(), Failure> {
     let details = board.details()?;
     let device = Device::new(&file.name, &file.description).map_err(Failure::wrong)?;
     if let Some(found) = board_measurement::other_loaded_device(board, &device)? {
@@ -362,15 +359,15 @@ fn progress_failure(error: ProgressError) -> Failure {
 }
 
 /// Describes the state of the motors as reported by the board.
-fn motors(board: &mut Board) -> &'static str {
+fn describe_motors(board: &mut Board) -> &'static str {
     match board.status() {
         Ok(status) if !status.state.drives() => "motors are off",
         _ => "the board DOES NOT CONFIRM that its motors are off; use the emergency stop",
     }
 }
 
-/// Converts the error that ended a measurement, with its remedy.
-fn failure(error: MeasureError, args: &Args, redundant: bool, board: &mut Board) -> Failure {
+/// Converts the error that ended a measurement to a failure with a remedy.
+fn measurement_failure(error: MeasureError, args: &Args, redundant: bool, board: &mut Board) -> Failure {
     let again = match args.progress.exists() {
         true => format!("run the same command again to continue where it stopped ({})", args.progress.display()),
         false => "nothing was measured yet; run the same command again".into(),
@@ -380,7 +377,7 @@ fn failure(error: MeasureError, args: &Args, redundant: bool, board: &mut Board)
         MeasureError::Link(error) => error.into(),
         MeasureError::Pose(error) => error.into(),
         MeasureError::Progress(error) => progress_failure(error),
-        MeasureError::Interrupted => Failure::impossible(format!("{error}: {}", motors(board))).remedy(again),
+        MeasureError::Interrupted => Failure::impossible(format!("{error}: {}", describe_motors(board))).remedy(again),
         MeasureError::Disarmed => Failure::impossible(error).remedy(again),
         MeasureError::Fault(_) => {
             Failure::impossible(error).remedy(format!("see `haptic faults`, put the device back and {again}"))
@@ -398,7 +395,7 @@ fn failure(error: MeasureError, args: &Args, redundant: bool, board: &mut Board)
             })
         }
         MeasureError::Stuck { .. } | MeasureError::Unbounded | MeasureError::Saturates { .. } | MeasureError::Open { .. } => {
-            Failure::impossible(error).remedy(REMEDY)
+            Failure::impossible(error).remedy(NO_BOUNDARY_REMEDY)
         }
         MeasureError::Scene(_) => Failure::wrong(error),
     }
@@ -415,8 +412,8 @@ mod tests {
         let simulated = SharedBoard::new(ready_board(&file, BoardOptions::default()).unwrap());
         let mut board = Board::over(simulated.wire(), "sim").unwrap();
         board.set_scene(&haptic_predict::wall_ahead::wall_ahead(&file).unwrap()).unwrap();
-        assert_eq!(motors(&mut board), "motors are off");
+        assert_eq!(describe_motors(&mut board), "motors are off");
         board.arm().unwrap();
-        assert!(motors(&mut board).contains("DOES NOT CONFIRM"));
+        assert!(describe_motors(&mut board).contains("DOES NOT CONFIRM"));
     }
 }

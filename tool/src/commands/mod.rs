@@ -56,9 +56,8 @@ mod view;
 use haptic_host::error::Failure;
 pub use stream::list_of_fields;
 
-/// Heading of the commands that the help page omits: those for developers of the control step, and those that the page
-/// of another command names.
-pub const DEVELOPERS: &str = "";
+/// Heading of commands that the help page omits, for developers or named on another command's page.
+pub const UNLISTED_HEADING: &str = "";
 
 /// Declares the subcommands: under each heading of `haptic --help`, `(Variant, module)` in the order of that page.
 macro_rules! commands {
@@ -118,7 +117,7 @@ commands! {
     "Shell" {
         (Completions, completions)
     }
-    DEVELOPERS {
+    UNLISTED_HEADING {
         (Bench, bench)
         (Precompute, precompute)
         (Udev, udev)
@@ -127,7 +126,7 @@ commands! {
 
 #[cfg(test)]
 mod tests {
-    /// The file of a command.
+    /// The file of a toy command.
     mod greet {
         use haptic_host::error::Failure;
 

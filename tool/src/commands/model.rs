@@ -1,7 +1,7 @@
 //! `haptic model`: the inertia that a wall meets at one pose, and the feed-forward that changes it.
 
 use super::answer::Json;
-use super::arguments::{self, DeviceAt, Holding, Numbers};
+use super::arguments::{self, DeviceAt, HoldingArgs, Numbers};
 use haptic_bridge::model::admissible::Admissible;
 use haptic_host::device_file::DeviceFile;
 use haptic_host::digits::print_json;
@@ -37,17 +37,16 @@ pub struct Args {
     #[arg(long, value_name = "I,J,..")]
     no_feed_forward: Option<Numbers>,
     #[command(flatten)]
-    holding: Holding,
+    holding: HoldingArgs,
     /// Arithmetic: f64, or f32 with the mechanism and trigonometry of the board
-    #[arg(long, value_name = "PRECISION", default_value = "f64", value_parser = arguments::precision())]
+    #[arg(long, value_name = "PRECISION", default_value = "f64", value_parser = arguments::precision_parser())]
     precision: Precision,
     #[command(flatten)]
     json: Json,
 }
 
-/// Computes and prints.
 pub fn run(args: Args) -> Result<(), Failure> {
-    let (device, mut warnings) = arguments::device(&args.at.device, false)?;
+    let (device, mut warnings) = arguments::load_device(&args.at.device, false)?;
     let spec = device.spec();
     let q = args.at.pose(&device)?;
     let qd = match args.qd {
@@ -56,7 +55,8 @@ pub fn run(args: Args) -> Result<(), Failure> {
     };
     warnings.extend(arguments::pose_warnings(&q, &device));
     warn(&warnings);
-    let walls = walls(&args.normal, &args.force, args.stiffness.as_ref(), args.no_feed_forward.as_ref(), spec.task)?;
+    let walls =
+        requested_walls(&args.normal, &args.force, args.stiffness.as_ref(), args.no_feed_forward.as_ref(), spec.task)?;
     let report = evaluate_holding(&device, &q, &qd, &walls, args.precision, args.holding.admissible)?;
     if args.json.is_requested() {
         let forces = walls.iter().map(|wall| wall.force).collect();
@@ -92,8 +92,7 @@ struct Document<'a> {
     report: &'a Report,
 }
 
-/// Describes Wrr/Weff of a redundant device for every coordinate that it may hold, because the gain depends on that
-/// choice.
+/// Describes Wrr/Weff of a redundant device for every coordinate that the device can hold.
 fn compare_holding(device: &DeviceFile, q: &[f64], wall: &WallForce, chosen: Admissible) -> Result<String, Failure> {
     let mut text = format!(
         "This device is redundant: Wrr is with {} held constant. Wrr/Weff here for each coordinate held:",
@@ -107,8 +106,8 @@ fn compare_holding(device: &DeviceFile, q: &[f64], wall: &WallForce, chosen: Adm
     Ok(text + ".\n")
 }
 
-/// Combines normals, made unit vectors, with forces and stiffness.
-fn walls(
+/// Returns the walls of the options, with unit normals.
+fn requested_walls(
     normals: &[Numbers],
     forces: &[Numbers],
     stiffness: Option<&Numbers>,
@@ -148,20 +147,20 @@ fn readable(report: &Report, q: &[f64], qd: &[f64], walls: &[WallForce]) -> Stri
             let _ = writeln!(text, "  {:<38}{more}", "");
         }
     };
-    line("joint angles q", "rad", row(q));
+    line("joint angles q", "rad", format_row(q));
     if qd.iter().any(|value| *value != 0.0) {
-        line("joint velocities", "rad/s", row(qd));
+        line("joint velocities", "rad/s", format_row(qd));
     }
-    line("tip", "m", row(&report.position));
-    line("Jacobian J", "m/rad", matrix(&report.jacobian));
-    line("mass matrix M", "kg m²", matrix(&report.mass));
-    line("bias c + g", "N m", row(&report.bias));
-    line("condition of J, of M", "", row(&[report.condition.jacobian, report.condition.mass]));
-    line("mass felt at the tip", "kg", row(&report.perception.tip));
-    line("largest over smallest of these", "", row(&[report.perception.ratio]));
+    line("tip", "m", format_row(&report.position));
+    line("Jacobian J", "m/rad", format_matrix(&report.jacobian));
+    line("mass matrix M", "kg m²", format_matrix(&report.mass));
+    line("bias c + g", "N m", format_row(&report.bias));
+    line("condition of J, of M", "", format_row(&[report.condition.jacobian, report.condition.mass]));
+    line("mass felt at the tip", "kg", format_row(&report.perception.tip));
+    line("largest over smallest of these", "", format_row(&[report.perception.ratio]));
     for (index, wall) in walls.iter().enumerate() {
-        line(&format!("wall {index}: normal"), "", row(&wall.normal));
-        line(&format!("wall {index}: force"), "N", row(&[wall.force]));
+        line(&format!("wall {index}: normal"), "", format_row(&wall.normal));
+        line(&format!("wall {index}: force"), "N", format_row(&[wall.force]));
     }
     if walls.is_empty() {
         text.push_str("\nNo wall: give --normal (and --force) to see the inertia that it meets here.\n");
@@ -169,28 +168,28 @@ fn readable(report: &Report, q: &[f64], qd: &[f64], walls: &[WallForce]) -> Stri
     }
     for (index, direction) in report.directions.iter().enumerate() {
         let number = index + 1;
-        line(&format!("direction {number} of the stiffness"), "", row(&direction.along));
-        line("stiffness along it, relative", "", row(&[direction.stiffness]));
+        line(&format!("direction {number} of the stiffness"), "", format_row(&direction.along));
+        line("stiffness along it, relative", "", format_row(&[direction.stiffness]));
         if let Some(share) = direction.share {
-            line(&format!("share of level {number}"), "", row(&[share]));
+            line(&format!("share of level {number}"), "", format_row(&[share]));
         }
     }
-    line("Weff, without feed-forward", "kg", matrix(&report.w_eff));
-    line("Wrr, with feed-forward", "kg", matrix(&report.w_rr));
-    line("coupling Wrr - Weff", "kg", matrix(&report.coupling));
+    line("Weff, without feed-forward", "kg", format_matrix(&report.w_eff));
+    line("Wrr, with feed-forward", "kg", format_matrix(&report.w_rr));
+    line("coupling Wrr - Weff", "kg", format_matrix(&report.coupling));
     if let Some(along) = &report.perception.along_wall {
-        line("felt along the wall, off", "kg", row(&along.off));
-        line("felt along the wall, full", "kg", row(&along.full));
+        line("felt along the wall, off", "kg", format_row(&along.off));
+        line("felt along the wall, full", "kg", format_row(&along.full));
     }
-    line("Wra", "", matrix(&report.w_ra));
-    line("Waa", "", matrix(&report.w_aa));
-    line("z rendered", "N", row(&report.z_r));
-    line("z admissible", "", row(&report.z_a));
-    line("feed-forward force fa", "", row(&report.f_a));
-    line("torque without feed-forward", "N m", row(&report.torque_without_feed_forward));
-    line("torque by (4), g in z", "N m", row(&report.torque));
+    line("Wra", "", format_matrix(&report.w_ra));
+    line("Waa", "", format_matrix(&report.w_aa));
+    line("z rendered", "N", format_row(&report.z_r));
+    line("z admissible", "", format_row(&report.z_a));
+    line("feed-forward force fa", "", format_row(&report.f_a));
+    line("torque without feed-forward", "N m", format_row(&report.torque_without_feed_forward));
+    line("torque by (4), g in z", "N m", format_row(&report.torque));
     text.push('\n');
-    text.push_str(&verdict(report));
+    text.push_str(&feed_forward_benefit(report));
     if let Some(push) = sideways_push(report) {
         let _ = writeln!(
             text,
@@ -201,8 +200,7 @@ fn readable(report: &Report, q: &[f64], qd: &[f64], walls: &[WallForce]) -> Stri
     text
 }
 
-/// Returns the force along a single wall that the feed-forward adds at rest for each newton across it; `None` if it is
-/// too small to feel.
+/// Returns the force along a single wall per newton across it, at rest; `None` if too small to feel.
 fn sideways_push(report: &Report) -> Option<f64> {
     let [coupled] = report.w_ra.as_slice() else { return None };
     let tip = coupled.iter().take(report.position.len() - 1);
@@ -211,7 +209,7 @@ fn sideways_push(report: &Report) -> Option<f64> {
 }
 
 /// Describes the benefit of the feed-forward at this pose. The stable area of an undamped device grows by (Wrr/Weff)².
-fn verdict(report: &Report) -> String {
+fn feed_forward_benefit(report: &Report) -> String {
     let gain = report.gain();
     if !report.directions.is_empty() {
         "Several walls share the feed-forward by their stiffness: level 1 shapes forces along direction 1, and so on. \
@@ -219,7 +217,8 @@ fn verdict(report: &Report) -> String {
          shows the benefit.\n"
             .into()
     } else if report.w_aa.is_empty() {
-        "No direction is left free: nothing couples, and the feed-forward adds only the compensation of z.\n".into()
+        "No direction is left free, so there is no coupling, and the feed-forward adds only the compensation of z.\n"
+            .into()
     } else if gain < 0.03 {
         format!(
             "With the feed-forward this wall meets {:.1} % more inertia here: it has almost no benefit at this pose and \
@@ -236,19 +235,19 @@ fn verdict(report: &Report) -> String {
     }
 }
 
-fn row(values: &[f64]) -> String {
-    // An entry that is tiny compared with the largest is the rounding error of a zero.
+fn format_row(values: &[f64]) -> String {
+    // Prints an entry that is tiny beside the largest as 0, because it is a rounding error.
     let smallest = 1e-12 * values.iter().fold(0.0_f64, |largest, value| largest.max(value.abs()));
     let clean = values.iter().map(|value| if value.abs() < smallest { 0.0 } else { *value });
-    clean.map(|value| format!("{:>13}", number(value))).collect::<String>()
+    clean.map(|value| format!("{:>13}", format_number(value))).collect::<String>()
 }
 
-fn matrix(rows: &Rows) -> String {
-    rows.iter().map(|values| row(values)).collect::<Vec<_>>().join("\n")
+fn format_matrix(rows: &Rows) -> String {
+    rows.iter().map(|values| format_row(values)).collect::<Vec<_>>().join("\n")
 }
 
-/// Formats six significant digits, in powers of ten if that is shorter.
-fn number(value: f64) -> String {
+/// Formats a number with six significant digits, as a power of ten if that is shorter.
+fn format_number(value: f64) -> String {
     let size = value.abs();
     if value == 0.0 {
         "0".into()

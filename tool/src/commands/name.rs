@@ -15,7 +15,6 @@ pub struct Args {
     name: Option<String>,
 }
 
-/// Shows or sets the name.
 pub fn run(args: Args) -> Result<(), Failure> {
     let Some(name) = &args.name else {
         let name = args.on.open()?.details()?.name;

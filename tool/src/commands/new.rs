@@ -1,6 +1,6 @@
 //! `haptic new`: writes a device or scene file to start from.
 
-use super::force::Force;
+use super::force::ForceOption;
 use clap::ValueEnum;
 use clap::builder::PossibleValue;
 use haptic_bridge::model::catalogue::Kind;
@@ -26,17 +26,17 @@ pub struct Args {
     #[arg(long, value_name = "FILE")]
     device: Option<PathBuf>,
     #[command(flatten)]
-    force: Force,
+    force: ForceOption,
 }
 
-/// The file to write: a device by its mechanism's name, or a scene.
+/// Kind of the file: the device of a mechanism, or a scene.
 #[derive(Clone, Copy)]
 enum FileKind {
     Device(Kind),
     Scene,
 }
 
-/// All mechanisms, in the order of the catalogue, and a scene.
+/// All kinds: the mechanisms in the order of the catalogue, then a scene.
 const ALL: [FileKind; Kind::ALL.len() + 1] = {
     let mut all = [FileKind::Scene; Kind::ALL.len() + 1];
     let mut i = 0;
@@ -59,7 +59,6 @@ impl ValueEnum for FileKind {
     }
 }
 
-/// Writes the file.
 pub fn run(args: Args) -> Result<(), Failure> {
     let (text, what) = match args.kind {
         FileKind::Device(_) if args.device.is_some() => {

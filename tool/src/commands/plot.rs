@@ -31,7 +31,7 @@ pub struct Args {
     /// Start time in the recording, s
     #[arg(long, value_name = "SECONDS")]
     from: Option<f64>,
-    /// End time, s
+    /// End time in the recording, s
     #[arg(long, value_name = "SECONDS")]
     to: Option<f64>,
     /// Device file of the recorded device, for the stiffness that a hand feels behind its transmissions
@@ -55,7 +55,6 @@ fn parse_views(text: &str) -> Result<Views, String> {
     text.split(',').map(view).collect::<Result<Vec<View>, String>>().map(Views)
 }
 
-/// Reads, prints and draws.
 pub fn run(args: Args) -> Result<(), Failure> {
     args.pictures.check()?;
     let recording = Recording::load(&args.file)?;
@@ -86,7 +85,6 @@ pub fn run(args: Args) -> Result<(), Failure> {
     print(&readable(&recording, &analysis, felt))
 }
 
-/// The document of `--json`.
 #[derive(serde::Serialize)]
 struct Document<'a> {
     #[serde(flatten)]
@@ -96,7 +94,7 @@ struct Document<'a> {
     felt: Option<f64>,
 }
 
-/// Returns the stiffness (N/m) that a hand felt for a stiffness at the encoders, at the mean pose in contact.
+/// Returns the stiffness (N/m) that a hand felt at the mean pose in contact, for a stiffness at the encoders.
 fn felt_stiffness(recording: &Recording, file: &DeviceFile, stiffness: f64) -> Result<Option<f64>, Failure> {
     let lacks = |what: &str| {
         Failure::wrong(format!("--device {} does not apply: the recording has no {what}", file.path.display()))

@@ -17,7 +17,6 @@ pub struct Args {
     yes: bool,
 }
 
-/// Asks, starts the check and waits for its end.
 pub fn run(args: Args) -> Result<(), Failure> {
     let mut board = args.on.open()?;
     if board.details()?.real {

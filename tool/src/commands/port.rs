@@ -12,7 +12,6 @@ use serde::Serialize;
 use std::io::{BufRead, IsTerminal};
 use std::net::{SocketAddr, ToSocketAddrs};
 
-/// The board to use.
 #[derive(clap::Args)]
 pub struct Port {
     /// The board: a serial port or a board's serial number, tcp:HOST:PORT, sim, or sim:DEVICE.toml [default:
@@ -22,17 +21,15 @@ pub struct Port {
 }
 
 impl Port {
-    /// Opens the board.
     pub fn open(&self) -> Result<Board, Failure> {
         Ok(haptic_sim::open(self.spec())?)
     }
 
-    /// Returns the requested port.
     pub fn spec(&self) -> &PortSpec {
         self.port.as_ref().unwrap_or(&PortSpec::Find)
     }
 
-    /// Opens the board for a command that changes its state. Refuses a board that exists only during the command.
+    /// Opens the board for a command that changes its state. Refuses a board that exists only during this command.
     pub fn open_to_stay(&self) -> Result<Board, Failure> {
         match &self.port {
             Some(PortSpec::Sim(_)) => Err(Failure::wrong("a board on --port sim exists only during this command")
@@ -52,17 +49,15 @@ pub struct OnBoard {
 }
 
 impl OnBoard {
-    /// Opens the board.
     pub fn open(&self) -> Result<Board, Failure> {
         self.port.open()
     }
 
-    /// Opens the board for a command that changes its state: see [`Port::open_to_stay`].
+    /// Opens the board for a command that changes its state, as [`Port::open_to_stay`] does.
     pub fn open_to_stay(&self) -> Result<Board, Failure> {
         self.port.open_to_stay()
     }
 
-    /// Returns the requested port.
     pub fn spec(&self) -> &PortSpec {
         self.port.spec()
     }
@@ -85,7 +80,7 @@ impl OnBoard {
 }
 
 /// Returns the address to listen on, from the value of `option`: PORT on this computer, or HOST:PORT.
-pub fn address(text: &str, option: &str) -> Result<SocketAddr, Failure> {
+pub fn parse_address(text: &str, option: &str) -> Result<SocketAddr, Failure> {
     let full = if text.contains(':') { text.to_string() } else { format!("127.0.0.1:{text}") };
     let address = full.to_socket_addrs().ok().and_then(|mut addresses| addresses.next());
     address.ok_or_else(|| {
@@ -93,7 +88,6 @@ pub fn address(text: &str, option: &str) -> Result<SocketAddr, Failure> {
     })
 }
 
-/// Describes a state.
 pub fn state_in_words(state: State) -> &'static str {
     match state {
         State::Disarmed => "disarmed (motors off, the device moves freely)",
@@ -103,7 +97,7 @@ pub fn state_in_words(state: State) -> &'static str {
     }
 }
 
-/// Warning before motors that are on go off.
+/// Warning that is shown before a command switches motors off.
 pub const MOTORS_GO_OFF: &str = "the motors are on and will go off: a device with weight falls";
 
 /// Asks for confirmation on the terminal, unless `yes` is true; `what` describes the effect.
@@ -126,7 +120,6 @@ pub fn confirm(yes: bool, what: &str) -> Result<(), Failure> {
     }
 }
 
-/// Describes the contents of a scene.
 pub fn scene_in_words(scene: &Scene<f32>) -> String {
     let mut parts = vec![counted(scene.walls.len(), "wall")];
     if !scene.springs.is_empty() {
@@ -140,18 +133,17 @@ pub fn scene_in_words(scene: &Scene<f32>) -> String {
 
 /// Describes a fault, with its remedy on a line of its own.
 pub fn fault_in_words(record: &FaultRecord, rate_hz: f32) -> String {
-    format!("{}\n    {}", fault_alone(record, rate_hz), record.fault.remedy())
+    format!("{}\n    {}", fault_without_remedy(record, rate_hz), record.fault.remedy())
 }
 
-/// Describes a fault, without its remedy.
-pub fn fault_alone(record: &FaultRecord, rate_hz: f32) -> String {
+pub fn fault_without_remedy(record: &FaultRecord, rate_hz: f32) -> String {
     let axis = record.axis.map_or(String::new(), |axis| format!(", joint {axis}"));
     let seconds = f64::from(record.step) / f64::from(rate_hz.max(1.0));
     format!("{}{axis}, value {}, {seconds:.3} s after boot", record.fault, record.value)
 }
 
-/// Warns on standard error about protection that is weaker under the present rules than before.
-pub fn warn_of_weaker(before: &Rules, now: &Rules) {
+/// Warns on standard error if the present rules protect less than those before.
+pub fn warn_of_weaker_rules(before: &Rules, now: &Rules) {
     if now.host_action != HostAction::Disarm && before.host_action == HostAction::Disarm {
         haptic_host::tell!(
             "the board no longer watches its host: if this tool is killed or its cable pulled, the motors stay on"
@@ -172,13 +164,14 @@ pub fn warn_of_weaker(before: &Rules, now: &Rules) {
     }
 }
 
-/// Returns the failure of a command whose motors a fault turned off.
-pub fn motors_off(record: &FaultRecord, rate_hz: f32) -> Failure {
-    Failure::impossible(format!("the motors are off: {}", fault_alone(record, rate_hz))).remedy(record.fault.remedy())
+/// Returns the failure of a command after a fault turned the motors off.
+pub fn motors_off_failure(record: &FaultRecord, rate_hz: f32) -> Failure {
+    Failure::impossible(format!("the motors are off: {}", fault_without_remedy(record, rate_hz)))
+        .remedy(record.fault.remedy())
 }
 
 /// Formats numbers in parentheses with their unit; a number that rounds to zero has no sign.
-pub fn numbers(values: &[f32], unit: &str) -> String {
+pub fn numbers_in_words(values: &[f32], unit: &str) -> String {
     let numbers: Vec<String> = values.iter().map(|value| format!("{:.4}", (1e4 * value).round() / 1e4 + 0.0)).collect();
     format!("({}) {unit}", numbers.join(", "))
 }

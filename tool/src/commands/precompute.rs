@@ -2,7 +2,7 @@
 
 use super::answer::Json;
 use super::arguments::Numbers;
-use super::force::Force;
+use super::force::ForceOption;
 use clap::ValueEnum;
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::precomputed::{Interpolation, MassModelData, TABLE_VALUES};
@@ -38,7 +38,7 @@ pub struct Args {
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
     #[command(flatten)]
-    force: Force,
+    force: ForceOption,
     #[command(flatten)]
     json: Json,
 }
@@ -50,7 +50,6 @@ enum Kind {
     Frozen,
 }
 
-/// Computes the mass matrix and its errors, prints them and writes the file.
 pub fn run(args: Args) -> Result<(), Failure> {
     args.force.check(&args.output)?;
     let device = DeviceFile::load(&args.device)?.device().map_err(Failure::wrong)?;
@@ -91,7 +90,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
             })?
         }
     };
-    // At rest the law of motion does not matter.
+    // Uses any law of motion, because errors are computed at rest.
     let law = Law::of(&Scene::default(), &device)?;
     let way =
         TorqueVariant { model: &precomputed, terms: Terms::FeedForward, trigonometry: Trigonometry::Tabulated, law };
@@ -150,7 +149,7 @@ fn readable(
         };
         format!(
             "larger than the torque itself in the worst situation, near a singular pose; {elsewhere}\n  \
-             do not use it as it is: limit it to your work area with --box, give the joints limits, or let `haptic scene` choose"
+             do not use this matrix: limit it to your work area with --box, give the joints limits, or let `haptic scene` choose"
         )
     };
     format!(

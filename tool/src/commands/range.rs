@@ -4,7 +4,7 @@ mod ripple;
 mod words;
 
 use super::answer::{Json, Pictures};
-use super::arguments::{self, DeviceAt, Holding, Numbers, WallArgs};
+use super::arguments::{self, DeviceAt, HoldingArgs, Numbers, WallArgs};
 use super::continued::Continue;
 use super::port::counted;
 use clap::{Args as ClapArgs, ValueEnum};
@@ -51,7 +51,7 @@ pub struct Args {
     #[arg(long, value_name = "SAMPLES", allow_hyphen_values = true, conflicts_with = "board")]
     delay: Option<f64>,
     /// Velocity estimator
-    #[arg(long, value_name = "KIND", default_value = "butterworth", value_parser = arguments::linear_estimator())]
+    #[arg(long, value_name = "KIND", default_value = "butterworth", value_parser = arguments::estimator_parser())]
     estimator: Estimator,
     /// Take the velocity from the difference over this number of samples, before the estimator's filter
     #[arg(long, value_name = "SAMPLES", default_value_t = 1)]
@@ -78,13 +78,13 @@ pub struct Args {
     #[arg(long, value_name = "ALPHA", default_value_t = 1.0)]
     feed_forward_gain: f64,
     #[command(flatten)]
-    holding: Holding,
+    holding: HoldingArgs,
     /// Drive of the motors: ideal (torque at once), voltage (resistance, inductance and back-EMF of the device file's
     /// motors), current (a current loop of --current-bandwidth) [default: ideal]
     #[arg(long, value_name = "KIND", conflicts_with = "board")]
     drive: Option<DriveKind>,
     /// Use the drive and the delay of this board, instead of an ideal drive without delay
-    #[arg(long, value_name = "BOARD", value_parser = arguments::board())]
+    #[arg(long, value_name = "BOARD", value_parser = arguments::board_parser())]
     board: Option<BoardKind>,
     /// Bandwidth of the current loop in Hz, for --drive current; the default lags by half a carrier period at 20 kHz,
     /// as the boards' loops do, which reach a current within one period
@@ -94,8 +94,8 @@ pub struct Args {
     /// second
     #[arg(long, value_name = "HZ")]
     host_rate: Option<f64>,
-    /// Age of that program's forces when they begin to act, in seconds, as `haptic board latency` measures it [default:
-    /// the time between two requests]
+    /// With --host-rate: age of the program's forces when they begin to act, in seconds, as `haptic board latency`
+    /// measures it [default: the time between two requests]
     #[arg(long, value_name = "S", requires = "host_rate", allow_hyphen_values = true)]
     host_delay: Option<f64>,
     /// Print the limiting effects: how much sampling, delay, drive, filter, transmissions, hand and joint damping each
@@ -121,7 +121,6 @@ pub struct Args {
     pictures: Pictures,
 }
 
-/// Drives of the analysis.
 #[derive(Clone, Copy, Debug, PartialEq, ValueEnum)]
 enum DriveKind {
     Ideal,
@@ -130,7 +129,7 @@ enum DriveKind {
 }
 
 impl Args {
-    /// Delay, control samples.
+    /// Returns the delay in control samples.
     fn delay(&self) -> f64 {
         match self.board {
             // Both boards sample at the middle of a carrier period and apply the duty at its end.
@@ -176,14 +175,14 @@ impl Args {
             })?),
         };
         let path = TorquePath { delay_samples: self.delay(), drive };
-        let mut control_loop = Loop::with_torque_path(&path, self.rate, estimator(self)?);
+        let mut control_loop = Loop::with_torque_path(&path, self.rate, requested_estimator(self)?);
         control_loop.damping_compensation = self.damping_compensation;
         let subject = Subject::new(&file.description).map_err(Failure::wrong)?;
         let subject = if self.undamped { subject.undamped() } else { subject };
         Ok(Prediction {
             admissible: self.holding.admissible,
             gain: self.feed_forward_gain,
-            posture: posture(self.posture.as_ref(), file)?,
+            posture: requested_posture(self.posture.as_ref(), file)?,
             hand: self.hand()?,
             ..Prediction::new(subject, control_loop)
         })
@@ -191,7 +190,7 @@ impl Args {
 }
 
 /// Returns the posture of --posture, for a redundant device.
-pub(super) fn posture(numbers: Option<&Numbers>, file: &DeviceFile) -> Result<Option<Posture>, Failure> {
+pub(super) fn requested_posture(numbers: Option<&Numbers>, file: &DeviceFile) -> Result<Option<Posture>, Failure> {
     let Some(numbers) = numbers else { return Ok(None) };
     let remedy = "write stiffness (N m/rad) and damping (N m s/rad), such as 0.5,0.03";
     let spec = file.spec();
@@ -209,10 +208,9 @@ pub(super) fn posture(numbers: Option<&Numbers>, file: &DeviceFile) -> Result<Op
     }
 }
 
-/// Analyses, prints and draws.
 pub fn run(args: Args) -> Result<(), Failure> {
     args.pictures.check()?;
-    let (file, mut warnings) = arguments::device(&args.at.device, true)?;
+    let (file, mut warnings) = arguments::load_device(&args.at.device, true)?;
     let spec = file.spec();
     arguments::check_rate(args.rate)?;
     let q = args.at.pose(&file)?;
@@ -228,7 +226,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         return Err(Failure::wrong(reason).remedy(remedy));
     }
     let prediction = args.prediction(&file)?;
-    let (analyse, passivity) = analysis(&args, &file, &q, &members, &prediction)?;
+    let (analyse, passivity) = wall_analysis(&args, &file, &q, &members, &prediction)?;
     let requested_kd = args.kd.as_ref().map(|kd| kd.0.as_slice());
     let range = analyse(requested_kd, args.washout)?;
     let costs = costly_warnings(&range, args.washout, |corner| analyse(requested_kd, Some(corner)))?;
@@ -239,7 +237,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let question =
         format!("{device:?} {q:?} {normals:?} {:?} {:?} {requested:?}", prediction.around, prediction.posture);
     let sweep = args.continued.sweep("range", &question)?;
-    let why = if args.why { Some(explain(&prediction, &q, &normals, &sweep)?) } else { None };
+    let why = if args.why { Some(limiting_effects(&prediction, &q, &normals, &sweep)?) } else { None };
     let ripple = simulate_ripple(&args, &file, &q, &normals, &prediction, &sweep)?;
     let has_picture = args.pictures.is_requested();
     if let Some(why) = why.as_ref().filter(|_| has_picture) {
@@ -248,7 +246,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         let picture = haptic_show::plot::why::draw(&title, &under, why, args.pictures.paper());
         args.pictures.save(&picture)?;
     } else if has_picture {
-        // A picture always shows the complete boundary, even if single points were requested.
+        // Draws the complete boundary even if single points were requested.
         let complete = if args.kd.is_some() { analyse(None, args.washout)? } else { range.clone() };
         let picture = draw(&Contents {
             title: format!("{}: stable walls, predicted", file.name),
@@ -266,7 +264,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     }
     if args.json.is_requested() {
         let request = Request::of(&args, &prediction, &q, &members);
-        let passive = passivity.as_ref().map(Passive::of);
+        let passive = passivity.as_ref().map(PassiveBounds::of);
         let result = Document { request, range: &range, passive, why: why.as_ref(), ripple: ripple.as_ref() };
         print_json(Warned { result: &result, warnings: &warnings })?;
     } else {
@@ -278,16 +276,15 @@ pub fn run(args: Args) -> Result<(), Failure> {
     Ok(())
 }
 
-/// The document of `--json`.
 #[derive(serde::Serialize)]
 struct Document<'a> {
     #[serde(flatten)]
     request: Request,
     #[serde(flatten)]
     range: &'a Range,
-    /// `None` if no bound is known: with several walls, and where [`Passivity::new`] returns none.
+    /// Passivity bounds; `None` with several walls, or if [`Passivity::new`] returns `None`.
     #[serde(skip_serializing_if = "Option::is_none")]
-    passive: Option<Passive>,
+    passive: Option<PassiveBounds>,
     #[serde(skip_serializing_if = "Option::is_none")]
     why: Option<&'a Why>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -296,7 +293,7 @@ struct Document<'a> {
 
 /// Bounds below which a wall without feed-forward is passive.
 #[derive(serde::Serialize)]
-struct Passive {
+struct PassiveBounds {
     /// Stiffness without damping, N/m.
     kp: f64,
     /// Damping, N s/m.
@@ -306,13 +303,13 @@ struct Passive {
     kp_quantised: Option<f64>,
 }
 
-impl Passive {
+impl PassiveBounds {
     fn of(passivity: &Passivity) -> Self {
         Self { kp: passivity.sampled(0.0), kd: passivity.largest_damping(), kp_quantised: passivity.quantised() }
     }
 }
 
-/// The inputs, so that the result can be computed again.
+/// The inputs of the prediction, so that a program can repeat the prediction.
 #[derive(serde::Serialize)]
 struct Request {
     /// Joint angles, rad.
@@ -320,11 +317,11 @@ struct Request {
     /// Unit normals, d entries each.
     normals: Vec<Vec<f64>>,
     rate_hz: f64,
-    /// `None` for an estimator without a cutoff.
+    /// Cutoff of the velocity filter, Hz; `None` for an estimator without a cutoff.
     cutoff_hz: Option<f64>,
     delay_samples: f64,
     drive: String,
-    /// Options with which `haptic range DEVICE` predicts the same.
+    /// Options with which `haptic range DEVICE` repeats this prediction.
     options: String,
 }
 
@@ -356,8 +353,8 @@ impl Request {
     }
 }
 
-/// Computes the effect of each part of the loop on the boundary, for one wall only.
-fn explain(prediction: &Prediction, q: &[f64], normals: &[Vec<f64>], sweep: &Sweep) -> Result<Why, Failure> {
+/// Computes the effect of each part of the loop on the boundary of one wall; several walls are an error.
+fn limiting_effects(prediction: &Prediction, q: &[f64], normals: &[Vec<f64>], sweep: &Sweep) -> Result<Why, Failure> {
     let [normal] = normals else {
         let reason = "--why applies to one wall, and there are several --normal";
         return Err(Failure::wrong(reason).remedy("give one --normal"));
@@ -365,8 +362,7 @@ fn explain(prediction: &Prediction, q: &[f64], normals: &[Vec<f64>], sweep: &Swe
     why(&prediction.linearise(q, normal)?, &prediction.around, sweep)
 }
 
-/// Returns the requested estimator.
-fn estimator(args: &Args) -> Result<LinearEstimator, Failure> {
+fn requested_estimator(args: &Args) -> Result<LinearEstimator, Failure> {
     let over = args.difference_over;
     let alone = LinearEstimator::of(args.estimator, args.cutoff).ok_or_else(|| {
         Failure::wrong(format!("{} has no linear analysis", args.estimator.name())).remedy("choose another --estimator")
@@ -385,7 +381,7 @@ fn estimator(args: &Args) -> Result<LinearEstimator, Failure> {
 type Analysis<'a> = Box<dyn Fn(Option<&[f64]>, Option<f64>) -> Result<Range, AnalysisError> + 'a>;
 
 /// Returns the analysis of one wall, with its passive limits, or of several walls.
-fn analysis<'a>(
+fn wall_analysis<'a>(
     args: &'a Args,
     file: &DeviceFile,
     q: &[f64],
@@ -398,7 +394,7 @@ fn analysis<'a>(
         Walls::One(device) => {
             let max = device.largest_gain().unwrap_or(1.0);
             if !(0.0..=max).contains(&gain) {
-                let reason = format!("--feed-forward-gain {gain} is not from 0 to {max:.3}");
+                let reason = format!("--feed-forward-gain {gain} is not between 0 and {max:.3}");
                 return Err(Failure::wrong(reason)
                     .remedy("lower it: a board allows no more here, because of the pole of the inertia"));
             }

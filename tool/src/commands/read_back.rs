@@ -1,6 +1,6 @@
 //! `--read` of `haptic device` and `haptic scene`: writes a board's device or scene as text, or compares it with a file.
 
-use super::force::Force;
+use super::force::ForceOption;
 use super::port::{OnBoard, counted};
 use haptic_host::error::Failure;
 use haptic_host::output;
@@ -8,9 +8,8 @@ use haptic_host::read_back::Difference;
 use serde_json::json;
 use std::path::{Path, PathBuf};
 
-/// Options for reading from the board.
 #[derive(clap::Args)]
-pub struct Read {
+pub struct ReadOptions {
     /// Write the board's contents to standard output; or with FILE list the differences between that file and the
     /// board, and end with exit code 3 if there are any. Changes nothing
     #[arg(long)]
@@ -19,17 +18,17 @@ pub struct Read {
     #[arg(short, long, value_name = "FILE", requires = "read")]
     output: Option<PathBuf>,
     #[command(flatten)]
-    force: Force,
+    force: ForceOption,
 }
 
-impl Read {
+impl ReadOptions {
     /// Returns true if `--read` was given. Refuses an output file that could not be written later.
     pub fn is_requested(&self) -> Result<bool, Failure> {
         self.force.check(&self.output)?;
         Ok(self.read)
     }
 
-    /// Writes `text`, the board's `what`, or reports how it differs from the file in `compared`.
+    /// Writes `text`, the text form of the board's `what`, or reports its differences from the file in `compared`.
     pub fn report(
         &self,
         on: &OnBoard,

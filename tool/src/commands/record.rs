@@ -1,6 +1,6 @@
 //! `haptic record`: writes telemetry to a file that other programs open, at any rate up to the control rate.
 
-use super::force::Force;
+use super::force::ForceOption;
 use super::port::Port;
 use super::stream::{Options, follow, parse_positive};
 use haptic_bridge::board::telemetry::{Field, Fields};
@@ -8,8 +8,8 @@ use haptic_host::error::Failure;
 use haptic_host::link::{fields, max_rows_per_second};
 use std::path::PathBuf;
 
-/// Default fields: those for a person, and those that `haptic replay` needs.
-const FIELDS: Fields = Fields(
+/// Default fields: those that a person reads, and those that `haptic replay` needs.
+const DEFAULT_FIELDS: Fields = Fields(
     Fields::USUAL.0 | Field::Angle.bit() | Field::NormalVelocity.bit() | Field::Energy.bit() | Field::Counts.bit(),
 );
 
@@ -25,7 +25,7 @@ pub struct Args {
     #[command(flatten)]
     port: Port,
     #[command(flatten)]
-    force: Force,
+    force: ForceOption,
     /// Fields, separated by commas: usual, all, or any from the list of `haptic stream --help` [default: usual and q,
     /// velocity, energy, counts]
     #[arg(long, value_name = "NAMES", value_parser = fields)]
@@ -44,7 +44,6 @@ pub struct Args {
     json: bool,
 }
 
-/// Records until the time is over, Ctrl-C, or the board is lost.
 pub fn run(args: Args) -> Result<(), Failure> {
     let extension = args.file.extension().map(|extension| extension.to_string_lossy().to_ascii_lowercase());
     if args.file.as_os_str() != "-" && !matches!(extension.as_deref(), Some("mcap" | "csv")) {
@@ -53,7 +52,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     }
     args.force.check([&args.file])?;
     let mut board = args.port.open()?;
-    let fields = args.fields.unwrap_or(FIELDS);
+    let fields = args.fields.unwrap_or(DEFAULT_FIELDS);
     let rate = match args.rate {
         Some(rate) => rate,
         None => {

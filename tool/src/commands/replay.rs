@@ -29,7 +29,6 @@ fn describe(difference: &Difference) -> String {
     )
 }
 
-/// Reads, plays and reports. Exit code 1 if the torques differ.
 pub fn run(args: Args) -> Result<(), Failure> {
     let recording = Recording::load(&args.file)?;
     let result = replay(&recording)?;

@@ -2,7 +2,7 @@
 
 use super::arguments::{self, Numbers};
 use super::continued::Continue;
-use super::force::Force;
+use super::force::ForceOption;
 use haptic_bridge::render::scene::{DEFAULT_RATE_HZ, FeedForward};
 use haptic_host::device_file::DeviceFile;
 use haptic_host::error::{Failure, print};
@@ -48,7 +48,7 @@ pub struct Args {
     #[command(flatten)]
     continued: Continue,
     #[command(flatten)]
-    force: Force,
+    force: ForceOption,
 }
 
 /// A part of the page that can be left out.
@@ -64,19 +64,17 @@ enum Part {
     Map,
 }
 
-/// A part of the page: one command.
+/// A section of the page: one command and its output.
 #[derive(Clone, Debug)]
 struct Section {
     title: &'static str,
-    /// The subject of the section, in a sentence.
+    /// Sentence about the subject of the section.
     about: &'static str,
-    /// Arguments of the command.
     words: Vec<String>,
     /// File name of the picture, if the command draws one.
     picture: Option<&'static str>,
 }
 
-/// Output of a command.
 #[derive(Clone, Debug, Default, Deserialize, Serialize)]
 struct Output {
     text: String,
@@ -85,7 +83,6 @@ struct Output {
     done: bool,
 }
 
-/// Values for the command lines.
 struct Values {
     q: String,
     normal: String,
@@ -98,11 +95,10 @@ struct Values {
     wall: Option<String>,
 }
 
-/// Runs every command and writes the page.
 pub fn run(args: Args) -> Result<(), Failure> {
     output::check(&args.out, args.force.overwrite())?;
     let file = DeviceFile::load(&args.device)?;
-    let values = values(&args, &file)?;
+    let values = page_values(&args, &file)?;
     let sections = sections(&args, &values);
     let scene = args.scene.as_ref().map(|path| SceneFile::load(path, file.spec().task)).transpose()?;
     let scene = scene.map(|file| file.scene);
@@ -121,12 +117,12 @@ pub fn run(args: Args) -> Result<(), Failure> {
 }
 
 /// Formats numbers with up to six decimals, without trailing zeros.
-fn list(values: &[f64]) -> String {
+fn option_value(values: &[f64]) -> String {
     let rounded = values.iter().map(|value| (value * 1e6).round() / 1e6 + 0.0);
     rounded.map(|value| value.to_string()).collect::<Vec<_>>().join(",")
 }
 
-fn values(args: &Args, file: &DeviceFile) -> Result<Values, Failure> {
+fn page_values(args: &Args, file: &DeviceFile) -> Result<Values, Failure> {
     let spec = file.spec();
     let scene = args.scene.as_ref().map(|path| SceneFile::load(path, spec.task)).transpose()?.map(|file| file.scene);
     let device = prediction::Subject::new(&file.description).map_err(Failure::wrong)?;
@@ -149,7 +145,7 @@ fn values(args: &Args, file: &DeviceFile) -> Result<Values, Failure> {
     let path = TorquePath::usual(rate);
     let in_scene = scene.as_ref().and_then(|scene| Prediction::in_scene(&device, scene, wall, &path));
     let prediction = in_scene.unwrap_or_else(|| {
-        // For an estimator without a linear analysis, the usual one is shown.
+        // Shows the usual estimator in place of one without a linear analysis.
         Prediction::new(device.clone(), Loop::with_torque_path(&path, rate, LinearEstimator::Butterworth(cutoff)))
     });
     let rounded = |values: &[f64]| values.iter().map(|value| (value * 1e6).round() / 1e6 + 0.0).collect::<Vec<_>>();
@@ -157,13 +153,13 @@ fn values(args: &Args, file: &DeviceFile) -> Result<Values, Failure> {
     Ok(Values {
         options: prediction.options(&q, &[Member::new(normal.clone(), 1.0)]),
         wall: wall.map(|wall| format!("{},{}", wall.stiffness, wall.damping)),
-        q: list(&q),
-        normal: list(&normal),
-        rate: list(&[rate]),
-        cutoff: list(&[cutoff]),
+        q: option_value(&q),
+        normal: option_value(&normal),
+        rate: option_value(&[rate]),
+        cutoff: option_value(&[cutoff]),
         washout: wall
             .filter(|wall| wall.feed_forward == FeedForward::Washout)
-            .map_or(Some("2".into()), |wall| Some(list(&[wall.washout_hz]))),
+            .map_or(Some("2".into()), |wall| Some(option_value(&[wall.washout_hz]))),
     })
 }
 
@@ -180,7 +176,7 @@ fn sections(args: &Args, values: &Values) -> Vec<Section> {
     check.extend(scene.as_deref());
     add(
         "The description of the file, and the largest force",
-        "Reach, weight and inertia; what a person at the tip can meet; what a real board still lacks.",
+        "Reach, weight and inertia; force and energy at the tip; what is missing before a real board arms.",
         Some("device.svg"),
         &check,
     );
@@ -213,7 +209,7 @@ fn sections(args: &Args, values: &Values) -> Vec<Section> {
     let hand = default_hand();
     let hand = format!("{},{},{}", hand.mass, hand.damping, hand.stiffness);
     let mut in_hand = range.clone();
-    // Compensated damping is not predicted in a hand.
+    // A hand with compensated damping cannot be predicted.
     let has_hand = !options.contains("--damping-compensation");
     if has_hand {
         in_hand.extend(["--hand", &hand]);
@@ -263,7 +259,6 @@ fn sections(args: &Args, values: &Values) -> Vec<Section> {
 }
 
 impl Section {
-    /// Returns the command line.
     fn line(&self) -> String {
         let quoted = |word: &String| match word.chars().all(|c| c.is_ascii_alphanumeric() || "-_./=,+:".contains(c)) {
             true => word.clone(),
@@ -276,7 +271,6 @@ impl Section {
         line
     }
 
-    /// Runs the command line.
     fn run(&self, tool: &Path) -> Output {
         let folder = tempfile::tempdir().ok();
         let picture = folder.as_ref().zip(self.picture).map(|(folder, name)| folder.path().join(name));
@@ -297,19 +291,18 @@ impl Section {
     }
 }
 
-/// Escapes text for HTML.
-fn escape(text: &str) -> String {
+fn escape_html(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
 
 /// Converts an SVG document for a page with several pictures: with unique ids and without a namespace declaration.
-fn inline(svg: &str, number: usize) -> String {
+fn inline_svg(svg: &str, number: usize) -> String {
     svg.replace(" xmlns=\"http://www.w3.org/2000/svg\"", "")
         .replace("id=\"clip", &format!("id=\"p{number}clip"))
         .replace("url(#clip", &format!("url(#p{number}clip"))
 }
 
-const STYLE: &str = "body{font-family:sans-serif;max-width:60rem;margin:2rem auto;padding:0 1rem;color:#222}\
+const PAGE_STYLE: &str = "body{font-family:sans-serif;max-width:60rem;margin:2rem auto;padding:0 1rem;color:#222}\
     h1{font-size:1.5rem}h2{font-size:1.15rem;margin-top:2.2rem;border-top:1px solid #ccc;padding-top:.8rem}\
     pre{font-size:.72rem;overflow-x:auto;background:#f6f6f6;padding:.6rem;white-space:pre}\
     code.line{display:block;background:#eef3f8;padding:.4rem .6rem;font-size:.78rem;overflow-wrap:anywhere}\
@@ -319,9 +312,9 @@ const STYLE: &str = "body{font-family:sans-serif;max-width:60rem;margin:2rem aut
 
 fn page(name: &str, args: &Args, sections: &[Section], outputs: &[Output]) -> String {
     let mut page = String::new();
-    let name = escape(name);
+    let name = escape_html(name);
     let scene = args.scene.as_ref().map_or(String::new(), |scene| format!(" with {}", scene.display()));
-    let about = escape(&format!(
+    let about = escape_html(&format!(
         "{}{scene}, by haptic {}, {}",
         args.device.display(),
         env!("CARGO_PKG_VERSION"),
@@ -330,13 +323,13 @@ fn page(name: &str, args: &Args, sections: &[Section], outputs: &[Output]) -> St
     let _ = write!(
         page,
         "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\"/>\n<title>{name}</title>\n\
-         <meta name=\"viewport\" content=\"width=device-width\"/>\n<style>{STYLE}</style>\n</head>\n<body>\n\
+         <meta name=\"viewport\" content=\"width=device-width\"/>\n<style>{PAGE_STYLE}</style>\n</head>\n<body>\n\
          <h1>{name}</h1>\n<p>{about}</p>\n\
          <p>Every number on this page is the output of the command above it, run where the page was made. Predictions are for the \
          device in the file; nothing was measured on a real device.</p>\n<ol>\n"
     );
     for section in sections {
-        let _ = writeln!(page, "<li>{}</li>", escape(section.title));
+        let _ = writeln!(page, "<li>{}</li>", escape_html(section.title));
     }
     page.push_str("</ol>\n");
     for (number, (section, output)) in sections.iter().zip(outputs).enumerate() {
@@ -344,18 +337,18 @@ fn page(name: &str, args: &Args, sections: &[Section], outputs: &[Output]) -> St
             page,
             "<section>\n<h2>{}. {}</h2>\n<p>{}</p>\n<code class=\"line\">{}</code>\n",
             number + 1,
-            escape(section.title),
-            escape(section.about),
-            escape(&section.line())
+            escape_html(section.title),
+            escape_html(section.about),
+            escape_html(&section.line())
         );
         if !output.notes.trim().is_empty() {
-            let _ = writeln!(page, "<p class=\"notes\">{}</p>", escape(output.notes.trim()));
+            let _ = writeln!(page, "<p class=\"notes\">{}</p>", escape_html(output.notes.trim()));
         }
         if let Some(picture) = &output.picture {
-            let _ = writeln!(page, "<figure>\n{}</figure>", inline(picture, number + 1));
+            let _ = writeln!(page, "<figure>\n{}</figure>", inline_svg(picture, number + 1));
         }
         if !output.text.trim().is_empty() {
-            let _ = writeln!(page, "<pre>{}</pre>", escape(output.text.trim_end()));
+            let _ = writeln!(page, "<pre>{}</pre>", escape_html(output.text.trim_end()));
         }
         page.push_str("</section>\n");
     }
@@ -391,7 +384,7 @@ mod tests {
             words.extend(scene.map(|scene| path(format!("devices/scenes/{device}/{scene}.toml"))));
             let args = CommandLine::parse_from(words).args;
             let file = DeviceFile::load(&args.device).unwrap();
-            let values = values(&args, &file).unwrap();
+            let values = page_values(&args, &file).unwrap();
             for section in sections(&args, &values) {
                 // Splits as a shell does, because no path here needs quotes.
                 let line = section.line();

@@ -18,7 +18,6 @@ pub struct Args {
     yes: bool,
 }
 
-/// Restarts the board, after asking if something would be lost.
 pub fn run(args: Args) -> Result<(), Failure> {
     let mut board = args.on.open()?;
     let mut loses = Vec::new();

@@ -1,6 +1,6 @@
 //! `haptic board restore`: restores a backup to a board.
 
-use super::port::{OnBoard, confirm, warn_of_weaker};
+use super::port::{OnBoard, confirm, warn_of_weaker_rules};
 use haptic_bridge::board::settings::Key;
 use haptic_host::backup::{Backup, PreparedSetting, RestoreMethod, restore};
 use haptic_host::error::{Failure, on_one_line};
@@ -23,13 +23,12 @@ pub struct Args {
     on: OnBoard,
 }
 
-/// Parses the complete file, then writes the board.
 pub fn run(args: Args) -> Result<(), Failure> {
     let place = args.file.display();
     let document = Document::load(&args.file)?;
     let wrong = |error| Failure::wrong(format!("{place}: {error}"));
     let backup = Backup::parse(document.text()).map_err(wrong)?;
-    // Damage is reported before a board is opened.
+    // Reports damage before a board is opened.
     backup.ready().map_err(wrong)?;
     let mut board = args.on.open()?;
     let mut ready = backup.ready().map_err(wrong)?;
@@ -49,7 +48,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     haptic_host::tell!("writing flash: the board pauses for up to a second");
     let before = board.rules()?;
     restore(&mut board, &ready)?;
-    warn_of_weaker(&before, &board.rules()?);
+    warn_of_weaker_rules(&before, &board.rules()?);
     let mut report = String::new();
     for setting in &ready {
         report += &match setting.how {

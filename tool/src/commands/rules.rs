@@ -1,7 +1,7 @@
 //! `haptic rules`: shows or changes the rules that the board enforces for all tools.
 
-use super::arguments::one_of;
-use super::port::{OnBoard, counted, short, warn_of_weaker};
+use super::arguments::words_parser;
+use super::port::{OnBoard, counted, short, warn_of_weaker_rules};
 use clap::builder::TypedValueParser;
 use haptic_bridge::control::{HostAction, Rules};
 use haptic_bridge::model::device::Device;
@@ -44,7 +44,7 @@ pub struct Args {
     /// Action of the board when the host has been silent
     #[arg(long, value_name = "ACTION", value_parser = action_parser())]
     host: Option<HostAction>,
-    #[arg(long, value_name = "S", value_parser = parse_seconds, help = silence_help())]
+    #[arg(long, value_name = "S", value_parser = parse_seconds, help = host_seconds_help())]
     host_seconds: Option<f32>,
     /// Dissipate the energy that walls generate, by damping and less feed-forward (passivity controller)
     #[arg(long, value_name = "BOOL", action = clap::ArgAction::Set)]
@@ -54,14 +54,13 @@ pub struct Args {
     index_period: Vec<i32>,
 }
 
-/// Parses the name of an action.
 fn action_parser() -> impl TypedValueParser<Value = HostAction> {
     let what = |action| match action {
         HostAction::Ignore => "Nothing",
         HostAction::Hold => "The scene continues, and the fault is listed",
         HostAction::Disarm => "Motors off",
     };
-    one_of(HostAction::ALL.map(|(name, action)| (name, what(action), action)))
+    words_parser(HostAction::ALL.map(|(name, action)| (name, what(action), action)))
 }
 
 fn parse_limit(text: &str) -> Result<f32, String> {
@@ -72,7 +71,7 @@ fn parse_limit(text: &str) -> Result<f32, String> {
     }
 }
 
-fn silence_help() -> String {
+fn host_seconds_help() -> String {
     let (min, max) = Rules::HOST_SECONDS;
     format!("Longest silence of the host, in s: {min} to {max}")
 }
@@ -84,7 +83,6 @@ fn parse_seconds(text: &str) -> Result<f32, String> {
     })
 }
 
-/// Reads the rules, changes the requested ones, and reports all.
 pub fn run(args: Args) -> Result<(), Failure> {
     let mut board = args.on.open()?;
     let before = board.rules()?;
@@ -113,15 +111,15 @@ pub fn run(args: Args) -> Result<(), Failure> {
         board.set_rules(&rules)?;
     }
     let now = board.rules()?;
-    warn_of_weaker(&before, &now);
+    warn_of_weaker_rules(&before, &now);
     if !args.torque.is_empty() {
-        device.iter().for_each(|device| warn_of_weaker_motors(device, &now.limits));
+        device.iter().for_each(|device| warn_of_useless_limits(device, &now.limits));
     }
-    args.on.answer(as_json(&now, joints), &describe(&now, joints))
+    args.on.answer(as_json(&now, joints), &rules_in_words(&now, joints))
 }
 
-/// Warns about torque limits above the motor's own limit, because they have no effect.
-fn warn_of_weaker_motors(device: &Device<f32>, limits: &Limits) {
+/// Warns about torque limits that have no effect, because they are above the motor's own limit.
+fn warn_of_useless_limits(device: &Device<f32>, limits: &Limits) {
     for (index, (joint, limit)) in device.joints.iter().zip(limits.torque).enumerate().take(device.axes()) {
         let Some(motor) = joint.motor else { continue };
         let max = motor.torque_constant * motor.max_current.min(limits.current[index]);
@@ -135,7 +133,7 @@ fn warn_of_weaker_motors(device: &Device<f32>, limits: &Limits) {
     }
 }
 
-/// Sets `place` to the given values: none, or one for every joint.
+/// Sets `place` to the given values, which are none or one per joint.
 fn set_per_joint<T: Copy>(
     (owner, joints): (&str, usize),
     name: &str,
@@ -153,8 +151,7 @@ fn set_per_joint<T: Copy>(
     Ok(())
 }
 
-/// Lists the value of every joint.
-fn list<T: std::fmt::Display>(values: &[T], joints: usize) -> String {
+fn join_values<T: std::fmt::Display>(values: &[T], joints: usize) -> String {
     values.iter().take(joints).map(ToString::to_string).collect::<Vec<_>>().join(", ")
 }
 
@@ -168,7 +165,7 @@ fn as_json(rules: &Rules, joints: usize) -> serde_json::Value {
     })
 }
 
-fn describe(rules: &Rules, joints: usize) -> String {
+fn rules_in_words(rules: &Rules, joints: usize) -> String {
     let Limits { torque, current, continuous_current, speed, power, bus_min, bus_max, tip_force } = &rules.limits;
     let host = match rules.host_action {
         HostAction::Ignore => "a silent host is ignored".into(),
@@ -180,10 +177,10 @@ fn describe(rules: &Rules, joints: usize) -> String {
     let passivity = if rules.passivity { "on" } else { "off" };
     let index = match rules.index_period {
         [0, 0, 0] => "not watched".into(),
-        periods => format!("every {} counts, 0 without index pulses", list(&periods, joints)),
+        periods => format!("every {} counts, 0 without index pulses", join_values(&periods, joints)),
     };
     let [torque, current, continuous_current, speed] =
-        [torque, current, continuous_current, speed].map(|values| list(values, joints));
+        [torque, current, continuous_current, speed].map(|values| join_values(values, joints));
     format!(
         "torque              {torque} N m\n\
          current             {current} A\n\

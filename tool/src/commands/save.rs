@@ -15,7 +15,6 @@ pub struct Args {
     on: OnBoard,
 }
 
-/// Saves the settings.
 pub fn run(args: Args) -> Result<(), Failure> {
     let mut board = args.on.open_to_stay()?;
     if board.status()?.state.drives() {

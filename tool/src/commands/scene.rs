@@ -1,8 +1,7 @@
-//! `haptic scene`: loads a scene file onto a board, computed in the cheapest sufficiently accurate way, or reads back
-//! the board's scene.
+//! `haptic scene`: loads a scene file onto a board in the cheapest accurate form, or reads the scene back.
 
 use super::port::{OnBoard, scene_in_words};
-use super::read_back::{Read, required_file};
+use super::read_back::{ReadOptions, required_file};
 use haptic_bridge::render::scene::Scene;
 use haptic_bridge::safety::fault::State;
 use haptic_bridge::safety::refusal::Refusal;
@@ -33,18 +32,17 @@ pub struct Args {
     #[arg(required_unless_present = "read")]
     file: Option<PathBuf>,
     #[command(flatten)]
-    read: Read,
+    read: ReadOptions,
     #[command(flatten)]
     on: OnBoard,
 }
 
-/// Checks the file against the board's device, plans and loads.
 pub fn run(args: Args) -> Result<(), Failure> {
     if args.read.is_requested()? {
         return read_back(&args);
     }
     let path = required_file(args.file.as_ref(), "scene")?;
-    // Errors that do not depend on the device's dimension are reported without a board.
+    // Reports errors that do not depend on the device before a board is opened.
     let document = Document::load(&path)?;
     let text = document.text();
     let mut board = args.on.open()?;
@@ -73,7 +71,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     args.on.answer(document, &(loaded_message(&name.to_string(), &board, &scene) + args.on.warn_if_temporary()))
 }
 
-/// Writes the board's scene as a file, or reports how it differs from a file.
+/// Writes the board's scene as a file, or reports its differences from a file.
 fn read_back(args: &Args) -> Result<(), Failure> {
     let document = args.file.as_deref().map(Document::load).transpose()?;
     let mut board = args.on.open()?;
@@ -96,7 +94,7 @@ fn read_back(args: &Args) -> Result<(), Failure> {
             if differences.iter().any(|difference| is_planned(&difference.key)) {
                 let device = board.device()?.ok_or(BoardError::Refused(Refusal::NoDevice))?.cast::<f64>();
                 let speed = file.hand_speed.unwrap_or(HAND_SPEED);
-                // If planning fails, this command did not load the scene, so every difference is reported.
+                // Reports every difference if planning fails, because `haptic scene` then did not load this scene.
                 if let Ok(plan) = plan(&device, &file.scene, Budget::Percent(DEFAULT_PERCENT), speed) {
                     let from_plan = compare(&to_entries(&plan.scene.cast()), &entries);
                     differences.retain(|difference| {

@@ -5,7 +5,7 @@ use super::port::Port;
 use haptic_host::error::{Failure, print};
 use haptic_host::frame::Axes;
 use haptic_host::link::{PortSpec, Session};
-use haptic_show::haply::{HaplyListener, Inverse3, USUAL_PORT};
+use haptic_show::haply::{DEFAULT_PORT, HaplyListener, Inverse3};
 
 /// Let programs that were made for other devices use a board
 ///
@@ -18,7 +18,7 @@ pub struct Args {
     #[arg(long, required = true)]
     haply: bool,
     /// Port to listen on, on this computer; 0 takes a free one
-    #[arg(long, value_name = "PORT", default_value_t = USUAL_PORT)]
+    #[arg(long, value_name = "PORT", default_value_t = DEFAULT_PORT)]
     listen: u16,
     /// Axes of the device towards the operator, to the right and up [default: by the mechanism, docs/chai3d.md]
     #[arg(long, value_name = "AXES", allow_hyphen_values = true)]
@@ -27,7 +27,6 @@ pub struct Args {
     port: Port,
 }
 
-/// Serves until Ctrl-C.
 pub fn run(args: Args) -> Result<(), Failure> {
     let stop = interrupt::watch();
     let simulated = matches!(args.port.spec(), PortSpec::Sim(_));

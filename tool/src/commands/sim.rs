@@ -1,7 +1,7 @@
 //! `haptic sim`: runs a simulated board until interrupted, on a port that any command can open.
 
 use super::interrupt;
-use super::port::address;
+use super::port::parse_address;
 use clap::ValueEnum;
 use haptic_host::device_file::DeviceFile;
 use haptic_host::error::{Failure, print};
@@ -57,7 +57,6 @@ enum HandKind {
     Loop,
 }
 
-/// Runs the board.
 pub fn run(args: Args) -> Result<(), Failure> {
     let file = match &args.device {
         Some(path) => DeviceFile::load(path)?,
@@ -102,7 +101,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     }
     let listener = match &args.tcp {
         Some(text) => {
-            let address = address(text, "--tcp")?;
+            let address = parse_address(text, "--tcp")?;
             tcp(address, Patience::default()).map_err(|error| {
                 Failure::impossible(format!("cannot listen on {address}: {error}")).remedy("choose another --tcp PORT")
             })?

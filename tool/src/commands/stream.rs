@@ -1,7 +1,7 @@
 //! `haptic stream`: shows telemetry on the terminal and counts every loss. `haptic record` uses the same code.
 
 use super::interrupt;
-use super::port::{Port, counted, fault_in_words, motors_off, short};
+use super::port::{Port, counted, fault_in_words, motors_off_failure, short};
 use haptic_bridge::board::telemetry::{Field, Fields};
 use haptic_bridge::control::Status;
 use haptic_bridge::safety::fault::State;
@@ -57,7 +57,6 @@ pub fn list_of_fields() -> String {
     text
 }
 
-/// Destination of rows.
 enum Sink {
     Terminal { since_header: usize },
     Memory(Vec<Vec<Value>>),
@@ -69,14 +68,12 @@ pub(super) struct Options<'a> {
     pub file: Option<&'a Path>,
     pub overwrite: Overwrite,
     pub fields: Fields,
-    /// Rows a second.
     pub rate: f64,
     pub arm: bool,
     pub seconds: Option<f64>,
     pub json: bool,
 }
 
-/// Streams until the time is over, Ctrl-C, or the board is lost.
 pub fn run(args: Args) -> Result<(), Failure> {
     let mut board = args.port.open()?;
     let options = Options {
@@ -91,7 +88,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     follow(&mut board, &options)
 }
 
-/// Follows the board's telemetry as the options say.
+/// Streams the board's telemetry to its destination until it ends.
 pub(super) fn follow(board: &mut Board, options: &Options<'_>) -> Result<(), Failure> {
     let rate_hz = f64::from(board.details()?.rate_hz);
     let axes = board.device()?.map_or(0, |device| device.axes());
@@ -112,7 +109,7 @@ pub(super) fn follow(board: &mut Board, options: &Options<'_>) -> Result<(), Fai
     if options.arm {
         board.arm()?;
     }
-    // Creates the file last, so that no file is created or replaced if the board refuses.
+    // Creates the file last, so that a refusal of the board neither creates nor replaces a file.
     let sink = match (options.file, about) {
         (Some(path), Some(about)) => match RowWriter::create(path, &about, &columns, options.overwrite) {
             Ok(writer) => Sink::File(Box::new(writer)),
@@ -141,10 +138,10 @@ pub(super) fn follow(board: &mut Board, options: &Options<'_>) -> Result<(), Fai
     };
     let end = loop {
         if stop.is_set() {
-            break End::Requested;
+            break StreamEnd::Requested;
         }
         match board.rows(Duration::from_millis(200)) {
-            Err(error) => break End::BoardLost(error),
+            Err(error) => break StreamEnd::BoardLost(error),
             Ok(rows) => {
                 let mut result = Ok(());
                 for record in board.take_reported_faults() {
@@ -152,19 +149,19 @@ pub(super) fn follow(board: &mut Board, options: &Options<'_>) -> Result<(), Fai
                     haptic_host::tell!("fault: {words}");
                     result = result.and(stream.record_event(&words));
                 }
-                let is_over = result.and_then(|()| stream.take(&rows, options.seconds));
-                match is_over.and_then(|is_over| stream.note(board).map(|()| is_over)) {
+                let is_over = result.and_then(|()| stream.pass_rows(&rows, options.seconds));
+                match is_over.and_then(|is_over| stream.report_losses(board).map(|()| is_over)) {
                     Ok(false) => {}
-                    Ok(true) => break End::Requested,
-                    Err(RecordError::ReaderGone) => break End::ReaderGone,
-                    Err(RecordError::Failed(failure)) => break End::NoRoom(failure),
+                    Ok(true) => break StreamEnd::Requested,
+                    Err(RecordError::ReaderGone) => break StreamEnd::ReaderGone,
+                    Err(RecordError::Failed(failure)) => break StreamEnd::NoRoom(failure),
                 }
             }
         }
     };
     // Turns the motors off first; errors of the file come later.
     let disarmed = match end {
-        End::BoardLost(_) => Ok(()),
+        StreamEnd::BoardLost(_) => Ok(()),
         _ if options.arm => disarm(board, rate_hz as f32),
         _ => Ok(()),
     };
@@ -175,20 +172,18 @@ pub(super) fn follow(board: &mut Board, options: &Options<'_>) -> Result<(), Fai
 fn disarm(board: &mut Board, rate_hz: f32) -> Result<(), Failure> {
     board.disarm()?;
     match board.status()? {
-        Status { state: State::Fault, fault: Some(record), .. } => Err(motors_off(&record, rate_hz)),
+        Status { state: State::Fault, fault: Some(record), .. } => Err(motors_off_failure(&record, rate_hz)),
         _ => Ok(()),
     }
 }
 
-/// Reason for the end of the stream.
-enum End {
+enum StreamEnd {
     Requested,
     ReaderGone,
     BoardLost(LinkError),
     NoRoom(Failure),
 }
 
-/// State of the stream.
 struct Stream {
     rate_hz: f64,
     divider: u32,
@@ -196,16 +191,17 @@ struct Stream {
     sink: Sink,
     first_step: Option<u32>,
     last_step: u32,
-    /// Rows passed on, and rows missing between them.
+    /// Number of rows passed on.
     rows: u64,
+    /// Number of rows missing between the passed rows.
     missing: u64,
     shown: Losses,
     last_note: Duration,
 }
 
 impl Stream {
-    /// Passes rows on. Returns true if the time is over.
-    fn take(&mut self, rows: &[Row], seconds: Option<f64>) -> Result<bool, RecordError> {
+    /// Passes rows on to their destination. Returns true if the time is over.
+    fn pass_rows(&mut self, rows: &[Row], seconds: Option<f64>) -> Result<bool, RecordError> {
         for row in rows {
             let first = *self.first_step.get_or_insert(row.step);
             let time = f64::from(row.step.wrapping_sub(first)) / self.rate_hz;
@@ -217,15 +213,15 @@ impl Stream {
                 self.missing += u64::from((steps / self.divider).saturating_sub(1));
             }
             (self.last_step, self.rows) = (row.step, self.rows + 1);
-            self.pass(row, time)?;
+            self.pass_row(row, time)?;
         }
         Ok(false)
     }
 
-    fn pass(&mut self, row: &Row, time: f64) -> Result<(), RecordError> {
+    fn pass_row(&mut self, row: &Row, time: f64) -> Result<(), RecordError> {
         let values = self.columns.iter().zip(&row.values).map(|(column, value)| Value::of(column, *value));
         match &mut self.sink {
-            Sink::File(writer) => writer.row(row.step, time, &row.values),
+            Sink::File(writer) => writer.add_row(row.step, time, &row.values),
             Sink::Memory(rows) => {
                 rows.push(
                     [Value::Number(f64::from(row.step)), Value::Number(time)].into_iter().chain(values).collect(),
@@ -258,18 +254,18 @@ impl Stream {
         }
     }
 
-    /// Records an event, if rows go to a file.
+    /// Adds an event if rows go to a file.
     fn record_event(&mut self, words: &str) -> Result<(), RecordError> {
         let first = self.first_step.unwrap_or(self.last_step);
         let time = f64::from(self.last_step.wrapping_sub(first)) / self.rate_hz;
         match &mut self.sink {
-            Sink::File(writer) => writer.event(time, words),
+            Sink::File(writer) => writer.add_event(time, words),
             _ => Ok(()),
         }
     }
 
     /// Flushes the file and reports new losses, twice a second.
-    fn note(&mut self, board: &Board) -> Result<(), RecordError> {
+    fn report_losses(&mut self, board: &Board) -> Result<(), RecordError> {
         let now = board.now();
         if now.saturating_sub(self.last_note) < Duration::from_millis(500) {
             return Ok(());
@@ -314,12 +310,12 @@ fn as_json(value: &Value) -> serde_json::Value {
 }
 
 /// Stops the stream and reports the result: the same count in the file, on the terminal and in JSON.
-fn finish(end: End, board: &mut Board, mut stream: Stream, json: bool) -> Result<(), Failure> {
+fn finish(end: StreamEnd, board: &mut Board, mut stream: Stream, json: bool) -> Result<(), Failure> {
     let stopped = match end {
-        End::BoardLost(_) => Ok(()),
+        StreamEnd::BoardLost(_) => Ok(()),
         _ => board.stop_stream(),
     };
-    if matches!(end, End::ReaderGone) {
+    if matches!(end, StreamEnd::ReaderGone) {
         return Ok(());
     }
     let losses = stream.losses(board);
@@ -327,17 +323,17 @@ fn finish(end: End, board: &mut Board, mut stream: Stream, json: bool) -> Result
     let mut summary = losses.to_string();
     let mut file = None;
     if let Sink::File(recorder) = &mut stream.sink {
-        if !matches!(end, End::NoRoom(_)) {
-            let cut = if matches!(end, End::BoardLost(_)) { "cut short: the board was lost; " } else { "" };
+        if !matches!(end, StreamEnd::NoRoom(_)) {
+            let cut = if matches!(end, StreamEnd::BoardLost(_)) { "cut short: the board was lost; " } else { "" };
             written = recorder.end(&format!("{cut}{losses}"), &losses);
         }
-        // A reader that closes the pipe at the end is no error.
-        if matches!((&end, &written), (End::Requested, Err(RecordError::ReaderGone))) {
+        // Ignores a reader that closes the pipe at the end.
+        if matches!((&end, &written), (StreamEnd::Requested, Err(RecordError::ReaderGone))) {
             return Ok(stopped?);
         }
         let verb = if recorder.rows() == 1 { "is" } else { "are" };
         let size = bytes_in_words(recorder.bytes());
-        let all = format!("{} {verb} in {}, {size}", counted(recorder.rows(), "row"), recorder.place());
+        let all = format!("{} {verb} in {}, {size}", counted(recorder.rows(), "row"), recorder.destination());
         let text = losses.to_string();
         let other_losses = text.trim_start_matches(|c: char| c != ',');
         summary = match losses.received.saturating_sub(recorder.rows()) {
@@ -349,7 +345,7 @@ fn finish(end: End, board: &mut Board, mut stream: Stream, json: bool) -> Result
                 format!("{all}, {unwritten} received rows could not be written and are lost{other_losses} before")
             }
         };
-        file = Some((recorder.place(), recorder.rows(), recorder.bytes()));
+        file = Some((recorder.destination(), recorder.rows(), recorder.bytes()));
         if std::io::stderr().is_terminal() {
             haptic_host::tell!("");
         }
@@ -374,9 +370,9 @@ fn finish(end: End, board: &mut Board, mut stream: Stream, json: bool) -> Result
         print(&format!("{document}\n"))?;
     }
     match (end, written) {
-        (End::NoRoom(failure), _) | (_, Err(RecordError::Failed(failure))) => Err(failure),
-        (End::BoardLost(error), _) if file.is_none() => Err(error.into()),
-        (End::BoardLost(error), _) => Err(Failure::impossible(error).remedy(summary)),
+        (StreamEnd::NoRoom(failure), _) | (_, Err(RecordError::Failed(failure))) => Err(failure),
+        (StreamEnd::BoardLost(error), _) if file.is_none() => Err(error.into()),
+        (StreamEnd::BoardLost(error), _) => Err(Failure::impossible(error).remedy(summary)),
         _ => Ok(stopped?),
     }
 }

@@ -4,7 +4,7 @@ use super::answer::Json;
 use super::arguments::{self, Numbers};
 use super::continued::Continue;
 use super::estimators;
-use super::force::Force;
+use super::force::ForceOption;
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::render::scene::{FeedForward, Scene, Surface};
 use haptic_host::device_file::DeviceFile;
@@ -45,13 +45,11 @@ pub struct Args {
     search: Search,
 }
 
-/// Other commands of tuning.
 #[derive(clap::Subcommand)]
 enum Subcommand {
     Estimators(estimators::Args),
 }
 
-/// Options of the search.
 #[derive(clap::Args)]
 struct Search {
     /// Device file (TOML)
@@ -78,7 +76,7 @@ struct Search {
     #[arg(long, value_name = "A,B,..", default_value = "1000,5000,10000,20000")]
     rates: Numbers,
     /// Feed-forwards to try; full pushes a resting hand along the wall
-    #[arg(long, value_name = "KIND", value_delimiter = ',', default_value = "off,washout", value_parser = arguments::feed_forward())]
+    #[arg(long, value_name = "KIND", value_delimiter = ',', default_value = "off,washout", value_parser = arguments::feed_forward_parser())]
     feed_forward: Vec<FeedForward>,
     /// Penetration in encoder counts at which the motors may reach their limit
     #[arg(long, value_name = "N", default_value_t = 1.0)]
@@ -87,7 +85,7 @@ struct Search {
     #[arg(long, value_name = "M/S", default_value_t = 0.1)]
     speed: f64,
     /// Coordinate that a redundant device holds [default: the scene's, or orientation]
-    #[arg(long, value_name = "COORDINATE", value_parser = arguments::admissible())]
+    #[arg(long, value_name = "COORDINATE", value_parser = arguments::admissible_parser())]
     admissible: Option<Admissible>,
     /// Also measure both walls on the simulated board with all effects: some minutes
     #[arg(long)]
@@ -104,10 +102,9 @@ struct Search {
     #[command(flatten)]
     json: Json,
     #[command(flatten)]
-    force: Force,
+    force: ForceOption,
 }
 
-/// The document of `--json`.
 #[derive(Serialize)]
 struct Document<'a> {
     device: &'a str,
@@ -132,8 +129,8 @@ struct Document<'a> {
     scene_measured: Option<&'a Measured>,
 }
 
-/// Pose, normal and position of the wall.
-struct Place {
+/// The wall to make stiffer, and the pose in which it is touched.
+struct WallPlace {
     q: Vec<f64>,
     normal: Vec<f64>,
     point: Option<Vec<f64>>,
@@ -141,7 +138,6 @@ struct Place {
     admissible: Admissible,
 }
 
-/// Searches, or compares estimators.
 pub fn run(args: Args) -> Result<(), Failure> {
     match args.subcommand {
         Some(Subcommand::Estimators(args)) => estimators::run(args),
@@ -149,7 +145,6 @@ pub fn run(args: Args) -> Result<(), Failure> {
     }
 }
 
-/// Searches, prints, writes and loads.
 fn search(args: Search) -> Result<(), Failure> {
     let overwrite = args.force.overwrite();
     if let Some(out) = &args.out {
@@ -161,7 +156,7 @@ fn search(args: Search) -> Result<(), Failure> {
     }
     let Some(device) = &args.device else { return Err(Failure::wrong("no device file")) };
     let file = DeviceFile::load(device)?;
-    let place = place(&args, &file)?;
+    let place = requested_place(&args, &file)?;
     let mut board = args.port.as_ref().map(|port| open_with_device(port, &file)).transpose()?;
     let mut question = Question {
         file: &file,
@@ -204,9 +199,9 @@ fn search(args: Search) -> Result<(), Failure> {
     let point = match &place.point {
         Some(point) => point.clone(),
         // Places the wall 5 mm in front of the tip, so that the board can be armed.
-        None => tip(&file, &question.q)?.iter().zip(&question.normal).map(|(p, n)| p - 5e-3 * n).collect(),
+        None => tip_position(&file, &question.q)?.iter().zip(&question.normal).map(|(p, n)| p - 5e-3 * n).collect(),
     };
-    let comments = comments(&args, &file, &answer, question.ripple_n);
+    let comments = scene_comments(&args, &file, &answer, question.ripple_n);
     let text = to_toml(&answer.best.settings, question.admissible, &point, &question.normal, &comments);
     let tuned = SceneFile::parse(&text, "tuned.toml", file.spec().task)?;
     let options = Subject::new(&file.description)
@@ -254,7 +249,7 @@ fn search(args: Search) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Opens the board. Returns an error unless the board has this device loaded.
+/// Opens the board, which must have this device loaded.
 fn open_with_device(port: &PortSpec, file: &DeviceFile) -> Result<Board, Failure> {
     let mut board = haptic_sim::open(port)?;
     let device = haptic_bridge::model::device::Device::new(&file.name, &file.description).map_err(Failure::wrong)?;
@@ -267,12 +262,12 @@ fn open_with_device(port: &PortSpec, file: &DeviceFile) -> Result<Board, Failure
     }
 }
 
-fn tip(file: &DeviceFile, q: &[f64]) -> Result<Vec<f64>, Failure> {
+fn tip_position(file: &DeviceFile, q: &[f64]) -> Result<Vec<f64>, Failure> {
     Ok(haptic_stability::analysis::pose::TaskPose::at(&file.description, q)?.regular()?.position)
 }
 
-/// Returns pose, normal and position of the wall: as typed, from the scene's wall, or from home.
-fn place(args: &Search, file: &DeviceFile) -> Result<Place, Failure> {
+/// Returns the wall as typed, as in the scene, or at home.
+fn requested_place(args: &Search, file: &DeviceFile) -> Result<WallPlace, Failure> {
     let spec = file.spec();
     let q = args.q.as_ref().map(|q| q.exactly(spec.joints, "--q", "joint angles")).transpose()?;
     let normal = args.normal.as_ref().map(|normal| normal.unit(spec.task, "--normal")).transpose()?;
@@ -281,7 +276,7 @@ fn place(args: &Search, file: &DeviceFile) -> Result<Place, Failure> {
         let normal =
             normal.ok_or_else(|| Failure::wrong("no --normal").remedy("give the normal of the wall, such as 0,1"))?;
         let admissible = args.admissible.unwrap_or_default();
-        return Ok(Place { q: q.map_or_else(home, Ok)?, normal, point: None, written: None, admissible });
+        return Ok(WallPlace { q: q.map_or_else(home, Ok)?, normal, point: None, written: None, admissible });
     };
     let scene = SceneFile::load(path, spec.task)?.scene;
     if scene.posture.is_some() {
@@ -312,9 +307,9 @@ fn place(args: &Search, file: &DeviceFile) -> Result<Place, Failure> {
     };
     let point = match wall.surface {
         Surface::Plane(plane) if args.normal.is_none() => plane.point[..spec.task].to_vec(),
-        _ => tip(file, &q)?,
+        _ => tip_position(file, &q)?,
     };
-    Ok(Place {
+    Ok(WallPlace {
         q,
         normal,
         point: Some(point),
@@ -329,7 +324,7 @@ fn touching_pose(file: &DeviceFile, scene: &Scene<f64>, wall: usize) -> Option<(
     contacts.into_iter().find(|contact| contact.wall == wall).map(|contact| (contact.q, contact.normal))
 }
 
-fn comments(args: &Search, file: &DeviceFile, answer: &TuneResult, ripple: f64) -> Vec<String> {
+fn scene_comments(args: &Search, file: &DeviceFile, answer: &TuneResult, ripple: f64) -> Vec<String> {
     let scene = args.scene.as_deref().map_or(String::new(), |scene: &Path| format!(", after {}", scene.display()));
     vec![
         format!("The stiffest wall that `haptic tune` found on {}{scene}.", file.name),
@@ -337,19 +332,18 @@ fn comments(args: &Search, file: &DeviceFile, answer: &TuneResult, ripple: f64) 
     ]
 }
 
-/// Formats the stiffness that a hand feels if transmissions are compliant, to follow the stiffness of the wall.
-fn felt(felt: Option<f64>) -> String {
+/// Formats the stiffness that a hand feels if transmissions are compliant, as an addition to the wall's stiffness.
+fn felt_in_words(felt: Option<f64>) -> String {
     felt.map_or(String::new(), |felt| format!(" (felt at the tip: {felt:.0} N/m)"))
 }
 
-/// Formats the ripple, and the ripple on the simulated board if it was measured.
-fn ripples(found: &TunedWall) -> String {
+/// Formats the ripple of a wall, with its ripple on the simulated board if that was measured.
+fn ripple_in_words(found: &TunedWall) -> String {
     let board = found.board_ripple_n.map_or(String::new(), |ripple| format!(", {ripple:.4} N on the simulated board"));
     format!("ripple {:.4} N{board}", found.ripple_n)
 }
 
-/// Formats settings in one line.
-fn describe(settings: &Settings) -> String {
+fn settings_in_words(settings: &Settings) -> String {
     let mut text = format!("{} Hz, {}", settings.rate_hz, settings.estimator);
     if settings.value != 0 {
         let _ = write!(text, " {}", settings.value);
@@ -379,19 +373,19 @@ fn readable(document: &Document<'_>) -> String {
     line(format!(
         "  the stiffest wall        {:>10} N/m{}   {}",
         best.settings.stiffness,
-        felt(best.felt),
-        ripples(best)
+        felt_in_words(best.felt),
+        ripple_in_words(best)
     ));
-    line(format!("    {}", describe(&best.settings)));
+    line(format!("    {}", settings_in_words(&best.settings)));
     if let Some(scene) = document.scene {
         let ripple = scene
             .ripple_n
             .map_or("no stiffness meets margins, ripple and rebounds".into(), |ripple| format!("ripple {ripple:.4} N"));
-        let felt = felt(scene.felt);
+        let felt = felt_in_words(scene.felt);
         line(format!("  the scene's settings     {:>10} N/m{felt}   {ripple}", scene.settings.stiffness));
         line(format!(
-            "    {}; {} N/m as written, {} N/m within margins and motors with any ripple",
-            describe(&scene.settings),
+            "    {}; {} N/m as written, {} N/m within the margins and the motors' limits with any ripple",
+            settings_in_words(&scene.settings),
             scene.as_written,
             scene.within_margins
         ));
@@ -404,7 +398,7 @@ fn readable(document: &Document<'_>) -> String {
         ));
     }
     line(format!(
-        "\n  limited by: {}, the first limit that a stiffer wall exceeds; within a gain margin of {}, {:.1} us more delay, {:.0} % of mass, {:.0} % of each inertia, {:.0} % of friction, {:.0} % of counts, and in hands",
+        "\n  limited by: {}, the first limit that a stiffer wall exceeds; margins: gain {}, {:.1} us more delay, {:.0} % of mass, {:.0} % of each inertia, {:.0} % of friction, {:.0} % of counts, and hands",
         answer.active,
         margins.gain,
         1e6 * margins.delay_s,
@@ -416,12 +410,12 @@ fn readable(document: &Document<'_>) -> String {
     line(format!("  {:<30}{:>14}", "at this damping, alone", "up to N/m"));
     for limit in &answer.limits {
         let up_to = limit.stiffness.map_or("no bound".into(), |stiffness| format!("{stiffness:.0}"));
-        line(format!("    {:<28}{up_to:>14}{}", limit.limit, felt(limit.felt)));
+        line(format!("    {:<28}{up_to:>14}{}", limit.limit, felt_in_words(limit.felt)));
     }
     line("  nearby".into());
     for neighbour in &answer.beside {
         let ripple = neighbour.ripple_n.map_or("the tip flies off".into(), |ripple| format!("ripple {ripple:.4} N"));
-        let beyond = if neighbour.allowed { "" } else { ", beyond margins or motors" };
+        let beyond = if neighbour.allowed { "" } else { ", beyond the margins or the motors' limits" };
         let rebounds = if neighbour.rebounds { ", rebounds" } else { "" };
         line(format!(
             "    {:>10} N/m with {} N s/m: {ripple}{beyond}{rebounds}",
@@ -433,8 +427,8 @@ fn readable(document: &Document<'_>) -> String {
     }
     line("\n  the best of each estimator".into());
     for found in &answer.others {
-        let (felt, settings) = (felt(found.felt), describe(&found.settings));
-        line(format!("    {:>10} N/m{felt}  {}  {settings}", found.settings.stiffness, ripples(found)));
+        let (felt, settings) = (felt_in_words(found.felt), settings_in_words(&found.settings));
+        line(format!("    {:>10} N/m{felt}  {}  {settings}", found.settings.stiffness, ripple_in_words(found)));
     }
     line(format!("  {} combinations, {} of them simulated", answer.looked_at.0, answer.looked_at.1));
     let describe_measured = |name: &str, measured: &Measured| {
@@ -445,7 +439,7 @@ fn readable(document: &Document<'_>) -> String {
             .open
             .as_ref()
             .map_or(String::new(), |why| format!(" or more, because no limit was reached: {why}"));
-        format!("  {name}: {ripple}; struck, it comes to rest up to {:.0} N/m{open}", measured.stiffness)
+        format!("  {name}: {ripple}; a struck tip comes to rest up to {:.0} N/m{open}", measured.stiffness)
     };
     if let Some(found) = document.scene_measured {
         line(describe_measured("on the simulated board, the scene's settings", found));
@@ -454,12 +448,12 @@ fn readable(document: &Document<'_>) -> String {
         line(describe_measured("on the simulated board, these", found));
     }
     if let (Some(before), Some(found)) = (document.scene_measured, document.measured) {
-        line(rest_range(before, found));
+        line(rest_range_in_words(before, found));
     }
     text
 }
 
-/// Describes the benefit and the cost of another feed-forward.
+/// Describes the best wall with another feed-forward.
 fn describe_other(other: &Alternative, best: &TunedWall, passed_over: Option<&TunedWall>) -> String {
     let mut text = format!("  feed-forward {}: ", other.feed_forward.name());
     match &other.best {
@@ -468,7 +462,7 @@ fn describe_other(other: &Alternative, best: &TunedWall, passed_over: Option<&Tu
                 text,
                 "{} N/m{} at most, {:.2} times, with a ripple of {:.4} N",
                 found.settings.stiffness,
-                felt(found.felt),
+                felt_in_words(found.felt),
                 found.settings.stiffness / best.settings.stiffness,
                 found.ripple_n
             );
@@ -483,8 +477,8 @@ fn describe_other(other: &Alternative, best: &TunedWall, passed_over: Option<&Tu
     text
 }
 
-/// Describes the cost of a stiffer wall: the change in the stiffness up to which a struck tip comes to rest.
-fn rest_range(before: &Measured, found: &Measured) -> String {
+/// Describes the cost of a stiffer wall: a struck tip comes to rest up to another stiffness.
+fn rest_range_in_words(before: &Measured, found: &Measured) -> String {
     let at_least = |measured: &Measured| if measured.open.is_some() { "at least " } else { "" };
     format!(
         "  cost: at these dampings a struck tip came to rest up to {}{:.0} N/m, and now up to {}{:.0} N/m",

@@ -1,7 +1,7 @@
 //! `haptic udev`: the udev rule that lets a user open boards and boot loaders on Linux.
 
-use super::force::Force;
-use haptic_flash::udev::{RULE_PATH, rule};
+use super::force::ForceOption;
+use haptic_flash::udev::{PLACE, rule};
 use haptic_host::error::{Failure, print};
 use haptic_host::output;
 use std::path::{Path, PathBuf};
@@ -15,10 +15,9 @@ pub struct Args {
     /// File to write
     file: Option<PathBuf>,
     #[command(flatten)]
-    force: Force,
+    force: ForceOption,
 }
 
-/// Prints the rule or writes it to a file.
 pub fn run(args: Args) -> Result<(), Failure> {
     let Some(file) = args.file else { return print(&rule()) };
     output::write(&file, rule().as_bytes(), args.force.overwrite())?;

@@ -1,7 +1,7 @@
 //! `haptic view`: shows a board, real or simulated, on a page in the browser.
 
 use super::interrupt;
-use super::port::{Port, address};
+use super::port::{Port, parse_address};
 use super::stream::parse_positive;
 use haptic_bridge::render::scene::Scene;
 use haptic_host::device_file::DeviceFile;
@@ -18,10 +18,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::Duration;
 
-/// Interval between attempts to reopen a lost board: long enough for other tools to connect in between.
-const RETRY: Duration = Duration::from_millis(500);
+/// Interval between attempts to reopen a lost board, long enough for other tools to connect in between.
+const RETRY_INTERVAL: Duration = Duration::from_millis(500);
 
-/// Default TCP port of the page.
 const DEFAULT_PORT: u16 = 7720;
 
 /// Watch a device in the browser: walls to drag, gains to change, signals, recording
@@ -59,15 +58,14 @@ pub struct Args {
 pub(super) struct View {
     port: Port,
     file: Option<DeviceFile>,
-    /// The scene, and the name of its file.
+    /// The scene, and the name of its file for links to the page.
     scene: Option<(Scene<f32>, Option<String>)>,
     rate: Option<f64>,
     folder: PathBuf,
 }
 
 impl View {
-    /// Reads the files.
-    fn of(
+    fn load(
         port: Port,
         device: Option<&PathBuf>,
         scene: Option<&PathBuf>,
@@ -110,12 +108,12 @@ impl View {
         }
     }
 
-    /// Opens a lost board once it is back. The error is the reason if the board is back but cannot be shown yet. Until
-    /// then the board is free for other tools, which may load the device or scene that it lacks.
+    /// Tries to reopen a lost board. The error is the reason if the board is connected again but lacks something for a
+    /// view, or `None` while it is gone. Meanwhile other tools may load the missing device or scene.
     fn reopen(&self, hub: &Hub) -> Result<Stage, Option<String>> {
         let back = |why: &dyn Display| Some(format!("the board is connected again, but {why}"));
         let mut world = self.open().map_err(|_| None)?;
-        match world.missing() {
+        match world.missing_setting() {
             Ok(None) => Stage::open(world, hub.clone(), self.rate, Some(self.folder.clone())).map_err(|why| back(&why)),
             Ok(Some(refusal)) => Err(back(&refusal)),
             Err(_) => Err(None),
@@ -123,9 +121,8 @@ impl View {
     }
 
     /// Shows the board until `stop`. Waits for a board that was unplugged, also if it returns without its device or
-    /// scene. `opened` is called once, when there is something to show, and `lost` with the reason whenever the wait
-    /// begins.
-    pub(super) fn play(
+    /// scene. Calls `opened` once when the view begins, and `lost` with the reason whenever a wait begins.
+    pub(super) fn show(
         &self,
         hub: &Hub,
         stop: &AtomicBool,
@@ -139,7 +136,7 @@ impl View {
             if matches!(self.port.spec(), PortSpec::Sim(_)) {
                 return Err(error.into());
             }
-            // The pages stay open and show the loss. The board's port is closed first.
+            // Keeps the pages open, and closes the port of the lost board.
             drop(stage);
             let mut why = error.to_string();
             lost(&why);
@@ -148,8 +145,8 @@ impl View {
                     return Err(error.into());
                 }
                 let notice = serde_json::json!({"is": "lost", "why": why}).to_string();
-                hub.to_all(|outbox| outbox.tell(notice.clone()));
-                thread::sleep(RETRY);
+                hub.with_every_outbox(|outbox| outbox.queue_document(notice.clone()));
+                thread::sleep(RETRY_INTERVAL);
                 match self.reopen(hub) {
                     Ok(stage) => break stage,
                     Err(Some(reason)) if reason != why => {
@@ -159,21 +156,20 @@ impl View {
                     Err(_) => {}
                 }
             };
-            // No page is in command of a board that has just come back.
-            hub.forget();
+            // Drops old messages, so that no page is in command of a reopened board.
+            hub.drop_incoming();
         }
     }
 }
 
-/// Serves the page.
 pub fn run(args: Args) -> Result<(), Failure> {
     let stop = interrupt::watch();
-    let view = View::of(args.port, args.device.as_ref(), args.scene.as_ref(), args.rate, args.record_to)?;
+    let view = View::load(args.port, args.device.as_ref(), args.scene.as_ref(), args.rate, args.record_to)?;
     let hub = Hub::default();
     let opened = || {
         let listener = match &args.listen {
             Some(text) => {
-                let address = address(text, "--listen")?;
+                let address = parse_address(text, "--listen")?;
                 PageListener::open(address).map_err(|error| {
                     Failure::impossible(format!("cannot listen on {address}: {error}"))
                         .remedy("choose another --listen PORT")
@@ -193,5 +189,5 @@ pub fn run(args: Args) -> Result<(), Failure> {
         listener.serve(hub.clone());
         Ok(())
     };
-    view.play(&hub, stop.flag(), opened, |lost| haptic_host::tell!("{lost}; waiting for it"))
+    view.show(&hub, stop.flag(), opened, |lost| haptic_host::tell!("{lost}; waiting for it"))
 }

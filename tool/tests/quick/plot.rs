@@ -184,7 +184,7 @@ fn a_legend_covers_no_curve() {
     // Returns the corner of the legend's box and the height of the page.
     let legend = |drawn: &[Vec<(f64, f64)>]| {
         let mut canvas = Canvas::new(800.0, 400.0);
-        frame.clear_legend(&mut canvas, drawn, &[(Mark::Dot("red"), "a dot".into())]);
+        frame.place_legend(&mut canvas, drawn, &[(Mark::Dot("red"), "a dot".into())]);
         let svg = canvas.finish("", "").svg().to_string();
         let of = |line: &str, key: &str| -> f64 {
             line.split_once(&format!(" {key}=\"")).unwrap().1.split('"').next().unwrap().parse().unwrap()

@@ -27,7 +27,7 @@ fn rows(bytes: &[u8]) -> Vec<(u64, Vec<f64>)> {
         if message.channel.topic == "/rows" {
             assert_eq!(schema.name, "haptic.Row");
             let row = protobuf::find_message(&schema.data, &schema.name).unwrap();
-            found.push((message.log_time, protobuf::values(&row, &message.data)));
+            found.push((message.log_time, protobuf::decode_numbers(&row, &message.data)));
         }
     }
     found

@@ -10,7 +10,7 @@ use haptic_show::recorder::Recording;
 use haptic_show::view::hub::{Hub, Message as Sent, PageId};
 use haptic_show::view::message::FromPage;
 use haptic_show::view::stability::Plane;
-use haptic_show::view::world::lead;
+use haptic_show::view::world::lead_hand;
 use haptic_show::view::{PageListener, Stage, Turn, World};
 use haptic_stability::analysis::control_loop::TorquePath;
 use haptic_stability::analysis::flexible::Posture;
@@ -74,7 +74,7 @@ impl TestView {
 
     /// Connects a page and returns its number.
     fn add_page(&mut self) -> usize {
-        let (id, heard) = (self.hub.come().unwrap(), Received::default());
+        let (id, heard) = (self.hub.add_page().unwrap(), Received::default());
         self.pages.push(Page { id, heard, repeated: Some(FromPage::Here {}) });
         self.play(0.02);
         self.pages.len() - 1
@@ -82,7 +82,7 @@ impl TestView {
 
     /// Sends a message of a page and lets the stage handle it.
     fn send(&mut self, page: usize, message: Value) {
-        self.hub.said(self.pages[page].id, FromPage::parse(&message.to_string()));
+        self.hub.queue_incoming(self.pages[page].id, FromPage::parse(&message.to_string()));
         self.play(0.02);
     }
 
@@ -124,11 +124,11 @@ impl TestView {
             if let Some(FromPage::Hold { seen }) = &mut page.repeated {
                 *seen = page.heard.step();
             }
-            page.repeated.iter().for_each(|repeated| self.hub.said(page.id, Ok(repeated.clone())));
+            page.repeated.iter().for_each(|repeated| self.hub.queue_incoming(page.id, Ok(repeated.clone())));
         }
         while self.stage.turn(self.now).unwrap() == Turn::Played && self.simulated {}
         for Page { id, heard, .. } in &mut self.pages {
-            for message in self.hub.take(*id).messages() {
+            for message in self.hub.take_outbox(*id).messages() {
                 match message {
                     Sent::Text(text) => heard.text(&text),
                     Sent::Bytes(bytes) => heard.bytes(&bytes),
@@ -188,7 +188,7 @@ fn one_page_commands_and_the_others_watch() {
     view.send(first, json!({"do": "give"}));
     assert!(view.heard(second).picture["command"].is_null());
     view.send(first, json!({"do": "arm", "seen": 1}));
-    assert_eq!(view.heard(first).why(), "no page is in command: take it first");
+    assert_eq!(view.heard(first).why(), "no page is in command: take command first");
     view.send(second, json!({"do": "take"}));
     assert_eq!(view.heard(first).picture["command"], view.pages[second].id);
 }
@@ -287,7 +287,7 @@ fn a_key_reported_with_old_steps_is_released() {
     view.pages[0].repeated = None;
     let seen = view.heard(0).step();
     for _ in 0..100 {
-        view.hub.said(view.pages[0].id, Ok(FromPage::Hold { seen }));
+        view.hub.queue_incoming(view.pages[0].id, Ok(FromPage::Hold { seen }));
         view.step();
     }
     assert_eq!(view.state(), "Disarmed");
@@ -379,8 +379,8 @@ fn flooding_pages_do_not_delay_a_release() {
     let flood = |view: &mut TestView| {
         for page in watching {
             for _ in 0..5_000 {
-                view.hub.said(view.pages[page].id, Err("noise".into()));
-                view.hub.said(view.pages[page].id, Ok(FromPage::Take {}));
+                view.hub.queue_incoming(view.pages[page].id, Err("noise".into()));
+                view.hub.queue_incoming(view.pages[page].id, Ok(FromPage::Take {}));
             }
         }
     };
@@ -392,7 +392,7 @@ fn flooding_pages_do_not_delay_a_release() {
     let before: Vec<usize> = watching.iter().map(|page| view.heard(*page).refused.len()).collect();
     flood(&mut view);
     view.pages[0].repeated = None;
-    view.hub.said(view.pages[0].id, Ok(FromPage::Release {}));
+    view.hub.queue_incoming(view.pages[0].id, Ok(FromPage::Release {}));
     view.step();
     assert_eq!(simulated.lock().status().state, State::Disarmed, "the release was not handled in the next turn");
     for (page, before) in watching.into_iter().zip(before) {
@@ -421,7 +421,7 @@ fn a_page_that_leaves_releases_the_key() {
     view.arm(0);
     assert!(!view.heard(second).picture["hand"].is_null());
     let first = view.pages.remove(0);
-    view.hub.go(first.id);
+    view.hub.remove_page(first.id);
     view.play(0.02);
     assert_eq!(view.state(), "Disarmed");
     let seen = &view.heard(0).picture;
@@ -506,7 +506,7 @@ fn refusals_name_the_gains_and_gains_have_an_upper_limit() {
 #[test]
 fn the_boundary_includes_compliance_posture_and_drive() {
     let cases = [
-        ("cable-five-bar", "wall", "Transmissions: joints 0 and 1 give as in the device file"),
+        ("cable-five-bar", "wall", "Transmissions: joints 0 and 1 are compliant as in the device file"),
         ("serial-3r", "wall-held", "Posture: the last link is held by"),
         ("haply-2diy", "wall-stiff", "Drive: a current loop that lags as 6.40 kHz does."),
     ];
@@ -693,7 +693,7 @@ fn leading_the_hand_never_folds_the_linkage() {
             let (before, tip) = (stance(), board.lock().device().tip());
             let goal = goal.unwrap_or(core::array::from_fn(|i| tip[i] - 0.07 * f64::from(plane.normal[i])));
             world.board.arm().unwrap();
-            lead(&board, Some(goal));
+            lead_hand(&board, Some(goal));
             let plays = |seconds: f64| {
                 for _ in 0..(200.0 * seconds) as usize {
                     board.lock().run(0.005);
@@ -704,7 +704,7 @@ fn leading_the_hand_never_folds_the_linkage() {
             };
             plays(0.3);
             match releases {
-                true => lead(&board, None),
+                true => lead_hand(&board, None),
                 false => world.board.disarm().unwrap(),
             }
             plays(seconds);
@@ -794,7 +794,7 @@ fn the_feed_forward_button_makes_a_pressed_wall_buzz_or_quiet() {
             ripples.iter().filter(|ripple| **ripple > RED).count() as f64 / 48.0
         });
         let plane = view.boundary();
-        let [off, washout] = [FeedForward::Off, FeedForward::Washout].map(|kind| plane.stiffness_to(kind, damping));
+        let [off, washout] = [FeedForward::Off, FeedForward::Washout].map(|kind| plane.max_stiffness(kind, damping));
         said += &format!(
             "{depth} mm, {aside} mm aside: red {shares:.2?}, stable to {off:.0} off, {washout:.0} washed out\n"
         );

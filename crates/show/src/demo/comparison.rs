@@ -1,4 +1,4 @@
-//! Improvements and drawbacks of the feed-forward, in the words that the report and the picture share.
+//! Improvements and drawbacks of the feed-forward, as sentences for the report and the picture.
 
 use super::crossing::Crossing;
 use std::cmp::Ordering;
@@ -6,7 +6,7 @@ use std::cmp::Ordering;
 /// Smaller relative changes are ignored, because the printed digits do not show them.
 const MIN_CHANGE: f64 = 0.005;
 
-/// Changes that the hand feels.
+/// Changes that the hand feels with the feed-forward.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Comparison {
     /// Improvements, such as "83 % less vibration under the resting hand".

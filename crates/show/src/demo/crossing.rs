@@ -10,11 +10,11 @@ use std::time::Duration;
 
 /// Height above the wall at which the hand starts, m.
 const START_HEIGHT: f64 = 0.006;
-/// Target depth of the hand below the wall's surface, m. The hand's arm of 250 N/m then presses with about 5 N.
+/// Target depth of the hand below the wall's surface, m, at which its arm of 250 N/m presses with about 5 N.
 const TARGET_DEPTH: f64 = 0.02;
-/// Distance of the slide, m: it ends before the device's distal links become collinear.
-pub const SLIDE: f64 = 0.02;
-/// Time at which the hand starts to move (after the torque ramp), s after arming.
+/// Length of the slide, m: it ends before the device's distal links become collinear.
+pub const SLIDE_DISTANCE: f64 = 0.02;
+/// Time at which the hand starts to move, s after arming, when the torque ramp is over.
 const START_TIME: f64 = 0.6;
 /// Time at which the hand reaches its target depth, s.
 const DEPTH_TIME: f64 = 0.85;
@@ -22,7 +22,7 @@ const DEPTH_TIME: f64 = 0.85;
 const SLIDE_START: f64 = 1.4;
 /// Time at which the slide ends, s.
 const SLIDE_END: f64 = 2.4;
-/// Time at which the hand is lifted again, which ends the crossing, s.
+/// Time at which the crossing ends with the hand lifted, s.
 const END_TIME: f64 = 2.9;
 
 /// One sample of a crossing.
@@ -36,7 +36,7 @@ pub struct Moment {
     pub force: f64,
     /// Largest |duty| of any axis.
     pub duty: f64,
-    /// True if a wall is touched.
+    /// True if the tip touches a wall.
     pub touching: bool,
 }
 
@@ -51,9 +51,9 @@ pub struct Crossing {
     pub peak_force: f64,
     /// Deviation of the wall's force from its mean while the hand rests on the wall, N rms.
     pub ripple: f64,
-    /// Number of times that the wall's force falls to zero between touching and lifting: the hand loses contact.
+    /// Number of contact losses: falls of the wall's force to zero between touch and lift.
     pub bounces: usize,
-    /// Lost rows of telemetry.
+    /// Number of lost telemetry rows.
     pub lost: u64,
     /// The fault that the board latched; `None` without one.
     pub fault: Option<String>,
@@ -73,7 +73,7 @@ pub fn run(demo: &Demo, feed_forward: FeedForward, progress: &mut dyn FnMut(f64)
         let mut board = shared.lock();
         let now = board.time();
         let settings = HandSettings { tremor: 2e-4, seed: demo.seed, ..HandSettings::default() };
-        board.device_mut().set_hand(Hand::new(settings, Intent::Follow(path(demo, tip)), tip, now));
+        board.device_mut().set_hand(Hand::new(settings, Intent::Follow(hand_path(demo, tip)), tip, now));
     }
     board.arm()?;
     let selected = fields("duty,distance,force,state").unwrap_or(haptic_bridge::board::telemetry::Fields::ALL);
@@ -92,11 +92,11 @@ pub fn run(demo: &Demo, feed_forward: FeedForward, progress: &mut dyn FnMut(f64)
     }
     let lost = board.losses().missing;
     let axes = demo.file.spec().joints;
-    Ok(assess(moments(&rows, &columns(selected, axes), demo.rate_hz), lost, fault))
+    Ok(assess(moments_of_rows(&rows, &columns(selected, axes), demo.rate_hz), lost, fault))
 }
 
 /// Returns the hand's path: down, rest, along, rest, up.
-fn path(demo: &Demo, tip: [f64; 3]) -> Vec<Waypoint> {
+fn hand_path(demo: &Demo, tip: [f64; 3]) -> Vec<Waypoint> {
     let [nx, ny] = demo.normal;
     let at = |time: f64, up: f64, along: f64| Waypoint {
         time,
@@ -107,13 +107,13 @@ fn path(demo: &Demo, tip: [f64; 3]) -> Vec<Waypoint> {
         at(START_TIME, 0.0, 0.0),
         at(DEPTH_TIME, down, 0.0),
         at(SLIDE_START, down, 0.0),
-        at(SLIDE_END, down, SLIDE),
-        at(SLIDE_END + 0.2, down, SLIDE),
-        at(END_TIME, 0.0, SLIDE),
+        at(SLIDE_END, down, SLIDE_DISTANCE),
+        at(SLIDE_END + 0.2, down, SLIDE_DISTANCE),
+        at(END_TIME, 0.0, SLIDE_DISTANCE),
     ]
 }
 
-fn moments(rows: &[Row], columns: &[haptic_host::link::Column], rate_hz: f64) -> Vec<Moment> {
+fn moments_of_rows(rows: &[Row], columns: &[haptic_host::link::Column], rate_hz: f64) -> Vec<Moment> {
     let first = rows.first().map_or(0, |row| row.step);
     let value = |row: &Row, field: Field, axis: usize| {
         let index = columns.iter().position(|column| column.field == field && column.axis == axis);
@@ -147,7 +147,7 @@ fn assess(moments: Vec<Moment>, lost: u64, fault: Option<String>) -> Crossing {
     Crossing {
         penetration: largest(|moment| -moment.distance),
         peak_force: largest(|moment| moment.force),
-        ripple: ripple(&resting),
+        ripple: detrended_rms(&resting),
         bounces: contact.windows(2).filter(|pair| pair[0] && !pair[1]).count(),
         moments,
         lost,
@@ -155,17 +155,16 @@ fn assess(moments: Vec<Moment>, lost: u64, fault: Option<String>) -> Crossing {
     }
 }
 
-/// Computes the root mean square deviation from a moving mean over 21 steps (20 steps wide), because slow changes of
-/// the force are not ripple.
-fn ripple(force: &[f64]) -> f64 {
-    const HALF: usize = 10;
-    if force.len() <= 2 * HALF {
+/// Computes the rms deviation from a moving mean over 21 samples, because slow force changes are not ripple.
+fn detrended_rms(force: &[f64]) -> f64 {
+    const HALF_WINDOW: usize = 10;
+    if force.len() <= 2 * HALF_WINDOW {
         return 0.0;
     }
-    let deviations = force.windows(2 * HALF + 1).map(|window| {
+    let deviations = force.windows(2 * HALF_WINDOW + 1).map(|window| {
         let mean = window.iter().sum::<f64>() / window.len() as f64;
-        (window[HALF] - mean).powi(2)
+        (window[HALF_WINDOW] - mean).powi(2)
     });
-    let count = force.len() - 2 * HALF;
+    let count = force.len() - 2 * HALF_WINDOW;
     (deviations.sum::<f64>() / count as f64).sqrt()
 }

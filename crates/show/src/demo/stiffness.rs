@@ -1,7 +1,7 @@
 //! The highest stable stiffness, found by raising it on the simulated board until the loop oscillates.
 //!
-//! Friction, hand and encoder steps are left out and the drive is ideal, as in the linear theory. With them the limit
-//! is higher or lower, and a comparison with the theory would be meaningless.
+//! Friction, hand and encoder steps are left out and the drive is ideal, as in the linear theory, because they raise or
+//! lower the limit and would make the comparison with the theory meaningless.
 
 use super::{Demo, DemoError};
 use haptic_bridge::render::scene::FeedForward;
@@ -18,17 +18,17 @@ use haptic_stability::analysis::several::Member;
 
 /// Measured and predicted limit, N/m.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Limit {
+pub struct StiffnessLimit {
     /// Stiffness at which the simulated board began to oscillate.
     pub measured: f64,
     /// Stiffness at which the theory predicts oscillation.
     pub predicted: f64,
-    /// Delay that the board reports and the theory assumes, control samples.
+    /// Delay that the board reports and the theory uses, control samples.
     pub delay_samples: f64,
 }
 
 /// Measures and predicts the largest stable stiffness at the demo's damping.
-pub fn limit(demo: &Demo, feed_forward: FeedForward) -> Result<Limit, DemoError> {
+pub fn stiffness_limit(demo: &Demo, feed_forward: FeedForward) -> Result<StiffnessLimit, DemoError> {
     let mut demo = demo.clone();
     for joint in &mut demo.file.description.joints {
         if let Some(encoder) = &mut joint.encoder {
@@ -54,10 +54,10 @@ pub fn limit(demo: &Demo, feed_forward: FeedForward) -> Result<Limit, DemoError>
     // The prediction uses the delay that the board reports while it runs at the demo's rate.
     let delay_samples = f64::from(prepared.board().details()?.delay_samples);
     prepared.finish()?;
-    Ok(Limit { measured, predicted: predict(&demo, feed_forward, delay_samples)?, delay_samples })
+    Ok(StiffnessLimit { measured, predicted: predict_limit(&demo, feed_forward, delay_samples)?, delay_samples })
 }
 
-fn predict(demo: &Demo, feed_forward: FeedForward, delay_samples: f64) -> Result<f64, DemoError> {
+fn predict_limit(demo: &Demo, feed_forward: FeedForward, delay_samples: f64) -> Result<f64, DemoError> {
     let path = TorquePath { delay_samples, drive: Drive::Ideal };
     let control_loop = Loop::with_torque_path(&path, demo.rate_hz, LinearEstimator::Butterworth(demo.cutoff_hz));
     let subject = Subject::new(&demo.file.description).map_err(PoseError::from)?.undamped();

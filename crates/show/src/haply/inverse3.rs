@@ -11,14 +11,14 @@ use haptic_host::words::{commands_to_calls, fault_and_remedy};
 use serde_json::{Value, json};
 use std::time::{Duration, Instant};
 
-/// Id of the handle that programs expect: it does not turn, and its buttons are not pressed.
-const GRIP: &str = "HB00";
+/// Id of the grip that programs expect; it never turns, and its buttons are never pressed.
+const GRIP_ID: &str = "HB00";
 /// `device_type` of an Inverse3 in Haply's service.
-const INVERSE3: u32 = 4;
+const DEVICE_TYPE: u32 = 4;
 /// Maximum simulated time to catch up in one call.
-const MAX_ADVANCE: Duration = Duration::from_millis(100);
-/// Commands that messages recommend to a person, with the request that a program sends instead.
-const CALLS: [(&str, &str); 1] = [(CLEARING, "`clear_fault`")];
+const MAX_CATCH_UP: Duration = Duration::from_millis(100);
+/// Commands in remedies for people, each with the request that a program sends instead.
+const COMMAND_REPLACEMENTS: [(&str, &str); 1] = [(CLEARING, "`clear_fault`")];
 
 /// A board that appears to programs as a Haply device.
 pub struct Inverse3 {
@@ -34,13 +34,12 @@ pub struct Inverse3 {
     fault: Option<FaultRecord>,
     /// True if the board is homed and its motors' polarity is known, or if it needs neither.
     calibrated: bool,
-    /// The board's reason not to turn the motors on for this program.
+    /// Reason for which the board refused to turn the motors on for this program.
     refusal: Option<String>,
     /// Control step from which a force may arm again after a fault was cleared.
     arms_from: Option<u32>,
     armed: bool,
-    /// True if the next force arms. Only the first force of a program arms, because motors that go off later were
-    /// turned off on purpose.
+    /// True if the next force arms: only a program's first, because later the motors went off on purpose.
     may_arm: bool,
     /// Axes of the connected program.
     basis: Basis,
@@ -50,8 +49,8 @@ pub struct Inverse3 {
 }
 
 impl Inverse3 {
-    /// Creates the device for an open board with a device; a board without a scene gets free space. `axes` are
-    /// CHAI3D's, as in [`Axes::of`].
+    /// Creates the device for a board with a device, and gives it free space if it has no scene. `axes` are CHAI3D's
+    /// ([`Axes::of`]).
     pub fn new(mut session: Session, axes: Option<Axes>, simulated: bool) -> Result<Self, BoardError> {
         let device = session.device()?.ok_or(Refusal::NoDevice)?;
         let task = device.mechanism.kind().spec().task;
@@ -88,7 +87,7 @@ impl Inverse3 {
         &self.id
     }
 
-    /// Reports something to the operator of the server, once.
+    /// Prints a notice for the operator of the server, each text once.
     pub(super) fn notify(&mut self, words: String) {
         if !self.notices.contains(&words) {
             haptic_host::tell!("{words}");
@@ -96,13 +95,11 @@ impl Inverse3 {
         }
     }
 
-    /// Begins the session of another program.
     pub(super) fn begin_session(&mut self) {
         self.sessions += 1;
     }
 
-    /// Returns the time since the board was last polled; zero for a simulated board in this process, which does not
-    /// time out silent programs.
+    /// Returns the time since the last poll of the board; zero for a simulated board, which does not time out programs.
     pub(super) fn idle_time(&self) -> Duration {
         if self.simulated { Duration::ZERO } else { self.polled.elapsed() }
     }
@@ -134,11 +131,10 @@ impl Inverse3 {
         self.report_failure(result)
     }
 
-    /// Reads the device's state for a client that does not use the device. This does not count as activity of the
-    /// program that uses the device.
+    /// Reads the state for a client that does not use the device, without counting it as activity of the user.
     pub(super) fn poll(&mut self) -> Result<(), BoardError> {
         let read = |device: &mut Self| {
-            device.advance()?;
+            device.catch_up()?;
             device.last = Board::force(&mut device.session, &ForceRequest::default())?;
             device.fault = match (device.last.state, device.fault) {
                 (State::Fault, None) => device.session.status()?.fault,
@@ -166,17 +162,17 @@ impl Inverse3 {
         }
     }
 
-    /// Lets simulated time catch up with real time: a simulated board runs only while a request waits.
-    fn advance(&mut self) -> Result<(), LinkError> {
+    /// Lets simulated time catch up with real time, because a simulated board runs only while a request waits.
+    fn catch_up(&mut self) -> Result<(), LinkError> {
         if self.simulated {
-            self.session.rows(self.polled.elapsed().min(MAX_ADVANCE))?;
+            self.session.rows(self.polled.elapsed().min(MAX_CATCH_UP))?;
         }
         self.polled = Instant::now();
         Ok(())
     }
 
     fn exchange(&mut self, request: &ProgramRequest) -> Result<(), BoardError> {
-        self.advance()?;
+        self.catch_up()?;
         if request.clear_fault {
             self.clear()?;
         }
@@ -208,15 +204,14 @@ impl Inverse3 {
         self.fault = self.session.fault();
         if self.armed && self.last.state != State::Armed {
             self.armed = false;
-            let why = self.fault.map_or_else(|| "another tool turned them off".into(), |fault| describe(&fault));
+            let why = self.fault.map_or_else(|| "another tool turned them off".into(), |fault| describe_fault(&fault));
             let reconnect = self.fault.is_none_or(|fault| fault.fault == Fault::HostLost);
             let action = if reconnect { "connects again" } else { "clears the fault" };
             self.notify(format!("the motors are off: {why}; a program that {action} arms them"));
         }
     }
 
-    /// Clears the latched fault. A force arms one second later at the earliest, so that a person notices the fault even
-    /// if a program clears it in every message.
+    /// Clears the latched fault. A force arms at the earliest 1 s later, so that a person notices the fault.
     fn clear(&mut self) -> Result<(), BoardError> {
         self.last = self.session.read_state()?;
         self.check_motors();
@@ -242,7 +237,7 @@ impl Inverse3 {
         match self.session.arm() {
             Ok(()) => (self.armed, self.may_arm, self.refusal) = (true, false, None),
             Err(BoardError::Refused(refusal)) => {
-                let refusal = commands_to_calls(&refusal.to_string(), &CALLS);
+                let refusal = commands_to_calls(&refusal.to_string(), &COMMAND_REPLACEMENTS);
                 self.notify(format!("the motors stay off: {refusal}"));
                 self.refusal = Some(refusal);
             }
@@ -293,14 +288,14 @@ impl Inverse3 {
         if let Some(FaultRecord { fault, axis, value, .. }) = self.fault {
             device["fault"] = json!({
                 "code": fault.code(), "name": fault.name(), "what": fault.what(), "joint": axis, "value": value,
-                "remedy": commands_to_calls(fault.remedy(), &CALLS),
+                "remedy": commands_to_calls(fault.remedy(), &COMMAND_REPLACEMENTS),
             });
         }
         if let Some(refusal) = &self.refusal {
             device["refusal"] = json!(refusal);
         }
         let mut grip = json!({
-            "device_id": GRIP,
+            "device_id": GRIP_ID,
             "state": {
                 "battery_level": 1.0,
                 "battery_voltage": 3.7,
@@ -316,7 +311,7 @@ impl Inverse3 {
                 "id": self.id,
                 "type": "inverse3",
                 "device_info": {
-                    "id": self.id, "major_version": 0, "minor_version": 1, "device_type": INVERSE3, "uuid": self.id,
+                    "id": self.id, "major_version": 0, "minor_version": 1, "device_type": DEVICE_TYPE, "uuid": self.id,
                 },
                 "port": self.session.port(),
                 "extended_device_id": self.id,
@@ -333,7 +328,7 @@ impl Inverse3 {
                 "streaming_mode": "USB",
             });
             grip["config"] = json!({
-                "id": GRIP,
+                "id": GRIP_ID,
                 "type": "wireless_verse_grip",
                 "port": "",
                 "major_version": 0,
@@ -347,6 +342,6 @@ impl Inverse3 {
     }
 }
 
-fn describe(fault: &FaultRecord) -> String {
-    commands_to_calls(&fault_and_remedy(fault), &CALLS)
+fn describe_fault(fault: &FaultRecord) -> String {
+    commands_to_calls(&fault_and_remedy(fault), &COMMAND_REPLACEMENTS)
 }

@@ -1,5 +1,4 @@
-//! A program's message in the JSON of Haply's service: forces in both spellings, `values` (3.1) and `vector` (3.5), and
-//! the requested axes.
+//! A program's message in Haply's JSON: forces as `values` (3.1) or `vector` (3.5), and the requested axes.
 
 use serde_json::Value;
 use std::fmt;
@@ -14,7 +13,7 @@ pub struct ProgramRequest {
     pub full: bool,
     /// Axes of the program's vectors from now on, both sent and received; `None` to keep the present axes.
     pub basis: Option<Basis>,
-    /// True if the program requests that a latched fault be cleared. Haply has no such command.
+    /// True if the program requests to clear a latched fault, a command that Haply does not have.
     pub clear_fault: bool,
     /// Commands and settings that a board does not support.
     pub others: Vec<String>,
@@ -76,11 +75,11 @@ fn entries(value: &Value) -> impl Iterator<Item = (&String, &Value)> {
     value.as_object().into_iter().flatten()
 }
 
-/// The mapping from Haply's axes to a program's x, y and z: axis and sign of each.
+/// The mapping from Haply's axes to x, y and z of a program: Haply's axis and the sign of each.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Basis([(usize, f64); 3]);
 
-const LETTERS: [char; 3] = ['X', 'Y', 'Z'];
+const AXIS_LETTERS: [char; 3] = ['X', 'Y', 'Z'];
 
 impl Default for Basis {
     fn default() -> Self {
@@ -114,7 +113,7 @@ impl FromStr for Basis {
         };
         let (mut axes, mut sign) = (Vec::new(), 1.0);
         for letter in text.chars() {
-            match LETTERS.iter().position(|axis| *axis == letter) {
+            match AXIS_LETTERS.iter().position(|axis| *axis == letter) {
                 Some(axis) => axes.push((axis, std::mem::replace(&mut sign, 1.0))),
                 None if letter == '-' => sign = -1.0,
                 None if letter == '+' => {}
@@ -131,7 +130,7 @@ impl fmt::Display for Basis {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         self.0.iter().try_for_each(|(axis, sign)| {
             let sign = if *sign < 0.0 { "-" } else { "" };
-            write!(f, "{sign}{}", LETTERS[*axis])
+            write!(f, "{sign}{}", AXIS_LETTERS[*axis])
         })
     }
 }

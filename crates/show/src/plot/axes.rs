@@ -1,10 +1,10 @@
 //! A framed coordinate system on a canvas: round ticks, SI prefixes, curves, dots with error bars, a legend.
 
-use super::canvas::{Anchor, Canvas, SMALL, Stroke};
-use super::colour::{FAINT, INK};
-use super::paper::{EDGE, wrap};
+use super::canvas::{Anchor, Canvas, SMALL_TEXT, Stroke};
+use super::colour::{FAINT_GREY, INK};
+use super::paper::{EDGE_MARGIN, wrap};
 
-const TEXT: f64 = 12.0;
+const TICK_TEXT_SIZE: f64 = 12.0;
 
 /// A quantity along an axis.
 #[derive(Clone, Debug, PartialEq)]
@@ -19,12 +19,12 @@ pub struct Axis {
     pub high: f64,
 }
 
-/// A plot's frame: its place on the canvas, in pixels, and its axes.
+/// The frame of a plot: its position on the canvas, and its axes.
 #[derive(Clone, Debug)]
 pub struct PlotArea {
-    /// Left and top edge.
+    /// Left and top edge, pixels.
     pub at: (f64, f64),
-    /// Width and height.
+    /// Width and height, pixels.
     pub size: (f64, f64),
     /// Horizontal axis.
     pub x: Axis,
@@ -48,15 +48,15 @@ pub enum Mark<'a> {
 }
 
 impl Axis {
-    /// Returns the prefixed unit and the factor from values to it: 12000 N/m is 12 kN/m.
+    /// Returns the factor from values to the prefixed unit, and that unit: 12000 N/m is 12 kN/m.
     fn with_prefix(&self) -> (f64, String) {
         let size = self.low.abs().max(self.high.abs());
         let prefixes = [(1e9, "G"), (1e6, "M"), (1e3, "k"), (1.0, ""), (1e-3, "m"), (1e-6, "µ")];
-        // Base units get a prefix only if it reads well: never "mkg", and no prefix without a unit.
+        // Kilograms (never "mkg"), decibels and numbers without a unit get no prefix.
         if self.unit.is_empty() || self.unit == "kg" || self.unit == "dB" {
             return (1.0, self.unit.clone());
         }
-        // 1500 N/m reads well, 1500 mN does not.
+        // A larger unit begins at 2: 1500 N/m stays, but 1500 mN is 1.5 N.
         let fits = |f: f64| size >= if f > 1.0 { 2.0 * f } else { f };
         let (factor, prefix) = prefixes.into_iter().find(|(f, _)| fits(*f)).unwrap_or((1e-6, "µ"));
         (1.0 / factor, format!("{prefix}{}", self.unit))
@@ -79,7 +79,7 @@ impl Axis {
         let power = 10f64.powf(raw.log10().floor());
         let first = |step: f64| (low / step - 1e-9).ceil() as i64;
         let last = |step: f64| (high / step + 1e-9).floor() as i64;
-        // Steps from coarse to fine. The first step is not finer than `count` requires.
+        // Lists steps from coarse to fine. The first candidate is not finer than `count` requires.
         let steps = [10.0, 5.0, 2.0, 1.0, 0.5].map(|s| s * power);
         let coarse = steps.into_iter().rposition(|step| step >= raw).unwrap_or(0);
         let step = steps[coarse..].iter().copied().find(|step| last(*step) - first(*step) >= 3).unwrap_or(steps[4]);
@@ -105,7 +105,7 @@ impl PlotArea {
         self.draw_along(canvas, title, &self.x.ticks(self.size.0 / 75.0), &self.x.label());
     }
 
-    /// Draws the frame with an x axis of logarithms: each even decade is labelled with its power of ten.
+    /// Draws the frame with a logarithmic x axis, labelled with the power of ten at each even decade.
     pub fn draw_decades(&self, canvas: &mut Canvas) {
         let superscript = |digit: char| match digit {
             '-' => '⁻',
@@ -130,14 +130,14 @@ impl PlotArea {
         for (value, text) in ticks {
             let (x, _) = self.pixel(*value, self.y.low);
             canvas.line((x, bottom), (x, bottom + 5.0), Stroke::solid(INK, 1.0));
-            canvas.text((x, bottom + 19.0), TEXT, Anchor::Middle, false, text);
+            canvas.text((x, bottom + 19.0), TICK_TEXT_SIZE, Anchor::Middle, false, text);
         }
         let mut widest = 0;
         for (value, text) in self.y.ticks(height / 55.0) {
             let (_, y) = self.pixel(self.x.low, value);
             widest = widest.max(text.chars().count());
             canvas.line((left - 5.0, y), (left, y), Stroke::solid(INK, 1.0));
-            canvas.text((left - 9.0, y + 4.2), TEXT, Anchor::End, false, &text);
+            canvas.text((left - 9.0, y + 4.2), TICK_TEXT_SIZE, Anchor::End, false, &text);
         }
         canvas.rectangle(self.at, self.size, "none", Stroke::solid(INK, 1.0));
         canvas.text((left + width / 2.0, bottom + 40.0), 13.0, Anchor::Middle, false, label);
@@ -146,8 +146,8 @@ impl PlotArea {
         canvas.text((left, top - 10.0), 13.5, Anchor::Start, false, title);
     }
 
-    /// Clips the shapes that `draw` adds to the frame.
-    pub fn clipped(&self, canvas: &mut Canvas, draw: impl FnOnce(&mut Canvas)) {
+    /// Runs `draw` and clips its shapes to the frame.
+    pub fn draw_clipped(&self, canvas: &mut Canvas, draw: impl FnOnce(&mut Canvas)) {
         canvas.begin_clip(self.at, self.size);
         draw(canvas);
         canvas.end_clip();
@@ -181,37 +181,36 @@ impl PlotArea {
         canvas.circle(self.pixel(x, y), 3.2, "white", Stroke::solid(colour, 1.6));
     }
 
-    /// Draws a legend that hides nothing: in the first corner of the frame that is free of the lines and dots `drawn`
-    /// (values), otherwise below the picture, which grows.
-    pub fn clear_legend(&self, canvas: &mut Canvas, drawn: &[Vec<(f64, f64)>], entries: &[(Mark<'_>, String)]) {
-        const GAP: f64 = 10.0;
+    /// Draws a legend in a corner of the frame free of `drawn` (values), or else below the picture, which then grows.
+    pub fn place_legend(&self, canvas: &mut Canvas, drawn: &[Vec<(f64, f64)>], entries: &[(Mark<'_>, String)]) {
+        const LEGEND_GAP: f64 = 10.0;
         let (width, height) = Self::legend_size(entries);
-        let (left, right) = (self.at.0 + GAP, self.at.0 + self.size.0 - GAP);
-        let (top, bottom) = (self.at.1 + GAP, self.at.1 + self.size.1 - GAP);
-        let fits = width + 2.0 * GAP < self.size.0 && height + 2.0 * GAP < self.size.1;
+        let (left, right) = (self.at.0 + LEGEND_GAP, self.at.0 + self.size.0 - LEGEND_GAP);
+        let (top, bottom) = (self.at.1 + LEGEND_GAP, self.at.1 + self.size.1 - LEGEND_GAP);
+        let fits = width + 2.0 * LEGEND_GAP < self.size.0 && height + 2.0 * LEGEND_GAP < self.size.1;
         let corners = [(right, top), (left + width, top), (right, bottom - height), (left + width, bottom - height)];
         let free = corners.into_iter().find(|&(right, top)| {
             // Half the width of a dot with its outline.
-            const MARGIN: f64 = 5.0;
-            let low = (right - width - MARGIN, top - MARGIN);
-            let high = (right + MARGIN, top + height + MARGIN);
+            const DOT_MARGIN: f64 = 5.0;
+            let low = (right - width - DOT_MARGIN, top - DOT_MARGIN);
+            let high = (right + DOT_MARGIN, top + height + DOT_MARGIN);
             let pixels = |line: &Vec<(f64, f64)>| line.iter().map(|&(x, y)| self.pixel(x, y)).collect::<Vec<_>>();
             fits && !drawn.iter().map(pixels).any(|line| crosses_box(&line, low, high))
         });
         if let Some((right, top)) = free {
             return Self::legend(canvas, right, top, entries);
         }
-        let max_width = canvas.width() - 2.0 * EDGE - 48.0;
+        let max_width = canvas.width() - 2.0 * EDGE_MARGIN - 48.0;
         let folded: Vec<(Mark<'_>, String)> = entries
             .iter()
             .flat_map(|(mark, text)| {
-                let lines = wrap(text, max_width, SMALL);
+                let lines = wrap(text, max_width, SMALL_TEXT);
                 lines.into_iter().enumerate().map(|(i, line)| (if i == 0 { *mark } else { Mark::Continued }, line))
             })
             .collect();
         let (width, height) = Self::legend_size(&folded);
-        let right = (self.at.0 + width).min(canvas.width() - EDGE);
-        let top = canvas.lengthen(height + 2.0 * GAP);
+        let right = (self.at.0 + width).min(canvas.width() - EDGE_MARGIN);
+        let top = canvas.lengthen(height + 2.0 * LEGEND_GAP);
         Self::legend(canvas, right, top, &folded);
     }
 
@@ -225,9 +224,9 @@ impl PlotArea {
     pub fn legend(canvas: &mut Canvas, right: f64, top: f64, entries: &[(Mark<'_>, String)]) {
         let (width, height) = Self::legend_size(entries);
         let left = right - width;
-        canvas.rectangle((left, top), (width, height), "#ffffffee", Stroke::solid(FAINT, 0.6));
+        canvas.rectangle((left, top), (width, height), "#ffffffee", Stroke::solid(FAINT_GREY, 0.6));
         for (i, entry) in entries.iter().enumerate() {
-            Self::entry(canvas, (left + 8.0, top + 14.0 + 18.0 * i as f64), entry);
+            Self::draw_entry(canvas, (left + 8.0, top + 14.0 + 18.0 * i as f64), entry);
         }
     }
 
@@ -235,13 +234,13 @@ impl PlotArea {
     pub fn legend_line(canvas: &mut Canvas, at: (f64, f64), entries: &[(Mark<'_>, String)]) {
         let mut left = at.0;
         for entry in entries {
-            Self::entry(canvas, (left, at.1), entry);
+            Self::draw_entry(canvas, (left, at.1), entry);
             left += 33.0 + 6.5 * entry.1.chars().count() as f64 + 20.0;
         }
     }
 
-    /// Draws a symbol with its left end at this pixel, and its text.
-    fn entry(canvas: &mut Canvas, (left, y): (f64, f64), (mark, text): &(Mark<'_>, String)) {
+    /// Draws a legend entry: the symbol with its left end at this pixel, then the text.
+    fn draw_entry(canvas: &mut Canvas, (left, y): (f64, f64), (mark, text): &(Mark<'_>, String)) {
         match mark {
             Mark::Line(stroke) => canvas.line((left, y), (left + 26.0, y), *stroke),
             Mark::Dot(colour) => {
@@ -297,7 +296,7 @@ mod tests {
         let texts = |axis: Axis| axis.ticks(6.0).into_iter().map(|t| t.1).collect::<Vec<_>>();
         assert_eq!(texts(axis(0.0, 0.103, "m")), ["0", "20", "40", "60", "80", "100"]);
         assert_eq!(texts(axis(-0.5, 0.5, "")), ["-0.4", "-0.2", "0.0", "0.2", "0.4"]);
-        // Two ticks would not show the scale, so a low panel has more.
+        // A low panel has at least four ticks, because two would not show the scale.
         let low = axis(0.0, 17.3, "N").ticks(3.2).into_iter().map(|t| t.1).collect::<Vec<_>>();
         assert_eq!(low, ["0", "5", "10", "15"]);
         assert_eq!(axis(0.0, 12_000.0, "N/m").label(), "x (kN/m)");

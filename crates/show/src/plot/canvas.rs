@@ -1,4 +1,4 @@
-//! An SVG document and the few shapes that the pictures need. Coordinates are pixels, y down.
+//! An SVG document, and the shapes that the pictures need. Coordinates are pixels, y down.
 
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -6,10 +6,10 @@ use std::fmt::Write;
 use super::Picture;
 use super::colour::INK;
 
-/// Font family of every text; compiled in for PNG, with a fallback for SVG viewers.
-pub const FONT: &str = "DejaVu Sans";
+/// Font family of all text; compiled in for PNG, with a fallback for SVG viewers.
+pub const FONT_FAMILY: &str = "DejaVu Sans";
 /// Size of the smallest text, units.
-pub const SMALL: f64 = 11.5;
+pub const SMALL_TEXT: f64 = 11.5;
 
 /// Alignment of a text relative to its point.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -62,7 +62,7 @@ impl Canvas {
     }
 
     /// Sets the width on paper, mm.
-    pub fn print_at(&mut self, mm: f64) {
+    pub fn set_printed_width(&mut self, mm: f64) {
         self.printed = Some(mm);
     }
 
@@ -88,7 +88,7 @@ impl Canvas {
         };
         let svg = format!(
             "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{}\" height=\"{}\" \
-             viewBox=\"0 0 {width} {height}\" font-family=\"{FONT}, Verdana, sans-serif\" fill=\"{INK}\">\n\
+             viewBox=\"0 0 {width} {height}\" font-family=\"{FONT_FAMILY}, Verdana, sans-serif\" fill=\"{INK}\">\n\
              <title>{title}</title>\n<desc>{description}</desc>\n\
              <rect width=\"{width}\" height=\"{height}\" fill=\"white\"/>\n{}</svg>\n",
             size[0], size[1], self.body
@@ -124,16 +124,15 @@ impl Canvas {
         self.push(format_args!(r#"<polygon points="{points}" fill="{fill}" fill-opacity="{opacity}"/>"#));
     }
 
-    /// Draws filled areas of one colour, all with the same sense of rotation, outlined in that colour so that no seam
-    /// shows between neighbours. Areas that share an edge become one shape; positions have a resolution of a tenth of a
-    /// pixel.
+    /// Draws filled areas of one colour. All outlines need the same sense of rotation, because areas that share an edge
+    /// are merged. A stroke hides seams; positions are rounded to a tenth of a pixel.
     pub fn tiles(&mut self, outlines: &[Vec<(f64, f64)>], fill: &str) {
         let mut path = String::new();
         let mut pen = (0, 0);
         for outline in merge_outlines(outlines) {
             let mut command = "m";
             for &(x, y) in &outline {
-                // Relative moves from point to point, the first one from the start of the last outline. Writing cannot
+                // Moves are relative to the last point, or to the last outline's start. Writing to a String cannot
                 // fail.
                 let _ = write!(path, "{command}{} {}", x - pen.0, y - pen.1);
                 (pen, command) = ((x, y), " ");
@@ -161,11 +160,11 @@ impl Canvas {
         self.push(format_args!(r#"<circle cx="{:.2}" cy="{:.2}" r="{radius}" fill="{fill}" {style}/>"#, at.0, at.1));
     }
 
-    /// Draws small text centred on a point, turned clockwise by `degrees`, with a gap in lines that it crosses.
+    /// Draws small text centred on a point, turned clockwise by `degrees`, with a white outline over lines.
     pub fn slanted_text(&mut self, at: (f64, f64), degrees: f64, text: &str) {
         let text = escape(text);
         self.push(format_args!(
-            r#"<text transform="translate({:.2} {:.2}) rotate({degrees:.2})" font-size="{SMALL}" text-anchor="middle" stroke="white" stroke-width="3" paint-order="stroke">{text}</text>"#,
+            r#"<text transform="translate({:.2} {:.2}) rotate({degrees:.2})" font-size="{SMALL_TEXT}" text-anchor="middle" stroke="white" stroke-width="3" paint-order="stroke">{text}</text>"#,
             at.0, at.1
         ));
     }
@@ -177,7 +176,7 @@ impl Canvas {
         self.push(format_args!("</g>"));
     }
 
-    /// Draws text of `size` pixels; `turned` by -90° for the label of a vertical axis.
+    /// Draws text of `size` pixels; `turned` rotates it by -90° for a vertical axis.
     pub fn text(&mut self, at: (f64, f64), size: f64, anchor: Anchor, turned: bool, text: &str) {
         let anchor = match anchor {
             Anchor::Start => "start",
@@ -212,7 +211,7 @@ impl Canvas {
 /// direction and cancels out; the remaining edges form closed outlines.
 fn merge_outlines(outlines: &[Vec<(f64, f64)>]) -> Vec<Vec<(i64, i64)>> {
     let tenths = |&(x, y): &(f64, f64)| ((10.0 * x).round() as i64, (10.0 * y).round() as i64);
-    // Edges from each start point, sorted, so that the picture is deterministic.
+    // Maps each start point to its edges, sorted, so that the picture is deterministic.
     let mut edges = BTreeMap::<(i64, i64), Vec<(i64, i64)>>::new();
     for outline in outlines {
         for (from, to) in outline.iter().zip(outline.iter().cycle().skip(1)) {
@@ -266,8 +265,8 @@ fn escape(text: &str) -> String {
 mod tests {
     use super::*;
 
-    /// Twice the area of outlines, with the sign of their sense of rotation.
-    fn area(outlines: &[Vec<(i64, i64)>]) -> i64 {
+    /// Returns twice the area of outlines, with the sign of their sense of rotation.
+    fn twice_signed_area(outlines: &[Vec<(i64, i64)>]) -> i64 {
         let twice = |o: &Vec<(i64, i64)>| {
             o.iter().zip(o.iter().cycle().skip(1)).map(|(a, b)| a.0 * b.1 - b.0 * a.1).sum::<i64>()
         };
@@ -285,6 +284,6 @@ mod tests {
         let ring: Vec<_> = (0..9).filter(|i| *i != 4).map(|i| square(f64::from(i % 3), f64::from(i / 3))).collect();
         let merged_ring = merge_outlines(&ring);
         assert_eq!(merged_ring.iter().map(Vec::len).sum::<usize>(), 12 + 4);
-        assert_eq!(area(&merged_ring), 2 * 8 * 100);
+        assert_eq!(twice_signed_area(&merged_ring), 2 * 8 * 100);
     }
 }

@@ -1,33 +1,32 @@
-//! The drawing of a device: its linkage at home, the zero angle and direction of each joint, the reach of the tip. A
-//! mirrored assembly or swapped motors would look wrong in it.
+//! The drawing of a device: its linkage at home, the zero angle and direction of each joint, the reach of the tip. It
+//! makes a mirrored assembly or swapped motors visible.
 
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::catalogue::Kind;
 use haptic_bridge::model::description::Description;
 
 use super::axes::{Axis, PlotArea, crosses_box};
-use super::canvas::{Anchor, Canvas, SMALL, Stroke};
-use super::colour::{FAINT, FULL, INK, OFF, WASHOUT};
-use super::linkage::bounds;
+use super::canvas::{Anchor, Canvas, SMALL_TEXT, Stroke};
+use super::colour::{FAINT_GREY, FULL_COLOUR, INK, OFF_COLOUR, WASHOUT_COLOUR};
+use super::linkage::bounding_box;
 use super::paper::Paper;
 use super::{Picture, linkage};
 use haptic_stability::analysis::cut::{Cut, Fineness};
 use haptic_stability::analysis::pose::PoseError;
 use haptic_stability::skeleton::{Angle, Bar, Point, Skeleton, Turret, skeleton};
 
-/// Longest side of the plane, pixels: for a linkage alone or with joint limits, and for a reach without joint limits.
+/// Longest side of the plane for a linkage alone or with joint limits, pixels.
 const LINKAGE_SIDE: f64 = 460.0;
+/// Longest side of the plane for a reach without joint limits, pixels.
 const REACH_SIDE: f64 = 760.0;
-/// Colour of the workspace.
-const REACH: &str = "#e6edf5";
-/// Colour of links.
-const LINK: &str = "#b9bec6";
+const REACH_COLOUR: &str = "#e6edf5";
+const LINK_COLOUR: &str = "#b9bec6";
 /// Half of a link's width, pixels.
-const HALF_LINK: f64 = 4.5;
+const HALF_LINK_WIDTH: f64 = 4.5;
 /// Largest radius of an angle's arc, pixels.
-const ARC: f64 = 46.0;
+const MAX_ARC_RADIUS: f64 = 46.0;
 
-/// Draws a device at joint angles `q` (rad); `None` if its linkage does not close. `lines` are written below it.
+/// Draws a device at joint angles `q` (rad), with `lines` of text below. Returns `None` if its linkage does not close.
 pub fn draw(
     description: &Description,
     name: &str,
@@ -37,11 +36,11 @@ pub fn draw(
 ) -> Result<Option<Picture>, PoseError> {
     let Some(skeleton) = skeleton(description, q) else { return Ok(None) };
     let spec = description.kind.spec();
-    let reach = reach(description)?;
+    let reach = reachable_outlines(description)?;
     let bars = skeleton.bars.iter().flat_map(|bar| [bar.from, bar.to]);
     let limited = description.joints[..spec.joints].iter().all(|joint| joint.limits.is_some());
-    let (low, high) = bounds(bars.chain(reach.iter().flatten().copied()));
-    // Room for arcs and labels; a linkage without its reach needs more.
+    let (low, high) = bounding_box(bars.chain(reach.iter().flatten().copied()));
+    // Adds room for arcs and labels; a linkage without its reach needs more.
     let (room, side) = match (reach.is_empty(), limited) {
         (true, _) => (0.22, LINKAGE_SIDE),
         (false, true) => (0.08, LINKAGE_SIDE),
@@ -59,12 +58,12 @@ pub fn draw(
     let ground = if reach.is_empty() { "" } else { "; pale area: reach of the tip, clear of singular poses" };
     let heading = page.heading(&title, &[format!("{what}{ground}")]);
     let frame = PlotArea {
-        at: (page.left, 62.0 + heading.beyond(1)),
+        at: (page.left, 62.0 + heading.extra_height(1)),
         size: (across * pixels, up * pixels),
         x: Axis { name: "x".into(), unit: "m".into(), low: low.0, high: high.0 },
         y: Axis { name: "y".into(), unit: "m".into(), low: low.1, high: high.1 },
     };
-    let mut notes: Vec<String> = notes(description).into_iter().chain(lines.iter().cloned()).collect();
+    let mut notes: Vec<String> = mechanism_notes(description).into_iter().chain(lines.iter().cloned()).collect();
     let in_full = |bar: &Bar| format!("{}, {} mm", bar.name, (bar.length * 1e5).round() / 100.0);
     let names: Vec<String> = match page.is_narrow() {
         // Short links have no room for their lengths.
@@ -78,35 +77,36 @@ pub fn draw(
     let notes = page.notes(notes.iter().map(String::as_str));
     let mut canvas = page.canvas(bottom + 17.0 * notes.len() as f64);
     heading.draw(&mut canvas);
-    frame.clipped(&mut canvas, |canvas| {
+    frame.draw_clipped(&mut canvas, |canvas| {
         let tiles: Vec<Vec<Point>> =
             reach.iter().map(|tile| tile.iter().map(|&(x, y)| frame.pixel(x, y)).collect()).collect();
-        canvas.tiles(&tiles, REACH);
-        turret_axis(canvas, &frame, description.kind);
-        let mut taken: Vec<Area> = skeleton.angles.iter().map(|angle| label(&frame, angle, &skeleton).area()).collect();
-        taken.extend(turret_label(&frame, description.kind));
+        canvas.tiles(&tiles, REACH_COLOUR);
+        draw_turret_axis(canvas, &frame, description.kind);
+        let mut occupied: Vec<Area> =
+            skeleton.angles.iter().map(|angle| angle_label(&frame, angle, &skeleton).area()).collect();
+        occupied.extend(turret_label_area(&frame, description.kind));
         let tip = frame.pixel(skeleton.tip.0, skeleton.tip.1);
-        taken.push([tip.0 - 18.0, tip.1 - 24.0, tip.0 + 18.0, tip.1 + 6.0]);
-        links(canvas, &frame, &skeleton, &names, taken);
-        for (angle, colour) in skeleton.angles.iter().zip([OFF, FULL, WASHOUT]) {
-            arc(canvas, &frame, angle, pixels, description, colour, &skeleton);
+        occupied.push([tip.0 - 18.0, tip.1 - 24.0, tip.0 + 18.0, tip.1 + 6.0]);
+        draw_links(canvas, &frame, &skeleton, &names, occupied);
+        for (angle, colour) in skeleton.angles.iter().zip([OFF_COLOUR, FULL_COLOUR, WASHOUT_COLOUR]) {
+            draw_joint_angle(canvas, &frame, angle, pixels, description, colour, &skeleton);
         }
         for base in &skeleton.base {
-            linkage::base_pivot(canvas, frame.pixel(base.0, base.1));
+            linkage::draw_base_pivot(canvas, frame.pixel(base.0, base.1));
         }
-        linkage::tip(canvas, tip);
+        linkage::draw_tip(canvas, tip);
         let name = if skeleton.letters.is_empty() { "tip" } else { "tip P" };
         canvas.text((tip.0, tip.1 - 12.0), 12.5, Anchor::Middle, false, name);
     });
     frame.draw(&mut canvas, "");
     for (i, line) in notes.iter().enumerate() {
-        canvas.text((page.begin, bottom + 17.0 * i as f64), SMALL, Anchor::Start, false, line);
+        canvas.text((page.begin, bottom + 17.0 * i as f64), SMALL_TEXT, Anchor::Start, false, line);
     }
     Ok(Some(canvas.finish(&title, "The linkage, its joints with their zero angles and directions, and its reach.")))
 }
 
 /// Returns the area that the tip can reach, as outlines; empty for a paddle, whose reach is a line.
-fn reach(description: &Description) -> Result<Vec<Vec<Point>>, PoseError> {
+fn reachable_outlines(description: &Description) -> Result<Vec<Vec<Point>>, PoseError> {
     let spec = description.kind.spec();
     if spec.joints == 1 {
         return Ok(Vec::new());
@@ -117,7 +117,7 @@ fn reach(description: &Description) -> Result<Vec<Vec<Point>>, PoseError> {
 }
 
 /// Returns facts about a mechanism that its drawing cannot show.
-fn notes(description: &Description) -> Vec<String> {
+fn mechanism_notes(description: &Description) -> Vec<String> {
     let side = if description.geometry[5] < 0.0 { "right" } else { "left" };
     let assembly =
         format!("assembly = {}: the tip P lies to the {side} of the line from C to D", description.geometry[5]);
@@ -143,8 +143,8 @@ fn notes(description: &Description) -> Vec<String> {
         ],
         Kind::Serial3r => vec![
             angles,
-            "each angle counts from the link before".into(),
-            "pale area: for the last link's direction at home".into(),
+            "each angle is measured from the previous link".into(),
+            "pale area: with the last link in its direction at home".into(),
         ],
     }
 }
@@ -152,16 +152,16 @@ fn notes(description: &Description) -> Vec<String> {
 /// A rectangle of the drawing: left, top, right and bottom, pixels.
 type Area = [f64; 4];
 
-fn overlap(a: &Area, b: &Area) -> bool {
+fn areas_overlap(a: &Area, b: &Area) -> bool {
     a[0] < b[2] && b[0] < a[2] && a[1] < b[3] && b[1] < a[3]
 }
 
-/// Draws the links, with their names outside the areas that are already `taken`.
-fn links(canvas: &mut Canvas, frame: &PlotArea, skeleton: &Skeleton, names: &[String], mut taken: Vec<Area>) {
+/// Draws the links, and their names outside the `occupied` areas.
+fn draw_links(canvas: &mut Canvas, frame: &PlotArea, skeleton: &Skeleton, names: &[String], mut occupied: Vec<Area>) {
     for bar in &skeleton.bars {
         let ends = [bar.from, bar.to].map(|p| frame.pixel(p.0, p.1));
-        canvas.polyline(&ends, Stroke::solid(INK, 2.0 * HALF_LINK));
-        canvas.polyline(&ends, Stroke::solid(LINK, 2.0 * HALF_LINK - 2.0));
+        canvas.polyline(&ends, Stroke::solid(INK, 2.0 * HALF_LINK_WIDTH));
+        canvas.polyline(&ends, Stroke::solid(LINK_COLOUR, 2.0 * HALF_LINK_WIDTH - 2.0));
     }
     let middles = skeleton.bars.iter().map(|bar| ((bar.from.0 + bar.to.0) / 2.0, (bar.from.1 + bar.to.1) / 2.0));
     let sum = middles.fold((0.0, 0.0), |sum, p| (sum.0 + p.0, sum.1 + p.1));
@@ -172,7 +172,7 @@ fn links(canvas: &mut Canvas, frame: &PlotArea, skeleton: &Skeleton, names: &[St
         for end in [from, to] {
             canvas.circle(end, 3.4, "white", Stroke::solid(INK, 1.4));
         }
-        // The name is along the link, on the side away from the other links.
+        // Writes the name along the link, on the side away from the other links.
         let (dx, dy) = (to.0 - from.0, to.1 - from.1);
         let (mut slope, length) = (dy.atan2(dx).to_degrees(), dx.hypot(dy).max(1e-9));
         if !(-90.0..=90.0).contains(&slope) {
@@ -181,8 +181,7 @@ fn links(canvas: &mut Canvas, frame: &PlotArea, skeleton: &Skeleton, names: &[St
         let middle = ((from.0 + to.0) / 2.0, (from.1 + to.1) / 2.0);
         let (nx, ny) = (dy / length, -dx / length);
         let outward = if (middle.0 - centre.0) * nx + (middle.1 - centre.1) * ny < 0.0 { -1.0 } else { 1.0 };
-        // Moves the label away from the arcs at the link's base. A label longer than its link starts at the start of
-        // the link.
+        // Moves the label away from the arcs at the link's base; a label longer than its link starts with the link.
         let past = (3.1 * text.chars().count() as f64 + 6.0 - length / 2.0).max(0.06 * length);
         let half = (3.1 * text.chars().count() as f64, 6.0);
         let (sin, cos) = slope.to_radians().sin_cos();
@@ -203,7 +202,7 @@ fn links(canvas: &mut Canvas, frame: &PlotArea, skeleton: &Skeleton, names: &[St
         // Uses the first free place: outside, inside, towards the other end of the link. Prefers a place without other
         // labels and links, then one without other labels.
         let places = [(past, outward), (past, -outward), (-past, outward), (-past, -outward)].map(|(p, s)| place(p, s));
-        let has_label = |at: (f64, f64)| taken.iter().any(|other| overlap(&area(at), other));
+        let has_label = |at: (f64, f64)| occupied.iter().any(|other| areas_overlap(&area(at), other));
         let has_link = |at: (f64, f64)| {
             // Coordinates along the label and across it. The letters are above the baseline.
             let along = |p: Point| {
@@ -213,11 +212,11 @@ fn links(canvas: &mut Canvas, frame: &PlotArea, skeleton: &Skeleton, names: &[St
             };
             let others = skeleton.bars.iter().filter(|other| *other != bar);
             let mut lines = others.map(|other| [other.from, other.to].map(along));
-            lines.any(|line| crosses_box(&line, (-half.0, -9.0 - HALF_LINK), (half.0, 3.0 + HALF_LINK)))
+            lines.any(|line| crosses_box(&line, (-half.0, -9.0 - HALF_LINK_WIDTH), (half.0, 3.0 + HALF_LINK_WIDTH)))
         };
         let free = places.iter().find(|at| !has_label(**at) && !has_link(**at));
         let at = *free.or_else(|| places.iter().find(|at| !has_label(**at))).unwrap_or(&places[0]);
-        taken.push(area(at));
+        occupied.push(area(at));
         canvas.slanted_text(at, slope, text);
     }
     for (letter, at) in &skeleton.letters {
@@ -225,16 +224,16 @@ fn links(canvas: &mut Canvas, frame: &PlotArea, skeleton: &Skeleton, names: &[St
         let (dx, dy) = (x - centre.0, y - centre.1);
         let away = 17.0 / dx.hypot(dy).max(1e-9);
         let outside = (x + away * dx, y + away * dy + 4.0);
-        // The letter of a pivot is below it, or next to it if a label is below.
+        // A base pivot's letter is below the pivot, or next to it if a label is below.
         let places = if skeleton.base.contains(at) { [(x, y + 19.0), (x + 12.0, y - 7.0)] } else { [outside; 2] };
         let area = |(x, y): Point| [x - 5.0, y - 10.0, x + 5.0, y + 1.0];
-        let free = places.iter().find(|at| !taken.iter().any(|other| overlap(&area(**at), other)));
+        let free = places.iter().find(|at| !occupied.iter().any(|other| areas_overlap(&area(**at), other)));
         canvas.text(*free.unwrap_or(&places[0]), 12.5, Anchor::Middle, false, letter);
     }
 }
 
-/// Draws a joint's angle: its zero, its arc with an arrow, its limits.
-fn arc(
+/// Draws a joint's angle: the line of zero angle, the arc with an arrow, the arc of the limits.
+fn draw_joint_angle(
     canvas: &mut Canvas,
     frame: &PlotArea,
     angle: &Angle,
@@ -246,9 +245,9 @@ fn arc(
     let centre = frame.pixel(angle.at.0, angle.at.1);
     let separation = match skeleton.base.as_slice() {
         [a, b] if a != b => 0.46 * pixels * (a.0 - b.0).hypot(a.1 - b.1),
-        _ => ARC,
+        _ => MAX_ARC_RADIUS,
     };
-    let radius = (0.42 * pixels * angle.arm).min(ARC).min(separation.max(24.0));
+    let radius = (0.42 * pixels * angle.arm).min(MAX_ARC_RADIUS).min(separation.max(24.0));
     let on = |radius: f64, direction: f64| (centre.0 + radius * direction.cos(), centre.1 - radius * direction.sin());
     canvas.line(centre, on(radius + 16.0, angle.zero), Stroke { colour, width: 1.2, dash: "4 3" });
     let drawn =
@@ -272,13 +271,12 @@ fn arc(
     {
         canvas.polyline(&along(low, high, radius + 7.0), Stroke { colour, width: 1.2, dash: "1.5 2.5" });
     }
-    let label = label(frame, angle, skeleton);
+    let label = angle_label(frame, angle, skeleton);
     let [left, top, right, bottom] = label.area();
-    canvas.rectangle((left, top), (right - left, bottom - top), "#ffffffdd", Stroke::solid(FAINT, 0.0));
+    canvas.rectangle((left, top), (right - left, bottom - top), "#ffffffdd", Stroke::solid(FAINT_GREY, 0.0));
     canvas.coloured_text(label.at, 12.0, label.anchor, colour, &label.text);
 }
 
-/// A text next to a joint.
 struct Label {
     text: String,
     at: (f64, f64),
@@ -286,7 +284,6 @@ struct Label {
 }
 
 impl Label {
-    /// Returns the area that the text covers.
     fn area(&self) -> Area {
         let width = 6.1 * self.text.chars().count() as f64;
         let start = if self.anchor == Anchor::End { self.at.0 - width } else { self.at.0 };
@@ -294,10 +291,10 @@ impl Label {
     }
 }
 
-fn label(frame: &PlotArea, angle: &Angle, skeleton: &Skeleton) -> Label {
+fn angle_label(frame: &PlotArea, angle: &Angle, skeleton: &Skeleton) -> Label {
     let centre = frame.pixel(angle.at.0, angle.at.1);
     let text = format!("joint {}: {:.1}°", angle.joint, angle.angle.to_degrees());
-    // Below the pivot, where usual poses have no links, or else above it; the labels of two base pivots keep apart.
+    // Places the label below the pivot if no link is there, or above. Labels of two base pivots point apart.
     let left = skeleton.base.first().is_some_and(|first| skeleton.base.len() > 1 && *first == angle.at);
     let right = skeleton.base.len() > 1 && !left;
     let (shift, anchor) = if left {
@@ -317,7 +314,7 @@ fn label(frame: &PlotArea, angle: &Angle, skeleton: &Skeleton) -> Label {
     let has_link = |label: &Label| {
         let [left, top, right, bottom] = label.area();
         let mut links = skeleton.bars.iter().map(|bar| [bar.from, bar.to].map(|end| frame.pixel(end.0, end.1)));
-        links.any(|link| crosses_box(&link, (left, top - HALF_LINK), (right, bottom + HALF_LINK)))
+        links.any(|link| crosses_box(&link, (left, top - HALF_LINK_WIDTH), (right, bottom + HALF_LINK_WIDTH)))
     };
     let other = if anchor == Anchor::End { Anchor::Start } else { Anchor::End };
     let places =
@@ -327,17 +324,17 @@ fn label(frame: &PlotArea, angle: &Angle, skeleton: &Skeleton) -> Label {
 }
 
 /// Returns the area of the label that names the turret's axis.
-fn turret_label(frame: &PlotArea, kind: Kind) -> Option<Area> {
-    const LONG: f64 = 100.0;
+fn turret_label_area(frame: &PlotArea, kind: Kind) -> Option<Area> {
+    const LABEL_LENGTH: f64 = 100.0;
     let origin = frame.pixel(0.0, 0.0);
     let right = frame.at.0 + frame.size.0 - 8.0;
     Some(match Turret::of(kind)? {
-        Turret::AboutX => [right - LONG, origin.1 + 3.0, right, origin.1 + 18.0],
-        Turret::AboutY => [origin.0 - 16.0, frame.at.1 + 8.0, origin.0 - 2.0, frame.at.1 + 8.0 + LONG],
+        Turret::AboutX => [right - LABEL_LENGTH, origin.1 + 3.0, right, origin.1 + 18.0],
+        Turret::AboutY => [origin.0 - 16.0, frame.at.1 + 8.0, origin.0 - 2.0, frame.at.1 + 8.0 + LABEL_LENGTH],
     })
 }
 
-fn turret_axis(canvas: &mut Canvas, frame: &PlotArea, kind: Kind) {
+fn draw_turret_axis(canvas: &mut Canvas, frame: &PlotArea, kind: Kind) {
     let axis = Stroke { colour: INK, width: 1.2, dash: "14 4 3 4" };
     let (left, top) = frame.at;
     let (right, bottom) = (left + frame.size.0, top + frame.size.1);
@@ -360,13 +357,12 @@ mod tests {
     use super::*;
     use haptic_host::device_file::DeviceFile;
 
-    /// Returns the number behind `key` in a line of SVG.
-    fn number(line: &str, key: &str) -> f64 {
+    /// Returns the number after `key` in a line of SVG.
+    fn number_after(line: &str, key: &str) -> f64 {
         let value = line.split_once(key).unwrap_or_else(|| panic!("{key} in {line}")).1;
         value.split(['"', ' ', ')']).next().unwrap().parse().unwrap()
     }
 
-    /// Labels of links and angles do not cover links if there is room elsewhere.
     #[test]
     fn labels_do_not_cover_links() {
         let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../../devices");
@@ -386,8 +382,8 @@ mod tests {
                 .collect();
             for line in svg.svg().lines() {
                 let (low, high, turn) = if line.contains("#ffffffdd") {
-                    let (x, y) = (number(line, " x=\""), number(line, " y=\""));
-                    let high = (x + number(line, " width=\""), y + number(line, " height=\""));
+                    let (x, y) = (number_after(line, " x=\""), number_after(line, " y=\""));
+                    let high = (x + number_after(line, " width=\""), y + number_after(line, " height=\""));
                     ((x, y), high, ((0.0, 0.0), 0.0_f64))
                 } else if line.starts_with("<text transform=\"translate(") {
                     let at = line.split_once("translate(").unwrap().1.split_once(')').unwrap().0;
@@ -395,7 +391,7 @@ mod tests {
                     let words = line.split_once('>').unwrap().1.split('<').next().unwrap();
                     let half = 3.0 * words.chars().count() as f64;
                     let at = (x.parse().unwrap(), y.parse().unwrap());
-                    ((-half, -8.0), (half, 2.0), (at, number(line, "rotate(").to_radians()))
+                    ((-half, -8.0), (half, 2.0), (at, number_after(line, "rotate(").to_radians()))
                 } else {
                     continue;
                 };
@@ -407,7 +403,7 @@ mod tests {
                         let (dx, dy) = (p.0 - x, p.1 - y);
                         (dx * cos + dy * sin, dy * cos - dx * sin)
                     });
-                    let clearance = HALF_LINK - 0.1;
+                    let clearance = HALF_LINK_WIDTH - 0.1;
                     assert!(
                         !crosses_box(&along, (low.0, low.1 - clearance), (high.0, high.1 + clearance)),
                         "{name}: {line}"

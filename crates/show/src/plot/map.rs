@@ -1,17 +1,16 @@
 //! The picture of a map, after the paper's Fig. 1: coupling as colour over the plane of the linkage, with the ellipses
 //! of the operational-space inertia Λ, and the linkage itself at home.
 //!
-//! The colour is the coupling's share of the rendered inertia, (Wrr - Weff)/Wrr: it is between 0 and 1 everywhere,
-//! while the coupling itself grows without bound towards singularities. The scale covers 95 % of the area, so that the
-//! rim near the singularities does not use up the colours; higher values have a separate colour. Ellipse axes are
-//! square roots of Λ's eigenvalues.
+//! The colour is the coupling's share of the rendered inertia, (Wrr - Weff)/Wrr, which is between 0 and 1, while the
+//! coupling itself grows without bound towards singularities. The scale covers 95 % of the area, so that the rim near
+//! the singularities does not use up the colours. Ellipse axes are square roots of Λ's eigenvalues.
 
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::description::Description;
 
 use super::axes::{Axis, PlotArea};
-use super::canvas::{Anchor, Canvas, SMALL, Stroke};
-use super::colour::{ABOVE, FAINT, INK, scale};
+use super::canvas::{Anchor, Canvas, SMALL_TEXT, Stroke};
+use super::colour::{ABOVE_SCALE, FAINT_GREY, INK, scale};
 use super::paper::{Page, Paper};
 use super::{Picture, linkage, paddle};
 use haptic_host::vectors::unit;
@@ -23,32 +22,35 @@ use haptic_stability::skeleton::{Point, Skeleton, Turret, skeleton};
 /// Minimum share of the area that the colour scale covers.
 const COVERED_SHARE: f64 = 0.95;
 /// Number of colours in the scale. Tiles of one colour are merged; half a colour step is not visible.
-const COLOURS: f64 = 50.0;
+const COLOUR_COUNT: f64 = 50.0;
 /// Longest side of the plane, pixels.
 const PLANE_SIDE: f64 = 500.0;
-/// Room to the left of the plane, and to the right of it for the colour scale, with and without the scale's name.
-const LEFT: f64 = 86.0;
-const RIGHT: f64 = 130.0;
-const NARROW_RIGHT: f64 = 92.0;
-/// Distance of the normal's arrow from the edge of a narrow page, with room for its name.
-const ARROW: f64 = 40.0;
-const COLOUR_NAME: &str = "coupling (Wrr - Weff)/Wrr";
-/// Distance of ellipse centres, pixels, and the radius of an ellipse of typical size.
-const SPACING: f64 = 56.0;
-const RADIUS: f64 = 0.36 * SPACING;
+/// Margin left of the plane, pixels.
+const LEFT_MARGIN: f64 = 86.0;
+/// Margin right of the plane for the colour scale and its name, pixels.
+const RIGHT_MARGIN: f64 = 130.0;
+/// Margin right of the plane for the colour scale without its name, pixels.
+const NARROW_RIGHT_MARGIN: f64 = 92.0;
+/// Distance of the normal's arrow from the right edge of a narrow page, pixels.
+const ARROW_DISTANCE: f64 = 40.0;
+const COLOUR_LABEL: &str = "coupling (Wrr - Weff)/Wrr";
+/// Distance between ellipse centres, pixels.
+const ELLIPSE_SPACING: f64 = 56.0;
+/// Radius of an ellipse of median size, pixels.
+const ELLIPSE_RADIUS: f64 = 0.36 * ELLIPSE_SPACING;
 
-/// A drawn map: the picture, and the data to read numbers off the picture.
+/// A drawn map, with the data to read numbers off the picture.
 #[derive(Clone, Debug)]
 pub struct Chart {
     /// The picture.
     pub picture: Picture,
     /// Frame that maps positions to pixels.
     pub frame: PlotArea,
-    /// Share at the top of the colour scale; higher shares have the colour [`ABOVE`].
+    /// Share at the top of the colour scale; higher shares have the colour [`ABOVE_SCALE`].
     pub top: f64,
 }
 
-/// Draws the map of a device for one normal. `admissible`: motion that a redundant device's feed-forward allows.
+/// Draws the map of a device for one normal. `admissible` selects the coordinate that a redundant device holds.
 pub fn draw(
     description: &Description,
     name: &str,
@@ -64,7 +66,7 @@ pub fn draw(
 
 /// Returns the colour of a share on a scale that ends at `top`.
 pub fn colour(share: f64, top: f64) -> String {
-    if share > top { ABOVE.into() } else { scale((share / top * COLOURS).round() / COLOURS) }
+    if share > top { ABOVE_SCALE.into() } else { scale((share / top * COLOUR_COUNT).round() / COLOUR_COUNT) }
 }
 
 /// Draws the map of a device with at least two joints.
@@ -82,12 +84,12 @@ pub fn chart(
     let (step, top, highest) = colour_scale(&coarse);
 
     let tips = coarse.iter().flat_map(|tile| tile.outline.iter().copied());
-    let (low, high) = linkage::bounds(tips.chain(home.iter().flat_map(corners)));
+    let (low, high) = linkage::bounding_box(tips.chain(home.iter().flat_map(link_ends)));
     let (across, up) = (high.0 - low.0, high.1 - low.1);
     // On a screen the page is as wide as the plane requires; on paper the plane is as wide as the page allows.
     let usual = PLANE_SIDE / across.max(up);
-    let page = paper.page((LEFT + across * usual + RIGHT).max(620.0), LEFT);
-    let room = if page.is_narrow() { NARROW_RIGHT } else { RIGHT };
+    let page = paper.page((LEFT_MARGIN + across * usual + RIGHT_MARGIN).max(620.0), LEFT_MARGIN);
+    let room = if page.is_narrow() { NARROW_RIGHT_MARGIN } else { RIGHT_MARGIN };
     let pixels = if paper.is_printed() { usual.min((page.wide - page.left - room) / across) } else { usual };
     let title = format!("{name}: coupling of a wall's normal with free motion");
     let n = unit(normal).unwrap_or_default().iter().map(|v| format!("{v:.3}")).collect::<Vec<_>>().join(", ");
@@ -95,10 +97,10 @@ pub fn chart(
         if description.joints[..spec.joints].iter().all(|j| j.limits.is_none()) { "no joint limits" } else { "" };
     let notes: Vec<&str> = [cut.caption.as_str(), limits].into_iter().filter(|note| !note.is_empty()).collect();
     let mut under = vec![format!("normal n = ({n})"), notes.join("; ")];
-    under.extend(page.is_narrow().then(|| format!("colour: {COLOUR_NAME}")));
+    under.extend(page.is_narrow().then(|| format!("colour: {COLOUR_LABEL}")));
     let heading = page.heading(&title, &under);
     let mut frame = PlotArea {
-        at: (page.left, 92.0 + heading.beyond(2)),
+        at: (page.left, 92.0 + heading.extra_height(2)),
         size: ((high.0 - low.0) * pixels, (high.1 - low.1) * pixels),
         x: Axis { name: "x".into(), unit: "m".into(), low: low.0, high: high.0 },
         y: Axis { name: "y".into(), unit: "m".into(), low: low.1, high: high.1 },
@@ -111,35 +113,35 @@ pub fn chart(
     let axis_note = if Turret::of(description.kind).is_some() { " (such as joint 0's axis)" } else { "" };
     let coloured = [
         format!("coloured: positions that the tip reaches from home, clear of singular poses{axis_note}"),
-        "in home's arm pose: other arm poses with the same tip position are not drawn".into(),
+        "arm pose as at home; other arm poses with the same tip position are not drawn".into(),
     ];
     let coloured = page.notes(coloured.iter().map(String::as_str));
     let key_high = if page.is_narrow() { 36.0 } else { 0.0 };
     let mut canvas = page.canvas(bottom + key_high + 106.0 + 16.0 * coloured.len() as f64);
     heading.draw(&mut canvas);
 
-    let fine = cut.tiles(Fineness { side: 12.0 / pixels, least: 3.0 / pixels, step: 2.0 * top / COLOURS, top });
-    frame.clipped(&mut canvas, |canvas| paint(canvas, &frame, &fine, top));
-    let typical = ellipses(&mut canvas, &frame, &cut, pixels)?;
+    let fine = cut.tiles(Fineness { side: 12.0 / pixels, least: 3.0 / pixels, step: 2.0 * top / COLOUR_COUNT, top });
+    frame.draw_clipped(&mut canvas, |canvas| draw_tiles(canvas, &frame, &fine, top));
+    let typical = draw_ellipses(&mut canvas, &frame, &cut, pixels)?;
     if let Some(home) = &home {
-        linkage::outline(&mut canvas, &frame, home);
+        linkage::draw_linkage(&mut canvas, &frame, home);
     }
     frame.draw(&mut canvas, "");
 
-    let arrow_at = if page.is_narrow() { page.wide - ARROW } else { frame.at.0 + frame.size.0 - 24.0 };
-    arrow(&mut canvas, arrow_at, cut.project(normal));
-    colour_bar(&mut canvas, &frame, step, top, highest, !page.is_narrow());
-    key(&mut canvas, &page, bottom + 74.0, typical, home.is_some());
+    let arrow_at = if page.is_narrow() { page.wide - ARROW_DISTANCE } else { frame.at.0 + frame.size.0 - 24.0 };
+    draw_normal(&mut canvas, arrow_at, cut.project(normal));
+    draw_colour_bar(&mut canvas, &frame, step, top, highest, !page.is_narrow());
+    draw_key(&mut canvas, &page, bottom + 74.0, typical, home.is_some());
     for (i, line) in coloured.iter().enumerate() {
         let y = bottom + key_high + 112.0 + 16.0 * i as f64;
-        canvas.text((page.begin, y), SMALL, Anchor::Start, false, line);
+        canvas.text((page.begin, y), SMALL_TEXT, Anchor::Start, false, line);
     }
     let picture =
         canvas.finish(&title, "Coupling between rendered and admissible motion over the reachable workspace.");
     Ok(Chart { picture, frame, top })
 }
 
-fn corners(skeleton: &Skeleton) -> impl Iterator<Item = Point> + '_ {
+fn link_ends(skeleton: &Skeleton) -> impl Iterator<Item = Point> + '_ {
     skeleton.bars.iter().flat_map(|bar| [bar.from, bar.to])
 }
 
@@ -166,7 +168,7 @@ fn round_step(least: f64) -> f64 {
 }
 
 /// Draws the tiles, all tiles of one colour as one shape.
-fn paint(canvas: &mut Canvas, frame: &PlotArea, tiles: &[Tile], top: f64) {
+fn draw_tiles(canvas: &mut Canvas, frame: &PlotArea, tiles: &[Tile], top: f64) {
     let mut shapes = std::collections::BTreeMap::<String, Vec<Vec<Point>>>::new();
     for tile in tiles {
         let outline = tile.outline.iter().map(|&(x, y)| frame.pixel(x, y)).collect();
@@ -177,9 +179,9 @@ fn paint(canvas: &mut Canvas, frame: &PlotArea, tiles: &[Tile], top: f64) {
     }
 }
 
-/// Draws ellipses on a regular lattice, all to one scale. Returns the mass (kg) that has the radius [`RADIUS`].
-fn ellipses(canvas: &mut Canvas, frame: &PlotArea, cut: &Cut, pixels: f64) -> Result<Option<f64>, PoseError> {
-    let spacing = SPACING / pixels;
+/// Draws ellipses on a regular lattice, all to one scale. Returns the mass (kg) that has the radius [`ELLIPSE_RADIUS`].
+fn draw_ellipses(canvas: &mut Canvas, frame: &PlotArea, cut: &Cut, pixels: f64) -> Result<Option<f64>, PoseError> {
+    let spacing = ELLIPSE_SPACING / pixels;
     let off = |(x, y): Point| {
         let cell = ((x / spacing).round(), (y / spacing).round());
         ((cell.0 as i64, cell.1 as i64), (x - cell.0 * spacing).hypot(y - cell.1 * spacing))
@@ -189,7 +191,7 @@ fn ellipses(canvas: &mut Canvas, frame: &PlotArea, cut: &Cut, pixels: f64) -> Re
     sizes.sort_by(f64::total_cmp);
     let Some(&typical) = sizes.get(sizes.len() / 2) else { return Ok(None) };
     let mut chosen = std::collections::BTreeMap::<(i64, i64), (f64, &MapPoint)>::new();
-    // Near a singularity an ellipse is so long that it hides its neighbours.
+    // Skips ellipses near singularities, because they are so long that they hide their neighbours.
     for point in points.iter().filter(|p| p.eigenvalues.last().is_some_and(|&l| l < 3.0 * typical)) {
         let (cell, off) = off(cut.project(&point.position));
         let best = chosen.entry(cell).or_insert((off, point));
@@ -205,7 +207,7 @@ fn ellipses(canvas: &mut Canvas, frame: &PlotArea, cut: &Cut, pixels: f64) -> Re
                 let mut at = frame.pixel(centre.0, centre.1);
                 for (value, vector) in point.eigenvalues.iter().zip(&point.eigenvectors) {
                     let axis = cut.project(vector);
-                    let reach = RADIUS * (value / typical).sqrt() * (cos * axis.0 + sin * axis.1);
+                    let reach = ELLIPSE_RADIUS * (value / typical).sqrt() * (cos * axis.0 + sin * axis.1);
                     at = (at.0 + reach * axis.0, at.1 - reach * axis.1);
                 }
                 at
@@ -224,7 +226,7 @@ fn ellipses(canvas: &mut Canvas, frame: &PlotArea, cut: &Cut, pixels: f64) -> Re
 }
 
 /// Draws the wall's normal in the plane, to the right of the heading, with its middle at `x`.
-fn arrow(canvas: &mut Canvas, x: f64, (nx, ny): Point) {
+fn draw_normal(canvas: &mut Canvas, x: f64, (nx, ny): Point) {
     let length = nx.hypot(ny);
     if length < 1e-9 {
         return;
@@ -241,8 +243,8 @@ fn arrow(canvas: &mut Canvas, x: f64, (nx, ny): Point) {
     canvas.text((middle.0 + 12.0 * uy.abs() + 6.0, middle.1 + 14.0 * ux.abs() + 2.0), 13.0, Anchor::Start, false, "n");
 }
 
-/// Draws the scale to the right of the frame, with its `name` next to it if there is room.
-fn colour_bar(canvas: &mut Canvas, frame: &PlotArea, step: f64, top: f64, highest: f64, name: bool) {
+/// Draws the colour scale to the right of the frame, with its name next to it if `name` is true.
+fn draw_colour_bar(canvas: &mut Canvas, frame: &PlotArea, step: f64, top: f64, highest: f64, name: bool) {
     let left = frame.at.0 + frame.size.0 + 22.0;
     let above = if highest > top { 26.0 } else { 0.0 };
     let (start, height) = (frame.at.1 + above, frame.size.1 - above);
@@ -257,7 +259,7 @@ fn colour_bar(canvas: &mut Canvas, frame: &PlotArea, step: f64, top: f64, highes
     let decimals = (-(percent.log10() + 1e-9).floor()).clamp(0.0, 6.0) as usize;
     let text = |share: f64| format!("{:.decimals$} %", 100.0 * share);
     if above > 0.0 {
-        canvas.rectangle((left, frame.at.1), (16.0, 18.0), ABOVE, Stroke::solid(INK, 1.0));
+        canvas.rectangle((left, frame.at.1), (16.0, 18.0), ABOVE_SCALE, Stroke::solid(INK, 1.0));
         canvas.text((left + 24.0, frame.at.1 + 13.0), 11.5, Anchor::Start, false, &format!("> {}", text(top)));
     }
     let ticks = (top / step).round() as i32;
@@ -269,19 +271,19 @@ fn colour_bar(canvas: &mut Canvas, frame: &PlotArea, step: f64, top: f64, highes
     }
     let middle = frame.at.1 + frame.size.1 / 2.0;
     if name {
-        canvas.text((left + 88.0, middle), 12.5, Anchor::Middle, true, COLOUR_NAME);
+        canvas.text((left + 88.0, middle), 12.5, Anchor::Middle, true, COLOUR_LABEL);
     }
 }
 
 /// Draws the key: an ellipse of a round mass, and the linkage.
-fn key(canvas: &mut Canvas, page: &Page, y: f64, typical: Option<f64>, home: bool) {
+fn draw_key(canvas: &mut Canvas, page: &Page, y: f64, typical: Option<f64>, home: bool) {
     let (mut x, mut y) = (page.begin, y);
     if let Some(typical) = typical {
         let mass = round_step(typical / 2.5);
-        let radius = RADIUS * (mass / typical).sqrt();
-        canvas.circle((x + RADIUS, y), radius, "none", Stroke::solid(INK, 1.0));
+        let radius = ELLIPSE_RADIUS * (mass / typical).sqrt();
+        canvas.circle((x + ELLIPSE_RADIUS, y), radius, "none", Stroke::solid(INK, 1.0));
         let kg = if mass < 1.0 { format!("{} g", (mass * 1e6).round() / 1e3) } else { format!("{mass} kg") };
-        x += 2.0 * RADIUS + 8.0;
+        x += 2.0 * ELLIPSE_RADIUS + 8.0;
         canvas.text((x, y - 2.0), 11.5, Anchor::Start, false, &format!("circle: {kg} in every direction"));
         canvas.text((x, y + 13.0), 11.5, Anchor::Start, false, "(ellipse axes ∝ √eigenvalues of Λ)");
         x += 240.0;
@@ -290,9 +292,9 @@ fn key(canvas: &mut Canvas, page: &Page, y: f64, typical: Option<f64>, home: boo
         (x, y) = (page.begin + 5.0, y + 36.0);
     }
     if home {
-        canvas.line((x, y + 3.0), (x + 26.0, y - 5.0), Stroke::solid(FAINT, 1.8));
-        linkage::base_pivot(canvas, (x, y + 3.0));
-        linkage::tip(canvas, (x + 26.0, y - 5.0));
+        canvas.line((x, y + 3.0), (x + 26.0, y - 5.0), Stroke::solid(FAINT_GREY, 1.8));
+        linkage::draw_base_pivot(canvas, (x, y + 3.0));
+        linkage::draw_tip(canvas, (x + 26.0, y - 5.0));
         canvas.text((x + 38.0, y + 4.0), 11.5, Anchor::Start, false, "base, and tip at home");
     }
 }

@@ -1,5 +1,4 @@
-//! The counterpart of a map for a device with one joint: there is no coupling and the inertia is constant, so the
-//! picture shows the reach of the handle and the inertia felt there.
+//! The picture of a device with one joint and thus no map: the reach of its handle, and its constant inertia.
 
 use haptic_bridge::model::description::Description;
 
@@ -12,8 +11,7 @@ use haptic_stability::analysis::map::along;
 use haptic_stability::analysis::pose::{PoseError, TaskPose, unit_normal};
 use haptic_stability::skeleton::{Point, skeleton};
 
-/// Points on the arc.
-const POINTS: usize = 180;
+const ARC_POINTS: usize = 180;
 
 /// Draws the arc that the handle can reach.
 pub fn draw(description: &Description, name: &str, paper: Paper) -> Result<Picture, PoseError> {
@@ -22,7 +20,7 @@ pub fn draw(description: &Description, name: &str, paper: Paper) -> Result<Pictu
     let half = std::f64::consts::PI;
     let (low, high) = joint.limits.unwrap_or((home - half, home + half));
     let place = |q: f64| skeleton(description, &[q]).map_or((0.0, 0.0), |s| s.tip);
-    let arc: Vec<Point> = (0..=POINTS).map(|i| place(low + (high - low) * i as f64 / POINTS as f64)).collect();
+    let arc: Vec<Point> = (0..=ARC_POINTS).map(|i| place(low + (high - low) * i as f64 / ARC_POINTS as f64)).collect();
     let (_, w_rr) =
         along(&TaskPose::at(description, &[home])?, &unit_normal(&[1.0], 1, 1)?).ok_or(PoseError::Serial)?;
 
@@ -34,21 +32,21 @@ pub fn draw(description: &Description, name: &str, paper: Paper) -> Result<Pictu
         ),
         None => ("no joint limits".into(), format!("home {:.1} mm", length * home)),
     };
-    let title = format!("{name}: one joint, nothing to couple");
+    let title = format!("{name}: one joint, no coupling");
     let under = [
         format!("inertia felt at the handle: Weff = Wrr = {:.1} g along its arc, everywhere", 1e3 * w_rr),
         format!("{limits}; zero angle along +x, growing counter-clockwise"),
         format!("task coordinate along the arc: {along}"),
     ];
 
-    let (min, max) = linkage::bounds(arc.iter().copied().chain([(0.0, 0.0)]));
+    let (min, max) = linkage::bounding_box(arc.iter().copied().chain([(0.0, 0.0)]));
     let (across, up) = (max.0 - min.0, max.1 - min.1);
     let usual = 380.0 / across.max(up);
     let page = paper.page((86.0 + across * usual + 30.0).max(560.0), 86.0);
     let pixels = if paper.is_printed() { usual.min((page.wide - page.left - 30.0) / across) } else { usual };
     let heading = page.heading(&title, &under);
     let frame = PlotArea {
-        at: (page.left, 104.0 + heading.beyond(3)),
+        at: (page.left, 104.0 + heading.extra_height(3)),
         size: (across * pixels, up * pixels),
         x: Axis { name: "x".into(), unit: "m".into(), low: min.0, high: max.0 },
         y: Axis { name: "y".into(), unit: "m".into(), low: min.1, high: max.1 },
@@ -62,7 +60,7 @@ pub fn draw(description: &Description, name: &str, paper: Paper) -> Result<Pictu
         canvas.line((fx, fy), (tx, ty), Stroke::solid(INK, 2.0));
     }
     if let Some(skeleton) = skeleton(description, &[home]) {
-        linkage::outline(&mut canvas, &frame, &skeleton);
+        linkage::draw_linkage(&mut canvas, &frame, &skeleton);
     }
     frame.draw(&mut canvas, "");
     Ok(canvas.finish(&title, "The arc that the handle of a device with one joint can reach."))

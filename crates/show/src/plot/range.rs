@@ -1,17 +1,16 @@
-//! The picture of a stable domain: stiffness over damping, without and with the feed-forward, with the passivity bounds
-//! and with measured dots if there are any.
+//! The picture of stable stiffness over damping, with passivity bounds and measured dots where available.
 
 use super::Picture;
 use super::axes::{Axis, Mark, PlotArea};
-use super::canvas::{Anchor, SMALL, Stroke};
-use super::colour::{BOUND, FAINT, FULL, HOST, OFF, WASHOUT};
+use super::canvas::{Anchor, SMALL_TEXT, Stroke};
+use super::colour::{BOUND_COLOUR, FAINT_GREY, FULL_COLOUR, HOST_COLOUR, OFF_COLOUR, WASHOUT_COLOUR};
 use super::paper::Paper;
 use haptic_host::words::with_unit;
 use haptic_stability::analysis::passivity::Passivity;
 use haptic_stability::analysis::range::{Domain, Range};
 
-/// Distance of the lines below the axes, pixels.
-const LINE: f64 = 17.0;
+/// Line height of the notes below the axes, pixels.
+const LINE_HEIGHT: f64 = 17.0;
 
 /// A measured point of the boundary.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -33,7 +32,7 @@ pub struct MeasuredPoint {
 pub struct Contents<'a> {
     /// Title, such as the device.
     pub title: String,
-    /// Smaller lines under the title: the pose, the loop.
+    /// Subtitle lines: the pose, and the control loop.
     pub subtitle: [String; 2],
     /// The predicted domain.
     pub range: &'a Range,
@@ -41,13 +40,13 @@ pub struct Contents<'a> {
     pub passivity: Option<&'a Passivity>,
     /// Frequency of the feed-forward's washout, Hz.
     pub washout_hz: Option<f64>,
-    /// Meaning of the measured dots, for the legend.
+    /// Legend text of the measured dots.
     pub measured: String,
     /// Measured dots without feed-forward.
     pub measured_off: &'a [MeasuredPoint],
     /// Measured dots with feed-forward.
     pub measured_full: &'a [MeasuredPoint],
-    /// A note that a reader needs to compare the dots with the curves.
+    /// Note below the axes that explains differences between dots and curves.
     pub note: Option<String>,
     /// Width of the picture.
     pub paper: Paper,
@@ -74,25 +73,26 @@ pub fn draw(contents: &Contents<'_>) -> Picture {
     let page = contents.paper.page(720.0, 86.0);
     let heading = page.heading(&contents.title, &contents.subtitle);
     let frame = PlotArea {
-        at: (page.left, 82.0 + heading.beyond(2)),
+        at: (page.left, 82.0 + heading.extra_height(2)),
         size: (page.wide - page.left - 24.0, if page.is_narrow() { 220.0 } else { 340.0 }),
         x: Axis { name: "wall damping kd".into(), unit: "N s/m".into(), low: 0.0, high: above(widest) },
         y: Axis { name: "wall stiffness kp".into(), unit: "N/m".into(), low: 0.0, high: above(tallest) },
     };
-    let bounds = contents.passivity.map(|passivity| bounds(passivity, &frame)).unwrap_or_default();
-    let symbols = contents.passivity.map(|passivity| symbols(passivity, &bounds)).unwrap_or_default();
+    let bounds = contents.passivity.map(|passivity| passivity_bounds(passivity, &frame)).unwrap_or_default();
+    let symbols = contents.passivity.map(|passivity| explain_symbols(passivity, &bounds)).unwrap_or_default();
     let symbols = page.notes(contents.note.iter().map(String::as_str).chain(symbols.iter().map(String::as_str)));
     let below = frame.at.1 + frame.size.1 + 64.0;
-    let mut canvas = page.canvas(below + LINE * symbols.len() as f64);
+    let mut canvas = page.canvas(below + LINE_HEIGHT * symbols.len() as f64);
     heading.draw(&mut canvas);
     let points = |d: &Domain| d.boundary.iter().map(|p| (p.kd, p.kp)).collect::<Vec<_>>();
     let (off, full) = (points(&range.off), points(&range.full));
     let mut drawn = vec![off.clone(), full.clone()];
     let mut entries = Vec::new();
-    frame.clipped(&mut canvas, |canvas| {
-        frame.area_under(canvas, &full, FULL, 0.10);
-        frame.area_under(canvas, &off, OFF, 0.16);
-        for (domain, colour) in [(Some(&range.off), OFF), (Some(&range.full), FULL), (range.washout.as_ref(), WASHOUT)]
+    frame.draw_clipped(&mut canvas, |canvas| {
+        frame.area_under(canvas, &full, FULL_COLOUR, 0.10);
+        frame.area_under(canvas, &off, OFF_COLOUR, 0.16);
+        for (domain, colour) in
+            [(Some(&range.off), OFF_COLOUR), (Some(&range.full), FULL_COLOUR), (range.washout.as_ref(), WASHOUT_COLOUR)]
         {
             for island in domain.map_or(&[][..], |d| &d.islands) {
                 let ends = [(island.kd, island.kp_low), (island.kd, island.kp_high)];
@@ -101,34 +101,36 @@ pub fn draw(contents: &Contents<'_>) -> Picture {
             }
         }
         let line = |colour, dash| Stroke { colour, width: 2.0, dash };
-        frame.curve(canvas, &full, line(FULL, ""));
-        entries.push((Mark::Line(line(FULL, "")), format!("feed-forward (4), Wrr = {}", mass(range.w_rr))));
+        frame.curve(canvas, &full, line(FULL_COLOUR, ""));
+        entries
+            .push((Mark::Line(line(FULL_COLOUR, "")), format!("feed-forward (4), Wrr = {}", format_mass(range.w_rr))));
         if let Some(washout) = &range.washout {
-            frame.curve(canvas, &points(washout), line(WASHOUT, "7 3"));
+            frame.curve(canvas, &points(washout), line(WASHOUT_COLOUR, "7 3"));
             drawn.push(points(washout));
             let washed = match contents.washout_hz {
                 Some(hz) => format!("feed-forward, washout {hz} Hz"),
                 None => "feed-forward with washout".into(),
             };
-            entries.push((Mark::Line(line(WASHOUT, "7 3")), washed));
+            entries.push((Mark::Line(line(WASHOUT_COLOUR, "7 3")), washed));
         }
-        frame.curve(canvas, &off, line(OFF, ""));
-        entries.push((Mark::Line(line(OFF, "")), format!("no feed-forward, Weff = {}", mass(range.w_eff))));
+        frame.curve(canvas, &off, line(OFF_COLOUR, ""));
+        entries
+            .push((Mark::Line(line(OFF_COLOUR, "")), format!("no feed-forward, Weff = {}", format_mass(range.w_eff))));
         if let Some(host) = &range.host {
-            frame.area_under(canvas, &points(&host.domain), HOST, 0.5);
-            frame.curve(canvas, &points(&host.domain), line(HOST, ""));
+            frame.area_under(canvas, &points(&host.domain), HOST_COLOUR, 0.5);
+            frame.curve(canvas, &points(&host.domain), line(HOST_COLOUR, ""));
             drawn.push(points(&host.domain));
             let late = format!("{:.1}", 1e3 * host.delay_s);
             let name = format!("rendered by a computer at {:.0} Hz, {late} ms late", host.rate_hz);
-            entries.push((Mark::Line(line(HOST, "")), name));
+            entries.push((Mark::Line(line(HOST_COLOUR, "")), name));
         }
         for bound in bounds.iter().filter(|bound| bound.hidden.is_none()) {
-            let stroke = Stroke { colour: BOUND, width: 1.6, dash: bound.dash };
+            let stroke = Stroke { colour: BOUND_COLOUR, width: 1.6, dash: bound.dash };
             frame.curve(canvas, &bound.line, stroke);
             drawn.push(bound.line.clone());
             entries.push((Mark::Line(stroke), format!("passive: {}", bound.name)));
         }
-        for (dots, colour) in [(contents.measured_full, FULL), (contents.measured_off, OFF)] {
+        for (dots, colour) in [(contents.measured_full, FULL_COLOUR), (contents.measured_off, OFF_COLOUR)] {
             for dot in dots {
                 let kd = dot.kd + dot.beside * frame.x.high / frame.size.0;
                 frame.dot(canvas, kd, dot.kp, dot.low, dot.high, colour);
@@ -137,47 +139,46 @@ pub fn draw(contents: &Contents<'_>) -> Picture {
         }
     });
     if measured().next().is_some() {
-        entries.push((Mark::Dot(FAINT), contents.measured.clone()));
+        entries.push((Mark::Dot(FAINT_GREY), contents.measured.clone()));
     }
     frame.draw(&mut canvas, "");
     for (line, text) in symbols.iter().enumerate() {
-        canvas.text((page.begin, below + LINE * line as f64), SMALL, Anchor::Start, false, text);
+        canvas.text((page.begin, below + LINE_HEIGHT * line as f64), SMALL_TEXT, Anchor::Start, false, text);
     }
-    frame.clear_legend(&mut canvas, &drawn, &entries);
+    frame.place_legend(&mut canvas, &drawn, &entries);
     canvas
         .finish(&contents.title, "Stable stiffness over damping of a virtual wall, without and with the feed-forward.")
 }
 
-/// A bound of passivity, as a line.
-struct Bound {
+struct PassivityBound {
     name: &'static str,
     dash: &'static str,
     line: Vec<(f64, f64)>,
-    /// Description of the bound if it cannot be seen in the picture; `None` if it is drawn.
+    /// Description of the bound if it is too small to see; `None` if it is drawn.
     hidden: Option<String>,
 }
 
-/// Returns the bounds, with a description of each bound that cannot be seen in this frame.
-fn bounds(passivity: &Passivity, frame: &PlotArea) -> Vec<Bound> {
+/// Returns the bounds, with a description of each bound that is too small to see in this frame.
+fn passivity_bounds(passivity: &Passivity, frame: &PlotArea) -> Vec<PassivityBound> {
     // Smallest visible distance from an axis, pixels.
-    const MIN_VISIBLE: f64 = 2.0;
-    /// Pieces of the curve of the first bound.
-    const PIECES: usize = 40;
+    const MIN_VISIBLE_DISTANCE: f64 = 2.0;
+    /// Straight pieces of the Colgate and Schenkel curve.
+    const CURVE_PIECES: usize = 40;
     let (max_stiffness, end) = (passivity.sampled(0.0), passivity.largest_damping());
     let (right, top) = frame.pixel(end, max_stiffness);
     let bottom = frame.at.1 + frame.size.1;
-    let small = right - frame.at.0 < MIN_VISIBLE || bottom - top < MIN_VISIBLE;
-    let at = |i: usize| end * i as f64 / PIECES as f64;
-    let mut bounds = vec![Bound {
+    let small = right - frame.at.0 < MIN_VISIBLE_DISTANCE || bottom - top < MIN_VISIBLE_DISTANCE;
+    let at = |i: usize| end * i as f64 / CURVE_PIECES as f64;
+    let mut bounds = vec![PassivityBound {
         name: "Colgate and Schenkel, of this loop",
         dash: "5 3",
-        line: (0..=PIECES).map(|i| (at(i), passivity.sampled(at(i)))).collect(),
+        line: (0..=CURVE_PIECES).map(|i| (at(i), passivity.sampled(at(i)))).collect(),
         hidden: small.then(|| format!("kp < {}, kd < {}", with_unit(max_stiffness, "N/m"), with_unit(end, "N s/m"))),
     }];
     if let Some(limit) = passivity.quantised() {
         let (_, y) = frame.pixel(0.0, limit);
-        let is_hidden = bottom - y < MIN_VISIBLE || y < frame.at.1;
-        bounds.push(Bound {
+        let is_hidden = bottom - y < MIN_VISIBLE_DISTANCE || y < frame.at.1;
+        bounds.push(PassivityBound {
             name: "kp ≤ 2 fc/Δ as well, at kd = 0",
             dash: "1.5 2.5",
             line: vec![(0.0, limit), (0.04 * frame.x.high, limit)],
@@ -187,8 +188,8 @@ fn bounds(passivity: &Passivity, frame: &PlotArea) -> Vec<Bound> {
     bounds
 }
 
-/// Explains the legend's symbols with their values, and lists the bounds that cannot be seen.
-fn symbols(passivity: &Passivity, bounds: &[Bound]) -> Vec<String> {
+/// Explains the symbols of the legend with their values, and lists the bounds that are too small to see.
+fn explain_symbols(passivity: &Passivity, bounds: &[PassivityBound]) -> Vec<String> {
     let mut lines =
         vec!["Weff, Wrr: inertia that the wall meets; passive: stable in any hand, without feed-forward".into()];
     let drawn = |index: usize| bounds.get(index).is_some_and(|bound| bound.hidden.is_none());
@@ -214,7 +215,7 @@ fn symbols(passivity: &Passivity, bounds: &[Bound]) -> Vec<String> {
 }
 
 /// Formats a mass with three to four significant digits.
-fn mass(kg: f64) -> String {
+fn format_mass(kg: f64) -> String {
     match kg {
         kg if kg < 0.01 => format!("{:.3} g", kg * 1e3),
         kg if kg < 1.0 => format!("{:.1} g", kg * 1e3),

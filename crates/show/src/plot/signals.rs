@@ -1,7 +1,6 @@
 //! Pictures of a recording: signals over time, force over penetration, spectrum, phase.
 //!
-//! The curves are computed first, as points in SI units ([`panels`]), and then drawn ([`draw`]). A lost row is a gap:
-//! no line crosses it.
+//! [`panels`] computes the curves in SI units, and [`draw`] draws them. A lost row leaves a gap in every curve.
 
 mod contact;
 mod paper;
@@ -43,7 +42,7 @@ impl View {
 pub struct Request {
     /// Views; empty for all views that the recording has the columns for.
     pub views: Vec<View>,
-    /// Columns over time and as a spectrum; empty for the rendered force.
+    /// Columns to draw over time and as a spectrum; empty for the rendered force.
     pub signals: Vec<String>,
     /// Start time, s; `None` for the first row.
     pub from: Option<f64>,
@@ -65,7 +64,7 @@ pub struct Quantity {
 pub struct Curve {
     /// Name.
     pub name: String,
-    /// Points in SI units.
+    /// Pieces between gaps, each a list of points in SI units.
     pub pieces: Vec<Vec<(f64, f64)>>,
 }
 
@@ -78,7 +77,7 @@ pub struct Panel {
     pub x: Quantity,
     /// Vertical axis.
     pub y: Quantity,
-    /// Lines.
+    /// Curves in the panel.
     pub curves: Vec<Curve>,
     /// Ends of the straight line through the points; `None` without a line.
     pub line: Option<[(f64, f64); 2]>,
@@ -89,23 +88,23 @@ pub struct Panel {
 /// Results of a recording in numbers, and its panels.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Analysis {
-    /// Drawn rows.
+    /// Number of drawn rows.
     pub rows: usize,
     /// Time that the drawn rows cover, s.
     pub seconds: f64,
-    /// Rows missing between the drawn rows.
+    /// Number of rows missing between the drawn rows.
     pub missing: u64,
-    /// The strongest sine of the first signal, of all frequencies from 10 Hz on.
+    /// Strongest spectral line of the first signal at 10 Hz or above.
     pub strongest: Option<SpectralLine>,
-    /// Root mean square of the first signal from 20 Hz on, in the signal's unit.
+    /// Root mean square of the first signal above 20 Hz, in the signal's unit.
     pub ripple: Option<f64>,
     /// Stiffness of the line through force over penetration, from rows in contact whose force no limit cut, N/m.
     pub stiffness: Option<f64>,
-    /// Rows in contact with the motors on, after the torque ramp.
+    /// Number of rows in contact with the motors on, after the torque ramp.
     pub contact_rows: usize,
-    /// Number of these rows in which a limit cut the force; `None` if saturation is not recorded.
+    /// Number of contact rows in which a limit cut the force; `None` if saturation is not recorded.
     pub saturated_rows: Option<usize>,
-    /// Notes for the reader in addition to those of the panels.
+    /// Notes for the reader that belong to no panel.
     pub said: Vec<String>,
     /// The panels to draw.
     pub panels: Vec<Panel>,
@@ -119,7 +118,7 @@ struct Rows<'a> {
     recording: &'a Recording,
     rows: &'a [Vec<f64>],
     time: usize,
-    /// Row rate, rows a second.
+    /// Rows a second.
     rate_hz: f64,
     /// Index of the first row of each stretch without a gap, and the index after the last row.
     stretches: Vec<usize>,
@@ -142,7 +141,7 @@ impl<'a> Rows<'a> {
             return Err(Failure::wrong(format!("{} to draw; the recording has {span}", counted(rows.len(), "row")))
                 .remedy("draw a longer time, or record more"));
         }
-        // A restarted board counts from 0 again; the number of missing rows is then not known.
+        // A restarted board counts its steps from 0 again; the number of missing rows is then unknown.
         let step_difference = |i: usize| rows[i + 1][step] - rows[i][step];
         let every = (0..rows.len() - 1).map(step_difference).filter(|steps| *steps > 0.0).fold(f64::INFINITY, f64::min);
         let mut stretches = vec![0];
@@ -180,15 +179,14 @@ impl<'a> Rows<'a> {
         self.stretches.windows(2).map(piece).collect()
     }
 
-    /// Returns the number of rows to combine into one drawn point, because single rows show encoder steps. Together
-    /// they last at least a millisecond; at 1 kHz and below every row is drawn.
+    /// Returns the number of rows that a phase portrait averages into one point, because single rows show encoder
+    /// steps. They last at least a millisecond; at 1 kHz and below every row is drawn.
     fn rows_per_point(&self) -> usize {
         (self.rate_hz / MAX_PHASE_HZ).ceil().max(1.0) as usize
     }
 
-    /// Returns a test for rows in which torque still ramps up after the motors were switched on: their force is less
-    /// than the wall's.
-    fn ramp_test(&self) -> impl Fn(&[f64]) -> bool {
+    /// Returns a predicate for rows in the torque ramp after arming, in which the force is less than the wall's.
+    fn ramp_predicate(&self) -> impl Fn(&[f64]) -> bool {
         let armed =
             |row: &[f64]| self.recording.column("state").map(|state| row[state] == State::Armed as usize as f64);
         let pairs = self.recording.rows.windows(2);
@@ -198,24 +196,23 @@ impl<'a> Rows<'a> {
         move |row: &[f64]| times.iter().any(|on| (0.0..f64::from(ARM_SECONDS)).contains(&(row[time] - on)))
     }
 
-    /// Returns a test for rows whose force was cut by a limit; `None` if saturation is not recorded.
-    fn limit_test(&self) -> Option<impl Fn(&[f64]) -> bool> {
+    /// Returns a predicate for rows whose force a limit cut; `None` if saturation is not recorded.
+    fn limit_predicate(&self) -> Option<impl Fn(&[f64]) -> bool> {
         let names = (0..MAX_JOINTS).map(|joint| format!("saturated{joint}"));
         let columns: Vec<usize> = names.filter_map(|name| self.recording.column(&name)).collect();
         (!columns.is_empty()).then_some(move |row: &[f64]| columns.iter().any(|column| row[*column] != 0.0))
     }
 }
 
-/// Row rate above which a phase portrait shows means, Hz: differences between single rows are encoder steps, whose
-/// velocities would turn the line into an area.
+/// Row rate above which a phase portrait averages rows, Hz: encoder steps of single rows would fill an area.
 const MAX_PHASE_HZ: f64 = 1000.0;
-/// Lower frequencies are motion and not vibration, Hz.
-const SLOW_HZ: f64 = 10.0;
-/// Smallest amplitude that is drawn, relative to the strongest line.
-const FLOOR: f64 = 1e-6;
+/// Lowest frequency that counts as vibration and not as motion, Hz.
+const MIN_VIBRATION_HZ: f64 = 10.0;
+/// Smallest drawn amplitude, relative to the strongest spectral line.
+const MIN_RELATIVE_AMPLITUDE: f64 = 1e-6;
 
-/// Returns unit and name of a column by its label; an unknown column has no unit.
-pub(crate) fn quantity(label: &str) -> Quantity {
+/// Returns name and unit of the column with this label; an unknown column has no unit.
+pub(crate) fn column_quantity(label: &str) -> Quantity {
     let known = columns(Fields::ALL, MAX_JOINTS);
     let unit = known.iter().find(|column| column.label == label).map_or("", |column| column.field.unit());
     let unit = if label == "time_s" { "s" } else { unit };
@@ -225,11 +222,11 @@ pub(crate) fn quantity(label: &str) -> Quantity {
     Quantity { name: name.replace('_', " "), unit: unit.into() }
 }
 
-fn quantity_of(name: &str, unit: &str) -> Quantity {
+fn named_quantity(name: &str, unit: &str) -> Quantity {
     Quantity { name: name.into(), unit: unit.into() }
 }
 
-/// Computes the panels.
+/// Computes the panels of a recording.
 pub fn panels(recording: &Recording, request: &Request) -> Result<Analysis, Failure> {
     let rows = Rows::of(recording, request)?;
     let force = ["rendered_n", "force_n"].into_iter().find(|name| rows.has_column(name));
@@ -264,22 +261,22 @@ pub fn panels(recording: &Recording, request: &Request) -> Result<Analysis, Fail
         rows_per_point: rows.rows_per_point(),
     };
     if is_drawn(View::Time) {
-        analysis.panels.extend(over_time(&rows, &signals)?);
+        analysis.panels.extend(time_panels(&rows, &signals)?);
     }
     if is_drawn(View::Force) {
         let force = force.ok_or_else(|| {
             Failure::wrong("the recording has neither rendered_n nor force_n")
                 .remedy("record the fields distance, rendered")
         })?;
-        let panel = contact::over_penetration(&rows, force, &mut analysis)?;
+        let panel = contact::force_panel(&rows, force, &mut analysis)?;
         analysis.panels.push(panel);
     }
     if is_drawn(View::Spectrum) {
-        let panel = amplitudes(&rows, &signals, &mut analysis)?;
+        let panel = spectrum_panel(&rows, &signals, &mut analysis)?;
         analysis.panels.push(panel);
     }
     if is_drawn(View::Phase) {
-        let panel = phase(&rows)?;
+        let panel = phase_panel(&rows)?;
         if request.views.is_empty()
             && !is_motion(&smooth_panel(&panel, rows.rows_per_point()))
             && !analysis.panels.is_empty()
@@ -296,22 +293,22 @@ pub fn panels(recording: &Recording, request: &Request) -> Result<Analysis, Fail
     Ok(analysis)
 }
 
-/// Creates a panel for each unit.
-fn over_time(rows: &Rows<'_>, signals: &[String]) -> Result<Vec<Panel>, Failure> {
+/// Creates one time panel for each unit among the signals.
+fn time_panels(rows: &Rows<'_>, signals: &[String]) -> Result<Vec<Panel>, Failure> {
     let mut panels: Vec<Panel> = Vec::new();
     for signal in signals {
         let column = rows.column(signal)?;
-        let signal_quantity = quantity(signal);
+        let signal_quantity = column_quantity(signal);
         let curve = Curve { name: signal.clone(), pieces: rows.pieces(|_, row| (row[rows.time], row[column])) };
         match panels.iter_mut().find(|panel| panel.y.unit == signal_quantity.unit) {
             Some(panel) => {
                 panel.curves.push(curve);
                 panel.y.name =
-                    panel.curves.iter().map(|curve| quantity(&curve.name).name).collect::<Vec<_>>().join(", ");
+                    panel.curves.iter().map(|curve| column_quantity(&curve.name).name).collect::<Vec<_>>().join(", ");
             }
             None => panels.push(Panel {
                 view: View::Time,
-                x: quantity_of("time", "s"),
+                x: named_quantity("time", "s"),
                 y: signal_quantity,
                 curves: vec![curve],
                 line: None,
@@ -322,25 +319,25 @@ fn over_time(rows: &Rows<'_>, signals: &[String]) -> Result<Vec<Panel>, Failure>
     Ok(panels)
 }
 
-/// Highest frequency in a spectrum, Hz: a hand feels nothing above it.
-const MAX_HZ: f64 = 1000.0;
+/// Highest drawn frequency of a spectrum, Hz, because a hand feels nothing above it.
+const MAX_SPECTRUM_HZ: f64 = 1000.0;
 
-fn amplitudes(rows: &Rows<'_>, signals: &[String], analysis: &mut Analysis) -> Result<Panel, Failure> {
+fn spectrum_panel(rows: &Rows<'_>, signals: &[String], analysis: &mut Analysis) -> Result<Panel, Failure> {
     let half = 0.5 * rows.rate_hz;
-    let highest_hz = half.min(MAX_HZ);
+    let highest_hz = half.min(MAX_SPECTRUM_HZ);
     let mut panel = Panel {
         view: View::Spectrum,
-        x: quantity_of("frequency", "Hz"),
-        y: quantity_of("amplitude", "dB"),
+        x: named_quantity("frequency", "Hz"),
+        y: named_quantity("amplitude", "dB"),
         curves: Vec::new(),
         line: None,
         note: String::new(),
     };
-    let unit = quantity(&signals[0]).unit;
+    let unit = column_quantity(&signals[0]).unit;
     let reference = if unit.is_empty() { String::new() } else { format!(" re 1 {unit}") };
     panel.y.name.push_str(&reference);
     let mut used = 0;
-    for signal in signals.iter().filter(|signal| quantity(signal).unit == unit) {
+    for signal in signals.iter().filter(|signal| column_quantity(signal).unit == unit) {
         let column = rows.column(signal)?;
         let values: Vec<f64> = rows.rows.iter().map(|row| row[column]).collect();
         let stretches: Vec<&[f64]> = rows.stretches.windows(2).map(|ends| &values[ends[0]..ends[1]]).collect();
@@ -352,7 +349,7 @@ fn amplitudes(rows: &Rows<'_>, signals: &[String], analysis: &mut Analysis) -> R
         })?;
         let Spectrum { lines, samples } = &spectrum;
         used = *samples;
-        let fast = lines.iter().filter(|line| line.frequency >= SLOW_HZ);
+        let fast = lines.iter().filter(|line| line.frequency >= MIN_VIBRATION_HZ);
         let top = fast.max_by(|a, b| a.amplitude.total_cmp(&b.amplitude));
         if panel.curves.is_empty() {
             analysis.strongest = top.copied().filter(|top| top.amplitude > 0.0);
@@ -360,9 +357,11 @@ fn amplitudes(rows: &Rows<'_>, signals: &[String], analysis: &mut Analysis) -> R
         }
         let shown = lines.iter().filter(|line| line.frequency <= highest_hz);
         let highest = lines.iter().fold(0.0, |highest: f64, line| highest.max(line.amplitude));
-        // A signal that never moved is drawn at the floor of its unit, not thousands of decibels below it.
+        // Draws a constant signal at the floor of its unit, not thousands of decibels below it.
         let highest = if highest > 0.0 { highest } else { 1.0 };
-        let points = shown.map(|line| (line.frequency, 20.0 * line.amplitude.max(FLOOR * highest).log10())).collect();
+        let points = shown
+            .map(|line| (line.frequency, 20.0 * line.amplitude.max(MIN_RELATIVE_AMPLITUDE * highest).log10()))
+            .collect();
         panel.curves.push(Curve { name: signal.clone(), pieces: vec![points] });
     }
     if used < rows.rows.len() {
@@ -372,7 +371,7 @@ fn amplitudes(rows: &Rows<'_>, signals: &[String], analysis: &mut Analysis) -> R
     if let (Some(line), Some(ripple)) = (analysis.strongest, analysis.ripple) {
         let (size, ripple) = (with_unit(line.amplitude, &unit), with_unit(ripple, &unit));
         let says = format!(
-            "strongest above {SLOW_HZ} Hz: {size} at {:.1} Hz; above {RIPPLE_HZ} Hz: {ripple} rms",
+            "strongest above {MIN_VIBRATION_HZ} Hz: {size} at {:.1} Hz; above {RIPPLE_HZ} Hz: {ripple} rms",
             line.frequency
         );
         panel.note = if panel.note.is_empty() { says } else { format!("{says}; {}", panel.note) };
@@ -380,7 +379,7 @@ fn amplitudes(rows: &Rows<'_>, signals: &[String], analysis: &mut Analysis) -> R
     Ok(panel)
 }
 
-fn phase(rows: &Rows<'_>) -> Result<Panel, Failure> {
+fn phase_panel(rows: &Rows<'_>) -> Result<Panel, Failure> {
     let distance = rows.column("distance_m")?;
     let measured = rows.recording.column("velocity_m_s");
     let ends = |i: usize| {
@@ -397,12 +396,12 @@ fn phase(rows: &Rows<'_>) -> Result<Panel, Failure> {
     };
     let note = match measured {
         Some(_) => String::new(),
-        None => "velocity: differences of the distance, because the recording has none".into(),
+        None => "velocity computed from the distance, because the recording has no column velocity_m_s".into(),
     };
     Ok(Panel {
         view: View::Phase,
-        x: quantity_of("distance to the wall", "m"),
-        y: quantity_of("velocity", "m/s"),
+        x: named_quantity("distance to the wall", "m"),
+        y: named_quantity("velocity", "m/s"),
         curves: vec![Curve { name: "velocity".into(), pieces: rows.pieces(|i, row| (row[distance], speed(i, row))) }],
         line: None,
         note,
@@ -424,8 +423,8 @@ fn smooth_panel(panel: &Panel, rows_per_point: usize) -> Panel {
     smooth
 }
 
-/// Returns true if the values of a panel's first curve move and do not only jump: the mean square difference of
-/// consecutive points (von Neumann 1941) is below their variance; for noise it is twice the variance.
+/// Returns true if the values of a panel's first curve are motion and not noise: the mean square difference of
+/// consecutive points (von Neumann 1941) is below the variance. For noise it is twice the variance.
 fn is_motion(panel: &Panel) -> bool {
     let values = || panel.curves[0].pieces.iter().flatten().map(|point| point.1);
     let count = values().count().max(1) as f64;

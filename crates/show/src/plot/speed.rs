@@ -1,4 +1,4 @@
-//! The picture of cost over error: instructions of each way to compute the control step, over its error.
+//! The picture of speed against error: instructions of each variant of the control step, over its error.
 
 use super::Picture;
 use super::axes::{Axis, Mark, PlotArea};
@@ -8,7 +8,6 @@ use haptic_bridge::model::catalogue::Kind;
 use haptic_bridge::model::device::Device;
 use haptic_predict::bench::report::Variant;
 
-/// Returns the colour of a mechanism.
 fn colour_of(kind: Kind) -> &'static str {
     match kind {
         Kind::Paddle => "#7f7f7f",
@@ -31,7 +30,7 @@ pub fn draw(every: &[(Device<f64>, Vec<Variant>)]) -> Picture {
         y: Axis { name: "instructions".into(), unit: String::new(), low: 0.0, high: 2100.0 },
     };
     let (mut entries, mut drawn) = (Vec::new(), Vec::new());
-    frame.clipped(&mut canvas, |canvas| {
+    frame.draw_clipped(&mut canvas, |canvas| {
         for (device, variants) in every {
             let colour = colour_of(device.mechanism.kind());
             let all: Vec<&Variant> = variants.iter().filter(|variant| variant.instructions.is_some()).collect();
@@ -62,13 +61,13 @@ pub fn draw(every: &[(Device<f64>, Vec<Variant>)]) -> Picture {
     canvas.text((frame.at.0, 28.0), 15.0, Anchor::Start, false, title);
     for (line, text) in [
         "Instructions on the Cortex-M4F. Error: torque as a force at the tip, plus the tip's error times 20 kN/m;",
-        "below 10⁻⁶ N drawn there. The loss of velocity terms where they fade is the same in all, and left out.",
+        "errors below 10⁻⁶ N are drawn at 10⁻⁶ N. The fading of velocity terms is the same in all, and left out.",
     ]
     .into_iter()
     .enumerate()
     {
         canvas.text((frame.at.0, 48.0 + 16.0 * line as f64), 12.0, Anchor::Start, false, text);
     }
-    frame.clear_legend(&mut canvas, &drawn, &entries);
+    frame.place_legend(&mut canvas, &drawn, &entries);
     canvas.finish(title, "Instructions of each variant over its largest error of the force at the tip.")
 }

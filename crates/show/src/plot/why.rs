@@ -2,42 +2,41 @@
 //! a logarithmic scale, without and with the feed-forward.
 
 use super::Picture;
-use super::canvas::{Anchor, SMALL, Stroke};
-use super::colour::{FAINT, FULL, OFF};
-use super::paper::{EDGE, Paper};
+use super::canvas::{Anchor, SMALL_TEXT, Stroke};
+use super::colour::{FAINT_GREY, FULL_COLOUR, OFF_COLOUR};
+use super::paper::{EDGE_MARGIN, Paper};
 use haptic_host::words::with_unit;
 use haptic_stability::analysis::why::{LimitPair, Why};
 
-/// Maximum width of a letter, width of the bars on a screen, width of the values behind them, height of one effect,
-/// pixels.
-const LETTER: f64 = 6.8;
-const WIDTH: f64 = 420.0;
-const VALUE: f64 = 120.0;
-const ROW: f64 = 40.0;
-const TOP: f64 = 92.0;
-/// Shorter bars are placed under their names instead of next to them, pixels.
+/// Maximum width of a letter, pixels.
+const LETTER_WIDTH: f64 = 6.8;
+const BARS_WIDTH: f64 = 420.0;
+const VALUE_WIDTH: f64 = 120.0;
+const ROW_HEIGHT: f64 = 40.0;
+const TOP_MARGIN: f64 = 92.0;
+/// Bar width below which names are placed above their bars instead of next to them, pixels.
 const MIN_BAR_WIDTH: f64 = 200.0;
-/// Minimum distance between the names of decades, pixels.
+/// Minimum distance between labels of decades, pixels.
 const DECADE_GAP: f64 = 78.0;
-/// Meaning of the bars, next to the names of their colours.
+/// Legend text that explains the bars.
 const BAR_MEANING: &str = "largest stable stiffness without the effect";
 
-/// Draws the picture under a heading and two smaller lines.
+/// Draws the picture with a title and two subtitle lines.
 pub fn draw(title: &str, subtitle: &[String; 2], why: &Why, paper: Paper) -> Picture {
     let rows: Vec<(String, LimitPair)> = std::iter::once(("with everything".to_string(), why.limits))
         .chain(why.effects.iter().map(|without| (format!("{}: {}", without.effect, without.instead), without.limits)))
         .collect();
     let longest = rows.iter().map(|(name, _)| name.chars().count()).max().unwrap_or(0);
-    let name_width = 24.0 + LETTER * longest as f64;
-    let page = paper.page(name_width + WIDTH + VALUE, 16.0);
-    let in_line = page.wide - name_width - VALUE > MIN_BAR_WIDTH;
-    let (left, row_high) = if in_line { (name_width, ROW) } else { (EDGE, ROW + 16.0) };
-    let width = page.wide - left - VALUE;
+    let name_width = 24.0 + LETTER_WIDTH * longest as f64;
+    let page = paper.page(name_width + BARS_WIDTH + VALUE_WIDTH, 16.0);
+    let in_line = page.wide - name_width - VALUE_WIDTH > MIN_BAR_WIDTH;
+    let (left, row_high) = if in_line { (name_width, ROW_HEIGHT) } else { (EDGE_MARGIN, ROW_HEIGHT + 16.0) };
+    let width = page.wide - left - VALUE_WIDTH;
     let mut under = subtitle.to_vec();
-    let below = in_line && page.wide - left - 260.0 > LETTER * BAR_MEANING.len() as f64;
+    let below = in_line && page.wide - left - 260.0 > LETTER_WIDTH * BAR_MEANING.len() as f64;
     under.extend((!below).then(|| format!("bars: {BAR_MEANING}")));
     let heading = page.heading(title, &under);
-    let top_of_rows = TOP + heading.beyond(2);
+    let top_of_rows = TOP_MARGIN + heading.extra_height(2);
     let values = || rows.iter().flat_map(|(_, both)| [both.off, both.full]).flatten().map(|limits| limits.kp_max);
     let highest = values().fold(0.0, f64::max).max(f64::MIN_POSITIVE);
     let lowest = values().filter(|kp| *kp > 0.0).fold(highest, f64::min);
@@ -50,12 +49,12 @@ pub fn draw(title: &str, subtitle: &[String; 2], why: &Why, paper: Paper) -> Pic
     let every = (DECADE_GAP * (high - low) / width).ceil().max(1.0) as usize;
     for (index, decade) in (low as i32..=high as i32).enumerate() {
         let kp = 10f64.powi(decade);
-        let line = Stroke { colour: FAINT, width: 0.8, dash: "2 3" };
+        let line = Stroke { colour: FAINT_GREY, width: 0.8, dash: "2 3" };
         canvas.line((at(kp), top_of_rows - 6.0), (at(kp), bottom), line);
         if index % every == 0 {
-            // The first name must not begin before the page.
+            // Keeps the first label on the page.
             let anchor = if at(kp) < DECADE_GAP / 2.0 { Anchor::Start } else { Anchor::Middle };
-            canvas.text((at(kp), bottom + 16.0), SMALL, anchor, false, &with_unit(kp, "N/m"));
+            canvas.text((at(kp), bottom + 16.0), SMALL_TEXT, anchor, false, &with_unit(kp, "N/m"));
         }
     }
     for (row, (name, both)) in rows.iter().enumerate() {
@@ -64,9 +63,9 @@ pub fn draw(title: &str, subtitle: &[String; 2], why: &Why, paper: Paper) -> Pic
             canvas.text((left - 8.0, top + 21.0), 12.0, Anchor::End, false, name);
         } else {
             canvas.text((left, top + 14.0), 12.0, Anchor::Start, false, name);
-            top += row_high - ROW;
+            top += row_high - ROW_HEIGHT;
         }
-        for (slot, (limits, colour)) in [(both.off, OFF), (both.full, FULL)].into_iter().enumerate() {
+        for (slot, (limits, colour)) in [(both.off, OFF_COLOUR), (both.full, FULL_COLOUR)].into_iter().enumerate() {
             let y = top + 4.0 + 15.0 * slot as f64;
             let (end, text) = match limits {
                 Some(limits) if limits.kp_max > 0.0 => (at(limits.kp_max), with_unit(limits.kp_max, "N/m")),
@@ -74,17 +73,17 @@ pub fn draw(title: &str, subtitle: &[String; 2], why: &Why, paper: Paper) -> Pic
                 None => (left + width, "no limit".to_string()),
             };
             canvas.rectangle((left, y), (end - left, 12.0), colour, Stroke::solid(colour, 0.0));
-            canvas.text((end + 6.0, y + 10.0), SMALL, Anchor::Start, false, &text);
+            canvas.text((end + 6.0, y + 10.0), SMALL_TEXT, Anchor::Start, false, &text);
         }
     }
-    for (limits, colour) in [(why.limits.off, OFF), (why.limits.full, FULL)] {
+    for (limits, colour) in [(why.limits.off, OFF_COLOUR), (why.limits.full, FULL_COLOUR)] {
         if let Some(limits) = limits.filter(|limits| limits.kp_max > 0.0) {
             let x = at(limits.kp_max);
             canvas.line((x, top_of_rows), (x, bottom), Stroke { colour, width: 1.2, dash: "5 3" });
         }
     }
-    canvas.coloured_text((left, bottom + 40.0), 12.0, Anchor::Start, OFF, "no feed-forward");
-    canvas.coloured_text((left + 130.0, bottom + 40.0), 12.0, Anchor::Start, FULL, "feed-forward (4)");
+    canvas.coloured_text((left, bottom + 40.0), 12.0, Anchor::Start, OFF_COLOUR, "no feed-forward");
+    canvas.coloured_text((left + 130.0, bottom + 40.0), 12.0, Anchor::Start, FULL_COLOUR, "feed-forward (4)");
     if below {
         canvas.text((left + 260.0, bottom + 40.0), 12.0, Anchor::Start, false, BAR_MEANING);
     }

@@ -1,4 +1,4 @@
-//! The description of a recording: read from the board once, written at the head of every file.
+//! The description of a recording, read from the board once and written at the head of every file.
 
 use haptic_bridge::control::Rules;
 use haptic_host::backup::SavedSetting;
@@ -49,11 +49,11 @@ impl About {
         for (index, wall) in scene.iter().flat_map(|scene| scene.walls.iter().enumerate()) {
             text.push_str(&format!("wall {index}: {}\n", wall_in_words(wall)));
         }
-        // For programs: the complete scene and rules, as on the board at the start.
+        // Writes the complete scene and rules at the start of the recording, for programs.
         text.push_str(&format!("scene {}\n", json(&scene)?));
         let joints = device.as_ref().map_or(details.axes.into(), |device| device.axes());
         text.push_str(&format!("rules {}\n", json(&limit_to_joints(&rules, joints)?)?));
-        // The settings again, exact to the bit as in a backup, because `haptic replay` computes with them.
+        // Writes the settings also in the bit-exact form of a backup, because `haptic replay` computes with them.
         let mut settings = BTreeMap::new();
         settings.extend(device.and_then(|device| Some(("device", without_value(SavedSetting::of(&device)?)))));
         settings.extend(scene.and_then(|scene| Some(("scene", without_value(SavedSetting::of(&scene)?)))));
@@ -62,15 +62,15 @@ impl About {
         Ok(Self { text, rate_hz: details.rate_hz.into(), divider, delay_samples: details.delay_samples })
     }
 
-    /// Returns the lines.
+    /// Returns the lines at the head of a CSV file.
     pub fn text(&self) -> &str {
         &self.text
     }
 
-    /// Returns the description for programs: all lines together, and each line by its first word.
-    pub fn map(&self) -> BTreeMap<String, String> {
+    /// Returns the description as entries for programs: all lines together, and each line by its first word.
+    pub fn entries(&self) -> BTreeMap<String, String> {
         let lines = self.text.lines().skip(1).filter(|line| !line.starts_with("control rate"));
-        // One line has all versions: "tool 0.1.0, firmware 0.1.0, protocol 6".
+        // Splits the line of versions: "tool 0.1.0, firmware 0.1.0, protocol 6".
         let parts =
             lines.flat_map(|line| if line.starts_with("tool ") { line.split(", ").collect() } else { vec![line] });
         let lines = parts.filter_map(|line| match line.strip_prefix("wall ") {
@@ -84,7 +84,7 @@ impl About {
             ("delay_samples".into(), self.delay_samples.to_string()),
             (
                 "time_base".into(),
-                "log times are this computer's clock at the first row, and from there on the board's control steps"
+                "log times begin with this computer's clock at the first row and then count the board's control steps"
                     .into(),
             ),
         ];
@@ -92,12 +92,12 @@ impl About {
     }
 }
 
-/// Keeps version and bytes only; other lines already have the values.
+/// Removes the value of a setting, because other lines of the description have it.
 fn without_value(setting: SavedSetting) -> SavedSetting {
     SavedSetting { value: None, ..setting }
 }
 
-/// Returns the rules with one number per joint, because a board has room for more joints than a device has.
+/// Returns the rules with one number per joint of the device, because a board has room for more joints.
 fn limit_to_joints(rules: &Rules, joints: usize) -> Result<serde_json::Value, Failure> {
     let mut rules = serde_json::to_value(rules).map_err(Failure::impossible)?;
     for list in rules["limits"].as_object_mut().into_iter().flatten().filter_map(|(_, limit)| limit.as_array_mut()) {

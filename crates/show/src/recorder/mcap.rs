@@ -26,21 +26,22 @@ use std::time::{SystemTime, UNIX_EPOCH};
 pub const MAGIC: &[u8] = b"\x89MCAP0\r\n";
 /// Message bytes in a chunk; `flush` ends a chunk earlier.
 const CHUNK_BYTES: usize = 512 * 1024;
-/// Names of the metadata records at the head and at the end.
+/// Name of the metadata record at the head.
 const HEAD_RECORD: &str = "haptic-bridge";
+/// Name of the metadata record at the end.
 const END_RECORD: &str = "haptic-bridge end";
 
 /// Encoded bytes that are not yet in the file.
 #[derive(Clone, Debug, Default)]
-struct Pending(Arc<Mutex<Vec<u8>>>);
+struct PendingBytes(Arc<Mutex<Vec<u8>>>);
 
-impl Pending {
+impl PendingBytes {
     fn take(&self) -> Vec<u8> {
         std::mem::take(&mut *self.0.lock().unwrap_or_else(PoisonError::into_inner))
     }
 }
 
-impl Write for Pending {
+impl Write for PendingBytes {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner).extend_from_slice(bytes);
         Ok(bytes.len())
@@ -52,11 +53,11 @@ impl Write for Pending {
 
 /// An MCAP file being written.
 pub struct McapRecorder {
-    writer: Writer<NoSeek<Pending>>,
-    pending: Pending,
+    writer: Writer<NoSeek<PendingBytes>>,
+    pending: PendingBytes,
     file: File,
     path: PathBuf,
-    /// Bytes of complete chunks in the file, and true if the file can be truncated to them.
+    /// Bytes of complete chunks in the file.
     complete: u64,
     can_truncate: bool,
     row: MessageDescriptor,
@@ -66,7 +67,7 @@ pub struct McapRecorder {
     start_ns: u64,
     sequence: u32,
     gathered_bytes: usize,
-    /// Rows in the file, and in the unfinished chunk.
+    /// Rows in complete chunks.
     rows: u64,
     pending_rows: u64,
     is_ended: bool,
@@ -78,7 +79,7 @@ impl std::fmt::Debug for McapRecorder {
     }
 }
 
-fn kind(column: &Column) -> Type {
+fn field_type(column: &Column) -> Type {
     match (column.field, column.axis) {
         (Field::State, 0) => Type::Enum,
         (Field::State | Field::Saturated, _) => Type::Uint32,
@@ -87,8 +88,8 @@ fn kind(column: &Column) -> Type {
     }
 }
 
-/// Converts an error of the writer. Writing into memory fails only if the format is used wrongly.
-fn to_error(error: McapError) -> RecordError {
+/// Converts an error of the MCAP writer. Writing into memory fails only if the format is used wrongly.
+fn record_error(error: McapError) -> RecordError {
     RecordError::Failed(Failure::impossible(error))
 }
 
@@ -97,19 +98,19 @@ impl McapRecorder {
     pub fn create(path: &Path, about: &About, columns: &[Column], overwrite: Overwrite) -> Result<Self, Failure> {
         let fields: Vec<Packed> = [("step".to_string(), Type::Uint32), ("time_s".into(), Type::Double)]
             .into_iter()
-            .chain(columns.iter().map(|column| (column.label.clone(), kind(column))))
+            .chain(columns.iter().map(|column| (column.label.clone(), field_type(column))))
             .collect();
         let states = if fields.iter().any(|(_, kind)| *kind == Type::Enum) { &STATES[..] } else { &[] };
         let row = describe("Row", &fields, states).map_err(Failure::impossible)?;
         let event = describe("Event", &[("text".into(), Type::String)], &[]).map_err(Failure::impossible)?;
-        let pending = Pending::default();
+        let pending = PendingBytes::default();
         let begin = || -> Result<_, McapError> {
             let mut writer = WriteOptions::new()
                 .library(format!("haptic {}", env!("CARGO_PKG_VERSION")))
                 .chunk_size(None)
                 .disable_seeking(true)
                 .create(NoSeek::new(pending.clone()))?;
-            writer.write_metadata(&Metadata { name: HEAD_RECORD.into(), metadata: about.map() })?;
+            writer.write_metadata(&Metadata { name: HEAD_RECORD.into(), metadata: about.entries() })?;
             let mut channel = |topic, message: &MessageDescriptor| -> Result<u16, McapError> {
                 let set = message.parent_pool().encode_to_vec();
                 let schema = writer.add_schema(message.full_name(), "protobuf", &set)?;
@@ -161,29 +162,30 @@ impl McapRecorder {
             log_time,
             publish_time: log_time,
         };
-        self.writer.write_to_known_channel(&header, message).map_err(to_error)?;
+        self.writer.write_to_known_channel(&header, message).map_err(record_error)?;
         self.gathered_bytes += message.len();
         Ok(())
     }
 
     /// Adds a row: its step, its time since the first row (s), and a number for each column.
-    pub fn row(&mut self, step: u32, time: f64, row: &[f64]) -> Result<(), RecordError> {
-        let message = protobuf::pack(&self.row, [f64::from(step), time].into_iter().chain(row.iter().copied()));
+    pub fn add_row(&mut self, step: u32, time: f64, row: &[f64]) -> Result<(), RecordError> {
+        let message =
+            protobuf::encode_numbers(&self.row, [f64::from(step), time].into_iter().chain(row.iter().copied()));
         self.write(0, time, &message)?;
         self.pending_rows += 1;
         if self.gathered_bytes >= CHUNK_BYTES { self.flush() } else { Ok(()) }
     }
 
     /// Adds an event at a time since the first row, s.
-    pub fn event(&mut self, time: f64, words: &str) -> Result<(), RecordError> {
-        let message = protobuf::pack_text(&self.event, words);
+    pub fn add_event(&mut self, time: f64, words: &str) -> Result<(), RecordError> {
+        let message = protobuf::encode_text(&self.event, words);
         self.write(1, time, &message)
     }
 
     /// Ends the chunk and writes it; if the disk has no room for it, the file keeps the previous chunks.
     pub fn flush(&mut self) -> Result<(), RecordError> {
         self.gathered_bytes = 0;
-        self.writer.flush().map_err(to_error)?;
+        self.writer.flush().map_err(record_error)?;
         let pending_rows = std::mem::take(&mut self.pending_rows);
         match self.write_pending() {
             Ok(()) => {
@@ -224,10 +226,9 @@ impl McapRecorder {
             ("frames_garbled", losses.garbled.to_string()),
         ];
         let metadata = entries.map(|(name, value)| (name.to_string(), value)).into();
-        self.writer.write_metadata(&Metadata { name: END_RECORD.into(), metadata }).map_err(to_error)?;
-        self.writer.finish().map_err(to_error)?;
-        let result =
-            self.write_pending().map_err(|error| RecordError::Failed(output::write_failure(&self.path, &error)));
+        self.writer.write_metadata(&Metadata { name: END_RECORD.into(), metadata }).map_err(record_error)?;
+        self.writer.finish().map_err(record_error)?;
+        let result = self.write_pending().map_err(|error| RecordError::Failed(output::write_failure(&self.path, &error)));
         self.is_ended = true;
         result
     }
@@ -281,7 +282,7 @@ pub fn parse(bytes: &[u8]) -> Result<Recording, String> {
                 let message = schemas.get(&channel.schema_id).and_then(|(name, set)| protobuf::find_message(set, name));
                 match (channel.topic.as_str(), message) {
                     ("/rows", Some(message)) => {
-                        recording.columns = protobuf::names(&message);
+                        recording.columns = protobuf::field_names(&message);
                         rows = Some((channel.id, message));
                     }
                     ("/events", Some(message)) => events = Some((channel.id, message)),
@@ -290,7 +291,7 @@ pub fn parse(bytes: &[u8]) -> Result<Recording, String> {
             }
             Record::Message { header, data } => match (&rows, &events) {
                 (Some((id, message)), _) if *id == header.channel_id => {
-                    recording.rows.push(protobuf::values(message, &data));
+                    recording.rows.push(protobuf::decode_numbers(message, &data));
                 }
                 (_, Some((id, message))) if *id == header.channel_id => {
                     recording.about.extend(protobuf::first_text(message, &data));

@@ -1,5 +1,4 @@
-//! A recording's messages as protocol buffers (numbers and texts), with the `FileDescriptorSet` that describes them:
-//! the schema in an MCAP file.
+//! Protocol buffers of a recording's numbers and texts, and the `FileDescriptorSet` that describes them.
 
 use prost_reflect::prost::Message as _;
 use prost_reflect::prost_types::field_descriptor_proto::Label;
@@ -63,12 +62,12 @@ pub fn find_message(set: &[u8], message: &str) -> Option<MessageDescriptor> {
 }
 
 /// Returns the names of a message's fields, in the order of their numbers.
-pub fn names(message: &MessageDescriptor) -> Vec<String> {
+pub fn field_names(message: &MessageDescriptor) -> Vec<String> {
     message.fields().map(|field| field.name().to_owned()).collect()
 }
 
-/// Encodes a message with one number for each field, in the order of their numbers, in the field's type.
-pub fn pack(message: &MessageDescriptor, numbers: impl IntoIterator<Item = f64>) -> Vec<u8> {
+/// Encodes a message from one number per field, in the order of field numbers, each in its field's type.
+pub fn encode_numbers(message: &MessageDescriptor, numbers: impl IntoIterator<Item = f64>) -> Vec<u8> {
     let mut packed = DynamicMessage::new(message.clone());
     for (field, number) in message.fields().zip(numbers) {
         packed.set_field(
@@ -85,16 +84,16 @@ pub fn pack(message: &MessageDescriptor, numbers: impl IntoIterator<Item = f64>)
     packed.encode_to_vec()
 }
 
-/// Encodes a message with one text.
-pub fn pack_text(message: &MessageDescriptor, text: &str) -> Vec<u8> {
+/// Encodes a message that has one text.
+pub fn encode_text(message: &MessageDescriptor, text: &str) -> Vec<u8> {
     let mut packed = DynamicMessage::new(message.clone());
     message.fields().for_each(|field| packed.set_field(&field, Value::String(text.into())));
     packed.encode_to_vec()
 }
 
-/// Decodes a message's numbers in the order of its fields' numbers: 0 for a missing field; NaN for a field that is not
-/// a number, and for all fields if the message is incomplete.
-pub fn values(message: &MessageDescriptor, bytes: &[u8]) -> Vec<f64> {
+/// Decodes the numbers of a message, in the order of field numbers: 0 for a missing field; NaN for a field that is not
+/// a number, and for all fields of an incomplete message.
+pub fn decode_numbers(message: &MessageDescriptor, bytes: &[u8]) -> Vec<f64> {
     let decoded = DynamicMessage::decode(message.clone(), bytes);
     let number = |field| match decoded.as_ref().ok().map(|message| message.get_field(&field).into_owned()) {
         Some(Value::F64(number)) => number,
@@ -126,22 +125,22 @@ mod tests {
         let written = describe("Row", &fields(&kinds), &[]).unwrap();
         let set = written.parent_pool().encode_to_vec();
         let read = find_message(&set, "haptic.Row").unwrap();
-        assert_eq!(names(&read), kinds.map(|(name, _)| name));
+        assert_eq!(field_names(&read), kinds.map(|(name, _)| name));
         assert!(find_message(&set, "haptic.Column").is_none());
         for row in [[4e9, -0.1, f64::from(0.1_f32), -2_147_483_648.0], [0.0, -0.0, -0.0, 0.0]] {
             let bits = |row: &[f64]| row.iter().map(|number| number.to_bits()).collect::<Vec<_>>();
-            assert_eq!(bits(&values(&read, &pack(&written, row))), bits(&row));
+            assert_eq!(bits(&decode_numbers(&read, &encode_numbers(&written, row))), bits(&row));
         }
-        assert_eq!(values(&read, &[])[1..], [0.0; 3], "a missing field is 0");
+        assert_eq!(decode_numbers(&read, &[])[1..], [0.0; 3], "a missing field is 0");
     }
 
     /// The example of the protocol buffers documentation: a message with field 1 set to 150 is 08 96 01.
     #[test]
     fn numbers_are_packed_as_in_the_documentation() {
         let row = describe("Row", &fields(&[("a", Type::Uint32)]), &[]).unwrap();
-        assert_eq!(pack(&row, [150.0]), [0x08, 0x96, 0x01]);
+        assert_eq!(encode_numbers(&row, [150.0]), [0x08, 0x96, 0x01]);
         let event = describe("Event", &fields(&[("text", Type::String)]), &[]).unwrap();
-        let packed = pack_text(&event, "testing");
+        let packed = encode_text(&event, "testing");
         assert_eq!(packed, [0x0a, 0x07, 0x74, 0x65, 0x73, 0x74, 0x69, 0x6e, 0x67]);
         assert_eq!(first_text(&event, &packed).as_deref(), Some("testing"));
     }

@@ -1,7 +1,7 @@
 //! The page's server: HTTP and WebSocket on one port of this computer.
 //!
-//! An unauthenticated connection gets one of a few places for a short time and loses it to later connections; an
-//! authenticated connection gets a place of another kind. A page uses bounded memory, and takes turns with other pages.
+//! An unauthenticated connection gets one of a few places for a short time and loses the place to later connections; an
+//! authenticated connection gets a place of another kind. A page uses bounded memory and takes turns with other pages.
 //!
 //! `GET /` is the page, `GET /live` its WebSocket. Only this computer can connect unless the address allows others, who
 //! then need the token. Pages of other sites in the same browser are refused as well: the request must name this server
@@ -36,30 +36,28 @@ static PAGE: LazyLock<String> = LazyLock::new(|| {
     let page = include_str!("page/page.html").to_owned();
     parts.iter().fold(page, |page, (name, text)| page.replacen(&format!("/* {name} */\n"), text, 1))
 });
-/// The page's rights: it may run its own scripts and connect to its own server, and use nothing else of the network.
-const POLICY: &str = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:; \
+/// Content security policy: the page may run its own scripts and connect to its own server, and nothing else.
+const PAGE_POLICY: &str = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:; \
                       connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
-/// Maximum length of a request's head, bytes.
-const MAX_HEAD: usize = 8192;
-/// Time limit for a head: browsers open connections before they use them. Silent connections are closed first if places
-/// are short, so the long limit does no harm.
+const MAX_HEAD_BYTES: usize = 8192;
+/// Time limit for the head of a request; long, because browsers open connections before they use them. Silent
+/// connections are closed first if places are short.
 const HEAD_TIMEOUT: Duration = Duration::from_secs(10);
 /// Maximum number of connections whose head has not been read, in total and from one address: a browser opens six.
 const MAX_HANDSHAKES: (usize, usize) = (32, 8);
-/// Maximum length of a page's message, bytes.
-const MAX_MESSAGE: usize = 16 * 1024;
+const MAX_MESSAGE_BYTES: usize = 16 * 1024;
 /// Time for which a page's thread reads before it sends messages: 8 ms, half a picture.
-const READ_TIME: Duration = Duration::from_millis(8);
-/// Maximum number of a page's messages in that time; further messages wait.
-const MAX_MESSAGES: usize = 32;
-/// Maximum number of bytes that a page has not read: room for some pictures with sweeps and sound.
-const MAX_UNREAD: usize = 4 * 1024 * 1024;
+const READ_TIMEOUT: Duration = Duration::from_millis(8);
+/// Maximum number of messages that a page's thread reads in `READ_TIMEOUT`; further messages wait.
+const MAX_MESSAGES_PER_READ: usize = 32;
+/// Maximum number of unread bytes for a page: room for some pictures with sweeps and sound.
+const MAX_UNREAD_BYTES: usize = 4 * 1024 * 1024;
 /// Longest time for which a page may leave data unread.
 const SEND_TIMEOUT: Duration = Duration::from_secs(2);
-/// Maximum number of authenticated connections, of pages and others.
+/// Maximum number of authenticated connections, pages included.
 const MAX_CONNECTIONS: usize = 64;
 
-/// Clients that can use a printed address.
+/// The clients that can use a printed address.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Reach {
     /// All clients that can reach the requested address.
@@ -78,7 +76,7 @@ pub struct PageListener {
 }
 
 impl PageListener {
-    /// Listens. Clients beyond this computer need a token, which is drawn at random here.
+    /// Listens on an address. Other computers need a token, which is drawn at random here.
     pub fn open(address: SocketAddr) -> io::Result<Self> {
         let listener = TcpListener::bind(address)?;
         let token = if address.ip().is_loopback() { None } else { Some(token()?) };
@@ -106,7 +104,7 @@ impl PageListener {
         })
     }
 
-    /// Serves pages from now on, on separate threads.
+    /// Serves pages on separate threads until the process ends.
     pub fn serve(self, hub: Hub) {
         let token = Arc::new(self.token);
         let open = Arc::new(AtomicUsize::new(0));
@@ -117,7 +115,7 @@ impl PageListener {
                 let Some(place) = handshakes.enter(&stream) else { continue };
                 let (hub, token, open) = (hub.clone(), Arc::clone(&token), Arc::clone(&open));
                 thread::spawn(move || {
-                    // A failed connection concerns only the browser, which reports it and retries.
+                    // Ignores a failed connection, because the browser reports and repeats it.
                     let _ = handle_connection(stream, place, &hub, token.as_deref(), &open);
                 });
             }
@@ -141,7 +139,7 @@ fn loopback_address(all: IpAddr) -> IpAddr {
     if all.is_ipv4() { Ipv4Addr::LOCALHOST.into() } else { Ipv6Addr::LOCALHOST.into() }
 }
 
-/// Returns 128 random bits, which cannot be guessed.
+/// Returns a token of 128 random bits in hexadecimal.
 pub(crate) fn token() -> io::Result<String> {
     let mut bytes = [0_u8; 16];
     getrandom::fill(&mut bytes).map_err(io::Error::other)?;
@@ -161,7 +159,7 @@ pub(crate) fn read_request(stream: &mut TcpStream) -> Option<Request> {
 
 fn try_read_request(stream: &mut TcpStream, bytes: &mut Vec<u8>) -> Option<Request> {
     let began = Instant::now();
-    while bytes.len() < MAX_HEAD {
+    while bytes.len() < MAX_HEAD_BYTES {
         let left = HEAD_TIMEOUT.checked_sub(began.elapsed()).filter(|left| !left.is_zero())?;
         stream.set_read_timeout(Some(left)).ok()?;
         let mut buffer = [0; 1024];
@@ -179,10 +177,9 @@ fn try_read_request(stream: &mut TcpStream, bytes: &mut Vec<u8>) -> Option<Reque
     None
 }
 
-/// Reason for a refusal: status and words.
+/// HTTP status and text of a refusal.
 type Refusal = (&'static str, &'static str);
 
-/// Returns the token in a request.
 pub(crate) fn request_token(request: &Request) -> Option<&str> {
     request.uri().query().unwrap_or_default().split('&').find_map(|part| part.strip_prefix("token="))
 }
@@ -214,17 +211,17 @@ fn handle_connection(
     stream.set_nodelay(true)?;
     stream.set_write_timeout(Some(SEND_TIMEOUT))?;
     let Some(request) = read_request(&mut stream) else {
-        return respond(&mut stream, ("400 Bad Request", "not a request that this server understands"));
+        return send_refusal(&mut stream, ("400 Bad Request", "not a request that this server understands"));
     };
     if let Err(refusal) = check_access(&request, token) {
-        return respond(&mut stream, refusal);
+        return send_refusal(&mut stream, refusal);
     }
     drop(place);
     let result = match (open.fetch_add(1, Ordering::SeqCst) < MAX_CONNECTIONS, request.uri().path()) {
-        (false, _) => respond(&mut stream, ("503 Service Unavailable", "too many connections are open")),
+        (false, _) => send_refusal(&mut stream, ("503 Service Unavailable", "too many connections are open")),
         (true, "/") => send_page(&mut stream),
         (true, "/live") => serve_live(stream, &request, hub),
-        (true, _) => respond(&mut stream, ("404 Not Found", "nothing is here; the page is at /")),
+        (true, _) => send_refusal(&mut stream, ("404 Not Found", "nothing is here; the page is at /")),
     };
     open.fetch_sub(1, Ordering::SeqCst);
     result
@@ -234,7 +231,7 @@ fn send_page(stream: &mut TcpStream) -> tungstenite::Result<()> {
     write!(
         stream,
         "HTTP/1.1 200 OK\r\nContent-Type: text/html; charset=utf-8\r\nContent-Length: {}\r\n\
-         Content-Security-Policy: {POLICY}\r\nX-Content-Type-Options: nosniff\r\nReferrer-Policy: no-referrer\r\n\
+         Content-Security-Policy: {PAGE_POLICY}\r\nX-Content-Type-Options: nosniff\r\nReferrer-Policy: no-referrer\r\n\
          Cache-Control: no-store\r\nConnection: close\r\n\r\n{}",
         PAGE.len(),
         *PAGE
@@ -242,7 +239,7 @@ fn send_page(stream: &mut TcpStream) -> tungstenite::Result<()> {
     Ok(())
 }
 
-fn respond(stream: &mut TcpStream, (status, words): Refusal) -> tungstenite::Result<()> {
+fn send_refusal(stream: &mut TcpStream, (status, words): Refusal) -> tungstenite::Result<()> {
     write!(
         stream,
         "HTTP/1.1 {status}\r\nContent-Type: text/plain; charset=utf-8\r\nContent-Length: {}\r\nConnection: close\r\n\r\n\
@@ -254,48 +251,50 @@ fn respond(stream: &mut TcpStream, (status, words): Refusal) -> tungstenite::Res
 
 fn serve_live(mut stream: TcpStream, request: &Request, hub: &Hub) -> tungstenite::Result<()> {
     let Ok(response) = create_response(request) else {
-        return respond(&mut stream, ("400 Bad Request", "this address is a WebSocket; the page is at /"));
+        return send_refusal(&mut stream, ("400 Bad Request", "this address is a WebSocket; the page is at /"));
     };
-    let Some(id) = hub.come() else {
-        return respond(&mut stream, ("503 Service Unavailable", "too many pages are open"));
+    let Some(id) = hub.add_page() else {
+        return send_refusal(&mut stream, ("503 Service Unavailable", "too many pages are open"));
     };
-    let result = converse(stream, &response, hub, id);
-    hub.go(id);
+    let result = exchange_messages(stream, &response, hub, id);
+    hub.remove_page(id);
     result
 }
 
-fn converse(
+fn exchange_messages(
     mut stream: TcpStream,
     response: &tungstenite::handshake::server::Response,
     hub: &Hub,
     id: PageId,
 ) -> tungstenite::Result<()> {
     write_response(&mut stream, response)?;
-    stream.set_read_timeout(Some(READ_TIME))?;
+    stream.set_read_timeout(Some(READ_TIMEOUT))?;
     let config = WebSocketConfig::default()
-        .max_message_size(Some(MAX_MESSAGE))
-        .max_frame_size(Some(MAX_MESSAGE))
-        .max_write_buffer_size(MAX_UNREAD);
+        .max_message_size(Some(MAX_MESSAGE_BYTES))
+        .max_frame_size(Some(MAX_MESSAGE_BYTES))
+        .max_write_buffer_size(MAX_UNREAD_BYTES);
     let mut socket = WebSocket::from_raw_socket(stream, Role::Server, Some(config));
     loop {
         let began = Instant::now();
-        for count in 1..=MAX_MESSAGES {
+        for count in 1..=MAX_MESSAGES_PER_READ {
             match socket.read() {
-                Ok(Message::Text(text)) => hub.said(id, FromPage::parse(&text)),
-                Ok(Message::Binary(_)) => hub.said(id, Err("not a message of this page: it is binary".into())),
+                Ok(Message::Text(text)) => hub.queue_incoming(id, FromPage::parse(&text)),
+                Ok(Message::Binary(_)) => {
+                    hub.queue_incoming(id, Err("not a message of this page: it is binary".into()))
+                }
                 Ok(Message::Close(_)) => return Ok(()),
                 Ok(_) => {}
                 Err(tungstenite::Error::Io(error)) if should_retry(&error) => break,
                 Err(error) => return Err(error),
             }
-            match READ_TIME.checked_sub(began.elapsed()) {
+            match READ_TIMEOUT.checked_sub(began.elapsed()) {
                 // After the maximum number of messages, the rest waits for the page's next turn.
-                Some(left) if count == MAX_MESSAGES => thread::sleep(left),
+                Some(left) if count == MAX_MESSAGES_PER_READ => thread::sleep(left),
                 Some(_) => {}
                 None => break,
             }
         }
-        for message in hub.take(id).messages() {
+        for message in hub.take_outbox(id).messages() {
             socket.write(match message {
                 hub::Message::Text(text) => Message::text(text),
                 hub::Message::Bytes(bytes) => Message::binary(bytes),
@@ -365,9 +364,9 @@ mod tests {
 
     #[test]
     fn feed_forward_has_the_same_colours_as_in_pictures() {
-        use crate::plot::colour::{FULL, OFF, WASHOUT};
+        use crate::plot::colour::{FULL_COLOUR, OFF_COLOUR, WASHOUT_COLOUR};
         // On a dark background the hues are the same, but lighter.
-        for [off, full, washout] in [[OFF, FULL, WASHOUT], ["#56B4E9", "#FF9155", "#3ECDA3"]] {
+        for [off, full, washout] in [[OFF_COLOUR, FULL_COLOUR, WASHOUT_COLOUR], ["#56B4E9", "#FF9155", "#3ECDA3"]] {
             assert!(PAGE.contains(&format!("--off: {off}; --full: {full}; --washout: {washout};")), "{off}");
         }
     }

@@ -1,7 +1,7 @@
-//! The open pages: their outgoing messages and their incoming messages.
+//! The open pages, with the queues of their outgoing and incoming messages.
 //!
-//! A page uses bounded memory and delays no other page: if its incoming or outgoing messages are too many, the oldest
-//! are dropped. Messages that turn motors off have priority: [`Hub::next`] returns them before all others.
+//! A page uses bounded memory and delays no other page: full queues drop their oldest messages. Messages that turn
+//! motors off have priority: [`Hub::next`] returns them before all others.
 
 use super::message::FromPage;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
@@ -9,12 +9,11 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// Maximum number of pages at once.
 pub const MAX_PAGES: usize = 16;
-/// Maximum number of a page's messages that wait for the stage.
-const MAX_INCOMING: usize = 64;
+const MAX_INCOMING_MESSAGES: usize = 64;
 /// Maximum number of documents queued for one page, pictures not counted.
-const MAX_OUTGOING: usize = 256;
+const MAX_OUTGOING_DOCUMENTS: usize = 256;
 /// Maximum number of sound samples queued for a page; older samples are dropped.
-const MAX_SOUND: usize = 16_384;
+const MAX_SOUND_SAMPLES: usize = 16_384;
 
 /// Number of a page, in the order of connection.
 pub type PageId = u64;
@@ -37,7 +36,7 @@ pub enum Event {
 pub enum Message {
     /// A JSON document.
     Text(String),
-    /// Numbers of four bytes each: their kind, then a sweep ([`super::scope::Scope::bytes`]) or rate and sound.
+    /// Little-endian `f32`: the kind, then a sweep ([`super::scope::Scope::encode`]), or rate and sound.
     Bytes(Vec<u8>),
 }
 
@@ -45,11 +44,11 @@ pub enum Message {
 /// only the newest picture and scope are kept.
 #[derive(Debug, Default)]
 pub struct Outbox {
-    /// JSON documents, see [`Outbox::tell`].
+    /// JSON documents in sending order.
     pub messages: VecDeque<String>,
     /// Newest picture, a JSON document.
     pub picture: Option<String>,
-    /// Newest scope, encoded by [`super::scope::Scope::bytes`].
+    /// Newest sweep of the oscilloscope, encoded by [`super::scope::Scope::encode`].
     pub scope: Option<Vec<u8>>,
     /// Rate in Hz and samples of motor torque (N m), for the sound.
     pub sound: (f32, VecDeque<f32>),
@@ -68,23 +67,22 @@ impl Outbox {
     }
 
     /// Adds a JSON document.
-    pub fn tell(&mut self, document: String) {
-        if self.messages.len() >= MAX_OUTGOING {
+    pub fn queue_document(&mut self, document: String) {
+        if self.messages.len() >= MAX_OUTGOING_DOCUMENTS {
             self.messages.pop_front();
         }
         self.messages.push_back(document);
     }
 
-    /// Adds samples of the sound.
-    pub fn hear(&mut self, rate_hz: f32, samples: &[f32]) {
+    /// Adds samples of motor torque for the sound.
+    pub fn queue_sound(&mut self, rate_hz: f32, samples: &[f32]) {
         self.sound.0 = rate_hz;
         self.sound.1.extend(samples);
-        let excess = self.sound.1.len().saturating_sub(MAX_SOUND);
+        let excess = self.sound.1.len().saturating_sub(MAX_SOUND_SAMPLES);
         self.sound.1.drain(..excess);
     }
 }
 
-/// A page in the hub.
 #[derive(Debug, Default)]
 struct Page {
     /// True if the stage has received [`Event::Connected`].
@@ -94,16 +92,16 @@ struct Page {
     dropped: u64,
     /// Queued release of the key, or motors-off, which replaces a release.
     stop: Option<FromPage>,
-    /// Newest message about the page's key, which replaces older ones.
+    /// Control step of the newest hold message, which replaces older ones.
     hold: Option<u32>,
 }
 
 impl Page {
-    fn receive(&mut self, message: Result<FromPage, String>) {
+    fn queue(&mut self, message: Result<FromPage, String>) {
         match message {
             Ok(FromPage::Hold { seen }) => self.hold = Some(seen),
             message => {
-                if self.incoming.len() >= MAX_INCOMING {
+                if self.incoming.len() >= MAX_INCOMING_MESSAGES {
                     self.incoming.pop_front();
                     self.dropped += 1;
                 }
@@ -112,7 +110,6 @@ impl Page {
         }
     }
 
-    /// Drops the messages about the key that are queued.
     fn drop_key_messages(&mut self) {
         self.hold = None;
         self.incoming.retain(|message| !matches!(message, Ok(FromPage::Arm { .. })));
@@ -130,7 +127,6 @@ impl Page {
 
 #[derive(Debug, Default)]
 struct Pages {
-    /// Number of the newest page.
     newest: PageId,
     open: BTreeMap<PageId, Page>,
     /// Disconnected pages that the stage knows.
@@ -151,7 +147,7 @@ impl Hub {
     }
 
     /// Adds a page; `None` if there are too many.
-    pub fn come(&self) -> Option<PageId> {
+    pub fn add_page(&self) -> Option<PageId> {
         let mut pages = self.pages();
         if pages.open.len() >= MAX_PAGES {
             return None;
@@ -159,13 +155,13 @@ impl Hub {
         pages.newest += 1;
         let id = pages.newest;
         let mut page = Page::default();
-        page.outbox.tell(format!(r#"{{"is":"you","you":{id}}}"#));
+        page.outbox.queue_document(format!(r#"{{"is":"you","you":{id}}}"#));
         pages.open.insert(id, page);
         Some(id)
     }
 
     /// Removes a page.
-    pub fn go(&self, id: PageId) {
+    pub fn remove_page(&self, id: PageId) {
         let mut pages = self.pages();
         if pages.open.remove(&id).is_some_and(|page| page.known) {
             pages.gone.insert(id);
@@ -174,7 +170,7 @@ impl Hub {
 
     /// Queues a page's message. A message that turns motors off drops the queued messages that would turn them on: of
     /// this page for a release, of all pages for a disarm.
-    pub fn said(&self, id: PageId, message: Result<FromPage, String>) {
+    pub fn queue_incoming(&self, id: PageId, message: Result<FromPage, String>) {
         let mut pages = self.pages();
         let Some(page) = pages.open.get_mut(&id) else { return };
         match message {
@@ -186,7 +182,7 @@ impl Hub {
                 page.stop = Some(FromPage::Disarm {});
                 pages.open.values_mut().for_each(Page::drop_key_messages);
             }
-            message => page.receive(message),
+            message => page.queue(message),
         }
     }
 
@@ -197,7 +193,7 @@ impl Hub {
         if let Some(gone) = pages.gone.pop_first() {
             return Some(Event::Disconnected(gone));
         }
-        // The stage learns of a page before its messages, except for those that turn motors off.
+        // Reports a page to the stage before its messages, except for messages that turn motors off.
         let stop = pages.open.iter_mut().find_map(|(id, page)| Some((*id, page.stop.take()?)));
         if let Some((id, stop)) = stop {
             return Some(Event::Received(id, Ok(stop)));
@@ -218,8 +214,8 @@ impl Hub {
         None
     }
 
-    /// Drops the queued messages of all pages, which stay known.
-    pub fn forget(&self) {
+    /// Drops the queued incoming messages of all pages. The stage still knows the pages.
+    pub fn drop_incoming(&self) {
         let mut pages = self.pages();
         pages.gone.clear();
         for page in pages.open.values_mut() {
@@ -229,19 +225,19 @@ impl Hub {
     }
 
     /// Takes the outgoing queue of a page.
-    pub fn take(&self, id: PageId) -> Outbox {
+    pub fn take_outbox(&self, id: PageId) -> Outbox {
         self.pages().open.get_mut(&id).map(|page| std::mem::take(&mut page.outbox)).unwrap_or_default()
     }
 
     /// Applies `put` to the outgoing queue of one page.
-    pub fn to(&self, id: PageId, put: impl FnOnce(&mut Outbox)) {
+    pub fn with_outbox(&self, id: PageId, put: impl FnOnce(&mut Outbox)) {
         if let Some(page) = self.pages().open.get_mut(&id) {
             put(&mut page.outbox);
         }
     }
 
     /// Applies `put` to the outgoing queue of every page.
-    pub fn to_all(&self, mut put: impl FnMut(&mut Outbox)) {
+    pub fn with_every_outbox(&self, mut put: impl FnMut(&mut Outbox)) {
         self.pages().open.values_mut().for_each(|page| put(&mut page.outbox));
     }
 
@@ -258,40 +254,40 @@ mod tests {
     #[test]
     fn late_pages_get_the_newest_picture_and_every_message() {
         let hub = Hub::default();
-        let page = hub.come().unwrap();
+        let page = hub.add_page().unwrap();
         assert_eq!(hub.next(), Some(Event::Connected(page)));
         for number in 0..3 {
-            hub.to_all(|outbox| {
+            hub.with_every_outbox(|outbox| {
                 outbox.picture = Some(number.to_string());
-                outbox.tell(number.to_string());
+                outbox.queue_document(number.to_string());
             });
         }
-        let waiting = hub.take(page);
+        let waiting = hub.take_outbox(page);
         assert_eq!((waiting.picture.as_deref(), waiting.messages.len()), (Some("2"), 4));
-        assert!(hub.take(page).picture.is_none());
-        hub.go(page);
+        assert!(hub.take_outbox(page).picture.is_none());
+        hub.remove_page(page);
         assert_eq!((hub.next(), hub.next()), (Some(Event::Disconnected(page)), None));
     }
 
     #[test]
     fn pages_connect_up_to_the_maximum() {
         let hub = Hub::default();
-        let pages: Vec<_> = (0..=MAX_PAGES).map(|_| hub.come()).collect();
+        let pages: Vec<_> = (0..=MAX_PAGES).map(|_| hub.add_page()).collect();
         assert!(pages[..MAX_PAGES].iter().all(Option::is_some) && pages[MAX_PAGES].is_none());
     }
 
     #[test]
     fn excess_sound_is_dropped_from_its_beginning() {
         let mut outbox = Outbox::default();
-        outbox.hear(1000.0, &vec![0.0; MAX_SOUND]);
-        outbox.hear(1000.0, &[7.0]);
-        assert_eq!((outbox.sound.1.len(), outbox.sound.1.back()), (MAX_SOUND, Some(&7.0)));
+        outbox.queue_sound(1000.0, &vec![0.0; MAX_SOUND_SAMPLES]);
+        outbox.queue_sound(1000.0, &[7.0]);
+        assert_eq!((outbox.sound.1.len(), outbox.sound.1.back()), (MAX_SOUND_SAMPLES, Some(&7.0)));
     }
 
-    /// A hub with pages that the stage knows.
+    /// Returns a hub with pages that the stage knows.
     fn hub_with_pages(pages: u64) -> Hub {
         let hub = Hub::default();
-        (0..pages).for_each(|_| assert!(hub.come().is_some()));
+        (0..pages).for_each(|_| assert!(hub.add_page().is_some()));
         (1..=pages).for_each(|id| assert_eq!(hub.next(), Some(Event::Connected(id))));
         hub
     }
@@ -305,10 +301,10 @@ mod tests {
         for (page, stop) in [(1, FromPage::Release {}), (1, FromPage::Disarm {}), (2, FromPage::Disarm {})] {
             let hub = hub_with_pages(3);
             for message in [FromPage::Take {}, FromPage::Arm { seen: 1 }, FromPage::Hold { seen: 2 }] {
-                hub.said(1, Ok(message));
+                hub.queue_incoming(1, Ok(message));
             }
-            (0..10_000).for_each(|_| hub.said(3, Err("noise".into())));
-            hub.said(page, Ok(stop.clone()));
+            (0..10_000).for_each(|_| hub.queue_incoming(3, Err("noise".into())));
+            hub.queue_incoming(page, Ok(stop.clone()));
             assert_eq!(hub.next(), received(page, stop));
             let rest: Vec<Event> = std::iter::from_fn(|| hub.next()).collect();
             assert!(
@@ -323,12 +319,12 @@ mod tests {
     #[test]
     fn a_disconnect_comes_before_the_messages_of_other_pages() {
         let hub = hub_with_pages(2);
-        (0..10_000).for_each(|_| hub.said(2, Ok(FromPage::Here {})));
-        hub.go(1);
+        (0..10_000).for_each(|_| hub.queue_incoming(2, Ok(FromPage::Here {})));
+        hub.remove_page(1);
         assert_eq!(hub.next(), Some(Event::Disconnected(1)));
-        // The stage never learns of a page that disconnects first.
-        let third = hub.come().unwrap();
-        hub.go(third);
+        // A page that disconnects at once is never reported to the stage.
+        let third = hub.add_page().unwrap();
+        hub.remove_page(third);
         assert!(
             std::iter::from_fn(|| hub.next())
                 .all(|event| !matches!(event, Event::Connected(_) | Event::Disconnected(_)))
@@ -338,27 +334,30 @@ mod tests {
     #[test]
     fn a_flooding_page_takes_turns_and_loses_its_oldest_messages() {
         let hub = hub_with_pages(2);
-        (0..100_000).for_each(|number| hub.said(1, Err(number.to_string())));
-        hub.said(2, Ok(FromPage::Take {}));
+        (0..100_000).for_each(|number| hub.queue_incoming(1, Err(number.to_string())));
+        hub.queue_incoming(2, Ok(FromPage::Take {}));
         let events: Vec<Event> = std::iter::from_fn(|| hub.next()).collect();
         let second = events.iter().position(|event| *event == Event::Received(2, Ok(FromPage::Take {})));
         assert!(second.is_some_and(|at| at < 2), "{second:?}");
-        assert_eq!(events.len(), MAX_INCOMING + 2);
-        assert!(events.contains(&Event::Dropped(1, 100_000 - MAX_INCOMING as u64)));
+        assert_eq!(events.len(), MAX_INCOMING_MESSAGES + 2);
+        assert!(events.contains(&Event::Dropped(1, 100_000 - MAX_INCOMING_MESSAGES as u64)));
         assert_eq!(events.last(), Some(&Event::Received(1, Err("99999".into()))));
     }
 
     #[test]
     fn only_the_newest_hold_message_waits() {
         let hub = hub_with_pages(1);
-        (0..1_000).for_each(|seen| hub.said(1, Ok(FromPage::Hold { seen })));
+        (0..1_000).for_each(|seen| hub.queue_incoming(1, Ok(FromPage::Hold { seen })));
         assert_eq!((hub.next(), hub.next()), (received(1, FromPage::Hold { seen: 999 }), None));
     }
 
     #[test]
     fn unread_documents_are_dropped_from_the_oldest() {
         let mut outbox = Outbox::default();
-        (0..1_000).for_each(|number| outbox.tell(number.to_string()));
-        assert_eq!((outbox.messages.len(), outbox.messages.back().map(String::as_str)), (MAX_OUTGOING, Some("999")));
+        (0..1_000).for_each(|number| outbox.queue_document(number.to_string()));
+        assert_eq!(
+            (outbox.messages.len(), outbox.messages.back().map(String::as_str)),
+            (MAX_OUTGOING_DOCUMENTS, Some("999"))
+        );
     }
 }

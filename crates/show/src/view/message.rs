@@ -7,30 +7,29 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(tag = "do", rename_all = "kebab-case", deny_unknown_fields)]
 pub enum FromPage {
-    /// Report that the page is open.
+    /// A sign that the page is still open.
     Here {},
-    /// Take command, if no page has it.
+    /// Request for command, granted if no page has it.
     Take {},
-    /// Give up command.
+    /// The page gives up command.
     Give {},
     /// The dead man's key was pressed: motors on.
     Arm {
-        /// As in [`FromPage::Hold`].
+        /// Control step of the newest received picture, as in [`FromPage::Hold`].
         seen: u32,
     },
     /// The key is still down; sent several times a second. It never turns the motors on, because only a press arms.
     Hold {
-        /// Control step of the newest picture that the page had received before it saw the key down. It tells the board
-        /// the age of the key press.
+        /// Control step of the newest picture when the page detected its key, for the age of the key press.
         seen: u32,
     },
     /// The key was released: motors off.
     Release {},
-    /// Motors off, from any page.
+    /// A request of any page to turn the motors off.
     Disarm {},
-    /// Clear a fault.
+    /// A request to clear a fault.
     Clear {},
-    /// Set the gains of a wall.
+    /// New gains of a wall.
     Gains {
         /// Index of the wall, from 0.
         wall: u8,
@@ -44,40 +43,39 @@ pub enum FromPage {
         #[serde(default)]
         beyond: bool,
     },
-    /// Move a wall: its point (the centre of a round wall), m. A plane keeps its direction unless a new normal is
-    /// given.
+    /// New position of a wall. A plane keeps its direction without a new normal.
     Wall {
         /// Index of the wall, from 0.
         wall: u8,
-        /// New position, in the drawn plane, m.
+        /// Point of the wall (the centre of a round wall) in the drawn plane, m.
         point: [f32; 2],
         /// New normal of the plane, of any length.
         #[serde(default)]
         normal: Option<[f32; 2]>,
     },
-    /// Move the simulated hand to a position, m; without a position the hand releases the tip.
+    /// New position of the simulated hand; without a position it releases the tip.
     Hand {
-        /// Position in the drawn plane.
+        /// Position in the drawn plane, m.
         at: Option<[f64; 2]>,
     },
-    /// Reset a simulated device and its scene to the start, with the motors off.
+    /// A request to reset a simulated device and its scene to the start, with the motors off.
     StartOver {
         /// Pose to use instead of the initial pose, rad.
         #[serde(default)]
         pose: Option<Vec<f64>>,
     },
-    /// Send the limiting effects of the nearest wall with the next boundary.
+    /// A request to send the limiting effects of the nearest wall with the next boundary.
     Explain {},
     /// Settings of this page's oscilloscope.
     Scope(ScopeRequest),
-    /// Start or stop a recording, in the folder of the tool.
+    /// A request to start or stop a recording, in the folder of the tool.
     Record {
-        /// On or off.
+        /// True to start, false to stop.
         on: bool,
     },
-    /// Turn the sound of the motors on or off for this page.
+    /// A request to turn the sound of the motors on or off for this page.
     Sound {
-        /// On or off.
+        /// True to turn the sound on.
         on: bool,
     },
 }

@@ -1,7 +1,6 @@
-//! One moment as a page draws it: positions and numbers.
+//! The state at one moment as a page draws it: positions and numbers.
 //!
-//! A planar device is drawn as it is. A device in space is drawn in the xy plane, which is the plane of the linkage at
-//! joint 0 = 0.
+//! A device in space is drawn in the xy plane, which is the plane of the linkage at joint 0 = 0.
 
 use super::scope::Ring;
 use haptic_bridge::board::telemetry::{Field, Fields};
@@ -40,7 +39,7 @@ const OSCILLATION_TIME: f64 = 0.3;
 /// A point or a vector of the drawn plane.
 type Flat = [f64; 2];
 
-/// The ellipse of effective inertia, from Λ: each half axis is the inertia that a push along it meets.
+/// The ellipse of effective inertia, from Λ; each half axis is the inertia that a push along the axis meets.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Ellipse {
     /// Largest and smallest effective inertia, kg.
@@ -73,7 +72,7 @@ pub struct Numbers {
     pub force: f64,
     /// Depth in the nearest wall, m; negative outside.
     pub depth: f64,
-    /// Motor force across that normal, N: it pushes a hand along the wall.
+    /// Motor force across the nearest wall's normal, N, which pushes a hand along the wall.
     pub sideways: f64,
     /// Deviation of the force from its mean over the last tenth of a second, N rms.
     pub ripple: f64,
@@ -86,7 +85,7 @@ pub struct Numbers {
     pub energy: f64,
     /// Share of the last tenth of a second in which a motor was at its limit.
     pub saturated: f64,
-    /// Weff and Wrr along that normal, kg; `None` at a singular pose.
+    /// Weff and Wrr along the nearest wall's normal, kg; `None` at a singular pose.
     pub inertia: Option<Flat>,
     /// Index of the nearest wall, from 0.
     pub wall: Option<usize>,
@@ -114,7 +113,7 @@ impl<'a> Newest<'a> {
     /// Returns the number in a field's column; 0 before the first row.
     pub fn get(&self, field: Field, axis: usize) -> f64 {
         let column = self.columns.iter().position(|column| column.field == field && column.axis == axis);
-        let value = column.and_then(|column| self.ring.at(self.ring.end().checked_sub(1)?, column));
+        let value = column.and_then(|column| self.ring.value(self.ring.end().checked_sub(1)?, column));
         value.filter(|value| value.is_finite()).map_or(0.0, f64::from)
     }
 
@@ -122,9 +121,9 @@ impl<'a> Newest<'a> {
         (0..count).map(|axis| self.get(field, axis)).collect()
     }
 
-    fn recent(&self, field: Field, axis: usize, rows: u64) -> impl Iterator<Item = f64> {
+    fn recent_values(&self, field: Field, axis: usize, rows: u64) -> impl Iterator<Item = f64> {
         let column = self.columns.iter().position(|column| column.field == field && column.axis == axis);
-        column.into_iter().flat_map(move |column| self.ring.last(column, rows)).map(f64::from)
+        column.into_iter().flat_map(move |column| self.ring.last_values(column, rows)).map(f64::from)
     }
 
     /// Returns the joint angles, rad.
@@ -156,19 +155,19 @@ impl<'a> Newest<'a> {
         let wall = nearest_wall(scene, &tip[..task]);
         let stiffness = wall.map_or(0.0, |(index, _)| scene.walls[index].stiffness);
         let force: Vec<f64> =
-            self.recent(Field::RenderedForce, 0, (OSCILLATION_TIME * rows_hz).ceil() as u64).collect();
+            self.recent_values(Field::RenderedForce, 0, (OSCILLATION_TIME * rows_hz).ceil() as u64).collect();
         let mut numbers = Numbers {
             force: self.get(Field::RenderedForce, 0),
             depth: -self.get(Field::Distance, 0),
             energy: self.get(Field::Energy, 0),
-            ripple: ripple(self.recent(Field::RenderedForce, 0, recent)),
+            ripple: ripple(self.recent_values(Field::RenderedForce, 0, recent)),
             frequency: frequency(&force, rows_hz),
             power: energy_given_out(
-                self.recent(Field::RenderedForce, 0, recent).zip(self.recent(Field::Distance, 0, recent)),
+                self.recent_values(Field::RenderedForce, 0, recent).zip(self.recent_values(Field::Distance, 0, recent)),
                 stiffness,
             ) / RECENT_TIME,
             saturated: (0..joints)
-                .map(|axis| share(self.recent(Field::Saturated, axis, recent), |value| value > 0.0))
+                .map(|axis| share_matching(self.recent_values(Field::Saturated, axis, recent), |value| value > 0.0))
                 .fold(0.0, f64::max),
             wall: wall.map(|(index, _)| index),
             ..Numbers::default()
@@ -202,7 +201,7 @@ fn spring_anchor(spring: &Spring<f64>, tip: &[f64]) -> [f64; 3] {
     core::array::from_fn(|i| point[i] + along * direction[i])
 }
 
-/// Returns the drawn position of a paddle's tip: from its skeleton, because its task is the length of an arc.
+/// Returns the drawn position of a paddle's tip, from its skeleton, because its task coordinate is an arc length.
 fn paddle_tip(links: Option<&Description>, q: &[f64], tip: &[f64]) -> Flat {
     let drawn = links.and_then(|links| skeleton(links, q));
     drawn.map_or([tip.first().copied().unwrap_or(0.0), 0.0], |drawn| drawn.tip.into())
@@ -226,7 +225,7 @@ fn ripple(values: impl Iterator<Item = f64>) -> f64 {
 }
 
 /// Computes the frequency of an oscillation about the mean from its upward crossings. A crossing counts only after the
-/// value was below the mean by half the rms, so that noise is not counted.
+/// value was below the mean by half the rms, so that noise does not count.
 fn frequency(values: &[f64], rows_hz: f64) -> Option<f64> {
     let mean = values.iter().sum::<f64>() / values.len() as f64;
     let margin = 0.5 * ripple(values.iter().copied());
@@ -255,7 +254,7 @@ fn energy_given_out(rows: impl Iterator<Item = (f64, f64)>, stiffness: f64) -> f
     given
 }
 
-fn share(values: impl Iterator<Item = f64>, matches: impl Fn(f64) -> bool) -> f64 {
+fn share_matching(values: impl Iterator<Item = f64>, matches: impl Fn(f64) -> bool) -> f64 {
     let (mut count, mut matching) = (0_u32, 0_u32);
     for value in values {
         count += 1;
@@ -346,7 +345,7 @@ mod tests {
         assert!((x + 2.0 * angle.sin()).abs() < 1e-5 && (y - 2.0 * angle.cos()).abs() < 1e-5, "{x} {y}");
     }
 
-    /// The torques Jᵀ n f of a force f along the wall's normal push the tip with f along the normal, and not sideways.
+    /// Torques Jᵀ n f for a force f along the wall's normal push the tip with f along the normal, and not sideways.
     #[test]
     fn a_force_along_the_normal_is_drawn_along_it() {
         let demo = Demo::shipped(1).unwrap();

@@ -1,14 +1,14 @@
-//! An oscilloscope for telemetry: it keeps every row for a while, and its trigger checks every row.
+//! An oscilloscope for telemetry, which keeps the rows of the last seconds and checks its trigger at every row.
 
 use super::message::{ScopeRequest, Trigger};
 use std::collections::VecDeque;
 
-/// Maximum number of columns of a sweep; with more rows, each column has their smallest and largest value.
+/// Maximum number of columns of a sweep; each column has the smallest and the largest value of its rows.
 pub const MAX_COLUMNS: usize = 800;
 /// Longest window, s.
-pub const LONGEST: f64 = 2.0;
+pub const MAX_WINDOW_SECONDS: f64 = 2.0;
 /// Maximum number of channels.
-pub const CHANNELS: usize = 4;
+pub const MAX_CHANNELS: usize = 4;
 
 /// The rows of the last seconds. Lost rows are NaN, so that time stays uniform.
 #[derive(Clone, Debug)]
@@ -38,7 +38,7 @@ impl Ring {
     }
 
     /// Adds lost rows.
-    pub fn lose(&mut self, rows: u64) {
+    pub fn push_lost(&mut self, rows: u64) {
         for _ in 0..rows.min(self.capacity as u64) {
             self.push([]);
         }
@@ -58,16 +58,16 @@ impl Ring {
         self.end
     }
 
-    /// Returns a number by its row and column.
-    pub fn at(&self, row: u64, column: usize) -> Option<f32> {
+    /// Returns the value in a row and a column.
+    pub fn value(&self, row: u64, column: usize) -> Option<f32> {
         let index = usize::try_from(row.checked_sub(self.begin())?).ok()?;
         (column < self.columns).then(|| self.values.get(index * self.columns + column).copied()).flatten()
     }
 
-    /// Returns the last `rows` numbers of a column that arrived, oldest first.
-    pub fn last(&self, column: usize, rows: u64) -> impl Iterator<Item = f32> {
+    /// Returns the values that arrived among the last `rows` rows of a column, oldest first.
+    pub fn last_values(&self, column: usize, rows: u64) -> impl Iterator<Item = f32> {
         (self.end.saturating_sub(rows).max(self.begin())..self.end)
-            .filter_map(move |row| self.at(row, column))
+            .filter_map(move |row| self.value(row, column))
             .filter(|value| value.is_finite())
     }
 }
@@ -88,7 +88,7 @@ pub enum Phase {
 /// A window of rows for the screen.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sweep {
-    /// Kind.
+    /// Kind of the sweep.
     pub phase: Phase,
     /// Smallest and largest value of each column, for each channel.
     pub channels: Vec<Vec<(f32, f32)>>,
@@ -100,7 +100,7 @@ struct ActiveTrigger {
     column: usize,
     /// Rows of the window before the crossing.
     before: u64,
-    /// Number of the first row that was not checked yet.
+    /// Number of the first row that the trigger has not checked.
     next: u64,
     /// Row of a crossing whose window is not complete yet.
     crossing: Option<u64>,
@@ -119,18 +119,17 @@ pub struct Scope {
 }
 
 impl Scope {
-    /// Creates an oscilloscope on a stream with these labels and this row rate, from row `now` on. The error describes
-    /// a mistake in the request.
+    /// Creates an oscilloscope on a stream, from row `now` on. The error describes a mistake in the request.
     pub fn new(request: ScopeRequest, labels: &[String], rows_hz: f64, now: u64) -> Result<Self, String> {
         let column = |name: &String| {
             let index = labels.iter().position(|label| label == name);
             index.ok_or_else(|| format!("`{name}` is not a signal of this stream"))
         };
-        if request.channels.is_empty() || request.channels.len() > CHANNELS {
-            return Err(format!("an oscilloscope has 1 to {CHANNELS} channels"));
+        if request.channels.is_empty() || request.channels.len() > MAX_CHANNELS {
+            return Err(format!("an oscilloscope has 1 to {MAX_CHANNELS} channels"));
         }
-        if !(request.seconds > 0.0 && request.seconds <= LONGEST) {
-            return Err(format!("a sweep takes more than 0 and at most {LONGEST} s"));
+        if !(request.seconds > 0.0 && request.seconds <= MAX_WINDOW_SECONDS) {
+            return Err(format!("a sweep takes more than 0 and at most {MAX_WINDOW_SECONDS} s"));
         }
         let columns = request.channels.iter().map(column).collect::<Result<Vec<usize>, String>>()?;
         let rows = ((request.seconds * rows_hz).round() as u64).max(2);
@@ -147,12 +146,12 @@ impl Scope {
                     is_done: false,
                 })
             }
-            Some(_) => return Err("a trigger needs a finite level and a share before it from 0 to 1".into()),
+            Some(_) => return Err("a trigger needs a finite level, and a share before the crossing from 0 to 1".into()),
         };
         Ok(Self { columns, rows, seconds: request.seconds, trigger: active })
     }
 
-    /// Returns the newest sweep, if there is a new one.
+    /// Returns a sweep if a new one is complete.
     pub fn sweep(&mut self, ring: &Ring) -> Option<Sweep> {
         let Some(active) = &mut self.trigger else { return Some(self.window(ring, ring.end(), Phase::Rolling)) };
         if active.is_done {
@@ -163,7 +162,8 @@ impl Scope {
         while active.crossing.is_none() && active.next < ring.end() {
             let row = active.next;
             active.next += 1;
-            let (Some(before), Some(value)) = (ring.at(row - 1, active.column), ring.at(row, active.column)) else {
+            let (Some(before), Some(value)) = (ring.value(row - 1, active.column), ring.value(row, active.column))
+            else {
                 continue;
             };
             let level = active.trigger.level as f32;
@@ -182,7 +182,7 @@ impl Scope {
                 Some(self.window(ring, end, phase))
             }
             Some(_) => None,
-            // Without a crossing for two windows, the signal is shown anyway, so that a level can be chosen.
+            // Shows the newest rows after two windows without a crossing, so that a level can be chosen.
             None if !active.trigger.once && ring.end() > active.sweep_end + 2 * self.rows => {
                 Some(self.window(ring, ring.end(), Phase::Waiting))
             }
@@ -193,7 +193,7 @@ impl Scope {
     fn window(&self, ring: &Ring, end: u64, phase: Phase) -> Sweep {
         let columns = self.rows.min(MAX_COLUMNS as u64);
         // Rows before the start are empty.
-        let at = |row: u64, column| (row + end).checked_sub(self.rows).and_then(|row| ring.at(row, column));
+        let at = |row: u64, column| (row + end).checked_sub(self.rows).and_then(|row| ring.value(row, column));
         let channels = self.columns.iter().map(|column| {
             (0..columns)
                 .map(|i| {
@@ -206,10 +206,9 @@ impl Scope {
         Sweep { phase, channels: channels.collect() }
     }
 
-    /// Encodes a sweep for the page, as 32-bit floats, little-endian: 1, the phase, the window in seconds, the time of
-    /// the crossing in it in seconds, channels, columns; then for each channel and column the smallest and the largest
-    /// value.
-    pub fn bytes(&self, sweep: &Sweep) -> Vec<u8> {
+    /// Encodes a sweep as little-endian `f32`: 1, phase, window (s), time of the crossing (s), number of channels and
+    /// of columns; then for each channel and column the smallest and the largest value.
+    pub fn encode(&self, sweep: &Sweep) -> Vec<u8> {
         let crossing =
             self.trigger.as_ref().map_or(0.0, |active| self.seconds * active.before as f64 / (self.rows - 1) as f64);
         let columns = sweep.channels.first().map_or(0, Vec::len);
@@ -234,16 +233,16 @@ mod tests {
         vec!["force_n".into(), "distance_m".into()]
     }
 
-    fn request(trigger: Option<Trigger>) -> ScopeRequest {
+    fn scope_request(trigger: Option<Trigger>) -> ScopeRequest {
         ScopeRequest { channels: vec!["force_n".into()], seconds: 0.1, trigger }
     }
 
-    fn rising(once: bool) -> Option<Trigger> {
+    fn rising_trigger(once: bool) -> Option<Trigger> {
         Some(Trigger { channel: "force_n".into(), level: 1.5, rising: true, before: 0.25, once })
     }
 
     /// Adds rows of a force that is 2 in the first ten of every hundred rows, and otherwise 0.
-    fn feed(ring: &mut Ring, rows: std::ops::Range<u64>) {
+    fn push_force_rows(ring: &mut Ring, rows: std::ops::Range<u64>) {
         for row in rows {
             ring.push([if row % 100 < 10 && row >= 100 { 2.0 } else { 0.0 }, row as f32]);
         }
@@ -252,36 +251,36 @@ mod tests {
     #[test]
     fn every_row_is_checked_and_the_crossing_is_at_its_share() {
         let mut ring = Ring::new(2, 1000);
-        let mut scope = Scope::new(request(rising(false)), &labels(), 400.0, 0).unwrap();
+        let mut scope = Scope::new(scope_request(rising_trigger(false)), &labels(), 400.0, 0).unwrap();
         // 40 rows, of which round(39 · 0.25) = 10 come before the crossing.
-        feed(&mut ring, 0..129);
+        push_force_rows(&mut ring, 0..129);
         assert_eq!(scope.sweep(&ring), None, "the window is not full yet");
-        feed(&mut ring, 129..130);
+        push_force_rows(&mut ring, 129..130);
         let sweep = scope.sweep(&ring).unwrap();
         assert_eq!(sweep.phase, Phase::Triggered);
         let expected: Vec<(f32, f32)> =
             (90..130).map(|row| if (100..110).contains(&row) { (2.0, 2.0) } else { (0.0, 0.0) }).collect();
         assert_eq!(sweep.channels, [expected]);
         assert_eq!(scope.sweep(&ring), None, "one crossing makes one sweep");
-        feed(&mut ring, 130..235);
+        push_force_rows(&mut ring, 130..235);
         assert_eq!(scope.sweep(&ring).unwrap().channels[0][10], (2.0, 2.0));
     }
 
     #[test]
     fn a_single_sweep_is_not_repeated() {
         let mut ring = Ring::new(2, 1000);
-        let mut scope = Scope::new(request(rising(true)), &labels(), 400.0, 0).unwrap();
-        feed(&mut ring, 0..150);
+        let mut scope = Scope::new(scope_request(rising_trigger(true)), &labels(), 400.0, 0).unwrap();
+        push_force_rows(&mut ring, 0..150);
         assert_eq!(scope.sweep(&ring).unwrap().phase, Phase::Stopped);
-        feed(&mut ring, 150..500);
+        push_force_rows(&mut ring, 150..500);
         assert_eq!(scope.sweep(&ring), None);
     }
 
     #[test]
     fn a_trigger_without_a_crossing_shows_the_newest_rows() {
         let mut ring = Ring::new(2, 1000);
-        let mut scope = Scope::new(request(rising(false)), &labels(), 400.0, 0).unwrap();
-        feed(&mut ring, 0..90);
+        let mut scope = Scope::new(scope_request(rising_trigger(false)), &labels(), 400.0, 0).unwrap();
+        push_force_rows(&mut ring, 0..90);
         let sweep = scope.sweep(&ring).unwrap();
         assert_eq!((sweep.phase, sweep.channels[0].len()), (Phase::Waiting, 40));
     }
@@ -292,15 +291,15 @@ mod tests {
         for row in 0..3999_u32 {
             ring.push([if row == 1234 { 9.0 } else { 0.0 }]);
         }
-        ring.lose(1);
+        ring.push_lost(1);
         let request = ScopeRequest { channels: vec!["force_n".into()], seconds: 2.0, trigger: None };
         let mut scope = Scope::new(request, &labels()[..1], 2000.0, 0).unwrap();
         let sweep = scope.sweep(&ring).unwrap();
         let channel = &sweep.channels[0];
         assert_eq!((channel.len(), channel.iter().filter(|(_, high)| *high == 9.0).count()), (800, 1));
         assert_eq!(channel[1234 / 5], (0.0, 9.0));
-        assert_eq!(ring.last(0, 3).count(), 2, "a lost row is not a number");
-        let bytes = scope.bytes(&sweep);
+        assert_eq!(ring.last_values(0, 3).count(), 2, "a lost row is not a number");
+        let bytes = scope.encode(&sweep);
         assert_eq!(bytes.len(), 4 * (6 + 2 * 800));
         assert_eq!(bytes[..4], 1.0_f32.to_le_bytes());
     }
@@ -308,10 +307,10 @@ mod tests {
     #[test]
     fn the_ring_keeps_the_newest_rows_by_their_numbers() {
         let mut ring = Ring::new(2, 10);
-        feed(&mut ring, 0..25);
+        push_force_rows(&mut ring, 0..25);
         assert_eq!((ring.begin(), ring.end()), (15, 25));
         assert_eq!(
-            (ring.at(14, 1), ring.at(15, 1), ring.at(24, 1), ring.at(25, 1)),
+            (ring.value(14, 1), ring.value(15, 1), ring.value(24, 1), ring.value(25, 1)),
             (None, Some(15.0), Some(24.0), None)
         );
     }
@@ -319,12 +318,14 @@ mod tests {
     #[test]
     fn invalid_requests_are_refused_with_a_reason() {
         let refused = |request: ScopeRequest| Scope::new(request, &labels(), 1000.0, 0).unwrap_err();
-        assert!(refused(ScopeRequest { channels: vec!["x".into()], ..request(None) }).contains("`x` is not a signal"));
-        assert!(refused(ScopeRequest { channels: vec![], ..request(None) }).contains("1 to 4 channels"));
+        assert!(
+            refused(ScopeRequest { channels: vec!["x".into()], ..scope_request(None) }).contains("`x` is not a signal")
+        );
+        assert!(refused(ScopeRequest { channels: vec![], ..scope_request(None) }).contains("1 to 4 channels"));
         for seconds in [0.0, -1.0, 3.0, f64::NAN] {
-            assert!(refused(ScopeRequest { seconds, ..request(None) }).contains("at most 2 s"));
+            assert!(refused(ScopeRequest { seconds, ..scope_request(None) }).contains("at most 2 s"));
         }
-        let trigger = Trigger { level: f64::NAN, ..rising(false).unwrap() };
-        assert!(refused(request(Some(trigger))).contains("level"));
+        let trigger = Trigger { level: f64::NAN, ..rising_trigger(false).unwrap() };
+        assert!(refused(scope_request(Some(trigger))).contains("level"));
     }
 }

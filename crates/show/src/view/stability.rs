@@ -1,5 +1,5 @@
-//! The predicted boundary of a wall's gains at the present pose, computed on a separate thread; in a browser, which has
-//! no threads here, computed on request (some milliseconds).
+//! The predicted boundary of a wall's gains at the present pose. A separate thread computes it; without threads, as in
+//! a browser, it is computed at once on request, in some milliseconds.
 
 use haptic_bridge::render::scene::{FeedForward, Scene};
 use haptic_host::words::{counted, digits, listed, with_unit};
@@ -52,20 +52,20 @@ pub struct Plane {
     pub w_rr: f64,
     /// kp_max (N/m) over damping (N s/m), without feed-forward.
     pub off: Vec<BoundaryPoint>,
-    /// With feed-forward.
+    /// kp_max over damping, with feed-forward.
     pub full: Vec<BoundaryPoint>,
-    /// With the feed-forward behind the wall's washout.
+    /// kp_max over damping, with the feed-forward behind the wall's washout.
     pub washout: Vec<BoundaryPoint>,
     /// Assumptions of the prediction, and effects that it leaves out: one sentence each.
     #[serde(default)]
     pub assumes: Vec<String>,
     /// Limiting effects, if they were requested.
-    pub limits: Option<Explained>,
+    pub limits: Option<LimitingEffects>,
 }
 
 /// The limiting effects of a wall's stiffness.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Explained {
+pub struct LimitingEffects {
     /// Feed-forward of the wall.
     pub feed_forward: FeedForward,
     /// Largest stable stiffness over all dampings, N/m; `None` if it is unlimited.
@@ -73,19 +73,19 @@ pub struct Explained {
     /// Damping at that stiffness, N s/m.
     pub damping: Option<f64>,
     /// Limits with each effect removed in turn.
-    pub without: Vec<Without>,
+    pub without: Vec<LimitWithout>,
     /// Motion of the tip along the normal for one encoder count, m.
     pub count: f64,
 }
 
 /// The limit without one effect.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Without {
+pub struct LimitWithout {
     /// The effect.
     pub effect: String,
-    /// The condition that replaces it.
+    /// The condition that replaces the effect.
     pub instead: String,
-    /// Largest stable stiffness then, N/m; `None` if it is unlimited.
+    /// Largest stable stiffness without the effect, N/m; `None` if it is unlimited.
     pub stiffness: Option<f64>,
 }
 
@@ -100,7 +100,7 @@ impl Plane {
     }
 
     /// Returns the largest stiffness (N/m) that is predicted to be stable with this damping (N s/m).
-    pub fn stiffness_to(&self, mode: FeedForward, damping: f64) -> f64 {
+    pub fn max_stiffness(&self, mode: FeedForward, damping: f64) -> f64 {
         let boundary = self.boundary(mode);
         let next = boundary.partition_point(|point| point.kd < damping);
         match (next.checked_sub(1).and_then(|i| boundary.get(i)), boundary.get(next)) {
@@ -127,13 +127,13 @@ impl PredictionRequest {
 }
 
 /// Computes the boundary; `None` if the pose is singular or the loop cannot be analysed.
-pub fn predict(request: &PredictionRequest) -> Option<Plane> {
+pub fn predict_plane(request: &PredictionRequest) -> Option<Plane> {
     let PredictionRequest { scene, wall: index, q, normal, .. } = request;
     let wall = scene.walls.get(*index)?;
     let (prediction, model) = request.prediction()?;
     let range = prediction.range(q, &[Member::new(normal.clone(), 1.0)], None, Some(wall.washout_hz)).ok()?;
     let washout = range.washout.map_or_else(Vec::new, |domain| domain.boundary);
-    let limits = if request.explain { explain(request, &prediction, &model) } else { None };
+    let limits = if request.explain { limiting_effects(request, &prediction, &model) } else { None };
     Some(Plane {
         wall: *index,
         q: q.clone(),
@@ -147,27 +147,31 @@ pub fn predict(request: &PredictionRequest) -> Option<Plane> {
     })
 }
 
-/// Returns the oscillation of the wall with its present gains: outside the boundary, its buzz.
-pub fn buzz(request: &PredictionRequest) -> Option<Oscillation> {
+/// Returns the predicted oscillation of the wall with its present gains: the buzz of an unstable wall.
+pub fn predict_buzz(request: &PredictionRequest) -> Option<Oscillation> {
     let wall = request.scene.walls.get(request.wall)?;
     let (prediction, _) = request.prediction()?;
     let members = [Member::new(request.normal.clone(), 1.0)];
     prediction.buzz(&request.q, &members, request.mode()?, wall.stiffness, wall.damping).ok()?
 }
 
-fn explain(request: &PredictionRequest, prediction: &Prediction, model: &Linearised) -> Option<Explained> {
+fn limiting_effects(
+    request: &PredictionRequest,
+    prediction: &Prediction,
+    model: &Linearised,
+) -> Option<LimitingEffects> {
     let (mode, control) = (request.mode()?, &prediction.around);
     let (all, without) = limits_without(model, control, mode).ok()?;
-    let mut without: Vec<Without> = without
+    let mut without: Vec<LimitWithout> = without
         .into_iter()
-        .map(|(effect, instead, limits)| Without {
+        .map(|(effect, instead, limits)| LimitWithout {
             effect: effect.into(),
             instead: instead.into(),
             stiffness: limits.map(|limits| limits.kp_max),
         })
         .collect();
     if let Some(hand) = request.hand {
-        without.push(Without {
+        without.push(LimitWithout {
             effect: "empty hand".into(),
             instead: format!(
                 "held by {} and {}, as this page's hand does",
@@ -179,7 +183,7 @@ fn explain(request: &PredictionRequest, prediction: &Prediction, model: &Lineari
     }
     let device = &request.subject.device;
     let pose = TaskPose::of(&device.mechanism, &request.q).ok()?;
-    Some(Explained {
+    Some(LimitingEffects {
         feed_forward: request.scene.walls.get(request.wall)?.feed_forward,
         stiffness: all.map(|limits| limits.kp_max),
         damping: all.map(|limits| limits.kd),
@@ -207,7 +211,7 @@ fn assumptions(request: &PredictionRequest, prediction: &Prediction, model: &Lin
         ),
         format!("Velocity: {estimator}{over}{filter}."),
         match &control.drive {
-            Drive::Ideal => "Drive: torque at once.".into(),
+            Drive::Ideal => "Drive: ideal, torque acts at once.".into(),
             Drive::Current { bandwidth_hz } => {
                 format!("Drive: a current loop that lags as {} does.", with_unit(*bandwidth_hz, "Hz"))
             }
@@ -230,9 +234,9 @@ fn assumptions(request: &PredictionRequest, prediction: &Prediction, model: &Lin
         (None, _) => "Transmissions: assumed to be rigid, because no file of this device is known here.".into(),
         (_, true) => "Transmissions: rigid, as in the device file.".into(),
         (_, false) => format!(
-            "Transmissions: {} give{} as in the device file{}.",
+            "Transmissions: {} {} compliant as in the device file{}.",
             joints(compliant.clone()),
-            if compliant.len() == 1 { "s" } else { "" },
+            if compliant.len() == 1 { "is" } else { "are" },
             at_tip.unwrap_or_default()
         ),
     });
@@ -253,14 +257,14 @@ fn assumptions(request: &PredictionRequest, prediction: &Prediction, model: &Lin
         sentences.push(format!("Feed-forward: {} times equation (4), as in the scene.", digits(model.gain)));
     }
     sentences.push(match prediction.hand.is_there() {
-        true => "Hand: as given.".into(),
+        true => "Hand: as in the device file or the scene.".into(),
         false => {
             "Hand: none, because neither device file nor scene has one. A light grip mostly quiets a wall.".to_string()
         }
     });
     let list = |values: &[f64]| values.iter().map(|value| format!("{value:.2}")).collect::<Vec<_>>().join(", ");
     sentences.push(format!("Pose: joints at {} rad, this wall along ({}).", list(&request.q), list(&request.normal)));
-    let mut left_out = vec!["that a wall only pushes", "dry friction", "encoder steps", "the motors' limits"];
+    let mut left_out = vec!["one-sided contact", "dry friction", "encoder steps", "the motors' limits"];
     if scene.walls.len() > 1 {
         left_out.push("the scene's other walls");
     }
@@ -274,10 +278,10 @@ fn assumptions(request: &PredictionRequest, prediction: &Prediction, model: &Lin
     sentences
 }
 
-/// Computes the newest request and skips older ones that are still waiting.
+/// Computes predictions; skips all waiting requests except the newest.
 #[derive(Debug)]
 pub struct Predictor {
-    /// Channel to a thread that computes; `None` without threads, where each request is computed at once.
+    /// Channel to the computing thread; `None` without threads, where each request is computed at once.
     requests: Option<Sender<PredictionRequest>>,
     result_sender: Sender<Option<Plane>>,
     results: Receiver<Option<Plane>>,
@@ -294,7 +298,7 @@ impl Default for Predictor {
         let thread = thread::Builder::new().spawn(move || {
             while let Ok(first) = received.recv() {
                 let newest = received.try_iter().last().unwrap_or(first);
-                if sender.send(predict(&newest)).is_err() {
+                if sender.send(predict_plane(&newest)).is_err() {
                     return;
                 }
             }
@@ -314,8 +318,8 @@ impl Predictor {
         self.explain = true;
     }
 
-    /// Returns true if the limiting effects should be requested now, with the motors on or off. Without a thread the
-    /// computation would delay messages about the key by some tenths of a second, so it waits until the motors are off.
+    /// Returns true if the limiting effects should be requested now. Without a thread their computation would delay
+    /// messages about the key by some tenths of a second, so it waits until the motors are off.
     pub fn should_explain(&self, motors_on: bool) -> bool {
         self.explain && !(motors_on && self.requests.is_none())
     }
@@ -325,11 +329,11 @@ impl Predictor {
         self.explain &= !request.explain;
         self.is_busy = match &self.requests {
             Some(requests) => requests.send(request).is_ok(),
-            None => self.result_sender.send(predict(&request)).is_ok(),
+            None => self.result_sender.send(predict_plane(&request)).is_ok(),
         };
     }
 
-    /// Returns the result, once it is available.
+    /// Returns the newest result if a request was completed.
     pub fn take_result(&mut self) -> Option<Option<Plane>> {
         let result = self.results.try_iter().last();
         self.is_busy &= result.is_none();
@@ -367,11 +371,10 @@ mod tests {
             thread::yield_now();
         };
         assert!(!predictor.is_busy());
-        let to = |mode| plane.stiffness_to(mode, demo.damping);
+        let to = |mode| plane.max_stiffness(mode, demo.damping);
         assert!(to(FeedForward::Off) < demo.stiffness && demo.stiffness < to(FeedForward::Washout));
         assert!(to(FeedForward::Washout) < to(FeedForward::Full));
-        assert_eq!(plane.stiffness_to(FeedForward::Off, 1e6), 0.0, "no damping beyond the boundary is stable");
-        // Without a thread, the long computation waits for the motors to be off.
+        assert_eq!(plane.max_stiffness(FeedForward::Off, 1e6), 0.0, "no damping beyond the boundary is stable");
         predictor.explain();
         assert!(predictor.should_explain(true) && predictor.should_explain(false));
         predictor.requests = None;

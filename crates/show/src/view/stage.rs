@@ -2,13 +2,13 @@
 //!
 //! One page commands, the others watch. The motors are on only while the page in command holds its key down: if the
 //! page releases the key, closes, or sends no hold message for [`KEY_TIMEOUT`], the motors go off. Any page may turn
-//! them off. With its key a page sends the newest control step that it had been shown when it saw the key, and this
-//! step goes on to the board ([`Board::hold_key`]): the board thus knows the age of the press, however slow the link
-//! is. Simulated motors are harmless: they stay on until the key is released or the page is gone, however slow the
-//! computer is.
+//! the motors off. With each message about its key a page sends the control step of the newest picture that it had
+//! received when it detected the key. The stage passes this step to the board ([`Board::hold_key`]), which thus knows
+//! the age of the key press on a link of any delay. Simulated motors are harmless, so they stay on until the key is
+//! released or the page is gone, however slow the computer is.
 //!
-//! The stage reads no clock: the caller of [`Stage::turn`] passes the time. The tool calls it in a loop
-//! ([`Stage::run`]), the page as a file whenever the browser allows (clients/page/).
+//! The stage reads no clock: the caller of [`Stage::turn`] passes the time. The tool calls `turn` in a loop
+//! ([`Stage::run`]), and the page as a file whenever the browser allows (clients/page/).
 
 mod messages;
 mod recording;
@@ -17,9 +17,9 @@ mod walls;
 use super::hub::{Event, Hub, PageId};
 use super::message::FromPage;
 use super::picture::{FIELDS, Newest, nearest_wall};
-use super::scope::{LONGEST, Ring, Scope};
+use super::scope::{MAX_WINDOW_SECONDS, Ring, Scope};
 use super::stability::{Plane, Predictor};
-use super::world::{World, lead};
+use super::world::{World, lead_hand};
 use haptic_bridge::board::telemetry::Field;
 use haptic_bridge::control::Rules;
 use haptic_bridge::model::device::Device;
@@ -45,50 +45,47 @@ use std::thread;
 use std::time::{Duration, Instant};
 use walls::check_scene;
 
-/// Maximum number of events in a turn; those that turn motors off come first ([`Hub::next`]).
+/// Maximum number of events that one turn handles.
 const MAX_EVENTS: usize = 64;
-/// Longest age of the key press, both by the board's steps and by the page's last message, before the motors go off. It
-/// is shorter than the board's own limit ([`haptic_bridge::control::KEY_SECONDS`]), which causes a fault; the margin is
-/// a heartbeat and a turn of this stage.
+/// Longest age of the key press, by board steps and by page messages, before the motors go off. It is a heartbeat and a
+/// turn shorter than the board's own limit ([`haptic_bridge::control::KEY_SECONDS`]), which causes a fault.
 pub const KEY_TIMEOUT: Duration = Duration::from_millis(400);
-/// Distance out of a wall to which the simulated hand first moves a tip, m, and time limit of this movement.
+/// Distance from the wall to which the simulated hand moves a tip before the motors go on, m.
 const EXIT_DISTANCE: f64 = 0.005;
+/// Time limit for the movement out of a wall.
 const EXIT_TIMEOUT: Duration = Duration::from_secs(2);
 /// Longest silence of the page in command before another page may take command.
 const COMMAND_TIMEOUT: Duration = Duration::from_secs(5);
-/// Interval between pictures: 60 a second.
 const PICTURE_INTERVAL: Duration = Duration::from_micros(16_600);
-/// Interval between sweeps of an oscilloscope.
 const SWEEP_INTERVAL: Duration = Duration::from_millis(40);
 /// Interval between polls of slowly changing state.
 const POLL_INTERVAL: Duration = Duration::from_millis(500);
-/// Maximum simulated time to catch up after the computer was busy, and maximum time that a turn counts as listening.
+/// Maximum simulated time to catch up after the computer was busy, and maximum part of a turn that counts as listening.
 const MAX_CATCH_UP: Duration = Duration::from_millis(50);
 /// Simulated time between two polls of the pages' messages.
-const SLICE: Duration = Duration::from_millis(8);
+const TIME_SLICE: Duration = Duration::from_millis(8);
 /// Rotation of a joint after which the boundary is predicted again, rad.
-const MAX_ROTATION: f64 = 0.02;
+const MAX_JOINT_ROTATION: f64 = 0.02;
 /// Clock of the boards' core, Hz.
 const CORE_HZ: f64 = 168e6;
 
 /// Outcome of a turn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Turn {
-    /// Time has passed; there may be more to catch up.
+    /// Time has passed, and there may be more to catch up.
     Played,
     /// Simulated time is up to date.
     Ahead,
 }
 
-/// The stage.
+/// State of the thread that owns the board.
 pub struct Stage {
     world: World,
     hub: Hub,
-    /// Time since the stage was opened, and the part of it in which the stage received messages: its own long waits are
-    /// not counted, because messages of that time may not have arrived yet.
+    /// Time since the stage was opened.
     now: Duration,
+    /// Part of `now` in which the stage could receive messages, without its own long waits.
     listened: Duration,
-    /// Times of the last picture, sweep, and poll.
     last_picture: Duration,
     last_sweep: Duration,
     last_poll: Duration,
@@ -96,12 +93,12 @@ pub struct Stage {
     scene: Scene<f64>,
     /// The scene when the stage was opened.
     first: Scene<f32>,
-    /// The rules at the last poll.
     rules: Rules,
     columns: Vec<Column>,
     rows_hz: f64,
-    /// The device with its transmissions, and the board's delay and drives.
+    /// The device with its transmissions.
     subject: Subject,
+    /// The board's delay and drives.
     path: TorquePath,
     ring: Ring,
     last_step: Option<u32>,
@@ -111,10 +108,11 @@ pub struct Stage {
     scopes: BTreeMap<PageId, Scope>,
     listeners: Vec<PageId>,
     command: Option<(PageId, Duration)>,
-    /// Newest step that the page had been shown when it saw its key down, and time of its last message, by `listened`.
+    /// Control step of the newest picture when the page detected its key; `None` without a held key.
     held: Option<u32>,
+    /// Value of `listened` at the last message about the key.
     key_time: Duration,
-    /// Time of the key press, while a simulated hand moves the tip out of a wall; the motors go on afterwards.
+    /// Time of the key press while a simulated hand moves the tip out of a wall, before the motors go on.
     exiting: Option<Duration>,
     goal: Option<[f64; 2]>,
     state: State,
@@ -126,7 +124,7 @@ pub struct Stage {
     /// Predicted oscillation of the plane's wall if its gains are unstable.
     buzz: Option<Oscillation>,
     pace: Pace,
-    /// Folder for recordings, if there is one, and the active recording.
+    /// Folder for recordings; `None` disables recording.
     folder: Option<PathBuf>,
     recording: Option<ActiveRecording>,
 }
@@ -162,7 +160,7 @@ impl Stage {
         board.start_stream(FIELDS, divider)?;
         let (now, board_now) = (Duration::ZERO, board.now());
         let stage = Self {
-            ring: Ring::new(columns.len(), (1.5 * LONGEST * rows_hz).ceil() as usize),
+            ring: Ring::new(columns.len(), (1.5 * MAX_WINDOW_SECONDS * rows_hz).ceil() as usize),
             hub,
             now,
             listened: now,
@@ -200,7 +198,7 @@ impl Stage {
             recording: None,
             world,
         };
-        stage.send_to_all(&stage.hello());
+        stage.send_to_all(&stage.hello_message());
         stage.send_to_all(&stage.walls_message());
         Ok(stage)
     }
@@ -209,15 +207,14 @@ impl Stage {
         &mut self.world.board
     }
 
-    /// Runs until `stop` is set, or the board is lost or does not reply. Without an error the motors are off
-    /// afterwards.
+    /// Runs until `stop` is set or the board is lost. Without an error the motors are off afterwards.
     pub fn run(&mut self, stop: &AtomicBool) -> Result<(), LinkError> {
         let result = self.play(stop);
         let ended = self.end(result.is_err());
         result.and(ended)
     }
 
-    /// Ends the view, with the motors off. A board that was `lost` turns them off itself.
+    /// Ends the view, with the motors off. A board that was `lost` turns its motors off itself.
     pub fn end(&mut self, lost: bool) -> Result<(), LinkError> {
         self.stop_recording(lost);
         self.disarm()?;
@@ -237,14 +234,13 @@ impl Stage {
         Ok(())
     }
 
-    /// Does the work that is due at `now`, the time since the stage was opened: receives messages, lets a few
-    /// milliseconds pass, sends pictures.
+    /// Does the work that is due at `now` (since opening): receives messages, lets time pass, sends pictures.
     pub fn turn(&mut self, now: Duration) -> Result<Turn, LinkError> {
         self.listened += now.saturating_sub(self.now).min(MAX_CATCH_UP);
         self.now = now;
         for _ in 0..MAX_EVENTS {
             let Some(event) = self.hub.next() else { break };
-            self.handle(event)?;
+            self.handle_event(event)?;
         }
         self.check_key()?;
         let turn = match self.time_to_pass() {
@@ -276,9 +272,9 @@ impl Stage {
         }
         let passed = self.world.board.now().saturating_sub(self.pace.board_began);
         let behind = self.now.saturating_sub(self.pace.began).saturating_sub(passed);
-        // Time for which the computer was too slow is not made up, because the picture would race.
+        // Does not catch up with more than `MAX_CATCH_UP`, because the picture would race.
         self.pace.began += behind.saturating_sub(MAX_CATCH_UP);
-        Some(behind.min(SLICE)).filter(|behind| !behind.is_zero())
+        Some(behind.min(TIME_SLICE)).filter(|behind| !behind.is_zero())
     }
 
     fn pass_time(&mut self, wait: Duration) -> Result<(), LinkError> {
@@ -286,12 +282,12 @@ impl Stage {
             if let Some(last) = self.last_step {
                 let ahead = row.step.wrapping_sub(last) / self.divider;
                 if ahead < u32::MAX / 2 / self.divider {
-                    self.ring.lose(u64::from(ahead.saturating_sub(1)));
+                    self.ring.push_lost(u64::from(ahead.saturating_sub(1)));
                 }
             }
             self.last_step = Some(row.step);
             if let Some(recording) = &mut self.recording
-                && let Err(error) = recording.take(&row)
+                && let Err(error) = recording.add_row(&row)
             {
                 self.recording_failed(error);
             }
@@ -327,7 +323,7 @@ impl Stage {
         Ok(())
     }
 
-    /// Checks the dead man's key of real motors: silence counts as a release. The age by the board's steps is not
+    /// Checks the dead man's key of real motors; silence of its page counts as a release. The age in board steps is not
     /// sufficient, because an emulated board may run slower than real time.
     fn check_key(&mut self) -> Result<(), LinkError> {
         let age = |seen: u32| f64::from(self.world.board.step().wrapping_sub(seen)) / self.scene.rate_hz;
@@ -335,7 +331,7 @@ impl Stage {
         let is_too_old = self.held.is_some_and(|seen| is_silent || age(seen) > KEY_TIMEOUT.as_secs_f64());
         if is_too_old && self.world.simulated.is_none() {
             self.disarm()?;
-            self.refuse_all(Some("off"), "no message from the page in command: motors off");
+            self.refuse_all(Some("off"), "no message from the page in command, so the motors went off");
         }
         if self.command.is_some_and(|(_, last)| self.now.saturating_sub(last) > COMMAND_TIMEOUT) {
             self.give_up_command()?;
@@ -365,7 +361,7 @@ impl Stage {
             let tip: [f64; 2] = padded(&self.tip());
             let distance = EXIT_DISTANCE - Newest::of(&self.ring, &self.columns).get(Field::Distance, 0);
             let goal = [tip[0] + distance * normal[0], tip[1] + distance * normal[1]];
-            lead(simulated, Some(goal));
+            lead_hand(simulated, Some(goal));
             (self.goal, self.exiting) = (Some(goal), Some(began));
             return Ok(());
         }
@@ -374,20 +370,19 @@ impl Stage {
         Ok(())
     }
 
-    /// Takes command away from the page that has it.
     fn give_up_command(&mut self) -> Result<(), LinkError> {
         self.command = None;
         self.goal = None;
         if let Some(simulated) = &self.world.simulated {
-            lead(simulated, None);
+            lead_hand(simulated, None);
         }
         self.disarm()
     }
 
-    fn handle(&mut self, event: Event) -> Result<(), LinkError> {
+    fn handle_event(&mut self, event: Event) -> Result<(), LinkError> {
         match event {
             Event::Connected(id) => {
-                self.send(id, &self.hello());
+                self.send(id, &self.hello_message());
                 self.send(id, &self.walls_message());
                 if let Some(plane) = &self.plane {
                     self.send(id, &plane_message(plane));
@@ -421,10 +416,9 @@ impl Stage {
         Ok(())
     }
 
-    /// Writes an event to the recording, if there is one.
     fn record_event(&mut self, words: &str) {
         if let Some(recording) = &mut self.recording
-            && let Err(error) = recording.note(words)
+            && let Err(error) = recording.add_event(words)
         {
             self.recording_failed(error);
         }
@@ -435,7 +429,7 @@ impl Stage {
     }
 
     fn execute(&mut self, id: PageId, message: FromPage) -> Result<(), BoardError> {
-        // Any page may send these.
+        // Handles the messages that any page may send.
         match &message {
             FromPage::Here {} => return Ok(()),
             FromPage::Disarm {} => return Ok(self.disarm()?),
@@ -470,7 +464,7 @@ impl Stage {
             if !matches!(message, FromPage::Release {} | FromPage::Hold { .. }) {
                 match self.command {
                     Some(_) => self.refuse_while("watching", id, "another page is in command; this one watches"),
-                    None => self.refuse_while("nobody", id, "no page is in command: take it first"),
+                    None => self.refuse_while("nobody", id, "no page is in command: take command first"),
                 }
             }
             return Ok(());
@@ -480,7 +474,7 @@ impl Stage {
             FromPage::Release {} => self.disarm()?,
             FromPage::Arm { seen } if self.held.is_none() => self.press(seen)?,
             FromPage::Hold { seen } if self.exiting.is_some() => self.press(seen)?,
-            // Only a press arms, not a key that was down when something else turned the motors off.
+            // Only a press arms. A key that stayed down while something else turned the motors off does not arm.
             FromPage::Arm { seen } | FromPage::Hold { seen } => {
                 self.key_time = self.listened;
                 if self.held.is_some_and(|before| before != seen) {
@@ -499,7 +493,7 @@ impl Stage {
             FromPage::Wall { wall, point, normal } => self.move_wall(id, usize::from(wall), point, normal)?,
             FromPage::Hand { at } => match &self.world.simulated {
                 Some(simulated) if at.is_none_or(|at| at.iter().all(|v| v.is_finite())) => {
-                    lead(simulated, at);
+                    lead_hand(simulated, at);
                     self.goal = at;
                 }
                 Some(_) => self.refuse(id, "a position is two finite numbers"),
@@ -536,24 +530,24 @@ impl Stage {
             }
         };
         self.disarm()?;
-        lead(simulated, None);
+        lead_hand(simulated, None);
         self.goal = None;
         simulated.lock().device_mut().place(start);
-        // The board's encoders see this as a jump: clear the fault before it is reported.
-        self.world.board.rows(SLICE)?;
+        // The jump of the encoders is a fault: clears it before it is reported.
+        self.world.board.rows(TIME_SLICE)?;
         match self.board().clear() {
             Err(BoardError::Link(error)) => return Err(error.into()),
             Ok(()) | Err(BoardError::Refused(_)) => {}
         }
-        self.world.board.rows(SLICE)?;
+        self.world.board.rows(TIME_SLICE)?;
         self.world.board.take_reported_faults();
         let first = self.first.clone();
         self.board().set_scene(&first)?;
         (self.last_step, self.requested, self.plane) = (None, None, None);
-        self.pass_time(SLICE)?;
+        self.pass_time(TIME_SLICE)?;
         self.trail.clear();
         self.record_event("started over");
-        self.send_to_all(&self.hello());
+        self.send_to_all(&self.hello_message());
         self.reread_scene()
     }
 

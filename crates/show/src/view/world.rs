@@ -1,4 +1,4 @@
-//! The subject of a view: a board, its links to draw, and the hand if the board is simulated.
+//! A board with everything that a view of it needs: its links to draw, and the hand if the board is simulated.
 
 use crate::demo::Demo;
 use haptic_bridge::render::scene::{FeedForward, Scene};
@@ -11,10 +11,11 @@ use haptic_sim::{BoardOptions, Hand, HandSettings, Intent, Options, SharedBoard,
 
 /// Distance of the wall of [`World::demo`] from the tip, m.
 const WALL_DISTANCE: f64 = 0.010;
-/// Dry friction of the demo's joints and number of encoder counts, relative to the device file.
+/// Dry friction of the demo's joints, relative to the device file.
 const FRICTION_FACTOR: f64 = 0.1;
+/// Number of encoder counts in the demo, relative to the device file.
 const ENCODER_FACTOR: f64 = 5.0;
-/// Tremor of the simulated hand, m: it excites the oscillation of an unstable wall.
+/// Tremor of the simulated hand, m, which excites the oscillation of an unstable wall.
 const TREMOR: f64 = 2e-4;
 
 /// A board, its device and its simulation.
@@ -23,9 +24,9 @@ pub struct World {
     pub board: Board,
     /// Access to the same board if it is simulated in this process.
     pub simulated: Option<SharedBoard>,
-    /// Device file, for the links.
+    /// Device file, whose links are drawn.
     pub file: Option<DeviceFile>,
-    /// Name of the scene's file, as in links to the page.
+    /// Name of the scene's file, for links to the page.
     pub scene_name: Option<String>,
     /// True if the device's weight was left out.
     pub weightless: bool,
@@ -39,8 +40,8 @@ impl World {
         Self { board, simulated: None, file, scene_name: None, weightless: false, smooth: false }
     }
 
-    /// Returns the device or scene that a connected board lacks for a view.
-    pub fn missing(&mut self) -> Result<Option<Refusal>, LinkError> {
+    /// Returns the refusal of a view if the connected board lacks a device or a scene.
+    pub fn missing_setting(&mut self) -> Result<Option<Refusal>, LinkError> {
         Ok(match (self.board.device()?, self.board.scene()?) {
             (None, _) => Some(Refusal::NoDevice),
             (_, None) => Some(Refusal::NoScene),
@@ -51,13 +52,12 @@ impl World {
     /// Creates the device of `haptic demo` in another pose, with another wall: at any force up to the motors' limit the
     /// wall buzzes without the feed-forward and is quiet with it, both in the prediction and in simulation.
     ///
-    /// Joint friction can hold an unstable wall still, and can keep a stable wall near its boundary oscillating;
-    /// encoder steps make a stiff wall tremble. Both would hide the effect of the feed-forward, so this device has
-    /// little of them, and pages show that.
+    /// Joint friction can hold an unstable wall still, or keep a stable wall near its boundary oscillating; encoder
+    /// steps make a stiff wall tremble. This device has little of both, and pages report this.
     pub fn demo() -> Result<Self, Failure> {
         let mut demo = Demo::shipped(1)?;
         let (sine, cosine) = 45.0_f64.to_radians().sin_cos();
-        // The wall is 2 mm behind the tip's position at 2.2 and 1.2 rad; it was tried around that pose.
+        // The wall is 2 mm behind the tip's position at 2.2 and 1.2 rad, and was tested around that pose.
         (demo.pose, demo.normal) = ([2.109_673, 1.225_778, 0.0], [cosine, sine]);
         (demo.stiffness, demo.damping) = (8_700.0, 80.0);
         for joint in &mut demo.file.description.joints {
@@ -106,7 +106,7 @@ pub fn hand_settings() -> HandSettings {
 }
 
 /// Moves the simulated hand to `goal` (m) in the drawn plane, or removes it from the tip.
-pub fn lead(board: &SharedBoard, goal: Option<[f64; 2]>) {
+pub fn lead_hand(board: &SharedBoard, goal: Option<[f64; 2]>) {
     let mut board = board.lock();
     let now = board.time();
     let device = board.device_mut();

@@ -22,7 +22,6 @@ use haptic_stability::analysis::several::Member;
 use serde_json::json;
 use std::fmt::Write;
 
-/// The linear theory of the board that was measured.
 pub struct Theory {
     device: Walls,
     walls: Vec<Member>,
@@ -33,13 +32,12 @@ pub struct Theory {
     q: Vec<f64>,
 }
 
-/// Formats numbers as a value of an option.
-fn list(values: &[f64]) -> String {
+fn option_value(values: &[f64]) -> String {
     values.iter().map(f64::to_string).collect::<Vec<_>>().join(",")
 }
 
 impl Theory {
-    /// Computes the theory of a measurement with this setup at `q` in the loop `around`.
+    /// Computes the theory of a measurement at `q` in the loop `around`.
     pub fn new(
         args: &Args,
         file: &DeviceFile,
@@ -52,8 +50,8 @@ impl Theory {
         let subject = Subject::new(&file.description)?;
         let prediction = Prediction { posture: setup.law.posture, ..Prediction::new(subject, around) };
         let device = prediction.walls(q, &walls)?;
-        let mut line = format!("haptic range {} --q={}", args.device.display(), list(q));
-        line += &args.walls.line();
+        let mut line = format!("haptic range {} --q={}", args.device.display(), option_value(q));
+        line += &args.walls.options();
         line += &prediction.loop_options(prediction.gain);
         if file.description.joints.iter().all(|joint| joint.viscous == 0.0) {
             line.push_str(" --undamped");
@@ -65,9 +63,9 @@ impl Theory {
     }
 
     /// Returns the felt stiffness of a wall at the tip (N/m) if transmissions are compliant.
-    fn felt(&self, mode: FeedForward, kp: f64) -> Option<f64> {
+    fn felt_stiffness(&self, mode: FeedForward, kp: f64) -> Option<f64> {
         let Walls::One(device) = &self.device else { return None };
-        // The corner of a washout has no effect at rest.
+        // The corner does not matter, because a washout has no effect at rest.
         device.felt(Mode::of(mode, 0.0), kp)
     }
 
@@ -76,12 +74,13 @@ impl Theory {
     }
 }
 
-/// The complete range of one mode.
+/// Results over the complete range of one mode.
 #[derive(serde::Serialize)]
 struct Area {
     mode: FeedForward,
-    /// ∫ kp dkd of the stiffness that was stable at every pull, and of the theory, N² s/m².
+    /// ∫ kp dkd of the stiffness that was stable at every pull, N² s/m².
     measured: f64,
+    /// ∫ kp dkd of the theory, N² s/m².
     theory: f64,
     /// Largest difference between the measured stiffness and the theory, as a share of the theory's maximum.
     furthest: f64,
@@ -89,20 +88,18 @@ struct Area {
     spread: f64,
 }
 
-/// Returns the spread of the repeats of one pull as a share of their median.
 fn spread(repeats: &[f64]) -> f64 {
     let ((low, high), median) = (bounds(repeats), median(repeats));
     if median > 0.0 { (high - low) / median } else { 0.0 }
 }
 
-/// Distance of the dots of two pulls in the picture, pixels.
-const APART: f64 = 7.0;
+/// Distance between the dots of two pulls in the picture, pixels.
+const DOT_DISTANCE: f64 = 7.0;
 
-/// Share of the theory's stiffness below which the boundary has another cause than the effects that the theory omits,
-/// which reduce it by at most a fifth on the simulated board (docs/results/complete.md).
-const FAR_BELOW: f64 = 0.5;
+/// Share of the theory's stiffness below which a boundary is reported as implausible: the effects that the theory omits
+/// reduce it by at most a fifth on the simulated board (docs/results/complete.md).
+const IMPLAUSIBLE_SHARE: f64 = 0.5;
 
-/// The contents of the report.
 pub struct Report<'a> {
     pub name: &'a str,
     pub args: &'a Args,
@@ -112,25 +109,22 @@ pub struct Report<'a> {
 }
 
 impl Report<'_> {
-    /// Returns true if there is any point to report.
-    pub fn any(&self) -> bool {
-        self.plan.modes.iter().any(|mode| !self.points(*mode).is_empty())
+    pub fn has_points(&self) -> bool {
+        self.plan.modes.iter().any(|mode| !self.planned_points(*mode).is_empty())
     }
 
-    /// Returns true if a boundary was found.
-    pub fn measured(&self) -> bool {
-        self.plan.modes.iter().any(|mode| self.points(*mode).iter().any(|point| !point.repeats.is_empty()))
+    pub fn has_boundary(&self) -> bool {
+        self.plan.modes.iter().any(|mode| self.planned_points(*mode).iter().any(|point| !point.repeats.is_empty()))
     }
 
-    /// Returns the points of the plan; a progress file may contain other dampings too.
-    fn points(&self, mode: FeedForward) -> Vec<&Point> {
+    /// Returns the points at dampings of the plan; a progress file may contain other dampings too.
+    fn planned_points(&self, mode: FeedForward) -> Vec<&Point> {
         self.plan.points_of_plan(self.progress.all(mode))
     }
 
-    /// Writes the pictures and prints the table or JSON.
-    pub fn out(&self) -> Result<(), Failure> {
+    pub fn write(&self) -> Result<(), Failure> {
         let args = self.args;
-        let warnings = self.far_below()?;
+        let warnings = self.implausible_boundaries()?;
         warn(&warnings);
         if args.pictures.is_requested() {
             args.pictures.save(&self.picture()?)?;
@@ -139,11 +133,11 @@ impl Report<'_> {
     }
 
     /// Returns a warning if boundaries are far below the theory.
-    fn far_below(&self) -> Result<Vec<Warning>, Failure> {
+    fn implausible_boundaries(&self) -> Result<Vec<Warning>, Failure> {
         let mut rows = Vec::new();
         for &mode in &self.plan.modes {
             let points = self.points_with_theory(mode)?.into_iter().filter(|(point, _)| !point.repeats.is_empty());
-            let far = points.filter(|(point, theory)| self.plan.stiffness_at_every_pull(point) < FAR_BELOW * theory.kp);
+            let far = points.filter(|(point, theory)| self.plan.stiffness_at_every_pull(point) < IMPLAUSIBLE_SHARE * theory.kp);
             rows.extend(far.map(|(point, _)| format!("{} at kd {:.4}", mode.name(), point.kd)));
         }
         let text = format!(
@@ -160,19 +154,18 @@ impl Report<'_> {
 
     /// Returns the points of a mode with the theory at the same dampings.
     fn points_with_theory(&self, mode: FeedForward) -> Result<Vec<(&Point, BoundaryPoint)>, Failure> {
-        let points = self.points(mode);
+        let points = self.planned_points(mode);
         let kd: Vec<f64> = points.iter().map(|point| round_as_printed(point.kd)).collect();
         let range = self.theory.predict(Some(&kd), self.washout())?;
         Ok(points.into_iter().zip(range.of(mode).boundary.iter().copied()).collect())
     }
 
-    /// Returns the `haptic range` command that prints the theory.
-    fn line(&self) -> String {
-        let points = self.plan.modes.iter().flat_map(|mode| self.points(*mode));
+    fn range_command(&self) -> String {
+        let points = self.plan.modes.iter().flat_map(|mode| self.planned_points(*mode));
         let mut kd: Vec<f64> = points.map(|point| round_as_printed(point.kd)).collect();
         kd.sort_by(f64::total_cmp);
         kd.dedup();
-        format!("{} --kd {}", self.theory.line, list(&kd))
+        format!("{} --kd {}", self.theory.line, option_value(&kd))
     }
 
     /// Returns the longest pull of this strength, mm.
@@ -188,11 +181,11 @@ impl Report<'_> {
     }
 
     /// Describes pose, walls and loop in two lines, with numbers formatted by `joined`.
-    fn setting(&self, joined: fn(&[f64]) -> String) -> [String; 2] {
+    fn describe_setting(&self, joined: fn(&[f64]) -> String) -> [String; 2] {
         let (args, around) = (self.args, &self.theory.around);
         let normals: Vec<String> = args.walls.normals().map(|normal| format!("({})", joined(&normal.0))).collect();
         let mut place = format!("q = ({}) rad, n = {}", joined(&self.theory.q), normals.join(" + "));
-        if let Some(parts) = args.walls.parts() {
+        if let Some(parts) = args.walls.shares() {
             let _ = write!(place, ", parts {}", joined(&parts.0));
         }
         [
@@ -208,7 +201,7 @@ impl Report<'_> {
     }
 
     fn table(&self) -> Result<String, Failure> {
-        let [place, around] = self.setting(|values| list(values).replace(',', ", "));
+        let [place, around] = self.describe_setting(|values| option_value(values).replace(',', ", "));
         let mut text =
             format!("{}: largest stable stiffness, measured ({} repeats of each pull)\n", self.name, self.plan.repeats);
         if let Some(date) = &self.progress.date {
@@ -241,7 +234,7 @@ impl Report<'_> {
                 }
                 for (pull, repeats) in self.plan.by_pull(point) {
                     let (median, (low, high)) = (median(&repeats), bounds(&repeats));
-                    let felt = self.theory.felt(mode, median);
+                    let felt = self.theory.felt_stiffness(mode, median);
                     let felt = felt.map_or(String::new(), |felt| format!("; felt at the tip: {felt:.0} N/m"));
                     let pull =
                         format!("{:+.3}", self.pull_mm(pull)).trim_end_matches('0').trim_end_matches('.').to_string();
@@ -261,7 +254,7 @@ impl Report<'_> {
                 point.repeats.len() + 1,
                 why.stable_up_to,
                 why.reason,
-                self.finer(theory.max(why.stable_up_to))
+                self.encoder_advice(theory.max(why.stable_up_to))
             );
         }
         for (mode, why) in &self.progress.open_ends {
@@ -293,13 +286,13 @@ impl Report<'_> {
         let _ = writeln!(
             text,
             "The theory has no Coulomb friction, hand, encoder steps or saturation. Its command is:\n  {}",
-            self.line()
+            self.range_command()
         );
         Ok(text)
     }
 
-    /// Describes the encoders that could measure up to `stiffness` (N/m), if the present ones cannot.
-    fn finer(&self, stiffness: f64) -> String {
+    /// Describes the encoders that a measurement up to `stiffness` (N/m) needs, if the present ones are too coarse.
+    fn encoder_advice(&self, stiffness: f64) -> String {
         let Excitation { force, .. } = self.theory.excitation;
         let factor = 2.0 * self.theory.excitation.smallest() * stiffness / force;
         if factor <= 1.0 {
@@ -323,9 +316,8 @@ impl Report<'_> {
             }
             let domain = range.of(mode);
             let top = domain.boundary.iter().map(|point| point.kp).fold(0.0, f64::max);
-            let apart =
-                points.iter().map(|(point, theory)| (self.plan.stiffness_at_every_pull(point) - theory.kp).abs() / top);
-            // The dampings are the middles of equal cells.
+            let apart = points.iter().map(|(point, theory)| (self.plan.stiffness_at_every_pull(point) - theory.kp).abs() / top);
+            // Integrates with cells of equal width, because the dampings are the middles of cells.
             let cell = end / self.plan.points as f64;
             areas.push(Area {
                 mode,
@@ -369,7 +361,7 @@ impl Report<'_> {
                     "open": point.open,
                     "theory_kp": theory.kp,
                 });
-                if let Some(felt) = found.and_then(|found| self.theory.felt(mode, found.0)) {
+                if let Some(felt) = found.and_then(|found| self.theory.felt_stiffness(mode, found.0)) {
                     entry["felt"] = felt.into();
                 }
                 points.push(entry);
@@ -389,7 +381,7 @@ impl Report<'_> {
             "cutoff_hz": self.args.cutoff,
             "delay_samples": self.theory.around.delay_samples,
             "drive": self.drive(),
-            "theory": self.line(),
+            "theory": self.range_command(),
             "encoder_step_m": self.theory.excitation.quantum,
             "areas": self.areas()?,
             "points": points,
@@ -399,8 +391,8 @@ impl Report<'_> {
 
     fn picture(&self) -> Result<haptic_show::plot::Picture, Failure> {
         let range = self.theory.predict(None, self.washout())?;
-        // Dots stand side by side, so that bars do not hide each other.
-        let beside = |nth: usize| (nth as f64 - (self.plan.pulls.len() as f64 - 1.0) / 2.0) * APART;
+        // Places the dots of the pulls side by side, so that their bars do not hide each other.
+        let beside = |nth: usize| (nth as f64 - (self.plan.pulls.len() as f64 - 1.0) / 2.0) * DOT_DISTANCE;
         let dots = |mode| -> Vec<MeasuredPoint> {
             let of = |point: &Point| {
                 let (kd, pulls) = (point.kd, self.plan.by_pull(point).into_iter().enumerate());
@@ -410,26 +402,27 @@ impl Report<'_> {
                 };
                 pulls.map(dot).collect::<Vec<_>>()
             };
-            self.points(mode).into_iter().flat_map(of).collect()
+            self.planned_points(mode).into_iter().flat_map(of).collect()
         };
         let pulls: Vec<String> = self.plan.pulls.iter().map(|pull| format!("{:+}", self.pull_mm(*pull))).collect();
         let (off, full, washed) = (dots(FeedForward::Off), dots(FeedForward::Full), dots(FeedForward::Washout));
         Ok(draw(&Contents {
             title: format!("{}: stable walls, measured and predicted", self.name),
-            subtitle: self.setting(|values| values.iter().map(|v| format!("{v:.3}")).collect::<Vec<_>>().join(", ")),
+            subtitle: self
+                .describe_setting(|values| values.iter().map(|v| format!("{v:.3}")).collect::<Vec<_>>().join(", ")),
             range: &range,
             passivity: None,
             washout_hz: self.washout(),
             measured_off: &off,
             measured: format!("measured, pulled by {} mm: median and all repeats", listed(&pulls)),
             measured_full: if full.is_empty() { &washed } else { &full },
-            note: self.left_out(),
+            note: self.left_out_note(),
             paper: self.args.pictures.paper(),
         }))
     }
 
-    /// Describes the damping that only the measurement has, which puts the dots above the curves.
-    fn left_out(&self) -> Option<String> {
+    /// Describes the damping that only the measurement has and that lifts the dots above the curves.
+    fn left_out_note(&self) -> Option<String> {
         let known = matches!(self.args.friction, Some(FrictionKind::Viscous | FrictionKind::None));
         let dry = !self.args.frictionless && !known;
         let hand = self.args.grip.then_some("the hand that holds the tip");

@@ -13,13 +13,12 @@ use haptic_stability::analysis::several::Member;
 use haptic_stability::sweep::Sweep;
 use std::fmt::Write;
 
-/// The effect of encoder steps on pressed walls.
 #[derive(serde::Serialize)]
 pub struct EncoderRipple {
-    /// Movement along the normal for one count of the coarsest joint, m.
+    /// Motion along the normal for one count of the coarsest joint's encoder, m.
     count_m: f64,
     push_n: f64,
-    /// Mass (kg), damping (N s/m), stiffness (N/m) of the hand.
+    /// Mass (kg), damping (N s/m) and stiffness (N/m) of the hand.
     hand: [f64; 3],
     /// One entry for each damping rule.
     #[serde(skip_serializing_if = "Vec::is_empty")]
@@ -49,7 +48,7 @@ struct RippleOfWall {
     full: Ripple,
     #[serde(skip_serializing_if = "Option::is_none")]
     washout: Option<Ripple>,
-    /// Oscillations of the loop whose range is printed; this loop has no light hand.
+    /// Oscillations in the loop of the printed range, which has no light hand.
     swings: Oscillations,
 }
 
@@ -149,7 +148,6 @@ pub fn simulate_ripple(
 }
 
 impl EncoderRipple {
-    /// Describes the results for people.
     pub fn describe(&self) -> String {
         let mut text = String::new();
         let [mass, damping, stiffness] = self.hand;
@@ -168,7 +166,7 @@ impl EncoderRipple {
             let mut row = |label: &str, along: &RippleLine| {
                 let from = match along.kp_from {
                     Some(kp) => format!("from {kp:.1} N/m on"),
-                    None => "at no wall that was tried".into(),
+                    None => "on no wall that was simulated".into(),
                 };
                 let _ = writeln!(
                     text,

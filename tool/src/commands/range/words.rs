@@ -1,6 +1,6 @@
 //! The text output of `haptic range`.
 
-use super::{Args, estimator};
+use super::{Args, requested_estimator};
 use crate::commands::arguments::Numbers;
 use crate::commands::port::counted;
 use haptic_bridge::model::description::{Description, EncoderAt, Joint};
@@ -15,7 +15,7 @@ use haptic_stability::analysis::sampled::LinearEstimator;
 use haptic_stability::analysis::why::{LimitPair, Limits, Why};
 use std::fmt::Write;
 
-/// Returns pose, walls and loop, for titles.
+/// Returns two lines for titles: pose and walls, and the loop.
 pub fn subtitle(args: &Args, q: &[f64], normals: &[Vec<f64>], ratio: f64) -> [String; 2] {
     let joined = |values: &[f64]| values.iter().map(|v| format!("{v:.3}")).collect::<Vec<_>>().join(", ");
     [
@@ -27,7 +27,7 @@ pub fn subtitle(args: &Args, q: &[f64], normals: &[Vec<f64>], ratio: f64) -> [St
         format!(
             "{} Hz, {}, delay {}, {:?} drive; area ratio {ratio:.3}",
             args.rate,
-            filter(args),
+            estimator_and_cutoff(args),
             counted(args.delay(), "sample"),
             args.drive()
         )
@@ -37,13 +37,14 @@ pub fn subtitle(args: &Args, q: &[f64], normals: &[Vec<f64>], ratio: f64) -> [St
 }
 
 /// Returns the estimator, unless it is the usual one, and its cutoff, if it has one.
-fn filter(args: &Args) -> String {
+fn estimator_and_cutoff(args: &Args) -> String {
     let kind = (args.estimator != Estimator::Butterworth).then(|| args.estimator.name().to_string());
-    let cutoff = estimator(args).ok().and_then(LinearEstimator::cutoff_hz).map(|hz| format!("cutoff {hz} Hz"));
+    let cutoff =
+        requested_estimator(args).ok().and_then(LinearEstimator::cutoff_hz).map(|hz| format!("cutoff {hz} Hz"));
     kind.into_iter().chain(cutoff).collect::<Vec<_>>().join(", ")
 }
 
-/// Describes the optional parts of the loop.
+/// Describes the optional parts of the analysed loop.
 fn optional_parts(args: &Args, description: &Description) -> Vec<String> {
     let mut parts = Vec::new();
     if description.is_flexible() {
@@ -67,7 +68,6 @@ fn optional_parts(args: &Args, description: &Description) -> Vec<String> {
     parts
 }
 
-/// Formats the complete result as a table.
 pub fn readable(
     name: &str,
     args: &Args,
@@ -124,10 +124,11 @@ pub fn readable(
         line("  max kp: largest stiffness at the requested dampings; without --kd, of the complete range".into());
     }
     line(
-        "  buzz: the frequency at which a stiffer wall begins to buzz; - if nothing is stable, or if it creeps".into(),
+        "  buzz: the frequency at which a stiffer wall begins to buzz; - if nothing is stable, or if the wall creeps"
+            .into(),
     );
     line(String::new());
-    // A dozen rows are enough to read; --json has the rest.
+    // Prints about a dozen rows; --json has all.
     let step = if args.kd.is_some() { 1 } else { (range.off.boundary.len() / 12).max(1) };
     let domains = [
         ("off", Some(&range.off)),
@@ -175,13 +176,13 @@ pub fn readable(
         }
     }
     if let Some(host) = &range.host {
-        line(format!("  {}", on_a_computer(range, host)));
+        line(format!("  {}", benefit_over_computer(range, host)));
     }
-    line(verdict(range));
+    line(feed_forward_benefit(range));
     text
 }
 
-/// Describes the cost of a gain.
+/// Describes the cost of a feed-forward gain other than 1.
 fn cost_of_gain(w_eff: f64, w_rr: f64, gain: f64) -> String {
     let coupling = 1.0 - w_eff / w_rr;
     format!(
@@ -192,8 +193,7 @@ fn cost_of_gain(w_eff: f64, w_rr: f64, gain: f64) -> String {
     )
 }
 
-/// Describes the benefit of rendering on the board.
-fn on_a_computer(range: &Range, host: &HostWall) -> String {
+fn benefit_over_computer(range: &Range, host: &HostWall) -> String {
     let by = format!("a computer with {:.0} exchanges a second and forces {} ms old", host.rate_hz, 1e3 * host.delay_s);
     if host.domain.top.kp == 0.0 {
         return format!("rendered by {by}: never stable");
@@ -202,8 +202,7 @@ fn on_a_computer(range: &Range, host: &HostWall) -> String {
     format!("rendered by {by}: the board's own wall is up to {times:.1} times as stiff")
 }
 
-/// Describes the benefit of the feed-forward.
-fn verdict(range: &Range) -> String {
+fn feed_forward_benefit(range: &Range) -> String {
     let ratio = range.area_ratio;
     if range.off.area == 0.0 && range.full.area == 0.0 {
         "Nothing is stable here from zero stiffness up, without the feed-forward or with it: lower the delay or raise the \
@@ -224,7 +223,6 @@ fn verdict(range: &Range) -> String {
     }
 }
 
-/// Formats the limiting effects as a table.
 pub fn describe_why(why: &Why) -> String {
     let mut text =
         format!("\n  {:<40}{:>16}{:>9}{:>16}{:>9}\n", "largest kp without", "off N/m", "takes", "full N/m", "takes");
@@ -243,15 +241,15 @@ pub fn describe_why(why: &Why) -> String {
     text
 }
 
-/// Returns the remaining shares of the area and of the stiffest wall, if one of them is less than [`COSTLY_RATIO`].
+/// Returns the remaining shares of the area and of the largest stiffness if one of them is less than [`COSTLY_RATIO`].
 fn remaining_shares(domain: &Domain, off: &Domain) -> Option<(f64, f64)> {
     let stiffness = domain.top.kp / off.top.kp.max(f64::MIN_POSITIVE);
     let area = domain.area / off.area.max(f64::MIN_POSITIVE);
     (off.area > 0.0 && (area < COSTLY_RATIO || stiffness < COSTLY_RATIO)).then_some((area, stiffness))
 }
 
-/// Returns warnings about a feed-forward that costs more than it brings, in full and with a washout at a corner (Hz).
-/// `washed` predicts the range with another corner.
+/// Returns warnings if the feed-forward in full, or behind a washout at this corner (Hz), costs more than it brings.
+/// `with_corner` predicts the range with another corner.
 pub fn costly_warnings<E>(
     range: &Range,
     corner: Option<f64>,

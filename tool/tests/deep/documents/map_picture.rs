@@ -4,7 +4,7 @@ use crate::common::prelude::*;
 use crate::common::{all_shipped, shipped};
 use haptic_bridge::model::catalogue::Kind;
 use haptic_show::plot::Picture;
-use haptic_show::plot::colour::ABOVE;
+use haptic_show::plot::colour::ABOVE_SCALE;
 use haptic_show::plot::map::{Chart, chart, colour};
 use haptic_show::plot::paper::Paper;
 use haptic_stability::analysis::map::map;
@@ -163,8 +163,11 @@ fn nothing_outside(file: &DeviceFile, normal: &[f64], chart: &Chart, image: &Pix
 fn scale_is_round(name: &str, chart: &Chart) {
     let svg = chart.picture.svg();
     let percent = (100.0 * chart.top * 1e6).round() / 1e6;
-    assert_eq!(svg.contains(ABOVE), svg.contains(&format!("&gt; {percent}")), "{name}: {percent}");
-    assert!(colour(1.001 * chart.top, chart.top) == ABOVE && colour(0.999 * chart.top, chart.top) != ABOVE, "{name}");
+    assert_eq!(svg.contains(ABOVE_SCALE), svg.contains(&format!("&gt; {percent}")), "{name}: {percent}");
+    assert!(
+        colour(1.001 * chart.top, chart.top) == ABOVE_SCALE && colour(0.999 * chart.top, chart.top) != ABOVE_SCALE,
+        "{name}"
+    );
     assert!(svg.contains(&format!(">{percent} %<")), "{name}: no tick at the top, {percent} %");
     assert!(svg.contains("g in every direction"), "{name}");
     assert!(svg.len() < SMALL, "{name}: {} bytes", svg.len());

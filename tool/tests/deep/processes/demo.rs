@@ -9,7 +9,7 @@ fn the_feed_forward_raises_stiffness_as_predicted() {
     let demo = Demo::shipped(1).unwrap();
     let inertia = demo.inertia().unwrap();
     assert!(inertia.rendered > 1.2 * inertia.effective, "the feed-forward hardly matters on this device: {inertia:?}");
-    let limits = [FeedForward::Off, FeedForward::Washout].map(|mode| stiffness::limit(&demo, mode).unwrap());
+    let limits = [FeedForward::Off, FeedForward::Washout].map(|mode| stiffness::stiffness_limit(&demo, mode).unwrap());
     for limit in limits {
         assert!((limit.measured / limit.predicted - 1.0).abs() < 0.01, "{limit:?}");
     }

@@ -3,26 +3,26 @@
 use super::{Analysis, Panel, Quantity, View, smooth_panel};
 use crate::plot::Picture;
 use crate::plot::axes::{Axis, Mark, PlotArea};
-use crate::plot::canvas::{Anchor, Canvas, SMALL, Stroke};
-use crate::plot::colour::{BOUND, FULL, INK, OFF, WASHOUT};
-use crate::plot::paper::{EDGE, Paper, wrap};
+use crate::plot::canvas::{Anchor, Canvas, SMALL_TEXT, Stroke};
+use crate::plot::colour::{BOUND_COLOUR, FULL_COLOUR, INK, OFF_COLOUR, WASHOUT_COLOUR};
+use crate::plot::paper::{EDGE_MARGIN, Paper, wrap};
 
-/// Size of a panel's frame, and of the room around it, in units of the drawing (pixels on a screen).
-const SIZE: (f64, f64) = (600.0, 190.0);
-const LEFT: f64 = 96.0;
-const RIGHT: f64 = 24.0;
-const HEAD: f64 = 86.0;
-const FOOT: f64 = 84.0;
-/// Number of points from which on a line that may cross itself is drawn thin.
+/// Width and height of a panel's frame, drawing units (pixels on a screen).
+const FRAME_SIZE: (f64, f64) = (600.0, 190.0);
+const LEFT_MARGIN: f64 = 96.0;
+const RIGHT_MARGIN: f64 = 24.0;
+const HEADING_HEIGHT: f64 = 86.0;
+const PANEL_FOOT_HEIGHT: f64 = 84.0;
+/// Number of points above which force and phase curves are drawn thin.
 const MANY_POINTS: usize = 1000;
-const COLOURS: [&str; 4] = [FULL, OFF, WASHOUT, BOUND];
+const CURVE_COLOURS: [&str; 4] = [FULL_COLOUR, OFF_COLOUR, WASHOUT_COLOUR, BOUND_COLOUR];
 
 /// Draws the panels, one below the other.
 pub fn draw(title: &str, subtitle: &[String], analysis: &Analysis, paper: Paper) -> Picture {
-    let page = paper.page(LEFT + SIZE.0 + RIGHT, LEFT);
-    let size = (page.wide - page.left - RIGHT, SIZE.1);
+    let page = paper.page(LEFT_MARGIN + FRAME_SIZE.0 + RIGHT_MARGIN, LEFT_MARGIN);
+    let size = (page.wide - page.left - RIGHT_MARGIN, FRAME_SIZE.1);
     let heading = page.heading(title, subtitle);
-    let mut canvas = page.canvas(HEAD + heading.beyond(1));
+    let mut canvas = page.canvas(HEADING_HEIGHT + heading.extra_height(1));
     heading.draw(&mut canvas);
     for panel in &analysis.panels {
         match panel.view {
@@ -36,10 +36,10 @@ pub fn draw(title: &str, subtitle: &[String], analysis: &Analysis, paper: Paper)
     canvas.finish(title, &format!("A recording: {}.", views.join("; ")))
 }
 
-/// Adds a panel below the others, with the left edge of its frame at `left` and this size.
+/// Draws a panel at the bottom of the canvas; `left` and `size` are those of its frame.
 fn draw_panel(canvas: &mut Canvas, left: f64, size: (f64, f64), panel: &Panel) {
-    let notes = wrap(&panel.note, left + size.0 - EDGE, SMALL);
-    let colours = COLOURS.into_iter().cycle();
+    let notes = wrap(&panel.note, left + size.0 - EDGE_MARGIN, SMALL_TEXT);
+    let colours = CURVE_COLOURS.into_iter().cycle();
     let entries: Vec<(Mark<'_>, String)> = panel
         .curves
         .iter()
@@ -49,10 +49,10 @@ fn draw_panel(canvas: &mut Canvas, left: f64, size: (f64, f64), panel: &Panel) {
     let longest = entries.iter().map(|(_, name)| name.chars().count()).max().unwrap_or(0) as f64;
     let in_a_row = ((size.0 / (53.0 + 6.5 * longest)) as usize).max(1);
     let legend: Vec<_> = if entries.len() > 1 { entries.chunks(in_a_row).collect() } else { Vec::new() };
-    // One line of notes and one line of the legend have room between two frames.
+    // Between two frames there is room for one line of notes and one line of the legend.
     let noted = 14.0 * (notes.len() - 1) as f64;
     let above = noted + 18.0 * legend.len().saturating_sub(1) as f64;
-    let at = (left, canvas.lengthen(above + size.1 + FOOT) + above);
+    let at = (left, canvas.lengthen(above + size.1 + PANEL_FOOT_HEIGHT) + above);
 
     let points = || panel.curves.iter().flat_map(|curve| curve.pieces.iter().flatten()).filter(|p| is_finite(p));
     let ends = |pick: fn(&(f64, f64)) -> f64| {
@@ -61,7 +61,7 @@ fn draw_panel(canvas: &mut Canvas, left: f64, size: (f64, f64), panel: &Panel) {
         if low > high { (0.0, 1.0) } else { (low, high) }
     };
     let axis = |quantity: &Quantity, (low, high): (f64, f64), room: f64| {
-        // A constant gets an axis with the line in its middle.
+        // Centres the axis on the value of a constant curve.
         let span =
             if high - low > 1e-12 * high.abs().max(low.abs()) { high - low } else { 1e-3_f64.max(0.2 * high.abs()) };
         Axis {
@@ -73,11 +73,11 @@ fn draw_panel(canvas: &mut Canvas, left: f64, size: (f64, f64), panel: &Panel) {
     };
     let y = axis(&panel.y, ends(|p| p.1), 0.06);
     let frame = PlotArea { at, size, x: axis(&panel.x, ends(|p| p.0), 0.0), y };
-    frame.clipped(canvas, |canvas| {
+    frame.draw_clipped(canvas, |canvas| {
         for (curve, colour) in panel.curves.iter().zip(colours) {
             for piece in &curve.pieces {
                 let points = match panel.view {
-                    View::Time | View::Spectrum => envelope(&frame, piece),
+                    View::Time | View::Spectrum => thin_to_envelope(&frame, piece),
                     View::Force | View::Phase => thin_out(&frame, piece),
                 };
                 // A line that crosses itself many times would become an area.
@@ -99,7 +99,7 @@ fn draw_panel(canvas: &mut Canvas, left: f64, size: (f64, f64), panel: &Panel) {
     frame.draw(canvas, "");
     for (line, note) in notes.iter().rev().enumerate().filter(|(_, note)| !note.is_empty()) {
         let y = at.1 - 6.0 - 14.0 * line as f64;
-        canvas.text((at.0 + size.0, y), SMALL, Anchor::End, false, note);
+        canvas.text((at.0 + size.0, y), SMALL_TEXT, Anchor::End, false, note);
     }
     // The legend is above the frame and its note, so it hides no curve.
     for (row, entries) in legend.iter().rev().enumerate() {
@@ -111,9 +111,8 @@ fn is_finite(point: &(f64, f64)) -> bool {
     point.0.is_finite() && point.1.is_finite()
 }
 
-/// Thins out points if more than one is within half a pixel: keeps the first, lowest, highest and last of each half
-/// pixel, so that no peak is lost.
-fn envelope(frame: &PlotArea, piece: &[(f64, f64)]) -> Vec<(f64, f64)> {
+/// Keeps the first, lowest, highest and last point of each half pixel, so that no peak is lost.
+fn thin_to_envelope(frame: &PlotArea, piece: &[(f64, f64)]) -> Vec<(f64, f64)> {
     let mut kept: Vec<(f64, f64)> = Vec::new();
     let place = |point: &(f64, f64)| (2.0 * frame.pixel(point.0, point.1).0).floor();
     for column in piece.chunk_by(|a, b| place(a) == place(b)) {

@@ -1,6 +1,6 @@
 // ---- tried gains --------------------------------------------------------------------------------------------------
-// A press of the wall leaves a mark at its gains: a disc if it was quiet, a cross if the force rippled more than the
-// coach's limit for a buzz. A long press is judged by its last 0.2 s, and the tip may lift off in between.
+// A press on the wall marks its gains: with a disc if the wall was quiet, with a cross if its force rippled more than
+// BUZZES. A long press is judged by its last 0.2 s, and the tip may lift off in between.
 const PRESSED = .3, LATELY = .2, LIFTED = .15;
 let tried = { marks: [] };
 const keyOf = (index, wall) => [index, wall.stiffness, wall.damping, wall.feed_forward].join();
@@ -11,7 +11,7 @@ function markGains(p) {
   if (tried.places[n.wall] !== at) { tried.places[n.wall] = at; tried.marks = tried.marks.filter(mark => mark.wall !== n.wall); }
   const key = keyOf(n.wall, wall);
   if (tried.press && (tried.press.key !== key || p.time - tried.press.last > LIFTED)) tried.press = null;
-  // At the motors' limit no wall is felt, so the press says nothing about the gains.
+  // Ignores a press at the motors' limit, because there no wall is felt.
   if (n.saturated > LIMITED) tried.press = null;
   if (!(n.depth > 0) || n.saturated > LIMITED) return;
   const press = tried.press ||= { key, began: p.time, ripples: [] };
@@ -23,7 +23,7 @@ function markGains(p) {
   tried.marks = [...tried.marks.filter(old => old !== press.mark && (old.key !== key || !isHere(old, p.q))), mark].slice(-200);
   press.mark = mark;
 }
-// A mark belongs to the pose in which it was made: it counts near a boundary that is predicted within 0.04 rad of it.
+// A mark belongs to the pose of its press: it counts for a boundary predicted within 0.04 rad of that pose.
 const isHere = (mark, q) => q.every((angle, i) => Math.abs(angle - mark.q[i]) < .04);
 function drawMarks(c, X, Y, plane, wall) {
   $("forget").hidden = !tried.marks.length;

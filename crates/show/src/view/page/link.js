@@ -66,8 +66,8 @@ $("dismiss").onclick = () => notice("");
 function done(why, seconds = 4) { notice(why, {}, true); setTimeout(() => { if ($("why").textContent === why) notice(""); }, 1000 * seconds); }
 
 // ---- the dead man's key -------------------------------------------------------------------------------------------
-// With the key the page sends the step of the newest picture that it had when it saw the key: half a second after that
-// step the board turns the motors off, however slow the link is.
+// With each message about the key the page sends the control step of the newest picture that it had when it detected
+// the key. The board turns the motors off half a second after that step, on a link of any delay.
 let beat = 0, lastBeat = 0;
 const seen = () => view.last ? view.last.step : 0;
 function hold() { const now = performance.now(); if (view.down && now - lastBeat > 60) { lastBeat = now; say({ do: "hold", seen: seen() }); } }
@@ -131,7 +131,8 @@ function unit(value, name) {
 }
 const inKilograms = value => value < 1 ? digits(value * 1e3) + " g" : digits(value) + " kg";
 function picture(p) {
-  // Timers may get no time, so pictures also report a held key. This one may arrive after the key was released.
+  // Reports a held key with pictures too, because timers may get no time. This picture may arrive after the key was
+  // released.
   hold();
   view.last = p; view.pictures++;
   view.trail.push(...p.trail);
@@ -145,9 +146,10 @@ function picture(p) {
   if (view.takes && p.command === null) say({ do: "take" });
   view.takes = false;
   if (view.wanted && mine && view.hello) follow();
-  // A press may have been sent before a refusal arrived, and armed after the page released its key.
+  // Releases a key that armed late: its press was sent before a refusal arrived, and the page had then released the
+  // key.
   if (mine && p.held && !view.down) say({ do: "release" });
-  // Something else turned the motors off: the key must be pressed again.
+  // If something else turned the motors off, the key must be pressed again.
   if (view.down && view.wasHeld && !p.held) up("quietly");
   view.wasHeld = view.down && p.held;
   document.body.dataset.role = mine ? "command" : "watch";
@@ -178,7 +180,7 @@ function picture(p) {
   const list = $("numbers");
   if (list.children.length !== shown.length) list.replaceChildren(...shown.map(() => { const d = document.createElement("div"); d.append(document.createElement("dt"), document.createElement("dd")); return d; }));
   shown.forEach(([name, value, hot], i) => { const [dt, dd] = list.children[i].children; dt.textContent = name; dd.textContent = value; dd.className = hot ? "hot" : ""; });
-  // Thirty pictures a second leave a slow computer time to report that the key is down.
+  // Draws every second picture, because 30 a second leave a slow computer time to report a held key.
   if (view.pictures % 2) requestDraw();
 }
 

@@ -25,8 +25,8 @@ $("scale").onchange = () => requestDraw();
 // Returns the next number at or above the value that is 1, 2 or 5 times a power of ten.
 function roundUp(value, steps = [1, 2, 5, 10]) { const power = 10 ** Math.floor(Math.log10(value) + 1e-9); return steps.map(n => n * power).find(n => n >= value * (1 - 1e-9)); }
 const nice = most => roundUp(most / 6.5), tick = value => String(+value.toPrecision(4));
-// Creates an axis from `start` to `end`, in pixels. A logarithmic axis begins above zero, and zero lies far before its
-// beginning.
+// Creates an axis from `start` to `end`, in pixels. A logarithmic axis begins above zero; zero then lies far before its
+// start.
 function axisOf([low, high], start, end, log, most) {
   const part = log ? v => Math.max(-9, Math.log(v / low) / Math.log(high / low)) : v => v / high, ticks = [];
   if (!log) for (let i = 0, step = roundUp(high / most); i * step <= high; i++) ticks.push(i * step);
@@ -103,7 +103,7 @@ function drawPlane() {
   c.save(); c.beginPath(); c.rect(left, top, right - left, foot - top); c.clip();
   if (plane) for (const mode of MODES) {
     const mine = wall.feed_forward === mode, [first, second] = plane[mode], curve = [...plane[mode]];
-    // The first piece is straight and thus curved on logarithmic axes: adds points.
+    // Adds points to the first piece, which is straight and thus curved on logarithmic axes.
     if (second) for (let share = .5; share > 1e-3; share /= 2) curve.splice(1, 0, { kd: second.kd * share, kp: first.kp + (second.kp - first.kp) * share });
     const path = curve.map(p => [ax.to(p.kd), Math.min(ay.to(p.kp), foot + 9)]);
     c.strokeStyle = c.fillStyle = palette[mode]; c.lineWidth = mine ? 3 : 1.6; c.setLineDash(DASH[mode].map(long => long * c.lineWidth / 1.5));
@@ -134,7 +134,7 @@ function drawPlane() {
     c.fillStyle = palette[mode + "-name"]; c.font = `${mine ? 700 : 400} ${size}px system-ui, sans-serif`;
     place(c, size, [alike.map(name => NAMES[name]).join(", ")], near.flatMap(i => { const [x, y] = own[i]; return [[x, y, 0, -1], [x + 4, y, 1, -1], [x - 4, y, -1, 1], [x, y, 0, 1]]; }), taken, Object.values(points).flat(), room);
   }
-  // Announced again after a change of gains, but not when the hand moves and thus the limit changes.
+  // Announces a change of gains, but not a change of the limit that comes from a moving hand.
   const state = `${gains}, feed-forward ${NAMES[wall.feed_forward]}${verdict && ": " + verdict}${here ? here.buzzes ? ", tried: it buzzes" : ", tried: quiet" : ""}`;
   if (spoken !== state) { spoken = state; $("dot").textContent = state + (limit === null ? "" : `; limit ${unit(limit, "N/m")} at this damping`); }
   showLimits(plane, wall);
@@ -147,7 +147,7 @@ const reach = event => event.pointerType === "touch" ? 36 : 20;
 function turn(event, last) {
   const r = $("plane").getBoundingClientRect();
   const [damping, stiffness] = view.planeFrame.from(event.clientX - r.left - turning.x, event.clientY - r.top - turning.y);
-  // A refusal stays during the drag; only the gains at its end count.
+  // Keeps a refusal during the drag; only the gains at its end count.
   if (last) notice("");
   if (!view.again || last === undefined) sendGains({ damping, stiffness }, !last);
 }

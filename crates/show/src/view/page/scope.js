@@ -36,10 +36,10 @@ function phase(number) { const words = ["rolling", "triggered", "waiting for the
 for (const id of ["channel-a", "channel-b", "window", "trigger", "edge", "level", "before"]) $(id).onchange = askScope;
 function numbers(values) {
   if (values[0] === 2) { view.sounds++; play(values[1], values.subarray(2)); return; }
-  // A rolling sweep may still arrive after a trigger was requested: ignore it.
+  // Ignores a rolling sweep that arrives after a trigger was requested.
   if (values[1] === 0 && $("trigger").value) return;
   phase(values[1]);
-  // In hold mode the last crossing stays while the scope waits for the next.
+  // In hold mode the last sweep stays while the scope waits for the next crossing.
   if (values[1] === 2 && $("trigger").value === "hold") return;
   view.sweep = values; view.sweeps++; drawScope();
 }
@@ -108,7 +108,7 @@ function drawScope() {
 }
 
 // ---- before and after ---------------------------------------------------------------------------------------------
-// The ripple of the pressed wall, compared with the ripple under the previous feed-forward.
+// Compares the ripple of the pressed wall with the ripple under the previous feed-forward.
 let now = null, before = null;
 function compareRipple(p) {
   const wall = view.walls[view.wall], n = p.numbers, pressed = p.state === "Armed" && n.depth > 0 && n.wall === view.wall;
@@ -117,7 +117,7 @@ function compareRipple(p) {
     now = { mode: wall.feed_forward, ripple: null, since: p.time };
   }
   if (!wall || !pressed) { if (now) now.since = p.time; }
-  // The first tenths of a second still belong to the previous mode, or to the touch.
+  // Skips the first 0.3 s, which belong to the previous mode or to the touch.
   else if (p.time - now.since > 0.3) { now.ripple = n.ripple; now.frequency = n.frequency; }
   view.pressed = pressed; view.buzz = pressed && n.ripple > BUZZES ? n.frequency : null;
   const words = part => `${NAMES[part.mode]} ${part.ripple === null ? "–" : digits(part.ripple, 2) + " N"}`;

@@ -1,6 +1,6 @@
 // ---- links --------------------------------------------------------------------------------------------------------
-// A link's settings are behind its #: device and scene by the names of their files, pose (rad), and for each wall
-// stiffness, damping, feed-forward, point, normal. Lessons: a name, a link, and a task.
+// A link's settings follow its #: device and scene by the names of their files, pose (rad), and for each wall
+// stiffness, damping, feed-forward, point, normal. Each lesson is a name, a link, and a task.
 const LESSONS = [
   ["1 Why does a wall buzz?", "device=hapkit-paddle/slow", "Press into the wall: quiet. Drag the dot beyond the curve, as to 14 kN/m at 60 N s/m, confirm, come out, and strike."],
   ["2 What does the tip weigh?", "device=coupled-five-bar&pose=2.6,1.75&wall=8700,80,washout,-0.11766,0.184342,0.940376,-0.340136", "Move the tip around: the dashed ellipse is the mass that a push meets, by direction."],
@@ -31,7 +31,7 @@ function read(hash) {
   return wanted.device || wanted.scale || wanted.pose || wanted.walls.length ? wanted : null;
 }
 function readLink() { try { view.wanted = read(location.hash); } catch (why) { view.wanted = null; return why; } return null; }
-// Applies a link's settings, once there is a device; a link moves no real device.
+// Applies a link's settings once a device is known. A link never moves a real device.
 function follow() {
   const { device, pose, walls, scale, task } = view.wanted;
   view.wanted = null; view.scale = scale;
@@ -51,7 +51,6 @@ function follow() {
   if (task) done(task, 30);
 }
 const short = value => +value.toPrecision(6);
-// Returns device and scene as in a link.
 const shown = () => view.hello.device + (view.hello.scene ? "/" + view.hello.scene : "");
 function link() {
   const turned = wall => wall.outline?.is === "line" && view.hello.task > 1;

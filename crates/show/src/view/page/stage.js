@@ -1,6 +1,6 @@
 // ---- the coach ----------------------------------------------------------------------------------------------------
-// Three steps for first-time users of a simulation: each is ticked off once it has happened, in the words of the input
-// device used last. The last step is shown for the demo only, whose wall is known to buzz.
+// Three steps for first-time users of a simulation. Each step is ticked off once it has happened; its words fit the
+// input device used last. Only the demo has the last step, because its wall is known to buzz.
 let used = coarse ? "touch" : "mouse", steps = 0, buzzed = false, coached = false;
 try { coached = localStorage.getItem("coached") === "yes"; } catch { /* A browser without storage shows the steps again. */ }
 const COACH = {
@@ -40,7 +40,7 @@ const prefersDark = matchMedia("(prefers-color-scheme: dark)");
 prefersDark.onchange = event => theme(event.matches);
 let asked = false;
 function requestDraw() { if (!asked) { asked = true; requestAnimationFrame(() => { asked = false; drawStage(); drawPlane(); }); } }
-// Also if the window keeps its size: stretching distorts letters, and a single sweep is drawn only once.
+// Redraws after every change of a size: stretching distorts letters, and a single sweep is drawn only once.
 const resized = new ResizeObserver(() => { requestDraw(); drawScope(); });
 for (const id of ["stage", "plane", "scope"]) resized.observe($(id));
 // Returns a cleared canvas, its width, height and letter size in its own pixels; or the picture that is being saved.
@@ -62,7 +62,8 @@ const armOf = g => g.bars.length ? Math.hypot(g.bars[0][1][0] - g.bars[0][0][0],
 const fromTask = at => { if (view.hello.task > 1) return at; const l = armOf(view.last.geometry); return [l * Math.cos(at[0] / l), l * Math.sin(at[0] / l)]; };
 const toTask = at => { if (view.hello.task > 1) return at; const l = armOf(view.last.geometry); return [l * Math.atan2(at[1], at[0]), 0]; };
 function frame(w, h) {
-  // During a drag the picture keeps still, because the position under the pointer would move away from it.
+  // The picture keeps still during a drag, because otherwise the position under the pointer would move away from the
+  // pointer.
   if (grabbed && view.frame.w === w && view.frame.h === h) return view.frame;
   const g = view.last.geometry;
   // The picture includes the points of walls near the tip.
@@ -93,13 +94,12 @@ function spring(c, x0, y0, x1, y1) {
   for (let i = 1; i < 2 * turns; i++) { const s = i / (2 * turns) * length, side = (i % 2 ? 5 : -5); c.lineTo(x0 + ux * s - uy * side, y0 + uy * s + ux * side); }
   c.lineTo(x1, y1); c.stroke();
 }
-// Handle of a wall: for a plane it is next to its point, where the tip is not in the way.
+// Returns the handle of a wall; for a plane it is next to its point, where it does not cover the tip.
 function wallHandle(wall) {
   const v = wall.values, line = wall.outline?.is === "line" ? wall.outline : null, aside = 90 / view.frame.scale;
   if (view.hello.task === 1) return fromTask([v[0], 0]);
   return line ? [line.at[0] + aside * line.normal[1], line.at[1] - aside * line.normal[0]] : [v[0], v[1]];
 }
-// Fill pattern of the solid side of walls.
 let hatch = {};
 function hatchPattern(c) {
   if (hatch.of !== palette.hatch) {
@@ -188,7 +188,6 @@ function drawStage() {
   // A newton is drawn as 12 pixels.
   arrow(c, x, y, g.force[0] * 12, -g.force[1] * 12);
   drawLens(c, w, h, size);
-  // Scale and legend.
   const bar = view.close ? 0.005 : 0.05, length = bar * f.scale;
   c.strokeStyle = c.fillStyle = palette.dim; c.lineWidth = 2; c.beginPath(); c.moveTo(12, h - 12); c.lineTo(12 + length, h - 12); c.stroke();
   c.fillText(bar * 1000 + " mm", 12, h - 18);
@@ -211,8 +210,8 @@ function drawGlow(c, f, g) {
   light.addColorStop(0, palette.force); light.addColorStop(1, "transparent");
   c.save(); c.globalAlpha = Math.min(1, .25 + .375 * Math.log10(power / GLOWS)); c.fillStyle = light; c.beginPath(); c.arc(x, y, 70, 0, 2 * Math.PI); c.fill(); c.restore();
 }
-// The tip's last positions about their mean, magnified: a buzz of a tenth of a millimetre is less than a pixel on the
-// stage.
+// Magnifies the tip's last positions about their mean, because a buzz of a tenth of a millimetre is less than a pixel
+// on the stage. LENS: width of the magnified area, m.
 const LENS = 1e-3;
 function drawLens(c, w, h, size) {
   const path = view.recent.flat().map(fromTask); if (path.length < 2) return;
@@ -253,7 +252,7 @@ function moved(event, last) {
 $("stage").onpointermove = event => moved(event);
 $("stage").onpointerup = event => { moved(event, true); grabbed = null; };
 $("stage").onpointercancel = () => { grabbed = null; };
-// Two millimetres a press.
+// Each press moves the hand by 2 mm.
 $("stage").onkeydown = event => {
   const step = { ArrowUp: [0, 2e-3], ArrowDown: [0, -2e-3], ArrowRight: [2e-3, 0], ArrowLeft: [-2e-3, 0] }[event.key];
   if (!step || !view.last || !view.hello?.simulated) return;

@@ -1,11 +1,11 @@
 //! Messages to pages: pictures, sweeps, the device, the walls, and refusals.
 
 use super::recording::{ActiveRecording, RecordingStatus};
-use super::{MAX_ROTATION, Stage};
-use crate::outline::{on_an_arc, outline};
+use super::{MAX_JOINT_ROTATION, Stage};
+use crate::outline::{outline, outline_on_arc};
 use crate::view::hub::PageId;
 use crate::view::picture::{Geometry, Newest, Numbers, nearest_wall};
-use crate::view::stability::{Plane, PredictionRequest, buzz};
+use crate::view::stability::{Plane, PredictionRequest, predict_buzz};
 use crate::view::world::hand_settings;
 use haptic_bridge::control::HostAction;
 use haptic_bridge::render::scene::Surface;
@@ -16,7 +16,6 @@ use nalgebra::Vector3;
 use serde::Serialize;
 use serde_json::{Value, json};
 
-/// A picture for pages, as JSON.
 #[derive(Serialize)]
 struct Picture<'a> {
     is: &'static str,
@@ -50,7 +49,6 @@ struct HandState {
 }
 
 impl Stage {
-    /// Sends the present state to every page.
     pub(super) fn send_pictures(&mut self) {
         let newest = Newest::of(&self.ring, &self.columns);
         let links = self.world.file.as_ref().map(|file| &file.description);
@@ -85,21 +83,21 @@ impl Stage {
             pages: self.hub.count(),
             buzz: self.buzz.filter(|_| numbers.wall == self.plane.as_ref().map(|plane| plane.wall)),
             recording: self.recording.as_ref().map(ActiveRecording::status),
-            if_lost: self.if_lost(),
+            if_lost: self.motors_if_lost(),
         };
         // NaN and infinities become null, which a page ignores.
         if let Ok(text) = serde_json::to_string(&picture) {
-            self.hub.to_all(|outbox| outbox.picture = Some(text.clone()));
+            self.hub.with_every_outbox(|outbox| outbox.picture = Some(text.clone()));
         }
         let sound = std::mem::take(&mut self.sound);
         for listener in &self.listeners {
-            self.hub.to(*listener, |outbox| outbox.hear(self.rows_hz as f32, &sound));
+            self.hub.with_outbox(*listener, |outbox| outbox.queue_sound(self.rows_hz as f32, &sound));
         }
         let Some((wall, normal)) = nearest_wall(&self.scene, &self.tip()) else { return };
         let has_moved = self.requested.as_ref().is_none_or(|(requested, at)| {
-            *requested != wall || at.iter().zip(&q).any(|(before, now)| (before - now).abs() > MAX_ROTATION)
+            *requested != wall || at.iter().zip(&q).any(|(before, now)| (before - now).abs() > MAX_JOINT_ROTATION)
         });
-        // The limiting effects are computed once for a pose and a feed-forward, however often pages request them.
+        // Computes the limiting effects once for a pose and a feed-forward, however often pages request them.
         let explain = self.predictor.should_explain(self.state.drives());
         let explained = self.plane.as_ref().and_then(|plane| plane.limits.as_ref()).map(|limits| limits.feed_forward);
         let is_unexplained = explain
@@ -119,7 +117,7 @@ impl Stage {
 
     fn prediction_request(&self, wall: usize, q: Vec<f64>, normal: &Vector3<f64>) -> PredictionRequest {
         let hand = hand_settings();
-        // At the frequency of a buzz a hand hardly moves, so its grip holds the tip.
+        // The hand's grip holds the tip, because a hand hardly moves at the frequency of a buzz.
         let grip = Hand { mass: 0.0, damping: hand.grip_damping, stiffness: hand.grip_stiffness };
         PredictionRequest {
             subject: self.subject.clone(),
@@ -139,16 +137,16 @@ impl Stage {
         let (index, normal) = nearest_wall(&self.scene, &self.tip())?;
         let (requested, q) = self.requested.as_ref()?;
         let (plane, wall) = (self.plane.as_ref()?, self.scene.walls.get(index)?);
-        let is_unstable = wall.stiffness > plane.stiffness_to(wall.feed_forward, wall.damping);
+        let is_unstable = wall.stiffness > plane.max_stiffness(wall.feed_forward, wall.damping);
         let is_valid = [*requested, plane.wall].iter().all(|wall| *wall == index) && is_unstable;
-        let oscillation = is_valid.then(|| buzz(&self.prediction_request(index, q.clone(), &normal)))??;
+        let oscillation = is_valid.then(|| predict_buzz(&self.prediction_request(index, q.clone(), &normal)))??;
         (oscillation.growth_per_s > 0.0).then_some(oscillation)
     }
 
     /// Describes the state of the motors if the connection to this stage is lost.
-    fn if_lost(&self) -> &'static str {
+    fn motors_if_lost(&self) -> &'static str {
         match (self.world.simulated.is_some(), self.state.drives(), self.rules.host_action) {
-            (true, ..) => "the simulated board is gone too, or turned its motors off with the key",
+            (true, ..) => "the simulated board is gone, or the lost key turned its motors off",
             _ if self.held.is_some() => {
                 "the board turns its motors off half a second after the last message about the key"
             }
@@ -160,18 +158,17 @@ impl Stage {
         }
     }
 
-    /// Sends the newest sweep to every page that has a scope.
     pub(super) fn send_sweeps(&mut self) {
         for (id, scope) in &mut self.scopes {
             if let Some(sweep) = scope.sweep(&self.ring) {
-                let bytes = scope.bytes(&sweep);
-                self.hub.to(*id, |outbox| outbox.scope = Some(bytes));
+                let bytes = scope.encode(&sweep);
+                self.hub.with_outbox(*id, |outbox| outbox.scope = Some(bytes));
             }
         }
     }
 
-    /// Returns the facts that do not change.
-    pub(super) fn hello(&self) -> Value {
+    /// Returns the message with the facts that do not change during a view.
+    pub(super) fn hello_message(&self) -> Value {
         let info = self.world.board.info();
         let hand = hand_settings();
         json!({
@@ -202,7 +199,7 @@ impl Stage {
         let paddle = self.scene.task == 1;
         let length = self.world.file.as_ref().map(|file| file.description.geometry[0]);
         let wall_outline = |surface: &Surface<f64>| match paddle {
-            true => length.and_then(|length| on_an_arc(surface, length)),
+            true => length.and_then(|length| outline_on_arc(surface, length)),
             false => outline(surface),
         };
         let walls = self.scene.walls.iter().map(|wall| {
@@ -225,19 +222,19 @@ impl Stage {
     }
 
     pub(super) fn send(&self, id: PageId, message: &Value) {
-        self.hub.to(id, |outbox| outbox.tell(message.to_string()));
+        self.hub.with_outbox(id, |outbox| outbox.queue_document(message.to_string()));
     }
 
     pub(super) fn send_to_all(&self, message: &Value) {
         let text = message.to_string();
-        self.hub.to_all(|outbox| outbox.tell(text.clone()));
+        self.hub.with_every_outbox(|outbox| outbox.queue_document(text.clone()));
     }
 
     pub(super) fn refuse(&self, id: PageId, why: &str) {
         self.send(id, &json!({"is": "refused", "why": why}));
     }
 
-    /// Sends a refusal that is shown while its cause persists, with the page's name for the cause (page/link.js).
+    /// Sends a refusal that the page shows while `cause` persists, a name in page/link.js.
     pub(super) fn refuse_while(&self, cause: &str, id: PageId, why: &str) {
         self.send(id, &json!({"is": "refused", "of": cause, "why": why}));
     }

@@ -1,4 +1,4 @@
-//! The recording that a page starts and stops.
+//! Recordings that pages start and stop.
 
 use super::Stage;
 use crate::recorder::about::About;
@@ -9,11 +9,10 @@ use haptic_host::output::{self, Overwrite};
 use serde::Serialize;
 use serde_json::json;
 
-/// An active recording.
 pub(super) struct ActiveRecording {
     writer: RowWriter,
     rate_hz: f64,
-    /// Steps of the first and the newest row.
+    /// Control steps of the first and the newest row.
     steps: Option<(u32, u32)>,
     rows: u64,
     /// The board's losses at the start of the recording.
@@ -26,26 +25,24 @@ impl ActiveRecording {
         self.steps.map_or(0.0, |(first, newest)| f64::from(newest.wrapping_sub(first)) / self.rate_hz)
     }
 
-    pub(super) fn take(&mut self, row: &Row) -> Result<(), RecordError> {
+    pub(super) fn add_row(&mut self, row: &Row) -> Result<(), RecordError> {
         let first = self.steps.map_or(row.step, |(first, _)| first);
         self.steps = Some((first, row.step));
         self.rows += 1;
-        self.writer.row(row.step, self.time(), &row.values)
+        self.writer.add_row(row.step, self.time(), &row.values)
     }
 
     /// Writes an event at the time of the newest row.
-    pub(super) fn note(&mut self, words: &str) -> Result<(), RecordError> {
-        self.writer.event(self.time(), words)
+    pub(super) fn add_event(&mut self, words: &str) -> Result<(), RecordError> {
+        self.writer.add_event(self.time(), words)
     }
 
-    /// Writes the gathered rows to the file.
     pub(super) fn flush(&mut self) -> Result<(), RecordError> {
         self.writer.flush()
     }
 
-    /// Returns the recording's state for pages.
     pub(super) fn status(&self) -> RecordingStatus {
-        RecordingStatus { file: self.writer.place(), rows: self.rows, bytes: self.writer.bytes() }
+        RecordingStatus { file: self.writer.destination(), rows: self.rows, bytes: self.writer.bytes() }
     }
 
     /// Ends the recording. Returns a summary.
@@ -59,11 +56,10 @@ impl ActiveRecording {
         };
         let cut = if is_cut { "cut short: the board was lost; " } else { "" };
         self.writer.end(&format!("{cut}{losses}"), &losses)?;
-        Ok(format!("recorded {}: {losses}", self.writer.place()))
+        Ok(format!("recorded {}: {losses}", self.writer.destination()))
     }
 }
 
-/// State of the active recording for pages.
 #[derive(Serialize)]
 pub(super) struct RecordingStatus {
     file: String,

@@ -1,4 +1,4 @@
-//! Changes of walls by pages (gains, positions), and the board's scene afterwards.
+//! Changes that pages make to walls (gains, positions).
 
 use super::Stage;
 use crate::view::hub::PageId;
@@ -24,8 +24,8 @@ pub(super) fn check_scene(scene: &Scene<f32>, device: &Device<f64>) -> Result<Sc
     }
 }
 
-/// Tolerance of a gain, because links round gains to six digits.
-const TOLERANCE: f64 = 1.000_01;
+/// Factor by which a gain may exceed a limit, because links to the page round gains to six digits.
+const GAIN_TOLERANCE: f64 = 1.000_01;
 
 impl Stage {
     pub(super) fn change_gains(
@@ -44,8 +44,8 @@ impl Stage {
         let requested = format!("{} with {}", with_unit(stiffness.into(), "N/m"), with_unit(damping.into(), "N s/m"));
         let q = Newest::of(&self.ring, &self.columns).q(self.device.axes());
         if let Some(max) = largest_gains(&self.device, &present.surface, &q, &self.rules.limits)
-            && (f64::from(stiffness) > max.stiffness.max(TOLERANCE * present.stiffness)
-                || f64::from(damping) > max.damping.max(TOLERANCE * present.damping))
+            && (f64::from(stiffness) > max.stiffness.max(GAIN_TOLERANCE * present.stiffness)
+                || f64::from(damping) > max.damping.max(GAIN_TOLERANCE * present.damping))
         {
             let why = format!(
                 "wall {wall} cannot have {requested}: above {} one encoder count, and above {} a slow hand, needs the full \
@@ -58,9 +58,9 @@ impl Stage {
             return Ok(());
         }
         if let Some(plane) = self.plane.as_ref().filter(|plane| plane.wall == usize::from(wall) && !beyond) {
-            let max = plane.stiffness_to(feed_forward, f64::from(damping));
-            let max_now = plane.stiffness_to(present.feed_forward, present.damping);
-            // If the gains are already outside, only a feed-forward with a smaller range needs a confirmation.
+            let max = plane.max_stiffness(feed_forward, f64::from(damping));
+            let max_now = plane.max_stiffness(present.feed_forward, present.damping);
+            // With gains already outside the boundary, only a feed-forward with a smaller range needs a confirmation.
             let less_stable = feed_forward != present.feed_forward && max < max_now;
             if f64::from(stiffness) > max && (present.stiffness <= max_now || less_stable) {
                 let why = format!(
