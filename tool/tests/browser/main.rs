@@ -26,13 +26,12 @@ fn opened() -> (View, Browser, Tab) {
         "window.view && view.pictures > 3 && view.plane !== null && document.body.dataset.role === 'command'",
     );
     browser.front(&tab);
-    // Places on the canvases are known after the first drawing. A page draws only in front, and late if the computer is
-    // busy.
+    // The first drawing sets the frames of the canvases. A page draws only in the front window.
     browser.until(&tab, "Boolean(view.frame && view.planeFrame)");
     (view, browser, tab)
 }
 
-/// Returns a place on a canvas in pixels of the page; `x` and `y` are expressions in pixels of the canvas.
+/// Converts a place on a canvas to pixels of the page. `x` and `y` are expressions in pixels of the canvas.
 fn on(browser: &mut Browser, tab: &Tab, canvas: &str, x: &str, y: &str) -> (f64, f64) {
     let place =
         format!("(() => {{ const r = $('{canvas}').getBoundingClientRect(); return [r.left + {x}, r.top + {y}]; }})()");
@@ -44,7 +43,7 @@ fn on_plane(browser: &mut Browser, tab: &Tab, damping: f64, stiffness: f64) -> (
     on(browser, tab, "plane", &format!("view.planeFrame.X({damping})"), &format!("view.planeFrame.Y({stiffness})"))
 }
 
-/// Drags the handle of the first wall down and waits until the wall has followed.
+/// Drags the handle of the first wall 60 pixels down and waits until the wall is more than 10 mm lower.
 fn drag_the_wall(browser: &mut Browser, tab: &Tab) {
     let handle = on(
         browser,
@@ -58,7 +57,7 @@ fn drag_the_wall(browser: &mut Browser, tab: &Tab) {
     browser.until(tab, &format!("view.walls[0].values[1] < {before} - 0.01"));
 }
 
-/// Returns the place on the page at this distance in front of the wall, m.
+/// Returns the place on the page `before` metres in front of the wall.
 fn by_the_wall(browser: &mut Browser, tab: &Tab, before: f64) -> (f64, f64) {
     let along = |i: u8| format!("(view.walls[0].values[{i}] + {before} * view.walls[0].values[{}])", i + 3);
     on(browser, tab, "stage", &format!("view.frame.toX({})", along(0)), &format!("view.frame.toY({})", along(1)))

@@ -4,19 +4,18 @@ use haptic_host::device_file::DeviceFile;
 use haptic_stability::analysis::sampled::{LinearEstimator, Loop, Mode};
 use serde_json::Value;
 
-/// A device at a pose, a wall and the loop around it.
+/// A wall at one pose of a device, and its control loop.
 pub struct Case {
     pub id: String,
     pub file: DeviceFile,
-    /// Joint angles, rad.
     pub q: Vec<f64>,
     pub normal: Vec<f64>,
     pub around: Loop,
-    /// Known domains without and with the feed-forward.
+    /// Independently computed domains without and with the feed-forward.
     pub expected: [(Mode, Known); 2],
 }
 
-/// A known domain: kp (N/m) at each kd (N s/m), area under kp, and largest kd.
+/// An independently computed domain: kp, N/m, at each kd, N s/m, the area under kp, and the largest kd.
 pub struct Known {
     pub kd: Vec<f64>,
     pub kp: Vec<f64>,
@@ -24,7 +23,7 @@ pub struct Known {
     pub kd_max: f64,
 }
 
-/// Returns all cases of the file, twenty.
+/// Returns the twenty cases of tests/golden/range.json.
 pub fn all() -> Vec<Case> {
     let golden: Value = serde_json::from_str(&super::read("tests/golden/range.json")).unwrap();
     let cases: Vec<Case> = golden["cases"].as_array().unwrap().iter().map(case).collect();
@@ -59,7 +58,7 @@ fn case(case: &Value) -> Case {
 /// A set of walls: device, pose, normals, shares, walls without the feed-forward, damping (N s/m).
 pub type WallSetCase = (&'static str, &'static str, &'static [&'static str], &'static str, Option<&'static str>, f64);
 
-/// Facets that differ by 2, 5 and 10 degrees, and corners in the plane and in space.
+/// Sets of walls: facets that differ by 2, 5 and 10 degrees, and corners in the plane and in space.
 pub const WALL_SETS: [WallSetCase; 8] = [
     ("coupled-five-bar", "2.6,1.75", &["0.2419219,0.9702957", "0.2756374,0.9612617"], "1,1", None, 15.0),
     ("coupled-five-bar", "2.6,1.75", &["0.2419219,0.9702957", "0.3255682,0.9455186"], "1,1", None, 15.0),

@@ -21,7 +21,7 @@ pub fn sound(draw: &mut Random) -> (String, Description) {
     let file = &files[(draw.uniform() * files.len() as f64) as usize];
     let (mut device, joints) = (file.description, file.spec().joints);
     let (size, weight) = (draw.between(0.7, 1.5), spread(draw, 0.5, 2.0));
-    // The last entry is no length but the sign of the assembly.
+    // The last entry is not a length but the sign of the assembly.
     device.geometry.iter_mut().filter(|length| length.abs() < 1.0).for_each(|length| *length *= size);
     for link in &mut device.links {
         link.com *= size;
@@ -89,13 +89,13 @@ pub enum Wrong {
     Nothing,
     /// Ratio of the true torque constant and back-EMF to the file's, for the first joint.
     Constant(f64),
-    /// The same for all joints.
+    /// Ratio of the true torque constants and back-EMFs to the file's, for all joints.
     Constants(f64),
-    /// Ratio of a gear that is missing in the file, also in its inertia.
+    /// Ratio of a gear that the file omits in torque constants, back-EMFs and inertias.
     Gear(f64),
     /// Share of the true current that the first current sensor measures.
     Sensor(f64),
-    /// The same for all current sensors.
+    /// Share of the true currents that all current sensors measure.
     Sensors(f64),
     /// Offset of the first current sensor, A.
     Zero(f64),
@@ -160,14 +160,14 @@ impl std::fmt::Display for Checked {
     }
 }
 
-/// Checks a sound random device, which is held at home until the polarity check begins.
+/// Checks the polarity of a random device whose file is correct.
 pub fn check_sound(seed: u64) -> Checked {
     let mut draw = Random::new(seed);
     let (device, description) = sound(&mut draw);
     check(seed, device, &description, Wrong::Nothing)
 }
 
-/// Checks a device that differs from its file: half of them are shipped devices, half random ones.
+/// Checks the polarity of a device that differs from its file. Half of the seeds have a shipped device.
 pub fn check_wrong(seed: u64) -> Checked {
     let mut draw = Random::new(seed);
     let wrong = Wrong::drawn(&mut draw);

@@ -105,7 +105,7 @@ pub struct Push {
 }
 
 impl Push {
-    /// `truth` is the true device of the board.
+    /// Starts a measurement on a board whose true device is `truth`.
     pub fn of(truth: &Description, board: &SimulatedBoard) -> Self {
         let mechanism = AnyMechanism::new(truth).unwrap();
         let length = (2e-3 * board.carrier_hz()) as usize;

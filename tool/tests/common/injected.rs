@@ -9,7 +9,7 @@ use haptic_bridge::safety::fault::FaultRecord;
 use haptic_sim::{BoardFaults, Hand, SimulatedBoard};
 use std::f64::consts::TAU;
 
-/// An error with the time at which it begins.
+/// Time at which an injected error begins, and the function that injects the error.
 pub enum When {
     /// From power-on. Changes the true device and wires, not the device file that the board receives.
     Always(fn(&mut Description, &mut BoardFaults)),
@@ -17,7 +17,7 @@ pub enum When {
     InContact(fn(&mut SimulatedBoard, &Description)),
 }
 
-/// An injected error.
+/// An injected error, as the tables of docs/results/lies.csv name it.
 pub struct InjectedError {
     pub what: &'static str,
     pub when: When,
@@ -31,7 +31,6 @@ const fn in_contact(what: &'static str, error: fn(&mut SimulatedBoard, &Descript
     InjectedError { what, when: When::InContact(error) }
 }
 
-/// All injected errors.
 pub const INJECTED_ERRORS: [InjectedError; 37] = [
     always("torque constant twice the file's", |wired, _| constants(wired, 2.0)),
     always("torque constant half the file's", |wired, _| constants(wired, 0.5)),
@@ -133,10 +132,10 @@ fn counts_per_radian(device: &Description) -> f64 {
 pub enum Outcome {
     /// The polarity check ended with this fault.
     Refused(FaultRecord),
-    /// The motors went off with this fault, so many seconds after the error began or, if it was always there, after
+    /// The motors went off with this fault. The time, s, counts from the error's begin or, for a permanent error, from
     /// arming.
     Seen(FaultRecord, f64, Harm),
-    /// The board did not notice.
+    /// The board reported no fault.
     Missed(Harm),
 }
 

@@ -1,5 +1,5 @@
 //! Helpers of all tests of the tool: shipped files, command lines, simple scenes and control loops.
-#![allow(dead_code, unused_imports, reason = "every run uses its own part")]
+#![allow(dead_code, unused_imports, reason = "each test program uses only a part")]
 
 pub mod bodies;
 #[cfg(unix)]

@@ -1,5 +1,4 @@
 //! `haptic view` in another process, and the messages that a page receives.
-#![allow(dead_code, reason = "every run uses its own part")]
 
 use assert_cmd::cargo::CommandCargoExt;
 use serde_json::Value;

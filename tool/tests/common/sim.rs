@@ -7,10 +7,10 @@ use std::process::{Child, Stdio};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
-/// Longest wait; only a process that hangs takes longer.
+/// Timeout of every wait. Only a process that hangs takes longer.
 pub const HANG: Duration = Duration::from_secs(600);
 
-/// Waits until a condition is true, also on a slow computer.
+/// Waits until a condition is true. The timeout is long, because a computer may be slow.
 pub fn until(what: &str, mut is_reached: impl FnMut() -> bool) {
     let began = Instant::now();
     while !is_reached() {
@@ -69,7 +69,7 @@ impl Sim {
         command.args(["--port", &self.port]).assert()
     }
 
-    /// Waits until the board's state fulfils a condition, also on a slow computer.
+    /// Waits until the board's state fulfils a condition.
     pub fn until(&self, is_reached: impl Fn(&str) -> bool) {
         until("the board's state", || is_reached(self.json(&["info"])["state"].as_str().unwrap()));
     }

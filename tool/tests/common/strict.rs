@@ -33,7 +33,7 @@ pub struct Lossy {
 }
 
 impl Lossy {
-    /// Returns a session over such a wire, and the number of next messages to lose, initially 0.
+    /// Returns a session over a lossy wire, and the number of next messages to lose, initially 0.
     pub fn session(board: &SharedBoard) -> (Session, Arc<AtomicU32>) {
         let loses = Arc::new(AtomicU32::new(0));
         let wire = Self { wire: board.wire(), loses: loses.clone() };

@@ -17,8 +17,9 @@ const RATE: u32 = 1_000;
 const CYCLE: u32 = 2;
 /// Simulated time in `cargo test`, s.
 const SHORT: u64 = 600;
-/// Number of cycles until friction and filters have settled, then number of reference cycles.
+/// Number of cycles until friction and filters have settled.
 const SETTLED: usize = 5;
+/// Number of reference cycles, which follow the settled ones.
 const USUAL: usize = 20;
 /// Largest relative deviation of a later cycle from the reference: a hundredth of the tenth that a hand can feel.
 const DRIFT: f64 = 1e-3;

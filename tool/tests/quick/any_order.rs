@@ -64,7 +64,7 @@ fn script(numbers: &mut Numbers) -> Vec<u8> {
             }
             continue;
         }
-        // Two thirds are requests that could loosen a protection or exceed a loosened limit.
+        // Two of three requests could loosen a protection or exceed a loosened limit.
         let pointed = [SetRules::REQ_KEY, Force::REQ_KEY, SetGains::REQ_KEY, SetScene::REQ_KEY];
         let operation = match numbers.below(3) {
             0 => numbers.below(TEMPLATES.len()) as u8,

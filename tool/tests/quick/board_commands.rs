@@ -308,7 +308,7 @@ fn past_a_limit(folder: &Folder) -> Sim {
     Sim::start(&["--fast", &device, "--scene", &scene])
 }
 
-/// The remedy is printed on a separate line, not as an escaped line break.
+/// The remedy of a fault is printed on a separate line, not after an escaped line break.
 #[test]
 fn clearing_names_the_joint_outside_its_limits() {
     let folder = Folder::new();

@@ -128,7 +128,7 @@ fn a_device_with_weight_is_held_until_the_board_is_armed() {
         let fallen =
             shared.lock().device().q().iter().zip(still).map(|(q, still)| (q - still).abs()).fold(0.0, f64::max);
         assert!(fallen > 1e-3, "{name} does not fall after disarming: {fallen} rad");
-        // It falls freely. A turret folds through itself and jams, so check that the angles stay finite.
+        // The device falls freely. A turret folds through itself and jams, so check that the angles stay finite.
         shared.lock().run(1.0);
         let q = shared.lock().device().q();
         assert!(q.iter().all(|q| q.is_finite()), "{name}: {q:?}");

@@ -1,5 +1,5 @@
-//! The quick commands in README.md and docs/ work as written. Commands, links, numbers and table rows in the text are
-//! correct. common/documents explains how blocks are run.
+//! The quick commands in README.md and docs/ work as written (common/documents). Commands, links, numbers and rows of
+//! tables in the text are correct.
 #![cfg(unix)]
 
 use crate::common::documents::blocks::{Block, Kind, documents, root};

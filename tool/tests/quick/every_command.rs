@@ -44,7 +44,7 @@ const ANALYSIS: [Line; 17] = [
     ("completions bash", "_haptic() {"),
 ];
 
-/// Commands for a board: most use a board in another process, those with `--port sim` simulate it themselves.
+/// Commands for a board. Commands with `--port sim` simulate the board, the others use a board in another process.
 const BOARD: [Line; 25] = [
     ("info --port sim", "board       simulated, serial number SIM0001, on sim"),
     ("board latency --port sim --exchanges 2", "2 exchanges, 10000 a second, on sim"),
@@ -76,7 +76,7 @@ const BOARD: [Line; 25] = [
     ("stream --seconds 0.1", "    time_s "),
 ];
 
-/// Commands that run until Ctrl-C, and the beginnings of their outputs.
+/// Commands that run until Ctrl-C.
 const SERVING: [Line; 3] = [
     ("sim --tcp 0", "a simulated board with coupled-five-bar is on tcp:127.0.0.1:"),
     ("view --port sim --listen 127.0.0.1:0", "open http://127.0.0.1:"),
@@ -115,7 +115,7 @@ fn every_command_with_a_board_succeeds() {
 /// Commands that no help page lists.
 const DEVELOPERS: [&str; 3] = ["bench", "precompute", "udev"];
 
-/// Commands whose examples are run. Those of other commands need a board, a recording, or more than a second.
+/// Commands whose examples are run. Examples of other commands need a board, a recording, or more than a second.
 const TYPED: [&str; 5] = ["new", "check", "model", "precompute", "range"];
 
 #[test]

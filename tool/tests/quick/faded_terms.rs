@@ -13,7 +13,7 @@ use std::f64::consts::TAU;
 /// Control rates and cutoffs, Hz.
 const RATES: [(f64, f64); 2] = [(1_000.0, 100.0), (20_000.0, 500.0)];
 
-/// A pose near a singular one and the direction of a wall's normal there, degrees.
+/// A pose near a singularity, rad, and the direction of a wall's normal, degrees.
 struct Situation {
     device: &'static str,
     q: [f64; 2],
@@ -42,8 +42,9 @@ struct Links {
     base: f64,
     proximal: f64,
     distal: f64,
-    /// Proximal (`arm`) and distal link (`rod`): mass, centre of mass as a share of the length, inertia about it.
+    /// Proximal link: mass, distance of the centre of mass as a share of the length, inertia about the centre of mass.
     arm: [f64; 3],
+    /// Distal link, with the same quantities as `arm`.
     rod: [f64; 3],
     rotor: [f64; 2],
     handle: f64,

@@ -125,7 +125,7 @@ impl Drop for Served {
 struct Program(WebSocket<MaybeTlsStream<TcpStream>>);
 
 impl Program {
-    /// Connects a program. Returns it and its first frame.
+    /// Returns a connected program and its first frame.
     fn connect(address: &str) -> Result<(Self, Value), tungstenite::Error> {
         let (socket, _) = tungstenite::connect(format!("ws://{address}/"))?;
         let mut program = Self(socket);
@@ -216,7 +216,7 @@ fn a_program_receives_all_keys_first_then_frames() {
     }
     let full = program.ask(&json!({"session": {"force_render_full_state": {}}}));
     assert_eq!(full["inverse3"][0]["config"]["device_info"]["id"], *id);
-    // A meaningless message acts like an empty request and does not end the connection.
+    // A message without a valid command acts like an empty request and does not end the connection.
     for nonsense in [json!(3), json!({"inverse3": [{"device_id": id, "commands": {"set_cursor_force": {}}}]})] {
         assert_eq!(program.ask(&nonsense)["inverse3"][0]["device_id"], *id);
     }

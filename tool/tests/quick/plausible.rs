@@ -30,7 +30,7 @@ fn wall(point: &str, stiffness: &str, damping: &str) -> String {
 #[test]
 fn wrong_units_cause_a_warning_at_their_line() {
     let in_mm = [("0.07, 0.07", "70, 70"), ("0.09, 0.09", "90, 90"), ("base = 0.038", "base = 38")];
-    // The constant of the motor itself, although its rotor is behind a ratio of 15.
+    // The torque constant of a bare motor, although its gear has a ratio of 15.
     let without_gear =
         [("torque_constant = 0.033333", "torque_constant = 0.0022"), ("coulomb = 0.002", "coulomb = 0.0")];
     let soft = ("transmission = \"rigid\"\n", "[joint.transmission]\nstiffness = 0.1\n");

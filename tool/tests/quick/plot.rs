@@ -8,10 +8,11 @@ use predicates::str::contains;
 use std::f64::consts::TAU;
 use std::path::Path;
 
-/// Rows per second, and number of rows.
+/// Rows per second of the recordings.
 const RATE: f64 = 1000.0;
+/// Number of rows of [`recording`], with the missing rows.
 const ROWS: usize = 2000;
-/// Rows that are missing in the recording.
+/// Rows that are missing in [`recording`].
 const GAP: std::ops::Range<usize> = 600..700;
 
 fn depth(t: f64) -> f64 {
@@ -73,7 +74,7 @@ fn read(svg: &str) -> Vec<SvgPanel> {
     for (index, line) in lines.iter().enumerate() {
         if let Some((_, rest)) = line.split_once("<polyline points=\"") {
             let pairs = rest.split_once('"').unwrap().0.split(' ').filter_map(|pair| pair.split_once(','));
-            // A dashed line is no curve but the axis through zero.
+            // A dashed line is not a curve but the axis through zero.
             if !line.contains("stroke-dasharray") {
                 drawn.push(pairs.map(|(x, y)| (x.parse().unwrap(), y.parse().unwrap())).collect::<Vec<(f64, f64)>>());
             }

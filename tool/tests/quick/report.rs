@@ -6,7 +6,7 @@ fn plain(text: &str) -> String {
     text.replace("&lt;", "<").replace("&gt;", ">").replace("&quot;", "\"").replace("&amp;", "&")
 }
 
-/// Returns the names of all elements. Checks that each is closed.
+/// Returns the names of all elements of a page. Checks that each element is closed.
 fn elements(page: &str) -> Vec<String> {
     let (mut open, mut all): (Vec<String>, Vec<String>) = (Vec::new(), Vec::new());
     for tag in page.split('<').skip(1) {

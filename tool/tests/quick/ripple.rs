@@ -33,9 +33,9 @@ fn pressed<T>(around: &Loop, counts: Option<f64>, work: impl FnOnce(&Pressed<'_>
     })
 }
 
-/// Rate, cutoff, stiffness, damping; root mean square without and with the feed-forward, N. Computed by a program that
-/// shares no code with this one: the linearised five-bar with dry friction in steps of 20 us, the largest of four
-/// offsets of the counts, and a hand that presses against the wall's tip force, J⁻ᵀ M E Wrr⁻¹.
+/// Rate, Hz, cutoff, Hz, stiffness, N/m, damping, N s/m, then root mean squares of the ripple without and with the
+/// feed-forward, N. A program that shares no code with this one simulated the linearised five-bar with dry friction in
+/// steps of 20 µs, with a hand against the wall's tip force J⁻ᵀ M E Wrr⁻¹. Largest of four offsets of the counts.
 const APART: [(f64, f64, f64, f64, f64, f64); 4] = [
     (1_000.0, 100.0, 15_000.0, 40.0, 0.419, 0.292),
     (5_000.0, 200.0, 20_000.0, 60.0, 1.011, 0.684),

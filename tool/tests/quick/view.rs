@@ -40,7 +40,7 @@ struct TestView {
 struct Page {
     id: PageId,
     heard: Received,
-    /// Message that the page repeats: the key is down, the page is there, or none if it is silent.
+    /// Message that the page repeats: `Hold` while the key is down, otherwise `Here`. `None` for a silent page.
     repeated: Option<FromPage>,
 }
 
@@ -65,7 +65,7 @@ impl TestView {
         view
     }
 
-    /// Returns a simulated board, and a page in command of it for which it does not count as simulated.
+    /// Returns a simulated board that the view treats as a real board, and the view with a page in command.
     fn on_a_board() -> (SharedBoard, Self) {
         let simulated = World::demo().unwrap().simulated.unwrap();
         let board = Board::over(simulated.wire(), "a board").unwrap();
@@ -669,8 +669,8 @@ fn the_wall_of_a_paddle_is_placed_on_its_arc() {
 /// Ripple above which the page turns red, N.
 const RED: f64 = 0.5;
 
-/// Wherever a page leads the hand, the linkage stays on the same side of every singularity, also if the motors go off
-/// in a displaced pose or if the hand releases the tip in a wall, which then throws the tip out.
+/// The linkage stays on the same side of every singularity, also if the motors go off in a displaced pose, or if the
+/// hand releases the tip in a wall and the wall throws the tip out.
 #[test]
 fn leading_the_hand_never_folds_the_linkage() {
     let planar = ["cable-five-bar", "capstan-pantograph", "haply-2diy", "pantograph-mk2", "serial-3r"];
@@ -760,8 +760,8 @@ fn a_simulation_starts_over_and_arms_again() {
     assert!(view.heard(0).why().contains("not simulated"), "{}", view.heard(0).why());
 }
 
-/// While a hand presses the wall, one click turns the feed-forward off and the wall buzzes; another click turns it on
-/// and the wall is quiet. This is true at every depth and also at places to the side of the start.
+/// While a hand presses the wall, turning the feed-forward off makes the wall buzz, and turning the feed-forward on
+/// makes the wall quiet, at every depth and also at places to the side of the start.
 #[test]
 fn the_feed_forward_button_makes_a_pressed_wall_buzz_or_quiet() {
     let mut view = TestView::demo();
@@ -802,7 +802,7 @@ fn the_feed_forward_button_makes_a_pressed_wall_buzz_or_quiet() {
         as_it_should &= 1.1 * off < stiffness && stiffness < 0.95 * washout;
     }
     assert!(as_it_should, "a wall of {stiffness} N/m, {damping} N s/m:\n{said}");
-    // With the full feed-forward of (4) a wall pushes a resting hand sideways; with a washout it does not.
+    // The full feed-forward of (4) pushes a resting hand sideways; the feed-forward with a washout does not.
     click(&mut view, FeedForward::Full);
     view.play(1.6);
     assert!(number(&view, "sideways") > 0.5, "{}", number(&view, "sideways"));

@@ -1,5 +1,5 @@
-//! The rendered inertia of a redundant device depends on the admissible set, and all commands agree on it. Also tests
-//! the gain of the feed-forward.
+//! The rendered inertia of a redundant device depends on the admissible set, in the same way for all commands. The gain
+//! of the feed-forward changes the inertia that a wall meets.
 
 use crate::common::prelude::*;
 use crate::common::{ideal_loop, shipped, type_lines};

@@ -1,8 +1,8 @@
-//! Types a block line by line, as a user does at a terminal.
+//! Runs the lines of a block one by one, as a user types them at a terminal.
 //!
 //! Every line is passed to a shell as written, in a new directory with a copy of devices/. `haptic` and
 //! `cargo run … --package haptic --` run the tool of this build; other cargo commands run in the repository. Servers
-//! (`haptic sim`, `cargo xtask board`) run while the rest of the block is typed, as in another terminal. Comments in a
+//! (`haptic sim`, `cargo xtask board`) keep running during the rest of the block, as in another terminal. Comments in a
 //! line are instructions: "Ctrl-C" interrupts the command once it handles interrupts, "asks" replies `y`, and the text
 //! quoted after "prints" must be in the output. The documents' TCP port 7710 is replaced by a free port.
 
@@ -17,10 +17,10 @@ use std::thread::{sleep, spawn};
 use std::time::{Duration, Instant};
 
 const TOOL: &str = env!("CARGO_BIN_EXE_haptic");
-/// The command by which the documents call the tool in a checkout.
+/// Command that runs the tool in a checkout, as the documents write it.
 const IN_A_CHECKOUT: &str = "cargo run --release --package haptic --";
 
-/// Types one block.
+/// Runs the commands of one block; each may take at most `patience`.
 pub fn run(block: &Block, patience: Duration) -> Result<(), String> {
     let mut session = Session::new(block.kind == Kind::Board, patience);
     for command in block.commands() {
@@ -29,7 +29,7 @@ pub fn run(block: &Block, patience: Duration) -> Result<(), String> {
     session.end().map_err(|error| format!("{}: {error}", block.place))
 }
 
-/// Runs `haptic check` on a block that is a file.
+/// Runs `haptic check` on a block that is a device or scene file.
 pub fn check(block: &Block) -> Result<(), String> {
     let place = tempfile::tempdir().unwrap();
     let file = place.path().join("file.toml");
@@ -51,7 +51,7 @@ struct Session {
     place: tempfile::TempDir,
     environment: Vec<(String, String)>,
     servers: Vec<(String, Child)>,
-    /// Port that replaces 7710, known once a server runs.
+    /// TCP port that replaces 7710: the newest server's.
     port: String,
     patience: Duration,
 }

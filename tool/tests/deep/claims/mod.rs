@@ -131,8 +131,8 @@ fn a_wrong_rotor_inertia_keeps_most_of_the_demos_gain() {
 
 #[test]
 fn wrong_models_cost_more_elsewhere_and_a_wrong_home_most() {
-    // Computed in numpy, with M and J from differences of the links' positions, which come only from intersecting
-    // circles: number of cases, share of them that keep less than seven eighths, smallest and largest share kept, %.
+    // Computed in numpy: number of cases, percentage of cases that keep less than seven eighths of the gain, smallest and
+    // largest percentage kept. M and J are differences of the links' positions, computed by intersecting circles.
     const KNOWN: [(usize, [f64; 3]); 6] = [
         (1648, [18.143, 70.114, 132.702]),
         (1648, [37.197, 60.015, 157.843]),

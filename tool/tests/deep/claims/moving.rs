@@ -104,7 +104,7 @@ impl Moving {
         next
     }
 
-    /// Returns true if an oscillation faster than 8 Hz grows. Slower modes describe how the linkage turns the motion.
+    /// Returns true if an oscillation faster than 8 Hz grows. Slower modes describe the turning direction of motion.
     fn grows(&self, speed: f64, kp: f64, kd: f64, rate: f64, cutoff: f64) -> bool {
         let fast = 8.0 * std::f64::consts::TAU / rate;
         let modes = self.matrix(speed, kp, kd, rate, cutoff).complex_eigenvalues();

@@ -20,14 +20,15 @@ mod moving;
 
 pub const RATE_HZ: f64 = 1_000.0;
 const CUTOFF_HZ: f64 = 100.0;
-/// Gains of the wall in all runs, N/m and N s/m: well below the limit with or without the feed-forward.
+/// Stiffness of the wall in all runs, N/m: far below the limit with or without the feed-forward.
 const STIFFNESS: f64 = 10_000.0;
+/// Damping of the wall in all runs, N s/m.
 const DAMPING: f64 = 40.0;
 /// Counts per turn at which encoder steps have no effect.
 pub const FINE: f64 = 16_777_216.0;
-/// Home of the demo's device.
+/// Joint angles of the demo's device at home, rad.
 const HOME: [f64; 2] = [2.3, 0.841_592_653_589_79];
-/// The demo's pose and the direction of its wall's normal, degrees.
+/// Joint angles in the demo's pose, rad, and the direction of the normal of the demo's wall, degrees.
 pub const DEMO: ([f64; 2], f64) = ([2.6, 1.75], 75.0);
 
 pub fn five_bar() -> Description {
@@ -133,7 +134,7 @@ fn joints_at(description: &Description, q: [f64; 2], place: &Vector2<f64>) -> [f
 }
 
 pub const LAWS: [VelocityTerms; 3] = [VelocityTerms::Off, VelocityTerms::Paper, VelocityTerms::Rendered];
-/// Poses and motions along a wall: q, normal in degrees, speed in m/s.
+/// Slides along a wall: joint angles, rad, direction of the normal, degrees, and speed, m/s.
 pub const SLIDES: [([f64; 2], f64, f64); 3] =
     [([2.3, 0.841_592_653_589_79], 90.0, 0.5), ([2.3, 0.841_592_653_589_79], 37.0, 0.5), ([2.6, 1.75], 75.0, -0.5)];
 
@@ -285,7 +286,7 @@ pub fn wrong_models() -> Vec<(String, Vec<AssumedModel>)> {
 /// clear benefit.
 pub struct GainRetained {
     pub cases: usize,
-    /// Number of cases that keep less than seven eighths.
+    /// Number of cases that keep less than seven eighths of the gain.
     pub below: usize,
     pub least: f64,
     pub most: f64,
@@ -325,7 +326,7 @@ pub fn free_deflection() -> f64 {
     (along.row.dot(&answer)).atan2(device.row.dot(&answer)).to_degrees()
 }
 
-/// Returns the inertia that a hand feels at the demo's wall.
+/// Returns the inertias that a hand feels in the air and along the demo's wall.
 fn felt() -> Perception {
     let normal = unit(DEMO.1).as_slice().to_vec();
     let wall = WallForce { normal, force: 0.0, stiffness: 1.0, feed_forward: true };

@@ -16,7 +16,7 @@ const SCALE: f64 = 2.0;
 /// Largest difference between drawn and computed share, relative to the scale: one colour level from rounding, two
 /// within a tile, and three for changes within the searched pixels.
 const TOLERANCE: f64 = 0.06;
-/// Distance in pixels within which the pose's colour must be found: half the width of an ellipse's or a link's line.
+/// Largest distance of the expected colour from a pose's place, pixels: half the width of a drawn ellipse or link.
 const AROUND: i32 = 6;
 
 fn at(image: &Pixmap, x: i32, y: i32) -> Option<[u8; 3]> {

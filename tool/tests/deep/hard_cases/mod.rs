@@ -1,7 +1,7 @@
 //! Numerically hard cases: f32 against f64 and both against 106 bits.
 //!
-//! The rows are computed once, for the checks here and in tests/hard_cases/bounds.rs (which `cargo test` runs against f64
-//! alone) and for the tables in docs/hard-cases/.
+//! The rows are computed once, for the checks here and in tests/hard_cases/bounds.rs and for the tables in
+//! docs/hard-cases/. `cargo test` runs the checks of bounds.rs against f64 alone.
 
 #[path = "../../../../tests/hard_cases/bounds.rs"]
 mod bounds;
@@ -102,7 +102,7 @@ fn encoder_steps_cost_velocity_terms_more_than_f32() {
         assert!(if off { row.size == 0.0 } else { row.size > 0.03 }, "{row:?}");
         assert!(coarse < 0.5 * row.size + 3e-3, "{row:?}");
         assert!(fine < 0.005 * row.size + 6e-5, "{row:?}");
-        // The ratios to the rounding error that docs/hard-cases.md states, with the same tolerance.
+        // docs/hard-cases.md states these ratios to the rounding error with the same bounds.
         let times = [coarse, fine].map(|error| error / row.rounding);
         assert!(off || (1e3..7e4).contains(&times[0]) && (5.0..1.3e3).contains(&times[1]), "{row:?}");
     }
@@ -121,8 +121,8 @@ fn motors_at_their_limit_push_along_the_normal_only() {
     }
 }
 
-/// Largest ratio between a number in a table and the computed one. Errors are maxima over random poses in one digit; a
-/// change that only rounds differently moves them by less.
+/// Largest ratio between a number in a table and the computed number. Errors are maxima over random poses in one digit.
+/// A change that only rounds differently changes the errors by a smaller factor.
 const SAME: f64 = 4.0;
 
 /// Returns true if two words of a table are equal, or numbers within a factor of [`SAME`] ("lost" is above a half).
@@ -134,7 +134,7 @@ fn same(shown: &str, computed: &str) -> bool {
     }
 }
 
-/// `UPDATE_DOCS=1 cargo xtask test --deep hard_cases` updates them.
+/// `UPDATE_DOCS=1 cargo xtask test --deep hard_cases` updates the tables in docs/hard-cases/.
 #[test]
 fn the_tables_hold_the_computed_errors() {
     for (name, computed) in tables::all() {

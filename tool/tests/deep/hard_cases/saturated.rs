@@ -1,4 +1,4 @@
-//! Motors that cannot make the requested wall force: the force along the normal and across it that remains of the
+//! Walls that request more force than the motors can make: errors of the force along and across the normal, from the
 //! control loop's f32 torques.
 
 use super::rows::singular::Random;
@@ -13,11 +13,11 @@ const POSES: usize = 12;
 /// Stiffness of the wall, N/m.
 const STIFFNESS: f64 = 20_000.0;
 
-/// One row of the table.
+/// A row of docs/hard-cases/motors-at-their-limit.csv.
 #[derive(Clone, Debug)]
 pub struct Row {
     pub device: &'static str,
-    /// Sines of the poses.
+    /// Range of the sine of the angle between the poses and the singularity.
     pub sines: [f64; 2],
     /// Largest ratio of the requested force to the largest force of the motors.
     pub beyond: f64,

@@ -23,16 +23,16 @@ const SETTLED: u32 = 600;
 /// Control steps of a run. The last 20 ms are compared.
 const STEPS: u32 = 1_000;
 
-/// One row of the table.
+/// A row of docs/hard-cases/velocity-terms.csv.
 #[derive(Clone, Debug)]
 pub struct Row {
     pub device: &'static str,
     pub terms: VelocityTerms,
-    /// Largest torque of the terms, as a share of the largest torque; the errors are shares too.
+    /// Largest torque of the velocity terms, as a share of the largest torque.
     pub size: f64,
-    /// Error of f32 against f64 with the same counts.
+    /// Error of f32 against f64 with the same counts, as a share of the largest torque.
     pub rounding: f64,
-    /// Error of f32 against true angles and velocities, for each of [`COUNTS`].
+    /// Error of f32 against true angles and velocities for each of [`COUNTS`], as a share of the largest torque.
     pub estimated: [f64; 2],
 }
 

@@ -91,7 +91,7 @@ fn coarse_encoders_are_reported_instead_of_a_boundary() {
 }
 
 /// With four times the counts, six encoder steps at the boundary still need three quarters of the torque limit, so a
-/// growing swing soon becomes a vibration within the limit. Encoder steps explain up to 3.6 %, see `swing`.
+/// growing swing soon becomes a vibration within the limit. Encoder steps explain differences of up to 3.6 %.
 #[test]
 fn a_vibration_within_the_torque_limit_counts_as_unstable() {
     for (feed_forward, theory) in PHANTOM {

@@ -26,8 +26,8 @@ fn around() -> Loop {
     }
 }
 
-/// Returns a shipped device, if requested with cables on which each joint's motor has this natural frequency, Hz. The
-/// motor has the joint's whole inertia, on a turret three tenths of it.
+/// Returns a shipped device. With `hz` every joint has a cable, on which its motor has this natural frequency, Hz. The
+/// motor has all of the joint's inertia, or 0.3 of the inertia of a turret.
 fn device(name: &str, hz: Option<f64>) -> DeviceFile {
     let mut file = shipped(name);
     let spec = file.spec();
@@ -43,7 +43,7 @@ fn device(name: &str, hz: Option<f64>) -> DeviceFile {
     file
 }
 
-/// Device, pose, normals with their shares, damping (N s/m).
+/// Device, joint angles, rad, normals with their shares of the stiffness, damping, N s/m.
 type Set = (&'static str, &'static [f64], &'static [(&'static [f64], f64)], f64);
 
 const WALL_SETS: [Set; 3] = [

@@ -144,9 +144,9 @@ fn demo(file: &DeviceFile, feed_forward: FeedForward) -> Run<'_> {
     }
 }
 
-/// Largest torque swing of a quiet wall, N m (a few encoder steps times 20 kN/m), and smallest of an unstable wall,
-/// which uses all 2 N m of the motors.
+/// Largest torque swing of a quiet wall, N m: a few encoder steps times 20 kN/m.
 const QUIET: f64 = 0.05;
+/// Smallest torque swing of an unstable wall, N m. An unstable wall uses all 2 N m of the motors.
 const LOUD: f64 = 1.0;
 
 #[test]
@@ -265,8 +265,8 @@ fn the_feed_forward_keeps_stable_corners_quiet() {
     }
 }
 
-/// The feed-forward of a firm press on one wall pushes onto another wall, which is touched lightly. As the other wall
-/// takes effect, the push falls. If the push fell within 0.1 mm, these touches would swing with 0.2 N m or more.
+/// The feed-forward of a firm press on one wall pushes the tip onto a second wall. The push falls with the depth in the
+/// second wall. If the push fell within 0.1 mm, these light touches would swing with 0.2 N m or more.
 #[test]
 fn a_light_touch_during_a_firm_press_is_quiet() {
     let file = shipped("coupled-five-bar");

@@ -51,8 +51,8 @@ fn measure(rate_hz: f64, cutoff_hz: f64, share: f64) -> (f64, f64) {
     (summit / MASS / rate_hz.powi(2), end / MASS / rate_hz)
 }
 
-/// Tolerance: the search returns the middle of a bracket of half a percent, and growth may be too slow to be detected
-/// within a trial. The constants have four digits.
+/// Largest relative difference: the search ends at a bracket of half a percent, and slow growth may be missed within a
+/// trial. The constants have four digits.
 const APART: f64 = 0.004;
 
 fn agree(measured: (f64, f64), known: (f64, f64)) {

@@ -9,8 +9,9 @@ use haptic_predict::template::scene_file;
 use haptic_sim::{HandLoop, ready_board};
 use std::time::Duration;
 
-/// Time until the hand has reached the wall, then duration of the measurement, s.
+/// Time until the hand has reached the wall, s.
 const SETTLE: f64 = 1.0;
+/// Duration of the measurement, s.
 const WATCH: f64 = 4.0;
 /// Window of the mean that is subtracted from the force to get the ripple, s. A hand's own force changes more slowly.
 const SLOW: f64 = 0.05;
