@@ -2,7 +2,7 @@
 
 use super::common::root;
 use super::devtools::{Browser, Tab};
-use super::{LAPTOP, by_the_wall, drag_the_wall, on_plane};
+use super::{LAPTOP, by_the_wall, drag_the_wall, on_plane, wait_for_life};
 
 pub fn path() -> String {
     std::env::var("HAPTIC_PLAYGROUND")
@@ -23,11 +23,7 @@ fn opened() -> (Browser, Tab) {
 #[test]
 fn the_page_as_a_file_is_alive_and_requests_nothing() {
     let (mut browser, tab) = opened();
-    let count = |browser: &mut Browser, what: &str| browser.evaluate(&tab, what).as_u64().unwrap();
-    let (pictures, sweeps) = (count(&mut browser, "view.pictures"), count(&mut browser, "view.sweeps"));
-    browser.until(&tab, &format!("view.pictures > {} && view.sweeps > {}", pictures + 20, sweeps + 10));
-    browser.evaluate(&tab, "$('sound').click()");
-    browser.until(&tab, "view.sounds > 5");
+    wait_for_life(&mut browser, &tab);
     assert_eq!(
         browser.evaluate(&tab, "view.hello.rows_hz === view.hello.rate_hz"),
         true,

@@ -211,10 +211,12 @@ impl Browser {
         self.ask(tab, "Emulation.setFocusEmulationEnabled", json!({"enabled": true}));
     }
 
-    /// Returns a screenshot of a page as PNG.
-    pub fn picture(&mut self, tab: &Tab, whole: bool) -> Vec<u8> {
-        let answer = self.ask(tab, "Page.captureScreenshot", json!({"format": "png", "captureBeyondViewport": whole}));
-        base64(answer["data"].as_str().unwrap())
+    /// Writes a screenshot NAME.png if HAPTIC_PICTURES names a folder; of the whole page or of its visible part.
+    pub fn save_picture(&mut self, tab: &Tab, name: &str, whole_page: bool) {
+        let Ok(folder) = std::env::var("HAPTIC_PICTURES") else { return };
+        let options = json!({"format": "png", "captureBeyondViewport": whole_page});
+        let answer = self.ask(tab, "Page.captureScreenshot", options);
+        std::fs::write(format!("{folder}/{name}.png"), base64(answer["data"].as_str().unwrap())).unwrap();
     }
 
     /// Returns the addresses that pages have requested.

@@ -80,14 +80,19 @@ fn lead_into_the_wall(browser: &mut Browser, tab: &Tab) {
     browser.hold_until(tab, there);
 }
 
+/// Waits until the page has shown 20 new pictures and 10 new sweeps and has played sound.
+fn wait_for_life(browser: &mut Browser, tab: &Tab) {
+    let [pictures, sweeps] =
+        ["view.pictures", "view.sweeps"].map(|count| browser.evaluate(tab, count).as_u64().unwrap());
+    browser.until(tab, &format!("view.pictures > {} && view.sweeps > {}", pictures + 20, sweeps + 10));
+    browser.evaluate(tab, "$('sound').click()");
+    browser.until(tab, "view.sounds > 5");
+}
+
 #[test]
 fn the_page_is_alive_and_requests_nothing_elsewhere() {
     let (view, mut browser, tab) = opened();
-    let count = |browser: &mut Browser, what: &str| browser.evaluate(&tab, what).as_u64().unwrap();
-    let (pictures, sweeps) = (count(&mut browser, "view.pictures"), count(&mut browser, "view.sweeps"));
-    browser.until(&tab, &format!("view.pictures > {} && view.sweeps > {}", pictures + 20, sweeps + 10));
-    browser.evaluate(&tab, "$('sound').click()");
-    browser.until(&tab, "view.sounds > 5");
+    wait_for_life(&mut browser, &tab);
     assert_eq!(browser.evaluate(&tab, "document.title"), "coupled-five-bar: haptic view");
     // A canvas with many colours has been drawn.
     for canvas in ["stage", "plane", "scope"] {
@@ -485,9 +490,7 @@ fn the_coach_leads_to_the_buzz_and_start_over_resets() {
     browser.hold_until(&tab, "buzzed || view.walls[0].feed_forward !== 'off' && $('ff-off').click()");
     browser.hold_until(&tab, "steps === 3 || view.walls[0].feed_forward === 'off' && $('ff-washout').click()");
     browser.until(&tab, "$('coach').hidden");
-    if let Ok(folder) = std::env::var("HAPTIC_PICTURES") {
-        std::fs::write(format!("{folder}/coach-done.png"), browser.picture(&tab, false)).unwrap();
-    }
+    browser.save_picture(&tab, "coach-done", false);
     browser.space(&tab, "keyUp");
     browser.until(&tab, "document.body.dataset.state === 'Disarmed'");
     browser.evaluate(&tab, "view.goal = null; $('close').click(); $('ff-full').click()");
@@ -574,10 +577,7 @@ fn springs_of_the_scene_are_drawn() {
     assert!(seen((0.06, 0.10), 5) > 30, "the point is not drawn");
     assert_eq!(seen((x - 0.04, 0.14), 6), 0, "something is drawn where no spring is");
     assert_eq!(browser.complaints(), [""; 0]);
-    if let Ok(folder) = std::env::var("HAPTIC_PICTURES") {
-        let png = browser.picture(&tab, false);
-        std::fs::write(format!("{folder}/view-spring.png"), png).unwrap();
-    }
+    browser.save_picture(&tab, "view-spring", false);
 }
 
 /// At every size the page fits and the key is visible.
@@ -608,9 +608,6 @@ fn the_page_fits_a_phone_a_laptop_and_a_projector() {
         assert_eq!(fits["key"], true, "{name}");
         let heights: Vec<Value> = fits["canvases"].as_array().unwrap().clone();
         assert!(heights.iter().all(|height| height.as_u64().unwrap() >= 110), "{name}: {fits}");
-        if let Ok(folder) = std::env::var("HAPTIC_PICTURES") {
-            let png = browser.picture(&tab, size == PHONE);
-            std::fs::write(format!("{folder}/view-{name}.png"), png).unwrap();
-        }
+        browser.save_picture(&tab, &format!("view-{name}"), size == PHONE);
     }
 }

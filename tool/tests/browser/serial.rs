@@ -4,14 +4,14 @@
 use super::LAPTOP;
 use super::as_a_file::path;
 use super::common::sim::{Sim, until};
-use super::common::{file, root};
+use super::common::{Process, file, root};
 use super::devtools::{Browser, PATIENCE, Tab, base64, connect};
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_host::link::{Board, TcpWire};
 use serde_json::{Value, json};
 use std::io::{BufRead, BufReader, ErrorKind, Read, Write};
 use std::net::TcpStream;
-use std::process::{Child, Command, Stdio};
+use std::process::{Command, Stdio};
 use std::thread::{JoinHandle, spawn};
 use std::time::{Duration, Instant};
 use tungstenite::Message;
@@ -195,9 +195,7 @@ fn used_until_the_browser_dies(board: &str, device: &str, name: &str) {
     browser.until(&tab, "view.pictures > then + 10");
     assert_eq!(browser.evaluate(&tab, ARMED), false, "a key that stayed down must not arm again");
     println!("{device}: {}", browser.evaluate(&tab, "view.last.losses"));
-    if let Ok(folder) = std::env::var("HAPTIC_PICTURES") {
-        std::fs::write(format!("{folder}/serial-{device}.png"), browser.picture(&tab, false)).unwrap();
-    }
+    browser.save_picture(&tab, &format!("serial-{device}"), false);
     hold(&mut browser, &tab);
     assert_eq!(browser.complaints(), [""; 0]);
     drop(browser);
@@ -219,16 +217,6 @@ fn a_simulated_board_disarms_when_the_browser_dies() {
     used_until_the_browser_dies(&sim.port, "haply-2diy", "simulated SIM");
 }
 
-/// Process of the emulated board.
-struct Emulated(Child);
-
-impl Drop for Emulated {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
-}
-
 #[test]
 fn the_emulated_board_disarms_when_the_browser_dies() {
     let default = root().join("target/debug/board").display().to_string();
@@ -237,7 +225,7 @@ fn the_emulated_board_disarms_when_the_browser_dies() {
     let mut board =
         board.unwrap_or_else(|error| panic!("{program}: {error}; `cargo xtask test --deep browser` makes it"));
     let mut lines = BufReader::new(board.stdout.take().unwrap()).lines().map(Result::unwrap);
-    let _board = Emulated(board);
+    let _board = Process { child: board, first_line: String::new() };
     let port = lines.find_map(|line| line.strip_prefix("port: ").map(String::from)).unwrap();
     let device = lines
         .find_map(|line| Some(line.split_whitespace().nth(2)?.to_string()).filter(|_| line.contains("haptic device")));

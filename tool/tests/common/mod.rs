@@ -20,7 +20,9 @@ use haptic_host::output::csv_line;
 use haptic_sim::ready_board;
 use haptic_stability::analysis::flexible::Flexible;
 use prelude::*;
+use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
+use std::process::{Child, Stdio};
 
 /// Types that many tests use.
 pub mod prelude {
@@ -179,9 +181,34 @@ pub fn type_lines(table: &str, more: &[&str]) {
     }
 }
 
+/// Process of the tool, which is killed when dropped.
+pub struct Process {
+    pub child: Child,
+    /// First line of the process's standard output.
+    pub first_line: String,
+}
+
+impl Process {
+    /// Starts the tool and waits for its first line.
+    pub fn start(arguments: &[&str]) -> Self {
+        let mut command = std::process::Command::new(assert_cmd::cargo::cargo_bin("haptic"));
+        let mut child = command.args(arguments).env_remove("HAPTIC_PORT").stdout(Stdio::piped()).spawn().unwrap();
+        let mut line = String::new();
+        BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
+        Self { child, first_line: line.trim_end().into() }
+    }
+}
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
 /// Sends a signal, such as `INT`, to a process. Uses the `kill` of the shell, because not every system has a program
 /// `kill`.
-pub fn signal(child: &std::process::Child, name: &str) {
+pub fn signal(child: &Child, name: &str) {
     let line = format!("kill -{name} {}", child.id());
     assert!(std::process::Command::new("sh").args(["-c", &line]).status().unwrap().success());
 }
@@ -191,6 +218,16 @@ pub fn board(file: &DeviceFile, options: BoardOptions) -> (SharedBoard, Board) {
     let shared = SharedBoard::new(ready_board(file, options).unwrap());
     let board = Board::over(shared.wire(), "sim").unwrap();
     (shared, board)
+}
+
+/// Returns the numbers of a JSON list.
+pub fn numbers(list: &Value) -> Vec<f64> {
+    list.as_array().unwrap().iter().map(|number| number.as_f64().unwrap()).collect()
+}
+
+/// Returns the value of a numeric attribute in a line of an SVG file.
+pub fn svg_number(line: &str, attribute: &str) -> Option<f64> {
+    line.split_once(&format!(" {attribute}=\""))?.1.split_once('"')?.0.parse().ok()
 }
 
 /// Returns a plane wall without feed-forward.

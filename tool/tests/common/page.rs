@@ -1,13 +1,11 @@
 //! `haptic view` in another process, and the messages that a page receives.
 
-use assert_cmd::cargo::CommandCargoExt;
+use super::Process;
 use serde_json::Value;
-use std::io::{BufRead, BufReader};
-use std::process::{Child, Command, Stdio};
 
 /// Process of `haptic view`.
 pub struct View {
-    child: Child,
+    process: Process,
     /// Address of the page, as printed.
     pub url: String,
 }
@@ -15,30 +13,15 @@ pub struct View {
 impl View {
     /// Starts `haptic view` on this computer at a free port.
     pub fn start(arguments: &[&str]) -> Self {
-        let mut command = Command::cargo_bin("haptic").unwrap();
-        command.args(["view", "--listen", "127.0.0.1:0"]).args(arguments).stdout(Stdio::piped());
-        let mut child = command.env_remove("HAPTIC_PORT").spawn().unwrap();
-        let mut line = String::new();
-        BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
+        let process = Process::start(&[&["view", "--listen", "127.0.0.1:0"], arguments].concat());
+        let line = &process.first_line;
         let url = line.split_whitespace().nth(1).unwrap_or_else(|| panic!("{line:?}")).to_string();
-        Self { child, url }
-    }
-
-    /// Returns the process id.
-    pub fn process(&self) -> u32 {
-        self.child.id()
+        Self { process, url }
     }
 
     /// Returns host and port.
     pub fn address(&self) -> &str {
         self.url.trim_start_matches("http://").split('/').next().unwrap()
-    }
-}
-
-impl Drop for View {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
     }
 }
 

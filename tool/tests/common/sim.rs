@@ -1,8 +1,7 @@
 //! `haptic sim` in another process.
 
-pub use super::haptic;
+use super::{Process, haptic};
 use assert_cmd::cargo::CommandCargoExt;
-use std::io::{BufRead, BufReader};
 use std::process::{Child, Stdio};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
@@ -21,7 +20,7 @@ pub fn until(what: &str, mut is_reached: impl FnMut() -> bool) {
 
 /// Process of `haptic sim`.
 pub struct Sim {
-    pub child: Child,
+    pub process: Process,
     pub port: String,
 }
 
@@ -40,12 +39,9 @@ impl Sim {
     }
 
     fn launch(arguments: &[&str]) -> Self {
-        let mut command = std::process::Command::cargo_bin("haptic").unwrap();
-        let mut child = command.arg("sim").args(arguments).stdout(Stdio::piped()).spawn().unwrap();
-        let mut line = String::new();
-        BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
-        let port = line.trim().rsplit(' ').next().unwrap().to_string();
-        Self { child, port }
+        let process = Process::start(&[&["sim"], arguments].concat());
+        let port = process.first_line.rsplit(' ').next().unwrap().to_string();
+        Self { process, port }
     }
 
     /// Runs a table of command lines on this board ([`super::type_lines`]).
@@ -79,12 +75,5 @@ impl Sim {
         let mut command = std::process::Command::cargo_bin("haptic").unwrap();
         command.args(arguments).args(["--port", &self.port]).stdout(Stdio::null()).stderr(Stdio::piped());
         command.spawn().unwrap()
-    }
-}
-
-impl Drop for Sim {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
     }
 }

@@ -1,6 +1,7 @@
 //! A strict simulated board in this process, and a connection that loses messages.
 
 use super::{board, shipped};
+use haptic_bridge::model::description::Description;
 use haptic_bridge::render::scene::Scene;
 use haptic_host::link::{Board, Session, Wire};
 use haptic_sim::{BoardOptions, SharedBoard, Support};
@@ -8,13 +9,18 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::Duration;
 
-/// Returns a board that can be armed: 1 kHz, a verified five-bar in free space, homed, polarity checked.
-pub fn strict() -> (SharedBoard, Session) {
-    let mut file = shipped("coupled-five-bar");
-    for joint in &mut file.description.joints[..2] {
+/// Declares the motors of the first two joints verified and limits these joints to ±4 rad.
+pub fn verify_motors(description: &mut Description) {
+    for joint in &mut description.joints[..2] {
         joint.motor.as_mut().unwrap().verified = true;
         joint.limits = Some((-4.0, 4.0));
     }
+}
+
+/// Returns a board that can be armed: 1 kHz, a verified five-bar in free space, homed, polarity checked.
+pub fn strict() -> (SharedBoard, Session) {
+    let mut file = shipped("coupled-five-bar");
+    verify_motors(&mut file.description);
     let options = BoardOptions { strict: true, support: Support::Held, ..BoardOptions::default() };
     let (shared, board) = board(&file, options);
     let mut session = Session::of(board);

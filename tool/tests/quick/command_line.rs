@@ -52,7 +52,6 @@ fn wrong_numbers_are_refused_with_a_remedy() {
         ("range --difference-over=-3", "'-3' for '--difference-over <SAMPLES>': write a whole"),
         ("measure-range --points=1.5", "'1.5' for '--points <N>': write a whole number"),
         ("tune --wall=", "write a whole number, such as"),
-        ("model --q=1", "--q has 1 number, but"),
         ("range --share=1,2", "--share has 2 numbers for 1 wall ("),
     ] {
         let (command, option) = line.split_once(' ').unwrap();
@@ -97,7 +96,6 @@ fn the_boot_loader_needs_confirmation_with_motors_on() {
         arm
         1: board dfu => the motors are on | --yes
         info => armed | !disarmed
-        1: board save => haptic disarm | !writing flash
         board dfu --yes",
     );
 }
@@ -120,6 +118,24 @@ fn the_manual_has_a_page_for_every_command() {
     let page = page("haptic-model").unwrap();
     for section in ["EXIT STATUS", "EXAMPLES", "FILES"] {
         assert!(page.contains(section), "{section} in {page}");
+    }
+}
+
+#[test]
+fn existing_files_are_overwritten_only_with_force() {
+    let folder = Folder::new();
+    let device = "devices/hapkit-paddle.toml";
+    for (line, name) in [
+        (format!("check {device} --svg"), "a.svg"),
+        (format!("check {device} --png"), "a.png"),
+        (format!("report {device} --without estimators,tune,map,design --out"), "a.html"),
+        ("new paddle -o".into(), "a.toml"),
+    ] {
+        let path = folder.write(name, "mine");
+        type_lines(&format!("1: {line} {path} => exists | --force"), &[]);
+        assert_eq!(std::fs::read(&path).unwrap(), b"mine", "{line}");
+        type_lines(&format!("{line} {path} --force"), &[]);
+        assert_ne!(std::fs::read(&path).unwrap(), b"mine", "{line}");
     }
 }
 

@@ -3,11 +3,9 @@
 #![cfg(unix)]
 
 use crate::common::sim::Sim;
-use crate::common::{haptic, output, root, signal};
+use crate::common::{Process, haptic, output, root, signal};
 use std::collections::BTreeSet;
-use std::io::{BufRead, BufReader};
 use std::path::Path;
-use std::process::{Command, Stdio};
 
 /// A command line and the beginning of its output.
 type Line = (&'static str, &'static str);
@@ -115,26 +113,30 @@ fn every_command_with_a_board_succeeds() {
 /// Commands that no help page lists.
 const DEVELOPERS: [&str; 3] = ["bench", "precompute", "udev"];
 
+/// Returns the names of all commands.
+fn commands() -> BTreeSet<String> {
+    let page = output(&["help"]);
+    let (listing, _) = page.split_once("Start here").unwrap();
+    let listed = listing.lines().filter_map(|line| line.strip_prefix("  ")?.split_whitespace().next());
+    listed.chain(DEVELOPERS).map(String::from).collect()
+}
+
 /// Commands whose examples are run. Examples of other commands need a board, a recording, or more than a second.
 const TYPED: [&str; 5] = ["new", "check", "model", "precompute", "range"];
 
 #[test]
 fn the_examples_of_every_help_page_name_files_that_ship() {
     let folder = folder();
-    let help = |name: &[&str]| output(&[&["help"], name].concat());
-    let page = help(&[]);
-    let (listing, _) = page.split_once("Start here").unwrap();
     let mut typed = BTreeSet::new();
-    let listed = listing.lines().filter_map(|line| line.strip_prefix("  ")?.split_whitespace().next());
-    for name in listed.chain(DEVELOPERS) {
-        let page = help(&[name]);
+    for name in commands() {
+        let page = output(&["help", &name]);
         let examples = page.split_once("Examples:\n").map_or("", |(_, examples)| examples);
         for line in examples.lines().filter_map(|line| line.trim().strip_prefix("haptic ")) {
             let files = words(line).into_iter().filter(|word| word.starts_with("devices/"));
             files.for_each(|file| assert!(root().join(file).is_file(), "haptic {line}: {file} does not ship"));
-            if TYPED.contains(&name) {
+            if TYPED.contains(&name.as_str()) {
                 haptic(&words(line)).current_dir(folder.path()).assert().success();
-                typed.insert(name.to_string());
+                typed.insert(name.clone());
             }
         }
     }
@@ -144,13 +146,10 @@ fn the_examples_of_every_help_page_name_files_that_ship() {
 #[test]
 fn every_server_starts_and_ends() {
     for (line, begins) in SERVING {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_haptic"));
-        let mut child = command.args(words(line)).stdout(Stdio::piped()).spawn().unwrap();
-        let mut said = String::new();
-        BufReader::new(child.stdout.take().unwrap()).read_line(&mut said).unwrap();
-        assert!(said.starts_with(begins), "haptic {line}\n{said}");
-        signal(&child, "INT");
-        assert!(child.wait().unwrap().success(), "haptic {line}");
+        let mut server = Process::start(&words(line));
+        assert!(server.first_line.starts_with(begins), "haptic {line}\n{}", server.first_line);
+        signal(&server.child, "INT");
+        assert!(server.child.wait().unwrap().success(), "haptic {line}");
     }
 }
 
@@ -178,11 +177,7 @@ fn flash_without_a_board_or_an_image_is_refused() {
 
 #[test]
 fn every_listed_command_is_run() {
-    let page = output(&["help"]);
-    let (listing, _) = page.split_once("Start here").unwrap();
-    let listed = listing.lines().filter_map(|line| line.strip_prefix("  ")?.split_whitespace().next());
-    let listed = listed.chain(DEVELOPERS);
     let run = [&ANALYSIS[..], &BOARD, &SERVING].concat();
-    let run: BTreeSet<&str> = run.into_iter().map(|(line, _)| words(line)[0]).chain(["flash"]).collect();
-    assert_eq!(listed.collect::<BTreeSet<_>>(), run);
+    let run = run.into_iter().map(|(line, _)| words(line)[0]).chain(["flash"]).map(String::from);
+    assert_eq!(commands(), run.collect());
 }

@@ -3,15 +3,14 @@
 
 use crate::common::sim::{Sim, until};
 use crate::common::strict::{Lossy, strict};
-use crate::common::type_lines;
+use crate::common::{Process, type_lines};
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_host::link::Session;
 use haptic_show::haply::{HaplyListener, Inverse3};
 use haptic_sim::SharedBoard;
 use serde_json::{Value, json};
-use std::io::{BufRead, BufReader, Read, Write};
+use std::io::{Read, Write};
 use std::net::TcpStream;
-use std::process::{Child, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::thread::JoinHandle;
@@ -21,20 +20,15 @@ use tungstenite::{Message, WebSocket};
 
 /// Process of the server, which simulates a board or uses one at a port.
 struct Server {
-    child: Child,
+    _process: Process,
     address: String,
 }
 
 impl Server {
     fn start(port: &str) -> Self {
-        use assert_cmd::cargo::CommandCargoExt;
-        let mut command = std::process::Command::cargo_bin("haptic").unwrap();
-        let arguments = ["serve", "--haply", "--listen", "0", "--port", port];
-        let mut child = command.args(arguments).stdout(Stdio::piped()).spawn().unwrap();
-        let mut line = String::new();
-        BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
-        let address = line.trim().rsplit("ws://localhost:").next().unwrap();
-        Self { address: format!("127.0.0.1:{address}"), child }
+        let process = Process::start(&["serve", "--haply", "--listen", "0", "--port", port]);
+        let tcp_port = process.first_line.rsplit("ws://localhost:").next().unwrap();
+        Self { address: format!("127.0.0.1:{tcp_port}"), _process: process }
     }
 
     fn connect(&self) -> Result<Program, tungstenite::Error> {
@@ -64,13 +58,6 @@ fn get(address: &str, path: &str, origin: &str) -> (String, Value) {
     stream.read_to_string(&mut text).unwrap();
     let (head, body) = text.split_once("\r\n\r\n").unwrap();
     (head.lines().next().unwrap().into(), serde_json::from_str(body).unwrap())
-}
-
-impl Drop for Server {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
-    }
 }
 
 /// A server in this process with a strict board that can be armed. The board's time advances only during requests.

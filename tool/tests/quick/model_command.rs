@@ -1,6 +1,6 @@
 //! `haptic model` as other programs use it: JSON document, exit codes, and names of singular poses.
 
-use crate::common::{self, output, run, type_lines};
+use crate::common::{self, numbers, output, run, type_lines};
 use nalgebra::{DMatrix, DVector};
 use serde_json::Value;
 
@@ -20,10 +20,6 @@ fn failure(name: &str, args: &[&str]) -> String {
     let said = common::refusal(1, &line(&format!("devices/{name}.toml"), args));
     assert_eq!(said.trim_end().lines().count(), 1, "one line: {said}");
     said
-}
-
-fn numbers(value: &Value) -> Vec<f64> {
-    value.as_array().expect("a list").iter().map(|entry| entry.as_f64().expect("a number")).collect()
 }
 
 fn angles(q: &[f64]) -> String {

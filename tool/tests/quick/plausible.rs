@@ -1,6 +1,6 @@
 //! Valid but implausible values cause warnings on standard error and in JSON. Shipped files cause no warnings.
 
-use crate::common::{Folder, file, files, json, output, read, refusal, run, type_lines};
+use crate::common::{Folder, file, files, json, output, read, run, type_lines};
 use serde_json::Value;
 
 /// Checks haply-2diy with these changes. Returns the JSON document and standard error.
@@ -222,21 +222,15 @@ fn swapped_device_and_scene_files_are_reported() {
 }
 
 #[test]
-fn a_new_file_passes_check_and_is_overwritten_only_by_force() {
+fn a_new_file_passes_check() {
     let folder = Folder::new();
     for kind in ["paddle", "five-bar", "five-bar-turret", "parallelogram", "serial-3r"] {
         let (path, drawing) = (folder.path(&format!("{kind}.toml")), folder.path(&format!("{kind}.svg")));
-        let text = || std::fs::read_to_string(&path).unwrap();
         type_lines(&format!("new {kind} -o {path}"), &[]);
         let (code, out, err) = run(&["check", &path, "--svg", &drawing]);
         assert_eq!((code, err.lines().count()), (0, 1), "{out} {err}");
         assert!(err.contains("the file does not describe the transmission of joint"), "{err}");
         assert!(std::fs::read_to_string(&drawing).unwrap().contains("joint "), "{kind}");
-        std::fs::write(&path, "mine").unwrap();
-        type_lines(&format!("1: new {kind} -o {path}"), &[]);
-        assert_eq!(text(), "mine");
-        type_lines(&format!("new {kind} -o {path} --force"), &[]);
-        assert!(text().contains("[[joint]]"));
     }
     type_lines("2: new six-bar", &[]);
 }
@@ -255,19 +249,6 @@ fn warnings_about_arguments_are_in_the_json_document() {
     assert_eq!(json(&model).get("warnings"), None);
     let (code, _, err) = run(&[&model[..], &["--q", "132,48"]].concat());
     assert!(code != 2 && err.contains("132 degrees are 2.3038 rad"), "{code} {err}");
-}
-
-#[test]
-fn a_drawing_is_overwritten_only_with_force() {
-    let folder = Folder::new();
-    for (option, name) in [("--svg", "a.svg"), ("--png", "a.png")] {
-        let path = folder.write(name, "mine");
-        let err = refusal(1, &["check", "devices/haply-2diy.toml", option, &path]);
-        assert!(err.contains("exists") && err.contains("--force"), "{err}");
-        assert_eq!(std::fs::read(&path).unwrap(), b"mine");
-        type_lines(&format!("check devices/haply-2diy.toml {option} {path} --force"), &[]);
-        assert_ne!(std::fs::read(&path).unwrap(), b"mine");
-    }
 }
 
 #[test]

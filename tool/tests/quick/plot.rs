@@ -1,7 +1,7 @@
 //! `haptic plot` draws the recorded values. These tests plot recordings of known functions and read the values from the
 //! picture by its ticks and labels, without the drawing code.
 
-use crate::common::{Folder, file, haptic, json, output, type_lines};
+use crate::common::{Folder, file, haptic, json, output, svg_number, type_lines};
 use haptic_show::plot::axes::{Axis, Mark, PlotArea};
 use haptic_show::plot::canvas::Canvas;
 use predicates::str::contains;
@@ -47,10 +47,6 @@ struct SvgPanel {
     lines: Vec<Vec<(f64, f64)>>,
 }
 
-fn attribute(line: &str, name: &str) -> Option<f64> {
-    line.split_once(&format!(" {name}=\""))?.1.split_once('"')?.0.parse().ok()
-}
-
 fn words(line: &str) -> &str {
     line.split_once('>').and_then(|(_, rest)| rest.split_once('<')).map_or("", |(words, _)| words)
 }
@@ -79,7 +75,7 @@ fn read(svg: &str) -> Vec<SvgPanel> {
                 drawn.push(pairs.map(|(x, y)| (x.parse().unwrap(), y.parse().unwrap())).collect::<Vec<(f64, f64)>>());
             }
         } else if line.starts_with("<line") {
-            let at = |name| attribute(line, name).unwrap();
+            let at = |name| svg_number(line, name).unwrap();
             let value: Option<f64> = words(lines[index + 1]).parse().ok();
             match value {
                 Some(value) if at("x1") == at("x2") => ticks[0].push((at("x1"), value)),
@@ -155,7 +151,7 @@ fn the_picture_shows_the_recorded_values() {
     let picture = std::fs::read(&png).unwrap();
     assert_eq!(&picture[1..4], b"PNG");
     let size = |at: usize| u32::from_be_bytes(picture[at..at + 4].try_into().unwrap());
-    let height: f64 = attribute(text.lines().next().unwrap(), "height").unwrap();
+    let height: f64 = svg_number(text.lines().next().unwrap(), "height").unwrap();
     assert_eq!((size(16), size(20)), (1440, (2.0 * height) as u32), "two pixels per unit");
 
     // The spectrum of a sine has the sine's amplitude at its frequency and almost 0 elsewhere, also at 0 Hz.
@@ -187,11 +183,8 @@ fn a_legend_covers_no_curve() {
         let mut canvas = Canvas::new(800.0, 400.0);
         frame.clear_legend(&mut canvas, drawn, &[(Mark::Dot("red"), "a dot".into())]);
         let svg = canvas.finish("", "").svg().to_string();
-        let of = |line: &str, key: &str| -> f64 {
-            line.split_once(&format!(" {key}=\"")).unwrap().1.split('"').next().unwrap().parse().unwrap()
-        };
         let shown = svg.lines().find(|line| line.contains("#ffffffee")).unwrap();
-        (of(shown, "x"), of(shown, "y"), of(&svg, "height"))
+        (svg_number(shown, "x").unwrap(), svg_number(shown, "y").unwrap(), svg_number(&svg, "height").unwrap())
     };
     let width = 48.0 + 6.5 * 5.0;
     let right = 690.0 - width;
@@ -363,15 +356,15 @@ fn misplaced_texts(svg: &str, width_mm: f64) -> Vec<String> {
     let texts: Vec<&str> = svg.lines().filter(|line| line.starts_with("<text")).collect();
     assert!(texts.len() > 5);
     let bad = |line: &&&str| {
-        let size = attribute(line, "font-size").unwrap();
+        let size = svg_number(line, "font-size").unwrap();
         if size * points_a_unit <= 7.99 {
             return true;
         }
-        let Some(x) = attribute(line, "x") else { return false };
+        let Some(x) = svg_number(line, "x") else { return false };
         let long = 0.56 * size * words(line).replace("&gt;", ">").chars().count() as f64;
         let begins = [("start", 0.0), ("middle", 0.5), ("end", 1.0)];
         let before = begins.iter().find(|(anchor, _)| line.contains(anchor)).unwrap().1 * long;
-        let (at, end) = if line.contains("rotate") { (attribute(line, "y").unwrap(), high) } else { (x, units) };
+        let (at, end) = if line.contains("rotate") { (svg_number(line, "y").unwrap(), high) } else { (x, units) };
         // Rotated text runs upwards.
         let begin = if line.contains("rotate") { at + before - long } else { at - before };
         begin < 0.0 || begin + long > end

@@ -2,13 +2,9 @@
 //! section 4).
 
 use crate::common::prelude::*;
-use crate::common::{ideal_loop, read, rigid};
+use crate::common::{ideal_loop, numbers, read, rigid};
 use haptic_bridge::model::description::StructuralMode;
 use haptic_stability::analysis::flexible::{Flexible, Hand};
-
-fn numbers(value: &Value) -> Vec<f64> {
-    value.as_array().unwrap().iter().map(|number| number.as_f64().unwrap()).collect()
-}
 
 #[test]
 fn every_boundary_agrees_with_independent_values() {

@@ -162,7 +162,7 @@ fn a_lost_board_leaves_a_complete_recording() {
         let path = folder.path().join(name);
         let mut tool = sim.spawn(&["record", path.to_str().unwrap(), "--fields", "q,state"]);
         until("bytes on disk", || std::fs::metadata(&path).is_ok_and(|about| about.len() >= 100_000));
-        sim.child.kill().unwrap();
+        sim.process.child.kill().unwrap();
         let mut said = String::new();
         tool.stderr.take().unwrap().read_to_string(&mut said).unwrap();
         assert_eq!(tool.wait().unwrap().code(), Some(1));

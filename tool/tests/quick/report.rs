@@ -1,6 +1,6 @@
 //! The page of `haptic report` is complete and shows the output of the command lines that it lists.
 
-use crate::common::{Folder, output, type_lines};
+use crate::common::{Folder, output};
 
 fn plain(text: &str) -> String {
     text.replace("&lt;", "<").replace("&gt;", ">").replace("&quot;", "\"").replace("&amp;", "&")
@@ -68,12 +68,4 @@ fn the_page_is_complete_and_shows_the_output_of_its_commands() {
         let said = output(words);
         assert!(said.len() > 100 && section.contains(said.trim_end()), "{line}\n{said}");
     }
-}
-
-#[test]
-fn an_existing_page_is_not_overwritten() {
-    let folder = Folder::new();
-    let path = folder.write("page.html", "mine");
-    type_lines(&format!("1: report devices/hapkit-paddle.toml --out {path}"), &[]);
-    assert_eq!(std::fs::read_to_string(path).unwrap(), "mine");
 }

@@ -11,10 +11,6 @@ use haptic_stability::analysis::line::DampingRule;
 const Q: [f64; 2] = [2.6, 1.75];
 const NORMAL: [f64; 2] = [0.25881904510252074, 0.9659258262890683];
 
-fn around(rate_hz: f64, estimator: LinearEstimator, delay_samples: f64) -> Loop {
-    ideal_loop(rate_hz, delay_samples, estimator)
-}
-
 /// Runs `work` on the shipped device with this number of counts per turn.
 fn pressed<T>(around: &Loop, counts: Option<f64>, work: impl FnOnce(&Pressed<'_>) -> T) -> T {
     let mut file = shipped("coupled-five-bar");
@@ -46,7 +42,7 @@ const APART: [(f64, f64, f64, f64, f64, f64); 4] = [
 #[test]
 fn the_ripple_agrees_with_an_independent_program() {
     for (rate, cutoff, kp, kd, off, full) in APART {
-        let around = around(rate, LinearEstimator::Butterworth(cutoff), 0.0);
+        let around = ideal_loop(rate, 0.0, LinearEstimator::Butterworth(cutoff));
         for (mode, known) in [(Mode::Off, off), (Mode::Full, full)] {
             let found = pressed(&around, None, |pressed| pressed.ripple(mode, kp, kd).unwrap().rms_n.unwrap());
             // The motion is chaotic, so the ripple depends on the start.
@@ -57,7 +53,7 @@ fn the_ripple_agrees_with_an_independent_program() {
 
 #[test]
 fn coarse_encoders_make_a_fast_loop_buzz_below_its_limit() {
-    let around = around(20_000.0, LinearEstimator::Butterworth(500.0), 0.0);
+    let around = ideal_loop(20_000.0, 0.0, LinearEstimator::Butterworth(500.0));
     let rms =
         |counts| pressed(&around, counts, |pressed| pressed.ripple(Mode::Off, 5_000.0, 150.0).unwrap().rms_n.unwrap());
     let limit = pressed(&around, None, |pressed| {
@@ -84,7 +80,7 @@ fn the_boards_own_step_has_a_similar_ripple() {
             (Kind::Difference(Chosen { value: 8, filtered: false }), LinearEstimator::BackwardDifference.over(8)),
         ] {
             let board = ripple_of(&comparison, kind).unwrap().unwrap();
-            let around = around(rate_hz, linear, delay);
+            let around = ideal_loop(rate_hz, delay, linear);
             let found = pressed(&around, None, |pressed| {
                 let free = Pressed { description: file.description, ..pressed.clone() };
                 free.ripple(Mode::Off, wall.0, wall.1).unwrap().rms_n.unwrap()

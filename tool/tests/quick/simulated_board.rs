@@ -2,6 +2,7 @@
 //! while it is read or run.
 
 use crate::common::prelude::*;
+use crate::common::strict::verify_motors;
 use crate::common::{board, plane_wall, shipped};
 use haptic_bridge::model::mechanism::FiveBar;
 use haptic_bridge::render::controller::Gains;
@@ -147,10 +148,7 @@ fn arming_is_refused_with_the_reason() {
     board.set_scene(&wall_below(&shared, 0.01, FeedForward::Full)).unwrap();
     assert_eq!(refusal(board.arm()), Refusal::MotorNotVerified(0));
 
-    for joint in &mut description.joints[..2] {
-        joint.motor.as_mut().unwrap().verified = true;
-        joint.limits = Some((-4.0, 4.0));
-    }
+    verify_motors(&mut description);
     board.set_device(&Device::new("verified", &description).unwrap()).unwrap();
     assert_eq!(refusal(board.arm()), Refusal::NotHomed);
     board.home().unwrap();
@@ -180,10 +178,7 @@ fn a_reversed_motor_is_detected_before_arming() {
     let mut wired = file.description;
     wired.joints[1].motor.as_mut().unwrap().torque_constant *= -1.0;
     wired.joints[1].motor.as_mut().unwrap().back_emf *= -1.0;
-    for joint in &mut file.description.joints[..2] {
-        joint.motor.as_mut().unwrap().verified = true;
-        joint.limits = Some((-4.0, 4.0));
-    }
+    verify_motors(&mut file.description);
     let options = BoardOptions { strict: true, ..BoardOptions::default() };
     let mut simulated = SimulatedBoard::new(&wired, options).unwrap();
     simulated.load(&file.name, &file.description, None).unwrap();

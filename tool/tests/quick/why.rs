@@ -1,7 +1,7 @@
 //! The share that an effect takes from a boundary is computed from the same loop without the effect.
 
 use crate::common::prelude::*;
-use crate::common::{ideal_loop, rigid};
+use crate::common::{ideal_loop, rigid, svg_number};
 use haptic_show::plot::paper::Paper;
 use haptic_show::plot::why::draw;
 use haptic_stability::analysis::flexible::{Flexible, Hand};
@@ -97,10 +97,7 @@ fn every_text_lies_within_the_picture() {
     let found = why(&soft_and_held(), &around, &Sweep::quiet()).unwrap();
     let picture = draw("a device", &["pose".into(), "loop".into()], &found, Paper::default());
     let svg = picture.svg();
-    let value = |line: &str, key: &str| -> f64 {
-        let rest = line.split_once(&format!(" {key}=\"")).unwrap_or_else(|| panic!("{key}: {line}")).1;
-        rest.split('"').next().unwrap().parse().unwrap()
-    };
+    let value = |line: &str, key: &str| svg_number(line, key).unwrap_or_else(|| panic!("{key}: {line}"));
     let width = value(svg.lines().next().unwrap(), "width");
     let mut words = 0;
     for line in svg.lines().filter(|line| line.starts_with("<text")) {

@@ -1,7 +1,7 @@
 //! The colours of a map equal the numbers of `haptic model`, for every shipped device, with and without joint limits.
 
 use crate::common::prelude::*;
-use crate::common::{all_shipped, shipped};
+use crate::common::{all_shipped, shipped, svg_number};
 use haptic_bridge::model::catalogue::Kind;
 use haptic_show::plot::Picture;
 use haptic_show::plot::colour::ABOVE;
@@ -217,15 +217,13 @@ fn a_paddle_shows_its_arc_and_its_inertia() {
 
 /// Checks that at least `least` left-aligned lines of text end within the picture.
 fn nothing_is_cut_off(svg: &str, least: usize) {
-    let attribute = |text: &str, name: &str| -> f64 {
-        text.split_once(&format!(" {name}=\"")).unwrap().1.split('"').next().unwrap().parse().unwrap()
-    };
-    let width = attribute(svg, "width");
+    let width = svg_number(svg, "width").unwrap();
     let mut seen = 0;
     for line in svg.lines().filter(|line| line.starts_with("<text") && line.contains("\"start\"")) {
         let words = line.split_once('>').unwrap().1.trim_end_matches("</text>");
         // As measured in the PNG, letters of this font are on average half as wide as high.
-        let end = attribute(line, "x") + 0.508 * attribute(line, "font-size") * words.chars().count() as f64;
+        let [x, size] = ["x", "font-size"].map(|attribute| svg_number(line, attribute).unwrap());
+        let end = x + 0.508 * size * words.chars().count() as f64;
         assert!(end < width, "{words}: ends at {end:.0} of {width}");
         seen += 1;
     }
@@ -236,17 +234,11 @@ fn nothing_is_cut_off(svg: &str, least: usize) {
 fn no_caption_of_a_map_is_cut_off() {
     for file in all_shipped().into_iter().filter(|file| file.name != "hapkit-paddle") {
         let normal: Vec<f64> = (0..file.spec().task).map(|axis| f64::from(u8::from(axis == 0))).collect();
-        let picture = map_of(&file, &normal);
-        nothing_is_cut_off(picture.svg(), 4);
+        nothing_is_cut_off(map_of(&file, &normal).svg(), 4);
     }
-}
-
-#[test]
-fn no_caption_of_a_paddle_is_cut_off() {
     let mut paddle = shipped("hapkit-paddle");
     for limits in [None, Some((-1.04, 1.04))] {
         paddle.description.joints[0].limits = limits;
-        let picture = map_of(&paddle, &[1.0]);
-        nothing_is_cut_off(picture.svg(), 4);
+        nothing_is_cut_off(map_of(&paddle, &[1.0]).svg(), 4);
     }
 }

@@ -16,7 +16,6 @@ mod tables;
 use crate::common::document;
 use bounds::serial;
 use double_double::{DoubleDouble as Exact, Series as ExactMath};
-use haptic_bridge::model::description::Description;
 use haptic_bridge::render::scene::VelocityTerms;
 use nalgebra::SMatrix;
 use rows::routes::inverse;
@@ -34,11 +33,6 @@ const MECHANISMS: [(&str, &str); 4] = [
     ("parallelogram", "phantom-premium-1.5"),
     ("serial-3r", "serial-3r"),
 ];
-
-/// Reads the shipped device of this name.
-fn shipped(name: &str) -> Description {
-    crate::common::shipped(name).description
-}
 
 /// The reference uses matrix inverses in 106 bits.
 #[test]

@@ -2,8 +2,8 @@
 //! control loop's f32 torques.
 
 use super::rows::singular::Random;
-use super::shipped;
 use crate::common::prelude::*;
+use crate::common::shipped;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::safety::limits::Limits;
 use haptic_sim::{Press, PressedBoard, WIDE_LIMITS};
@@ -87,7 +87,7 @@ pub fn all() -> Vec<Row> {
     super::MECHANISMS
     .into_iter()
     .flat_map(|(name, file)| {
-        let mut device = shipped(file);
+        let mut device = shipped(file).description;
         for joint in &mut device.joints {
             if let Some(motor) = &mut joint.motor {
                 // Only the torque limit acts.

@@ -2,12 +2,13 @@
 
 use crate::common::prelude::*;
 use crate::common::sim::until;
+use crate::common::tuned::question;
 use crate::common::{file, haptic, ideal_loop, shipped, signal};
 use haptic_host::error::Failure;
 use haptic_predict::bench::estimators::{Comparison, compare};
 use haptic_predict::design::place::places;
 use haptic_predict::ripple::{LIGHT_HAND, PUSH_N, Pressed};
-use haptic_predict::tune::{Margins, Question, estimators, tune};
+use haptic_predict::tune::{Question, tune};
 use haptic_stability::analysis::flexible::Hand;
 use haptic_stability::analysis::line::DampingRule;
 use haptic_stability::analysis::map::map_swept;
@@ -62,21 +63,7 @@ fn a_search_for_the_best_places() {
 #[test]
 fn a_search_for_the_best_settings() {
     let file = shipped("hapkit-paddle");
-    let question = Question {
-        file: &file,
-        q: vec![0.1],
-        normal: vec![1.0],
-        admissible: Admissible::default(),
-        margins: Margins::default(),
-        ripple_n: 0.1,
-        board_ripple_n: Some(0.1),
-        counts: 1.0,
-        speed: 0.1,
-        rates_hz: vec![1_000.0],
-        estimators: estimators(),
-        feed_forwards: vec![haptic_bridge::render::scene::FeedForward::Off],
-        known: None,
-    };
+    let question = Question { q: vec![0.1], board_ripple_n: Some(0.1), ..question(&file, 1_000.0) };
     check_interrupted(1, 1_000, |sweep| tune(&question, sweep));
 }
 

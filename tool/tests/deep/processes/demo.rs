@@ -1,6 +1,6 @@
 //! `haptic demo` prints the results of its runs, which are the same on every machine.
 
-use crate::common::{Folder, json, output, type_lines};
+use crate::common::{Folder, json, output};
 use haptic_bridge::render::scene::FeedForward;
 use haptic_show::demo::{Demo, crossing, stiffness};
 
@@ -45,15 +45,10 @@ fn the_command_prints_its_table_and_draws_its_picture() {
     let folder = Folder::new();
     let svg = folder.path("demo.svg");
     let said = output(&["demo", "--svg", &svg]);
-    for line in ["penetration, mm", "peak force, N", "highest stable stiffness", "predicted", "coupling", "Benefit"] {
-        assert!(said.contains(line), "{line} is missing in\n{said}");
-    }
     assert!(said.contains(&format!("picture: {svg}")));
     let picture = std::fs::read_to_string(&svg).unwrap();
     assert!(picture.starts_with("<svg") && picture.trim_end().ends_with("</svg>"));
     assert_eq!(picture.matches("<polyline").count(), 6, "three panels with two runs each");
-
-    type_lines(&format!("1: demo --svg {svg}"), &[]);
     let json = json(&["demo", "--svg", &svg, "--force"]);
     for (side, column) in [("without", 0), ("with", 1)] {
         let value = |pointer: &str| json[side].pointer(pointer).unwrap().as_f64().unwrap();

@@ -2,13 +2,13 @@
 //! stiff cables equal none, and sets of walls have the limits of loops of separate motors, links and a hand.
 
 use crate::common::bodies::{Bodies, CUTOFF, RATE};
-use crate::common::shipped;
+use crate::common::{ideal_loop, shipped};
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::description::{EncoderAt, Transmission};
 use haptic_host::device_file::DeviceFile;
 use haptic_stability::analysis::control_loop::Mode;
 use haptic_stability::analysis::flexible::Hand;
-use haptic_stability::analysis::plant::{Drive, Linearised};
+use haptic_stability::analysis::plant::Linearised;
 use haptic_stability::analysis::range::{domain, domain_of_several};
 use haptic_stability::analysis::sampled::{LinearEstimator, Loop};
 use haptic_stability::analysis::several::{Member, WallSet};
@@ -17,13 +17,7 @@ use nalgebra::{DMatrix, DVector};
 const HAND: Hand = Hand { mass: 0.1, damping: 4.0, stiffness: 250.0 };
 
 fn around() -> Loop {
-    Loop {
-        rate_hz: RATE,
-        delay_samples: 1.0,
-        estimator: LinearEstimator::Butterworth(CUTOFF),
-        drive: Drive::Ideal,
-        damping_compensation: false,
-    }
+    ideal_loop(RATE, 1.0, LinearEstimator::Butterworth(CUTOFF))
 }
 
 /// Returns a shipped device. With `hz` every joint has a cable, on which its motor has this natural frequency, Hz. The

@@ -53,24 +53,17 @@ fn measure(rate_hz: f64, cutoff_hz: f64, share: f64) -> (f64, f64) {
 
 /// Largest relative difference: the search ends at a bracket of half a percent, and slow growth may be missed within a
 /// trial. The constants have four digits.
-const APART: f64 = 0.004;
-
-fn agree(measured: (f64, f64), known: (f64, f64)) {
-    assert!((measured.0 / known.0 - 1.0).abs() < APART, "largest kp T²/m: {} is not {}", measured.0, known.0);
-    assert!((measured.1 / known.1 - 1.0).abs() < APART, "kd_max T/m: {} is not {}", measured.1, known.1);
-}
+const TOLERANCE: f64 = 0.004;
 
 #[test]
-fn constants_at_the_papers_setting() {
-    agree(measure(200.0, 20.0, 0.29), (0.08921, 0.5190));
-}
-
-#[test]
-fn constants_with_a_slow_filter() {
-    agree(measure(1000.0, 20.0, 0.18), (0.008215, 0.1520));
-}
-
-#[test]
-fn constants_at_the_boards_own_rate() {
-    agree(measure(20_000.0, 500.0, 0.2), (0.01184, 0.1838));
+fn measured_boundaries_have_the_known_constants() {
+    for (rate, cutoff, share, known) in [
+        (200.0, 20.0, 0.29, (0.08921, 0.5190)),
+        (1_000.0, 20.0, 0.18, (0.008215, 0.1520)),
+        (20_000.0, 500.0, 0.2, (0.01184, 0.1838)),
+    ] {
+        let (kp, kd) = measure(rate, cutoff, share);
+        assert!((kp / known.0 - 1.0).abs() < TOLERANCE, "{rate} Hz: largest kp T²/m is {kp}, not {}", known.0);
+        assert!((kd / known.1 - 1.0).abs() < TOLERANCE, "{rate} Hz: kd_max T/m is {kd}, not {}", known.1);
+    }
 }

@@ -3,7 +3,7 @@
 use crate::common::prelude::*;
 use crate::common::{Folder, ideal_loop, json, point_mass, root, shipped, tuned, type_lines};
 use haptic_bridge::render::velocity::{Chosen, Estimator};
-use haptic_predict::tune::{Margins, Question, Settings, estimators, keeps, to_toml, tune, vertex};
+use haptic_predict::tune::{Margins, Question, Settings, keeps, to_toml, tune, vertex};
 use haptic_stability::analysis::control_loop::CURRENT_LOOP_HZ;
 use haptic_stability::analysis::range::stiffnesses;
 
@@ -67,21 +67,8 @@ fn no_other_signs_of_the_inertia_errors_are_worse() {
 }
 
 fn question(file: &DeviceFile, margins: Margins) -> Question<'_> {
-    Question {
-        file,
-        q: vec![2.3, 0.84159265358979],
-        normal: vec![0.0, -1.0],
-        admissible: Admissible::Orientation,
-        margins,
-        ripple_n: 0.1,
-        board_ripple_n: Some(0.1),
-        counts: 1.0,
-        speed: 0.1,
-        rates_hz: vec![5_000.0],
-        estimators: estimators(),
-        feed_forwards: vec![FeedForward::Off],
-        known: None,
-    }
+    let (q, normal) = (vec![2.3, 0.84159265358979], vec![0.0, -1.0]);
+    Question { q, normal, margins, board_ripple_n: Some(0.1), ..tuned::question(file, 5_000.0) }
 }
 
 /// Without margins a wall is stable if it is in the range of `haptic range`, which is computed here for every wall.
