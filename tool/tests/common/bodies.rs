@@ -7,9 +7,9 @@ use haptic_stability::analysis::pose::TaskPose;
 use nalgebra::{DMatrix, DVector};
 
 /// Control rate, Hz. The delay is one sample.
-pub const RATE: f64 = 1_000.0;
+pub const RATE_HZ: f64 = 1_000.0;
 /// Cutoff of the Butterworth low-pass, Hz.
-pub const CUTOFF: f64 = 100.0;
+pub const CUTOFF_HZ: f64 = 100.0;
 
 /// Bodies on springs and dampers in a sampled loop with several walls: the links and, behind cables, the motors.
 pub struct Bodies {
@@ -65,13 +65,13 @@ impl Bodies {
     /// Asserts that the loop at damping `kd` is stable just below the stiffness `kp` and unstable just above.
     pub fn assert_limit(&self, kp: f64, kd: f64, case: &str) {
         assert!(kp > 0.0, "{case}: nothing is stable at {kd} N s/m");
-        let (below, above) = (self.radius(kp * 0.999, kd), self.radius(kp * 1.001, kd));
+        let (below, above) = (self.spectral_radius(kp * 0.999, kd), self.spectral_radius(kp * 1.001, kd));
         assert!(below < 1.0 && above > 1.0, "{case}: {below} below {kp} N/m and {above} above");
     }
 
     /// Returns the largest |z| of the loop at this total stiffness and total damping of the walls.
-    fn radius(&self, kp: f64, kd: f64) -> f64 {
-        let t = 1.0 / RATE;
+    fn spectral_radius(&self, kp: f64, kd: f64) -> f64 {
+        let t = 1.0 / RATE_HZ;
         let (d, n) = self.seen.shape();
         let joints = self.driven.ncols();
         let inverse = self.mass.clone().try_inverse().unwrap();
@@ -81,7 +81,7 @@ impl Bodies {
         a.view_mut((n, n), (n, n)).copy_from(&(-&inverse * &self.damping * t));
         a.view_mut((n, 2 * n), (n, joints)).copy_from(&(&inverse * &self.driven * (t * t)));
         let step = a.exp();
-        let w = (std::f64::consts::PI * CUTOFF * t).tan();
+        let w = (std::f64::consts::PI * CUTOFF_HZ * t).tan();
         let scale = 1.0 / (1.0 + std::f64::consts::SQRT_2 * w + w * w);
         let b = w * w * scale;
         let (a1, a2) = (2.0 * (w * w - 1.0) * scale, (1.0 - std::f64::consts::SQRT_2 * w + w * w) * scale);

@@ -12,11 +12,11 @@ pub struct Case {
     pub normal: Vec<f64>,
     pub around: Loop,
     /// Independently computed domains without and with the feed-forward.
-    pub expected: [(Mode, Known); 2],
+    pub expected: [(Mode, KnownDomain); 2],
 }
 
 /// An independently computed domain: kp, N/m, at each kd, N s/m, the area under kp, and the largest kd.
-pub struct Known {
+pub struct KnownDomain {
     pub kd: Vec<f64>,
     pub kp: Vec<f64>,
     pub area: f64,
@@ -24,21 +24,21 @@ pub struct Known {
 }
 
 /// Returns the twenty cases of tests/golden/range.json.
-pub fn all() -> Vec<Case> {
+pub fn all_cases() -> Vec<Case> {
     let golden: Value = serde_json::from_str(&super::read("tests/golden/range.json")).unwrap();
-    let cases: Vec<Case> = golden["cases"].as_array().unwrap().iter().map(case).collect();
+    let cases: Vec<Case> = golden["cases"].as_array().unwrap().iter().map(parse_case).collect();
     assert_eq!(cases.len(), 20);
     cases
 }
 
-fn case(case: &Value) -> Case {
+fn parse_case(case: &Value) -> Case {
     let number = |value: &Value| value.as_f64().unwrap();
     let numbers = |value: &Value| value.as_array().unwrap().iter().map(number).collect::<Vec<f64>>();
     let known = |key: &str| {
         let expected = &case["expect"][key];
         let points = expected["boundary"].as_array().unwrap();
         let of = |name: &str| points.iter().map(|point| number(&point[name])).collect();
-        Known { kd: of("kd"), kp: of("kp"), area: number(&expected["area"]), kd_max: number(&expected["kd_max"]) }
+        KnownDomain { kd: of("kd"), kp: of("kp"), area: number(&expected["area"]), kd_max: number(&expected["kd_max"]) }
     };
     let id = case["id"].as_str().unwrap().to_string();
     Case {

@@ -78,26 +78,27 @@ pub fn csv(rows: impl IntoIterator<Item = String>) -> String {
 }
 
 /// Returns the full path of a shipped file from its path in devices/.
-pub fn file(name: &str) -> String {
+pub fn shipped_path(name: &str) -> String {
     root().join("devices").join(name).display().to_string()
 }
 
 /// Returns the device or scene files in a folder of devices/.
-pub fn files(folder: &str) -> Vec<PathBuf> {
-    let mut files: Vec<_> = std::fs::read_dir(file(folder)).unwrap().map(|entry| entry.unwrap().path()).collect();
+pub fn toml_files(folder: &str) -> Vec<PathBuf> {
+    let mut files: Vec<_> =
+        std::fs::read_dir(shipped_path(folder)).unwrap().map(|entry| entry.unwrap().path()).collect();
     files.retain(|path| path.extension().is_some_and(|extension| extension == "toml"));
     files.sort();
     files
 }
 
 /// Loads a shipped device.
-pub fn shipped(name: &str) -> DeviceFile {
-    DeviceFile::load(file(&format!("{name}.toml"))).unwrap()
+pub fn shipped_device(name: &str) -> DeviceFile {
+    DeviceFile::load(shipped_path(&format!("{name}.toml"))).unwrap()
 }
 
 /// Loads all shipped devices.
-pub fn all_shipped() -> Vec<DeviceFile> {
-    files("").into_iter().map(|path| DeviceFile::load(path).unwrap()).collect()
+pub fn all_shipped_devices() -> Vec<DeviceFile> {
+    toml_files("").into_iter().map(|path| DeviceFile::load(path).unwrap()).collect()
 }
 
 /// A temporary folder that returns paths as strings for command lines.
@@ -119,7 +120,7 @@ impl Folder {
     }
 
     /// Writes a copy of a shipped device file with these replacements and returns its path.
-    pub fn changed(&self, device: &str, changes: &[(&str, &str)]) -> String {
+    pub fn write_changed(&self, device: &str, changes: &[(&str, &str)]) -> String {
         let text = changes.iter().fold(read(&format!("devices/{device}.toml")), |text, (from, to)| {
             assert!(text.contains(from), "{device}: {from}");
             text.replace(from, to)
@@ -208,7 +209,7 @@ impl Drop for Process {
 
 /// Sends a signal, such as `INT`, to a process. Uses the `kill` of the shell, because not every system has a program
 /// `kill`.
-pub fn signal(child: &Child, name: &str) {
+pub fn send_signal(child: &Child, name: &str) {
     let line = format!("kill -{name} {}", child.id());
     assert!(std::process::Command::new("sh").args(["-c", &line]).status().unwrap().success());
 }
@@ -249,7 +250,7 @@ pub fn ideal_loop(rate_hz: f64, delay_samples: f64, estimator: LinearEstimator) 
 }
 
 /// Returns a rigid device at one pose, from mass matrix, joint damping, Jr and E.
-pub fn rigid(mass: &[f64], viscous: &[f64], row: &[f64], unit_motion: &[f64]) -> Linearised {
+pub fn rigid_device(mass: &[f64], viscous: &[f64], row: &[f64], unit_motion: &[f64]) -> Linearised {
     Linearised {
         gain: 1.0,
         flexible: Flexible::default(),
@@ -262,5 +263,5 @@ pub fn rigid(mass: &[f64], viscous: &[f64], row: &[f64], unit_motion: &[f64]) ->
 
 /// Returns a free mass (kg) that moves along the wall's normal.
 pub fn point_mass(mass: f64) -> Linearised {
-    rigid(&[mass], &[0.0], &[1.0], &[1.0])
+    rigid_device(&[mass], &[0.0], &[1.0], &[1.0])
 }

@@ -43,7 +43,7 @@ pub struct Received {
 }
 
 impl Received {
-    pub fn text(&mut self, text: &str) {
+    pub fn receive_text(&mut self, text: &str) {
         let message: Value = serde_json::from_str(text).unwrap();
         let words = |key: &str| Some(message[key].as_str().unwrap().to_string());
         match message["is"].as_str().unwrap() {
@@ -59,7 +59,7 @@ impl Received {
         }
     }
 
-    pub fn bytes(&mut self, bytes: &[u8]) {
+    pub fn receive_bytes(&mut self, bytes: &[u8]) {
         let number = |four: &[u8]| f32::from_le_bytes(four.try_into().unwrap());
         let numbers: Vec<f32> = bytes.chunks_exact(4).map(number).collect();
         match numbers[0] {
@@ -70,7 +70,7 @@ impl Received {
     }
 
     /// Returns the text of the newest refusal.
-    pub fn why(&self) -> &str {
+    pub fn refusal(&self) -> &str {
         self.refused.last().map_or("", |refused| refused["why"].as_str().unwrap())
     }
 

@@ -7,13 +7,13 @@ use std::thread::sleep;
 use std::time::{Duration, Instant};
 
 /// Timeout of every wait. Only a process that hangs takes longer.
-pub const HANG: Duration = Duration::from_secs(600);
+pub const HANG_TIMEOUT: Duration = Duration::from_secs(600);
 
 /// Waits until a condition is true. The timeout is long, because a computer may be slow.
-pub fn until(what: &str, mut is_reached: impl FnMut() -> bool) {
+pub fn wait_until(what: &str, mut is_reached: impl FnMut() -> bool) {
     let began = Instant::now();
     while !is_reached() {
-        assert!(began.elapsed() < HANG, "{what}: not reached within {HANG:?}");
+        assert!(began.elapsed() < HANG_TIMEOUT, "{what}: not reached within {HANG_TIMEOUT:?}");
         sleep(Duration::from_millis(10));
     }
 }
@@ -66,8 +66,8 @@ impl Sim {
     }
 
     /// Waits until the board's state fulfils a condition.
-    pub fn until(&self, is_reached: impl Fn(&str) -> bool) {
-        until("the board's state", || is_reached(self.json(&["info"])["state"].as_str().unwrap()));
+    pub fn wait_for_state(&self, is_reached: impl Fn(&str) -> bool) {
+        wait_until("the board's state", || is_reached(self.json(&["info"])["state"].as_str().unwrap()));
     }
 
     /// Starts the tool on this board in the background.

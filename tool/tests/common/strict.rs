@@ -1,6 +1,6 @@
 //! A strict simulated board in this process, and a connection that loses messages.
 
-use super::{board, shipped};
+use super::{board, shipped_device};
 use haptic_bridge::model::description::Description;
 use haptic_bridge::render::scene::Scene;
 use haptic_host::link::{Board, Session, Wire};
@@ -18,8 +18,8 @@ pub fn verify_motors(description: &mut Description) {
 }
 
 /// Returns a board that can be armed: 1 kHz, a verified five-bar in free space, homed, polarity checked.
-pub fn strict() -> (SharedBoard, Session) {
-    let mut file = shipped("coupled-five-bar");
+pub fn strict_board() -> (SharedBoard, Session) {
+    let mut file = shipped_device("coupled-five-bar");
     verify_motors(&mut file.description);
     let options = BoardOptions { strict: true, support: Support::Held, ..BoardOptions::default() };
     let (shared, board) = board(&file, options);
@@ -33,12 +33,12 @@ pub fn strict() -> (SharedBoard, Session) {
 }
 
 /// A wire that loses a given number of the next messages to the board.
-pub struct Lossy {
+pub struct LossyWire {
     wire: Box<dyn Wire>,
     loses: Arc<AtomicU32>,
 }
 
-impl Lossy {
+impl LossyWire {
     /// Returns a session over a lossy wire, and the number of next messages to lose, initially 0.
     pub fn session(board: &SharedBoard) -> (Session, Arc<AtomicU32>) {
         let loses = Arc::new(AtomicU32::new(0));
@@ -47,7 +47,7 @@ impl Lossy {
     }
 }
 
-impl Wire for Lossy {
+impl Wire for LossyWire {
     fn send(&mut self, bytes: &[u8]) -> std::io::Result<()> {
         let lost = self.loses.fetch_update(Ordering::Relaxed, Ordering::Relaxed, |left| left.checked_sub(1));
         if lost.is_ok() { Ok(()) } else { self.wire.send(bytes) }

@@ -15,9 +15,9 @@ use haptic_sim::Random;
 use postcard_rpc::Endpoint;
 use requests::TEMPLATES;
 
-struct Numbers(Random);
+struct RandomNumbers(Random);
 
-impl Numbers {
+impl RandomNumbers {
     fn byte(&mut self) -> u8 {
         (256.0 * self.0.uniform()) as u8
     }
@@ -29,7 +29,7 @@ impl Numbers {
 
 /// Returns a script that arms the board again and again. In between it has random requests, one in eight with changed
 /// bytes.
-fn script(numbers: &mut Numbers) -> Vec<u8> {
+fn script(numbers: &mut RandomNumbers) -> Vec<u8> {
     let place = |key: postcard_rpc::Key| {
         TEMPLATES.iter().position(|(known, _)| *known == key).expect("every endpoint has a template") as u8
     };
@@ -89,7 +89,7 @@ fn script(numbers: &mut Numbers) -> Vec<u8> {
 
 #[test]
 fn no_request_sequence_enables_bridges_or_exceeds_limits() {
-    let mut numbers = Numbers(Random::new(0x1234_5678));
+    let mut numbers = RandomNumbers(Random::new(0x1234_5678));
     let mut driven = 0;
     for _ in 0..600 {
         driven += requests::requests(&script(&mut numbers));
@@ -99,7 +99,7 @@ fn no_request_sequence_enables_bridges_or_exceeds_limits() {
 
 #[test]
 fn random_bytes_change_nothing() {
-    let mut numbers = Numbers(Random::new(0x8765_4321));
+    let mut numbers = RandomNumbers(Random::new(0x8765_4321));
     for _ in 0..200 {
         let length = 16 * numbers.below(64);
         requests::bytes(&(0..length).map(|_| numbers.byte()).collect::<Vec<_>>());

@@ -3,7 +3,7 @@
 //! Tables list likely mistakes, each checked with the command itself. In addition, every line of every shipped file is
 //! damaged.
 
-use crate::common::{Folder, files, refusal, run, type_lines};
+use crate::common::{Folder, refusal, run, toml_files, type_lines};
 use haptic_host::device_file::DeviceFile;
 use haptic_host::scene_file::SceneFile;
 use haptic_host::toml_file::FileError;
@@ -85,14 +85,14 @@ damping = 1.0
 "#;
 
 /// Runs `haptic check` on this device and scene, which must be refused with exit code 2. Returns the one-line message.
-fn refused(device: &str, scene: &str) -> String {
+fn check_error(device: &str, scene: &str) -> String {
     let folder = Folder::new();
     let said = refusal(2, &["check", &folder.write("device.toml", device), &folder.write("scene.toml", scene)]);
     assert_eq!(said.trim_end().lines().count(), 1, "one line: {said}");
     said
 }
 
-fn replaced(text: &str, from: &str, to: &str) -> String {
+fn replace_once(text: &str, from: &str, to: &str) -> String {
     assert!(text.contains(from), "`{from}` is not in the example");
     text.replacen(from, to, 1)
 }
@@ -198,11 +198,11 @@ const SCENE_MISTAKES: &str = r#"
     [[spring]] => [spring] => :17:1: => [[spring]] tables
 "#;
 
-fn check_mistakes(table: &str, text: &str, refused: impl Fn(&str) -> String) {
+fn check_mistakes(table: &str, text: &str, check_error: impl Fn(&str) -> String) {
     for row in table.lines().filter(|row| !row.is_empty()) {
         let cells: Vec<String> = row.trim_start().split(" => ").map(|cell| cell.replace('⏎', "\n")).collect();
         let [from, to, place, words] = &cells[..] else { panic!("{row}") };
-        let said = refused(&replaced(text, from, to));
+        let said = check_error(&replace_once(text, from, to));
         let is_told = said.contains(&format!(".toml{place}")) && words.split(" | ").all(|word| said.contains(word));
         assert!(is_told, "{row}\n{said}");
     }
@@ -210,14 +210,14 @@ fn check_mistakes(table: &str, text: &str, refused: impl Fn(&str) -> String) {
 
 #[test]
 fn a_wrong_device_is_refused_with_line_and_remedy() {
-    check_mistakes(DEVICE_MISTAKES, DEVICE, |device| refused(device, SCENE));
+    check_mistakes(DEVICE_MISTAKES, DEVICE, |device| check_error(device, SCENE));
 }
 
 #[test]
 fn a_wrong_scene_is_refused_with_line_and_remedy() {
-    check_mistakes(SCENE_MISTAKES, SCENE, |scene| refused(DEVICE, scene));
+    check_mistakes(SCENE_MISTAKES, SCENE, |scene| check_error(DEVICE, scene));
     let wall = "[[wall]]\npoint = [0.0, 0.13]\nnormal = [0.0, -1.0]\nstiffness = 1000.0\n";
-    let said = refused(DEVICE, &format!("{SCENE}{}", wall.repeat(7)));
+    let said = check_error(DEVICE, &format!("{SCENE}{}", wall.repeat(7)));
     assert!(said.contains("at most 8 [[wall]] tables"), "{said}");
 }
 
@@ -233,7 +233,7 @@ fn all_mistakes_of_a_file_are_reported() {
         ("resistance = 2.0\n", "", "`resistance` in [joint.motor] of [[joint]] 0 is missing"),
         ("q = [2.4, 0.7]", "q = [2.4]", "`q` in [home] has 1 number"),
     ];
-    let text = mistakes.iter().fold(DEVICE.to_string(), |text, (from, to, _)| replaced(&text, from, to));
+    let text = mistakes.iter().fold(DEVICE.to_string(), |text, (from, to, _)| replace_once(&text, from, to));
     let said = refusal(2, &["check", &Folder::new().write("device.toml", text)]);
     assert_eq!(said.lines().count(), mistakes.len(), "{said}");
     for (line, (_, _, words)) in said.lines().zip(mistakes) {
@@ -263,11 +263,11 @@ fn terms_of_data_sheets_are_refused_with_the_right_key() {
         (encoder, "noise = 2.0", "cannot be described yet"),
         (joint, "backlash = 0.01", "cannot be described yet"),
     ] {
-        let said = refused(&replaced(DEVICE, after, &format!("{after}{line}\n")), SCENE);
+        let said = check_error(&replace_once(DEVICE, after, &format!("{after}{line}\n")), SCENE);
         assert!(said.contains("unknown key") && said.contains(words) && !said.contains("remove it"), "{line}: {said}");
     }
     // In another table the same key is an ordinary unknown key.
-    let said = refused(&replaced(DEVICE, "name = ", "type = \"five-bar\"\nname = "), SCENE);
+    let said = check_error(&replace_once(DEVICE, "name = ", "type = \"five-bar\"\nname = "), SCENE);
     assert!(said.contains("unknown key") && !said.contains("encoder"), "{said}");
 }
 
@@ -310,7 +310,7 @@ fn files_in_other_formats_and_missing_files_are_refused() {
 /// The defaults are that counts rise with the angle and that count 0 is angle 0.
 #[test]
 fn an_encoder_needs_only_its_counts() {
-    let short = replaced(DEVICE, "offset = 0.0\ninverted = false\n", "");
+    let short = replace_once(DEVICE, "offset = 0.0\ninverted = false\n", "");
     let of = |text: &str| DeviceFile::parse(text, "device").map(|file| file.description);
     assert_eq!(of(&short), of(DEVICE));
 }
@@ -319,11 +319,11 @@ fn an_encoder_needs_only_its_counts() {
 type Parser = fn(&str) -> Result<(), FileError>;
 fn shipped_files() -> Vec<(String, Parser)> {
     let mut all: Vec<(String, Parser)> = Vec::new();
-    for path in files("") {
+    for path in toml_files("") {
         let text = std::fs::read_to_string(&path).expect("readable");
         let task = DeviceFile::parse(&text, &path).expect("sound").spec().task;
         all.push((text, |text| DeviceFile::parse(text, "device").map(drop)));
-        for scene in files(&format!("scenes/{}", path.file_stem().expect("a name").to_string_lossy())) {
+        for scene in toml_files(&format!("scenes/{}", path.file_stem().expect("a name").to_string_lossy())) {
             let parser: Parser = match task {
                 1 => |text| SceneFile::parse(text, "scene", 1).map(drop),
                 2 => |text| SceneFile::parse(text, "scene", 2).map(drop),
@@ -336,7 +336,7 @@ fn shipped_files() -> Vec<(String, Parser)> {
 }
 
 /// Returns the text with one line replaced.
-fn with_line(text: &str, line: usize, replacement: &str) -> String {
+fn replace_line(text: &str, line: usize, replacement: &str) -> String {
     let lines = text.lines().enumerate().map(|(index, old)| if index == line { replacement } else { old });
     lines.collect::<Vec<_>>().join("\n")
 }
@@ -352,12 +352,12 @@ fn every_misspelt_key_and_mistyped_value_is_refused() {
                 continue;
             }
             tried += 1;
-            let misspelt = parse(&with_line(&text, index, &format!("{key}x = {value}")));
+            let misspelt = parse(&replace_line(&text, index, &format!("{key}x = {value}")));
             let error = misspelt.expect_err(&format!("`{key}x` must be refused"));
             assert_eq!(error.position, Some((index + 1, 1)), "{error}");
             assert!(error.to_string().contains(&format!("`{key}x`")), "{error}");
             // A date is a wrong value for every key.
-            let mistyped = parse(&with_line(&text, index, &format!("{key} = 1979-05-27")));
+            let mistyped = parse(&replace_line(&text, index, &format!("{key} = 1979-05-27")));
             let error = mistyped.expect_err(&format!("`{key}` must not be a date"));
             assert_eq!(error.position, Some((index + 1, key.len() + 4)), "{error}");
             assert!(error.to_string().contains("a date"), "{error}");
@@ -365,7 +365,7 @@ fn every_misspelt_key_and_mistyped_value_is_refused() {
             let number = |value: &str| value.split('#').next().is_some_and(|value| value.trim().parse::<f64>().is_ok());
             if number(value) {
                 for wrong in ["nan", "inf", "-inf", "1e99"] {
-                    let error = parse(&with_line(&text, index, &format!("{key} = {wrong}"))).expect_err(wrong);
+                    let error = parse(&replace_line(&text, index, &format!("{key} = {wrong}"))).expect_err(wrong);
                     assert_eq!(error.position, Some((index + 1, key.len() + 4)), "{error}");
                 }
             }
@@ -392,7 +392,7 @@ fn control_characters_of_a_file_do_not_reach_the_terminal() {
     let random = [("mechanism =", "\"\\u001b]0;x\\u0007\" = 1\nmechanism =")];
     let folder = Folder::new();
     let path = folder.path("a\u{1b}[31m\u{9b}2J.toml");
-    std::fs::rename(folder.changed("coupled-five-bar", &random), &path).unwrap();
+    std::fs::rename(folder.write_changed("coupled-five-bar", &random), &path).unwrap();
     for arguments in [
         &["check", &path][..],
         &["model", &path, "--q", "2.4,0.7"],

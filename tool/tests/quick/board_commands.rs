@@ -1,7 +1,7 @@
 //! Command lines for a board, typed as a user types them, on a simulated board in another process.
 
 use crate::common::sim::Sim;
-use crate::common::{Folder, SCENES, file, haptic, json, read, type_lines};
+use crate::common::{Folder, SCENES, haptic, json, read, shipped_path, type_lines};
 use haptic_host::link::Board;
 use haptic_show::recorder::Recording;
 use predicates::prelude::*;
@@ -155,7 +155,7 @@ fn a_board_can_be_simulated_within_the_command() {
 /// HAPTIC_PORT names the port, but `--port` takes precedence.
 #[test]
 fn the_environment_may_name_the_port() {
-    let sim = Sim::start(&["--fast", &file("hapkit-paddle.toml")]);
+    let sim = Sim::start(&["--fast", &shipped_path("hapkit-paddle.toml")]);
     let info = |port: &str, more: &[&str]| haptic(&["info"]).args(more).env("HAPTIC_PORT", port).assert();
     info(&sim.port, &[]).success().stdout(contains("hapkit-paddle"));
     info(&sim.port, &["--port", "sim"]).success().stdout(contains("coupled-five-bar"));
@@ -230,7 +230,7 @@ fn unreadable_and_unwritable_files_are_named_in_refusals() {
 
 #[test]
 fn a_name_survives_a_restart_once_it_is_saved() {
-    let sim = Sim::start(&["--fast", "--scene", &file("scenes/coupled-five-bar/wall.toml")]);
+    let sim = Sim::start(&["--fast", "--scene", &shipped_path("scenes/coupled-five-bar/wall.toml")]);
     let name = || (sim.output(&["board", "name"]), sim.json(&["info"])["device"].clone());
     let (five_bar, none) = (Value::from("coupled-five-bar"), "this board has no name\n");
     sim.type_lines(&format!("2: board name {} => 33 bytes | at most 32", "x".repeat(33)));
@@ -268,14 +268,14 @@ fn a_name_survives_a_restart_once_it_is_saved() {
 #[test]
 fn torque_limits_leave_room_for_the_devices_weight() {
     let folder = Folder::new();
-    let heavy = folder.changed("coupled-five-bar", &[("gravity = [0.0, 0.0]", "gravity = [0.0, -9.81]")]);
+    let heavy = folder.write_changed("coupled-five-bar", &[("gravity = [0.0, 0.0]", "gravity = [0.0, -9.81]")]);
     let limits = |sim: &Sim| serde_json::from_value::<Vec<f64>>(sim.json(&["rules"])["torque"].clone()).unwrap();
     let loaded = |device: &str| {
         let sim = Sim::start(&["--strict"]);
         sim.run(&["device", device]).success();
         limits(&sim)
     };
-    let (without, with) = (loaded(&file("coupled-five-bar.toml")), loaded(&heavy));
+    let (without, with) = (loaded(&shipped_path("coupled-five-bar.toml")), loaded(&heavy));
     let model = json(&["model", &heavy]);
     for joint in 0..2 {
         let weight = model["bias"][joint].as_f64().unwrap().abs();
@@ -295,15 +295,15 @@ fn torque_limits_leave_room_for_the_devices_weight() {
         ("distal = [0.13, 0.13]", "distal = [130.0, 130.0]"),
     ];
     let sim = Sim::start(&["--strict"]);
-    let said = sim.run(&["device", &folder.changed("coupled-five-bar", &in_mm)]).success();
+    let said = sim.run(&["device", &folder.write_changed("coupled-five-bar", &in_mm)]).success();
     said.stdout(contains("the board allows at most 5: are lengths in the file in m").and(contains("rules").not()));
     assert_eq!(limits(&sim)[0], 5.0);
 }
 
 /// Returns a board whose scene pulls joint 0 past its limit when the board is armed. Friction keeps the joint there.
-fn past_a_limit(folder: &Folder) -> Sim {
+fn board_past_a_limit(folder: &Folder) -> Sim {
     let limited = ("inertia = 0.0008\n", "inertia = 0.0008\nlimits = [2.25, 2.35]\n");
-    let device = folder.changed("coupled-five-bar", &[limited]);
+    let device = folder.write_changed("coupled-five-bar", &[limited]);
     let scene = folder.write("pull.toml", "[[spring]]\npoint = [0.3, 0.3]\nstiffness = 30.0\ndamping = 0.0\n");
     Sim::start(&["--fast", &device, "--scene", &scene])
 }
@@ -312,12 +312,12 @@ fn past_a_limit(folder: &Folder) -> Sim {
 #[test]
 fn clearing_names_the_joint_outside_its_limits() {
     let folder = Folder::new();
-    let sim = past_a_limit(&folder);
+    let sim = board_past_a_limit(&folder);
     sim.type_lines(
         r#"faults --clear --json => "outside_limits":[]
         arm"#,
     );
-    sim.until(|state| state == "Fault");
+    sim.wait_for_state(|state| state == "Fault");
     sim.type_lines(
         r#"info => JointLimit | move the device back | !u000a
         faults --clear => cleared JointLimit | joint 0 is outside its limits, at 2.
@@ -329,7 +329,7 @@ fn clearing_names_the_joint_outside_its_limits() {
 #[test]
 fn a_stream_interrupted_by_a_fault_reports_the_fault() {
     let folder = Folder::new();
-    let sim = past_a_limit(&folder);
+    let sim = board_past_a_limit(&folder);
     let ended = sim.run(&["stream", "--arm", "--seconds", "2", "--json"]).code(1);
     let ended = ended.stderr(contains("error: the motors are off: JointLimit (7)"));
     let rows: Value = serde_json::from_slice(&ended.get_output().stdout).unwrap();
@@ -395,13 +395,13 @@ fn the_tip_force_limit_has_the_documented_maximum() {
 }
 
 /// A board with another protocol version, which understands only the requests that never change.
-struct Stranger {
+struct OtherVersionBoard {
     port: String,
     stopped: std::sync::mpsc::Receiver<()>,
 }
 
-impl Stranger {
-    fn plugged(protocol: u16) -> Self {
+impl OtherVersionBoard {
+    fn start(protocol: u16) -> Self {
         use haptic_bridge::board::protocol::{Disarm, GetInfo, Info, Outcome};
         use haptic_host::link::{Deframer, encode};
         use postcard_rpc::Endpoint as _;
@@ -443,7 +443,7 @@ impl Stranger {
 fn a_board_of_another_version_accepts_only_disarm() {
     use haptic_bridge::board::protocol::PROTOCOL;
     for protocol in [PROTOCOL - 1, PROTOCOL + 1] {
-        let board = Stranger::plugged(protocol);
+        let board = OtherVersionBoard::start(protocol);
         haptic(&["disarm", "--port", &board.port]).assert().success().stdout(contains("the motors are off"));
         assert!(board.stopped.try_recv().is_ok());
         haptic(&["arm", "--port", &board.port]).assert().code(1).stderr(contains("protocol version"));

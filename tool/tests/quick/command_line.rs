@@ -1,7 +1,7 @@
 //! Properties of all command lines: help, closed pipes, signed numbers, JSON, and the manual.
 
 use crate::common::sim::Sim;
-use crate::common::{Folder, file, refusal, type_lines};
+use crate::common::{Folder, refusal, shipped_path, type_lines};
 use std::process::Command;
 
 #[test]
@@ -21,7 +21,7 @@ fn help_explains_the_tool_and_each_command() {
 fn a_closed_pipe_ends_a_command_silently() {
     let program = assert_cmd::cargo::cargo_bin("haptic");
     let program = program.to_str().unwrap();
-    let device = file("coupled-five-bar.toml");
+    let device = shipped_path("coupled-five-bar.toml");
     for command in [
         "stream --port sim --rate 1000".to_string(),
         "record - --port sim --rate 1000".to_string(),
@@ -65,7 +65,7 @@ fn wrong_numbers_are_refused_with_a_remedy() {
 fn every_board_command_prints_json() {
     let sim = Sim::start(&["--fast"]);
     let folder = Folder::new();
-    let (device, scene) = (file("coupled-five-bar.toml"), file("scenes/coupled-five-bar/wall.toml"));
+    let (device, scene) = (shipped_path("coupled-five-bar.toml"), shipped_path("scenes/coupled-five-bar/wall.toml"));
     let json = |line: &str| sim.json(&line.split(' ').collect::<Vec<_>>());
     let none = serde_json::json!([]);
     let loaded = json(&format!("device {device}"));
@@ -91,7 +91,7 @@ fn every_board_command_prints_json() {
 
 #[test]
 fn the_boot_loader_needs_confirmation_with_motors_on() {
-    Sim::start(&["--fast", "--scene", &file("scenes/coupled-five-bar/wall.toml")]).type_lines(
+    Sim::start(&["--fast", "--scene", &shipped_path("scenes/coupled-five-bar/wall.toml")]).type_lines(
         "rules --host ignore
         arm
         1: board dfu => the motors are on | --yes
@@ -145,10 +145,9 @@ fn wrong_paths_are_refused_before_anything_starts() {
     let (wrong, progress) = (folder.path("x.png"), folder.path("missing/p.json"));
     let line = "devices/coupled-five-bar.toml --normal 0,1";
     type_lines(&format!("2: range {line} --rate 1000 --cutoff 20 --svg {wrong} => extension | --png"), &[]);
-    let said = refusal(
-        1,
-        &["measure-range", &file("coupled-five-bar.toml"), "--port=sim", "--normal=0,1", "--progress", &progress],
-    );
+    let line =
+        ["measure-range", "devices/coupled-five-bar.toml", "--port=sim", "--normal=0,1", "--progress", &progress];
+    let said = refusal(1, &line);
     assert!(said.contains("there is no such folder") && said.matches("p.json").count() == 1, "{said}");
     assert!(!std::path::Path::new(&wrong).exists());
 }

@@ -3,9 +3,9 @@
 #![cfg(unix)]
 
 use crate::common::documents::blocks::{Block, Kind, documents, root};
-use crate::common::documents::{all, session, tables};
+use crate::common::documents::{run_blocks, session, tables};
 use crate::common::read;
-use crate::common::sim::HANG;
+use crate::common::sim::HANG_TIMEOUT;
 use haptic_bridge::board::protocol::{MAX_FRAME, PROTOCOL};
 use haptic_bridge::control::KEY_SECONDS;
 use haptic_bridge::safety::limits::GENTLE_FORCE;
@@ -16,18 +16,18 @@ use std::process::Command;
 
 #[test]
 fn quick_commands_of_the_documents_work() {
-    let run = |block: &Block| session::run(block, HANG);
-    assert!(all(|kind| *kind == Kind::Quick, run) >= 2, "README alone has two");
+    let run = |block: &Block| session::run(block, HANG_TIMEOUT);
+    assert!(run_blocks(|kind| *kind == Kind::Quick, run) >= 2, "README alone has two");
 }
 
 #[test]
 fn commands_of_the_documents_with_a_board_work() {
-    assert!(all(|kind| *kind == Kind::Board, |block| session::run(block, HANG)) >= 1);
+    assert!(run_blocks(|kind| *kind == Kind::Board, |block| session::run(block, HANG_TIMEOUT)) >= 1);
 }
 
 #[test]
 fn files_in_the_documents_are_sound() {
-    let files = all(|kind| matches!(kind, Kind::File | Kind::Scene), session::check);
+    let files = run_blocks(|kind| matches!(kind, Kind::File | Kind::Scene), session::check);
     assert!(files >= 2, "docs/files.md shows a device and a scene");
 }
 
@@ -87,7 +87,7 @@ fn table_rows_are_rows_of_the_linked_file() {
         let text = fs::read_to_string(&page).unwrap();
         let files = tables::links(&text).filter(|link| link.ends_with(".csv"));
         let files: Vec<tables::Table> = files.map(|link| tables::csv(page.parent().unwrap().join(link))).collect();
-        for shown in tables::shown(&text) {
+        for shown in tables::markdown_tables(&text) {
             let columns = |file: &tables::Table| -> Option<Vec<usize>> {
                 shown[0].iter().map(|name| file[0].iter().position(|other| other == name)).collect()
             };

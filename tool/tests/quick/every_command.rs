@@ -3,14 +3,14 @@
 #![cfg(unix)]
 
 use crate::common::sim::Sim;
-use crate::common::{Process, haptic, output, root, signal};
+use crate::common::{Process, haptic, output, root, send_signal};
 use std::collections::BTreeSet;
 use std::path::Path;
 
 /// A command line and the beginning of its output.
-type Line = (&'static str, &'static str);
+type CommandCase = (&'static str, &'static str);
 
-const ANALYSIS: [Line; 17] = [
+const COMMANDS_WITHOUT_BOARD: [CommandCase; 17] = [
     ("demo", "coupled-five-bar: a simulated board at 1000 Hz"),
     ("new five-bar -o mine.toml", "mine.toml: an example five-bar to fill in"),
     (
@@ -43,7 +43,7 @@ const ANALYSIS: [Line; 17] = [
 ];
 
 /// Commands for a board. Commands with `--port sim` simulate the board, the others use a board in another process.
-const BOARD: [Line; 25] = [
+const COMMANDS_WITH_BOARD: [CommandCase; 25] = [
     ("info --port sim", "board       simulated, serial number SIM0001, on sim"),
     ("board latency --port sim --exchanges 2", "2 exchanges, 10000 a second, on sim"),
     ("faults --port sim", "no faults since the board started"),
@@ -75,26 +75,26 @@ const BOARD: [Line; 25] = [
 ];
 
 /// Commands that run until Ctrl-C.
-const SERVING: [Line; 3] = [
+const SERVERS: [CommandCase; 3] = [
     ("sim --tcp 0", "a simulated board with coupled-five-bar is on tcp:127.0.0.1:"),
     ("view --port sim --listen 127.0.0.1:0", "open http://127.0.0.1:"),
     ("serve --haply --port sim --listen 0", "SIM0001 is an Inverse3 for programs, at ws://localhost:"),
 ];
 
 /// Returns a temporary folder with a link to the shipped devices.
-fn folder() -> tempfile::TempDir {
+fn folder_with_devices() -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     std::os::unix::fs::symlink(root().join("devices"), folder.path().join("devices")).unwrap();
     folder
 }
 
-fn words(line: &str) -> Vec<&str> {
+fn split_words(line: &str) -> Vec<&str> {
     line.split(' ').collect()
 }
 
-fn each(lines: &[Line], folder: &Path, port: &str) {
+fn run_each(lines: &[CommandCase], folder: &Path, port: &str) {
     for (line, begins) in lines {
-        let typed = haptic(&words(line)).current_dir(folder).env("HAPTIC_PORT", port).assert().success();
+        let typed = haptic(&split_words(line)).current_dir(folder).env("HAPTIC_PORT", port).assert().success();
         let said = [&typed.get_output().stdout[..], &typed.get_output().stderr].concat();
         assert!(said.starts_with(begins.as_bytes()), "haptic {line}\n{}", String::from_utf8_lossy(&said));
     }
@@ -102,53 +102,53 @@ fn each(lines: &[Line], folder: &Path, port: &str) {
 
 #[test]
 fn every_command_without_a_board_succeeds() {
-    each(&ANALYSIS, folder().path(), "sim");
+    run_each(&COMMANDS_WITHOUT_BOARD, folder_with_devices().path(), "sim");
 }
 
 #[test]
 fn every_command_with_a_board_succeeds() {
-    each(&BOARD, folder().path(), &Sim::start(&["--fast"]).port);
+    run_each(&COMMANDS_WITH_BOARD, folder_with_devices().path(), &Sim::start(&["--fast"]).port);
 }
 
 /// Commands that no help page lists.
-const DEVELOPERS: [&str; 3] = ["bench", "precompute", "udev"];
+const UNLISTED_COMMANDS: [&str; 3] = ["bench", "precompute", "udev"];
 
 /// Returns the names of all commands.
 fn commands() -> BTreeSet<String> {
     let page = output(&["help"]);
     let (listing, _) = page.split_once("Start here").unwrap();
     let listed = listing.lines().filter_map(|line| line.strip_prefix("  ")?.split_whitespace().next());
-    listed.chain(DEVELOPERS).map(String::from).collect()
+    listed.chain(UNLISTED_COMMANDS).map(String::from).collect()
 }
 
 /// Commands whose examples are run. Examples of other commands need a board, a recording, or more than a second.
-const TYPED: [&str; 5] = ["new", "check", "model", "precompute", "range"];
+const COMMANDS_WITH_RUN_EXAMPLES: [&str; 5] = ["new", "check", "model", "precompute", "range"];
 
 #[test]
 fn the_examples_of_every_help_page_name_files_that_ship() {
-    let folder = folder();
+    let folder = folder_with_devices();
     let mut typed = BTreeSet::new();
     for name in commands() {
         let page = output(&["help", &name]);
         let examples = page.split_once("Examples:\n").map_or("", |(_, examples)| examples);
         for line in examples.lines().filter_map(|line| line.trim().strip_prefix("haptic ")) {
-            let files = words(line).into_iter().filter(|word| word.starts_with("devices/"));
+            let files = split_words(line).into_iter().filter(|word| word.starts_with("devices/"));
             files.for_each(|file| assert!(root().join(file).is_file(), "haptic {line}: {file} does not ship"));
-            if TYPED.contains(&name.as_str()) {
-                haptic(&words(line)).current_dir(folder.path()).assert().success();
+            if COMMANDS_WITH_RUN_EXAMPLES.contains(&name.as_str()) {
+                haptic(&split_words(line)).current_dir(folder.path()).assert().success();
                 typed.insert(name.clone());
             }
         }
     }
-    assert_eq!(typed.len(), TYPED.len(), "{typed:?}");
+    assert_eq!(typed.len(), COMMANDS_WITH_RUN_EXAMPLES.len(), "{typed:?}");
 }
 
 #[test]
 fn every_server_starts_and_ends() {
-    for (line, begins) in SERVING {
-        let mut server = Process::start(&words(line));
+    for (line, begins) in SERVERS {
+        let mut server = Process::start(&split_words(line));
         assert!(server.first_line.starts_with(begins), "haptic {line}\n{}", server.first_line);
-        signal(&server.child, "INT");
+        send_signal(&server.child, "INT");
         assert!(server.child.wait().unwrap().success(), "haptic {line}");
     }
 }
@@ -156,10 +156,10 @@ fn every_server_starts_and_ends() {
 /// crates/flash/tests runs `haptic flash` with a scripted boot loader.
 #[test]
 fn flash_without_a_board_or_an_image_is_refused() {
-    let folder = folder();
+    let folder = folder_with_devices();
     std::fs::write(folder.path().join("no.dfu"), "DfuSe").unwrap();
     let refused = |line: &str, code: i32, says: &str| {
-        let typed = haptic(&words(line)).current_dir(folder.path()).assert().code(code);
+        let typed = haptic(&split_words(line)).current_dir(folder.path()).assert().code(code);
         let said = String::from_utf8_lossy(&typed.get_output().stderr).into_owned();
         assert!(said.contains(says), "haptic {line}\n{said}");
     };
@@ -177,7 +177,7 @@ fn flash_without_a_board_or_an_image_is_refused() {
 
 #[test]
 fn every_listed_command_is_run() {
-    let run = [&ANALYSIS[..], &BOARD, &SERVING].concat();
-    let run = run.into_iter().map(|(line, _)| words(line)[0]).chain(["flash"]).map(String::from);
+    let run = [&COMMANDS_WITHOUT_BOARD[..], &COMMANDS_WITH_BOARD, &SERVERS].concat();
+    let run = run.into_iter().map(|(line, _)| split_words(line)[0]).chain(["flash"]).map(String::from);
     assert_eq!(commands(), run.collect());
 }

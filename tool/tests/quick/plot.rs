@@ -1,7 +1,7 @@
 //! `haptic plot` draws the recorded values. These tests plot recordings of known functions and read the values from the
 //! picture by its ticks and labels, without the drawing code.
 
-use crate::common::{Folder, file, haptic, json, output, svg_number, type_lines};
+use crate::common::{Folder, haptic, json, output, shipped_path, svg_number, type_lines};
 use haptic_show::plot::axes::{Axis, Mark, PlotArea};
 use haptic_show::plot::canvas::Canvas;
 use predicates::str::contains;
@@ -9,11 +9,11 @@ use std::f64::consts::TAU;
 use std::path::Path;
 
 /// Rows per second of the recordings.
-const RATE: f64 = 1000.0;
-/// Number of rows of [`recording`], with the missing rows.
-const ROWS: usize = 2000;
-/// Rows that are missing in [`recording`].
-const GAP: std::ops::Range<usize> = 600..700;
+const ROWS_PER_SECOND: f64 = 1000.0;
+/// Number of rows of [`write_recording`], with the missing rows.
+const ROW_COUNT: usize = 2000;
+/// Rows that are missing in [`write_recording`].
+const MISSING_ROWS: std::ops::Range<usize> = 600..700;
 
 fn depth(t: f64) -> f64 {
     2e-3 * (TAU * 2.0 * t).sin()
@@ -27,13 +27,13 @@ fn torque(t: f64) -> f64 {
     0.25 + 0.5 * (TAU * 125.0 * t).sin()
 }
 
-fn recording(path: &Path) {
+fn write_recording(path: &Path) {
     let mut text =
         "# haptic-bridge recording\n# date 2026-01-01\n# device a-device\n# control rate 1000 Hz, every step\n\
                     # wall 0: plane, 3000 N/m\nstep,time_s,torque0_n_m,distance_m,velocity_m_s,rendered_n\n"
             .to_string();
-    for row in (0..ROWS).filter(|row| !GAP.contains(row)) {
-        let t = row as f64 / RATE;
+    for row in (0..ROW_COUNT).filter(|row| !MISSING_ROWS.contains(row)) {
+        let t = row as f64 / ROWS_PER_SECOND;
         let speed = -2e-3 * TAU * 2.0 * (TAU * 2.0 * t).cos();
         text.push_str(&format!("{},{t},{},{},{speed},{}\n", row + 77, torque(t), -depth(t), force(t)));
     }
@@ -47,12 +47,12 @@ struct SvgPanel {
     lines: Vec<Vec<(f64, f64)>>,
 }
 
-fn words(line: &str) -> &str {
+fn text_of(line: &str) -> &str {
     line.split_once('>').and_then(|(_, rest)| rest.split_once('<')).map_or("", |(words, _)| words)
 }
 
 /// Returns the factor of the unit's prefix in a label such as "time (ms)".
-fn factor(label: &str) -> f64 {
+fn prefix_factor(label: &str) -> f64 {
     let unit = label.rsplit_once('(').map_or("", |(_, unit)| unit.trim_end_matches(')'));
     match unit {
         "m" | "s" | "N" | "Hz" | "N m" | "m/s" | "dB" | "" => 1.0,
@@ -63,7 +63,7 @@ fn factor(label: &str) -> f64 {
     }
 }
 
-fn read(svg: &str) -> Vec<SvgPanel> {
+fn read_panels(svg: &str) -> Vec<SvgPanel> {
     let mut panels = Vec::new();
     let (mut drawn, mut ticks, mut labels) = (Vec::new(), [Vec::new(), Vec::new()], Vec::new());
     let lines: Vec<&str> = svg.lines().collect();
@@ -76,18 +76,18 @@ fn read(svg: &str) -> Vec<SvgPanel> {
             }
         } else if line.starts_with("<line") {
             let at = |name| svg_number(line, name).unwrap();
-            let value: Option<f64> = words(lines[index + 1]).parse().ok();
+            let value: Option<f64> = text_of(lines[index + 1]).parse().ok();
             match value {
                 Some(value) if at("x1") == at("x2") => ticks[0].push((at("x1"), value)),
                 Some(value) if at("y1") == at("y2") => ticks[1].push((at("y1"), value)),
                 _ => {}
             }
         } else if line.starts_with("<text") && line.contains("font-size=\"13\"") {
-            labels.push(words(line).to_string());
+            labels.push(text_of(line).to_string());
             if labels.len() == 2 {
                 let scale = |axis: usize, pixel: f64| {
                     let ((p0, v0), (p1, v1)) = (ticks[axis][0], *ticks[axis].last().unwrap());
-                    (v0 + (pixel - p0) / (p1 - p0) * (v1 - v0)) * factor(&labels[axis])
+                    (v0 + (pixel - p0) / (p1 - p0) * (v1 - v0)) * prefix_factor(&labels[axis])
                 };
                 let lines = drawn.iter().map(|line| line.iter().map(|(x, y)| (scale(0, *x), scale(1, *y))).collect());
                 panels.push(SvgPanel { lines: lines.collect(), labels: std::mem::take(&mut labels) });
@@ -102,7 +102,7 @@ fn read(svg: &str) -> Vec<SvgPanel> {
 fn the_picture_shows_the_recorded_values() {
     let folder = tempfile::tempdir().unwrap();
     let (csv, svg, png) = (folder.path().join("a.csv"), folder.path().join("a.svg"), folder.path().join("a.png"));
-    recording(&csv);
+    write_recording(&csv);
     let plot = |more: &[&str]| haptic(&["plot"]).arg(&csv).args(more).assert();
     let files = ["--svg", svg.to_str().unwrap(), "--png", png.to_str().unwrap()];
     plot(&files)
@@ -113,7 +113,7 @@ fn the_picture_shows_the_recorded_values() {
 
     let text = std::fs::read_to_string(&svg).unwrap();
     assert!(text.contains("a-device, 2026-01-01") && text.contains("wall 0: plane, 3000 N/m"));
-    let panels = read(&text);
+    let panels = read_panels(&text);
     let names: Vec<&str> = panels.iter().flat_map(|panel| &panel.labels).map(String::as_str).collect();
     let expected = [
         "time (s)",
@@ -158,7 +158,7 @@ fn the_picture_shows_the_recorded_values() {
     plot(&["--signals", "torque0_n_m", "--show", "spectrum", "--force", "--svg", files[1]])
         .success()
         .stdout(contains("at 125.0 Hz"));
-    let panels = read(&std::fs::read_to_string(&svg).unwrap());
+    let panels = read_panels(&std::fs::read_to_string(&svg).unwrap());
     assert_eq!(panels[0].labels, ["frequency (Hz)", "amplitude re 1 N m (dB)"].map(str::to_string));
     let line: Vec<(f64, f64)> = panels[0].lines[0].iter().map(|(hz, db)| (*hz, 10f64.powf(db / 20.0))).collect();
     let top = line.iter().max_by(|a, b| a.1.total_cmp(&b.1)).unwrap();
@@ -202,7 +202,7 @@ fn a_legend_covers_no_curve() {
 /// A velocity that jumps between rows at 20 kHz is drawn as a line of means, not as an area; --json has all rows.
 #[test]
 fn the_phase_portrait_of_fast_rows_is_drawn_from_means() {
-    let (folder, csv) = recorded(20e3, "distance_m,velocity_m_s", 10_000, |t| {
+    let (folder, csv) = write_rows(20e3, "distance_m,velocity_m_s", 10_000, |t| {
         let row = (t * 20e3).round();
         format!("{},{}", 1e-6 * row, if row % 2.0 == 0.0 { 0.12 } else { -0.08 })
     });
@@ -210,7 +210,7 @@ fn the_phase_portrait_of_fast_rows_is_drawn_from_means() {
     type_lines(&format!("plot --show phase {csv} --svg {svg}"), &[]);
     let text = std::fs::read_to_string(&svg).unwrap();
     assert!(text.contains("means over 20 rows"), "{text}");
-    let line = &read(&text)[0].lines[0];
+    let line = &read_panels(&text)[0].lines[0];
     assert!((400..=500).contains(&line.len()), "{}", line.len());
     assert!(line.iter().all(|(_, v)| (v - 0.02).abs() < 6e-3), "{line:?}");
     let json = json(&["plot", "--show", "phase", &csv]);
@@ -219,7 +219,7 @@ fn the_phase_portrait_of_fast_rows_is_drawn_from_means() {
 
 #[test]
 fn a_constant_signal_has_a_spectrum_at_the_floor() {
-    let (_folder, csv) = recorded(RATE, "distance_m", 3000, |_| "0".into());
+    let (_folder, csv) = write_rows(ROWS_PER_SECOND, "distance_m", 3000, |_| "0".into());
     let json = json(&["plot", &csv, "--signals", "distance_m", "--show", "spectrum"]);
     let points = json["panels"][0]["curves"][0]["pieces"][0].as_array().unwrap();
     assert!(points.len() > 100 && points.iter().all(|point| (point[1].as_f64().unwrap() + 120.0).abs() < 1e-9));
@@ -229,7 +229,7 @@ fn a_constant_signal_has_a_spectrum_at_the_floor() {
 fn undrawable_recordings_are_refused() {
     let folder = Folder::new();
     let csv = folder.path("a.csv");
-    recording(Path::new(&csv));
+    write_recording(Path::new(&csv));
     type_lines(
         &format!(
             "2: plot {csv} --signals nothing_n => no column nothing_n; it has step, time_s, torque0_n_m
@@ -250,7 +250,7 @@ fn undrawable_recordings_are_refused() {
 }
 
 /// Writes a recording with these columns. Returns its folder and path.
-fn recorded(rate_hz: f64, columns: &str, rows: usize, row: impl Fn(f64) -> String) -> (Folder, String) {
+fn write_rows(rate_hz: f64, columns: &str, rows: usize, row: impl Fn(f64) -> String) -> (Folder, String) {
     let folder = Folder::new();
     let head = format!("# haptic-bridge recording\n# control rate {rate_hz} Hz, every step\nstep,time_s,{columns}\n");
     let rows = (0..rows).map(|i| format!("{i},{},{}\n", i as f64 / rate_hz, row(i as f64 / rate_hz)));
@@ -261,7 +261,7 @@ fn recorded(rate_hz: f64, columns: &str, rows: usize, row: impl Fn(f64) -> Strin
 #[test]
 fn a_vibration_at_the_end_is_in_the_spectrum() {
     let late = |t: f64| if t < 0.77 { 0.0 } else { (TAU * 50.0 * t).sin() };
-    let (_folder, csv) = recorded(RATE, "rendered_n", 1000, |t| late(t).to_string());
+    let (_folder, csv) = write_rows(ROWS_PER_SECOND, "rendered_n", 1000, |t| late(t).to_string());
     let strongest = json(&["plot", &csv])["strongest"].clone();
     let (hz, amplitude) = (strongest["frequency"].as_f64().unwrap(), strongest["amplitude"].as_f64().unwrap());
     assert!((hz - 50.0).abs() < 2.0 && (0.2..1.0).contains(&amplitude), "{strongest}");
@@ -272,13 +272,14 @@ fn a_vibration_at_the_end_is_in_the_spectrum() {
 #[test]
 fn the_stiffness_is_fitted_to_unlimited_rows() {
     let pressed = |most: f64| {
-        let (folder, csv) = recorded(RATE, "distance_m,rendered_n,saturated0,saturated1,state", 1000, |t| {
-            let depth = 0.5e-3 * (TAU * t).sin();
-            let asked = (60e3 * depth).max(0.0);
-            // From 0.4 s on the motors are off in the wall.
-            let (force, state) = if t < 0.4 { (asked.min(most), "Armed") } else { (0.0, "Disarmed") };
-            format!("{},{force},0,{},{state}", -depth, u8::from(asked > most && t < 0.4))
-        });
+        let (folder, csv) =
+            write_rows(ROWS_PER_SECOND, "distance_m,rendered_n,saturated0,saturated1,state", 1000, |t| {
+                let depth = 0.5e-3 * (TAU * t).sin();
+                let asked = (60e3 * depth).max(0.0);
+                // From 0.4 s on the motors are off in the wall.
+                let (force, state) = if t < 0.4 { (asked.min(most), "Armed") } else { (0.0, "Disarmed") };
+                format!("{},{force},0,{},{state}", -depth, u8::from(asked > most && t < 0.4))
+            });
         let svg = folder.path("a.svg");
         let printed = output(&["plot", "--svg", &svg, &csv]);
         (printed, json(&["plot", &csv]), std::fs::read_to_string(&svg).unwrap())
@@ -303,7 +304,7 @@ fn the_stiffness_is_fitted_to_unlimited_rows() {
 /// The recording begins with arming in the wall, after which the torque ramps up for half a second.
 #[test]
 fn the_stiffness_ignores_the_ramp_after_arming() {
-    let (_folder, csv) = recorded(RATE, "distance_m,rendered_n,state", 2000, |t| {
+    let (_folder, csv) = write_rows(ROWS_PER_SECOND, "distance_m,rendered_n,state", 2000, |t| {
         let depth = 1e-3 * (1.0 + 0.5 * (TAU * t).sin());
         let ramp = ((t - 0.1) / 0.5).clamp(0.0, 1.0);
         format!("{},{},{}", -depth, 1500.0 * depth * ramp, if t < 0.1 { "Disarmed" } else { "Armed" })
@@ -319,7 +320,7 @@ fn the_stiffness_ignores_the_ramp_after_arming() {
 
 #[test]
 fn a_force_that_does_not_follow_the_depth_has_no_stiffness() {
-    let (_folder, csv) = recorded(RATE, "distance_m,rendered_n", 1000, |t| {
+    let (_folder, csv) = write_rows(ROWS_PER_SECOND, "distance_m,rendered_n", 1000, |t| {
         let depth = 1e-3 + 1e-5 * (TAU * 3.0 * t).sin();
         format!("{},{}", -depth, 2.0 + (TAU * 71.0 * t).sin())
     });
@@ -333,7 +334,7 @@ fn a_force_that_does_not_follow_the_depth_has_no_stiffness() {
 fn the_phase_portrait_of_noise_is_drawn_only_on_request() {
     let views = |speed: fn(f64) -> f64, more: &[&str]| {
         let columns = "distance_m,velocity_m_s,rendered_n";
-        let (_folder, csv) = recorded(RATE, columns, 1000, |t| format!("{t},{},0", speed(t)));
+        let (_folder, csv) = write_rows(ROWS_PER_SECOND, columns, 1000, |t| format!("{t},{},0", speed(t)));
         let found = json(&[&["plot", &csv], more].concat());
         let panels = found["panels"].as_array().unwrap().iter();
         let drawn = panels.filter(|panel| panel["view"] == "phase").count();
@@ -361,7 +362,7 @@ fn misplaced_texts(svg: &str, width_mm: f64) -> Vec<String> {
             return true;
         }
         let Some(x) = svg_number(line, "x") else { return false };
-        let long = 0.56 * size * words(line).replace("&gt;", ">").chars().count() as f64;
+        let long = 0.56 * size * text_of(line).replace("&gt;", ">").chars().count() as f64;
         let begins = [("start", 0.0), ("middle", 0.5), ("end", 1.0)];
         let before = begins.iter().find(|(anchor, _)| line.contains(anchor)).unwrap().1 * long;
         let (at, end) = if line.contains("rotate") { (svg_number(line, "y").unwrap(), high) } else { (x, units) };
@@ -377,10 +378,10 @@ fn misplaced_texts(svg: &str, width_mm: f64) -> Vec<String> {
 fn pictures_for_a_paper_have_its_width_and_letter_size() {
     let folder = tempfile::tempdir().unwrap();
     let (csv, svg, png) = (folder.path().join("a.csv"), folder.path().join("a.svg"), folder.path().join("a.png"));
-    recording(&csv);
+    write_recording(&csv);
     let csv = csv.to_str().unwrap();
     let [coupled, phantom, paddle] =
-        ["coupled-five-bar", "phantom-premium-1.5", "hapkit-paddle"].map(|name| file(&format!("{name}.toml")));
+        ["coupled-five-bar", "phantom-premium-1.5", "hapkit-paddle"].map(|name| shipped_path(&format!("{name}.toml")));
     let at = ["--q=2.6,1.75", "--normal=0.94,-0.34"];
     let range = ["range", &coupled, at[0], at[1], "--delay", "0.5", "--washout", "2", "--host-rate", "500"];
     let commands: [(&[&str], &[&str]); 6] = [

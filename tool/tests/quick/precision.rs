@@ -1,13 +1,13 @@
 //! A device computed in double precision and rounded equals the device computed in single precision.
 
-use crate::common::all_shipped;
+use crate::common::all_shipped_devices;
 use haptic_bridge::model::catalogue::Kind;
 use haptic_bridge::model::device::Device;
 
 #[test]
 fn a_rounded_device_equals_one_made_in_single_precision() {
     let mut seen = Vec::new();
-    for file in all_shipped() {
+    for file in all_shipped_devices() {
         let (wide, single): (Device<f64>, Device<f32>) = (file.device().unwrap(), file.device().unwrap());
         assert_eq!(wide.cast::<f32>(), single, "{}", file.name);
         assert_eq!(single.cast::<f64>().cast::<f32>(), single, "{}", file.name);

@@ -2,7 +2,9 @@
 //! result, and walls that are called passive are stable.
 
 use crate::common::prelude::*;
-use crate::common::{self, Folder, all_shipped, file, json, output, read, run, shipped, type_lines};
+use crate::common::{
+    self, Folder, all_shipped_devices, json, output, read, run, shipped_device, shipped_path, type_lines,
+};
 use haptic_bridge::model::motor::Motor;
 use haptic_predict::boards::torque_at_rest;
 use haptic_predict::design::sensitivity::sensitivities;
@@ -15,12 +17,12 @@ use haptic_stability::analysis::range::stiffness_at;
 /// A device with cables, a rigid device, and a redundant device.
 const DEVICES: [&str; 3] = ["cable-five-bar", "haply-2diy", "serial-3r"];
 
-fn close(found: f64, expected: f64) -> bool {
+fn is_close(found: f64, expected: f64) -> bool {
     (found - expected).abs() <= 1e-6 * expected.abs()
 }
 
 /// Returns the prediction of `haptic range DEVICE` with these options for one feed-forward.
-fn typed(device: &str, options: &str, feed_forward: &str) -> Value {
+fn predict(device: &str, options: &str, feed_forward: &str) -> Value {
     let words: Vec<&str> = options.split(' ').collect();
     json(&[&["range", device], &words[..]].concat())[feed_forward].clone()
 }
@@ -30,8 +32,8 @@ fn the_line_printed_by_check_predicts_the_same() {
     let folder = Folder::new();
     let mut lines = 0;
     for name in DEVICES {
-        let device = file(&format!("{name}.toml"));
-        let shipped = std::fs::read_to_string(common::files(&format!("scenes/{name}")).last().unwrap()).unwrap();
+        let device = shipped_path(&format!("{name}.toml"));
+        let shipped = std::fs::read_to_string(common::toml_files(&format!("scenes/{name}")).last().unwrap()).unwrap();
         let place: Vec<&str> = shipped
             .lines()
             .filter(|line| line.starts_with("point =") || line.starts_with("normal ="))
@@ -50,15 +52,15 @@ fn the_line_printed_by_check_predicts_the_same() {
             let checked = json(&["check", &device, &folder.write("scene.toml", &scene)]);
             let contact = &checked["scenes"][0]["contacts"][0];
             let options = contact["options"].as_str().unwrap_or_else(|| panic!("{name}\n{scene}\n{checked}"));
-            let found = typed(&device, options, feed_forward);
+            let found = predict(&device, options, feed_forward);
             let (kp, stable_to) = (&found["boundary"][0]["kp"], contact["stable_to"].as_f64().unwrap());
-            assert!(stable_to > 0.0 && close(kp.as_f64().unwrap(), stable_to), "{name} {options}: {kp} {stable_to}");
-            assert!(close(found["kd_max"].as_f64().unwrap(), contact["damping_to"].as_f64().unwrap()), "{options}");
+            assert!(stable_to > 0.0 && is_close(kp.as_f64().unwrap(), stable_to), "{name} {options}: {kp} {stable_to}");
+            assert!(is_close(found["kd_max"].as_f64().unwrap(), contact["damping_to"].as_f64().unwrap()), "{options}");
             assert_eq!(found["boundary"][0].get("felt").is_some(), name == "cable-five-bar");
             assert_eq!(found["boundary"][0].get("felt"), contact.get("felt_to"), "{options}");
             // The line also works with options for the wall's ripple.
             if feed_forward == "full" {
-                let rippled = typed(&device, &format!("{options} --wall 500,2.5"), "ripple");
+                let rippled = predict(&device, &format!("{options} --wall 500,2.5"), "ripple");
                 assert!(rippled["wall"]["full"]["rms_n"].as_f64().unwrap() < 1.0, "{options}: {rippled}");
             }
             lines += 1;
@@ -71,7 +73,7 @@ fn the_line_printed_by_check_predicts_the_same() {
 fn lines_printed_by_range_and_measure_range_predict_the_same() {
     let folder = Folder::new();
     for name in ["cable-five-bar", "haply-2diy"] {
-        let device = file(&format!("{name}.toml"));
+        let device = shipped_path(&format!("{name}.toml"));
         let asked = ["--normal=0.6,0.8", "--hand", "0.1,2,300", "--washout", "2", "--kd", "3,1", "--rate", "5000"];
         let range = json(&[&["range", &device, "--board", "odrive-v3", "--cutoff", "150"], &asked[..]].concat());
         let again = range["options"].as_str().unwrap().split(' ').collect::<Vec<_>>();
@@ -83,7 +85,7 @@ fn lines_printed_by_range_and_measure_range_predict_the_same() {
                     Some(point) => range[mode][number][point]["kp"].as_f64().unwrap(),
                     None => range[mode][number].as_f64().unwrap(),
                 };
-                assert!(close(of(&again), of(&range)), "{name} {mode} {number}");
+                assert!(is_close(of(&again), of(&range)), "{name} {mode} {number}");
             }
         }
 
@@ -101,13 +103,13 @@ fn lines_printed_by_range_and_measure_range_predict_the_same() {
         let point = &measured["points"][0];
         let line = measured["theory"].as_str().unwrap();
         let (_, options) = line.split_once(".toml ").unwrap();
-        let theory = typed(&device, options, "off")["boundary"][0]["kp"].as_f64().unwrap();
-        assert!(close(theory, point["theory_kp"].as_f64().unwrap()), "{name} {line}: {theory} {point}");
+        let theory = predict(&device, options, "off")["boundary"][0]["kp"].as_f64().unwrap();
+        assert!(is_close(theory, point["theory_kp"].as_f64().unwrap()), "{name} {line}: {theory} {point}");
         match point.get("felt") {
             Some(felt) => {
                 let cables = range["transmissions"].as_f64().unwrap();
                 let in_series = 1.0 / (1.0 / 3000.0 + 1.0 / cables);
-                assert!(name == "cable-five-bar" && close(felt.as_f64().unwrap(), in_series), "{felt}");
+                assert!(name == "cable-five-bar" && is_close(felt.as_f64().unwrap(), in_series), "{felt}");
             }
             None => assert_eq!(name, "haply-2diy"),
         }
@@ -116,16 +118,16 @@ fn lines_printed_by_range_and_measure_range_predict_the_same() {
 
 #[test]
 fn design_and_range_agree_with_cables_too() {
-    let device = file("cable-five-bar.toml");
+    let device = shipped_path("cable-five-bar.toml");
     let q = ["--q=2.6,1.75", "--normal=0.94,-0.34", "--points", "40"];
     let found = json(&[&["design", &device], &q[..]].concat());
     for mode in ["off", "full"] {
         let here = &found["here"][mode];
         let options = format!("{} --kd {}", found["options"].as_str().unwrap(), here["kd"]);
-        let range = &typed(&device, &options, mode)["boundary"][0];
-        assert!(close(here["kp"].as_f64().unwrap(), range["kp"].as_f64().unwrap()), "{options}: {here} {range}");
-        assert!(close(here["felt"].as_f64().unwrap(), range["felt"].as_f64().unwrap()), "{options}: {here} {range}");
-        let whole = typed(&device, found["options"].as_str().unwrap(), mode);
+        let range = &predict(&device, &options, mode)["boundary"][0];
+        assert!(is_close(here["kp"].as_f64().unwrap(), range["kp"].as_f64().unwrap()), "{options}: {here} {range}");
+        assert!(is_close(here["felt"].as_f64().unwrap(), range["felt"].as_f64().unwrap()), "{options}: {here} {range}");
+        let whole = predict(&device, found["options"].as_str().unwrap(), mode);
         let points = whole["boundary"].as_array().unwrap().iter();
         let most = points.map(|point| point["kp"].as_f64().unwrap()).fold(0.0, f64::max);
         assert!((0.0..3e-3).contains(&(here["kp"].as_f64().unwrap() / most - 1.0)), "{most} {here}");
@@ -135,7 +137,7 @@ fn design_and_range_agree_with_cables_too() {
 /// A gear ratio larger by a tenth adds 21 % to the inertia of the motor, but nothing to that of the link.
 #[test]
 fn a_gear_ratio_changes_only_the_motors_inertia() {
-    let mut description = shipped("cable-five-bar").description;
+    let mut description = shipped_device("cable-five-bar").description;
     let motor = 5e-5;
     for joint in &mut description.joints[..2] {
         joint.transmission.as_mut().unwrap().motor_inertia = motor;
@@ -169,18 +171,18 @@ fn a_hand_at_rest_feels_a_wall_in_series_with_its_cables() {
         // The motor angles θ at the joint angles q = E solve K (θ - q) = -kp (Jr θ) torque.
         let motors = (&cables + torque * seen.row.transpose() * kp).lu().solve(&(&cables * &seen.unit_motion)).unwrap();
         let felt = kp * seen.row.dot(&motors);
-        assert!(close(point["felt"].as_f64().unwrap(), felt), "{mode}: {point} {felt}");
+        assert!(is_close(point["felt"].as_f64().unwrap(), felt), "{mode}: {point} {felt}");
         compliances.push(1.0 / felt - 1.0 / kp);
     }
-    assert!(close(range["transmissions"].as_f64().unwrap(), 1.0 / compliances[0]));
+    assert!(is_close(range["transmissions"].as_f64().unwrap(), 1.0 / compliances[0]));
     assert!((compliances[2] / compliances[0] - 1.0).abs() > 0.05, "{compliances:?}");
-    assert_eq!(json(&["range", &file("haply-2diy.toml"), "--normal=0.6,0.8"]).get("transmissions"), None);
+    assert_eq!(json(&["range", &shipped_path("haply-2diy.toml"), "--normal=0.6,0.8"]).get("transmissions"), None);
 }
 
 #[test]
 fn check_predicts_walls_in_the_hand_that_it_names() {
     let folder = Folder::new();
-    let device = file("cable-five-bar.toml");
+    let device = shipped_path("cable-five-bar.toml");
     let shipped = read("devices/scenes/cable-five-bar/wall.toml");
     let written = |stiffness: f64| {
         let lines = shipped.lines().map(|line| match line.starts_with("stiffness =") {
@@ -196,17 +198,17 @@ fn check_predicts_walls_in_the_hand_that_it_names() {
     let held = contact["in_hand"]["stable_to"].as_f64().unwrap();
     let options = contact["options"].as_str().unwrap();
     let mode = if options.contains("--washout") { "washout" } else { "off" };
-    let range = typed(&device, &format!("{options} --hand 0.12,6,1200"), mode);
-    assert!(close(range["boundary"][0]["kp"].as_f64().unwrap(), held), "{range} {held}");
+    let range = predict(&device, &format!("{options} --hand 0.12,6,1200"), mode);
+    assert!(is_close(range["boundary"][0]["kp"].as_f64().unwrap(), held), "{range} {held}");
     // With cables the hand reduces the range, so a wall between the two limits buzzes only in the hand.
     assert!(held < 0.95 * alone, "{held} {alone}");
     let (contact, warnings) = written((0.5 * (alone + held)).round());
     let wall = format!("{},{}", contact["stiffness"], options.rsplit(' ').next().unwrap());
-    let swings = typed(&device, &format!("{options} --hand 0.12,6,1200 --wall {wall}"), "ripple");
+    let swings = predict(&device, &format!("{options} --hand 0.12,6,1200 --wall {wall}"), "ripple");
     let swing = &swings["wall"]["swings"][mode];
     assert!(swing["growth_per_s"].as_f64().unwrap() > 0.0, "{swing}");
     for hz in [&contact["hz"], &contact["buzz"]["hz"]] {
-        assert!(close(hz.as_f64().unwrap(), swing["hz"].as_f64().unwrap()), "{contact} {swing}");
+        assert!(is_close(hz.as_f64().unwrap(), swing["hz"].as_f64().unwrap()), "{contact} {swing}");
     }
     assert!(warnings.contains("a hand of 0.12 kg, 6 N s/m and 1200 N/m"), "{warnings}");
     // Below both limits the wall is quiet.
@@ -219,7 +221,7 @@ fn the_supply_bounds_the_motors_force() {
     let checked = |supply: &str| {
         let supply = format!("{supply}[geometry]");
         let changes = [("resistance = 2.0", "resistance = 15.0"), ("[geometry]", &supply)];
-        let path = folder.changed("haply-2diy", &changes);
+        let path = folder.write_changed("haply-2diy", &changes);
         let checked = json(&["check", &path, "devices/scenes/haply-2diy/wall-soft.toml"]);
         let force = checked["scenes"][0]["contacts"][0]["force"].as_f64().unwrap();
         let most = DeviceFile::load(&path).unwrap().description.joints[0].motor.unwrap().max_current;
@@ -232,7 +234,7 @@ fn the_supply_bounds_the_motors_force() {
     let share = 12.0 * 0.92 / 15.0 / 3.0;
     assert!(bound.3.contains("the supply of 12 V"), "{}", bound.3);
     for (bound, free) in [(bound.0, free.0), (bound.1, free.1), (bound.2, free.2)] {
-        assert!(close(bound, share * free), "{bound} {free} {share}");
+        assert!(is_close(bound, share * free), "{bound} {free} {share}");
     }
     let device = folder.path("haply-2diy.toml");
     let info = json(&["info", "--port", &format!("sim:{device}")]);
@@ -241,7 +243,7 @@ fn the_supply_bounds_the_motors_force() {
     assert!(!checked("supply = 56.0\n").3.contains("supply"));
     let device = DeviceFile::load(&device).unwrap();
     let (_, mut board) = common::board(&device, BoardOptions::default());
-    let scene = SceneFile::load(file("scenes/haply-2diy/wall-soft.toml"), 2).unwrap().scene().unwrap();
+    let scene = SceneFile::load(shipped_path("scenes/haply-2diy/wall-soft.toml"), 2).unwrap().scene().unwrap();
     board.set_scene(&scene).unwrap();
     board.arm().unwrap();
     // No board supplies 25 A.
@@ -253,7 +255,7 @@ fn the_supply_bounds_the_motors_force() {
 #[test]
 fn a_passive_wall_is_stable() {
     let mut bounds = 0;
-    for device in all_shipped() {
+    for device in all_shipped_devices() {
         let spec = device.spec();
         let q = &device.description.home.unwrap()[..spec.joints];
         let normal = &[0.6, 0.8, 0.1][..spec.task];
@@ -302,7 +304,7 @@ fn no_passive_bound_is_named_for_encoders_behind_cables() {
         &format!(
             "range devices/cable-five-bar.toml --normal=0.6,0.8 --rate 5000 => passive without feed-forward
             range {} --normal=0.6,0.8 --rate 5000 => !passive | !felt",
-            folder.changed("cable-five-bar", &[at_joint])
+            folder.write_changed("cable-five-bar", &[at_joint])
         ),
         &[],
     );
@@ -313,7 +315,7 @@ fn without_a_stable_range_islands_are_reported() {
     let folder = Folder::new();
     let soft = "stiffness = 40.0\ndamping = 0.0\nencoder_at = \"joint\"";
     let soft = [("stiffness = 1280.0\ndamping = 0.0372", soft), ("viscous = 0.001", "viscous = 0.0")];
-    let path = folder.changed("cable-five-bar", &soft);
+    let path = folder.write_changed("cable-five-bar", &soft);
     let asked = ["range", &path, "--normal=0.6,0.8", "--rate", "20000", "--cutoff", "500"];
     let range = json(&asked);
     for number in [&range["off"]["area"], &range["off"]["kd_max"], &range["full"]["area"], &range["area_ratio"]] {
@@ -335,7 +337,7 @@ const LIMITS_WITH_POSTURE: [f64; 2] = [49_640.0, 32_208.0];
 
 #[test]
 fn a_posture_is_part_of_the_loop() {
-    let device = file("serial-3r.toml");
+    let device = shipped_path("serial-3r.toml");
     let of = |posture: &[&str]| {
         let asked = ["range", &device, "--normal=0.42,-0.91", "--rate", "5000", "--cutoff", "200", "--kd", "5"];
         let range = json(&[&asked[..], &["--delay", "0.125"], posture].concat());
@@ -347,7 +349,7 @@ fn a_posture_is_part_of_the_loop() {
     assert!(within(free, LIMITS_WITHOUT_POSTURE) && within(held, LIMITS_WITH_POSTURE), "{free:?} {held:?}");
     // A posture without spring and damper changes nothing.
     let nothing = of(&["--posture", "0,0"]);
-    assert!(nothing.iter().zip(free).all(|(nothing, free)| close(*nothing, free)), "{nothing:?} {free:?}");
+    assert!(nothing.iter().zip(free).all(|(nothing, free)| is_close(*nothing, free)), "{nothing:?} {free:?}");
     type_lines("2: range devices/haply-2diy.toml --normal=0,1 --posture 0.5,0.03", &[]);
 }
 
@@ -381,7 +383,7 @@ fn the_demos_wall_buzzes_at_the_predicted_frequency() {
 fn all_commands_warn_of_degrees_and_of_poses_beyond_limits() {
     let folder = Folder::new();
     let rigid = "transmission = \"rigid\"";
-    let with = |limits: &str| folder.changed("haply-2diy", &[(rigid, &format!("{rigid}\nlimits = {limits}"))]);
+    let with = |limits: &str| folder.write_changed("haply-2diy", &[(rigid, &format!("{rigid}\nlimits = {limits}"))]);
     let degrees = with("[-180.0, 180.0]");
     for command in ["model", "range", "map", "design"] {
         let points = ["--points", "100"];
@@ -394,7 +396,7 @@ fn all_commands_warn_of_degrees_and_of_poses_beyond_limits() {
     }
     // Limits wider than a turn do not change the map.
     let mapped = |device: &str| json(&["map", device, "--normal=0,1"])["points"].clone();
-    assert_eq!(mapped(&degrees), mapped(&file("haply-2diy.toml")));
+    assert_eq!(mapped(&degrees), mapped(&shipped_path("haply-2diy.toml")));
     let narrow = with("[0.5, 2.5]");
     for command in ["model", "range"] {
         let document = json(&[command, &narrow, "--q=2.3,0.2", "--normal=0,1"]);

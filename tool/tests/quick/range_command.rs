@@ -4,12 +4,13 @@ use crate::common::{Folder, json, output, read, refusal, type_lines};
 use serde_json::Value;
 
 const DEVICE: &str = "devices/serial-3r.toml";
-const POSE: [&str; 7] = ["--q=0.6,0.9,-0.7", "--normal=-1,0.5", "--rate", "1000", "--cutoff", "20", "--undamped"];
+const POSE_OPTIONS: [&str; 7] =
+    ["--q=0.6,0.9,-0.7", "--normal=-1,0.5", "--rate", "1000", "--cutoff", "20", "--undamped"];
 /// Command for the demo's device in the demo's pose, along its wall's normal.
-const DEMO: [&str; 4] = ["range", "devices/coupled-five-bar.toml", "--q=2.6,1.75", "--normal=0.2588,0.9659"];
+const DEMO_RANGE: [&str; 4] = ["range", "devices/coupled-five-bar.toml", "--q=2.6,1.75", "--normal=0.2588,0.9659"];
 
 fn range(more: &[&str]) -> Value {
-    json(&[&["range", DEVICE], &POSE[..], more].concat())
+    json(&[&["range", DEVICE], &POSE_OPTIONS[..], more].concat())
 }
 
 fn number(value: &Value) -> f64 {
@@ -55,7 +56,7 @@ fn the_boundary_has_points_at_the_requested_dampings() {
 fn the_frequency_of_a_buzzing_wall_is_printed_with_its_limit() {
     let folder = Folder::new();
     let loop_ = ["--rate", "1000", "--cutoff", "100", "--board", "odrive-v3", "--kd", "0,40,200", "--wall", "22000,40"];
-    let line = [&DEMO[..], &loop_].concat();
+    let line = [&DEMO_RANGE[..], &loop_].concat();
     let document = json(&line);
     let hz = |mode: &str, point: usize| document[mode]["boundary"][point]["hz"].as_f64();
     for mode in ["off", "full"] {
@@ -73,7 +74,7 @@ fn the_frequency_of_a_buzzing_wall_is_printed_with_its_limit() {
 
     let wall = "[[wall]]\npoint = [0.0, 0.1]\nnormal = [0.0, 1.0]\nstiffness = 90e3\ndamping = 40.0\n";
     let scene = folder.write("scene.toml", format!("rate_hz = 1000\ncutoff_hz = 100\n{wall}"));
-    let checked = json(&["check", DEMO[1], &scene]);
+    let checked = json(&["check", DEMO_RANGE[1], &scene]);
     let hz = number(&checked["scenes"][0]["contacts"][0]["buzz"]["hz"]);
     let warning = checked["warnings"][0]["text"].as_str().unwrap();
     assert!(warning.contains(&format!("it will vibrate at about {hz:.0} Hz unless")), "{warning}");
@@ -85,7 +86,7 @@ fn pictures_are_svg_or_png_and_explain_their_symbols() {
     let (svg, png) = (folder.path("range.svg"), folder.path("range.png"));
     let files = ["--washout", "2", "--svg", &svg, "--png", &png];
     let loop_ = ["--rate", "1000", "--cutoff", "20", "--delay", "1"];
-    let said = output(&[&["range", DEMO[1], "--q=2.6,1.75", "--normal=0.94,-0.34"], &loop_[..], &files].concat());
+    let said = output(&[&["range", DEMO_RANGE[1], "--q=2.6,1.75", "--normal=0.94,-0.34"], &loop_[..], &files].concat());
     let drawn = std::fs::read_to_string(svg).unwrap();
     assert!(drawn.contains("<title>coupled-five-bar") && std::fs::read(png).unwrap().starts_with(b"\x89PNG"));
     assert!(said.contains("delay 1 sample,") && drawn.contains("delay 1 sample,"), "{said}");
@@ -163,17 +164,17 @@ fn impossible_ranges_are_refused() {
 /// joint damping makes a device creep at every gain; the text must not call this a wall "0.00 times as stiff".
 #[test]
 fn a_costly_feed_forward_causes_a_warning() {
-    let shipped = json(&[&DEMO[..], &["--rate", "20000", "--cutoff", "500"]].concat());
+    let shipped = json(&[&DEMO_RANGE[..], &["--rate", "20000", "--cutoff", "500"]].concat());
     assert!(number(&shipped["area_ratio"]) > 1.2 && shipped.get("warnings").is_none(), "{shipped}");
     let folder = Folder::new();
-    let text = read(DEMO[1]);
+    let text = read(DEMO_RANGE[1]);
     let cable = |damping: &str| format!("{{ stiffness = 1065.9, damping = {damping} }}");
     let soft = text.replacen("\"rigid\"", &cable("0.03694"), 1).replacen("\"rigid\"", &cable("0.02262"), 1);
     let uneven = text.replacen("viscous = 0.001", "viscous = 0.1", 1);
     let uneven = uneven.replacen("viscous = 0.001\n", "viscous = 1.0e-4\n", 1);
     let of = |text: String, rate: &str, cutoff: &str| {
         let device = folder.write("device.toml", text);
-        json(&[&["range", &device], &DEMO[2..], &["--rate", rate, "--cutoff", cutoff]].concat())
+        json(&[&["range", &device], &DEMO_RANGE[2..], &["--rate", rate, "--cutoff", cutoff]].concat())
     };
     let found = of(soft, "20000", "500");
     assert!(number(&found["area_ratio"]) < 0.7, "{}", found["area_ratio"]);

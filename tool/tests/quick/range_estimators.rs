@@ -5,16 +5,16 @@ use haptic_stability::analysis::range::domain;
 use haptic_stability::analysis::sampled::{AnalysisError, LinearEstimator, Mode};
 use nalgebra::Complex;
 
-const RATE: f64 = 1000.0;
+const RATE_HZ: f64 = 1000.0;
 /// Mass, kg.
-const MASS: f64 = 0.3;
+const MASS_KG: f64 = 0.3;
 
 /// Returns kp_max T²/m at these dampings kd T/m, without delay.
 fn boundary(estimator: LinearEstimator, damping: &[f64]) -> Result<Vec<f64>, AnalysisError> {
-    let around = ideal_loop(RATE, 0.0, estimator);
-    let kd: Vec<f64> = damping.iter().map(|b| b * MASS * RATE).collect();
-    let found = domain(&point_mass(MASS), &around, Mode::Off, Some(&kd))?;
-    Ok(found.boundary.iter().map(|point| point.kp / (MASS * RATE * RATE)).collect())
+    let around = ideal_loop(RATE_HZ, 0.0, estimator);
+    let kd: Vec<f64> = damping.iter().map(|b| b * MASS_KG * RATE_HZ).collect();
+    let found = domain(&point_mass(MASS_KG), &around, Mode::Off, Some(&kd))?;
+    Ok(found.boundary.iter().map(|point| point.kp / (MASS_KG * RATE_HZ * RATE_HZ)).collect())
 }
 
 #[test]

@@ -2,7 +2,7 @@
 //! section 4).
 
 use crate::common::prelude::*;
-use crate::common::{ideal_loop, numbers, read, rigid};
+use crate::common::{ideal_loop, numbers, read, rigid_device};
 use haptic_bridge::model::description::StructuralMode;
 use haptic_stability::analysis::flexible::{Flexible, Hand};
 
@@ -43,14 +43,14 @@ fn every_boundary_agrees_with_independent_values() {
 
 /// Returns a rigid device with two joints that both move the tip along the wall's normal.
 fn stiff_device() -> Linearised {
-    rigid(&[3.0e-4, 4.0e-5, 4.0e-5, 1.1e-4], &[1e-3, 4e-4], &[0.1, 0.06], &[7.0, 5.0])
+    rigid_device(&[3.0e-4, 4.0e-5, 4.0e-5, 1.1e-4], &[1e-3, 4e-4], &[0.1, 0.06], &[7.0, 5.0])
 }
 
-fn behind(stiffness: f64, damping: f64, encoder_at: EncoderAt) -> Option<Transmission> {
+fn transmission(stiffness: f64, damping: f64, encoder_at: EncoderAt) -> Option<Transmission> {
     Some(Transmission { stiffness, damping, motor_inertia: 2e-5, encoder_at })
 }
 
-fn around(rate_hz: f64, cutoff_hz: f64) -> Loop {
+fn control_loop(rate_hz: f64, cutoff_hz: f64) -> Loop {
     ideal_loop(rate_hz, 0.5, LinearEstimator::Butterworth(cutoff_hz))
 }
 
@@ -61,13 +61,15 @@ fn an_infinitely_stiff_transmission_is_rigid() {
         for (drive, stiffness) in
             [(Drive::Ideal, 1e11), (Drive::Current { bandwidth_hz: 900.0 }, 1e11), (Drive::Ideal, 1e18)]
         {
-            let around = Loop { drive, ..around(1000.0, 50.0) };
+            let around = Loop { drive, ..control_loop(1000.0, 50.0) };
             let known = domain(&stiff, &around, mode, None).unwrap();
             let mut soft = stiff.clone();
             // A hundredth of the critical damping of the motor's inertia.
             let damping = 0.02 * (stiffness * 2e-5_f64).sqrt();
-            soft.flexible.transmissions =
-                vec![behind(stiffness, damping, EncoderAt::Motor), behind(stiffness, damping, EncoderAt::Joint)];
+            soft.flexible.transmissions = vec![
+                transmission(stiffness, damping, EncoderAt::Motor),
+                transmission(stiffness, damping, EncoderAt::Joint),
+            ];
             let found = domain(&soft, &around, mode, None).unwrap();
             assert!((found.area / known.area - 1.0).abs() < 1e-9, "{mode:?}: {} {}", found.area, known.area);
             assert!((found.kd_max / known.kd_max - 1.0).abs() < 1e-9);
@@ -83,11 +85,11 @@ fn a_joint_outside_the_loop_has_no_effect() {
     device.viscous.fill(0.0);
     device.row = DVector::from_vec(vec![0.1, 0.0]);
     device.unit_motion = DVector::from_vec(vec![10.0, 0.0]);
-    let around = around(1000.0, 50.0);
+    let around = control_loop(1000.0, 50.0);
     for mode in [Mode::Off, Mode::Full] {
         let known = domain(&device, &around, mode, None).unwrap();
         let mut soft = device.clone();
-        soft.flexible.transmissions = vec![None, behind(3.0, 0.0, EncoderAt::Motor)];
+        soft.flexible.transmissions = vec![None, transmission(3.0, 0.0, EncoderAt::Motor)];
         let found = domain(&soft, &around, mode, None).unwrap();
         assert!(known.area > 0.0 && (found.area / known.area - 1.0).abs() < 1e-9, "{} {}", found.area, known.area);
     }
@@ -96,10 +98,10 @@ fn a_joint_outside_the_loop_has_no_effect() {
 #[test]
 fn a_fast_mode_lowers_the_boundary() {
     let stiff = stiff_device();
-    let around = around(1000.0, 50.0);
+    let around = control_loop(1000.0, 50.0);
     let area = |device: &Linearised| domain(device, &around, Mode::Off, Some(&[])).unwrap().area;
     let mut soft = stiff.clone();
-    soft.flexible.transmissions = vec![behind(3.0, 5e-4, EncoderAt::Joint); 2];
+    soft.flexible.transmissions = vec![transmission(3.0, 5e-4, EncoderAt::Joint); 2];
     assert!(area(&soft) < 0.5 * area(&stiff), "{} {}", area(&soft), area(&stiff));
 }
 
@@ -107,10 +109,11 @@ fn a_fast_mode_lowers_the_boundary() {
 fn a_difference_over_more_samples_lowers_the_boundary() {
     let device = stiff_device();
     let mean = |samples| {
-        let around = Loop { estimator: LinearEstimator::BackwardDifference.over(samples), ..around(1000.0, 50.0) };
+        let around =
+            Loop { estimator: LinearEstimator::BackwardDifference.over(samples), ..control_loop(1000.0, 50.0) };
         domain(&device, &around, Mode::Off, Some(&[])).map(|found| found.area)
     };
-    let plain = Loop { estimator: LinearEstimator::BackwardDifference, ..around(1000.0, 50.0) };
+    let plain = Loop { estimator: LinearEstimator::BackwardDifference, ..control_loop(1000.0, 50.0) };
     let plain = domain(&device, &plain, Mode::Off, Some(&[])).unwrap().area;
     assert!((mean(1).unwrap() / plain - 1.0).abs() < 1e-12);
     assert!(mean(4).unwrap() < 0.6 * plain);
@@ -121,7 +124,7 @@ fn a_mode_of_one_joint_equals_a_link_behind_a_transmission() {
     let mode = StructuralMode { frequency: 90.0, damping: 0.03, inertia: 4e-4 };
     let one = |flexible: Flexible| Linearised {
         flexible: Flexible { tip: DMatrix::from_element(1, 1, 0.1), normal: DVector::from_element(1, 1.0), ..flexible },
-        ..rigid(&[1e-3], &[2e-4], &[0.1], &[10.0])
+        ..rigid_device(&[1e-3], &[2e-4], &[0.1], &[10.0])
     };
     let swings = one(Flexible { modes: vec![(0, mode)], ..Flexible::default() });
     let give = Transmission {
@@ -132,7 +135,7 @@ fn a_mode_of_one_joint_equals_a_link_behind_a_transmission() {
     };
     let soft = one(Flexible { transmissions: vec![Some(give)], ..Flexible::default() });
     for (rate, cutoff) in [(1000.0, 50.0), (5000.0, 200.0)] {
-        let of = |device: &Linearised| domain(device, &around(rate, cutoff), Mode::Off, None).unwrap();
+        let of = |device: &Linearised| domain(device, &control_loop(rate, cutoff), Mode::Off, None).unwrap();
         let (left, right) = (of(&swings), of(&soft));
         assert!(right.area > 0.0 && (left.area / right.area - 1.0).abs() < 1e-9, "{} {}", left.area, right.area);
         let rigid = of(&one(Flexible::default()));
@@ -144,7 +147,7 @@ fn a_mode_of_one_joint_equals_a_link_behind_a_transmission() {
 #[test]
 fn a_very_fast_or_very_light_mode_is_rigid() {
     let stiff = stiff_device();
-    let around = around(1000.0, 50.0);
+    let around = control_loop(1000.0, 50.0);
     for (mode, close) in [
         (StructuralMode { frequency: 1e6, damping: 0.01, inertia: 4e-5 }, 1e-6),
         (StructuralMode { frequency: 1e9, damping: 0.01, inertia: 4e-5 }, 1e-9),

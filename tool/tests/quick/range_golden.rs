@@ -1,14 +1,14 @@
 //! The predicted domains agree with independently computed domains (tests/golden/range.json).
 
-use crate::common::domains::{self, Case, Known};
+use crate::common::domains::{self, Case, KnownDomain};
 use haptic_stability::analysis::plant::Linearised;
 use haptic_stability::analysis::range::domain;
 
 #[test]
 fn every_domain_agrees_with_independent_values() {
-    for Case { id, file, q, normal, around, expected } in domains::all() {
+    for Case { id, file, q, normal, around, expected } in domains::all_cases() {
         let device = Linearised::at(&file.description, &q, &normal).unwrap();
-        for (mode, Known { kd, kp, area, kd_max }) in expected {
+        for (mode, KnownDomain { kd, kp, area, kd_max }) in expected {
             let key = format!("{mode:?}");
             let found = domain(&device, &around, mode, Some(&kd)).unwrap();
 

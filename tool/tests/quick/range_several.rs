@@ -2,8 +2,8 @@
 //! walls have the limits of loops computed from M, J and the torques of `haptic model`.
 
 use crate::common::bodies::Bodies;
-use crate::common::domains::{self, Case, Known, WALL_SETS};
-use crate::common::{Folder, file, json, numbers, type_lines};
+use crate::common::domains::{self, Case, KnownDomain, WALL_SETS};
+use crate::common::{Folder, json, numbers, shipped_path, type_lines};
 use haptic_bridge::model::admissible::Admissible;
 use haptic_host::device_file::DeviceFile;
 use haptic_stability::analysis::flexible::Hand;
@@ -14,10 +14,10 @@ use nalgebra::{DMatrix, DVector};
 
 #[test]
 fn one_wall_given_twice_has_the_independent_domain() {
-    for Case { id, file, q, normal, around, expected } in domains::all() {
+    for Case { id, file, q, normal, around, expected } in domains::all_cases() {
         let walls = [Member::new(normal.clone(), 0.3), Member::new(normal, 0.7)];
         let set = WallSet::at(&file.description, &q, &walls, Admissible::default()).unwrap();
-        for (mode, Known { kd, kp, .. }) in expected {
+        for (mode, KnownDomain { kd, kp, .. }) in expected {
             let key = format!("{mode:?}");
             let found = domain_of_several(&set, &around, mode, Some(&kd)).unwrap();
             let largest = kp.iter().fold(0.0_f64, |a, b| a.max(*b));
@@ -33,7 +33,7 @@ fn one_wall_given_twice_has_the_independent_domain() {
 #[test]
 fn sets_of_walls_have_the_limits_of_independent_loops() {
     for (name, q, normals, shares, without, kd) in WALL_SETS {
-        let path = file(&format!("{name}.toml"));
+        let path = shipped_path(&format!("{name}.toml"));
         let share: Vec<f64> = shares.split(',').map(|part| part.parse().unwrap()).collect();
         let total: f64 = share.iter().sum();
         let share: Vec<f64> = share.iter().map(|part| part / total).collect();

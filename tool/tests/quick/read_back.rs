@@ -2,7 +2,7 @@
 #![cfg(unix)]
 
 use crate::common::sim::Sim;
-use crate::common::{all_shipped, file, files};
+use crate::common::{all_shipped_devices, shipped_path, toml_files};
 use haptic_bridge::render::scene::{Scene, Surface};
 use haptic_host::device_file::DeviceFile;
 use haptic_host::read_back::{differences, running, scene, to_toml};
@@ -15,10 +15,10 @@ use predicates::str::contains;
 fn every_shipped_scene_is_read_back_bit_for_bit() {
     let mut normals = Random::new(7);
     let mut count = 0;
-    for device in all_shipped() {
+    for device in all_shipped_devices() {
         let task = device.spec().task;
         let name = device.path.file_stem().unwrap().to_string_lossy().into_owned();
-        for path in files(&format!("scenes/{name}")) {
+        for path in toml_files(&format!("scenes/{name}")) {
             let mut scene_of = SceneFile::load(&path, task).unwrap().scene;
             for turned in [false, true] {
                 if let (true, Some(wall)) = (turned && task > 1, scene_of.walls.first_mut())
@@ -56,7 +56,7 @@ fn differences_are_listed_by_key_with_units() {
 #[test]
 fn a_board_is_read_into_files_and_compared_with_them() {
     let sim = Sim::start(&["--fast"]);
-    let (device, wall) = (file("coupled-five-bar.toml"), file("scenes/coupled-five-bar/wall.toml"));
+    let (device, wall) = (shipped_path("coupled-five-bar.toml"), shipped_path("scenes/coupled-five-bar/wall.toml"));
     sim.run(&["scene", "--read"]).code(1).stderr(contains("no scene"));
     sim.run(&["device"]).code(2);
     sim.run(&["device", &device]).success();
@@ -88,8 +88,8 @@ fn a_board_is_read_into_files_and_compared_with_them() {
 #[test]
 fn a_report_checks_the_board_and_contains_nothing_private() {
     let sim = Sim::start(&["--fast"]);
-    sim.run(&["device", &file("coupled-five-bar.toml")]).success();
-    sim.run(&["scene", &file("scenes/coupled-five-bar/wall.toml")]).success();
+    sim.run(&["device", &shipped_path("coupled-five-bar.toml")]).success();
+    sim.run(&["scene", &shipped_path("scenes/coupled-five-bar/wall.toml")]).success();
     sim.run(&["board", "name", "ada-lovelaces-desk"]).success();
     let told = sim.run(&["board", "report"]).success();
     let page = String::from_utf8_lossy(&told.get_output().stdout).into_owned();

@@ -1,14 +1,14 @@
 //! `haptic replay` computes the same torques from a recording's counts, bit for bit, and reports the first difference.
 
 use crate::common::sim::Sim;
-use crate::common::{Folder, file, haptic, type_lines};
+use crate::common::{Folder, haptic, shipped_path, type_lines};
 use haptic_show::recorder::Recording;
 use predicates::prelude::*;
 use predicates::str::contains;
 use std::path::Path;
 
-fn recorded(path: &Path, arguments: &[&str], wall: &str, more: &[&str]) -> Recording {
-    let scene = file(wall);
+fn record_and_load(path: &Path, arguments: &[&str], wall: &str, more: &[&str]) -> Recording {
+    let scene = shipped_path(wall);
     let sim = Sim::start(&[arguments, &["--fast", "--hand", "loop", "--scene", &scene]].concat());
     sim.run(&[&["record", path.to_str().unwrap()], more].concat()).success();
     Recording::load(path).unwrap()
@@ -27,7 +27,7 @@ fn every_device_replays_the_same_torques_bit_for_bit() {
         ("phantom-premium-1.5.toml", "scenes/phantom-premium-1.5/table.toml", "b.mcap"),
     ] {
         let path = folder.path().join(name);
-        let recording = recorded(&path, &[&file(device)], wall, &["--arm", "--seconds", "2.5"]);
+        let recording = record_and_load(&path, &[&shipped_path(device)], wall, &["--arm", "--seconds", "2.5"]);
         let force = recording.column("force_n").unwrap();
         let pressed = recording.rows.iter().filter(|row| row[force] > 0.1).count();
         assert!(pressed > 1_000, "{device}: a wall is pressed in only {pressed} rows");
@@ -40,7 +40,7 @@ fn the_first_difference_is_named_with_its_step_and_size() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.csv");
     let more = ["--arm", "--seconds", "1", "--fields", "q,torque,counts,state"];
-    let recording = recorded(&path, &[], "scenes/coupled-five-bar/wall.toml", &more);
+    let recording = record_and_load(&path, &[], "scenes/coupled-five-bar/wall.toml", &more);
     let text = std::fs::read_to_string(&path).unwrap();
     replay(&path).success();
     let (torque, counts, step) = (
@@ -86,7 +86,7 @@ fn the_first_difference_is_named_with_its_step_and_size() {
 fn unplayable_recordings_are_refused() {
     let folder = Folder::new();
     let path = folder.path("a.mcap");
-    let sim = Sim::start(&["--fast", "--scene", &file("scenes/coupled-five-bar/wall.toml")]);
+    let sim = Sim::start(&["--fast", "--scene", &shipped_path("scenes/coupled-five-bar/wall.toml")]);
     let record = |options: &str, words: &str| {
         sim.type_lines(&format!("record {path} --force --seconds 0.1 {options}"));
         type_lines(&format!("2: replay {path} => {words}"), &[]);

@@ -2,12 +2,12 @@
 
 use crate::common::{Folder, output};
 
-fn plain(text: &str) -> String {
+fn unescape(text: &str) -> String {
     text.replace("&lt;", "<").replace("&gt;", ">").replace("&quot;", "\"").replace("&amp;", "&")
 }
 
 /// Returns the names of all elements of a page. Checks that each element is closed.
-fn elements(page: &str) -> Vec<String> {
+fn closed_elements(page: &str) -> Vec<String> {
     let (mut open, mut all): (Vec<String>, Vec<String>) = (Vec::new(), Vec::new());
     for tag in page.split('<').skip(1) {
         let tag = tag.split_once('>').unwrap_or_else(|| panic!("no end: {}", &tag[..40.min(tag.len())])).0;
@@ -35,7 +35,7 @@ fn the_page_is_complete_and_shows_the_output_of_its_commands() {
     let (device, scene) = ("devices/haply-2diy.toml", "devices/scenes/haply-2diy/wall-stiff.toml");
     output(&["report", device, scene, "--without", "estimators,tune", "--out", &path]);
     let page = std::fs::read_to_string(path).unwrap();
-    let elements = elements(&page);
+    let elements = closed_elements(&page);
     for name in ["script", "link", "img", "iframe", "object", "a"] {
         assert!(!elements.contains(&name.to_string()), "{name}");
     }
@@ -54,12 +54,15 @@ fn the_page_is_complete_and_shows_the_output_of_its_commands() {
     names.dedup();
     assert_eq!(names.len(), many);
 
-    let lines: Vec<String> =
-        page.split("<code class=\"line\">").skip(1).map(|rest| plain(rest.split("</code>").next().unwrap())).collect();
+    let lines: Vec<String> = page
+        .split("<code class=\"line\">")
+        .skip(1)
+        .map(|rest| unescape(rest.split("</code>").next().unwrap()))
+        .collect();
     assert_eq!(lines.len(), 7);
     let mut pages = page.split("<section>").skip(1);
     for line in lines {
-        let section = plain(pages.next().unwrap());
+        let section = unescape(pages.next().unwrap());
         let words: Vec<&str> = line.split(' ').skip(1).collect();
         let words = match words.iter().position(|word| *word == "--svg") {
             Some(at) => &words[..at],

@@ -2,7 +2,7 @@
 //! step, and at its limits.
 
 use crate::common::prelude::*;
-use crate::common::{self, ideal_loop, shipped, type_lines};
+use crate::common::{self, ideal_loop, shipped_device, type_lines};
 use haptic_bridge::render::velocity::{Chosen, Estimator as Kind};
 use haptic_predict::bench::estimators::{Comparison, ripple_of};
 use haptic_predict::ripple::{LIGHT_HAND, PUSH_N, Pressed};
@@ -12,8 +12,8 @@ const Q: [f64; 2] = [2.6, 1.75];
 const NORMAL: [f64; 2] = [0.25881904510252074, 0.9659258262890683];
 
 /// Runs `work` on the shipped device with this number of counts per turn.
-fn pressed<T>(around: &Loop, counts: Option<f64>, work: impl FnOnce(&Pressed<'_>) -> T) -> T {
-    let mut file = shipped("coupled-five-bar");
+fn with_pressed_wall<T>(around: &Loop, counts: Option<f64>, work: impl FnOnce(&Pressed<'_>) -> T) -> T {
+    let mut file = shipped_device("coupled-five-bar");
     for encoder in file.description.joints.iter_mut().flat_map(|joint| &mut joint.encoder) {
         encoder.counts_per_turn = counts.unwrap_or(encoder.counts_per_turn);
     }
@@ -32,7 +32,7 @@ fn pressed<T>(around: &Loop, counts: Option<f64>, work: impl FnOnce(&Pressed<'_>
 /// Rate, Hz, cutoff, Hz, stiffness, N/m, damping, N s/m, then root mean squares of the ripple without and with the
 /// feed-forward, N. A program that shares no code with this one simulated the linearised five-bar with dry friction in
 /// steps of 20 µs, with a hand against the wall's tip force J⁻ᵀ M E Wrr⁻¹. Largest of four offsets of the counts.
-const APART: [(f64, f64, f64, f64, f64, f64); 4] = [
+const INDEPENDENT_RIPPLES: [(f64, f64, f64, f64, f64, f64); 4] = [
     (1_000.0, 100.0, 15_000.0, 40.0, 0.419, 0.292),
     (5_000.0, 200.0, 20_000.0, 60.0, 1.011, 0.684),
     (20_000.0, 500.0, 5_000.0, 150.0, 3.728, 3.708),
@@ -41,10 +41,11 @@ const APART: [(f64, f64, f64, f64, f64, f64); 4] = [
 
 #[test]
 fn the_ripple_agrees_with_an_independent_program() {
-    for (rate, cutoff, kp, kd, off, full) in APART {
+    for (rate, cutoff, kp, kd, off, full) in INDEPENDENT_RIPPLES {
         let around = ideal_loop(rate, 0.0, LinearEstimator::Butterworth(cutoff));
         for (mode, known) in [(Mode::Off, off), (Mode::Full, full)] {
-            let found = pressed(&around, None, |pressed| pressed.ripple(mode, kp, kd).unwrap().rms_n.unwrap());
+            let found =
+                with_pressed_wall(&around, None, |pressed| pressed.ripple(mode, kp, kd).unwrap().rms_n.unwrap());
             // The motion is chaotic, so the ripple depends on the start.
             assert!((0.93..1.07).contains(&(found / known)), "{rate} Hz, {kp} N/m, {mode:?}: {found} is not {known}");
         }
@@ -54,9 +55,10 @@ fn the_ripple_agrees_with_an_independent_program() {
 #[test]
 fn coarse_encoders_make_a_fast_loop_buzz_below_its_limit() {
     let around = ideal_loop(20_000.0, 0.0, LinearEstimator::Butterworth(500.0));
-    let rms =
-        |counts| pressed(&around, counts, |pressed| pressed.ripple(Mode::Off, 5_000.0, 150.0).unwrap().rms_n.unwrap());
-    let limit = pressed(&around, None, |pressed| {
+    let rms = |counts| {
+        with_pressed_wall(&around, counts, |pressed| pressed.ripple(Mode::Off, 5_000.0, 150.0).unwrap().rms_n.unwrap())
+    };
+    let limit = with_pressed_wall(&around, None, |pressed| {
         pressed.along(Mode::Off, DampingRule::Damping(150.0), 0.1, &Sweep::quiet()).unwrap().unwrap().kp_stable
     });
     assert!(limit > 50.0 * 5_000.0, "{limit}");
@@ -68,7 +70,7 @@ fn coarse_encoders_make_a_fast_loop_buzz_below_its_limit() {
 
 #[test]
 fn the_boards_own_step_has_a_similar_ripple() {
-    let mut file = shipped("coupled-five-bar");
+    let mut file = shipped_device("coupled-five-bar");
     // Leave out dry friction, which may hold the tip between two counts while the comparison's hand presses constantly.
     file.description.joints.iter_mut().for_each(|joint| joint.coulomb = 0.0);
     for (rate_hz, cutoff_hz, wall) in [(1_000.0, 100.0, (15_000.0, 40.0)), (20_000.0, 500.0, (50_000.0, 150.0))] {
@@ -81,7 +83,7 @@ fn the_boards_own_step_has_a_similar_ripple() {
         ] {
             let board = ripple_of(&comparison, kind).unwrap().unwrap();
             let around = ideal_loop(rate_hz, delay, linear);
-            let found = pressed(&around, None, |pressed| {
+            let found = with_pressed_wall(&around, None, |pressed| {
                 let free = Pressed { description: file.description, ..pressed.clone() };
                 free.ripple(Mode::Off, wall.0, wall.1).unwrap().rms_n.unwrap()
             });
@@ -90,7 +92,7 @@ fn the_boards_own_step_has_a_similar_ripple() {
     }
 }
 
-fn json(arguments: &[&str]) -> Value {
+fn range_json(arguments: &[&str]) -> Value {
     common::json(
         &[&["range", "devices/coupled-five-bar.toml", "--q=2.6,1.75", "--normal=0.2588,0.9659"], arguments].concat(),
     )
@@ -98,7 +100,7 @@ fn json(arguments: &[&str]) -> Value {
 
 #[test]
 fn the_ripple_keeps_its_bound_up_to_the_named_stiffness() {
-    let document = json(&["--rate", "1000", "--cutoff", "100", "--ripple", "0.1", "--wall", "15000,40"]);
+    let document = range_json(&["--rate", "1000", "--cutoff", "100", "--ripple", "0.1", "--wall", "15000,40"]);
     let ripple = &document["ripple"];
     assert!((ripple["count_m"].as_f64().unwrap() - 3.25e-5).abs() < 1e-7);
     assert!(ripple["wall"]["off"]["rms_n"].as_f64().unwrap() > 0.2);
@@ -118,7 +120,7 @@ fn the_ripple_keeps_its_bound_up_to_the_named_stiffness() {
             assert!(number(point, "rms_n") <= 0.1, "{point}");
         }
     }
-    assert_eq!(document, json(&["--rate", "1000", "--cutoff", "100", "--ripple", "0.1", "--wall", "15000,40"]));
+    assert_eq!(document, range_json(&["--rate", "1000", "--cutoff", "100", "--ripple", "0.1", "--wall", "15000,40"]));
 }
 
 #[test]

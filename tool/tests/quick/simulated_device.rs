@@ -1,6 +1,6 @@
 //! The simulated device agrees with closed forms and does not gain energy, as it would by errors of the integration.
 
-use crate::common::shipped;
+use crate::common::shipped_device;
 use haptic_bridge::model::catalogue::Kind;
 use haptic_bridge::model::description::{
     Cogging, Description, Encoder, EncoderAt, Joint, Link, Stribeck, StructuralMode, Transmission,
@@ -199,7 +199,7 @@ fn a_joint_stops_just_beyond_its_limits() {
 #[test]
 fn a_linkage_pulled_beyond_its_reach_gains_no_energy() {
     for name in ["fictive-five-bar-turret", "pantograph-mk2", "haply-2diy"] {
-        let description = Description { gravity: [0.0; 3], ..shipped(name).description };
+        let description = Description { gravity: [0.0; 3], ..shipped_device(name).description };
         for to in [[0.0, 0.3, 0.0], [0.0, -0.3, 0.2]] {
             let mut device = SimulatedDevice::new(&description, &Options::frictionless()).unwrap();
             let start = device.q();

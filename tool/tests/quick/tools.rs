@@ -3,7 +3,7 @@
 //! depends on time.
 
 use crate::common::prelude::*;
-use crate::common::{board, file, shipped};
+use crate::common::{board, shipped_device, shipped_path};
 use haptic_bridge::board::protocol::{Disarm, GetDetails, GetInfo, Info, PROTOCOL};
 use haptic_host::link::{Deframer, LinkError, PortSpec, Wire, disarm_held_board, encode};
 use haptic_predict::measure::{Law, MeasureError, MeasurementSetup, PreparedBoard};
@@ -25,38 +25,38 @@ const NO_PATIENCE: Duration = Duration::ZERO;
 const AN_HOUR: Duration = Duration::from_secs(3600);
 
 fn device() -> DeviceFile {
-    shipped("coupled-five-bar")
+    shipped_device("coupled-five-bar")
 }
 
-fn simulated() -> SimulatedBoard {
+fn simulated_board() -> SimulatedBoard {
     ready_board(&device(), BoardOptions::default()).unwrap()
 }
 
 /// A simulated board behind a port; ends when dropped.
-struct Served {
+struct ServedBoard {
     port: PortSpec,
     stop: Arc<AtomicBool>,
     server: Option<JoinHandle<()>>,
 }
 
-impl Served {
-    fn behind(door: ToolListener) -> Self {
+impl ServedBoard {
+    fn start(door: ToolListener) -> Self {
         let (port, stop) = (door.port.parse().unwrap(), Arc::new(AtomicBool::new(false)));
         let stopped = Arc::clone(&stop);
-        let server = spawn(move || serve(&mut simulated(), &door, Pace::AsFastAsItCan, &stopped));
+        let server = spawn(move || serve(&mut simulated_board(), &door, Pace::AsFastAsItCan, &stopped));
         Self { port, stop, server: Some(server) }
     }
 
     /// Serves over TCP. A new tool waits up to `handover` until the old one leaves, or replaces it after `silence`.
     fn on_tcp(handover: Duration, silence: Duration) -> Self {
-        Self::behind(tcp("127.0.0.1:0".parse().unwrap(), Patience { silence, handover }).unwrap())
+        Self::start(tcp("127.0.0.1:0".parse().unwrap(), Patience { silence, handover }).unwrap())
     }
 
     /// Serves boards over every kind of port.
-    fn everywhere(handover: Duration) -> Vec<Self> {
+    fn on_every_port(handover: Duration) -> Vec<Self> {
         let mut ports = vec![Self::on_tcp(handover, AN_HOUR)];
         #[cfg(unix)]
-        ports.push(Self::behind(haptic_sim::door::pseudo_terminal().unwrap()));
+        ports.push(Self::start(haptic_sim::door::pseudo_terminal().unwrap()));
         ports
     }
 
@@ -65,7 +65,7 @@ impl Served {
     }
 
     /// Returns a board with its motors on.
-    fn armed(&self) -> Board {
+    fn open_armed(&self) -> Board {
         let mut board = self.open();
         board.set_scene(&Scene { task: 2, ..Scene::default() }).unwrap();
         board.arm().unwrap();
@@ -78,7 +78,7 @@ impl Served {
         TcpStream::connect(address).unwrap()
     }
 
-    fn refuses_a_second_tool(&self) {
+    fn assert_refuses_second_tool(&self) {
         let error = Board::open(&self.port).map(drop).unwrap_err();
         let said = error.to_string();
         match (&error, &self.port) {
@@ -90,7 +90,7 @@ impl Served {
     }
 }
 
-impl Drop for Served {
+impl Drop for ServedBoard {
     fn drop(&mut self) {
         self.stop.store(true, Ordering::SeqCst);
         let _ = self.server.take().map(JoinHandle::join);
@@ -98,7 +98,7 @@ impl Drop for Served {
 }
 
 /// Reads telemetry until `count` more rows have arrived.
-fn rows(board: &mut Board, count: u64) {
+fn read_rows(board: &mut Board, count: u64) {
     let enough = board.losses().received + count;
     while board.losses().received < enough {
         board.rows(Duration::from_secs(1)).unwrap();
@@ -107,13 +107,13 @@ fn rows(board: &mut Board, count: u64) {
 
 #[test]
 fn two_tools_in_a_row_stream_without_loss() {
-    for served in Served::everywhere(AN_HOUR) {
+    for served in ServedBoard::on_every_port(AN_HOUR) {
         for _ in 0..2 {
             let mut board = served.open();
             assert_eq!(board.info().board.as_str(), "simulated");
             assert_eq!(board.details().unwrap().device.as_deref(), Some("coupled-five-bar"));
             board.start_stream(fields("usual").unwrap(), 10).unwrap();
-            rows(&mut board, 5_000);
+            read_rows(&mut board, 5_000);
             assert_eq!((board.losses().missing, board.losses().garbled), (0, 0));
         }
     }
@@ -121,38 +121,38 @@ fn two_tools_in_a_row_stream_without_loss() {
 
 #[test]
 fn a_second_tool_is_refused_without_disturbing_the_first() {
-    for served in Served::everywhere(NO_PATIENCE) {
+    for served in ServedBoard::on_every_port(NO_PATIENCE) {
         let mut first = served.open();
         first.start_stream(fields("usual").unwrap(), 10).unwrap();
-        rows(&mut first, 500);
-        served.refuses_a_second_tool();
-        rows(&mut first, 5_000);
+        read_rows(&mut first, 500);
+        served.assert_refuses_second_tool();
+        read_rows(&mut first, 5_000);
         assert_eq!((first.losses().missing, first.losses().garbled), (0, 0));
     }
 }
 
 #[test]
 fn a_request_to_disarm_arrives_at_a_board_that_is_in_use() {
-    for served in Served::everywhere(NO_PATIENCE) {
+    for served in ServedBoard::on_every_port(NO_PATIENCE) {
         // Meanwhile the first tool does not read, as if its process were stopped.
-        let mut first = served.armed();
+        let mut first = served.open_armed();
         disarm_held_board(&served.port).unwrap();
         assert_eq!(first.status().unwrap().state, State::Disarmed);
         // No other request of a second tool is accepted.
         first.arm().unwrap();
-        served.refuses_a_second_tool();
+        served.assert_refuses_second_tool();
         assert_eq!(first.status().unwrap().state, State::Armed);
     }
 }
 
 #[test]
 fn silent_connections_do_not_block_a_request_to_disarm() {
-    let served = Served::on_tcp(NO_PATIENCE, AN_HOUR);
-    let mut first = served.armed();
+    let served = ServedBoard::on_tcp(NO_PATIENCE, AN_HOUR);
+    let mut first = served.open_armed();
     let silent = || (0..100).map(|_| served.connect()).collect::<Vec<_>>();
     // Like `haptic disarm`, first connect normally, which is refused because the board is in use.
     let _crowd = silent();
-    served.refuses_a_second_tool();
+    served.assert_refuses_second_tool();
     let _more = silent();
     assert_eq!(first.status().unwrap().state, State::Armed);
     disarm_held_board(&served.port).unwrap();
@@ -161,8 +161,8 @@ fn silent_connections_do_not_block_a_request_to_disarm() {
 
 #[test]
 fn partial_requests_do_not_block_a_request_to_disarm() {
-    let served = Served::on_tcp(AN_HOUR, AN_HOUR);
-    let mut first = served.armed();
+    let served = ServedBoard::on_tcp(AN_HOUR, AN_HOUR);
+    let mut first = served.open_armed();
     let strangers = (0..100).map(|_| {
         let mut stranger = served.connect();
         // The write may fail, because a refused connection is closed.
@@ -176,7 +176,7 @@ fn partial_requests_do_not_block_a_request_to_disarm() {
 
 #[test]
 fn a_tool_replaces_silent_connections() {
-    let served = Served::on_tcp(AN_HOUR, NO_PATIENCE);
+    let served = ServedBoard::on_tcp(AN_HOUR, NO_PATIENCE);
     let _silent: Vec<_> = (0..100).map(|_| served.connect()).collect();
     let mut board = served.open();
     // The silent connections do not get the board back.
@@ -191,7 +191,7 @@ fn request<E: Endpoint>(sequence: u16) -> Vec<u8> {
 
 #[test]
 fn a_flooding_tool_costs_bounded_memory_and_is_replaced() {
-    let mut board = simulated();
+    let mut board = simulated_board();
     (0..50_000).for_each(|sequence| board.receive(&request::<GetDetails>(sequence)));
     let (mut waiting, mut buffer) = (0, [0; 4096]);
     loop {
@@ -204,7 +204,7 @@ fn a_flooding_tool_costs_bounded_memory_and_is_replaced() {
     let room = BoardOptions::default().send_buffer + 70_000;
     assert!(waiting < room, "{waiting} bytes wait for a tool that does not read");
 
-    let served = Served::on_tcp(AN_HOUR, AN_HOUR);
+    let served = ServedBoard::on_tcp(AN_HOUR, AN_HOUR);
     let mut flood = served.connect();
     let requests: Vec<u8> = (0..20_000).flat_map(request::<GetDetails>).collect();
     flood.write_all(&requests).unwrap();
@@ -214,8 +214,8 @@ fn a_flooding_tool_costs_bounded_memory_and_is_replaced() {
 
 #[test]
 fn a_board_arms_again_after_a_hundred_armed_reconnections() {
-    let served = Served::on_tcp(AN_HOUR, AN_HOUR);
-    let mut board = served.armed();
+    let served = ServedBoard::on_tcp(AN_HOUR, AN_HOUR);
+    let mut board = served.open_armed();
     board.disarm().unwrap();
     let host_seconds = Rules::HOST_SECONDS.1;
     board.set_rules(&Rules { host_action: HostAction::Disarm, host_seconds, ..Rules::default() }).unwrap();
@@ -227,7 +227,7 @@ fn a_board_arms_again_after_a_hundred_armed_reconnections() {
         board.disarm().unwrap();
         board.arm().unwrap();
         board.start_stream(fields("usual").unwrap(), 10).unwrap();
-        rows(&mut board, 50);
+        read_rows(&mut board, 50);
         assert_eq!(board.losses().missing, 0, "round {round}");
         assert_eq!(board.status().unwrap().state, State::Armed, "round {round}");
         if round % 2 == 0 {
@@ -239,7 +239,7 @@ fn a_board_arms_again_after_a_hundred_armed_reconnections() {
 
 #[test]
 fn losing_the_board_while_streaming_is_a_clear_error() {
-    let served = Served::on_tcp(AN_HOUR, AN_HOUR);
+    let served = ServedBoard::on_tcp(AN_HOUR, AN_HOUR);
     let cable = TcpListener::bind("127.0.0.1:0").unwrap();
     let port = PortSpec::Tcp(cable.local_addr().unwrap().to_string());
     let mut to_board = served.connect();
@@ -277,20 +277,20 @@ fn ports_without_a_board_are_named() {
 }
 
 /// A device that is no board (`None`), or a board with another protocol version, which sends its `Info` as every reply.
-struct Stranger {
+struct UnknownDevice {
     protocol: Option<u16>,
     out: Vec<u8>,
     now: Duration,
 }
 
-impl Stranger {
-    fn met(protocol: Option<u16>) -> LinkError {
+impl UnknownDevice {
+    fn connect_error(protocol: Option<u16>) -> LinkError {
         let wire = Self { protocol, out: b"HTTP/1.1 400 Bad Request\r\n\r\n\0\0".into(), now: Duration::ZERO };
         Board::over(Box::new(wire), "test").map(drop).unwrap_err()
     }
 }
 
-impl Wire for Stranger {
+impl Wire for UnknownDevice {
     fn send(&mut self, bytes: &[u8]) -> std::io::Result<()> {
         let mut requests = Vec::new();
         Deframer::default().feed(bytes, |frame| requests.push(frame));
@@ -323,23 +323,23 @@ impl Wire for Stranger {
 
 #[test]
 fn unknown_boards_are_reported_and_sent_nothing_else() {
-    let error = Stranger::met(None);
+    let error = UnknownDevice::connect_error(None);
     assert!(matches!(error, LinkError::Silent { .. }), "{error}");
     for (protocol, remedy) in [(PROTOCOL + 1, "update this tool"), (PROTOCOL - 1, "flash it: haptic flash")] {
-        let error = Stranger::met(Some(protocol));
+        let error = UnknownDevice::connect_error(Some(protocol));
         assert!(matches!(error, LinkError::Version { board, tool: PROTOCOL } if board == protocol), "{error}");
         assert!(error.to_string().contains(remedy), "{error}");
     }
 }
 
 /// Returns a board in this process, in virtual time.
-fn in_process() -> (SharedBoard, Board) {
+fn board_in_process() -> (SharedBoard, Board) {
     board(&device(), BoardOptions::default())
 }
 
 #[test]
 fn rows_of_a_killed_tools_stream_are_discarded() {
-    let (shared, mut killed) = in_process();
+    let (shared, mut killed) = board_in_process();
     killed.start_stream(fields("counts").unwrap(), 1).unwrap();
     shared.lock().run(0.2);
     // The killed tool has read nothing, so its rows still wait at the port for the next tool.
@@ -356,7 +356,7 @@ fn rows_of_a_killed_tools_stream_are_discarded() {
     assert_eq!((losses.missing, losses.batches_lost, losses.garbled), (0, 0, 0));
 }
 
-fn setup() -> MeasurementSetup {
+fn measurement_setup() -> MeasurementSetup {
     MeasurementSetup {
         walls: vec![Member::new(vec![0.6, 0.8], 1.0)],
         rate_hz: 1_000.0,
@@ -370,14 +370,15 @@ fn setup() -> MeasurementSetup {
 
 /// Runs one trial of a measurement, which calls `stop` again and again.
 fn measure(board: &mut Board, stop: &dyn Fn() -> bool) -> Result<(), MeasureError> {
-    let mut prepared = PreparedBoard::new(board, &device(), setup(), stop)?;
+    let mut prepared = PreparedBoard::new(board, &device(), measurement_setup(), stop)?;
     prepared.oscillates(FeedForward::Off, 100.0, 1.0, 1.0).map(drop)
 }
 
 #[test]
 fn a_stopped_measurement_turns_off_and_restores_the_rules() {
-    let (shared, mut board) = in_process();
-    let scene = SceneFile::load(Path::new(&file("scenes/coupled-five-bar/wall.toml")), 2).unwrap().scene().unwrap();
+    let (shared, mut board) = board_in_process();
+    let scene =
+        SceneFile::load(Path::new(&shipped_path("scenes/coupled-five-bar/wall.toml")), 2).unwrap().scene().unwrap();
     board.set_scene(&scene).unwrap();
     let before = board.rules().unwrap();
     for most in [1, 30, 300, 1000] {
@@ -396,7 +397,7 @@ fn a_stopped_measurement_turns_off_and_restores_the_rules() {
 #[test]
 fn a_measurement_ends_when_another_tool_disarms() {
     for most in [40, 60] {
-        let (shared, mut board) = in_process();
+        let (shared, mut board) = board_in_process();
         let asked = Cell::new(0);
         let ended = measure(&mut board, &|| {
             asked.set(asked.get() + 1);
@@ -413,8 +414,8 @@ fn a_measurement_ends_when_another_tool_disarms() {
 
 #[test]
 fn the_motors_go_off_if_the_measuring_tool_dies() {
-    let (shared, mut board) = in_process();
-    let prepared = PreparedBoard::new(&mut board, &device(), setup(), &|| false).unwrap();
+    let (shared, mut board) = board_in_process();
+    let prepared = PreparedBoard::new(&mut board, &device(), measurement_setup(), &|| false).unwrap();
     // A killed process does not drop anything.
     std::mem::forget(prepared);
     assert_eq!(shared.lock().status().state, State::Armed);

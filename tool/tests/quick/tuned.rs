@@ -2,8 +2,8 @@
 //! joints, and with Ctrl-C.
 
 use crate::common::prelude::*;
-use crate::common::tuned::{drawn, none_is_stiffer, question};
-use crate::common::{Folder, json, read, run, shipped, type_lines};
+use crate::common::tuned::{none_is_stiffer, question, random_device};
+use crate::common::{Folder, json, read, run, shipped_device, type_lines};
 use haptic_bridge::render::velocity::Estimator;
 use haptic_host::error::Failure;
 use haptic_predict::bench::estimators::{Comparison, compare, telling_wall};
@@ -12,7 +12,7 @@ use haptic_predict::tune::{MOST_REBOUNDS, Margins, Question, Settings, keeps, ri
 use std::collections::BTreeSet;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-fn usual(name: &str) -> Estimator {
+fn estimator_of(name: &str) -> Estimator {
     Estimator::ALL.iter().find(|(other, _)| *other == name).unwrap().1
 }
 
@@ -42,7 +42,7 @@ fn wall(kind: Estimator, cutoff_hz: f64, (stiffness, damping): (f64, f64)) -> Se
 fn a_wall_behind_cables_depends_on_the_encoders_side() {
     let of = |side: &str| {
         let file = DeviceFile::parse(&with_cables(side), side).unwrap();
-        ripple(&question(&file, 5_000.0), &wall(usual("butterworth"), 200.0, (5_000.0, 20.0))).unwrap().ripple_n
+        ripple(&question(&file, 5_000.0), &wall(estimator_of("butterworth"), 200.0, (5_000.0, 20.0))).unwrap().ripple_n
     };
     let (motor, joint) = (of("motor"), of("joint"));
     assert!(motor.is_some_and(|ripple| ripple < 0.5), "{motor:?}");
@@ -73,9 +73,9 @@ fn estimators_are_compared_on_a_wall_that_range_finds_stable() {
     type_lines(&format!("1: {line} => no wall here is predicted stable | (--wall)"), &[]);
 }
 
-fn small(number: u64, estimator: &str, dampings: &[f64]) {
-    let file = drawn(number);
-    let question = Question { estimators: vec![usual(estimator)], ..question(&file, 5_000.0) };
+fn check_small_search(number: u64, estimator: &str, dampings: &[f64]) {
+    let file = random_device(number);
+    let question = Question { estimators: vec![estimator_of(estimator)], ..question(&file, 5_000.0) };
     let (found, tried) = none_is_stiffer(&question, dampings, &[1.06]);
     assert!(tried >= 5, "{tried}");
     // The result must also meet the ripple limit on devices that differ from their file by the margins.
@@ -103,16 +103,16 @@ fn small(number: u64, estimator: &str, dampings: &[f64]) {
 
 #[test]
 fn no_wall_on_a_rigid_device_is_stiffer_than_the_result() {
-    small(0, "first-order", &[0.6, 1.0, 1.7]);
+    check_small_search(0, "first-order", &[0.6, 1.0, 1.7]);
 }
 
 #[test]
 fn no_wall_on_a_cable_device_is_stiffer_than_the_result() {
-    small(5, "backward-difference", &[0.5, 0.7, 1.0, 1.4, 2.0]);
+    check_small_search(5, "backward-difference", &[0.5, 0.7, 1.0, 1.4, 2.0]);
 }
 
 /// Counts how often a mass that a hand pushes leaves a wall, a spring and damper that cannot pull.
-fn rebounds(mass: f64, stiffness: f64, damping: f64) -> usize {
+fn count_rebounds(mass: f64, stiffness: f64, damping: f64) -> usize {
     let (mut x, mut v, mut inside, mut left) = (0.0, -0.2, false, 0);
     let h = 1e-6;
     for _ in 0..300_000 {
@@ -127,7 +127,7 @@ fn rebounds(mass: f64, stiffness: f64, damping: f64) -> usize {
 
 #[test]
 fn taps_rebound_like_a_mass_on_a_spring() {
-    let mut file = shipped("hapkit-paddle");
+    let mut file = shipped_device("hapkit-paddle");
     for joint in &mut file.description.joints {
         (joint.viscous, joint.coulomb) = (0.0, 0.0);
         joint.encoder.iter_mut().for_each(|encoder| encoder.counts_per_turn = 1e7);
@@ -139,10 +139,14 @@ fn taps_rebound_like_a_mass_on_a_spring() {
     for stiffness in [2_000.0_f64, 10_000.0] {
         for ratio in [0.02, 0.06, 0.13, 0.3, 0.8] {
             let damping = 2.0 * ratio * (stiffness * mass).sqrt();
-            let wall =
-                Settings { rate_hz: 20_000.0, ..wall(usual("backward-difference"), 500.0, (stiffness, damping)) };
-            let (found, known) =
-                (simulation.rebounds(&rendered(&wall)).unwrap().unwrap(), rebounds(mass, stiffness, damping));
+            let wall = Settings {
+                rate_hz: 20_000.0,
+                ..wall(estimator_of("backward-difference"), 500.0, (stiffness, damping))
+            };
+            let (found, known) = (
+                simulation.rebounds(&rendered_wall(&wall)).unwrap().unwrap(),
+                count_rebounds(mass, stiffness, damping),
+            );
             // The delay of half a carrier period reduces a small damping, so many rebounds may differ by one.
             let near = found.abs_diff(known) <= usize::from(known > 2);
             assert!(near, "{stiffness} N/m at {ratio} of critical damping: {found}, not {known}");
@@ -157,7 +161,7 @@ fn taps_rebound_like_a_mass_on_a_spring() {
     assert!(seen.contains(&0) && seen.contains(&1) && seen.len() > 3, "{seen:?}");
 }
 
-fn rendered(wall: &Settings) -> Rendered {
+fn rendered_wall(wall: &Settings) -> Rendered {
     Rendered {
         kind: wall.kind,
         cutoff_hz: wall.cutoff_hz,
@@ -173,8 +177,8 @@ fn rendered(wall: &Settings) -> Rendered {
 /// The stop flag is checked after every press or curve, so a stopped search ends within its first candidates.
 #[test]
 fn long_searches_end_at_the_next_press_after_ctrl_c() {
-    let file = drawn(0);
-    let question = Question { estimators: vec![usual("first-order")], ..question(&file, 5_000.0) };
+    let file = random_device(0);
+    let question = Question { estimators: vec![estimator_of("first-order")], ..question(&file, 5_000.0) };
     let comparison =
         Comparison { file: &file, q: &[0.0], normal: &[1.0], rate_hz: 1_000.0, cutoff_hz: 50.0, wall: (100.0, 1.0) };
     let ended = |work: &dyn Fn(&Sweep) -> Option<Failure>| {

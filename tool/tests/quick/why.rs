@@ -1,7 +1,7 @@
 //! The share that an effect takes from a boundary is computed from the same loop without the effect.
 
 use crate::common::prelude::*;
-use crate::common::{ideal_loop, rigid, svg_number};
+use crate::common::{ideal_loop, rigid_device, svg_number};
 use haptic_show::plot::paper::Paper;
 use haptic_show::plot::why::draw;
 use haptic_stability::analysis::flexible::{Flexible, Hand};
@@ -10,7 +10,7 @@ use haptic_stability::cores;
 use std::hint::black_box;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-fn soft_and_held() -> Linearised {
+fn soft_device_in_hand() -> Linearised {
     let give = Transmission { stiffness: 3.0, damping: 5e-4, motor_inertia: 2e-5, encoder_at: EncoderAt::Motor };
     let flexible = Flexible {
         transmissions: vec![Some(give), None],
@@ -19,18 +19,18 @@ fn soft_and_held() -> Linearised {
         normal: DVector::from_vec(vec![1.0]),
         ..Flexible::default()
     };
-    Linearised { flexible, ..rigid(&[3.0e-4, 4.0e-5, 4.0e-5, 1.1e-4], &[1e-3, 4e-4], &[0.1, 0.06], &[7.0, 5.0]) }
+    Linearised { flexible, ..rigid_device(&[3.0e-4, 4.0e-5, 4.0e-5, 1.1e-4], &[1e-3, 4e-4], &[0.1, 0.06], &[7.0, 5.0]) }
 }
 
-fn around(bandwidth_hz: f64) -> Loop {
+fn control_loop(bandwidth_hz: f64) -> Loop {
     let ideal = ideal_loop(1000.0, 0.5, LinearEstimator::Butterworth(50.0).over(2));
     Loop { drive: Drive::Current { bandwidth_hz }, ..ideal }
 }
 
 #[test]
 fn every_effect_is_compared_with_the_loop_without_it() {
-    let device = soft_and_held();
-    let around = around(500.0);
+    let device = soft_device_in_hand();
+    let around = control_loop(500.0);
     let found = why(&device, &around, &Sweep::quiet()).unwrap();
     let names: Vec<&str> = found.effects.iter().map(|without| without.effect).collect();
     let all = ["sampling", "delay", "drive", "filter", "difference", "compliance", "hand", "joint damping"];
@@ -64,7 +64,7 @@ fn every_effect_is_compared_with_the_loop_without_it() {
 
 #[test]
 fn a_rigid_ideal_loop_has_only_sampling_and_a_filter() {
-    let mut device = soft_and_held().undamped();
+    let mut device = soft_device_in_hand().undamped();
     device.flexible = Flexible::default();
     let around = ideal_loop(1000.0, 0.0, LinearEstimator::Butterworth(50.0));
     let found = why(&device, &around, &Sweep::quiet()).unwrap();
@@ -93,8 +93,8 @@ fn results_of_several_cores_are_in_order() {
 
 #[test]
 fn every_text_lies_within_the_picture() {
-    let around = around(6400.0);
-    let found = why(&soft_and_held(), &around, &Sweep::quiet()).unwrap();
+    let around = control_loop(6400.0);
+    let found = why(&soft_device_in_hand(), &around, &Sweep::quiet()).unwrap();
     let picture = draw("a device", &["pose".into(), "loop".into()], &found, Paper::default());
     let svg = picture.svg();
     let value = |line: &str, key: &str| svg_number(line, key).unwrap_or_else(|| panic!("{key}: {line}"));

@@ -33,7 +33,7 @@ pub struct Block {
 }
 
 impl Block {
-    fn kind(info: &str) -> Result<Kind, String> {
+    fn parse_kind(info: &str) -> Result<Kind, String> {
         let reasoned = |kind: Kind, reason: &str| match reason.split_whitespace().count() {
             0..=2 => Err(format!("`{info}` has no reason: write one of at least three words")),
             _ => Ok(kind),
@@ -89,7 +89,7 @@ fn parse(name: &str, text: &str) -> Result<Vec<Block>, String> {
         match (line.trim_start().strip_prefix("```"), open.take()) {
             (Some(""), Some(block)) => blocks.push(block),
             (Some(info), None) => {
-                let kind = Block::kind(info).map_err(|error| format!("{place}: {error}"))?;
+                let kind = Block::parse_kind(info).map_err(|error| format!("{place}: {error}"))?;
                 open = Some(Block { place, kind, lines: Vec::new() });
             }
             (None, Some(mut block)) => {

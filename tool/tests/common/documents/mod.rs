@@ -13,7 +13,7 @@ pub mod tables;
 use blocks::{Block, Kind, blocks, documents};
 
 /// Runs the `chosen` blocks of all documents and returns their number. Fails with a list of all errors.
-pub fn all(chosen: fn(&Kind) -> bool, mut run: impl FnMut(&Block) -> Result<(), String>) -> usize {
+pub fn run_blocks(chosen: fn(&Kind) -> bool, mut run: impl FnMut(&Block) -> Result<(), String>) -> usize {
     let (mut wrong, mut count) = (Vec::new(), 0);
     for path in documents() {
         match blocks(&path) {

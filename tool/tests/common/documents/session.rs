@@ -18,13 +18,13 @@ use std::time::{Duration, Instant};
 
 const TOOL: &str = env!("CARGO_BIN_EXE_haptic");
 /// Command that runs the tool in a checkout, as the documents write it.
-const IN_A_CHECKOUT: &str = "cargo run --release --package haptic --";
+const TOOL_IN_CHECKOUT: &str = "cargo run --release --package haptic --";
 
 /// Runs the commands of one block; each may take at most `patience`.
 pub fn run(block: &Block, patience: Duration) -> Result<(), String> {
     let mut session = Session::new(block.kind == Kind::Board, patience);
     for command in block.commands() {
-        session.enter(&command).map_err(|error| format!("{}: `{command}`: {error}", block.place))?;
+        session.run_line(&command).map_err(|error| format!("{}: `{command}`: {error}", block.place))?;
     }
     session.end().map_err(|error| format!("{}: {error}", block.place))
 }
@@ -40,10 +40,10 @@ pub fn check(block: &Block) -> Result<(), String> {
         check.arg(root().join("devices/coupled-five-bar.toml"));
     }
     let output = check.arg(&file).output().unwrap();
-    if output.status.success() { Ok(()) } else { Err(format!("{}: {}", block.place, text(&output.stderr))) }
+    if output.status.success() { Ok(()) } else { Err(format!("{}: {}", block.place, lossy_text(&output.stderr))) }
 }
 
-fn text(bytes: &[u8]) -> String {
+fn lossy_text(bytes: &[u8]) -> String {
     String::from_utf8_lossy(bytes).into_owned()
 }
 
@@ -59,22 +59,22 @@ struct Session {
 impl Session {
     fn new(board: bool, patience: Duration) -> Self {
         let place = tempfile::tempdir().unwrap();
-        copy(&root().join("devices"), &place.path().join("devices"));
+        copy_folder(&root().join("devices"), &place.path().join("devices"));
         fs::create_dir(place.path().join("bin")).unwrap();
         std::os::unix::fs::symlink(TOOL, place.path().join("bin/haptic")).unwrap();
         let path = format!("{}:{}", place.path().join("bin").display(), std::env::var("PATH").unwrap());
         let (environment, port) = (vec![("PATH".into(), path)], "7710".into());
         let mut session = Self { place, environment, servers: Vec::new(), port, patience };
         if board {
-            session.own_files();
-            session.serve("haptic sim --strict --tcp 7710 my-device.toml").unwrap();
+            session.write_own_files();
+            session.start_server("haptic sim --strict --tcp 7710 my-device.toml").unwrap();
             session.environment.push(("HAPTIC_PORT".into(), format!("tcp:127.0.0.1:{}", session.port)));
         }
         session
     }
 
     /// Writes my-device.toml, a verified shipped device, and my-scene.toml, a scene for it.
-    fn own_files(&self) {
+    fn write_own_files(&self) {
         let shipped = fs::read_to_string(self.place.path().join("devices/coupled-five-bar.toml")).unwrap();
         let own = shipped.replace("\n[joint.motor]\n", "\n[joint.motor]\nverified = true\n");
         let own = own.replace("\n[[joint]]\n", "\n[[joint]]\nlimits = [-3.14, 3.14]\n");
@@ -84,10 +84,10 @@ impl Session {
         fs::copy(scene, self.place.path().join("my-scene.toml")).unwrap();
     }
 
-    fn enter(&mut self, line: &str) -> Result<(), String> {
-        let line = line.replace(IN_A_CHECKOUT, "haptic");
+    fn run_line(&mut self, line: &str) -> Result<(), String> {
+        let line = line.replace(TOOL_IN_CHECKOUT, "haptic");
         if line.starts_with("haptic sim") || line.starts_with("cargo xtask board") {
-            return self.serve(line.split_once(" #").map_or(&line, |(command, _)| command));
+            return self.start_server(line.split_once(" #").map_or(&line, |(command, _)| command));
         }
         let line = line.replace("7710", &self.port);
         let (command, comment) = line.split_once(" #").unwrap_or((&line, ""));
@@ -105,7 +105,7 @@ impl Session {
         if let Some((master, _)) = &mut terminal {
             master.write_all(b"y\n").unwrap();
         }
-        let said = [listen(child.stdout.take().unwrap()), listen(child.stderr.take().unwrap())];
+        let said = [read_in_background(child.stdout.take().unwrap()), read_in_background(child.stderr.take().unwrap())];
         if comment.contains("Ctrl-C") {
             let begun = Instant::now();
             while !handles_interrupts(&mut child) && begun.elapsed() < self.patience {
@@ -114,7 +114,7 @@ impl Session {
             sleep(Duration::from_secs(1));
             interrupt(&child);
         }
-        let status = wait(&mut child, self.patience)?;
+        let status = wait_for_exit(&mut child, self.patience)?;
         let said = said.map(|said| said.join().unwrap()).concat();
         if status != Some(0) {
             return Err(format!("exit code {status:?}, output:\n{said}"));
@@ -141,20 +141,20 @@ impl Session {
     }
 
     /// Starts a server and waits until it prints its port.
-    fn serve(&mut self, command: &str) -> Result<(), String> {
+    fn start_server(&mut self, command: &str) -> Result<(), String> {
         let mut child = self.shell(&command.replace("7710", "0")).stdout(Stdio::piped()).spawn().unwrap();
         let mut output = BufReader::new(child.stdout.take().unwrap());
         let mut said = String::new();
         while !said.contains("tcp:") && !said.contains("/dev/") {
             if output.read_line(&mut said).unwrap_or(0) == 0 {
-                let status = wait(&mut child, self.patience)?;
+                let status = wait_for_exit(&mut child, self.patience)?;
                 return Err(format!("ended with exit code {status:?} before it printed its port, output:\n{said}"));
             }
         }
         if let Some((_, port)) = said.split_once("tcp:127.0.0.1:") {
             self.port = port.chars().take_while(char::is_ascii_digit).collect();
         }
-        listen(output);
+        read_in_background(output);
         self.servers.push((command.into(), child));
         Ok(())
     }
@@ -163,7 +163,7 @@ impl Session {
     fn end(mut self) -> Result<(), String> {
         for (command, mut child) in std::mem::take(&mut self.servers) {
             interrupt(&child);
-            let status = wait(&mut child, self.patience)?;
+            let status = wait_for_exit(&mut child, self.patience)?;
             if status != Some(0) && command.starts_with("haptic") {
                 return Err(format!("`{command}` ended with exit code {status:?}"));
             }
@@ -175,19 +175,19 @@ impl Session {
 impl Drop for Session {
     fn drop(&mut self) {
         for (_, child) in &mut self.servers {
-            signal(child, "KILL");
+            send_signal(child, "KILL");
             let _ = child.wait();
         }
     }
 }
 
 /// Sends a signal to a command and its children, as a terminal does.
-fn signal(child: &Child, name: &str) {
+fn send_signal(child: &Child, name: &str) {
     let _ = Command::new("sh").args(["-c", &format!("kill -{name} -{}", child.id())]).status();
 }
 
 fn interrupt(child: &Child) {
-    signal(child, "INT");
+    send_signal(child, "INT");
 }
 
 /// Returns true if a command handles interrupts or has ended, or if the system has no such information.
@@ -199,7 +199,7 @@ fn handles_interrupts(child: &mut Child) -> bool {
     caught.is_none_or(|mask| mask & 2 != 0) || child.try_wait().unwrap().is_some()
 }
 
-fn wait(child: &mut Child, patience: Duration) -> Result<Option<i32>, String> {
+fn wait_for_exit(child: &mut Child, patience: Duration) -> Result<Option<i32>, String> {
     let begun = Instant::now();
     while begun.elapsed() < patience {
         if let Some(status) = child.try_wait().unwrap() {
@@ -207,26 +207,26 @@ fn wait(child: &mut Child, patience: Duration) -> Result<Option<i32>, String> {
         }
         sleep(Duration::from_millis(10));
     }
-    signal(child, "KILL");
+    send_signal(child, "KILL");
     let _ = child.wait();
     Err(format!("did not end within {} s", patience.as_secs()))
 }
 
 /// Reads all output in another thread, so that the writer never blocks.
-fn listen(mut output: impl Read + Send + 'static) -> std::thread::JoinHandle<String> {
+fn read_in_background(mut output: impl Read + Send + 'static) -> std::thread::JoinHandle<String> {
     spawn(move || {
         let mut bytes = Vec::new();
         let _ = output.read_to_end(&mut bytes);
-        text(&bytes)
+        lossy_text(&bytes)
     })
 }
 
-fn copy(from: &Path, to: &Path) {
+fn copy_folder(from: &Path, to: &Path) {
     fs::create_dir_all(to).unwrap();
     for entry in fs::read_dir(from).unwrap().map(Result::unwrap) {
         let target = to.join(entry.file_name());
         if entry.path().is_dir() {
-            copy(&entry.path(), &target);
+            copy_folder(&entry.path(), &target);
         } else {
             fs::copy(entry.path(), target).unwrap();
         }

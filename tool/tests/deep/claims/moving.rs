@@ -1,24 +1,24 @@
 //! The sampled loop linearised about a motion: pose and speed are frozen at one instant, and each law's torque is
 //! differentiated by joint angles and by the *estimated* joint velocities.
 
-use super::unit;
+use super::unit_vector;
 use haptic_bridge::math::Libm;
 use haptic_bridge::model::mechanism::{FiveBar, Mechanism};
 use haptic_bridge::render::scene::VelocityTerms;
 use nalgebra::{DMatrix, DVector, Matrix2, Vector2};
 
 /// A rendering law at a pose with the wall's normal; the law `None` renders Jᵀ f.
-pub struct Moving {
+pub struct SlidingLoop {
     pub mechanism: FiveBar<f64>,
     pub q: [f64; 2],
     pub normal: f64,
     pub law: Option<VelocityTerms>,
 }
 
-impl Moving {
+impl SlidingLoop {
     fn torque(&self, q: &Vector2<f64>, qd: &Vector2<f64>, force: f64) -> Vector2<f64> {
         let (m, pose) = (&self.mechanism, self.mechanism.pose::<Libm>(q));
-        let n = unit(self.normal);
+        let n = unit_vector(self.normal);
         let Some(terms) = self.law else { return m.transpose(&pose, &n) * force };
         let e = m.inverse(&pose, &n);
         let me = m.mass(&pose) * e;
@@ -32,10 +32,10 @@ impl Moving {
 
     /// Returns the loop's matrix over one sample at a speed along the wall (m/s). States: joint angles and speeds,
     /// last angles, and two filter states each for the wall's and the joints' velocities.
-    fn matrix(&self, speed: f64, kp: f64, kd: f64, rate: f64, cutoff: f64) -> DMatrix<f64> {
+    fn loop_matrix(&self, speed: f64, kp: f64, kd: f64, rate: f64, cutoff: f64) -> DMatrix<f64> {
         const H: f64 = 1.0e-5;
         let m = &self.mechanism;
-        let (q0, n, t) = (Vector2::from(self.q), unit(self.normal), unit(self.normal + 90.0));
+        let (q0, n, t) = (Vector2::from(self.q), unit_vector(self.normal), unit_vector(self.normal + 90.0));
         let pose = m.pose::<Libm>(&q0);
         let qd0 = m.inverse(&pose, &(t * speed));
         let by = |f: &dyn Fn(&Vector2<f64>) -> Vector2<f64>, at: &Vector2<f64>| {
@@ -105,19 +105,22 @@ impl Moving {
     }
 
     /// Returns true if an oscillation faster than 8 Hz grows. Slower modes describe the turning direction of motion.
-    fn grows(&self, speed: f64, kp: f64, kd: f64, rate: f64, cutoff: f64) -> bool {
+    fn has_growing_mode(&self, speed: f64, kp: f64, kd: f64, rate: f64, cutoff: f64) -> bool {
         let fast = 8.0 * std::f64::consts::TAU / rate;
-        let modes = self.matrix(speed, kp, kd, rate, cutoff).complex_eigenvalues();
+        let modes = self.loop_matrix(speed, kp, kd, rate, cutoff).complex_eigenvalues();
         modes.iter().any(|z| z.arg().abs() > fast && z.norm() > 1.0)
     }
 
     /// Returns the stiffness at which an oscillation begins to grow, N/m. `low` must be stable and `high` must not.
-    pub fn stiffest(&self, speed: f64, kd: f64, (low, high): (f64, f64), rate: f64, cutoff: f64) -> f64 {
-        assert!(!self.grows(speed, low, kd, rate, cutoff) && self.grows(speed, high, kd, rate, cutoff));
+    pub fn stability_limit(&self, speed: f64, kd: f64, (low, high): (f64, f64), rate: f64, cutoff: f64) -> f64 {
+        assert!(
+            !self.has_growing_mode(speed, low, kd, rate, cutoff)
+                && self.has_growing_mode(speed, high, kd, rate, cutoff)
+        );
         let (mut low, mut high) = (low, high);
         for _ in 0..40 {
             let middle = 0.5 * (low + high);
-            if self.grows(speed, middle, kd, rate, cutoff) { high = middle } else { low = middle }
+            if self.has_growing_mode(speed, middle, kd, rate, cutoff) { high = middle } else { low = middle }
         }
         low
     }

@@ -1,6 +1,6 @@
 //! The tool draws the pictures in docs/drawings/ and docs/results/.
 
-use crate::common::{Folder, files, read, root, shipped, type_lines};
+use crate::common::{Folder, read, root, shipped_device, toml_files, type_lines};
 use haptic_bridge::model::admissible::Admissible;
 use haptic_show::plot::coupling::draw;
 use haptic_show::plot::paper::Paper;
@@ -8,7 +8,7 @@ use haptic_stability::analysis::pose::TaskPose;
 use haptic_stability::skeleton::{Turret, skeleton};
 
 /// Runs a command that draws a published picture, but into a temporary folder, and compares the two pictures.
-fn compare(line: &str, published: &str) {
+fn compare_picture(line: &str, published: &str) {
     let folder = Folder::new();
     let drawn = folder.path("drawn");
     type_lines(&line.replace(published, &drawn), &[]);
@@ -27,7 +27,7 @@ fn the_pictures_of_the_documents_are_drawn_by_their_commands() {
         ("capstan-pantograph", "capstan-pantograph"),
     ] {
         let drawing = format!("docs/drawings/{drawing}.svg");
-        compare(&format!("check devices/{device}.toml --svg {drawing}"), &drawing);
+        compare_picture(&format!("check devices/{device}.toml --svg {drawing}"), &drawing);
     }
     // The other two pictures show the coupling (next test) and a board (emulator/tests/emulated/drawing.rs).
     assert_eq!(std::fs::read_dir(root().join("docs/drawings")).unwrap().count(), 8);
@@ -43,7 +43,7 @@ fn the_pictures_of_the_documents_are_drawn_by_their_commands() {
     for line in maps.into_iter().chain([demo, host]) {
         let line = line.strip_prefix("haptic ").unwrap().replace(" --force", "");
         let picture = line.split(' ').find(|word| word.starts_with("docs/results/")).unwrap();
-        compare(&line, picture);
+        compare_picture(&line, picture);
     }
 }
 
@@ -54,7 +54,7 @@ fn the_coupling_picture_is_drawn_by_its_command() {
         "haptic design devices/coupled-five-bar.toml --q 2.6,1.75 --normal 0.94,-0.34 --points 300 --svg coupling.svg";
     let page = read("docs/design.md");
     assert!(page.contains(line) && page.contains("(drawings/coupling.svg)"));
-    let device = shipped("coupled-five-bar");
+    let device = shipped_device("coupled-five-bar");
     let size = 0.94_f64.hypot(-0.34);
     let normal = [0.94 / size, -0.34 / size];
     let drawn = draw(&device.description, &device.name, &[2.6, 1.75], &normal, Admissible::default(), Paper::default());
@@ -63,7 +63,7 @@ fn the_coupling_picture_is_drawn_by_its_command() {
 }
 
 /// Returns the numbers after `key`.
-fn numbers(text: &str, key: &str) -> Vec<f64> {
+fn numbers_after(text: &str, key: &str) -> Vec<f64> {
     let value = text.split_once(key).unwrap_or_else(|| panic!("{key} in {text}")).1.split('"').next().unwrap();
     let words = value.split(|c: char| c.is_whitespace() || c.is_alphabetic()).filter(|word| !word.is_empty());
     words.map(|word| word.parse().unwrap()).collect()
@@ -74,18 +74,19 @@ fn the_drawing_of_a_device_contains_its_whole_reach() {
     let folder = Folder::new();
     let drawn = folder.path("drawn.svg");
     let mut grounds = 0;
-    for entry in files("") {
+    for entry in toml_files("") {
         type_lines(&format!("check {} --force --svg {drawn}", entry.display()), &[]);
         let svg = std::fs::read_to_string(&drawn).unwrap();
         let Some(ground) = svg.lines().find(|line| line.starts_with("<path transform")) else { continue };
         grounds += 1;
         let clip = svg.lines().find(|line| line.starts_with("<clipPath")).unwrap();
-        let [x, y, width, height] = [" x=\"", " y=\"", " width=\"", " height=\""].map(|key| numbers(clip, key)[0]);
+        let [x, y, width, height] =
+            [" x=\"", " y=\"", " width=\"", " height=\""].map(|key| numbers_after(clip, key)[0]);
         // Coordinates are steps in tenths of a pixel. Each outline starts relative to the start of the previous one.
         let path = ground.split_once(" d=\"").unwrap().1.split('"').next().unwrap();
         let mut began = [0.0, 0.0];
         for outline in path.split('z').filter(|outline| !outline.is_empty()) {
-            let steps = numbers(&format!("d=\"{outline}\""), "d=\"");
+            let steps = numbers_after(&format!("d=\"{outline}\""), "d=\"");
             let mut pen = began;
             for (index, step) in steps.chunks_exact(2).enumerate() {
                 pen = [pen[0] + step[0] / 10.0, pen[1] + step[1] / 10.0];
@@ -103,7 +104,7 @@ fn the_drawing_of_a_device_contains_its_whole_reach() {
 #[test]
 fn every_drawn_tip_is_at_the_models_position() {
     for name in ["pantograph-mk2", "fictive-five-bar-turret", "phantom-premium-1.5", "serial-3r", "coupled-five-bar"] {
-        let description = shipped(name).description;
+        let description = shipped_device(name).description;
         let mut seen = 0;
         for i in 0..200 {
             let angle = |step: f64| (f64::from(i) * step).sin() * 3.0;

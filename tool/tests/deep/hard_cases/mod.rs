@@ -23,8 +23,8 @@ use rows::singular::{Random, Target};
 use rows::{FILTERS, SINGULAR};
 use std::sync::LazyLock;
 
-static SLIDING: LazyLock<Vec<sliding::Row>> = LazyLock::new(sliding::all);
-static SATURATED: LazyLock<Vec<saturated::Row>> = LazyLock::new(saturated::all);
+static SLIDING: LazyLock<Vec<sliding::Row>> = LazyLock::new(sliding::all_rows);
+static SATURATED: LazyLock<Vec<saturated::Row>> = LazyLock::new(saturated::all_rows);
 
 /// A shipped device of every mechanism with more than one direction.
 const MECHANISMS: [(&str, &str); 4] = [
@@ -67,7 +67,7 @@ fn the_analysis_of_equation_4_keeps_five_digits_everywhere() {
 }
 
 #[test]
-fn in_106_bits_all_routes_agree() {
+fn all_formulas_agree_in_106_bits() {
     // Closer than 1e-6 the closed form clamps its reciprocals on purpose.
     let rows: Vec<_> = SINGULAR.iter().filter(|row| row.regularity > 2e-6).collect();
     assert!(rows.len() >= 54, "all but the five-bar's last elbow rows: {}", rows.len());
@@ -84,7 +84,7 @@ fn in_106_bits_both_forms_of_a_filter_agree() {
 }
 
 #[test]
-fn encoder_steps_cost_velocity_terms_more_than_f32() {
+fn encoder_steps_cause_larger_errors_than_f32() {
     assert_eq!(SLIDING.len(), 12, "four mechanisms, three laws");
     for row in &*SLIDING {
         assert!(row.rounding < 1e-5, "{row:?}");
@@ -117,13 +117,13 @@ fn motors_at_their_limit_push_along_the_normal_only() {
 
 /// Largest ratio between a number in a table and the computed number. Errors are maxima over random poses in one digit.
 /// A change that only rounds differently changes the errors by a smaller factor.
-const SAME: f64 = 4.0;
+const MAX_RATIO: f64 = 4.0;
 
-/// Returns true if two words of a table are equal, or numbers within a factor of [`SAME`] ("lost" is above a half).
-fn same(shown: &str, computed: &str) -> bool {
+/// Returns true if two words of a table are equal, or numbers within a factor of [`MAX_RATIO`] ("lost" is above a half).
+fn is_same(shown: &str, computed: &str) -> bool {
     let number = |text: &str| if text == "lost" { Some(1.0) } else { text.parse::<f64>().ok() };
     match (number(shown), number(computed)) {
-        (Some(a), Some(b)) => a == b || (a > 0.0 && b > 0.0 && a < SAME * b && b < SAME * a),
+        (Some(a), Some(b)) => a == b || (a > 0.0 && b > 0.0 && a < MAX_RATIO * b && b < MAX_RATIO * a),
         _ => shown == computed,
     }
 }
@@ -131,13 +131,13 @@ fn same(shown: &str, computed: &str) -> bool {
 /// `UPDATE_DOCS=1 cargo xtask test --deep hard_cases` updates the tables in docs/hard-cases/.
 #[test]
 fn the_tables_hold_the_computed_errors() {
-    for (name, computed) in tables::all() {
+    for (name, computed) in tables::all_tables() {
         let path = format!("docs/hard-cases/{name}.csv");
         let kept = document(&path, &computed);
         assert_eq!(kept.lines().count(), computed.lines().count(), "{path}");
         for (number, (shown, computed)) in kept.lines().zip(computed.lines()).enumerate() {
             let [a, b] = [shown, computed].map(|line| line.split([' ', ',']).collect::<Vec<_>>());
-            let agree = a.len() == b.len() && a.iter().zip(&b).all(|(a, b)| same(a, b));
+            let agree = a.len() == b.len() && a.iter().zip(&b).all(|(a, b)| is_same(a, b));
             assert!(agree, "line {} of {path}:\n{shown}\n{computed}", number + 1);
         }
     }

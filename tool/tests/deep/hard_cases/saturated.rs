@@ -3,7 +3,7 @@
 
 use super::rows::singular::Random;
 use crate::common::prelude::*;
-use crate::common::shipped;
+use crate::common::shipped_device;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::safety::limits::Limits;
 use haptic_sim::{Press, PressedBoard, WIDE_LIMITS};
@@ -27,7 +27,12 @@ pub struct Row {
     pub across: f64,
 }
 
-fn row<M: Mechanism<f64, N>, const N: usize>(m: M, name: &'static str, device: &Description, sines: [f64; 2]) -> Row {
+fn row_of<M: Mechanism<f64, N>, const N: usize>(
+    m: M,
+    name: &'static str,
+    device: &Description,
+    sines: [f64; 2],
+) -> Row {
     let mut random = Random(23);
     let mut row = Row { device: name, sines, beyond: 0.0, along: [0.0; 2], across: 0.0 };
     let mut poses = 0;
@@ -83,11 +88,11 @@ fn row<M: Mechanism<f64, N>, const N: usize>(m: M, name: &'static str, device: &
 
 /// Returns the rows of every mechanism with more than one direction: far from singularities, and near an elbow's
 /// singularity, where the feed-forward begins to fade.
-pub fn all() -> Vec<Row> {
+pub fn all_rows() -> Vec<Row> {
     super::MECHANISMS
     .into_iter()
     .flat_map(|(name, file)| {
-        let mut device = shipped(file).description;
+        let mut device = shipped_device(file).description;
         for joint in &mut device.joints {
             if let Some(motor) = &mut joint.motor {
                 // Only the torque limit acts.
@@ -95,7 +100,7 @@ pub fn all() -> Vec<Row> {
             }
         }
         let mechanism = AnyMechanism::<f64>::new(&device).expect("a shipped device is sound");
-        haptic_bridge::with_mechanism!(mechanism, m => [[0.3, 1.1], [0.05, 0.1]].map(|sines| row(m, name, &device, sines)))
+        haptic_bridge::with_mechanism!(mechanism, m => [[0.3, 1.1], [0.05, 0.1]].map(|sines| row_of(m, name, &device, sines)))
     })
     .collect()
 }

@@ -8,18 +8,18 @@ use super::rows::routes::inverse;
 use super::rows::singular::{Random, cast};
 use super::rows::steps::{RATE, controller, encoded, scene, three};
 use crate::common::prelude::*;
-use crate::common::shipped;
+use crate::common::shipped_device;
 use haptic_bridge::control::compiled::BoardMath;
 use nalgebra::{SMatrix, SVector};
 
 /// Counts per turn: as on many shipped devices, and as in the other tables.
-pub const COUNTS: [f64; 2] = [20_000.0, 1_048_576.0];
+pub const COUNTS_PER_TURN: [f64; 2] = [20_000.0, 1_048_576.0];
 /// Speed of the tip along the wall, m/s.
-const SPEED: f64 = 0.5;
+const SLIDING_SPEED: f64 = 0.5;
 /// Runs per row.
 const RUNS: usize = 10;
 /// Control steps until the estimator has settled.
-const SETTLED: u32 = 600;
+const SETTLING_STEPS: u32 = 600;
 /// Control steps of a run. The last 20 ms are compared.
 const STEPS: u32 = 1_000;
 
@@ -32,7 +32,7 @@ pub struct Row {
     pub size: f64,
     /// Error of f32 against f64 with the same counts, as a share of the largest torque.
     pub rounding: f64,
-    /// Error of f32 against true angles and velocities for each of [`COUNTS`], as a share of the largest torque.
+    /// Error of f32 against true angles and velocities for each of [`COUNTS_PER_TURN`], as a share of the largest torque.
     pub estimated: [f64; 2],
 }
 
@@ -71,7 +71,7 @@ fn exact_torques<M: Mechanism<DoubleDouble, N>, const N: usize>(
     }
 }
 
-fn row<A, B, C, const N: usize>(
+fn row_of<A, B, C, const N: usize>(
     (double, board, reference): (A, B, C),
     name: &'static str,
     device: &Description,
@@ -96,7 +96,7 @@ where
         }
         let n: SVector<f64, N> = cast(&cast::<f64, f32, N>(&(n / n.norm())));
         t -= n * n.dot(&t);
-        let qd = double.inverse(&pose, &(t / t.norm() * SPEED));
+        let qd = double.inverse(&pose, &(t / t.norm() * SLIDING_SPEED));
         // The feed-forward acts in full along the complete path.
         let regular = |k: u32| {
             let q = start + qd * (f64::from(STEPS) / RATE * f64::from(k) / 10.0);
@@ -109,7 +109,7 @@ where
         runs += 1;
         // 1 m deep in a wall of 5 N/m: the force hardly changes, and rounding hardly changes the depth.
         let surface = double.tip(&pose) + n;
-        for (index, counts_per_turn) in COUNTS.into_iter().enumerate() {
+        for (index, counts_per_turn) in COUNTS_PER_TURN.into_iter().enumerate() {
             let mut device = encoded(device);
             for joint in &mut device.joints {
                 joint.encoder.as_mut().expect("every joint has an encoder").counts_per_turn = counts_per_turn;
@@ -129,7 +129,7 @@ where
                 let counts = q.map(|x| (x / std::f64::consts::TAU * counts_per_turn).round() as i32).into();
                 let (a, b) = (exact.step(&counts), found.step(&counts));
                 let torque: SVector<f64, N> = cast(&b.torque);
-                if step < SETTLED || step % 40 != 0 {
+                if step < SETTLING_STEPS || step % 40 != 0 {
                     continue;
                 }
                 let place = double.tip(&double.pose::<Libm>(&q));
@@ -150,14 +150,14 @@ where
 }
 
 /// Returns the rows of every mechanism with more than one direction, for every choice of velocity terms.
-pub fn all() -> Vec<Row> {
+pub fn all_rows() -> Vec<Row> {
     super::MECHANISMS
     .into_iter()
     .flat_map(|(name, file)| {
         // The weight would add the same torque on both sides.
-        let mut device = encoded(&shipped(file).description);
+        let mut device = encoded(&shipped_device(file).description);
         device.gravity = [0.0; 3];
-        in_three_precisions!(&device, (a, b, c) => VelocityTerms::ALL.map(|(_, terms)| row((a, b, c), name, &device, terms)))
+        in_three_precisions!(&device, (a, b, c) => VelocityTerms::ALL.map(|(_, terms)| row_of((a, b, c), name, &device, terms)))
     })
     .collect()
 }

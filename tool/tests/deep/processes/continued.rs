@@ -1,9 +1,9 @@
 //! Long computations that are interrupted anywhere continue from their file to the same result, bit for bit.
 
 use crate::common::prelude::*;
-use crate::common::sim::until;
+use crate::common::sim::wait_until;
 use crate::common::tuned::question;
-use crate::common::{file, haptic, ideal_loop, shipped, signal};
+use crate::common::{haptic, ideal_loop, send_signal, shipped_device, shipped_path};
 use haptic_host::error::Failure;
 use haptic_predict::bench::estimators::{Comparison, compare};
 use haptic_predict::design::place::places;
@@ -39,37 +39,37 @@ fn check_interrupted<R: Debug>(at_least: usize, step: usize, ask: impl Fn(&Sweep
 }
 
 #[test]
-fn a_map() {
-    let arm = shipped("serial-3r");
+fn an_interrupted_map_continues() {
+    let arm = shipped_device("serial-3r");
     check_interrupted(3, 20, |sweep| map_swept(&arm.description, &[0.6, 0.8], 20_000, Admissible::default(), sweep));
 }
 
 #[test]
-fn a_comparison_of_estimators() {
-    let file = shipped("hapkit-paddle");
+fn an_interrupted_comparison_continues() {
+    let file = shipped_device("hapkit-paddle");
     let comparison =
         Comparison { file: &file, q: &[0.1], normal: &[1.0], rate_hz: 1_000.0, cutoff_hz: 50.0, wall: (100.0, 1.0) };
     check_interrupted(2, 900, |sweep| compare(&comparison, sweep));
 }
 
 #[test]
-fn a_search_for_the_best_places() {
-    let file = shipped("haply-2diy");
+fn an_interrupted_search_for_places_continues() {
+    let file = shipped_device("haply-2diy");
     check_interrupted(2, 6, |sweep| {
         places(&file.description, Some(&[0.6, 0.8]), 0.0, 0.4, 300, Admissible::default(), sweep)
     });
 }
 
 #[test]
-fn a_search_for_the_best_settings() {
-    let file = shipped("hapkit-paddle");
+fn an_interrupted_search_for_settings_continues() {
+    let file = shipped_device("hapkit-paddle");
     let question = Question { q: vec![0.1], board_ripple_n: Some(0.1), ..question(&file, 1_000.0) };
     check_interrupted(1, 1_000, |sweep| tune(&question, sweep));
 }
 
 #[test]
-fn a_range_with_its_ripple_and_its_reasons() {
-    let file = shipped("coupled-five-bar");
+fn an_interrupted_range_continues() {
+    let file = shipped_device("coupled-five-bar");
     let (q, normal) = (vec![2.6, 1.75], vec![0.6, 0.8]);
     let hand = Hand { mass: 0.1, damping: 3.0, stiffness: 200.0 };
     let device = Linearised::at(&file.description, &q, &normal).unwrap().held(hand);
@@ -88,7 +88,7 @@ fn ctrl_c_stops_a_command_and_the_same_line_continues_it() {
     use std::process::Stdio;
     let folder = tempfile::tempdir().unwrap();
     let kept = folder.path().join("map.json");
-    let device = file("coupled-five-bar.toml");
+    let device = shipped_path("coupled-five-bar.toml");
     let line = ["map", &device, "--normal", "0.6,0.8", "--points", "400000", "--json"];
     let whole = haptic(&line).output().unwrap().stdout;
     let line = [&line[..], &["--continue", kept.to_str().unwrap()]].concat();
@@ -98,8 +98,8 @@ fn ctrl_c_stops_a_command_and_the_same_line_continues_it() {
         .stderr(Stdio::piped())
         .spawn()
         .unwrap();
-    until("the file", || kept.exists());
-    signal(&child, "INT");
+    wait_until("the file", || kept.exists());
+    send_signal(&child, "INT");
     let mut text = String::new();
     std::io::Read::read_to_string(&mut child.stderr.take().unwrap(), &mut text).unwrap();
     assert_eq!(child.wait().unwrap().code(), Some(1), "{text}");

@@ -72,13 +72,13 @@ fn the_command_prints_its_table_and_draws_its_picture() {
         assert!(picture.contains(line), "{line}");
     }
     for (what, worse) in [("penetration, mm", "deeper penetration"), ("peak force, N", "higher peak force")] {
-        let [without, with] = *numbers(&said, what) else { panic!("{what}") };
+        let [without, with] = *row_numbers(&said, what) else { panic!("{what}") };
         assert_eq!(said.contains(worse), with > without * 1.005, "{worse}: {without}, {with}");
     }
 }
 
 /// Returns the numbers in the table's row that begins with `row`.
-fn numbers(said: &str, row: &str) -> Vec<f64> {
+fn row_numbers(said: &str, row: &str) -> Vec<f64> {
     let line = said.lines().find_map(|line| line.trim_start().strip_prefix(row)).unwrap();
     line.split_whitespace().filter_map(|word| word.parse().ok()).collect()
 }
@@ -92,7 +92,7 @@ fn the_printed_lines_compute_the_printed_numbers() {
     };
     // Numbers agree to the last printed digit.
     let agree = |row: &str, lines: [f64; 2], digits: f64| {
-        let printed = numbers(&said, row);
+        let printed = row_numbers(&said, row);
         for (printed, line) in printed.iter().zip(lines) {
             assert!((printed - line).abs() < 0.6 * digits, "{row}: {printed} is printed, the line computes {line}");
         }

@@ -1,9 +1,9 @@
 //! `haptic view` on a board that is unplugged and plugged in again, with a WebSocket instead of a browser.
 
 use crate::common::page::{Received, View};
-use crate::common::sim::{HANG, until};
+use crate::common::sim::{HANG_TIMEOUT, wait_until};
 use crate::common::socket::Socket;
-use crate::common::{file, haptic, type_lines};
+use crate::common::{haptic, shipped_path, type_lines};
 use serde_json::{Value, json};
 use std::io::ErrorKind;
 use std::net::TcpStream;
@@ -24,13 +24,13 @@ impl Page {
         let (socket, _) = tungstenite::client(format!("ws://{}/live", view.address()), stream).unwrap();
         socket.get_ref().set_read_timeout(Some(Duration::from_millis(20))).unwrap();
         let mut page = Self { socket, heard: Received::default(), holding: false };
-        page.take();
+        page.take_command();
         page
     }
 
-    fn take(&mut self) {
+    fn take_command(&mut self) {
         self.send(json!({"do": "take"}));
-        self.until("command", |heard| heard.you > 0 && heard.picture["command"] == heard.you);
+        self.wait_until("command", |heard| heard.you > 0 && heard.picture["command"] == heard.you);
     }
 
     fn send(&mut self, message: Value) {
@@ -43,7 +43,7 @@ impl Page {
             self.send(json!({"do": "hold", "seen": self.heard.step()}));
         }
         match self.socket.read() {
-            Ok(Message::Text(text)) => self.heard.text(&text),
+            Ok(Message::Text(text)) => self.heard.receive_text(&text),
             Ok(_) => {}
             Err(tungstenite::Error::Io(error))
                 if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut | ErrorKind::Interrupted) => {}
@@ -51,10 +51,10 @@ impl Page {
         }
     }
 
-    fn until(&mut self, what: &str, is_so: impl Fn(&Received) -> bool) {
+    fn wait_until(&mut self, what: &str, is_so: impl Fn(&Received) -> bool) {
         let began = Instant::now();
         while !is_so(&self.heard) {
-            assert!(began.elapsed() < HANG, "{what}: {}\n{:?}", self.heard.picture, self.heard.refused);
+            assert!(began.elapsed() < HANG_TIMEOUT, "{what}: {}\n{:?}", self.heard.picture, self.heard.refused);
             self.read();
         }
     }
@@ -64,7 +64,7 @@ impl Page {
         self.holding = true;
         let began = Instant::now();
         while self.heard.state() != "Armed" {
-            assert!(began.elapsed() < HANG, "{:?}", self.heard.refused);
+            assert!(began.elapsed() < HANG_TIMEOUT, "{:?}", self.heard.refused);
             if self.heard.picture["held"] == false {
                 self.send(json!({"do": "arm", "seen": self.heard.step()}));
             }
@@ -76,7 +76,7 @@ impl Page {
 /// A board that is switched off loses its scene unless it was saved.
 #[test]
 fn the_page_waits_for_a_lost_board_even_without_its_scene() {
-    let wall = file("scenes/coupled-five-bar/wall.toml");
+    let wall = shipped_path("scenes/coupled-five-bar/wall.toml");
     let socket = Socket::empty();
     socket.plug(&["--scene", &wall]);
     let view = View::start(&["--port", &socket.address]);
@@ -84,22 +84,24 @@ fn the_page_waits_for_a_lost_board_even_without_its_scene() {
     page.arm();
     for back in [&["--scene", &wall][..], &[]] {
         socket.unplug();
-        page.until("the loss of the board", |heard| heard.lost.is_some());
+        page.wait_until("the loss of the board", |heard| heard.lost.is_some());
         page.holding = false;
         page.heard.hello = Value::Null;
         socket.plug(back);
         if back.is_empty() {
             let told = |why: &String| why.contains("`haptic scene FILE`");
-            page.until("the remedy", |heard| heard.lost.as_ref().is_some_and(told));
+            page.wait_until("the remedy", |heard| heard.lost.as_ref().is_some_and(told));
             // Between two polls by the page the board is free for other tools.
             let scene = ["scene", &wall, "--port", &socket.address];
-            until("the scene", || haptic(&scene).output().unwrap().status.success());
+            wait_until("the scene", || haptic(&scene).output().unwrap().status.success());
         }
-        page.until("the return of the board", |heard| !heard.hello.is_null());
+        page.wait_until("the return of the board", |heard| !heard.hello.is_null());
         page.heard.picture = Value::Null;
-        page.until("no page in command", |heard| heard.state() == "Disarmed" && heard.picture["command"].is_null());
+        page.wait_until("no page in command", |heard| {
+            heard.state() == "Disarmed" && heard.picture["command"].is_null()
+        });
         page.heard.lost = None;
-        page.take();
+        page.take_command();
         page.arm();
     }
 }

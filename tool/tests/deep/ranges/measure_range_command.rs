@@ -1,7 +1,7 @@
 //! `haptic measure-range` on the shipped simulated board with its friction, encoders and drive.
 
 use crate::common::sim::Sim;
-use crate::common::{Folder, file, haptic, read};
+use crate::common::{Folder, haptic, read, shipped_path};
 use predicates::prelude::*;
 use predicates::str::contains;
 use serde_json::Value;
@@ -9,7 +9,7 @@ use serde_json::Value;
 const DEVICE: &str = "devices/coupled-five-bar.toml";
 
 /// Options for a rate at which the tip comes to rest before every trial despite friction and encoder steps.
-const SLOW: [&str; 4] = ["--rate", "1000", "--cutoff", "20"];
+const SLOW_LOOP: [&str; 4] = ["--rate", "1000", "--cutoff", "20"];
 
 fn measure(progress: &str, rate: &[&str], more: &[&str]) -> assert_cmd::assert::Assert {
     let fixed = ["measure-range", DEVICE, "--port", "sim", "--normal", "0.6,0.8", "--kd", "15", "--json"];
@@ -20,7 +20,7 @@ fn measure(progress: &str, rate: &[&str], more: &[&str]) -> assert_cmd::assert::
 fn a_measurement_is_reported_kept_and_continued() {
     let folder = Folder::new();
     let progress = folder.path("progress.json");
-    let first = measure(&progress, &SLOW, &["--feed-forward", "off", "--repeats", "1", "--pull", "2"]).success();
+    let first = measure(&progress, &SLOW_LOOP, &["--feed-forward", "off", "--repeats", "1", "--pull", "2"]).success();
     let document: Value = serde_json::from_slice(&first.get_output().stdout).unwrap();
     let point = &document["points"][0];
     assert_eq!((point["mode"].as_str(), point["kd"].as_f64()), (Some("off"), Some(15.0)));
@@ -28,14 +28,14 @@ fn a_measurement_is_reported_kept_and_continued() {
     assert!(once > 1e3, "{once}");
 
     // The second run keeps the first repeat and adds one.
-    let second = measure(&progress, &SLOW, &["--feed-forward", "off", "--repeats", "2", "--pull", "2"]).success();
+    let second = measure(&progress, &SLOW_LOOP, &["--feed-forward", "off", "--repeats", "2", "--pull", "2"]).success();
     let document: Value = serde_json::from_slice(&second.get_output().stdout).unwrap();
     let repeats = document["points"][0]["repeats"].as_array().unwrap();
     assert_eq!((repeats.len(), repeats[0].as_f64()), (2, Some(once)));
 
     // A third run measures nothing and prints the date of the first measurement.
     let date = document["date"].as_str().unwrap().to_string();
-    let third = measure(&progress, &SLOW, &["--feed-forward", "off", "--repeats", "2", "--pull", "2"]).success();
+    let third = measure(&progress, &SLOW_LOOP, &["--feed-forward", "off", "--repeats", "2", "--pull", "2"]).success();
     let third = third.stderr(contains("none is measured now").and(contains("--anew")).and(contains(&*date)));
     let again: Value = serde_json::from_slice(&third.get_output().stdout).unwrap();
     assert_eq!((&again["date"], &again["points"]), (&document["date"], &document["points"]));
@@ -43,7 +43,7 @@ fn a_measurement_is_reported_kept_and_continued() {
     // Another damping is measured in addition, and only its result is reported.
     let other = ["--kd", "16", "--feed-forward", "off", "--repeats", "1", "--pull", "2"];
     let fixed = ["measure-range", DEVICE, "--port", "sim", "--normal", "0.6,0.8", "--json"];
-    let fourth = haptic(&fixed).args(SLOW).args(other).arg("--progress").arg(&progress).assert().success();
+    let fourth = haptic(&fixed).args(SLOW_LOOP).args(other).arg("--progress").arg(&progress).assert().success();
     let other: Value = serde_json::from_slice(&fourth.get_output().stdout).unwrap();
     let told: Vec<f64> = other["points"].as_array().unwrap().iter().map(|p| p["kd"].as_f64().unwrap()).collect();
     assert_eq!((told, other["theory"].as_str().unwrap().contains("--kd 15")), (vec![16.0], false));
@@ -57,7 +57,7 @@ fn a_measurement_is_reported_kept_and_continued() {
 
     // With --anew the old results are replaced.
     let anew =
-        measure(&progress, &SLOW, &["--feed-forward", "off", "--repeats", "1", "--pull", "1", "--anew"]).success();
+        measure(&progress, &SLOW_LOOP, &["--feed-forward", "off", "--repeats", "1", "--pull", "1", "--anew"]).success();
     let anew = anew.stderr(contains("already").not());
     let document: Value = serde_json::from_slice(&anew.get_output().stdout).unwrap();
     assert_eq!(document["points"][0]["repeats"].as_array().unwrap().len(), 1);
@@ -68,8 +68,8 @@ fn impossible_measurements_are_refused_at_once() {
     let folder = Folder::new();
     let progress = folder.path("progress.json");
     let one = |option: &str, other: &str| contains(format!("{option} is ")).and(contains(other.to_string()).not());
-    measure(&progress, &SLOW, &["--torque-limit", "0"]).code(2).stderr(one("--torque-limit", "--pull"));
-    measure(&progress, &SLOW, &["--pull", "20"]).code(2).stderr(one("--pull", "--torque-limit"));
+    measure(&progress, &SLOW_LOOP, &["--torque-limit", "0"]).code(2).stderr(one("--torque-limit", "--pull"));
+    measure(&progress, &SLOW_LOOP, &["--pull", "20"]).code(2).stderr(one("--pull", "--torque-limit"));
     let nowhere = folder.path("missing/p.json");
     let elsewhere = ["measure-range", DEVICE, "--port", "/dev/no-such-port", "--normal", "0.6,0.8", "--progress"];
     haptic(&elsewhere).arg(&nowhere).assert().code(1).stderr(contains("no such folder"));
@@ -77,24 +77,24 @@ fn impossible_measurements_are_refused_at_once() {
 }
 
 /// Returns the arguments of a document's command line, with an absolute path of the device file.
-fn arguments(line: &str) -> Vec<String> {
+fn line_arguments(line: &str) -> Vec<String> {
     let mut words = line.split('#').next().unwrap().split_whitespace();
     assert_eq!(words.next(), Some("haptic"), "{line}");
-    words.map(|word| word.strip_prefix("devices/").map_or(word.to_string(), file)).collect()
+    words.map(|word| word.strip_prefix("devices/").map_or(word.to_string(), shipped_path)).collect()
 }
 
 /// Runs a command line with more arguments in a temporary folder.
-fn typed(line: &str, more: &[&str]) -> assert_cmd::assert::Assert {
+fn run_line(line: &str, more: &[&str]) -> assert_cmd::assert::Assert {
     let folder = tempfile::tempdir().unwrap();
-    haptic(&[]).current_dir(&folder).args(arguments(line)).args(more).assert()
+    haptic(&[]).current_dir(&folder).args(line_arguments(line)).args(more).assert()
 }
 
-fn document(assert: assert_cmd::assert::Assert) -> Value {
+fn parse_json(assert: assert_cmd::assert::Assert) -> Value {
     serde_json::from_slice(&assert.success().get_output().stdout).unwrap()
 }
 
 /// Returns the command lines of measurements in a document.
-fn lines(document: &str) -> Vec<String> {
+fn measurement_lines(document: &str) -> Vec<String> {
     let text = read(document);
     let words =
         text.lines().map(|line| line.trim().trim_matches('`')).filter(|line| line.starts_with("haptic measure-range "));
@@ -103,9 +103,9 @@ fn lines(document: &str) -> Vec<String> {
 
 #[test]
 fn the_readmes_line_measures_its_numbers_near_theory() {
-    let lines = lines("README.md");
+    let lines = measurement_lines("README.md");
     let [line] = lines.as_slice() else { panic!("{lines:?}") };
-    let document = document(typed(line, &["--json"]));
+    let document = parse_json(run_line(line, &["--json"]));
     let points = document["points"].as_array().unwrap();
     assert_eq!(points.len(), 4);
     for point in points {
@@ -152,7 +152,7 @@ fn the_readmes_line_measures_its_numbers_near_theory() {
 #[test]
 fn the_defaults_succeed_and_explain_friction() {
     let line = format!("haptic measure-range {DEVICE} --port sim --normal 0,1 --points 2 --repeats 1");
-    typed(&line, &[]).success().stdout(contains("Coulomb friction").and(contains("haptic range")));
+    run_line(&line, &[]).success().stdout(contains("Coulomb friction").and(contains("haptic range")));
 }
 
 #[test]
@@ -161,9 +161,9 @@ fn the_printed_line_computes_the_printed_theory() {
         "haptic measure-range {DEVICE} --port sim --q 2.6,1.75 --normal 0.94,-0.34 --kd 15,4.123456789 --repeats 1 \
          --pull 0.1 --feed-forward all --frictionless --counts 8388608"
     );
-    let measured = document(typed(&line, &["--json"]));
+    let measured = parse_json(run_line(&line, &["--json"]));
     let theory = measured["theory"].as_str().unwrap();
-    let predicted = document(typed(theory, &["--json"]));
+    let predicted = parse_json(run_line(theory, &["--json"]));
     let points = measured["points"].as_array().unwrap();
     assert_eq!(points.len(), 6);
     for point in points {
@@ -174,7 +174,7 @@ fn the_printed_line_computes_the_printed_theory() {
     }
     assert!(measured["drive"].as_str().unwrap().contains("current"), "{measured}");
     // The text output contains all these numbers, too.
-    let read = typed(theory, &[]).success();
+    let read = run_line(theory, &[]).success();
     let text = String::from_utf8_lossy(&read.get_output().stdout).into_owned();
     for point in points {
         let kp = format!("{:.2}", point["theory_kp"].as_f64().unwrap());
@@ -186,27 +186,27 @@ fn the_printed_line_computes_the_printed_theory() {
 fn coarse_encoders_are_reported_with_the_stable_part() {
     let line = format!(
         "haptic measure-range {} --port sim --normal 0.6,0.8,0 --rate 5000 --cutoff 200 --kd 20 --frictionless --repeats 1",
-        file("phantom-premium-1.5.toml")
+        shipped_path("phantom-premium-1.5.toml")
     );
-    typed(&line, &[])
+    run_line(&line, &[])
         .code(1)
         .stdout(contains("> ").and(contains("times the counts")))
         .stderr(contains("saturate").and(contains("--counts")));
     // If even the soft hold cannot be measured, the device is not moved.
     let line = format!("haptic measure-range {DEVICE} --port sim --normal 0,1 --rate 20000 --cutoff 500");
-    typed(&line, &[]).code(1).stdout("").stderr(contains("saturate"));
+    run_line(&line, &[]).code(1).stdout("").stderr(contains("saturate"));
 }
 
 #[test]
 fn options_of_simulations_are_refused_elsewhere() {
-    typed(&format!("haptic measure-range {DEVICE} --port tcp:127.0.0.1:1 --normal 0,1 --frictionless"), &[])
+    run_line(&format!("haptic measure-range {DEVICE} --port tcp:127.0.0.1:1 --normal 0,1 --frictionless"), &[])
         .code(2)
         .stderr(contains("--port sim"));
 }
 
 #[test]
 fn boundaries_far_below_theory_cause_a_warning() {
-    let sim = Sim::start(&["--fast", "--hand", "loop", &file("coupled-five-bar.toml")]);
+    let sim = Sim::start(&["--fast", "--hand", "loop", &shipped_path("coupled-five-bar.toml")]);
     let folder = Folder::new();
     let progress = folder.path("progress.json");
     let fixed = ["measure-range", DEVICE, "--normal=0,1", "--kd=15", "--repeats=1", "--feed-forward=off", "--pull=2"];
@@ -220,7 +220,7 @@ fn boundaries_far_below_theory_cause_a_warning() {
 
 #[test]
 fn a_board_with_another_device_needs_load_and_is_restored() {
-    let sim = Sim::start(&["--fast", "--frictionless", &file("coupled-five-bar.toml")]);
+    let sim = Sim::start(&["--fast", "--frictionless", &shipped_path("coupled-five-bar.toml")]);
     sim.type_lines("device devices/haply-2diy.toml\nscene devices/scenes/haply-2diy/wall-stiff.toml");
     let held = || {
         let info = sim.json(&["info"]);

@@ -7,7 +7,7 @@ use crate::common::prelude::*;
 use haptic_predict::measure::{Law, MeasurementSetup, PreparedBoard};
 
 /// A paddle of 0.16 kg at 0.1 m without friction, with an encoder so fine that its steps have no effect.
-const PADDLE: &str = r#"
+const PADDLE_TOML: &str = r#"
 name = "mass"
 mechanism = "paddle"
 gravity = [0.0]
@@ -26,11 +26,11 @@ max_current = 10.0
 [home]
 q = [0.0]
 "#;
-const MASS: f64 = 0.16;
+const MASS_KG: f64 = 0.16;
 
 /// Measures the largest kp T²/m, at `share` of the largest damping, and the largest kd T/m.
 fn measure(rate_hz: f64, cutoff_hz: f64, share: f64) -> (f64, f64) {
-    let file = DeviceFile::parse(PADDLE, "mass.toml").unwrap();
+    let file = DeviceFile::parse(PADDLE_TOML, "mass.toml").unwrap();
     // One integration step per sample is exact for a constant inertia under a constant torque.
     let device = Options { friction: false, substep: 1.0 / rate_hz, ..Options::default() };
     let options = BoardOptions { device, drive: DriveModel::Ideal, delay: 0.0, ..BoardOptions::default() };
@@ -48,7 +48,7 @@ fn measure(rate_hz: f64, cutoff_hz: f64, share: f64) -> (f64, f64) {
     let end = prepared.damping_end(FeedForward::Off).unwrap().gain;
     let summit = prepared.boundary(FeedForward::Off, share * end, 1.0, None).unwrap().gain;
     prepared.finish().unwrap();
-    (summit / MASS / rate_hz.powi(2), end / MASS / rate_hz)
+    (summit / MASS_KG / rate_hz.powi(2), end / MASS_KG / rate_hz)
 }
 
 /// Largest relative difference: the search ends at a bracket of half a percent, and slow growth may be missed within a

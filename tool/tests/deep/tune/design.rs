@@ -1,7 +1,7 @@
 //! `haptic design` agrees with formulas and exhaustive searches.
 
 use crate::common::prelude::*;
-use crate::common::shipped;
+use crate::common::shipped_device;
 use haptic_predict::design::place::places;
 use haptic_predict::design::posture::postures;
 use haptic_predict::design::sensitivity::{CHANGE, buys_most, sensitivities};
@@ -10,24 +10,24 @@ use haptic_stability::analysis::control_loop::TorquePath;
 use haptic_stability::analysis::map::along;
 use haptic_stability::analysis::pose::{TaskPose, unit_normal};
 
-const PHI: Admissible = Admissible::Orientation;
+const ADMISSIBLE: Admissible = Admissible::Orientation;
 
 /// Returns the control loop of a board.
-fn around() -> Loop {
+fn control_loop() -> Loop {
     Loop::through(&TorquePath::usual(20_000.0), 20_000.0, LinearEstimator::Butterworth(500.0))
 }
 
 #[test]
 fn the_stiffest_wall_is_proportional_to_its_inertia() {
-    let around = around();
-    let mut kilogram = Linearised::at(&shipped("hapkit-paddle").description, &[0.0], &[1.0]).unwrap().undamped();
+    let around = control_loop();
+    let mut kilogram = Linearised::at(&shipped_device("hapkit-paddle").description, &[0.0], &[1.0]).unwrap().undamped();
     kilogram.flexible = Default::default();
     let per_kilogram = domain(&kilogram, &around, Mode::Off, None).unwrap().top.kp / kilogram.w_rr();
     for (name, q, n) in [
         ("coupled-five-bar", vec![2.6, 1.75], vec![0.94, -0.34]),
         ("phantom-premium-1.5", vec![0.3, 0.9, -0.3], vec![0.6, 0.8, 0.0]),
     ] {
-        let device = Linearised::at(&shipped(name).description, &q, &n).unwrap().undamped();
+        let device = Linearised::at(&shipped_device(name).description, &q, &n).unwrap().undamped();
         for (mode, met) in [(Mode::Off, device.w_eff().unwrap()), (Mode::Full, device.w_rr())] {
             let range = domain(&device, &around, mode, None).unwrap();
             let top = range.top.kp;
@@ -45,10 +45,10 @@ fn the_sensitivity_to_a_rotor_follows_its_formula() {
         ("phantom-premium-1.5", vec![0.3, 0.9, -0.3], vec![0.6, 0.5, 0.62]),
         ("serial-3r", vec![0.5, 0.8, 0.7], vec![0.6, 0.8]),
     ] {
-        let description = shipped(name).description;
+        let description = shipped_device(name).description;
         let device = Linearised::at(&description, &q, &n).unwrap();
         let mobility = device.mass.clone().try_inverse().unwrap();
-        let found = sensitivities(&description, &q, &n, PHI, &around()).unwrap();
+        let found = sensitivities(&description, &q, &n, ADMISSIBLE, &control_loop()).unwrap();
         for j in 0..q.len() {
             let change = CHANGE * description.joints[j].inertia;
             let pull = (&mobility * &device.row)[j];
@@ -72,9 +72,9 @@ fn the_sensitivity_to_a_rotor_follows_its_formula() {
 
 #[test]
 fn a_longer_link_leaves_the_tip_where_it_is() {
-    let description = shipped("haply-2diy").description;
+    let description = shipped_device("haply-2diy").description;
     let (q, n) = ([2.3, 0.84159265358979], [0.6, 0.8]);
-    let found = sensitivities(&description, &q, &n, PHI, &around()).unwrap();
+    let found = sensitivities(&description, &q, &n, ADMISSIBLE, &control_loop()).unwrap();
     let base = found.iter().find(|one| one.part == "length base").unwrap().more.unwrap();
     // The test's own inverse kinematics move the tip of the wider device to its former place.
     let mut wider = description;
@@ -101,9 +101,9 @@ fn a_longer_link_leaves_the_tip_where_it_is() {
 fn no_pose_of_a_random_search_is_better_than_the_best() {
     let normal = [0.6, 0.8];
     for name in ["haply-2diy", "coupled-five-bar"] {
-        let file = shipped(name);
+        let file = shipped_device(name);
         let clear = 0.4;
-        let found = places(&file.description, Some(&normal), 0.0, clear, 700, PHI, &Sweep::quiet()).unwrap();
+        let found = places(&file.description, Some(&normal), 0.0, clear, 700, ADMISSIBLE, &Sweep::quiet()).unwrap();
         let device = file.device::<f64>().unwrap();
         let n = unit_normal(&normal, 2, file.spec().joints).unwrap();
         let along_n = found.along.clone().unwrap();
@@ -139,8 +139,8 @@ fn no_pose_of_a_random_search_is_better_than_the_best() {
 #[test]
 fn a_coarse_grid_has_the_results_of_a_fine_grid() {
     for (name, coarse, fine) in [("coupled-five-bar", 300, 4000), ("haply-2diy", 300, 1000), ("serial-3r", 700, 1000)] {
-        let description = shipped(name).description;
-        let found = |points| places(&description, None, 0.0, 0.3, points, PHI, &Sweep::quiet()).unwrap();
+        let description = shipped_device(name).description;
+        let found = |points| places(&description, None, 0.0, 0.3, points, ADMISSIBLE, &Sweep::quiet()).unwrap();
         let (coarse, fine) = (found(coarse), found(fine));
         for found in [&coarse, &fine] {
             let others = [&found.every_direction, &found.feed_forward_buys_most];
@@ -160,9 +160,12 @@ fn a_coarse_grid_has_the_results_of_a_fine_grid() {
 
 #[test]
 fn a_wide_wall_is_placed_by_its_worst_point() {
-    let file = shipped("haply-2diy");
+    let file = shipped_device("haply-2diy");
     let placed = |patch: f64| {
-        places(&file.description, Some(&[0.6, 0.8]), patch, 0.4, 700, PHI, &Sweep::quiet()).unwrap().along.unwrap()
+        places(&file.description, Some(&[0.6, 0.8]), patch, 0.4, 700, ADMISSIBLE, &Sweep::quiet())
+            .unwrap()
+            .along
+            .unwrap()
     };
     let (point, wide) = (placed(0.0), placed(0.02));
     assert!(wide.off.w_eff < 0.99 * point.off.w_eff && wide.full.w_rr < point.full.w_rr, "{point:?} {wide:?}");
@@ -171,9 +174,9 @@ fn a_wide_wall_is_placed_by_its_worst_point() {
 /// The test's own inverse kinematics compute wrist and elbow (on the arm's side) for every orientation of the tip.
 #[test]
 fn the_best_posture_equals_the_best_of_all_orientations() {
-    let file = shipped("serial-3r");
+    let file = shipped_device("serial-3r");
     let (q, n, clear) = ([0.5_f64, 0.8, 0.7], [0.6, 0.8], 0.38);
-    let found = postures(&file.description, &q, &n, clear, PHI).unwrap().unwrap();
+    let found = postures(&file.description, &q, &n, clear, ADMISSIBLE).unwrap().unwrap();
     let [l1, l2, l3, ..] = file.description.geometry;
     let tip = TaskPose::at(&file.description, &q).unwrap().position;
     let normal = unit_normal(&n, 2, 3).unwrap();
@@ -208,5 +211,5 @@ fn the_best_posture_equals_the_best_of_all_orientations() {
     // 0.0487 to 0.1139 kg and Wrr of 0.117 to 0.506 kg.
     assert!((heavy / 0.1139 - 1.0).abs() < 0.01 && (light / 0.0487 - 1.0).abs() < 0.04, "{heavy} {light}");
     assert!((loose / 0.117 - 1.0).abs() < 0.01 && (held / 0.506 - 1.0).abs() < 0.06, "{held} {loose}");
-    assert_eq!(postures(&shipped("haply-2diy").description, &[2.3, 0.84], &n, clear, PHI), Ok(None));
+    assert_eq!(postures(&shipped_device("haply-2diy").description, &[2.3, 0.84], &n, clear, ADMISSIBLE), Ok(None));
 }

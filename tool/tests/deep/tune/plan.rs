@@ -2,21 +2,21 @@
 //! other poses.
 
 use crate::common::prelude::*;
-use crate::common::{file, shipped};
+use crate::common::{shipped_device, shipped_path};
 use haptic_predict::bench::error::{Law, Terms, TorqueVariant, Trigonometry, errors};
 use haptic_predict::bench::probe::HAND_SPEED;
 use haptic_predict::plan::{Budget, Plan, cost, plan, touched};
 
 fn device(name: &str) -> Device<f64> {
-    shipped(name).device().unwrap()
+    shipped_device(name).device().unwrap()
 }
 
 fn scene(device: &Device<f64>, name: &str) -> SceneFile {
-    let path = file(&format!("scenes/{}/{name}.toml", device.name));
+    let path = shipped_path(&format!("scenes/{}/{name}.toml", device.name));
     SceneFile::load(path, device.mechanism.kind().spec().task).unwrap()
 }
 
-fn planned(device: &Device<f64>, file: &SceneFile) -> Plan {
+fn plan_of(device: &Device<f64>, file: &SceneFile) -> Plan {
     plan(device, &file.scene, Budget::Percent(1.0), file.hand_speed.unwrap_or(HAND_SPEED)).unwrap()
 }
 
@@ -31,7 +31,7 @@ fn shipped_scenes_have_the_expected_plans() {
     ];
     for (name, file, (model, terms)) in wanted {
         let device = device(name);
-        let plan = planned(&device, &scene(&device, file));
+        let plan = plan_of(&device, &scene(&device, file));
         assert_eq!((plan.mass.name(), plan.terms), (model, terms), "{name} {file}");
     }
 }

@@ -1,13 +1,13 @@
 //! `haptic tune` agrees with derived results and with a plain scan of all settings.
 
 use crate::common::prelude::*;
-use crate::common::{Folder, ideal_loop, json, point_mass, root, shipped, tuned, type_lines};
+use crate::common::{Folder, ideal_loop, json, point_mass, root, shipped_device, tuned, type_lines};
 use haptic_bridge::render::velocity::{Chosen, Estimator};
 use haptic_predict::tune::{Margins, Question, Settings, keeps, to_toml, tune, vertex};
 use haptic_stability::analysis::control_loop::CURRENT_LOOP_HZ;
 use haptic_stability::analysis::range::stiffnesses;
 
-fn around(rate_hz: f64) -> Loop {
+fn control_loop(rate_hz: f64) -> Loop {
     ideal_loop(rate_hz, 0.5, LinearEstimator::Butterworth(0.025 * rate_hz))
 }
 
@@ -15,7 +15,7 @@ fn around(rate_hz: f64) -> Loop {
 /// then accelerates along n by Jr M⁻¹ t f, so the loop is that of a mass 1/(Jr M⁻¹ t).
 #[test]
 fn a_wrong_mass_matrix_changes_the_inertia_that_is_met() {
-    let file = shipped("coupled-five-bar");
+    let file = shipped_device("coupled-five-bar");
     let (q, n) = ([2.6, 1.75], [0.94, -0.34]);
     let believed = Linearised::at(&file.description, &q, &n).unwrap().undamped();
     let mut device = believed.clone();
@@ -26,7 +26,7 @@ fn a_wrong_mass_matrix_changes_the_inertia_that_is_met() {
         (met / device.w_rr() - 1.0).abs() > 0.003 && (met / believed.w_rr() - 1.0).abs() > 0.01,
         "the mass matrices differ too little for this test"
     );
-    let around = around(5_000.0);
+    let around = control_loop(5_000.0);
     for damping in [20.0, 80.0, 200.0] {
         let of_one = domain(&point_mass(1.0), &around, Mode::Off, Some(&[damping])).unwrap().boundary[0].kp;
         let found = stiffnesses(&device, &believed, &around, Mode::Full, &[met * damping]).unwrap()[0];
@@ -36,7 +36,7 @@ fn a_wrong_mass_matrix_changes_the_inertia_that_is_met() {
 
 #[test]
 fn no_other_signs_of_the_inertia_errors_are_worse() {
-    let file = shipped("coupled-five-bar");
+    let file = shipped_device("coupled-five-bar");
     let (q, n) = ([2.6, 1.75], [0.94, -0.34]);
     let at = |description: &Description| Linearised::at(description, &q, &n).unwrap();
     let believed = at(&file.description);
@@ -74,7 +74,7 @@ fn question(file: &DeviceFile, margins: Margins) -> Question<'_> {
 /// Without margins a wall is stable if it is in the range of `haptic range`, which is computed here for every wall.
 #[test]
 fn no_wall_of_a_plain_scan_is_much_stiffer() {
-    let file = shipped("haply-2diy");
+    let file = shipped_device("haply-2diy");
     let question = question(&file, Margins::NONE);
     let found = tune(&question, &Sweep::quiet()).unwrap();
     let best = found.best.settings;
@@ -97,7 +97,7 @@ fn no_wall_of_a_plain_scan_is_much_stiffer() {
             let around = Loop {
                 estimator: LinearEstimator::of(kind, cutoff_hz).unwrap(),
                 drive: Drive::Current { bandwidth_hz: CURRENT_LOOP_HZ },
-                ..around(5_000.0)
+                ..control_loop(5_000.0)
             };
             let around = Loop { delay_samples: 0.125, ..around };
             let most = domain(&device, &around, Mode::Off, Some(&[damping])).unwrap().boundary[0].kp;
@@ -117,7 +117,7 @@ fn no_wall_of_a_plain_scan_is_much_stiffer() {
 #[test]
 fn no_wall_of_a_grid_is_much_stiffer_on_ten_random_devices() {
     for number in 0..10 {
-        let file = tuned::drawn(number);
+        let file = tuned::random_device(number);
         let dampings = [0.2, 0.35, 0.6, 0.8, 1.0, 1.25, 1.7, 2.8, 5.0];
         let (best, tried) = tuned::none_is_stiffer(&tuned::question(&file, 5_000.0), &dampings, &[1.06, 1.25]);
         println!("{number} {}: {best:?}, {tried} walls", file.name);
@@ -128,7 +128,7 @@ fn no_wall_of_a_grid_is_much_stiffer_on_ten_random_devices() {
 /// limit the search; the limit is the ripple that the hands feel.
 #[test]
 fn the_result_is_the_stiffest_wall_and_names_its_limit() {
-    let file = shipped("haply-2diy");
+    let file = shipped_device("haply-2diy");
     let question = question(&file, Margins::default());
     let found = tune(&question, &Sweep::quiet()).unwrap();
     let top = found.others.iter().map(|other| other.settings.stiffness).fold(0.0, f64::max);
@@ -158,7 +158,7 @@ fn the_result_is_never_worse_than_the_scenes_settings() {
 
 #[test]
 fn margins_cost_stiffness_where_stability_limits_it() {
-    let file = shipped("haply-2diy");
+    let file = shipped_device("haply-2diy");
     let most = |margins: Margins| {
         // A ripple limit that is never reached.
         let question =

@@ -19,19 +19,19 @@ const SCENES: [(&str, &str); 9] = [
     ("capstan-pantograph", "wall"),
 ];
 
-const HEAD: &str = "\
+const HEADER: &str = "\
 device,scene,scene (N/m),tuned (N/m),times,limited by,rule of thumb (N/m),with (4) (N/m),ripple with (4) (N),\
 ripple before (N),ripple after (N),on the board before (N),on the board after (N),struck at rest up to before (N/m),\
 struck at rest up to after (N/m)
 ";
 
-fn tuned(device: &str, scene: &str) -> Value {
+fn tune(device: &str, scene: &str) -> Value {
     let device_file = format!("devices/{device}.toml");
     let scene_file = format!("devices/scenes/{device}/{scene}.toml");
     json(&["tune", &device_file, "--scene", &scene_file, "--measure"])
 }
 
-fn row(device: &str, scene: &str, said: &Value) -> String {
+fn table_row(device: &str, scene: &str, said: &Value) -> String {
     let whole = |value: &Value| value.as_f64().map_or("-".into(), |value| format!("{value:.0}"));
     let newtons = |value: &Value| value.as_f64().map_or("-".into(), |value| format!("{value:.3}"));
     let times = |value: &Value| value.as_f64().map_or("-".into(), |value| format!("{value:.2}"));
@@ -62,14 +62,14 @@ fn row(device: &str, scene: &str, said: &Value) -> String {
 #[test]
 #[ignore = "takes minutes: measures nine devices on simulated boards for docs/results/tuned.csv"]
 fn the_table_holds_the_results_of_the_command() {
-    let mut table = String::from(HEAD);
+    let mut table = String::from(HEADER);
     for (device, scene) in SCENES {
-        let said = tuned(device, scene);
+        let said = tune(device, scene);
         let best = said["best"]["stiffness"].as_f64().unwrap();
         for other in said["others"].as_array().unwrap() {
             assert!(other["stiffness"].as_f64().unwrap() <= 1.03 * best, "{device}: {other} beats {best} N/m");
         }
-        let _ = writeln!(table, "{}", row(device, scene, &said));
+        let _ = writeln!(table, "{}", table_row(device, scene, &said));
         println!("{}", table.lines().last().unwrap());
     }
     let remedy = "run UPDATE_DOCS=1 cargo test --release -p haptic --test deep tuned_devices -- --ignored";
