@@ -24,17 +24,14 @@ fn open_page() -> (Browser, Tab) {
 fn the_page_as_a_file_is_alive_and_requests_nothing() {
     let (mut browser, tab) = open_page();
     wait_for_life(&mut browser, &tab);
-    assert_eq!(
-        browser.evaluate(&tab, "view.hello.rows_hz === view.hello.rate_hz"),
-        true,
-        "every control step is sent as a row"
-    );
+    assert_eq!(browser.evaluate(&tab, "view.hello.rows_hz === view.hello.rate_hz"), true, "a row per control step");
     // Controls that need the tool are hidden.
     assert_eq!(browser.evaluate(&tab, "$('record').offsetParent"), serde_json::Value::Null);
     let own = format!("file://{}", playground_path());
-    let asked: Vec<String> =
-        browser.requested_urls().into_iter().filter(|url| *url != own && url != "about:blank").collect();
-    assert!(asked.iter().all(|url| url.starts_with("data:") || url.starts_with("blob:null/")), "{asked:?}");
+    let urls = browser.requested_urls();
+    let is_own =
+        |url: &String| *url == own || ["about:blank", "data:", "blob:null/"].iter().any(|own| url.starts_with(own));
+    assert!(urls.iter().all(is_own), "{urls:?}");
     assert_eq!(browser.console_errors(), [""; 0]);
     // The page's content security policy blocks requests.
     browser.evaluate(

@@ -89,7 +89,7 @@ fn lead_into_the_wall(browser: &mut Browser, tab: &Tab) {
 /// Waits until the page has shown 20 new pictures and 10 new sweeps and has played sound.
 fn wait_for_life(browser: &mut Browser, tab: &Tab) {
     let [pictures, sweeps] =
-        ["view.pictures", "view.sweeps"].map(|count| browser.evaluate(tab, count).as_u64().unwrap());
+        ["pictures", "sweeps"].map(|it| browser.evaluate(tab, &format!("view.{it}")).as_u64().unwrap());
     browser.wait_until(tab, &format!("view.pictures > {} && view.sweeps > {}", pictures + 20, sweeps + 10));
     browser.evaluate(tab, "$('sound').click()");
     browser.wait_until(tab, "view.sounds > 5");
@@ -186,11 +186,7 @@ fn a_second_finger_taps_while_the_first_holds_the_key() {
     browser.wait_until(&tab, "view.down");
     let off = place_on(&mut browser, &tab, "ff-off", "20", "15");
     touch(&mut browser, "touchStart", &[key, off]);
-    assert_eq!(
-        browser.evaluate(&tab, "view.down && $('anyway').hidden"),
-        true,
-        "the tap counts when the finger is lifted"
-    );
+    assert_eq!(browser.evaluate(&tab, "view.down && $('anyway').hidden"), true, "a tap before the finger is lifted");
     // The debugging protocol lifts all fingers together.
     touch(&mut browser, "touchEnd", &[]);
     browser.wait_until(&tab, "!view.down && !$('anyway').hidden");
@@ -229,10 +225,7 @@ fn the_dragged_dot_stops_at_the_boundary_until_confirmed() {
     // One pixel of the plane is some tens of N/m.
     browser
         .wait_until(&tab, "Math.abs(view.walls[0].damping - 40) < 1 && Math.abs(view.walls[0].stiffness - 10e3) < 200");
-    assert_eq!(
-        browser.evaluate(&tab, "$('stiffness').value === String(+view.walls[0].stiffness.toPrecision(4))"),
-        true
-    );
+    assert_eq!(browser.evaluate(&tab, "$('stiffness').value === `${+view.walls[0].stiffness.toPrecision(4)}`"), true);
     let top = browser.evaluate(&tab, "$('plane').getBoundingClientRect().top");
     let beyond = plane_place(&mut browser, &tab, 40.0, 23e3);
     browser.drag(&tab, to, beyond);
@@ -240,19 +233,11 @@ fn the_dragged_dot_stops_at_the_boundary_until_confirmed() {
         &tab,
         "$('notice').classList.contains('shown') && $('why').textContent.includes('predicted to be unstable')",
     );
-    assert_eq!(
-        browser.evaluate(&tab, "$('plane').getBoundingClientRect().top"),
-        top,
-        "the notice does not move the plane"
-    );
+    assert_eq!(browser.evaluate(&tab, "$('plane').getBoundingClientRect().top"), top, "the notice moved the plane");
     let in_sight = "['ff-full', 'close', 'let-go', 'off', 'key'].every(id => { const r = $(id).getBoundingClientRect(); \
                     return $(id).contains(document.elementFromPoint(r.left + r.width / 2, r.top + r.height / 2)); })";
     assert_eq!(browser.evaluate(&tab, in_sight), true, "the notice covers none of these buttons");
-    assert_eq!(
-        browser.evaluate(&tab, "view.walls[0].stiffness < 21e3"),
-        true,
-        "without confirmation the gains stay stable"
-    );
+    assert_eq!(browser.evaluate(&tab, "view.walls[0].stiffness < 21e3"), true, "gains changed without confirmation");
     browser.wait_until(&tab, "view.again?.stiffness > 22e3");
     // The button names the gains that it sets.
     assert_eq!(browser.evaluate(&tab, "/^Set 2[23]\\.\\d kN\\/m, .* anyway$/.test($('anyway').textContent)"), true);
@@ -284,8 +269,8 @@ fn the_plane_has_no_overlaps_on_shipped_devices() {
         ("woodenhaptics", "room", "log"),
         ("capstan-pantograph", "wall", "even"),
     ] {
-        let (device, scene) =
-            (shipped_path(&format!("{name}.toml")), shipped_path(&format!("scenes/{name}/{scene}.toml")));
+        let [device, scene] =
+            [format!("{name}.toml"), format!("scenes/{name}/{scene}.toml")].map(|it| shipped_path(&it));
         let demo = ["--port", "sim"];
         let own = [&device, "--port", "sim", "--scene", &scene];
         let view = View::start(if name == "coupled-five-bar" { &demo } else { &own });
@@ -341,11 +326,7 @@ fn tried_gains_are_marked_and_limits_are_explained() {
     assert_eq!(marks(&mut browser, "press(.25, .1)"), "", "too short a press leaves no mark");
     assert_eq!(marks(&mut browser, "press(.4, .1)"), "false", "quiet");
     assert_eq!(marks(&mut browser, "press(.4, 2, 9)"), "true", "a second press at the same gains buzzes");
-    assert_eq!(
-        marks(&mut browser, "press(.4, 2, 9); press(.4, .1, 9.4)"),
-        "false",
-        "the wall becomes quiet after a buzz"
-    );
+    assert_eq!(marks(&mut browser, "press(.4, 2, 9); press(.4, .1, 9.4)"), "false", "quiet after a buzz");
     browser.wait_until(&tab, "!$('forget').hidden");
     browser.evaluate(&tab, "$('explain').click()");
     browser.wait_until(&tab, "$('limits').textContent.includes('Stiffest stable wall') && $('limits').textContent.includes('ten times the rate')");
@@ -379,11 +360,8 @@ fn a_click_beside_the_dot_changes_no_gains() {
     browser.send_mouse(&tab, "mouseReleased", beside);
     browser.evaluate(&tab, "window.then = view.pictures");
     browser.wait_until(&tab, "view.pictures > then + 10");
-    assert_eq!(
-        browser.evaluate(&tab, "JSON.stringify([view.walls[0].damping, view.walls[0].stiffness]) === gains"),
-        true,
-        "only dragging the dot changes the gains"
-    );
+    let are_same = "JSON.stringify([view.walls[0].damping, view.walls[0].stiffness]) === gains";
+    assert_eq!(browser.evaluate(&tab, are_same), true, "a click changed the gains");
     browser.send_space(&tab, "keyUp");
 }
 

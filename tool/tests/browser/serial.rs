@@ -298,11 +298,8 @@ fn a_refused_board_is_explained_and_the_simulation_continues() {
             "$('why').textContent.includes('{words}') && $('why').textContent.includes('The simulation continues')"
         );
         browser.wait_until(&tab, &format!("{said} && view.hello?.simulated && view.pictures > 10"));
-        assert_eq!(
-            browser
-                .evaluate(&tab, "$('notice').classList.contains('shown') && $('open').textContent === 'Open a board'"),
-            true
-        );
+        let explained = "$('notice').classList.contains('shown') && $('open').textContent === 'Open a board'";
+        assert_eq!(browser.evaluate(&tab, explained), true);
     };
     browser.evaluate(&tab, "test.refuses = 'Failed to open serial port.'");
     refused(&mut browser, "Failed to open serial port.");

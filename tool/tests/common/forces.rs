@@ -24,8 +24,8 @@ pub fn runs_beyond_limit(seeds: Range<u64>) -> Vec<String> {
 fn largest_push(file: &DeviceFile, seed: u64) -> (f64, String) {
     let mut draw = Random::new(seed);
     let weighs = file.description.gravity != [0.0; 3];
-    let options =
-        BoardOptions { support: if weighs { Support::Held } else { Support::None }, ..BoardOptions::default() };
+    let support = if weighs { Support::Held } else { Support::None };
+    let options = BoardOptions { support, ..BoardOptions::default() };
     let (shared, mut board) = board(file, options);
     let mut rules: Rules = board.rules().unwrap();
     rules.limits.tip_force = GENTLE_FORCE;

@@ -11,9 +11,9 @@ use std::f64::consts::TAU;
 
 /// Time at which an injected error begins, and the function that injects the error.
 pub enum When {
-    /// From power-on. Changes the true device and wires, not the device file that the board receives.
+    /// The error exists from power-on. The function changes the true device and wires, not the board's device file.
     Always(fn(&mut Description, &mut BoardFaults)),
-    /// While a hand presses against a wall.
+    /// The error begins while a hand presses against a wall.
     InContact(fn(&mut SimulatedBoard, &Description)),
 }
 
@@ -123,7 +123,6 @@ fn counts_per_radian(device: &Description) -> f64 {
     device.joints[0].encoder.map_or(0.0, |encoder| encoder.counts_per_turn) / TAU
 }
 
-/// Outcome of an injected error.
 #[derive(Clone, Copy, Debug)]
 pub enum Outcome {
     /// The polarity check ended with this fault.

@@ -17,6 +17,7 @@ pub mod tuned;
 use assert_cmd::Command;
 use haptic_bridge::math::Real;
 use haptic_host::output::csv_line;
+use haptic_predict::measure::{Law, MeasurementSetup};
 use haptic_sim::ready_board;
 use haptic_stability::analysis::flexible::Flexible;
 use prelude::*;
@@ -24,7 +25,6 @@ use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Stdio};
 
-/// Types that many tests use.
 pub mod prelude {
     pub use haptic_bridge::control::{HostAction, Rules};
     pub use haptic_bridge::math::Libm;
@@ -52,7 +52,6 @@ pub mod prelude {
 /// Folder with the scenes of the demo's device, as in a command line.
 pub const SCENES: &str = "devices/scenes/coupled-five-bar";
 
-/// Folder of the repository.
 pub fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("..").canonicalize().unwrap()
 }
@@ -84,19 +83,17 @@ pub fn shipped_path(name: &str) -> String {
 
 /// Returns the device or scene files in a folder of devices/.
 pub fn toml_files(folder: &str) -> Vec<PathBuf> {
-    let mut files: Vec<_> =
-        std::fs::read_dir(shipped_path(folder)).unwrap().map(|entry| entry.unwrap().path()).collect();
+    let entries = std::fs::read_dir(shipped_path(folder)).unwrap();
+    let mut files: Vec<_> = entries.map(|entry| entry.unwrap().path()).collect();
     files.retain(|path| path.extension().is_some_and(|extension| extension == "toml"));
     files.sort();
     files
 }
 
-/// Loads a shipped device.
 pub fn shipped_device(name: &str) -> DeviceFile {
     DeviceFile::load(shipped_path(&format!("{name}.toml"))).unwrap()
 }
 
-/// Loads all shipped devices.
 pub fn all_shipped_devices() -> Vec<DeviceFile> {
     toml_files("").into_iter().map(|path| DeviceFile::load(path).unwrap()).collect()
 }
@@ -226,9 +223,28 @@ pub fn numbers(list: &Value) -> Vec<f64> {
     list.as_array().unwrap().iter().map(|number| number.as_f64().unwrap()).collect()
 }
 
+/// Returns the option `--q` with the joint angles of a JSON list.
+pub fn pose_option(q: &Value) -> String {
+    let angles: Vec<String> = numbers(q).iter().map(|angle| format!("{angle:e}")).collect();
+    format!("--q={}", angles.join(","))
+}
+
 /// Returns the value of a numeric attribute in a line of an SVG file.
 pub fn svg_number(line: &str, attribute: &str) -> Option<f64> {
     line.split_once(&format!(" {attribute}=\""))?.1.split_once('"')?.0.parse().ok()
+}
+
+/// Returns the settings for a measurement of one wall, with a torque limit of 1 N m and a pull of 2 mm.
+pub fn measurement(normal: &[f64], rate_hz: f64, cutoff_hz: f64) -> MeasurementSetup {
+    MeasurementSetup {
+        walls: vec![Member::new(normal.to_vec(), 1.0)],
+        rate_hz,
+        cutoff_hz,
+        washout_hz: 2.0,
+        law: Law::default(),
+        torque_limit: 1.0,
+        largest_pull: 2e-3,
+    }
 }
 
 /// Returns a plane wall without feed-forward.

@@ -36,7 +36,6 @@ pub struct Received {
     pub picture: Value,
     pub recorded: Option<String>,
     pub lost: Option<String>,
-    /// All refusals so far.
     pub refused: Vec<Value>,
     pub sweep: Vec<f32>,
     pub sound: Vec<f32>,
@@ -69,7 +68,6 @@ impl Received {
         }
     }
 
-    /// Returns the text of the newest refusal.
     pub fn refusal(&self) -> &str {
         self.refused.last().map_or("", |refused| refused["why"].as_str().unwrap())
     }
@@ -78,7 +76,6 @@ impl Received {
         self.picture["state"].as_str().unwrap_or_default()
     }
 
-    /// Returns the control step of the newest picture.
     pub fn step(&self) -> u32 {
         self.picture["step"].as_u64().unwrap_or(0) as u32
     }

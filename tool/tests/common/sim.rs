@@ -59,7 +59,6 @@ impl Sim {
         super::json(&[arguments, &["--port", &self.port]].concat())
     }
 
-    /// Runs the tool on this board.
     pub fn run(&self, arguments: &[&str]) -> assert_cmd::assert::Assert {
         let mut command = haptic(arguments);
         command.args(["--port", &self.port]).assert()

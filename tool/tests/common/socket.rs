@@ -7,7 +7,7 @@ use std::thread::spawn;
 
 /// An address at which simulated boards are plugged in and unplugged.
 pub struct Socket {
-    /// Value for `--port`.
+    /// Address for `--port`.
     pub address: String,
     board: Arc<Mutex<Option<Sim>>>,
 }

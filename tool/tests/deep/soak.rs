@@ -176,8 +176,8 @@ fn long_contact_loses_no_rows_and_does_not_drift() {
     }
 
     if let Ok(path) = std::env::var("HAPTIC_SOAK_REPORT") {
-        let grown =
-            memory.zip(most).map_or("not known".into(), |(memory, most)| format!("{} KiB", (most - memory) / 1024));
+        let kib = |(memory, most): (u64, u64)| format!("{} KiB", (most - memory) / 1024);
+        let grown = memory.zip(most).map_or("not known".into(), kib);
         std::fs::write(path, report(seconds, rows, &cycles, &grown)).unwrap();
     }
 }

@@ -109,21 +109,17 @@ const DEVICE_MISTAKES: &str = r#"
     mass = 0.02⏎ =>  => :11:1: => `mass` | [[link]] 0 | missing | add `mass = 0.02`
     mass = 0.02 => mass = -0.02 => :12:8: => `mass` | -0.02 | zero or more
     mass = 0.02 => mass = nan => :12:8: => `mass` | not a finite number
-    mass = 0.02 => mass = -inf => :12:8: => `mass` | not a finite number
     mass = 0.02 => mass = 1e39 => :12:8: => `mass` | not a finite number | ordinary number
     mass = 0.02 => mass = "0.02" => :12:8: => `mass` | a string, not a number
     mass = 0.02 => mass = [0.02] => :12:8: => `mass` | a list, not a number
     inertia = 1.0e-5 => inertia = -1.0e-5 => :14:11: => `inertia` | zero or more
     proximal = [0.07, 0.07] => proximal = [0.07] => :7:12: => `proximal` | 1 number instead of 2
-    proximal = [0.07, 0.07] => proximal = [0.07, 0.07, 0.07] => :7:12: => 3 numbers instead of 2
     proximal = [0.07, 0.07] => proximal = 0.07 => :7:12: => a number, not a list of 2 numbers
     proximal = [0.07, 0.07] => proximal = [0.07, 0] => :7:19: => `proximal` | greater than zero
-    proximal = [0.07, 0.07] => proximal = [0.07, nan] => :7:19: => `proximal` | not a finite number
     max_current = 3.0⏎ => max_current = 3.0⏎[joint.transmission]⏎stiffness = 0⏎ => :45:13: => `stiffness` | [joint.transmission] of [[joint]] 0 | more than zero
     max_current = 3.0⏎ => max_current = 3.0⏎[joint.transmission]⏎damping = 0.1⏎ => :44:1: => `stiffness` | missing | add `stiffness = 50.0`
     max_current = 3.0⏎ => max_current = 3.0⏎[joint.transmission]⏎stiffness = 5.0⏎motor_inertia = 3.0e-6⏎ => :46:17: => motor_inertia is 0.000003 | more than all of the joint's inertia (0.000002)
     max_current = 3.0⏎ => max_current = 3.0⏎[joint.transmission]⏎stiffness = 5.0⏎encoder_at = "link"⏎ => :46:14: => `encoder_at` | motor | joint
-    max_current = 3.0⏎ => max_current = 3.0⏎[joint.transmission]⏎stiffness = 5.0⏎stifness = 5.0⏎ => :46:1: => `stifness` | did you mean `stiffness`?
     max_current = 3.0⏎ => max_current = 3.0⏎[joint.friction]⏎static = 0.1⏎ => :44:1: => `stribeck_speed` | [joint.friction] of [[joint]] 0 | missing | add `stribeck_speed = 0.1`
     limits = [-1.0, 3.0]⏎ => limits = [-1.0, 3.0]⏎coulomb = 0.02⏎[joint.friction]⏎static = 0.01⏎stribeck_speed = 0.1⏎ => :36:10: => static is 0.01 N m, less than the joint's coulomb (0.02) | at least as much
     max_current = 3.0⏎ => max_current = 3.0⏎[joint.cogging]⏎amplitude = -0.1⏎per_turn = 24⏎ => :45:13: => `amplitude` | [joint.cogging] of [[joint]] 0 | zero or more
@@ -148,10 +144,8 @@ const DEVICE_MISTAKES: &str = r#"
     [home] => [[link]]⏎[home] => :48:1: => 5 [[link]] tables instead of 4 | proximal-1
     [[joint]]⏎inertia = 2.0e-6⏎⏎[home] => [home] => :31:1: => 1 [[joint]] tables instead of 2
     counts_per_turn = 16384 => counts_per_turn = 0 => :36:19: => `counts_per_turn` | more than zero
-    counts_per_turn = 16384 => counts_per_turn = -4 => :36:19: => `counts_per_turn` | more than zero
     inverted = false => inverted = 0 => :38:12: => `inverted` | not true or false
     limits = [-1.0, 3.0] => limits = [3.0, -1.0] => :33:10: => the wrong way round
-    limits = [-1.0, 3.0] => limits = [1.0, 1.0] => :33:10: => the wrong way round
     limits = [-1.0, 3.0] => limits = [-1.0, 2.0] => :49:6: => home | outside its limits
     q = [2.4, 0.7] => q = [137, 40] => :49:6: => outside its limits | angles are in radians: 137 degrees are 2.3911 rad
     limits = [-1.0, 3.0] => limits = [80, 172] => :49:6: => these limits, if meant in degrees, are [1.3963, 3.0020] rad
@@ -166,12 +160,10 @@ const DEVICE_MISTAKES: &str = r#"
 const SCENE_MISTAKES: &str = r#"
     normal = [0.0, -1.0] => normal = [0.0, 0.0] => :6:10: => `normal` | points nowhere
     normal = [0.0, -1.0] => normal = [0.0, -1.0, 0.0] => :6:10: => 3 numbers instead of 2
-    normal = [0.0, -1.0] => normal = [0.0, inf] => :6:16: => not a finite number
     normal = [0.0, -1.0]⏎ =>  => :4:1: => `normal` | missing | add `normal = [0.0, 1.0]`
     damping = 1.0 => rate_hz = 1000 => :8:1: => `rate_hz` | belongs at the top of the file
     point = [0.0, 0.13] => point = [0.13] => :5:9: => 1 number instead of 2
     stiffness = 1000.0 => stiffness = -1000.0 => :7:13: => `stiffness` | zero or more
-    stiffness = 1000.0 => stiffness = nan => :7:13: => `stiffness` | not a finite number
     damping = 1.0 => damping = -1.0 => :8:11: => `damping` | zero or more
     damping = 1.0 => radius = 1.0 => :8:1: => unknown key `radius` | [[wall]] 0 (plane)
     damping = 1.0 => feed_forward = "on" => :8:16: => off, full, washout
@@ -179,7 +171,6 @@ const SCENE_MISTAKES: &str = r#"
     damping = 1.0 => washout_hz = 0 => :8:14: => `washout_hz` | more than zero
     damping = 1.0 => washout_hz = 10000 => :8:14: => below half the rate of 20000 Hz
     damping = 1.0 => bilateral = 1 => :8:13: => not true or false
-    damping = 1.0 => stifness = 1.0 => :8:1: => did you mean `stiffness`?
     shape = "sphere" => shape = "cube" => :11:9: => plane, sphere, cylinder
     shape = "sphere" => shape = "cylinder" => :11:9: => moves in space | shape = "sphere"
     radius = 0.05 => radius = 0 => :13:10: => `radius` | more than zero
@@ -315,7 +306,6 @@ fn an_encoder_needs_only_its_counts() {
     assert_eq!(of(&short), of(DEVICE));
 }
 
-/// Parser of a device or scene file.
 type Parser = fn(&str) -> Result<(), FileError>;
 fn shipped_files() -> Vec<(String, Parser)> {
     let mut all: Vec<(String, Parser)> = Vec::new();

@@ -166,7 +166,6 @@ fn the_environment_may_name_the_port() {
 fn wrong_ports_gains_and_fields_are_refused() {
     type_lines(
         "2: info --port tcp:nowhere => tcp:HOST:PORT
-        1: info --port /dev/no-such-port => /dev/no-such-port
         1: info --port SIM0001 => serial number
         2: gains --port sim --stiffness -1
         2: gains --port sim --stiffness nan

@@ -115,8 +115,7 @@ fn commands_in_sentences_exist() {
         output.status.success().then(|| String::from_utf8(output.stdout).unwrap())
     };
     let xtask = read("xtask/src/main.rs");
-    let is_word =
-        |word: &str| word.starts_with(char::is_alphabetic) && word.chars().all(|c| c.is_ascii_lowercase() || c == '-');
+    let is_word = |word: &str| !word.starts_with('-') && word.chars().all(|c| c.is_ascii_lowercase() || c == '-');
     let mut help: BTreeMap<String, Option<String>> = BTreeMap::new();
     let (mut wrong, mut seen) = (Vec::new(), 0);
     for path in documents() {

@@ -113,7 +113,6 @@ fn every_command_with_a_board_succeeds() {
 /// Commands that no help page lists.
 const UNLISTED_COMMANDS: [&str; 3] = ["bench", "precompute", "udev"];
 
-/// Returns the names of all commands.
 fn commands() -> BTreeSet<String> {
     let page = output(&["help"]);
     let (listing, _) = page.split_once("Start here").unwrap();

@@ -46,8 +46,8 @@ fn the_report_has_every_quantity_under_its_name() {
 
 #[test]
 fn the_librarys_tests_read_device_files_as_the_tool_does() {
-    let shipped =
-        crate::common::toml_files("").into_iter().map(|path| std::fs::read_to_string(path).expect("a readable file"));
+    let files = crate::common::toml_files("").into_iter();
+    let shipped = files.map(|path| std::fs::read_to_string(path).expect("a readable file"));
     let golden = cases().into_iter().map(|case| text(&case["device"]).to_string());
     for file in shipped.chain(golden) {
         let tool = DeviceFile::parse(&file, "device").expect("a sound device");

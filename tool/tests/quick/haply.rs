@@ -170,8 +170,7 @@ fn a_program_receives_all_keys_first_then_frames() {
     let id = &first["inverse3"][0]["device_id"];
     assert_eq!((number(&first, "/session_id"), first["inverse3"][0]["status"]["started"] == true), (1.0, false));
     // A five-bar lies on the table with its base away from the operator, so its y axis points towards the operator.
-    let (x, y) =
-        (number(&first, "/inverse3/0/state/cursor_position/x"), number(&first, "/inverse3/0/state/cursor_position/y"));
+    let [x, y] = ["x", "y"].map(|axis| number(&first, &format!("/inverse3/0/state/cursor_position/{axis}")));
     assert!(x.abs() < 0.1 && y < -0.05, "{first}");
 
     for (spelling, push, along) in
@@ -414,11 +413,8 @@ fn a_program_uses_its_configured_axes() {
     let turning = ["a0", "a1"].map(|joint| number(&pushed, &format!("/inverse3/0/state/angular_velocity/{joint}")));
     assert!(turning[0].hypot(turning[1]) > 1.0, "{pushed}");
     drop(program);
-    assert_eq!(
-        server.connect().2["inverse3"][0]["config"]["basis"]["permutation"],
-        "XYZ",
-        "the next program must start with the default axes"
-    );
+    // The next program starts with the default axes.
+    assert_eq!(server.connect().2["inverse3"][0]["config"]["basis"]["permutation"], "XYZ");
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! `haptic map` as other programs use it.
 
-use crate::common::{Folder, json, type_lines};
+use crate::common::{Folder, json, pose_option, type_lines};
 
 const DEVICE: &str = "devices/coupled-five-bar.toml";
 const TURRET: &str = "devices/phantom-premium-1.5.toml";
@@ -11,9 +11,7 @@ fn every_point_agrees_with_haptic_model() {
     let points = map["points"].as_array().unwrap();
     assert!(points.len() > 20);
     for point in points.iter().step_by(7) {
-        let q: Vec<String> =
-            point["q"].as_array().unwrap().iter().map(|v| format!("{:e}", v.as_f64().unwrap())).collect();
-        let q = format!("--q={}", q.join(","));
+        let q = pose_option(&point["q"]);
         let model = json(&["model", DEVICE, &q, "--normal", "0.6,-0.8"]);
         for (one, other) in [
             (&point["w_eff"], &model["w_eff"][0][0]),

@@ -1,6 +1,6 @@
 //! Valid but implausible values cause warnings on standard error and in JSON. Shipped files cause no warnings.
 
-use crate::common::{Folder, json, output, read, run, shipped_path, toml_files, type_lines};
+use crate::common::{Folder, json, output, pose_option, read, run, shipped_path, toml_files, type_lines};
 use serde_json::Value;
 
 /// Checks haply-2diy with these changes. Returns the JSON document and standard error.
@@ -122,9 +122,7 @@ fn check_names_the_limit_of_haptic_range() {
     let scene = wall_toml("[0.0, 0.125]", "3e9", "6.0") + "feed_forward = \"off\"\n";
     let (checked, _) = check_changed(&[], Some(&scene));
     let contact = &checked["scenes"][0]["contacts"][0];
-    let q: Vec<String> =
-        contact["q"].as_array().unwrap().iter().map(|v| format!("{:e}", v.as_f64().unwrap())).collect();
-    let q = format!("--q={}", q.join(","));
+    let q = pose_option(&contact["q"]);
     let wall = ["--normal", "0,-1", "--rate", "20000", "--cutoff", "500", "--board", "odrive-v3", "--kd", "6"];
     let range = json(&[&["range", "devices/haply-2diy.toml", &q], &wall[..]].concat());
     let (named, predicted) = (contact["stable_to"].as_f64(), range["off"]["boundary"][0]["kp"].as_f64().unwrap());

@@ -343,8 +343,7 @@ fn a_posture_is_part_of_the_loop() {
         let range = json(&[&asked[..], &["--delay", "0.125"], posture].concat());
         ["off", "full"].map(|mode| range[mode]["boundary"][0]["kp"].as_f64().unwrap())
     };
-    let within =
-        |found: [f64; 2], known: [f64; 2]| found.iter().zip(known).all(|(found, known)| (found - known).abs() < 1.0);
+    let within = |found: [f64; 2], known: [f64; 2]| (0..2).all(|i| (found[i] - known[i]).abs() < 1.0);
     let (free, held) = (of(&[]), of(&["--posture", "0.5,0.03"]));
     assert!(within(free, LIMITS_WITHOUT_POSTURE) && within(held, LIMITS_WITH_POSTURE), "{free:?} {held:?}");
     // A posture without spring and damper changes nothing.
@@ -367,15 +366,11 @@ fn the_demos_wall_buzzes_at_the_predicted_frequency() {
         let around = Loop::through(&TorquePath::usual(demo.rate_hz), demo.rate_hz, LinearEstimator::Butterworth(100.0));
         let prediction = Prediction::new(Subject::new(&demo.file.description).unwrap(), around);
         let wall = Member::new(demo.normal.to_vec(), 1.0);
-        let buzz =
-            |mode| prediction.buzz(demo.q(), std::slice::from_ref(&wall), mode, stiffness, damping).unwrap().unwrap();
+        let walls = [wall];
+        let buzz = |mode| prediction.buzz(demo.q(), &walls, mode, stiffness, damping).unwrap().unwrap();
         let (off, washout) = (buzz(Mode::Off), buzz(Mode::Washout(demo.washout_hz)));
         assert!(off.growth_per_s > washout.growth_per_s && off.growth_per_s > 0.0, "{off:?} {washout:?}");
-        assert!(
-            (measured / off.hz - 1.0).abs() < 0.13,
-            "{stiffness} N/m buzzes at {measured} Hz, not at {} Hz",
-            off.hz
-        );
+        assert!((measured / off.hz - 1.0).abs() < 0.13, "{stiffness} N/m: {measured} Hz, not {} Hz", off.hz);
     }
 }
 

@@ -21,7 +21,7 @@ fn boundary(around: &Loop, dampings: &[f64]) -> Vec<f64> {
     found.boundary.iter().map(|point| point.kp / (RATE_HZ * RATE_HZ)).collect()
 }
 
-/// Rows of the table in docs/published.md: largest kp T²/m, the kd T/m of it, largest kd T/m, area T³/m².
+/// Rows of the table in docs/published.md: largest kp T²/m, its kd T/m, largest kd T/m, area T³/m².
 const PUBLISHED_ROWS: [(f64, f64, f64, f64); 4] = [
     (0.68629, 0.8284, 2.0, 0.9096),
     (0.14447, 0.4247, 0.82843, 0.0798),

@@ -60,10 +60,8 @@ fn the_frequency_of_a_buzzing_wall_is_printed_with_its_limit() {
     let document = json(&line);
     let hz = |mode: &str, point: usize| document[mode]["boundary"][point]["hz"].as_f64();
     for mode in ["off", "full"] {
-        assert!(
-            hz(mode, 0).unwrap() < 6.0 && hz(mode, 2).is_none(),
-            "{mode}: no buzz is expected at 200 N s/m, where no stiffness is stable"
-        );
+        // At 200 N s/m no stiffness is stable, so there is no frequency of a buzz.
+        assert!(hz(mode, 0).unwrap() < 6.0 && hz(mode, 2).is_none(), "{mode}");
         assert!((55.0..62.0).contains(&hz(mode, 1).unwrap()), "{document}");
     }
     let swings = &document["ripple"]["wall"]["swings"];
@@ -192,10 +190,7 @@ fn a_washout_that_costs_stability_causes_a_warning() {
     let area = |mode: &str| number(&found[mode]["area"]);
     assert!(area("washout") < 0.5 * area("off") && area("full") > 10.0 * area("off"), "{found}");
     let said = found["warnings"].to_string();
-    assert!(
-        said.contains("the washout costs more than it brings") && !said.contains("the feed-forward costs"),
-        "{said}"
-    );
+    assert!(said.contains("the washout costs more than it") && !said.contains("the feed-forward costs"), "{said}");
     // With 1 Hz the stiffest wall keeps 0.85 of its stiffness, with 0.5 Hz all of it.
     assert!(said.contains("a corner of 0.5 Hz costs nothing"), "{said}");
 }

@@ -29,12 +29,7 @@ fn every_boundary_agrees_with_independent_values() {
             for (point, known) in found.boundary.iter().zip(expected) {
                 let known = known["kp"].as_f64().unwrap();
                 points += 1;
-                assert!(
-                    (point.kp - known).abs() < 1e-4 * largest,
-                    "{id} {key} at kd = {}: {} is not {known}",
-                    point.kd,
-                    point.kp
-                );
+                assert!((point.kp - known).abs() < 1e-4 * largest, "{id} {key}: {point:?} is not {known}");
             }
         }
     }
@@ -109,8 +104,8 @@ fn a_fast_mode_lowers_the_boundary() {
 fn a_difference_over_more_samples_lowers_the_boundary() {
     let device = stiff_device();
     let mean = |samples| {
-        let around =
-            Loop { estimator: LinearEstimator::BackwardDifference.over(samples), ..control_loop(1000.0, 50.0) };
+        let estimator = LinearEstimator::BackwardDifference.over(samples);
+        let around = Loop { estimator, ..control_loop(1000.0, 50.0) };
         domain(&device, &around, Mode::Off, Some(&[])).map(|found| found.area)
     };
     let plain = Loop { estimator: LinearEstimator::BackwardDifference, ..control_loop(1000.0, 50.0) };

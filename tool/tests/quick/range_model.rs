@@ -216,13 +216,9 @@ fn impossible_loops_are_refused() {
     let device = three_joints();
     let refused = |loop_: Loop, mode| domain(&device, &loop_, mode, None).unwrap_err();
     assert_eq!(refused(control_loop(200.0, 100.0), Mode::Off), AnalysisError::Cutoff { cutoff: 100.0, rate: 200.0 });
-    assert_eq!(
-        refused(control_loop(200.0, 20.0), Mode::Washout(150.0)),
-        AnalysisError::Cutoff { cutoff: 150.0, rate: 200.0 }
-    );
+    let washout = refused(control_loop(200.0, 20.0), Mode::Washout(150.0));
+    assert_eq!(washout, AnalysisError::Cutoff { cutoff: 150.0, rate: 200.0 });
     assert_eq!(refused(control_loop(0.0, 20.0), Mode::Off), AnalysisError::Rate(0.0));
-    assert_eq!(
-        refused(Loop { delay_samples: -1.0, ..control_loop(200.0, 20.0) }, Mode::Off),
-        AnalysisError::Delay(-1.0)
-    );
+    let early = Loop { delay_samples: -1.0, ..control_loop(200.0, 20.0) };
+    assert_eq!(refused(early, Mode::Off), AnalysisError::Delay(-1.0));
 }

@@ -42,11 +42,8 @@ fn the_page_is_complete_and_shows_the_output_of_its_commands() {
     for word in ["http:", "https:", "src=", "href=", "@import", "url(h"] {
         assert!(!page.contains(word), "{word}");
     }
-    assert_eq!(
-        elements.iter().filter(|name| *name == "svg").count(),
-        5,
-        "pictures of check, map, range, why and design"
-    );
+    // Pictures of check, map, range, why and design.
+    assert_eq!(elements.iter().filter(|name| *name == "svg").count(), 5);
     // Identifiers are unique.
     let mut names: Vec<&str> = page.split("id=\"").skip(1).map(|rest| rest.split('"').next().unwrap()).collect();
     let many = names.len();

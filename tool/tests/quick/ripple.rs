@@ -44,8 +44,7 @@ fn the_ripple_agrees_with_an_independent_program() {
     for (rate, cutoff, kp, kd, off, full) in INDEPENDENT_RIPPLES {
         let around = ideal_loop(rate, 0.0, LinearEstimator::Butterworth(cutoff));
         for (mode, known) in [(Mode::Off, off), (Mode::Full, full)] {
-            let found =
-                with_pressed_wall(&around, None, |pressed| pressed.ripple(mode, kp, kd).unwrap().rms_n.unwrap());
+            let found = with_pressed_wall(&around, None, |wall| wall.ripple(mode, kp, kd).unwrap().rms_n.unwrap());
             // The motion is chaotic, so the ripple depends on the start.
             assert!((0.93..1.07).contains(&(found / known)), "{rate} Hz, {kp} N/m, {mode:?}: {found} is not {known}");
         }

@@ -117,8 +117,8 @@ fn the_force_along_the_normal_never_falls_and_nothing_jumps() {
 
 #[test]
 fn with_a_washout_a_resting_hand_feels_no_sideways_force() {
-    let points =
-        SaturationCase { steps: 3_000, ..demo_case(FeedForward::Washout) }.forces_at_depths([2.0e-3].into_iter());
+    let case = SaturationCase { steps: 3_000, ..demo_case(FeedForward::Washout) };
+    let points = case.forces_at_depths([2.0e-3].into_iter());
     assert!(points[0].across < 1.0e-3 && (points[0].along - 19.4).abs() < 0.4, "{points:?}");
 }
 
@@ -148,10 +148,8 @@ fn walls_push_with_at_most_the_tip_force_limit_in_every_pose() {
         let points = case.forces_at_depths((0..=20).map(|i| 5.0e-5 * f64::from(i)));
         for point in &points {
             assert!(point.along <= 5.005, "{device} at {q:?}: {point:?}");
-            assert!(
-                (point.share() - point.along / point.asked.max(1.0e-9)).abs() < 2.0e-3 || point.asked < 0.1,
-                "{point:?}"
-            );
+            let share = point.along / point.asked.max(1.0e-9);
+            assert!((point.share() - share).abs() < 2.0e-3 || point.asked < 0.1, "{point:?}");
         }
         let last = points[points.len() - 1];
         assert!(last.asked > 19.0 && (last.along - 5.0).abs() < 5.0e-3, "{device} at {q:?}: {last:?}");

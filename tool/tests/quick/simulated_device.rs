@@ -259,14 +259,8 @@ fn swinging_paddle(frequency: f64, damping: f64) -> Description {
 fn a_mode_equals_a_link_behind_a_transmission() {
     // The mode's 3e-4 kg m² equal the link of a soft paddle whose motor has the other 7e-4.
     let mode = StructuralMode { frequency: 80.0, damping: 0.02, inertia: 3e-4 };
-    let mut soft = paddle(0.0, 0.0);
-    let give = Transmission {
-        stiffness: mode.stiffness(),
-        damping: mode.viscous(),
-        motor_inertia: 7e-4,
-        encoder_at: EncoderAt::Motor,
-    };
-    soft.joints[0].transmission = Some(give);
+    let mut soft = soft_paddle(mode.stiffness(), mode.viscous(), EncoderAt::Motor);
+    soft.joints[0].transmission.as_mut().unwrap().motor_inertia = 7e-4;
     let (mut left, mut right) = (device(&swinging_paddle(80.0, 0.02)), device(&soft));
     for _ in 0..50 {
         for device in [&mut left, &mut right] {

@@ -3,10 +3,10 @@
 //! depends on time.
 
 use crate::common::prelude::*;
-use crate::common::{board, shipped_device, shipped_path};
+use crate::common::{board, measurement, shipped_device, shipped_path};
 use haptic_bridge::board::protocol::{Disarm, GetDetails, GetInfo, Info, PROTOCOL};
 use haptic_host::link::{Deframer, LinkError, PortSpec, Wire, disarm_held_board, encode};
-use haptic_predict::measure::{Law, MeasureError, MeasurementSetup, PreparedBoard};
+use haptic_predict::measure::{MeasureError, PreparedBoard};
 use haptic_sim::door::{Patience, ToolListener, tcp};
 use haptic_sim::server::{Pace, serve};
 use haptic_sim::{SimulatedBoard, ready_board};
@@ -276,7 +276,7 @@ fn ports_without_a_board_are_named() {
     assert!(error.to_string().contains("/dev/no-such-port"));
 }
 
-/// A device that is no board (`None`), or a board with another protocol version, which sends its `Info` as every reply.
+/// A device that is not a board (`protocol` is `None`), or a board with another protocol version.
 struct UnknownDevice {
     protocol: Option<u16>,
     out: Vec<u8>,
@@ -295,11 +295,7 @@ impl Wire for UnknownDevice {
         let mut requests = Vec::new();
         Deframer::default().feed(bytes, |frame| requests.push(frame));
         for request in requests {
-            assert_eq!(
-                request.header.key,
-                VarKey::Key8(GetInfo::REQ_KEY),
-                "another request was sent to an unknown board"
-            );
+            assert_eq!(request.header.key, VarKey::Key8(GetInfo::REQ_KEY), "a request to an unknown board");
             let Some(protocol) = self.protocol else { continue };
             let (firmware, board) = ("9.9".chars().collect(), "odrive-v3".chars().collect());
             let info = Info { protocol, firmware, board, serial: "A1".chars().collect() };
@@ -356,21 +352,9 @@ fn rows_of_a_killed_tools_stream_are_discarded() {
     assert_eq!((losses.missing, losses.batches_lost, losses.garbled), (0, 0, 0));
 }
 
-fn measurement_setup() -> MeasurementSetup {
-    MeasurementSetup {
-        walls: vec![Member::new(vec![0.6, 0.8], 1.0)],
-        rate_hz: 1_000.0,
-        cutoff_hz: 20.0,
-        washout_hz: 2.0,
-        law: Law::default(),
-        torque_limit: 1.0,
-        largest_pull: 2e-3,
-    }
-}
-
 /// Runs one trial of a measurement, which calls `stop` again and again.
 fn measure(board: &mut Board, stop: &dyn Fn() -> bool) -> Result<(), MeasureError> {
-    let mut prepared = PreparedBoard::new(board, &device(), measurement_setup(), stop)?;
+    let mut prepared = PreparedBoard::new(board, &device(), measurement(&[0.6, 0.8], 1_000.0, 20.0), stop)?;
     prepared.oscillates(FeedForward::Off, 100.0, 1.0, 1.0).map(drop)
 }
 
@@ -415,7 +399,8 @@ fn a_measurement_ends_when_another_tool_disarms() {
 #[test]
 fn the_motors_go_off_if_the_measuring_tool_dies() {
     let (shared, mut board) = board_in_process();
-    let prepared = PreparedBoard::new(&mut board, &device(), measurement_setup(), &|| false).unwrap();
+    let prepared =
+        PreparedBoard::new(&mut board, &device(), measurement(&[0.6, 0.8], 1_000.0, 20.0), &|| false).unwrap();
     // A killed process does not drop anything.
     std::mem::forget(prepared);
     assert_eq!(shared.lock().status().state, State::Armed);

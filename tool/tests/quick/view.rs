@@ -100,6 +100,17 @@ impl TestView {
         assert_eq!(self.state(), "Armed", "{:?}", self.pages[page].heard.refused);
     }
 
+    /// Releases the key of the first page.
+    fn release(&mut self) {
+        self.pages[0].repeated = Some(FromPage::Here {});
+        self.send(0, json!({"do": "release"}));
+    }
+
+    /// Returns the tip's depth in the wall as the first page shows it, m.
+    fn depth(&self) -> f64 {
+        self.page(0).picture["numbers"]["depth"].as_f64().unwrap()
+    }
+
     /// Returns the messages that a page has received.
     fn page(&self, page: usize) -> &Received {
         &self.pages[page].heard
@@ -117,7 +128,7 @@ impl TestView {
         }
     }
 
-    /// Lets 6 ms pass.
+    /// Advances the clock of the stage by 6 ms and delivers the messages of pages and stage.
     fn step(&mut self) {
         self.now += Duration::from_millis(6);
         for page in &mut self.pages {
@@ -199,8 +210,7 @@ fn the_motors_are_on_only_while_the_key_is_down() {
     view.arm(0);
     view.play(2.0);
     assert_eq!(view.state(), "Armed", "{:?}", view.page(0).refused);
-    view.pages[0].repeated = Some(FromPage::Here {});
-    view.send(0, json!({"do": "release"}));
+    view.release();
     assert_eq!(view.state(), "Disarmed");
 
     // Silence of almost half a second releases the key. If the page then reports the key as down, the motors stay off.
@@ -240,32 +250,27 @@ fn simulated_motors_stay_on_while_the_page_is_there() {
 #[test]
 fn the_key_moves_a_simulated_hand_out_of_a_wall() {
     let mut view = TestView::demo();
-    let depth = |view: &TestView| view.page(0).picture["numbers"]["depth"].as_f64().unwrap();
     let press = |view: &mut TestView, seconds: f64| {
         let seen = view.page(0).step();
         view.pages[0].repeated = Some(FromPage::Hold { seen });
         view.send(0, json!({"do": "arm", "seen": seen}));
         view.play(seconds);
     };
-    let release = |view: &mut TestView| {
-        view.pages[0].repeated = Some(FromPage::Here {});
-        view.send(0, json!({"do": "release"}));
-    };
     let inside = view.place_by_tip(-0.03, 0.0);
     for released in [true, false] {
         view.send(0, json!({"do": "hand", "at": inside}));
         view.play(1.0);
-        assert!(depth(&view) > 0.01, "{} m", depth(&view));
+        assert!(view.depth() > 0.01, "{} m", view.depth());
         press(&mut view, 0.05);
         assert_eq!(view.state(), "Disarmed", "armed before the hand is out of the wall");
         if released {
-            release(&mut view);
+            view.release();
         }
         view.play(1.0);
         assert_eq!((view.state(), view.page(0).refused.len()), (if released { "Disarmed" } else { "Armed" }, 0));
-        assert!(depth(&view) <= 0.0, "{} m", depth(&view));
+        assert!(view.depth() <= 0.0, "{} m", view.depth());
     }
-    release(&mut view);
+    view.release();
     // The tip cannot leave this wall within its reach.
     let wall = |view: &TestView| json!({"do": "wall", "wall": 0, "point": view.place_by_tip(0.5, 0.0)});
     view.send(0, wall(&view));
@@ -538,12 +543,8 @@ fn the_boundary_includes_compliance_posture_and_drive() {
             let apart = plane.off.iter().zip(other).map(|(a, b)| (a.kp - b.kp).abs());
             apart.fold(0.0, f64::max) / plane.off.iter().map(|point| point.kp).fold(0.0, f64::max)
         };
-        assert!(
-            furthest(&with) < 1e-3 && furthest(&without) > 2e-3,
-            "{name}: {} {}",
-            furthest(&with),
-            furthest(&without)
-        );
+        let (with, without) = (furthest(&with), furthest(&without));
+        assert!(with < 1e-3 && without > 2e-3, "{name}: {with} {without}");
     }
 }
 
@@ -594,8 +595,7 @@ fn the_notice_for_a_lost_connection_is_sent_in_advance() {
     view.arm(0);
     view.play(0.1);
     assert!(if_lost(&view).contains("half a second after the last message about the key"), "{}", if_lost(&view));
-    view.pages[0].repeated = Some(FromPage::Here {});
-    view.send(0, json!({"do": "release"}));
+    view.release();
     view.play(0.1);
     assert!(if_lost(&view).contains("were off"), "{}", if_lost(&view));
     // Another tool arms the board, which does not watch its host.
@@ -644,11 +644,8 @@ fn a_scene_with_a_nan_is_refused_and_not_sent() {
     corrupt.store(true, Ordering::Relaxed);
     view.send(0, gains(81.0));
     assert_eq!(view.page(0).walls, before);
-    assert!(
-        view.page(0).refusal().contains("wall 0: stiffness and damping must be finite"),
-        "{}",
-        view.page(0).refusal()
-    );
+    let refusal = view.page(0).refusal();
+    assert!(refusal.contains("wall 0: stiffness and damping must be finite"), "{refusal}");
     drop(view);
     let failure = Stage::open(World::of(open(), None), Hub::default(), None, None).err().unwrap().to_string();
     assert!(failure.contains("wall 0: stiffness and damping must be finite"), "{failure}");
@@ -661,13 +658,10 @@ fn the_wall_of_a_paddle_is_placed_on_its_arc() {
     let wall = &view.page(0).walls[0];
     let [at, normal] = ["at", "normal"].map(|key| [0, 1].map(|axis| wall["outline"][key][axis].as_f64().unwrap()));
     let (arc, length) = (wall["values"][0].as_f64().unwrap(), 0.07);
-    assert!(
-        (at[0] - length * (arc / length).cos()).abs() < 1e-6 && (at[1] - length * (arc / length).sin()).abs() < 1e-6
-    );
-    assert!(
-        (normal[0] * at[0] + normal[1] * at[1]).abs() < 1e-6 && normal[1] > 0.9,
-        "the normal does not point out of the solid along the arc"
-    );
+    let (sine, cosine) = (arc / length).sin_cos();
+    assert!((at[0] - length * cosine).abs() < 1e-6 && (at[1] - length * sine).abs() < 1e-6);
+    // The normal points out of the solid along the arc.
+    assert!((normal[0] * at[0] + normal[1] * at[1]).abs() < 1e-6 && normal[1] > 0.9);
 }
 
 /// Ripple above which the page turns red, N.
@@ -722,8 +716,7 @@ fn a_simulation_starts_over_and_arms_again() {
     let world = World::demo().unwrap();
     let board = world.simulated.clone().unwrap();
     let mut view = TestView::in_command(world, None);
-    let depth = |view: &TestView| view.page(0).picture["numbers"]["depth"].as_f64().unwrap();
-    let (walls, before) = (view.page(0).walls.clone(), depth(&view));
+    let (walls, before) = (view.page(0).walls.clone(), view.depth());
     assert!((before + 0.010).abs() < 1e-4, "the wall is 10 mm away, not {before} m");
     for broken in [false, true] {
         view.arm(0);
@@ -738,8 +731,7 @@ fn a_simulation_starts_over_and_arms_again() {
             let words = view.page(0).picture["fault"].as_str().unwrap().to_string();
             assert!(words.contains("start over") && !words.contains("cable"), "{words}");
         } else {
-            view.pages[0].repeated = Some(FromPage::Here {});
-            view.send(0, json!({"do": "release"}));
+            view.release();
             view.send(0, json!({"do": "wall", "wall": 0, "point": wall}));
         }
         assert_ne!(view.page(0).walls, walls);
@@ -749,7 +741,7 @@ fn a_simulation_starts_over_and_arms_again() {
         let picture = &view.page(0).picture;
         assert_eq!((view.state(), &picture["fault"], &picture["hand"]), ("Disarmed", &Value::Null, &Value::Null));
         assert_eq!((&view.page(0).walls, view.page(0).refused.len()), (&walls, 0));
-        assert!((depth(&view) - before).abs() < 1e-4, "{} m", depth(&view));
+        assert!((view.depth() - before).abs() < 1e-4, "{} m", view.depth());
     }
     for (pose, refusals) in [(json!([1.7, 1.1]), 0), (json!([1.7]), 1), (json!([1e9, -1e9]), 2)] {
         view.send(0, json!({"do": "start-over", "pose": pose}));
@@ -924,8 +916,8 @@ fn http_request(host: &str, request: &str) -> String {
 
 fn connect_page(url: &str) -> WebSocket<TcpStream> {
     let (host, query) = split_url(url);
-    let (socket, _) =
-        tungstenite::client(format!("ws://{host}/live{query}"), TcpStream::connect(host).unwrap()).unwrap();
+    let stream = TcpStream::connect(host).unwrap();
+    let (socket, _) = tungstenite::client(format!("ws://{host}/live{query}"), stream).unwrap();
     socket.get_ref().set_read_timeout(Some(Duration::from_millis(10))).unwrap();
     socket
 }

@@ -113,14 +113,12 @@ impl SlidingLoop {
 
     /// Returns the stiffness at which an oscillation begins to grow, N/m. `low` must be stable and `high` must not.
     pub fn stability_limit(&self, speed: f64, kd: f64, (low, high): (f64, f64), rate: f64, cutoff: f64) -> f64 {
-        assert!(
-            !self.has_growing_mode(speed, low, kd, rate, cutoff)
-                && self.has_growing_mode(speed, high, kd, rate, cutoff)
-        );
+        let grows = |kp| self.has_growing_mode(speed, kp, kd, rate, cutoff);
+        assert!(!grows(low) && grows(high));
         let (mut low, mut high) = (low, high);
         for _ in 0..40 {
             let middle = 0.5 * (low + high);
-            if self.has_growing_mode(speed, middle, kd, rate, cutoff) { high = middle } else { low = middle }
+            if grows(middle) { high = middle } else { low = middle }
         }
         low
     }

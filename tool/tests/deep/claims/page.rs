@@ -198,7 +198,6 @@ fn is_regular(q: [f64; 2]) -> bool {
     regularity.serial.min(regularity.parallel / PARALLEL_REGULARITY) >= FULL_REGULARITY
 }
 
-/// Returns the demo's device along the demo's normal.
 pub fn demo_device() -> Linearised {
     linearise(&five_bar(), DEMO_POSE).undamped()
 }

@@ -1,6 +1,6 @@
 //! The tool draws the pictures in docs/drawings/ and docs/results/.
 
-use crate::common::{Folder, read, root, shipped_device, toml_files, type_lines};
+use crate::common::{Folder, read, root, shipped_device, svg_number, toml_files, type_lines};
 use haptic_bridge::model::admissible::Admissible;
 use haptic_show::plot::coupling::draw;
 use haptic_show::plot::paper::Paper;
@@ -80,8 +80,7 @@ fn the_drawing_of_a_device_contains_its_whole_reach() {
         let Some(ground) = svg.lines().find(|line| line.starts_with("<path transform")) else { continue };
         grounds += 1;
         let clip = svg.lines().find(|line| line.starts_with("<clipPath")).unwrap();
-        let [x, y, width, height] =
-            [" x=\"", " y=\"", " width=\"", " height=\""].map(|key| numbers_after(clip, key)[0]);
+        let [x, y, width, height] = ["x", "y", "width", "height"].map(|key| svg_number(clip, key).unwrap());
         // Coordinates are steps in tenths of a pixel. Each outline starts relative to the start of the previous one.
         let path = ground.split_once(" d=\"").unwrap().1.split('"').next().unwrap();
         let mut began = [0.0, 0.0];

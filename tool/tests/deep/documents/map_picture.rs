@@ -178,7 +178,6 @@ struct ModelPoint {
     regular: f64,
 }
 
-/// Evaluates the model at a pose.
 fn evaluate_share(file: &DeviceFile, q: &[f64], normal: &[f64], held: Admissible) -> Option<ModelPoint> {
     let walls = [WallForce { normal: normal.to_vec(), force: 0.0, stiffness: 1.0, feed_forward: true }];
     let report = evaluate_holding(file, q, &vec![0.0; q.len()], &walls, Precision::F64, held).ok()?;

@@ -17,7 +17,7 @@ const STIFFNESS: f64 = 20_000.0;
 #[derive(Clone, Debug)]
 pub struct Row {
     pub device: &'static str,
-    /// Range of the sine of the angle between the poses and the singularity.
+    /// Smallest and largest sine of the angle between a pose and the elbow's singularity.
     pub sines: [f64; 2],
     /// Largest ratio of the requested force to the largest force of the motors.
     pub beyond: f64,
@@ -72,8 +72,8 @@ fn row_of<M: Mechanism<f64, N>, const N: usize>(
                 let fits = |most: f64| requested * (0..N).map(|i| room(i, most)).fold(1.0, f64::min);
                 let right = fits(torque.into());
                 // The feed-forward may need a 64th of a motor's torque.
-                let least =
-                    if feed_forward == FeedForward::Off { right } else { fits(f64::from(torque) * 63.0 / 64.0) };
+                let reduced = fits(f64::from(torque) * 63.0 / 64.0);
+                let least = if feed_forward == FeedForward::Off { right } else { reduced };
                 row.beyond = row.beyond.max(requested / right);
                 row.along[index] =
                     row.along[index].max((forces.along - forces.along.clamp(least, right)).abs() / right);

@@ -16,7 +16,7 @@ use nalgebra::{SMatrix, SVector};
 pub const COUNTS_PER_TURN: [f64; 2] = [20_000.0, 1_048_576.0];
 /// Speed of the tip along the wall, m/s.
 const SLIDING_SPEED: f64 = 0.5;
-/// Runs per row.
+/// Number of slides per row.
 const RUNS: usize = 10;
 /// Control steps until the estimator has settled.
 const SETTLING_STEPS: u32 = 600;

@@ -77,8 +77,8 @@ fn an_interrupted_range_continues() {
     let around = Loop { drive: Drive::Current { bandwidth_hz: 500.0 }, ..ideal };
     check_interrupted(2, 12, |sweep| why(&device, &around, sweep));
     let description = file.description;
-    let pressed =
-        Pressed { device: &device, description, q, normal, around: &around, hand: LIGHT_HAND, push_n: PUSH_N };
+    let (hand, push_n) = (LIGHT_HAND, PUSH_N);
+    let pressed = Pressed { device: &device, description, q, normal, around: &around, hand, push_n };
     check_interrupted(2, 12, |sweep| pressed.along(Mode::Full, DampingRule::Ratio(0.7), 0.1, sweep));
 }
 

@@ -37,10 +37,6 @@ fn kill_tool(mut child: Child) {
     child.wait().unwrap();
 }
 
-fn parse_recording(path: &Path) -> Recording {
-    Recording::parse(&std::fs::read_to_string(path).unwrap()).unwrap()
-}
-
 /// Returns the number of missing rows in a recording of every step.
 fn missing_rows(recording: &Recording) -> u64 {
     recording.rows.windows(2).map(|pair| (pair[1][0] - pair[0][0]) as u64 - 1).sum()
@@ -73,7 +69,7 @@ fn a_killed_recording_is_complete_and_leaves_no_rows_behind() {
             let tool = sim.spawn(&["record", to, "--rate", "20000", "--fields", "counts"]);
             wait_for_size(&csv, bytes);
             kill_tool(tool);
-            let before = parse_recording(&csv);
+            let before = Recording::load(&csv).unwrap();
             assert!(before.rows.len() > 50, "{}", before.rows.len());
             assert_eq!(missing_rows(&before), 0);
             std::fs::remove_file(&csv).unwrap();
@@ -81,7 +77,7 @@ fn a_killed_recording_is_complete_and_leaves_no_rows_behind() {
             let said = sim.run(&["record", to, "--seconds", "0.2", "--rate", "200", "--fields", "q,tip"]);
             let said = String::from_utf8_lossy(&said.success().get_output().stderr).into_owned();
             assert!(said.contains("none lost"), "{said}");
-            let next = parse_recording(&csv);
+            let next = Recording::load(&csv).unwrap();
             assert_eq!(next.columns.len(), 6, "{:?}", next.columns);
             assert!(next.rows.len() >= 30, "{} rows", next.rows.len());
             for row in &next.rows {
@@ -138,12 +134,12 @@ fn rows_that_a_stopped_tool_missed_are_counted_exactly() {
         let before = std::fs::metadata(&csv).unwrap().len();
         send_signal(&tool, "CONT");
         wait_for_size(&csv, before + 1_000_000);
-        missing_rows(&parse_recording(&csv)) > 0
+        missing_rows(&Recording::load(&csv).unwrap()) > 0
     });
     send_signal(&tool, "INT");
     let (code, text) = wait_for_exit(tool);
     assert_eq!(code, Some(0), "{text}");
-    let recording = parse_recording(&csv);
+    let recording = Recording::load(&csv).unwrap();
     assert_eq!(number_before(&text, "lost ("), missing_rows(&recording), "{text}");
     assert_eq!(number_before(&text, "rows are in"), recording.rows.len() as u64, "{text}");
     let dropped = number_before(&text, "dropped by the board");
@@ -173,7 +169,7 @@ fn an_interrupted_recording_is_complete_and_obeys_the_rules() {
         let (code, text) = wait_for_exit(tool);
         if how == "INT" {
             assert_eq!(code, Some(0), "{text}");
-            assert!(!parse_recording(&csv).torn && text.contains("rows are in"), "{text}");
+            assert!(!Recording::load(&csv).unwrap().torn && text.contains("rows are in"), "{text}");
         }
         if rule == "ignore" {
             // Wait for a second of the board's time, after which the board must still be armed.

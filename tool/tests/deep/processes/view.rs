@@ -3,7 +3,7 @@
 use crate::common::page::{Received, View};
 use crate::common::sim::{HANG_TIMEOUT, wait_until};
 use crate::common::socket::Socket;
-use crate::common::{haptic, shipped_path, type_lines};
+use crate::common::{haptic, shipped_path};
 use serde_json::{Value, json};
 use std::io::ErrorKind;
 use std::net::TcpStream;
@@ -104,10 +104,4 @@ fn the_page_waits_for_a_lost_board_even_without_its_scene() {
         page.take_command();
         page.arm();
     }
-}
-
-#[test]
-fn a_missing_folder_for_recordings_is_refused_at_the_start() {
-    let missing = "/nonexistent is not there; make the folder first";
-    type_lines(&format!("1: view --port sim --listen 127.0.0.1:0 --record-to /nonexistent => {missing}"), &[]);
 }

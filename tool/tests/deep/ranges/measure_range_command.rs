@@ -56,8 +56,7 @@ fn a_measurement_is_reported_kept_and_continued() {
         .stderr(contains("coupled-five-bar along (0.6, 0.8) at 1000 Hz"));
 
     // With --anew the old results are replaced.
-    let anew =
-        measure(&progress, &SLOW_LOOP, &["--feed-forward", "off", "--repeats", "1", "--pull", "1", "--anew"]).success();
+    let anew = measure(&progress, &SLOW_LOOP, &["--feed-forward=off", "--repeats=1", "--pull=1", "--anew"]).success();
     let anew = anew.stderr(contains("already").not());
     let document: Value = serde_json::from_slice(&anew.get_output().stdout).unwrap();
     assert_eq!(document["points"][0]["repeats"].as_array().unwrap().len(), 1);
@@ -96,9 +95,8 @@ fn parse_json(assert: assert_cmd::assert::Assert) -> Value {
 /// Returns the command lines of measurements in a document.
 fn measurement_lines(document: &str) -> Vec<String> {
     let text = read(document);
-    let words =
-        text.lines().map(|line| line.trim().trim_matches('`')).filter(|line| line.starts_with("haptic measure-range "));
-    words.map(str::to_string).collect()
+    let lines = text.lines().map(|line| line.trim().trim_matches('`'));
+    lines.filter(|line| line.starts_with("haptic measure-range ")).map(str::to_string).collect()
 }
 
 #[test]
@@ -141,12 +139,9 @@ fn the_readmes_line_measures_its_numbers_near_theory() {
         };
         format!("| {}, {} kN/m |", two("off"), two("full"))
     };
-    assert!(
-        row.contains(&told("kp")) && row.contains(&told("theory_kp")),
-        "{}{}: {row}",
-        told("kp"),
-        told("theory_kp")
-    );
+    for key in ["kp", "theory_kp"] {
+        assert!(row.contains(&told(key)), "{}: {row}", told(key));
+    }
 }
 
 #[test]

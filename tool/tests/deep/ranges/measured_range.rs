@@ -3,7 +3,7 @@
 //! Friction and hand are off, the drive is ideal, and the encoders are fine, because linear theory assumes this.
 
 use crate::common::prelude::*;
-use crate::common::{self, ideal_loop, shipped_device};
+use crate::common::{self, ideal_loop, measurement, shipped_device};
 use haptic_predict::measure::simulated::{Friction, World};
 use haptic_predict::measure::{Boundary, Law, MeasureError, MeasurementSetup, PreparedBoard};
 use haptic_stability::analysis::control_loop::CURRENT_LOOP_HZ;
@@ -28,18 +28,6 @@ fn frictionless_board(file: &DeviceFile) -> SharedBoard {
     common::board(file, options).0
 }
 
-fn measurement_setup(rate_hz: f64, cutoff_hz: f64) -> MeasurementSetup {
-    MeasurementSetup {
-        walls: vec![Member::new(NORMAL.to_vec(), 1.0)],
-        rate_hz,
-        cutoff_hz,
-        washout_hz: 2.0,
-        law: Law::default(),
-        torque_limit: 2.0,
-        largest_pull: 3e-4,
-    }
-}
-
 #[test]
 fn the_measured_boundary_is_the_predicted_one() {
     let (rate_hz, cutoff) = (20_000.0, 500.0);
@@ -48,7 +36,8 @@ fn the_measured_boundary_is_the_predicted_one() {
     let around = ideal_loop(rate_hz, 0.5, LinearEstimator::Butterworth(cutoff));
     let shared = frictionless_board(&file);
     let mut board = Board::over(shared.wire(), "sim").unwrap();
-    let mut prepared = PreparedBoard::new(&mut board, &file, measurement_setup(rate_hz, cutoff), &|| false).unwrap();
+    let setup = MeasurementSetup { torque_limit: 2.0, largest_pull: 3e-4, ..measurement(&NORMAL, rate_hz, cutoff) };
+    let mut prepared = PreparedBoard::new(&mut board, &file, setup, &|| false).unwrap();
     for (mode, theory) in [(FeedForward::Off, Mode::Off), (FeedForward::Full, Mode::Full)] {
         let kd_max = domain(&device, &around, theory, Some(&[])).unwrap().kd_max;
         for share in [0.3, 0.8] {
@@ -72,8 +61,7 @@ fn phantom_boundary(feed_forward: FeedForward, finer: f64) -> Result<Boundary, M
         joint.encoder.as_mut().unwrap().counts_per_turn *= finer;
     }
     let mut board = Board::over(world.board(&file, 5_000.0).unwrap().wire(), "sim").unwrap();
-    let walls = vec![Member::new(vec![0.6, 0.8, 0.0], 1.0)];
-    let setup = MeasurementSetup { walls, torque_limit: 1.0, largest_pull: 5e-4, ..measurement_setup(5_000.0, 200.0) };
+    let setup = MeasurementSetup { largest_pull: 5e-4, ..measurement(&[0.6, 0.8, 0.0], 5_000.0, 200.0) };
     let mut prepared = PreparedBoard::new(&mut board, &file, setup, &|| false).unwrap();
     prepared.boundary(feed_forward, 20.0, 1.0, None)
 }
@@ -121,8 +109,7 @@ fn a_device_is_held_softly_enough_for_its_cables() {
         joint.transmission = Some(Transmission { stiffness, damping, motor_inertia, encoder_at: EncoderAt::Motor });
     }
     let mut board = Board::over(world.board(&file, 5_000.0).unwrap().wire(), "sim").unwrap();
-    let walls = vec![Member::new(vec![0.6, 0.8, 0.0], 1.0)];
-    let setup = MeasurementSetup { walls, torque_limit: 1.0, largest_pull: 5e-4, ..measurement_setup(5_000.0, 200.0) };
+    let setup = MeasurementSetup { largest_pull: 5e-4, ..measurement(&[0.6, 0.8, 0.0], 5_000.0, 200.0) };
     let mut prepared = PreparedBoard::new(&mut board, &file, setup, &|| false).unwrap();
     let mut stands = |kp| !prepared.oscillates(FeedForward::Off, kp, 3.26, 1.0).unwrap();
     assert!(stands(0.9 * 8406.0));
@@ -134,15 +121,13 @@ fn a_device_is_held_softly_enough_for_its_cables() {
 fn paper_setting(name: &str, world: &World, normal: &[f64], law: Law) -> (DeviceFile, MeasurementSetup, Prediction) {
     let mut file = shipped_device(name);
     world.apply(&mut file);
-    let walls = vec![Member::new(normal.to_vec(), 1.0)];
-    let setup =
-        MeasurementSetup { walls, torque_limit: 1.0, largest_pull: 5e-4, law, ..measurement_setup(200.0, 20.0) };
+    let setup = MeasurementSetup { largest_pull: 5e-4, law, ..measurement(normal, 200.0, 20.0) };
     let drive = if world.ideal_drive { Drive::Ideal } else { Drive::Current { bandwidth_hz: CURRENT_LOOP_HZ } };
     let delay_samples = 0.5 * 200.0 / 20_000.0;
     let estimator = LinearEstimator::Butterworth(20.0);
     let around = Loop { drive, ..ideal_loop(200.0, delay_samples, estimator) };
-    let prediction =
-        Prediction { posture: law.posture, ..Prediction::new(Subject::new(&file.description).unwrap(), around) };
+    let subject = Subject::new(&file.description).unwrap();
+    let prediction = Prediction { posture: law.posture, ..Prediction::new(subject, around) };
     (file, setup, prediction)
 }
 
@@ -206,10 +191,8 @@ fn boundaries_with_friction_are_found_at_the_papers_setting() {
         let found = prepared.boundary(mode, kd, strength, None).map(|found| found.gain);
         let theory = predicted.of(mode).boundary[0].kp;
         // Friction adds damping, so the boundary is above theory.
-        assert!(
-            found.as_ref().is_ok_and(|found| *found > theory && *found < theory + 200.0),
-            "{name}: {found:?}, {theory}"
-        );
+        let is_above = found.as_ref().is_ok_and(|found| (theory..theory + 200.0).contains(found));
+        assert!(is_above, "{name}: {found:?}, theory {theory}");
     }
 }
 

@@ -56,10 +56,7 @@ fn stiffness_grows_far_less_than_the_rate() {
     {
         let found = clean_spring(rate);
         let (gained, rigid) = (found.0 / slow.0, found.1 / slow.1);
-        assert!(
-            (rigid / (rate / from) - 1.0).abs() < 0.1,
-            "rigid theory is not proportional to the rate: {rate}: {rigid}"
-        );
+        assert!((rigid / (rate / from) - 1.0).abs() < 0.1, "rigid theory is not proportional to {rate} Hz: {rigid}");
         assert!((least..most).contains(&gained), "{rate}: {gained}");
     }
 }

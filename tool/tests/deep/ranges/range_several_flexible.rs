@@ -98,10 +98,7 @@ fn very_stiff_cables_equal_rigid_transmissions() {
         // The effect of a cable falls with the square of its frequency.
         for (hz, within) in [(2e4, 1e-2), (2e5, 1e-4), (1e9, 1e-9)] {
             for (found, rigid) in of(Some(hz)).into_iter().zip(rigid) {
-                assert!(
-                    (found / rigid - 1.0).abs() < within,
-                    "{name}: {found} with cables of {hz} Hz, {rigid} without"
-                );
+                assert!((found / rigid - 1.0).abs() < within, "{name}: {found} with cables of {hz} Hz, not {rigid}");
             }
         }
     }

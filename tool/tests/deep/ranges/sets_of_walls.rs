@@ -74,8 +74,8 @@ impl WallRun<'_> {
         let walls = walls.iter().map(|(normal, share)| {
             let n: [f64; 3] = core::array::from_fn(|i| normal.get(i).copied().unwrap_or(0.0));
             let gain = |total_gain: f64| (total_gain * share / total) as f32;
-            let plane =
-                plane_wall(tip.map(|x| x as f32), n.map(|x| x as f32), gain(self.stiffness), gain(self.damping));
+            let [point, n] = [tip, n].map(|v| v.map(|x| x as f32));
+            let plane = plane_wall(point, n, gain(self.stiffness), gain(self.damping));
             // There is no joint damping, so the compensation only turns the velocity estimates on.
             let (feed_forward, bilateral) = (self.feed_forward, self.bilateral);
             Wall { feed_forward, bilateral, damping_compensation: self.unfaded, ..plane }
@@ -105,8 +105,7 @@ impl WallRun<'_> {
             }
             None => plant.push([0.012, -0.016, 0.0]),
         }
-        let (mut low, mut high) =
-            (SVector::<f32, N>::repeat(f32::INFINITY), SVector::<f32, N>::repeat(f32::NEG_INFINITY));
+        let [mut low, mut high] = [f32::INFINITY, f32::NEG_INFINITY].map(SVector::<f32, N>::repeat);
         let steps = (1.2 * RATE_HZ) as u32;
         for k in 0..steps {
             let counts = plant.counts();
@@ -255,8 +254,7 @@ fn the_feed_forward_keeps_stable_corners_quiet() {
         (vec![(75.0, 1.0), (165.0, 0.01)], 15_000.0),
         (vec![(75.0, 1.0), (-15.0, 1.0), (30.0, 0.5)], 12_000.0),
     ] {
-        let walls: Vec<Facet> =
-            angles.iter().map(|(degrees, share): &(f64, f64)| (unit(degrees.to_radians()), *share)).collect();
+        let walls = facets_around(0.0, &angles);
         for feed_forward in [FeedForward::Off, FeedForward::Full, FeedForward::Washout] {
             let run = WallRun { stiffness, damping: 0.002 * stiffness, ..demo_run(&file, feed_forward) };
             let swing = run.torque_swing(&walls);

@@ -3,8 +3,9 @@
 //!
 //! Gains are raised through the protocol until the board oscillates; friction, hand and encoder steps are off.
 
+use crate::common::measurement;
 use crate::common::prelude::*;
-use haptic_predict::measure::{Law, MeasurementSetup, PreparedBoard};
+use haptic_predict::measure::{MeasurementSetup, PreparedBoard};
 
 /// A paddle of 0.16 kg at 0.1 m without friction, with an encoder so fine that its steps have no effect.
 const PADDLE_TOML: &str = r#"
@@ -35,15 +36,7 @@ fn measure(rate_hz: f64, cutoff_hz: f64, share: f64) -> (f64, f64) {
     let device = Options { friction: false, substep: 1.0 / rate_hz, ..Options::default() };
     let options = BoardOptions { device, drive: DriveModel::Ideal, delay: 0.0, ..BoardOptions::default() };
     let (_, mut board) = crate::common::board(&file, options);
-    let setup = MeasurementSetup {
-        walls: vec![Member::new(vec![1.0], 1.0)],
-        rate_hz,
-        cutoff_hz,
-        washout_hz: 2.0,
-        law: Law::default(),
-        torque_limit: 5.0,
-        largest_pull: 1e-3,
-    };
+    let setup = MeasurementSetup { torque_limit: 5.0, largest_pull: 1e-3, ..measurement(&[1.0], rate_hz, cutoff_hz) };
     let mut prepared = PreparedBoard::new(&mut board, &file, setup, &|| false).unwrap();
     let end = prepared.damping_end(FeedForward::Off).unwrap().gain;
     let summit = prepared.boundary(FeedForward::Off, share * end, 1.0, None).unwrap().gain;

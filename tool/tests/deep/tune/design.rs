@@ -12,7 +12,6 @@ use haptic_stability::analysis::pose::{TaskPose, unit_normal};
 
 const ADMISSIBLE: Admissible = Admissible::Orientation;
 
-/// Returns the control loop of a board.
 fn control_loop() -> Loop {
     Loop::through(&TorquePath::usual(20_000.0), 20_000.0, LinearEstimator::Butterworth(500.0))
 }

@@ -41,8 +41,8 @@ fn share_and_ripple(file: &DeviceFile, scene: Scene<f32>) -> (f64, f64) {
     run(&mut board, SETTLE_SECONDS);
     let divider = (rate_hz / 5_000.0).ceil() as u32;
     board.start_stream(fields("force").unwrap(), divider).unwrap();
-    let forces: Vec<f64> =
-        run(&mut board, MEASURE_SECONDS).iter().flat_map(|row| row.get(Field::WallForce).to_vec()).collect();
+    let rows = run(&mut board, MEASURE_SECONDS);
+    let forces: Vec<f64> = rows.iter().flat_map(|row| row.get(Field::WallForce).to_vec()).collect();
     let half = (0.5 * MEAN_SECONDS * rate_hz / f64::from(divider)) as usize;
     let windows = forces.windows(2 * half + 1).filter(|window| window.iter().all(|force| *force > 0.0));
     let off: Vec<f64> = windows.map(|w| w[half] - w.iter().sum::<f64>() / w.len() as f64).collect();

@@ -61,8 +61,7 @@ fn instructions_fall_as_a_scene_gets_simpler() {
         plain.walls[0].feed_forward = FeedForward::Off;
         let mut empty = plain.clone();
         empty.walls.clear();
-        let costs: Vec<u32> =
-            [two, one, without_terms, plain, empty].iter().map(|scene| cost(&device, scene, "exact")).collect();
+        let costs = [two, one, without_terms, plain, empty].map(|scene| cost(&device, &scene, "exact"));
         assert!(costs.windows(2).all(|pair| pair[0] > pair[1]), "{name}: {costs:?}");
         assert!(costs.iter().all(|cost| (50..5000).contains(cost)), "{name}: {costs:?}");
     }
