@@ -1,7 +1,7 @@
 //! Chromium without a screen, controlled by its remote debugging protocol (chromedevtools.github.io/devtools-protocol).
 
 use serde_json::{Value, json};
-use std::io::{BufRead, BufReader};
+use std::io::{BufRead, BufReader, ErrorKind};
 use std::net::TcpStream;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
@@ -50,11 +50,8 @@ impl Browser {
             .args(["--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"])
             .args(["--disable-background-networking", "--disable-component-update", "--disable-sync"])
             .args(["--disable-dev-shm-usage", "--autoplay-policy=no-user-gesture-required"])
-            .args([
-                "--remote-debugging-port=0",
-                &format!("--user-data-dir={}", profile.path().display()),
-                "about:blank",
-            ])
+            .arg(format!("--user-data-dir={}", profile.path().display()))
+            .args(["--remote-debugging-port=0", "about:blank"])
             .stderr(Stdio::piped())
             .stdout(Stdio::null())
             .spawn()
@@ -131,7 +128,7 @@ impl Browser {
             }
             Ok(_) => None,
             Err(tungstenite::Error::Io(error))
-                if matches!(error.kind(), std::io::ErrorKind::WouldBlock | std::io::ErrorKind::TimedOut) =>
+                if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) =>
             {
                 None
             }

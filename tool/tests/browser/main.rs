@@ -40,13 +40,8 @@ fn place_on(browser: &mut Browser, tab: &Tab, canvas: &str, x: &str, y: &str) ->
 }
 
 fn plane_place(browser: &mut Browser, tab: &Tab, damping: f64, stiffness: f64) -> (f64, f64) {
-    place_on(
-        browser,
-        tab,
-        "plane",
-        &format!("view.planeFrame.X({damping})"),
-        &format!("view.planeFrame.Y({stiffness})"),
-    )
+    let [x, y] = [format!("view.planeFrame.X({damping})"), format!("view.planeFrame.Y({stiffness})")];
+    place_on(browser, tab, "plane", &x, &y)
 }
 
 /// Drags the handle of the first wall 60 pixels down and waits until the wall is more than 10 mm lower.
@@ -175,11 +170,8 @@ fn a_second_finger_taps_while_the_first_holds_the_key() {
     browser.call_page(&tab, "Emulation.setTouchEmulationEnabled", json!({"enabled": true, "maxTouchPoints": 2}));
     let touch = |browser: &mut Browser, kind: &str, fingers: &[(f64, f64)]| {
         let points = fingers.iter().enumerate().map(|(id, (x, y))| json!({"x": x, "y": y, "id": id}));
-        browser.call_page(
-            &tab,
-            "Input.dispatchTouchEvent",
-            json!({"type": kind, "touchPoints": points.collect::<Vec<_>>()}),
-        );
+        let event = json!({"type": kind, "touchPoints": points.collect::<Vec<_>>()});
+        browser.call_page(&tab, "Input.dispatchTouchEvent", event);
     };
     let key = place_on(&mut browser, &tab, "key", "60", "30");
     touch(&mut browser, "touchStart", &[key]);
@@ -423,10 +415,7 @@ fn a_link_restores_device_pose_walls_and_gains() {
     browser.evaluate(&tab, "say({ do: 'wall', wall: 0, point: [0.01, 0.15], normal: [0, 1] })");
     browser.wait_until(&tab, "view.walls[0].stiffness === 12345 && view.walls[0].values[4] === 1");
     let link = browser.evaluate(&tab, "$('copy').click(), link()").as_str().unwrap().to_string();
-    browser.wait_until(
-        &tab,
-        "location.hash.includes('device=coupled-five-bar') && !$('notice').classList.contains('bad')",
-    );
+    browser.wait_until(&tab, "location.hash.includes('=coupled-five-bar') && !$('notice').classList.contains('bad')");
     let hash = link.split('#').nth(1).unwrap().to_string();
     assert!(!link.contains('?'), "a link must not contain the token: {link}");
     browser.evaluate(&tab, "say({ do: 'give' })");
@@ -442,10 +431,7 @@ fn a_link_restores_device_pose_walls_and_gains() {
         ("lesson=99", "lesson"),
         ("do=arm", "unknown part"),
         ("device=other", "where haptic view shows that device and scene"),
-        (
-            "lesson=1",
-            "haptic view devices/hapkit-paddle.toml --scene devices/scenes/hapkit-paddle/slow.toml --port sim",
-        ),
+        ("lesson=1", "haptic view devices/hapkit-paddle.toml --scene devices/scenes/hapkit-paddle/slow.toml --port"),
         ("wall=1,1,off&wall=1,1,off", "2 walls"),
         ("wall=-5,1,off", "stiffness"),
     ] {

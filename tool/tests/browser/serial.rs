@@ -58,11 +58,8 @@ impl Cable {
         let mut board = TcpStream::connect(board.trim_start_matches("tcp:")).unwrap();
         board.set_nodelay(true).unwrap();
         board.set_read_timeout(Some(Duration::from_millis(2))).unwrap();
-        browser.call_page(
-            tab,
-            "Page.addScriptToEvaluateOnNewDocument",
-            json!({"source": format!("{{{FAKE_PORT_SCRIPT}}}")}),
-        );
+        let script = json!({"source": format!("{{{FAKE_PORT_SCRIPT}}}")});
+        browser.call_page(tab, "Page.addScriptToEvaluateOnNewDocument", script);
         let ask = |method: &str, parameters: Value| {
             Message::text(json!({"id": 1, "method": method, "params": parameters}).to_string())
         };

@@ -31,7 +31,6 @@ fn largest_push(file: &DeviceFile, seed: u64) -> (f64, String) {
     rules.limits.tip_force = GENTLE_FORCE;
     rules.host_action = HostAction::Ignore;
     board.set_rules(&rules).unwrap();
-
     let (tip, task) = (shared.lock().device().tip(), file.spec().task);
     let rate = pick_one(&mut draw, &[200.0, 1_000.0, 4_000.0, 20_000.0, 40_000.0]);
     let feed_forward = pick_one(&mut draw, &[FeedForward::Off, FeedForward::Full, FeedForward::Washout]);

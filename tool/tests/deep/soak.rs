@@ -98,9 +98,7 @@ struct Columns {
 impl Columns {
     fn new() -> Self {
         let labels: Vec<String> = columns(fields("all").unwrap(), 2).into_iter().map(|column| column.label).collect();
-        let at = |name: &str| {
-            labels.iter().position(|label| label == name).unwrap_or_else(|| panic!("{name} in {labels:?}"))
-        };
+        let at = |name: &str| labels.iter().position(|label| label == name).expect(name);
         Self { force: at("force_n"), torque: [at("torque0_n_m"), at("torque1_n_m")], state: at("state") }
     }
 
@@ -155,7 +153,6 @@ fn long_contact_loses_no_rows_and_does_not_drift() {
     }
     board.stop_stream().unwrap();
     rows += board.rows(Duration::ZERO).unwrap().len() as u64;
-
     // No control step was missed: there are as many steps as milliseconds, and as many rows as steps.
     let losses = board.losses();
     assert_eq!(losses, Losses { received: rows, ..Losses::default() });
@@ -164,7 +161,6 @@ fn long_contact_loses_no_rows_and_does_not_drift() {
     assert!(steps.abs_diff(passed) <= 5, "{steps} steps in {passed} ms");
     assert!(rows.abs_diff(steps) <= 5, "{rows} rows of {steps} steps");
     assert!(board.faults().unwrap().is_empty());
-
     // Every cycle agrees with the reference cycles. The last cycle is incomplete.
     cycles.pop();
     let usual = Span::of(&cycles[SETTLING_CYCLES..SETTLING_CYCLES + REFERENCE_CYCLES]);
@@ -174,7 +170,6 @@ fn long_contact_loses_no_rows_and_does_not_drift() {
     if let (Some(memory), Some(most)) = (memory, most) {
         assert!(most <= memory + MAX_GROWTH_BYTES, "{} KiB more", (most - memory) / 1024);
     }
-
     if let Ok(path) = std::env::var("HAPTIC_SOAK_REPORT") {
         let kib = |(memory, most): (u64, u64)| format!("{} KiB", (most - memory) / 1024);
         let grown = memory.zip(most).map_or("not known".into(), kib);

@@ -162,9 +162,8 @@ fn a_program_receives_all_keys_first_then_frames() {
     for key in NEEDED_KEYS.split_whitespace() {
         assert!(first.pointer(&format!("/inverse3/0/{key}")).is_some(), "{key} in {first}");
     }
-    for key in
-        ["device_id", "state/orientation/w", "state/buttons/a", "state/buttons/b", "state/buttons/c", "config/type"]
-    {
+    let grip = "device_id state/orientation/w state/buttons/a state/buttons/b state/buttons/c config/type";
+    for key in grip.split(' ') {
         assert!(first.pointer(&format!("/wireless_verse_grip/0/{key}")).is_some(), "{key} in {first}");
     }
     let id = &first["inverse3"][0]["device_id"];
@@ -172,7 +171,6 @@ fn a_program_receives_all_keys_first_then_frames() {
     // A five-bar lies on the table with its base away from the operator, so its y axis points towards the operator.
     let [x, y] = ["x", "y"].map(|axis| number(&first, &format!("/inverse3/0/state/cursor_position/{axis}")));
     assert!(x.abs() < 0.1 && y < -0.05, "{first}");
-
     for (spelling, push, along) in
         [("values", [0.6, 0.0, 0.0], "x"), ("vector", [0.0, 0.6, 0.0], "y"), ("vector", [0.0, -0.6, 5.0], "y")]
     {

@@ -80,12 +80,8 @@ fn a_check_with_ten_times_the_counts_stops_near_its_start() {
 #[test]
 fn checks_0_2_rad_off_home_push_at_most_1_2_times_the_limit() {
     let file = shipped_device("capstan-pantograph");
-    let homed_off = |error| {
-        measure_check(
-            &file,
-            &InjectedError { what: "the device stands elsewhere than at home", when: When::Always(error) },
-        )
-    };
+    let homed_off =
+        |error| measure_check(&file, &InjectedError { what: "the device is not at home", when: When::Always(error) });
     let pushed = [
         homed_off(|wired, _| displace_home(wired, [0.2, 0.0])),
         homed_off(|wired, _| displace_home(wired, [0.0, -0.2])),

@@ -54,14 +54,12 @@ fn the_document_has_the_documented_keys_and_shapes() {
         assert_eq!(shape(&one[key]), expected, "{key}");
     }
     assert!(one["condition"]["jacobian"].is_f64() && one["condition"]["mass"].is_f64());
-
     // At an edge of two walls two directions are rendered and one is free.
     let edge = ["--q=0.2,1.0,-0.5", "--normal=1,0,0", "--force=1", "--normal=0,1,0", "--force=2"];
     let two = model_json("woodenhaptics", &edge);
     assert_eq!(shape(&two["w_rr"]), (2, 2));
     assert_eq!(shape(&two["w_ra"]), (2, 1));
     assert_eq!(shape(&two["f_a"]), (1, 0));
-
     // The redundant arm has a planar tip and three joints.
     let arm = model_json("serial-3r", &["--q=0.6,0.9,-0.7", "--normal=0,1", "--force=1"]);
     assert_eq!(shape(&arm["jacobian"]), (2, 3));

@@ -104,7 +104,6 @@ fn missing_transmissions_and_coarse_encoders_cause_warnings() {
     let text = warning["text"].as_str().unwrap();
     assert!(text.contains("the transmission of joint 0 and 1") && text.contains("[joint.transmission]"), "{text}");
     assert!(is_clean(&check_changed(&[(rigid, "[joint.transmission]\nstiffness = 20.0\n")], None).0));
-
     // At a high cutoff a hand feels the encoder steps in the damping of a wall, at a low cutoff it does not.
     let of = |cutoff: f64| {
         let wall = wall_toml("[0.0, 0.125]", "500.0", "12.0");

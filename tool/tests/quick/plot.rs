@@ -110,7 +110,6 @@ fn the_picture_shows_the_recorded_values() {
         .stdout(contains("1900 rows over 1.999 s, 100 rows missing between them"))
         .stdout(contains("stiffness found: 3000 N/m"));
     plot(&files).code(1).stderr(contains("--force"));
-
     let text = std::fs::read_to_string(&svg).unwrap();
     assert!(text.contains("a-device, 2026-01-01") && text.contains("wall 0: plane, 3000 N/m"));
     let panels = read_panels(&text);
@@ -126,7 +125,6 @@ fn the_picture_shows_the_recorded_values() {
         "velocity (mm/s)",
     ];
     assert_eq!(names, expected);
-
     // In the panel over time every point lies on the function, and no line crosses the missing rows.
     let time = &panels[0];
     assert_eq!(time.lines.len(), 2, "{}", time.lines.len());
@@ -153,7 +151,6 @@ fn the_picture_shows_the_recorded_values() {
     let size = |at: usize| u32::from_be_bytes(picture[at..at + 4].try_into().unwrap());
     let height: f64 = svg_number(text.lines().next().unwrap(), "height").unwrap();
     assert_eq!((size(16), size(20)), (1440, (2.0 * height) as u32), "two pixels per unit");
-
     // The spectrum of a sine has the sine's amplitude at its frequency and almost 0 elsewhere, also at 0 Hz.
     plot(&["--signals", "torque0_n_m", "--show", "spectrum", "--force", "--svg", files[1]])
         .success()
@@ -164,7 +161,6 @@ fn the_picture_shows_the_recorded_values() {
     let top = line.iter().max_by(|a, b| a.1.total_cmp(&b.1)).unwrap();
     assert!((top.0 - 125.0).abs() < 1.0 && (top.1 - 0.5).abs() < 0.005, "{top:?}");
     assert!(line.iter().all(|(hz, a)| (hz - 125.0).abs() < 5.0 || *a < 0.01));
-
     // The points of --json are the recorded values.
     let json = plot(&["--json", "--show", "time", "--from", "0.1", "--to", "0.2"]).success();
     let json: serde_json::Value = serde_json::from_slice(&json.get_output().stdout).unwrap();
@@ -294,7 +290,6 @@ fn the_stiffness_is_fitted_to_unlimited_rows() {
     let ends: [[f64; 2]; 2] = serde_json::from_value(found["panels"][1]["line"].clone()).unwrap();
     assert!(ends.iter().all(|[x, y]| (y - 60e3 * x).abs() < 1e-6) && ends[1][1] < 5.0 && ends[1][1] > 4.5, "{ends:?}");
     assert_eq!(drawn.matches("stroke-dasharray=\"7 4\"").count(), 1);
-
     let (printed, found, drawn) = pressed(0.5);
     assert!(found["stiffness"].is_null() && found["panels"][1]["line"].is_null(), "{found}");
     assert!(printed.contains("no stiffness, too few for a line: ") && printed.contains("found: none"), "{printed}");

@@ -88,7 +88,6 @@ fn lines_printed_by_range_and_measure_range_predict_the_same() {
                 assert!(is_close(of(&again), of(&range)), "{name} {mode} {number}");
             }
         }
-
         // This point has been measured already, so `measure-range` prints its theory without moving a motor.
         let point = r#"{"mode": "off", "kd": 2.0, "repeats": [3000.0], "vibration_m": null, "open": null}"#;
         let what = "along (0.6, 0.8) at 1000 Hz, cutoff 100 Hz, washout 2 Hz, pull 0.5 mm, 1 N m, friction: none";

@@ -69,7 +69,6 @@ fn the_frequency_of_a_buzzing_wall_is_printed_with_its_limit() {
     assert!(grows("off") > 10.0 && grows("full") < 0.0 && swings.get("washout").is_none(), "{swings}");
     let said = output(&line);
     assert_eq!((said.contains("buzz Hz"), said.matches("to buzz at 64.8 Hz, growing by").count()), (true, 1), "{said}");
-
     let wall = "[[wall]]\npoint = [0.0, 0.1]\nnormal = [0.0, 1.0]\nstiffness = 90e3\ndamping = 40.0\n";
     let scene = folder.write("scene.toml", format!("rate_hz = 1000\ncutoff_hz = 100\n{wall}"));
     let checked = json(&["check", DEMO_RANGE[1], &scene]);

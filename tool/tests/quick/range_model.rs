@@ -136,11 +136,8 @@ fn simulated_swing(device: &Linearised, mode: Mode, kp: f64, kd: f64) -> (f64, f
             x += device.row.dot(&(before + &v)) / 2.0 * step;
         }
         if sample > steps * 3 / 5 {
-            if sample < steps * 4 / 5 {
-                early = early.max(x.abs())
-            } else {
-                late = late.max(x.abs())
-            }
+            let largest = if sample < steps * 4 / 5 { &mut early } else { &mut late };
+            *largest = largest.max(x.abs());
             if last_x < 0.0 && x >= 0.0 {
                 upward.push((f64::from(sample) - x / (x - last_x)) / rate);
             }

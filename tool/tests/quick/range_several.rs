@@ -43,7 +43,6 @@ fn sets_of_walls_have_the_limits_of_independent_loops() {
         let mut common: Vec<&str> = vec![&path, &q];
         common.extend(n.iter().map(String::as_str));
         common.extend(without.iter().flat_map(|walls| ["--no-feed-forward", walls]));
-
         // Torques of `haptic model` per newton of each wall. The torques of the device's weight are subtracted below.
         let torque = |forces: &[f64]| {
             let forces: Vec<String> = forces.iter().map(|force| format!("--force={force}")).collect();

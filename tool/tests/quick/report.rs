@@ -50,7 +50,6 @@ fn the_page_is_complete_and_shows_the_output_of_its_commands() {
     names.sort_unstable();
     names.dedup();
     assert_eq!(names.len(), many);
-
     let lines: Vec<String> = page
         .split("<code class=\"line\">")
         .skip(1)

@@ -92,9 +92,8 @@ fn the_boards_own_step_has_a_similar_ripple() {
 }
 
 fn range_json(arguments: &[&str]) -> Value {
-    common::json(
-        &[&["range", "devices/coupled-five-bar.toml", "--q=2.6,1.75", "--normal=0.2588,0.9659"], arguments].concat(),
-    )
+    let wall = ["range", "devices/coupled-five-bar.toml", "--q=2.6,1.75", "--normal=0.2588,0.9659"];
+    common::json(&[&wall[..], arguments].concat())
 }
 
 #[test]

@@ -65,9 +65,8 @@ fn every_wall_can_be_reached_from_both_sides() {
             let all = steps().flat_map(|a| steps().flat_map(move |b| steps().map(move |c| [a, b, c])));
             for offset in all {
                 let q = core::array::from_fn(|i| home[i] + offset[i]);
-                for (touched, distance) in
-                    touched.iter_mut().zip(distances(&device, &file.scene, &q).unwrap_or_default())
-                {
+                let distances = distances(&device, &file.scene, &q).unwrap_or_default();
+                for (touched, distance) in touched.iter_mut().zip(distances) {
                     *touched |= distance < -0.002;
                 }
             }

@@ -128,13 +128,11 @@ fn arming_is_refused_with_the_reason() {
     let mut board = Board::over(shared.wire(), "sim").unwrap();
     assert_eq!(expect_refusal(board.arm()), Refusal::NoDevice);
     assert_eq!(expect_refusal(board.home()), Refusal::NoDevice);
-
     let mut description = device_file().description;
     board.set_device(&Device::new("unverified", &description).unwrap()).unwrap();
     assert_eq!(expect_refusal(board.arm()), Refusal::NoScene);
     board.set_scene(&wall_below(&shared, 0.01, FeedForward::Full)).unwrap();
     assert_eq!(expect_refusal(board.arm()), Refusal::MotorNotVerified(0));
-
     verify_motors(&mut description);
     board.set_device(&Device::new("verified", &description).unwrap()).unwrap();
     assert_eq!(expect_refusal(board.arm()), Refusal::NotHomed);
@@ -143,7 +141,6 @@ fn arming_is_refused_with_the_reason() {
     board.check_polarity().unwrap();
     run_with_heartbeats(&shared, &mut board, 20.0);
     assert!(board.status().unwrap().polarity, "{:?}", board.status());
-
     // The polarity check moved the device, so put the wall around the tip's new place.
     let scene = wall_below(&shared, -0.01, FeedForward::Full);
     board.set_scene(&scene).unwrap();
@@ -350,9 +347,7 @@ fn a_wall_beyond_the_motors_pushes_straight_with_full_torque() {
     let (mut beyond, mut flagged, mut deepest, mut aside) = (0, Vec::new(), 0.0_f64, 0.0_f64);
     let mut last = None::<(f64, f64, f64)>;
     for row in rows.iter().filter(|row| row.values[5] > 0.05) {
-        let [q0, q1, torque0, torque1, distance, force, rendered, flag0, flag1, ..] = row.values[..] else {
-            panic!("{row:?}")
-        };
+        let [q0, q1, torque0, torque1, distance, force, rendered, flag0, flag1, ..] = row.values[..] else { panic!() };
         let q = [q0, q1];
         let asked = straight.requested_torques(&q, force);
         let share = straight.limit_share(&asked);

@@ -239,10 +239,8 @@ fn a_step_of_any_length_is_the_same_motion() {
     let run = |pieces: u32| {
         let mut device = device(&five_bar());
         for _ in 0..pieces {
-            device.step(
-                &[MotorInput::Torque(0.01), MotorInput::Torque(-0.02), MotorInput::Floating],
-                0.02 / f64::from(pieces),
-            );
+            let torques = [MotorInput::Torque(0.01), MotorInput::Torque(-0.02), MotorInput::Floating];
+            device.step(&torques, 0.02 / f64::from(pieces));
         }
         device.q()
     };

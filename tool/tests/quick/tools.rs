@@ -203,7 +203,6 @@ fn a_flooding_tool_costs_bounded_memory_and_is_replaced() {
     assert!(waiting > 10_000, "the board replied with only {waiting} bytes");
     let room = BoardOptions::default().send_buffer + 70_000;
     assert!(waiting < room, "{waiting} bytes wait for a tool that does not read");
-
     let served = ServedBoard::on_tcp(AN_HOUR, AN_HOUR);
     let mut flood = served.connect();
     let requests: Vec<u8> = (0..20_000).flat_map(request::<GetDetails>).collect();

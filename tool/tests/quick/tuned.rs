@@ -62,7 +62,6 @@ fn estimators_are_compared_on_a_wall_that_range_finds_stable() {
     let most = said["off"]["boundary"][0]["kp"].as_f64().unwrap();
     assert!((4.0 * stiffness / most - 1.0).abs() < 1e-9, "{stiffness} of {most} N/m");
     assert!((2.0 * damping / said["off"]["kd_max"].as_f64().unwrap() - 1.0).abs() < 1e-9, "{damping} N s/m");
-
     let soft = "stiffness = 40.0\ndamping = 0.0";
     let text = with_cables("joint").replace("stiffness = 250.0\ndamping = 0.01", soft);
     folder.write("cables.toml", text.replace("viscous = 0.001", "viscous = 0.0"));
@@ -134,10 +133,8 @@ fn taps_rebound_like_a_mass_on_a_spring() {
     for stiffness in [2_000.0_f64, 10_000.0] {
         for ratio in [0.02, 0.06, 0.13, 0.3, 0.8] {
             let damping = 2.0 * ratio * (stiffness * mass).sqrt();
-            let wall = Settings {
-                rate_hz: 20_000.0,
-                ..wall(estimator_of("backward-difference"), 500.0, (stiffness, damping))
-            };
+            let kind = estimator_of("backward-difference");
+            let wall = Settings { rate_hz: 20_000.0, ..wall(kind, 500.0, (stiffness, damping)) };
             let (found, known) = (
                 simulation.rebounds(&rendered_wall(&wall)).unwrap().unwrap(),
                 count_rebounds(mass, stiffness, damping),

@@ -212,7 +212,6 @@ fn the_motors_are_on_only_while_the_key_is_down() {
     assert_eq!(view.state(), "Armed", "{:?}", view.page(0).refused);
     view.release();
     assert_eq!(view.state(), "Disarmed");
-
     // Silence of almost half a second releases the key. If the page then reports the key as down, the motors stay off.
     view.arm(0);
     view.pages[0].repeated = None;
@@ -791,9 +790,7 @@ fn the_feed_forward_button_makes_a_pressed_wall_buzz_or_quiet() {
         });
         let plane = view.wait_for_boundary();
         let [off, washout] = [FeedForward::Off, FeedForward::Washout].map(|kind| plane.stiffness_to(kind, damping));
-        said += &format!(
-            "{depth} mm, {aside} mm aside: red {shares:.2?}, stable to {off:.0} off, {washout:.0} washed out\n"
-        );
+        said += &format!("{depth} mm, {aside} mm aside: red {shares:.2?}, stable to {off:.0} or {washout:.0} N/m\n");
         as_it_should &= shares[0] < 0.05 && shares[1] > 0.7 && shares[2] < 0.05;
         as_it_should &= 1.1 * off < stiffness && stiffness < 0.95 * washout;
     }

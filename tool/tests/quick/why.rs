@@ -35,7 +35,6 @@ fn every_effect_is_compared_with_the_loop_without_it() {
     let names: Vec<&str> = found.effects.iter().map(|without| without.effect).collect();
     let all = ["sampling", "delay", "drive", "filter", "difference", "compliance", "hand", "joint damping"];
     assert_eq!(names, all);
-
     let alone = |device: &Linearised, around: &Loop| {
         let domain = domain(device, around, Mode::Off, None).unwrap();
         (domain.top.kp, domain.area)

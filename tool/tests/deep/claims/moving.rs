@@ -56,7 +56,6 @@ impl SlidingLoop {
         let law_q = by(&|q| self.torque(q, &qd0, 0.0), &q0);
         let law_qd = by(&|qd| self.torque(&q0, qd, 0.0), &qd0);
         let newton = self.torque(&q0, &qd0, 1.0) - nominal;
-
         // The zero-order hold is computed by the series of the matrix exponential.
         let mut joined = DMatrix::zeros(6, 6);
         joined.view_mut((0, 2), (2, 2)).copy_from(&Matrix2::identity());
@@ -64,7 +63,6 @@ impl SlidingLoop {
         joined.view_mut((2, 2), (2, 2)).copy_from(&by_qd);
         joined.view_mut((2, 4), (2, 2)).copy_from(&inverse(&pose));
         let held = (joined / rate).exp();
-
         let g = (std::f64::consts::PI * cutoff / rate).tan();
         let a0 = 1.0 + std::f64::consts::SQRT_2 * g + g * g;
         let (b0, b1) = (g * g / a0, 2.0 * g * g / a0);

@@ -35,6 +35,12 @@ pub fn five_bar() -> Description {
     shipped_device("coupled-five-bar").description
 }
 
+fn five_bar_mechanism() -> FiveBar<f64> {
+    let mechanism = AnyMechanism::new(&five_bar()).expect("a shipped device");
+    let AnyMechanism::FiveBar(mechanism) = mechanism else { panic!("a five-bar") };
+    mechanism
+}
+
 fn unit_vector(degrees: f64) -> Vector2<f64> {
     Vector2::new(degrees.to_radians().cos(), degrees.to_radians().sin())
 }
@@ -94,7 +100,6 @@ impl WallRun {
             Controller::<f32, FiveBar<f32>, BoardMath, 2>::new(mechanism, &device, &scene).expect("a sound scene");
         let per_rad = self.counts_per_turn / std::f64::consts::TAU;
         let counts = |q: [f64; 3]| [(q[0] * per_rad).round() as i32, (q[1] * per_rad).round() as i32];
-
         plant.push([self.speed * t.x, self.speed * t.y, 0.0]);
         // Before the start the estimators receive a motion of the tip along the wall.
         for k in -60..0 {
@@ -191,9 +196,7 @@ pub fn random_slides(counts_per_turn: f64) -> SlideStatistics {
 
 /// Returns true if the feed-forward acts in full at a pose of the demo's device.
 fn is_regular(q: [f64; 2]) -> bool {
-    let AnyMechanism::FiveBar(mechanism) = AnyMechanism::<f64>::new(&five_bar()).expect("a shipped device") else {
-        panic!("a five-bar")
-    };
+    let mechanism = five_bar_mechanism();
     let regularity = mechanism.regularity(&mechanism.pose::<Libm>(&Vector2::from(q)));
     regularity.serial.min(regularity.parallel / PARALLEL_REGULARITY) >= FULL_REGULARITY
 }
@@ -217,9 +220,7 @@ pub fn max_stiffness(device: &Linearised) -> (f64, f64) {
 
 /// Returns kp_max (N/m) of the demo's wall while the tip slides at `speed` (m/s). The law `None` renders Jᵀ f.
 pub fn max_stiffness_while_sliding(speed: f64, law: Option<VelocityTerms>) -> f64 {
-    let AnyMechanism::FiveBar(mechanism) = AnyMechanism::new(&five_bar()).expect("a shipped device") else {
-        panic!("a five-bar")
-    };
+    let mechanism = five_bar_mechanism();
     let sliding = moving::SlidingLoop { mechanism, q: DEMO_POSE.0, normal: DEMO_POSE.1, law };
     sliding.stability_limit(speed, DAMPING, (8_000.0, 60_000.0), RATE_HZ, CUTOFF_HZ)
 }
@@ -306,9 +307,8 @@ pub fn gain_kept_around_home(wrong_models: &[AssumedModel]) -> GainRetained {
             if seen.w_rr() / seen.w_eff().expect("a regular pose") <= 1.3 {
                 continue;
             }
-            for share in
-                wrong_models.iter().filter(|it| is_regular(it.assumed_angles(q))).map(|it| it.gain_kept((q, normal)))
-            {
+            let models = wrong_models.iter().filter(|model| is_regular(model.assumed_angles(q)));
+            for share in models.map(|model| model.gain_kept((q, normal))) {
                 kept.cases += 1;
                 kept.below += usize::from(share < 0.875);
                 (kept.least, kept.most) = (kept.least.min(share), kept.most.max(share));

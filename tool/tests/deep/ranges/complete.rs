@@ -28,9 +28,8 @@ fn with_cables(device: &str, turret: bool, (hz, damped): Cable) -> String {
             let motor = if turret && joint == 0 { TURRET_MOTOR_SHARE * whole } else { whole };
             let stiffness = motor * (std::f64::consts::TAU * hz).powi(2);
             let damping = 2.0 * damped * (stiffness * motor).sqrt();
-            soft += &format!(
-                "transmission = {{ stiffness = {stiffness}, damping = {damping}, motor_inertia = {motor} }}\n"
-            );
+            let gains = format!("stiffness = {stiffness}, damping = {damping}");
+            soft += &format!("transmission = {{ {gains}, motor_inertia = {motor} }}\n");
             joint += 1;
         }
     }
@@ -121,6 +120,10 @@ fn a_pantograph_with_soft_cables_agrees_with_two_predictions() {
     }
 }
 
+/// Devices of the tables, each with the normal of a wall.
+const DEVICES: [(&str, &str); 3] =
+    [("capstan-pantograph", "0.6,0.8"), ("phantom-premium-1.5", "0.6,0.8,0"), ("woodenhaptics", "0.6,0.8,0")];
+
 /// A table in docs/results/, printed row by row.
 struct Table(Vec<String>);
 
@@ -144,14 +147,12 @@ fn measure_three_devices_at_three_rates() {
          predicted (N/m) | off by (%)"
             .into(),
     );
-    let devices =
-        [("capstan-pantograph", "0.6,0.8"), ("phantom-premium-1.5", "0.6,0.8,0"), ("woodenhaptics", "0.6,0.8,0")];
-    let mut cases = vec![(devices[0], (1_000, 100), SOFT_CABLE, REAL_DRIVE)];
+    let mut cases = vec![(DEVICES[0], (1_000, 100), SOFT_CABLE, REAL_DRIVE)];
     for loop_ in [(1_000, 100), (5_000, 200), (20_000, 500)] {
-        cases.extend(devices.map(|device| (device, loop_, STIFF_CABLE, REAL_DRIVE)));
+        cases.extend(DEVICES.map(|device| (device, loop_, STIFF_CABLE, REAL_DRIVE)));
     }
-    cases.push((devices[0], (20_000, 500), STIFF_CABLE, NO_EMF));
-    cases.extend([devices[0], devices[2]].map(|device| (device, (20_000, 500), STIFF_CABLE, IDEAL_DRIVE)));
+    cases.push((DEVICES[0], (20_000, 500), STIFF_CABLE, NO_EMF));
+    cases.extend([DEVICES[0], DEVICES[2]].map(|device| (device, (20_000, 500), STIFF_CABLE, IDEAL_DRIVE)));
     let mut far = Vec::new();
     for ((device, normal), loop_, cable, world) in cases {
         let (kd, rows) = measure(device, normal, loop_, cable, world).unwrap();
@@ -215,9 +216,7 @@ fn measure_three_devices_with_all_effects() {
     );
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("all.toml");
-    for (device, normal) in
-        [("capstan-pantograph", "0.6,0.8"), ("phantom-premium-1.5", "0.6,0.8,0"), ("woodenhaptics", "0.6,0.8,0")]
-    {
+    for (device, normal) in DEVICES {
         let turret = normal.matches(',').count() == 2;
         std::fs::write(&path, with_all_effects(&with_cables(device, turret, STIFF_CABLE))).unwrap();
         let loop_ = ["--normal", normal, "--rate", "5000", "--cutoff", "200", "--washout", "2", "--json"];

@@ -26,20 +26,17 @@ fn a_measurement_is_reported_kept_and_continued() {
     assert_eq!((point["mode"].as_str(), point["kd"].as_f64()), (Some("off"), Some(15.0)));
     let once = point["kp"].as_f64().unwrap();
     assert!(once > 1e3, "{once}");
-
     // The second run keeps the first repeat and adds one.
     let second = measure(&progress, &SLOW_LOOP, &["--feed-forward", "off", "--repeats", "2", "--pull", "2"]).success();
     let document: Value = serde_json::from_slice(&second.get_output().stdout).unwrap();
     let repeats = document["points"][0]["repeats"].as_array().unwrap();
     assert_eq!((repeats.len(), repeats[0].as_f64()), (2, Some(once)));
-
     // A third run measures nothing and prints the date of the first measurement.
     let date = document["date"].as_str().unwrap().to_string();
     let third = measure(&progress, &SLOW_LOOP, &["--feed-forward", "off", "--repeats", "2", "--pull", "2"]).success();
     let third = third.stderr(contains("none is measured now").and(contains("--anew")).and(contains(&*date)));
     let again: Value = serde_json::from_slice(&third.get_output().stdout).unwrap();
     assert_eq!((&again["date"], &again["points"]), (&document["date"], &document["points"]));
-
     // Another damping is measured in addition, and only its result is reported.
     let other = ["--kd", "16", "--feed-forward", "off", "--repeats", "1", "--pull", "2"];
     let fixed = ["measure-range", DEVICE, "--port", "sim", "--normal", "0.6,0.8", "--json"];
@@ -48,13 +45,11 @@ fn a_measurement_is_reported_kept_and_continued() {
     let told: Vec<f64> = other["points"].as_array().unwrap().iter().map(|p| p["kd"].as_f64().unwrap()).collect();
     assert_eq!((told, other["theory"].as_str().unwrap().contains("--kd 15")), (vec![16.0], false));
     let date = other["date"].as_str().unwrap().to_string();
-
     // Results at one rate are not mixed with another rate.
     measure(&progress, &["--rate", "10000", "--cutoff", "200"], &["--feed-forward", "off", "--pull", "2"])
         .code(2)
         .stderr(contains("holds another measurement").and(contains("--anew")).and(contains(&*date)))
         .stderr(contains("coupled-five-bar along (0.6, 0.8) at 1000 Hz"));
-
     // With --anew the old results are replaced.
     let anew = measure(&progress, &SLOW_LOOP, &["--feed-forward=off", "--repeats=1", "--pull=1", "--anew"]).success();
     let anew = anew.stderr(contains("already").not());

@@ -146,7 +146,6 @@ fn a_device_with_weight_is_measured_only_in_its_pose() {
         assert!((found / theory - 1.0).abs() < 0.015, "{mode:?}: {found} is not {theory}");
     }
     drop(prepared);
-
     // If no hand holds the device, it falls and is then held in another pose.
     let device = Options { friction: false, ..Options::default() };
     let options = BoardOptions { device, drive: DriveModel::Ideal, ..BoardOptions::default() };

@@ -20,7 +20,6 @@ fn measured_sets_of_walls_agree_with_the_prediction() {
         all.extend(["--progress", progress.to_str().unwrap()]);
         let found = json(&all);
         assert_eq!(found["walls"].as_array().unwrap().len(), normals.len());
-
         // The printed `haptic range` line has the same set of walls and the board's delay.
         let line = found["theory"].as_str().unwrap();
         let predicted = json(&line.split(' ').skip(1).collect::<Vec<_>>());
