@@ -11,7 +11,7 @@ use tungstenite::{Message, WebSocket};
 pub const TIMEOUT: Duration = Duration::from_secs(300);
 
 const BROWSER_NAMES: [&str; 3] = ["chromium", "chromium-browser", "google-chrome"];
-const MISSING_BROWSER: &str =
+const NO_BROWSER: &str =
     "no Chromium on this computer: apt-get install -y --no-install-recommends chromium (on Debian, as root)";
 /// A running browser with a new profile.
 pub struct Browser {
@@ -41,10 +41,8 @@ pub fn connect(address: &str, url: &str, patience: Duration) -> WebSocket<TcpStr
 
 impl Browser {
     pub fn start() -> Self {
-        let program = BROWSER_NAMES
-            .iter()
-            .find(|name| Command::new(name).arg("--version").output().is_ok())
-            .expect(MISSING_BROWSER);
+        let program =
+            BROWSER_NAMES.iter().find(|it| Command::new(it).arg("--version").output().is_ok()).expect(NO_BROWSER);
         let profile = tempfile::tempdir().unwrap();
         let mut child = Command::new(program)
             .args(["--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"])

@@ -560,7 +560,6 @@ fn springs_of_the_scene_are_drawn() {
     browser.save_picture(&tab, "view-spring", false);
 }
 
-/// At every size the page fits and the key is visible.
 #[test]
 fn the_page_fits_a_phone_a_laptop_and_a_projector() {
     let (_view, mut browser, tab) = open_page();

@@ -212,7 +212,6 @@ fn a_wrong_scene_is_refused_with_line_and_remedy() {
     assert!(said.contains("at most 8 [[wall]] tables"), "{said}");
 }
 
-/// All mistakes of a file are reported at once, each with its place, in the order of the file.
 #[test]
 fn all_mistakes_of_a_file_are_reported() {
     let mistakes = [

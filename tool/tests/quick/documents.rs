@@ -31,7 +31,6 @@ fn files_in_the_documents_are_sound() {
     assert!(files >= 2, "docs/files.md shows a device and a scene");
 }
 
-/// Numbers in sentences and tables equal the constants of the code or the committed figures.
 #[test]
 fn numbers_in_the_documents_equal_those_of_the_code() {
     let says = |page: &str, said: String| {
@@ -50,7 +49,6 @@ fn numbers_in_the_documents_equal_those_of_the_code() {
     }
 }
 
-/// Every local link leads to an existing file or to a heading in it.
 #[test]
 fn links_lead_to_files_and_headings() {
     let pages = ["CONTRIBUTING.md", "CHANGELOG.md", "clients/python/README.md"].map(|name| root().join(name));

@@ -34,11 +34,8 @@ fn the_line_printed_by_check_predicts_the_same() {
     for name in DEVICES {
         let device = shipped_path(&format!("{name}.toml"));
         let shipped = std::fs::read_to_string(common::toml_files(&format!("scenes/{name}")).last().unwrap()).unwrap();
-        let place: Vec<&str> = shipped
-            .lines()
-            .filter(|line| line.starts_with("point =") || line.starts_with("normal ="))
-            .take(2)
-            .collect();
+        let place = shipped.lines().filter(|line| line.starts_with("point =") || line.starts_with("normal ="));
+        let place: Vec<&str> = place.take(2).collect();
         let wall = format!("[[wall]]\n{}\nstiffness = 500.0\ndamping = 2.5\n", place.join("\n"));
         let held = "[posture]\norientation = 2.3\nstiffness = 0.5\ndamping = 0.03\n";
         let posture = if name == "serial-3r" { held } else { "" };

@@ -138,10 +138,8 @@ fn a_full_disk_ends_the_recording_with_a_counted_loss() {
         let path = folder.path().join(name);
         // With its signal ignored, a limit on the size of files (in blocks of 512 bytes) acts like a full disk.
         let line = format!("trap '' XFSZ; ulimit -f {blocks}; exec \"$0\" record \"$@\" --rate 20000");
-        let output = Command::new("sh")
-            .args(["-c", &line, program.to_str().unwrap(), path.to_str().unwrap(), "--port", &sim.port])
-            .output()
-            .unwrap();
+        let arguments = ["-c", &line, program.to_str().unwrap(), path.to_str().unwrap(), "--port", &sim.port];
+        let output = Command::new("sh").args(arguments).output().unwrap();
         let text = String::from_utf8_lossy(&output.stderr).into_owned();
         let recording = Recording::load(&path).unwrap();
         assert_eq!((output.status.code(), recording.torn), (Some(1), name == "full.mcap"), "{text}");

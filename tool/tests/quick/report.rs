@@ -50,11 +50,8 @@ fn the_page_is_complete_and_shows_the_output_of_its_commands() {
     names.sort_unstable();
     names.dedup();
     assert_eq!(names.len(), many);
-    let lines: Vec<String> = page
-        .split("<code class=\"line\">")
-        .skip(1)
-        .map(|rest| unescape(rest.split("</code>").next().unwrap()))
-        .collect();
+    let lines = page.split("<code class=\"line\">").skip(1).map(|rest| rest.split("</code>").next().unwrap());
+    let lines: Vec<String> = lines.map(unescape).collect();
     assert_eq!(lines.len(), 7);
     let mut pages = page.split("<section>").skip(1);
     for line in lines {

@@ -345,13 +345,11 @@ fn a_wall_beyond_the_motors_pushes_straight_with_full_torque() {
     };
     let straight = StraightForce { mechanism, most: MOST };
     let (mut beyond, mut flagged, mut deepest, mut aside) = (0, Vec::new(), 0.0_f64, 0.0_f64);
-    let mut last = None::<(f64, f64, f64)>;
     for row in rows.iter().filter(|row| row.values[5] > 0.05) {
         let [q0, q1, torque0, torque1, distance, force, rendered, flag0, flag1, ..] = row.values[..] else { panic!() };
         let q = [q0, q1];
         let asked = straight.requested_torques(&q, force);
         let share = straight.limit_share(&asked);
-        let most = straight.limit_share(&(asked * 1.0e6)) * 1.0e6 * force;
         // The rendered force is scaled by the factor `share` and has no sideways part.
         let felt = straight.tip_force(&q, &Vector2::new(torque0, torque1));
         assert!((felt[1] - share * force).abs() < 0.01, "{row:?}: {felt} is not {share} times {force}");
@@ -362,11 +360,6 @@ fn a_wall_beyond_the_motors_pushes_straight_with_full_torque() {
             assert_eq!([flag0, flag1], [flag; 2], "{row:?}: {share}");
             flagged.push(flag);
         }
-        // The force falls with depth at most as much as the largest force of the motors falls because of the new pose.
-        if let Some((depth, before, could)) = last.filter(|(depth, ..)| -distance > *depth) {
-            assert!(felt[1] > before + (most - could).min(0.0) - 0.01, "{row:?}: {before} at {depth}");
-        }
-        last = Some((-distance, felt[1], most));
         beyond += usize::from(share < 0.5);
         deepest = deepest.max(-distance);
         aside = aside.max(straight.tip_force(&q, &asked.map(|torque| torque.clamp(-MOST, MOST)))[0].abs());

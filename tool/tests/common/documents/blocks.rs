@@ -98,10 +98,8 @@ fn parse(name: &str, text: &str) -> Result<Vec<Block>, String> {
             }
             (None, None) => {
                 let indented = line.strip_prefix("    ").unwrap_or("");
-                if ["haptic ", "cargo ", "apt-get ", "dfu-util ", "rustup "]
-                    .iter()
-                    .any(|word| indented.starts_with(word))
-                {
+                let programs = ["haptic ", "cargo ", "apt-get ", "dfu-util ", "rustup "];
+                if programs.iter().any(|program| indented.starts_with(program)) {
                     return Err(format!("{place}: a command outside of a fenced block, move it into one: {line}"));
                 }
             }

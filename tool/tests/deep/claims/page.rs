@@ -357,12 +357,15 @@ pub fn tables() -> [(&'static str, String); 7] {
     });
     let [off, full] = [FeedForward::Off, FeedForward::Full].map(push_distance);
     let push = [("off", 1e6 * off, 0), ("full", 1e6 * full, 0), ("ratio", full / off, 2)];
+    let push = push.map(|(name, far, digits)| format!("{name} | {far:.digits$}"));
+    let rotor_head = "the model's rotor inertia | rotor 0: gain kept, % | rotor 1: gain kept, %";
     let rotors = [-50, -25, -10, 10, 25, 50].map(|percent| {
         let by = 1.0 + f64::from(percent) / 100.0;
         let [first, second] = [[by, 1.0], [1.0, by]]
             .map(|rotors| 100.0 * AssumedModel::scaled_inertias(rotors, 1.0).gain_kept(DEMO_POSE));
         format!("{percent:+} % | {first:.1} | {second:.1}")
     });
+    let home_head = "wrong around home | cases | keep less than 87.5 %, % of them | least and most kept, %";
     let around_home = wrong_models().into_iter().map(|(name, wrong_models)| {
         let GainRetained { cases, below, least, most } = gain_kept_around_home(&wrong_models);
         let share = 100.0 * below as f64 / cases as f64;
@@ -376,6 +379,8 @@ pub fn tables() -> [(&'static str, String); 7] {
             format!("{case} | {name} | {off:.1} | {paper:.1} | {rendered:.1}")
         })
     });
+    let columns = "off, µm | paper, µm | rendered, µm | rendered worse than off";
+    let slides_head = format!("{RANDOM_SLIDES} slides, medians | {columns}");
     let medians = encoders.map(|(name, counts)| {
         let SlideStatistics { medians: [off, paper, rendered], worse } = random_slides(counts);
         format!("{name} | {off:.0} | {paper:.0} | {rendered:.2} | {worse}")
@@ -386,34 +391,11 @@ pub fn tables() -> [(&'static str, String); 7] {
     });
     [
         ("gain", table("gain | inertia met, kg | kp_max, kN/m | 1 % of coupling changes it by, %", gains.into())),
-        (
-            "push",
-            table(
-                "feed-forward | farthest in or out of the wall within 60 ms, µm",
-                push.map(|(name, far, digits)| format!("{name} | {far:.digits$}")).into(),
-            ),
-        ),
-        (
-            "wrong-rotor",
-            table("the model's rotor inertia | rotor 0: gain kept, % | rotor 1: gain kept, %", rotors.into()),
-        ),
-        (
-            "wrong-around-home",
-            table(
-                "wrong around home | cases | keep less than 87.5 %, % of them | least and most kept, %",
-                around_home.collect(),
-            ),
-        ),
+        ("push", table("feed-forward | farthest in or out of the wall within 60 ms, µm", push.into())),
+        ("wrong-rotor", table(rotor_head, rotors.into())),
+        ("wrong-around-home", table(home_head, around_home.collect())),
         ("sliding", table("q, normal, speed | encoder | off, µm | paper, µm | rendered, µm", slides.collect())),
-        (
-            "many-slides",
-            table(
-                &format!(
-                    "{RANDOM_SLIDES} slides, medians | off, µm | paper, µm | rendered, µm | rendered worse than off"
-                ),
-                medians.into(),
-            ),
-        ),
+        ("many-slides", table(&slides_head, medians.into())),
         ("redundant", table("held | Wrr/Weff | area gained", redundant.into())),
     ]
 }

@@ -92,12 +92,8 @@ fn ctrl_c_stops_a_command_and_the_same_line_continues_it() {
     let line = ["map", &device, "--normal", "0.6,0.8", "--points", "400000", "--json"];
     let whole = haptic(&line).output().unwrap().stdout;
     let line = [&line[..], &["--continue", kept.to_str().unwrap()]].concat();
-    let mut child = std::process::Command::new(assert_cmd::cargo::cargo_bin("haptic"))
-        .args(&line)
-        .stdout(Stdio::null())
-        .stderr(Stdio::piped())
-        .spawn()
-        .unwrap();
+    let mut command = std::process::Command::new(assert_cmd::cargo::cargo_bin("haptic"));
+    let mut child = command.args(&line).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
     wait_until("the file", || kept.exists());
     send_signal(&child, "INT");
     let mut text = String::new();

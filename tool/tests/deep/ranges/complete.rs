@@ -51,13 +51,23 @@ const NO_EMF: &[&str] = &["--counts", "4194304", "--no-emf"];
 /// first-order model (docs/results/complete.csv). With [`NO_EMF`] or [`IDEAL_DRIVE`] the case is within 10 %.
 const LARGER_TOLERANCE: (&str, u32, f64) = ("capstan-pantograph", 20_000, 16.0);
 
-fn measure(
-    device: &str,
-    normal: &str,
-    (rate, cutoff): (u32, u32),
-    cable: Cable,
-    world: &[&str],
-) -> Result<(f64, Vec<MeasuredPoint>), String> {
+/// Runs a command with `--json` on a wall with a washout of 2 Hz, at this rate and cutoff, Hz. Returns its document.
+fn run_json(arguments: &[&str], normal: &str, (rate, cutoff): (u32, u32)) -> Value {
+    let (rate, cutoff) = (rate.to_string(), cutoff.to_string());
+    let wall = ["--normal", normal, "--rate", &rate, "--cutoff", &cutoff, "--washout", "2", "--json"];
+    let done = haptic(arguments).args(wall).output().unwrap();
+    serde_json::from_slice(&done.stdout)
+        .unwrap_or_else(|_| panic!("{arguments:?}: {}", String::from_utf8_lossy(&done.stderr)))
+}
+
+/// Returns about a third of the largest damping, N s/m, that is stable without and with the feed-forward.
+fn moderate_damping(path: &str, normal: &str, loop_hz: (u32, u32)) -> String {
+    let range = run_json(&["range", path, "--board", "h-bridge-f405"], normal, loop_hz);
+    let [off, full] = ["off", "full"].map(|mode| range[mode]["kd_max"].as_f64().unwrap());
+    format!("{:.2e}", 0.35 * off.min(full))
+}
+
+fn measure(device: &str, normal: &str, loop_hz: (u32, u32), cable: Cable, world: &[&str]) -> (f64, Vec<MeasuredPoint>) {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("soft.toml");
     let mut text = with_cables(device, normal.matches(',').count() == 2, cable);
@@ -69,33 +79,21 @@ fn measure(
     let world: Vec<&str> = world.iter().copied().filter(|word| *word != "--no-emf").collect();
     std::fs::write(&path, text).unwrap();
     let path = path.to_str().unwrap();
-    let run = |arguments: &[&str]| {
-        let (rate, cutoff) = (rate.to_string(), cutoff.to_string());
-        let loop_ = ["--normal", normal, "--rate", &rate, "--cutoff", &cutoff, "--washout", "2", "--json"];
-        let done = haptic(arguments).args(loop_).output().unwrap();
-        serde_json::from_slice::<Value>(&done.stdout).map_err(|_| {
-            let told = String::from_utf8_lossy(&done.stderr).into_owned();
-            told.lines().rev().find(|line| line.starts_with("error")).unwrap_or_default().to_string()
-        })
-    };
-    let range = run(&["range", path, "--board", "h-bridge-f405"])?;
-    let limit = |mode: &str| range[mode]["kd_max"].as_f64().unwrap();
-    // About a third of the smaller largest damping, in three digits.
-    let kd = format!("{:.2e}", 0.35 * limit("off").min(limit("full")));
+    let kd = moderate_damping(path, normal, loop_hz);
     let progress = folder.path().join("progress.json");
     let measure = ["measure-range", path, "--port", "sim", "--kd", &kd, "--repeats", "1", "--feed-forward", "all"];
     let still = ["--friction", "viscous", "--yes", "--progress", progress.to_str().unwrap()];
-    let document = run(&[&measure[..], &still[..], &world].concat())?;
+    let document = run_json(&[&measure[..], &still[..], &world].concat(), normal, loop_hz);
     let rows = document["points"].as_array().unwrap().iter().map(|point| {
         let [kp, theory, felt] = ["kp", "theory_kp", "felt"].map(|key| point[key].as_f64());
         (point["mode"].as_str().unwrap().into(), kp, theory.unwrap(), felt)
     });
-    Ok((kd.parse().unwrap(), rows.collect()))
+    (kd.parse().unwrap(), rows.collect())
 }
 
 #[test]
 fn a_pantograph_with_cables_is_as_stiff_as_predicted() {
-    let (_, rows) = measure("capstan-pantograph", "0.6,0.8", (1_000, 100), STIFF_CABLE, REAL_DRIVE).unwrap();
+    let (_, rows) = measure("capstan-pantograph", "0.6,0.8", (1_000, 100), STIFF_CABLE, REAL_DRIVE);
     assert_eq!(rows.len(), 3);
     for (mode, found, predicted, _) in rows {
         let found = found.unwrap();
@@ -110,7 +108,7 @@ const INDEPENDENT_LIMITS: [(&str, f64); 3] = [("off", 5715.25), ("full", 10022.4
 
 #[test]
 fn a_pantograph_with_soft_cables_agrees_with_two_predictions() {
-    let (kd, rows) = measure("capstan-pantograph", "0.6,0.8", (1_000, 100), SOFT_CABLE, REAL_DRIVE).unwrap();
+    let (kd, rows) = measure("capstan-pantograph", "0.6,0.8", (1_000, 100), SOFT_CABLE, REAL_DRIVE);
     assert_eq!((kd, rows.len()), (5.41, 3));
     for ((mode, found, predicted, _), (known, apart)) in rows.into_iter().zip(INDEPENDENT_LIMITS) {
         assert_eq!(mode, known);
@@ -155,7 +153,7 @@ fn measure_three_devices_at_three_rates() {
     cases.extend([DEVICES[0], DEVICES[2]].map(|device| (device, (20_000, 500), STIFF_CABLE, IDEAL_DRIVE)));
     let mut far = Vec::new();
     for ((device, normal), loop_, cable, world) in cases {
-        let (kd, rows) = measure(device, normal, loop_, cable, world).unwrap();
+        let (kd, rows) = measure(device, normal, loop_, cable, world);
         let drive = match world {
             _ if world == IDEAL_DRIVE => "ideal drive",
             _ if world == NO_EMF => "no back-EMF",
@@ -219,16 +217,8 @@ fn measure_three_devices_with_all_effects() {
     for (device, normal) in DEVICES {
         let turret = normal.matches(',').count() == 2;
         std::fs::write(&path, with_all_effects(&with_cables(device, turret, STIFF_CABLE))).unwrap();
-        let loop_ = ["--normal", normal, "--rate", "5000", "--cutoff", "200", "--washout", "2", "--json"];
-        let run = |arguments: &[&str]| {
-            let done = haptic(arguments).args(loop_).output().unwrap();
-            serde_json::from_slice::<Value>(&done.stdout)
-                .unwrap_or_else(|_| panic!("{arguments:?}: {}", String::from_utf8_lossy(&done.stderr)))
-        };
         let path = path.to_str().unwrap();
-        let range = run(&["range", path, "--board", "h-bridge-f405"]);
-        let limit = |mode: &str| range[mode]["kd_max"].as_f64().unwrap();
-        let kd = format!("{:.2e}", 0.35 * limit("off").min(limit("full")));
+        let kd = moderate_damping(path, normal, (5_000, 200));
         let columns = [&["--friction", "viscous"][..], &["--friction", "all"], &["--friction", "all", "--grip"]];
         let found = columns.map(|world| {
             let progress = folder.path().join("progress.json");
@@ -236,7 +226,7 @@ fn measure_three_devices_with_all_effects() {
                 ["measure-range", path, "--port", "sim", "--kd", &kd, "--repeats", "3", "--feed-forward", "all"];
             let kept =
                 ["--anew", "--yes", "--counts", "4194304", "--pull", "2", "--progress", progress.to_str().unwrap()];
-            run(&[&measure[..], &kept, world].concat())
+            run_json(&[&measure[..], &kept, world].concat(), normal, (5_000, 200))
         });
         let [alone, dry, held] = found.each_ref().map(|document| document["points"].as_array().unwrap());
         for ((alone, dry), held) in alone.iter().zip(dry).zip(held) {

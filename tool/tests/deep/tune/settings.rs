@@ -109,8 +109,6 @@ fn no_wall_of_a_plain_scan_is_much_stiffer() {
     assert!(tried > 10, "{tried}");
 }
 
-/// Rigid devices and devices with cables: no wall with another estimator, cutoff or damping is stiffer by more than a
-/// twentieth and meets the same limits.
 #[test]
 fn no_wall_of_a_grid_is_much_stiffer_on_ten_random_devices() {
     for number in 0..10 {
