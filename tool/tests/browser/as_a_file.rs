@@ -68,7 +68,7 @@ fn the_page_as_a_file_changes_gains_walls_and_devices() {
         );
         assert_eq!(browser.evaluate(&tab, "$('notice').classList.contains('shown')"), false, "choice {choice}");
     }
-    // One link sets up a lesson, the other one another device.
+    // The first link sets up a lesson, the second link another device.
     let links = [("lesson=1", "hapkit-paddle"), ("device=haply-2diy/groove&pose=1.9,1.1", "haply-2diy")];
     for (link, device) in links {
         browser.evaluate(&tab, &format!("location.hash = '{link}'"));

@@ -369,7 +369,7 @@ fn the_feed_forward_changes_while_the_mouse_presses_the_wall() {
     browser.wait_until(&tab, "!$('anyway').hidden");
     browser.evaluate(&tab, "$('anyway').click()");
     browser.wait_until(&tab, "view.walls[0].feed_forward === 'off'");
-    // The scope shows the curve from before the click and the new one on the same axis, and the buzz frequency.
+    // The scope shows the curves before and after the click on the same axis, and the buzz frequency.
     browser.hold_until(&tab, "view.ghost?.mode === 'washout' && view.buzz > 55 && view.buzz < 95");
     browser.hold_until(
         &tab,
@@ -537,7 +537,7 @@ fn count_coloured(browser: &mut Browser, tab: &Tab, place: &str, colour: &str, h
 #[test]
 fn springs_of_the_scene_are_drawn() {
     let folder = Folder::new();
-    // The line y = 0.15 above the tip, and a point to its right.
+    // The first spring's anchor is the line y = 0.15 above the tip, the second spring's a point right of the tip.
     let springs = "[[spring]]\npoint = [0.0, 0.15]\ndirection = [1.0, 0.0]\nstiffness = 250.0\ndamping = 1.0\n\n\
                    [[spring]]\npoint = [0.06, 0.10]\nstiffness = 100.0\ndamping = 1.0\n";
     let scene = folder.write("springs.toml", springs);

@@ -35,7 +35,7 @@ pub fn sound_device(draw: &mut Random) -> (String, Description) {
     let (sticky, cogs, swings) = (draw.uniform() < 0.3, draw.uniform() < 0.2, draw.uniform() < 0.2);
     for joint in device.joints.iter_mut().take(joints) {
         joint.transmission = None;
-        // The largest gear leads to 2 N m/A.
+        // The gear is limited so that the torque constant is at most 2 N m/A.
         let most = 2.0 / joint.motor.map_or(2.0, |motor| motor.torque_constant);
         let gear = if geared { draw.between(2.0, 8.0).min(most) } else { 1.0 };
         joint.inertia *= log_uniform(draw, 1.0, gear * gear);

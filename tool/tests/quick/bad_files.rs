@@ -291,7 +291,7 @@ fn files_in_other_formats_and_missing_files_are_refused() {
         let said = refusal(2, &["check", &path]);
         assert!(said.contains(word) && said.trim_end().lines().count() == 1, "{said}");
     }
-    // A sparse recording of 16 GiB, which takes no space on the disk.
+    // The recording is a sparse file of 16 GiB, which takes no space on the disk.
     let days = folder.write("days.csv", "");
     std::fs::OpenOptions::new().write(true).open(&days).unwrap().set_len(16 << 30).unwrap();
     type_lines(&format!("2: plot {days} => more than 2 GiB\n2: replay {days} => more than 2 GiB"), &[]);

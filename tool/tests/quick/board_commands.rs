@@ -254,7 +254,7 @@ fn a_name_survives_a_restart_once_it_is_saved() {
         board restart --yes
         info --json => "Disarmed""#
     ));
-    // If another program set a name with line breaks, they are escaped on the screen and in a recording.
+    // Line breaks in a name that another program set are escaped on the screen and in a recording.
     let name = "hand\nstate       armed";
     Board::open(&sim.port.parse().unwrap()).unwrap().set_name(&name.try_into().unwrap()).unwrap();
     for words in [&["info"][..], &["board", "name"], &["record", "-", "--seconds", "0.01"]] {

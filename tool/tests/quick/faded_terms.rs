@@ -11,7 +11,7 @@ use nalgebra::{Matrix2, Vector2};
 use std::f64::consts::TAU;
 
 /// Control rates and cutoffs, Hz.
-const LOOPS_HZ: [(f64, f64); 2] = [(1_000.0, 100.0), (20_000.0, 500.0)];
+const RATES_AND_CUTOFFS_HZ: [(f64, f64); 2] = [(1_000.0, 100.0), (20_000.0, 500.0)];
 
 /// A pose near a singularity, rad, and the direction of a wall's normal, degrees.
 struct Slide {
@@ -151,7 +151,7 @@ fn faded_velocity_terms_count_as_an_error() {
         assert!((left / known - 1.0).abs() < 2e-3, "{name}: {left} N");
         let motor = |i: usize| device.joints[i].motor.unwrap();
         assert!((0..2).all(|i| b[i].abs() < motor(i).torque_constant * motor(i).max_current), "{name}: {b}");
-        for rate in LOOPS_HZ {
+        for rate in RATES_AND_CUTOFFS_HZ {
             let law = law(&device, VelocityTerms::Rendered, rate);
             let model = &Precomputed::default();
             let way = TorqueVariant { model, terms: Terms::FeedForwardZ, trigonometry: Trigonometry::Tabulated, law };
@@ -216,7 +216,7 @@ fn omitted_velocity_terms_cost_their_force() {
     let me = links.mass(&q) * e;
     for (terms, added) in [(VelocityTerms::Rendered, b), (VelocityTerms::Paper, b - me * (e.dot(&b) / e.dot(&me)))] {
         // Leave out the error of single counts.
-        let law = Law { one_count: [0.0; 3], ..law(&device, terms, LOOPS_HZ[1]) };
+        let law = Law { one_count: [0.0; 3], ..law(&device, terms, RATES_AND_CUTOFFS_HZ[1]) };
         let found = |terms| {
             let way =
                 TorqueVariant { model: &Precomputed::default(), terms, trigonometry: Trigonometry::Tabulated, law };
@@ -232,7 +232,7 @@ fn omitted_velocity_terms_cost_their_force() {
 fn a_plan_names_the_remaining_forces_of_motion() {
     let device = shipped_device("coupled-five-bar").device().unwrap();
     let mut scene = SceneFile::load(shipped_path("scenes/coupled-five-bar/wall.toml"), 2).unwrap().scene;
-    (scene.rate_hz, scene.cutoff_hz) = LOOPS_HZ[0];
+    (scene.rate_hz, scene.cutoff_hz) = RATES_AND_CUTOFFS_HZ[0];
     let rendered = plan(&device, &scene, Budget::Percent(1.0), 0.5).unwrap();
     assert!(rendered.errors.force.max > 1.0, "{:?}", rendered.errors);
     assert!(rendered.reasons.iter().any(|reason| reason.contains("the velocity terms fade")), "{:?}", rendered.reasons);

@@ -277,7 +277,7 @@ fn a_passive_wall_is_stable() {
                     assert!(passive <= stable, "{case}: passive to {passive}, stable to {stable}");
                     bounds += usize::from(passive > 0.0);
                 }
-                // The passive limit is that of the textbook or, because of aliasing, up to 10 % lower.
+                // The passive limit equals the textbook's limit or, because of aliasing, is up to 10 % lower.
                 let late = (0.5 + path.delay_samples) / rate
                     + match path.drive {
                         Drive::Current { bandwidth_hz } => 1.0 / (std::f64::consts::TAU * bandwidth_hz),

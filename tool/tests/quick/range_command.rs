@@ -190,6 +190,6 @@ fn a_washout_that_costs_stability_causes_a_warning() {
     assert!(area("washout") < 0.5 * area("off") && area("full") > 10.0 * area("off"), "{found}");
     let said = found["warnings"].to_string();
     assert!(said.contains("the washout costs more than it") && !said.contains("the feed-forward costs"), "{said}");
-    // With 1 Hz the stiffest wall keeps 0.85 of its stiffness, with 0.5 Hz all of it.
+    // A washout of 1 Hz leaves 0.85 of the stiffness of the stiffest wall, a washout of 0.5 Hz all of it.
     assert!(said.contains("a corner of 0.5 Hz costs nothing"), "{said}");
 }

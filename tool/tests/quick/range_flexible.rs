@@ -59,7 +59,7 @@ fn an_infinitely_stiff_transmission_is_rigid() {
             let around = Loop { drive, ..control_loop(1000.0, 50.0) };
             let known = domain(&stiff, &around, mode, None).unwrap();
             let mut soft = stiff.clone();
-            // A hundredth of the critical damping of the motor's inertia.
+            // The cable has a hundredth of the motor's critical damping.
             let damping = 0.02 * (stiffness * 2e-5_f64).sqrt();
             soft.flexible.transmissions = vec![
                 transmission(stiffness, damping, EncoderAt::Motor),
@@ -74,7 +74,7 @@ fn an_infinitely_stiff_transmission_is_rigid() {
 
 #[test]
 fn a_joint_outside_the_loop_has_no_effect() {
-    // Two uncoupled joints without losses, of which the second, soft joint neither moves the tip nor renders the wall.
+    // Neither joint has losses. The soft second joint is uncoupled, does not move the tip, and does not render the wall.
     let mut device = stiff_device();
     device.mass = DMatrix::from_diagonal(&DVector::from_vec(vec![3.0e-4, 1.1e-4]));
     device.viscous.fill(0.0);

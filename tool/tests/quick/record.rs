@@ -111,7 +111,7 @@ fn a_killed_recording_is_readable_to_its_last_full_chunk() {
         tool.kill().unwrap();
         tool.wait().unwrap();
         let bytes = std::fs::read(&path).unwrap();
-        // Wherever a file is cut, the rows before the cut are readable.
+        // The rows before the cut are readable, at any place of the cut.
         for end in [bytes.len(), bytes.len() - 7, bytes.len() * 2 / 3] {
             let found = read_rows(&bytes[..end]);
             assert_eq!(missing_rows(found.iter().map(|(_, row)| row[0])), 0);

@@ -48,7 +48,7 @@ fn the_first_difference_is_named_with_its_step_and_size() {
         recording.column("counts1").unwrap(),
         recording.column("step").unwrap(),
     );
-    // The row with the largest torque, in which the wall is pressed.
+    // In the row with the largest torque the wall is pressed.
     let row = (0..recording.rows.len())
         .max_by(|a, b| recording.rows[*a][torque].abs().total_cmp(&recording.rows[*b][torque].abs()))
         .unwrap();

@@ -8,7 +8,7 @@ use haptic_predict::bench::estimators::{Comparison, ripple_of};
 use haptic_predict::ripple::{LIGHT_HAND, PUSH_N, Pressed};
 use haptic_stability::analysis::line::DampingRule;
 
-const Q: [f64; 2] = [2.6, 1.75];
+const POSE: [f64; 2] = [2.6, 1.75];
 const NORMAL: [f64; 2] = [0.25881904510252074, 0.9659258262890683];
 
 /// Runs `work` on the shipped device with this number of counts per turn.
@@ -17,11 +17,11 @@ fn with_pressed_wall<T>(around: &Loop, counts: Option<f64>, work: impl FnOnce(&P
     for encoder in file.description.joints.iter_mut().flat_map(|joint| &mut joint.encoder) {
         encoder.counts_per_turn = counts.unwrap_or(encoder.counts_per_turn);
     }
-    let device = Linearised::at(&file.description, &Q, &NORMAL).unwrap();
+    let device = Linearised::at(&file.description, &POSE, &NORMAL).unwrap();
     work(&Pressed {
         device: &device,
         description: file.description,
-        q: Q.to_vec(),
+        q: POSE.to_vec(),
         normal: NORMAL.to_vec(),
         around,
         hand: LIGHT_HAND,
@@ -73,8 +73,8 @@ fn the_boards_own_step_has_a_similar_ripple() {
     // Leave out dry friction, which may hold the tip between two counts while the comparison's hand presses constantly.
     file.description.joints.iter_mut().for_each(|joint| joint.coulomb = 0.0);
     for (rate_hz, cutoff_hz, wall) in [(1_000.0, 100.0, (15_000.0, 40.0)), (20_000.0, 500.0, (50_000.0, 150.0))] {
-        let comparison = Comparison { file: &file, q: &Q, normal: &NORMAL, rate_hz, cutoff_hz, wall };
-        // A delay of half a carrier period, as in the comparison.
+        let comparison = Comparison { file: &file, q: &POSE, normal: &NORMAL, rate_hz, cutoff_hz, wall };
+        // The comparison has a delay of half a carrier period.
         let delay = 0.5 * rate_hz / 20_000.0;
         for (kind, linear) in [
             (Kind::Butterworth, LinearEstimator::Butterworth(cutoff_hz)),

@@ -133,7 +133,7 @@ fn gravity_stays_compensated_at_every_depth() {
         assert!(last.share() < 0.9, "{device} is not at its limit: {last:?}");
         for pair in points.windows(2) {
             assert!(pair[1].along >= pair[0].along - 2.0e-2, "{device}: {pair:?}");
-            // No sideways force, after the torque against gravity is subtracted.
+            // Without the torque against gravity there is no sideways force.
             assert!(pair[1].across < 5.0e-3, "{device}: {pair:?}");
         }
     }
@@ -142,7 +142,7 @@ fn gravity_stays_compensated_at_every_depth() {
 #[test]
 fn walls_push_with_at_most_the_tip_force_limit_in_every_pose() {
     let pressed = |device, q, normal, feed_forward| {
-        // Motors and torque limits so strong that only the tip force limit of 5 N acts.
+        // Motors and torque limits are so strong that only the tip force limit of 5 N acts.
         let strong = SaturationCase { torque: 1.0e3, strength: 100.0, ..demo_case(feed_forward) };
         let case = SaturationCase { device, q, normal, tip_force: 5.0, steps: 300, ..strong };
         let points = case.forces_at_depths((0..=20).map(|i| 5.0e-5 * f64::from(i)));

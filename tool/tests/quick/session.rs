@@ -191,7 +191,7 @@ fn an_age_counts_from_the_state_that_was_sent() {
     session.read_state().unwrap();
     shared.lock().run(0.01);
     let answer = session.force([0.1, 0.0, 0.0]).unwrap();
-    // 0.01 s plus the two control periods of the request itself.
+    // The age is 0.01 s plus the two control periods of the request.
     let age = f64::from(answer.age.unwrap());
     assert!((age - 0.0101).abs() < 1.0e-4, "{age}");
 }

@@ -934,7 +934,7 @@ fn the_page_is_served_only_to_this_computer() {
     assert!(http_request(host, "GET / HTTP/1.1\r\nHost: evil.example\r\n\r\n").starts_with("HTTP/1.1 403 "));
     assert!(http_request(host, &format!("POST / HTTP/1.1\r\nHost: {host}\r\n\r\n")).starts_with("HTTP/1.1 400 "));
     assert!(http_request(host, "\0\x01\x02 what\r\n\r\n").starts_with("HTTP/1.1 400 "));
-    // A browser keeps a spare connection. It would take any bytes on it for the reply to its next request.
+    // A browser keeps a spare connection and would take bytes from it for the reply to the next request.
     let (mut spare, mut said) = (TcpStream::connect(host).unwrap(), String::new());
     spare.shutdown(Shutdown::Write).unwrap();
     spare.read_to_string(&mut said).unwrap();

@@ -22,7 +22,7 @@ fn only_the_rendered_inertia_depends_on_the_admissible_set() {
     let arm = redundant_arm();
     let wall = [WallForce { normal: NORMAL.to_vec(), force: 2.0, stiffness: 1.0, feed_forward: true }];
     let mut effective = Vec::new();
-    // Ratios from an independent computation.
+    // The ratios come from an independent computation.
     for (admissible, ratio) in [
         (Admissible::Orientation, 3.99),
         (Admissible::Joint0, 1.29),

@@ -128,7 +128,7 @@ impl Session {
 
     fn shell(&self, command: &str) -> Command {
         let mut shell = Command::new("sh");
-        // Background jobs of a shell ignore Ctrl-C and pass this on to their children; commands of a terminal do not.
+        // A shell's background jobs and their children ignore Ctrl-C. Commands of a terminal do not.
         let heard = if cfg!(target_os = "linux") { "env --default-signal=INT" } else { "" };
         // `exec` replaces the shell, so that signals reach the command itself.
         shell

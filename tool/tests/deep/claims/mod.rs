@@ -77,7 +77,7 @@ fn distance_on_simulated_board(terms: VelocityTerms) -> f64 {
 fn the_simulated_board_renders_a_wall_to_a_sliding_tip() {
     let [off, paper, rendered] = VELOCITY_TERMS.map(distance_on_simulated_board);
     assert!(off > 30.0 && paper > 30.0, "{off} and {paper} µm");
-    // Causes of the rest: torques held for a millisecond, velocities 4 ms old, and the remaining transient.
+    // The distance that is left has three causes: torques held for 1 ms, velocities 4 ms old, and a transient.
     assert!(rendered < 6.0, "{rendered} µm, others {off} and {paper}");
 }
 
@@ -93,7 +93,7 @@ fn velocity_terms_hardly_change_the_stability_of_a_slide() {
             assert!(change.abs() < most, "{terms:?} at {speed} m/s: {change}");
         }
     }
-    // A second linearisation, in numpy. M comes from differences of the links' positions, computed only by intersecting
+    // The reference is a linearisation in numpy. M comes from differences of the links' positions, computed only by intersecting
     // circles, c from the Christoffel symbols of that M, J̇ from differences, and b = c - M J⁻¹ J̇ q̇. Each joint has a
     // filter in direct form I, the hold is a matrix exponential, and the onset of a mode faster than 8 Hz is bisected.
     // Limits in N/m at these speeds, m/s:

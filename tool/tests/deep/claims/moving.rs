@@ -76,7 +76,7 @@ impl SlidingLoop {
         let jacobian_row = m.transpose(&pose, &n);
         let difference = [0, 1].map(|i| row(&[(i, rate), (4 + i, -rate)]));
         let along = &difference[0] * jacobian_row[0] + &difference[1] * jacobian_row[1];
-        // Direct form II transposed.
+        // The filter is in transposed direct form II.
         let mut filtered = |input: &DVector<f64>, first: usize| {
             let output = input * b0 + row(&[(first, 1.0)]);
             next.set_row(first, &(input * b1 - &output * a1 + row(&[(first + 1, 1.0)])).transpose());

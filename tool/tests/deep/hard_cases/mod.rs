@@ -56,7 +56,7 @@ fn double_precision_keeps_five_digits_everywhere() {
 #[test]
 fn the_analysis_of_equation_4_keeps_five_digits_everywhere() {
     for row in &*SINGULAR {
-        // Ten digits wherever the feed-forward acts.
+        // Ten digits are correct where the feed-forward acts.
         let most = if matches!(row.target, Target::Sine(_)) { 1e-10 } else { 1e-5 };
         for error in row.whole.all() {
             assert!(error < most, "{row:?}");
@@ -89,8 +89,8 @@ fn encoder_steps_cause_larger_errors_than_f32() {
     for row in &*SLIDING {
         assert!(row.rounding < 1e-5, "{row:?}");
         let [coarse, fine] = row.estimated;
-        // Measured: up to 0.4 of the terms at 20 000 counts, mostly from slow joints, where the terms subtract the
-        // uncertainty of a count; with finer counts the error falls with the square. In addition the pose costs a count
+        // Measured errors are up to 0.4 of the terms at 20 000 counts, mostly from slow joints, because the terms
+        // subtract the uncertainty of a count. With finer counts the error falls with the square. The pose adds a count
         // (3e-4 rad) times the few units by which torques change per radian.
         let off = row.terms == VelocityTerms::Off;
         assert!(if off { row.size == 0.0 } else { row.size > 0.03 }, "{row:?}");
@@ -107,7 +107,7 @@ fn motors_at_their_limit_push_along_the_normal_only() {
     assert_eq!(SATURATED.len(), 8, "four mechanisms, in the open and near an elbow's singularity");
     for row in &*SATURATED {
         assert!(row.beyond > 5.0, "{row:?}");
-        // A rounding of the torques (6e-8) becomes a force over the sine, and Jᵀ n has a few more.
+        // The rounding of a torque (6e-8) causes an error of the force of 6e-8/sine. Jᵀ n adds a few roundings.
         let most = 1e-6 / row.sines[0];
         for error in [row.along[0], row.along[1], row.across] {
             assert!(error < most, "{row:?}");

@@ -44,11 +44,11 @@ fn row_of<M: Mechanism<f64, N>, const N: usize>(
         if !(sines[0]..sines[1]).contains(&r.serial) || r.parallel < 0.3 || n.norm() < 0.1 {
             continue;
         }
-        // Rounded as on the board.
+        // The board rounds the normal to f32.
         n = (n / n.norm()).map(|x| f64::from(x as f32));
         poses += 1;
         let three = |v: &SVector<f64, N>| core::array::from_fn(|i| if i < N { v[i] } else { 0.0 });
-        // Torque for the device's own weight and for 5 N.
+        // The limit is the torque for the device's weight and for 5 N.
         let lever = m.transpose(&pose, &n).amax();
         let torque = (m.gravity(&pose).amax() + 5.0 * lever) as f32;
         for (index, feed_forward) in [FeedForward::Off, FeedForward::Full].into_iter().enumerate() {
@@ -95,7 +95,7 @@ pub fn all_rows() -> Vec<Row> {
         let mut device = shipped_device(file).description;
         for joint in &mut device.joints {
             if let Some(motor) = &mut joint.motor {
-                // Only the torque limit acts.
+                // The current limit is so large that only the torque limit acts.
                 motor.max_current = 1.0e3;
             }
         }

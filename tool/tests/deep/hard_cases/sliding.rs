@@ -154,7 +154,7 @@ pub fn all_rows() -> Vec<Row> {
     super::MECHANISMS
     .into_iter()
     .flat_map(|(name, file)| {
-        // The weight would add the same torque on both sides.
+        // Leave out the weight, which would add the same torque to both results.
         let mut device = encoded(&shipped_device(file).description);
         device.gravity = [0.0; 3];
         in_three_precisions!(&device, (a, b, c) => VelocityTerms::ALL.map(|(_, terms)| row_of((a, b, c), name, &device, terms)))

@@ -206,7 +206,7 @@ fn a_redundant_arm_is_measured_with_its_posture() {
     };
     let law = Law { posture: Some(Posture { stiffness: 0.05, damping: 0.003 }), ..Law::default() };
     let (mut file, setup, prediction) = paper_setting("serial-3r", &world, &[0.6, 0.8], law);
-    // Leave out the weight: theory ignores that it is compensated one period late, an effect of 6 % here.
+    // Leave out the weight, because theory ignores that the board compensates the weight one period late (6 % here).
     file.description.gravity = [0.0; 3];
     let kd = 0.5;
     let predicted = prediction.range(&world.q.unwrap(), &setup.walls, Some(&[kd]), None).unwrap();

@@ -155,7 +155,7 @@ fn the_result_is_never_worse_than_the_scenes_settings() {
 fn margins_cost_stiffness_where_stability_limits_it() {
     let file = shipped_device("haply-2diy");
     let most = |margins: Margins| {
-        // A ripple limit that is never reached.
+        // No wall reaches this ripple limit.
         let question =
             Question { ripple_n: 50.0, board_ripple_n: None, counts: 1e-6, speed: 1e-6, ..question(&file, margins) };
         tune(&question, &Sweep::quiet()).unwrap()
