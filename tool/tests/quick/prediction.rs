@@ -325,8 +325,8 @@ fn without_a_stable_range_islands_are_reported() {
     assert!(said.contains("Nothing is stable here") && !said.contains("times as large"), "{said}");
 }
 
-/// Largest stable stiffness of the serial-3r's wall without and with the feed-forward, N/m, from independent eigenvalues
-/// at home, for the normal (0.42, -0.91), 5 kHz, a cutoff of 200 Hz, 5 N s/m and a delay of 0.125 samples.
+/// Largest stable stiffness of the serial-3r's wall without and with the feed-forward, N/m, from independent
+/// eigenvalues at home, for the normal (0.42, -0.91), 5 kHz, a cutoff of 200 Hz, 5 N s/m and a delay of 0.125 samples.
 const LIMITS_WITHOUT_POSTURE: [f64; 2] = [29_835.0, 32_234.0];
 /// The limits of [`LIMITS_WITHOUT_POSTURE`] with a posture of 0.5 N m/rad and 0.03 N m s/rad, N/m.
 const LIMITS_WITH_POSTURE: [f64; 2] = [49_640.0, 32_208.0];

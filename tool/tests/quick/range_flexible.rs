@@ -74,7 +74,7 @@ fn an_infinitely_stiff_transmission_is_rigid() {
 
 #[test]
 fn a_joint_outside_the_loop_has_no_effect() {
-    // Neither joint has losses. The soft second joint is uncoupled, does not move the tip, and does not render the wall.
+    // Neither joint has losses. The soft second joint is uncoupled and neither moves the tip nor renders the wall.
     let mut device = stiff_device();
     device.mass = DMatrix::from_diagonal(&DVector::from_vec(vec![3.0e-4, 1.1e-4]));
     device.viscous.fill(0.0);

@@ -93,10 +93,10 @@ fn velocity_terms_hardly_change_the_stability_of_a_slide() {
             assert!(change.abs() < most, "{terms:?} at {speed} m/s: {change}");
         }
     }
-    // The reference is a linearisation in numpy. M comes from differences of the links' positions, computed only by intersecting
-    // circles, c from the Christoffel symbols of that M, J̇ from differences, and b = c - M J⁻¹ J̇ q̇. Each joint has a
-    // filter in direct form I, the hold is a matrix exponential, and the onset of a mode faster than 8 Hz is bisected.
-    // Limits in N/m at these speeds, m/s:
+    // The reference is a linearisation in numpy. M comes from differences of the links' positions, computed only by
+    // intersecting circles, c from the Christoffel symbols of that M, J̇ from differences, and b = c - M J⁻¹ J̇ q̇.
+    // Each joint has a filter in direct form I, the hold is a matrix exponential, and the onset of a mode faster than 8
+    // Hz is bisected. Limits in N/m at these speeds, m/s:
     const SPEEDS: [f64; 4] = [0.5, -0.5, 1.0, -1.0];
     for (law, known) in [
         (None, [18_650.8, 18_099.4, 18_912.4, 17_812.1]),
@@ -133,8 +133,8 @@ fn a_wrong_rotor_inertia_keeps_most_of_the_demos_gain() {
 
 #[test]
 fn wrong_models_cost_more_elsewhere_and_a_wrong_home_most() {
-    // Computed in numpy: number of cases, percentage of cases that keep less than seven eighths of the gain, smallest and
-    // largest percentage kept. M and J are differences of the links' positions, computed by intersecting circles.
+    // Computed in numpy: number of cases, percentage of cases that keep less than seven eighths of the gain, smallest
+    // and largest percentage kept. M and J are differences of the links' positions, computed by intersecting circles.
     const NUMPY_REFERENCE: [(usize, [f64; 3]); 6] = [
         (1648, [18.143, 70.114, 132.702]),
         (1648, [37.197, 60.015, 157.843]),

@@ -81,7 +81,7 @@ fn the_drawing_of_a_device_contains_its_whole_reach() {
         grounds += 1;
         let clip = svg.lines().find(|line| line.starts_with("<clipPath")).unwrap();
         let [x, y, width, height] = ["x", "y", "width", "height"].map(|key| svg_number(clip, key).unwrap());
-        // Coordinates are steps in tenths of a pixel. Each outline starts relative to the start of the previous outline.
+        // Coordinates are steps in tenths of a pixel. An outline starts relative to the start of the previous outline.
         let path = ground.split_once(" d=\"").unwrap().1.split('"').next().unwrap();
         let mut began = [0.0, 0.0];
         for outline in path.split('z').filter(|outline| !outline.is_empty()) {

@@ -119,7 +119,7 @@ fn motors_at_their_limit_push_along_the_normal_only() {
 /// A change that only rounds differently changes the errors by a smaller factor.
 const MAX_RATIO: f64 = 4.0;
 
-/// Returns true if two words of a table are equal, or numbers within a factor of [`MAX_RATIO`] ("lost" is above a half).
+/// Returns true if two words of a table are equal or are numbers within a factor of [`MAX_RATIO`] ("lost" counts as 1).
 fn is_same(shown: &str, computed: &str) -> bool {
     let number = |text: &str| if text == "lost" { Some(1.0) } else { text.parse::<f64>().ok() };
     match (number(shown), number(computed)) {

@@ -89,8 +89,8 @@ fn a_killed_recording_is_complete_and_leaves_no_rows_behind() {
     }
 }
 
-/// Runs the tool with files of at most 512 times `blocks` bytes. With its signal ignored, the limit acts like a full disk.
-/// The tool must fail. Returns the tool's message.
+/// Runs the tool with files of at most 512 times `blocks` bytes. With its signal ignored, the limit acts like a full
+/// disk. The tool must fail. Returns the tool's message.
 fn fail_on_full_disk(blocks: u64, arguments: &[&str]) -> String {
     let line = format!("trap '' XFSZ; ulimit -f {blocks}; exec \"$0\" \"$@\"");
     let output = Command::new("sh").args(["-c", &line]).arg(cargo_bin("haptic")).args(arguments).output().unwrap();

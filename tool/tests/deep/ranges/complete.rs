@@ -47,8 +47,8 @@ const REAL_DRIVE: &[&str] = &["--counts", "4194304"];
 const IDEAL_DRIVE: &[&str] = &["--ideal-drive", "--counts", "67108864"];
 /// Like [`REAL_DRIVE`] but without back-EMF, because the board compensates back-EMF with a delayed speed.
 const NO_EMF: &[&str] = &["--counts", "4194304", "--no-emf"];
-/// Device, rate, Hz, and tolerance, %, of the one case beyond 10 %. Without the feed-forward its drive deviates from the
-/// first-order model (docs/results/complete.csv). With [`NO_EMF`] or [`IDEAL_DRIVE`] the case is within 10 %.
+/// Device, rate, Hz, and tolerance, %, of the one case beyond 10 %. Without the feed-forward its drive deviates from
+/// the first-order model (docs/results/complete.csv). With [`NO_EMF`] or [`IDEAL_DRIVE`] the case is within 10 %.
 const LARGER_TOLERANCE: (&str, u32, f64) = ("capstan-pantograph", 20_000, 16.0);
 
 /// Runs a command with `--json` on a wall with a washout of 2 Hz, at this rate and cutoff, Hz. Returns its document.
