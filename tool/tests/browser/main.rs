@@ -139,8 +139,8 @@ fn holding_the_key_arms_and_releasing_it_disarms() {
     browser.wait_until(&tab, "view.pictures > then + 10");
     assert_eq!(browser.evaluate(&tab, "view.down || view.last.state === 'Armed'"), false);
     browser.evaluate(&tab, "document.activeElement.blur()");
-    // On a simulated board a click on the button holds the key until the next click. On a real board the key is held
-    // only while the mouse button is down.
+    // A click holds a simulated board's key until the next click. A real board's key is held as long as the mouse
+    // button.
     let key = place_on(&mut browser, &tab, "key", "60", "30");
     for held in [true, false] {
         for what in ["mousePressed", "mouseReleased"] {
@@ -302,8 +302,7 @@ fn the_plane_has_no_overlaps_on_shipped_devices() {
     }
 }
 
-/// Gains tried with a press are marked until the wall moves or the simulation starts over. The limiting effects are
-/// shown on request.
+/// A press marks its gains until the wall moves or the simulation starts over.
 #[test]
 fn tried_gains_are_marked_and_limits_are_explained() {
     let (_view, mut browser, tab) = open_page();

@@ -16,8 +16,8 @@ use std::thread::{JoinHandle, spawn};
 use std::time::{Duration, Instant};
 use tungstenite::Message;
 
-/// Fake serial port that behaves like Chromium's. `arrive` delivers bytes to the page, `toBoard` sends bytes to the
-/// board, and `pull` unplugs the port.
+/// Fake of Chromium's serial port. `arrive` delivers bytes to the page, `toBoard` to the board; `pull` unplugs the
+/// port.
 const FAKE_PORT_SCRIPT: &str = r#"
     window.test = { asked: [], refuses: null };
     let incoming = null;

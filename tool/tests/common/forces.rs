@@ -19,8 +19,7 @@ pub fn runs_beyond_limit(seeds: Range<u64>) -> Vec<String> {
     drawn.filter(|(most, _)| *most > 1.1 * f64::from(GENTLE_FORCE)).map(|(_, what)| what).collect()
 }
 
-/// Runs a random scene with a random motion. Returns the largest force of the motors at the tip (as in [`Push`], N) and
-/// a description of the run.
+/// Runs a random scene with a random motion. Returns the largest force of the motors at the tip, N, and a description.
 fn largest_push(file: &DeviceFile, seed: u64) -> (f64, String) {
     let mut draw = Random::new(seed);
     let weighs = file.description.gravity != [0.0; 3];

@@ -127,7 +127,7 @@ fn counts_per_radian(device: &Description) -> f64 {
 pub enum Outcome {
     /// The polarity check ended with this fault.
     Refused(FaultRecord),
-    /// The motors went off with this fault. The time, s, counts from the error's begin or, for a permanent error, from
+    /// The motors went off with this fault, this time, s, after the error began or, for a permanent error, after
     /// arming.
     Seen(FaultRecord, f64, Harm),
     /// The board reported no fault.

@@ -204,8 +204,7 @@ impl Drop for Process {
     }
 }
 
-/// Sends a signal, such as `INT`, to a process. Uses the `kill` of the shell, because not every system has a program
-/// `kill`.
+/// Sends a signal, such as `INT`, to a process, with the shell's `kill`, because some systems have no such program.
 pub fn send_signal(child: &Child, name: &str) {
     let line = format!("kill -{name} {}", child.id());
     assert!(std::process::Command::new("sh").args(["-c", &line]).status().unwrap().success());

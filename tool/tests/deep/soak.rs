@@ -1,8 +1,6 @@
-//! Hours of contact with telemetry on the simulated board, through the tool's own link. No control step is missed, no
-//! row is lost or repeated, the wall's force is the same in the last cycle as in the first, and memory does not grow.
-//!
-//! `cargo test` simulates ten minutes, `cargo xtask soak` a day. The only test in this file, because it measures the
-//! memory of its process.
+//! Hours of contact with telemetry on the simulated board, through the tool's own link: ten minutes by default, a day
+//! with `cargo xtask soak`. No control step is missed, no row is lost or repeated, and force and memory do not drift.
+//! The only test in this file, because it measures the memory of its process.
 
 use crate::common::prelude::*;
 use crate::common::{board, plane_wall, shipped_device};

@@ -163,7 +163,7 @@ fn the_environment_may_name_the_port() {
 }
 
 #[test]
-fn wrong_ports_gains_and_fields_are_refused() {
+fn wrong_ports_gains_fields_and_names_are_refused() {
     type_lines(
         "2: info --port tcp:nowhere => tcp:HOST:PORT
         1: info --port SIM0001 => serial number
@@ -175,6 +175,8 @@ fn wrong_ports_gains_and_fields_are_refused() {
         2: stream --port sim --seconds -5 => greater than zero
         2: rules --port sim --torque -1,2 => greater than zero
         2: sim --axes 1 => 2 joints
+        help stream => rendered | N m
+        2: help modle => modle
         board list --json",
         &[],
     );

@@ -4,18 +4,6 @@ use crate::common::sim::Sim;
 use crate::common::{Folder, refusal, shipped_path, type_lines};
 use std::process::Command;
 
-#[test]
-fn help_explains_the_tool_and_each_command() {
-    type_lines(
-        "help => Start here | haptic demo
-        help model => --normal | Examples:
-        model --help => --normal | Examples:
-        help stream => rendered | N m
-        2: help modle => modle",
-        &[],
-    );
-}
-
 #[cfg(unix)]
 #[test]
 fn a_closed_pipe_ends_a_command_silently() {

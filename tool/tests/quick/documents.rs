@@ -1,5 +1,4 @@
-//! The quick commands in README.md and docs/ work as written (common/documents). Commands, links, numbers and rows of
-//! tables in the text are correct.
+//! The quick commands, numbers, links and rows of tables in README.md and docs/ are correct (common/documents).
 #![cfg(unix)]
 
 use crate::common::documents::blocks::{Block, Kind, documents, root};

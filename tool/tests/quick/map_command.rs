@@ -1,6 +1,6 @@
 //! `haptic map` as other programs use it.
 
-use crate::common::{Folder, json, pose_option, type_lines};
+use crate::common::{json, pose_option};
 
 const DEVICE: &str = "devices/coupled-five-bar.toml";
 const TURRET: &str = "devices/phantom-premium-1.5.toml";
@@ -48,12 +48,4 @@ fn a_point_has_the_documented_keys() {
         ["q", "w_eff", "w_rr", "worst_coupling", "worst_ratio"],
     ];
     assert_eq!(keys, documented.as_flattened());
-}
-
-#[test]
-fn the_picture_is_written_and_a_zero_normal_refused() {
-    let folder = Folder::new();
-    let svg = folder.path("map.svg");
-    type_lines(&format!("map {DEVICE} --normal 1,0 --svg {svg}\n2: map {DEVICE} --normal 0,0"), &[]);
-    assert!(std::fs::read_to_string(svg).unwrap().contains("coupled-five-bar"));
 }

@@ -141,8 +141,7 @@ fn a_paddle_may_turn_often_but_limits_in_degrees_warn() {
     }
 }
 
-/// If the motors are exchanged, the tip lies behind the base. Motors on one axis have no left and right, so their arms
-/// never cross.
+/// Exchanged motors place the tip behind the base. Motors on one axis have no left and right, so the arms never cross.
 #[test]
 fn arms_that_cross_at_home_cause_a_warning() {
     let exchanged = ("q = [2.3, 0.84159265358979]", "q = [0.84159265358979, 2.3]");

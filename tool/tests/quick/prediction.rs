@@ -147,8 +147,7 @@ fn a_gear_ratio_changes_only_the_motors_inertia() {
     assert!((gear.w_rr / expected - 1.0).abs() < 1e-9, "{gear:?} {expected}");
 }
 
-/// Solves the equations of the angles at rest: the wall's torques twist the cables while a hand holds the tip in the
-/// wall.
+/// Solves the equations at rest: the wall's torques twist the cables while a hand holds the tip in the wall.
 #[test]
 fn a_hand_at_rest_feels_a_wall_in_series_with_its_cables() {
     let text = read("devices/cable-five-bar.toml");

@@ -1,5 +1,4 @@
-//! Ranges with compliant transmissions, modes, a hand on the tip, and a difference over several samples (docs/model.md
-//! section 4).
+//! Ranges with compliant transmissions, modes, a hand, and a difference over samples (docs/model.md section 4).
 
 use crate::common::prelude::*;
 use crate::common::{ideal_loop, numbers, read, rigid_device};

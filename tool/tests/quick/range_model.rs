@@ -65,8 +65,7 @@ fn on_a_slow_board_a_fast_washout_is_worse_than_none() {
     assert!(washed(10.0) < off);
 }
 
-/// A step-by-step simulation, without matrix exponential and eigenvalues, decays below the boundary and grows above it,
-/// with the predicted frequency and growth.
+/// A step-by-step simulation decays below the boundary and grows above, with the predicted frequency and growth.
 #[test]
 fn the_boundary_is_where_a_simulation_starts_to_grow() {
     let device = three_joints();

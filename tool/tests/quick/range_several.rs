@@ -3,14 +3,12 @@
 
 use crate::common::bodies::Bodies;
 use crate::common::domains::{self, Case, KnownDomain, WALL_SETS};
+use crate::common::prelude::*;
 use crate::common::{Folder, json, numbers, shipped_path, type_lines};
-use haptic_bridge::model::admissible::Admissible;
-use haptic_host::device_file::DeviceFile;
 use haptic_stability::analysis::flexible::Hand;
 use haptic_stability::analysis::pose::TaskPose;
 use haptic_stability::analysis::range::domain_of_several;
-use haptic_stability::analysis::several::{Member, WallSet};
-use nalgebra::{DMatrix, DVector};
+use haptic_stability::analysis::several::WallSet;
 
 #[test]
 fn one_wall_given_twice_has_the_independent_domain() {

@@ -1,13 +1,10 @@
 //! `--read` reads the same scene bit for bit, the board's values of a device, and their differences from a file.
 #![cfg(unix)]
 
+use crate::common::prelude::*;
 use crate::common::sim::Sim;
 use crate::common::{all_shipped_devices, shipped_path, toml_files};
-use haptic_bridge::render::scene::{Scene, Surface};
-use haptic_host::device_file::DeviceFile;
 use haptic_host::read_back::{differences, running, scene, to_toml};
-use haptic_host::scene_file::SceneFile;
-use haptic_sim::Random;
 use predicates::prelude::*;
 use predicates::str::contains;
 

@@ -1,5 +1,4 @@
-//! Ripple of a pressed wall from encoder steps: compared with an independent program and with the board's own control
-//! step, and at its limits.
+//! Ripple of a pressed wall from encoder steps, compared with an independent program and with the board's own step.
 
 use crate::common::prelude::*;
 use crate::common::{self, ideal_loop, shipped_device, type_lines};

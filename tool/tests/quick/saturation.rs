@@ -8,8 +8,7 @@ use haptic_bridge::safety::fault::State;
 use haptic_bridge::safety::limits::Limits;
 use haptic_sim::{Press, PressForces, PressedBoard, WIDE_LIMITS};
 
-/// A wall through the tip of a shipped device in the pose `q`, with a limit of the joint torques, N m, and of the tip
-/// force, N.
+/// A wall through the tip of a device in the pose `q`, with limits of joint torques, N m, and of the tip force, N.
 struct SaturationCase {
     device: &'static str,
     q: [f64; 3],

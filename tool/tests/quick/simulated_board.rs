@@ -1,5 +1,4 @@
-//! Replies of the simulated board over its real protocol, and the motion of its device. The board's time advances only
-//! while it is read or run.
+//! Replies and motion of the simulated board over its real protocol. Its time advances only while it is read or run.
 
 use crate::common::prelude::*;
 use crate::common::strict::verify_motors;

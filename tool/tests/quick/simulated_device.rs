@@ -133,14 +133,6 @@ fn dry_friction_holds_the_motor_and_lets_the_link_swing() {
 }
 
 #[test]
-fn a_constant_torque_gives_a_parabola() {
-    let mut device = device(&paddle(0.0, 0.0));
-    device.step(&[MotorInput::Torque(2e-3), MotorInput::Floating, MotorInput::Floating], 0.5);
-    // The angle is half of 2 rad/s² times (0.5 s)².
-    assert!((device.q()[0] - 0.25).abs() < 1e-12, "{}", device.q()[0]);
-}
-
-#[test]
 fn viscous_friction_decays_exponentially() {
     let mut device = device(&paddle(5e-3, 0.0));
     device.push([0.1, 0.0, 0.0]);

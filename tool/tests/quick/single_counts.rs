@@ -62,8 +62,7 @@ fn velocity_terms_do_not_act_on_single_counts() {
     assert!(seen >= 9 * Estimator::ALL.len(), "{seen}");
 }
 
-/// Returns the mean torques (N m) of the velocity terms over the last 200 periods while a five-bar's joints turn at a
-/// constant speed.
+/// Returns the mean torques, N m, of the velocity terms over 200 periods while a five-bar's joints turn evenly.
 fn mean_torque(counts_per_turn: f64, speed: f64) -> SVector<f64, 2> {
     let mut known = shipped_device("coupled-five-bar").description;
     for joint in &mut known.joints[..2] {

@@ -1,6 +1,5 @@
 //! Tools that connect second, leave, are killed, flood the board or stay silent. One tool at a time uses the board, the
-//! next tool finds the board unchanged, and a request to disarm always arrives. Patience is zero or an hour, so no test
-//! depends on time.
+//! next tool finds the board unchanged, and a request to disarm always arrives. No test depends on time.
 
 use crate::common::prelude::*;
 use crate::common::{board, measurement, shipped_device, shipped_path};

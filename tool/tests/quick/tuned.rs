@@ -1,5 +1,4 @@
-//! `haptic tune` and `haptic tune estimators` on random devices (ten more in deep/tune/settings.rs), on compliant
-//! joints, and with Ctrl-C.
+//! `haptic tune` and `haptic tune estimators` on random devices (more in deep/tune/settings.rs) and compliant joints.
 
 use crate::common::prelude::*;
 use crate::common::tuned::{none_is_stiffer, question, random_device};

@@ -112,7 +112,7 @@ impl Session {
                 sleep(Duration::from_millis(10));
             }
             sleep(Duration::from_secs(1));
-            interrupt(&child);
+            send_signal(&child, "INT");
         }
         let status = wait_for_exit(&mut child, self.patience)?;
         let said = said.map(|said| said.join().unwrap()).concat();
@@ -162,7 +162,7 @@ impl Session {
     /// Interrupts all servers. A simulated board must end with exit code 0; an emulated board may fail.
     fn end(mut self) -> Result<(), String> {
         for (command, mut child) in std::mem::take(&mut self.servers) {
-            interrupt(&child);
+            send_signal(&child, "INT");
             let status = wait_for_exit(&mut child, self.patience)?;
             if status != Some(0) && command.starts_with("haptic") {
                 return Err(format!("`{command}` ended with exit code {status:?}"));
@@ -184,10 +184,6 @@ impl Drop for Session {
 /// Sends a signal to a command and its children, as a terminal does.
 fn send_signal(child: &Child, name: &str) {
     let _ = Command::new("sh").args(["-c", &format!("kill -{name} -{}", child.id())]).status();
-}
-
-fn interrupt(child: &Child) {
-    send_signal(child, "INT");
 }
 
 /// Returns true if a command handles interrupts or has ended, or if the system has no such information.

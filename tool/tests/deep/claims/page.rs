@@ -225,8 +225,7 @@ pub fn max_stiffness_while_sliding(speed: f64, law: Option<VelocityTerms>) -> f6
     sliding.stability_limit(speed, DAMPING, (8_000.0, 60_000.0), RATE_HZ, CUTOFF_HZ)
 }
 
-/// Returns the largest distance from the wall within 60 ms, m, after a push of 2 N along the wall for 30 ms. About
-/// 20 ms later the tip is at the end of its reach.
+/// Returns the largest distance from the wall within 60 ms, m, after a push of 2 N along the wall for 30 ms.
 pub fn push_distance(feed_forward: FeedForward) -> f64 {
     WallRun { push: (2.0, 0.03), feed_forward, ..WallRun::new(DEMO_POSE) }.largest_distance(0.06)
 }
@@ -282,8 +281,7 @@ pub fn wrong_models() -> Vec<(String, Vec<AssumedModel>)> {
     all
 }
 
-/// Share of the inertia gain that wrong models keep, at poses around home where the feed-forward acts in full and has a
-/// clear benefit.
+/// Shares of the inertia gain that wrong models keep, at poses where the feed-forward has a clear benefit.
 pub struct GainRetained {
     pub cases: usize,
     /// Number of cases that keep less than seven eighths of the gain.

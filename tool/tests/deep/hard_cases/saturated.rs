@@ -1,5 +1,4 @@
-//! Walls that request more force than the motors can make: errors of the force along and across the normal, from the
-//! control loop's f32 torques.
+//! Walls that request more force than the motors can make: errors of the forces along and across the normal, in f32.
 
 use super::rows::singular::Random;
 use crate::common::prelude::*;

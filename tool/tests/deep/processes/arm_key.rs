@@ -15,8 +15,7 @@ struct Terminal {
     master: OwnedFd,
     text: String,
     child: Child,
-    /// Time of the last Space while the key is held. Space repeats as in a terminal, so that the motors go on again if
-    /// they went off because this process was too slow.
+    /// Time of the last Space while the key is held. Space repeats, so that the motors go on again on a slow computer.
     held: Option<Instant>,
 }
 

@@ -89,8 +89,7 @@ fn a_killed_recording_is_complete_and_leaves_no_rows_behind() {
     }
 }
 
-/// Runs the tool with files of at most 512 times `blocks` bytes. With its signal ignored, the limit acts like a full
-/// disk. The tool must fail. Returns the tool's message.
+/// Runs the tool with files of at most 512 times `blocks` bytes, as on a full disk. Returns the tool's error message.
 fn fail_on_full_disk(blocks: u64, arguments: &[&str]) -> String {
     let line = format!("trap '' XFSZ; ulimit -f {blocks}; exec \"$0\" \"$@\"");
     let output = Command::new("sh").args(["-c", &line]).arg(cargo_bin("haptic")).args(arguments).output().unwrap();
@@ -223,8 +222,7 @@ fn measurement_line<'a>(device: &'a str, kd: &'a str, progress: &'a Path) -> Vec
     [&["measure-range", device, kd, "--progress", to][..], &fixed].concat()
 }
 
-/// Starts a measurement and waits for its first result. Starts again if the board turned the motors off because the
-/// tool was silent for too long on a busy computer.
+/// Starts a measurement and waits for its first result. Starts again if a busy computer made the tool silent too long.
 fn start_measurement(sim: &Sim, line: &[&str], progress: &Path) -> Child {
     let measured = || Progress::read(progress).is_ok_and(|found| found.is_some_and(|found| !found.is_empty()));
     loop {

@@ -37,8 +37,7 @@ fn with_cables(device: &str, turret: bool, (hz, damped): Cable) -> String {
     soft
 }
 
-/// Mode, measured stiffness (`None` if the measurement failed), predicted stiffness, and felt stiffness behind the
-/// cables, N/m.
+/// Mode, measured stiffness (`None` without a result), predicted stiffness, and stiffness felt behind the cables, N/m.
 type MeasuredPoint = (String, Option<f64>, f64, Option<f64>);
 
 /// The board's drive, and encoders so fine that their steps have no effect up to 5 kHz.

@@ -2,17 +2,12 @@
 //! stiff cables equal none, and sets of walls have the limits of loops of separate motors, links and a hand.
 
 use crate::common::bodies::{Bodies, CUTOFF_HZ, RATE_HZ};
+use crate::common::prelude::*;
 use crate::common::{ideal_loop, shipped_device};
-use haptic_bridge::model::admissible::Admissible;
-use haptic_bridge::model::description::{EncoderAt, Transmission};
-use haptic_host::device_file::DeviceFile;
 use haptic_stability::analysis::control_loop::Mode;
 use haptic_stability::analysis::flexible::Hand;
-use haptic_stability::analysis::plant::Linearised;
-use haptic_stability::analysis::range::{domain, domain_of_several};
-use haptic_stability::analysis::sampled::{LinearEstimator, Loop};
-use haptic_stability::analysis::several::{Member, WallSet};
-use nalgebra::{DMatrix, DVector};
+use haptic_stability::analysis::range::domain_of_several;
+use haptic_stability::analysis::several::WallSet;
 
 const HAND: Hand = Hand { mass: 0.1, damping: 4.0, stiffness: 250.0 };
 

@@ -1,5 +1,4 @@
-//! Contact with sets of walls: the board's control step in single precision on the simulator's nonlinear linkage, with
-//! limited motors.
+//! Contact with sets of walls: the board's f32 control step, limited motors, and the simulator's nonlinear linkage.
 
 use crate::common::{plane_wall, shipped_device};
 use haptic_bridge::control::compiled::BoardMath;

@@ -35,8 +35,7 @@ fn the_stiffest_wall_is_proportional_to_its_inertia() {
     }
 }
 
-/// An inertia δ added to joint j raises Wrr = Eᵀ M E by δ Eⱼ². Weff = 1/(Jr M⁻¹ Jrᵀ) follows from the Sherman-Morrison
-/// formula.
+/// An inertia δ at joint j raises Wrr = Eᵀ M E by δ Eⱼ². Weff = 1/(Jr M⁻¹ Jrᵀ) follows from Sherman and Morrison.
 #[test]
 fn the_sensitivity_to_a_rotor_follows_its_formula() {
     for (name, q, n) in [

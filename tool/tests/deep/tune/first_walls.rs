@@ -1,5 +1,4 @@
-//! The wall of `haptic new scene` does not rattle under a hand on the simulated board, for every shipped device and
-//! twenty random devices.
+//! The wall of `haptic new scene` does not rattle under a hand, for every shipped device and twenty random devices.
 
 use crate::common::prelude::*;
 use crate::common::tuned::random_device;

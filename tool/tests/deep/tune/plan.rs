@@ -1,5 +1,4 @@
-//! The planner chooses only the terms that a scene needs, simpler scenes cost less, and the planned error is kept at
-//! other poses.
+//! The planner chooses only terms that a scene needs. Simpler scenes cost less. Other poses keep the error budget.
 
 use crate::common::prelude::*;
 use crate::common::{shipped_device, shipped_path};
