@@ -8,6 +8,7 @@ use serde_json::Value;
 pub struct Case {
     pub id: String,
     pub file: DeviceFile,
+    /// Joint angles, rad.
     pub q: Vec<f64>,
     pub normal: Vec<f64>,
     pub around: Loop,

@@ -45,7 +45,7 @@ impl Server {
         next.unwrap()
     }
 
-    fn http_get(&self, path: &str, origin: &str) -> (String, Value) {
+    fn get(&self, path: &str, origin: &str) -> (String, Value) {
         http_get(&self.address, path, origin)
     }
 }
@@ -369,7 +369,7 @@ fn a_returning_board_is_served_again() {
 fn device_states_are_current() {
     let server = LocalServer::start();
     let (mut program, id, _) = server.connect();
-    let acts = |address: &str| number(&get(address, "/devices", "").1, "/inverse3/0/state/current_cursor_force/x");
+    let acts = |address: &str| number(&http_get(address, "/devices", "").1, "/inverse3/0/state/current_cursor_force/x");
     program.request(&force_message(&id, "vector", [0.3, 0.0, 0.0]));
     server.board.lock().run(0.45);
     // A force computed from a state that is half a second old would be refused, so read the state again.
