@@ -16,6 +16,7 @@ mod tables;
 use crate::common::document;
 use bounds::serial;
 use double_double::{DoubleDouble as Exact, Series as ExactMath};
+use haptic_bridge::model::description::Description;
 use haptic_bridge::render::scene::VelocityTerms;
 use nalgebra::SMatrix;
 use rows::routes::inverse;
@@ -33,6 +34,11 @@ const MECHANISMS: [(&str, &str); 4] = [
     ("parallelogram", "phantom-premium-1.5"),
     ("serial-3r", "serial-3r"),
 ];
+
+/// Returns the description of a shipped device to the modules in tests/hard_cases.
+fn shipped(name: &str) -> Description {
+    crate::common::shipped_device(name).description
+}
 
 /// The reference uses matrix inverses in 106 bits.
 #[test]

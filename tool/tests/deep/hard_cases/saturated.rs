@@ -1,8 +1,8 @@
 //! Walls that request more force than the motors can make: errors of the forces along and across the normal, in f32.
 
 use super::rows::singular::Random;
+use super::shipped;
 use crate::common::prelude::*;
-use crate::common::shipped_device;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::safety::limits::Limits;
 use haptic_sim::{Press, PressedBoard, WIDE_LIMITS};
@@ -91,7 +91,7 @@ pub fn all_rows() -> Vec<Row> {
     super::MECHANISMS
     .into_iter()
     .flat_map(|(name, file)| {
-        let mut device = shipped_device(file).description;
+        let mut device = shipped(file);
         for joint in &mut device.joints {
             if let Some(motor) = &mut joint.motor {
                 // The current limit is so large that only the torque limit acts.

@@ -7,8 +7,8 @@ use super::double_double::{DoubleDouble, Series};
 use super::rows::routes::inverse;
 use super::rows::singular::{Random, cast};
 use super::rows::steps::{RATE, controller, encoded, scene, three};
+use super::shipped;
 use crate::common::prelude::*;
-use crate::common::shipped_device;
 use haptic_bridge::control::compiled::BoardMath;
 use nalgebra::{SMatrix, SVector};
 
@@ -155,7 +155,7 @@ pub fn all_rows() -> Vec<Row> {
     .into_iter()
     .flat_map(|(name, file)| {
         // Leave out the weight, which would add the same torque to both results.
-        let mut device = encoded(&shipped_device(file).description);
+        let mut device = encoded(&shipped(file));
         device.gravity = [0.0; 3];
         in_three_precisions!(&device, (a, b, c) => VelocityTerms::ALL.map(|(_, terms)| row_of((a, b, c), name, &device, terms)))
     })
