@@ -104,9 +104,9 @@ impl Browser {
             message["sessionId"] = json!(session);
         }
         self.socket.send(Message::text(message.to_string())).unwrap();
-        let began = Instant::now();
+        let start = Instant::now();
         loop {
-            assert!(began.elapsed() < TIMEOUT, "no reply to {method}");
+            assert!(start.elapsed() < TIMEOUT, "no reply to {method}");
             let Some(answer) = self.read() else { continue };
             if answer["id"] == id {
                 assert!(answer["error"].is_null(), "{method}: {}", answer["error"]);
@@ -143,20 +143,20 @@ impl Browser {
 
     /// Waits until an expression is true on a page.
     pub fn wait_until(&mut self, tab: &Tab, expression: &str) {
-        let began = Instant::now();
+        let start = Instant::now();
         while self.evaluate(tab, expression) != true {
-            self.check_timeout(tab, began, expression);
+            self.check_timeout(tab, start, expression);
             std::thread::sleep(Duration::from_millis(20));
         }
     }
 
-    fn check_timeout(&mut self, tab: &Tab, began: Instant, expression: &str) {
-        if began.elapsed() > TIMEOUT {
-            let seen = self.evaluate(
+    fn check_timeout(&mut self, tab: &Tab, start: Instant, expression: &str) {
+        if start.elapsed() > TIMEOUT {
+            let page_state = self.evaluate(
                 tab,
                 "window.view && $('why').textContent + JSON.stringify({...view, trail: 0, sweep: 0, plane: 0})",
             );
-            panic!("{expression} did not become true: {seen}");
+            panic!("{expression} did not become true: {page_state}");
         }
     }
 
@@ -164,9 +164,9 @@ impl Browser {
     /// again, presses Space, which moves the hand out of a wall, and leads the hand back to `view.goal`.
     pub fn hold_until(&mut self, tab: &Tab, expression: &str) {
         const ARMED: &str = "document.body.dataset.state === 'Armed'";
-        let began = Instant::now();
+        let start = Instant::now();
         while self.evaluate(tab, expression) != true {
-            self.check_timeout(tab, began, expression);
+            self.check_timeout(tab, start, expression);
             if self.evaluate(tab, ARMED) != true {
                 self.send_space(tab, "keyUp");
                 self.evaluate(tab, "if (view.last.command === null) $('take').click()");

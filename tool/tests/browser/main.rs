@@ -321,11 +321,11 @@ fn tried_gains_are_marked_and_limits_are_explained() {
     browser.wait_until(&tab, "!$('forget').hidden");
     browser.evaluate(&tab, "$('explain').click()");
     browser.wait_until(&tab, "$('limits').textContent.includes('Stiffest stable wall') && $('limits').textContent.includes('ten times the rate')");
-    let told = browser.evaluate(&tab, "$('limits').innerText").as_str().unwrap().to_string();
+    let limits = browser.evaluate(&tab, "$('limits').innerText").as_str().unwrap().to_string();
     for words in ["no delay", "cut-off 100 Hz", "Hand: none", "Left out", "quiet at 8.70 kN/m"] {
-        assert!(told.contains(words), "{words}: {told}");
+        assert!(limits.contains(words), "{words}: {limits}");
     }
-    assert!(!told.contains("rigid transmissions"), "this device is rigid: {told}");
+    assert!(!limits.contains("rigid transmissions"), "this device is rigid: {limits}");
     browser.evaluate(&tab, "$('limits').onkeydown(new KeyboardEvent('keydown', {key: 'Escape'}))");
     assert_eq!(browser.evaluate(&tab, "$('limits').hidden && $('explain').getAttribute('aria-expanded')"), "false");
     let spoken = browser.evaluate(&tab, "$('dot').textContent").as_str().unwrap().to_string();
@@ -378,8 +378,8 @@ fn the_feed_forward_changes_while_the_mouse_presses_the_wall() {
     browser.evaluate(&tab, "$('ff-washout').click()");
     browser.wait_until(&tab, "view.walls[0].feed_forward === 'washout'");
     browser.hold_until(&tab, "$('ripple-before').textContent.startsWith('off ') && $('ripple-now').className === ''");
-    let kept = "(r => axes.rendered_n.low <= r.low && axes.rendered_n.high >= r.high)(JSON.parse(window.range))";
-    assert_eq!(browser.evaluate(&tab, kept), true, "the axis keeps its range, so that a quiet wall looks quiet");
+    let keeps_range = "(r => axes.rendered_n.low <= r.low && axes.rendered_n.high >= r.high)(JSON.parse(window.range))";
+    assert_eq!(browser.evaluate(&tab, keeps_range), true, "the axis keeps its range, so that a quiet wall looks quiet");
     // Pictures for a paper have a width in millimetres and letters of at least eight points.
     browser.evaluate(&tab, "view.hello.device = 'a & <b>'");
     for (what, millimetres) in [("stage", 85), ("plane", 85), ("scope", 170)] {
@@ -548,13 +548,13 @@ fn springs_of_the_scene_are_drawn() {
     browser.wait_until(&tab, "view.frame && view.pictures > 20");
     let tip = browser.evaluate(&tab, "view.last.geometry.tip").clone();
     let (x, y) = (tip[0].as_f64().unwrap(), tip[1].as_f64().unwrap());
-    let mut seen =
+    let mut count_spring_pixels =
         |at: (f64, f64), half| count_coloured(&mut browser, &tab, &format!("[{}, {}]", at.0, at.1), "spring", half);
-    assert!(seen((x, 0.5 * (y + 0.15)), 8) > 10, "no spring between the line and the tip");
-    assert!(seen((x - 0.04, 0.15), 12) > 5, "the line of the spring is not drawn");
-    assert!(seen((0.5 * (x + 0.06), 0.5 * (y + 0.10)), 8) > 10, "no spring between the point and the tip");
-    assert!(seen((0.06, 0.10), 5) > 30, "the point is not drawn");
-    assert_eq!(seen((x - 0.04, 0.14), 6), 0, "something is drawn where no spring is");
+    assert!(count_spring_pixels((x, 0.5 * (y + 0.15)), 8) > 10, "no spring between the line and the tip");
+    assert!(count_spring_pixels((x - 0.04, 0.15), 12) > 5, "the line of the spring is not drawn");
+    assert!(count_spring_pixels((0.5 * (x + 0.06), 0.5 * (y + 0.10)), 8) > 10, "no spring between the point and the tip");
+    assert!(count_spring_pixels((0.06, 0.10), 5) > 30, "the point is not drawn");
+    assert_eq!(count_spring_pixels((x - 0.04, 0.14), 6), 0, "something is drawn where no spring is");
     assert_eq!(browser.console_errors(), [""; 0]);
     browser.save_picture(&tab, "view-spring", false);
 }

@@ -144,10 +144,10 @@ fn open_board(browser: &mut Browser, tab: &Tab) {
 
 /// Holds Space until the motors are on. Presses Space again if page or board released the key on a slow computer.
 fn hold_space(browser: &mut Browser, tab: &Tab) {
-    let began = Instant::now();
+    let start = Instant::now();
     while browser.evaluate(tab, ARMED) != true {
-        let told = browser.evaluate(tab, "$('why').textContent");
-        assert!(began.elapsed() < TIMEOUT, "the motors stay off: {told}");
+        let notice = browser.evaluate(tab, "$('why').textContent");
+        assert!(start.elapsed() < TIMEOUT, "the motors stay off: {notice}");
         browser.send_space(tab, "keyUp");
         browser.evaluate(tab, "if (view.last.command === null) $('take').click()");
         browser.evaluate(tab, "if (!$('clear').hidden) $('clear').click()");
@@ -259,9 +259,9 @@ fn an_unplugged_board_is_reported_and_opened_again() {
     open_board(&mut browser, &tab);
     let mut board = close_armed_board(browser, &tab, cable);
     // If the page had to wait for half a second, the board has released the key by itself; then try again.
-    let began = Instant::now();
+    let start = Instant::now();
     while board.status().unwrap().fault.is_some_and(|record| record.fault == Fault::KeyReleased) {
-        assert!(began.elapsed() < TIMEOUT, "closing does not turn the motors off");
+        assert!(start.elapsed() < TIMEOUT, "closing does not turn the motors off");
         board.clear().unwrap();
         drop(board);
         let (mut browser, tab, cable) = open_page(&sim.port);
@@ -291,10 +291,10 @@ fn a_refused_board_is_explained_and_the_simulation_continues() {
     let (mut browser, tab, _cable) = open_page(&sim.port);
     let refused = |browser: &mut Browser, words: &str| {
         browser.evaluate(&tab, "notice(''); view.pictures = 0; $('open').click()");
-        let said = format!(
+        let shows_cause = format!(
             "$('why').textContent.includes('{words}') && $('why').textContent.includes('The simulation continues')"
         );
-        browser.wait_until(&tab, &format!("{said} && view.hello?.simulated && view.pictures > 10"));
+        browser.wait_until(&tab, &format!("{shows_cause} && view.hello?.simulated && view.pictures > 10"));
         let explained = "$('notice').classList.contains('shown') && $('open').textContent === 'Open a board'";
         assert_eq!(browser.evaluate(&tab, explained), true);
     };

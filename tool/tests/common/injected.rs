@@ -161,17 +161,17 @@ fn homed_board_as(
     device: Options,
     error: impl FnOnce(&mut Description, &mut BoardFaults),
 ) -> (SharedBoard, Board, Description) {
-    let mut told = *description;
-    let home = told.home.unwrap();
-    for (joint, home) in told.joints.iter_mut().zip(home) {
+    let mut device_file = *description;
+    let home = device_file.home.unwrap();
+    for (joint, home) in device_file.joints.iter_mut().zip(home) {
         joint.motor.iter_mut().for_each(|motor| motor.verified = true);
         joint.limits = Some((home - 1.5, home + 1.5));
     }
-    let mut wired = told;
+    let mut wired = device_file;
     let mut options = BoardOptions { device, strict: true, support: Support::Held, ..BoardOptions::default() };
     error(&mut wired, &mut options.faults);
     let mut simulated = SimulatedBoard::new(&wired, options).unwrap();
-    simulated.load(name, &told, None).unwrap();
+    simulated.load(name, &device_file, None).unwrap();
     let shared = SharedBoard::new(simulated);
     let mut board = Board::over(shared.wire(), "sim").unwrap();
     let rules = board.rules().unwrap();
@@ -286,9 +286,9 @@ pub fn outcome(file: &DeviceFile, error: &InjectedError) -> Outcome {
         assert_eq!(board.status().state, State::Armed, "{}: {:?}", file.name, board.status());
         error(&mut board, &wired);
     }
-    let began = board.time();
+    let start_s = board.time();
     let (mut push, mut harm) = (Push::of(&wired, &board), Harm::default());
-    while board.time() < began + 2.0 {
+    while board.time() < start_s + 2.0 {
         board.carrier();
         let device = board.device();
         let most = |values: [f64; 3]| values.iter().fold(0.0, |most: f64, value| most.max(value.abs()));
@@ -296,7 +296,7 @@ pub fn outcome(file: &DeviceFile, error: &InjectedError) -> Outcome {
         harm.speed = harm.speed.max(most(device.qd()));
         harm.push = harm.push.max(push.add_period(&board).unwrap_or(0.0));
         if let Some(record) = board.status().fault {
-            return Outcome::Seen(record, board.time() - began, harm);
+            return Outcome::Seen(record, board.time() - start_s, harm);
         }
     }
     Outcome::Missed(harm)

@@ -11,9 +11,9 @@ pub const HANG_TIMEOUT: Duration = Duration::from_secs(600);
 
 /// Waits until a condition is true. The timeout is long, because a computer may be slow.
 pub fn wait_until(what: &str, mut is_reached: impl FnMut() -> bool) {
-    let began = Instant::now();
+    let start = Instant::now();
     while !is_reached() {
-        assert!(began.elapsed() < HANG_TIMEOUT, "{what}: not reached within {HANG_TIMEOUT:?}");
+        assert!(start.elapsed() < HANG_TIMEOUT, "{what}: not reached within {HANG_TIMEOUT:?}");
         sleep(Duration::from_millis(10));
     }
 }

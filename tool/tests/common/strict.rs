@@ -49,8 +49,8 @@ impl LossyWire {
 
 impl Wire for LossyWire {
     fn send(&mut self, bytes: &[u8]) -> std::io::Result<()> {
-        let lost = self.loses.fetch_update(Ordering::Relaxed, Ordering::Relaxed, |left| left.checked_sub(1));
-        if lost.is_ok() { Ok(()) } else { self.wire.send(bytes) }
+        let message_to_lose = self.loses.fetch_update(Ordering::Relaxed, Ordering::Relaxed, |left| left.checked_sub(1));
+        if message_to_lose.is_ok() { Ok(()) } else { self.wire.send(bytes) }
     }
     fn receive(&mut self, buffer: &mut [u8], timeout: Duration) -> std::io::Result<usize> {
         self.wire.receive(buffer, timeout)

@@ -34,8 +34,8 @@ fn the_table_holds_the_outcome_of_every_injected_error() {
     for error in std::iter::once(&nothing).chain(&INJECTED_ERRORS) {
         made += &row(error.what, DEVICES.map(|name| outcome_cell(&shipped_device(name), error)));
     }
-    let kept = document("docs/results/lies.csv", &made);
-    assert_eq!(kept, made, "run UPDATE_DOCS=1 cargo xtask test --deep lies");
+    let published = document("docs/results/lies.csv", &made);
+    assert_eq!(published, made, "run UPDATE_DOCS=1 cargo xtask test --deep lies");
 }
 
 /// Checks that at most `percent` % of the checks exceed a bound; docs/safety.md lists the percentages.

@@ -125,14 +125,14 @@ fn long_contact_loses_no_rows_and_does_not_drift() {
     let places = Columns::new();
     board.keep_alive();
     board.start_stream(fields("all").unwrap(), 1).unwrap();
-    let began = shared.lock().time();
+    let start_s = shared.lock().time();
     let (mut first, mut next, mut rows) = (None, None, 0_u64);
     // Fill the memory now, so that it counts as used from the beginning.
     let unused = Cycle { peak: f64::NAN, ..Cycle::default() };
     let mut cycles = vec![unused; (seconds / u64::from(CYCLE_SECONDS)) as usize + 2];
     cycles.clear();
     let (mut memory, mut most, mut minute) = (None, None, 0);
-    while shared.lock().time() < began + seconds as f64 {
+    while shared.lock().time() < start_s + seconds as f64 {
         for row in board.rows(Duration::from_secs(1)).unwrap() {
             assert_eq!(*next.get_or_insert(row.step), row.step, "a row is missing or came twice");
             next = Some(row.step.wrapping_add(1));
@@ -141,7 +141,7 @@ fn long_contact_loses_no_rows_and_does_not_drift() {
             places.add(&row, &mut cycles[cycle as usize]);
             rows += 1;
         }
-        let now = ((shared.lock().time() - began) / 60.0) as u64;
+        let now = ((shared.lock().time() - start_s) / 60.0) as u64;
         if now > minute {
             minute = now;
             let now = resident_bytes();
@@ -155,7 +155,7 @@ fn long_contact_loses_no_rows_and_does_not_drift() {
     let losses = board.losses();
     assert_eq!(losses, Losses { received: rows, ..Losses::default() });
     let steps = u64::from(board.status().unwrap().step.wrapping_sub(first.unwrap()));
-    let passed = ((shared.lock().time() - began) * f64::from(RATE_HZ)).round() as u64;
+    let passed = ((shared.lock().time() - start_s) * f64::from(RATE_HZ)).round() as u64;
     assert!(steps.abs_diff(passed) <= 5, "{steps} steps in {passed} ms");
     assert!(rows.abs_diff(steps) <= 5, "{rows} rows of {steps} steps");
     assert!(board.faults().unwrap().is_empty());

@@ -37,14 +37,14 @@ fn empty_board(serial: &str) -> Board {
 #[test]
 fn saved_settings_are_restored_byte_for_byte() {
     let mut source = board_with_all_settings();
-    let kept = saved_entries(&mut source);
-    assert!(kept.len() >= 5, "{:?}", kept.keys());
+    let saved = saved_entries(&mut source);
+    assert!(saved.len() >= 5, "{:?}", saved.keys());
     let text = Backup::read(&mut source).unwrap().to_text();
     let mut target = empty_board("SIM0001");
     let ready = Backup::parse(&text).unwrap().ready().unwrap();
     assert!(ready.iter().all(|setting| setting.how == Restored::Unchanged));
     restore(&mut target, &ready).unwrap();
-    assert_eq!(saved_entries(&mut target), kept);
+    assert_eq!(saved_entries(&mut target), saved);
     assert_eq!(target.scene().unwrap(), source.scene().unwrap());
     assert_eq!(target.rules().unwrap(), source.rules().unwrap());
 }
@@ -52,11 +52,11 @@ fn saved_settings_are_restored_byte_for_byte() {
 #[test]
 fn a_backup_of_another_version_is_translated() {
     let mut source = board_with_all_settings();
-    let kept = saved_entries(&mut source);
+    let saved = saved_entries(&mut source);
     let mut backup = Backup::read(&mut source).unwrap();
     for (name, setting) in &mut backup.settings {
         // Another firmware would have written the same value with another version and other bytes.
-        let mut body = kept[name.as_str()][..kept[name.as_str()].len() - 4].to_vec();
+        let mut body = saved[name.as_str()][..saved[name.as_str()].len() - 4].to_vec();
         body[1] = 77;
         body.extend([1, 2, 3]);
         let sum = haptic_bridge::checksum::crc32(&body).to_le_bytes();
@@ -68,7 +68,7 @@ fn a_backup_of_another_version_is_translated() {
     assert!(ready.iter().all(|setting| setting.how == Restored::Translated));
     let mut target = empty_board("SIM0001");
     restore(&mut target, &ready).unwrap();
-    assert_eq!(saved_entries(&mut target), kept);
+    assert_eq!(saved_entries(&mut target), saved);
 }
 
 #[test]
@@ -106,8 +106,8 @@ fn a_polarity_check_is_never_restored() {
     let mut backup = Backup::read(&mut board_with_all_settings()).unwrap();
     let entry = haptic_bridge::board::settings::encode(&haptic_bridge::board::settings::Polarity(7)).unwrap();
     let bytes = entry.iter().map(|byte| format!("{byte:02x}")).collect();
-    let kept = haptic_host::backup::SavedSetting { version: 1, value: None, bytes };
-    backup.settings.insert("polarity".into(), kept);
+    let saved_setting = haptic_host::backup::SavedSetting { version: 1, value: None, bytes };
+    backup.settings.insert("polarity".into(), saved_setting);
     let ready = backup.ready().unwrap().into_iter().find(|setting| setting.key == Key::Polarity).unwrap();
     assert_eq!(ready.how, Restored::NotRestored);
 }

@@ -85,9 +85,9 @@ damping = 1.0
 /// Runs `haptic check` on this device and scene, which must be refused with exit code 2. Returns the one-line message.
 fn check_error(device: &str, scene: &str) -> String {
     let folder = Folder::new();
-    let said = refusal(2, &["check", &folder.write("device.toml", device), &folder.write("scene.toml", scene)]);
-    assert_eq!(said.trim_end().lines().count(), 1, "one line: {said}");
-    said
+    let message = refusal(2, &["check", &folder.write("device.toml", device), &folder.write("scene.toml", scene)]);
+    assert_eq!(message.trim_end().lines().count(), 1, "one line: {message}");
+    message
 }
 
 fn replace_once(text: &str, from: &str, to: &str) -> String {
@@ -191,9 +191,9 @@ fn check_mistakes(table: &str, text: &str, check_error: impl Fn(&str) -> String)
     for row in table.lines().filter(|row| !row.is_empty()) {
         let cells: Vec<String> = row.trim_start().split(" => ").map(|cell| cell.replace('⏎', "\n")).collect();
         let [from, to, place, words] = &cells[..] else { panic!("{row}") };
-        let said = check_error(&replace_once(text, from, to));
-        let is_told = said.contains(&format!(".toml{place}")) && words.split(" | ").all(|word| said.contains(word));
-        assert!(is_told, "{row}\n{said}");
+        let message = check_error(&replace_once(text, from, to));
+        let is_told = message.contains(&format!(".toml{place}")) && words.split(" | ").all(|word| message.contains(word));
+        assert!(is_told, "{row}\n{message}");
     }
 }
 
@@ -206,8 +206,8 @@ fn a_wrong_device_is_refused_with_line_and_remedy() {
 fn a_wrong_scene_is_refused_with_line_and_remedy() {
     check_mistakes(SCENE_MISTAKES, SCENE, |scene| check_error(DEVICE, scene));
     let wall = "[[wall]]\npoint = [0.0, 0.13]\nnormal = [0.0, -1.0]\nstiffness = 1000.0\n";
-    let said = check_error(DEVICE, &format!("{SCENE}{}", wall.repeat(7)));
-    assert!(said.contains("at most 8 [[wall]] tables"), "{said}");
+    let message = check_error(DEVICE, &format!("{SCENE}{}", wall.repeat(7)));
+    assert!(message.contains("at most 8 [[wall]] tables"), "{message}");
 }
 
 #[test]
@@ -222,9 +222,9 @@ fn all_mistakes_of_a_file_are_reported() {
         ("q = [2.4, 0.7]", "q = [2.4]", "`q` in [home] has 1 number"),
     ];
     let text = mistakes.iter().fold(DEVICE.to_string(), |text, (from, to, _)| replace_once(&text, from, to));
-    let said = refusal(2, &["check", &Folder::new().write("device.toml", text)]);
-    assert_eq!(said.lines().count(), mistakes.len(), "{said}");
-    for (line, (_, _, words)) in said.lines().zip(mistakes) {
+    let message = refusal(2, &["check", &Folder::new().write("device.toml", text)]);
+    assert_eq!(message.lines().count(), mistakes.len(), "{message}");
+    for (line, (_, _, words)) in message.lines().zip(mistakes) {
         assert!(line.contains("device.toml:") && line.contains(words), "{words}: {line}");
     }
     let scene = SCENE.replace("rate_hz = 20000", "rate_hz = 1").replace("stiffness = 1000.0", "stiffness = -1.0");
@@ -251,12 +251,12 @@ fn terms_of_data_sheets_are_refused_with_the_right_key() {
         (encoder, "noise = 2.0", "cannot be described yet"),
         (joint, "backlash = 0.01", "cannot be described yet"),
     ] {
-        let said = check_error(&replace_once(DEVICE, after, &format!("{after}{line}\n")), SCENE);
-        assert!(said.contains("unknown key") && said.contains(words) && !said.contains("remove it"), "{line}: {said}");
+        let message = check_error(&replace_once(DEVICE, after, &format!("{after}{line}\n")), SCENE);
+        assert!(message.contains("unknown key") && message.contains(words) && !message.contains("remove it"), "{line}: {message}");
     }
     // In another table the same key is an ordinary unknown key.
-    let said = check_error(&replace_once(DEVICE, "name = ", "type = \"five-bar\"\nname = "), SCENE);
-    assert!(said.contains("unknown key") && !said.contains("encoder"), "{said}");
+    let message = check_error(&replace_once(DEVICE, "name = ", "type = \"five-bar\"\nname = "), SCENE);
+    assert!(message.contains("unknown key") && !message.contains("encoder"), "{message}");
 }
 
 #[test]
@@ -272,8 +272,8 @@ fn files_in_other_formats_and_missing_files_are_refused() {
         ("a.yaml", "# own\nname: a\nmechanism: five-bar\n", "this is YAML"),
         ("a.csv", "wall,stiffness,damping\n0,300,1\n", "this is a table (CSV)"),
     ] {
-        let said = refusal(2, &["check", &folder.write(name, text)]);
-        assert!(said.lines().count() == 1 && said.contains(words) && said.contains("`haptic "), "{said}");
+        let message = refusal(2, &["check", &folder.write(name, text)]);
+        assert!(message.lines().count() == 1 && message.contains(words) && message.contains("`haptic "), "{message}");
     }
     let binary = folder.write("binary.toml", b"name = \"\xff\"");
     let (fifo, huge) = (folder.path("fifo"), folder.write("huge.toml", "#".repeat((1 << 20) + 1)));
@@ -286,8 +286,8 @@ fn files_in_other_formats_and_missing_files_are_refused() {
         (fifo, "a pipe or a device"),
         (huge, "1 MiB"),
     ] {
-        let said = refusal(2, &["check", &path]);
-        assert!(said.contains(word) && said.trim_end().lines().count() == 1, "{said}");
+        let message = refusal(2, &["check", &path]);
+        assert!(message.contains(word) && message.trim_end().lines().count() == 1, "{message}");
     }
     // The recording is a sparse file of 16 GiB, which takes no space on the disk.
     let days = folder.write("days.csv", "");
@@ -387,8 +387,8 @@ fn control_characters_of_a_file_do_not_reach_the_terminal() {
         &["device", &path, "--port", "sim"],
     ] {
         let (code, out, err) = run(arguments);
-        let said = out + &err;
-        assert!(code != 0 && !said.is_empty(), "{arguments:?}");
-        assert!(said.chars().all(|c| !c.is_control() || c == '\n'), "{arguments:?}: {said:?}");
+        let printed = out + &err;
+        assert!(code != 0 && !printed.is_empty(), "{arguments:?}");
+        assert!(printed.chars().all(|c| !c.is_control() || c == '\n'), "{arguments:?}: {printed:?}");
     }
 }

@@ -207,7 +207,7 @@ fn rules_are_never_raised_above_the_boards_own() {
 fn unreadable_and_unwritable_files_are_named_in_refusals() {
     let (sim, folder) = (Sim::start(&["--fast"]), Folder::new());
     let (here, binary, absent) = (folder.path("."), folder.write("binary", b"\xFF\xFE"), folder.path("absent"));
-    let (csv, kept) = (folder.path("folder.csv"), folder.path("kept.json"));
+    let (csv, json_path) = (folder.path("folder.csv"), folder.path("kept.json"));
     std::fs::create_dir(&csv).unwrap();
     for command in ["device", "scene", "board restore"] {
         sim.type_lines(&format!(
@@ -220,9 +220,9 @@ fn unreadable_and_unwritable_files_are_named_in_refusals() {
         "board save
         1: board backup {here} => {here} | is a directory
         1: record {csv} => {csv} | is a directory
-        board backup {kept}
-        1: board backup {kept} => kept.json already exists
-        board backup {kept} --force
+        board backup {json_path}
+        1: board backup {json_path} => kept.json already exists
+        board backup {json_path} --force
         1: board backup /dev/full => /dev/full cannot be written
         info => none; load one with `haptic scene FILE`"
     ));
@@ -296,8 +296,8 @@ fn torque_limits_leave_room_for_the_devices_weight() {
         ("distal = [0.13, 0.13]", "distal = [130.0, 130.0]"),
     ];
     let sim = Sim::start(&["--strict"]);
-    let said = sim.run(&["device", &folder.write_changed("coupled-five-bar", &in_mm)]).success();
-    said.stdout(contains("the board allows at most 5: are lengths in the file in m").and(contains("rules").not()));
+    let assert = sim.run(&["device", &folder.write_changed("coupled-five-bar", &in_mm)]).success();
+    assert.stdout(contains("the board allows at most 5: are lengths in the file in m").and(contains("rules").not()));
     assert_eq!(limits(&sim)[0], 5.0);
 }
 
@@ -342,19 +342,19 @@ fn a_stream_interrupted_by_a_fault_reports_the_fault() {
 #[test]
 fn every_command_that_weakens_a_protection_warns() {
     let (sim, folder) = (Sim::start(&["--fast"]), Folder::new());
-    let kept = folder.path("kept.json");
+    let json_path = folder.path("kept.json");
     let (host, force) = ("the board no longer watches its host", "may now push at the tip with 30 N, before with 4");
     let tighten = || sim.run(&["rules", "--host", "disarm", "--tip-force", "4"]).success().stderr("");
     tighten();
     sim.type_lines(&format!(
         "rules --host ignore --tip-force 30 => {host} | {force}
         board save
-        board backup {kept}"
+        board backup {json_path}"
     ));
     tighten();
     sim.type_lines(&format!(
-        "board restore {kept} => {host} | {force}
-        board restore {kept} => !{host} | !may now push"
+        "board restore {json_path} => {host} | {force}
+        board restore {json_path} => !{host} | !may now push"
     ));
     tighten();
     sim.type_lines(&format!("device {DEVICE} --tip-force 30 => !{host} | {force}"));
@@ -363,20 +363,20 @@ fn every_command_that_weakens_a_protection_warns() {
 #[test]
 fn a_backup_of_another_board_is_restored_without_its_name() {
     let (sim, folder) = (Sim::start(&["--fast"]), Folder::new());
-    let kept = folder.path("kept.json");
+    let json_path = folder.path("kept.json");
     sim.type_lines(&format!(
         "board name left␣hand
         board save
-        board backup {kept}
+        board backup {json_path}
         board name right␣hand"
     ));
-    folder.write("kept.json", std::fs::read_to_string(&kept).unwrap().replace("\"SIM0001\"", "\"OTHER\""));
+    folder.write("kept.json", std::fs::read_to_string(&json_path).unwrap().replace("\"SIM0001\"", "\"OTHER\""));
     let tighten = || sim.run(&["rules", "--torque", "0.1,0.1"]).success().stderr("").get_output().stdout.clone();
     let tightened = tighten();
-    sim.type_lines(&format!("1: board restore {kept} => OTHER | SIM0001 | --yes"));
+    sim.type_lines(&format!("1: board restore {json_path} => OTHER | SIM0001 | --yes"));
     sim.run(&["rules"]).success().stdout(tightened);
     sim.type_lines(&format!(
-        "board restore {kept} --yes => the torque limit of joint 0 is now
+        "board restore {json_path} --yes => the torque limit of joint 0 is now
         info => right hand"
     ));
     tighten();

@@ -23,9 +23,9 @@ fn a_closed_pipe_ends_a_command_silently() {
         // Read only one byte, because a document may be one long line.
         let line = format!("set -o pipefail; timeout 600 \"$0\" {command} | head -c 1 > /dev/null");
         let output = Command::new("bash").args(["-c", &line, program]).output().unwrap();
-        let said = String::from_utf8_lossy(&output.stderr);
-        assert!(matches!(output.status.code(), Some(0 | 141)), "{command}: {:?} {said}", output.status);
-        assert!(!said.contains("error") && !said.contains("pipe") && !said.contains("lost"), "{command}: {said}");
+        let message = String::from_utf8_lossy(&output.stderr);
+        assert!(matches!(output.status.code(), Some(0 | 141)), "{command}: {:?} {message}", output.status);
+        assert!(!message.contains("error") && !message.contains("pipe") && !message.contains("lost"), "{command}: {message}");
     }
 }
 
@@ -43,9 +43,9 @@ fn wrong_numbers_are_refused_with_a_remedy() {
         ("range --share=1,2", "--share has 2 numbers for 1 wall ("),
     ] {
         let (command, option) = line.split_once(' ').unwrap();
-        let said = refusal(2, &[command, "devices/coupled-five-bar.toml", "--normal=0,1", option]);
-        assert!(said.contains(wanted), "{line}: {said}");
-        assert!(!said.contains("invalid digit") && !said.contains("literal") && !said.contains("1 numbers"), "{said}");
+        let message = refusal(2, &[command, "devices/coupled-five-bar.toml", "--normal=0,1", option]);
+        assert!(message.contains(wanted), "{line}: {message}");
+        assert!(!message.contains("invalid digit") && !message.contains("literal") && !message.contains("1 numbers"), "{message}");
     }
 }
 
@@ -94,15 +94,15 @@ fn the_manual_has_a_page_for_every_command() {
     type_lines(&format!("completions --man {}\ncompletions --man => .SH", folder.path("man1")), &[]);
     let page = |name: &str| std::fs::read_to_string(folder.path(&format!("man1/{name}.1")));
     let main = page("haptic").unwrap();
-    let mut named = 0;
+    let mut reference_count = 0;
     for reference in main.split("haptic\\-").skip(1) {
         let name = reference.split("(1)").next().unwrap().replace('\\', "");
         if reference.contains("(1)") && !name.contains(char::is_whitespace) && name != "help" {
-            named += 1;
+            reference_count += 1;
             assert!(page(&format!("haptic-{name}")).is_ok(), "haptic(1) names haptic-{name}(1), which is missing");
         }
     }
-    assert!(named > 20, "haptic(1) names only {named} commands");
+    assert!(reference_count > 20, "haptic(1) names only {reference_count} commands");
     let page = page("haptic-model").unwrap();
     for section in ["EXIT STATUS", "EXAMPLES", "FILES"] {
         assert!(page.contains(section), "{section} in {page}");
@@ -137,7 +137,7 @@ fn wrong_paths_are_refused_before_anything_starts() {
     type_lines(&format!("2: range {line} --rate 1000 --cutoff 20 --svg {wrong} => extension | --png"), &[]);
     let line =
         ["measure-range", "devices/coupled-five-bar.toml", "--port=sim", "--normal=0,1", "--progress", &progress];
-    let said = refusal(1, &line);
-    assert!(said.contains("there is no such folder") && said.matches("p.json").count() == 1, "{said}");
+    let message = refusal(1, &line);
+    assert!(message.contains("there is no such folder") && message.matches("p.json").count() == 1, "{message}");
     assert!(!std::path::Path::new(&wrong).exists());
 }

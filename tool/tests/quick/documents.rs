@@ -59,8 +59,8 @@ fn links_lead_to_files_and_headings() {
             let (file, heading) = link.split_once('#').unwrap_or((link, ""));
             let to = if file.is_empty() { page.clone() } else { page.parent().unwrap().join(file) };
             let slug = |line: &str| -> String {
-                let kept = |c: char| c.is_alphanumeric() || "-_ ".contains(c);
-                line.to_lowercase().chars().filter(|c| kept(*c)).collect::<String>().trim().replace(' ', "-")
+                let is_kept = |c: char| c.is_alphanumeric() || "-_ ".contains(c);
+                line.to_lowercase().chars().filter(|c| is_kept(*c)).collect::<String>().trim().replace(' ', "-")
             };
             let found = match heading {
                 "" => to.exists(),
@@ -92,7 +92,7 @@ fn table_rows_are_rows_of_the_linked_file() {
             for row in shown[1..].iter().filter(|_| !files.is_empty()) {
                 seen += 1;
                 let stands_in = |(rows, columns): &(&[Vec<String>], Vec<usize>)| {
-                    rows.iter().any(|kept| columns.iter().map(|at| &kept[*at]).eq(row))
+                    rows.iter().any(|published_row| columns.iter().map(|at| &published_row[*at]).eq(row))
                 };
                 if !files.iter().any(stands_in) {
                     wrong.push(format!("{}: {row:?}", page.display()));
@@ -124,9 +124,9 @@ fn commands_in_sentences_exist() {
                 ["haptic", name, rest @ ..] if is_word(name) => {
                     seen += 1;
                     // Some commands have subcommands, such as `haptic board save`.
-                    let named = 1 + usize::from(rest.first().is_some_and(|word| is_word(word)));
-                    let typed = [&words[1..=named], &["--help"]].concat();
-                    let help = help.entry(typed.join(" ")).or_insert_with(|| tool(&typed));
+                    let command_words = 1 + usize::from(rest.first().is_some_and(|word| is_word(word)));
+                    let help_command = [&words[1..=command_words], &["--help"]].concat();
+                    let help = help.entry(help_command.join(" ")).or_insert_with(|| tool(&help_command));
                     match help {
                         None => wrong.push(complain("no such command")),
                         Some(help) => {

@@ -88,9 +88,9 @@ fn split_words(line: &str) -> Vec<&str> {
 
 fn run_each(lines: &[CommandCase], folder: &Path, port: &str) {
     for (line, begins) in lines {
-        let typed = haptic(&split_words(line)).current_dir(folder).env("HAPTIC_PORT", port).assert().success();
-        let said = [&typed.get_output().stdout[..], &typed.get_output().stderr].concat();
-        assert!(said.starts_with(begins.as_bytes()), "haptic {line}\n{}", String::from_utf8_lossy(&said));
+        let assert = haptic(&split_words(line)).current_dir(folder).env("HAPTIC_PORT", port).assert().success();
+        let printed = [&assert.get_output().stdout[..], &assert.get_output().stderr].concat();
+        assert!(printed.starts_with(begins.as_bytes()), "haptic {line}\n{}", String::from_utf8_lossy(&printed));
     }
 }
 
@@ -120,7 +120,7 @@ const COMMANDS_WITH_RUN_EXAMPLES: [&str; 5] = ["new", "check", "model", "precomp
 #[test]
 fn the_examples_of_every_help_page_name_files_that_ship() {
     let folder = folder_with_devices();
-    let mut typed = BTreeSet::new();
+    let mut tested_commands = BTreeSet::new();
     for name in commands() {
         let page = output(&["help", &name]);
         let examples = page.split_once("Examples:\n").map_or("", |(_, examples)| examples);
@@ -129,11 +129,11 @@ fn the_examples_of_every_help_page_name_files_that_ship() {
             files.for_each(|file| assert!(root().join(file).is_file(), "haptic {line}: {file} does not ship"));
             if COMMANDS_WITH_RUN_EXAMPLES.contains(&name.as_str()) {
                 haptic(&split_words(line)).current_dir(folder.path()).assert().success();
-                typed.insert(name.clone());
+                tested_commands.insert(name.clone());
             }
         }
     }
-    assert_eq!(typed.len(), COMMANDS_WITH_RUN_EXAMPLES.len(), "{typed:?}");
+    assert_eq!(tested_commands.len(), COMMANDS_WITH_RUN_EXAMPLES.len(), "{tested_commands:?}");
 }
 
 #[test]
@@ -152,9 +152,9 @@ fn flash_without_a_board_or_an_image_is_refused() {
     let folder = folder_with_devices();
     std::fs::write(folder.path().join("no.dfu"), "DfuSe").unwrap();
     let refused = |line: &str, code: i32, says: &str| {
-        let typed = haptic(&split_words(line)).current_dir(folder.path()).assert().code(code);
-        let said = String::from_utf8_lossy(&typed.get_output().stderr).into_owned();
-        assert!(said.contains(says), "haptic {line}\n{said}");
+        let assert = haptic(&split_words(line)).current_dir(folder.path()).assert().code(code);
+        let message = String::from_utf8_lossy(&assert.get_output().stderr).into_owned();
+        assert!(message.contains(says), "haptic {line}\n{message}");
     };
     refused("flash --port sim", 2, "a simulated board has no flash for firmware");
     refused("flash --file no.dfu", 2, "no.dfu: it is not a DfuSe update file");

@@ -26,11 +26,11 @@ struct Slide {
 const FINE_COUNTS_PER_TURN: f64 = 16_777_216.0;
 
 fn with_fine_encoders(file: &DeviceFile) -> Description {
-    let mut known = file.description;
-    for joint in &mut known.joints[..2] {
+    let mut description = file.description;
+    for joint in &mut description.joints[..2] {
         joint.encoder.as_mut().unwrap().counts_per_turn = FINE_COUNTS_PER_TURN;
     }
-    known
+    description
 }
 
 fn unit_vector(degrees: f64) -> Vector2<f64> {

@@ -453,8 +453,8 @@ fn only_one_local_program_is_served_and_its_end_disarms() {
 
 #[test]
 fn impossible_servers_are_refused() {
-    let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
-    let port = taken.local_addr().unwrap().port();
+    let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let port = listener.local_addr().unwrap().port();
     type_lines(
         &format!(
             "2: serve --port sim

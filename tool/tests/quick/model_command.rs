@@ -17,9 +17,9 @@ fn model_json(name: &str, args: &[&str]) -> Value {
 
 /// Returns the one line on standard error of a command that ends with exit code 1.
 fn failing_model(name: &str, args: &[&str]) -> String {
-    let said = common::refusal(1, &model_line(&format!("devices/{name}.toml"), args));
-    assert_eq!(said.trim_end().lines().count(), 1, "one line: {said}");
-    said
+    let message = common::refusal(1, &model_line(&format!("devices/{name}.toml"), args));
+    assert_eq!(message.trim_end().lines().count(), 1, "one line: {message}");
+    message
 }
 
 fn angles_option(q: &[f64]) -> String {
@@ -111,8 +111,8 @@ fn a_normal_of_any_length_is_the_same_wall() {
 #[test]
 fn the_default_pose_is_home() {
     let home = model_json("coupled-five-bar", &[]);
-    let said = model_json("coupled-five-bar", &["--q=2.3,0.84159265358979"]);
-    assert_eq!(home, said);
+    let report = model_json("coupled-five-bar", &["--q=2.3,0.84159265358979"]);
+    assert_eq!(home, report);
 }
 
 #[test]
@@ -138,8 +138,8 @@ fn a_stretched_arm_is_a_serial_singularity_of_its_joint() {
     let reach = tip.0.hypot(tip.1);
     let elbow = ((proximal.powi(2) + reach.powi(2) - distal.powi(2)) / (2.0 * proximal * reach)).acos();
     let q1 = tip.1.atan2(tip.0) - elbow;
-    let said = failing_model("haply-2diy", &[&angles_option(&[1.2, q1]), "--normal=0,1", "--force=1"]);
-    assert!(said.contains("serial singularity: joint 0 turns without moving the tip"), "{said}");
+    let message = failing_model("haply-2diy", &[&angles_option(&[1.2, q1]), "--normal=0,1", "--force=1"]);
+    assert!(message.contains("serial singularity: joint 0 turns without moving the tip"), "{message}");
     // Close to the singularity the model can still be evaluated.
     let near = model_json("haply-2diy", &[&angles_option(&[1.2 + 1.0e-3, q1]), "--normal=0,1", "--force=1"]);
     assert!(near["condition"]["jacobian"].as_f64().is_some_and(|condition| condition > 100.0));
@@ -149,8 +149,8 @@ fn a_stretched_arm_is_a_serial_singularity_of_its_joint() {
 fn aligned_distal_links_are_a_parallel_singularity() {
     // pantograph-mk2: the elbows are exactly two distal lengths apart.
     let q1 = ((0.15_f64 - 0.025) / 0.126).acos();
-    let said = failing_model("pantograph-mk2", &[&angles_option(&[core::f64::consts::PI - q1, q1]), "--normal=0,1"]);
-    assert!(said.contains("parallel singularity"), "{said}");
+    let message = failing_model("pantograph-mk2", &[&angles_option(&[core::f64::consts::PI - q1, q1]), "--normal=0,1"]);
+    assert!(message.contains("parallel singularity"), "{message}");
     let apart = failing_model("pantograph-mk2", &[&angles_option(&[core::f64::consts::PI, 0.0]), "--normal=0,1"]);
     assert!(apart.contains("do not meet"), "{apart}");
 }
@@ -164,8 +164,8 @@ fn other_mechanisms_name_their_singularities() {
         ("serial-3r", "--q=0.3,0,0.5", "serial singularity"),
     ] {
         let normal = if name == "serial-3r" { "--normal=0,1" } else { "--normal=0,1,0" };
-        let said = failing_model(name, &[q, normal]);
-        assert!(said.contains(word), "{said}");
+        let message = failing_model(name, &[q, normal]);
+        assert!(message.contains(word), "{message}");
     }
 }
 
@@ -266,6 +266,6 @@ fn a_hand_feels_less_along_a_wall_with_the_feed_forward() {
 
 #[test]
 fn overflow_is_an_error() {
-    let said = failing_model("haply-2diy", &["--qd=1e200,1e200", "--normal=0,1", "--json"]);
-    assert!(said.contains("overflow"), "{said}");
+    let message = failing_model("haply-2diy", &["--qd=1e200,1e200", "--normal=0,1", "--json"]);
+    assert!(message.contains("overflow"), "{message}");
 }

@@ -124,8 +124,8 @@ fn check_names_the_limit_of_haptic_range() {
     let q = pose_option(&contact["q"]);
     let wall = ["--normal", "0,-1", "--rate", "20000", "--cutoff", "500", "--board", "odrive-v3", "--kd", "6"];
     let range = json(&[&["range", "devices/haply-2diy.toml", &q], &wall[..]].concat());
-    let (named, predicted) = (contact["stable_to"].as_f64(), range["off"]["boundary"][0]["kp"].as_f64().unwrap());
-    assert!((named.unwrap() / predicted - 1.0).abs() < 1e-9, "{named:?} {predicted}");
+    let (stable_to, predicted) = (contact["stable_to"].as_f64(), range["off"]["boundary"][0]["kp"].as_f64().unwrap());
+    assert!((stable_to.unwrap() / predicted - 1.0).abs() < 1e-9, "{stable_to:?} {predicted}");
 }
 
 /// Limits of a wheel of 900 degrees and of a knob of fifty turns are plausible, limits of a Hapkit in degrees are not.
@@ -176,13 +176,13 @@ fn shipped_files_cause_no_warnings() {
         let (code, out, err) = run(&["check", device.to_str().unwrap()].into_iter().chain(scenes).collect::<Vec<_>>());
         assert_eq!(code, 0, "{err}");
         // Some scenes are stiff on purpose, to show the feed-forward, so `check` may warn that they rattle.
-        let said: Vec<&str> = err.lines().filter(|line| !line.contains("rattles: its force ripples")).collect();
+        let warning_lines: Vec<&str> = err.lines().filter(|line| !line.contains("rattles: its force ripples")).collect();
         // The cable stiffness of these devices is not published, so their files leave it out, with one warning.
         if ["capstan-pantograph", "hapkit-paddle", "phantom-premium-1.5", "woodenhaptics"].contains(&name) {
-            let [line] = said[..] else { panic!("{err}") };
+            let [line] = warning_lines[..] else { panic!("{err}") };
             assert!(line.contains("the file does not describe the transmission of joint"), "{err}");
         } else {
-            assert_eq!(said, [""; 0], "{out}");
+            assert_eq!(warning_lines, [""; 0], "{out}");
         }
         assert!(out.contains("tip at home") && out.contains("largest force"), "{out}");
     }
@@ -204,9 +204,9 @@ fn text_and_json_have_the_same_largest_force() {
     for name in ["phantom-premium-1.5", "haply-2diy", "coupled-five-bar", "capstan-pantograph", "woodenhaptics"] {
         let path = shipped_path(&format!("{name}.toml"));
         let high = json(&["check", &path])["summary"]["force_at_home"]["high"].as_f64().unwrap();
-        let said = output(&["check", &path]);
-        let told = said.split("its motors make up to ").nth(1).unwrap().split(' ').next().unwrap();
-        assert_eq!(format!("{high:.1}"), told, "{name}\n{said}");
+        let printed = output(&["check", &path]);
+        let printed_force = printed.split("its motors make up to ").nth(1).unwrap().split(' ').next().unwrap();
+        assert_eq!(format!("{high:.1}"), printed_force, "{name}\n{printed}");
     }
 }
 

@@ -179,8 +179,8 @@ fn a_legend_covers_no_curve() {
         let mut canvas = Canvas::new(800.0, 400.0);
         frame.clear_legend(&mut canvas, drawn, &[(Mark::Dot("red"), "a dot".into())]);
         let svg = canvas.finish("", "").svg().to_string();
-        let shown = svg.lines().find(|line| line.contains("#ffffffee")).unwrap();
-        (svg_number(shown, "x").unwrap(), svg_number(shown, "y").unwrap(), svg_number(&svg, "height").unwrap())
+        let background = svg.lines().find(|line| line.contains("#ffffffee")).unwrap();
+        (svg_number(background, "x").unwrap(), svg_number(background, "y").unwrap(), svg_number(&svg, "height").unwrap())
     };
     let width = 48.0 + 6.5 * 5.0;
     let right = 690.0 - width;
@@ -271,10 +271,10 @@ fn the_stiffness_is_fitted_to_unlimited_rows() {
         let (folder, csv) =
             write_rows(ROWS_PER_SECOND, "distance_m,rendered_n,saturated0,saturated1,state", 1000, |t| {
                 let depth = 0.5e-3 * (TAU * t).sin();
-                let asked = (60e3 * depth).max(0.0);
+                let requested_force = (60e3 * depth).max(0.0);
                 // From 0.4 s on the motors are off in the wall.
-                let (force, state) = if t < 0.4 { (asked.min(most), "Armed") } else { (0.0, "Disarmed") };
-                format!("{},{force},0,{},{state}", -depth, u8::from(asked > most && t < 0.4))
+                let (force, state) = if t < 0.4 { (requested_force.min(most), "Armed") } else { (0.0, "Disarmed") };
+                format!("{},{force},0,{},{state}", -depth, u8::from(requested_force > most && t < 0.4))
             });
         let svg = folder.path("a.svg");
         let printed = output(&["plot", "--svg", &svg, &csv]);

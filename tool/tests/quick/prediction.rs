@@ -37,8 +37,8 @@ fn the_line_printed_by_check_predicts_the_same() {
         let place = shipped.lines().filter(|line| line.starts_with("point =") || line.starts_with("normal ="));
         let place: Vec<&str> = place.take(2).collect();
         let wall = format!("[[wall]]\n{}\nstiffness = 500.0\ndamping = 2.5\n", place.join("\n"));
-        let held = "[posture]\norientation = 2.3\nstiffness = 0.5\ndamping = 0.03\n";
-        let posture = if name == "serial-3r" { held } else { "" };
+        let posture_toml = "[posture]\norientation = 2.3\nstiffness = 0.5\ndamping = 0.03\n";
+        let posture = if name == "serial-3r" { posture_toml } else { "" };
         let compensation = if name == "cable-five-bar" { "" } else { "damping_compensation = true\n" };
         for (feed_forward, law) in [
             ("off", "rate_hz = 5000\ncutoff_hz = 300\n"),
@@ -71,8 +71,8 @@ fn lines_printed_by_range_and_measure_range_predict_the_same() {
     let folder = Folder::new();
     for name in ["cable-five-bar", "haply-2diy"] {
         let device = shipped_path(&format!("{name}.toml"));
-        let asked = ["--normal=0.6,0.8", "--hand", "0.1,2,300", "--washout", "2", "--kd", "3,1", "--rate", "5000"];
-        let range = json(&[&["range", &device, "--board", "odrive-v3", "--cutoff", "150"], &asked[..]].concat());
+        let options_typed = ["--normal=0.6,0.8", "--hand", "0.1,2,300", "--washout", "2", "--kd", "3,1", "--rate", "5000"];
+        let range = json(&[&["range", &device, "--board", "odrive-v3", "--cutoff", "150"], &options_typed[..]].concat());
         let again = range["options"].as_str().unwrap().split(' ').collect::<Vec<_>>();
         let again = json(&[&["range", &device], &again[..]].concat());
         assert_eq!((again["rate_hz"].as_f64(), again["drive"].as_str()), (Some(5000.0), Some("current")));
@@ -94,8 +94,8 @@ fn lines_printed_by_range_and_measure_range_predict_the_same() {
         let progress = folder.write("progress.json", known);
         let world = ["--port", "sim", "--friction", "none", "--rate", "1000", "--cutoff", "100"];
         let once = ["--repeats", "1", "--kd", "2", "--feed-forward", "off", "--yes"];
-        let kept = ["--normal=0.6,0.8", "--progress", &progress];
-        let measured = json(&[&["measure-range", &device], &world[..], &once, &kept].concat());
+        let progress_options = ["--normal=0.6,0.8", "--progress", &progress];
+        let measured = json(&[&["measure-range", &device], &world[..], &once, &progress_options].concat());
         let point = &measured["points"][0];
         let line = measured["theory"].as_str().unwrap();
         let (_, options) = line.split_once(".toml ").unwrap();
@@ -142,8 +142,8 @@ fn a_gear_ratio_changes_only_the_motors_inertia() {
     let around = Loop::through(&TorquePath::usual(2e4), 2e4, LinearEstimator::Butterworth(500.0));
     let found = sensitivities(&description, &q, &n, Admissible::default(), &around).unwrap();
     let gear = found.iter().find(|one| one.part == "gear ratio of joint 0").unwrap().more.unwrap();
-    let seen = Linearised::at(&description, &q, &n).unwrap();
-    let expected = 1.0 + 0.21 * motor * seen.unit_motion[0].powi(2) / seen.w_rr();
+    let model = Linearised::at(&description, &q, &n).unwrap();
+    let expected = 1.0 + 0.21 * motor * model.unit_motion[0].powi(2) / model.w_rr();
     assert!((gear.w_rr / expected - 1.0).abs() < 1e-9, "{gear:?} {expected}");
 }
 
@@ -154,20 +154,20 @@ fn a_hand_at_rest_feels_a_wall_in_series_with_its_cables() {
     let text = text.replacen("stiffness = 1280.0", "stiffness = 120.0", 1).replacen("mass = 0.06", "mass = 0.2", 1);
     let folder = Folder::new();
     let device = folder.write("device.toml", &text);
-    let asked = ["--q=2.6,1.75", "--normal=0.94,-0.34", "--kd", "3", "--washout", "2"];
-    let range = json(&[&["range", &device], &asked[..]].concat());
-    let seen = Linearised::at(&DeviceFile::load(&device).unwrap().description, &[2.6, 1.75], &[0.94, -0.34]).unwrap();
+    let options = ["--q=2.6,1.75", "--normal=0.94,-0.34", "--kd", "3", "--washout", "2"];
+    let range = json(&[&["range", &device], &options[..]].concat());
+    let model = Linearised::at(&DeviceFile::load(&device).unwrap().description, &[2.6, 1.75], &[0.94, -0.34]).unwrap();
     let cables = DMatrix::from_diagonal(&DVector::from_vec(vec![120.0, 1280.0]));
-    let shaped = &seen.mass * &seen.unit_motion / seen.w_rr();
+    let shaped = &model.mass * &model.unit_motion / model.w_rr();
     let mut compliances = Vec::new();
-    for (mode, torque) in [("off", &seen.row), ("washout", &seen.row), ("full", &shaped)] {
+    for (mode, torque) in [("off", &model.row), ("washout", &model.row), ("full", &shaped)] {
         let point = &range[mode]["boundary"][0];
         let kp = point["kp"].as_f64().unwrap();
         // The motor angles θ at the joint angles q = E solve K (θ - q) = -kp (Jr θ) torque.
-        let motors = (&cables + torque * seen.row.transpose() * kp).lu().solve(&(&cables * &seen.unit_motion)).unwrap();
-        let felt = kp * seen.row.dot(&motors);
-        assert!(is_close(point["felt"].as_f64().unwrap(), felt), "{mode}: {point} {felt}");
-        compliances.push(1.0 / felt - 1.0 / kp);
+        let motors = (&cables + torque * model.row.transpose() * kp).lu().solve(&(&cables * &model.unit_motion)).unwrap();
+        let static_stiffness = kp * model.row.dot(&motors);
+        assert!(is_close(point["felt"].as_f64().unwrap(), static_stiffness), "{mode}: {point} {static_stiffness}");
+        compliances.push(1.0 / static_stiffness - 1.0 / kp);
     }
     assert!(is_close(range["transmissions"].as_f64().unwrap(), 1.0 / compliances[0]));
     assert!((compliances[2] / compliances[0] - 1.0).abs() > 0.05, "{compliances:?}");
@@ -190,14 +190,14 @@ fn check_predicts_walls_in_the_hand_that_it_names() {
     };
     let (contact, _) = written(1000.0);
     let alone = contact["stable_to"].as_f64().unwrap();
-    let held = contact["in_hand"]["stable_to"].as_f64().unwrap();
+    let limit_in_hand = contact["in_hand"]["stable_to"].as_f64().unwrap();
     let options = contact["options"].as_str().unwrap();
     let mode = if options.contains("--washout") { "washout" } else { "off" };
     let range = predict(&device, &format!("{options} --hand 0.12,6,1200"), mode);
-    assert!(is_close(range["boundary"][0]["kp"].as_f64().unwrap(), held), "{range} {held}");
+    assert!(is_close(range["boundary"][0]["kp"].as_f64().unwrap(), limit_in_hand), "{range} {limit_in_hand}");
     // With cables the hand reduces the range, so a wall between the two limits buzzes only in the hand.
-    assert!(held < 0.95 * alone, "{held} {alone}");
-    let (contact, warnings) = written((0.5 * (alone + held)).round());
+    assert!(limit_in_hand < 0.95 * alone, "{limit_in_hand} {alone}");
+    let (contact, warnings) = written((0.5 * (alone + limit_in_hand)).round());
     let wall = format!("{},{}", contact["stiffness"], options.rsplit(' ').next().unwrap());
     let swings = predict(&device, &format!("{options} --hand 0.12,6,1200 --wall {wall}"), "ripple");
     let swing = &swings["wall"]["swings"][mode];
@@ -207,7 +207,7 @@ fn check_predicts_walls_in_the_hand_that_it_names() {
     }
     assert!(warnings.contains("a hand of 0.12 kg, 6 N s/m and 1200 N/m"), "{warnings}");
     // Below both limits the wall is quiet.
-    assert!(!written((0.9 * held).round()).1.contains("a hand of"));
+    assert!(!written((0.9 * limit_in_hand).round()).1.contains("a hand of"));
 }
 
 #[test]
@@ -264,14 +264,14 @@ fn a_passive_wall_is_stable() {
                 let estimator = LinearEstimator::Butterworth(cutoff);
                 let prediction =
                     Prediction::new(Subject::new(&device.description).unwrap(), Loop::through(&path, rate, estimator));
-                let seen = prediction.seen(q, normal).unwrap();
-                let Some(passivity) = Passivity::new(&seen, &device.description, &prediction.around) else {
+                let model = prediction.seen(q, normal).unwrap();
+                let Some(passivity) = Passivity::new(&model, &device.description, &prediction.around) else {
                     panic!("{}: encoders sit on the motors", device.name)
                 };
                 let most = passivity.largest_damping();
                 for share in [0.0, 0.3, 0.7] {
                     let passive = passivity.sampled(share * most);
-                    let (stable, _) = stiffness_at(&seen, &prediction.around, Mode::Off, share * most).unwrap();
+                    let (stable, _) = stiffness_at(&model, &prediction.around, Mode::Off, share * most).unwrap();
                     let case = format!("{} {path:?} {rate} {cutoff} {share}", device.name);
                     assert!(passive <= stable, "{case}: passive to {passive}, stable to {stable}");
                     bounds += usize::from(passive > 0.0);
@@ -311,8 +311,8 @@ fn without_a_stable_range_islands_are_reported() {
     let soft = "stiffness = 40.0\ndamping = 0.0\nencoder_at = \"joint\"";
     let soft = [("stiffness = 1280.0\ndamping = 0.0372", soft), ("viscous = 0.001", "viscous = 0.0")];
     let path = folder.write_changed("cable-five-bar", &soft);
-    let asked = ["range", &path, "--normal=0.6,0.8", "--rate", "20000", "--cutoff", "500"];
-    let range = json(&asked);
+    let command = ["range", &path, "--normal=0.6,0.8", "--rate", "20000", "--cutoff", "500"];
+    let range = json(&command);
     for number in [&range["off"]["area"], &range["off"]["kd_max"], &range["full"]["area"], &range["area_ratio"]] {
         assert_eq!(number, 0.0, "{number}");
     }
@@ -320,8 +320,8 @@ fn without_a_stable_range_islands_are_reported() {
     let island = islands.iter().find(|island| island["kd"].as_f64().unwrap() > 0.1);
     let island = island.unwrap_or_else(|| panic!("{islands:?}"));
     assert!(island["kp_low"].as_f64().unwrap() > 1000.0, "{island}");
-    let said = output(&asked);
-    assert!(said.contains("Nothing is stable here") && !said.contains("times as large"), "{said}");
+    let printed = output(&command);
+    assert!(printed.contains("Nothing is stable here") && !printed.contains("times as large"), "{printed}");
 }
 
 /// Largest stable stiffness of the serial-3r's wall without and with the feed-forward, N/m, from independent
@@ -334,13 +334,13 @@ const LIMITS_WITH_POSTURE: [f64; 2] = [49_640.0, 32_208.0];
 fn a_posture_is_part_of_the_loop() {
     let device = shipped_path("serial-3r.toml");
     let of = |posture: &[&str]| {
-        let asked = ["range", &device, "--normal=0.42,-0.91", "--rate", "5000", "--cutoff", "200", "--kd", "5"];
-        let range = json(&[&asked[..], &["--delay", "0.125"], posture].concat());
+        let command = ["range", &device, "--normal=0.42,-0.91", "--rate", "5000", "--cutoff", "200", "--kd", "5"];
+        let range = json(&[&command[..], &["--delay", "0.125"], posture].concat());
         ["off", "full"].map(|mode| range[mode]["boundary"][0]["kp"].as_f64().unwrap())
     };
     let within = |found: [f64; 2], known: [f64; 2]| (0..2).all(|i| (found[i] - known[i]).abs() < 1.0);
-    let (free, held) = (of(&[]), of(&["--posture", "0.5,0.03"]));
-    assert!(within(free, LIMITS_WITHOUT_POSTURE) && within(held, LIMITS_WITH_POSTURE), "{free:?} {held:?}");
+    let (free, with_posture) = (of(&[]), of(&["--posture", "0.5,0.03"]));
+    assert!(within(free, LIMITS_WITHOUT_POSTURE) && within(with_posture, LIMITS_WITH_POSTURE), "{free:?} {with_posture:?}");
     // A posture without spring and damper changes nothing.
     let nothing = of(&["--posture", "0,0"]);
     assert!(nothing.iter().zip(free).all(|(nothing, free)| is_close(*nothing, free)), "{nothing:?} {free:?}");

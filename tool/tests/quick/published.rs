@@ -91,11 +91,11 @@ fn a_physical_damper_widens_the_range_at_both_rates() {
 
 #[test]
 fn a_mass_in_the_hand_scales_the_area_by_its_square() {
-    let mut held = unit_mass();
-    held.flexible.tip = DMatrix::from_element(1, 1, 1.0);
-    held.flexible.normal = DVector::from_element(1, 1.0);
-    held.flexible.hand = Hand { mass: 0.5, ..Hand::default() };
+    let mut held_device = unit_mass();
+    held_device.flexible.tip = DMatrix::from_element(1, 1, 1.0);
+    held_device.flexible.normal = DVector::from_element(1, 1.0);
+    held_device.flexible.hand = Hand { mass: 0.5, ..Hand::default() };
     let around = control_loop(LinearEstimator::Butterworth(100.0), 0.5);
     let area = |device: &Linearised| domain(device, &around, Mode::Off, Some(&[])).unwrap().area;
-    assert!((area(&held) / area(&unit_mass()) / 1.5_f64.powi(2) - 1.0).abs() < 1e-6);
+    assert!((area(&held_device) / area(&unit_mass()) / 1.5_f64.powi(2) - 1.0).abs() < 1e-6);
 }

@@ -67,8 +67,8 @@ fn the_frequency_of_a_buzzing_wall_is_printed_with_its_limit() {
     let swings = &document["ripple"]["wall"]["swings"];
     let grows = |mode: &str| number(&swings[mode]["growth_per_s"]);
     assert!(grows("off") > 10.0 && grows("full") < 0.0 && swings.get("washout").is_none(), "{swings}");
-    let said = output(&line);
-    assert_eq!((said.contains("buzz Hz"), said.matches("to buzz at 64.8 Hz, growing by").count()), (true, 1), "{said}");
+    let printed = output(&line);
+    assert_eq!((printed.contains("buzz Hz"), printed.matches("to buzz at 64.8 Hz, growing by").count()), (true, 1), "{printed}");
     let wall = "[[wall]]\npoint = [0.0, 0.1]\nnormal = [0.0, 1.0]\nstiffness = 90e3\ndamping = 40.0\n";
     let scene = folder.write("scene.toml", format!("rate_hz = 1000\ncutoff_hz = 100\n{wall}"));
     let checked = json(&["check", DEMO_RANGE[1], &scene]);
@@ -83,10 +83,10 @@ fn pictures_are_svg_or_png_and_explain_their_symbols() {
     let (svg, png) = (folder.path("range.svg"), folder.path("range.png"));
     let files = ["--washout", "2", "--svg", &svg, "--png", &png];
     let loop_ = ["--rate", "1000", "--cutoff", "20", "--delay", "1"];
-    let said = output(&[&["range", DEMO_RANGE[1], "--q=2.6,1.75", "--normal=0.94,-0.34"], &loop_[..], &files].concat());
+    let printed = output(&[&["range", DEMO_RANGE[1], "--q=2.6,1.75", "--normal=0.94,-0.34"], &loop_[..], &files].concat());
     let drawn = std::fs::read_to_string(svg).unwrap();
     assert!(drawn.contains("<title>coupled-five-bar") && std::fs::read(png).unwrap().starts_with(b"\x89PNG"));
-    assert!(said.contains("delay 1 sample,") && drawn.contains("delay 1 sample,"), "{said}");
+    assert!(printed.contains("delay 1 sample,") && drawn.contains("delay 1 sample,"), "{printed}");
     for symbol in ["b = 0.121 N s/m", "fc = ", "Δ = ", "Colgate and Schenkel", "Weff, Wrr:", "washout 2 Hz"] {
         assert!(drawn.contains(symbol), "{symbol}");
     }
@@ -124,8 +124,8 @@ fn a_wall_rendered_by_a_computer_is_compared_with_the_boards() {
     assert!(number(&document["off"]["area"]) > 100.0 * number(&host["area"]));
     let drawn = std::fs::read_to_string(svg).unwrap();
     assert!(drawn.contains("rendered by a computer at 1000 Hz, 1.1 ms late"), "the picture lacks the computer's wall");
-    let said = output(&[&board[..], &["--host-rate", "1000"]].concat());
-    assert!(said.contains("on a computer, 1000 Hz") && said.contains("forces 1 ms old"), "{said}");
+    let printed = output(&[&board[..], &["--host-rate", "1000"]].concat());
+    assert!(printed.contains("on a computer, 1000 Hz") && printed.contains("forces 1 ms old"), "{printed}");
 }
 
 #[test]
@@ -176,8 +176,8 @@ fn a_costly_feed_forward_causes_a_warning() {
     let found = of(soft, "20000", "500");
     assert!(number(&found["area_ratio"]) < 0.7, "{}", found["area_ratio"]);
     assert!(found["warnings"][0]["text"].as_str().unwrap().contains("costs more than it brings"), "{found}");
-    let said = of(uneven, "1000", "20")["warnings"].to_string();
-    assert!(said.contains("the feed-forward leaves nothing stable here") && !said.contains("0.00 times"), "{said}");
+    let warnings = of(uneven, "1000", "20")["warnings"].to_string();
+    assert!(warnings.contains("the feed-forward leaves nothing stable here") && !warnings.contains("0.00 times"), "{warnings}");
 }
 
 /// If Wrr is many times Weff, 2 Hz is no longer far below the frequencies of a loop at 200 Hz.
@@ -188,8 +188,8 @@ fn a_washout_that_costs_stability_causes_a_warning() {
     let found = json(&[&["range", "devices/capstan-pantograph.toml"], &pose[..], &loop_].concat());
     let area = |mode: &str| number(&found[mode]["area"]);
     assert!(area("washout") < 0.5 * area("off") && area("full") > 10.0 * area("off"), "{found}");
-    let said = found["warnings"].to_string();
-    assert!(said.contains("the washout costs more than it") && !said.contains("the feed-forward costs"), "{said}");
+    let warnings = found["warnings"].to_string();
+    assert!(warnings.contains("the washout costs more than it") && !warnings.contains("the feed-forward costs"), "{warnings}");
     // A washout of 1 Hz leaves 0.85 of the stiffness of the stiffest wall, a washout of 0.5 Hz all of it.
-    assert!(said.contains("a corner of 0.5 Hz costs nothing"), "{said}");
+    assert!(warnings.contains("a corner of 0.5 Hz costs nothing"), "{warnings}");
 }

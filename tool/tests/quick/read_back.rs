@@ -43,11 +43,11 @@ fn differences_are_listed_by_key_with_units() {
         file.description.joints[1].viscous = mass;
         running(&file.device().unwrap())
     });
-    let told: Vec<String> = differences(&a, &b).iter().map(ToString::to_string).collect();
+    let lines: Vec<String> = differences(&a, &b).iter().map(ToString::to_string).collect();
     assert!(differences(&a, &a).is_empty());
-    assert!(told.contains(&"[[joint]] 1 viscous: 0.012 -> 0.013 N m s/rad".to_string()), "{told:#?}");
-    assert!(told.iter().any(|line| line.starts_with("lumped tip_mass: ") && line.ends_with(" kg")), "{told:#?}");
-    assert_eq!(told.len(), 3, "{told:#?}");
+    assert!(lines.contains(&"[[joint]] 1 viscous: 0.012 -> 0.013 N m s/rad".to_string()), "{lines:#?}");
+    assert!(lines.iter().any(|line| line.starts_with("lumped tip_mass: ") && line.ends_with(" kg")), "{lines:#?}");
+    assert_eq!(lines.len(), 3, "{lines:#?}");
 }
 
 #[test]
@@ -72,8 +72,8 @@ fn a_board_is_read_into_files_and_compared_with_them() {
     sim.run(&["scene", &scene]).success();
     sim.run(&["scene", "--read", &scene]).success();
     sim.run(&["gains", "--stiffness", "321"]).success();
-    let told = contains("[[wall]] 0 stiffness: ").and(contains(" -> 321.0 N/m\n"));
-    sim.run(&["scene", "--read", &scene]).code(3).stdout(told).stderr(contains("1 difference"));
+    let difference = contains("[[wall]] 0 stiffness: ").and(contains(" -> 321.0 N/m\n"));
+    sim.run(&["scene", "--read", &scene]).code(3).stdout(difference).stderr(contains("1 difference"));
     let json = sim.run(&["scene", "--read", &scene, "--json"]).code(3);
     let json: serde_json::Value = serde_json::from_slice(&json.get_output().stdout).unwrap();
     assert_eq!(json["differences"][0]["to"], 321.0);
@@ -86,8 +86,8 @@ fn a_report_checks_the_board_and_contains_nothing_private() {
     sim.run(&["device", &shipped_path("coupled-five-bar.toml")]).success();
     sim.run(&["scene", &shipped_path("scenes/coupled-five-bar/wall.toml")]).success();
     sim.run(&["board", "name", "ada-lovelaces-desk"]).success();
-    let told = sim.run(&["board", "report"]).success();
-    let page = String::from_utf8_lossy(&told.get_output().stdout).into_owned();
+    let assert = sim.run(&["board", "report"]).success();
+    let page = String::from_utf8_lossy(&assert.get_output().stdout).into_owned();
     for part in ["encoder 0", "encoder 1", "current 0", "current 1", "bus", "flash", "timing", "link", "fault"] {
         assert!(page.contains(&format!("| {part} | OK |")), "{part}\n{page}");
     }

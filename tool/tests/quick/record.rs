@@ -160,10 +160,10 @@ fn a_lost_board_leaves_a_complete_recording() {
         let mut tool = sim.spawn(&["record", path.to_str().unwrap(), "--fields", "q,state"]);
         wait_until("bytes on disk", || std::fs::metadata(&path).is_ok_and(|about| about.len() >= 100_000));
         sim.process.child.kill().unwrap();
-        let mut said = String::new();
-        tool.stderr.take().unwrap().read_to_string(&mut said).unwrap();
+        let mut errors = String::new();
+        tool.stderr.take().unwrap().read_to_string(&mut errors).unwrap();
         assert_eq!(tool.wait().unwrap().code(), Some(1));
-        assert!(said.contains("unplugged or the connection was lost") && said.contains("rows are in"), "{said}");
+        assert!(errors.contains("unplugged or the connection was lost") && errors.contains("rows are in"), "{errors}");
         let recording = Recording::load(&path).unwrap();
         assert!(!recording.torn && recording.rows.len() > 100);
         let last = recording.about.last().unwrap();

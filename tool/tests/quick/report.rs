@@ -61,7 +61,7 @@ fn the_page_is_complete_and_shows_the_output_of_its_commands() {
             Some(at) => &words[..at],
             None => &words[..],
         };
-        let said = output(words);
-        assert!(said.len() > 100 && section.contains(said.trim_end()), "{line}\n{said}");
+        let printed = output(words);
+        assert!(printed.len() > 100 && section.contains(printed.trim_end()), "{line}\n{printed}");
     }
 }

@@ -38,12 +38,12 @@ impl SaturationCase {
             feed_forward: self.feed_forward,
             limits: Limits { torque: [self.torque; MAX_JOINTS], tip_force: self.tip_force, ..WIDE_LIMITS },
         };
-        let mut held = PressedBoard::new(&press).expect("nothing is in the way");
+        let mut board = PressedBoard::new(&press).expect("nothing is in the way");
         depths
             .map(|depth| {
-                let felt = held.forces_at(depth, self.steps);
-                assert_eq!(felt.state, State::Armed, "{felt:?}");
-                felt
+                let tip_state = board.forces_at(depth, self.steps);
+                assert_eq!(tip_state.state, State::Armed, "{tip_state:?}");
+                tip_state
             })
             .collect()
     }

@@ -31,10 +31,10 @@ fn a_lost_frame_delays_one_force_by_its_patience() {
     for patience in [FORCE_PATIENCE, Duration::from_millis(5)] {
         session.wait_for_forces(patience);
         loses.store(u32::MAX, Ordering::Relaxed);
-        let began = session.now();
+        let start = session.now();
         let error = session.read_state().unwrap_err();
         assert!(matches!(error, LinkError::Unanswered { waited } if waited == patience), "{error}");
-        let waited = session.now() - began;
+        let waited = session.now() - start;
         assert!(waited >= patience && waited < patience + Duration::from_millis(2), "{waited:?} of {patience:?}");
         loses.store(0, Ordering::Relaxed);
         assert_eq!(session.read_state().unwrap().done, ForceDone::Looked);
@@ -51,9 +51,9 @@ fn damaged_frames_stop_no_motor_and_lost_rows_are_counted() {
 fn a_request_survives_a_stall_but_not_a_silent_board() {
     let (mut session, loses) = lossy_session();
     loses.store(u32::MAX, Ordering::Relaxed);
-    let began = session.now();
+    let start = session.now();
     assert!(matches!(session.read_state(), Err(LinkError::Unanswered { waited }) if waited == PATIENCE));
-    assert!(session.now() - began < PATIENCE + FORCE_PATIENCE);
+    assert!(session.now() - start < PATIENCE + FORCE_PATIENCE);
     loses.store(0, Ordering::Relaxed);
     // A board that loses two messages replies after 0.2 s.
     loses.store(2, Ordering::Relaxed);
@@ -114,13 +114,13 @@ fn a_lost_force_does_not_delay_overlapping_forces() {
     let (mut session, loses) = lossy_session();
     let request = |sequence| ForceRequest { sequence, ..ForceRequest::default() };
     loses.store(u32::MAX, Ordering::Relaxed);
-    let lost = session.send_force(&request(1)).unwrap();
+    let lost_force = session.send_force(&request(1)).unwrap();
     loses.store(0, Ordering::Relaxed);
     let next = session.send_force(&request(2)).unwrap();
-    let began = session.now();
-    assert!(matches!(session.force_answer(lost), Err(LinkError::Unanswered { .. })));
+    let start = session.now();
+    assert!(matches!(session.force_answer(lost_force), Err(LinkError::Unanswered { .. })));
     assert_eq!(session.force_answer(next).unwrap().sequence, 2);
-    assert!(session.now() - began < Duration::from_millis(2), "{:?}", session.now() - began);
+    assert!(session.now() - start < Duration::from_millis(2), "{:?}", session.now() - start);
 }
 
 /// Returns an armed session after the torque ramp.
@@ -155,14 +155,14 @@ fn only_the_arming_tool_holds_the_key_and_a_late_press_fails() {
     session.keep_alive();
     other.keep_alive();
     session.rows(Duration::from_millis(60)).unwrap();
-    let seen = session.step();
-    session.arm_held(seen).unwrap();
+    let step = session.step();
+    session.arm_held(step).unwrap();
     assert_eq!(hold(&mut session), State::Armed);
     assert_eq!(hold(&mut other), State::Fault);
     session.clear().unwrap();
-    let seen = session.step();
+    let step = session.step();
     shared.lock().run(0.6);
-    let refused = session.arm_held(seen).unwrap_err();
+    let refused = session.arm_held(step).unwrap_err();
     assert!(refused.to_string().contains("press it again"), "{refused}");
     assert!(!shared.lock().status().state.drives());
 }
@@ -178,8 +178,8 @@ fn a_force_accelerates_the_tip_and_ends_with_its_lease() {
         assert_eq!((now.done, now.share, now.force), (ForceDone::Looked, 1.0, [x, y, 0.0]));
         let along = (now.tip[0] - from[0]) * x + (now.tip[1] - from[1]) * y;
         assert!(along > 0.0, "{now:?}, from {from:?}");
-        let held = f64::from(HOLD + FADE) * 1.1;
-        shared.lock().run(held);
+        let lease_s = f64::from(HOLD + FADE) * 1.1;
+        shared.lock().run(lease_s);
         let after = session.read_state().unwrap();
         assert_eq!((after.age, after.torque), (None, [0.0; 3]));
     }

@@ -326,7 +326,7 @@ fn a_wall_beyond_the_motors_pushes_straight_with_full_torque() {
     board.arm().unwrap();
     // Wait for the torque ramp after arming.
     shared.lock().run(0.6);
-    let began = {
+    let start_s = {
         let mut guard = shared.lock();
         let (tip, now) = (guard.device().tip(), guard.time());
         let slid = [tip[0] + 0.03, tip[1] - 0.04, 0.0];
@@ -336,7 +336,7 @@ fn a_wall_beyond_the_motors_pushes_straight_with_full_torque() {
     };
     board.start_stream(fields("q,torque,distance,force,rendered,saturated,state").unwrap(), 20).unwrap();
     let mut rows = Vec::new();
-    while shared.lock().time() < began + 1.0 {
+    while shared.lock().time() < start_s + 1.0 {
         rows.extend(board.rows(Duration::from_millis(50)).unwrap());
     }
     let Ok(AnyMechanism::FiveBar(mechanism)) = AnyMechanism::<f64>::new(&device_file().description) else {
@@ -347,13 +347,13 @@ fn a_wall_beyond_the_motors_pushes_straight_with_full_torque() {
     for row in rows.iter().filter(|row| row.values[5] > 0.05) {
         let [q0, q1, torque0, torque1, distance, force, rendered, flag0, flag1, ..] = row.values[..] else { panic!() };
         let q = [q0, q1];
-        let asked = straight.requested_torques(&q, force);
-        let share = straight.limit_share(&asked);
+        let requested_torques = straight.requested_torques(&q, force);
+        let share = straight.limit_share(&requested_torques);
         // The rendered force is scaled by the factor `share` and has no sideways part.
-        let felt = straight.tip_force(&q, &Vector2::new(torque0, torque1));
-        assert!((felt[1] - share * force).abs() < 0.01, "{row:?}: {felt} is not {share} times {force}");
-        assert!(felt[0].abs() < 0.01, "{row:?}: {felt} pulls sideways");
-        assert!((rendered - felt[1]).abs() < 0.01, "{row:?}: {felt}");
+        let tip_force = straight.tip_force(&q, &Vector2::new(torque0, torque1));
+        assert!((tip_force[1] - share * force).abs() < 0.01, "{row:?}: {tip_force} is not {share} times {force}");
+        assert!(tip_force[0].abs() < 0.01, "{row:?}: {tip_force} pulls sideways");
+        assert!((rendered - tip_force[1]).abs() < 0.01, "{row:?}: {tip_force}");
         if !(0.999..1.0).contains(&share) {
             let flag = f64::from(u8::from(share < 1.0));
             assert_eq!([flag0, flag1], [flag; 2], "{row:?}: {share}");
@@ -361,7 +361,7 @@ fn a_wall_beyond_the_motors_pushes_straight_with_full_torque() {
         }
         beyond += usize::from(share < 0.5);
         deepest = deepest.max(-distance);
-        aside = aside.max(straight.tip_force(&q, &asked.map(|torque| torque.clamp(-MOST, MOST)))[0].abs());
+        aside = aside.max(straight.tip_force(&q, &requested_torques.map(|torque| torque.clamp(-MOST, MOST)))[0].abs());
     }
     let changes = flagged.windows(2).filter(|pair| pair[0] != pair[1]).count();
     assert!(flagged.first() == Some(&0.0) && changes == 1, "{changes} changes of the flag");

@@ -285,15 +285,15 @@ fn modes_keep_their_energy_and_stiff_modes_are_rigid() {
 fn stribeck_friction_holds_more_than_it_brakes() {
     let mut description = paddle(0.0, 0.01);
     description.joints[0].friction = Some(Stribeck { rest: 0.02, stribeck_speed: 0.5 });
-    let mut held = device(&description);
-    held.step(&[MotorInput::Torque(0.0199); 3], 0.1);
-    assert_eq!(held.q()[0], 0.0);
+    let mut paddle_device = device(&description);
+    paddle_device.step(&[MotorInput::Torque(0.0199); 3], 0.1);
+    assert_eq!(paddle_device.q()[0], 0.0);
     // In fast motion only Coulomb friction is left, so 0.01 N m of the torque accelerate 1e-3 kg m².
-    held.step(&[MotorInput::Torque(0.0201); 3], 1.0);
-    let before = held.qd()[0];
+    paddle_device.step(&[MotorInput::Torque(0.0201); 3], 1.0);
+    let before = paddle_device.qd()[0];
     assert!(before > 2.0, "{before}");
-    held.step(&[MotorInput::Torque(0.0201); 3], 0.1);
-    assert!((held.qd()[0] - before - 0.1 * 10.1).abs() < 1e-6, "{}", held.qd()[0] - before);
+    paddle_device.step(&[MotorInput::Torque(0.0201); 3], 0.1);
+    assert!((paddle_device.qd()[0] - before - 0.1 * 10.1).abs() < 1e-6, "{}", paddle_device.qd()[0] - before);
     // `Options::frictionless` removes all friction.
     let mut free = SimulatedDevice::new(&description, &Options::frictionless()).unwrap();
     free.step(&[MotorInput::Torque(0.001); 3], 0.1);

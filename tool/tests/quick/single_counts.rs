@@ -50,25 +50,25 @@ fn velocity_torque<M: Mechanism<f64, N>, const N: usize>(
 
 #[test]
 fn velocity_terms_do_not_act_on_single_counts() {
-    let mut seen = 0;
+    let mut case_count = 0;
     for file in all_shipped_devices() {
         let device = file.device().unwrap();
         for (name, estimator) in Estimator::ALL {
             let most = with_mechanism!(&device.mechanism, m => velocity_torque(m, &device, *estimator));
             assert!(most < 1e-9, "{}, {name}: one count causes {most} N m", file.name);
-            seen += 1;
+            case_count += 1;
         }
     }
-    assert!(seen >= 9 * Estimator::ALL.len(), "{seen}");
+    assert!(case_count >= 9 * Estimator::ALL.len(), "{case_count}");
 }
 
 /// Returns the mean torques, N m, of the velocity terms over 200 periods while a five-bar's joints turn evenly.
 fn mean_torque(counts_per_turn: f64, speed: f64) -> SVector<f64, 2> {
-    let mut known = shipped_device("coupled-five-bar").description;
-    for joint in &mut known.joints[..2] {
+    let mut description = shipped_device("coupled-five-bar").description;
+    for joint in &mut description.joints[..2] {
         joint.encoder.as_mut().unwrap().counts_per_turn = counts_per_turn;
     }
-    let device = Device::<f64>::new("turning", &known).unwrap();
+    let device = Device::<f64>::new("turning", &description).unwrap();
     let haptic_bridge::model::mechanism::AnyMechanism::FiveBar(mechanism) = device.mechanism else { panic!() };
     let start = [2.6, 1.75];
     let tip = mechanism.tip(&mechanism.pose::<Libm>(&SVector::from(start)));

@@ -79,13 +79,13 @@ impl ServedBoard {
 
     fn assert_refuses_second_tool(&self) {
         let error = Board::open(&self.port).map(drop).unwrap_err();
-        let said = error.to_string();
+        let message = error.to_string();
         match (&error, &self.port) {
-            (LinkError::HeldByAnother(_), PortSpec::Tcp(address)) => assert!(said.contains(address), "{said}"),
-            (LinkError::PortBusy(_), PortSpec::Serial(name)) => assert!(said.contains(name), "{said}"),
-            _ => panic!("{said}"),
+            (LinkError::HeldByAnother(_), PortSpec::Tcp(address)) => assert!(message.contains(address), "{message}"),
+            (LinkError::PortBusy(_), PortSpec::Serial(name)) => assert!(message.contains(name), "{message}"),
+            _ => panic!("{message}"),
         }
-        assert!(said.contains("another"), "{said}");
+        assert!(message.contains("another"), "{message}");
     }
 }
 
@@ -242,7 +242,7 @@ fn losing_the_board_while_streaming_is_a_clear_error() {
     let port = PortSpec::Tcp(cable.local_addr().unwrap().to_string());
     let mut to_board = served.connect();
     // Cut the connection after 2000 bytes from the board.
-    let pulled = spawn(move || {
+    let relay = spawn(move || {
         let (mut tool, _) = cable.accept().unwrap();
         let (mut from_board, mut from_tool) = (to_board.try_clone().unwrap(), tool.try_clone().unwrap());
         spawn(move || std::io::copy(&mut from_tool, &mut to_board));
@@ -256,7 +256,7 @@ fn losing_the_board_while_streaming_is_a_clear_error() {
             break error;
         }
     };
-    pulled.join().unwrap();
+    relay.join().unwrap();
     assert!(matches!(error, LinkError::Lost(_)) && error.to_string().contains("unplugged"), "{error}");
     assert!(board.losses().received > 5);
 }
@@ -265,8 +265,8 @@ fn losing_the_board_while_streaming_is_a_clear_error() {
 fn ports_without_a_board_are_named() {
     // The port of an outgoing connection is in use, but nothing listens on it.
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
-    let taken = TcpStream::connect(listener.local_addr().unwrap()).unwrap();
-    let address = taken.local_addr().unwrap().to_string();
+    let connection = TcpStream::connect(listener.local_addr().unwrap()).unwrap();
+    let address = connection.local_addr().unwrap().to_string();
     let error = Board::open(&PortSpec::Tcp(address.clone())).map(drop).unwrap_err();
     assert!(matches!(error, LinkError::NotListening { .. }) && error.to_string().contains(&address), "{error}");
     let error = Board::open(&PortSpec::Serial("/dev/no-such-port".into())).map(drop).unwrap_err();
@@ -364,12 +364,12 @@ fn a_stopped_measurement_turns_off_and_restores_the_rules() {
     board.set_scene(&scene).unwrap();
     let before = board.rules().unwrap();
     for most in [1, 30, 300, 1000] {
-        let asked = Cell::new(0);
+        let call_count = Cell::new(0);
         let ended = measure(&mut board, &|| {
-            asked.set(asked.get() + 1);
-            asked.get() > most
+            call_count.set(call_count.get() + 1);
+            call_count.get() > most
         });
-        assert_eq!(ended.is_err(), asked.get() > most, "{ended:?}");
+        assert_eq!(ended.is_err(), call_count.get() > most, "{ended:?}");
         assert_eq!(shared.lock().status().state, State::Disarmed, "after {most}");
         assert_eq!(board.rules().unwrap(), before);
         assert_eq!(board.scene().unwrap().as_ref(), Some(&scene));
@@ -380,15 +380,15 @@ fn a_stopped_measurement_turns_off_and_restores_the_rules() {
 fn a_measurement_ends_when_another_tool_disarms() {
     for most in [40, 60] {
         let (shared, mut board) = board_in_process();
-        let asked = Cell::new(0);
+        let call_count = Cell::new(0);
         let ended = measure(&mut board, &|| {
-            asked.set(asked.get() + 1);
-            if asked.get() == most {
+            call_count.set(call_count.get() + 1);
+            if call_count.get() == most {
                 shared.lock().receive(&request::<Disarm>(7));
             }
             false
         });
-        assert!(asked.get() >= most, "the measurement ended before the disarm request");
+        assert!(call_count.get() >= most, "the measurement ended before the disarm request");
         assert!(matches!(ended, Err(MeasureError::Disarmed)), "{ended:?}");
         assert_eq!(shared.lock().status().state, State::Disarmed);
     }

@@ -57,10 +57,10 @@ fn estimators_are_compared_on_a_wall_that_range_finds_stable() {
     let (stiffness, damping) = telling_wall(&file, &[2.6, 1.75], &[0.6, 0.8], 5_000.0, 200.0).unwrap();
     let words = ["--q", "2.6,1.75", "--normal", "0.6,0.8", "--rate", "5000", "--cutoff", "200", "--board", "odrive-v3"];
     let kd = damping.to_string();
-    let said = json(&[&["range", &path, "--kd", &kd], &words[..]].concat());
-    let most = said["off"]["boundary"][0]["kp"].as_f64().unwrap();
+    let report = json(&[&["range", &path, "--kd", &kd], &words[..]].concat());
+    let most = report["off"]["boundary"][0]["kp"].as_f64().unwrap();
     assert!((4.0 * stiffness / most - 1.0).abs() < 1e-9, "{stiffness} of {most} N/m");
-    assert!((2.0 * damping / said["off"]["kd_max"].as_f64().unwrap() - 1.0).abs() < 1e-9, "{damping} N s/m");
+    assert!((2.0 * damping / report["off"]["kd_max"].as_f64().unwrap() - 1.0).abs() < 1e-9, "{damping} N s/m");
     let soft = "stiffness = 40.0\ndamping = 0.0";
     let text = with_cables("joint").replace("stiffness = 250.0\ndamping = 0.01", soft);
     folder.write("cables.toml", text.replace("viscous = 0.001", "viscous = 0.0"));
@@ -128,7 +128,7 @@ fn taps_rebound_like_a_mass_on_a_spring() {
     let mass = 0.0008 / (0.07 * 0.07) + 0.05;
     let question = Question { speed: 0.01, ..question(&file, 20_000.0) };
     let simulation = WallSimulation::new(&file.description, &file.description, &[0.0], &[1.0], 20_000.0).unwrap();
-    let mut seen = BTreeSet::new();
+    let mut rebound_counts = BTreeSet::new();
     for stiffness in [2_000.0_f64, 10_000.0] {
         for ratio in [0.02, 0.06, 0.13, 0.3, 0.8] {
             let damping = 2.0 * ratio * (stiffness * mass).sqrt();
@@ -143,10 +143,10 @@ fn taps_rebound_like_a_mass_on_a_spring() {
             assert!(near, "{stiffness} N/m at {ratio} of critical damping: {found}, not {known}");
             let keeps = keeps(&question, &wall).unwrap().is_some();
             assert_eq!(keeps, known <= MOST_REBOUNDS, "{known} rebounds: {wall:?}");
-            seen.insert(known);
+            rebound_counts.insert(known);
         }
     }
-    assert!(seen.contains(&0) && seen.contains(&1) && seen.len() > 3, "{seen:?}");
+    assert!(rebound_counts.contains(&0) && rebound_counts.contains(&1) && rebound_counts.len() > 3, "{rebound_counts:?}");
 }
 
 fn rendered_wall(wall: &Settings) -> Rendered {
@@ -183,8 +183,8 @@ fn long_searches_end_at_the_next_press_after_ctrl_c() {
 #[test]
 fn every_stage_is_reported_without_a_terminal() {
     let words = ["tune", "devices/hapkit-paddle.toml", "--normal", "1", "--rates", "1000", "--feed-forward", "off"];
-    let (_, _, told) = run(&[&words[..], &["--json"]].concat());
+    let (_, _, stages) = run(&[&words[..], &["--json"]].concat());
     for stage in ["walls, feed-forward off: ", "ripple, feed-forward off, round 1: ", "stiffer, round 1: "] {
-        assert!(told.lines().any(|line| line.starts_with(stage)), "{stage}\n{told}");
+        assert!(stages.lines().any(|line| line.starts_with(stage)), "{stage}\n{stages}");
     }
 }

@@ -192,8 +192,8 @@ fn one_page_commands_and_the_others_watch() {
         assert!(view.page(second).refusal().contains("another page is in command"), "{}", view.page(second).refusal());
         assert_eq!(view.page(second).refused[before]["of"], "watching");
     }
-    let seen = &view.page(second).picture;
-    assert_eq!((&seen["command"], &seen["pages"]), (&json!(view.pages[first].id), &json!(2)));
+    let picture = &view.page(second).picture;
+    assert_eq!((&picture["command"], &picture["pages"]), (&json!(view.pages[first].id), &json!(2)));
     assert_eq!(view.state(), "Disarmed");
     assert_eq!(view.page(second).walls, view.page(first).walls);
     view.send(first, json!({"do": "give"}));
@@ -332,7 +332,7 @@ fn a_silent_page_releases_a_slow_board_too() {
         assert_eq!((view.state(), view.page(0).refused.len()), ("Armed", 0));
     }
     view.pages[0].repeated = None;
-    let began = simulated.lock().time();
+    let start_s = simulated.lock().time();
     for (silent, state) in [(0.3, "Armed"), (0.15, "Disarmed")] {
         let end = view.now + Duration::from_secs_f64(silent);
         while view.now < end {
@@ -342,7 +342,7 @@ fn a_silent_page_releases_a_slow_board_too() {
         assert_eq!(view.state(), state, "{:?}", view.page(0).refused);
     }
     assert!(view.page(0).refusal().contains("no message from the page in command"), "{}", view.page(0).refusal());
-    assert!(simulated.lock().time() - began < 0.3, "the board was not slower than real time");
+    assert!(simulated.lock().time() - start_s < 0.3, "the board was not slower than real time");
 }
 
 /// With a slow network or a hung page, the user sees outdated states.
@@ -400,8 +400,8 @@ fn flooding_pages_do_not_delay_a_release() {
     view.step();
     assert_eq!(simulated.lock().status().state, State::Disarmed, "the release was not handled in the next turn");
     for (page, before) in watching.into_iter().zip(before) {
-        let heard = view.page(page).refused.len() - before;
-        assert!(heard <= 64, "{heard} of 10,000 messages were handled in that turn");
+        let refusal_count = view.page(page).refused.len() - before;
+        assert!(refusal_count <= 64, "{refusal_count} of 10,000 messages were handled in that turn");
     }
 }
 
@@ -428,8 +428,8 @@ fn a_page_that_leaves_releases_the_key() {
     view.hub.go(first.id);
     view.play(0.02);
     assert_eq!(view.state(), "Disarmed");
-    let seen = &view.page(0).picture;
-    assert!(seen["command"].is_null() && seen["hand"].is_null() && seen["pages"] == 1, "{seen}");
+    let picture = &view.page(0).picture;
+    assert!(picture["command"].is_null() && picture["hand"].is_null() && picture["pages"] == 1, "{picture}");
 }
 
 /// The page shows why the motors went off, and that a real board has no simulated hand.
@@ -772,7 +772,7 @@ fn the_feed_forward_button_makes_a_pressed_wall_buzz_or_quiet() {
     let click = |view: &mut TestView, kind: FeedForward| {
         view.send(0, json!({"do": "gains", "wall": 0, "stiffness": stiffness, "damping": damping, "feed_forward": kind, "beyond": true}));
     };
-    let mut said = String::new();
+    let mut description = String::new();
     let mut as_it_should = true;
     for (place, depth, aside) in pressed {
         view.send(0, json!({"do": "hand", "at": out}));
@@ -790,11 +790,11 @@ fn the_feed_forward_button_makes_a_pressed_wall_buzz_or_quiet() {
         });
         let plane = view.wait_for_boundary();
         let [off, washout] = [FeedForward::Off, FeedForward::Washout].map(|kind| plane.stiffness_to(kind, damping));
-        said += &format!("{depth} mm, {aside} mm aside: red {shares:.2?}, stable to {off:.0} or {washout:.0} N/m\n");
+        description += &format!("{depth} mm, {aside} mm aside: red {shares:.2?}, stable to {off:.0} or {washout:.0} N/m\n");
         as_it_should &= shares[0] < 0.05 && shares[1] > 0.7 && shares[2] < 0.05;
         as_it_should &= 1.1 * off < stiffness && stiffness < 0.95 * washout;
     }
-    assert!(as_it_should, "a wall of {stiffness} N/m, {damping} N s/m:\n{said}");
+    assert!(as_it_should, "a wall of {stiffness} N/m, {damping} N s/m:\n{description}");
     // The full feed-forward of (4) pushes a resting hand sideways; the feed-forward with a washout does not.
     click(&mut view, FeedForward::Full);
     view.play(1.6);
@@ -874,9 +874,9 @@ fn springs_and_their_anchors_are_sent_to_the_page() {
     let page = view.page(0);
     assert_eq!(page.springs[0]["stiffness"], 250.0, "{}", page.springs);
     // The nearest point of the line y = 0.115 is straight above or below the tip.
-    let (tip, held) = (&page.picture["geometry"]["tip"], &page.picture["geometry"]["springs"][0]);
-    let apart = (tip[0].as_f64().unwrap() - held[0].as_f64().unwrap()).abs();
-    assert!(apart < 1e-6 && (held[1].as_f64().unwrap() - 0.115).abs() < 1e-6, "{tip}: {held}");
+    let (tip, anchor) = (&page.picture["geometry"]["tip"], &page.picture["geometry"]["springs"][0]);
+    let apart = (tip[0].as_f64().unwrap() - anchor[0].as_f64().unwrap()).abs();
+    assert!(apart < 1e-6 && (anchor[1].as_f64().unwrap() - 0.115).abs() < 1e-6, "{tip}: {anchor}");
 }
 
 #[test]

@@ -74,10 +74,10 @@ fn a_rigid_ideal_loop_has_only_sampling_and_a_filter() {
 #[test]
 fn results_of_several_cores_are_in_order() {
     let things: Vec<u64> = (0..50).collect();
-    let told = AtomicUsize::new(0);
+    let report_count = AtomicUsize::new(0);
     let progress = |_: usize, of: usize| {
         assert_eq!(of, 50);
-        told.fetch_add(1, Ordering::Relaxed);
+        report_count.fetch_add(1, Ordering::Relaxed);
     };
     let squares = cores::map(&things, &progress, |thing| {
         // The first items take the longest.
@@ -87,7 +87,7 @@ fn results_of_several_cores_are_in_order() {
         thing * thing
     });
     assert_eq!(squares, things.iter().map(|thing| thing * thing).collect::<Vec<_>>());
-    assert_eq!(told.into_inner(), 50);
+    assert_eq!(report_count.into_inner(), 50);
 }
 
 #[test]

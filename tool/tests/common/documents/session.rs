@@ -105,23 +105,23 @@ impl Session {
         if let Some((master, _)) = &mut terminal {
             master.write_all(b"y\n").unwrap();
         }
-        let said = [read_in_background(child.stdout.take().unwrap()), read_in_background(child.stderr.take().unwrap())];
+        let output_readers = [read_in_background(child.stdout.take().unwrap()), read_in_background(child.stderr.take().unwrap())];
         if comment.contains("Ctrl-C") {
-            let begun = Instant::now();
-            while !handles_interrupts(&mut child) && begun.elapsed() < self.patience {
+            let start = Instant::now();
+            while !handles_interrupts(&mut child) && start.elapsed() < self.patience {
                 sleep(Duration::from_millis(10));
             }
             sleep(Duration::from_secs(1));
             send_signal(&child, "INT");
         }
         let status = wait_for_exit(&mut child, self.patience)?;
-        let said = said.map(|said| said.join().unwrap()).concat();
+        let printed = output_readers.map(|reader| reader.join().unwrap()).concat();
         if status != Some(0) {
-            return Err(format!("exit code {status:?}, output:\n{said}"));
+            return Err(format!("exit code {status:?}, output:\n{printed}"));
         }
         let promised = comment.split_once("prints ").map_or("", |(_, promised)| promised);
-        match promised.split('"').skip(1).step_by(2).find(|words| !said.contains(words)) {
-            Some(words) => Err(format!("does not print \"{words}\", output:\n{said}")),
+        match promised.split('"').skip(1).step_by(2).find(|words| !printed.contains(words)) {
+            Some(words) => Err(format!("does not print \"{words}\", output:\n{printed}")),
             None => Ok(()),
         }
     }
@@ -129,10 +129,10 @@ impl Session {
     fn shell(&self, command: &str) -> Command {
         let mut shell = Command::new("sh");
         // A shell's background jobs and their children ignore Ctrl-C. Commands of a terminal do not.
-        let heard = if cfg!(target_os = "linux") { "env --default-signal=INT" } else { "" };
+        let interruptible = if cfg!(target_os = "linux") { "env --default-signal=INT" } else { "" };
         // `exec` replaces the shell, so that signals reach the command itself.
         shell
-            .args(["-c", &format!("exec {heard} {command}")])
+            .args(["-c", &format!("exec {interruptible} {command}")])
             .envs(self.environment.iter().cloned())
             .stdin(Stdio::null())
             .process_group(0);
@@ -144,14 +144,14 @@ impl Session {
     fn start_server(&mut self, command: &str) -> Result<(), String> {
         let mut child = self.shell(&command.replace("7710", "0")).stdout(Stdio::piped()).spawn().unwrap();
         let mut output = BufReader::new(child.stdout.take().unwrap());
-        let mut said = String::new();
-        while !said.contains("tcp:") && !said.contains("/dev/") {
-            if output.read_line(&mut said).unwrap_or(0) == 0 {
+        let mut printed = String::new();
+        while !printed.contains("tcp:") && !printed.contains("/dev/") {
+            if output.read_line(&mut printed).unwrap_or(0) == 0 {
                 let status = wait_for_exit(&mut child, self.patience)?;
-                return Err(format!("ended with exit code {status:?} before it printed its port, output:\n{said}"));
+                return Err(format!("ended with exit code {status:?} before it printed its port, output:\n{printed}"));
             }
         }
-        if let Some((_, port)) = said.split_once("tcp:127.0.0.1:") {
+        if let Some((_, port)) = printed.split_once("tcp:127.0.0.1:") {
             self.port = port.chars().take_while(char::is_ascii_digit).collect();
         }
         read_in_background(output);
@@ -189,10 +189,10 @@ fn send_signal(child: &Child, name: &str) {
 /// Returns true if a command handles interrupts or has ended, or if the system has no such information.
 fn handles_interrupts(child: &mut Child) -> bool {
     let Ok(status) = fs::read_to_string(format!("/proc/{}/status", child.id())) else { return true };
-    let caught = status.lines().find_map(|line| line.strip_prefix("SigCgt:"));
-    let caught = caught.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok());
+    let caught_mask = status.lines().find_map(|line| line.strip_prefix("SigCgt:"));
+    let caught_mask = caught_mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok());
     // Bit 1 is SIGINT.
-    caught.is_none_or(|mask| mask & 2 != 0) || child.try_wait().unwrap().is_some()
+    caught_mask.is_none_or(|mask| mask & 2 != 0) || child.try_wait().unwrap().is_some()
 }
 
 fn wait_for_exit(child: &mut Child, patience: Duration) -> Result<Option<i32>, String> {

@@ -68,8 +68,8 @@ fn distance_on_simulated_board(terms: VelocityTerms) -> f64 {
     }
     let status = shared.lock().status();
     assert_eq!(status.fault.map(|record| record.fault), None::<Fault>);
-    let gone = shared.lock().device().tip();
-    assert!((gone[0] - tip[0]).hypot(gone[1] - tip[1]) > 0.015, "the tip does not slide");
+    let end = shared.lock().device().tip();
+    assert!((end[0] - tip[0]).hypot(end[1] - tip[1]) > 0.015, "the tip does not slide");
     1e6 * farthest
 }
 
@@ -124,8 +124,8 @@ fn a_wrong_rotor_inertia_keeps_most_of_the_demos_gain() {
         for (joint, low, high) in [(0, 0.97, 1.05), (1, 0.87, 1.13)] {
             let mut rotors = [1.0; 2];
             rotors[joint] = factor;
-            let kept = AssumedModel::scaled_inertias(rotors, 1.0).gain_kept(DEMO_POSE);
-            assert!((low..high).contains(&kept), "rotor {joint} x {factor}: {kept}");
+            let gain_share = AssumedModel::scaled_inertias(rotors, 1.0).gain_kept(DEMO_POSE);
+            assert!((low..high).contains(&gain_share), "rotor {joint} x {factor}: {gain_share}");
         }
     }
     assert!((AssumedModel::scaled_inertias([1.0; 2], 1.0).gain_kept(DEMO_POSE) - 1.0).abs() < 1e-12);
@@ -159,8 +159,8 @@ fn wrong_models_cost_more_elsewhere_and_a_wrong_home_most() {
 fn the_tables_and_sentences_of_the_page_are_computed() {
     let page = read("docs/claims.md");
     for (name, table) in tables() {
-        let kept = document(&format!("docs/claims/{name}.csv"), &table);
-        assert_eq!(kept, table, "run UPDATE_DOCS=1 cargo xtask test --deep claims");
+        let published = document(&format!("docs/claims/{name}.csv"), &table);
+        assert_eq!(published, table, "run UPDATE_DOCS=1 cargo xtask test --deep claims");
     }
     for sentence in sentences() {
         assert!(page.contains(&sentence), "docs/claims.md lacks this line:\n{sentence}");

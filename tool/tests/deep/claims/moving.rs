@@ -26,8 +26,8 @@ impl SlidingLoop {
             VelocityTerms::Off => Vector2::zeros(),
             _ => m.velocity_torque(&pose, qd),
         };
-        let met = if terms == VelocityTerms::Paper { e.dot(&b) } else { 0.0 };
-        me * ((force - met) / e.dot(&me)) + b
+        let rejected_force = if terms == VelocityTerms::Paper { e.dot(&b) } else { 0.0 };
+        me * ((force - rejected_force) / e.dot(&me)) + b
     }
 
     /// Returns the loop's matrix over one sample at a speed along the wall (m/s). States: joint angles and speeds,
@@ -62,7 +62,7 @@ impl SlidingLoop {
         joined.view_mut((2, 0), (2, 2)).copy_from(&by_q);
         joined.view_mut((2, 2), (2, 2)).copy_from(&by_qd);
         joined.view_mut((2, 4), (2, 2)).copy_from(&inverse(&pose));
-        let held = (joined / rate).exp();
+        let transition = (joined / rate).exp();
         let g = (std::f64::consts::PI * cutoff / rate).tan();
         let a0 = 1.0 + std::f64::consts::SQRT_2 * g + g * g;
         let (b0, b1) = (g * g / a0, 2.0 * g * g / a0);
@@ -93,8 +93,8 @@ impl SlidingLoop {
                 + &force * newton[i]
         });
         for state in 0..4 {
-            let mut change = row(&[0, 1, 2, 3].map(|i| (i, held[(state, i)])));
-            change += &torque[0] * held[(state, 4)] + &torque[1] * held[(state, 5)];
+            let mut change = row(&[0, 1, 2, 3].map(|i| (i, transition[(state, i)])));
+            change += &torque[0] * transition[(state, 4)] + &torque[1] * transition[(state, 5)];
             next.set_row(state, &change.transpose());
         }
         next.set_row(4, &row(&[(0, 1.0)]).transpose());

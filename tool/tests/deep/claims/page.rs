@@ -251,8 +251,8 @@ impl AssumedModel {
         let wrong = linearise(&self.description, (self.assumed_angles(q), normal));
         let real = linearise(&five_bar(), (q, normal));
         let mass = real.mass.clone().cholesky().expect("positive definite");
-        let met = |torque| 1.0 / wrong.row.dot(&mass.solve(torque));
-        (met(&wrong.shaped_torque()) - met(&wrong.row)) / (real.w_rr() - real.w_eff().expect("a regular pose"))
+        let inertia_met = |torque| 1.0 / wrong.row.dot(&mass.solve(torque));
+        (inertia_met(&wrong.shaped_torque()) - inertia_met(&wrong.row)) / (real.w_rr() - real.w_eff().expect("a regular pose"))
     }
 
     fn assumed_angles(&self, q: [f64; 2]) -> [f64; 2] {
@@ -293,7 +293,7 @@ pub struct GainRetained {
 /// Evaluates poses within 0.6 rad of home in steps of 0.05 rad and normals in steps of 15°, if Wrr/Weff is above 1.3.
 pub fn gain_kept_around_home(wrong_models: &[AssumedModel]) -> GainRetained {
     let description = five_bar();
-    let mut kept = GainRetained { cases: 0, below: 0, least: f64::INFINITY, most: f64::NEG_INFINITY };
+    let mut gain_retained = GainRetained { cases: 0, below: 0, least: f64::INFINITY, most: f64::NEG_INFINITY };
     let steps = |i: i32| 0.05 * f64::from(i);
     for (a, b) in (-12..=12).flat_map(|a| (-12..=12).map(move |b| (a, b))) {
         let q = [HOME[0] + steps(a), HOME[1] + steps(b)];
@@ -301,19 +301,19 @@ pub fn gain_kept_around_home(wrong_models: &[AssumedModel]) -> GainRetained {
             continue;
         }
         for normal in (0..12).map(|i| 15.0 * f64::from(i)) {
-            let seen = linearise(&description, (q, normal));
-            if seen.w_rr() / seen.w_eff().expect("a regular pose") <= 1.3 {
+            let device = linearise(&description, (q, normal));
+            if device.w_rr() / device.w_eff().expect("a regular pose") <= 1.3 {
                 continue;
             }
             let models = wrong_models.iter().filter(|model| is_regular(model.assumed_angles(q)));
             for share in models.map(|model| model.gain_kept((q, normal))) {
-                kept.cases += 1;
-                kept.below += usize::from(share < 0.875);
-                (kept.least, kept.most) = (kept.least.min(share), kept.most.max(share));
+                gain_retained.cases += 1;
+                gain_retained.below += usize::from(share < 0.875);
+                (gain_retained.least, gain_retained.most) = (gain_retained.least.min(share), gain_retained.most.max(share));
             }
         }
     }
-    kept
+    gain_retained
 }
 
 /// Returns the angle between a push on the free tip along the demo's normal and the motion of the tip, degrees.
@@ -336,9 +336,9 @@ fn felt_inertias() -> Perception {
 
 /// Returns Wrr/Weff of the serial-3r in the pose (0.5, 0.8, 0.7) along the normal (0.6, 0.8) for an admissible set.
 pub fn inertia_ratio(admissible: Admissible) -> f64 {
-    let seen = Linearised::holding(&shipped_device("serial-3r").description, &[0.5, 0.8, 0.7], &[0.6, 0.8], admissible)
+    let model = Linearised::holding(&shipped_device("serial-3r").description, &[0.5, 0.8, 0.7], &[0.6, 0.8], admissible)
         .expect("regular");
-    seen.w_rr() / seen.w_eff().expect("regular")
+    model.w_rr() / model.w_eff().expect("regular")
 }
 
 /// Returns the names and contents of the CSV files in docs/claims/.
@@ -350,8 +350,8 @@ pub fn tables() -> [(&'static str, String); 7] {
         device.gain = gain;
         let coupling = 1.0 - device.w_eff().unwrap_or(0.0) / device.w_rr();
         let sensitivity = gain * coupling / (1.0 - gain * coupling);
-        let met = device.inertia_met().unwrap_or(f64::NAN);
-        format!("{gain} | {met:.3} | {:.1} | {sensitivity:.2}", max_stiffness(&device).1 / 1e3)
+        let inertia_met = device.inertia_met().unwrap_or(f64::NAN);
+        format!("{gain} | {inertia_met:.3} | {:.1} | {sensitivity:.2}", max_stiffness(&device).1 / 1e3)
     });
     let [off, full] = [FeedForward::Off, FeedForward::Full].map(push_distance);
     let push = [("off", 1e6 * off, 0), ("full", 1e6 * full, 0), ("ratio", full / off, 2)];

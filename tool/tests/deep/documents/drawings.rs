@@ -12,8 +12,8 @@ fn compare_picture(line: &str, published: &str) {
     let folder = Folder::new();
     let drawn = folder.path("drawn");
     type_lines(&line.replace(published, &drawn), &[]);
-    let kept = std::fs::read(root().join(published)).unwrap();
-    assert!(std::fs::read(drawn).unwrap() == kept, "`haptic {line} --force` updates {published}");
+    let published_bytes = std::fs::read(root().join(published)).unwrap();
+    assert!(std::fs::read(drawn).unwrap() == published_bytes, "`haptic {line} --force` updates {published}");
 }
 
 #[test]
@@ -83,14 +83,14 @@ fn the_drawing_of_a_device_contains_its_whole_reach() {
         let [x, y, width, height] = ["x", "y", "width", "height"].map(|key| svg_number(clip, key).unwrap());
         // Coordinates are steps in tenths of a pixel. An outline starts relative to the start of the previous outline.
         let path = ground.split_once(" d=\"").unwrap().1.split('"').next().unwrap();
-        let mut began = [0.0, 0.0];
+        let mut outline_start = [0.0, 0.0];
         for outline in path.split('z').filter(|outline| !outline.is_empty()) {
             let steps = numbers_after(&format!("d=\"{outline}\""), "d=\"");
-            let mut pen = began;
+            let mut pen = outline_start;
             for (index, step) in steps.chunks_exact(2).enumerate() {
                 pen = [pen[0] + step[0] / 10.0, pen[1] + step[1] / 10.0];
                 if index == 0 {
-                    began = pen;
+                    outline_start = pen;
                 }
                 let inside = (x..=x + width).contains(&pen[0]) && (y..=y + height).contains(&pen[1]);
                 assert!(inside, "{}: {pen:?} is outside of {clip}", entry.display());
@@ -104,7 +104,7 @@ fn the_drawing_of_a_device_contains_its_whole_reach() {
 fn every_drawn_tip_is_at_the_models_position() {
     for name in ["pantograph-mk2", "fictive-five-bar-turret", "phantom-premium-1.5", "serial-3r", "coupled-five-bar"] {
         let description = shipped_device(name).description;
-        let mut seen = 0;
+        let mut drawn_count = 0;
         for i in 0..200 {
             let angle = |step: f64| (f64::from(i) * step).sin() * 3.0;
             let mut q = vec![angle(0.7), angle(1.3), angle(2.9)];
@@ -119,8 +119,8 @@ fn every_drawn_tip_is_at_the_models_position() {
             }
             let tip = drawn.unwrap().tip;
             assert!((tip.0 - pose.position[0]).hypot(tip.1 - pose.position[1]) < 1e-12, "{name} {q:?}");
-            seen += 1;
+            drawn_count += 1;
         }
-        assert!(seen > 50, "{name}: {seen}");
+        assert!(drawn_count > 50, "{name}: {drawn_count}");
     }
 }

@@ -218,16 +218,16 @@ fn a_paddle_shows_its_arc_and_its_inertia() {
 /// Checks that at least `least` left-aligned lines of text end within the picture.
 fn check_captions(svg: &str, least: usize) {
     let width = svg_number(svg, "width").unwrap();
-    let mut seen = 0;
+    let mut line_count = 0;
     for line in svg.lines().filter(|line| line.starts_with("<text") && line.contains("\"start\"")) {
         let words = line.split_once('>').unwrap().1.trim_end_matches("</text>");
         // As measured in the PNG, letters of this font are on average half as wide as high.
         let [x, size] = ["x", "font-size"].map(|attribute| svg_number(line, attribute).unwrap());
         let end = x + 0.508 * size * words.chars().count() as f64;
         assert!(end < width, "{words}: ends at {end:.0} of {width}");
-        seen += 1;
+        line_count += 1;
     }
-    assert!(seen >= least, "{seen}");
+    assert!(line_count >= least, "{line_count}");
 }
 
 #[test]

@@ -139,9 +139,9 @@ fn is_same(shown: &str, computed: &str) -> bool {
 fn the_tables_hold_the_computed_errors() {
     for (name, computed) in tables::all_tables() {
         let path = format!("docs/hard-cases/{name}.csv");
-        let kept = document(&path, &computed);
-        assert_eq!(kept.lines().count(), computed.lines().count(), "{path}");
-        for (number, (shown, computed)) in kept.lines().zip(computed.lines()).enumerate() {
+        let published = document(&path, &computed);
+        assert_eq!(published.lines().count(), computed.lines().count(), "{path}");
+        for (number, (shown, computed)) in published.lines().zip(computed.lines()).enumerate() {
             let [a, b] = [shown, computed].map(|line| line.split([' ', ',']).collect::<Vec<_>>());
             let agree = a.len() == b.len() && a.iter().zip(&b).all(|(a, b)| is_same(a, b));
             assert!(agree, "line {} of {path}:\n{shown}\n{computed}", number + 1);

@@ -61,9 +61,9 @@ impl Terminal {
 
     /// Waits until the tool has printed these words, then discards the output so far.
     fn wait_for(&mut self, words: &str) {
-        let began = Instant::now();
+        let start = Instant::now();
         while !self.text.contains(words) {
-            assert!(began.elapsed() < HANG_TIMEOUT, "{words}:\n{}", self.text);
+            assert!(start.elapsed() < HANG_TIMEOUT, "{words}:\n{}", self.text);
             assert!(self.read_output(), "{words}: the tool has ended\n{}", self.text);
         }
         self.text.clear();

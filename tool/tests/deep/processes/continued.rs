@@ -87,14 +87,14 @@ fn an_interrupted_range_continues() {
 fn ctrl_c_stops_a_command_and_the_same_line_continues_it() {
     use std::process::Stdio;
     let folder = tempfile::tempdir().unwrap();
-    let kept = folder.path().join("map.json");
+    let map_path = folder.path().join("map.json");
     let device = shipped_path("coupled-five-bar.toml");
     let line = ["map", &device, "--normal", "0.6,0.8", "--points", "400000", "--json"];
     let whole = haptic(&line).output().unwrap().stdout;
-    let line = [&line[..], &["--continue", kept.to_str().unwrap()]].concat();
+    let line = [&line[..], &["--continue", map_path.to_str().unwrap()]].concat();
     let mut command = std::process::Command::new(assert_cmd::cargo::cargo_bin("haptic"));
     let mut child = command.args(&line).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
-    wait_until("the file", || kept.exists());
+    wait_until("the file", || map_path.exists());
     send_signal(&child, "INT");
     let mut text = String::new();
     std::io::Read::read_to_string(&mut child.stderr.take().unwrap(), &mut text).unwrap();
@@ -107,5 +107,5 @@ fn ctrl_c_stops_a_command_and_the_same_line_continues_it() {
     }
     let again = haptic(&line).output().unwrap();
     assert!(again.status.success() && again.stdout == whole, "{}", String::from_utf8_lossy(&again.stderr));
-    assert!(!kept.exists());
+    assert!(!map_path.exists());
 }

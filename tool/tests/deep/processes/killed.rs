@@ -74,9 +74,9 @@ fn a_killed_recording_is_complete_and_leaves_no_rows_behind() {
             assert_eq!(missing_rows(&before), 0);
             std::fs::remove_file(&csv).unwrap();
             wait_until_free(&sim);
-            let said = sim.run(&["record", to, "--seconds", "0.2", "--rate", "200", "--fields", "q,tip"]);
-            let said = String::from_utf8_lossy(&said.success().get_output().stderr).into_owned();
-            assert!(said.contains("none lost"), "{said}");
+            let assert = sim.run(&["record", to, "--seconds", "0.2", "--rate", "200", "--fields", "q,tip"]);
+            let message = String::from_utf8_lossy(&assert.success().get_output().stderr).into_owned();
+            assert!(message.contains("none lost"), "{message}");
             let next = Recording::load(&csv).unwrap();
             assert_eq!(next.columns.len(), 6, "{:?}", next.columns);
             assert!(next.rows.len() >= 30, "{} rows", next.rows.len());
@@ -232,9 +232,9 @@ fn start_measurement(sim: &Sim, line: &[&str], progress: &Path) -> Child {
         if measured() && tool.try_wait().unwrap().is_none() {
             return tool;
         }
-        let said = wait_for_exit(tool).1;
+        let errors = wait_for_exit(tool).1;
         wait_until_free(sim);
-        assert!(sim.output(&["faults"]).contains("latched  HostLost"), "{said}");
+        assert!(sim.output(&["faults"]).contains("latched  HostLost"), "{errors}");
         sim.run(&["faults", "--clear"]).success();
     }
 }
@@ -257,11 +257,11 @@ fn an_interrupted_measurement_turns_the_motors_off() {
 #[test]
 fn the_measurement_after_a_killed_one_restores_the_scene() {
     let sim = Sim::start(&["--fast", "--scene", &shipped_path("scenes/coupled-five-bar/tracing.toml")]);
-    let held = || {
+    let board_state = || {
         let info = sim.json(&["info"]);
         (["walls", "rate_hz", "device"].map(|key| info[key].clone()), sim.output(&["rules"]))
     };
-    let before = held();
+    let before = board_state();
     let folder = tempdir().unwrap();
     let (one, other) = (folder.path().join("one.json"), folder.path().join("other.json"));
     let device = shipped_path("coupled-five-bar.toml");
@@ -269,21 +269,21 @@ fn the_measurement_after_a_killed_one_restores_the_scene() {
     kill_tool(start_measurement(&sim, &first, &one));
     wait_until_free(&sim);
     sim.wait_for_state(|state| state != "Armed");
-    let now = held();
+    let now = board_state();
     assert_ne!(now.0, before.0, "the killed measurement had not changed the scene");
     assert_ne!(now.1, before.1, "the killed measurement had not changed the rules");
     sim.run(&["faults", "--clear"]).success();
     // A measurement with another file cannot restore the scene.
-    let (_, said) = wait_for_exit(sim.spawn(&measurement_line(&device, "--kd=15", &other)));
-    assert!(said.contains("left by an interrupted measurement") && said.contains("load your scene again"), "{said}");
+    let (_, errors) = wait_for_exit(sim.spawn(&measurement_line(&device, "--kd=15", &other)));
+    assert!(errors.contains("left by an interrupted measurement") && errors.contains("load your scene again"), "{errors}");
     wait_until_free(&sim);
-    assert_ne!(held().0, before.0);
+    assert_ne!(board_state().0, before.0);
     // If the device has not moved, the same command line continues the measurement and restores the scene.
-    let (_, said) = wait_for_exit(sim.spawn(&first));
-    assert!(said.contains("the earlier scene is restored") && !said.contains("are not restored"), "{said}");
-    assert!(said.contains("of 3 repeats are in"), "{said}");
+    let (_, errors) = wait_for_exit(sim.spawn(&first));
+    assert!(errors.contains("the earlier scene is restored") && !errors.contains("are not restored"), "{errors}");
+    assert!(errors.contains("of 3 repeats are in"), "{errors}");
     wait_until_free(&sim);
-    assert_eq!(held(), before);
+    assert_eq!(board_state(), before);
     assert!(!std::fs::read_to_string(&one).unwrap().contains("before"));
 }
 
@@ -295,10 +295,10 @@ fn the_measurement_after_a_killed_one_restores_the_rules() {
     let note = folder.path().join("note.json");
     {
         let mut board = Board::open(&sim.port.parse().unwrap()).unwrap();
-        let held = Before::of(&mut board).unwrap();
-        let measuring = rules_for(held.rules(), 1.0);
+        let saved_before = Before::of(&mut board).unwrap();
+        let measuring = rules_for(saved_before.rules(), 1.0);
         let mut progress = Progress::new("any");
-        progress.before = held.keep(&board.info().serial, &measuring);
+        progress.before = saved_before.keep(&board.info().serial, &measuring);
         progress.save(&note).unwrap();
         board.set_rules(&measuring).unwrap();
     }

@@ -52,9 +52,9 @@ impl Page {
     }
 
     fn wait_until(&mut self, what: &str, is_so: impl Fn(&Received) -> bool) {
-        let began = Instant::now();
+        let start = Instant::now();
         while !is_so(&self.heard) {
-            assert!(began.elapsed() < HANG_TIMEOUT, "{what}: {}\n{:?}", self.heard.picture, self.heard.refused);
+            assert!(start.elapsed() < HANG_TIMEOUT, "{what}: {}\n{:?}", self.heard.picture, self.heard.refused);
             self.read();
         }
     }
@@ -62,9 +62,9 @@ impl Page {
     /// Presses the key and keeps it down. Presses again if this computer was too slow.
     fn arm(&mut self) {
         self.holding = true;
-        let began = Instant::now();
+        let start = Instant::now();
         while self.heard.state() != "Armed" {
-            assert!(began.elapsed() < HANG_TIMEOUT, "{:?}", self.heard.refused);
+            assert!(start.elapsed() < HANG_TIMEOUT, "{:?}", self.heard.refused);
             if self.heard.picture["held"] == false {
                 self.send(json!({"do": "arm", "seen": self.heard.step()}));
             }
@@ -89,8 +89,8 @@ fn the_page_waits_for_a_lost_board_even_without_its_scene() {
         page.heard.hello = Value::Null;
         socket.plug(back);
         if back.is_empty() {
-            let told = |why: &String| why.contains("`haptic scene FILE`");
-            page.wait_until("the remedy", |heard| heard.lost.as_ref().is_some_and(told));
+            let names_remedy = |why: &String| why.contains("`haptic scene FILE`");
+            page.wait_until("the remedy", |heard| heard.lost.as_ref().is_some_and(names_remedy));
             // Between two polls by the page the board is free for other tools.
             let scene = ["scene", &wall, "--port", &socket.address];
             wait_until("the scene", || haptic(&scene).output().unwrap().status.success());

@@ -223,9 +223,9 @@ fn measure_three_devices_with_all_effects() {
             let progress = folder.path().join("progress.json");
             let measure =
                 ["measure-range", path, "--port", "sim", "--kd", &kd, "--repeats", "3", "--feed-forward", "all"];
-            let kept =
+            let other_options =
                 ["--anew", "--yes", "--counts", "4194304", "--pull", "2", "--progress", progress.to_str().unwrap()];
-            run_json(&[&measure[..], &kept, world].concat(), normal, (5_000, 200))
+            run_json(&[&measure[..], &other_options, world].concat(), normal, (5_000, 200))
         });
         let [alone, dry, held] = found.each_ref().map(|document| document["points"].as_array().unwrap());
         for ((alone, dry), held) in alone.iter().zip(dry).zip(held) {

@@ -42,8 +42,8 @@ fn a_measurement_is_reported_kept_and_continued() {
     let fixed = ["measure-range", DEVICE, "--port", "sim", "--normal", "0.6,0.8", "--json"];
     let fourth = haptic(&fixed).args(SLOW_LOOP).args(other).arg("--progress").arg(&progress).assert().success();
     let other: Value = serde_json::from_slice(&fourth.get_output().stdout).unwrap();
-    let told: Vec<f64> = other["points"].as_array().unwrap().iter().map(|p| p["kd"].as_f64().unwrap()).collect();
-    assert_eq!((told, other["theory"].as_str().unwrap().contains("--kd 15")), (vec![16.0], false));
+    let reported_kd: Vec<f64> = other["points"].as_array().unwrap().iter().map(|p| p["kd"].as_f64().unwrap()).collect();
+    assert_eq!((reported_kd, other["theory"].as_str().unwrap().contains("--kd 15")), (vec![16.0], false));
     let date = other["date"].as_str().unwrap().to_string();
     // Results at one rate are not mixed with another rate.
     measure(&progress, &["--rate", "10000", "--cutoff", "200"], &["--feed-forward", "off", "--pull", "2"])
@@ -112,18 +112,18 @@ fn the_readmes_line_measures_its_numbers_near_theory() {
     let gained = |i: usize| kilonewtons(i + 2) / kilonewtons(i);
     let times = format!("{:.2} and {:.2} times", gained(0), gained(1));
     assert!(readme.contains(&times), "README.md lacks this text: {times}");
-    let said = format!(
+    let stiffnesses = format!(
         "{:.2} and {:.2} kN/m with the feed-forward, {:.2} and {:.2} without",
         kilonewtons(2),
         kilonewtons(3),
         kilonewtons(0),
         kilonewtons(1)
     );
-    assert!(readme.contains(&said), "README.md lacks this text: {said}");
+    assert!(readme.contains(&stiffnesses), "README.md lacks this text: {stiffnesses}");
     // docs/results.md has the same command line with its results.
     let results = read("docs/results.md");
     let row = results.lines().find(|row| row.contains(&format!("`{line}`"))).expect("a row with this line");
-    let told = |key: &str| {
+    let table_cell = |key: &str| {
         let two = |mode: &str| {
             let of: Vec<String> = points
                 .iter()
@@ -135,7 +135,7 @@ fn the_readmes_line_measures_its_numbers_near_theory() {
         format!("| {}, {} kN/m |", two("off"), two("full"))
     };
     for key in ["kp", "theory_kp"] {
-        assert!(row.contains(&told(key)), "{}: {row}", told(key));
+        assert!(row.contains(&table_cell(key)), "{}: {row}", table_cell(key));
     }
 }
 
@@ -200,23 +200,23 @@ fn boundaries_far_below_theory_cause_a_warning() {
     let folder = Folder::new();
     let progress = folder.path("progress.json");
     let fixed = ["measure-range", DEVICE, "--normal=0,1", "--kd=15", "--repeats=1", "--feed-forward=off", "--pull=2"];
-    let said = sim.run(&[&fixed[..], &["--json", "--progress", &progress]].concat()).success();
-    let document: Value = serde_json::from_slice(&said.get_output().stdout).unwrap();
+    let assert = sim.run(&[&fixed[..], &["--json", "--progress", &progress]].concat()).success();
+    let document: Value = serde_json::from_slice(&assert.get_output().stdout).unwrap();
     let point = &document["points"][0];
     assert!(point["kp"].as_f64().unwrap() < 0.5 * point["theory_kp"].as_f64().unwrap(), "{point}");
     assert!(document["warnings"][0]["text"].as_str().unwrap().contains("off at kd 15.0000"), "{document}");
-    said.stderr(contains("less than half of theory's stiffness was stable").and(contains("a hand on the device")));
+    assert.stderr(contains("less than half of theory's stiffness was stable").and(contains("a hand on the device")));
 }
 
 #[test]
 fn a_board_with_another_device_needs_load_and_is_restored() {
     let sim = Sim::start(&["--fast", "--frictionless", &shipped_path("coupled-five-bar.toml")]);
     sim.type_lines("device devices/haply-2diy.toml\nscene devices/scenes/haply-2diy/wall-stiff.toml");
-    let held = || {
+    let board_state = || {
         let info = sim.json(&["info"]);
         (["device", "walls", "rate_hz", "state"].map(|key| info[key].clone()), sim.output(&["rules"]))
     };
-    let before = held();
+    let before = board_state();
     let folder = Folder::new();
     let progress = folder.path("progress.json");
     let fixed = ["measure-range", DEVICE, "--normal=0,1", "--kd=15", "--repeats=1", "--feed-forward=off", "--pull=2"];
@@ -225,8 +225,8 @@ fn a_board_with_another_device_needs_load_and_is_restored() {
         .code(1)
         .stderr(contains("the board holds haply-2diy, the file is coupled-five-bar").and(contains("--load")));
     assert!(!std::path::Path::new(&progress).exists());
-    assert_eq!(held(), before);
+    assert_eq!(board_state(), before);
     // With --fast the simulated time does not run ahead of the tool.
     sim.run(&[&arguments[..], &["--load"]].concat()).success().stdout(contains("off"));
-    assert_eq!(held(), before);
+    assert_eq!(board_state(), before);
 }

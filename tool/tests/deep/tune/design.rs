@@ -178,7 +178,7 @@ fn the_best_posture_equals_the_best_of_all_orientations() {
     let [l1, l2, l3, ..] = file.description.geometry;
     let tip = TaskPose::at(&file.description, &q).unwrap().position;
     let normal = unit_normal(&n, 2, 3).unwrap();
-    let (mut heavy, mut light, mut held, mut loose) = (0.0_f64, f64::INFINITY, 0.0_f64, f64::INFINITY);
+    let (mut largest_w_eff, mut smallest_w_eff, mut largest_w_rr, mut smallest_w_rr) = (0.0_f64, f64::INFINITY, 0.0_f64, f64::INFINITY);
     for i in 0..20_000 {
         let phi = std::f64::consts::TAU * f64::from(i) / 20_000.0;
         let (x, y) = (tip[0] - l3 * phi.cos(), tip[1] - l3 * phi.sin());
@@ -194,20 +194,20 @@ fn the_best_posture_equals_the_best_of_all_orientations() {
             continue;
         }
         let (w_eff, w_rr) = along(&pose, &normal).unwrap();
-        (heavy, light) = (heavy.max(w_eff), light.min(w_eff));
-        (held, loose) = (held.max(w_rr), loose.min(w_rr));
+        (largest_w_eff, smallest_w_eff) = (largest_w_eff.max(w_eff), smallest_w_eff.min(w_eff));
+        (largest_w_rr, smallest_w_rr) = (largest_w_rr.max(w_rr), smallest_w_rr.min(w_rr));
     }
     for (one, other) in [
-        (found.heaviest.w_eff, heavy),
-        (found.lightest.w_eff, light),
-        (found.most_held.w_rr, held),
-        (found.least_held.w_rr, loose),
+        (found.heaviest.w_eff, largest_w_eff),
+        (found.lightest.w_eff, smallest_w_eff),
+        (found.most_held.w_rr, largest_w_rr),
+        (found.least_held.w_rr, smallest_w_rr),
     ] {
         assert!((one / other - 1.0).abs() < 0.02, "{one} kg, but {other} kg in the scan");
     }
     // An independent sweep at this tip in coarser steps, with its own limit on the sine at singularities, has Weff of
     // 0.0487 to 0.1139 kg and Wrr of 0.117 to 0.506 kg.
-    assert!((heavy / 0.1139 - 1.0).abs() < 0.01 && (light / 0.0487 - 1.0).abs() < 0.04, "{heavy} {light}");
-    assert!((loose / 0.117 - 1.0).abs() < 0.01 && (held / 0.506 - 1.0).abs() < 0.06, "{held} {loose}");
+    assert!((largest_w_eff / 0.1139 - 1.0).abs() < 0.01 && (smallest_w_eff / 0.0487 - 1.0).abs() < 0.04, "{largest_w_eff} {smallest_w_eff}");
+    assert!((smallest_w_rr / 0.117 - 1.0).abs() < 0.01 && (largest_w_rr / 0.506 - 1.0).abs() < 0.06, "{largest_w_rr} {smallest_w_rr}");
     assert_eq!(postures(&shipped_device("haply-2diy").description, &[2.3, 0.84], &n, clear, ADMISSIBLE), Ok(None));
 }

@@ -21,13 +21,13 @@ fn a_wrong_mass_matrix_changes_the_inertia_that_is_met() {
     let mut device = believed.clone();
     device.mass += DMatrix::from_row_slice(2, 2, &[8e-4, 2e-4, 2e-4, 0.0]);
     let torque = believed.shaped_torque();
-    let met = 1.0 / device.row.dot(&device.mass.clone().cholesky().unwrap().solve(&torque));
-    assert!((met / device.w_rr() - 1.0).abs() > 0.003 && (met / believed.w_rr() - 1.0).abs() > 0.01, "equal models");
+    let inertia_met = 1.0 / device.row.dot(&device.mass.clone().cholesky().unwrap().solve(&torque));
+    assert!((inertia_met / device.w_rr() - 1.0).abs() > 0.003 && (inertia_met / believed.w_rr() - 1.0).abs() > 0.01, "equal models");
     let around = control_loop(5_000.0);
     for damping in [20.0, 80.0, 200.0] {
         let of_one = domain(&point_mass(1.0), &around, Mode::Off, Some(&[damping])).unwrap().boundary[0].kp;
-        let found = stiffnesses(&device, &believed, &around, Mode::Full, &[met * damping]).unwrap()[0];
-        assert!((found / (met * of_one) - 1.0).abs() < 1e-6, "{damping}: {found}, {}", met * of_one);
+        let found = stiffnesses(&device, &believed, &around, Mode::Full, &[inertia_met * damping]).unwrap()[0];
+        assert!((found / (inertia_met * of_one) - 1.0).abs() < 1e-6, "{damping}: {found}, {}", inertia_met * of_one);
     }
 }
 
@@ -39,11 +39,11 @@ fn no_other_signs_of_the_inertia_errors_are_worse() {
     let believed = at(&file.description);
     for shaped in [false, true] {
         let torque = if shaped { believed.shaped_torque() } else { believed.row.clone() };
-        let met = |description: &Description| {
+        let inertia_met = |description: &Description| {
             let device = at(description);
             1.0 / device.row.dot(&device.mass.cholesky().unwrap().solve(&torque))
         };
-        let found = met(&vertex(&file.description, &q, &n, Admissible::Orientation, shaped, 0.1, false).unwrap());
+        let found = inertia_met(&vertex(&file.description, &q, &n, Admissible::Orientation, shaped, 0.1, false).unwrap());
         let mut least = f64::INFINITY;
         for signs in 0..1 << 7 {
             let factor = |part: usize| if signs >> part & 1 == 1 { 1.1 } else { 0.9 };
@@ -56,10 +56,10 @@ fn no_other_signs_of_the_inertia_errors_are_worse() {
                 joint.inertia *= factor(4 + part);
             }
             other.handle_mass *= factor(6);
-            least = least.min(met(&other));
+            least = least.min(inertia_met(&other));
         }
         assert!((found / least - 1.0).abs() < 1e-3, "shaped {shaped}: {found} kg, but {least} kg is possible");
-        assert!(found < 0.95 * met(&file.description), "shaped {shaped}");
+        assert!(found < 0.95 * inertia_met(&file.description), "shaped {shaped}");
     }
 }
 
@@ -147,8 +147,8 @@ fn the_result_is_the_stiffest_wall_and_names_its_limit() {
 #[test]
 fn the_result_is_never_worse_than_the_scenes_settings() {
     let (device, scene) = ("devices/capstan-pantograph.toml", "devices/scenes/capstan-pantograph/wall.toml");
-    let said = json(&["tune", device, "--scene", scene, "--rates", "20000"]);
-    assert!(said["times"].as_f64().unwrap() >= 1.0, "{said}");
+    let report = json(&["tune", device, "--scene", scene, "--rates", "20000"]);
+    assert!(report["times"].as_f64().unwrap() >= 1.0, "{report}");
 }
 
 #[test]
@@ -195,15 +195,15 @@ fn a_shipped_wall_becomes_twice_as_stiff_at_the_same_ripple() {
     let out = folder.path("tuned.toml");
     let (device, scene) = ("devices/haply-2diy.toml", "devices/scenes/haply-2diy/wall-stiff.toml");
     let words = ["tune", device, "--scene", scene, "--rates", "5000", "--out", &out];
-    let said = json(&words);
-    assert!(said["times"].as_f64().unwrap() > 2.0, "{said}");
-    assert!(said["best"]["ripple_n"].as_f64() <= said["ripple_limit_n"].as_f64(), "{said}");
+    let report = json(&words);
+    assert!(report["times"].as_f64().unwrap() > 2.0, "{report}");
+    assert!(report["best"]["ripple_n"].as_f64() <= report["ripple_limit_n"].as_f64(), "{report}");
     // The written scene passes `check`, and its wall is still at the same place.
     type_lines(&format!("check {device} {out}"), &[]);
     let tuned = SceneFile::load(&out, 2).unwrap().scene;
     let plane = |scene: &haptic_bridge::render::scene::Scene<f64>| scene.walls[0].surface;
     assert_eq!(plane(&tuned), plane(&SceneFile::load(root().join(scene), 2).unwrap().scene));
-    assert_eq!(Some(tuned.walls[0].stiffness), said["best"]["stiffness"].as_f64());
+    assert_eq!(Some(tuned.walls[0].stiffness), report["best"]["stiffness"].as_f64());
 }
 
 #[test]
