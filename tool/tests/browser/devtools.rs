@@ -171,8 +171,8 @@ impl Browser {
                 self.send_space(tab, "keyUp");
                 self.evaluate(tab, "if (view.last.command === null) $('take').click()");
                 self.send_space(tab, "keyDown");
-                let pressed = Instant::now();
-                while self.evaluate(tab, ARMED) != true && pressed.elapsed() < Duration::from_secs(3) {
+                let press_time = Instant::now();
+                while self.evaluate(tab, ARMED) != true && press_time.elapsed() < Duration::from_secs(3) {
                     std::thread::sleep(Duration::from_millis(20));
                 }
                 self.evaluate(tab, "if (view.goal) say({do: 'hand', at: view.goal})");
@@ -229,13 +229,13 @@ impl Browser {
 
     /// Returns the exceptions and the errors on the console.
     pub fn console_errors(&self) -> Vec<String> {
-        let wrong = self.events.iter().filter(|(_, event)| match event["method"].as_str() {
+        let page_errors = self.events.iter().filter(|(_, event)| match event["method"].as_str() {
             Some("Runtime.exceptionThrown") => true,
             Some("Log.entryAdded") => event["params"]["entry"]["level"] == "error",
             Some("Runtime.consoleAPICalled") => event["params"]["type"] == "error",
             _ => false,
         });
-        wrong.map(|(_, event)| event["params"].to_string()).collect()
+        page_errors.map(|(_, event)| event["params"].to_string()).collect()
     }
 }
 

@@ -383,13 +383,13 @@ fn the_feed_forward_changes_while_the_mouse_presses_the_wall() {
     // Pictures for a paper have a width in millimetres and letters of at least eight points.
     browser.evaluate(&tab, "view.hello.device = 'a & <b>'");
     for (what, millimetres) in [("stage", 85), ("plane", 85), ("scope", 170)] {
-        let checked = format!(
+        let checks_graph = format!(
             "(() => {{ const svg = svgOf('{what}', {millimetres}), root = new DOMParser().parseFromString(svg, 'image/svg+xml').documentElement, \
              own = root.viewBox.baseVal.width / {millimetres} * 25.4 / 72; \
              return [root.tagName, root.getAttribute('width'), Math.min(...[...root.querySelectorAll('text')].map(t => t.getAttribute('font-size') / own)), \
              root.querySelectorAll('path').length > 5, /NaN|undefined/.test(svg), root.querySelector('title').textContent]; }})()"
         );
-        let found = browser.evaluate(&tab, &checked);
+        let found = browser.evaluate(&tab, &checks_graph);
         assert_eq!((&found[0], &found[1]), (&Value::from("svg"), &Value::from(format!("{millimetres}mm"))), "{what}");
         assert!(found[2].as_f64().unwrap() > 7.99 && found[3] == true && found[4] == false, "{what}: {found}");
         assert!(found[5].as_str().unwrap().starts_with("a & <b>, 8.70 kN/m"), "{what}: {found}");
@@ -548,13 +548,13 @@ fn springs_of_the_scene_are_drawn() {
     browser.wait_until(&tab, "view.frame && view.pictures > 20");
     let tip = browser.evaluate(&tab, "view.last.geometry.tip").clone();
     let (x, y) = (tip[0].as_f64().unwrap(), tip[1].as_f64().unwrap());
-    let mut count_spring_pixels =
+    let mut pixels =
         |at: (f64, f64), half| count_coloured(&mut browser, &tab, &format!("[{}, {}]", at.0, at.1), "spring", half);
-    assert!(count_spring_pixels((x, 0.5 * (y + 0.15)), 8) > 10, "no spring between the line and the tip");
-    assert!(count_spring_pixels((x - 0.04, 0.15), 12) > 5, "the line of the spring is not drawn");
-    assert!(count_spring_pixels((0.5 * (x + 0.06), 0.5 * (y + 0.10)), 8) > 10, "no spring between the point and the tip");
-    assert!(count_spring_pixels((0.06, 0.10), 5) > 30, "the point is not drawn");
-    assert_eq!(count_spring_pixels((x - 0.04, 0.14), 6), 0, "something is drawn where no spring is");
+    assert!(pixels((x, 0.5 * (y + 0.15)), 8) > 10, "no spring between the line and the tip");
+    assert!(pixels((x - 0.04, 0.15), 12) > 5, "the line of the spring is not drawn");
+    assert!(pixels((0.5 * (x + 0.06), 0.5 * (y + 0.10)), 8) > 10, "no spring between the point and the tip");
+    assert!(pixels((0.06, 0.10), 5) > 30, "the point is not drawn");
+    assert_eq!(pixels((x - 0.04, 0.14), 6), 0, "something is drawn where no spring is");
     assert_eq!(browser.console_errors(), [""; 0]);
     browser.save_picture(&tab, "view-spring", false);
 }

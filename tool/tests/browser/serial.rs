@@ -289,7 +289,7 @@ fn close_armed_board(mut browser: Browser, tab: &Tab, cable: Cable) -> Board {
 fn a_refused_board_is_explained_and_the_simulation_continues() {
     let sim = Sim::start(&[&shipped_path("haply-2diy.toml")]);
     let (mut browser, tab, _cable) = open_page(&sim.port);
-    let refused = |browser: &mut Browser, words: &str| {
+    let check_refusal = |browser: &mut Browser, words: &str| {
         browser.evaluate(&tab, "notice(''); view.pictures = 0; $('open').click()");
         let shows_cause = format!(
             "$('why').textContent.includes('{words}') && $('why').textContent.includes('The simulation continues')"
@@ -299,9 +299,9 @@ fn a_refused_board_is_explained_and_the_simulation_continues() {
         assert_eq!(browser.evaluate(&tab, explained), true);
     };
     browser.evaluate(&tab, "test.refuses = 'Failed to open serial port.'");
-    refused(&mut browser, "Failed to open serial port.");
+    check_refusal(&mut browser, "Failed to open serial port.");
     browser.evaluate(&tab, "test.refuses = null");
-    refused(&mut browser, "haptic scene");
+    check_refusal(&mut browser, "haptic scene");
     browser.wait_until(&tab, "!open_port()");
     // Closing the browser's list of ports changes nothing.
     browser.evaluate(
@@ -319,7 +319,7 @@ fn a_refused_board_is_explained_and_the_simulation_continues() {
                 "delete {of}.{name}; Object.defineProperty({of}, '{name}', {{ value: undefined, configurable: true }})"
             ),
         );
-        refused(&mut browser, "Chrome or Edge on a desktop can");
+        check_refusal(&mut browser, "Chrome or Edge on a desktop can");
         browser.evaluate(&tab, &format!("delete {of}.{name}"));
     }
     assert_eq!(browser.console_errors(), [""; 0]);

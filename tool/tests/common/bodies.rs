@@ -95,20 +95,20 @@ impl Bodies {
             let (mut next, mut pull) = (DVector::zeros(size), DVector::zeros(d));
             for i in 0..d {
                 let at = plant + 3 * i;
-                let moved = x[i] - s[at];
-                let y = b * moved + s[at + 1];
+                let error = x[i] - s[at];
+                let y = b * error + s[at + 1];
                 next[at] = x[i];
-                next[at + 1] = 2.0 * b * moved - a1 * y + s[at + 2];
-                next[at + 2] = b * moved - a2 * y;
+                next[at + 1] = 2.0 * b * error - a1 * y + s[at + 2];
+                next[at + 2] = b * error - a2 * y;
                 pull[i] = -(kp * x[i] + kd / t * y);
             }
-            let moved = &step * s.rows(0, plant);
-            next.rows_mut(0, 2 * n).copy_from(&moved.rows(0, 2 * n));
+            let plant_step = &step * s.rows(0, plant);
+            next.rows_mut(0, 2 * n).copy_from(&plant_step.rows(0, 2 * n));
             next.rows_mut(2 * n, joints).copy_from(&(&self.torques * pull));
             matrix.set_column(column, &next);
         }
         // Leave out z = 1, the motion on which no wall and no spring acts.
-        let far = |z: &&nalgebra::Complex<f64>| (**z - 1.0).norm() > 1.0e-5;
-        matrix.complex_eigenvalues().iter().filter(far).map(|z| z.norm()).fold(0.0, f64::max)
+        let is_far_from_one = |z: &&nalgebra::Complex<f64>| (**z - 1.0).norm() > 1.0e-5;
+        matrix.complex_eigenvalues().iter().filter(is_far_from_one).map(|z| z.norm()).fold(0.0, f64::max)
     }
 }

@@ -170,16 +170,16 @@ pub fn check_sound(seed: u64) -> CheckResult {
 /// Checks the polarity of a device that differs from its file. Half of the seeds have a shipped device.
 pub fn check_wrong(seed: u64) -> CheckResult {
     let mut draw = Random::new(seed);
-    let wrong = Mismatch::random(&mut draw);
+    let mismatch = Mismatch::random(&mut draw);
     let (mut device, mut description) = sound_device(&mut draw);
     if draw.uniform() < 0.5 {
         description = shipped_device(&device).description;
     }
     // A paddle has only one motor, so nothing can be swapped.
-    if matches!(wrong, Mismatch::EncodersSwapped | Mismatch::MotorsSwapped) && description.kind.spec().joints < 2 {
+    if matches!(mismatch, Mismatch::EncodersSwapped | Mismatch::MotorsSwapped) && description.kind.spec().joints < 2 {
         (device, description) = ("pantograph-mk2".into(), shipped_device("pantograph-mk2").description);
     }
-    check(seed, device, &description, wrong)
+    check(seed, device, &description, mismatch)
 }
 
 fn check(seed: u64, device: String, description: &Description, wrong: Mismatch) -> CheckResult {

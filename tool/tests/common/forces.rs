@@ -15,8 +15,8 @@ pub fn pick_one<T: Copy>(draw: &mut Random, of: &[T]) -> T {
 /// Runs every shipped device with each seed. Describes the runs that push harder than 1.1 times the limit.
 pub fn runs_beyond_limit(seeds: Range<u64>) -> Vec<String> {
     let devices = super::all_shipped_devices();
-    let drawn = seeds.flat_map(|seed| devices.iter().map(move |file| largest_push(file, seed)));
-    drawn.filter(|(most, _)| *most > 1.1 * f64::from(GENTLE_FORCE)).map(|(_, what)| what).collect()
+    let pushes = seeds.flat_map(|seed| devices.iter().map(move |file| largest_push(file, seed)));
+    pushes.filter(|(most, _)| *most > 1.1 * f64::from(GENTLE_FORCE)).map(|(_, what)| what).collect()
 }
 
 /// Runs a random scene with a random motion. Returns the largest force of the motors at the tip, N, and a description.

@@ -238,13 +238,13 @@ fn check_motion(
 ) -> (Result<(), FaultRecord>, CheckMotion) {
     let mut push = Push::of(&wired, &shared.lock());
     let start = shared.lock().device().q();
-    let mut moved = CheckMotion::default();
+    let mut motion = CheckMotion::default();
     let ended = run_check(&shared, &mut board, |board| {
-        moved.push = moved.push.max(push.add_period(board).unwrap_or(0.0));
-        let turned = board.device().q().into_iter().zip(start).map(|(q, start)| (q - start).abs());
-        moved.travel = turned.fold(moved.travel, f64::max);
+        motion.push = motion.push.max(push.add_period(board).unwrap_or(0.0));
+        let turn_angles = board.device().q().into_iter().zip(start).map(|(q, start)| (q - start).abs());
+        motion.travel = turn_angles.fold(motion.travel, f64::max);
     });
-    (ended, moved)
+    (ended, motion)
 }
 
 /// Runs an injected error while a hand presses a wall of 1000 N/m at 1 kHz with 4 N and moves back and forth along it.

@@ -171,10 +171,10 @@ pub fn type_lines(table: &str, more: &[&str]) {
         let words: Vec<&str> = words.iter().map(String::as_str).chain(more.iter().copied()).collect();
         let (ended, out, err) = run(&words);
         assert_eq!(ended.to_string(), code, "{line}\n{out}{err}");
-        let printed = if matches!(ended, 1 | 2) { err } else { out + &err };
+        let out = if matches!(ended, 1 | 2) { err } else { out + &err };
         for text in texts.split(" | ").filter(|text| !text.is_empty()) {
-            let is_right = text.strip_prefix('!').map_or_else(|| printed.contains(text), |text| !printed.contains(text));
-            assert!(is_right, "{line}\n{text}\n{printed}");
+            let is_right = text.strip_prefix('!').map_or_else(|| out.contains(text), |text| !out.contains(text));
+            assert!(is_right, "{line}\n{text}\n{out}");
         }
     }
 }

@@ -52,16 +52,16 @@ fn check_count(most: u64) -> u64 {
 
 #[test]
 fn a_check_with_a_wrong_file_pushes_no_harder_than_a_finger() {
-    let checked: Vec<_> = (0..check_count(500)).map(check_wrong).collect();
-    let most = |of: fn(&CheckResult) -> f64| checked.iter().map(of).fold(0.0, f64::max);
+    let outcomes: Vec<_> = (0..check_count(500)).map(check_wrong).collect();
+    let most = |of: fn(&CheckResult) -> f64| outcomes.iter().map(of).fold(0.0, f64::max);
     println!("most: {:.2} N, {:.3} rad", most(|it| it.moved.push), most(|it| it.moved.travel));
-    check_rare(&checked, 1, |checked| checked.moved.push > 5.0 || checked.moved.travel > 0.15);
+    check_rare(&outcomes, 1, |outcome| outcome.moved.push > 5.0 || outcomes.moved.travel > 0.15);
 }
 
 #[test]
 fn a_sound_device_passes_its_check() {
-    let checked: Vec<_> = (10_000..10_000 + check_count(300)).map(check_sound).collect();
-    check_rare(&checked, 3, |checked| checked.ended.is_err());
+    let outcomes: Vec<_> = (10_000..10_000 + check_count(300)).map(check_sound).collect();
+    check_rare(&outcomes, 3, |outcome| outcome.ended.is_err());
 }
 
 /// Runs new random scenes and motions, HAPTIC_SEQUENCES for each device (default 20).
@@ -70,6 +70,6 @@ fn no_shipped_device_pushes_harder_than_its_limit_allows() {
     let count = std::env::var("HAPTIC_SEQUENCES").ok().and_then(|text| text.parse().ok()).unwrap_or(20);
     let first = std::time::UNIX_EPOCH.elapsed().map_or(0, |since| since.as_secs()) << 20;
     println!("seeds from {first}");
-    let wrong = runs_beyond_limit(first..first + count);
-    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+    let failed_runs = runs_beyond_limit(first..first + count);
+    assert!(failed_runs.is_empty(), "{}", failed_runs.join("\n"));
 }

@@ -93,9 +93,9 @@ fn a_value_that_was_edited_is_not_silently_ignored() {
     assert!(text.contains("3.3,") && !text.contains("3.2999"), "numbers must have few digits: {text}");
     let edited = text.replace("3.3,", "1000.0,");
     assert_ne!(edited, text);
-    let refused = Backup::parse(&edited).unwrap().ready().unwrap_err();
-    assert_eq!(refused, BackupError::Disagree("rules"));
-    assert!(refused.to_string().contains("haptic rules"));
+    let error = Backup::parse(&edited).unwrap().ready().unwrap_err();
+    assert_eq!(error, BackupError::Disagree("rules"));
+    assert!(error.to_string().contains("haptic rules"));
     // The same number in another notation is no change.
     assert!(Backup::parse(&text.replace("3.3,", "3.30,")).unwrap().ready().is_ok());
     assert!(Backup::parse(&text.replace("3.3,", "3.299999952316284,")).unwrap().ready().is_ok());

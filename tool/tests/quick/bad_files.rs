@@ -191,9 +191,9 @@ fn check_mistakes(table: &str, text: &str, check_error: impl Fn(&str) -> String)
     for row in table.lines().filter(|row| !row.is_empty()) {
         let cells: Vec<String> = row.trim_start().split(" => ").map(|cell| cell.replace('⏎', "\n")).collect();
         let [from, to, place, words] = &cells[..] else { panic!("{row}") };
-        let message = check_error(&replace_once(text, from, to));
-        let is_told = message.contains(&format!(".toml{place}")) && words.split(" | ").all(|word| message.contains(word));
-        assert!(is_told, "{row}\n{message}");
+        let error = check_error(&replace_once(text, from, to));
+        let is_told = error.contains(&format!(".toml{place}")) && words.split(" | ").all(|word| error.contains(word));
+        assert!(is_told, "{row}\n{error}");
     }
 }
 
@@ -251,12 +251,12 @@ fn terms_of_data_sheets_are_refused_with_the_right_key() {
         (encoder, "noise = 2.0", "cannot be described yet"),
         (joint, "backlash = 0.01", "cannot be described yet"),
     ] {
-        let message = check_error(&replace_once(DEVICE, after, &format!("{after}{line}\n")), SCENE);
-        assert!(message.contains("unknown key") && message.contains(words) && !message.contains("remove it"), "{line}: {message}");
+        let text = check_error(&replace_once(DEVICE, after, &format!("{after}{line}\n")), SCENE);
+        assert!(text.contains("unknown key") && text.contains(words) && !text.contains("remove it"), "{line}: {text}");
     }
     // In another table the same key is an ordinary unknown key.
-    let message = check_error(&replace_once(DEVICE, "name = ", "type = \"five-bar\"\nname = "), SCENE);
-    assert!(message.contains("unknown key") && !message.contains("encoder"), "{message}");
+    let text = check_error(&replace_once(DEVICE, "name = ", "type = \"five-bar\"\nname = "), SCENE);
+    assert!(text.contains("unknown key") && !text.contains("encoder"), "{text}");
 }
 
 #[test]

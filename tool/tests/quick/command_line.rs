@@ -23,9 +23,9 @@ fn a_closed_pipe_ends_a_command_silently() {
         // Read only one byte, because a document may be one long line.
         let line = format!("set -o pipefail; timeout 600 \"$0\" {command} | head -c 1 > /dev/null");
         let output = Command::new("bash").args(["-c", &line, program]).output().unwrap();
-        let message = String::from_utf8_lossy(&output.stderr);
-        assert!(matches!(output.status.code(), Some(0 | 141)), "{command}: {:?} {message}", output.status);
-        assert!(!message.contains("error") && !message.contains("pipe") && !message.contains("lost"), "{command}: {message}");
+        let text = String::from_utf8_lossy(&output.stderr);
+        assert!(matches!(output.status.code(), Some(0 | 141)), "{command}: {:?} {text}", output.status);
+        assert!(!text.contains("error") && !text.contains("pipe") && !text.contains("lost"), "{command}: {text}");
     }
 }
 
@@ -43,9 +43,9 @@ fn wrong_numbers_are_refused_with_a_remedy() {
         ("range --share=1,2", "--share has 2 numbers for 1 wall ("),
     ] {
         let (command, option) = line.split_once(' ').unwrap();
-        let message = refusal(2, &[command, "devices/coupled-five-bar.toml", "--normal=0,1", option]);
-        assert!(message.contains(wanted), "{line}: {message}");
-        assert!(!message.contains("invalid digit") && !message.contains("literal") && !message.contains("1 numbers"), "{message}");
+        let text = refusal(2, &[command, "devices/coupled-five-bar.toml", "--normal=0,1", option]);
+        assert!(text.contains(wanted), "{line}: {text}");
+        assert!(!text.contains("invalid digit") && !text.contains("literal") && !text.contains("1 numbers"), "{text}");
     }
 }
 

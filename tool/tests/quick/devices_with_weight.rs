@@ -63,9 +63,9 @@ fn assert_stays_while_armed(shared: &SharedBoard, board: &mut Board, what: &str)
     let status = board.status().unwrap();
     assert_eq!((status.state, status.fault), (State::Armed, None), "{what}");
     let q = shared.lock().device().q();
-    let moved = q.iter().zip(before).map(|(q, before)| (q - before).abs()).fold(0.0, f64::max);
+    let largest_motion = q.iter().zip(before).map(|(q, before)| (q - before).abs()).fold(0.0, f64::max);
     // The motors carry the weight, but a spring of the scene may pull the device a little.
-    assert!(moved < 0.1, "{what} moved by {moved} rad");
+    assert!(largest_motion < 0.1, "{what} moved by {largest_motion} rad");
 }
 
 #[test]

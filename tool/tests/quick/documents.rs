@@ -32,8 +32,8 @@ fn files_in_the_documents_are_sound() {
 
 #[test]
 fn numbers_in_the_documents_equal_those_of_the_code() {
-    let says = |page: &str, said: String| {
-        assert!(read(page).replace('\n', " ").contains(&said), "{page} lacks this text: {said}");
+    let says = |page: &str, text: String| {
+        assert!(read(page).replace('\n', " ").contains(&text), "{page} lacks this text: {text}");
     };
     says("docs/protocol.md", format!("version, now {PROTOCOL}."));
     says("docs/protocol.md", format!("at most {MAX_FRAME} bytes before"));

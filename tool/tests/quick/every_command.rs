@@ -151,19 +151,19 @@ fn every_server_starts_and_ends() {
 fn flash_without_a_board_or_an_image_is_refused() {
     let folder = folder_with_devices();
     std::fs::write(folder.path().join("no.dfu"), "DfuSe").unwrap();
-    let refused = |line: &str, code: i32, says: &str| {
+    let refuses = |line: &str, code: i32, says: &str| {
         let assert = haptic(&split_words(line)).current_dir(folder.path()).assert().code(code);
         let message = String::from_utf8_lossy(&assert.get_output().stderr).into_owned();
         assert!(message.contains(says), "haptic {line}\n{message}");
     };
-    refused("flash --port sim", 2, "a simulated board has no flash for firmware");
-    refused("flash --file no.dfu", 2, "no.dfu: it is not a DfuSe update file");
-    refused("flash --file nowhere.dfu", 2, "nowhere.dfu: ");
+    refuses("flash --port sim", 2, "a simulated board has no flash for firmware");
+    refuses("flash --file no.dfu", 2, "no.dfu: it is not a DfuSe update file");
+    refuses("flash --file nowhere.dfu", 2, "nowhere.dfu: ");
     match haptic_flash::embedded() {
-        [] => refused("flash --port NOSUCHBOARD", 1, "this tool was built without images: in a checkout of its source"),
+        [] => refuses("flash --port NOSUCHBOARD", 1, "this tool was built without images: in a checkout of its source"),
         _ => {
-            refused("flash --port NOSUCHBOARD", 1, "finding a board: ");
-            refused("flash toaster --port NOSUCHBOARD", 2, "this tool has no image for toaster");
+            refuses("flash --port NOSUCHBOARD", 1, "finding a board: ");
+            refuses("flash toaster --port NOSUCHBOARD", 2, "this tool has no image for toaster");
         }
     }
 }

@@ -97,8 +97,8 @@ impl FiveBarOracle {
         ] {
             let centre = self.derivative(q, |points| points[from] + (points[to] - points[from]) * along);
             // The change of a link's unit direction is perpendicular to it and as large as the change of its angle.
-            let turned = self.derivative(q, |points| (points[to] - points[from]) / length);
-            mass += centre.transpose() * centre * weight + turned.transpose() * turned * inertia;
+            let normal_rate = self.derivative(q, |points| (points[to] - points[from]) / length);
+            mass += centre.transpose() * centre * weight + normal_rate.transpose() * normal_rate * inertia;
         }
         mass
     }

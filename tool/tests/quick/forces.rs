@@ -4,6 +4,6 @@ use crate::common::forces::runs_beyond_limit;
 
 #[test]
 fn no_shipped_device_pushes_harder_than_its_limit() {
-    let wrong = runs_beyond_limit(0..3);
-    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+    let failed_runs = runs_beyond_limit(0..3);
+    assert!(failed_runs.is_empty(), "{}", failed_runs.join("\n"));
 }

@@ -321,9 +321,9 @@ fn a_device_that_is_not_homed_reports_that_it_is_not_ready() {
     let forgotten = LocalServer::of(HaplyListener::open(0).unwrap(), forget);
     let (mut program, _, first) = forgotten.connect();
     assert_eq!(status(&first), [false; 3]);
-    let refused = program.request(&push);
-    assert_eq!(status(&refused), [false; 3]);
-    assert!(refused["inverse3"][0]["refusal"].as_str().unwrap().contains("not homed"), "{refused}");
+    let frame = program.request(&push);
+    assert_eq!(status(&frame), [false; 3]);
+    assert!(frame["inverse3"][0]["refusal"].as_str().unwrap().contains("not homed"), "{frame}");
 }
 
 #[test]
@@ -374,8 +374,8 @@ fn device_states_are_current() {
     server.board.lock().run(0.45);
     // A force computed from a state that is half a second old would be refused, so read the state again.
     program.request(&json!({}));
-    let pushed = program.request(&force_message(&id, "vector", [0.3, 0.0, 0.0]));
-    let before = number(&pushed, "/inverse3/0/state/cursor_position/x");
+    let frame = program.request(&force_message(&id, "vector", [0.3, 0.0, 0.0]));
+    let before = number(&frame, "/inverse3/0/state/cursor_position/x");
     server.board.lock().run(0.01);
     assert!(acts(&server.address) > 0.2);
     server.board.lock().run(0.4);
@@ -391,10 +391,10 @@ fn a_program_uses_its_configured_axes() {
     let place = |frame: &Value, axis: &str| number(frame, &format!("/inverse3/0/state/cursor_position/{axis}"));
     let configure =
         json!({"session": {"force_render_full_state": {}, "configure": {"basis": {"permutation": "ZX-Y"}}}});
-    let turned = program.request(&configure);
-    assert_eq!(turned["inverse3"][0]["config"]["basis"]["permutation"], "ZX-Y");
+    let turned_frame = program.request(&configure);
+    assert_eq!(turned_frame["inverse3"][0]["config"]["basis"]["permutation"], "ZX-Y");
     for (own, haply, sign) in [("x", "z", 1.0), ("y", "x", 1.0), ("z", "y", -1.0)] {
-        assert!((place(&turned, own) - sign * place(&first, haply)).abs() < 1e-4, "{turned}");
+        assert!((place(&turned_frame, own) - sign * place(&first, haply)).abs() < 1e-4, "{turned_frame}");
     }
     // The program's y axis is Haply's x axis.
     let push = force_message(&id, "vector", [0.0, 0.6, 0.0]);
@@ -406,10 +406,10 @@ fn a_program_uses_its_configured_axes() {
     }
     program.request(&push);
     server.board.lock().run(0.01);
-    let pushed = program.request(&json!({}));
-    assert!(number(&pushed, "/inverse3/0/state/current_cursor_force/y") > 0.5, "{pushed}");
-    let turning = ["a0", "a1"].map(|joint| number(&pushed, &format!("/inverse3/0/state/angular_velocity/{joint}")));
-    assert!(turning[0].hypot(turning[1]) > 1.0, "{pushed}");
+    let frame = program.request(&json!({}));
+    assert!(number(&frame, "/inverse3/0/state/current_cursor_force/y") > 0.5, "{frame}");
+    let turning = ["a0", "a1"].map(|joint| number(&frame, &format!("/inverse3/0/state/angular_velocity/{joint}")));
+    assert!(turning[0].hypot(turning[1]) > 1.0, "{frame}");
     drop(program);
     // The next program starts with the default axes.
     assert_eq!(server.connect().2["inverse3"][0]["config"]["basis"]["permutation"], "XYZ");

@@ -67,14 +67,14 @@ fn a_check_with_ten_times_the_counts_stops_near_its_start() {
         what: "a tenth of the file's counts",
         when: When::Always(|wired, _| scale_counts_per_turn(wired, 0.1)),
     };
-    let mut wrong = Vec::new();
+    let mut mistakes = Vec::new();
     for name in ["hapkit-paddle", "pantograph-mk2", "woodenhaptics"] {
         let (ended, moved) = measure_check(&shipped_device(name), &error);
         if !ended.is_err_and(|record| MISMATCH_FAULTS.contains(&record.fault)) || moved.travel > 0.2 {
-            wrong.push(format!("{name}: {ended:?}, {moved:?}"));
+            mistakes.push(format!("{name}: {ended:?}, {moved:?}"));
         }
     }
-    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+    assert!(mistakes.is_empty(), "{}", mistakes.join("\n"));
 }
 
 #[test]
@@ -82,13 +82,13 @@ fn checks_0_2_rad_off_home_push_at_most_1_2_times_the_limit() {
     let file = shipped_device("capstan-pantograph");
     let homed_off =
         |error| measure_check(&file, &InjectedError { what: "the device is not at home", when: When::Always(error) });
-    let pushed = [
+    let push_cases = [
         homed_off(|wired, _| displace_home(wired, [0.2, 0.0])),
         homed_off(|wired, _| displace_home(wired, [0.0, -0.2])),
         homed_off(|wired, _| displace_home(wired, [0.1, -0.1])),
         homed_off(|wired, _| displace_home(wired, [-0.2, 0.0])),
     ];
-    for (ended, moved) in pushed {
+    for (ended, moved) in push_cases {
         // From 0.2 rad off home the check stretches the linkage to its stop, where a torque causes the largest force.
         assert!(moved.push > 1.0 && moved.push < 1.2 * f64::from(GENTLE_FORCE), "{ended:?}, {moved:?}");
     }
@@ -104,8 +104,8 @@ fn displace_home(wired: &mut Description, off: [f64; 2]) {
 #[test]
 fn a_few_random_checks_push_no_harder_than_a_finger() {
     for seed in 0..12 {
-        let checked = check_wrong(seed);
-        assert!(checked.moved.push < 5.0 && checked.moved.travel < 0.15 && checked.ended.is_err(), "{checked}");
+        let outcome = check_wrong(seed);
+        assert!(outcome.moved.push < 5.0 && outcome.moved.travel < 0.15 && outcome.ended.is_err(), "{outcome}");
     }
 }
 

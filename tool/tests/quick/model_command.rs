@@ -91,9 +91,9 @@ fn several_walls_have_directions_and_shares() {
 
 #[test]
 fn negative_numbers_parse_in_either_notation() {
-    let joined = model_json("haply-2diy", &["--q=-0.3,1.2", "--qd=-1,2", "--normal=-1,0.5", "--force=-2"]);
-    let apart = model_json("haply-2diy", &["--q", "-0.3,1.2", "--qd", "-1,2", "--normal", "-1,0.5", "--force", "-2"]);
-    assert_eq!(joined, apart);
+    let equals = model_json("haply-2diy", &["--q=-0.3,1.2", "--qd=-1,2", "--normal=-1,0.5", "--force=-2"]);
+    let spaced = model_json("haply-2diy", &["--q", "-0.3,1.2", "--qd", "-1,2", "--normal", "-1,0.5", "--force", "-2"]);
+    assert_eq!(equals, spaced);
 }
 
 #[test]
@@ -121,11 +121,11 @@ fn whole_turns_change_nothing_on_the_board_either() {
     let turn = core::f64::consts::TAU;
     let wall = ["--normal=0.7,0.7", "--force=2", "--precision=f32"];
     let near = model_json("coupled-five-bar", &[&wall[..], &[&angles_option(&[2.6, 1.75])]].concat());
-    let far = [2.6 + 1000.0 * turn, 1.75 - 1000.0 * turn];
+    let angles = [2.6 + 1000.0 * turn, 1.75 - 1000.0 * turn];
     // Angles of many turns cause a warning on standard error.
-    let far =
-        common::json(&model_line("devices/coupled-five-bar.toml", &[&wall[..], &[&angles_option(&far)]].concat()));
-    let (near, far) = (numbers(&near["torque"]), numbers(&far["torque"]));
+    let far_report =
+        common::json(&model_line("devices/coupled-five-bar.toml", &[&wall[..], &[&angles_option(&angles)]].concat()));
+    let (near, far) = (numbers(&near["torque"]), numbers(&far_report["torque"]));
     let same = near.iter().zip(&far).all(|(a, b)| (a - b).abs() < 2.0e-6);
     assert!(near.len() == 2 && far.len() == 2 && same, "{near:?} {far:?}");
 }
@@ -151,8 +151,8 @@ fn aligned_distal_links_are_a_parallel_singularity() {
     let q1 = ((0.15_f64 - 0.025) / 0.126).acos();
     let message = failing_model("pantograph-mk2", &[&angles_option(&[core::f64::consts::PI - q1, q1]), "--normal=0,1"]);
     assert!(message.contains("parallel singularity"), "{message}");
-    let apart = failing_model("pantograph-mk2", &[&angles_option(&[core::f64::consts::PI, 0.0]), "--normal=0,1"]);
-    assert!(apart.contains("do not meet"), "{apart}");
+    let message = failing_model("pantograph-mk2", &[&angles_option(&[core::f64::consts::PI, 0.0]), "--normal=0,1"]);
+    assert!(message.contains("do not meet"), "{message}");
 }
 
 #[test]
@@ -218,14 +218,14 @@ fn inertias_along_wall(document: &Value, torque: &DVector<f64>, normal: &[f64]) 
     let flat = (DMatrix::identity(n.len(), n.len()) - &n * n.transpose()).symmetric_eigen();
     let across: Vec<DVector<f64>> =
         (0..n.len()).filter(|i| flat.eigenvalues[*i] > 0.5).map(|i| flat.eigenvectors.column(i).into_owned()).collect();
-    let pressed = solve(torque);
-    let moved = across.iter().map(|t| {
+    let response = solve(torque);
+    let displacements = across.iter().map(|t| {
         let free = solve(&(jacobian.transpose() * t));
         // The wall's force keeps the tip on its surface.
-        &free - &pressed * (n.dot(&free) / n.dot(&pressed))
+        &free - &response * (n.dot(&free) / n.dot(&response))
     });
-    let moved: Vec<DVector<f64>> = moved.collect();
-    let mobility = DMatrix::from_fn(across.len(), across.len(), |i, j| across[i].dot(&moved[j]));
+    let displacements: Vec<DVector<f64>> = displacements.collect();
+    let mobility = DMatrix::from_fn(across.len(), across.len(), |i, j| across[i].dot(&displacements[j]));
     let mut inertias: Vec<f64> = mobility.complex_eigenvalues().iter().map(|value| 1.0 / value.re).collect();
     inertias.sort_by(f64::total_cmp);
     inertias

@@ -33,8 +33,8 @@ fn wrong_units_cause_a_warning_at_their_line() {
     // The torque constant of a bare motor, although its gear has a ratio of 15.
     let without_gear =
         [("torque_constant = 0.033333", "torque_constant = 0.0022"), ("coulomb = 0.002", "coulomb = 0.0")];
-    let soft = ("transmission = \"rigid\"\n", "[joint.transmission]\nstiffness = 0.1\n");
-    for (changes, key, said) in [
+    let soft_transmission = ("transmission = \"rigid\"\n", "[joint.transmission]\nstiffness = 0.1\n");
+    for (changes, key, warning) in [
         (&in_mm[..], "base = 38", "metres"),
         (&[("mass = 0.018", "mass = 18")], "mass = 18", "18 g are 0.018 kg"),
         (&[("inertia = 9e-06", "inertia = 9000")], "inertia = 9000", "longest link"),
@@ -49,10 +49,10 @@ fn wrong_units_cause_a_warning_at_their_line() {
         (&[("coulomb = 0.002", "coulomb = 0.2")], "coulomb = 0.2", "the joint cannot move"),
         (&[("counts_per_turn = 10752", "counts_per_turn = 500")], "counts_per_turn = 500", "500 lines are 2000 counts"),
         (&without_gear, "torque_constant = 0.0022", "the motor's constant times the gear ratio"),
-        (&[soft], "stiffness = 0.1", "winds up by 57 degrees at the largest torque of its motor"),
+        (&[soft_transmission], "stiffness = 0.1", "winds up by 57 degrees at the largest torque of its motor"),
     ] {
         let (json, err) = check_changed(changes, None);
-        let found = find_warning(&json, said).unwrap_or_else(|| panic!("{changes:?}: {err}"));
+        let found = find_warning(&json, warning).unwrap_or_else(|| panic!("{changes:?}: {err}"));
         assert!(err.contains(found["text"].as_str().unwrap()), "{err}");
         assert!(err.lines().all(|line| line.starts_with("haptic: warning: ")), "{err}");
         let text = changes.iter().fold(read("devices/haply-2diy.toml"), |text, (from, to)| text.replace(from, to));
@@ -64,7 +64,7 @@ fn wrong_units_cause_a_warning_at_their_line() {
 #[test]
 fn scenes_beyond_reach_loop_or_motors_cause_warnings() {
     let at = "[0.0, 0.125]";
-    for (scene, said) in [
+    for (scene, warning) in [
         (wall_toml("[0.0, 100.0]", "3000.0", "6.0"), "out of reach"),
         (wall_toml(at, "3.0e9", "6.0"), "times that"),
         (wall_toml(at, "3.0e9", "6.0"), "one encoder count into wall 0"),
@@ -75,7 +75,7 @@ fn scenes_beyond_reach_loop_or_motors_cause_warnings() {
         ("[[field]]\ndamping = 1e6\n".into(), "the damping of the fields"),
     ] {
         let (json, err) = check_changed(&[], Some(&scene));
-        assert!(find_warning(&json, said).is_some() && err.contains(said), "{scene}: {err}");
+        assert!(find_warning(&json, warning).is_some() && err.contains(warning), "{scene}: {err}");
     }
     let gentle = "[[spring]]\npoint = [0, 0.1]\nstiffness = 100\ndamping = 0.2\n[[field]]\ndamping = 0.5\n";
     let (_, err) = check_changed(&[], Some(gentle));
@@ -176,13 +176,13 @@ fn shipped_files_cause_no_warnings() {
         let (code, out, err) = run(&["check", device.to_str().unwrap()].into_iter().chain(scenes).collect::<Vec<_>>());
         assert_eq!(code, 0, "{err}");
         // Some scenes are stiff on purpose, to show the feed-forward, so `check` may warn that they rattle.
-        let warning_lines: Vec<&str> = err.lines().filter(|line| !line.contains("rattles: its force ripples")).collect();
+        let lines: Vec<&str> = err.lines().filter(|line| !line.contains("rattles: its force ripples")).collect();
         // The cable stiffness of these devices is not published, so their files leave it out, with one warning.
         if ["capstan-pantograph", "hapkit-paddle", "phantom-premium-1.5", "woodenhaptics"].contains(&name) {
-            let [line] = warning_lines[..] else { panic!("{err}") };
+            let [line] = lines[..] else { panic!("{err}") };
             assert!(line.contains("the file does not describe the transmission of joint"), "{err}");
         } else {
-            assert_eq!(warning_lines, [""; 0], "{out}");
+            assert_eq!(lines, [""; 0], "{out}");
         }
         assert!(out.contains("tip at home") && out.contains("largest force"), "{out}");
     }
@@ -249,7 +249,7 @@ fn warnings_about_arguments_are_in_the_json_document() {
 
 #[test]
 fn a_washout_that_costs_stability_causes_a_warning() {
-    let said = |corner: &str, feed_forward: &str| {
+    let print_warnings = |corner: &str, feed_forward: &str| {
         let wall = "[[wall]]\npoint = [0, 0.03]\nnormal = [0.6, 0.8]\nstiffness = 50\ndamping = 2\n";
         let law = format!("feed_forward = \"{feed_forward}\"\nwashout_hz = {corner}\n");
         let folder = Folder::new();
@@ -258,12 +258,12 @@ fn a_washout_that_costs_stability_causes_a_warning() {
         assert_eq!(code, 0, "{err}");
         err
     };
-    let costs = said("10", "washout");
+    let costs = print_warnings("10", "washout");
     assert!(costs.contains("the washout of wall 0, 10 Hz, costs more than it brings"), "{costs}");
     let free = costs.split("a corner of ").nth(1).unwrap().split(' ').next().unwrap();
     assert!(free.parse::<f64>().unwrap() < 10.0, "{costs}");
     for (corner, feed_forward) in [(free, "washout"), ("10", "full"), ("10", "off")] {
-        let err = said(corner, feed_forward);
+        let err = print_warnings(corner, feed_forward);
         assert!(!err.contains("the washout of wall"), "{corner} {feed_forward}: {err}");
     }
 }

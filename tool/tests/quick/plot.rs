@@ -179,8 +179,8 @@ fn a_legend_covers_no_curve() {
         let mut canvas = Canvas::new(800.0, 400.0);
         frame.clear_legend(&mut canvas, drawn, &[(Mark::Dot("red"), "a dot".into())]);
         let svg = canvas.finish("", "").svg().to_string();
-        let background = svg.lines().find(|line| line.contains("#ffffffee")).unwrap();
-        (svg_number(background, "x").unwrap(), svg_number(background, "y").unwrap(), svg_number(&svg, "height").unwrap())
+        let panel = svg.lines().find(|line| line.contains("#ffffffee")).unwrap();
+        (svg_number(panel, "x").unwrap(), svg_number(panel, "y").unwrap(), svg_number(&svg, "height").unwrap())
     };
     let width = 48.0 + 6.5 * 5.0;
     let right = 690.0 - width;
@@ -267,7 +267,7 @@ fn a_vibration_at_the_end_is_in_the_spectrum() {
 /// A wall of 60 kN/m, pressed 0.5 mm deep by a device with a force limit.
 #[test]
 fn the_stiffness_is_fitted_to_unlimited_rows() {
-    let pressed = |most: f64| {
+    let plot_press = |most: f64| {
         let (folder, csv) =
             write_rows(ROWS_PER_SECOND, "distance_m,rendered_n,saturated0,saturated1,state", 1000, |t| {
                 let depth = 0.5e-3 * (TAU * t).sin();
@@ -280,7 +280,7 @@ fn the_stiffness_is_fitted_to_unlimited_rows() {
         let printed = output(&["plot", "--svg", &svg, &csv]);
         (printed, json(&["plot", &csv]), std::fs::read_to_string(&svg).unwrap())
     };
-    let (printed, found, drawn) = pressed(5.0);
+    let (printed, found, drawn) = plot_press(5.0);
     let (rows, cut) = (found["contact_rows"].as_u64().unwrap(), found["saturated_rows"].as_u64().unwrap());
     assert!((395..=400).contains(&rows) && cut > 300 && rows - cut > 20, "{rows}, {cut}");
     assert!((found["stiffness"].as_f64().unwrap() - 60e3).abs() < 1.0, "{}", found["stiffness"]);
@@ -290,7 +290,7 @@ fn the_stiffness_is_fitted_to_unlimited_rows() {
     let ends: [[f64; 2]; 2] = serde_json::from_value(found["panels"][1]["line"].clone()).unwrap();
     assert!(ends.iter().all(|[x, y]| (y - 60e3 * x).abs() < 1e-6) && ends[1][1] < 5.0 && ends[1][1] > 4.5, "{ends:?}");
     assert_eq!(drawn.matches("stroke-dasharray=\"7 4\"").count(), 1);
-    let (printed, found, drawn) = pressed(0.5);
+    let (printed, found, drawn) = plot_press(0.5);
     assert!(found["stiffness"].is_null() && found["panels"][1]["line"].is_null(), "{found}");
     assert!(printed.contains("no stiffness, too few for a line: ") && printed.contains("found: none"), "{printed}");
     assert!(!drawn.contains("stroke-dasharray=\"7 4\""));
@@ -332,8 +332,8 @@ fn the_phase_portrait_of_noise_is_drawn_only_on_request() {
         let (_folder, csv) = write_rows(ROWS_PER_SECOND, columns, 1000, |t| format!("{t},{},0", speed(t)));
         let found = json(&[&["plot", &csv], more].concat());
         let panels = found["panels"].as_array().unwrap().iter();
-        let drawn = panels.filter(|panel| panel["view"] == "phase").count();
-        (drawn, found["said"].to_string().contains("velocity over distance is left out"))
+        let phase_panels = panels.filter(|panel| panel["view"] == "phase").count();
+        (phase_panels, found["said"].to_string().contains("velocity over distance is left out"))
     };
     let noise = |t: f64| (1e3 * t * t * 7919.0).sin() * f64::from(u8::from(((1e3 * t) as u64).is_multiple_of(2)));
     assert_eq!(views(|t| (TAU * 70.0 * t).sin(), &[]), (1, false));
@@ -398,7 +398,7 @@ fn pictures_for_a_paper_have_its_width_and_letter_size() {
     // A PNG has 600 dots per inch.
     haptic(&["plot", csv, "--png", png.to_str().unwrap(), "--width", "85"]).assert().success();
     let picture = std::fs::read(&png).unwrap();
-    let wide = u32::from_be_bytes(picture[16..20].try_into().unwrap());
-    assert!((f64::from(wide) / (85.0 / 25.4) - 600.0).abs() < 3.0, "{wide}");
+    let width_px = u32::from_be_bytes(picture[16..20].try_into().unwrap());
+    assert!((f64::from(width_px) / (85.0 / 25.4) - 600.0).abs() < 3.0, "{width_px}");
     haptic(&["plot", csv, "--width", "20"]).assert().code(2).stderr(contains("60 to 400 mm"));
 }

@@ -46,9 +46,9 @@ fn the_line_printed_by_check_predicts_the_same() {
             ("washout", "admissible = \"consistent\"\nestimator = \"predicted\"\nrate_hz = 20000\ncutoff_hz = 250\n"),
         ] {
             let scene = format!("{law}{wall}feed_forward = \"{feed_forward}\"\n{compensation}{posture}");
-            let checked = json(&["check", &device, &folder.write("scene.toml", &scene)]);
-            let contact = &checked["scenes"][0]["contacts"][0];
-            let options = contact["options"].as_str().unwrap_or_else(|| panic!("{name}\n{scene}\n{checked}"));
+            let report = json(&["check", &device, &folder.write("scene.toml", &scene)]);
+            let contact = &report["scenes"][0]["contacts"][0];
+            let options = contact["options"].as_str().unwrap_or_else(|| panic!("{name}\n{scene}\n{report}"));
             let found = predict(&device, options, feed_forward);
             let (kp, stable_to) = (&found["boundary"][0]["kp"], contact["stable_to"].as_f64().unwrap());
             assert!(stable_to > 0.0 && is_close(kp.as_f64().unwrap(), stable_to), "{name} {options}: {kp} {stable_to}");
@@ -71,8 +71,8 @@ fn lines_printed_by_range_and_measure_range_predict_the_same() {
     let folder = Folder::new();
     for name in ["cable-five-bar", "haply-2diy"] {
         let device = shipped_path(&format!("{name}.toml"));
-        let options_typed = ["--normal=0.6,0.8", "--hand", "0.1,2,300", "--washout", "2", "--kd", "3,1", "--rate", "5000"];
-        let range = json(&[&["range", &device, "--board", "odrive-v3", "--cutoff", "150"], &options_typed[..]].concat());
+        let words = ["--normal=0.6,0.8", "--hand", "0.1,2,300", "--washout", "2", "--kd", "3,1", "--rate", "5000"];
+        let range = json(&[&["range", &device, "--board", "odrive-v3", "--cutoff", "150"], &words[..]].concat());
         let again = range["options"].as_str().unwrap().split(' ').collect::<Vec<_>>();
         let again = json(&[&["range", &device], &again[..]].concat());
         assert_eq!((again["rate_hz"].as_f64(), again["drive"].as_str()), (Some(5000.0), Some("current")));
@@ -102,10 +102,10 @@ fn lines_printed_by_range_and_measure_range_predict_the_same() {
         let theory = predict(&device, options, "off")["boundary"][0]["kp"].as_f64().unwrap();
         assert!(is_close(theory, point["theory_kp"].as_f64().unwrap()), "{name} {line}: {theory} {point}");
         match point.get("felt") {
-            Some(felt) => {
+            Some(stiffness) => {
                 let cables = range["transmissions"].as_f64().unwrap();
                 let in_series = 1.0 / (1.0 / 3000.0 + 1.0 / cables);
-                assert!(name == "cable-five-bar" && is_close(felt.as_f64().unwrap(), in_series), "{felt}");
+                assert!(name == "cable-five-bar" && is_close(stiffness.as_f64().unwrap(), in_series), "{stiffness}");
             }
             None => assert_eq!(name, "haply-2diy"),
         }
@@ -123,8 +123,8 @@ fn design_and_range_agree_with_cables_too() {
         let range = &predict(&device, &options, mode)["boundary"][0];
         assert!(is_close(here["kp"].as_f64().unwrap(), range["kp"].as_f64().unwrap()), "{options}: {here} {range}");
         assert!(is_close(here["felt"].as_f64().unwrap(), range["felt"].as_f64().unwrap()), "{options}: {here} {range}");
-        let whole = predict(&device, found["options"].as_str().unwrap(), mode);
-        let points = whole["boundary"].as_array().unwrap().iter();
+        let full_prediction = predict(&device, found["options"].as_str().unwrap(), mode);
+        let points = full_prediction["boundary"].as_array().unwrap().iter();
         let most = points.map(|point| point["kp"].as_f64().unwrap()).fold(0.0, f64::max);
         assert!((0.0..3e-3).contains(&(here["kp"].as_f64().unwrap() / most - 1.0)), "{most} {here}");
     }
@@ -164,7 +164,8 @@ fn a_hand_at_rest_feels_a_wall_in_series_with_its_cables() {
         let point = &range[mode]["boundary"][0];
         let kp = point["kp"].as_f64().unwrap();
         // The motor angles θ at the joint angles q = E solve K (θ - q) = -kp (Jr θ) torque.
-        let motors = (&cables + torque * model.row.transpose() * kp).lu().solve(&(&cables * &model.unit_motion)).unwrap();
+        let motors =
+            (&cables + torque * model.row.transpose() * kp).lu().solve(&(&cables * &model.unit_motion)).unwrap();
         let static_stiffness = kp * model.row.dot(&motors);
         assert!(is_close(point["felt"].as_f64().unwrap(), static_stiffness), "{mode}: {point} {static_stiffness}");
         compliances.push(1.0 / static_stiffness - 1.0 / kp);
@@ -179,16 +180,16 @@ fn check_predicts_walls_in_the_hand_that_it_names() {
     let folder = Folder::new();
     let device = shipped_path("cable-five-bar.toml");
     let shipped = read("devices/scenes/cable-five-bar/wall.toml");
-    let written = |stiffness: f64| {
+    let check_wall = |stiffness: f64| {
         let lines = shipped.lines().map(|line| match line.starts_with("stiffness =") {
             true => format!("stiffness = {stiffness:?}"),
             false => line.to_string(),
         });
         let scene = folder.write("scene.toml", lines.collect::<Vec<_>>().join("\n"));
-        let checked = json(&["check", &device, &scene]);
-        (checked["scenes"][0]["contacts"][0].clone(), checked["warnings"].to_string())
+        let report = json(&["check", &device, &scene]);
+        (report["scenes"][0]["contacts"][0].clone(), report["warnings"].to_string())
     };
-    let (contact, _) = written(1000.0);
+    let (contact, _) = check_wall(1000.0);
     let alone = contact["stable_to"].as_f64().unwrap();
     let limit_in_hand = contact["in_hand"]["stable_to"].as_f64().unwrap();
     let options = contact["options"].as_str().unwrap();
@@ -197,7 +198,7 @@ fn check_predicts_walls_in_the_hand_that_it_names() {
     assert!(is_close(range["boundary"][0]["kp"].as_f64().unwrap(), limit_in_hand), "{range} {limit_in_hand}");
     // With cables the hand reduces the range, so a wall between the two limits buzzes only in the hand.
     assert!(limit_in_hand < 0.95 * alone, "{limit_in_hand} {alone}");
-    let (contact, warnings) = written((0.5 * (alone + limit_in_hand)).round());
+    let (contact, warnings) = check_wall((0.5 * (alone + limit_in_hand)).round());
     let wall = format!("{},{}", contact["stiffness"], options.rsplit(' ').next().unwrap());
     let swings = predict(&device, &format!("{options} --hand 0.12,6,1200 --wall {wall}"), "ripple");
     let swing = &swings["wall"]["swings"][mode];
@@ -207,25 +208,25 @@ fn check_predicts_walls_in_the_hand_that_it_names() {
     }
     assert!(warnings.contains("a hand of 0.12 kg, 6 N s/m and 1200 N/m"), "{warnings}");
     // Below both limits the wall is quiet.
-    assert!(!written((0.9 * limit_in_hand).round()).1.contains("a hand of"));
+    assert!(!check_wall((0.9 * limit_in_hand).round()).1.contains("a hand of"));
 }
 
 #[test]
 fn the_supply_bounds_the_motors_force() {
     let folder = Folder::new();
-    let checked = |supply: &str| {
+    let check_supply = |supply: &str| {
         let supply = format!("{supply}[geometry]");
         let changes = [("resistance = 2.0", "resistance = 15.0"), ("[geometry]", &supply)];
         let path = folder.write_changed("haply-2diy", &changes);
-        let checked = json(&["check", &path, "devices/scenes/haply-2diy/wall-soft.toml"]);
-        let force = checked["scenes"][0]["contacts"][0]["force"].as_f64().unwrap();
+        let report = json(&["check", &path, "devices/scenes/haply-2diy/wall-soft.toml"]);
+        let force = report["scenes"][0]["contacts"][0]["force"].as_f64().unwrap();
         let most = DeviceFile::load(&path).unwrap().description.joints[0].motor.unwrap().max_current;
-        (force, checked["summary"]["force_at_home"]["low"].as_f64().unwrap(), most, checked["warnings"].to_string())
+        (force, report["summary"]["force_at_home"]["low"].as_f64().unwrap(), most, report["warnings"].to_string())
     };
     // 3 A through 15 ohm need 45 V, more than a simulated board has.
-    let free = checked("");
+    let free = check_supply("");
     assert!(free.3.contains("the file names no supply"), "{}", free.3);
-    let bound = checked("supply = 12.0\n");
+    let bound = check_supply("supply = 12.0\n");
     let share = 12.0 * 0.92 / 15.0 / 3.0;
     assert!(bound.3.contains("the supply of 12 V"), "{}", bound.3);
     for (bound, free) in [(bound.0, free.0), (bound.1, free.1), (bound.2, free.2)] {
@@ -235,7 +236,7 @@ fn the_supply_bounds_the_motors_force() {
     let info = json(&["info", "--port", &format!("sim:{device}")]);
     assert!((info["bus_voltage"].as_f64().unwrap() - 12.0).abs() < 1e-3, "{info}");
     // A high supply causes no warning.
-    assert!(!checked("supply = 56.0\n").3.contains("supply"));
+    assert!(!check_supply("supply = 56.0\n").3.contains("supply"));
     let device = DeviceFile::load(&device).unwrap();
     let (_, mut board) = common::board(&device, BoardOptions::default());
     let scene = SceneFile::load(shipped_path("scenes/haply-2diy/wall-soft.toml"), 2).unwrap().scene().unwrap();
@@ -308,9 +309,9 @@ fn no_passive_bound_is_named_for_encoders_behind_cables() {
 #[test]
 fn without_a_stable_range_islands_are_reported() {
     let folder = Folder::new();
-    let soft = "stiffness = 40.0\ndamping = 0.0\nencoder_at = \"joint\"";
-    let soft = [("stiffness = 1280.0\ndamping = 0.0372", soft), ("viscous = 0.001", "viscous = 0.0")];
-    let path = folder.write_changed("cable-five-bar", &soft);
+    let soft_cable = "stiffness = 40.0\ndamping = 0.0\nencoder_at = \"joint\"";
+    let soft_changes = [("stiffness = 1280.0\ndamping = 0.0372", soft_cable), ("viscous = 0.001", "viscous = 0.0")];
+    let path = folder.write_changed("cable-five-bar", &soft_changes);
     let command = ["range", &path, "--normal=0.6,0.8", "--rate", "20000", "--cutoff", "500"];
     let range = json(&command);
     for number in [&range["off"]["area"], &range["off"]["kd_max"], &range["full"]["area"], &range["area_ratio"]] {
@@ -339,8 +340,8 @@ fn a_posture_is_part_of_the_loop() {
         ["off", "full"].map(|mode| range[mode]["boundary"][0]["kp"].as_f64().unwrap())
     };
     let within = |found: [f64; 2], known: [f64; 2]| (0..2).all(|i| (found[i] - known[i]).abs() < 1.0);
-    let (free, with_posture) = (of(&[]), of(&["--posture", "0.5,0.03"]));
-    assert!(within(free, LIMITS_WITHOUT_POSTURE) && within(with_posture, LIMITS_WITH_POSTURE), "{free:?} {with_posture:?}");
+    let (free, posture) = (of(&[]), of(&["--posture", "0.5,0.03"]));
+    assert!(within(free, LIMITS_WITHOUT_POSTURE) && within(posture, LIMITS_WITH_POSTURE), "{free:?} {posture:?}");
     // A posture without spring and damper changes nothing.
     let nothing = of(&["--posture", "0,0"]);
     assert!(nothing.iter().zip(free).all(|(nothing, free)| is_close(*nothing, free)), "{nothing:?} {free:?}");
@@ -387,9 +388,9 @@ fn all_commands_warn_of_degrees_and_of_poses_beyond_limits() {
     // Limits wider than a turn do not change the map.
     let mapped = |device: &str| json(&["map", device, "--normal=0,1"])["points"].clone();
     assert_eq!(mapped(&degrees), mapped(&shipped_path("haply-2diy.toml")));
-    let narrow = with("[0.5, 2.5]");
+    let narrow_range = with("[0.5, 2.5]");
     for command in ["model", "range"] {
-        let document = json(&[command, &narrow, "--q=2.3,0.2", "--normal=0,1"]);
+        let document = json(&[command, &narrow_range, "--q=2.3,0.2", "--normal=0,1"]);
         let text = document["warnings"][0]["text"].as_str().unwrap_or_else(|| panic!("{command}"));
         assert!(text.contains("outside its limits [0.5, 2.5]"), "{command}: {text}");
         assert_eq!(document["q"], serde_json::json!([2.3, 0.2]));

@@ -67,13 +67,13 @@ fn the_frequency_of_a_buzzing_wall_is_printed_with_its_limit() {
     let swings = &document["ripple"]["wall"]["swings"];
     let grows = |mode: &str| number(&swings[mode]["growth_per_s"]);
     assert!(grows("off") > 10.0 && grows("full") < 0.0 && swings.get("washout").is_none(), "{swings}");
-    let printed = output(&line);
-    assert_eq!((printed.contains("buzz Hz"), printed.matches("to buzz at 64.8 Hz, growing by").count()), (true, 1), "{printed}");
+    let text = output(&line);
+    assert_eq!((text.contains("buzz Hz"), text.matches("to buzz at 64.8 Hz, growing by").count()), (true, 1), "{text}");
     let wall = "[[wall]]\npoint = [0.0, 0.1]\nnormal = [0.0, 1.0]\nstiffness = 90e3\ndamping = 40.0\n";
     let scene = folder.write("scene.toml", format!("rate_hz = 1000\ncutoff_hz = 100\n{wall}"));
-    let checked = json(&["check", DEMO_RANGE[1], &scene]);
-    let hz = number(&checked["scenes"][0]["contacts"][0]["buzz"]["hz"]);
-    let warning = checked["warnings"][0]["text"].as_str().unwrap();
+    let check_report = json(&["check", DEMO_RANGE[1], &scene]);
+    let hz = number(&check_report["scenes"][0]["contacts"][0]["buzz"]["hz"]);
+    let warning = check_report["warnings"][0]["text"].as_str().unwrap();
     assert!(warning.contains(&format!("it will vibrate at about {hz:.0} Hz unless")), "{warning}");
 }
 
@@ -83,12 +83,13 @@ fn pictures_are_svg_or_png_and_explain_their_symbols() {
     let (svg, png) = (folder.path("range.svg"), folder.path("range.png"));
     let files = ["--washout", "2", "--svg", &svg, "--png", &png];
     let loop_ = ["--rate", "1000", "--cutoff", "20", "--delay", "1"];
-    let printed = output(&[&["range", DEMO_RANGE[1], "--q=2.6,1.75", "--normal=0.94,-0.34"], &loop_[..], &files].concat());
-    let drawn = std::fs::read_to_string(svg).unwrap();
-    assert!(drawn.contains("<title>coupled-five-bar") && std::fs::read(png).unwrap().starts_with(b"\x89PNG"));
-    assert!(printed.contains("delay 1 sample,") && drawn.contains("delay 1 sample,"), "{printed}");
+    let printed =
+        output(&[&["range", DEMO_RANGE[1], "--q=2.6,1.75", "--normal=0.94,-0.34"], &loop_[..], &files].concat());
+    let svg = std::fs::read_to_string(svg).unwrap();
+    assert!(svg.contains("<title>coupled-five-bar") && std::fs::read(png).unwrap().starts_with(b"\x89PNG"));
+    assert!(printed.contains("delay 1 sample,") && svg.contains("delay 1 sample,"), "{printed}");
     for symbol in ["b = 0.121 N s/m", "fc = ", "Δ = ", "Colgate and Schenkel", "Weff, Wrr:", "washout 2 Hz"] {
-        assert!(drawn.contains(symbol), "{symbol}");
+        assert!(svg.contains(symbol), "{symbol}");
     }
 }
 
@@ -122,8 +123,8 @@ fn a_wall_rendered_by_a_computer_is_compared_with_the_boards() {
     let kp = |domain: &Value| number(&domain["boundary"][0]["kp"]);
     assert!((kp(host) / kp(&slow["off"]) - 1.0).abs() < 1e-6, "{document}");
     assert!(number(&document["off"]["area"]) > 100.0 * number(&host["area"]));
-    let drawn = std::fs::read_to_string(svg).unwrap();
-    assert!(drawn.contains("rendered by a computer at 1000 Hz, 1.1 ms late"), "the picture lacks the computer's wall");
+    let svg = std::fs::read_to_string(svg).unwrap();
+    assert!(svg.contains("rendered by a computer at 1000 Hz, 1.1 ms late"), "the picture lacks the computer's wall");
     let printed = output(&[&board[..], &["--host-rate", "1000"]].concat());
     assert!(printed.contains("on a computer, 1000 Hz") && printed.contains("forces 1 ms old"), "{printed}");
 }
@@ -166,18 +167,18 @@ fn a_costly_feed_forward_causes_a_warning() {
     let folder = Folder::new();
     let text = read(DEMO_RANGE[1]);
     let cable = |damping: &str| format!("{{ stiffness = 1065.9, damping = {damping} }}");
-    let soft = text.replacen("\"rigid\"", &cable("0.03694"), 1).replacen("\"rigid\"", &cable("0.02262"), 1);
+    let soft_device = text.replacen("\"rigid\"", &cable("0.03694"), 1).replacen("\"rigid\"", &cable("0.02262"), 1);
     let uneven = text.replacen("viscous = 0.001", "viscous = 0.1", 1);
     let uneven = uneven.replacen("viscous = 0.001\n", "viscous = 1.0e-4\n", 1);
     let of = |text: String, rate: &str, cutoff: &str| {
         let device = folder.write("device.toml", text);
         json(&[&["range", &device], &DEMO_RANGE[2..], &["--rate", rate, "--cutoff", cutoff]].concat())
     };
-    let found = of(soft, "20000", "500");
+    let found = of(soft_device, "20000", "500");
     assert!(number(&found["area_ratio"]) < 0.7, "{}", found["area_ratio"]);
     assert!(found["warnings"][0]["text"].as_str().unwrap().contains("costs more than it brings"), "{found}");
-    let warnings = of(uneven, "1000", "20")["warnings"].to_string();
-    assert!(warnings.contains("the feed-forward leaves nothing stable here") && !warnings.contains("0.00 times"), "{warnings}");
+    let text = of(uneven, "1000", "20")["warnings"].to_string();
+    assert!(text.contains("the feed-forward leaves nothing stable here") && !text.contains("0.00 times"), "{text}");
 }
 
 /// If Wrr is many times Weff, 2 Hz is no longer far below the frequencies of a loop at 200 Hz.
@@ -188,8 +189,8 @@ fn a_washout_that_costs_stability_causes_a_warning() {
     let found = json(&[&["range", "devices/capstan-pantograph.toml"], &pose[..], &loop_].concat());
     let area = |mode: &str| number(&found[mode]["area"]);
     assert!(area("washout") < 0.5 * area("off") && area("full") > 10.0 * area("off"), "{found}");
-    let warnings = found["warnings"].to_string();
-    assert!(warnings.contains("the washout costs more than it") && !warnings.contains("the feed-forward costs"), "{warnings}");
+    let text = found["warnings"].to_string();
+    assert!(text.contains("the washout costs more than it") && !text.contains("the feed-forward costs"), "{text}");
     // A washout of 1 Hz leaves 0.85 of the stiffness of the stiffest wall, a washout of 0.5 Hz all of it.
-    assert!(warnings.contains("a corner of 0.5 Hz costs nothing"), "{warnings}");
+    assert!(text.contains("a corner of 0.5 Hz costs nothing"), "{text}");
 }

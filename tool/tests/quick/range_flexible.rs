@@ -57,14 +57,14 @@ fn an_infinitely_stiff_transmission_is_rigid() {
         {
             let around = Loop { drive, ..control_loop(1000.0, 50.0) };
             let known = domain(&stiff, &around, mode, None).unwrap();
-            let mut soft = stiff.clone();
+            let mut soft_device = stiff.clone();
             // The cable has a hundredth of the motor's critical damping.
             let damping = 0.02 * (stiffness * 2e-5_f64).sqrt();
-            soft.flexible.transmissions = vec![
+            soft_device.flexible.transmissions = vec![
                 transmission(stiffness, damping, EncoderAt::Motor),
                 transmission(stiffness, damping, EncoderAt::Joint),
             ];
-            let found = domain(&soft, &around, mode, None).unwrap();
+            let found = domain(&soft_device, &around, mode, None).unwrap();
             assert!((found.area / known.area - 1.0).abs() < 1e-9, "{mode:?}: {} {}", found.area, known.area);
             assert!((found.kd_max / known.kd_max - 1.0).abs() < 1e-9);
         }
@@ -82,9 +82,9 @@ fn a_joint_outside_the_loop_has_no_effect() {
     let around = control_loop(1000.0, 50.0);
     for mode in [Mode::Off, Mode::Full] {
         let known = domain(&device, &around, mode, None).unwrap();
-        let mut soft = device.clone();
-        soft.flexible.transmissions = vec![None, transmission(3.0, 0.0, EncoderAt::Motor)];
-        let found = domain(&soft, &around, mode, None).unwrap();
+        let mut soft_device = device.clone();
+        soft_device.flexible.transmissions = vec![None, transmission(3.0, 0.0, EncoderAt::Motor)];
+        let found = domain(&soft_device, &around, mode, None).unwrap();
         assert!(known.area > 0.0 && (found.area / known.area - 1.0).abs() < 1e-9, "{} {}", found.area, known.area);
     }
 }
@@ -94,9 +94,9 @@ fn a_fast_mode_lowers_the_boundary() {
     let stiff = stiff_device();
     let around = control_loop(1000.0, 50.0);
     let area = |device: &Linearised| domain(device, &around, Mode::Off, Some(&[])).unwrap().area;
-    let mut soft = stiff.clone();
-    soft.flexible.transmissions = vec![transmission(3.0, 5e-4, EncoderAt::Joint); 2];
-    assert!(area(&soft) < 0.5 * area(&stiff), "{} {}", area(&soft), area(&stiff));
+    let mut soft_device = stiff.clone();
+    soft_device.flexible.transmissions = vec![transmission(3.0, 5e-4, EncoderAt::Joint); 2];
+    assert!(area(&soft_device) < 0.5 * area(&stiff), "{} {}", area(&soft_device), area(&stiff));
 }
 
 #[test]
@@ -107,10 +107,10 @@ fn a_difference_over_more_samples_lowers_the_boundary() {
         let around = Loop { estimator, ..control_loop(1000.0, 50.0) };
         domain(&device, &around, Mode::Off, Some(&[])).map(|found| found.area)
     };
-    let plain = Loop { estimator: LinearEstimator::BackwardDifference, ..control_loop(1000.0, 50.0) };
-    let plain = domain(&device, &plain, Mode::Off, Some(&[])).unwrap().area;
-    assert!((mean(1).unwrap() / plain - 1.0).abs() < 1e-12);
-    assert!(mean(4).unwrap() < 0.6 * plain);
+    let estimator_loop = Loop { estimator: LinearEstimator::BackwardDifference, ..control_loop(1000.0, 50.0) };
+    let backward_area = domain(&device, &estimator_loop, Mode::Off, Some(&[])).unwrap().area;
+    assert!((mean(1).unwrap() / backward_area - 1.0).abs() < 1e-12);
+    assert!(mean(4).unwrap() < 0.6 * backward_area);
 }
 
 #[test]
@@ -127,10 +127,10 @@ fn a_mode_of_one_joint_equals_a_link_behind_a_transmission() {
         motor_inertia: 6e-4,
         encoder_at: EncoderAt::Motor,
     };
-    let soft = one(Flexible { transmissions: vec![Some(give)], ..Flexible::default() });
+    let soft_device = one(Flexible { transmissions: vec![Some(give)], ..Flexible::default() });
     for (rate, cutoff) in [(1000.0, 50.0), (5000.0, 200.0)] {
         let of = |device: &Linearised| domain(device, &control_loop(rate, cutoff), Mode::Off, None).unwrap();
-        let (left, right) = (of(&swings), of(&soft));
+        let (left, right) = (of(&swings), of(&soft_device));
         assert!(right.area > 0.0 && (left.area / right.area - 1.0).abs() < 1e-9, "{} {}", left.area, right.area);
         let rigid = of(&one(Flexible::default()));
         // The mode may enlarge or reduce the area, because a mass on a damped spring absorbs vibration.
@@ -148,9 +148,9 @@ fn a_very_fast_or_very_light_mode_is_rigid() {
         (StructuralMode { frequency: 300.0, damping: 0.5, inertia: 1e-14 }, 1e-6),
     ] {
         let known = domain(&stiff, &around, Mode::Full, None).unwrap();
-        let mut soft = stiff.clone();
-        soft.flexible.modes = vec![(1, mode)];
-        let found = domain(&soft, &around, Mode::Full, None).unwrap();
+        let mut soft_device = stiff.clone();
+        soft_device.flexible.modes = vec![(1, mode)];
+        let found = domain(&soft_device, &around, Mode::Full, None).unwrap();
         assert!((found.area / known.area - 1.0).abs() < close, "{mode:?}: {} {}", found.area, known.area);
     }
 }

@@ -71,8 +71,8 @@ fn the_boundary_is_where_a_simulation_starts_to_grow() {
     let device = three_joints();
     for mode in [Mode::Off, Mode::Full, Mode::Washout(4.0)] {
         let around = Loop { delay_samples: 0.5, ..control_loop(1000.0, 100.0) };
-        let whole = domain(&device, &around, mode, None).unwrap();
-        let kd = whole.kd_max * 0.4;
+        let whole_range = domain(&device, &around, mode, None).unwrap();
+        let kd = whole_range.kd_max * 0.4;
         let kp = domain(&device, &around, mode, Some(&[kd])).unwrap().boundary[0].kp;
         for (gain, grows) in [(kp * 0.99, false), (kp * 1.01, true)] {
             let (growth, hz) = simulated_swing(&device, mode, gain, kd);
@@ -210,11 +210,11 @@ fn a_fast_loop_with_a_low_cutoff_scales_with_the_mass() {
 #[test]
 fn impossible_loops_are_refused() {
     let device = three_joints();
-    let refused = |loop_: Loop, mode| domain(&device, &loop_, mode, None).unwrap_err();
-    assert_eq!(refused(control_loop(200.0, 100.0), Mode::Off), AnalysisError::Cutoff { cutoff: 100.0, rate: 200.0 });
-    let washout = refused(control_loop(200.0, 20.0), Mode::Washout(150.0));
+    let refusal = |loop_: Loop, mode| domain(&device, &loop_, mode, None).unwrap_err();
+    assert_eq!(refusal(control_loop(200.0, 100.0), Mode::Off), AnalysisError::Cutoff { cutoff: 100.0, rate: 200.0 });
+    let washout = refusal(control_loop(200.0, 20.0), Mode::Washout(150.0));
     assert_eq!(washout, AnalysisError::Cutoff { cutoff: 150.0, rate: 200.0 });
-    assert_eq!(refused(control_loop(0.0, 20.0), Mode::Off), AnalysisError::Rate(0.0));
+    assert_eq!(refusal(control_loop(0.0, 20.0), Mode::Off), AnalysisError::Rate(0.0));
     let early = Loop { delay_samples: -1.0, ..control_loop(200.0, 20.0) };
-    assert_eq!(refused(early, Mode::Off), AnalysisError::Delay(-1.0));
+    assert_eq!(refusal(early, Mode::Off), AnalysisError::Delay(-1.0));
 }

@@ -60,8 +60,8 @@ fn both_formats_contain_every_step_and_a_description() {
         // The shipped five-bar's home is at 2.3 rad.
         assert!((last[column("q0_rad")] - 2.3).abs() < 0.3, "{}", last[column("q0_rad")]);
         let about = recording.about.join("\n");
-        for said in ["date 20", "board simulated", "device coupled-five-bar", "wall 0: plane", "scene {", "rules {"] {
-            assert!(about.contains(said), "{said} in {about}");
+        for part in ["date 20", "board simulated", "device coupled-five-bar", "wall 0: plane", "scene {", "rules {"] {
+            assert!(about.contains(part), "{part} in {about}");
         }
         let rules = recording.about.iter().find_map(|line| line.strip_prefix("rules ")).unwrap();
         let rules: serde_json::Value = serde_json::from_str(rules).unwrap();

@@ -29,8 +29,8 @@ fn every_device_replays_the_same_torques_bit_for_bit() {
         let path = folder.path().join(name);
         let recording = record_and_load(&path, &[&shipped_path(device)], wall, &["--arm", "--seconds", "2.5"]);
         let force = recording.column("force_n").unwrap();
-        let pressed = recording.rows.iter().filter(|row| row[force] > 0.1).count();
-        assert!(pressed > 1_000, "{device}: a wall is pressed in only {pressed} rows");
+        let contact_rows = recording.rows.iter().filter(|row| row[force] > 0.1).count();
+        assert!(contact_rows > 1_000, "{device}: a wall is pressed in only {contact_rows} rows");
         replay(&path).success().stdout(contains("the same torques, to the bit"));
     }
 }
@@ -53,7 +53,7 @@ fn the_first_difference_is_named_with_its_step_and_size() {
         .max_by(|a, b| recording.rows[*a][torque].abs().total_cmp(&recording.rows[*b][torque].abs()))
         .unwrap();
     let head = text.lines().position(|line| line.starts_with("step,")).unwrap();
-    let changed = |row: usize, column: usize, change: &dyn Fn(&str) -> String| {
+    let change_cell = |row: usize, column: usize, change: &dyn Fn(&str) -> String| {
         let lines = text.lines().enumerate().map(|(index, line)| {
             let mut fields: Vec<String> = line.split(',').map(Into::into).collect();
             if index == head + 1 + row {
@@ -66,14 +66,14 @@ fn the_first_difference_is_named_with_its_step_and_size() {
     };
     let number = recording.rows[row][step] as u64;
     let bit = |torque: &str| f32::from_bits(torque.parse::<f32>().unwrap().to_bits() ^ 1).to_string();
-    changed(row, torque, &bit);
+    change_cell(row, torque, &bit);
     let text_of_step = format!("first difference: step {number}, ");
     replay(&path)
         .code(1)
         .stdout(contains(&text_of_step).and(contains("joint 0")).and(contains("(1 step of single precision)")))
         .stderr(contains("the torques differ in 1 of "));
     // A wrong count changes the torques from that step on.
-    changed(row, counts, &|count| (count.parse::<i64>().unwrap() + 40).to_string());
+    change_cell(row, counts, &|count| (count.parse::<i64>().unwrap() + 40).to_string());
     replay(&path).code(1).stdout(contains(&text_of_step)).stderr(contains("the torques differ in "));
     // Missing rows end the replay.
     let mut lines: Vec<&str> = text.lines().collect();

@@ -140,7 +140,7 @@ fn gravity_stays_compensated_at_every_depth() {
 
 #[test]
 fn walls_push_with_at_most_the_tip_force_limit_in_every_pose() {
-    let pressed = |device, q, normal, feed_forward| {
+    let press_points = |device, q, normal, feed_forward| {
         // Motors and torque limits are so strong that only the tip force limit of 5 N acts.
         let strong = SaturationCase { torque: 1.0e3, strength: 100.0, ..demo_case(feed_forward) };
         let case = SaturationCase { device, q, normal, tip_force: 5.0, steps: 300, ..strong };
@@ -158,14 +158,14 @@ fn walls_push_with_at_most_the_tip_force_limit_in_every_pose() {
         let (sin, cos) = angle.sin_cos();
         for feed_forward in [FeedForward::Off, FeedForward::Full, FeedForward::Washout] {
             for q in [[2.6, 1.75, 0.0], [2.4, 1.6, 0.0], [2.8, 1.9, 0.0]] {
-                let across = pressed("coupled-five-bar", q, [cos, sin, 0.0], feed_forward);
+                let across = press_points("coupled-five-bar", q, [cos, sin, 0.0], feed_forward);
                 // Only the feed-forward pushes sideways.
                 assert!(feed_forward != FeedForward::Off || across < 1.0e-3, "{across} N sideways");
             }
         }
         for device in ["phantom-premium-1.5", "woodenhaptics"] {
             for q in [[0.3, 0.9, -0.3], [-0.2, 0.7, -0.5]] {
-                let across = pressed(device, q, [cos * 0.6, sin * 0.6, 0.8], FeedForward::Off);
+                let across = press_points(device, q, [cos * 0.6, sin * 0.6, 0.8], FeedForward::Off);
                 assert!(across < 5.0e-3, "{device}: {across} N sideways");
             }
         }

@@ -162,8 +162,8 @@ fn only_the_arming_tool_holds_the_key_and_a_late_press_fails() {
     session.clear().unwrap();
     let step = session.step();
     shared.lock().run(0.6);
-    let refused = session.arm_held(step).unwrap_err();
-    assert!(refused.to_string().contains("press it again"), "{refused}");
+    let error = session.arm_held(step).unwrap_err();
+    assert!(error.to_string().contains("press it again"), "{error}");
     assert!(!shared.lock().status().state.drives());
 }
 

@@ -300,8 +300,8 @@ impl StraightForce {
         self.mechanism.transpose(&pose, &Vector2::new(0.0, newtons))
     }
 
-    fn limit_share(&self, asked: &Vector2<f64>) -> f64 {
-        asked.iter().fold(1.0, |share, torque| share.min(self.most / torque.abs()))
+    fn limit_share(&self, torques: &Vector2<f64>) -> f64 {
+        torques.iter().fold(1.0, |share, torque| share.min(self.most / torque.abs()))
     }
 
     fn tip_force(&self, q: &[f64], torque: &Vector2<f64>) -> Vector2<f64> {

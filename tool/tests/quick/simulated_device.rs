@@ -71,8 +71,8 @@ fn a_free_linkage_keeps_its_energy() {
         coast(&mut device, 0.01);
         worst = worst.max((device.plant().energy() / before - 1.0).abs());
     }
-    let moved = (device.tip()[0] - start[0]).hypot(device.tip()[1] - start[1]);
-    assert!(moved > 0.03, "the linkage moves too little: {moved} m");
+    let tip_path = (device.tip()[0] - start[0]).hypot(device.tip()[1] - start[1]);
+    assert!(tip_path > 0.03, "the linkage moves too little: {tip_path} m");
     assert!(worst < 1e-9, "relative energy drift {worst:e}");
 }
 
@@ -202,8 +202,8 @@ fn a_linkage_pulled_beyond_its_reach_gains_no_energy() {
             let before = device.plant().energy();
             for _ in 0..600 {
                 coast(&mut device, 1e-3);
-                let turned = (0..3).map(|i| (device.q()[i] - start[i]).abs()).fold(0.0, f64::max);
-                assert!(turned < 2.0 * std::f64::consts::TAU, "{name} to {to:?}: {:?} rad", device.q());
+                let largest_turn = (0..3).map(|i| (device.q()[i] - start[i]).abs()).fold(0.0, f64::max);
+                assert!(largest_turn < 2.0 * std::f64::consts::TAU, "{name} to {to:?}: {:?} rad", device.q());
                 // The integration error near the singularity is up to 4e-4.
                 let energy = device.plant().energy();
                 assert!(energy <= 1.001 * before, "{name} to {to:?}: {before} J, then {energy} J");
@@ -249,9 +249,9 @@ fn swinging_paddle(frequency: f64, damping: f64) -> Description {
 fn a_mode_equals_a_link_behind_a_transmission() {
     // The mode's 3e-4 kg m² equal the link of a soft paddle whose motor has the other 7e-4.
     let mode = StructuralMode { frequency: 80.0, damping: 0.02, inertia: 3e-4 };
-    let mut soft = soft_paddle(mode.stiffness(), mode.viscous(), EncoderAt::Motor);
-    soft.joints[0].transmission.as_mut().unwrap().motor_inertia = 7e-4;
-    let (mut left, mut right) = (device(&swinging_paddle(80.0, 0.02)), device(&soft));
+    let mut soft_device = soft_paddle(mode.stiffness(), mode.viscous(), EncoderAt::Motor);
+    soft_device.joints[0].transmission.as_mut().unwrap().motor_inertia = 7e-4;
+    let (mut left, mut right) = (device(&swinging_paddle(80.0, 0.02)), device(&soft_device));
     for _ in 0..50 {
         for device in [&mut left, &mut right] {
             device.step(&[MotorInput::Torque(0.01); 3], 1e-3);
@@ -267,13 +267,13 @@ fn modes_keep_their_energy_and_stiff_modes_are_rigid() {
     let mut both = soft_paddle(40.0, 0.0, EncoderAt::Motor);
     both.joints[0].modes[0] = Some(StructuralMode { frequency: 150.0, damping: 0.0, inertia: 1e-4 });
     both.joints[0].modes[1] = Some(StructuralMode { frequency: 400.0, damping: 0.0, inertia: 1e-4 });
-    let mut soft = device(&both);
-    soft.step(&[MotorInput::Torque(0.05); 3], 3e-3);
+    let mut soft_device = device(&both);
+    soft_device.step(&[MotorInput::Torque(0.05); 3], 3e-3);
     // The rest of the motor current decays within a step.
-    coast(&mut soft, 1e-3);
-    let before = soft.plant().energy();
-    coast(&mut soft, 0.2);
-    assert!((soft.plant().energy() / before - 1.0).abs() < 1e-9, "{} {before}", soft.plant().energy());
+    coast(&mut soft_device, 1e-3);
+    let before = soft_device.plant().energy();
+    coast(&mut soft_device, 0.2);
+    assert!((soft_device.plant().energy() / before - 1.0).abs() < 1e-9, "{} {before}", soft_device.plant().energy());
     let (mut stiff, mut rigid) = (device(&swinging_paddle(1e7, 0.0)), device(&paddle(0.0, 0.0)));
     for device in [&mut stiff, &mut rigid] {
         device.step(&[MotorInput::Torque(0.01); 3], 0.05);
@@ -309,21 +309,21 @@ fn cogging_holds_a_motor_in_its_wells_without_energy_loss() {
     // Placed next to a maximum, the motor falls into the well and rises to the same height on the other side.
     cogging.place([0.1 * well, 0.0, 0.0]);
     let before = cogging.plant().energy();
-    let mut far: f64 = 0.0;
+    let mut largest_distance: f64 = 0.0;
     for _ in 0..500 {
         coast(&mut cogging, 1e-3);
-        far = far.max(cogging.q()[0]);
+        largest_distance = largest_distance.max(cogging.q()[0]);
         // With the midpoint rule the energy oscillates a little but does not drift.
         assert!((cogging.plant().energy() / before - 1.0).abs() < 1e-6, "{} {before}", cogging.plant().energy());
     }
-    assert!((far - 0.9 * well).abs() < 1e-3 * well, "{far} {well}");
+    assert!((largest_distance - 0.9 * well).abs() < 1e-3 * well, "{largest_distance} {well}");
     // Cogging holds torques up to its amplitude.
     for (torque, leaves) in [(0.0049, false), (0.0056, true)] {
         let mut damped = description;
         damped.joints[0].viscous = 0.02;
-        let mut pushed = device(&damped);
-        pushed.place([0.5 * well, 0.0, 0.0]);
-        pushed.step(&[MotorInput::Torque(torque); 3], 3.0);
-        assert_eq!(pushed.q()[0] > 1.5 * well, leaves, "{torque}: {}", pushed.q()[0] / well);
+        let mut damped_device = device(&damped);
+        damped_device.place([0.5 * well, 0.0, 0.0]);
+        damped_device.step(&[MotorInput::Torque(torque); 3], 3.0);
+        assert_eq!(damped_device.q()[0] > 1.5 * well, leaves, "{torque}: {}", damped_device.q()[0] / well);
     }
 }

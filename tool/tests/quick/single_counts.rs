@@ -80,8 +80,8 @@ fn mean_torque(counts_per_turn: f64, speed: f64) -> SVector<f64, 2> {
     let (periods, window) = (600, 200);
     let mut sum = SVector::zeros();
     for period in 0..periods {
-        let turned = speed * f64::from(period) / 20_000.0;
-        let counts = [start[0] + turned, start[1] - turned].map(|q| (q / TAU * counts_per_turn).floor() as i32);
+        let turn_angle = speed * f64::from(period) / 20_000.0;
+        let counts = [start[0] + turn_angle, start[1] - turn_angle].map(|q| (q / TAU * counts_per_turn).floor() as i32);
         let added = with.step(&counts).torque - without.step(&counts).torque;
         if period >= periods - window {
             sum += added / f64::from(window);

@@ -146,38 +146,38 @@ fn a_request_to_disarm_arrives_at_a_board_that_is_in_use() {
 
 #[test]
 fn silent_connections_do_not_block_a_request_to_disarm() {
-    let served = ServedBoard::on_tcp(NO_PATIENCE, AN_HOUR);
-    let mut first = served.open_armed();
-    let silent = || (0..100).map(|_| served.connect()).collect::<Vec<_>>();
+    let server = ServedBoard::on_tcp(NO_PATIENCE, AN_HOUR);
+    let mut first = server.open_armed();
+    let silent = || (0..100).map(|_| server.connect()).collect::<Vec<_>>();
     // Like `haptic disarm`, first connect normally, which is refused because the board is in use.
     let _crowd = silent();
-    served.assert_refuses_second_tool();
+    server.assert_refuses_second_tool();
     let _more = silent();
     assert_eq!(first.status().unwrap().state, State::Armed);
-    disarm_held_board(&served.port).unwrap();
+    disarm_held_board(&server.port).unwrap();
     assert_eq!(first.status().unwrap().state, State::Disarmed);
 }
 
 #[test]
 fn partial_requests_do_not_block_a_request_to_disarm() {
-    let served = ServedBoard::on_tcp(AN_HOUR, AN_HOUR);
-    let mut first = served.open_armed();
+    let server = ServedBoard::on_tcp(AN_HOUR, AN_HOUR);
+    let mut first = server.open_armed();
     let strangers = (0..100).map(|_| {
-        let mut stranger = served.connect();
+        let mut stranger = server.connect();
         // The write may fail, because a refused connection is closed.
         let _ = stranger.write_all(&[1]);
         stranger
     });
     let _crowd: Vec<_> = strangers.collect();
-    disarm_held_board(&served.port).unwrap();
+    disarm_held_board(&server.port).unwrap();
     assert_eq!(first.status().unwrap().state, State::Disarmed);
 }
 
 #[test]
 fn a_tool_replaces_silent_connections() {
-    let served = ServedBoard::on_tcp(AN_HOUR, NO_PATIENCE);
-    let _silent: Vec<_> = (0..100).map(|_| served.connect()).collect();
-    let mut board = served.open();
+    let server = ServedBoard::on_tcp(AN_HOUR, NO_PATIENCE);
+    let _silent: Vec<_> = (0..100).map(|_| server.connect()).collect();
+    let mut board = server.open();
     // The silent connections do not get the board back.
     for _ in 0..100 {
         board.status().unwrap();
@@ -202,24 +202,24 @@ fn a_flooding_tool_costs_bounded_memory_and_is_replaced() {
     assert!(waiting > 10_000, "the board replied with only {waiting} bytes");
     let room = BoardOptions::default().send_buffer + 70_000;
     assert!(waiting < room, "{waiting} bytes wait for a tool that does not read");
-    let served = ServedBoard::on_tcp(AN_HOUR, AN_HOUR);
-    let mut flood = served.connect();
+    let server = ServedBoard::on_tcp(AN_HOUR, AN_HOUR);
+    let mut flood = server.connect();
     let requests: Vec<u8> = (0..20_000).flat_map(request::<GetDetails>).collect();
     flood.write_all(&requests).unwrap();
     drop(flood);
-    served.open().status().unwrap();
+    server.open().status().unwrap();
 }
 
 #[test]
 fn a_board_arms_again_after_a_hundred_armed_reconnections() {
-    let served = ServedBoard::on_tcp(AN_HOUR, AN_HOUR);
-    let mut board = served.open_armed();
+    let server = ServedBoard::on_tcp(AN_HOUR, AN_HOUR);
+    let mut board = server.open_armed();
     board.disarm().unwrap();
     let host_seconds = Rules::HOST_SECONDS.1;
     board.set_rules(&Rules { host_action: HostAction::Disarm, host_seconds, ..Rules::default() }).unwrap();
     drop(board);
     for round in 0..100 {
-        let mut board = served.open();
+        let mut board = server.open();
         board.keep_alive();
         // After a tool that left without disarming, the motors are still on.
         board.disarm().unwrap();
@@ -232,15 +232,15 @@ fn a_board_arms_again_after_a_hundred_armed_reconnections() {
             board.disarm().unwrap();
         }
     }
-    assert_eq!(served.open().faults().unwrap().len(), 0);
+    assert_eq!(server.open().faults().unwrap().len(), 0);
 }
 
 #[test]
 fn losing_the_board_while_streaming_is_a_clear_error() {
-    let served = ServedBoard::on_tcp(AN_HOUR, AN_HOUR);
+    let server = ServedBoard::on_tcp(AN_HOUR, AN_HOUR);
     let cable = TcpListener::bind("127.0.0.1:0").unwrap();
     let port = PortSpec::Tcp(cable.local_addr().unwrap().to_string());
-    let mut to_board = served.connect();
+    let mut to_board = server.connect();
     // Cut the connection after 2000 bytes from the board.
     let relay = spawn(move || {
         let (mut tool, _) = cable.accept().unwrap();

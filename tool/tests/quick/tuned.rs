@@ -61,8 +61,8 @@ fn estimators_are_compared_on_a_wall_that_range_finds_stable() {
     let most = report["off"]["boundary"][0]["kp"].as_f64().unwrap();
     assert!((4.0 * stiffness / most - 1.0).abs() < 1e-9, "{stiffness} of {most} N/m");
     assert!((2.0 * damping / report["off"]["kd_max"].as_f64().unwrap() - 1.0).abs() < 1e-9, "{damping} N s/m");
-    let soft = "stiffness = 40.0\ndamping = 0.0";
-    let text = with_cables("joint").replace("stiffness = 250.0\ndamping = 0.01", soft);
+    let soft_cable = "stiffness = 40.0\ndamping = 0.0";
+    let text = with_cables("joint").replace("stiffness = 250.0\ndamping = 0.01", soft_cable);
     folder.write("cables.toml", text.replace("viscous = 0.001", "viscous = 0.0"));
     let line = format!("tune estimators {path} --normal 0.6,0.8 --rate 5000 --cutoff 200");
     type_lines(&format!("1: {line} => no wall here is predicted stable | (--wall)"), &[]);
@@ -128,7 +128,7 @@ fn taps_rebound_like_a_mass_on_a_spring() {
     let mass = 0.0008 / (0.07 * 0.07) + 0.05;
     let question = Question { speed: 0.01, ..question(&file, 20_000.0) };
     let simulation = WallSimulation::new(&file.description, &file.description, &[0.0], &[1.0], 20_000.0).unwrap();
-    let mut rebound_counts = BTreeSet::new();
+    let mut counts = BTreeSet::new();
     for stiffness in [2_000.0_f64, 10_000.0] {
         for ratio in [0.02, 0.06, 0.13, 0.3, 0.8] {
             let damping = 2.0 * ratio * (stiffness * mass).sqrt();
@@ -143,10 +143,10 @@ fn taps_rebound_like_a_mass_on_a_spring() {
             assert!(near, "{stiffness} N/m at {ratio} of critical damping: {found}, not {known}");
             let keeps = keeps(&question, &wall).unwrap().is_some();
             assert_eq!(keeps, known <= MOST_REBOUNDS, "{known} rebounds: {wall:?}");
-            rebound_counts.insert(known);
+            counts.insert(known);
         }
     }
-    assert!(rebound_counts.contains(&0) && rebound_counts.contains(&1) && rebound_counts.len() > 3, "{rebound_counts:?}");
+    assert!(counts.contains(&0) && counts.contains(&1) && counts.len() > 3, "{counts:?}");
 }
 
 fn rendered_wall(wall: &Settings) -> Rendered {

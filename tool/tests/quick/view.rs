@@ -39,7 +39,7 @@ struct TestView {
 
 struct Page {
     id: PageId,
-    heard: Received,
+    received: Received,
     /// Message that the page repeats: `Hold` while the key is down, otherwise `Here`. `None` for a silent page.
     repeated: Option<FromPage>,
 }
@@ -61,7 +61,7 @@ impl TestView {
         let mut view = Self::of(world, folder);
         let page = view.add_page();
         view.send(page, json!({"do": "take"}));
-        assert_eq!(view.pages[page].heard.picture["command"], view.pages[page].id);
+        assert_eq!(view.pages[page].received.picture["command"], view.pages[page].id);
         view
     }
 
@@ -74,8 +74,8 @@ impl TestView {
 
     /// Connects a page and returns its number.
     fn add_page(&mut self) -> usize {
-        let (id, heard) = (self.hub.come().unwrap(), Received::default());
-        self.pages.push(Page { id, heard, repeated: Some(FromPage::Here {}) });
+        let (id, received) = (self.hub.come().unwrap(), Received::default());
+        self.pages.push(Page { id, received, repeated: Some(FromPage::Here {}) });
         self.play(0.02);
         self.pages.len() - 1
     }
@@ -97,7 +97,7 @@ impl TestView {
                 self.play(0.02);
             }
         }
-        assert_eq!(self.state(), "Armed", "{:?}", self.pages[page].heard.refused);
+        assert_eq!(self.state(), "Armed", "{:?}", self.pages[page].received.refused);
     }
 
     /// Releases the key of the first page.
@@ -113,12 +113,12 @@ impl TestView {
 
     /// Returns the messages that a page has received.
     fn page(&self, page: usize) -> &Received {
-        &self.pages[page].heard
+        &self.pages[page].received
     }
 
     /// Returns the board's state as the last page shows it.
     fn state(&self) -> &str {
-        self.pages.last().unwrap().heard.state()
+        self.pages.last().unwrap().received.state()
     }
 
     fn play(&mut self, seconds: f64) {
@@ -133,16 +133,16 @@ impl TestView {
         self.now += Duration::from_millis(6);
         for page in &mut self.pages {
             if let Some(FromPage::Hold { seen }) = &mut page.repeated {
-                *seen = page.heard.step();
+                *seen = page.received.step();
             }
             page.repeated.iter().for_each(|repeated| self.hub.said(page.id, Ok(repeated.clone())));
         }
         while self.stage.turn(self.now).unwrap() == Turn::Played && self.simulated {}
-        for Page { id, heard, .. } in &mut self.pages {
+        for Page { id, received, .. } in &mut self.pages {
             for message in self.hub.take(*id).messages() {
                 match message {
-                    Sent::Text(text) => heard.receive_text(&text),
-                    Sent::Bytes(bytes) => heard.receive_bytes(&bytes),
+                    Sent::Text(text) => received.receive_text(&text),
+                    Sent::Bytes(bytes) => received.receive_bytes(&bytes),
                 }
             }
         }
@@ -452,8 +452,8 @@ fn gains_beyond_the_boundary_need_confirmation() {
     view.wait_for_boundary();
     let gains = |stiffness: f64| gains_message(stiffness, 80.0, "off", false);
     // Beyond the boundary, as after the tip slid to a less stable place, turning the feed-forward off is refused, too.
-    for (asked, refused) in [(8_700.0, 1), (39_000.0, 2)] {
-        view.send(0, gains(asked));
+    for (stiffness, refused) in [(8_700.0, 1), (39_000.0, 2)] {
+        view.send(0, gains(stiffness));
         assert_eq!(view.page(0).refused.len(), refused);
         assert!(view.page(0).refusal().contains("predicted to be unstable"), "{}", view.page(0).refusal());
         assert_eq!(view.page(0).walls[0]["feed_forward"], "washout", "refused gains took effect");
@@ -482,13 +482,13 @@ fn refusals_name_the_gains_and_gains_have_an_upper_limit() {
     view.wait_for_boundary();
     let before = view.page(0).walls[0].clone();
     view.send(0, gains_message(8_700.0, 80.0, "off", false));
-    let refused = view.page(0).refused.last().unwrap().clone();
-    assert_eq!((&refused["of"], &refused["again"]["stiffness"]), (&json!("gains"), &json!(8700.0)));
-    assert!(view.page(0).refusal().starts_with("8.70 kN/m with 80.0 N s/m and feed-forward off"), "{refused}");
+    let refusal = view.page(0).refused.last().unwrap().clone();
+    assert_eq!((&refusal["of"], &refusal["again"]["stiffness"]), (&json!("gains"), &json!(8700.0)));
+    assert!(view.page(0).refusal().starts_with("8.70 kN/m with 80.0 N s/m and feed-forward off"), "{refusal}");
     for (stiffness, damping) in [(1e9, 80.0), (8_700.0, 1e9)] {
         view.send(0, gains_message(stiffness, damping, "off", true));
-        let refused = view.page(0).refused.last().unwrap();
-        assert!(refused["again"].is_null() && refused["of"] == "gains", "{refused}");
+        let refusal = view.page(0).refused.last().unwrap();
+        assert!(refusal["again"].is_null() && refusal["of"] == "gains", "{refusal}");
         assert!(view.page(0).refusal().contains("that motors and rules allow here"), "{}", view.page(0).refusal());
     }
     assert_eq!(view.page(0).walls[0], before);
@@ -520,7 +520,7 @@ fn the_boundary_includes_compliance_posture_and_drive() {
         let subject = Subject::new(&device.description).unwrap();
         let mut view = TestView::in_command(World::simulate(device, Some(scene.clone())).unwrap(), None);
         let plane = view.wait_for_boundary();
-        assert!(plane.assumes.iter().any(|told| told.contains(words)), "{name}: {:?}", plane.assumes);
+        assert!(plane.assumes.iter().any(|assumption| assumption.contains(words)), "{name}: {:?}", plane.assumes);
         let (scene, wall) = (scene.cast::<f64>(), scene.walls[0]);
         let Surface::Plane(surface) = wall.surface else { panic!("{name}: the wall is no plane") };
         let estimator = LinearEstimator::of(scene.estimator, scene.cutoff_hz).unwrap();
@@ -539,8 +539,8 @@ fn the_boundary_includes_compliance_posture_and_drive() {
             prediction.range(&plane.q, &[Member::new(normal.clone(), 1.0)], None, None).unwrap().off.boundary
         });
         let furthest = |other: &[BoundaryPoint]| {
-            let apart = plane.off.iter().zip(other).map(|(a, b)| (a.kp - b.kp).abs());
-            apart.fold(0.0, f64::max) / plane.off.iter().map(|point| point.kp).fold(0.0, f64::max)
+            let kp_differences = plane.off.iter().zip(other).map(|(a, b)| (a.kp - b.kp).abs());
+            kp_differences.fold(0.0, f64::max) / plane.off.iter().map(|point| point.kp).fold(0.0, f64::max)
         };
         let (with, without) = (furthest(&with), furthest(&without));
         assert!(with < 1e-3 && without > 2e-3, "{name}: {with} {without}");
@@ -724,8 +724,8 @@ fn a_simulation_starts_over_and_arms_again() {
         view.play(0.8);
         view.send(0, gains_message(3000.0, 20.0, "full", true));
         if broken {
-            let far = board.lock().device().start().map(|angle| angle + 0.5);
-            board.lock().device_mut().place(far);
+            let far_angles = board.lock().device().start().map(|angle| angle + 0.5);
+            board.lock().device_mut().place(far_angles);
             view.play(0.1);
             let words = view.page(0).picture["fault"].as_str().unwrap().to_string();
             assert!(words.contains("start over") && !words.contains("cable"), "{words}");
@@ -765,16 +765,16 @@ fn the_feed_forward_button_makes_a_pressed_wall_buzz_or_quiet() {
     let number = |view: &TestView, name: &str| view.page(0).picture["numbers"][name].as_f64().unwrap();
     let [stiffness, damping] = ["stiffness", "damping"].map(|gain| view.page(0).walls[0][gain].as_f64().unwrap());
     let out = view.place_by_tip(0.0, 0.0);
-    let pressed = [(16, 0), (22, 0), (28, 0), (34, 0), (42, 0), (54, 0), (28, 6), (28, -6)];
-    let pressed = pressed
+    let places = [(16, 0), (22, 0), (28, 0), (34, 0), (42, 0), (54, 0), (28, 6), (28, -6)];
+    let places = places
         .map(|(depth, aside)| (view.place_by_tip(-1e-3 * f64::from(depth), 1e-3 * f64::from(aside)), depth, aside));
     // Requests a kind of feed-forward with confirmation.
     let click = |view: &mut TestView, kind: FeedForward| {
         view.send(0, json!({"do": "gains", "wall": 0, "stiffness": stiffness, "damping": damping, "feed_forward": kind, "beyond": true}));
     };
-    let mut description = String::new();
+    let mut rows = String::new();
     let mut as_it_should = true;
-    for (place, depth, aside) in pressed {
+    for (place, depth, aside) in places {
         view.send(0, json!({"do": "hand", "at": out}));
         view.play(0.8);
         view.send(0, json!({"do": "hand", "at": place}));
@@ -790,11 +790,11 @@ fn the_feed_forward_button_makes_a_pressed_wall_buzz_or_quiet() {
         });
         let plane = view.wait_for_boundary();
         let [off, washout] = [FeedForward::Off, FeedForward::Washout].map(|kind| plane.stiffness_to(kind, damping));
-        description += &format!("{depth} mm, {aside} mm aside: red {shares:.2?}, stable to {off:.0} or {washout:.0} N/m\n");
+        rows += &format!("{depth} mm, {aside} mm aside: red {shares:.2?}, stable to {off:.0} or {washout:.0} N/m\n");
         as_it_should &= shares[0] < 0.05 && shares[1] > 0.7 && shares[2] < 0.05;
         as_it_should &= 1.1 * off < stiffness && stiffness < 0.95 * washout;
     }
-    assert!(as_it_should, "a wall of {stiffness} N/m, {damping} N s/m:\n{description}");
+    assert!(as_it_should, "a wall of {stiffness} N/m, {damping} N s/m:\n{rows}");
     // The full feed-forward of (4) pushes a resting hand sideways; the feed-forward with a washout does not.
     click(&mut view, FeedForward::Full);
     view.play(1.6);
@@ -875,8 +875,8 @@ fn springs_and_their_anchors_are_sent_to_the_page() {
     assert_eq!(page.springs[0]["stiffness"], 250.0, "{}", page.springs);
     // The nearest point of the line y = 0.115 is straight above or below the tip.
     let (tip, anchor) = (&page.picture["geometry"]["tip"], &page.picture["geometry"]["springs"][0]);
-    let apart = (tip[0].as_f64().unwrap() - anchor[0].as_f64().unwrap()).abs();
-    assert!(apart < 1e-6 && (anchor[1].as_f64().unwrap() - 0.115).abs() < 1e-6, "{tip}: {anchor}");
+    let tip_offset = (tip[0].as_f64().unwrap() - anchor[0].as_f64().unwrap()).abs();
+    assert!(tip_offset < 1e-6 && (anchor[1].as_f64().unwrap() - 0.115).abs() < 1e-6, "{tip}: {anchor}");
 }
 
 #[test]
@@ -935,10 +935,10 @@ fn the_page_is_served_only_to_this_computer() {
     assert!(http_request(host, &format!("POST / HTTP/1.1\r\nHost: {host}\r\n\r\n")).starts_with("HTTP/1.1 400 "));
     assert!(http_request(host, "\0\x01\x02 what\r\n\r\n").starts_with("HTTP/1.1 400 "));
     // A browser keeps a spare connection and would take bytes from it for the reply to the next request.
-    let (mut spare, mut said) = (TcpStream::connect(host).unwrap(), String::new());
+    let (mut spare, mut received_text) = (TcpStream::connect(host).unwrap(), String::new());
     spare.shutdown(Shutdown::Write).unwrap();
-    spare.read_to_string(&mut said).unwrap();
-    assert_eq!(said, "", "a connection without a request received bytes");
+    spare.read_to_string(&mut received_text).unwrap();
+    assert_eq!(received_text, "", "a connection without a request received bytes");
 }
 
 #[test]
@@ -951,9 +951,9 @@ fn other_computers_need_the_token() {
     let get = |path: &str| http_request(host, &format!("GET {path} HTTP/1.1\r\nHost: {host}\r\n\r\n"));
     assert!(get("/").starts_with("HTTP/1.1 403 ") && get("/live").starts_with("HTTP/1.1 403 "));
     assert!(get(&format!("/{query}")).starts_with("HTTP/1.1 200 "));
-    let (mut page, mut heard) = (connect_page(&url), Received::default());
-    while heard.you == 0 {
-        assert!(read_message(&mut page, &mut heard));
+    let (mut page, mut received) = (connect_page(&url), Received::default());
+    while received.you == 0 {
+        assert!(read_message(&mut page, &mut received));
     }
 }
 
@@ -973,10 +973,10 @@ fn connections_without_token_do_not_block_pages() {
 }
 
 /// Reads one message if there is one. Returns false if the connection has ended.
-fn read_message(socket: &mut WebSocket<TcpStream>, heard: &mut Received) -> bool {
+fn read_message(socket: &mut WebSocket<TcpStream>, received: &mut Received) -> bool {
     match socket.read() {
-        Ok(Message::Text(text)) => heard.receive_text(&text),
-        Ok(Message::Binary(bytes)) => heard.receive_bytes(&bytes),
+        Ok(Message::Text(text)) => received.receive_text(&text),
+        Ok(Message::Binary(bytes)) => received.receive_bytes(&bytes),
         Ok(_) => {}
         Err(tungstenite::Error::Io(error)) => {
             return matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut | ErrorKind::Interrupted);
@@ -990,17 +990,17 @@ fn read_message(socket: &mut WebSocket<TcpStream>, heard: &mut Received) -> bool
 fn malformed_messages_are_refused() {
     let mut view = TestView::of(World::demo().unwrap(), None);
     let url = serve_pages("127.0.0.1:0", &view.hub);
-    let (mut socket, mut heard) = (connect_page(&url), Received::default());
+    let (mut socket, mut received) = (connect_page(&url), Received::default());
     let texts = ["", "{", "null", "[1]", r#"{"do":"fly"}"#, r#"{"do":"hold","seen":1,"x":1}"#].map(Message::text);
     for (count, message) in (1..).zip(texts.into_iter().chain([Message::binary(vec![1, 2, 3])])) {
         socket.send(message).unwrap();
-        while heard.refused.len() < count {
+        while received.refused.len() < count {
             view.step();
-            assert!(read_message(&mut socket, &mut heard));
+            assert!(read_message(&mut socket, &mut received));
         }
-        assert!(heard.refusal().starts_with("not a message of this page"), "{}", heard.refusal());
+        assert!(received.refusal().starts_with("not a message of this page"), "{}", received.refusal());
     }
-    assert!(heard.refusal().contains("binary"), "{}", heard.refusal());
+    assert!(received.refusal().contains("binary"), "{}", received.refusal());
     // A message that is far too long ends only the connection that sent it.
     let mut other = connect_page(&url);
     let _ = other.send(Message::text("x".repeat(100_000)));
@@ -1008,8 +1008,8 @@ fn malformed_messages_are_refused() {
         view.step();
     }
     socket.send(Message::text(r#"{"do":"take"}"#)).unwrap();
-    while heard.picture["command"] != heard.you || heard.you == 0 {
+    while received.picture["command"] != received.you || received.you == 0 {
         view.step();
-        assert!(read_message(&mut socket, &mut heard));
+        assert!(read_message(&mut socket, &mut received));
     }
 }

@@ -62,7 +62,10 @@ fn the_map_depends_on_the_admissible_set() {
         assert!(points.len() > 50, "{name}: {} poses", points.len());
         for point in &points {
             let model = Linearised::holding(&arm.description, &point.q, &NORMAL, admissible).unwrap();
-            assert!((point.w_rr / model.w_rr() - 1.0).abs() < 1e-9 && point.w_rr > point.w_eff * (1.0 - 1e-9), "{name}");
+            assert!(
+                (point.w_rr / model.w_rr() - 1.0).abs() < 1e-9 && point.w_rr > point.w_eff * (1.0 - 1e-9),
+                "{name}"
+            );
         }
         points
     });

@@ -102,12 +102,12 @@ fn every_text_lies_within_the_picture() {
     for line in svg.lines().filter(|line| line.starts_with("<text")) {
         let text = line.split_once('>').unwrap().1.trim_end_matches("</text>");
         // A letter of the picture's font is on average a little wider than half of the font size.
-        let wide = 0.53 * value(line, "font-size") * text.chars().count() as f64;
+        let text_width = 0.53 * value(line, "font-size") * text.chars().count() as f64;
         let x = value(line, "x");
         let (left, right) = match line {
-            _ if line.contains("\"end\"") => (x - wide, x),
-            _ if line.contains("\"middle\"") => (x - wide / 2.0, x + wide / 2.0),
-            _ => (x, x + wide),
+            _ if line.contains("\"end\"") => (x - text_width, x),
+            _ if line.contains("\"middle\"") => (x - text_width / 2.0, x + text_width / 2.0),
+            _ => (x, x + text_width),
         };
         assert!(left >= 0.0 && right <= width, "{line}");
         words += 1;

@@ -105,7 +105,8 @@ impl Session {
         if let Some((master, _)) = &mut terminal {
             master.write_all(b"y\n").unwrap();
         }
-        let output_readers = [read_in_background(child.stdout.take().unwrap()), read_in_background(child.stderr.take().unwrap())];
+        let output_readers =
+            [read_in_background(child.stdout.take().unwrap()), read_in_background(child.stderr.take().unwrap())];
         if comment.contains("Ctrl-C") {
             let start = Instant::now();
             while !handles_interrupts(&mut child) && start.elapsed() < self.patience {
@@ -234,8 +235,8 @@ fn a_failing_line_is_detected() {
     let block = |line: &str| Block { place: "x.md:1".into(), kind: Kind::Quick, lines: vec![line.into()] };
     let run = |line: &str| run(&block(line), Duration::from_secs(600));
     assert_eq!(run("haptic model devices/coupled-five-bar.toml --q 2.6,1.75   # a remark"), Ok(()));
-    let wrong = run("haptic model devices/coupled-five-bar.toml --no-such-option").unwrap_err();
-    assert!(wrong.contains("x.md:1") && wrong.contains("no-such-option"), "{wrong}");
+    let message = run("haptic model devices/coupled-five-bar.toml --no-such-option").unwrap_err();
+    assert!(message.contains("x.md:1") && message.contains("no-such-option"), "{message}");
     assert!(run("haptic sim no-such-file.toml").unwrap_err().contains("exit code Some(2)"));
     let line = "haptic model devices/haply-2diy.toml --normal 0,1 # prints";
     assert_eq!(run(&format!("{line} \"has almost no benefit\"")), Ok(()));

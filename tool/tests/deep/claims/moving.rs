@@ -48,21 +48,21 @@ impl SlidingLoop {
         };
         let nominal = self.torque(&q0, &qd0, 0.0);
         let inverse = |pose: &_| m.mass(pose).try_inverse().expect("positive definite");
-        let moved = |q: &Vector2<f64>, qd: &Vector2<f64>| {
+        let acceleration = |q: &Vector2<f64>, qd: &Vector2<f64>| {
             let pose = m.pose::<Libm>(q);
             inverse(&pose) * (nominal - m.coriolis(&pose, qd))
         };
-        let (by_q, by_qd) = (by(&|q| moved(q, &qd0), &q0), by(&|qd| moved(&q0, qd), &qd0));
+        let (by_q, by_qd) = (by(&|q| acceleration(q, &qd0), &q0), by(&|qd| acceleration(&q0, qd), &qd0));
         let law_q = by(&|q| self.torque(q, &qd0, 0.0), &q0);
         let law_qd = by(&|qd| self.torque(&q0, qd, 0.0), &qd0);
         let newton = self.torque(&q0, &qd0, 1.0) - nominal;
         // The zero-order hold is computed by the series of the matrix exponential.
-        let mut joined = DMatrix::zeros(6, 6);
-        joined.view_mut((0, 2), (2, 2)).copy_from(&Matrix2::identity());
-        joined.view_mut((2, 0), (2, 2)).copy_from(&by_q);
-        joined.view_mut((2, 2), (2, 2)).copy_from(&by_qd);
-        joined.view_mut((2, 4), (2, 2)).copy_from(&inverse(&pose));
-        let transition = (joined / rate).exp();
+        let mut augmented = DMatrix::zeros(6, 6);
+        augmented.view_mut((0, 2), (2, 2)).copy_from(&Matrix2::identity());
+        augmented.view_mut((2, 0), (2, 2)).copy_from(&by_q);
+        augmented.view_mut((2, 2), (2, 2)).copy_from(&by_qd);
+        augmented.view_mut((2, 4), (2, 2)).copy_from(&inverse(&pose));
+        let transition = (augmented / rate).exp();
         let g = (std::f64::consts::PI * cutoff / rate).tan();
         let a0 = 1.0 + std::f64::consts::SQRT_2 * g + g * g;
         let (b0, b1) = (g * g / a0, 2.0 * g * g / a0);

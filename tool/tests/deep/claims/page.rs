@@ -248,11 +248,11 @@ impl AssumedModel {
 
     /// Returns the share of the gained inertia that remains when a board with this model controls the real device.
     pub fn gain_kept(&self, (q, normal): ([f64; 2], f64)) -> f64 {
-        let wrong = linearise(&self.description, (self.assumed_angles(q), normal));
+        let model = linearise(&self.description, (self.assumed_angles(q), normal));
         let real = linearise(&five_bar(), (q, normal));
         let mass = real.mass.clone().cholesky().expect("positive definite");
-        let inertia_met = |torque| 1.0 / wrong.row.dot(&mass.solve(torque));
-        (inertia_met(&wrong.shaped_torque()) - inertia_met(&wrong.row)) / (real.w_rr() - real.w_eff().expect("a regular pose"))
+        let inertia = |torque| 1.0 / model.row.dot(&mass.solve(torque));
+        (inertia(&model.shaped_torque()) - inertia(&model.row)) / (real.w_rr() - real.w_eff().expect("a regular pose"))
     }
 
     fn assumed_angles(&self, q: [f64; 2]) -> [f64; 2] {
@@ -293,7 +293,7 @@ pub struct GainRetained {
 /// Evaluates poses within 0.6 rad of home in steps of 0.05 rad and normals in steps of 15°, if Wrr/Weff is above 1.3.
 pub fn gain_kept_around_home(wrong_models: &[AssumedModel]) -> GainRetained {
     let description = five_bar();
-    let mut gain_retained = GainRetained { cases: 0, below: 0, least: f64::INFINITY, most: f64::NEG_INFINITY };
+    let mut gain = GainRetained { cases: 0, below: 0, least: f64::INFINITY, most: f64::NEG_INFINITY };
     let steps = |i: i32| 0.05 * f64::from(i);
     for (a, b) in (-12..=12).flat_map(|a| (-12..=12).map(move |b| (a, b))) {
         let q = [HOME[0] + steps(a), HOME[1] + steps(b)];
@@ -307,13 +307,13 @@ pub fn gain_kept_around_home(wrong_models: &[AssumedModel]) -> GainRetained {
             }
             let models = wrong_models.iter().filter(|model| is_regular(model.assumed_angles(q)));
             for share in models.map(|model| model.gain_kept((q, normal))) {
-                gain_retained.cases += 1;
-                gain_retained.below += usize::from(share < 0.875);
-                (gain_retained.least, gain_retained.most) = (gain_retained.least.min(share), gain_retained.most.max(share));
+                gain.cases += 1;
+                gain.below += usize::from(share < 0.875);
+                (gain.least, gain.most) = (gain.least.min(share), gain.most.max(share));
             }
         }
     }
-    gain_retained
+    gain
 }
 
 /// Returns the angle between a push on the free tip along the demo's normal and the motion of the tip, degrees.
@@ -336,9 +336,9 @@ fn felt_inertias() -> Perception {
 
 /// Returns Wrr/Weff of the serial-3r in the pose (0.5, 0.8, 0.7) along the normal (0.6, 0.8) for an admissible set.
 pub fn inertia_ratio(admissible: Admissible) -> f64 {
-    let model = Linearised::holding(&shipped_device("serial-3r").description, &[0.5, 0.8, 0.7], &[0.6, 0.8], admissible)
+    let arm = Linearised::holding(&shipped_device("serial-3r").description, &[0.5, 0.8, 0.7], &[0.6, 0.8], admissible)
         .expect("regular");
-    model.w_rr() / model.w_eff().expect("regular")
+    arm.w_rr() / arm.w_eff().expect("regular")
 }
 
 /// Returns the names and contents of the CSV files in docs/claims/.

@@ -10,10 +10,10 @@ use haptic_stability::skeleton::{Turret, skeleton};
 /// Runs a command that draws a published picture, but into a temporary folder, and compares the two pictures.
 fn compare_picture(line: &str, published: &str) {
     let folder = Folder::new();
-    let drawn = folder.path("drawn");
-    type_lines(&line.replace(published, &drawn), &[]);
+    let drawn_path = folder.path("drawn");
+    type_lines(&line.replace(published, &drawn_path), &[]);
     let published_bytes = std::fs::read(root().join(published)).unwrap();
-    assert!(std::fs::read(drawn).unwrap() == published_bytes, "`haptic {line} --force` updates {published}");
+    assert!(std::fs::read(drawn_path).unwrap() == published_bytes, "`haptic {line} --force` updates {published}");
 }
 
 #[test]
@@ -57,9 +57,9 @@ fn the_coupling_picture_is_drawn_by_its_command() {
     let device = shipped_device("coupled-five-bar");
     let size = 0.94_f64.hypot(-0.34);
     let normal = [0.94 / size, -0.34 / size];
-    let drawn = draw(&device.description, &device.name, &[2.6, 1.75], &normal, Admissible::default(), Paper::default());
-    let drawn = drawn.unwrap().unwrap();
-    assert!(drawn.svg() == read("docs/drawings/coupling.svg"), "`{line}` updates docs/drawings/coupling.svg");
+    let image = draw(&device.description, &device.name, &[2.6, 1.75], &normal, Admissible::default(), Paper::default());
+    let image = image.unwrap().unwrap();
+    assert!(image.svg() == read("docs/drawings/coupling.svg"), "`{line}` updates docs/drawings/coupling.svg");
 }
 
 /// Returns the numbers after `key`.
@@ -72,11 +72,11 @@ fn numbers_after(text: &str, key: &str) -> Vec<f64> {
 #[test]
 fn the_drawing_of_a_device_contains_its_whole_reach() {
     let folder = Folder::new();
-    let drawn = folder.path("drawn.svg");
+    let svg_path = folder.path("drawn.svg");
     let mut grounds = 0;
     for entry in toml_files("") {
-        type_lines(&format!("check {} --force --svg {drawn}", entry.display()), &[]);
-        let svg = std::fs::read_to_string(&drawn).unwrap();
+        type_lines(&format!("check {} --force --svg {svg_path}", entry.display()), &[]);
+        let svg = std::fs::read_to_string(&svg_path).unwrap();
         let Some(ground) = svg.lines().find(|line| line.starts_with("<path transform")) else { continue };
         grounds += 1;
         let clip = svg.lines().find(|line| line.starts_with("<clipPath")).unwrap();
@@ -109,7 +109,7 @@ fn every_drawn_tip_is_at_the_models_position() {
             let angle = |step: f64| (f64::from(i) * step).sin() * 3.0;
             let mut q = vec![angle(0.7), angle(1.3), angle(2.9)];
             q.truncate(description.kind.spec().joints);
-            let drawn = skeleton(&description, &q);
+            let skeleton_points = skeleton(&description, &q);
             if Turret::of(description.kind).is_some() {
                 q[0] = 0.0;
             }
@@ -117,7 +117,7 @@ fn every_drawn_tip_is_at_the_models_position() {
             if pose.regularity.parallel < 1e-6 {
                 continue;
             }
-            let tip = drawn.unwrap().tip;
+            let tip = skeleton_points.unwrap().tip;
             assert!((tip.0 - pose.position[0]).hypot(tip.1 - pose.position[1]) < 1e-12, "{name} {q:?}");
             drawn_count += 1;
         }

@@ -89,21 +89,21 @@ fn devices_to_draw() -> Vec<(DeviceFile, Admissible)> {
     devices
         .flat_map(|file| {
             let redundant = file.spec().joints > file.spec().task;
-            let held = [Admissible::Orientation, Admissible::Joint2, Admissible::Consistent];
-            held[..if redundant { 3 } else { 1 }].iter().map(|held| (file.clone(), *held)).collect::<Vec<_>>()
+            let sets = [Admissible::Orientation, Admissible::Joint2, Admissible::Consistent];
+            sets[..if redundant { 3 } else { 1 }].iter().map(|set| (file.clone(), *set)).collect::<Vec<_>>()
         })
         .collect()
 }
 
 #[test]
 fn every_picture_shows_the_numbers_of_the_model() {
-    for (file, held) in devices_to_draw() {
+    for (file, admissible) in devices_to_draw() {
         for (which, description) in [("as shipped", file.description), ("with limits", with_limits(file.description))] {
             let file = DeviceFile { description, name: format!("{} {which}", file.name), ..file.clone() };
             let normal = &[0.6, 0.8, 0.0][..file.spec().task];
-            let chart = chart(&file.description, &file.name, normal, held, Paper::default()).unwrap();
+            let chart = chart(&file.description, &file.name, normal, admissible, Paper::default()).unwrap();
             let image = Pixmap::decode_png(&chart.picture.png().unwrap()).unwrap();
-            check_colours(&file, normal, held, &chart, &image);
+            check_colours(&file, normal, admissible, &chart, &image);
             if file.spec().joints == 2 {
                 check_nothing_outside(&file, normal, &chart, &image);
             }
@@ -113,16 +113,16 @@ fn every_picture_shows_the_numbers_of_the_model() {
 }
 
 /// Compares colours with the model at random poses that can be reached from home.
-fn check_colours(file: &DeviceFile, normal: &[f64], held: Admissible, chart: &Chart, image: &Pixmap) {
+fn check_colours(file: &DeviceFile, normal: &[f64], admissible: Admissible, chart: &Chart, image: &Pixmap) {
     let mut random = Random::new(7);
     let (mut compared, mut wrong) = (0, Vec::new());
-    let home = evaluate_share(file, &file.description.home.unwrap()[..file.spec().joints], normal, held).unwrap();
+    let home = evaluate_share(file, &file.description.home.unwrap()[..file.spec().joints], normal, admissible).unwrap();
     for _ in 0..800 {
         let q = random_pose(&file.description, &mut random);
         if compared == 50 || !is_within_limits(&file.description, &q) {
             continue;
         }
-        let Some(found) = evaluate_share(file, &q, normal, held) else { continue };
+        let Some(found) = evaluate_share(file, &q, normal, admissible) else { continue };
         if found.regular < 0.2 || !is_reachable_straight(file, &q, normal, home.side) {
             continue;
         }
@@ -178,9 +178,9 @@ struct ModelPoint {
     regular: f64,
 }
 
-fn evaluate_share(file: &DeviceFile, q: &[f64], normal: &[f64], held: Admissible) -> Option<ModelPoint> {
+fn evaluate_share(file: &DeviceFile, q: &[f64], normal: &[f64], admissible: Admissible) -> Option<ModelPoint> {
     let walls = [WallForce { normal: normal.to_vec(), force: 0.0, stiffness: 1.0, feed_forward: true }];
-    let report = evaluate_holding(file, q, &vec![0.0; q.len()], &walls, Precision::F64, held).ok()?;
+    let report = evaluate_holding(file, q, &vec![0.0; q.len()], &walls, Precision::F64, admissible).ok()?;
     let pose = haptic_stability::analysis::pose::TaskPose::at(&file.description, q).ok()?;
     Some(ModelPoint {
         share: report.coupling[0][0] / report.w_rr[0][0],

@@ -117,12 +117,12 @@ where
             }
             device.gravity = [0.0; 3];
             let (p, normal) = (three(&surface, task), three(&n, task));
-            let mut wide = scene::<f64>(task, p, normal, 5.0, 0.0, FeedForward::Full);
-            wide.velocity_terms = terms;
-            let mut narrow = scene::<f32>(task, p, normal, 5.0, 0.0, FeedForward::Full);
-            narrow.velocity_terms = terms;
-            let mut exact = controller::<f64, Libm, _, N>(double, &device, &wide);
-            let mut found = controller::<f32, BoardMath, _, N>(board, &device, &narrow);
+            let mut scene_f64 = scene::<f64>(task, p, normal, 5.0, 0.0, FeedForward::Full);
+            scene_f64.velocity_terms = terms;
+            let mut scene_f32 = scene::<f32>(task, p, normal, 5.0, 0.0, FeedForward::Full);
+            scene_f32.velocity_terms = terms;
+            let mut exact = controller::<f64, Libm, _, N>(double, &device, &scene_f64);
+            let mut found = controller::<f32, BoardMath, _, N>(board, &device, &scene_f32);
             let (mut largest, mut size, mut rounding, mut estimated) = (0.0_f64, 0.0_f64, 0.0_f64, 0.0_f64);
             for step in 0..STEPS {
                 let q = start + qd * (f64::from(step) / RATE);

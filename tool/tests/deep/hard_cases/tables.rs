@@ -45,7 +45,7 @@ pub fn all_tables() -> [(&'static str, String); 10] {
             format!("{} | {} | {}", place_cells(row), row.poses, one_digit([row.regularity].into_iter().chain(board)))
         },
     );
-    let whole = table("device | singularity | at | W | Weff | z | f_a | torque", &SINGULAR, |row| {
+    let singular_table = table("device | singularity | at | W | Weff | z | f_a | torque", &SINGULAR, |row| {
         format!("{} | {}", place_cells(row), one_digit(row.whole.all()))
     });
     let extremes = table(
@@ -95,7 +95,7 @@ pub fn all_tables() -> [(&'static str, String); 10] {
     });
     [
         ("singularities", singular),
-        ("analysis", whole),
+        ("analysis", singular_table),
         ("extremes", extremes),
         ("filters", filters),
         ("stiff-wall", steps),

@@ -20,7 +20,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 /// Compares an uninterrupted computation with one that is interrupted at least `at_least` times.
 fn check_interrupted<R: Debug>(at_least: usize, step: usize, ask: impl Fn(&Sweep) -> Result<R, Failure>) {
     // `Debug` prints numbers exactly.
-    let whole = format!("{:?}", ask(&Sweep::quiet()).unwrap());
+    let uninterrupted = format!("{:?}", ask(&Sweep::quiet()).unwrap());
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("kept.json");
     for run in 0.. {
@@ -31,7 +31,7 @@ fn check_interrupted<R: Debug>(at_least: usize, step: usize, ask: impl Fn(&Sweep
         match ask(&sweep) {
             Ok(answer) => {
                 assert!(run >= at_least, "interrupted {run} times");
-                return assert_eq!(format!("{answer:?}"), whole);
+                return assert_eq!(format!("{answer:?}"), uninterrupted);
             }
             Err(failure) => assert!(failure.to_string().contains("interrupted"), "{failure}"),
         }
@@ -78,8 +78,8 @@ fn an_interrupted_range_continues() {
     check_interrupted(2, 12, |sweep| why(&device, &around, sweep));
     let description = file.description;
     let (hand, push_n) = (LIGHT_HAND, PUSH_N);
-    let pressed = Pressed { device: &device, description, q, normal, around: &around, hand, push_n };
-    check_interrupted(2, 12, |sweep| pressed.along(Mode::Full, DampingRule::Ratio(0.7), 0.1, sweep));
+    let press = Pressed { device: &device, description, q, normal, around: &around, hand, push_n };
+    check_interrupted(2, 12, |sweep| press.along(Mode::Full, DampingRule::Ratio(0.7), 0.1, sweep));
 }
 
 #[cfg(unix)]
@@ -90,7 +90,7 @@ fn ctrl_c_stops_a_command_and_the_same_line_continues_it() {
     let map_path = folder.path().join("map.json");
     let device = shipped_path("coupled-five-bar.toml");
     let line = ["map", &device, "--normal", "0.6,0.8", "--points", "400000", "--json"];
-    let whole = haptic(&line).output().unwrap().stdout;
+    let uninterrupted = haptic(&line).output().unwrap().stdout;
     let line = [&line[..], &["--continue", map_path.to_str().unwrap()]].concat();
     let mut command = std::process::Command::new(assert_cmd::cargo::cargo_bin("haptic"));
     let mut child = command.args(&line).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
@@ -101,11 +101,11 @@ fn ctrl_c_stops_a_command_and_the_same_line_continues_it() {
     assert_eq!(child.wait().unwrap().code(), Some(1), "{text}");
     assert!(text.contains("interrupted with") && text.contains("--continue"), "{text}");
     let other = [&line[..4], &["--points", "400001"], &line[6..]].concat();
-    let refused = String::from_utf8(haptic(&other).assert().get_output().stderr.clone()).unwrap();
+    let message = String::from_utf8(haptic(&other).assert().get_output().stderr.clone()).unwrap();
     if !text.contains("interrupted with 0 of") {
-        assert!(refused.contains("holds results of `haptic map`"), "{refused}");
+        assert!(message.contains("holds results of `haptic map`"), "{message}");
     }
     let again = haptic(&line).output().unwrap();
-    assert!(again.status.success() && again.stdout == whole, "{}", String::from_utf8_lossy(&again.stderr));
+    assert!(again.status.success() && again.stdout == uninterrupted, "{}", String::from_utf8_lossy(&again.stderr));
     assert!(!map_path.exists());
 }

@@ -44,8 +44,8 @@ fn the_feed_forward_reduces_vibration_for_every_tremor() {
 fn the_command_prints_its_table_and_draws_its_picture() {
     let folder = Folder::new();
     let svg = folder.path("demo.svg");
-    let printed = output(&["demo", "--svg", &svg]);
-    assert!(printed.contains(&format!("picture: {svg}")));
+    let text = output(&["demo", "--svg", &svg]);
+    assert!(text.contains(&format!("picture: {svg}")));
     let picture = std::fs::read_to_string(&svg).unwrap();
     assert!(picture.starts_with("<svg") && picture.trim_end().ends_with("</svg>"));
     assert_eq!(picture.matches("<polyline").count(), 6, "three panels with two runs each");
@@ -59,18 +59,18 @@ fn the_command_prints_its_table_and_draws_its_picture() {
             ("inertia that the wall meets, g", format!("{:.1}", 1e3 * value("/inertia_kg"))),
             ("measured", format!("{:.2}", 1e-3 * value("/highest_stable_stiffness_n_per_m/measured"))),
         ] {
-            let line = printed.lines().find(|line| line.contains(row)).unwrap();
+            let line = text.lines().find(|line| line.contains(row)).unwrap();
             assert_eq!(line.split_whitespace().rev().nth(1 - column), Some(number.as_str()), "{line}");
         }
     }
     // Text and picture name benefit and cost.
     for sentence in ["Better with it: ", "Worse with it: "] {
-        let line = printed.lines().find(|line| line.starts_with(sentence)).unwrap_or_else(|| panic!("{sentence}\n{printed}"));
+        let line = text.lines().find(|line| line.starts_with(sentence)).unwrap_or_else(|| panic!("{sentence}\n{text}"));
         assert!(picture.contains(line), "{line}");
     }
     for (what, worse) in [("penetration, mm", "deeper penetration"), ("peak force, N", "higher peak force")] {
-        let [without, with] = *row_numbers(&printed, what) else { panic!("{what}") };
-        assert_eq!(printed.contains(worse), with > without * 1.005, "{worse}: {without}, {with}");
+        let [without, with] = *row_numbers(&text, what) else { panic!("{what}") };
+        assert_eq!(text.contains(worse), with > without * 1.005, "{worse}: {without}, {with}");
     }
 }
 

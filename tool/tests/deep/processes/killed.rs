@@ -274,14 +274,14 @@ fn the_measurement_after_a_killed_one_restores_the_scene() {
     assert_ne!(now.1, before.1, "the killed measurement had not changed the rules");
     sim.run(&["faults", "--clear"]).success();
     // A measurement with another file cannot restore the scene.
-    let (_, errors) = wait_for_exit(sim.spawn(&measurement_line(&device, "--kd=15", &other)));
-    assert!(errors.contains("left by an interrupted measurement") && errors.contains("load your scene again"), "{errors}");
+    let (_, text) = wait_for_exit(sim.spawn(&measurement_line(&device, "--kd=15", &other)));
+    assert!(text.contains("left by an interrupted measurement") && text.contains("load your scene again"), "{text}");
     wait_until_free(&sim);
     assert_ne!(board_state().0, before.0);
     // If the device has not moved, the same command line continues the measurement and restores the scene.
-    let (_, errors) = wait_for_exit(sim.spawn(&first));
-    assert!(errors.contains("the earlier scene is restored") && !errors.contains("are not restored"), "{errors}");
-    assert!(errors.contains("of 3 repeats are in"), "{errors}");
+    let (_, text) = wait_for_exit(sim.spawn(&first));
+    assert!(text.contains("the earlier scene is restored") && !text.contains("are not restored"), "{text}");
+    assert!(text.contains("of 3 repeats are in"), "{text}");
     wait_until_free(&sim);
     assert_eq!(board_state(), before);
     assert!(!std::fs::read_to_string(&one).unwrap().contains("before"));

@@ -12,7 +12,7 @@ use tungstenite::{Message, WebSocket};
 
 struct Page {
     socket: WebSocket<TcpStream>,
-    heard: Received,
+    received: Received,
     /// True to report the key as down at every read.
     holding: bool,
 }
@@ -23,14 +23,14 @@ impl Page {
         let stream = TcpStream::connect(view.address()).unwrap();
         let (socket, _) = tungstenite::client(format!("ws://{}/live", view.address()), stream).unwrap();
         socket.get_ref().set_read_timeout(Some(Duration::from_millis(20))).unwrap();
-        let mut page = Self { socket, heard: Received::default(), holding: false };
+        let mut page = Self { socket, received: Received::default(), holding: false };
         page.take_command();
         page
     }
 
     fn take_command(&mut self) {
         self.send(json!({"do": "take"}));
-        self.wait_until("command", |heard| heard.you > 0 && heard.picture["command"] == heard.you);
+        self.wait_until("command", |received| received.you > 0 && received.picture["command"] == received.you);
     }
 
     fn send(&mut self, message: Value) {
@@ -40,10 +40,10 @@ impl Page {
     /// Reads one message, if there is one.
     fn read(&mut self) {
         if self.holding {
-            self.send(json!({"do": "hold", "seen": self.heard.step()}));
+            self.send(json!({"do": "hold", "seen": self.received.step()}));
         }
         match self.socket.read() {
-            Ok(Message::Text(text)) => self.heard.receive_text(&text),
+            Ok(Message::Text(text)) => self.received.receive_text(&text),
             Ok(_) => {}
             Err(tungstenite::Error::Io(error))
                 if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut | ErrorKind::Interrupted) => {}
@@ -53,8 +53,8 @@ impl Page {
 
     fn wait_until(&mut self, what: &str, is_so: impl Fn(&Received) -> bool) {
         let start = Instant::now();
-        while !is_so(&self.heard) {
-            assert!(start.elapsed() < HANG_TIMEOUT, "{what}: {}\n{:?}", self.heard.picture, self.heard.refused);
+        while !is_so(&self.received) {
+            assert!(start.elapsed() < HANG_TIMEOUT, "{what}: {}\n{:?}", self.received.picture, self.received.refused);
             self.read();
         }
     }
@@ -63,10 +63,10 @@ impl Page {
     fn arm(&mut self) {
         self.holding = true;
         let start = Instant::now();
-        while self.heard.state() != "Armed" {
-            assert!(start.elapsed() < HANG_TIMEOUT, "{:?}", self.heard.refused);
-            if self.heard.picture["held"] == false {
-                self.send(json!({"do": "arm", "seen": self.heard.step()}));
+        while self.received.state() != "Armed" {
+            assert!(start.elapsed() < HANG_TIMEOUT, "{:?}", self.received.refused);
+            if self.received.picture["held"] == false {
+                self.send(json!({"do": "arm", "seen": self.received.step()}));
             }
             self.read();
         }
@@ -84,23 +84,23 @@ fn the_page_waits_for_a_lost_board_even_without_its_scene() {
     page.arm();
     for back in [&["--scene", &wall][..], &[]] {
         socket.unplug();
-        page.wait_until("the loss of the board", |heard| heard.lost.is_some());
+        page.wait_until("the loss of the board", |received| received.lost.is_some());
         page.holding = false;
-        page.heard.hello = Value::Null;
+        page.received.hello = Value::Null;
         socket.plug(back);
         if back.is_empty() {
             let names_remedy = |why: &String| why.contains("`haptic scene FILE`");
-            page.wait_until("the remedy", |heard| heard.lost.as_ref().is_some_and(names_remedy));
+            page.wait_until("the remedy", |received| received.lost.as_ref().is_some_and(names_remedy));
             // Between two polls by the page the board is free for other tools.
             let scene = ["scene", &wall, "--port", &socket.address];
             wait_until("the scene", || haptic(&scene).output().unwrap().status.success());
         }
-        page.wait_until("the return of the board", |heard| !heard.hello.is_null());
-        page.heard.picture = Value::Null;
-        page.wait_until("no page in command", |heard| {
-            heard.state() == "Disarmed" && heard.picture["command"].is_null()
+        page.wait_until("the return of the board", |received| !received.hello.is_null());
+        page.received.picture = Value::Null;
+        page.wait_until("no page in command", |received| {
+            received.state() == "Disarmed" && received.picture["command"].is_null()
         });
-        page.heard.lost = None;
+        page.received.lost = None;
         page.take_command();
         page.arm();
     }

@@ -19,22 +19,22 @@ const TURRET_MOTOR_SHARE: f64 = 0.3;
 fn with_cables(device: &str, turret: bool, (hz, damped): Cable) -> String {
     let text = read(&format!("devices/{device}.toml"));
     let mut joint = 0;
-    let mut soft = String::new();
+    let mut changed_text = String::new();
     for line in text.lines() {
-        soft += line;
-        soft.push('\n');
-        if let Some(inertia) = line.strip_prefix("inertia = ").filter(|_| soft.contains("[[joint]]")) {
-            let whole: f64 = inertia.split_whitespace().next().unwrap().parse().unwrap();
-            let motor = if turret && joint == 0 { TURRET_MOTOR_SHARE * whole } else { whole };
+        changed_text += line;
+        changed_text.push('\n');
+        if let Some(inertia) = line.strip_prefix("inertia = ").filter(|_| changed_text.contains("[[joint]]")) {
+            let inertia_kg_m2: f64 = inertia.split_whitespace().next().unwrap().parse().unwrap();
+            let motor = if turret && joint == 0 { TURRET_MOTOR_SHARE * inertia_kg_m2 } else { inertia_kg_m2 };
             let stiffness = motor * (std::f64::consts::TAU * hz).powi(2);
             let damping = 2.0 * damped * (stiffness * motor).sqrt();
             let gains = format!("stiffness = {stiffness}, damping = {damping}");
-            soft += &format!("transmission = {{ {gains}, motor_inertia = {motor} }}\n");
+            changed_text += &format!("transmission = {{ {gains}, motor_inertia = {motor} }}\n");
             joint += 1;
         }
     }
     assert!(joint >= 2, "{device}");
-    soft
+    changed_text
 }
 
 /// Mode, measured stiffness (`None` without a result), predicted stiffness, and stiffness felt behind the cables, N/m.
@@ -84,8 +84,8 @@ fn measure(device: &str, normal: &str, loop_hz: (u32, u32), cable: Cable, world:
     let still = ["--friction", "viscous", "--yes", "--progress", progress.to_str().unwrap()];
     let document = run_json(&[&measure[..], &still[..], &world].concat(), normal, loop_hz);
     let rows = document["points"].as_array().unwrap().iter().map(|point| {
-        let [kp, theory, felt] = ["kp", "theory_kp", "felt"].map(|key| point[key].as_f64());
-        (point["mode"].as_str().unwrap().into(), kp, theory.unwrap(), felt)
+        let [kp, theory, static_stiffness] = ["kp", "theory_kp", "felt"].map(|key| point[key].as_f64());
+        (point["mode"].as_str().unwrap().into(), kp, theory.unwrap(), static_stiffness)
     });
     (kd.parse().unwrap(), rows.collect())
 }
@@ -150,7 +150,7 @@ fn measure_three_devices_at_three_rates() {
     }
     cases.push((DEVICES[0], (20_000, 500), STIFF_CABLE, NO_EMF));
     cases.extend([DEVICES[0], DEVICES[2]].map(|device| (device, (20_000, 500), STIFF_CABLE, IDEAL_DRIVE)));
-    let mut far = Vec::new();
+    let mut deviating_rows = Vec::new();
     for ((device, normal), loop_, cable, world) in cases {
         let (kd, rows) = measure(device, normal, loop_, cable, world);
         let drive = match world {
@@ -163,23 +163,23 @@ fn measure_three_devices_at_three_rates() {
         } else {
             10.0
         };
-        for (mode, found, predicted, felt) in rows {
+        for (mode, found, predicted, static_stiffness) in rows {
             let number = |value: Option<f64>| value.map_or(String::new(), |value| format!("{value:.0}"));
             let off = found.map(|found| 100.0 * (found / predicted - 1.0));
             let ((hz, _), (rate, cutoff)) = (cable, loop_);
-            let (found, felt) = (number(found), number(felt));
+            let (found, static_stiffness) = (number(found), number(static_stiffness));
             let off_by = off.map_or(String::new(), |off| format!("{off:+.1}"));
             let row = format!(
-                "{device} | {hz} | {rate} | {cutoff} | {drive} | {kd} | {mode} | {found} | {felt} | {predicted:.0} | {off_by}"
+                "{device} | {hz} | {rate} | {cutoff} | {drive} | {kd} | {mode} | {found} | {static_stiffness} | {predicted:.0} | {off_by}"
             );
             if off.is_none_or(|off| off.abs() >= most) {
-                far.push(row.clone());
+                deviating_rows.push(row.clone());
             }
             table.push(row);
         }
     }
     table.write("complete.csv");
-    assert!(far.is_empty(), "{far:#?}");
+    assert!(deviating_rows.is_empty(), "{deviating_rows:#?}");
 }
 
 /// Adds to each joint a mode of 900 Hz with a tenth of the inertia, static friction of 1.5 times the Coulomb friction,

@@ -83,15 +83,15 @@ fn a_longer_link_leaves_the_tip_where_it_is() {
         let [base, l1, l2, r1, r2, _] = wider.geometry;
         let (proximal, distal) = if side < 0.0 { (l1, r1) } else { (l2, r2) };
         let (dx, dy) = (x - side * base / 2.0, y);
-        let far = dx.hypot(dy);
-        let inside = ((proximal * proximal + far * far - distal * distal) / (2.0 * proximal * far)).acos();
+        let reach = dx.hypot(dy);
+        let inside = ((proximal * proximal + reach * reach - distal * distal) / (2.0 * proximal * reach)).acos();
         // The elbows point outwards.
         dy.atan2(dx) - side * inside
     };
-    let moved = TaskPose::at(&wider, &[elbow(-1.0), elbow(1.0)]).unwrap();
-    assert!((moved.position[0] - x).abs() < 1e-12 && (moved.position[1] - y).abs() < 1e-12);
+    let wider_pose = TaskPose::at(&wider, &[elbow(-1.0), elbow(1.0)]).unwrap();
+    assert!((wider_pose.position[0] - x).abs() < 1e-12 && (wider_pose.position[1] - y).abs() < 1e-12);
     let normal = unit_normal(&n, 2, 2).unwrap();
-    let ((a, b), (c, d)) = (along(&before, &normal).unwrap(), along(&moved, &normal).unwrap());
+    let ((a, b), (c, d)) = (along(&before, &normal).unwrap(), along(&wider_pose, &normal).unwrap());
     assert!((base.w_eff / (c / a) - 1.0).abs() < 1e-9 && (base.w_rr / (d / b) - 1.0).abs() < 1e-9, "{base:?}");
 }
 
@@ -159,13 +159,13 @@ fn a_coarse_grid_has_the_results_of_a_fine_grid() {
 #[test]
 fn a_wide_wall_is_placed_by_its_worst_point() {
     let file = shipped_device("haply-2diy");
-    let placed = |patch: f64| {
+    let place_patch = |patch: f64| {
         places(&file.description, Some(&[0.6, 0.8]), patch, 0.4, 700, ADMISSIBLE, &Sweep::quiet())
             .unwrap()
             .along
             .unwrap()
     };
-    let (point, wide) = (placed(0.0), placed(0.02));
+    let (point, wide) = (place_patch(0.0), place_patch(0.02));
     assert!(wide.off.w_eff < 0.99 * point.off.w_eff && wide.full.w_rr < point.full.w_rr, "{point:?} {wide:?}");
 }
 
@@ -178,7 +178,7 @@ fn the_best_posture_equals_the_best_of_all_orientations() {
     let [l1, l2, l3, ..] = file.description.geometry;
     let tip = TaskPose::at(&file.description, &q).unwrap().position;
     let normal = unit_normal(&n, 2, 3).unwrap();
-    let (mut largest_w_eff, mut smallest_w_eff, mut largest_w_rr, mut smallest_w_rr) = (0.0_f64, f64::INFINITY, 0.0_f64, f64::INFINITY);
+    let (mut max_eff, mut min_eff, mut max_rr, mut min_rr) = (0.0_f64, f64::INFINITY, 0.0_f64, f64::INFINITY);
     for i in 0..20_000 {
         let phi = std::f64::consts::TAU * f64::from(i) / 20_000.0;
         let (x, y) = (tip[0] - l3 * phi.cos(), tip[1] - l3 * phi.sin());
@@ -194,20 +194,20 @@ fn the_best_posture_equals_the_best_of_all_orientations() {
             continue;
         }
         let (w_eff, w_rr) = along(&pose, &normal).unwrap();
-        (largest_w_eff, smallest_w_eff) = (largest_w_eff.max(w_eff), smallest_w_eff.min(w_eff));
-        (largest_w_rr, smallest_w_rr) = (largest_w_rr.max(w_rr), smallest_w_rr.min(w_rr));
+        (max_eff, min_eff) = (max_eff.max(w_eff), min_eff.min(w_eff));
+        (max_rr, min_rr) = (max_rr.max(w_rr), min_rr.min(w_rr));
     }
     for (one, other) in [
-        (found.heaviest.w_eff, largest_w_eff),
-        (found.lightest.w_eff, smallest_w_eff),
-        (found.most_held.w_rr, largest_w_rr),
-        (found.least_held.w_rr, smallest_w_rr),
+        (found.heaviest.w_eff, max_eff),
+        (found.lightest.w_eff, min_eff),
+        (found.most_held.w_rr, max_rr),
+        (found.least_held.w_rr, min_rr),
     ] {
         assert!((one / other - 1.0).abs() < 0.02, "{one} kg, but {other} kg in the scan");
     }
     // An independent sweep at this tip in coarser steps, with its own limit on the sine at singularities, has Weff of
     // 0.0487 to 0.1139 kg and Wrr of 0.117 to 0.506 kg.
-    assert!((largest_w_eff / 0.1139 - 1.0).abs() < 0.01 && (smallest_w_eff / 0.0487 - 1.0).abs() < 0.04, "{largest_w_eff} {smallest_w_eff}");
-    assert!((smallest_w_rr / 0.117 - 1.0).abs() < 0.01 && (largest_w_rr / 0.506 - 1.0).abs() < 0.06, "{largest_w_rr} {smallest_w_rr}");
+    assert!((max_eff / 0.1139 - 1.0).abs() < 0.01 && (min_eff / 0.0487 - 1.0).abs() < 0.04, "{max_eff} {min_eff}");
+    assert!((min_rr / 0.117 - 1.0).abs() < 0.01 && (max_rr / 0.506 - 1.0).abs() < 0.06, "{max_rr} {min_rr}");
     assert_eq!(postures(&shipped_device("haply-2diy").description, &[2.3, 0.84], &n, clear, ADMISSIBLE), Ok(None));
 }

@@ -43,9 +43,9 @@ fn a_looser_budget_leaves_the_velocity_terms_out() {
     let scene = scene(&device, "tracing").scene;
     let loose = plan(&device, &scene, Budget::Percent(50.0), HAND_SPEED).unwrap();
     assert_eq!((loose.mass.name(), loose.terms), ("exact", Terms::FeedForward));
-    let tight = plan(&device, &scene, Budget::OneDutyStep, HAND_SPEED).unwrap();
-    assert_eq!((tight.mass.name(), tight.terms), ("exact", Terms::FeedForwardZ));
-    assert!(loose.instructions < tight.instructions);
+    let tight_plan = plan(&device, &scene, Budget::OneDutyStep, HAND_SPEED).unwrap();
+    assert_eq!((tight_plan.mass.name(), tight_plan.terms), ("exact", Terms::FeedForwardZ));
+    assert!(loose.instructions < tight_plan.instructions);
 }
 
 #[test]
@@ -56,11 +56,11 @@ fn instructions_fall_as_a_scene_gets_simpler() {
         let mut two = one.clone();
         two.walls.push(one.walls[0]).unwrap();
         let without_terms = Scene { velocity_terms: VelocityTerms::Off, ..one.clone() };
-        let mut plain = without_terms.clone();
-        plain.walls[0].feed_forward = FeedForward::Off;
-        let mut empty = plain.clone();
+        let mut plain_scene = without_terms.clone();
+        plain_scene.walls[0].feed_forward = FeedForward::Off;
+        let mut empty = plain_scene.clone();
         empty.walls.clear();
-        let costs = [two, one, without_terms, plain, empty].map(|scene| cost(&device, &scene, "exact"));
+        let costs = [two, one, without_terms, plain_scene, empty].map(|scene| cost(&device, &scene, "exact"));
         assert!(costs.windows(2).all(|pair| pair[0] > pair[1]), "{name}: {costs:?}");
         assert!(costs.iter().all(|cost| (50..5000).contains(cost)), "{name}: {costs:?}");
     }

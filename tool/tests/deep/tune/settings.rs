@@ -21,13 +21,16 @@ fn a_wrong_mass_matrix_changes_the_inertia_that_is_met() {
     let mut device = believed.clone();
     device.mass += DMatrix::from_row_slice(2, 2, &[8e-4, 2e-4, 2e-4, 0.0]);
     let torque = believed.shaped_torque();
-    let inertia_met = 1.0 / device.row.dot(&device.mass.clone().cholesky().unwrap().solve(&torque));
-    assert!((inertia_met / device.w_rr() - 1.0).abs() > 0.003 && (inertia_met / believed.w_rr() - 1.0).abs() > 0.01, "equal models");
+    let inertia = 1.0 / device.row.dot(&device.mass.clone().cholesky().unwrap().solve(&torque));
+    assert!(
+        (inertia / device.w_rr() - 1.0).abs() > 0.003 && (inertia / believed.w_rr() - 1.0).abs() > 0.01,
+        "equal models"
+    );
     let around = control_loop(5_000.0);
     for damping in [20.0, 80.0, 200.0] {
         let of_one = domain(&point_mass(1.0), &around, Mode::Off, Some(&[damping])).unwrap().boundary[0].kp;
-        let found = stiffnesses(&device, &believed, &around, Mode::Full, &[inertia_met * damping]).unwrap()[0];
-        assert!((found / (inertia_met * of_one) - 1.0).abs() < 1e-6, "{damping}: {found}, {}", inertia_met * of_one);
+        let found = stiffnesses(&device, &believed, &around, Mode::Full, &[inertia * damping]).unwrap()[0];
+        assert!((found / (inertia * of_one) - 1.0).abs() < 1e-6, "{damping}: {found}, {}", inertia * of_one);
     }
 }
 
@@ -39,11 +42,11 @@ fn no_other_signs_of_the_inertia_errors_are_worse() {
     let believed = at(&file.description);
     for shaped in [false, true] {
         let torque = if shaped { believed.shaped_torque() } else { believed.row.clone() };
-        let inertia_met = |description: &Description| {
+        let inertia = |description: &Description| {
             let device = at(description);
             1.0 / device.row.dot(&device.mass.cholesky().unwrap().solve(&torque))
         };
-        let found = inertia_met(&vertex(&file.description, &q, &n, Admissible::Orientation, shaped, 0.1, false).unwrap());
+        let found = inertia(&vertex(&file.description, &q, &n, Admissible::Orientation, shaped, 0.1, false).unwrap());
         let mut least = f64::INFINITY;
         for signs in 0..1 << 7 {
             let factor = |part: usize| if signs >> part & 1 == 1 { 1.1 } else { 0.9 };
@@ -56,10 +59,10 @@ fn no_other_signs_of_the_inertia_errors_are_worse() {
                 joint.inertia *= factor(4 + part);
             }
             other.handle_mass *= factor(6);
-            least = least.min(inertia_met(&other));
+            least = least.min(inertia(&other));
         }
         assert!((found / least - 1.0).abs() < 1e-3, "shaped {shaped}: {found} kg, but {least} kg is possible");
-        assert!(found < 0.95 * inertia_met(&file.description), "shaped {shaped}");
+        assert!(found < 0.95 * inertia(&file.description), "shaped {shaped}");
     }
 }
 

@@ -32,23 +32,23 @@ fn tune(device: &str, scene: &str) -> Value {
 }
 
 fn table_row(device: &str, scene: &str, report: &Value) -> String {
-    let whole = |value: &Value| value.as_f64().map_or("-".into(), |value| format!("{value:.0}"));
+    let rounded = |value: &Value| value.as_f64().map_or("-".into(), |value| format!("{value:.0}"));
     let newtons = |value: &Value| value.as_f64().map_or("-".into(), |value| format!("{value:.3}"));
     let times = |value: &Value| value.as_f64().map_or("-".into(), |value| format!("{value:.2}"));
     let rest = |measured: &Value| {
         let open = if measured["open"].is_null() { "" } else { "≥ " };
-        format!("{open}{}", whole(&measured["stiffness"]))
+        format!("{open}{}", rounded(&measured["stiffness"]))
     };
     let washout = &report["feed_forwards"][0];
     let rule = report["limits"].as_array().unwrap().last().unwrap();
     format!(
         "{device},{scene},{},{},{},{},{},{},{},{},{},{},{},{},{}",
-        whole(&report["scene"]["stiffness"]),
-        whole(&report["best"]["stiffness"]),
+        rounded(&report["scene"]["stiffness"]),
+        rounded(&report["best"]["stiffness"]),
         times(&report["times"]),
         report["active"].as_str().unwrap(),
-        whole(&rule["stiffness"]),
-        whole(&washout["best"]["stiffness"]),
+        rounded(&rule["stiffness"]),
+        rounded(&washout["best"]["stiffness"]),
         newtons(&washout["ripple_n"]),
         newtons(&report["ripple_limit_n"]),
         newtons(&report["best"]["ripple_n"]),
