@@ -418,11 +418,11 @@ fn a_link_restores_device_pose_walls_and_gains() {
     let hash = link.split('#').nth(1).unwrap().to_string();
     assert!(!link.contains('?'), "a link must not contain the token: {link}");
     browser.evaluate(&tab, "say({ do: 'give' })");
-    let other = browser.open(&format!("{}#{hash}", view.url), LAPTOP, 1.0);
-    browser.bring_to_front(&other);
+    let other_tab = browser.open(&format!("{}#{hash}", view.url), LAPTOP, 1.0);
+    browser.bring_to_front(&other_tab);
     let same = "window.view?.last && view.walls[0].stiffness === 12345 && view.walls[0].damping === 60 && view.walls[0].feed_forward === 'full' && \
                 view.walls[0].values[4] === 1 && Math.abs(view.last.q[1] - 1.3) < 1e-3 && view.wanted === null";
-    browser.wait_until(&other, same);
+    browser.wait_until(&other_tab, same);
     for (wrong, words) in [
         ("wall=1,2,sideways", "not one of off, full, washout"),
         ("wall=1,2,off,x,y", "numbers"),
@@ -434,18 +434,18 @@ fn a_link_restores_device_pose_walls_and_gains() {
         ("wall=1,1,off&wall=1,1,off", "2 walls"),
         ("wall=-5,1,off", "stiffness"),
     ] {
-        browser.evaluate(&other, &format!("notice(''); location.hash = '{wrong}'"));
+        browser.evaluate(&other_tab, &format!("notice(''); location.hash = '{wrong}'"));
         browser.wait_until(
-            &other,
+            &other_tab,
             &format!("$('notice').classList.contains('shown') && $('why').textContent.includes('{words}')"),
         );
     }
-    assert_eq!(browser.evaluate(&other, "view.last.state"), "Disarmed", "a link must not arm");
+    assert_eq!(browser.evaluate(&other_tab, "view.last.state"), "Disarmed", "a link must not arm");
     // The notice stays until another link is opened.
-    browser.evaluate(&other, "location.hash = 'pose=a'; location.reload()");
-    browser.wait_until(&other, "window.view?.pictures > 10 && view.hello && $('why').textContent.includes('pose')");
-    browser.evaluate(&other, "location.hash = 'pose=2.2,1.3'");
-    browser.wait_until(&other, "!$('notice').classList.contains('shown')");
+    browser.evaluate(&other_tab, "location.hash = 'pose=a'; location.reload()");
+    browser.wait_until(&other_tab, "window.view?.pictures > 10 && view.hello && $('why').textContent.includes('pose')");
+    browser.evaluate(&other_tab, "location.hash = 'pose=2.2,1.3'");
+    browser.wait_until(&other_tab, "!$('notice').classList.contains('shown')");
     assert_eq!(browser.console_errors(), [""; 0]);
 }
 
@@ -490,9 +490,9 @@ fn the_coach_leads_to_the_buzz_and_start_over_resets() {
         "window.x = view.last.geometry.tip[0]; $('stage').onkeydown({key: 'ArrowRight', preventDefault() {}})",
     );
     browser.wait_until(&tab, "view.last.hand && Math.abs(view.last.hand.goal[0] - window.x - 2e-3) < 1e-4");
-    let again = browser.open(&view.url, LAPTOP, 1.0);
-    browser.wait_until(&again, "window.view && view.pictures > 10");
-    assert_eq!(browser.evaluate(&again, "$('coach').hidden"), true, "the finished coach appeared again");
+    let second_tab = browser.open(&view.url, LAPTOP, 1.0);
+    browser.wait_until(&second_tab, "window.view && view.pictures > 10");
+    assert_eq!(browser.evaluate(&second_tab, "$('coach').hidden"), true, "the finished coach appeared again");
     assert_eq!(browser.console_errors(), [""; 0]);
 }
 

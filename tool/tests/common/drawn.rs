@@ -36,8 +36,8 @@ pub fn sound_device(draw: &mut Random) -> (String, Description) {
     for joint in device.joints.iter_mut().take(joints) {
         joint.transmission = None;
         // The gear is limited so that the torque constant is at most 2 N m/A.
-        let most = 2.0 / joint.motor.map_or(2.0, |motor| motor.torque_constant);
-        let gear = if geared { draw.between(2.0, 8.0).min(most) } else { 1.0 };
+        let max_gear = 2.0 / joint.motor.map_or(2.0, |motor| motor.torque_constant);
+        let gear = if geared { draw.between(2.0, 8.0).min(max_gear) } else { 1.0 };
         joint.inertia *= log_uniform(draw, 1.0, gear * gear);
         joint.coulomb *= log_uniform(draw, 0.4, 2.5) * gear.sqrt();
         joint.viscous *= log_uniform(draw, 0.4, 2.5) * gear;
@@ -147,16 +147,16 @@ impl Mismatch {
 pub struct CheckResult {
     pub seed: u64,
     pub device: String,
-    pub wrong: Mismatch,
-    pub ended: Result<(), FaultRecord>,
-    pub moved: CheckMotion,
+    pub mismatch: Mismatch,
+    pub result: Result<(), FaultRecord>,
+    pub motion: CheckMotion,
 }
 
 impl std::fmt::Display for CheckResult {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let Self { seed, device, wrong, ended, moved } = self;
-        let ended = ended.map_err(|record| (record.fault, record.axis, record.value));
-        write!(f, "{seed} {device} {wrong:?}: {:.2} N, {:.3} rad, {ended:?}", moved.push, moved.travel)
+        let Self { seed, device, mismatch, result, motion } = self;
+        let result = result.map_err(|record| (record.fault, record.axis, record.value));
+        write!(f, "{seed} {device} {mismatch:?}: {:.2} N, {:.3} rad, {result:?}", motion.push, motion.travel)
     }
 }
 
@@ -182,7 +182,7 @@ pub fn check_wrong(seed: u64) -> CheckResult {
     check(seed, device, &description, mismatch)
 }
 
-fn check(seed: u64, device: String, description: &Description, wrong: Mismatch) -> CheckResult {
-    let (ended, moved) = measure_check_of(&device, description, |wired, broken| wrong.inject(wired, broken));
-    CheckResult { seed, device, wrong, ended, moved }
+fn check(seed: u64, device: String, description: &Description, mismatch: Mismatch) -> CheckResult {
+    let (result, motion) = measure_check_of(&device, description, |wired, broken| mismatch.inject(wired, broken));
+    CheckResult { seed, device, mismatch, result, motion }
 }

@@ -190,9 +190,9 @@ fn run_check(
         return Err(shared.lock().status().fault.unwrap_or_else(|| panic!("{error}")));
     }
     let mut board = shared.lock();
-    let most = board.time() + 60.0;
+    let end_s = board.time() + 60.0;
     while board.status().state == State::CheckingPolarity {
-        assert!(board.time() < most, "the check does not end");
+        assert!(board.time() < end_s, "the check does not end");
         board.carrier();
         to_see(&board);
     }
@@ -239,12 +239,12 @@ fn check_motion(
     let mut push = Push::of(&wired, &shared.lock());
     let start = shared.lock().device().q();
     let mut motion = CheckMotion::default();
-    let ended = run_check(&shared, &mut board, |board| {
+    let result = run_check(&shared, &mut board, |board| {
         motion.push = motion.push.max(push.add_period(board).unwrap_or(0.0));
         let turn_angles = board.device().q().into_iter().zip(start).map(|(q, start)| (q - start).abs());
         motion.travel = turn_angles.fold(motion.travel, f64::max);
     });
-    (ended, motion)
+    (result, motion)
 }
 
 /// Runs an injected error while a hand presses a wall of 1000 N/m at 1 kHz with 4 N and moves back and forth along it.

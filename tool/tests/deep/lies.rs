@@ -54,14 +54,14 @@ fn check_count(most: u64) -> u64 {
 fn a_check_with_a_wrong_file_pushes_no_harder_than_a_finger() {
     let outcomes: Vec<_> = (0..check_count(500)).map(check_wrong).collect();
     let most = |of: fn(&CheckResult) -> f64| outcomes.iter().map(of).fold(0.0, f64::max);
-    println!("most: {:.2} N, {:.3} rad", most(|it| it.moved.push), most(|it| it.moved.travel));
-    check_rare(&outcomes, 1, |outcome| outcome.moved.push > 5.0 || outcomes.moved.travel > 0.15);
+    println!("most: {:.2} N, {:.3} rad", most(|it| it.motion.push), most(|it| it.motion.travel));
+    check_rare(&outcomes, 1, |outcome| outcome.motion.push > 5.0 || outcome.motion.travel > 0.15);
 }
 
 #[test]
 fn a_sound_device_passes_its_check() {
     let outcomes: Vec<_> = (10_000..10_000 + check_count(300)).map(check_sound).collect();
-    check_rare(&outcomes, 3, |outcome| outcome.ended.is_err());
+    check_rare(&outcomes, 3, |outcome| outcome.result.is_err());
 }
 
 /// Runs new random scenes and motions, HAPTIC_SEQUENCES for each device (default 20).

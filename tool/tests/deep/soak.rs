@@ -141,12 +141,12 @@ fn long_contact_loses_no_rows_and_does_not_drift() {
             places.add(&row, &mut cycles[cycle as usize]);
             rows += 1;
         }
-        let now = ((shared.lock().time() - start_s) / 60.0) as u64;
-        if now > minute {
-            minute = now;
-            let now = resident_bytes();
-            memory = memory.or(now);
-            most = most.max(now);
+        let minutes = ((shared.lock().time() - start_s) / 60.0) as u64;
+        if minutes > minute {
+            minute = minutes;
+            let bytes = resident_bytes();
+            memory = memory.or(bytes);
+            most = most.max(bytes);
         }
     }
     board.stop_stream().unwrap();

@@ -89,11 +89,11 @@ fn script(numbers: &mut RandomNumbers) -> Vec<u8> {
 #[test]
 fn no_request_sequence_enables_bridges_or_exceeds_limits() {
     let mut numbers = RandomNumbers(Random::new(0x1234_5678));
-    let mut driven = 0;
+    let mut armed_count = 0;
     for _ in 0..600 {
-        driven += requests::requests(&script(&mut numbers));
+        armed_count += requests::requests(&script(&mut numbers));
     }
-    assert!(driven > 5_000, "the motors were on in only {driven} steps, too few to test anything");
+    assert!(armed_count > 5_000, "the motors were on in only {armed_count} steps, too few to test anything");
 }
 
 #[test]

@@ -33,10 +33,10 @@ fn a_bare_board_is_set_up_and_recorded() {
     assert!(recording.rows.windows(2).all(|pair| pair[1][0] - pair[0][0] == 4.0), "one row per four steps");
     let text = std::fs::read_to_string(&csv).unwrap();
     assert!(text.contains(",Armed,0\n"), "states are written as words");
-    let again = format!("record {csv} --seconds 0.1 --rate 1000");
-    sim.type_lines(&format!("1: {again} => run.csv already exists | --force"));
+    let second_recording = format!("record {csv} --seconds 0.1 --rate 1000");
+    sim.type_lines(&format!("1: {second_recording} => run.csv already exists | --force"));
     assert_eq!(std::fs::read_to_string(&csv).unwrap(), text, "the recording was overwritten");
-    sim.type_lines(&format!("{again} --force => 100 rows are in"));
+    sim.type_lines(&format!("{second_recording} --force => 100 rows are in"));
     let piped = Recording::parse(&sim.output(&["record", "-", "--seconds", "0.1", "--rate", "100"])).unwrap();
     assert_eq!((piped.rows.len(), piped.about.last().unwrap().as_str()), (10, "10 rows, none lost"));
     assert!(!Path::new("-").exists());

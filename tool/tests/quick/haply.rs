@@ -37,12 +37,12 @@ impl Server {
 
     /// Connects as soon as the previous program has left.
     fn connect_next(&self) -> Program {
-        let mut next = None;
+        let mut next_client = None;
         wait_until("the next program", || {
-            next = self.connect().ok();
-            next.is_some()
+            next_client = self.connect().ok();
+            next_client.is_some()
         });
-        next.unwrap()
+        next_client.unwrap()
     }
 
     fn get(&self, path: &str, origin: &str) -> (String, Value) {
@@ -433,8 +433,8 @@ fn only_one_local_program_is_served_and_its_end_disarms() {
     assert_eq!(started(), true);
     drop(program);
     // When the next program connects, the motors are off.
-    let mut again = server.connect_next();
-    assert_eq!(again.request(&json!({}))["inverse3"][0]["status"]["started"], false);
+    let mut client = server.connect_next();
+    assert_eq!(client.request(&json!({}))["inverse3"][0]["status"]["started"], false);
     // A force does not arm the board again if another tool has disarmed it.
     let forces = |program: &mut Program| {
         (0..50)
@@ -443,12 +443,12 @@ fn only_one_local_program_is_served_and_its_end_disarms() {
             })
             .last()
     };
-    assert_eq!(forces(&mut again), Some(true));
+    assert_eq!(forces(&mut client), Some(true));
     board.run(&["disarm"]).success();
-    assert_eq!(forces(&mut again), Some(false), "a force armed the board again after another tool disarmed it");
-    drop(again);
-    let mut anew = server.connect_next();
-    assert_eq!(forces(&mut anew), Some(true));
+    assert_eq!(forces(&mut client), Some(false), "a force armed the board again after another tool disarmed it");
+    drop(client);
+    let mut last_client = server.connect_next();
+    assert_eq!(forces(&mut last_client), Some(true));
 }
 
 #[test]

@@ -52,9 +52,9 @@ fn a_board_does_not_arm_if_the_device_differs_from_its_file() {
             if error.what.contains("first two") && file.spec().joints < 2 {
                 continue;
             }
-            let ended = check_fault(&file, error);
-            if !ended.is_err_and(|record| MISMATCH_FAULTS.contains(&record.fault)) {
-                missed.push(format!("{name}: {}: {ended:?}", error.what));
+            let result = check_fault(&file, error);
+            if !result.is_err_and(|record| MISMATCH_FAULTS.contains(&record.fault)) {
+                missed.push(format!("{name}: {}: {result:?}", error.what));
             }
         }
     }
@@ -69,9 +69,9 @@ fn a_check_with_ten_times_the_counts_stops_near_its_start() {
     };
     let mut mistakes = Vec::new();
     for name in ["hapkit-paddle", "pantograph-mk2", "woodenhaptics"] {
-        let (ended, moved) = measure_check(&shipped_device(name), &error);
-        if !ended.is_err_and(|record| MISMATCH_FAULTS.contains(&record.fault)) || moved.travel > 0.2 {
-            mistakes.push(format!("{name}: {ended:?}, {moved:?}"));
+        let (result, motion) = measure_check(&shipped_device(name), &error);
+        if !result.is_err_and(|record| MISMATCH_FAULTS.contains(&record.fault)) || motion.travel > 0.2 {
+            mistakes.push(format!("{name}: {result:?}, {motion:?}"));
         }
     }
     assert!(mistakes.is_empty(), "{}", mistakes.join("\n"));
@@ -88,9 +88,9 @@ fn checks_0_2_rad_off_home_push_at_most_1_2_times_the_limit() {
         homed_off(|wired, _| displace_home(wired, [0.1, -0.1])),
         homed_off(|wired, _| displace_home(wired, [-0.2, 0.0])),
     ];
-    for (ended, moved) in push_cases {
+    for (result, motion) in push_cases {
         // From 0.2 rad off home the check stretches the linkage to its stop, where a torque causes the largest force.
-        assert!(moved.push > 1.0 && moved.push < 1.2 * f64::from(GENTLE_FORCE), "{ended:?}, {moved:?}");
+        assert!(motion.push > 1.0 && motion.push < 1.2 * f64::from(GENTLE_FORCE), "{result:?}, {motion:?}");
     }
 }
 
@@ -105,7 +105,7 @@ fn displace_home(wired: &mut Description, off: [f64; 2]) {
 fn a_few_random_checks_push_no_harder_than_a_finger() {
     for seed in 0..12 {
         let outcome = check_wrong(seed);
-        assert!(outcome.moved.push < 5.0 && outcome.moved.travel < 0.15 && outcome.ended.is_err(), "{outcome}");
+        assert!(outcome.motion.push < 5.0 && outcome.motion.travel < 0.15 && outcome.result.is_err(), "{outcome}");
     }
 }
 

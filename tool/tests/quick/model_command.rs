@@ -220,9 +220,9 @@ fn inertias_along_wall(document: &Value, torque: &DVector<f64>, normal: &[f64]) 
         (0..n.len()).filter(|i| flat.eigenvalues[*i] > 0.5).map(|i| flat.eigenvectors.column(i).into_owned()).collect();
     let response = solve(torque);
     let displacements = across.iter().map(|t| {
-        let free = solve(&(jacobian.transpose() * t));
+        let free_response = solve(&(jacobian.transpose() * t));
         // The wall's force keeps the tip on its surface.
-        &free - &response * (n.dot(&free) / n.dot(&response))
+        &free_response - &response * (n.dot(&free_response) / n.dot(&response))
     });
     let displacements: Vec<DVector<f64>> = displacements.collect();
     let mobility = DMatrix::from_fn(across.len(), across.len(), |i, j| across[i].dot(&displacements[j]));

@@ -260,9 +260,9 @@ fn a_washout_that_costs_stability_causes_a_warning() {
     };
     let costs = print_warnings("10", "washout");
     assert!(costs.contains("the washout of wall 0, 10 Hz, costs more than it brings"), "{costs}");
-    let free = costs.split("a corner of ").nth(1).unwrap().split(' ').next().unwrap();
-    assert!(free.parse::<f64>().unwrap() < 10.0, "{costs}");
-    for (corner, feed_forward) in [(free, "washout"), ("10", "full"), ("10", "off")] {
+    let harmless_corner = costs.split("a corner of ").nth(1).unwrap().split(' ').next().unwrap();
+    assert!(harmless_corner.parse::<f64>().unwrap() < 10.0, "{costs}");
+    for (corner, feed_forward) in [(harmless_corner, "washout"), ("10", "full"), ("10", "off")] {
         let err = print_warnings(corner, feed_forward);
         assert!(!err.contains("the washout of wall"), "{corner} {feed_forward}: {err}");
     }

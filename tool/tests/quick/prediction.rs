@@ -73,16 +73,16 @@ fn lines_printed_by_range_and_measure_range_predict_the_same() {
         let device = shipped_path(&format!("{name}.toml"));
         let words = ["--normal=0.6,0.8", "--hand", "0.1,2,300", "--washout", "2", "--kd", "3,1", "--rate", "5000"];
         let range = json(&[&["range", &device, "--board", "odrive-v3", "--cutoff", "150"], &words[..]].concat());
-        let again = range["options"].as_str().unwrap().split(' ').collect::<Vec<_>>();
-        let again = json(&[&["range", &device], &again[..]].concat());
-        assert_eq!((again["rate_hz"].as_f64(), again["drive"].as_str()), (Some(5000.0), Some("current")));
+        let printed_options = range["options"].as_str().unwrap().split(' ').collect::<Vec<_>>();
+        let rerun = json(&[&["range", &device], &printed_options[..]].concat());
+        assert_eq!((rerun["rate_hz"].as_f64(), rerun["drive"].as_str()), (Some(5000.0), Some("current")));
         for mode in ["off", "full", "washout"] {
             for (number, kp) in [("kd_max", None), ("area", None), ("boundary", Some(0)), ("boundary", Some(1))] {
                 let of = |range: &Value| match kp {
                     Some(point) => range[mode][number][point]["kp"].as_f64().unwrap(),
                     None => range[mode][number].as_f64().unwrap(),
                 };
-                assert!(is_close(of(&again), of(&range)), "{name} {mode} {number}");
+                assert!(is_close(of(&rerun), of(&range)), "{name} {mode} {number}");
             }
         }
         // This point has been measured already, so `measure-range` prints its theory without moving a motor.
@@ -125,8 +125,8 @@ fn design_and_range_agree_with_cables_too() {
         assert!(is_close(here["felt"].as_f64().unwrap(), range["felt"].as_f64().unwrap()), "{options}: {here} {range}");
         let full_prediction = predict(&device, found["options"].as_str().unwrap(), mode);
         let points = full_prediction["boundary"].as_array().unwrap().iter();
-        let most = points.map(|point| point["kp"].as_f64().unwrap()).fold(0.0, f64::max);
-        assert!((0.0..3e-3).contains(&(here["kp"].as_f64().unwrap() / most - 1.0)), "{most} {here}");
+        let largest_kp = points.map(|point| point["kp"].as_f64().unwrap()).fold(0.0, f64::max);
+        assert!((0.0..3e-3).contains(&(here["kp"].as_f64().unwrap() / largest_kp - 1.0)), "{largest_kp} {here}");
     }
 }
 
@@ -220,17 +220,17 @@ fn the_supply_bounds_the_motors_force() {
         let path = folder.write_changed("haply-2diy", &changes);
         let report = json(&["check", &path, "devices/scenes/haply-2diy/wall-soft.toml"]);
         let force = report["scenes"][0]["contacts"][0]["force"].as_f64().unwrap();
-        let most = DeviceFile::load(&path).unwrap().description.joints[0].motor.unwrap().max_current;
-        (force, report["summary"]["force_at_home"]["low"].as_f64().unwrap(), most, report["warnings"].to_string())
+        let limit = DeviceFile::load(&path).unwrap().description.joints[0].motor.unwrap().max_current;
+        (force, report["summary"]["force_at_home"]["low"].as_f64().unwrap(), limit, report["warnings"].to_string())
     };
     // 3 A through 15 ohm need 45 V, more than a simulated board has.
-    let free = check_supply("");
-    assert!(free.3.contains("the file names no supply"), "{}", free.3);
+    let unlimited = check_supply("");
+    assert!(unlimited.3.contains("the file names no supply"), "{}", unlimited.3);
     let bound = check_supply("supply = 12.0\n");
     let share = 12.0 * 0.92 / 15.0 / 3.0;
     assert!(bound.3.contains("the supply of 12 V"), "{}", bound.3);
-    for (bound, free) in [(bound.0, free.0), (bound.1, free.1), (bound.2, free.2)] {
-        assert!(is_close(bound, share * free), "{bound} {free} {share}");
+    for (bound, unlimited) in [(bound.0, unlimited.0), (bound.1, unlimited.1), (bound.2, unlimited.2)] {
+        assert!(is_close(bound, share * unlimited), "{bound} {unlimited} {share}");
     }
     let device = folder.path("haply-2diy.toml");
     let info = json(&["info", "--port", &format!("sim:{device}")]);
@@ -269,10 +269,10 @@ fn a_passive_wall_is_stable() {
                 let Some(passivity) = Passivity::new(&model, &device.description, &prediction.around) else {
                     panic!("{}: encoders sit on the motors", device.name)
                 };
-                let most = passivity.largest_damping();
+                let max_damping = passivity.largest_damping();
                 for share in [0.0, 0.3, 0.7] {
-                    let passive = passivity.sampled(share * most);
-                    let (stable, _) = stiffness_at(&model, &prediction.around, Mode::Off, share * most).unwrap();
+                    let passive = passivity.sampled(share * max_damping);
+                    let (stable, _) = stiffness_at(&model, &prediction.around, Mode::Off, share * max_damping).unwrap();
                     let case = format!("{} {path:?} {rate} {cutoff} {share}", device.name);
                     assert!(passive <= stable, "{case}: passive to {passive}, stable to {stable}");
                     bounds += usize::from(passive > 0.0);

@@ -39,16 +39,16 @@ fn a_difference_over_k_samples_matches_its_transfer_function() {
             -(z - 1.0) * (z - 1.0) * 2.0 / (z + 1.0) - (Complex::new(1.0, 0.0) - z.powi(-k)) * b / f64::from(k)
         };
         let angles: Vec<f64> = (1..200_000).map(|i| std::f64::consts::PI * f64::from(i) / 200_000.0).collect();
-        let mut least = f64::INFINITY;
+        let mut smallest_limit = f64::INFINITY;
         for pair in angles.windows(2) {
             let (low, high) = (at(pair[0]), at(pair[1]));
             if (low.im > 0.0) != (high.im > 0.0) {
                 let share = low.im / (low.im - high.im);
                 let a = low.re + share * (high.re - low.re);
-                least = if a > 0.0 { least.min(a) } else { least };
+                smallest_limit = if a > 0.0 { smallest_limit.min(a) } else { smallest_limit };
             }
         }
-        least
+        smallest_limit
     };
     for k in [2, 5, 10, 32] {
         for b in [0.01, 0.02, 0.04] {

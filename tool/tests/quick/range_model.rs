@@ -163,8 +163,9 @@ fn a_voltage_drive_without_inductance_adds_back_emf_damping() {
     let mut damped = device.clone();
     damped.viscous.add_scalar_mut(0.3 * 0.28 / 2.0);
     for mode in [Mode::Off, Mode::Full] {
-        let driven = Loop { drive: Drive::Voltage(vec![motor; 3]), ..control_loop(1000.0, 50.0) };
-        let (by_motor, by_hand) = (area(&device, &driven, mode), area(&damped, &control_loop(1000.0, 50.0), mode));
+        let voltage_loop = Loop { drive: Drive::Voltage(vec![motor; 3]), ..control_loop(1000.0, 50.0) };
+        let (by_motor, by_hand) =
+            (area(&device, &voltage_loop, mode), area(&damped, &control_loop(1000.0, 50.0), mode));
         assert!((by_motor / by_hand - 1.0).abs() < 1e-9);
         // A little inductance changes the area a little.
         let lagging = MotorElectrics { inductance: 2e-6, ..motor };

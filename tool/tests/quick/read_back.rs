@@ -26,8 +26,8 @@ fn every_shipped_scene_is_read_back_bit_for_bit() {
                 }
                 let sent: Scene<f32> = scene_of.cast();
                 let text = to_toml(&[], &scene(&sent));
-                let again = SceneFile::parse(&text, "read back", task).unwrap().scene::<f32>().unwrap();
-                assert_eq!(again, sent, "{}\n{text}", path.display());
+                let second_scene = SceneFile::parse(&text, "read back", task).unwrap().scene::<f32>().unwrap();
+                assert_eq!(second_scene, sent, "{}\n{text}", path.display());
                 count += 1;
             }
         }

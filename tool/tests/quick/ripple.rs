@@ -82,8 +82,8 @@ fn the_boards_own_step_has_a_similar_ripple() {
             let board = ripple_of(&comparison, kind).unwrap().unwrap();
             let around = ideal_loop(rate_hz, delay, linear);
             let found = with_pressed_wall(&around, None, |pressed| {
-                let free = Pressed { description: file.description, ..pressed.clone() };
-                free.ripple(Mode::Off, wall.0, wall.1).unwrap().rms_n.unwrap()
+                let free_press = Pressed { description: file.description, ..pressed.clone() };
+                free_press.ripple(Mode::Off, wall.0, wall.1).unwrap().rms_n.unwrap()
             });
             assert!((0.6..1.7).contains(&(found / board)), "{rate_hz} Hz, {kind:?}: {found} is not {board}");
         }

@@ -116,10 +116,10 @@ fn a_lost_force_does_not_delay_overlapping_forces() {
     loses.store(u32::MAX, Ordering::Relaxed);
     let lost_force = session.send_force(&request(1)).unwrap();
     loses.store(0, Ordering::Relaxed);
-    let next = session.send_force(&request(2)).unwrap();
+    let next_force = session.send_force(&request(2)).unwrap();
     let start = session.now();
     assert!(matches!(session.force_answer(lost_force), Err(LinkError::Unanswered { .. })));
-    assert_eq!(session.force_answer(next).unwrap().sequence, 2);
+    assert_eq!(session.force_answer(next_force).unwrap().sequence, 2);
     assert!(session.now() - start < Duration::from_millis(2), "{:?}", session.now() - start);
 }
 
@@ -144,7 +144,7 @@ fn a_session_that_is_dropped_leaves_the_motors_off() {
 fn only_the_arming_tool_holds_the_key_and_a_late_press_fails() {
     let (shared, mut session) = board_and_session();
     session.set_scene(&Scene { task: 2, rate_hz: 1_000.0, cutoff_hz: 50.0, ..Scene::default() }).unwrap();
-    let mut other = Board::over(shared.wire(), "sim").unwrap();
+    let mut other_board = Board::over(shared.wire(), "sim").unwrap();
     let hold = |board: &mut Board| {
         for _ in 0..6 {
             board.rows(Duration::from_millis(100)).unwrap();
@@ -153,12 +153,12 @@ fn only_the_arming_tool_holds_the_key_and_a_late_press_fails() {
         shared.lock().status().state
     };
     session.keep_alive();
-    other.keep_alive();
+    other_board.keep_alive();
     session.rows(Duration::from_millis(60)).unwrap();
     let step = session.step();
     session.arm_held(step).unwrap();
     assert_eq!(hold(&mut session), State::Armed);
-    assert_eq!(hold(&mut other), State::Fault);
+    assert_eq!(hold(&mut other_board), State::Fault);
     session.clear().unwrap();
     let step = session.step();
     shared.lock().run(0.6);
@@ -174,10 +174,10 @@ fn a_force_accelerates_the_tip_and_ends_with_its_lease() {
         let from = session.read_state().unwrap().tip;
         session.force([x, y, 0.0]).unwrap();
         shared.lock().run(f64::from(HOLD) / 2.0);
-        let now = session.read_state().unwrap();
-        assert_eq!((now.done, now.share, now.force), (ForceDone::Looked, 1.0, [x, y, 0.0]));
-        let along = (now.tip[0] - from[0]) * x + (now.tip[1] - from[1]) * y;
-        assert!(along > 0.0, "{now:?}, from {from:?}");
+        let tip_state = session.read_state().unwrap();
+        assert_eq!((tip_state.done, tip_state.share, tip_state.force), (ForceDone::Looked, 1.0, [x, y, 0.0]));
+        let along = (tip_state.tip[0] - from[0]) * x + (tip_state.tip[1] - from[1]) * y;
+        assert!(along > 0.0, "{tip_state:?}, from {from:?}");
         let lease_s = f64::from(HOLD + FADE) * 1.1;
         shared.lock().run(lease_s);
         let after = session.read_state().unwrap();

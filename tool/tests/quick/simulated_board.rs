@@ -268,10 +268,10 @@ fn unstable_contact(passivity: bool) -> (f64, f64, f64) {
     while rows.len() < 1_000 {
         rows.extend(board.rows(Duration::from_millis(100)).unwrap());
     }
-    let least = rows.iter().map(|row| row.values[1]).fold(0.0, f64::min);
-    let most = rows.iter().map(|row| row.values[2]).fold(0.0, f64::max);
+    let lowest = rows.iter().map(|row| row.values[1]).fold(0.0, f64::min);
+    let highest = rows.iter().map(|row| row.values[2]).fold(0.0, f64::max);
     let squares: f64 = rows[500..1_000].iter().map(|row| row.values[0].powi(2)).sum();
-    (least, most, (squares / 500.0).sqrt())
+    (lowest, highest, (squares / 500.0).sqrt())
 }
 
 #[test]

@@ -295,9 +295,9 @@ fn stribeck_friction_holds_more_than_it_brakes() {
     paddle_device.step(&[MotorInput::Torque(0.0201); 3], 0.1);
     assert!((paddle_device.qd()[0] - before - 0.1 * 10.1).abs() < 1e-6, "{}", paddle_device.qd()[0] - before);
     // `Options::frictionless` removes all friction.
-    let mut free = SimulatedDevice::new(&description, &Options::frictionless()).unwrap();
-    free.step(&[MotorInput::Torque(0.001); 3], 0.1);
-    assert!(free.q()[0] > 0.0);
+    let mut frictionless_device = SimulatedDevice::new(&description, &Options::frictionless()).unwrap();
+    frictionless_device.step(&[MotorInput::Torque(0.001); 3], 0.1);
+    assert!(frictionless_device.q()[0] > 0.0);
 }
 
 #[test]

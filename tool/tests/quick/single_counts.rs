@@ -36,16 +36,16 @@ fn velocity_torque<M: Mechanism<f64, N>, const N: usize>(
         Controller::<f64, _, Libm, N>::new(*mechanism, device, &scene).unwrap()
     };
     let (mut with, mut without) = (of(VelocityTerms::Rendered), of(VelocityTerms::Off));
-    let mut most = 0.0_f64;
+    let mut largest_torque = 0.0_f64;
     for period in 0..400 * (N + 1) {
         if period % 400 == 399 && period / 400 < N {
             counts[period / 400] += 1;
         }
         let [with, without] = [with.step(&counts), without.step(&counts)];
         assert_eq!(with.contacts, 1);
-        most = most.max((with.torque - without.torque).amax());
+        largest_torque = largest_torque.max((with.torque - without.torque).amax());
     }
-    most
+    largest_torque
 }
 
 #[test]
@@ -54,8 +54,8 @@ fn velocity_terms_do_not_act_on_single_counts() {
     for file in all_shipped_devices() {
         let device = file.device().unwrap();
         for (name, estimator) in Estimator::ALL {
-            let most = with_mechanism!(&device.mechanism, m => velocity_torque(m, &device, *estimator));
-            assert!(most < 1e-9, "{}, {name}: one count causes {most} N m", file.name);
+            let largest_torque = with_mechanism!(&device.mechanism, m => velocity_torque(m, &device, *estimator));
+            assert!(largest_torque < 1e-9, "{}, {name}: one count causes {largest_torque} N m", file.name);
             case_count += 1;
         }
     }

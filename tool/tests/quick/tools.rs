@@ -338,15 +338,15 @@ fn rows_of_a_killed_tools_stream_are_discarded() {
     shared.lock().run(0.2);
     // The killed tool has read nothing, so its rows still wait at the port for the next tool.
     drop(killed);
-    let mut next = Board::over(shared.wire(), "sim").unwrap();
-    next.start_stream(fields("q,tip").unwrap(), 20).unwrap();
+    let mut next_board = Board::over(shared.wire(), "sim").unwrap();
+    next_board.start_stream(fields("q,tip").unwrap(), 20).unwrap();
     let mut rows = Vec::new();
     while rows.len() < 100 {
-        rows.extend(next.rows(Duration::from_millis(100)).unwrap());
+        rows.extend(next_board.rows(Duration::from_millis(100)).unwrap());
     }
     assert!(rows.iter().all(|row| row.values.len() == 4), "{:?}", rows[0]);
     assert!(rows.windows(2).all(|pair| pair[1].step - pair[0].step == 20));
-    let losses = next.losses();
+    let losses = next_board.losses();
     assert_eq!((losses.missing, losses.batches_lost, losses.garbled), (0, 0, 0));
 }
 
@@ -365,11 +365,11 @@ fn a_stopped_measurement_turns_off_and_restores_the_rules() {
     let before = board.rules().unwrap();
     for most in [1, 30, 300, 1000] {
         let call_count = Cell::new(0);
-        let ended = measure(&mut board, &|| {
+        let result = measure(&mut board, &|| {
             call_count.set(call_count.get() + 1);
             call_count.get() > most
         });
-        assert_eq!(ended.is_err(), call_count.get() > most, "{ended:?}");
+        assert_eq!(result.is_err(), call_count.get() > most, "{result:?}");
         assert_eq!(shared.lock().status().state, State::Disarmed, "after {most}");
         assert_eq!(board.rules().unwrap(), before);
         assert_eq!(board.scene().unwrap().as_ref(), Some(&scene));
@@ -381,7 +381,7 @@ fn a_measurement_ends_when_another_tool_disarms() {
     for most in [40, 60] {
         let (shared, mut board) = board_in_process();
         let call_count = Cell::new(0);
-        let ended = measure(&mut board, &|| {
+        let result = measure(&mut board, &|| {
             call_count.set(call_count.get() + 1);
             if call_count.get() == most {
                 shared.lock().receive(&request::<Disarm>(7));
@@ -389,7 +389,7 @@ fn a_measurement_ends_when_another_tool_disarms() {
             false
         });
         assert!(call_count.get() >= most, "the measurement ended before the disarm request");
-        assert!(matches!(ended, Err(MeasureError::Disarmed)), "{ended:?}");
+        assert!(matches!(result, Err(MeasureError::Disarmed)), "{result:?}");
         assert_eq!(shared.lock().status().state, State::Disarmed);
     }
 }

@@ -58,8 +58,8 @@ fn estimators_are_compared_on_a_wall_that_range_finds_stable() {
     let words = ["--q", "2.6,1.75", "--normal", "0.6,0.8", "--rate", "5000", "--cutoff", "200", "--board", "odrive-v3"];
     let kd = damping.to_string();
     let report = json(&[&["range", &path, "--kd", &kd], &words[..]].concat());
-    let most = report["off"]["boundary"][0]["kp"].as_f64().unwrap();
-    assert!((4.0 * stiffness / most - 1.0).abs() < 1e-9, "{stiffness} of {most} N/m");
+    let max_stiffness = report["off"]["boundary"][0]["kp"].as_f64().unwrap();
+    assert!((4.0 * stiffness / max_stiffness - 1.0).abs() < 1e-9, "{stiffness} of {max_stiffness} N/m");
     assert!((2.0 * damping / report["off"]["kd_max"].as_f64().unwrap() - 1.0).abs() < 1e-9, "{damping} N s/m");
     let soft_cable = "stiffness = 40.0\ndamping = 0.0";
     let text = with_cables("joint").replace("stiffness = 250.0\ndamping = 0.01", soft_cable);
@@ -75,8 +75,8 @@ fn check_small_search(number: u64, estimator: &str, dampings: &[f64]) {
     assert!(tried >= 5, "{tried}");
     // The result must also meet the ripple limit on devices that differ from their file by the margins.
     for (share, loose) in [(0.9, 0.97), (1.1, 1.03)] {
-        let mut other = file.clone();
-        for joint in &mut other.description.joints {
+        let mut other_file = file.clone();
+        for joint in &mut other_file.description.joints {
             joint.inertia *= share;
             joint.viscous *= 1.0 + 2.5 * (share - 1.0);
             joint.coulomb *= 1.0 + 2.5 * (share - 1.0);
@@ -87,10 +87,10 @@ fn check_small_search(number: u64, estimator: &str, dampings: &[f64]) {
                 transmission.motor_inertia *= share;
             }
         }
-        let off = Question { file: &other, margins: Margins::NONE, ..question.clone() };
+        let off = Question { file: &other_file, margins: Margins::NONE, ..question.clone() };
         let ripple_n = ripple(&off, &found.settings).unwrap().ripple_n;
-        let most = 0.1_f64.min(1.0001 * found.ripple_n);
-        assert!(ripple_n.is_some_and(|ripple| ripple <= most), "{ripple_n:?} {found:?}");
+        let ripple_limit = 0.1_f64.min(1.0001 * found.ripple_n);
+        assert!(ripple_n.is_some_and(|ripple| ripple <= ripple_limit), "{ripple_n:?} {found:?}");
     }
 }
 
@@ -169,14 +169,14 @@ fn long_searches_end_at_the_next_press_after_ctrl_c() {
     let question = Question { estimators: vec![estimator_of("first-order")], ..question(&file, 5_000.0) };
     let comparison =
         Comparison { file: &file, q: &[0.0], normal: &[1.0], rate_hz: 1_000.0, cutoff_hz: 50.0, wall: (100.0, 1.0) };
-    let ended = |work: &dyn Fn(&Sweep) -> Option<Failure>| {
+    let run_sweep = |work: &dyn Fn(&Sweep) -> Option<Failure>| {
         let looked = AtomicUsize::new(0);
         let stop = move || looked.fetch_add(1, Ordering::SeqCst) >= 75;
         work(&Sweep::new("test", "question", None, stop).unwrap()).unwrap().to_string()
     };
-    let failure = ended(&|sweep| tune(&question, sweep).err());
+    let failure = run_sweep(&|sweep| tune(&question, sweep).err());
     assert!(failure.contains("interrupted with 0 of 7 done (ripple, feed-forward off, round 1)"), "{failure}");
-    let failure = ended(&|sweep| compare(&comparison, sweep).err());
+    let failure = run_sweep(&|sweep| compare(&comparison, sweep).err());
     assert!(failure.contains("interrupted with 0 of"), "{failure}");
 }
 

@@ -462,8 +462,8 @@ fn gains_beyond_the_boundary_need_confirmation() {
             assert_eq!(view.page(0).walls[0]["stiffness"], 40_000.0);
         }
     }
-    let again = view.page(0).refused[1]["again"].clone();
-    view.send(0, again);
+    let repeated_request = view.page(0).refused[1]["again"].clone();
+    view.send(0, repeated_request);
     assert_eq!(view.page(0).walls[0]["feed_forward"], "off");
     // Outside the boundary, softer gains need no confirmation.
     for softer in [7_500.0, 5_000.0] {
@@ -764,7 +764,7 @@ fn the_feed_forward_button_makes_a_pressed_wall_buzz_or_quiet() {
     view.play(0.8);
     let number = |view: &TestView, name: &str| view.page(0).picture["numbers"][name].as_f64().unwrap();
     let [stiffness, damping] = ["stiffness", "damping"].map(|gain| view.page(0).walls[0][gain].as_f64().unwrap());
-    let out = view.place_by_tip(0.0, 0.0);
+    let free_place = view.place_by_tip(0.0, 0.0);
     let places = [(16, 0), (22, 0), (28, 0), (34, 0), (42, 0), (54, 0), (28, 6), (28, -6)];
     let places = places
         .map(|(depth, aside)| (view.place_by_tip(-1e-3 * f64::from(depth), 1e-3 * f64::from(aside)), depth, aside));
@@ -775,7 +775,7 @@ fn the_feed_forward_button_makes_a_pressed_wall_buzz_or_quiet() {
     let mut rows = String::new();
     let mut as_it_should = true;
     for (place, depth, aside) in places {
-        view.send(0, json!({"do": "hand", "at": out}));
+        view.send(0, json!({"do": "hand", "at": free_place}));
         view.play(0.8);
         view.send(0, json!({"do": "hand", "at": place}));
         // Share of pictures with a red ripple after the first 0.8 s.
@@ -1002,9 +1002,9 @@ fn malformed_messages_are_refused() {
     }
     assert!(received.refusal().contains("binary"), "{}", received.refusal());
     // A message that is far too long ends only the connection that sent it.
-    let mut other = connect_page(&url);
-    let _ = other.send(Message::text("x".repeat(100_000)));
-    while read_message(&mut other, &mut Received::default()) {
+    let mut other_page = connect_page(&url);
+    let _ = other_page.send(Message::text("x".repeat(100_000)));
+    while read_message(&mut other_page, &mut Received::default()) {
         view.step();
     }
     socket.send(Message::text(r#"{"do":"take"}"#)).unwrap();

@@ -101,9 +101,9 @@ fn a_gain_of_two_makes_the_demos_wall_stiffer() {
         assert!((range.full.boundary[0].kp / stiffness - 1.0).abs() < 2e-3, "{gain}: {:?}", range.full.boundary);
         assert_eq!(range.off.boundary[0].kp.round(), 17_877.0);
     }
-    let most = device.largest_gain().unwrap();
+    let max_gain = device.largest_gain().unwrap();
     // The largest gain is half way from gain 1 to the pole.
-    assert!((2.0 * most - 1.0 - 4.9).abs() < 0.05, "{most}");
+    assert!((2.0 * max_gain - 1.0 - 4.9).abs() < 0.05, "{max_gain}");
     device.gain = 5.0;
     assert_eq!(device.inertia_met(), None);
     assert!(predict(&device, &control_loop(1000.0, 100.0), Some(&[40.0]), None).is_err());

@@ -197,8 +197,8 @@ fn handles_interrupts(child: &mut Child) -> bool {
 }
 
 fn wait_for_exit(child: &mut Child, patience: Duration) -> Result<Option<i32>, String> {
-    let begun = Instant::now();
-    while begun.elapsed() < patience {
+    let start = Instant::now();
+    while start.elapsed() < patience {
         if let Some(status) = child.try_wait().unwrap() {
             return Ok(status.code());
         }

@@ -60,8 +60,8 @@ fn distance_on_simulated_board(terms: VelocityTerms) -> f64 {
     let mut farthest = 0.0_f64;
     for step in 0..80 {
         shared.lock().run(0.001);
-        let now = shared.lock().device().tip();
-        let off = cosine * (now[0] - tip[0]) + sine * (now[1] - tip[1]);
+        let tip_now = shared.lock().device().tip();
+        let off = cosine * (tip_now[0] - tip[0]) + sine * (tip_now[1] - tip[1]);
         if step >= 50 {
             farthest = farthest.max(off.abs());
         }

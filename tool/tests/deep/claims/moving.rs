@@ -72,15 +72,15 @@ impl SlidingLoop {
             entries.iter().for_each(|(i, value)| row[*i] += value);
             row
         };
-        let mut next = DMatrix::zeros(12, 12);
+        let mut transition_matrix = DMatrix::zeros(12, 12);
         let jacobian_row = m.transpose(&pose, &n);
         let difference = [0, 1].map(|i| row(&[(i, rate), (4 + i, -rate)]));
         let along = &difference[0] * jacobian_row[0] + &difference[1] * jacobian_row[1];
         // The filter is in transposed direct form II.
         let mut filtered = |input: &DVector<f64>, first: usize| {
             let output = input * b0 + row(&[(first, 1.0)]);
-            next.set_row(first, &(input * b1 - &output * a1 + row(&[(first + 1, 1.0)])).transpose());
-            next.set_row(first + 1, &(input * b0 - &output * a2).transpose());
+            transition_matrix.set_row(first, &(input * b1 - &output * a1 + row(&[(first + 1, 1.0)])).transpose());
+            transition_matrix.set_row(first + 1, &(input * b0 - &output * a2).transpose());
             output
         };
         let velocity = filtered(&along, 6);
@@ -95,11 +95,11 @@ impl SlidingLoop {
         for state in 0..4 {
             let mut change = row(&[0, 1, 2, 3].map(|i| (i, transition[(state, i)])));
             change += &torque[0] * transition[(state, 4)] + &torque[1] * transition[(state, 5)];
-            next.set_row(state, &change.transpose());
+            transition_matrix.set_row(state, &change.transpose());
         }
-        next.set_row(4, &row(&[(0, 1.0)]).transpose());
-        next.set_row(5, &row(&[(1, 1.0)]).transpose());
-        next
+        transition_matrix.set_row(4, &row(&[(0, 1.0)]).transpose());
+        transition_matrix.set_row(5, &row(&[(1, 1.0)]).transpose());
+        transition_matrix
     }
 
     /// Returns true if an oscillation faster than 8 Hz grows. Slower modes describe the turning direction of motion.

@@ -73,8 +73,8 @@ pub fn all_tables() -> [(&'static str, String); 10] {
         let errors = [row.angle].into_iter().chain(row.torque).chain([row.shaped]);
         format!("{} | {}", row.device, one_digit(errors))
     });
-    let double = "device | share | poses | Wrr, board | Jᵀ n | torque, board | moving, board | f64: moving";
-    let double = table(double, &DOUBLE, |row| {
+    let double_header = "device | share | poses | Wrr, board | Jᵀ n | torque, board | moving, board | f64: moving";
+    let double_table = table(double_header, &DOUBLE, |row| {
         let board = &row.board;
         let errors = [board.w_rr_kernel, board.plain, board.torque, board.torque_moving, row.double.torque_moving];
         format!("{} | {:.1} | {} | {}", row.device, row.share, row.poses, one_digit(errors))
@@ -100,7 +100,7 @@ pub fn all_tables() -> [(&'static str, String); 10] {
         ("filters", filters),
         ("stiff-wall", steps),
         ("two-walls", several),
-        ("two-singularities", double),
+        ("two-singularities", double_table),
         ("turns", turns),
         ("velocity-terms", sliding),
         ("motors-at-their-limit", saturated),

@@ -100,12 +100,12 @@ fn ctrl_c_stops_a_command_and_the_same_line_continues_it() {
     std::io::Read::read_to_string(&mut child.stderr.take().unwrap(), &mut text).unwrap();
     assert_eq!(child.wait().unwrap().code(), Some(1), "{text}");
     assert!(text.contains("interrupted with") && text.contains("--continue"), "{text}");
-    let other = [&line[..4], &["--points", "400001"], &line[6..]].concat();
-    let message = String::from_utf8(haptic(&other).assert().get_output().stderr.clone()).unwrap();
+    let other_line = [&line[..4], &["--points", "400001"], &line[6..]].concat();
+    let message = String::from_utf8(haptic(&other_line).assert().get_output().stderr.clone()).unwrap();
     if !text.contains("interrupted with 0 of") {
         assert!(message.contains("holds results of `haptic map`"), "{message}");
     }
-    let again = haptic(&line).output().unwrap();
-    assert!(again.status.success() && again.stdout == uninterrupted, "{}", String::from_utf8_lossy(&again.stderr));
+    let rerun = haptic(&line).output().unwrap();
+    assert!(rerun.status.success() && rerun.stdout == uninterrupted, "{}", String::from_utf8_lossy(&rerun.stderr));
     assert!(!map_path.exists());
 }

@@ -77,10 +77,10 @@ fn a_killed_recording_is_complete_and_leaves_no_rows_behind() {
             let assert = sim.run(&["record", to, "--seconds", "0.2", "--rate", "200", "--fields", "q,tip"]);
             let message = String::from_utf8_lossy(&assert.success().get_output().stderr).into_owned();
             assert!(message.contains("none lost"), "{message}");
-            let next = Recording::load(&csv).unwrap();
-            assert_eq!(next.columns.len(), 6, "{:?}", next.columns);
-            assert!(next.rows.len() >= 30, "{} rows", next.rows.len());
-            for row in &next.rows {
+            let next_recording = Recording::load(&csv).unwrap();
+            assert_eq!(next_recording.columns.len(), 6, "{:?}", next_recording.columns);
+            assert!(next_recording.rows.len() >= 30, "{} rows", next_recording.rows.len());
+            for row in &next_recording.rows {
                 assert!((0.0..0.2).contains(&row[1]), "a row of the killed recording: {row:?}");
                 assert!(row[2..].iter().all(|value| value.abs() < 7.0), "counts instead of angles: {row:?}");
             }
@@ -269,9 +269,9 @@ fn the_measurement_after_a_killed_one_restores_the_scene() {
     kill_tool(start_measurement(&sim, &first, &one));
     wait_until_free(&sim);
     sim.wait_for_state(|state| state != "Armed");
-    let now = board_state();
-    assert_ne!(now.0, before.0, "the killed measurement had not changed the scene");
-    assert_ne!(now.1, before.1, "the killed measurement had not changed the rules");
+    let state_after_kill = board_state();
+    assert_ne!(state_after_kill.0, before.0, "the killed measurement had not changed the scene");
+    assert_ne!(state_after_kill.1, before.1, "the killed measurement had not changed the rules");
     sim.run(&["faults", "--clear"]).success();
     // A measurement with another file cannot restore the scene.
     let (_, text) = wait_for_exit(sim.spawn(&measurement_line(&device, "--kd=15", &other)));
@@ -305,13 +305,13 @@ fn the_measurement_after_a_killed_one_restores_the_rules() {
     assert_ne!(sim.output(&["rules"]), before);
     // The next measurement fails, because this board holds another device.
     let (device, note) = (shipped_path("haply-2diy.toml"), note.display().to_string());
-    let next = ["measure-range", &device, "--normal=0.6,0.8", "--anew", "--progress", &note];
-    sim.run(&next).code(1).stderr(contains("the rules on the board were left by an interrupted measurement"));
+    let words = ["measure-range", &device, "--normal=0.6,0.8", "--anew", "--progress", &note];
+    sim.run(&words).code(1).stderr(contains("the rules on the board were left by an interrupted measurement"));
     assert_eq!(sim.output(&["rules"]), before);
-    sim.run(&next).code(1).stderr(contains("were left").not());
+    sim.run(&words).code(1).stderr(contains("were left").not());
     // Rules that the user has set since then are kept.
     sim.run(&["rules", "--torque", "0.5,0.5"]).success();
-    sim.run(&next).code(1).stderr(contains("were left").not());
+    sim.run(&words).code(1).stderr(contains("were left").not());
     sim.run(&["rules"]).success().stdout(contains("0.5, 0.5 N m"));
 }
 

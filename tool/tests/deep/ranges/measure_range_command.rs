@@ -35,25 +35,26 @@ fn a_measurement_is_reported_kept_and_continued() {
     let date = document["date"].as_str().unwrap().to_string();
     let third = measure(&progress, &SLOW_LOOP, &["--feed-forward", "off", "--repeats", "2", "--pull", "2"]).success();
     let third = third.stderr(contains("none is measured now").and(contains("--anew")).and(contains(&*date)));
-    let again: Value = serde_json::from_slice(&third.get_output().stdout).unwrap();
-    assert_eq!((&again["date"], &again["points"]), (&document["date"], &document["points"]));
+    let third_report: Value = serde_json::from_slice(&third.get_output().stdout).unwrap();
+    assert_eq!((&third_report["date"], &third_report["points"]), (&document["date"], &document["points"]));
     // Another damping is measured in addition, and only its result is reported.
-    let other = ["--kd", "16", "--feed-forward", "off", "--repeats", "1", "--pull", "2"];
+    let other_damping = ["--kd", "16", "--feed-forward", "off", "--repeats", "1", "--pull", "2"];
     let fixed = ["measure-range", DEVICE, "--port", "sim", "--normal", "0.6,0.8", "--json"];
-    let fourth = haptic(&fixed).args(SLOW_LOOP).args(other).arg("--progress").arg(&progress).assert().success();
-    let other: Value = serde_json::from_slice(&fourth.get_output().stdout).unwrap();
-    let reported_kd: Vec<f64> = other["points"].as_array().unwrap().iter().map(|p| p["kd"].as_f64().unwrap()).collect();
-    assert_eq!((reported_kd, other["theory"].as_str().unwrap().contains("--kd 15")), (vec![16.0], false));
-    let date = other["date"].as_str().unwrap().to_string();
+    let fourth = haptic(&fixed).args(SLOW_LOOP).args(other_damping).arg("--progress").arg(&progress).assert().success();
+    let report: Value = serde_json::from_slice(&fourth.get_output().stdout).unwrap();
+    let dampings: Vec<f64> = report["points"].as_array().unwrap().iter().map(|p| p["kd"].as_f64().unwrap()).collect();
+    assert_eq!((dampings, report["theory"].as_str().unwrap().contains("--kd 15")), (vec![16.0], false));
+    let date = report["date"].as_str().unwrap().to_string();
     // Results at one rate are not mixed with another rate.
     measure(&progress, &["--rate", "10000", "--cutoff", "200"], &["--feed-forward", "off", "--pull", "2"])
         .code(2)
         .stderr(contains("holds another measurement").and(contains("--anew")).and(contains(&*date)))
         .stderr(contains("coupled-five-bar along (0.6, 0.8) at 1000 Hz"));
     // With --anew the old results are replaced.
-    let anew = measure(&progress, &SLOW_LOOP, &["--feed-forward=off", "--repeats=1", "--pull=1", "--anew"]).success();
-    let anew = anew.stderr(contains("already").not());
-    let document: Value = serde_json::from_slice(&anew.get_output().stdout).unwrap();
+    let new_run =
+        measure(&progress, &SLOW_LOOP, &["--feed-forward=off", "--repeats=1", "--pull=1", "--anew"]).success();
+    let new_run = new_run.stderr(contains("already").not());
+    let document: Value = serde_json::from_slice(&new_run.get_output().stdout).unwrap();
     assert_eq!(document["points"][0]["repeats"].as_array().unwrap().len(), 1);
 }
 

@@ -61,10 +61,10 @@ fn the_sensitivity_to_a_rotor_follows_its_formula() {
             let squared = 1.0 + 2.1 * (w_rr - 1.0);
             assert!((gear.w_rr / squared - 1.0).abs() < 1e-9, "{name}, joint {j}: {gear:?}");
         }
-        let most = buys_most(&found, |effect| effect.w_rr).unwrap();
+        let best_change = buys_most(&found, |effect| effect.w_rr).unwrap();
         assert_eq!(buys_most(&found, |effect| 1.0 + 0.005 * effect.w_rr.signum()), None);
         let sides = found.iter().flat_map(|one| [one.more, one.less]).flatten();
-        assert!(sides.into_iter().all(|effect| effect.w_rr <= most.effect.w_rr));
+        assert!(sides.into_iter().all(|effect| effect.w_rr <= best_change.effect.w_rr));
     }
 }
 
@@ -123,8 +123,8 @@ fn no_pose_of_a_random_search_is_better_than_the_best() {
             assert!(w_rr <= along_n.full.w_rr * 1.01, "{name}: {w_rr} kg at {q:?}, {:?}", along_n.full);
             assert!(w_eff >= along_n.worst.w_eff * 0.99, "{name}: {w_eff} kg at {q:?}, {:?}", along_n.worst);
             for angle in [0.0_f64, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0] {
-                let other = unit_normal(&[angle.cos(), angle.sin()], 2, q.len()).unwrap();
-                let (w_eff, w_rr) = along(&pose, &other).unwrap();
+                let other_normal = unit_normal(&[angle.cos(), angle.sin()], 2, q.len()).unwrap();
+                let (w_eff, w_rr) = along(&pose, &other_normal).unwrap();
                 assert!(w_eff <= found.stiffest.w_eff * 1.01, "{name}: {w_eff} kg at {q:?}");
                 let ratio = found.feed_forward_buys_most.w_rr / found.feed_forward_buys_most.w_eff;
                 assert!(w_rr / w_eff <= ratio * 1.01, "{name}: {} at {q:?}, {ratio}", w_rr / w_eff);

@@ -61,8 +61,8 @@ fn no_wall_of_a_new_scene_rattles() {
         let gains = (scene.walls[0].stiffness, scene.walls[0].damping);
         let (share, ripple) = share_and_ripple(&file, scene);
         println!("{number} {}: {gains:?}, in contact {share:.2}, {ripple:.3} N", file.name);
-        let least = text.contains("the least that these encoders allow");
-        if ripple > 0.1 && !least || share < 0.1 {
+        let is_lowest = text.contains("the least that these encoders allow");
+        if ripple > 0.1 && !is_lowest || share < 0.1 {
             rattle.push(format!("{number} {}", file.name));
         }
     }

@@ -41,11 +41,11 @@ fn a_looser_budget_leaves_the_velocity_terms_out() {
     // Without the velocity terms the error is a twentieth of the force on this disc. A single mass matrix would have an
     // error of a quarter and take longer.
     let scene = scene(&device, "tracing").scene;
-    let loose = plan(&device, &scene, Budget::Percent(50.0), HAND_SPEED).unwrap();
-    assert_eq!((loose.mass.name(), loose.terms), ("exact", Terms::FeedForward));
+    let loose_plan = plan(&device, &scene, Budget::Percent(50.0), HAND_SPEED).unwrap();
+    assert_eq!((loose_plan.mass.name(), loose_plan.terms), ("exact", Terms::FeedForward));
     let tight_plan = plan(&device, &scene, Budget::OneDutyStep, HAND_SPEED).unwrap();
     assert_eq!((tight_plan.mass.name(), tight_plan.terms), ("exact", Terms::FeedForwardZ));
-    assert!(loose.instructions < tight_plan.instructions);
+    assert!(loose_plan.instructions < tight_plan.instructions);
 }
 
 #[test]
@@ -58,9 +58,9 @@ fn instructions_fall_as_a_scene_gets_simpler() {
         let without_terms = Scene { velocity_terms: VelocityTerms::Off, ..one.clone() };
         let mut plain_scene = without_terms.clone();
         plain_scene.walls[0].feed_forward = FeedForward::Off;
-        let mut empty = plain_scene.clone();
-        empty.walls.clear();
-        let costs = [two, one, without_terms, plain_scene, empty].map(|scene| cost(&device, &scene, "exact"));
+        let mut empty_scene = plain_scene.clone();
+        empty_scene.walls.clear();
+        let costs = [two, one, without_terms, plain_scene, empty_scene].map(|scene| cost(&device, &scene, "exact"));
         assert!(costs.windows(2).all(|pair| pair[0] > pair[1]), "{name}: {costs:?}");
         assert!(costs.iter().all(|cost| (50..5000).contains(cost)), "{name}: {costs:?}");
     }

@@ -47,21 +47,21 @@ fn no_other_signs_of_the_inertia_errors_are_worse() {
             1.0 / device.row.dot(&device.mass.cholesky().unwrap().solve(&torque))
         };
         let found = inertia(&vertex(&file.description, &q, &n, Admissible::Orientation, shaped, 0.1, false).unwrap());
-        let mut least = f64::INFINITY;
+        let mut smallest = f64::INFINITY;
         for signs in 0..1 << 7 {
             let factor = |part: usize| if signs >> part & 1 == 1 { 1.1 } else { 0.9 };
-            let mut other = file.description;
-            for (part, link) in other.links.iter_mut().enumerate() {
+            let mut changed_device = file.description;
+            for (part, link) in changed_device.links.iter_mut().enumerate() {
                 link.mass *= factor(part);
                 link.inertia *= factor(part);
             }
-            for (part, joint) in other.joints[..2].iter_mut().enumerate() {
+            for (part, joint) in changed_device.joints[..2].iter_mut().enumerate() {
                 joint.inertia *= factor(4 + part);
             }
-            other.handle_mass *= factor(6);
-            least = least.min(inertia(&other));
+            changed_device.handle_mass *= factor(6);
+            smallest = smallest.min(inertia(&changed_device));
         }
-        assert!((found / least - 1.0).abs() < 1e-3, "shaped {shaped}: {found} kg, but {least} kg is possible");
+        assert!((found / smallest - 1.0).abs() < 1e-3, "shaped {shaped}: {found} kg, but {smallest} kg is possible");
         assert!(found < 0.95 * inertia(&file.description), "shaped {shaped}");
     }
 }
@@ -100,8 +100,8 @@ fn no_wall_of_a_plain_scan_is_much_stiffer() {
                 ..control_loop(5_000.0)
             };
             let around = Loop { delay_samples: 0.125, ..around };
-            let most = domain(&device, &around, Mode::Off, Some(&[damping])).unwrap().boundary[0].kp;
-            if most < settings.stiffness {
+            let max_stiffness = domain(&device, &around, Mode::Off, Some(&[damping])).unwrap().boundary[0].kp;
+            if max_stiffness < settings.stiffness {
                 continue;
             }
             let keeps = keeps(&question, &settings).unwrap();
@@ -195,15 +195,15 @@ fn the_written_scene_has_the_settings_of_the_result() {
 #[test]
 fn a_shipped_wall_becomes_twice_as_stiff_at_the_same_ripple() {
     let folder = Folder::new();
-    let out = folder.path("tuned.toml");
+    let tuned_path = folder.path("tuned.toml");
     let (device, scene) = ("devices/haply-2diy.toml", "devices/scenes/haply-2diy/wall-stiff.toml");
-    let words = ["tune", device, "--scene", scene, "--rates", "5000", "--out", &out];
+    let words = ["tune", device, "--scene", scene, "--rates", "5000", "--out", &tuned_path];
     let report = json(&words);
     assert!(report["times"].as_f64().unwrap() > 2.0, "{report}");
     assert!(report["best"]["ripple_n"].as_f64() <= report["ripple_limit_n"].as_f64(), "{report}");
     // The written scene passes `check`, and its wall is still at the same place.
-    type_lines(&format!("check {device} {out}"), &[]);
-    let tuned = SceneFile::load(&out, 2).unwrap().scene;
+    type_lines(&format!("check {device} {tuned_path}"), &[]);
+    let tuned = SceneFile::load(&tuned_path, 2).unwrap().scene;
     let plane = |scene: &haptic_bridge::render::scene::Scene<f64>| scene.walls[0].surface;
     assert_eq!(plane(&tuned), plane(&SceneFile::load(root().join(scene), 2).unwrap().scene));
     assert_eq!(Some(tuned.walls[0].stiffness), report["best"]["stiffness"].as_f64());
