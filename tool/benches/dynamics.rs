@@ -1,9 +1,8 @@
-//! What the equations of motion and the whole of equation (4) take on this computer, in f64 and with the sines of every
-//! sweep of the analysis, at states all over the workspace: `cargo bench -p haptic --bench dynamics`. [`ROWS`] says
-//! what each row includes.
+//! Time of the equations of motion and of equation (4) on this computer, in f64 with the analysis's table of sines:
+//! `cargo bench -p haptic --bench dynamics`. The states cover the workspace of each shipped device.
 //!
-//! `cargo xtask dynamics` puts Pinocchio beside it (pinocchio.cpp), which computes the same at the same states: with
-//! `--states` this program prints those, and the results that must come out.
+//! `cargo xtask dynamics` compares these times with Pinocchio (pinocchio.cpp). With `--states` this program prints the
+//! states and their results, which Pinocchio must reproduce.
 
 use haptic_bridge::math::FineTable;
 use haptic_bridge::model::inertia::Inertia;
@@ -16,18 +15,18 @@ use nalgebra::{SMatrix, SVector};
 use std::hint::black_box;
 use std::time::Instant;
 
-/// What is timed, and all that it includes.
-const ROWS: [&str; 4] = [
-    "pose: the sines, cosines, roots and reciprocals that all else takes",
+/// Names of the timed computations, each with its parts.
+const COMPUTATIONS: [&str; 4] = [
+    "pose: sines, cosines, roots and reciprocals, which all other quantities need",
     "M, b, J: the pose, the mass matrix, Coriolis and gravity torques, the Jacobian",
     "(4): the pose, the basis, W, z with J̇q̇, Weff, f_a, the torques with and without the feed-forward",
-    "(4) of a given pose: the same without the pose",
+    "(4) of a given pose: all of (4) except the pose",
 ];
 
-/// As often goes each row through all states; the fastest counts, which nothing else on this computer held up.
+/// Number of timed passes through all states. The fastest pass counts, because other programs delay the slower passes.
 const PASSES: usize = 101;
 
-/// Joint angles (rad) and velocities (rad/s), and the unit normal of a wall that pushes with 1 N.
+/// Joint angles, rad, joint velocities, rad/s, unit normal of a wall that pushes with 1 N, and the pose at the angles.
 struct State<M: Mechanism<f64, N>, const N: usize> {
     q: SVector<f64, N>,
     qd: SVector<f64, N>,
@@ -43,6 +42,7 @@ impl<M: Mechanism<f64, N>, const N: usize> State<M, N> {
     }
 }
 
+/// Mass matrix, Coriolis and gravity torques, and Jacobian.
 type Equations<const N: usize> = (SMatrix<f64, N, N>, SVector<f64, N>, SMatrix<f64, N, N>);
 
 #[inline(always)]
@@ -51,31 +51,31 @@ fn equations<M: Mechanism<f64, N>, const N: usize>(m: &M, pose: &M::Pose, qd: &S
 }
 
 #[inline(always)]
-fn whole<M: Mechanism<f64, N>, const N: usize>(m: &M, pose: &M::Pose, state: &State<M, N>) -> Inertia<f64, N> {
+fn equation_4<M: Mechanism<f64, N>, const N: usize>(m: &M, pose: &M::Pose, state: &State<M, N>) -> Inertia<f64, N> {
     let wall = Pull { normal: state.normal, across: false, stiffness: 1.0, feed_forward: true };
     Inertia::new::<FineTable, M>(m, pose, &state.qd, &[wall], &state.normal)
 }
 
-/// Computes a row at every state.
+/// Runs one computation at every state. `row` is its index in [`COMPUTATIONS`].
 #[inline(never)]
-fn pass<M: Mechanism<f64, N>, const N: usize>(m: &M, states: &[State<M, N>], row: usize) {
+fn run_pass<M: Mechanism<f64, N>, const N: usize>(m: &M, states: &[State<M, N>], row: usize) {
     for state in states.iter().map(black_box) {
         let pose = || m.pose::<FineTable>(&state.q);
         match row {
             0 => _ = black_box(&pose()),
             1 => _ = black_box(&equations(m, &pose(), &state.qd)),
-            2 => _ = black_box(&whole(m, &pose(), state)),
-            _ => _ = black_box(&whole(m, &state.pose, state)),
+            2 => _ = black_box(&equation_4(m, &pose(), state)),
+            _ => _ = black_box(&equation_4(m, &state.pose, state)),
         }
     }
 }
 
-/// Prints the mechanism, the nanoseconds that a state takes, and the row.
-fn time<M: Mechanism<f64, N>, const N: usize>(m: &M, states: &[State<M, N>]) {
-    for (row, name) in ROWS.iter().enumerate() {
+/// Prints one line for each computation: the mechanism, the time for one state, ns, and the computation's name.
+fn print_times<M: Mechanism<f64, N>, const N: usize>(m: &M, states: &[State<M, N>]) {
+    for (row, name) in COMPUTATIONS.iter().enumerate() {
         let timed = |_| {
             let start = Instant::now();
-            pass(m, states, row);
+            run_pass(m, states, row);
             start.elapsed().as_secs_f64()
         };
         let fastest = (0..PASSES).map(timed).fold(f64::INFINITY, f64::min);
@@ -83,12 +83,12 @@ fn time<M: Mechanism<f64, N>, const N: usize>(m: &M, states: &[State<M, N>]) {
     }
 }
 
-/// Prints the mechanism and how many states follow, each with its results.
-fn tell<M: Mechanism<f64, N>, const N: usize>(m: &M, states: &[State<M, N>]) {
+/// Prints the mechanism and the number of states, then one line for each state with its results.
+fn print_states<M: Mechanism<f64, N>, const N: usize>(m: &M, states: &[State<M, N>]) {
     println!("{} {}", M::SPEC.name, states.len());
     for state in states {
         let (mass, bias, jacobian) = equations(m, &state.pose, &state.qd);
-        let Inertia { w, z, w_eff, torque, torque_without_feed_forward, f_a, .. } = whole(m, &state.pose, state);
+        let Inertia { w, z, w_eff, torque, torque_without_feed_forward, f_a, .. } = equation_4(m, &state.pose, state);
         let vectors = [state.q, state.qd, state.normal, bias, z, torque, torque_without_feed_forward, f_a];
         let vectors = vectors.iter().flat_map(|vector| vector.iter());
         let matrices = [mass, jacobian, w];
@@ -99,12 +99,12 @@ fn tell<M: Mechanism<f64, N>, const N: usize>(m: &M, states: &[State<M, N>]) {
 }
 
 fn main() {
-    let told = std::env::args().any(|argument| argument == "--states");
+    let only_states = std::env::args().any(|argument| argument == "--states");
     for device in devices().expect("the shipped devices") {
         let probes = workspace(&device, 9, HAND_SPEED).expect("a device with a workspace");
         with_mechanism!(&device.mechanism, m => {
             let states: Vec<_> = probes.iter().map(|probe| State::new(m, probe)).collect();
-            if told { tell(m, &states) } else { time(m, &states) }
+            if only_states { print_states(m, &states) } else { print_times(m, &states) }
         });
     }
 }

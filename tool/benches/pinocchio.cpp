@@ -1,16 +1,13 @@
-// Pinocchio beside the library, run by `cargo xtask dynamics`: the equations of motion and the whole of equation (4) of
-// the shipped devices. On the standard input it takes what the benchmark `dynamics` prints of `--states`, and exits
-// where one of the results given there is another here; else it prints the nanoseconds of a state, in rows of the same
-// names:
+// Equations of motion and equation (4) of the shipped devices with Pinocchio, for `cargo xtask dynamics`. Reads the
+// output of the benchmark `dynamics --states` from standard input. Exits with an error if a result differs; otherwise
+// prints the time for one state, ns, in rows with the benchmark's names:
 //
-// "M, b, J": the mass matrix, Coriolis and gravity torques and the Jacobian of the tip, in the joint angles that motors
-// turn. "(4)": these and J̇q̇, the basis of the wall, W, z, Weff, f_a and the torques with and without the
-// feed-forward.
+// "M, b, J": mass matrix, Coriolis and gravity torques, and Jacobian of the tip, in the angles of the driven joints.
+// "(4)": in addition J̇q̇, the basis of the wall, W, z, Weff, f_a and the torques with and without the feed-forward.
 //
-// Written as one who knows Pinocchio would where time matters: crba in the world, which leaves the joints' Jacobian,
-// and nonLinearEffects, from whose accelerations J̇q̇ follows without a J̇; matrices of fixed size. Of a closed loop,
-// which Pinocchio has as a tree, the passive joints' angles are worked out here, and v = S q̇, M = Sᵀ M S, b = Sᵀ (b +
-// M Ṡq̇).
+// The code uses Pinocchio's fast functions: crba in world coordinates, which also computes the joints' Jacobian, and
+// nonLinearEffects, whose accelerations give J̇q̇ without J̇. Matrices have fixed sizes. Pinocchio models a closed loop
+// as a tree, so this program computes the passive joints' angles and v = S q̇, M = Sᵀ M S, b = Sᵀ (b + M Ṡq̇).
 #include <pinocchio/multibody.hpp>
 
 #include <pinocchio/algorithm/crba.hpp>
@@ -30,8 +27,8 @@ using Eigen::Vector3d;
 template <int N> using Vector = Eigen::Matrix<double, N, 1>;
 template <int N> using Square = Eigen::Matrix<double, N, N>;
 
-constexpr int PASSES = 101;  // As in the benchmark.
-constexpr double AGREEMENT = 1e-9;
+constexpr int PASSES = 101;  // Number of timed passes, as in dynamics.rs.
+constexpr double TOLERANCE = 1e-9;  // Largest relative difference of a result.
 
 template <int N> struct Equations {
   Square<N> M, J;
@@ -48,7 +45,7 @@ template <int N> struct State {
 
 template <class T> inline void keep(const T& value) { asm volatile("" : : "r"(&value) : "memory"); }
 
-// A tree of joints; the tip is at `at` on the last link, and of a loop on another one, too.
+// A tree of joints. The tip is at `at[0]` on link `end[0]`; in a closed loop it is also at `at[1]` on link `end[1]`.
 struct Device {
   pin::Model model;
   pin::Data data;
@@ -80,7 +77,7 @@ struct Device {
     const auto& j = data.J.col(joint);
     return j.head<3>() + Vector3d(j.tail<3>()).cross(p);
   }
-  // The acceleration of an end while no joint accelerates: what nonLinearEffects left counts gravity.
+  // Returns the acceleration of end k without joint accelerations. Adds gravity back, because data.a_gf includes it.
   Vector3d coasting(int k) const {
     const auto &v = data.v[end[k]], &a = data.a_gf[end[k]];
     const Vector3d moved = v.linear() + v.angular().cross(at[k]);
@@ -146,12 +143,12 @@ struct Parallelogram : Device {
   }
 };
 
-// On a turret of T joints, none or one.
+// A five-bar on a turret with T joints, 0 or 1.
 template <int T> struct FiveBar : Device {
   static constexpr int N = T + 2, TREE = T + 4, TASK = N;
   double base, near[2], far[2];
 
-  // Of each link mass, center, and inertia in the plane, along the link and across it in the plane: proximal, distal.
+  // `links`: proximal, then distal links, each with mass, centre of mass, and inertia about z, x and y.
   FiveBar(double base, const double (&near)[2], const double (&far)[2], const double (&rotors)[2],
           const double (&links)[4][5], double turret, double handle, const Vector3d& gravity)
       : base(base), near{near[0], near[1]}, far{far[0], far[1]} {
@@ -166,7 +163,7 @@ template <int T> struct FiveBar : Device {
     }
     done(gravity);
   }
-  // With the tip to the left of the way from elbow to elbow.
+  // Returns all joint angles for motor angles m. The tip is left of the line from the first elbow to the second.
   Vector<TREE> closed(const Vector<N>& m) const {
     double s1, c1, s2, c2;
     sincos(m[T], &s1, &c1);
@@ -186,7 +183,7 @@ template <int T> struct FiveBar : Device {
     pin::crba(model, data, q, pin::Convention::WORLD);
     const Vector3d p = point();
     const Vector3d a1 = column(T, p), b1 = column(T + 1, p), a2 = column(T + 2, p), b2 = column(T + 3, p);
-    // Both arms have the tip: a₁ q̇₁ + b₁ ḋ₁ = a₂ q̇₂ + b₂ ḋ₂ in the plane.
+    // Both arms move the tip with the same velocity in the plane: a₁ q̇₁ + b₁ ḋ₁ = a₂ q̇₂ + b₂ ḋ₂.
     const Eigen::Matrix<double, 2, 3> plane = data.oMi[end[0]].rotation().template leftCols<2>().transpose();
     Square<2> loop;
     loop << plane * b1, -(plane * b2);
@@ -209,7 +206,7 @@ template <int T> struct FiveBar : Device {
   }
 };
 
-// The wall's normal and the directions across it, then φ, as the library has them.
+// Returns the library's basis: the wall's normal, the directions across the normal, then the orientation φ.
 template <int N> Square<N> basis_of(const Vector<N>& n, int task) {
   Square<N> basis = Square<N>::Identity();
   basis.col(0) = n;
@@ -226,7 +223,7 @@ template <int N> Square<N> basis_of(const Vector<N>& n, int task) {
   return basis;
 }
 
-// Equation (4) of a wall that pushes with 1 N.
+// Computes equation (4) for a wall that pushes with 1 N.
 template <int N> void equation4(const Equations<N>& e, const Vector<N>& n, int task, Whole<N>& out) {
   out.basis = basis_of<N>(n, task);
   const Square<N> inverse = e.J.inverse(), E = inverse * out.basis, ME = e.M * E;
@@ -246,7 +243,7 @@ template <class T> void read(T&& values) {
     for (int i = 0; i < values.rows(); i++) std::cin >> values(i, j);
 }
 
-// How far entries are apart, as a share of the largest; of what is zero but for rounding, of 1e-3.
+// Returns the largest difference of entries relative to the largest entry, or to 1e-3 if all entries are almost zero.
 template <class A> double apart(const A& a, const A& b) {
   return (a - b).cwiseAbs().maxCoeff() / std::max(b.cwiseAbs().maxCoeff(), 1e-3);
 }
@@ -265,7 +262,7 @@ template <class Pass> void time(const std::string& name, const char* row, size_t
 template <class D> void run(const std::string& name, size_t count, D device) {
   constexpr int N = D::N;
   std::vector<State<N>> states(count);
-  Equations<N> e, its_e;  // The library's.
+  Equations<N> e, its_e;  // `its_` marks the library's results.
   Whole<N> w, its_w;
   double worst = 0;
   for (auto& s : states) {
@@ -279,8 +276,8 @@ template <class D> void run(const std::string& name, size_t count, D device) {
     worst = std::max({worst, apart(w.z, its_w.z), apart(w.torque, its_w.torque), apart(w.without, its_w.without)});
     worst = std::max({worst, apart(w.f_a, its_w.f_a), std::abs(w.w_eff / its_w.w_eff - 1)});
   }
-  if (!(worst < AGREEMENT)) {
-    std::cerr << name << ": the two disagree by " << worst << std::endl;
+  if (!(worst < TOLERANCE)) {
+    std::cerr << name << ": Pinocchio and the library differ by " << worst << std::endl;
     std::exit(1);
   }
   time(name, "M, b, J", states.size(), [&] {
@@ -313,7 +310,7 @@ int main() {
       run(name, count, Parallelogram());
     } else if (name == "serial-3r") {
       run(name, count, Serial3r());
-    } else {  // One joint: no need of Pinocchio.
+    } else {  // Skip the paddle, which has only one joint.
       std::getline(std::cin, rest);
       while (count--) std::getline(std::cin, rest);
     }

@@ -1,4 +1,4 @@
-//! Time of one prediction: a 200-point boundary with its area, without and with the feed-forward; and of a map.
+//! Time of a map, and of one prediction: boundaries of 200 points and their areas without and with the feed-forward.
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use haptic_host::device_file::DeviceFile;
@@ -8,7 +8,7 @@ use haptic_stability::analysis::range::predict;
 use haptic_stability::analysis::sampled::{LinearEstimator, Loop};
 use std::hint::black_box;
 
-fn boundaries(criterion: &mut Criterion) {
+fn time_prediction(criterion: &mut Criterion) {
     let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../devices/phantom-premium-1.5.toml");
     let file = DeviceFile::load(path).expect("a shipped device file");
     let device = Linearised::at(&file.description, &[0.3, 0.9, -0.3], &[0.5, 0.5, 0.7]).expect("a regular pose");
@@ -26,7 +26,7 @@ fn boundaries(criterion: &mut Criterion) {
     }
 }
 
-fn whole_map(criterion: &mut Criterion) {
+fn time_map(criterion: &mut Criterion) {
     let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../devices/coupled-five-bar.toml");
     let file = DeviceFile::load(path).expect("a shipped device file");
     criterion.bench_function("map, 2000 poses", |bench| {
@@ -34,5 +34,5 @@ fn whole_map(criterion: &mut Criterion) {
     });
 }
 
-criterion_group!(benches, boundaries, whole_map);
+criterion_group!(benches, time_prediction, time_map);
 criterion_main!(benches);

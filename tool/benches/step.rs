@@ -1,6 +1,6 @@
 //! Time of one shaped torque on this computer, by mass-matrix model and terms: `cargo bench -p haptic --bench step`.
 //!
-//! What it takes on the chip is counted, not timed: `cargo xtask bench`.
+//! `cargo xtask bench` counts the chip's instructions instead.
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use haptic_bridge::control::compiled::BoardMath;
@@ -14,7 +14,7 @@ use haptic_predict::bench::probe::{HAND_SPEED, workspace};
 use haptic_predict::bench::report::devices;
 use std::hint::black_box;
 
-fn torques<M: Mechanism<f32, N>, const N: usize>(
+fn time_torques<M: Mechanism<f32, N>, const N: usize>(
     criterion: &mut Criterion,
     mechanism: &M,
     model: &Precomputed,
@@ -34,7 +34,7 @@ fn torques<M: Mechanism<f32, N>, const N: usize>(
     }
 }
 
-fn every_variant(criterion: &mut Criterion) {
+fn time_every_variant(criterion: &mut Criterion) {
     for device in devices().expect("the shipped devices") {
         let probes = workspace(&device, 9, HAND_SPEED).expect("a device with a workspace");
         let (points, range) = (most_points(&device), range(&device, &probes));
@@ -44,10 +44,10 @@ fn every_variant(criterion: &mut Criterion) {
         let law = Law::of(&Scene::default(), &device).expect("the default cutoff");
         let board = device.mechanism.cast::<f32>();
         for model in &models {
-            with_mechanism!(&board, mechanism => torques(criterion, mechanism, model, law, &probes));
+            with_mechanism!(&board, mechanism => time_torques(criterion, mechanism, model, law, &probes));
         }
     }
 }
 
-criterion_group!(benches, every_variant);
+criterion_group!(benches, time_every_variant);
 criterion_main!(benches);

@@ -7,9 +7,9 @@ use haptic_stability::analysis::pose::TaskPose;
 use nalgebra::{DMatrix, DVector};
 
 /// Control rate, Hz. The delay is one sample.
-pub const RATE: f64 = 1_000.0;
+pub const RATE_HZ: f64 = 1_000.0;
 /// Cutoff of the Butterworth low-pass, Hz.
-pub const CUTOFF: f64 = 100.0;
+pub const CUTOFF_HZ: f64 = 100.0;
 
 /// Bodies on springs and dampers in a sampled loop with several walls: the links and, behind cables, the motors.
 pub struct Bodies {
@@ -65,13 +65,13 @@ impl Bodies {
     /// Asserts that the loop at damping `kd` is stable just below the stiffness `kp` and unstable just above.
     pub fn assert_limit(&self, kp: f64, kd: f64, case: &str) {
         assert!(kp > 0.0, "{case}: nothing is stable at {kd} N s/m");
-        let (below, above) = (self.radius(kp * 0.999, kd), self.radius(kp * 1.001, kd));
+        let (below, above) = (self.spectral_radius(kp * 0.999, kd), self.spectral_radius(kp * 1.001, kd));
         assert!(below < 1.0 && above > 1.0, "{case}: {below} below {kp} N/m and {above} above");
     }
 
     /// Returns the largest |z| of the loop at this total stiffness and total damping of the walls.
-    fn radius(&self, kp: f64, kd: f64) -> f64 {
-        let t = 1.0 / RATE;
+    fn spectral_radius(&self, kp: f64, kd: f64) -> f64 {
+        let t = 1.0 / RATE_HZ;
         let (d, n) = self.seen.shape();
         let joints = self.driven.ncols();
         let inverse = self.mass.clone().try_inverse().unwrap();
@@ -81,7 +81,7 @@ impl Bodies {
         a.view_mut((n, n), (n, n)).copy_from(&(-&inverse * &self.damping * t));
         a.view_mut((n, 2 * n), (n, joints)).copy_from(&(&inverse * &self.driven * (t * t)));
         let step = a.exp();
-        let w = (std::f64::consts::PI * CUTOFF * t).tan();
+        let w = (std::f64::consts::PI * CUTOFF_HZ * t).tan();
         let scale = 1.0 / (1.0 + std::f64::consts::SQRT_2 * w + w * w);
         let b = w * w * scale;
         let (a1, a2) = (2.0 * (w * w - 1.0) * scale, (1.0 - std::f64::consts::SQRT_2 * w + w * w) * scale);
@@ -95,20 +95,20 @@ impl Bodies {
             let (mut next, mut pull) = (DVector::zeros(size), DVector::zeros(d));
             for i in 0..d {
                 let at = plant + 3 * i;
-                let moved = x[i] - s[at];
-                let y = b * moved + s[at + 1];
+                let error = x[i] - s[at];
+                let y = b * error + s[at + 1];
                 next[at] = x[i];
-                next[at + 1] = 2.0 * b * moved - a1 * y + s[at + 2];
-                next[at + 2] = b * moved - a2 * y;
+                next[at + 1] = 2.0 * b * error - a1 * y + s[at + 2];
+                next[at + 2] = b * error - a2 * y;
                 pull[i] = -(kp * x[i] + kd / t * y);
             }
-            let moved = &step * s.rows(0, plant);
-            next.rows_mut(0, 2 * n).copy_from(&moved.rows(0, 2 * n));
+            let plant_step = &step * s.rows(0, plant);
+            next.rows_mut(0, 2 * n).copy_from(&plant_step.rows(0, 2 * n));
             next.rows_mut(2 * n, joints).copy_from(&(&self.torques * pull));
             matrix.set_column(column, &next);
         }
         // Leave out z = 1, the motion on which no wall and no spring acts.
-        let far = |z: &&nalgebra::Complex<f64>| (**z - 1.0).norm() > 1.0e-5;
-        matrix.complex_eigenvalues().iter().filter(far).map(|z| z.norm()).fold(0.0, f64::max)
+        let is_far_from_one = |z: &&nalgebra::Complex<f64>| (**z - 1.0).norm() > 1.0e-5;
+        matrix.complex_eigenvalues().iter().filter(is_far_from_one).map(|z| z.norm()).fold(0.0, f64::max)
     }
 }

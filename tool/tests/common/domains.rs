@@ -4,7 +4,7 @@ use haptic_host::device_file::DeviceFile;
 use haptic_stability::analysis::sampled::{LinearEstimator, Loop, Mode};
 use serde_json::Value;
 
-/// A device at a pose, a wall and the loop around it.
+/// A wall at one pose of a device, and its control loop.
 pub struct Case {
     pub id: String,
     pub file: DeviceFile,
@@ -12,34 +12,34 @@ pub struct Case {
     pub q: Vec<f64>,
     pub normal: Vec<f64>,
     pub around: Loop,
-    /// Known domains without and with the feed-forward.
-    pub expected: [(Mode, Known); 2],
+    /// Independently computed domains without and with the feed-forward.
+    pub expected: [(Mode, KnownDomain); 2],
 }
 
-/// A known domain: kp (N/m) at each kd (N s/m), area under kp, and largest kd.
-pub struct Known {
+/// An independently computed domain: kp, N/m, at each kd, N s/m, the area under kp, and the largest kd.
+pub struct KnownDomain {
     pub kd: Vec<f64>,
     pub kp: Vec<f64>,
     pub area: f64,
     pub kd_max: f64,
 }
 
-/// Returns all cases of the file, twenty.
-pub fn all() -> Vec<Case> {
+/// Returns the twenty cases of tests/golden/range.json.
+pub fn all_cases() -> Vec<Case> {
     let golden: Value = serde_json::from_str(&super::read("tests/golden/range.json")).unwrap();
-    let cases: Vec<Case> = golden["cases"].as_array().unwrap().iter().map(case).collect();
+    let cases: Vec<Case> = golden["cases"].as_array().unwrap().iter().map(parse_case).collect();
     assert_eq!(cases.len(), 20);
     cases
 }
 
-fn case(case: &Value) -> Case {
+fn parse_case(case: &Value) -> Case {
     let number = |value: &Value| value.as_f64().unwrap();
     let numbers = |value: &Value| value.as_array().unwrap().iter().map(number).collect::<Vec<f64>>();
     let known = |key: &str| {
         let expected = &case["expect"][key];
         let points = expected["boundary"].as_array().unwrap();
         let of = |name: &str| points.iter().map(|point| number(&point[name])).collect();
-        Known { kd: of("kd"), kp: of("kp"), area: number(&expected["area"]), kd_max: number(&expected["kd_max"]) }
+        KnownDomain { kd: of("kd"), kp: of("kp"), area: number(&expected["area"]), kd_max: number(&expected["kd_max"]) }
     };
     let id = case["id"].as_str().unwrap().to_string();
     Case {
@@ -59,7 +59,7 @@ fn case(case: &Value) -> Case {
 /// A set of walls: device, pose, normals, shares, walls without the feed-forward, damping (N s/m).
 pub type WallSetCase = (&'static str, &'static str, &'static [&'static str], &'static str, Option<&'static str>, f64);
 
-/// Facets that differ by 2, 5 and 10 degrees, and corners in the plane and in space.
+/// Sets of walls: facets that differ by 2, 5 and 10 degrees, and corners in the plane and in space.
 pub const WALL_SETS: [WallSetCase; 8] = [
     ("coupled-five-bar", "2.6,1.75", &["0.2419219,0.9702957", "0.2756374,0.9612617"], "1,1", None, 15.0),
     ("coupled-five-bar", "2.6,1.75", &["0.2419219,0.9702957", "0.3255682,0.9455186"], "1,1", None, 15.0),

@@ -1,8 +1,8 @@
 //! Random devices, similar to the shipped ones: some sound, some with a wrong file, wrong wires or wrong sensors.
 
-use super::forces::one;
-use super::injected::{Moved, moved_by, windings_of};
-use super::{all_shipped, shipped};
+use super::forces::pick_one;
+use super::injected::{CheckMotion, measure_check_of, scale_motor_constants};
+use super::{all_shipped_devices, shipped_device};
 use haptic_bridge::math::Libm;
 use haptic_bridge::model::description::{Cogging, Description, Stribeck, StructuralMode, Transmission};
 use haptic_bridge::model::mechanism::AnyMechanism;
@@ -11,17 +11,17 @@ use haptic_sim::{BoardFaults, Random};
 use std::f64::consts::TAU;
 
 /// Returns a random number between two limits, log-uniformly distributed.
-fn spread(draw: &mut Random, low: f64, high: f64) -> f64 {
+fn log_uniform(draw: &mut Random, low: f64, high: f64) -> f64 {
     (draw.between(low.ln(), high.ln())).exp()
 }
 
 /// Returns a shipped device with random size, motors, encoders, friction, gears, cables and modes.
-pub fn sound(draw: &mut Random) -> (String, Description) {
-    let files = all_shipped();
+pub fn sound_device(draw: &mut Random) -> (String, Description) {
+    let files = all_shipped_devices();
     let file = &files[(draw.uniform() * files.len() as f64) as usize];
     let (mut device, joints) = (file.description, file.spec().joints);
-    let (size, weight) = (draw.between(0.7, 1.5), spread(draw, 0.5, 2.0));
-    // The last entry is no length but the sign of the assembly.
+    let (size, weight) = (draw.between(0.7, 1.5), log_uniform(draw, 0.5, 2.0));
+    // The last entry is not a length but the sign of the assembly.
     device.geometry.iter_mut().filter(|length| length.abs() < 1.0).for_each(|length| *length *= size);
     for link in &mut device.links {
         link.com *= size;
@@ -35,26 +35,26 @@ pub fn sound(draw: &mut Random) -> (String, Description) {
     let (sticky, cogs, swings) = (draw.uniform() < 0.3, draw.uniform() < 0.2, draw.uniform() < 0.2);
     for joint in device.joints.iter_mut().take(joints) {
         joint.transmission = None;
-        // The largest gear leads to 2 N m/A.
-        let most = 2.0 / joint.motor.map_or(2.0, |motor| motor.torque_constant);
-        let gear = if geared { draw.between(2.0, 8.0).min(most) } else { 1.0 };
-        joint.inertia *= spread(draw, 1.0, gear * gear);
-        joint.coulomb *= spread(draw, 0.4, 2.5) * gear.sqrt();
-        joint.viscous *= spread(draw, 0.4, 2.5) * gear;
-        joint.encoder.as_mut().unwrap().counts_per_turn = spread(draw, 500.0, 1.0e5).round();
+        // The gear is limited so that the torque constant is at most 2 N m/A.
+        let max_gear = 2.0 / joint.motor.map_or(2.0, |motor| motor.torque_constant);
+        let gear = if geared { draw.between(2.0, 8.0).min(max_gear) } else { 1.0 };
+        joint.inertia *= log_uniform(draw, 1.0, gear * gear);
+        joint.coulomb *= log_uniform(draw, 0.4, 2.5) * gear.sqrt();
+        joint.viscous *= log_uniform(draw, 0.4, 2.5) * gear;
+        joint.encoder.as_mut().unwrap().counts_per_turn = log_uniform(draw, 500.0, 1.0e5).round();
         let motor = joint.motor.as_mut().unwrap();
         motor.torque_constant *= gear;
         motor.back_emf *= gear;
-        motor.resistance *= spread(draw, 0.5, 4.0);
-        motor.inductance = motor.resistance * spread(draw, 0.2e-3, 1.0e-3);
+        motor.resistance *= log_uniform(draw, 0.5, 4.0);
+        motor.inductance = motor.resistance * log_uniform(draw, 0.2e-3, 1.0e-3);
         motor.max_current *= draw.between(0.5, 1.0);
         joint.friction = sticky.then(|| Stribeck {
             rest: joint.coulomb * draw.between(1.0, 1.8),
-            stribeck_speed: spread(draw, 0.02, 0.2),
+            stribeck_speed: log_uniform(draw, 0.02, 0.2),
         });
         joint.cogging = cogs.then(|| Cogging {
             amplitude: joint.coulomb * draw.between(0.1, 0.6),
-            per_turn: gear.round() * one(draw, &[14.0, 24.0, 48.0]),
+            per_turn: gear.round() * pick_one(draw, &[14.0, 24.0, 48.0]),
         });
     }
     let home = device.home.unwrap().map(|angle| angle as f32);
@@ -64,7 +64,7 @@ pub fn sound(draw: &mut Random) -> (String, Description) {
         if cabled {
             let motor_inertia = joint.inertia * draw.between(0.4, 0.9);
             let link = about - motor_inertia;
-            let rate = TAU * spread(draw, 25.0, 500.0);
+            let rate = TAU * log_uniform(draw, 25.0, 500.0);
             joint.transmission = Some(Transmission {
                 stiffness: link * rate * rate,
                 damping: 2.0 * draw.between(0.02, 0.1) * link * rate,
@@ -74,7 +74,7 @@ pub fn sound(draw: &mut Random) -> (String, Description) {
         }
         if swings {
             joint.modes[0] = Some(StructuralMode {
-                frequency: spread(draw, 30.0, 300.0),
+                frequency: log_uniform(draw, 30.0, 300.0),
                 damping: draw.between(0.01, 0.1),
                 inertia: about * draw.between(0.02, 0.2),
             });
@@ -85,17 +85,17 @@ pub fn sound(draw: &mut Random) -> (String, Description) {
 
 /// Difference of a random device from its file.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Wrong {
+pub enum Mismatch {
     Nothing,
     /// Ratio of the true torque constant and back-EMF to the file's, for the first joint.
     Constant(f64),
-    /// The same for all joints.
+    /// Ratio of the true torque constants and back-EMFs to the file's, for all joints.
     Constants(f64),
-    /// Ratio of a gear that is missing in the file, also in its inertia.
+    /// Ratio of a gear that the file omits in torque constants, back-EMFs and inertias.
     Gear(f64),
     /// Share of the true current that the first current sensor measures.
     Sensor(f64),
-    /// The same for all current sensors.
+    /// Share of the true currents that all current sensors measure.
     Sensors(f64),
     /// Offset of the first current sensor, A.
     Zero(f64),
@@ -104,9 +104,9 @@ pub enum Wrong {
     MotorsSwapped,
 }
 
-impl Wrong {
-    pub fn drawn(draw: &mut Random) -> Self {
-        let factor = spread(draw, 1.25, 12.0);
+impl Mismatch {
+    pub fn random(draw: &mut Random) -> Self {
+        let factor = log_uniform(draw, 1.25, 12.0);
         match (draw.uniform() * 10.0) as u32 {
             0 | 1 => Self::Constant(factor),
             2 => Self::Constants(factor),
@@ -120,13 +120,13 @@ impl Wrong {
         }
     }
 
-    fn make(self, wired: &mut Description, broken: &mut BoardFaults) {
+    fn inject(self, wired: &mut Description, broken: &mut BoardFaults) {
         match self {
             Self::Nothing => {}
-            Self::Constant(factor) => windings_of(&mut wired.joints[..1], factor),
-            Self::Constants(factor) => windings_of(&mut wired.joints, factor),
+            Self::Constant(factor) => scale_motor_constants(&mut wired.joints[..1], factor),
+            Self::Constants(factor) => scale_motor_constants(&mut wired.joints, factor),
             Self::Gear(gear) => {
-                windings_of(&mut wired.joints, gear);
+                scale_motor_constants(&mut wired.joints, gear);
                 for joint in &mut wired.joints {
                     joint.inertia *= gear * gear;
                     joint.transmission.iter_mut().for_each(|it| it.motor_inertia *= gear * gear);
@@ -144,45 +144,45 @@ impl Wrong {
 
 /// Result of one polarity check of a random device.
 #[derive(Debug)]
-pub struct Checked {
+pub struct CheckResult {
     pub seed: u64,
     pub device: String,
-    pub wrong: Wrong,
-    pub ended: Result<(), FaultRecord>,
-    pub moved: Moved,
+    pub mismatch: Mismatch,
+    pub result: Result<(), FaultRecord>,
+    pub motion: CheckMotion,
 }
 
-impl std::fmt::Display for Checked {
+impl std::fmt::Display for CheckResult {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let Self { seed, device, wrong, ended, moved } = self;
-        let ended = ended.map_err(|record| (record.fault, record.axis, record.value));
-        write!(f, "{seed} {device} {wrong:?}: {:.2} N, {:.3} rad, {ended:?}", moved.push, moved.travel)
+        let Self { seed, device, mismatch, result, motion } = self;
+        let result = result.map_err(|record| (record.fault, record.axis, record.value));
+        write!(f, "{seed} {device} {mismatch:?}: {:.2} N, {:.3} rad, {result:?}", motion.push, motion.travel)
     }
 }
 
-/// Checks a sound random device, which is held at home until the polarity check begins.
-pub fn check_sound(seed: u64) -> Checked {
+/// Checks the polarity of a random device whose file is correct.
+pub fn check_sound(seed: u64) -> CheckResult {
     let mut draw = Random::new(seed);
-    let (device, description) = sound(&mut draw);
-    check(seed, device, &description, Wrong::Nothing)
+    let (device, description) = sound_device(&mut draw);
+    check(seed, device, &description, Mismatch::Nothing)
 }
 
-/// Checks a device that differs from its file: half of them are shipped devices, half random ones.
-pub fn check_wrong(seed: u64) -> Checked {
+/// Checks the polarity of a device that differs from its file. Half of the seeds have a shipped device.
+pub fn check_wrong(seed: u64) -> CheckResult {
     let mut draw = Random::new(seed);
-    let wrong = Wrong::drawn(&mut draw);
-    let (mut device, mut description) = sound(&mut draw);
+    let mismatch = Mismatch::random(&mut draw);
+    let (mut device, mut description) = sound_device(&mut draw);
     if draw.uniform() < 0.5 {
-        description = shipped(&device).description;
+        description = shipped_device(&device).description;
     }
     // A paddle has only one motor, so nothing can be swapped.
-    if matches!(wrong, Wrong::EncodersSwapped | Wrong::MotorsSwapped) && description.kind.spec().joints < 2 {
-        (device, description) = ("pantograph-mk2".into(), shipped("pantograph-mk2").description);
+    if matches!(mismatch, Mismatch::EncodersSwapped | Mismatch::MotorsSwapped) && description.kind.spec().joints < 2 {
+        (device, description) = ("pantograph-mk2".into(), shipped_device("pantograph-mk2").description);
     }
-    check(seed, device, &description, wrong)
+    check(seed, device, &description, mismatch)
 }
 
-fn check(seed: u64, device: String, description: &Description, wrong: Wrong) -> Checked {
-    let (ended, moved) = moved_by(&device, description, |wired, broken| wrong.make(wired, broken));
-    Checked { seed, device, wrong, ended, moved }
+fn check(seed: u64, device: String, description: &Description, mismatch: Mismatch) -> CheckResult {
+    let (result, motion) = measure_check_of(&device, description, |wired, broken| mismatch.inject(wired, broken));
+    CheckResult { seed, device, mismatch, result, motion }
 }

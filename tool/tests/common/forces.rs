@@ -8,33 +8,31 @@ use std::collections::VecDeque;
 use std::ops::Range;
 
 /// Returns one of these values at random.
-pub fn one<T: Copy>(draw: &mut Random, of: &[T]) -> T {
+pub fn pick_one<T: Copy>(draw: &mut Random, of: &[T]) -> T {
     of[(draw.uniform() * of.len() as f64) as usize]
 }
 
 /// Runs every shipped device with each seed. Describes the runs that push harder than 1.1 times the limit.
-pub fn too_hard(seeds: Range<u64>) -> Vec<String> {
-    let devices = super::all_shipped();
-    let drawn = seeds.flat_map(|seed| devices.iter().map(move |file| largest(file, seed)));
-    drawn.filter(|(most, _)| *most > 1.1 * f64::from(GENTLE_FORCE)).map(|(_, what)| what).collect()
+pub fn runs_beyond_limit(seeds: Range<u64>) -> Vec<String> {
+    let devices = super::all_shipped_devices();
+    let pushes = seeds.flat_map(|seed| devices.iter().map(move |file| largest_push(file, seed)));
+    pushes.filter(|(most, _)| *most > 1.1 * f64::from(GENTLE_FORCE)).map(|(_, what)| what).collect()
 }
 
-/// Runs a random scene with a random motion. Returns the largest force of the motors at the tip (as in [`Push`], N) and
-/// a description of the run.
-fn largest(file: &DeviceFile, seed: u64) -> (f64, String) {
+/// Runs a random scene with a random motion. Returns the largest force of the motors at the tip, N, and a description.
+fn largest_push(file: &DeviceFile, seed: u64) -> (f64, String) {
     let mut draw = Random::new(seed);
     let weighs = file.description.gravity != [0.0; 3];
-    let options =
-        BoardOptions { support: if weighs { Support::Held } else { Support::None }, ..BoardOptions::default() };
+    let support = if weighs { Support::Held } else { Support::None };
+    let options = BoardOptions { support, ..BoardOptions::default() };
     let (shared, mut board) = board(file, options);
     let mut rules: Rules = board.rules().unwrap();
     rules.limits.tip_force = GENTLE_FORCE;
     rules.host_action = HostAction::Ignore;
     board.set_rules(&rules).unwrap();
-
     let (tip, task) = (shared.lock().device().tip(), file.spec().task);
-    let rate = one(&mut draw, &[200.0, 1_000.0, 4_000.0, 20_000.0, 40_000.0]);
-    let feed_forward = one(&mut draw, &[FeedForward::Off, FeedForward::Full, FeedForward::Washout]);
+    let rate = pick_one(&mut draw, &[200.0, 1_000.0, 4_000.0, 20_000.0, 40_000.0]);
+    let feed_forward = pick_one(&mut draw, &[FeedForward::Off, FeedForward::Full, FeedForward::Washout]);
     let mut scene = Scene {
         task: task as u8,
         rate_hz: rate as f32,
@@ -42,7 +40,7 @@ fn largest(file: &DeviceFile, seed: u64) -> (f64, String) {
         gravity_compensation: weighs,
         ..Scene::default()
     };
-    let walls = one(&mut draw, &[0, 1, 1, 2]);
+    let walls = pick_one(&mut draw, &[0, 1, 1, 2]);
     let stiffness = 10f64.powf(draw.between(2.0, 4.0));
     let damping = draw.between(0.0, 0.01) * stiffness;
     for _ in 0..walls {
@@ -88,7 +86,7 @@ fn largest(file: &DeviceFile, seed: u64) -> (f64, String) {
     let (mut push, mut most) = (Push::of(&file.description, &board), 0.0_f64);
     while board.time() < 1.4 {
         board.carrier();
-        most = most.max(push.take(&board).unwrap_or(0.0));
+        most = most.max(push.add_period(&board).unwrap_or(0.0));
     }
     let state = board.status();
     (most, format!("{what}: {most:.2} N, {:?} {:?}", state.state, state.fault.map(|record| record.fault)))
@@ -105,7 +103,7 @@ pub struct Push {
 }
 
 impl Push {
-    /// `truth` is the true device of the board.
+    /// Starts a measurement on a board whose true device is `truth`.
     pub fn of(truth: &Description, board: &SimulatedBoard) -> Self {
         let mechanism = AnyMechanism::new(truth).unwrap();
         let length = (2e-3 * board.carrier_hz()) as usize;
@@ -113,7 +111,7 @@ impl Push {
     }
 
     /// Adds one carrier period. Returns the mean force, N, after the first 2 ms.
-    pub fn take(&mut self, board: &SimulatedBoard) -> Option<f64> {
+    pub fn add_period(&mut self, board: &SimulatedBoard) -> Option<f64> {
         let device = board.device();
         let (q, currents, weight) = (device.q(), device.currents(), device.plant().gravity());
         // While the motors are off, they do not carry the weight.

@@ -9,103 +9,98 @@ use haptic_bridge::safety::fault::FaultRecord;
 use haptic_sim::{BoardFaults, Hand, SimulatedBoard};
 use std::f64::consts::TAU;
 
-/// An error with the time at which it begins.
+/// Time at which an injected error begins, and the function that injects the error.
 pub enum When {
-    /// From power-on. Changes the true device and wires, not the device file that the board receives.
+    /// The error exists from power-on. The function changes the true device and wires, not the board's device file.
     Always(fn(&mut Description, &mut BoardFaults)),
-    /// While a hand presses against a wall.
+    /// The error begins while a hand presses against a wall.
     InContact(fn(&mut SimulatedBoard, &Description)),
 }
 
-/// An injected error.
+/// An injected error, as the tables of docs/results/lies.csv name it.
 pub struct InjectedError {
     pub what: &'static str,
     pub when: When,
 }
 
-const fn always(what: &'static str, error: fn(&mut Description, &mut BoardFaults)) -> InjectedError {
+const fn permanent_error(what: &'static str, error: fn(&mut Description, &mut BoardFaults)) -> InjectedError {
     InjectedError { what, when: When::Always(error) }
 }
 
-const fn in_contact(what: &'static str, error: fn(&mut SimulatedBoard, &Description)) -> InjectedError {
+const fn contact_error(what: &'static str, error: fn(&mut SimulatedBoard, &Description)) -> InjectedError {
     InjectedError { what, when: When::InContact(error) }
 }
 
-/// All injected errors.
 pub const INJECTED_ERRORS: [InjectedError; 37] = [
-    always("torque constant twice the file's", |wired, _| constants(wired, 2.0)),
-    always("torque constant half the file's", |wired, _| constants(wired, 0.5)),
-    always("torque constant 1.15 of the file's", |wired, _| constants(wired, 1.15)),
-    always("a gear of 10 that the file forgets", |wired, _| constants(wired, 10.0)),
-    always("counts per line instead of per edge", |wired, _| counts(wired, 4.0)),
-    always("counts per edge instead of per line", |wired, _| counts(wired, 0.25)),
-    always("first two motors swapped", |_, broken| broken.motors.swap(0, 1)),
-    always("first two encoders swapped", |_, broken| broken.swapped_at = Some([0; 2])),
-    always("leads of the first motor swapped", |_, broken| broken.reversed[0] = true),
-    always("first encoder backward", |_, broken| broken.share[0] = Some((0, -1.0))),
-    always("resistance twice the file's", |wired, _| windings(wired, 2.0, 1.0)),
-    always("resistance half the file's", |wired, _| windings(wired, 0.5, 1.0)),
-    always("inductance half the file's", |wired, _| windings(wired, 1.0, 0.5)),
-    always("inertias twice the file's", |wired, _| inertias(wired, 2.0)),
-    always("inertias half the file's", |wired, _| inertias(wired, 0.5)),
-    always("current sensors show 45 %", |_, broken| broken.sensor_gain = [0.45; 4]),
-    always("current sensors show two thirds", |_, broken| broken.sensor_gain = [0.67; 4]),
-    always("first current sensor shows two thirds", |_, broken| broken.sensor_gain[0] = 0.67),
-    always("current sensors show 150 %", |_, broken| broken.sensor_gain = [1.5; 4]),
-    always("first current sensor backward", |_, broken| broken.sensor_gain[0] = -1.0),
-    always("first current sensor shows nothing", |_, broken| broken.sensor_gain[0] = 0.0),
-    always("first current sensor 0.3 A off its zero", |_, broken| broken.sensor_offset[0] = 0.3),
-    in_contact("first current sensor 8 A too high", |board, _| board.faults_mut().sensor_offset[0] = 8.0),
-    in_contact("first current sensor 0.5 A too low", |board, _| board.faults_mut().sensor_offset[0] = -0.5),
-    in_contact("current sensors begin to show half", |board, _| board.faults_mut().sensor_gain = [0.5; 4]),
-    in_contact("first current sensor freezes", |board, _| {
+    permanent_error("torque constant twice the file's", |wired, _| scale_motor_constants(&mut wired.joints, 2.0)),
+    permanent_error("torque constant half the file's", |wired, _| scale_motor_constants(&mut wired.joints, 0.5)),
+    permanent_error("torque constant 1.15 of the file's", |wired, _| scale_motor_constants(&mut wired.joints, 1.15)),
+    permanent_error("a gear of 10 that the file forgets", |wired, _| scale_motor_constants(&mut wired.joints, 10.0)),
+    permanent_error("counts per line instead of per edge", |wired, _| scale_counts_per_turn(wired, 4.0)),
+    permanent_error("counts per edge instead of per line", |wired, _| scale_counts_per_turn(wired, 0.25)),
+    permanent_error("first two motors swapped", |_, broken| broken.motors.swap(0, 1)),
+    permanent_error("first two encoders swapped", |_, broken| broken.swapped_at = Some([0; 2])),
+    permanent_error("leads of the first motor swapped", |_, broken| broken.reversed[0] = true),
+    permanent_error("first encoder backward", |_, broken| broken.share[0] = Some((0, -1.0))),
+    permanent_error("resistance twice the file's", |wired, _| scale_windings(wired, 2.0, 1.0)),
+    permanent_error("resistance half the file's", |wired, _| scale_windings(wired, 0.5, 1.0)),
+    permanent_error("inductance half the file's", |wired, _| scale_windings(wired, 1.0, 0.5)),
+    permanent_error("inertias twice the file's", |wired, _| scale_inertias(wired, 2.0)),
+    permanent_error("inertias half the file's", |wired, _| scale_inertias(wired, 0.5)),
+    permanent_error("current sensors show 45 %", |_, broken| broken.sensor_gain = [0.45; 4]),
+    permanent_error("current sensors show two thirds", |_, broken| broken.sensor_gain = [0.67; 4]),
+    permanent_error("first current sensor shows two thirds", |_, broken| broken.sensor_gain[0] = 0.67),
+    permanent_error("current sensors show 150 %", |_, broken| broken.sensor_gain = [1.5; 4]),
+    permanent_error("first current sensor backward", |_, broken| broken.sensor_gain[0] = -1.0),
+    permanent_error("first current sensor shows nothing", |_, broken| broken.sensor_gain[0] = 0.0),
+    permanent_error("first current sensor 0.3 A off its zero", |_, broken| broken.sensor_offset[0] = 0.3),
+    contact_error("first current sensor 8 A too high", |board, _| board.faults_mut().sensor_offset[0] = 8.0),
+    contact_error("first current sensor 0.5 A too low", |board, _| board.faults_mut().sensor_offset[0] = -0.5),
+    contact_error("current sensors begin to show half", |board, _| board.faults_mut().sensor_gain = [0.5; 4]),
+    contact_error("first current sensor freezes", |board, _| {
         board.faults_mut().sensor_frozen[0] = Some(board.device().currents()[0]);
     }),
-    in_contact("first winding opens", |board, _| board.faults_mut().open[0] = true),
-    in_contact("first bridge stuck at 40 %", |board, _| board.faults_mut().stuck_on[0] = Some(0.4)),
-    in_contact("first encoder dead", |board, _| share(board, 0.0)),
-    in_contact("first encoder begins to count backward", |board, _| share(board, -1.0)),
-    in_contact("first encoder loses one count in ten", |board, _| share(board, 0.9)),
-    in_contact("first encoder drifts by 1.9 rad/s", |board, device| {
+    contact_error("first winding opens", |board, _| board.faults_mut().open[0] = true),
+    contact_error("first bridge stuck at 40 %", |board, _| board.faults_mut().stuck_on[0] = Some(0.4)),
+    contact_error("first encoder dead", |board, _| scale_encoder_motion(board, 0.0)),
+    contact_error("first encoder begins to count backward", |board, _| scale_encoder_motion(board, -1.0)),
+    contact_error("first encoder loses one count in ten", |board, _| scale_encoder_motion(board, 0.9)),
+    contact_error("first encoder drifts by 1.9 rad/s", |board, device| {
         let rate = 1.9 * counts_per_radian(device) / board.carrier_hz();
         board.faults_mut().drift[0] = Some((board.readings(), rate));
     }),
-    in_contact("first encoder shakes by 8 counts", |board, _| board.faults_mut().shake[0] = 8),
-    in_contact("first encoder leaps by 0.4 rad", |board, device| {
+    contact_error("first encoder shakes by 8 counts", |board, _| board.faults_mut().shake[0] = 8),
+    contact_error("first encoder leaps by 0.4 rad", |board, device| {
         board.faults_mut().count_offset[0] = (0.4 * counts_per_radian(device)) as i32;
     }),
-    in_contact("first two encoders change places", |board, _| {
+    contact_error("first two encoders change places", |board, _| {
         let [first, second, _] = board.device().counts();
         board.faults_mut().swapped_at = Some([first, second]);
     }),
-    in_contact("bus shows half", |board, _| board.faults_mut().bus_reading = Some(12.0)),
-    in_contact("bus shows twice", |board, _| board.faults_mut().bus_reading = Some(48.0)),
+    contact_error("bus shows half", |board, _| board.faults_mut().bus_reading = Some(12.0)),
+    contact_error("bus shows twice", |board, _| board.faults_mut().bus_reading = Some(48.0)),
 ];
 
 fn motors(wired: &mut Description) -> impl Iterator<Item = &mut Motor<f64>> {
     wired.joints.iter_mut().filter_map(|joint| joint.motor.as_mut())
 }
 
-fn constants(wired: &mut Description, factor: f64) {
-    windings_of(&mut wired.joints, factor);
-}
-
 /// Multiplies torque constant and back-EMF of these joints' motors by a factor.
-pub fn windings_of(joints: &mut [Joint], factor: f64) {
+pub fn scale_motor_constants(joints: &mut [Joint], factor: f64) {
     for motor in joints.iter_mut().filter_map(|joint| joint.motor.as_mut()) {
         motor.torque_constant *= factor;
         motor.back_emf *= factor;
     }
 }
 
-fn windings(wired: &mut Description, resistance: f64, inductance: f64) {
+fn scale_windings(wired: &mut Description, resistance: f64, inductance: f64) {
     for motor in motors(wired) {
         motor.resistance *= resistance;
         motor.inductance *= inductance;
     }
 }
 
-fn inertias(wired: &mut Description, factor: f64) {
+fn scale_inertias(wired: &mut Description, factor: f64) {
     wired.joints.iter_mut().for_each(|joint| joint.inertia *= factor);
     for link in &mut wired.links {
         link.mass *= factor;
@@ -116,11 +111,11 @@ fn inertias(wired: &mut Description, factor: f64) {
     wired.handle_mass *= factor;
 }
 
-pub fn counts(wired: &mut Description, factor: f64) {
+pub fn scale_counts_per_turn(wired: &mut Description, factor: f64) {
     wired.joints.iter_mut().filter_map(|joint| joint.encoder.as_mut()).for_each(|it| it.counts_per_turn *= factor);
 }
 
-fn share(board: &mut SimulatedBoard, share: f64) {
+fn scale_encoder_motion(board: &mut SimulatedBoard, share: f64) {
     board.faults_mut().share[0] = Some((board.device().counts()[0], share));
 }
 
@@ -128,15 +123,14 @@ fn counts_per_radian(device: &Description) -> f64 {
     device.joints[0].encoder.map_or(0.0, |encoder| encoder.counts_per_turn) / TAU
 }
 
-/// Outcome of an injected error.
 #[derive(Clone, Copy, Debug)]
 pub enum Outcome {
     /// The polarity check ended with this fault.
     Refused(FaultRecord),
-    /// The motors went off with this fault, so many seconds after the error began or, if it was always there, after
+    /// The motors went off with this fault, this time, s, after the error began or, for a permanent error, after
     /// arming.
     Seen(FaultRecord, f64, Harm),
-    /// The board did not notice.
+    /// The board reported no fault.
     Missed(Harm),
 }
 
@@ -152,32 +146,32 @@ pub struct Harm {
 }
 
 /// Returns a homed strict board with the correct `file`, and the true device, which has the injected error.
-fn homed(file: &DeviceFile, error: &InjectedError) -> (SharedBoard, Board, Description) {
-    homed_as(&file.name, &file.description, Options::default(), |wired, broken| {
+fn homed_board(file: &DeviceFile, error: &InjectedError) -> (SharedBoard, Board, Description) {
+    homed_board_as(&file.name, &file.description, Options::default(), |wired, broken| {
         if let When::Always(error) = error.when {
             error(wired, broken);
         }
     })
 }
 
-/// Like [`homed`] with any description and error.
-fn homed_as(
+/// Like [`homed_board`] with any description and error.
+fn homed_board_as(
     name: &str,
     description: &Description,
     device: Options,
     error: impl FnOnce(&mut Description, &mut BoardFaults),
 ) -> (SharedBoard, Board, Description) {
-    let mut told = *description;
-    let home = told.home.unwrap();
-    for (joint, home) in told.joints.iter_mut().zip(home) {
+    let mut device_file = *description;
+    let home = device_file.home.unwrap();
+    for (joint, home) in device_file.joints.iter_mut().zip(home) {
         joint.motor.iter_mut().for_each(|motor| motor.verified = true);
         joint.limits = Some((home - 1.5, home + 1.5));
     }
-    let mut wired = told;
+    let mut wired = device_file;
     let mut options = BoardOptions { device, strict: true, support: Support::Held, ..BoardOptions::default() };
     error(&mut wired, &mut options.faults);
     let mut simulated = SimulatedBoard::new(&wired, options).unwrap();
-    simulated.load(name, &told, None).unwrap();
+    simulated.load(name, &device_file, None).unwrap();
     let shared = SharedBoard::new(simulated);
     let mut board = Board::over(shared.wire(), "sim").unwrap();
     let rules = board.rules().unwrap();
@@ -187,7 +181,7 @@ fn homed_as(
 }
 
 /// Runs the polarity check and calls `to_see` after every carrier period.
-fn checked(
+fn run_check(
     shared: &SharedBoard,
     board: &mut Board,
     mut to_see: impl FnMut(&SimulatedBoard),
@@ -196,9 +190,9 @@ fn checked(
         return Err(shared.lock().status().fault.unwrap_or_else(|| panic!("{error}")));
     }
     let mut board = shared.lock();
-    let most = board.time() + 60.0;
+    let end_s = board.time() + 60.0;
     while board.status().state == State::CheckingPolarity {
-        assert!(board.time() < most, "the check does not end");
+        assert!(board.time() < end_s, "the check does not end");
         board.carrier();
         to_see(&board);
     }
@@ -211,14 +205,14 @@ fn checked(
 }
 
 /// Runs the polarity check and returns its fault.
-pub fn refused(file: &DeviceFile, error: &InjectedError) -> Result<(), FaultRecord> {
-    let (shared, mut board, _) = homed(file, error);
-    checked(&shared, &mut board, |_| ())
+pub fn check_fault(file: &DeviceFile, error: &InjectedError) -> Result<(), FaultRecord> {
+    let (shared, mut board, _) = homed_board(file, error);
+    run_check(&shared, &mut board, |_| ())
 }
 
 /// Largest effects of a polarity check.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Moved {
+pub struct CheckMotion {
     /// Largest force of the motors at the tip, as a mean over 2 ms, N.
     pub push: f64,
     /// Largest rotation of a joint from its start, rad.
@@ -226,35 +220,37 @@ pub struct Moved {
 }
 
 /// Runs the polarity check and measures its effects.
-pub fn moved(file: &DeviceFile, error: &InjectedError) -> (Result<(), FaultRecord>, Moved) {
-    watched(homed(file, error))
+pub fn measure_check(file: &DeviceFile, error: &InjectedError) -> (Result<(), FaultRecord>, CheckMotion) {
+    check_motion(homed_board(file, error))
 }
 
-/// Like [`moved`] with any description and error, and with only two integration steps per carrier period.
-pub fn moved_by(
+/// Like [`measure_check`] with any description and error, and with only two integration steps per carrier period.
+pub fn measure_check_of(
     name: &str,
     description: &Description,
     error: impl FnOnce(&mut Description, &mut BoardFaults),
-) -> (Result<(), FaultRecord>, Moved) {
-    watched(homed_as(name, description, Options { substep: 25e-6, ..Options::default() }, error))
+) -> (Result<(), FaultRecord>, CheckMotion) {
+    check_motion(homed_board_as(name, description, Options { substep: 25e-6, ..Options::default() }, error))
 }
 
-fn watched((shared, mut board, wired): (SharedBoard, Board, Description)) -> (Result<(), FaultRecord>, Moved) {
+fn check_motion(
+    (shared, mut board, wired): (SharedBoard, Board, Description),
+) -> (Result<(), FaultRecord>, CheckMotion) {
     let mut push = Push::of(&wired, &shared.lock());
     let start = shared.lock().device().q();
-    let mut moved = Moved::default();
-    let ended = checked(&shared, &mut board, |board| {
-        moved.push = moved.push.max(push.take(board).unwrap_or(0.0));
-        let turned = board.device().q().into_iter().zip(start).map(|(q, start)| (q - start).abs());
-        moved.travel = turned.fold(moved.travel, f64::max);
+    let mut motion = CheckMotion::default();
+    let result = run_check(&shared, &mut board, |board| {
+        motion.push = motion.push.max(push.add_period(board).unwrap_or(0.0));
+        let turn_angles = board.device().q().into_iter().zip(start).map(|(q, start)| (q - start).abs());
+        motion.travel = turn_angles.fold(motion.travel, f64::max);
     });
-    (ended, moved)
+    (result, motion)
 }
 
 /// Runs an injected error while a hand presses a wall of 1000 N/m at 1 kHz with 4 N and moves back and forth along it.
 pub fn outcome(file: &DeviceFile, error: &InjectedError) -> Outcome {
-    let (shared, mut board, wired) = homed(file, error);
-    if let Err(record) = checked(&shared, &mut board, |_| ()) {
+    let (shared, mut board, wired) = homed_board(file, error);
+    if let Err(record) = run_check(&shared, &mut board, |_| ()) {
         return Outcome::Refused(record);
     }
     shared.lock().run(0.5);
@@ -290,17 +286,17 @@ pub fn outcome(file: &DeviceFile, error: &InjectedError) -> Outcome {
         assert_eq!(board.status().state, State::Armed, "{}: {:?}", file.name, board.status());
         error(&mut board, &wired);
     }
-    let began = board.time();
+    let start_s = board.time();
     let (mut push, mut harm) = (Push::of(&wired, &board), Harm::default());
-    while board.time() < began + 2.0 {
+    while board.time() < start_s + 2.0 {
         board.carrier();
         let device = board.device();
         let most = |values: [f64; 3]| values.iter().fold(0.0, |most: f64, value| most.max(value.abs()));
         harm.current = harm.current.max(most(device.currents()));
         harm.speed = harm.speed.max(most(device.qd()));
-        harm.push = harm.push.max(push.take(&board).unwrap_or(0.0));
+        harm.push = harm.push.max(push.add_period(&board).unwrap_or(0.0));
         if let Some(record) = board.status().fault {
-            return Outcome::Seen(record, board.time() - began, harm);
+            return Outcome::Seen(record, board.time() - start_s, harm);
         }
     }
     Outcome::Missed(harm)

@@ -1,5 +1,5 @@
 //! Helpers of all tests of the tool: shipped files, command lines, simple scenes and control loops.
-#![allow(dead_code, unused_imports, reason = "every run uses its own part")]
+#![allow(dead_code, unused_imports, reason = "each test program uses only a part")]
 
 pub mod bodies;
 #[cfg(unix)]
@@ -17,12 +17,14 @@ pub mod tuned;
 use assert_cmd::Command;
 use haptic_bridge::math::Real;
 use haptic_host::output::csv_line;
+use haptic_predict::measure::{Law, MeasurementSetup};
 use haptic_sim::ready_board;
 use haptic_stability::analysis::flexible::Flexible;
 use prelude::*;
+use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
+use std::process::{Child, Stdio};
 
-/// Types that many tests use.
 pub mod prelude {
     pub use haptic_bridge::control::{HostAction, Rules};
     pub use haptic_bridge::math::Libm;
@@ -50,7 +52,6 @@ pub mod prelude {
 /// Folder with the scenes of the demo's device, as in a command line.
 pub const SCENES: &str = "devices/scenes/coupled-five-bar";
 
-/// Folder of the repository.
 pub fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("..").canonicalize().unwrap()
 }
@@ -76,26 +77,25 @@ pub fn csv(rows: impl IntoIterator<Item = String>) -> String {
 }
 
 /// Returns the full path of a shipped file from its path in devices/.
-pub fn file(name: &str) -> String {
+pub fn shipped_path(name: &str) -> String {
     root().join("devices").join(name).display().to_string()
 }
 
 /// Returns the device or scene files in a folder of devices/.
-pub fn files(folder: &str) -> Vec<PathBuf> {
-    let mut files: Vec<_> = std::fs::read_dir(file(folder)).unwrap().map(|entry| entry.unwrap().path()).collect();
+pub fn toml_files(folder: &str) -> Vec<PathBuf> {
+    let entries = std::fs::read_dir(shipped_path(folder)).unwrap();
+    let mut files: Vec<_> = entries.map(|entry| entry.unwrap().path()).collect();
     files.retain(|path| path.extension().is_some_and(|extension| extension == "toml"));
     files.sort();
     files
 }
 
-/// Loads a shipped device.
-pub fn shipped(name: &str) -> DeviceFile {
-    DeviceFile::load(file(&format!("{name}.toml"))).unwrap()
+pub fn shipped_device(name: &str) -> DeviceFile {
+    DeviceFile::load(shipped_path(&format!("{name}.toml"))).unwrap()
 }
 
-/// Loads all shipped devices.
-pub fn all_shipped() -> Vec<DeviceFile> {
-    files("").into_iter().map(|path| DeviceFile::load(path).unwrap()).collect()
+pub fn all_shipped_devices() -> Vec<DeviceFile> {
+    toml_files("").into_iter().map(|path| DeviceFile::load(path).unwrap()).collect()
 }
 
 /// A temporary folder that returns paths as strings for command lines.
@@ -117,7 +117,7 @@ impl Folder {
     }
 
     /// Writes a copy of a shipped device file with these replacements and returns its path.
-    pub fn changed(&self, device: &str, changes: &[(&str, &str)]) -> String {
+    pub fn write_changed(&self, device: &str, changes: &[(&str, &str)]) -> String {
         let text = changes.iter().fold(read(&format!("devices/{device}.toml")), |text, (from, to)| {
             assert!(text.contains(from), "{device}: {from}");
             text.replace(from, to)
@@ -171,17 +171,41 @@ pub fn type_lines(table: &str, more: &[&str]) {
         let words: Vec<&str> = words.iter().map(String::as_str).chain(more.iter().copied()).collect();
         let (ended, out, err) = run(&words);
         assert_eq!(ended.to_string(), code, "{line}\n{out}{err}");
-        let said = if matches!(ended, 1 | 2) { err } else { out + &err };
+        let out = if matches!(ended, 1 | 2) { err } else { out + &err };
         for text in texts.split(" | ").filter(|text| !text.is_empty()) {
-            let is_right = text.strip_prefix('!').map_or_else(|| said.contains(text), |text| !said.contains(text));
-            assert!(is_right, "{line}\n{text}\n{said}");
+            let is_right = text.strip_prefix('!').map_or_else(|| out.contains(text), |text| !out.contains(text));
+            assert!(is_right, "{line}\n{text}\n{out}");
         }
     }
 }
 
-/// Sends a signal, such as `INT`, to a process. Uses the `kill` of the shell, because not every system has a program
-/// `kill`.
-pub fn signal(child: &std::process::Child, name: &str) {
+/// Process of the tool, which is killed when dropped.
+pub struct Process {
+    pub child: Child,
+    /// First line of the process's standard output.
+    pub first_line: String,
+}
+
+impl Process {
+    /// Starts the tool and waits for its first line.
+    pub fn start(arguments: &[&str]) -> Self {
+        let mut command = std::process::Command::new(assert_cmd::cargo::cargo_bin("haptic"));
+        let mut child = command.args(arguments).env_remove("HAPTIC_PORT").stdout(Stdio::piped()).spawn().unwrap();
+        let mut line = String::new();
+        BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
+        Self { child, first_line: line.trim_end().into() }
+    }
+}
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// Sends a signal, such as `INT`, to a process, with the shell's `kill`, because some systems have no such program.
+pub fn send_signal(child: &Child, name: &str) {
     let line = format!("kill -{name} {}", child.id());
     assert!(std::process::Command::new("sh").args(["-c", &line]).status().unwrap().success());
 }
@@ -191,6 +215,35 @@ pub fn board(file: &DeviceFile, options: BoardOptions) -> (SharedBoard, Board) {
     let shared = SharedBoard::new(ready_board(file, options).unwrap());
     let board = Board::over(shared.wire(), "sim").unwrap();
     (shared, board)
+}
+
+/// Returns the numbers of a JSON list.
+pub fn numbers(list: &Value) -> Vec<f64> {
+    list.as_array().unwrap().iter().map(|number| number.as_f64().unwrap()).collect()
+}
+
+/// Returns the option `--q` with the joint angles of a JSON list.
+pub fn pose_option(q: &Value) -> String {
+    let angles: Vec<String> = numbers(q).iter().map(|angle| format!("{angle:e}")).collect();
+    format!("--q={}", angles.join(","))
+}
+
+/// Returns the value of a numeric attribute in a line of an SVG file.
+pub fn svg_number(line: &str, attribute: &str) -> Option<f64> {
+    line.split_once(&format!(" {attribute}=\""))?.1.split_once('"')?.0.parse().ok()
+}
+
+/// Returns the settings for a measurement of one wall, with a torque limit of 1 N m and a pull of 2 mm.
+pub fn measurement(normal: &[f64], rate_hz: f64, cutoff_hz: f64) -> MeasurementSetup {
+    MeasurementSetup {
+        walls: vec![Member::new(normal.to_vec(), 1.0)],
+        rate_hz,
+        cutoff_hz,
+        washout_hz: 2.0,
+        law: Law::default(),
+        torque_limit: 1.0,
+        largest_pull: 2e-3,
+    }
 }
 
 /// Returns a plane wall without feed-forward.
@@ -212,7 +265,7 @@ pub fn ideal_loop(rate_hz: f64, delay_samples: f64, estimator: LinearEstimator) 
 }
 
 /// Returns a rigid device at one pose, from mass matrix, joint damping, Jr and E.
-pub fn rigid(mass: &[f64], viscous: &[f64], row: &[f64], unit_motion: &[f64]) -> Linearised {
+pub fn rigid_device(mass: &[f64], viscous: &[f64], row: &[f64], unit_motion: &[f64]) -> Linearised {
     Linearised {
         gain: 1.0,
         flexible: Flexible::default(),
@@ -225,5 +278,5 @@ pub fn rigid(mass: &[f64], viscous: &[f64], row: &[f64], unit_motion: &[f64]) ->
 
 /// Returns a free mass (kg) that moves along the wall's normal.
 pub fn point_mass(mass: f64) -> Linearised {
-    rigid(&[mass], &[0.0], &[1.0], &[1.0])
+    rigid_device(&[mass], &[0.0], &[1.0], &[1.0])
 }

@@ -1,14 +1,11 @@
 //! `haptic view` in another process, and the messages that a page receives.
-#![allow(dead_code, reason = "every run uses its own part")]
 
-use assert_cmd::cargo::CommandCargoExt;
+use super::Process;
 use serde_json::Value;
-use std::io::{BufRead, BufReader};
-use std::process::{Child, Command, Stdio};
 
 /// Process of `haptic view`.
 pub struct View {
-    child: Child,
+    process: Process,
     /// Address of the page, as printed.
     pub url: String,
 }
@@ -16,30 +13,15 @@ pub struct View {
 impl View {
     /// Starts `haptic view` on this computer at a free port.
     pub fn start(arguments: &[&str]) -> Self {
-        let mut command = Command::cargo_bin("haptic").unwrap();
-        command.args(["view", "--listen", "127.0.0.1:0"]).args(arguments).stdout(Stdio::piped());
-        let mut child = command.env_remove("HAPTIC_PORT").spawn().unwrap();
-        let mut line = String::new();
-        BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
+        let process = Process::start(&[&["view", "--listen", "127.0.0.1:0"], arguments].concat());
+        let line = &process.first_line;
         let url = line.split_whitespace().nth(1).unwrap_or_else(|| panic!("{line:?}")).to_string();
-        Self { child, url }
-    }
-
-    /// Returns the process id.
-    pub fn process(&self) -> u32 {
-        self.child.id()
+        Self { process, url }
     }
 
     /// Returns host and port.
     pub fn address(&self) -> &str {
         self.url.trim_start_matches("http://").split('/').next().unwrap()
-    }
-}
-
-impl Drop for View {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
     }
 }
 
@@ -54,14 +36,13 @@ pub struct Received {
     pub picture: Value,
     pub recorded: Option<String>,
     pub lost: Option<String>,
-    /// All refusals so far.
     pub refused: Vec<Value>,
     pub sweep: Vec<f32>,
     pub sound: Vec<f32>,
 }
 
 impl Received {
-    pub fn text(&mut self, text: &str) {
+    pub fn receive_text(&mut self, text: &str) {
         let message: Value = serde_json::from_str(text).unwrap();
         let words = |key: &str| Some(message[key].as_str().unwrap().to_string());
         match message["is"].as_str().unwrap() {
@@ -77,7 +58,7 @@ impl Received {
         }
     }
 
-    pub fn bytes(&mut self, bytes: &[u8]) {
+    pub fn receive_bytes(&mut self, bytes: &[u8]) {
         let number = |four: &[u8]| f32::from_le_bytes(four.try_into().unwrap());
         let numbers: Vec<f32> = bytes.chunks_exact(4).map(number).collect();
         match numbers[0] {
@@ -87,8 +68,7 @@ impl Received {
         }
     }
 
-    /// Returns the text of the newest refusal.
-    pub fn why(&self) -> &str {
+    pub fn refusal(&self) -> &str {
         self.refused.last().map_or("", |refused| refused["why"].as_str().unwrap())
     }
 
@@ -96,7 +76,6 @@ impl Received {
         self.picture["state"].as_str().unwrap_or_default()
     }
 
-    /// Returns the control step of the newest picture.
     pub fn step(&self) -> u32 {
         self.picture["step"].as_u64().unwrap_or(0) as u32
     }

@@ -1,27 +1,26 @@
 //! `haptic sim` in another process.
 
-pub use super::haptic;
+use super::{Process, haptic};
 use assert_cmd::cargo::CommandCargoExt;
-use std::io::{BufRead, BufReader};
 use std::process::{Child, Stdio};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
-/// Longest wait; only a process that hangs takes longer.
-pub const HANG: Duration = Duration::from_secs(600);
+/// Timeout of every wait. Only a process that hangs takes longer.
+pub const HANG_TIMEOUT: Duration = Duration::from_secs(600);
 
-/// Waits until a condition is true, also on a slow computer.
-pub fn until(what: &str, mut is_reached: impl FnMut() -> bool) {
-    let began = Instant::now();
+/// Waits until a condition is true. The timeout is long, because a computer may be slow.
+pub fn wait_until(what: &str, mut is_reached: impl FnMut() -> bool) {
+    let start = Instant::now();
     while !is_reached() {
-        assert!(began.elapsed() < HANG, "{what}: not reached within {HANG:?}");
+        assert!(start.elapsed() < HANG_TIMEOUT, "{what}: not reached within {HANG_TIMEOUT:?}");
         sleep(Duration::from_millis(10));
     }
 }
 
 /// Process of `haptic sim`.
 pub struct Sim {
-    pub child: Child,
+    pub process: Process,
     pub port: String,
 }
 
@@ -40,12 +39,9 @@ impl Sim {
     }
 
     fn launch(arguments: &[&str]) -> Self {
-        let mut command = std::process::Command::cargo_bin("haptic").unwrap();
-        let mut child = command.arg("sim").args(arguments).stdout(Stdio::piped()).spawn().unwrap();
-        let mut line = String::new();
-        BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
-        let port = line.trim().rsplit(' ').next().unwrap().to_string();
-        Self { child, port }
+        let process = Process::start(&[&["sim"], arguments].concat());
+        let port = process.first_line.rsplit(' ').next().unwrap().to_string();
+        Self { process, port }
     }
 
     /// Runs a table of command lines on this board ([`super::type_lines`]).
@@ -63,15 +59,14 @@ impl Sim {
         super::json(&[arguments, &["--port", &self.port]].concat())
     }
 
-    /// Runs the tool on this board.
     pub fn run(&self, arguments: &[&str]) -> assert_cmd::assert::Assert {
         let mut command = haptic(arguments);
         command.args(["--port", &self.port]).assert()
     }
 
-    /// Waits until the board's state fulfils a condition, also on a slow computer.
-    pub fn until(&self, is_reached: impl Fn(&str) -> bool) {
-        until("the board's state", || is_reached(self.json(&["info"])["state"].as_str().unwrap()));
+    /// Waits until the board's state fulfils a condition.
+    pub fn wait_for_state(&self, is_reached: impl Fn(&str) -> bool) {
+        wait_until("the board's state", || is_reached(self.json(&["info"])["state"].as_str().unwrap()));
     }
 
     /// Starts the tool on this board in the background.
@@ -79,12 +74,5 @@ impl Sim {
         let mut command = std::process::Command::cargo_bin("haptic").unwrap();
         command.args(arguments).args(["--port", &self.port]).stdout(Stdio::null()).stderr(Stdio::piped());
         command.spawn().unwrap()
-    }
-}
-
-impl Drop for Sim {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
     }
 }

@@ -7,7 +7,7 @@ use std::thread::spawn;
 
 /// An address at which simulated boards are plugged in and unplugged.
 pub struct Socket {
-    /// Value for `--port`.
+    /// Address for `--port`.
     pub address: String,
     board: Arc<Mutex<Option<Sim>>>,
 }
@@ -22,8 +22,8 @@ impl Socket {
             for tool in listener.incoming().map(Result::unwrap) {
                 let port = plugged.lock().unwrap().as_ref().map(|sim| sim.port.replace("tcp:", ""));
                 if let Some(Ok(board)) = port.map(TcpStream::connect) {
-                    carry(tool.try_clone().unwrap(), board.try_clone().unwrap());
-                    carry(board, tool);
+                    forward_bytes(tool.try_clone().unwrap(), board.try_clone().unwrap());
+                    forward_bytes(board, tool);
                 }
             }
         });
@@ -46,7 +46,7 @@ impl Drop for Socket {
 }
 
 /// Copies bytes until one end closes, then closes both.
-fn carry(mut from: TcpStream, mut to: TcpStream) {
+fn forward_bytes(mut from: TcpStream, mut to: TcpStream) {
     let _ = to.set_nodelay(true);
     spawn(move || {
         let _ = std::io::copy(&mut from, &mut to);

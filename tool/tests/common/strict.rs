@@ -1,6 +1,7 @@
 //! A strict simulated board in this process, and a connection that loses messages.
 
-use super::{board, shipped};
+use super::{board, shipped_device};
+use haptic_bridge::model::description::Description;
 use haptic_bridge::render::scene::Scene;
 use haptic_host::link::{Board, Session, Wire};
 use haptic_sim::{BoardOptions, SharedBoard, Support};
@@ -8,13 +9,18 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::Duration;
 
-/// Returns a board that can be armed: 1 kHz, a verified five-bar in free space, homed, polarity checked.
-pub fn strict() -> (SharedBoard, Session) {
-    let mut file = shipped("coupled-five-bar");
-    for joint in &mut file.description.joints[..2] {
+/// Declares the motors of the first two joints verified and limits these joints to ±4 rad.
+pub fn verify_motors(description: &mut Description) {
+    for joint in &mut description.joints[..2] {
         joint.motor.as_mut().unwrap().verified = true;
         joint.limits = Some((-4.0, 4.0));
     }
+}
+
+/// Returns a board that can be armed: 1 kHz, a verified five-bar in free space, homed, polarity checked.
+pub fn strict_board() -> (SharedBoard, Session) {
+    let mut file = shipped_device("coupled-five-bar");
+    verify_motors(&mut file.description);
     let options = BoardOptions { strict: true, support: Support::Held, ..BoardOptions::default() };
     let (shared, board) = board(&file, options);
     let mut session = Session::of(board);
@@ -27,13 +33,13 @@ pub fn strict() -> (SharedBoard, Session) {
 }
 
 /// A wire that loses a given number of the next messages to the board.
-pub struct Lossy {
+pub struct LossyWire {
     wire: Box<dyn Wire>,
     loses: Arc<AtomicU32>,
 }
 
-impl Lossy {
-    /// Returns a session over such a wire, and the number of next messages to lose, initially 0.
+impl LossyWire {
+    /// Returns a session over a lossy wire, and the number of next messages to lose, initially 0.
     pub fn session(board: &SharedBoard) -> (Session, Arc<AtomicU32>) {
         let loses = Arc::new(AtomicU32::new(0));
         let wire = Self { wire: board.wire(), loses: loses.clone() };
@@ -41,10 +47,10 @@ impl Lossy {
     }
 }
 
-impl Wire for Lossy {
+impl Wire for LossyWire {
     fn send(&mut self, bytes: &[u8]) -> std::io::Result<()> {
-        let lost = self.loses.fetch_update(Ordering::Relaxed, Ordering::Relaxed, |left| left.checked_sub(1));
-        if lost.is_ok() { Ok(()) } else { self.wire.send(bytes) }
+        let message_to_lose = self.loses.fetch_update(Ordering::Relaxed, Ordering::Relaxed, |left| left.checked_sub(1));
+        if message_to_lose.is_ok() { Ok(()) } else { self.wire.send(bytes) }
     }
     fn receive(&mut self, buffer: &mut [u8], timeout: Duration) -> std::io::Result<usize> {
         self.wire.receive(buffer, timeout)

@@ -1,16 +1,16 @@
 //! Random devices, and a grid search over walls that checks the results of `haptic tune`.
 
 use super::prelude::*;
-use super::shipped;
+use super::shipped_device;
 use haptic_bridge::render::velocity::{Chosen, CutoffMeaning, Estimator};
 use haptic_predict::tune::{Margins, Question, Settings, TunedWall, accepted_wall, estimators, tune};
 use std::f64::consts::TAU;
 
 /// Returns a shipped device with random inertias, friction and counts. Devices with odd numbers have cables.
-pub fn drawn(number: u64) -> DeviceFile {
+pub fn random_device(number: u64) -> DeviceFile {
     let mut random = Random::new(36 + number);
     let kinds = ["hapkit-paddle", "coupled-five-bar", "haply-2diy", "capstan-pantograph", "phantom-premium-1.5"];
-    let mut file = shipped(kinds[number as usize % kinds.len()]);
+    let mut file = shipped_device(kinds[number as usize % kinds.len()]);
     let mut about = |low: f64, high: f64| low * (high / low).powf(random.between(0.0, 1.0));
     let (joints, paddle) = (file.spec().joints, file.spec().links.is_empty());
     for link in &mut file.description.links {
@@ -81,9 +81,8 @@ pub fn none_is_stiffer(question: &Question<'_>, dampings: &[f64], stiffer: &[f64
         .flat_map(|settings| dampings.iter().map(|share| Settings { damping: share * best.damping, ..*settings }))
         .flat_map(|wall| stiffer.iter().map(move |share| Settings { stiffness: share * best.stiffness, ..wall }))
         .collect();
-    let kept =
-        Sweep::quiet().map("grid", &walls, |wall| Ok(accepted_wall(question, wall)?.map(|_| format!("{wall:?}"))));
-    let kept: Vec<String> = kept.unwrap().into_iter().flatten().collect();
-    assert!(kept.is_empty(), "{}: {best:?} is softer than {}", question.file.name, kept.join("\n"));
+    let swept = Sweep::quiet().map("grid", &walls, |wall| Ok(keeps(question, wall)?.map(|_| format!("{wall:?}"))));
+    let better_walls: Vec<String> = swept.unwrap().into_iter().flatten().collect();
+    assert!(better_walls.is_empty(), "{}: {best:?} is softer than {}", question.file.name, better_walls.join("\n"));
     (found.best, walls.len())
 }

@@ -1,16 +1,16 @@
 //! Reactions of a board to wrong device files, wires and sensors, as listed in docs/results/lies.csv.
 
-use crate::common::drawn::{Checked, check_sound, check_wrong};
-use crate::common::forces::too_hard;
+use crate::common::drawn::{CheckResult, check_sound, check_wrong};
+use crate::common::forces::runs_beyond_limit;
 use crate::common::injected::{INJECTED_ERRORS, InjectedError, Outcome, When, outcome};
-use crate::common::{document, shipped};
+use crate::common::{document, shipped_device};
 use haptic_host::device_file::DeviceFile;
 use haptic_host::output::csv_line;
 
 const DEVICES: [&str; 4] = ["coupled-five-bar", "hapkit-paddle", "pantograph-mk2", "woodenhaptics"];
 
 /// Returns the table cell for one injected error on one device.
-fn cell(file: &DeviceFile, error: &InjectedError) -> String {
+fn outcome_cell(file: &DeviceFile, error: &InjectedError) -> String {
     // A paddle has only one joint.
     if error.what.contains("first two") && file.spec().joints < 2 {
         return String::new();
@@ -32,45 +32,44 @@ fn the_table_holds_the_outcome_of_every_injected_error() {
     let mut made = row("what is wrong", DEVICES.map(String::from));
     let nothing = InjectedError { what: "nothing", when: When::Always(|_, _| ()) };
     for error in std::iter::once(&nothing).chain(&INJECTED_ERRORS) {
-        made += &row(error.what, DEVICES.map(|name| cell(&shipped(name), error)));
+        made += &row(error.what, DEVICES.map(|name| outcome_cell(&shipped_device(name), error)));
     }
-    let kept = document("docs/results/lies.csv", &made);
-    assert_eq!(kept, made, "run UPDATE_DOCS=1 cargo xtask test --deep lies");
+    let published = document("docs/results/lies.csv", &made);
+    assert_eq!(published, made, "run UPDATE_DOCS=1 cargo xtask test --deep lies");
 }
 
 /// Checks that at most `percent` % of the checks exceed a bound; docs/safety.md lists the percentages.
-fn check_rare(checked: &[Checked], percent: usize, beyond: impl Fn(&Checked) -> bool) {
+fn check_rare(checked: &[CheckResult], percent: usize, beyond: impl Fn(&CheckResult) -> bool) {
     let beyond: Vec<_> = checked.iter().filter(|checked| beyond(checked)).map(ToString::to_string).collect();
     println!("{} of {}:\n{}", beyond.len(), checked.len(), beyond.join("\n"));
     assert!(100 * beyond.len() <= percent * checked.len());
 }
 
 /// Returns the number of checks: HAPTIC_CHECKS, by default `most`.
-fn checks(most: u64) -> u64 {
+fn check_count(most: u64) -> u64 {
     std::env::var("HAPTIC_CHECKS").ok().and_then(|text| text.parse().ok()).unwrap_or(most)
 }
 
 #[test]
 fn a_check_with_a_wrong_file_pushes_no_harder_than_a_finger() {
-    let checked: Vec<_> = (0..checks(500)).map(check_wrong).collect();
-    let most = |of: fn(&Checked) -> f64| checked.iter().map(of).fold(0.0, f64::max);
-    println!("most: {:.2} N, {:.3} rad", most(|it| it.moved.push), most(|it| it.moved.travel));
-    check_rare(&checked, 1, |checked| checked.moved.push > 5.0 || checked.moved.travel > 0.15);
+    let outcomes: Vec<_> = (0..check_count(500)).map(check_wrong).collect();
+    let most = |of: fn(&CheckResult) -> f64| outcomes.iter().map(of).fold(0.0, f64::max);
+    println!("most: {:.2} N, {:.3} rad", most(|it| it.motion.push), most(|it| it.motion.travel));
+    check_rare(&outcomes, 1, |outcome| outcome.motion.push > 5.0 || outcome.motion.travel > 0.15);
 }
 
 #[test]
 fn a_sound_device_passes_its_check() {
-    let checked: Vec<_> = (10_000..10_000 + checks(300)).map(check_sound).collect();
-    check_rare(&checked, 3, |checked| checked.ended.is_err());
+    let outcomes: Vec<_> = (10_000..10_000 + check_count(300)).map(check_sound).collect();
+    check_rare(&outcomes, 3, |outcome| outcome.result.is_err());
 }
 
 /// Runs new random scenes and motions, HAPTIC_SEQUENCES for each device (default 20).
 #[test]
 fn no_shipped_device_pushes_harder_than_its_limit_allows() {
     let count = std::env::var("HAPTIC_SEQUENCES").ok().and_then(|text| text.parse().ok()).unwrap_or(20);
-    let first =
-        std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).map_or(0, |since| since.as_secs()) << 20;
+    let first = std::time::UNIX_EPOCH.elapsed().map_or(0, |since| since.as_secs()) << 20;
     println!("seeds from {first}");
-    let wrong = too_hard(first..first + count);
-    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+    let failed_runs = runs_beyond_limit(first..first + count);
+    assert!(failed_runs.is_empty(), "{}", failed_runs.join("\n"));
 }

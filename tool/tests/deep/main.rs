@@ -1,5 +1,5 @@
-//! Slow tests, tests that kill processes, and tests that compute documents. `cargo xtask test --deep PART` runs the
-//! module PART.
+//! Slow tests, tests that kill processes, and tests of computed documents. `cargo xtask test --deep PART` runs a
+//! module.
 
 #[path = "../common/mod.rs"]
 mod common;

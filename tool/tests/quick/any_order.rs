@@ -15,9 +15,9 @@ use haptic_sim::Random;
 use postcard_rpc::Endpoint;
 use requests::TEMPLATES;
 
-struct Numbers(Random);
+struct RandomNumbers(Random);
 
-impl Numbers {
+impl RandomNumbers {
     fn byte(&mut self) -> u8 {
         (256.0 * self.0.uniform()) as u8
     }
@@ -27,18 +27,17 @@ impl Numbers {
     }
 }
 
-/// Returns a script that arms the board again and again. In between it has random requests, one in eight with changed
-/// bytes.
-fn script(numbers: &mut Numbers) -> Vec<u8> {
+/// Returns a script that arms the board again and again, with random requests, of which one in eight has changed bytes.
+fn script(numbers: &mut RandomNumbers) -> Vec<u8> {
     let place = |key: postcard_rpc::Key| {
         TEMPLATES.iter().position(|(known, _)| *known == key).expect("every endpoint has a template") as u8
     };
     let (arm, clear, home) = (place(Arm::REQ_KEY), place(Clear::REQ_KEY), place(Home::REQ_KEY));
     let wait = TEMPLATES.len() as u8 + 1;
-    let which = numbers.byte() & 0x7F;
+    let endpoint_id = numbers.byte() & 0x7F;
     // The scene belongs to the board's device and has 200 Hz, 1 kHz, 20 kHz or its own rate.
-    let own = which % shipped::shipped().len() as u8;
-    let mut script = vec![which, place(SetScene::REQ_KEY), numbers.byte() & 0xC0 | own, 0];
+    let own = endpoint_id % shipped::shipped().len() as u8;
+    let mut script = vec![endpoint_id, place(SetScene::REQ_KEY), numbers.byte() & 0xC0 | own, 0];
     for round in 0..40 {
         if round % 4 == 0 {
             // Clear faults and home, so that the board can be armed.
@@ -64,7 +63,7 @@ fn script(numbers: &mut Numbers) -> Vec<u8> {
             }
             continue;
         }
-        // Two thirds are requests that could loosen a protection or exceed a loosened limit.
+        // Two of three requests could loosen a protection or exceed a loosened limit.
         let pointed = [SetRules::REQ_KEY, Force::REQ_KEY, SetGains::REQ_KEY, SetScene::REQ_KEY];
         let operation = match numbers.below(3) {
             0 => numbers.below(TEMPLATES.len()) as u8,
@@ -89,17 +88,17 @@ fn script(numbers: &mut Numbers) -> Vec<u8> {
 
 #[test]
 fn no_request_sequence_enables_bridges_or_exceeds_limits() {
-    let mut numbers = Numbers(Random::new(0x1234_5678));
-    let mut driven = 0;
+    let mut numbers = RandomNumbers(Random::new(0x1234_5678));
+    let mut armed_count = 0;
     for _ in 0..600 {
-        driven += requests::requests(&script(&mut numbers));
+        armed_count += requests::requests(&script(&mut numbers));
     }
-    assert!(driven > 5_000, "the motors were on in only {driven} steps, too few to test anything");
+    assert!(armed_count > 5_000, "the motors were on in only {armed_count} steps, too few to test anything");
 }
 
 #[test]
 fn random_bytes_change_nothing() {
-    let mut numbers = Numbers(Random::new(0x8765_4321));
+    let mut numbers = RandomNumbers(Random::new(0x8765_4321));
     for _ in 0..200 {
         let length = 16 * numbers.below(64);
         requests::bytes(&(0..length).map(|_| numbers.byte()).collect::<Vec<_>>());

@@ -1,7 +1,7 @@
 //! A backup restores all saved settings of a board or none, byte for byte, also from another firmware version.
 
 use crate::common::prelude::*;
-use crate::common::{board, plane_wall, shipped};
+use crate::common::{board, plane_wall, shipped_device};
 use haptic_bridge::board::settings::{Entry, Key};
 use haptic_bridge::model::precomputed::MassModelData;
 use haptic_bridge::safety::limits::Limits;
@@ -9,13 +9,13 @@ use haptic_host::backup::{Backup, BackupError, RestoreMethod, restore};
 use haptic_sim::SimulatedBoard;
 use std::collections::BTreeMap;
 
-fn entries(board: &mut Board) -> BTreeMap<&'static str, Entry> {
+fn saved_entries(board: &mut Board) -> BTreeMap<&'static str, Entry> {
     Key::ALL.into_iter().filter_map(|key| Some((key.name(), board.read_entry(key).unwrap()?))).collect()
 }
 
 /// Returns a board with a value saved under every key that a tool can set.
-fn full() -> Board {
-    let (_, mut board) = board(&shipped("coupled-five-bar"), BoardOptions::default());
+fn board_with_all_settings() -> Board {
+    let (_, mut board) = board(&shipped_device("coupled-five-bar"), BoardOptions::default());
     let plane = plane_wall([0.0, -0.2, 0.0], [0.0, 1.0, 0.0], 1234.5, 0.1);
     let wall = Wall { feed_forward: FeedForward::Washout, ..plane };
     let mut scene = Scene { task: 2, ..Scene::default() };
@@ -28,35 +28,35 @@ fn full() -> Board {
     board
 }
 
-fn empty(serial: &str) -> Board {
+fn empty_board(serial: &str) -> Board {
     let options = BoardOptions { serial: serial.into(), ..BoardOptions::default() };
-    let board = SimulatedBoard::new(&shipped("coupled-five-bar").description, options).unwrap();
+    let board = SimulatedBoard::new(&shipped_device("coupled-five-bar").description, options).unwrap();
     Board::over(SharedBoard::new(board).wire(), "sim").unwrap()
 }
 
 #[test]
 fn saved_settings_are_restored_byte_for_byte() {
-    let mut source = full();
-    let kept = entries(&mut source);
-    assert!(kept.len() >= 5, "{:?}", kept.keys());
+    let mut source = board_with_all_settings();
+    let saved = saved_entries(&mut source);
+    assert!(saved.len() >= 5, "{:?}", saved.keys());
     let text = Backup::read(&mut source).unwrap().to_text();
-    let mut target = empty("SIM0001");
+    let mut target = empty_board("SIM0001");
     let ready = Backup::parse(&text).unwrap().ready().unwrap();
     assert!(ready.iter().all(|setting| setting.how == RestoreMethod::Unchanged));
     restore(&mut target, &ready).unwrap();
-    assert_eq!(entries(&mut target), kept);
+    assert_eq!(saved_entries(&mut target), saved);
     assert_eq!(target.scene().unwrap(), source.scene().unwrap());
     assert_eq!(target.rules().unwrap(), source.rules().unwrap());
 }
 
 #[test]
 fn a_backup_of_another_version_is_translated() {
-    let mut source = full();
-    let kept = entries(&mut source);
+    let mut source = board_with_all_settings();
+    let saved = saved_entries(&mut source);
     let mut backup = Backup::read(&mut source).unwrap();
     for (name, setting) in &mut backup.settings {
         // Another firmware would have written the same value with another version and other bytes.
-        let mut body = kept[name.as_str()][..kept[name.as_str()].len() - 4].to_vec();
+        let mut body = saved[name.as_str()][..saved[name.as_str()].len() - 4].to_vec();
         body[1] = 77;
         body.extend([1, 2, 3]);
         let sum = haptic_bridge::checksum::crc32(&body).to_le_bytes();
@@ -65,15 +65,15 @@ fn a_backup_of_another_version_is_translated() {
         setting.bytes = body.iter().map(|byte| format!("{byte:02x}")).collect();
     }
     let ready = Backup::parse(&backup.to_text()).unwrap().ready().unwrap();
-    assert!(ready.iter().all(|setting| setting.how == RestoreMethod::Translated));
-    let mut target = empty("SIM0001");
+    assert!(ready.iter().all(|setting| setting.how == Restored::Translated));
+    let mut target = empty_board("SIM0001");
     restore(&mut target, &ready).unwrap();
-    assert_eq!(entries(&mut target), kept);
+    assert_eq!(saved_entries(&mut target), saved);
 }
 
 #[test]
 fn damage_is_detected_before_anything_is_sent() {
-    let backup = Backup::read(&mut full()).unwrap();
+    let backup = Backup::read(&mut board_with_all_settings()).unwrap();
     for name in backup.settings.keys() {
         let mut damaged = backup.clone();
         let bytes = &mut damaged.settings.get_mut(name).unwrap().bytes;
@@ -89,13 +89,13 @@ fn damage_is_detected_before_anything_is_sent() {
 
 #[test]
 fn a_value_that_was_edited_is_not_silently_ignored() {
-    let text = Backup::read(&mut full()).unwrap().to_text();
+    let text = Backup::read(&mut board_with_all_settings()).unwrap().to_text();
     assert!(text.contains("3.3,") && !text.contains("3.2999"), "numbers must have few digits: {text}");
     let edited = text.replace("3.3,", "1000.0,");
     assert_ne!(edited, text);
-    let refused = Backup::parse(&edited).unwrap().ready().unwrap_err();
-    assert_eq!(refused, BackupError::ValueAndBytesDiffer("rules"));
-    assert!(refused.to_string().contains("haptic rules"));
+    let error = Backup::parse(&edited).unwrap().ready().unwrap_err();
+    assert_eq!(error, BackupError::ValueAndBytesDiffer("rules"));
+    assert!(error.to_string().contains("haptic rules"));
     // The same number in another notation is no change.
     assert!(Backup::parse(&text.replace("3.3,", "3.30,")).unwrap().ready().is_ok());
     assert!(Backup::parse(&text.replace("3.3,", "3.299999952316284,")).unwrap().ready().is_ok());
@@ -103,20 +103,20 @@ fn a_value_that_was_edited_is_not_silently_ignored() {
 
 #[test]
 fn a_polarity_check_is_never_restored() {
-    let mut backup = Backup::read(&mut full()).unwrap();
+    let mut backup = Backup::read(&mut board_with_all_settings()).unwrap();
     let entry = haptic_bridge::board::settings::encode(&haptic_bridge::board::settings::Polarity(7)).unwrap();
     let bytes = entry.iter().map(|byte| format!("{byte:02x}")).collect();
-    let kept = haptic_host::backup::SavedSetting { version: 1, value: None, bytes };
-    backup.settings.insert("polarity".into(), kept);
+    let saved_setting = haptic_host::backup::SavedSetting { version: 1, value: None, bytes };
+    backup.settings.insert("polarity".into(), saved_setting);
     let ready = backup.ready().unwrap().into_iter().find(|setting| setting.key == Key::Polarity).unwrap();
     assert_eq!(ready.how, RestoreMethod::NotRestored);
 }
 
 #[test]
 fn a_backup_without_a_mass_model_resets_it() {
-    let mut backup = Backup::read(&mut full()).unwrap();
+    let mut backup = Backup::read(&mut board_with_all_settings()).unwrap();
     backup.settings.remove("mass-model");
-    let mut target = full();
+    let mut target = board_with_all_settings();
     restore(&mut target, &backup.ready().unwrap()).unwrap();
     let entry = target.read_entry(Key::MassModel).unwrap().unwrap();
     assert_eq!(haptic_bridge::board::settings::decode::<MassModelData>(&entry), Ok(MassModelData::Exact));

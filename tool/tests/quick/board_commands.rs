@@ -1,7 +1,7 @@
 //! Command lines for a board, typed as a user types them, on a simulated board in another process.
 
 use crate::common::sim::Sim;
-use crate::common::{Folder, SCENES, file, haptic, json, read, type_lines};
+use crate::common::{Folder, SCENES, haptic, json, read, shipped_path, type_lines};
 use haptic_host::link::Board;
 use haptic_show::recorder::Recording;
 use predicates::prelude::*;
@@ -33,10 +33,10 @@ fn a_bare_board_is_set_up_and_recorded() {
     assert!(recording.rows.windows(2).all(|pair| pair[1][0] - pair[0][0] == 4.0), "one row per four steps");
     let text = std::fs::read_to_string(&csv).unwrap();
     assert!(text.contains(",Armed,0\n"), "states are written as words");
-    let again = format!("record {csv} --seconds 0.1 --rate 1000");
-    sim.type_lines(&format!("1: {again} => run.csv already exists | --force"));
+    let second_recording = format!("record {csv} --seconds 0.1 --rate 1000");
+    sim.type_lines(&format!("1: {second_recording} => run.csv already exists | --force"));
     assert_eq!(std::fs::read_to_string(&csv).unwrap(), text, "the recording was overwritten");
-    sim.type_lines(&format!("{again} --force => 100 rows are in"));
+    sim.type_lines(&format!("{second_recording} --force => 100 rows are in"));
     let piped = Recording::parse(&sim.output(&["record", "-", "--seconds", "0.1", "--rate", "100"])).unwrap();
     assert_eq!((piped.rows.len(), piped.about.last().unwrap().as_str()), (10, "10 rows, none lost"));
     assert!(!Path::new("-").exists());
@@ -155,7 +155,7 @@ fn a_board_can_be_simulated_within_the_command() {
 /// HAPTIC_PORT names the port, but `--port` takes precedence.
 #[test]
 fn the_environment_may_name_the_port() {
-    let sim = Sim::start(&["--fast", &file("hapkit-paddle.toml")]);
+    let sim = Sim::start(&["--fast", &shipped_path("hapkit-paddle.toml")]);
     let info = |port: &str, more: &[&str]| haptic(&["info"]).args(more).env("HAPTIC_PORT", port).assert();
     info(&sim.port, &[]).success().stdout(contains("hapkit-paddle"));
     info(&sim.port, &["--port", "sim"]).success().stdout(contains("coupled-five-bar"));
@@ -163,10 +163,9 @@ fn the_environment_may_name_the_port() {
 }
 
 #[test]
-fn wrong_ports_gains_and_fields_are_refused() {
+fn wrong_ports_gains_fields_and_names_are_refused() {
     type_lines(
         "2: info --port tcp:nowhere => tcp:HOST:PORT
-        1: info --port /dev/no-such-port => /dev/no-such-port
         1: info --port SIM0001 => serial number
         2: gains --port sim --stiffness -1
         2: gains --port sim --stiffness nan
@@ -176,6 +175,8 @@ fn wrong_ports_gains_and_fields_are_refused() {
         2: stream --port sim --seconds -5 => greater than zero
         2: rules --port sim --torque -1,2 => greater than zero
         2: sim --axes 1 => 2 joints
+        help stream => rendered | N m
+        2: help modle => modle
         board list --json",
         &[],
     );
@@ -206,7 +207,7 @@ fn rules_are_never_raised_above_the_boards_own() {
 fn unreadable_and_unwritable_files_are_named_in_refusals() {
     let (sim, folder) = (Sim::start(&["--fast"]), Folder::new());
     let (here, binary, absent) = (folder.path("."), folder.write("binary", b"\xFF\xFE"), folder.path("absent"));
-    let (csv, kept) = (folder.path("folder.csv"), folder.path("kept.json"));
+    let (csv, json_path) = (folder.path("folder.csv"), folder.path("kept.json"));
     std::fs::create_dir(&csv).unwrap();
     for command in ["device", "scene", "board restore"] {
         sim.type_lines(&format!(
@@ -219,9 +220,9 @@ fn unreadable_and_unwritable_files_are_named_in_refusals() {
         "board save
         1: board backup {here} => {here} | is a directory
         1: record {csv} => {csv} | is a directory
-        board backup {kept}
-        1: board backup {kept} => kept.json already exists
-        board backup {kept} --force
+        board backup {json_path}
+        1: board backup {json_path} => kept.json already exists
+        board backup {json_path} --force
         1: board backup /dev/full => /dev/full cannot be written
         info => none; load one with `haptic scene FILE`"
     ));
@@ -230,7 +231,7 @@ fn unreadable_and_unwritable_files_are_named_in_refusals() {
 
 #[test]
 fn a_name_survives_a_restart_once_it_is_saved() {
-    let sim = Sim::start(&["--fast", "--scene", &file("scenes/coupled-five-bar/wall.toml")]);
+    let sim = Sim::start(&["--fast", "--scene", &shipped_path("scenes/coupled-five-bar/wall.toml")]);
     let name = || (sim.output(&["board", "name"]), sim.json(&["info"])["device"].clone());
     let (five_bar, none) = (Value::from("coupled-five-bar"), "this board has no name\n");
     sim.type_lines(&format!("2: board name {} => 33 bytes | at most 32", "x".repeat(33)));
@@ -255,7 +256,7 @@ fn a_name_survives_a_restart_once_it_is_saved() {
         board restart --yes
         info --json => "Disarmed""#
     ));
-    // If another program set a name with line breaks, they are escaped on the screen and in a recording.
+    // Line breaks in a name that another program set are escaped on the screen and in a recording.
     let name = "hand\nstate       armed";
     Board::open(&sim.port.parse().unwrap()).unwrap().set_name(&name.try_into().unwrap()).unwrap();
     for words in [&["info"][..], &["board", "name"], &["record", "-", "--seconds", "0.01"]] {
@@ -268,14 +269,14 @@ fn a_name_survives_a_restart_once_it_is_saved() {
 #[test]
 fn torque_limits_leave_room_for_the_devices_weight() {
     let folder = Folder::new();
-    let heavy = folder.changed("coupled-five-bar", &[("gravity = [0.0, 0.0]", "gravity = [0.0, -9.81]")]);
+    let heavy = folder.write_changed("coupled-five-bar", &[("gravity = [0.0, 0.0]", "gravity = [0.0, -9.81]")]);
     let limits = |sim: &Sim| serde_json::from_value::<Vec<f64>>(sim.json(&["rules"])["torque"].clone()).unwrap();
     let loaded = |device: &str| {
         let sim = Sim::start(&["--strict"]);
         sim.run(&["device", device]).success();
         limits(&sim)
     };
-    let (without, with) = (loaded(&file("coupled-five-bar.toml")), loaded(&heavy));
+    let (without, with) = (loaded(&shipped_path("coupled-five-bar.toml")), loaded(&heavy));
     let model = json(&["model", &heavy]);
     for joint in 0..2 {
         let weight = model["bias"][joint].as_f64().unwrap().abs();
@@ -295,29 +296,29 @@ fn torque_limits_leave_room_for_the_devices_weight() {
         ("distal = [0.13, 0.13]", "distal = [130.0, 130.0]"),
     ];
     let sim = Sim::start(&["--strict"]);
-    let said = sim.run(&["device", &folder.changed("coupled-five-bar", &in_mm)]).success();
-    said.stdout(contains("the board allows at most 5: are lengths in the file in m").and(contains("rules").not()));
+    let assert = sim.run(&["device", &folder.write_changed("coupled-five-bar", &in_mm)]).success();
+    assert.stdout(contains("the board allows at most 5: are lengths in the file in m").and(contains("rules").not()));
     assert_eq!(limits(&sim)[0], 5.0);
 }
 
 /// Returns a board whose scene pulls joint 0 past its limit when the board is armed. Friction keeps the joint there.
-fn past_a_limit(folder: &Folder) -> Sim {
+fn board_past_a_limit(folder: &Folder) -> Sim {
     let limited = ("inertia = 0.0008\n", "inertia = 0.0008\nlimits = [2.25, 2.35]\n");
-    let device = folder.changed("coupled-five-bar", &[limited]);
+    let device = folder.write_changed("coupled-five-bar", &[limited]);
     let scene = folder.write("pull.toml", "[[spring]]\npoint = [0.3, 0.3]\nstiffness = 30.0\ndamping = 0.0\n");
     Sim::start(&["--fast", &device, "--scene", &scene])
 }
 
-/// The remedy is printed on a separate line, not as an escaped line break.
+/// The remedy of a fault is printed on a separate line, not after an escaped line break.
 #[test]
 fn clearing_names_the_joint_outside_its_limits() {
     let folder = Folder::new();
-    let sim = past_a_limit(&folder);
+    let sim = board_past_a_limit(&folder);
     sim.type_lines(
         r#"faults --clear --json => "outside_limits":[]
         arm"#,
     );
-    sim.until(|state| state == "Fault");
+    sim.wait_for_state(|state| state == "Fault");
     sim.type_lines(
         r#"info => JointLimit | move the device back | !u000a
         faults --clear => cleared JointLimit | joint 0 is outside its limits, at 2.
@@ -329,7 +330,7 @@ fn clearing_names_the_joint_outside_its_limits() {
 #[test]
 fn a_stream_interrupted_by_a_fault_reports_the_fault() {
     let folder = Folder::new();
-    let sim = past_a_limit(&folder);
+    let sim = board_past_a_limit(&folder);
     let ended = sim.run(&["stream", "--arm", "--seconds", "2", "--json"]).code(1);
     let ended = ended.stderr(contains("error: the motors are off: JointLimit (7)"));
     let rows: Value = serde_json::from_slice(&ended.get_output().stdout).unwrap();
@@ -341,19 +342,19 @@ fn a_stream_interrupted_by_a_fault_reports_the_fault() {
 #[test]
 fn every_command_that_weakens_a_protection_warns() {
     let (sim, folder) = (Sim::start(&["--fast"]), Folder::new());
-    let kept = folder.path("kept.json");
+    let json_path = folder.path("kept.json");
     let (host, force) = ("the board no longer watches its host", "may now push at the tip with 30 N, before with 4");
     let tighten = || sim.run(&["rules", "--host", "disarm", "--tip-force", "4"]).success().stderr("");
     tighten();
     sim.type_lines(&format!(
         "rules --host ignore --tip-force 30 => {host} | {force}
         board save
-        board backup {kept}"
+        board backup {json_path}"
     ));
     tighten();
     sim.type_lines(&format!(
-        "board restore {kept} => {host} | {force}
-        board restore {kept} => !{host} | !may now push"
+        "board restore {json_path} => {host} | {force}
+        board restore {json_path} => !{host} | !may now push"
     ));
     tighten();
     sim.type_lines(&format!("device {DEVICE} --tip-force 30 => !{host} | {force}"));
@@ -362,20 +363,20 @@ fn every_command_that_weakens_a_protection_warns() {
 #[test]
 fn a_backup_of_another_board_is_restored_without_its_name() {
     let (sim, folder) = (Sim::start(&["--fast"]), Folder::new());
-    let kept = folder.path("kept.json");
+    let json_path = folder.path("kept.json");
     sim.type_lines(&format!(
         "board name left␣hand
         board save
-        board backup {kept}
+        board backup {json_path}
         board name right␣hand"
     ));
-    folder.write("kept.json", std::fs::read_to_string(&kept).unwrap().replace("\"SIM0001\"", "\"OTHER\""));
+    folder.write("kept.json", std::fs::read_to_string(&json_path).unwrap().replace("\"SIM0001\"", "\"OTHER\""));
     let tighten = || sim.run(&["rules", "--torque", "0.1,0.1"]).success().stderr("").get_output().stdout.clone();
     let tightened = tighten();
-    sim.type_lines(&format!("1: board restore {kept} => OTHER | SIM0001 | --yes"));
+    sim.type_lines(&format!("1: board restore {json_path} => OTHER | SIM0001 | --yes"));
     sim.run(&["rules"]).success().stdout(tightened);
     sim.type_lines(&format!(
-        "board restore {kept} --yes => the torque limit of joint 0 is now
+        "board restore {json_path} --yes => the torque limit of joint 0 is now
         info => right hand"
     ));
     tighten();
@@ -395,13 +396,13 @@ fn the_tip_force_limit_has_the_documented_maximum() {
 }
 
 /// A board with another protocol version, which understands only the requests that never change.
-struct Stranger {
+struct OtherVersionBoard {
     port: String,
     stopped: std::sync::mpsc::Receiver<()>,
 }
 
-impl Stranger {
-    fn plugged(protocol: u16) -> Self {
+impl OtherVersionBoard {
+    fn start(protocol: u16) -> Self {
         use haptic_bridge::board::protocol::{Disarm, GetInfo, Info, Outcome};
         use haptic_host::link::{Deframer, encode};
         use postcard_rpc::Endpoint as _;
@@ -443,7 +444,7 @@ impl Stranger {
 fn a_board_of_another_version_accepts_only_disarm() {
     use haptic_bridge::board::protocol::PROTOCOL;
     for protocol in [PROTOCOL - 1, PROTOCOL + 1] {
-        let board = Stranger::plugged(protocol);
+        let board = OtherVersionBoard::start(protocol);
         haptic(&["disarm", "--port", &board.port]).assert().success().stdout(contains("the motors are off"));
         assert!(board.stopped.try_recv().is_ok());
         haptic(&["arm", "--port", &board.port]).assert().code(1).stderr(contains("protocol version"));

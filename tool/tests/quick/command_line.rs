@@ -1,27 +1,15 @@
 //! Properties of all command lines: help, closed pipes, signed numbers, JSON, and the manual.
 
 use crate::common::sim::Sim;
-use crate::common::{Folder, file, refusal, type_lines};
+use crate::common::{Folder, refusal, shipped_path, type_lines};
 use std::process::Command;
-
-#[test]
-fn help_explains_the_tool_and_each_command() {
-    type_lines(
-        "help => Start here | haptic demo
-        help model => --normal | Examples:
-        model --help => --normal | Examples:
-        help stream => rendered | N m
-        2: help modle => modle",
-        &[],
-    );
-}
 
 #[cfg(unix)]
 #[test]
 fn a_closed_pipe_ends_a_command_silently() {
     let program = assert_cmd::cargo::cargo_bin("haptic");
     let program = program.to_str().unwrap();
-    let device = file("coupled-five-bar.toml");
+    let device = shipped_path("coupled-five-bar.toml");
     for command in [
         "stream --port sim --rate 1000".to_string(),
         "record - --port sim --rate 1000".to_string(),
@@ -35,9 +23,9 @@ fn a_closed_pipe_ends_a_command_silently() {
         // Read only one byte, because a document may be one long line.
         let line = format!("set -o pipefail; timeout 600 \"$0\" {command} | head -c 1 > /dev/null");
         let output = Command::new("bash").args(["-c", &line, program]).output().unwrap();
-        let said = String::from_utf8_lossy(&output.stderr);
-        assert!(matches!(output.status.code(), Some(0 | 141)), "{command}: {:?} {said}", output.status);
-        assert!(!said.contains("error") && !said.contains("pipe") && !said.contains("lost"), "{command}: {said}");
+        let text = String::from_utf8_lossy(&output.stderr);
+        assert!(matches!(output.status.code(), Some(0 | 141)), "{command}: {:?} {text}", output.status);
+        assert!(!text.contains("error") && !text.contains("pipe") && !text.contains("lost"), "{command}: {text}");
     }
 }
 
@@ -52,13 +40,12 @@ fn wrong_numbers_are_refused_with_a_remedy() {
         ("range --difference-over=-3", "'-3' for '--difference-over <SAMPLES>': write a whole"),
         ("measure-range --points=1.5", "'1.5' for '--points <N>': write a whole number"),
         ("tune --wall=", "write a whole number, such as"),
-        ("model --q=1", "--q has 1 number, but"),
         ("range --share=1,2", "--share has 2 numbers for 1 wall ("),
     ] {
         let (command, option) = line.split_once(' ').unwrap();
-        let said = refusal(2, &[command, "devices/coupled-five-bar.toml", "--normal=0,1", option]);
-        assert!(said.contains(wanted), "{line}: {said}");
-        assert!(!said.contains("invalid digit") && !said.contains("literal") && !said.contains("1 numbers"), "{said}");
+        let text = refusal(2, &[command, "devices/coupled-five-bar.toml", "--normal=0,1", option]);
+        assert!(text.contains(wanted), "{line}: {text}");
+        assert!(!text.contains("invalid digit") && !text.contains("literal") && !text.contains("1 numbers"), "{text}");
     }
 }
 
@@ -66,7 +53,7 @@ fn wrong_numbers_are_refused_with_a_remedy() {
 fn every_board_command_prints_json() {
     let sim = Sim::start(&["--fast"]);
     let folder = Folder::new();
-    let (device, scene) = (file("coupled-five-bar.toml"), file("scenes/coupled-five-bar/wall.toml"));
+    let (device, scene) = (shipped_path("coupled-five-bar.toml"), shipped_path("scenes/coupled-five-bar/wall.toml"));
     let json = |line: &str| sim.json(&line.split(' ').collect::<Vec<_>>());
     let none = serde_json::json!([]);
     let loaded = json(&format!("device {device}"));
@@ -92,12 +79,11 @@ fn every_board_command_prints_json() {
 
 #[test]
 fn the_boot_loader_needs_confirmation_with_motors_on() {
-    Sim::start(&["--fast", "--scene", &file("scenes/coupled-five-bar/wall.toml")]).type_lines(
+    Sim::start(&["--fast", "--scene", &shipped_path("scenes/coupled-five-bar/wall.toml")]).type_lines(
         "rules --host ignore
         arm
         1: board dfu => the motors are on | --yes
         info => armed | !disarmed
-        1: board save => haptic disarm | !writing flash
         board dfu --yes",
     );
 }
@@ -108,15 +94,15 @@ fn the_manual_has_a_page_for_every_command() {
     type_lines(&format!("completions --man {}\ncompletions --man => .SH", folder.path("man1")), &[]);
     let page = |name: &str| std::fs::read_to_string(folder.path(&format!("man1/{name}.1")));
     let main = page("haptic").unwrap();
-    let mut named = 0;
+    let mut reference_count = 0;
     for reference in main.split("haptic\\-").skip(1) {
         let name = reference.split("(1)").next().unwrap().replace('\\', "");
         if reference.contains("(1)") && !name.contains(char::is_whitespace) && name != "help" {
-            named += 1;
+            reference_count += 1;
             assert!(page(&format!("haptic-{name}")).is_ok(), "haptic(1) names haptic-{name}(1), which is missing");
         }
     }
-    assert!(named > 20, "haptic(1) names only {named} commands");
+    assert!(reference_count > 20, "haptic(1) names only {reference_count} commands");
     let page = page("haptic-model").unwrap();
     for section in ["EXIT STATUS", "EXAMPLES", "FILES"] {
         assert!(page.contains(section), "{section} in {page}");
@@ -124,15 +110,34 @@ fn the_manual_has_a_page_for_every_command() {
 }
 
 #[test]
+fn existing_files_are_overwritten_only_with_force() {
+    let folder = Folder::new();
+    let device = "devices/hapkit-paddle.toml";
+    for (line, name) in [
+        (format!("check {device} --svg"), "a.svg"),
+        (format!("check {device} --png"), "a.png"),
+        (format!("report {device} --without estimators,tune,map,design --out"), "a.html"),
+        ("new paddle -o".into(), "a.toml"),
+    ] {
+        let path = folder.write(name, "mine");
+        type_lines(&format!("1: {line} {path} => exists | --force"), &[]);
+        assert_eq!(std::fs::read(&path).unwrap(), b"mine", "{line}");
+        type_lines(&format!("{line} {path} --force"), &[]);
+        assert_ne!(std::fs::read(&path).unwrap(), b"mine", "{line}");
+    }
+}
+
+#[test]
 fn wrong_paths_are_refused_before_anything_starts() {
     let folder = Folder::new();
     let (wrong, progress) = (folder.path("x.png"), folder.path("missing/p.json"));
+    let missing = "/nonexistent is not there; make the folder first";
+    type_lines(&format!("1: view --port sim --listen 127.0.0.1:0 --record-to /nonexistent => {missing}"), &[]);
     let line = "devices/coupled-five-bar.toml --normal 0,1";
     type_lines(&format!("2: range {line} --rate 1000 --cutoff 20 --svg {wrong} => extension | --png"), &[]);
-    let said = refusal(
-        1,
-        &["measure-range", &file("coupled-five-bar.toml"), "--port=sim", "--normal=0,1", "--progress", &progress],
-    );
-    assert!(said.contains("there is no such folder") && said.matches("p.json").count() == 1, "{said}");
+    let line =
+        ["measure-range", "devices/coupled-five-bar.toml", "--port=sim", "--normal=0,1", "--progress", &progress];
+    let message = refusal(1, &line);
+    assert!(message.contains("there is no such folder") && message.matches("p.json").count() == 1, "{message}");
     assert!(!std::path::Path::new(&wrong).exists());
 }

@@ -1,11 +1,10 @@
-//! The quick commands in README.md and docs/ work as written. Commands, links, numbers and table rows in the text are
-//! correct. common/documents explains how blocks are run.
+//! The quick commands, numbers, links and rows of tables in README.md and docs/ are correct (common/documents).
 #![cfg(unix)]
 
 use crate::common::documents::blocks::{Block, Kind, documents, root};
-use crate::common::documents::{all, session, tables};
+use crate::common::documents::{run_blocks, session, tables};
 use crate::common::read;
-use crate::common::sim::HANG;
+use crate::common::sim::HANG_TIMEOUT;
 use haptic_bridge::board::protocol::{MAX_FRAME, PROTOCOL};
 use haptic_bridge::control::KEY_SECONDS;
 use haptic_bridge::safety::limits::GENTLE_FORCE;
@@ -16,26 +15,25 @@ use std::process::Command;
 
 #[test]
 fn quick_commands_of_the_documents_work() {
-    let run = |block: &Block| session::run(block, HANG);
-    assert!(all(|kind| *kind == Kind::Quick, run) >= 2, "README alone has two");
+    let run = |block: &Block| session::run(block, HANG_TIMEOUT);
+    assert!(run_blocks(|kind| *kind == Kind::Quick, run) >= 2, "README alone has two");
 }
 
 #[test]
 fn commands_of_the_documents_with_a_board_work() {
-    assert!(all(|kind| *kind == Kind::Board, |block| session::run(block, HANG)) >= 1);
+    assert!(run_blocks(|kind| *kind == Kind::Board, |block| session::run(block, HANG_TIMEOUT)) >= 1);
 }
 
 #[test]
 fn files_in_the_documents_are_sound() {
-    let files = all(|kind| matches!(kind, Kind::File | Kind::Scene), session::check);
+    let files = run_blocks(|kind| matches!(kind, Kind::File | Kind::Scene), session::check);
     assert!(files >= 2, "docs/files.md shows a device and a scene");
 }
 
-/// Numbers in sentences and tables equal the constants of the code or the committed figures.
 #[test]
 fn numbers_in_the_documents_equal_those_of_the_code() {
-    let says = |page: &str, said: String| {
-        assert!(read(page).replace('\n', " ").contains(&said), "{page} lacks this text: {said}");
+    let says = |page: &str, text: String| {
+        assert!(read(page).replace('\n', " ").contains(&text), "{page} lacks this text: {text}");
     };
     says("docs/protocol.md", format!("version, now {PROTOCOL}."));
     says("docs/protocol.md", format!("at most {MAX_FRAME} bytes before"));
@@ -50,7 +48,6 @@ fn numbers_in_the_documents_equal_those_of_the_code() {
     }
 }
 
-/// Every local link leads to an existing file or to a heading in it.
 #[test]
 fn links_lead_to_files_and_headings() {
     let pages = ["CONTRIBUTING.md", "CHANGELOG.md", "clients/python/README.md"].map(|name| root().join(name));
@@ -62,8 +59,8 @@ fn links_lead_to_files_and_headings() {
             let (file, heading) = link.split_once('#').unwrap_or((link, ""));
             let to = if file.is_empty() { page.clone() } else { page.parent().unwrap().join(file) };
             let slug = |line: &str| -> String {
-                let kept = |c: char| c.is_alphanumeric() || "-_ ".contains(c);
-                line.to_lowercase().chars().filter(|c| kept(*c)).collect::<String>().trim().replace(' ', "-")
+                let is_kept = |c: char| c.is_alphanumeric() || "-_ ".contains(c);
+                line.to_lowercase().chars().filter(|c| is_kept(*c)).collect::<String>().trim().replace(' ', "-")
             };
             let found = match heading {
                 "" => to.exists(),
@@ -87,7 +84,7 @@ fn table_rows_are_rows_of_the_linked_file() {
         let text = fs::read_to_string(&page).unwrap();
         let files = tables::links(&text).filter(|link| link.ends_with(".csv"));
         let files: Vec<tables::Table> = files.map(|link| tables::csv(page.parent().unwrap().join(link))).collect();
-        for shown in tables::shown(&text) {
+        for shown in tables::markdown_tables(&text) {
             let columns = |file: &tables::Table| -> Option<Vec<usize>> {
                 shown[0].iter().map(|name| file[0].iter().position(|other| other == name)).collect()
             };
@@ -95,7 +92,7 @@ fn table_rows_are_rows_of_the_linked_file() {
             for row in shown[1..].iter().filter(|_| !files.is_empty()) {
                 seen += 1;
                 let stands_in = |(rows, columns): &(&[Vec<String>], Vec<usize>)| {
-                    rows.iter().any(|kept| columns.iter().map(|at| &kept[*at]).eq(row))
+                    rows.iter().any(|published_row| columns.iter().map(|at| &published_row[*at]).eq(row))
                 };
                 if !files.iter().any(stands_in) {
                     wrong.push(format!("{}: {row:?}", page.display()));
@@ -115,8 +112,7 @@ fn commands_in_sentences_exist() {
         output.status.success().then(|| String::from_utf8(output.stdout).unwrap())
     };
     let xtask = read("xtask/src/main.rs");
-    let is_word =
-        |word: &str| word.starts_with(char::is_alphabetic) && word.chars().all(|c| c.is_ascii_lowercase() || c == '-');
+    let is_word = |word: &str| !word.starts_with('-') && word.chars().all(|c| c.is_ascii_lowercase() || c == '-');
     let mut help: BTreeMap<String, Option<String>> = BTreeMap::new();
     let (mut wrong, mut seen) = (Vec::new(), 0);
     for path in documents() {
@@ -128,9 +124,9 @@ fn commands_in_sentences_exist() {
                 ["haptic", name, rest @ ..] if is_word(name) => {
                     seen += 1;
                     // Some commands have subcommands, such as `haptic board save`.
-                    let named = 1 + usize::from(rest.first().is_some_and(|word| is_word(word)));
-                    let typed = [&words[1..=named], &["--help"]].concat();
-                    let help = help.entry(typed.join(" ")).or_insert_with(|| tool(&typed));
+                    let command_words = 1 + usize::from(rest.first().is_some_and(|word| is_word(word)));
+                    let help_command = [&words[1..=command_words], &["--help"]].concat();
+                    let help = help.entry(help_command.join(" ")).or_insert_with(|| tool(&help_command));
                     match help {
                         None => wrong.push(complain("no such command")),
                         Some(help) => {

@@ -3,40 +3,32 @@
 #![cfg(unix)]
 
 use crate::common::sim::Sim;
-use crate::common::{haptic, output, root, signal};
+use crate::common::{Process, haptic, output, root, send_signal};
 use std::collections::BTreeSet;
-use std::io::{BufRead, BufReader};
 use std::path::Path;
-use std::process::{Command, Stdio};
 
 /// A command line and the beginning of its output.
-type Line = (&'static str, &'static str);
+type CommandCase = (&'static str, &'static str);
 
-const ANALYSIS: [Line; 17] = [
+const COMMANDS_WITHOUT_BOARD: [CommandCase; 17] = [
     ("demo", "coupled-five-bar: a simulated board at 1000 Hz"),
     ("new five-bar -o mine.toml", "mine.toml: an example five-bar to fill in"),
-    (
-        "new scene --device mine.toml -o wall.toml",
-        "wall.toml: a wall in front of mine at home; then `haptic check mine.toml",
-    ),
+    ("new scene --device mine.toml -o wall.toml", "wall.toml: a wall in front of mine at home; then `haptic check"),
     ("check mine.toml wall.toml", "mine.toml: sound: mine, a five-bar"),
     ("check devices/hapkit-paddle.toml", "devices/hapkit-paddle.toml: sound: hapkit-paddle"),
     ("model devices/hapkit-paddle.toml", "hapkit-paddle (paddle)"),
     ("map devices/hapkit-paddle.toml --normal 1 --points 20", "hapkit-paddle: 20 poses"),
     (
         "precompute devices/haply-2diy.toml --kind frozen --box 1.8,2.2,0.9,1.3 -o frozen.json",
-        "haply-2diy: frozen mass matrix",
+        "haply-2diy: frozen mass",
     ),
     ("bench devices/hapkit-paddle.toml", "variant "),
     ("range devices/hapkit-paddle.toml --normal 1", "hapkit-paddle: q = (0.000) rad, n = (1.000)"),
     (
         "tune estimators devices/hapkit-paddle.toml --normal 1 --rate 1000",
-        "hapkit-paddle: control at 1000 Hz; ripple on a wall",
+        "hapkit-paddle: control at 1000 Hz; ripple on",
     ),
-    (
-        "tune devices/hapkit-paddle.toml --normal 1 --rates 1000 --feed-forward off",
-        "hapkit-paddle: q = (0.000) rad, n = (1.000)",
-    ),
+    ("tune devices/hapkit-paddle.toml --normal 1 --rates 1000 --feed-forward off", "hapkit-paddle: q = (0.000) rad"),
     ("design devices/haply-2diy.toml --points 20", "haply-2diy: q = (2.300, 0.842) rad"),
     ("report devices/hapkit-paddle.toml --without estimators,tune,map,design", "report.html: 5 parts"),
     ("board list --json", "{\"boards\":["),
@@ -44,8 +36,8 @@ const ANALYSIS: [Line; 17] = [
     ("completions bash", "_haptic() {"),
 ];
 
-/// Commands for a board: most use a board in another process, those with `--port sim` simulate it themselves.
-const BOARD: [Line; 25] = [
+/// Commands for a board. Commands with `--port sim` simulate the board, the others use a board in another process.
+const COMMANDS_WITH_BOARD: [CommandCase; 25] = [
     ("info --port sim", "board       simulated, serial number SIM0001, on sim"),
     ("board latency --port sim --exchanges 2", "2 exchanges, 10000 a second, on sim"),
     ("faults --port sim", "no faults since the board started"),
@@ -76,113 +68,109 @@ const BOARD: [Line; 25] = [
     ("stream --seconds 0.1", "    time_s "),
 ];
 
-/// Commands that run until Ctrl-C, and the beginnings of their outputs.
-const SERVING: [Line; 3] = [
+/// Commands that run until Ctrl-C.
+const SERVERS: [CommandCase; 3] = [
     ("sim --tcp 0", "a simulated board with coupled-five-bar is on tcp:127.0.0.1:"),
     ("view --port sim --listen 127.0.0.1:0", "open http://127.0.0.1:"),
     ("serve --haply --port sim --listen 0", "SIM0001 is an Inverse3 for programs, at ws://localhost:"),
 ];
 
 /// Returns a temporary folder with a link to the shipped devices.
-fn folder() -> tempfile::TempDir {
+fn folder_with_devices() -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     std::os::unix::fs::symlink(root().join("devices"), folder.path().join("devices")).unwrap();
     folder
 }
 
-fn words(line: &str) -> Vec<&str> {
+fn split_words(line: &str) -> Vec<&str> {
     line.split(' ').collect()
 }
 
-fn each(lines: &[Line], folder: &Path, port: &str) {
+fn run_each(lines: &[CommandCase], folder: &Path, port: &str) {
     for (line, begins) in lines {
-        let typed = haptic(&words(line)).current_dir(folder).env("HAPTIC_PORT", port).assert().success();
-        let said = [&typed.get_output().stdout[..], &typed.get_output().stderr].concat();
-        assert!(said.starts_with(begins.as_bytes()), "haptic {line}\n{}", String::from_utf8_lossy(&said));
+        let assert = haptic(&split_words(line)).current_dir(folder).env("HAPTIC_PORT", port).assert().success();
+        let printed = [&assert.get_output().stdout[..], &assert.get_output().stderr].concat();
+        assert!(printed.starts_with(begins.as_bytes()), "haptic {line}\n{}", String::from_utf8_lossy(&printed));
     }
 }
 
 #[test]
 fn every_command_without_a_board_succeeds() {
-    each(&ANALYSIS, folder().path(), "sim");
+    run_each(&COMMANDS_WITHOUT_BOARD, folder_with_devices().path(), "sim");
 }
 
 #[test]
 fn every_command_with_a_board_succeeds() {
-    each(&BOARD, folder().path(), &Sim::start(&["--fast"]).port);
+    run_each(&COMMANDS_WITH_BOARD, folder_with_devices().path(), &Sim::start(&["--fast"]).port);
 }
 
 /// Commands that no help page lists.
-const DEVELOPERS: [&str; 3] = ["bench", "precompute", "udev"];
+const UNLISTED_COMMANDS: [&str; 3] = ["bench", "precompute", "udev"];
 
-/// Commands whose examples are run. Those of other commands need a board, a recording, or more than a second.
-const TYPED: [&str; 5] = ["new", "check", "model", "precompute", "range"];
+fn commands() -> BTreeSet<String> {
+    let page = output(&["help"]);
+    let (listing, _) = page.split_once("Start here").unwrap();
+    let listed = listing.lines().filter_map(|line| line.strip_prefix("  ")?.split_whitespace().next());
+    listed.chain(UNLISTED_COMMANDS).map(String::from).collect()
+}
+
+/// Commands whose examples are run. Examples of other commands need a board, a recording, or more than a second.
+const COMMANDS_WITH_RUN_EXAMPLES: [&str; 5] = ["new", "check", "model", "precompute", "range"];
 
 #[test]
 fn the_examples_of_every_help_page_name_files_that_ship() {
-    let folder = folder();
-    let help = |name: &[&str]| output(&[&["help"], name].concat());
-    let page = help(&[]);
-    let (listing, _) = page.split_once("Start here").unwrap();
-    let mut typed = BTreeSet::new();
-    let listed = listing.lines().filter_map(|line| line.strip_prefix("  ")?.split_whitespace().next());
-    for name in listed.chain(DEVELOPERS) {
-        let page = help(&[name]);
+    let folder = folder_with_devices();
+    let mut tested_commands = BTreeSet::new();
+    for name in commands() {
+        let page = output(&["help", &name]);
         let examples = page.split_once("Examples:\n").map_or("", |(_, examples)| examples);
         for line in examples.lines().filter_map(|line| line.trim().strip_prefix("haptic ")) {
-            let files = words(line).into_iter().filter(|word| word.starts_with("devices/"));
+            let files = split_words(line).into_iter().filter(|word| word.starts_with("devices/"));
             files.for_each(|file| assert!(root().join(file).is_file(), "haptic {line}: {file} does not ship"));
-            if TYPED.contains(&name) {
-                haptic(&words(line)).current_dir(folder.path()).assert().success();
-                typed.insert(name.to_string());
+            if COMMANDS_WITH_RUN_EXAMPLES.contains(&name.as_str()) {
+                haptic(&split_words(line)).current_dir(folder.path()).assert().success();
+                tested_commands.insert(name.clone());
             }
         }
     }
-    assert_eq!(typed.len(), TYPED.len(), "{typed:?}");
+    assert_eq!(tested_commands.len(), COMMANDS_WITH_RUN_EXAMPLES.len(), "{tested_commands:?}");
 }
 
 #[test]
 fn every_server_starts_and_ends() {
-    for (line, begins) in SERVING {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_haptic"));
-        let mut child = command.args(words(line)).stdout(Stdio::piped()).spawn().unwrap();
-        let mut said = String::new();
-        BufReader::new(child.stdout.take().unwrap()).read_line(&mut said).unwrap();
-        assert!(said.starts_with(begins), "haptic {line}\n{said}");
-        signal(&child, "INT");
-        assert!(child.wait().unwrap().success(), "haptic {line}");
+    for (line, begins) in SERVERS {
+        let mut server = Process::start(&split_words(line));
+        assert!(server.first_line.starts_with(begins), "haptic {line}\n{}", server.first_line);
+        send_signal(&server.child, "INT");
+        assert!(server.child.wait().unwrap().success(), "haptic {line}");
     }
 }
 
 /// crates/flash/tests runs `haptic flash` with a scripted boot loader.
 #[test]
 fn flash_without_a_board_or_an_image_is_refused() {
-    let folder = folder();
+    let folder = folder_with_devices();
     std::fs::write(folder.path().join("no.dfu"), "DfuSe").unwrap();
-    let refused = |line: &str, code: i32, says: &str| {
-        let typed = haptic(&words(line)).current_dir(folder.path()).assert().code(code);
-        let said = String::from_utf8_lossy(&typed.get_output().stderr).into_owned();
-        assert!(said.contains(says), "haptic {line}\n{said}");
+    let refuses = |line: &str, code: i32, says: &str| {
+        let assert = haptic(&split_words(line)).current_dir(folder.path()).assert().code(code);
+        let message = String::from_utf8_lossy(&assert.get_output().stderr).into_owned();
+        assert!(message.contains(says), "haptic {line}\n{message}");
     };
-    refused("flash --port sim", 2, "a simulated board has no flash for firmware");
-    refused("flash --file no.dfu", 2, "no.dfu: it is not a DfuSe update file");
-    refused("flash --file nowhere.dfu", 2, "nowhere.dfu: ");
+    refuses("flash --port sim", 2, "a simulated board has no flash for firmware");
+    refuses("flash --file no.dfu", 2, "no.dfu: it is not a DfuSe update file");
+    refuses("flash --file nowhere.dfu", 2, "nowhere.dfu: ");
     match haptic_flash::embedded() {
-        [] => refused("flash --port NOSUCHBOARD", 1, "this tool was built without images: in a checkout of its source"),
+        [] => refuses("flash --port NOSUCHBOARD", 1, "this tool was built without images: in a checkout of its source"),
         _ => {
-            refused("flash --port NOSUCHBOARD", 1, "finding a board: ");
-            refused("flash toaster --port NOSUCHBOARD", 2, "this tool has no image for toaster");
+            refuses("flash --port NOSUCHBOARD", 1, "finding a board: ");
+            refuses("flash toaster --port NOSUCHBOARD", 2, "this tool has no image for toaster");
         }
     }
 }
 
 #[test]
 fn every_listed_command_is_run() {
-    let page = output(&["help"]);
-    let (listing, _) = page.split_once("Start here").unwrap();
-    let listed = listing.lines().filter_map(|line| line.strip_prefix("  ")?.split_whitespace().next());
-    let listed = listed.chain(DEVELOPERS);
-    let run = [&ANALYSIS[..], &BOARD, &SERVING].concat();
-    let run: BTreeSet<&str> = run.into_iter().map(|(line, _)| words(line)[0]).chain(["flash"]).collect();
-    assert_eq!(listed.collect::<BTreeSet<_>>(), run);
+    let run = [&COMMANDS_WITHOUT_BOARD[..], &COMMANDS_WITH_BOARD, &SERVERS].concat();
+    let run = run.into_iter().map(|(line, _)| split_words(line)[0]).chain(["flash"]).map(String::from);
+    assert_eq!(commands(), run.collect());
 }

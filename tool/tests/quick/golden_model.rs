@@ -21,23 +21,23 @@ fn the_report_has_every_quantity_under_its_name() {
             evaluate(&device, &list(&case["q"]), &list(&case["qd"]), std::slice::from_ref(&wall), precision)
                 .expect("a regular pose")
         };
-        let double = report(Precision::F64);
+        let as_f64 = report(Precision::F64);
         let quantities = [
-            ("position", double.position),
-            ("jacobian", double.jacobian.concat()),
-            ("mass", double.mass.concat()),
-            ("bias", double.bias),
-            ("w_rr", double.w_rr.concat()),
-            ("w_eff", double.w_eff.concat()),
-            ("coupling", double.coupling.concat()),
-            ("z_r", double.z_r),
-            ("f_a", double.f_a),
-            ("torque", double.torque),
-            ("torque_without_feed_forward", double.torque_without_feed_forward),
+            ("position", as_f64.position),
+            ("jacobian", as_f64.jacobian.concat()),
+            ("mass", as_f64.mass.concat()),
+            ("bias", as_f64.bias),
+            ("w_rr", as_f64.w_rr.concat()),
+            ("w_eff", as_f64.w_eff.concat()),
+            ("coupling", as_f64.coupling.concat()),
+            ("z_r", as_f64.z_r),
+            ("f_a", as_f64.f_a),
+            ("torque", as_f64.torque),
+            ("torque_without_feed_forward", as_f64.torque_without_feed_forward),
         ];
         assert_agree(&case, &quantities, F64_TOLERANCE);
         let condition = number(&case["condition_jacobian"]);
-        assert!((double.condition.jacobian / condition - 1.0).abs() < 1.0e-9, "{}: {:?}", case["id"], double.condition);
+        assert!((as_f64.condition.jacobian / condition - 1.0).abs() < 1.0e-9, "{}: {:?}", case["id"], as_f64.condition);
         let single = report(Precision::F32);
         let torques = [("torque", single.torque), ("torque_without_feed_forward", single.torque_without_feed_forward)];
         assert_agree(&case, &torques, F32_TOLERANCE);
@@ -46,8 +46,8 @@ fn the_report_has_every_quantity_under_its_name() {
 
 #[test]
 fn the_librarys_tests_read_device_files_as_the_tool_does() {
-    let shipped =
-        crate::common::files("").into_iter().map(|path| std::fs::read_to_string(path).expect("a readable file"));
+    let files = crate::common::toml_files("").into_iter();
+    let shipped = files.map(|path| std::fs::read_to_string(path).expect("a readable file"));
     let golden = cases().into_iter().map(|case| text(&case["device"]).to_string());
     for file in shipped.chain(golden) {
         let tool = DeviceFile::parse(&file, "device").expect("a sound device");

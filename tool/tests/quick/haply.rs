@@ -1,17 +1,16 @@
 //! `haptic serve --haply` as programs for Haply's service use it: one frame per message, with the keys that the
 //! official client needs, and forces in both formats.
 
-use crate::common::sim::{Sim, until};
-use crate::common::strict::{Lossy, strict};
-use crate::common::type_lines;
+use crate::common::sim::{Sim, wait_until};
+use crate::common::strict::{LossyWire, strict_board};
+use crate::common::{Process, type_lines};
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_host::link::Session;
 use haptic_show::haply::{HaplyListener, Inverse3};
 use haptic_sim::SharedBoard;
 use serde_json::{Value, json};
-use std::io::{BufRead, BufReader, Read, Write};
+use std::io::{Read, Write};
 use std::net::TcpStream;
-use std::process::{Child, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::thread::JoinHandle;
@@ -21,20 +20,15 @@ use tungstenite::{Message, WebSocket};
 
 /// Process of the server, which simulates a board or uses one at a port.
 struct Server {
-    child: Child,
+    _process: Process,
     address: String,
 }
 
 impl Server {
     fn start(port: &str) -> Self {
-        use assert_cmd::cargo::CommandCargoExt;
-        let mut command = std::process::Command::cargo_bin("haptic").unwrap();
-        let arguments = ["serve", "--haply", "--listen", "0", "--port", port];
-        let mut child = command.args(arguments).stdout(Stdio::piped()).spawn().unwrap();
-        let mut line = String::new();
-        BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
-        let address = line.trim().rsplit("ws://localhost:").next().unwrap();
-        Self { address: format!("127.0.0.1:{address}"), child }
+        let process = Process::start(&["serve", "--haply", "--listen", "0", "--port", port]);
+        let tcp_port = process.first_line.rsplit("ws://localhost:").next().unwrap();
+        Self { address: format!("127.0.0.1:{tcp_port}"), _process: process }
     }
 
     fn connect(&self) -> Result<Program, tungstenite::Error> {
@@ -42,22 +36,22 @@ impl Server {
     }
 
     /// Connects as soon as the previous program has left.
-    fn next(&self) -> Program {
-        let mut next = None;
-        until("the next program", || {
-            next = self.connect().ok();
-            next.is_some()
+    fn connect_next(&self) -> Program {
+        let mut next_client = None;
+        wait_until("the next program", || {
+            next_client = self.connect().ok();
+            next_client.is_some()
         });
-        next.unwrap()
+        next_client.unwrap()
     }
 
     fn get(&self, path: &str, origin: &str) -> (String, Value) {
-        get(&self.address, path, origin)
+        http_get(&self.address, path, origin)
     }
 }
 
 /// Sends a plain HTTP request. Returns status line and JSON document.
-fn get(address: &str, path: &str, origin: &str) -> (String, Value) {
+fn http_get(address: &str, path: &str, origin: &str) -> (String, Value) {
     let mut stream = TcpStream::connect(address).unwrap();
     write!(stream, "GET {path} HTTP/1.1\r\nHost: {address}\r\n{origin}\r\n").unwrap();
     let mut text = String::new();
@@ -66,15 +60,8 @@ fn get(address: &str, path: &str, origin: &str) -> (String, Value) {
     (head.lines().next().unwrap().into(), serde_json::from_str(body).unwrap())
 }
 
-impl Drop for Server {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
-    }
-}
-
 /// A server in this process with a strict board that can be armed. The board's time advances only during requests.
-struct Served {
+struct LocalServer {
     address: String,
     board: SharedBoard,
     /// Number of the next messages to the board that are lost.
@@ -83,17 +70,17 @@ struct Served {
     server: Option<JoinHandle<()>>,
 }
 
-impl Served {
+impl LocalServer {
     fn start() -> Self {
         Self::of(HaplyListener::open(0).unwrap(), |_| {})
     }
 
     /// Calls `prepare` on a session with the board, then starts the server with this listener.
     fn of(listener: HaplyListener, prepare: impl FnOnce(&mut Session)) -> Self {
-        let (board, mut session) = strict();
+        let (board, mut session) = strict_board();
         prepare(&mut session);
         drop(session);
-        let (session, loses) = Lossy::session(&board);
+        let (session, loses) = LossyWire::session(&board);
         let address = listener.url().unwrap().replace("ws://localhost", "127.0.0.1");
         let device = Inverse3::new(session, None, false).unwrap();
         let stop = Arc::new(AtomicBool::new(false));
@@ -105,7 +92,7 @@ impl Served {
     /// Connects as soon as the previous program has left. Returns the program, its device's id and its first frame.
     fn connect(&self) -> (Program, Value, Value) {
         let mut come = None;
-        until("a program", || {
+        wait_until("a program", || {
             come = Program::connect(&self.address).ok();
             come.is_some()
         });
@@ -114,7 +101,7 @@ impl Served {
     }
 }
 
-impl Drop for Served {
+impl Drop for LocalServer {
     fn drop(&mut self) {
         self.stop.store(true, Ordering::Relaxed);
         let ended = self.server.take().unwrap().join();
@@ -125,7 +112,7 @@ impl Drop for Served {
 struct Program(WebSocket<MaybeTlsStream<TcpStream>>);
 
 impl Program {
-    /// Connects a program. Returns it and its first frame.
+    /// Returns a connected program and its first frame.
     fn connect(address: &str) -> Result<(Self, Value), tungstenite::Error> {
         let (socket, _) = tungstenite::connect(format!("ws://{address}/"))?;
         let mut program = Self(socket);
@@ -140,13 +127,13 @@ impl Program {
         }
     }
 
-    fn ask(&mut self, message: &Value) -> Value {
+    fn request(&mut self, message: &Value) -> Value {
         self.0.send(Message::text(message.to_string())).unwrap();
         self.frame()
     }
 }
 
-fn force(id: &Value, spelling: &str, [x, y, z]: [f64; 3]) -> Value {
+fn force_message(id: &Value, spelling: &str, [x, y, z]: [f64; 3]) -> Value {
     let command = json!({spelling: {"x": x, "y": y, "z": z}});
     json!({"session": {}, "inverse3": [{"device_id": id, "commands": {"set_cursor_force": command}}]})
 }
@@ -157,7 +144,7 @@ fn number(frame: &Value, pointer: &str) -> f64 {
 
 /// Keys that the structures of the official client need (crate `haply` 1.3.1, src/device_model/devices.rs), then other
 /// keys of the first frame in the service's documentation (3.5, WebSocket Protocol).
-const NEEDED: &str = "
+const NEEDED_KEYS: &str = "
     device_id state/cursor_position/x state/cursor_velocity/z state/angular_position/a0
     state/angular_velocity/a2 state/body_orientation/w state/mode state/transform/rotation/w status/calibrated
     status/in_use status/power_supply status/ready status/started config/type config/device_info/id
@@ -172,31 +159,28 @@ const NEEDED: &str = "
 fn a_program_receives_all_keys_first_then_frames() {
     let server = Server::start("sim");
     let (mut program, first) = Program::connect(&server.address).unwrap();
-    for key in NEEDED.split_whitespace() {
+    for key in NEEDED_KEYS.split_whitespace() {
         assert!(first.pointer(&format!("/inverse3/0/{key}")).is_some(), "{key} in {first}");
     }
-    for key in
-        ["device_id", "state/orientation/w", "state/buttons/a", "state/buttons/b", "state/buttons/c", "config/type"]
-    {
+    let grip = "device_id state/orientation/w state/buttons/a state/buttons/b state/buttons/c config/type";
+    for key in grip.split(' ') {
         assert!(first.pointer(&format!("/wireless_verse_grip/0/{key}")).is_some(), "{key} in {first}");
     }
     let id = &first["inverse3"][0]["device_id"];
     assert_eq!((number(&first, "/session_id"), first["inverse3"][0]["status"]["started"] == true), (1.0, false));
     // A five-bar lies on the table with its base away from the operator, so its y axis points towards the operator.
-    let (x, y) =
-        (number(&first, "/inverse3/0/state/cursor_position/x"), number(&first, "/inverse3/0/state/cursor_position/y"));
+    let [x, y] = ["x", "y"].map(|axis| number(&first, &format!("/inverse3/0/state/cursor_position/{axis}")));
     assert!(x.abs() < 0.1 && y < -0.05, "{first}");
-
     for (spelling, push, along) in
         [("values", [0.6, 0.0, 0.0], "x"), ("vector", [0.0, 0.6, 0.0], "y"), ("vector", [0.0, -0.6, 5.0], "y")]
     {
         // After the torque ramp and against friction, push until the tip moves, but stop before the arm is stretched.
         let place = format!("/inverse3/0/state/cursor_position/{along}");
-        let begin = number(&program.ask(&json!({})), &place);
+        let begin = number(&program.request(&json!({})), &place);
         let sign = push[0] + push[1];
         let mut frame = Value::Null;
         for _ in 0..20_000 {
-            frame = program.ask(&force(id, spelling, push));
+            frame = program.request(&force_message(id, spelling, push));
             if (number(&frame, &place) - begin) * sign > 0.003 * sign.abs() {
                 break;
             }
@@ -211,23 +195,23 @@ fn a_program_receives_all_keys_first_then_frames() {
                 break;
             }
             let brake = [-8.0 * v("x"), -8.0 * v("y"), 0.0];
-            frame = program.ask(&force(id, "values", brake));
+            frame = program.request(&force_message(id, "values", brake));
         }
     }
-    let full = program.ask(&json!({"session": {"force_render_full_state": {}}}));
+    let full = program.request(&json!({"session": {"force_render_full_state": {}}}));
     assert_eq!(full["inverse3"][0]["config"]["device_info"]["id"], *id);
-    // A meaningless message acts like an empty request and does not end the connection.
+    // A message without a valid command acts like an empty request and does not end the connection.
     for nonsense in [json!(3), json!({"inverse3": [{"device_id": id, "commands": {"set_cursor_force": {}}}]})] {
-        assert_eq!(program.ask(&nonsense)["inverse3"][0]["device_id"], *id);
+        assert_eq!(program.request(&nonsense)["inverse3"][0]["device_id"], *id);
     }
 }
 
 #[test]
 fn a_binary_frame_is_a_message() {
-    let server = Served::start();
+    let server = LocalServer::start();
     let (mut program, id, first) = server.connect();
     assert_eq!(first["inverse3"][0]["config"]["device_info"]["device_type"], 4);
-    let push = force(&id, "vector", [0.3, 0.0, 0.0]).to_string();
+    let push = force_message(&id, "vector", [0.3, 0.0, 0.0]).to_string();
     program.0.send(Message::binary(push.into_bytes())).unwrap();
     assert_eq!(program.frame()["inverse3"][0]["status"]["started"], true);
     assert_eq!(server.board.lock().status().state, State::Armed);
@@ -235,89 +219,89 @@ fn a_binary_frame_is_a_message() {
 
 #[test]
 fn a_lost_reply_affects_only_its_message() {
-    let server = Served::start();
+    let server = LocalServer::start();
     let (mut program, id, _) = server.connect();
-    let push = force(&id, "vector", [0.0; 3]);
-    program.ask(&push);
+    let push = force_message(&id, "vector", [0.0; 3]);
+    program.request(&push);
     server.loses.store(u32::MAX, Ordering::Relaxed);
-    assert_eq!(program.ask(&json!({}))["inverse3"][0]["status"]["ready"], false);
+    assert_eq!(program.request(&json!({}))["inverse3"][0]["status"]["ready"], false);
     server.loses.store(0, Ordering::Relaxed);
-    assert_eq!(program.ask(&json!({}))["inverse3"][0]["device_id"], id, "the program is no longer served");
+    assert_eq!(program.request(&json!({}))["inverse3"][0]["device_id"], id, "the program is no longer served");
 }
 
 #[test]
 fn the_program_in_control_sees_and_clears_faults() {
-    let server = Served::start();
+    let server = LocalServer::start();
     let (mut program, id, _) = server.connect();
-    let push = force(&id, "vector", [0.0; 3]);
+    let push = force_message(&id, "vector", [0.0; 3]);
     let clear = json!({"inverse3": [{"device_id": id, "commands": {"clear_fault": {}}}]});
     let probe = json!({"inverse3": [{"device_id": id, "commands": {"probe_position": {}}}]});
     let started = |frame: &Value| frame["inverse3"][0]["status"]["started"] == true;
-    assert!(started(&program.ask(&push)));
+    assert!(started(&program.request(&push)));
     // The program is silent for so long that the board reports HostLost.
     let fall_silent = || server.board.lock().run(0.6);
     fall_silent();
-    let frame = program.ask(&push);
+    let frame = program.request(&push);
     assert_eq!(frame["inverse3"][0]["fault"]["name"], "HostLost", "{frame}");
     assert!(!frame["inverse3"][0]["fault"]["remedy"].as_str().unwrap().is_empty());
     assert_eq!(frame["inverse3"][0]["status"]["ready"], false);
-    assert!(!started(&program.ask(&push)), "a force armed the board although the fault is not cleared");
-    let cleared = program.ask(&clear);
+    assert!(!started(&program.request(&push)), "a force armed the board although the fault is not cleared");
+    let cleared = program.request(&clear);
     assert!(cleared["inverse3"][0]["fault"].is_null() && cleared["inverse3"][0]["status"]["ready"] == true);
     // Forces in or directly after the clearing message do not arm, so that the motors do not go on again unnoticed.
     let both = json!({"inverse3": [{"device_id": id, "commands": {"clear_fault": {}, "set_cursor_force": {"vector": {"x": 0.0, "y": 0.0, "z": 0.0}}}}]});
     for _ in 0..3 {
-        assert!(!started(&program.ask(&both)) && !started(&program.ask(&push)));
+        assert!(!started(&program.request(&both)) && !started(&program.request(&push)));
     }
     let a_second = || server.board.lock().run(1.0);
     a_second();
-    program.ask(&probe);
-    assert!(started(&program.ask(&push)));
+    program.request(&probe);
+    assert!(started(&program.request(&push)));
     // A program that does not clear faults may connect again; the first frame names the fault.
     fall_silent();
-    program.ask(&push);
+    program.request(&push);
     drop(program);
     let (mut anew, _, first) = server.connect();
     assert_eq!((&first["inverse3"][0]["fault"]["code"], &first["session_id"]), (&json!(16), &json!(2)));
-    assert!(started(&anew.ask(&push)));
+    assert!(started(&anew.request(&push)));
     // A program that falls silent and leaves does not block the next program.
     fall_silent();
     drop(anew);
     let (mut anew, _, first) = server.connect();
     assert_eq!(first["inverse3"][0]["fault"]["name"], "HostLost");
-    assert!(started(&anew.ask(&push)));
+    assert!(started(&anew.request(&push)));
     drop(anew);
     // A fault that occurs without a program is cleared only on request.
     server.board.lock().inject(Fault::GateDriver, None, 0.0);
     server.board.lock().run(0.01);
     let (mut last, _, first) = server.connect();
     assert_eq!(first["inverse3"][0]["fault"]["name"], "GateDriver");
-    assert!(!started(&last.ask(&push)));
-    last.ask(&clear);
+    assert!(!started(&last.request(&push)));
+    last.request(&clear);
     a_second();
-    last.ask(&probe);
-    assert!(started(&last.ask(&push)));
+    last.request(&probe);
+    assert!(started(&last.request(&push)));
     // A board fault that occurs during a program is not cleared for the next program.
     server.board.lock().inject(Fault::GateDriver, None, 0.0);
     server.board.lock().run(0.01);
-    last.ask(&push);
+    last.request(&push);
     drop(last);
-    assert!(!started(&server.connect().0.ask(&push)));
+    assert!(!started(&server.connect().0.request(&push)));
 }
 
 #[test]
 fn only_a_program_and_no_plain_request_counts_as_host() {
-    let server = Served::start();
+    let server = LocalServer::start();
     let (mut program, id, _) = server.connect();
-    program.ask(&force(&id, "vector", [0.0; 3]));
+    program.request(&force_message(&id, "vector", [0.0; 3]));
     let probe = json!({"inverse3": [{"device_id": id, "commands": {"probe_position": {}}}]});
     for _ in 0..8 {
         server.board.lock().run(0.2);
-        assert_eq!(program.ask(&probe)["inverse3"][0]["status"]["started"], true);
+        assert_eq!(program.request(&probe)["inverse3"][0]["status"]["started"], true);
     }
     for _ in 0..8 {
         server.board.lock().run(0.2);
-        get(&server.address, "/devices", "");
+        http_get(&server.address, "/devices", "");
     }
     assert_eq!(server.board.lock().status().fault.unwrap().fault, Fault::HostLost);
 }
@@ -326,42 +310,42 @@ fn only_a_program_and_no_plain_request_counts_as_host() {
 fn a_device_that_is_not_homed_reports_that_it_is_not_ready() {
     let status =
         |frame: &Value| ["calibrated", "ready", "started"].map(|key| frame["inverse3"][0]["status"][key] == true);
-    let homed = Served::start();
+    let homed = LocalServer::start();
     let (mut program, id, first) = homed.connect();
-    let push = force(&id, "vector", [0.0; 3]);
-    assert_eq!([status(&first), status(&program.ask(&push))], [[true, true, false], [true; 3]]);
+    let push = force_message(&id, "vector", [0.0; 3]);
+    assert_eq!([status(&first), status(&program.request(&push))], [[true, true, false], [true; 3]]);
     let forget = |session: &mut Session| {
         let device = session.device().unwrap().unwrap();
         session.set_device(&device).unwrap();
     };
-    let forgotten = Served::of(HaplyListener::open(0).unwrap(), forget);
+    let forgotten = LocalServer::of(HaplyListener::open(0).unwrap(), forget);
     let (mut program, _, first) = forgotten.connect();
     assert_eq!(status(&first), [false; 3]);
-    let refused = program.ask(&push);
-    assert_eq!(status(&refused), [false; 3]);
-    assert!(refused["inverse3"][0]["refusal"].as_str().unwrap().contains("not homed"), "{refused}");
+    let frame = program.request(&push);
+    assert_eq!(status(&frame), [false; 3]);
+    assert!(frame["inverse3"][0]["refusal"].as_str().unwrap().contains("not homed"), "{frame}");
 }
 
 #[test]
 fn a_silent_program_gives_way_to_the_next() {
-    let within = |silence| Served::of(HaplyListener::open(0).unwrap().give_way_after(silence), |_| {});
+    let within = |silence| LocalServer::of(HaplyListener::open(0).unwrap().give_way_after(silence), |_| {});
     let server = within(Duration::MAX);
     let _program = server.connect();
     assert!(Program::connect(&server.address).is_err());
     let server = within(Duration::ZERO);
     let (mut suspended, id, _) = server.connect();
-    suspended.ask(&force(&id, "vector", [0.0; 3]));
+    suspended.request(&force_message(&id, "vector", [0.0; 3]));
     let (mut next, first) = Program::connect(&server.address).unwrap();
     assert_eq!(first["inverse3"][0]["status"]["started"], false);
-    assert_eq!(next.ask(&force(&id, "vector", [0.0; 3]))["inverse3"][0]["status"]["started"], true);
+    assert_eq!(next.request(&force_message(&id, "vector", [0.0; 3]))["inverse3"][0]["status"]["started"], true);
     assert!(matches!(suspended.0.read(), Ok(Message::Close(_))));
 }
 
 #[test]
 fn the_server_sends_heartbeats_without_a_program() {
-    let server = Served::start();
+    let server = LocalServer::start();
     server.loses.store(2, Ordering::Relaxed);
-    until("two messages", || server.loses.load(Ordering::Relaxed) == 0);
+    wait_until("two messages", || server.loses.load(Ordering::Relaxed) == 0);
 }
 
 #[test]
@@ -370,68 +354,65 @@ fn a_returning_board_is_served_again() {
     let port = board.port.rsplit(':').next().unwrap().to_owned();
     let server = Server::start(&board.port);
     let mut program = server.connect().unwrap();
-    let id = program.ask(&json!({"session": {"force_render_full_state": {}}}))["inverse3"][0]["device_id"].clone();
-    let push = force(&id, "vector", [0.0; 3]);
-    program.ask(&push);
+    let id = program.request(&json!({"session": {"force_render_full_state": {}}}))["inverse3"][0]["device_id"].clone();
+    let push = force_message(&id, "vector", [0.0; 3]);
+    program.request(&push);
     drop(board);
     // The server closes the connection when the board is lost, without waiting for a request.
     assert!(matches!(program.0.read(), Ok(Message::Close(_))));
     assert!(server.get("/devices", "").0.contains("503") && server.connect().is_err());
     let _back = Sim::start(&["--tcp", &port]);
-    assert_eq!(server.next().ask(&push)["inverse3"][0]["status"]["started"], true);
+    assert_eq!(server.connect_next().request(&push)["inverse3"][0]["status"]["started"], true);
 }
 
 #[test]
 fn device_states_are_current() {
-    let server = Served::start();
+    let server = LocalServer::start();
     let (mut program, id, _) = server.connect();
-    let acts = |address: &str| number(&get(address, "/devices", "").1, "/inverse3/0/state/current_cursor_force/x");
-    program.ask(&force(&id, "vector", [0.3, 0.0, 0.0]));
+    let acts = |address: &str| number(&http_get(address, "/devices", "").1, "/inverse3/0/state/current_cursor_force/x");
+    program.request(&force_message(&id, "vector", [0.3, 0.0, 0.0]));
     server.board.lock().run(0.45);
     // A force computed from a state that is half a second old would be refused, so read the state again.
-    program.ask(&json!({}));
-    let pushed = program.ask(&force(&id, "vector", [0.3, 0.0, 0.0]));
-    let before = number(&pushed, "/inverse3/0/state/cursor_position/x");
+    program.request(&json!({}));
+    let frame = program.request(&force_message(&id, "vector", [0.3, 0.0, 0.0]));
+    let before = number(&frame, "/inverse3/0/state/cursor_position/x");
     server.board.lock().run(0.01);
     assert!(acts(&server.address) > 0.2);
     server.board.lock().run(0.4);
     assert_eq!(acts(&server.address), 0.0);
-    let after = number(&get(&server.address, "/devices", "").1, "/inverse3/0/state/cursor_position/x");
+    let after = number(&http_get(&server.address, "/devices", "").1, "/inverse3/0/state/cursor_position/x");
     assert_ne!(before, after);
 }
 
 #[test]
 fn a_program_uses_its_configured_axes() {
-    let server = Served::start();
+    let server = LocalServer::start();
     let (mut program, id, first) = server.connect();
     let place = |frame: &Value, axis: &str| number(frame, &format!("/inverse3/0/state/cursor_position/{axis}"));
     let configure =
         json!({"session": {"force_render_full_state": {}, "configure": {"basis": {"permutation": "ZX-Y"}}}});
-    let turned = program.ask(&configure);
-    assert_eq!(turned["inverse3"][0]["config"]["basis"]["permutation"], "ZX-Y");
+    let turned_frame = program.request(&configure);
+    assert_eq!(turned_frame["inverse3"][0]["config"]["basis"]["permutation"], "ZX-Y");
     for (own, haply, sign) in [("x", "z", 1.0), ("y", "x", 1.0), ("z", "y", -1.0)] {
-        assert!((place(&turned, own) - sign * place(&first, haply)).abs() < 1e-4, "{turned}");
+        assert!((place(&turned_frame, own) - sign * place(&first, haply)).abs() < 1e-4, "{turned_frame}");
     }
     // The program's y axis is Haply's x axis.
-    let push = force(&id, "vector", [0.0, 0.6, 0.0]);
-    program.ask(&push);
+    let push = force_message(&id, "vector", [0.0, 0.6, 0.0]);
+    program.request(&push);
     // Wait until the first force has expired.
     for _ in 0..2 {
         server.board.lock().run(0.3);
-        program.ask(&json!({}));
+        program.request(&json!({}));
     }
-    program.ask(&push);
+    program.request(&push);
     server.board.lock().run(0.01);
-    let pushed = program.ask(&json!({}));
-    assert!(number(&pushed, "/inverse3/0/state/current_cursor_force/y") > 0.5, "{pushed}");
-    let turning = ["a0", "a1"].map(|joint| number(&pushed, &format!("/inverse3/0/state/angular_velocity/{joint}")));
-    assert!(turning[0].hypot(turning[1]) > 1.0, "{pushed}");
+    let frame = program.request(&json!({}));
+    assert!(number(&frame, "/inverse3/0/state/current_cursor_force/y") > 0.5, "{frame}");
+    let turning = ["a0", "a1"].map(|joint| number(&frame, &format!("/inverse3/0/state/angular_velocity/{joint}")));
+    assert!(turning[0].hypot(turning[1]) > 1.0, "{frame}");
     drop(program);
-    assert_eq!(
-        server.connect().2["inverse3"][0]["config"]["basis"]["permutation"],
-        "XYZ",
-        "the next program must start with the default axes"
-    );
+    // The next program starts with the default axes.
+    assert_eq!(server.connect().2["inverse3"][0]["config"]["basis"]["permutation"], "XYZ");
 }
 
 #[test]
@@ -448,28 +429,32 @@ fn only_one_local_program_is_served_and_its_end_disarms() {
     }
     let started = || server.get("/devices", "").1["inverse3"][0]["status"]["started"].clone();
     let mut program = server.connect().unwrap();
-    program.ask(&force(&id, "vector", [0.0; 3]));
+    program.request(&force_message(&id, "vector", [0.0; 3]));
     assert_eq!(started(), true);
     drop(program);
     // When the next program connects, the motors are off.
-    let mut again = server.next();
-    assert_eq!(again.ask(&json!({}))["inverse3"][0]["status"]["started"], false);
+    let mut client = server.connect_next();
+    assert_eq!(client.request(&json!({}))["inverse3"][0]["status"]["started"], false);
     // A force does not arm the board again if another tool has disarmed it.
     let forces = |program: &mut Program| {
-        (0..50).map(|_| program.ask(&force(&id, "vector", [0.0; 3]))["inverse3"][0]["status"]["started"] == true).last()
+        (0..50)
+            .map(|_| {
+                program.request(&force_message(&id, "vector", [0.0; 3]))["inverse3"][0]["status"]["started"] == true
+            })
+            .last()
     };
-    assert_eq!(forces(&mut again), Some(true));
+    assert_eq!(forces(&mut client), Some(true));
     board.run(&["disarm"]).success();
-    assert_eq!(forces(&mut again), Some(false), "a force armed the board again after another tool disarmed it");
-    drop(again);
-    let mut anew = server.next();
-    assert_eq!(forces(&mut anew), Some(true));
+    assert_eq!(forces(&mut client), Some(false), "a force armed the board again after another tool disarmed it");
+    drop(client);
+    let mut last_client = server.connect_next();
+    assert_eq!(forces(&mut last_client), Some(true));
 }
 
 #[test]
 fn impossible_servers_are_refused() {
-    let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
-    let port = taken.local_addr().unwrap().port();
+    let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let port = listener.local_addr().unwrap().port();
     type_lines(
         &format!(
             "2: serve --port sim

@@ -1,11 +1,11 @@
 //! After homing the measured pose is exactly home, even with a coarse encoder.
 
-use crate::common::file;
+use crate::common::shipped_path;
 use crate::common::sim::Sim;
 
 #[test]
 fn a_coarse_encoder_reads_exactly_home() {
-    let sim = Sim::start(&[&file("capstan-pantograph.toml")]);
+    let sim = Sim::start(&[&shipped_path("capstan-pantograph.toml")]);
     sim.run(&["home"]).success();
     let info = sim.json(&["info"]);
     for (read, declared) in info["q"].as_array().unwrap().iter().zip([2.897_247, 0.244_346]) {

@@ -1,6 +1,6 @@
 //! `haptic map` as other programs use it.
 
-use crate::common::{Folder, json, type_lines};
+use crate::common::{json, pose_option};
 
 const DEVICE: &str = "devices/coupled-five-bar.toml";
 const TURRET: &str = "devices/phantom-premium-1.5.toml";
@@ -11,9 +11,7 @@ fn every_point_agrees_with_haptic_model() {
     let points = map["points"].as_array().unwrap();
     assert!(points.len() > 20);
     for point in points.iter().step_by(7) {
-        let q: Vec<String> =
-            point["q"].as_array().unwrap().iter().map(|v| format!("{:e}", v.as_f64().unwrap())).collect();
-        let q = format!("--q={}", q.join(","));
+        let q = pose_option(&point["q"]);
         let model = json(&["model", DEVICE, &q, "--normal", "0.6,-0.8"]);
         for (one, other) in [
             (&point["w_eff"], &model["w_eff"][0][0]),
@@ -50,12 +48,4 @@ fn a_point_has_the_documented_keys() {
         ["q", "w_eff", "w_rr", "worst_coupling", "worst_ratio"],
     ];
     assert_eq!(keys, documented.as_flattened());
-}
-
-#[test]
-fn the_picture_is_written_and_a_zero_normal_refused() {
-    let folder = Folder::new();
-    let svg = folder.path("map.svg");
-    type_lines(&format!("map {DEVICE} --normal 1,0 --svg {svg}\n2: map {DEVICE} --normal 0,0"), &[]);
-    assert!(std::fs::read_to_string(svg).unwrap().contains("coupled-five-bar"));
 }

@@ -1,22 +1,24 @@
 //! Before a board arms, it measures its device and so detects wrong device files, wires and sensors.
 
 use crate::common::drawn::check_wrong;
-use crate::common::injected::{INJECTED_ERRORS, InjectedError, Outcome, When, counts, moved, outcome, refused};
-use crate::common::{all_shipped, shipped};
+use crate::common::injected::{
+    INJECTED_ERRORS, InjectedError, Outcome, When, check_fault, measure_check, outcome, scale_counts_per_turn,
+};
+use crate::common::{all_shipped_devices, shipped_device};
 use haptic_bridge::model::description::Description;
 use haptic_bridge::safety::fault::Fault;
 use haptic_bridge::safety::limits::GENTLE_FORCE;
 
 #[test]
 fn every_shipped_device_passes_its_check() {
-    for file in all_shipped() {
+    for file in all_shipped_devices() {
         let nothing = InjectedError { what: "nothing", when: When::Always(|_, _| ()) };
-        assert_eq!(refused(&file, &nothing), Ok(()), "{}", file.name);
+        assert_eq!(check_fault(&file, &nothing), Ok(()), "{}", file.name);
     }
 }
 
 /// Faults that mean that the device differs from its file.
-const MISMATCH: [Fault; 7] = [
+const MISMATCH_FAULTS: [Fault; 7] = [
     Fault::TorqueMismatch,
     Fault::ResistanceMismatch,
     Fault::PolarityWrong,
@@ -44,15 +46,15 @@ fn a_board_does_not_arm_if_the_device_differs_from_its_file() {
     assert_eq!(errors.len(), must.len());
     let mut missed = Vec::new();
     for name in ["coupled-five-bar", "hapkit-paddle", "pantograph-mk2", "woodenhaptics"] {
-        let file = shipped(name);
+        let file = shipped_device(name);
         for error in &errors {
             // A paddle has only one motor.
             if error.what.contains("first two") && file.spec().joints < 2 {
                 continue;
             }
-            let ended = refused(&file, error);
-            if !ended.is_err_and(|record| MISMATCH.contains(&record.fault)) {
-                missed.push(format!("{name}: {}: {ended:?}", error.what));
+            let result = check_fault(&file, error);
+            if !result.is_err_and(|record| MISMATCH_FAULTS.contains(&record.fault)) {
+                missed.push(format!("{name}: {}: {result:?}", error.what));
             }
         }
     }
@@ -61,38 +63,39 @@ fn a_board_does_not_arm_if_the_device_differs_from_its_file() {
 
 #[test]
 fn a_check_with_ten_times_the_counts_stops_near_its_start() {
-    let error =
-        InjectedError { what: "a tenth of the file's counts", when: When::Always(|wired, _| counts(wired, 0.1)) };
-    let mut wrong = Vec::new();
+    let error = InjectedError {
+        what: "a tenth of the file's counts",
+        when: When::Always(|wired, _| scale_counts_per_turn(wired, 0.1)),
+    };
+    let mut mistakes = Vec::new();
     for name in ["hapkit-paddle", "pantograph-mk2", "woodenhaptics"] {
-        let (ended, moved) = moved(&shipped(name), &error);
-        if !ended.is_err_and(|record| MISMATCH.contains(&record.fault)) || moved.travel > 0.2 {
-            wrong.push(format!("{name}: {ended:?}, {moved:?}"));
+        let (result, motion) = measure_check(&shipped_device(name), &error);
+        if !result.is_err_and(|record| MISMATCH_FAULTS.contains(&record.fault)) || motion.travel > 0.2 {
+            mistakes.push(format!("{name}: {result:?}, {motion:?}"));
         }
     }
-    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+    assert!(mistakes.is_empty(), "{}", mistakes.join("\n"));
 }
 
 #[test]
 fn checks_0_2_rad_off_home_push_at_most_1_2_times_the_limit() {
-    let file = shipped("capstan-pantograph");
-    let homed_off = |error| {
-        moved(&file, &InjectedError { what: "the device stands elsewhere than at home", when: When::Always(error) })
-    };
-    let pushed = [
-        homed_off(|wired, _| stand(wired, [0.2, 0.0])),
-        homed_off(|wired, _| stand(wired, [0.0, -0.2])),
-        homed_off(|wired, _| stand(wired, [0.1, -0.1])),
-        homed_off(|wired, _| stand(wired, [-0.2, 0.0])),
+    let file = shipped_device("capstan-pantograph");
+    let homed_off =
+        |error| measure_check(&file, &InjectedError { what: "the device is not at home", when: When::Always(error) });
+    let push_cases = [
+        homed_off(|wired, _| displace_home(wired, [0.2, 0.0])),
+        homed_off(|wired, _| displace_home(wired, [0.0, -0.2])),
+        homed_off(|wired, _| displace_home(wired, [0.1, -0.1])),
+        homed_off(|wired, _| displace_home(wired, [-0.2, 0.0])),
     ];
-    for (ended, moved) in pushed {
+    for (result, motion) in push_cases {
         // From 0.2 rad off home the check stretches the linkage to its stop, where a torque causes the largest force.
-        assert!(moved.push > 1.0 && moved.push < 1.2 * f64::from(GENTLE_FORCE), "{ended:?}, {moved:?}");
+        assert!(motion.push > 1.0 && motion.push < 1.2 * f64::from(GENTLE_FORCE), "{result:?}, {motion:?}");
     }
 }
 
 /// Displaces a device from home by these angles, rad.
-fn stand(wired: &mut Description, off: [f64; 2]) {
+fn displace_home(wired: &mut Description, off: [f64; 2]) {
     let home = wired.home.iter_mut().flatten();
     home.zip(off).for_each(|(home, off)| *home += off);
 }
@@ -101,15 +104,15 @@ fn stand(wired: &mut Description, off: [f64; 2]) {
 #[test]
 fn a_few_random_checks_push_no_harder_than_a_finger() {
     for seed in 0..12 {
-        let checked = check_wrong(seed);
-        assert!(checked.moved.push < 5.0 && checked.moved.travel < 0.15 && checked.ended.is_err(), "{checked}");
+        let outcome = check_wrong(seed);
+        assert!(outcome.motion.push < 5.0 && outcome.motion.travel < 0.15 && outcome.result.is_err(), "{outcome}");
     }
 }
 
 /// With this motor an error of 1 V causes a force of 11 N.
 #[test]
 fn a_failing_sensor_pushes_no_harder_than_its_bound() {
-    let mut file = shipped("hapkit-paddle");
+    let mut file = shipped_device("hapkit-paddle");
     let motor = file.description.joints[0].motor.as_mut().unwrap();
     (motor.torque_constant, motor.back_emf, motor.resistance, motor.max_current) = (1.9, 1.9, 2.33, 2.0);
     for what in

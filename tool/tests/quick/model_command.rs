@@ -1,39 +1,35 @@
 //! `haptic model` as other programs use it: JSON document, exit codes, and names of singular poses.
 
-use crate::common::{self, output, run, type_lines};
+use crate::common::{self, numbers, output, run, type_lines};
 use nalgebra::{DMatrix, DVector};
 use serde_json::Value;
 
-fn line<'a>(device: &'a str, args: &[&'a str]) -> Vec<&'a str> {
+fn model_line<'a>(device: &'a str, args: &[&'a str]) -> Vec<&'a str> {
     [&["model", device], args].concat()
 }
 
 /// Returns the JSON document of a command that prints nothing on standard error.
-fn json(name: &str, args: &[&str]) -> Value {
-    let (code, out, err) = run(&line(&format!("devices/{name}.toml"), &[args, &["--json"]].concat()));
+fn model_json(name: &str, args: &[&str]) -> Value {
+    let (code, out, err) = run(&model_line(&format!("devices/{name}.toml"), &[args, &["--json"]].concat()));
     assert_eq!((code, err.as_str()), (0, ""));
     serde_json::from_str(&out).expect("one JSON document and nothing else")
 }
 
 /// Returns the one line on standard error of a command that ends with exit code 1.
-fn failure(name: &str, args: &[&str]) -> String {
-    let said = common::refusal(1, &line(&format!("devices/{name}.toml"), args));
-    assert_eq!(said.trim_end().lines().count(), 1, "one line: {said}");
-    said
+fn failing_model(name: &str, args: &[&str]) -> String {
+    let message = common::refusal(1, &model_line(&format!("devices/{name}.toml"), args));
+    assert_eq!(message.trim_end().lines().count(), 1, "one line: {message}");
+    message
 }
 
-fn numbers(value: &Value) -> Vec<f64> {
-    value.as_array().expect("a list").iter().map(|entry| entry.as_f64().expect("a number")).collect()
-}
-
-fn angles(q: &[f64]) -> String {
+fn angles_option(q: &[f64]) -> String {
     let angles: Vec<String> = q.iter().map(|angle| format!("{angle:?}")).collect();
     format!("--q={}", angles.join(","))
 }
 
 #[test]
 fn the_document_has_the_documented_keys_and_shapes() {
-    let one = json("woodenhaptics", &["--q=0.2,1.0,-0.5", "--normal=0.7,0.7,0", "--force", "2"]);
+    let one = model_json("woodenhaptics", &["--q=0.2,1.0,-0.5", "--normal=0.7,0.7,0", "--force", "2"]);
     let keys: Vec<&str> = one.as_object().expect("an object").keys().map(String::as_str).collect();
     let documented = "admissible bias condition coupling f_a forces jacobian mass normals perception position precision q \
                       qd torque torque_without_feed_forward w_aa w_eff w_ra w_rr z_a z_r";
@@ -58,54 +54,52 @@ fn the_document_has_the_documented_keys_and_shapes() {
         assert_eq!(shape(&one[key]), expected, "{key}");
     }
     assert!(one["condition"]["jacobian"].is_f64() && one["condition"]["mass"].is_f64());
-
     // At an edge of two walls two directions are rendered and one is free.
     let edge = ["--q=0.2,1.0,-0.5", "--normal=1,0,0", "--force=1", "--normal=0,1,0", "--force=2"];
-    let two = json("woodenhaptics", &edge);
+    let two = model_json("woodenhaptics", &edge);
     assert_eq!(shape(&two["w_rr"]), (2, 2));
     assert_eq!(shape(&two["w_ra"]), (2, 1));
     assert_eq!(shape(&two["f_a"]), (1, 0));
-
     // The redundant arm has a planar tip and three joints.
-    let arm = json("serial-3r", &["--q=0.6,0.9,-0.7", "--normal=0,1", "--force=1"]);
+    let arm = model_json("serial-3r", &["--q=0.6,0.9,-0.7", "--normal=0,1", "--force=1"]);
     assert_eq!(shape(&arm["jacobian"]), (2, 3));
     assert_eq!(arm["position"].as_array().map(Vec::len), Some(2));
 }
 
 /// Returns true if two numbers differ only by rounding.
-fn near(value: &Value, expected: f64) -> bool {
+fn is_near(value: &Value, expected: f64) -> bool {
     value.as_f64().is_some_and(|value| (value - expected).abs() < 1e-12)
 }
 
 #[test]
 fn several_walls_have_directions_and_shares() {
     let [n, m] = ["--normal=0.6,0.8", "--normal=-0.8,0.6"];
-    let corner = json("coupled-five-bar", &[n, m, "--stiffness=3,1"]);
+    let corner = model_json("coupled-five-bar", &[n, m, "--stiffness=3,1"]);
     let [first, second] = corner["directions"].as_array().unwrap().as_slice() else { panic!("{corner}") };
     // Walls at a right angle have their normals as directions, the stiffer first. The second wall has a third of the
     // stiffness, so the share of the first is 1 - 1/9.
     let sign = if first["along"][0].as_f64() > Some(0.0) { 1.0 } else { -1.0 };
-    assert!(near(&first["along"][0], 0.6 * sign) && near(&first["along"][1], 0.8 * sign), "{first}");
-    assert!(near(&first["stiffness"], 1.0) && near(&first["share"], 8.0 / 9.0), "{first}");
-    assert!(near(&second["stiffness"], 1.0 / 3.0) && second["share"].is_null(), "{second}");
+    assert!(is_near(&first["along"][0], 0.6 * sign) && is_near(&first["along"][1], 0.8 * sign), "{first}");
+    assert!(is_near(&first["stiffness"], 1.0) && is_near(&first["share"], 8.0 / 9.0), "{first}");
+    assert!(is_near(&second["stiffness"], 1.0 / 3.0) && second["share"].is_null(), "{second}");
     // One of two equal walls has the feed-forward, so its share is a half.
-    let half = json("coupled-five-bar", &[n, n, "--no-feed-forward=1"]);
-    assert!(near(&half["directions"][0]["share"], 0.5), "{half}");
+    let half = model_json("coupled-five-bar", &[n, n, "--no-feed-forward=1"]);
+    assert!(is_near(&half["directions"][0]["share"], 0.5), "{half}");
     // A single wall has no list of directions.
-    assert!(json("coupled-five-bar", &[n]).get("directions").is_none());
+    assert!(model_json("coupled-five-bar", &[n]).get("directions").is_none());
 }
 
 #[test]
 fn negative_numbers_parse_in_either_notation() {
-    let joined = json("haply-2diy", &["--q=-0.3,1.2", "--qd=-1,2", "--normal=-1,0.5", "--force=-2"]);
-    let apart = json("haply-2diy", &["--q", "-0.3,1.2", "--qd", "-1,2", "--normal", "-1,0.5", "--force", "-2"]);
-    assert_eq!(joined, apart);
+    let equals = model_json("haply-2diy", &["--q=-0.3,1.2", "--qd=-1,2", "--normal=-1,0.5", "--force=-2"]);
+    let spaced = model_json("haply-2diy", &["--q", "-0.3,1.2", "--qd", "-1,2", "--normal", "-1,0.5", "--force", "-2"]);
+    assert_eq!(equals, spaced);
 }
 
 #[test]
 fn a_normal_of_any_length_is_the_same_wall() {
-    let short = json("haply-2diy", &["--normal=3e-30,4e-30", "--force=2"]);
-    let long = json("haply-2diy", &["--normal=0.6,0.8", "--force=2"]);
+    let short = model_json("haply-2diy", &["--normal=3e-30,4e-30", "--force=2"]);
+    let long = model_json("haply-2diy", &["--normal=0.6,0.8", "--force=2"]);
     for key in ["torque", "torque_without_feed_forward"] {
         let (short, long) = (numbers(&short[key]), numbers(&long[key]));
         assert_eq!((short.len(), long.len()), (2, 2), "{key} of two joints");
@@ -116,9 +110,9 @@ fn a_normal_of_any_length_is_the_same_wall() {
 
 #[test]
 fn the_default_pose_is_home() {
-    let home = json("coupled-five-bar", &[]);
-    let said = json("coupled-five-bar", &["--q=2.3,0.84159265358979"]);
-    assert_eq!(home, said);
+    let home = model_json("coupled-five-bar", &[]);
+    let report = model_json("coupled-five-bar", &["--q=2.3,0.84159265358979"]);
+    assert_eq!(home, report);
 }
 
 #[test]
@@ -126,11 +120,12 @@ fn whole_turns_change_nothing_on_the_board_either() {
     // The board's trigonometry is accurate within a turn, so angles are wrapped before they are rounded to f32.
     let turn = core::f64::consts::TAU;
     let wall = ["--normal=0.7,0.7", "--force=2", "--precision=f32"];
-    let near = json("coupled-five-bar", &[&wall[..], &[&angles(&[2.6, 1.75])]].concat());
-    let far = [2.6 + 1000.0 * turn, 1.75 - 1000.0 * turn];
+    let near = model_json("coupled-five-bar", &[&wall[..], &[&angles_option(&[2.6, 1.75])]].concat());
+    let angles = [2.6 + 1000.0 * turn, 1.75 - 1000.0 * turn];
     // Angles of many turns cause a warning on standard error.
-    let far = common::json(&line("devices/coupled-five-bar.toml", &[&wall[..], &[&angles(&far)]].concat()));
-    let (near, far) = (numbers(&near["torque"]), numbers(&far["torque"]));
+    let far_report =
+        common::json(&model_line("devices/coupled-five-bar.toml", &[&wall[..], &[&angles_option(&angles)]].concat()));
+    let (near, far) = (numbers(&near["torque"]), numbers(&far_report["torque"]));
     let same = near.iter().zip(&far).all(|(a, b)| (a - b).abs() < 2.0e-6);
     assert!(near.len() == 2 && far.len() == 2 && same, "{near:?} {far:?}");
 }
@@ -143,10 +138,10 @@ fn a_stretched_arm_is_a_serial_singularity_of_its_joint() {
     let reach = tip.0.hypot(tip.1);
     let elbow = ((proximal.powi(2) + reach.powi(2) - distal.powi(2)) / (2.0 * proximal * reach)).acos();
     let q1 = tip.1.atan2(tip.0) - elbow;
-    let said = failure("haply-2diy", &[&angles(&[1.2, q1]), "--normal=0,1", "--force=1"]);
-    assert!(said.contains("serial singularity: joint 0 turns without moving the tip"), "{said}");
+    let message = failing_model("haply-2diy", &[&angles_option(&[1.2, q1]), "--normal=0,1", "--force=1"]);
+    assert!(message.contains("serial singularity: joint 0 turns without moving the tip"), "{message}");
     // Close to the singularity the model can still be evaluated.
-    let near = json("haply-2diy", &[&angles(&[1.2 + 1.0e-3, q1]), "--normal=0,1", "--force=1"]);
+    let near = model_json("haply-2diy", &[&angles_option(&[1.2 + 1.0e-3, q1]), "--normal=0,1", "--force=1"]);
     assert!(near["condition"]["jacobian"].as_f64().is_some_and(|condition| condition > 100.0));
 }
 
@@ -154,10 +149,10 @@ fn a_stretched_arm_is_a_serial_singularity_of_its_joint() {
 fn aligned_distal_links_are_a_parallel_singularity() {
     // pantograph-mk2: the elbows are exactly two distal lengths apart.
     let q1 = ((0.15_f64 - 0.025) / 0.126).acos();
-    let said = failure("pantograph-mk2", &[&angles(&[core::f64::consts::PI - q1, q1]), "--normal=0,1"]);
-    assert!(said.contains("parallel singularity"), "{said}");
-    let apart = failure("pantograph-mk2", &[&angles(&[core::f64::consts::PI, 0.0]), "--normal=0,1"]);
-    assert!(apart.contains("do not meet"), "{apart}");
+    let message = failing_model("pantograph-mk2", &[&angles_option(&[core::f64::consts::PI - q1, q1]), "--normal=0,1"]);
+    assert!(message.contains("parallel singularity"), "{message}");
+    let message = failing_model("pantograph-mk2", &[&angles_option(&[core::f64::consts::PI, 0.0]), "--normal=0,1"]);
+    assert!(message.contains("do not meet"), "{message}");
 }
 
 #[test]
@@ -169,8 +164,8 @@ fn other_mechanisms_name_their_singularities() {
         ("serial-3r", "--q=0.3,0,0.5", "serial singularity"),
     ] {
         let normal = if name == "serial-3r" { "--normal=0,1" } else { "--normal=0,1,0" };
-        let said = failure(name, &[q, normal]);
-        assert!(said.contains(word), "{said}");
+        let message = failing_model(name, &[q, normal]);
+        assert!(message.contains(word), "{message}");
     }
 }
 
@@ -197,7 +192,7 @@ fn wrong_arguments_are_refused() {
 
 #[test]
 fn the_text_names_gain_and_cost_of_the_feed_forward() {
-    let text = |name: &str, normal: &str| output(&line(&format!("devices/{name}.toml"), &[normal, "--force=1"]));
+    let text = |name: &str, normal: &str| output(&model_line(&format!("devices/{name}.toml"), &[normal, "--force=1"]));
     // The home pose of a light five-bar has almost no coupling; that of a WoodenHaptics has much.
     let light = text("pantograph-mk2", "--normal=0,1");
     assert!(light.contains("has almost no benefit"), "{light}");
@@ -207,7 +202,7 @@ fn the_text_names_gain_and_cost_of_the_feed_forward() {
 }
 
 /// Reads a matrix from rows of numbers.
-fn matrix(value: &Value) -> DMatrix<f64> {
+fn parse_matrix(value: &Value) -> DMatrix<f64> {
     let rows = value.as_array().expect("rows");
     let columns = rows[0].as_array().expect("a row").len();
     DMatrix::from_fn(rows.len(), columns, |i, j| rows[i][j].as_f64().expect("a number"))
@@ -215,22 +210,22 @@ fn matrix(value: &Value) -> DMatrix<f64> {
 
 /// Returns the inertias that a hand feels along a wall, kg: the eigenvalues of the force per acceleration across the
 /// normal while the wall's `torque` (N m per newton) keeps the tip on its surface.
-fn felt(document: &Value, torque: &DVector<f64>, normal: &[f64]) -> Vec<f64> {
-    let (jacobian, mass) = (matrix(&document["jacobian"]), matrix(&document["mass"]));
+fn inertias_along_wall(document: &Value, torque: &DVector<f64>, normal: &[f64]) -> Vec<f64> {
+    let (jacobian, mass) = (parse_matrix(&document["jacobian"]), parse_matrix(&document["mass"]));
     let solve = |torque: &DVector<f64>| &jacobian * mass.clone().lu().solve(torque).expect("a mass matrix");
     let n = DVector::from_column_slice(normal);
     // Directions across the normal are eigenvectors of 1 - n nᵀ.
     let flat = (DMatrix::identity(n.len(), n.len()) - &n * n.transpose()).symmetric_eigen();
     let across: Vec<DVector<f64>> =
         (0..n.len()).filter(|i| flat.eigenvalues[*i] > 0.5).map(|i| flat.eigenvectors.column(i).into_owned()).collect();
-    let pressed = solve(torque);
-    let moved = across.iter().map(|t| {
-        let free = solve(&(jacobian.transpose() * t));
+    let response = solve(torque);
+    let displacements = across.iter().map(|t| {
+        let free_response = solve(&(jacobian.transpose() * t));
         // The wall's force keeps the tip on its surface.
-        &free - &pressed * (n.dot(&free) / n.dot(&pressed))
+        &free_response - &response * (n.dot(&free_response) / n.dot(&response))
     });
-    let moved: Vec<DVector<f64>> = moved.collect();
-    let mobility = DMatrix::from_fn(across.len(), across.len(), |i, j| across[i].dot(&moved[j]));
+    let displacements: Vec<DVector<f64>> = displacements.collect();
+    let mobility = DMatrix::from_fn(across.len(), across.len(), |i, j| across[i].dot(&displacements[j]));
     let mut inertias: Vec<f64> = mobility.complex_eigenvalues().iter().map(|value| 1.0 / value.re).collect();
     inertias.sort_by(f64::total_cmp);
     inertias
@@ -246,13 +241,13 @@ fn a_hand_feels_less_along_a_wall_with_the_feed_forward() {
         let list: Vec<String> = normal.iter().map(f64::to_string).collect();
         let along = format!("--normal={}", list.join(","));
         // The difference of the torques at 1 N and 0 N leaves out the weight.
-        let [none, one] = ["--force=0", "--force=1"].map(|force| json(name, &[pose, &along, force]));
+        let [none, one] = ["--force=0", "--force=1"].map(|force| model_json(name, &[pose, &along, force]));
         let perception = &one["perception"];
         let mut sums = Vec::new();
         for (mode, torques) in [("off", "torque_without_feed_forward"), ("full", "torque")] {
             let torque = DVector::from_vec(numbers(&one[torques])) - DVector::from_vec(numbers(&none[torques]));
             let found = numbers(&perception["along_wall"][mode]);
-            let known = felt(&one, &torque, &normal);
+            let known = inertias_along_wall(&one, &torque, &normal);
             assert_eq!(found.len(), known.len());
             for (found, known) in found.iter().zip(&known) {
                 assert!((found / known - 1.0).abs() < 1e-9, "{name} {mode}: {found} is not {known}");
@@ -271,6 +266,6 @@ fn a_hand_feels_less_along_a_wall_with_the_feed_forward() {
 
 #[test]
 fn overflow_is_an_error() {
-    let said = failure("haply-2diy", &["--qd=1e200,1e200", "--normal=0,1", "--json"]);
-    assert!(said.contains("overflow"), "{said}");
+    let message = failing_model("haply-2diy", &["--qd=1e200,1e200", "--normal=0,1", "--json"]);
+    assert!(message.contains("overflow"), "{message}");
 }

@@ -1,18 +1,19 @@
 //! `haptic plot` draws the recorded values. These tests plot recordings of known functions and read the values from the
 //! picture by its ticks and labels, without the drawing code.
 
-use crate::common::{Folder, file, haptic, json, output, type_lines};
+use crate::common::{Folder, haptic, json, output, shipped_path, svg_number, type_lines};
 use haptic_show::plot::axes::{Axis, Mark, PlotArea};
 use haptic_show::plot::canvas::Canvas;
 use predicates::str::contains;
 use std::f64::consts::TAU;
 use std::path::Path;
 
-/// Rows per second, and number of rows.
-const RATE: f64 = 1000.0;
-const ROWS: usize = 2000;
-/// Rows that are missing in the recording.
-const GAP: std::ops::Range<usize> = 600..700;
+/// Rows per second of the recordings.
+const ROWS_PER_SECOND: f64 = 1000.0;
+/// Number of rows of [`write_recording`], with the missing rows.
+const ROW_COUNT: usize = 2000;
+/// Rows that are missing in [`write_recording`].
+const MISSING_ROWS: std::ops::Range<usize> = 600..700;
 
 fn depth(t: f64) -> f64 {
     2e-3 * (TAU * 2.0 * t).sin()
@@ -26,13 +27,13 @@ fn torque(t: f64) -> f64 {
     0.25 + 0.5 * (TAU * 125.0 * t).sin()
 }
 
-fn recording(path: &Path) {
+fn write_recording(path: &Path) {
     let mut text =
         "# haptic-bridge recording\n# date 2026-01-01\n# device a-device\n# control rate 1000 Hz, every step\n\
                     # wall 0: plane, 3000 N/m\nstep,time_s,torque0_n_m,distance_m,velocity_m_s,rendered_n\n"
             .to_string();
-    for row in (0..ROWS).filter(|row| !GAP.contains(row)) {
-        let t = row as f64 / RATE;
+    for row in (0..ROW_COUNT).filter(|row| !MISSING_ROWS.contains(row)) {
+        let t = row as f64 / ROWS_PER_SECOND;
         let speed = -2e-3 * TAU * 2.0 * (TAU * 2.0 * t).cos();
         text.push_str(&format!("{},{t},{},{},{speed},{}\n", row + 77, torque(t), -depth(t), force(t)));
     }
@@ -46,16 +47,12 @@ struct SvgPanel {
     lines: Vec<Vec<(f64, f64)>>,
 }
 
-fn attribute(line: &str, name: &str) -> Option<f64> {
-    line.split_once(&format!(" {name}=\""))?.1.split_once('"')?.0.parse().ok()
-}
-
-fn words(line: &str) -> &str {
+fn text_of(line: &str) -> &str {
     line.split_once('>').and_then(|(_, rest)| rest.split_once('<')).map_or("", |(words, _)| words)
 }
 
 /// Returns the factor of the unit's prefix in a label such as "time (ms)".
-fn factor(label: &str) -> f64 {
+fn prefix_factor(label: &str) -> f64 {
     let unit = label.rsplit_once('(').map_or("", |(_, unit)| unit.trim_end_matches(')'));
     match unit {
         "m" | "s" | "N" | "Hz" | "N m" | "m/s" | "dB" | "" => 1.0,
@@ -66,31 +63,31 @@ fn factor(label: &str) -> f64 {
     }
 }
 
-fn read(svg: &str) -> Vec<SvgPanel> {
+fn read_panels(svg: &str) -> Vec<SvgPanel> {
     let mut panels = Vec::new();
     let (mut drawn, mut ticks, mut labels) = (Vec::new(), [Vec::new(), Vec::new()], Vec::new());
     let lines: Vec<&str> = svg.lines().collect();
     for (index, line) in lines.iter().enumerate() {
         if let Some((_, rest)) = line.split_once("<polyline points=\"") {
             let pairs = rest.split_once('"').unwrap().0.split(' ').filter_map(|pair| pair.split_once(','));
-            // A dashed line is no curve but the axis through zero.
+            // A dashed line is not a curve but the axis through zero.
             if !line.contains("stroke-dasharray") {
                 drawn.push(pairs.map(|(x, y)| (x.parse().unwrap(), y.parse().unwrap())).collect::<Vec<(f64, f64)>>());
             }
         } else if line.starts_with("<line") {
-            let at = |name| attribute(line, name).unwrap();
-            let value: Option<f64> = words(lines[index + 1]).parse().ok();
+            let at = |name| svg_number(line, name).unwrap();
+            let value: Option<f64> = text_of(lines[index + 1]).parse().ok();
             match value {
                 Some(value) if at("x1") == at("x2") => ticks[0].push((at("x1"), value)),
                 Some(value) if at("y1") == at("y2") => ticks[1].push((at("y1"), value)),
                 _ => {}
             }
         } else if line.starts_with("<text") && line.contains("font-size=\"13\"") {
-            labels.push(words(line).to_string());
+            labels.push(text_of(line).to_string());
             if labels.len() == 2 {
                 let scale = |axis: usize, pixel: f64| {
                     let ((p0, v0), (p1, v1)) = (ticks[axis][0], *ticks[axis].last().unwrap());
-                    (v0 + (pixel - p0) / (p1 - p0) * (v1 - v0)) * factor(&labels[axis])
+                    (v0 + (pixel - p0) / (p1 - p0) * (v1 - v0)) * prefix_factor(&labels[axis])
                 };
                 let lines = drawn.iter().map(|line| line.iter().map(|(x, y)| (scale(0, *x), scale(1, *y))).collect());
                 panels.push(SvgPanel { lines: lines.collect(), labels: std::mem::take(&mut labels) });
@@ -105,7 +102,7 @@ fn read(svg: &str) -> Vec<SvgPanel> {
 fn the_picture_shows_the_recorded_values() {
     let folder = tempfile::tempdir().unwrap();
     let (csv, svg, png) = (folder.path().join("a.csv"), folder.path().join("a.svg"), folder.path().join("a.png"));
-    recording(&csv);
+    write_recording(&csv);
     let plot = |more: &[&str]| haptic(&["plot"]).arg(&csv).args(more).assert();
     let files = ["--svg", svg.to_str().unwrap(), "--png", png.to_str().unwrap()];
     plot(&files)
@@ -113,10 +110,9 @@ fn the_picture_shows_the_recorded_values() {
         .stdout(contains("1900 rows over 1.999 s, 100 rows missing between them"))
         .stdout(contains("stiffness found: 3000 N/m"));
     plot(&files).code(1).stderr(contains("--force"));
-
     let text = std::fs::read_to_string(&svg).unwrap();
     assert!(text.contains("a-device, 2026-01-01") && text.contains("wall 0: plane, 3000 N/m"));
-    let panels = read(&text);
+    let panels = read_panels(&text);
     let names: Vec<&str> = panels.iter().flat_map(|panel| &panel.labels).map(String::as_str).collect();
     let expected = [
         "time (s)",
@@ -129,7 +125,6 @@ fn the_picture_shows_the_recorded_values() {
         "velocity (mm/s)",
     ];
     assert_eq!(names, expected);
-
     // In the panel over time every point lies on the function, and no line crosses the missing rows.
     let time = &panels[0];
     assert_eq!(time.lines.len(), 2, "{}", time.lines.len());
@@ -154,20 +149,18 @@ fn the_picture_shows_the_recorded_values() {
     let picture = std::fs::read(&png).unwrap();
     assert_eq!(&picture[1..4], b"PNG");
     let size = |at: usize| u32::from_be_bytes(picture[at..at + 4].try_into().unwrap());
-    let height: f64 = attribute(text.lines().next().unwrap(), "height").unwrap();
+    let height: f64 = svg_number(text.lines().next().unwrap(), "height").unwrap();
     assert_eq!((size(16), size(20)), (1440, (2.0 * height) as u32), "two pixels per unit");
-
     // The spectrum of a sine has the sine's amplitude at its frequency and almost 0 elsewhere, also at 0 Hz.
     plot(&["--signals", "torque0_n_m", "--show", "spectrum", "--force", "--svg", files[1]])
         .success()
         .stdout(contains("at 125.0 Hz"));
-    let panels = read(&std::fs::read_to_string(&svg).unwrap());
+    let panels = read_panels(&std::fs::read_to_string(&svg).unwrap());
     assert_eq!(panels[0].labels, ["frequency (Hz)", "amplitude re 1 N m (dB)"].map(str::to_string));
     let line: Vec<(f64, f64)> = panels[0].lines[0].iter().map(|(hz, db)| (*hz, 10f64.powf(db / 20.0))).collect();
     let top = line.iter().max_by(|a, b| a.1.total_cmp(&b.1)).unwrap();
     assert!((top.0 - 125.0).abs() < 1.0 && (top.1 - 0.5).abs() < 0.005, "{top:?}");
     assert!(line.iter().all(|(hz, a)| (hz - 125.0).abs() < 5.0 || *a < 0.01));
-
     // The points of --json are the recorded values.
     let json = plot(&["--json", "--show", "time", "--from", "0.1", "--to", "0.2"]).success();
     let json: serde_json::Value = serde_json::from_slice(&json.get_output().stdout).unwrap();
@@ -186,11 +179,8 @@ fn a_legend_covers_no_curve() {
         let mut canvas = Canvas::new(800.0, 400.0);
         frame.place_legend(&mut canvas, drawn, &[(Mark::Dot("red"), "a dot".into())]);
         let svg = canvas.finish("", "").svg().to_string();
-        let of = |line: &str, key: &str| -> f64 {
-            line.split_once(&format!(" {key}=\"")).unwrap().1.split('"').next().unwrap().parse().unwrap()
-        };
-        let shown = svg.lines().find(|line| line.contains("#ffffffee")).unwrap();
-        (of(shown, "x"), of(shown, "y"), of(&svg, "height"))
+        let panel = svg.lines().find(|line| line.contains("#ffffffee")).unwrap();
+        (svg_number(panel, "x").unwrap(), svg_number(panel, "y").unwrap(), svg_number(&svg, "height").unwrap())
     };
     let width = 48.0 + 6.5 * 5.0;
     let right = 690.0 - width;
@@ -208,7 +198,7 @@ fn a_legend_covers_no_curve() {
 /// A velocity that jumps between rows at 20 kHz is drawn as a line of means, not as an area; --json has all rows.
 #[test]
 fn the_phase_portrait_of_fast_rows_is_drawn_from_means() {
-    let (folder, csv) = recorded(20e3, "distance_m,velocity_m_s", 10_000, |t| {
+    let (folder, csv) = write_rows(20e3, "distance_m,velocity_m_s", 10_000, |t| {
         let row = (t * 20e3).round();
         format!("{},{}", 1e-6 * row, if row % 2.0 == 0.0 { 0.12 } else { -0.08 })
     });
@@ -216,7 +206,7 @@ fn the_phase_portrait_of_fast_rows_is_drawn_from_means() {
     type_lines(&format!("plot --show phase {csv} --svg {svg}"), &[]);
     let text = std::fs::read_to_string(&svg).unwrap();
     assert!(text.contains("means over 20 rows"), "{text}");
-    let line = &read(&text)[0].lines[0];
+    let line = &read_panels(&text)[0].lines[0];
     assert!((400..=500).contains(&line.len()), "{}", line.len());
     assert!(line.iter().all(|(_, v)| (v - 0.02).abs() < 6e-3), "{line:?}");
     let json = json(&["plot", "--show", "phase", &csv]);
@@ -225,7 +215,7 @@ fn the_phase_portrait_of_fast_rows_is_drawn_from_means() {
 
 #[test]
 fn a_constant_signal_has_a_spectrum_at_the_floor() {
-    let (_folder, csv) = recorded(RATE, "distance_m", 3000, |_| "0".into());
+    let (_folder, csv) = write_rows(ROWS_PER_SECOND, "distance_m", 3000, |_| "0".into());
     let json = json(&["plot", &csv, "--signals", "distance_m", "--show", "spectrum"]);
     let points = json["panels"][0]["curves"][0]["pieces"][0].as_array().unwrap();
     assert!(points.len() > 100 && points.iter().all(|point| (point[1].as_f64().unwrap() + 120.0).abs() < 1e-9));
@@ -235,7 +225,7 @@ fn a_constant_signal_has_a_spectrum_at_the_floor() {
 fn undrawable_recordings_are_refused() {
     let folder = Folder::new();
     let csv = folder.path("a.csv");
-    recording(Path::new(&csv));
+    write_recording(Path::new(&csv));
     type_lines(
         &format!(
             "2: plot {csv} --signals nothing_n => no column nothing_n; it has step, time_s, torque0_n_m
@@ -256,7 +246,7 @@ fn undrawable_recordings_are_refused() {
 }
 
 /// Writes a recording with these columns. Returns its folder and path.
-fn recorded(rate_hz: f64, columns: &str, rows: usize, row: impl Fn(f64) -> String) -> (Folder, String) {
+fn write_rows(rate_hz: f64, columns: &str, rows: usize, row: impl Fn(f64) -> String) -> (Folder, String) {
     let folder = Folder::new();
     let head = format!("# haptic-bridge recording\n# control rate {rate_hz} Hz, every step\nstep,time_s,{columns}\n");
     let rows = (0..rows).map(|i| format!("{i},{},{}\n", i as f64 / rate_hz, row(i as f64 / rate_hz)));
@@ -267,7 +257,7 @@ fn recorded(rate_hz: f64, columns: &str, rows: usize, row: impl Fn(f64) -> Strin
 #[test]
 fn a_vibration_at_the_end_is_in_the_spectrum() {
     let late = |t: f64| if t < 0.77 { 0.0 } else { (TAU * 50.0 * t).sin() };
-    let (_folder, csv) = recorded(RATE, "rendered_n", 1000, |t| late(t).to_string());
+    let (_folder, csv) = write_rows(ROWS_PER_SECOND, "rendered_n", 1000, |t| late(t).to_string());
     let strongest = json(&["plot", &csv])["strongest"].clone();
     let (hz, amplitude) = (strongest["frequency"].as_f64().unwrap(), strongest["amplitude"].as_f64().unwrap());
     assert!((hz - 50.0).abs() < 2.0 && (0.2..1.0).contains(&amplitude), "{strongest}");
@@ -277,19 +267,20 @@ fn a_vibration_at_the_end_is_in_the_spectrum() {
 /// A wall of 60 kN/m, pressed 0.5 mm deep by a device with a force limit.
 #[test]
 fn the_stiffness_is_fitted_to_unlimited_rows() {
-    let pressed = |most: f64| {
-        let (folder, csv) = recorded(RATE, "distance_m,rendered_n,saturated0,saturated1,state", 1000, |t| {
-            let depth = 0.5e-3 * (TAU * t).sin();
-            let asked = (60e3 * depth).max(0.0);
-            // From 0.4 s on the motors are off in the wall.
-            let (force, state) = if t < 0.4 { (asked.min(most), "Armed") } else { (0.0, "Disarmed") };
-            format!("{},{force},0,{},{state}", -depth, u8::from(asked > most && t < 0.4))
-        });
+    let plot_press = |most: f64| {
+        let (folder, csv) =
+            write_rows(ROWS_PER_SECOND, "distance_m,rendered_n,saturated0,saturated1,state", 1000, |t| {
+                let depth = 0.5e-3 * (TAU * t).sin();
+                let requested_force = (60e3 * depth).max(0.0);
+                // From 0.4 s on the motors are off in the wall.
+                let (force, state) = if t < 0.4 { (requested_force.min(most), "Armed") } else { (0.0, "Disarmed") };
+                format!("{},{force},0,{},{state}", -depth, u8::from(requested_force > most && t < 0.4))
+            });
         let svg = folder.path("a.svg");
         let printed = output(&["plot", "--svg", &svg, &csv]);
         (printed, json(&["plot", &csv]), std::fs::read_to_string(&svg).unwrap())
     };
-    let (printed, found, drawn) = pressed(5.0);
+    let (printed, found, drawn) = plot_press(5.0);
     let (rows, cut) = (found["contact_rows"].as_u64().unwrap(), found["saturated_rows"].as_u64().unwrap());
     assert!((395..=400).contains(&rows) && cut > 300 && rows - cut > 20, "{rows}, {cut}");
     assert!((found["stiffness"].as_f64().unwrap() - 60e3).abs() < 1.0, "{}", found["stiffness"]);
@@ -299,8 +290,7 @@ fn the_stiffness_is_fitted_to_unlimited_rows() {
     let ends: [[f64; 2]; 2] = serde_json::from_value(found["panels"][1]["line"].clone()).unwrap();
     assert!(ends.iter().all(|[x, y]| (y - 60e3 * x).abs() < 1e-6) && ends[1][1] < 5.0 && ends[1][1] > 4.5, "{ends:?}");
     assert_eq!(drawn.matches("stroke-dasharray=\"7 4\"").count(), 1);
-
-    let (printed, found, drawn) = pressed(0.5);
+    let (printed, found, drawn) = plot_press(0.5);
     assert!(found["stiffness"].is_null() && found["panels"][1]["line"].is_null(), "{found}");
     assert!(printed.contains("no stiffness, too few for a line: ") && printed.contains("found: none"), "{printed}");
     assert!(!drawn.contains("stroke-dasharray=\"7 4\""));
@@ -309,7 +299,7 @@ fn the_stiffness_is_fitted_to_unlimited_rows() {
 /// The recording begins with arming in the wall, after which the torque ramps up for half a second.
 #[test]
 fn the_stiffness_ignores_the_ramp_after_arming() {
-    let (_folder, csv) = recorded(RATE, "distance_m,rendered_n,state", 2000, |t| {
+    let (_folder, csv) = write_rows(ROWS_PER_SECOND, "distance_m,rendered_n,state", 2000, |t| {
         let depth = 1e-3 * (1.0 + 0.5 * (TAU * t).sin());
         let ramp = ((t - 0.1) / 0.5).clamp(0.0, 1.0);
         format!("{},{},{}", -depth, 1500.0 * depth * ramp, if t < 0.1 { "Disarmed" } else { "Armed" })
@@ -325,7 +315,7 @@ fn the_stiffness_ignores_the_ramp_after_arming() {
 
 #[test]
 fn a_force_that_does_not_follow_the_depth_has_no_stiffness() {
-    let (_folder, csv) = recorded(RATE, "distance_m,rendered_n", 1000, |t| {
+    let (_folder, csv) = write_rows(ROWS_PER_SECOND, "distance_m,rendered_n", 1000, |t| {
         let depth = 1e-3 + 1e-5 * (TAU * 3.0 * t).sin();
         format!("{},{}", -depth, 2.0 + (TAU * 71.0 * t).sin())
     });
@@ -339,11 +329,11 @@ fn a_force_that_does_not_follow_the_depth_has_no_stiffness() {
 fn the_phase_portrait_of_noise_is_drawn_only_on_request() {
     let views = |speed: fn(f64) -> f64, more: &[&str]| {
         let columns = "distance_m,velocity_m_s,rendered_n";
-        let (_folder, csv) = recorded(RATE, columns, 1000, |t| format!("{t},{},0", speed(t)));
+        let (_folder, csv) = write_rows(ROWS_PER_SECOND, columns, 1000, |t| format!("{t},{},0", speed(t)));
         let found = json(&[&["plot", &csv], more].concat());
         let panels = found["panels"].as_array().unwrap().iter();
-        let drawn = panels.filter(|panel| panel["view"] == "phase").count();
-        (drawn, found["said"].to_string().contains("velocity over distance is left out"))
+        let phase_panels = panels.filter(|panel| panel["view"] == "phase").count();
+        (phase_panels, found["said"].to_string().contains("velocity over distance is left out"))
     };
     let noise = |t: f64| (1e3 * t * t * 7919.0).sin() * f64::from(u8::from(((1e3 * t) as u64).is_multiple_of(2)));
     assert_eq!(views(|t| (TAU * 70.0 * t).sin(), &[]), (1, false));
@@ -362,15 +352,15 @@ fn misplaced_texts(svg: &str, width_mm: f64) -> Vec<String> {
     let texts: Vec<&str> = svg.lines().filter(|line| line.starts_with("<text")).collect();
     assert!(texts.len() > 5);
     let bad = |line: &&&str| {
-        let size = attribute(line, "font-size").unwrap();
+        let size = svg_number(line, "font-size").unwrap();
         if size * points_a_unit <= 7.99 {
             return true;
         }
-        let Some(x) = attribute(line, "x") else { return false };
-        let long = 0.56 * size * words(line).replace("&gt;", ">").chars().count() as f64;
+        let Some(x) = svg_number(line, "x") else { return false };
+        let long = 0.56 * size * text_of(line).replace("&gt;", ">").chars().count() as f64;
         let begins = [("start", 0.0), ("middle", 0.5), ("end", 1.0)];
         let before = begins.iter().find(|(anchor, _)| line.contains(anchor)).unwrap().1 * long;
-        let (at, end) = if line.contains("rotate") { (attribute(line, "y").unwrap(), high) } else { (x, units) };
+        let (at, end) = if line.contains("rotate") { (svg_number(line, "y").unwrap(), high) } else { (x, units) };
         // Rotated text runs upwards.
         let begin = if line.contains("rotate") { at + before - long } else { at - before };
         begin < 0.0 || begin + long > end
@@ -383,10 +373,10 @@ fn misplaced_texts(svg: &str, width_mm: f64) -> Vec<String> {
 fn pictures_for_a_paper_have_its_width_and_letter_size() {
     let folder = tempfile::tempdir().unwrap();
     let (csv, svg, png) = (folder.path().join("a.csv"), folder.path().join("a.svg"), folder.path().join("a.png"));
-    recording(&csv);
+    write_recording(&csv);
     let csv = csv.to_str().unwrap();
     let [coupled, phantom, paddle] =
-        ["coupled-five-bar", "phantom-premium-1.5", "hapkit-paddle"].map(|name| file(&format!("{name}.toml")));
+        ["coupled-five-bar", "phantom-premium-1.5", "hapkit-paddle"].map(|name| shipped_path(&format!("{name}.toml")));
     let at = ["--q=2.6,1.75", "--normal=0.94,-0.34"];
     let range = ["range", &coupled, at[0], at[1], "--delay", "0.5", "--washout", "2", "--host-rate", "500"];
     let commands: [(&[&str], &[&str]); 6] = [
@@ -408,7 +398,7 @@ fn pictures_for_a_paper_have_its_width_and_letter_size() {
     // A PNG has 600 dots per inch.
     haptic(&["plot", csv, "--png", png.to_str().unwrap(), "--width", "85"]).assert().success();
     let picture = std::fs::read(&png).unwrap();
-    let wide = u32::from_be_bytes(picture[16..20].try_into().unwrap());
-    assert!((f64::from(wide) / (85.0 / 25.4) - 600.0).abs() < 3.0, "{wide}");
+    let width_px = u32::from_be_bytes(picture[16..20].try_into().unwrap());
+    assert!((f64::from(width_px) / (85.0 / 25.4) - 600.0).abs() < 3.0, "{width_px}");
     haptic(&["plot", csv, "--width", "20"]).assert().code(2).stderr(contains("60 to 400 mm"));
 }

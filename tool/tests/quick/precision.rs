@@ -1,19 +1,19 @@
 //! A device computed in double precision and rounded equals the device computed in single precision.
 
-use crate::common::all_shipped;
+use crate::common::all_shipped_devices;
 use haptic_bridge::model::catalogue::Kind;
 use haptic_bridge::model::device::Device;
 
 #[test]
 fn a_rounded_device_equals_one_made_in_single_precision() {
-    let mut seen = Vec::new();
-    for file in all_shipped() {
+    let mut kinds = Vec::new();
+    for file in all_shipped_devices() {
         let (wide, single): (Device<f64>, Device<f32>) = (file.device().unwrap(), file.device().unwrap());
         assert_eq!(wide.cast::<f32>(), single, "{}", file.name);
         assert_eq!(single.cast::<f64>().cast::<f32>(), single, "{}", file.name);
         assert_eq!(wide.cast::<f64>(), wide, "{}", file.name);
         assert_ne!(single.cast::<f64>(), wide, "{}: rounding changes nothing, so the test has no effect", file.name);
-        seen.push(wide.mechanism.kind());
+        kinds.push(wide.mechanism.kind());
     }
-    assert!(Kind::ALL.iter().all(|kind| seen.contains(kind)), "{seen:?}");
+    assert!(Kind::ALL.iter().all(|kind| kinds.contains(kind)), "{kinds:?}");
 }

@@ -4,12 +4,13 @@ use crate::common::{Folder, json, output, read, refusal, type_lines};
 use serde_json::Value;
 
 const DEVICE: &str = "devices/serial-3r.toml";
-const POSE: [&str; 7] = ["--q=0.6,0.9,-0.7", "--normal=-1,0.5", "--rate", "1000", "--cutoff", "20", "--undamped"];
+const POSE_OPTIONS: [&str; 7] =
+    ["--q=0.6,0.9,-0.7", "--normal=-1,0.5", "--rate", "1000", "--cutoff", "20", "--undamped"];
 /// Command for the demo's device in the demo's pose, along its wall's normal.
-const DEMO: [&str; 4] = ["range", "devices/coupled-five-bar.toml", "--q=2.6,1.75", "--normal=0.2588,0.9659"];
+const DEMO_RANGE: [&str; 4] = ["range", "devices/coupled-five-bar.toml", "--q=2.6,1.75", "--normal=0.2588,0.9659"];
 
 fn range(more: &[&str]) -> Value {
-    json(&[&["range", DEVICE], &POSE[..], more].concat())
+    json(&[&["range", DEVICE], &POSE_OPTIONS[..], more].concat())
 }
 
 fn number(value: &Value) -> f64 {
@@ -55,27 +56,24 @@ fn the_boundary_has_points_at_the_requested_dampings() {
 fn the_frequency_of_a_buzzing_wall_is_printed_with_its_limit() {
     let folder = Folder::new();
     let loop_ = ["--rate", "1000", "--cutoff", "100", "--board", "odrive-v3", "--kd", "0,40,200", "--wall", "22000,40"];
-    let line = [&DEMO[..], &loop_].concat();
+    let line = [&DEMO_RANGE[..], &loop_].concat();
     let document = json(&line);
     let hz = |mode: &str, point: usize| document[mode]["boundary"][point]["hz"].as_f64();
     for mode in ["off", "full"] {
-        assert!(
-            hz(mode, 0).unwrap() < 6.0 && hz(mode, 2).is_none(),
-            "{mode}: no buzz is expected at 200 N s/m, where no stiffness is stable"
-        );
+        // At 200 N s/m no stiffness is stable, so there is no frequency of a buzz.
+        assert!(hz(mode, 0).unwrap() < 6.0 && hz(mode, 2).is_none(), "{mode}");
         assert!((55.0..62.0).contains(&hz(mode, 1).unwrap()), "{document}");
     }
     let swings = &document["ripple"]["wall"]["swings"];
     let grows = |mode: &str| number(&swings[mode]["growth_per_s"]);
     assert!(grows("off") > 10.0 && grows("full") < 0.0 && swings.get("washout").is_none(), "{swings}");
-    let said = output(&line);
-    assert_eq!((said.contains("buzz Hz"), said.matches("to buzz at 64.8 Hz, growing by").count()), (true, 1), "{said}");
-
+    let text = output(&line);
+    assert_eq!((text.contains("buzz Hz"), text.matches("to buzz at 64.8 Hz, growing by").count()), (true, 1), "{text}");
     let wall = "[[wall]]\npoint = [0.0, 0.1]\nnormal = [0.0, 1.0]\nstiffness = 90e3\ndamping = 40.0\n";
     let scene = folder.write("scene.toml", format!("rate_hz = 1000\ncutoff_hz = 100\n{wall}"));
-    let checked = json(&["check", DEMO[1], &scene]);
-    let hz = number(&checked["scenes"][0]["contacts"][0]["buzz"]["hz"]);
-    let warning = checked["warnings"][0]["text"].as_str().unwrap();
+    let check_report = json(&["check", DEMO_RANGE[1], &scene]);
+    let hz = number(&check_report["scenes"][0]["contacts"][0]["buzz"]["hz"]);
+    let warning = check_report["warnings"][0]["text"].as_str().unwrap();
     assert!(warning.contains(&format!("it will vibrate at about {hz:.0} Hz unless")), "{warning}");
 }
 
@@ -85,12 +83,13 @@ fn pictures_are_svg_or_png_and_explain_their_symbols() {
     let (svg, png) = (folder.path("range.svg"), folder.path("range.png"));
     let files = ["--washout", "2", "--svg", &svg, "--png", &png];
     let loop_ = ["--rate", "1000", "--cutoff", "20", "--delay", "1"];
-    let said = output(&[&["range", DEMO[1], "--q=2.6,1.75", "--normal=0.94,-0.34"], &loop_[..], &files].concat());
-    let drawn = std::fs::read_to_string(svg).unwrap();
-    assert!(drawn.contains("<title>coupled-five-bar") && std::fs::read(png).unwrap().starts_with(b"\x89PNG"));
-    assert!(said.contains("delay 1 sample,") && drawn.contains("delay 1 sample,"), "{said}");
+    let printed =
+        output(&[&["range", DEMO_RANGE[1], "--q=2.6,1.75", "--normal=0.94,-0.34"], &loop_[..], &files].concat());
+    let svg = std::fs::read_to_string(svg).unwrap();
+    assert!(svg.contains("<title>coupled-five-bar") && std::fs::read(png).unwrap().starts_with(b"\x89PNG"));
+    assert!(printed.contains("delay 1 sample,") && svg.contains("delay 1 sample,"), "{printed}");
     for symbol in ["b = 0.121 N s/m", "fc = ", "Δ = ", "Colgate and Schenkel", "Weff, Wrr:", "washout 2 Hz"] {
-        assert!(drawn.contains(symbol), "{symbol}");
+        assert!(svg.contains(symbol), "{symbol}");
     }
 }
 
@@ -124,10 +123,10 @@ fn a_wall_rendered_by_a_computer_is_compared_with_the_boards() {
     let kp = |domain: &Value| number(&domain["boundary"][0]["kp"]);
     assert!((kp(host) / kp(&slow["off"]) - 1.0).abs() < 1e-6, "{document}");
     assert!(number(&document["off"]["area"]) > 100.0 * number(&host["area"]));
-    let drawn = std::fs::read_to_string(svg).unwrap();
-    assert!(drawn.contains("rendered by a computer at 1000 Hz, 1.1 ms late"), "the picture lacks the computer's wall");
-    let said = output(&[&board[..], &["--host-rate", "1000"]].concat());
-    assert!(said.contains("on a computer, 1000 Hz") && said.contains("forces 1 ms old"), "{said}");
+    let svg = std::fs::read_to_string(svg).unwrap();
+    assert!(svg.contains("rendered by a computer at 1000 Hz, 1.1 ms late"), "the picture lacks the computer's wall");
+    let printed = output(&[&board[..], &["--host-rate", "1000"]].concat());
+    assert!(printed.contains("on a computer, 1000 Hz") && printed.contains("forces 1 ms old"), "{printed}");
 }
 
 #[test]
@@ -163,23 +162,23 @@ fn impossible_ranges_are_refused() {
 /// joint damping makes a device creep at every gain; the text must not call this a wall "0.00 times as stiff".
 #[test]
 fn a_costly_feed_forward_causes_a_warning() {
-    let shipped = json(&[&DEMO[..], &["--rate", "20000", "--cutoff", "500"]].concat());
+    let shipped = json(&[&DEMO_RANGE[..], &["--rate", "20000", "--cutoff", "500"]].concat());
     assert!(number(&shipped["area_ratio"]) > 1.2 && shipped.get("warnings").is_none(), "{shipped}");
     let folder = Folder::new();
-    let text = read(DEMO[1]);
+    let text = read(DEMO_RANGE[1]);
     let cable = |damping: &str| format!("{{ stiffness = 1065.9, damping = {damping} }}");
-    let soft = text.replacen("\"rigid\"", &cable("0.03694"), 1).replacen("\"rigid\"", &cable("0.02262"), 1);
+    let soft_device = text.replacen("\"rigid\"", &cable("0.03694"), 1).replacen("\"rigid\"", &cable("0.02262"), 1);
     let uneven = text.replacen("viscous = 0.001", "viscous = 0.1", 1);
     let uneven = uneven.replacen("viscous = 0.001\n", "viscous = 1.0e-4\n", 1);
     let of = |text: String, rate: &str, cutoff: &str| {
         let device = folder.write("device.toml", text);
-        json(&[&["range", &device], &DEMO[2..], &["--rate", rate, "--cutoff", cutoff]].concat())
+        json(&[&["range", &device], &DEMO_RANGE[2..], &["--rate", rate, "--cutoff", cutoff]].concat())
     };
-    let found = of(soft, "20000", "500");
+    let found = of(soft_device, "20000", "500");
     assert!(number(&found["area_ratio"]) < 0.7, "{}", found["area_ratio"]);
     assert!(found["warnings"][0]["text"].as_str().unwrap().contains("costs more than it brings"), "{found}");
-    let said = of(uneven, "1000", "20")["warnings"].to_string();
-    assert!(said.contains("the feed-forward leaves nothing stable here") && !said.contains("0.00 times"), "{said}");
+    let text = of(uneven, "1000", "20")["warnings"].to_string();
+    assert!(text.contains("the feed-forward leaves nothing stable here") && !text.contains("0.00 times"), "{text}");
 }
 
 /// If Wrr is many times Weff, 2 Hz is no longer far below the frequencies of a loop at 200 Hz.
@@ -190,11 +189,8 @@ fn a_washout_that_costs_stability_causes_a_warning() {
     let found = json(&[&["range", "devices/capstan-pantograph.toml"], &pose[..], &loop_].concat());
     let area = |mode: &str| number(&found[mode]["area"]);
     assert!(area("washout") < 0.5 * area("off") && area("full") > 10.0 * area("off"), "{found}");
-    let said = found["warnings"].to_string();
-    assert!(
-        said.contains("the washout costs more than it brings") && !said.contains("the feed-forward costs"),
-        "{said}"
-    );
-    // With 1 Hz the stiffest wall keeps 0.85 of its stiffness, with 0.5 Hz all of it.
-    assert!(said.contains("a corner of 0.5 Hz costs nothing"), "{said}");
+    let text = found["warnings"].to_string();
+    assert!(text.contains("the washout costs more than it") && !text.contains("the feed-forward costs"), "{text}");
+    // A washout of 1 Hz leaves 0.85 of the stiffness of the stiffest wall, a washout of 0.5 Hz all of it.
+    assert!(text.contains("a corner of 0.5 Hz costs nothing"), "{text}");
 }

@@ -5,16 +5,16 @@ use haptic_stability::analysis::range::domain;
 use haptic_stability::analysis::sampled::{AnalysisError, LinearEstimator, Mode};
 use nalgebra::Complex;
 
-const RATE: f64 = 1000.0;
+const RATE_HZ: f64 = 1000.0;
 /// Mass, kg.
-const MASS: f64 = 0.3;
+const MASS_KG: f64 = 0.3;
 
 /// Returns kp_max T²/m at these dampings kd T/m, without delay.
 fn boundary(estimator: LinearEstimator, damping: &[f64]) -> Result<Vec<f64>, AnalysisError> {
-    let around = ideal_loop(RATE, 0.0, estimator);
-    let kd: Vec<f64> = damping.iter().map(|b| b * MASS * RATE).collect();
-    let found = domain(&point_mass(MASS), &around, Mode::Off, Some(&kd))?;
-    Ok(found.boundary.iter().map(|point| point.kp / (MASS * RATE * RATE)).collect())
+    let around = ideal_loop(RATE_HZ, 0.0, estimator);
+    let kd: Vec<f64> = damping.iter().map(|b| b * MASS_KG * RATE_HZ).collect();
+    let found = domain(&point_mass(MASS_KG), &around, Mode::Off, Some(&kd))?;
+    Ok(found.boundary.iter().map(|point| point.kp / (MASS_KG * RATE_HZ * RATE_HZ)).collect())
 }
 
 #[test]
@@ -39,38 +39,22 @@ fn a_difference_over_k_samples_matches_its_transfer_function() {
             -(z - 1.0) * (z - 1.0) * 2.0 / (z + 1.0) - (Complex::new(1.0, 0.0) - z.powi(-k)) * b / f64::from(k)
         };
         let angles: Vec<f64> = (1..200_000).map(|i| std::f64::consts::PI * f64::from(i) / 200_000.0).collect();
-        let mut least = f64::INFINITY;
+        let mut smallest_limit = f64::INFINITY;
         for pair in angles.windows(2) {
             let (low, high) = (at(pair[0]), at(pair[1]));
             if (low.im > 0.0) != (high.im > 0.0) {
                 let share = low.im / (low.im - high.im);
                 let a = low.re + share * (high.re - low.re);
-                least = if a > 0.0 { least.min(a) } else { least };
+                smallest_limit = if a > 0.0 { smallest_limit.min(a) } else { smallest_limit };
             }
         }
-        least
+        smallest_limit
     };
     for k in [2, 5, 10, 32] {
         for b in [0.01, 0.02, 0.04] {
             let found = boundary(LinearEstimator::BackwardDifference.over(k as usize), &[b]).unwrap()[0];
             assert!((found / crossing(k, b) - 1.0).abs() < 1e-4, "over {k}, damping {b}: {found}, {}", crossing(k, b));
         }
-    }
-}
-
-#[test]
-fn equal_estimators_have_equal_boundaries() {
-    let damping = [0.1, 0.5, 1.5];
-    let plain: Vec<f64> = damping.iter().map(|b| 2.0 * b * (2.0 - b) / (2.0 + b)).collect();
-    for estimator in [LinearEstimator::BackwardDifference, LinearEstimator::BackwardDifference.over(1)] {
-        for (a, expected) in boundary(estimator, &damping).unwrap().iter().zip(&plain) {
-            assert!((a / expected - 1.0).abs() < 1e-6, "{estimator:?}: {a} is not {expected}");
-        }
-    }
-    let slow = [0.02, 0.05];
-    let two = boundary(LinearEstimator::Butterworth(50.0).over(1), &slow).unwrap();
-    for (a, expected) in two.iter().zip(boundary(LinearEstimator::Butterworth(50.0), &slow).unwrap()) {
-        assert!((a / expected - 1.0).abs() < 1e-9);
     }
 }
 

@@ -1,14 +1,9 @@
-//! Ranges with compliant transmissions, modes, a hand on the tip, and a difference over several samples (docs/model.md
-//! section 4).
+//! Ranges with compliant transmissions, modes, a hand, and a difference over samples (docs/model.md section 4).
 
 use crate::common::prelude::*;
-use crate::common::{ideal_loop, read, rigid};
+use crate::common::{ideal_loop, numbers, read, rigid_device};
 use haptic_bridge::model::description::StructuralMode;
 use haptic_stability::analysis::flexible::{Flexible, Hand};
-
-fn numbers(value: &Value) -> Vec<f64> {
-    value.as_array().unwrap().iter().map(|number| number.as_f64().unwrap()).collect()
-}
 
 #[test]
 fn every_boundary_agrees_with_independent_values() {
@@ -33,12 +28,7 @@ fn every_boundary_agrees_with_independent_values() {
             for (point, known) in found.boundary.iter().zip(expected) {
                 let known = known["kp"].as_f64().unwrap();
                 points += 1;
-                assert!(
-                    (point.kp - known).abs() < 1e-4 * largest,
-                    "{id} {key} at kd = {}: {} is not {known}",
-                    point.kd,
-                    point.kp
-                );
+                assert!((point.kp - known).abs() < 1e-4 * largest, "{id} {key}: {point:?} is not {known}");
             }
         }
     }
@@ -47,14 +37,14 @@ fn every_boundary_agrees_with_independent_values() {
 
 /// Returns a rigid device with two joints that both move the tip along the wall's normal.
 fn stiff_device() -> Linearised {
-    rigid(&[3.0e-4, 4.0e-5, 4.0e-5, 1.1e-4], &[1e-3, 4e-4], &[0.1, 0.06], &[7.0, 5.0])
+    rigid_device(&[3.0e-4, 4.0e-5, 4.0e-5, 1.1e-4], &[1e-3, 4e-4], &[0.1, 0.06], &[7.0, 5.0])
 }
 
-fn behind(stiffness: f64, damping: f64, encoder_at: EncoderAt) -> Option<Transmission> {
+fn transmission(stiffness: f64, damping: f64, encoder_at: EncoderAt) -> Option<Transmission> {
     Some(Transmission { stiffness, damping, motor_inertia: 2e-5, encoder_at })
 }
 
-fn around(rate_hz: f64, cutoff_hz: f64) -> Loop {
+fn control_loop(rate_hz: f64, cutoff_hz: f64) -> Loop {
     ideal_loop(rate_hz, 0.5, LinearEstimator::Butterworth(cutoff_hz))
 }
 
@@ -65,14 +55,16 @@ fn an_infinitely_stiff_transmission_is_rigid() {
         for (drive, stiffness) in
             [(Drive::Ideal, 1e11), (Drive::Current { bandwidth_hz: 900.0 }, 1e11), (Drive::Ideal, 1e18)]
         {
-            let around = Loop { drive, ..around(1000.0, 50.0) };
+            let around = Loop { drive, ..control_loop(1000.0, 50.0) };
             let known = domain(&stiff, &around, mode, None).unwrap();
-            let mut soft = stiff.clone();
-            // A hundredth of the critical damping of the motor's inertia.
+            let mut soft_device = stiff.clone();
+            // The cable has a hundredth of the motor's critical damping.
             let damping = 0.02 * (stiffness * 2e-5_f64).sqrt();
-            soft.flexible.transmissions =
-                vec![behind(stiffness, damping, EncoderAt::Motor), behind(stiffness, damping, EncoderAt::Joint)];
-            let found = domain(&soft, &around, mode, None).unwrap();
+            soft_device.flexible.transmissions = vec![
+                transmission(stiffness, damping, EncoderAt::Motor),
+                transmission(stiffness, damping, EncoderAt::Joint),
+            ];
+            let found = domain(&soft_device, &around, mode, None).unwrap();
             assert!((found.area / known.area - 1.0).abs() < 1e-9, "{mode:?}: {} {}", found.area, known.area);
             assert!((found.kd_max / known.kd_max - 1.0).abs() < 1e-9);
         }
@@ -81,18 +73,18 @@ fn an_infinitely_stiff_transmission_is_rigid() {
 
 #[test]
 fn a_joint_outside_the_loop_has_no_effect() {
-    // Two uncoupled joints without losses, of which the second, soft joint neither moves the tip nor renders the wall.
+    // Neither joint has losses. The soft second joint is uncoupled and neither moves the tip nor renders the wall.
     let mut device = stiff_device();
     device.mass = DMatrix::from_diagonal(&DVector::from_vec(vec![3.0e-4, 1.1e-4]));
     device.viscous.fill(0.0);
     device.row = DVector::from_vec(vec![0.1, 0.0]);
     device.unit_motion = DVector::from_vec(vec![10.0, 0.0]);
-    let around = around(1000.0, 50.0);
+    let around = control_loop(1000.0, 50.0);
     for mode in [Mode::Off, Mode::Full] {
         let known = domain(&device, &around, mode, None).unwrap();
-        let mut soft = device.clone();
-        soft.flexible.transmissions = vec![None, behind(3.0, 0.0, EncoderAt::Motor)];
-        let found = domain(&soft, &around, mode, None).unwrap();
+        let mut soft_device = device.clone();
+        soft_device.flexible.transmissions = vec![None, transmission(3.0, 0.0, EncoderAt::Motor)];
+        let found = domain(&soft_device, &around, mode, None).unwrap();
         assert!(known.area > 0.0 && (found.area / known.area - 1.0).abs() < 1e-9, "{} {}", found.area, known.area);
     }
 }
@@ -100,24 +92,25 @@ fn a_joint_outside_the_loop_has_no_effect() {
 #[test]
 fn a_fast_mode_lowers_the_boundary() {
     let stiff = stiff_device();
-    let around = around(1000.0, 50.0);
+    let around = control_loop(1000.0, 50.0);
     let area = |device: &Linearised| domain(device, &around, Mode::Off, Some(&[])).unwrap().area;
-    let mut soft = stiff.clone();
-    soft.flexible.transmissions = vec![behind(3.0, 5e-4, EncoderAt::Joint); 2];
-    assert!(area(&soft) < 0.5 * area(&stiff), "{} {}", area(&soft), area(&stiff));
+    let mut soft_device = stiff.clone();
+    soft_device.flexible.transmissions = vec![transmission(3.0, 5e-4, EncoderAt::Joint); 2];
+    assert!(area(&soft_device) < 0.5 * area(&stiff), "{} {}", area(&soft_device), area(&stiff));
 }
 
 #[test]
 fn a_difference_over_more_samples_lowers_the_boundary() {
     let device = stiff_device();
     let mean = |samples| {
-        let around = Loop { estimator: LinearEstimator::BackwardDifference.over(samples), ..around(1000.0, 50.0) };
+        let estimator = LinearEstimator::BackwardDifference.over(samples);
+        let around = Loop { estimator, ..control_loop(1000.0, 50.0) };
         domain(&device, &around, Mode::Off, Some(&[])).map(|found| found.area)
     };
-    let plain = Loop { estimator: LinearEstimator::BackwardDifference, ..around(1000.0, 50.0) };
-    let plain = domain(&device, &plain, Mode::Off, Some(&[])).unwrap().area;
-    assert!((mean(1).unwrap() / plain - 1.0).abs() < 1e-12);
-    assert!(mean(4).unwrap() < 0.6 * plain);
+    let estimator_loop = Loop { estimator: LinearEstimator::BackwardDifference, ..control_loop(1000.0, 50.0) };
+    let backward_area = domain(&device, &estimator_loop, Mode::Off, Some(&[])).unwrap().area;
+    assert!((mean(1).unwrap() / backward_area - 1.0).abs() < 1e-12);
+    assert!(mean(4).unwrap() < 0.6 * backward_area);
 }
 
 #[test]
@@ -125,7 +118,7 @@ fn a_mode_of_one_joint_equals_a_link_behind_a_transmission() {
     let mode = StructuralMode { frequency: 90.0, damping: 0.03, inertia: 4e-4 };
     let one = |flexible: Flexible| Linearised {
         flexible: Flexible { tip: DMatrix::from_element(1, 1, 0.1), normal: DVector::from_element(1, 1.0), ..flexible },
-        ..rigid(&[1e-3], &[2e-4], &[0.1], &[10.0])
+        ..rigid_device(&[1e-3], &[2e-4], &[0.1], &[10.0])
     };
     let swings = one(Flexible { modes: vec![(0, mode)], ..Flexible::default() });
     let give = Transmission {
@@ -134,10 +127,10 @@ fn a_mode_of_one_joint_equals_a_link_behind_a_transmission() {
         motor_inertia: 6e-4,
         encoder_at: EncoderAt::Motor,
     };
-    let soft = one(Flexible { transmissions: vec![Some(give)], ..Flexible::default() });
+    let soft_device = one(Flexible { transmissions: vec![Some(give)], ..Flexible::default() });
     for (rate, cutoff) in [(1000.0, 50.0), (5000.0, 200.0)] {
-        let of = |device: &Linearised| domain(device, &around(rate, cutoff), Mode::Off, None).unwrap();
-        let (left, right) = (of(&swings), of(&soft));
+        let of = |device: &Linearised| domain(device, &control_loop(rate, cutoff), Mode::Off, None).unwrap();
+        let (left, right) = (of(&swings), of(&soft_device));
         assert!(right.area > 0.0 && (left.area / right.area - 1.0).abs() < 1e-9, "{} {}", left.area, right.area);
         let rigid = of(&one(Flexible::default()));
         // The mode may enlarge or reduce the area, because a mass on a damped spring absorbs vibration.
@@ -148,16 +141,16 @@ fn a_mode_of_one_joint_equals_a_link_behind_a_transmission() {
 #[test]
 fn a_very_fast_or_very_light_mode_is_rigid() {
     let stiff = stiff_device();
-    let around = around(1000.0, 50.0);
+    let around = control_loop(1000.0, 50.0);
     for (mode, close) in [
         (StructuralMode { frequency: 1e6, damping: 0.01, inertia: 4e-5 }, 1e-6),
         (StructuralMode { frequency: 1e9, damping: 0.01, inertia: 4e-5 }, 1e-9),
         (StructuralMode { frequency: 300.0, damping: 0.5, inertia: 1e-14 }, 1e-6),
     ] {
         let known = domain(&stiff, &around, Mode::Full, None).unwrap();
-        let mut soft = stiff.clone();
-        soft.flexible.modes = vec![(1, mode)];
-        let found = domain(&soft, &around, Mode::Full, None).unwrap();
+        let mut soft_device = stiff.clone();
+        soft_device.flexible.modes = vec![(1, mode)];
+        let found = domain(&soft_device, &around, Mode::Full, None).unwrap();
         assert!((found.area / known.area - 1.0).abs() < close, "{mode:?}: {} {}", found.area, known.area);
     }
 }

@@ -1,16 +1,16 @@
 //! Laws of the sampled loop that hold for every device, and constants from independent computations.
 
-use crate::common::{ideal_loop, point_mass, rigid};
+use crate::common::{ideal_loop, point_mass, rigid_device};
 use haptic_stability::analysis::plant::{Drive, Linearised, MotorElectrics};
 use haptic_stability::analysis::range::{domain, oscillation};
 use haptic_stability::analysis::sampled::{AnalysisError, LinearEstimator, Loop, Mode};
 use nalgebra::{DMatrix, DVector};
 
 /// Returns two undamped joints whose coupling leads to this ratio Wrr/Weff.
-fn coupled(ratio: f64) -> Linearised {
+fn coupled_joints(ratio: f64) -> Linearised {
     // M = [[1, a], [a, 1]] with rows Jr = (1, 0): Weff = 1 - a², E = (1, 0): Wrr = 1.
     let a = (1.0 - 1.0 / ratio).sqrt();
-    rigid(&[0.3, 0.3 * a, 0.3 * a, 0.3], &[0.0; 2], &[1.0, 0.0], &[1.0, 0.0])
+    rigid_device(&[0.3, 0.3 * a, 0.3 * a, 0.3], &[0.0; 2], &[1.0, 0.0], &[1.0, 0.0])
 }
 
 /// Returns three joints whose values all differ.
@@ -20,10 +20,10 @@ fn three_joints() -> Linearised {
     let n = nalgebra::Vector3::new(0.48, 0.6, 0.64);
     let (row, unit) = (jacobian.transpose() * n, inverse * n);
     let mass = [3.0e-3, 4e-4, -2e-4, 4e-4, 1.1e-3, 5e-4, -2e-4, 5e-4, 9e-4];
-    rigid(&mass, &[2e-3, 1e-3, 5e-4], row.as_slice(), unit.as_slice())
+    rigid_device(&mass, &[2e-3, 1e-3, 5e-4], row.as_slice(), unit.as_slice())
 }
 
-fn around(rate_hz: f64, cutoff_hz: f64) -> Loop {
+fn control_loop(rate_hz: f64, cutoff_hz: f64) -> Loop {
     ideal_loop(rate_hz, 0.0, LinearEstimator::Butterworth(cutoff_hz))
 }
 
@@ -36,17 +36,18 @@ fn undamped_area_grows_by_the_square_of_the_inertia_ratio() {
     for (rate, cutoff, ratio) in
         [(200.0, 20.0, 1.205), (1000.0, 20.0, 3.0), (50_000.0, 20.0, 1.449), (20_000.0, 500.0, 10.0)]
     {
-        let device = coupled(ratio);
-        let found = area(&device, &around(rate, cutoff), Mode::Full) / area(&device, &around(rate, cutoff), Mode::Off);
+        let device = coupled_joints(ratio);
+        let found = area(&device, &control_loop(rate, cutoff), Mode::Full)
+            / area(&device, &control_loop(rate, cutoff), Mode::Off);
         assert!((found / (ratio * ratio) - 1.0).abs() < 1e-5, "{rate}/{cutoff}: {found}");
     }
 }
 
 #[test]
 fn a_fast_board_keeps_the_gained_area_behind_a_washout() {
-    let fast = around(20_000.0, 500.0);
+    let fast = control_loop(20_000.0, 500.0);
     for (ratio, washed) in [(1.205, 1.447), (1.449, 2.08)] {
-        let device = coupled(ratio);
+        let device = coupled_joints(ratio);
         let found = area(&device, &fast, Mode::Washout(2.0)) / area(&device, &fast, Mode::Off);
         assert!((found / washed - 1.0).abs() < 1e-2, "{found} is not {washed}");
     }
@@ -54,8 +55,8 @@ fn a_fast_board_keeps_the_gained_area_behind_a_washout() {
 
 #[test]
 fn on_a_slow_board_a_fast_washout_is_worse_than_none() {
-    let slow = around(200.0, 20.0);
-    let device = coupled(1.205);
+    let slow = control_loop(200.0, 20.0);
+    let device = coupled_joints(1.205);
     let [off, full] = [Mode::Off, Mode::Full].map(|mode| area(&device, &slow, mode));
     let washed = |hz| area(&device, &slow, Mode::Washout(hz));
     let (gentle, middle) = (washed(0.2) / full, washed(1.0) / full);
@@ -64,15 +65,14 @@ fn on_a_slow_board_a_fast_washout_is_worse_than_none() {
     assert!(washed(10.0) < off);
 }
 
-/// A step-by-step simulation, without matrix exponential and eigenvalues, decays below the boundary and grows above it,
-/// with the predicted frequency and growth.
+/// A step-by-step simulation decays below the boundary and grows above, with the predicted frequency and growth.
 #[test]
 fn the_boundary_is_where_a_simulation_starts_to_grow() {
     let device = three_joints();
     for mode in [Mode::Off, Mode::Full, Mode::Washout(4.0)] {
-        let around = Loop { delay_samples: 0.5, ..around(1000.0, 100.0) };
-        let whole = domain(&device, &around, mode, None).unwrap();
-        let kd = whole.kd_max * 0.4;
+        let around = Loop { delay_samples: 0.5, ..control_loop(1000.0, 100.0) };
+        let whole_range = domain(&device, &around, mode, None).unwrap();
+        let kd = whole_range.kd_max * 0.4;
         let kp = domain(&device, &around, mode, Some(&[kd])).unwrap().boundary[0].kp;
         for (gain, grows) in [(kp * 0.99, false), (kp * 1.01, true)] {
             let (growth, hz) = simulated_swing(&device, mode, gain, kd);
@@ -135,11 +135,8 @@ fn simulated_swing(device: &Linearised, mode: Mode, kp: f64, kd: f64) -> (f64, f
             x += device.row.dot(&(before + &v)) / 2.0 * step;
         }
         if sample > steps * 3 / 5 {
-            if sample < steps * 4 / 5 {
-                early = early.max(x.abs())
-            } else {
-                late = late.max(x.abs())
-            }
+            let largest = if sample < steps * 4 / 5 { &mut early } else { &mut late };
+            *largest = largest.max(x.abs());
             if last_x < 0.0 && x >= 0.0 {
                 upward.push((f64::from(sample) - x / (x - last_x)) / rate);
             }
@@ -153,9 +150,9 @@ fn simulated_swing(device: &Linearised, mode: Mode, kp: f64, kd: f64) -> (f64, f
 fn the_area_is_continuous_as_one_joints_damping_vanishes() {
     let mut device = three_joints();
     device.viscous[1] = 1e-9;
-    let nearly = area(&device, &around(20_000.0, 100.0), Mode::Off);
+    let nearly = area(&device, &control_loop(20_000.0, 100.0), Mode::Off);
     device.viscous[1] = 0.0;
-    let exactly = area(&device, &around(20_000.0, 100.0), Mode::Off);
+    let exactly = area(&device, &control_loop(20_000.0, 100.0), Mode::Off);
     assert!((nearly / exactly - 1.0).abs() < 1e-5, "{nearly} {exactly}");
 }
 
@@ -166,12 +163,13 @@ fn a_voltage_drive_without_inductance_adds_back_emf_damping() {
     let mut damped = device.clone();
     damped.viscous.add_scalar_mut(0.3 * 0.28 / 2.0);
     for mode in [Mode::Off, Mode::Full] {
-        let driven = Loop { drive: Drive::Voltage(vec![motor; 3]), ..around(1000.0, 50.0) };
-        let (by_motor, by_hand) = (area(&device, &driven, mode), area(&damped, &around(1000.0, 50.0), mode));
+        let voltage_loop = Loop { drive: Drive::Voltage(vec![motor; 3]), ..control_loop(1000.0, 50.0) };
+        let (by_motor, by_hand) =
+            (area(&device, &voltage_loop, mode), area(&damped, &control_loop(1000.0, 50.0), mode));
         assert!((by_motor / by_hand - 1.0).abs() < 1e-9);
         // A little inductance changes the area a little.
         let lagging = MotorElectrics { inductance: 2e-6, ..motor };
-        let lagging = Loop { drive: Drive::Voltage(vec![lagging; 3]), ..around(1000.0, 50.0) };
+        let lagging = Loop { drive: Drive::Voltage(vec![lagging; 3]), ..control_loop(1000.0, 50.0) };
         let lagged = area(&device, &lagging, mode);
         assert!((lagged / by_motor - 1.0).abs() < 5e-3 && lagged != by_motor, "{lagged} {by_motor}");
     }
@@ -180,9 +178,9 @@ fn a_voltage_drive_without_inductance_adds_back_emf_damping() {
 #[test]
 fn a_fast_current_loop_is_nearly_ideal_and_a_slow_one_is_not() {
     let device = three_joints();
-    let ideal = area(&device, &around(1000.0, 50.0), Mode::Off);
+    let ideal = area(&device, &control_loop(1000.0, 50.0), Mode::Off);
     let with = |bandwidth_hz| {
-        area(&device, &Loop { drive: Drive::Current { bandwidth_hz }, ..around(1000.0, 50.0) }, Mode::Off)
+        area(&device, &Loop { drive: Drive::Current { bandwidth_hz }, ..control_loop(1000.0, 50.0) }, Mode::Off)
     };
     assert!((with(1e6) / ideal - 1.0).abs() < 1e-2);
     assert!(with(50.0) < 0.7 * ideal);
@@ -191,10 +189,10 @@ fn a_fast_current_loop_is_nearly_ideal_and_a_slow_one_is_not() {
 #[test]
 fn damping_compensation_stabilises_a_creeping_feed_forward() {
     // With uneven joint damping the feed-forward's torque on joint 1 moves the tip the wrong way: Jr B⁻¹ M E < 0.
-    let device = rigid(&[1e-3, 0.0, 0.0, 2e-4], &[2e-3, 5e-5], &[0.1, 0.05], &[15.0, -10.0]);
+    let device = rigid_device(&[1e-3, 0.0, 0.0, 2e-4], &[2e-3, 5e-5], &[0.1, 0.05], &[15.0, -10.0]);
     let creep: f64 = (0..2).map(|j| device.row[j] * device.shaped_torque()[j] / device.viscous[j]).sum();
     assert!(creep < 0.0);
-    let loop_ = around(2000.0, 100.0);
+    let loop_ = control_loop(2000.0, 100.0);
     assert_eq!(area(&device, &loop_, Mode::Full), 0.0);
     assert!(area(&device, &loop_, Mode::Off) > 0.0);
     let compensated = Loop { damping_compensation: true, ..loop_ };
@@ -205,7 +203,7 @@ fn damping_compensation_stabilises_a_creeping_feed_forward() {
 
 #[test]
 fn a_fast_loop_with_a_low_cutoff_scales_with_the_mass() {
-    let loop_ = around(50_000.0, 20.0);
+    let loop_ = control_loop(50_000.0, 20.0);
     let ratio = area(&point_mass(7.0), &loop_, Mode::Off) / area(&point_mass(0.007), &loop_, Mode::Off);
     assert!((ratio / 1e6 - 1.0).abs() < 1e-6, "{ratio}");
 }
@@ -213,12 +211,11 @@ fn a_fast_loop_with_a_low_cutoff_scales_with_the_mass() {
 #[test]
 fn impossible_loops_are_refused() {
     let device = three_joints();
-    let refused = |loop_: Loop, mode| domain(&device, &loop_, mode, None).unwrap_err();
-    assert_eq!(refused(around(200.0, 100.0), Mode::Off), AnalysisError::Cutoff { cutoff: 100.0, rate: 200.0 });
-    assert_eq!(
-        refused(around(200.0, 20.0), Mode::Washout(150.0)),
-        AnalysisError::Cutoff { cutoff: 150.0, rate: 200.0 }
-    );
-    assert_eq!(refused(around(0.0, 20.0), Mode::Off), AnalysisError::Rate(0.0));
-    assert_eq!(refused(Loop { delay_samples: -1.0, ..around(200.0, 20.0) }, Mode::Off), AnalysisError::Delay(-1.0));
+    let refusal = |loop_: Loop, mode| domain(&device, &loop_, mode, None).unwrap_err();
+    assert_eq!(refusal(control_loop(200.0, 100.0), Mode::Off), AnalysisError::Cutoff { cutoff: 100.0, rate: 200.0 });
+    let washout = refusal(control_loop(200.0, 20.0), Mode::Washout(150.0));
+    assert_eq!(washout, AnalysisError::Cutoff { cutoff: 150.0, rate: 200.0 });
+    assert_eq!(refusal(control_loop(0.0, 20.0), Mode::Off), AnalysisError::Rate(0.0));
+    let early = Loop { delay_samples: -1.0, ..control_loop(200.0, 20.0) };
+    assert_eq!(refusal(early, Mode::Off), AnalysisError::Delay(-1.0));
 }

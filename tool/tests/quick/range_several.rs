@@ -2,27 +2,20 @@
 //! walls have the limits of loops computed from M, J and the torques of `haptic model`.
 
 use crate::common::bodies::Bodies;
-use crate::common::domains::{self, Case, Known, WALL_SETS};
-use crate::common::{file, haptic, json};
-use haptic_bridge::model::admissible::Admissible;
-use haptic_host::device_file::DeviceFile;
+use crate::common::domains::{self, Case, KnownDomain, WALL_SETS};
+use crate::common::prelude::*;
+use crate::common::{Folder, json, numbers, shipped_path, type_lines};
 use haptic_stability::analysis::flexible::Hand;
 use haptic_stability::analysis::pose::TaskPose;
 use haptic_stability::analysis::range::domain_of_several;
-use haptic_stability::analysis::several::{Member, WallSet};
-use nalgebra::{DMatrix, DVector};
-use serde_json::Value;
-
-fn numbers(value: &Value) -> Vec<f64> {
-    value.as_array().unwrap().iter().map(|number| number.as_f64().unwrap()).collect()
-}
+use haptic_stability::analysis::several::WallSet;
 
 #[test]
 fn one_wall_given_twice_has_the_independent_domain() {
-    for Case { id, file, q, normal, around, expected } in domains::all() {
+    for Case { id, file, q, normal, around, expected } in domains::all_cases() {
         let walls = [Member::new(normal.clone(), 0.3), Member::new(normal, 0.7)];
         let set = WallSet::at(&file.description, &q, &walls, Admissible::default()).unwrap();
-        for (mode, Known { kd, kp, .. }) in expected {
+        for (mode, KnownDomain { kd, kp, .. }) in expected {
             let key = format!("{mode:?}");
             let found = domain_of_several(&set, &around, mode, Some(&kd)).unwrap();
             let largest = kp.iter().fold(0.0_f64, |a, b| a.max(*b));
@@ -38,7 +31,7 @@ fn one_wall_given_twice_has_the_independent_domain() {
 #[test]
 fn sets_of_walls_have_the_limits_of_independent_loops() {
     for (name, q, normals, shares, without, kd) in WALL_SETS {
-        let path = file(&format!("{name}.toml"));
+        let path = shipped_path(&format!("{name}.toml"));
         let share: Vec<f64> = shares.split(',').map(|part| part.parse().unwrap()).collect();
         let total: f64 = share.iter().sum();
         let share: Vec<f64> = share.iter().map(|part| part / total).collect();
@@ -48,7 +41,6 @@ fn sets_of_walls_have_the_limits_of_independent_loops() {
         let mut common: Vec<&str> = vec![&path, &q];
         common.extend(n.iter().map(String::as_str));
         common.extend(without.iter().flat_map(|walls| ["--no-feed-forward", walls]));
-
         // Torques of `haptic model` per newton of each wall. The torques of the device's weight are subtracted below.
         let torque = |forces: &[f64]| {
             let forces: Vec<String> = forces.iter().map(|force| format!("--force={force}")).collect();
@@ -90,47 +82,25 @@ fn sets_of_walls_have_the_limits_of_independent_loops() {
 }
 
 #[test]
-fn walls_that_cannot_be_measured_are_refused_before_moving() {
-    let path = file("coupled-five-bar.toml");
-    let folder = tempfile::tempdir().unwrap();
-    let of = |extra: &[&str], says: &str| {
-        let all = [&["measure-range", &path, "--port", "sim", "--normal=1,0"], extra].concat();
-        let done = haptic(&all).current_dir(&folder).assert().code(2);
-        let error = String::from_utf8(done.get_output().stderr.clone()).unwrap();
-        assert!(error.contains(says), "{error}");
-    };
-    of(&["--normal=0,1", "--share", "1,2,3"], "3 numbers for 2 walls");
-    of(&["--normal=0,1", "--share", "1,0"], "holds 0");
-    of(&["--normal=0,1,0"], "this device takes 2");
-    of(&["--normal=0,0"], "points nowhere");
-    of(&["--normal=0,1"; 4], "measure at most 4");
-    assert_eq!(std::fs::read_dir(&folder).unwrap().count(), 0, "a progress file was written");
-}
-
-#[test]
-fn shares_that_do_not_fit_are_refused() {
-    let path = file("coupled-five-bar.toml");
-    let of = |extra: &[&str], code: i32, says: &str| {
-        let mut all = vec![
-            "range",
-            &path,
-            "--q=2.6,1.75",
-            "--normal=0.26,0.97",
-            "--normal=0,1",
-            "--rate",
-            "1000",
-            "--cutoff",
-            "100",
-        ];
-        all.extend(extra);
-        let done = haptic(&all).assert().code(code);
-        let error = String::from_utf8(done.get_output().stderr.clone()).unwrap();
-        assert!(error.contains(says), "{error}");
-    };
-    of(&["--share", "1,2,3"], 2, "3 numbers for 2 walls");
-    of(&["--share", "1,0"], 2, "holds 0");
-    of(&["--share", "1,-2"], 2, "holds -2");
-    of(&["--no-feed-forward", "2"], 2, "names wall 2, and there are 2");
-    of(&["--no-feed-forward", "0,1"], 2, "leaves no wall with a feed-forward");
-    of(&["--feed-forward-gain", "1.2"], 2, "several --normal");
+fn impossible_sets_of_walls_are_refused() {
+    let folder = Folder::new();
+    let progress = folder.path("progress.json");
+    let five_bar = "devices/coupled-five-bar.toml --q=2.6,1.75";
+    let measure = format!("2: measure-range {five_bar} --port sim --progress {progress} --normal=1,0");
+    let range = format!("2: range {five_bar} --normal=0.26,0.97 --normal=0,1 --rate 1000 --cutoff 100");
+    type_lines(
+        &format!(
+            "{measure} --normal=0,1 --share 1,0 => holds 0
+            {measure} --normal=0,1,0 => this device takes 2
+            {measure} --normal=0,0 => points nowhere
+            {measure} --normal=0,1 --normal=0,1 --normal=0,1 --normal=0,1 => measure at most 4
+            {range} --share 1,2,3 => 3 numbers for 2 walls
+            {range} --share 1,-2 => holds -2
+            {range} --no-feed-forward 2 => names wall 2, and there are 2
+            {range} --no-feed-forward 0,1 => leaves no wall with a feed-forward
+            {range} --feed-forward-gain 1.2 => several --normal"
+        ),
+        &[],
+    );
+    assert!(!std::path::Path::new(&progress).exists(), "a progress file was written");
 }

@@ -1,14 +1,14 @@
 //! `haptic replay` computes the same torques from a recording's counts, bit for bit, and reports the first difference.
 
 use crate::common::sim::Sim;
-use crate::common::{Folder, file, haptic, type_lines};
+use crate::common::{Folder, haptic, shipped_path, type_lines};
 use haptic_show::recorder::Recording;
 use predicates::prelude::*;
 use predicates::str::contains;
 use std::path::Path;
 
-fn recorded(path: &Path, arguments: &[&str], wall: &str, more: &[&str]) -> Recording {
-    let scene = file(wall);
+fn record_and_load(path: &Path, arguments: &[&str], wall: &str, more: &[&str]) -> Recording {
+    let scene = shipped_path(wall);
     let sim = Sim::start(&[arguments, &["--fast", "--hand", "loop", "--scene", &scene]].concat());
     sim.run(&[&["record", path.to_str().unwrap()], more].concat()).success();
     Recording::load(path).unwrap()
@@ -27,10 +27,10 @@ fn every_device_replays_the_same_torques_bit_for_bit() {
         ("phantom-premium-1.5.toml", "scenes/phantom-premium-1.5/table.toml", "b.mcap"),
     ] {
         let path = folder.path().join(name);
-        let recording = recorded(&path, &[&file(device)], wall, &["--arm", "--seconds", "2.5"]);
+        let recording = record_and_load(&path, &[&shipped_path(device)], wall, &["--arm", "--seconds", "2.5"]);
         let force = recording.column("force_n").unwrap();
-        let pressed = recording.rows.iter().filter(|row| row[force] > 0.1).count();
-        assert!(pressed > 1_000, "{device}: a wall is pressed in only {pressed} rows");
+        let contact_rows = recording.rows.iter().filter(|row| row[force] > 0.1).count();
+        assert!(contact_rows > 1_000, "{device}: a wall is pressed in only {contact_rows} rows");
         replay(&path).success().stdout(contains("the same torques, to the bit"));
     }
 }
@@ -40,7 +40,7 @@ fn the_first_difference_is_named_with_its_step_and_size() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.csv");
     let more = ["--arm", "--seconds", "1", "--fields", "q,torque,counts,state"];
-    let recording = recorded(&path, &[], "scenes/coupled-five-bar/wall.toml", &more);
+    let recording = record_and_load(&path, &[], "scenes/coupled-five-bar/wall.toml", &more);
     let text = std::fs::read_to_string(&path).unwrap();
     replay(&path).success();
     let (torque, counts, step) = (
@@ -48,12 +48,12 @@ fn the_first_difference_is_named_with_its_step_and_size() {
         recording.column("counts1").unwrap(),
         recording.column("step").unwrap(),
     );
-    // The row with the largest torque, in which the wall is pressed.
+    // In the row with the largest torque the wall is pressed.
     let row = (0..recording.rows.len())
         .max_by(|a, b| recording.rows[*a][torque].abs().total_cmp(&recording.rows[*b][torque].abs()))
         .unwrap();
     let head = text.lines().position(|line| line.starts_with("step,")).unwrap();
-    let changed = |row: usize, column: usize, change: &dyn Fn(&str) -> String| {
+    let change_cell = |row: usize, column: usize, change: &dyn Fn(&str) -> String| {
         let lines = text.lines().enumerate().map(|(index, line)| {
             let mut fields: Vec<String> = line.split(',').map(Into::into).collect();
             if index == head + 1 + row {
@@ -66,18 +66,18 @@ fn the_first_difference_is_named_with_its_step_and_size() {
     };
     let number = recording.rows[row][step] as u64;
     let bit = |torque: &str| f32::from_bits(torque.parse::<f32>().unwrap().to_bits() ^ 1).to_string();
-    changed(row, torque, &bit);
+    change_cell(row, torque, &bit);
     let text_of_step = format!("first difference: step {number}, ");
     replay(&path)
         .code(1)
         .stdout(contains(&text_of_step).and(contains("joint 0")).and(contains("(1 step of single precision)")))
         .stderr(contains("the torques differ in 1 of "));
     // A wrong count changes the torques from that step on.
-    changed(row, counts, &|count| (count.parse::<i64>().unwrap() + 40).to_string());
+    change_cell(row, counts, &|count| (count.parse::<i64>().unwrap() + 40).to_string());
     replay(&path).code(1).stdout(contains(&text_of_step)).stderr(contains("the torques differ in "));
     // Missing rows end the replay.
-    let lines: Vec<&str> =
-        text.lines().enumerate().filter(|(i, _)| *i != head + 1 + row).map(|(_, line)| line).collect();
+    let mut lines: Vec<&str> = text.lines().collect();
+    lines.remove(head + 1 + row);
     std::fs::write(&path, lines.join("\n") + "\n").unwrap();
     replay(&path).code(1).stderr(contains(format!("1 row missing before step {}; played up to there", number + 1)));
 }
@@ -86,7 +86,7 @@ fn the_first_difference_is_named_with_its_step_and_size() {
 fn unplayable_recordings_are_refused() {
     let folder = Folder::new();
     let path = folder.path("a.mcap");
-    let sim = Sim::start(&["--fast", "--scene", &file("scenes/coupled-five-bar/wall.toml")]);
+    let sim = Sim::start(&["--fast", "--scene", &shipped_path("scenes/coupled-five-bar/wall.toml")]);
     let record = |options: &str, words: &str| {
         sim.type_lines(&format!("record {path} --force --seconds 0.1 {options}"));
         type_lines(&format!("2: replay {path} => {words}"), &[]);

@@ -1,13 +1,13 @@
 //! The page of `haptic report` is complete and shows the output of the command lines that it lists.
 
-use crate::common::{Folder, output, type_lines};
+use crate::common::{Folder, output};
 
-fn plain(text: &str) -> String {
+fn unescape(text: &str) -> String {
     text.replace("&lt;", "<").replace("&gt;", ">").replace("&quot;", "\"").replace("&amp;", "&")
 }
 
-/// Returns the names of all elements. Checks that each is closed.
-fn elements(page: &str) -> Vec<String> {
+/// Returns the names of all elements of a page. Checks that each element is closed.
+fn closed_elements(page: &str) -> Vec<String> {
     let (mut open, mut all): (Vec<String>, Vec<String>) = (Vec::new(), Vec::new());
     for tag in page.split('<').skip(1) {
         let tag = tag.split_once('>').unwrap_or_else(|| panic!("no end: {}", &tag[..40.min(tag.len())])).0;
@@ -35,45 +35,33 @@ fn the_page_is_complete_and_shows_the_output_of_its_commands() {
     let (device, scene) = ("devices/haply-2diy.toml", "devices/scenes/haply-2diy/wall-stiff.toml");
     output(&["report", device, scene, "--without", "estimators,tune", "--out", &path]);
     let page = std::fs::read_to_string(path).unwrap();
-    let elements = elements(&page);
+    let elements = closed_elements(&page);
     for name in ["script", "link", "img", "iframe", "object", "a"] {
         assert!(!elements.contains(&name.to_string()), "{name}");
     }
     for word in ["http:", "https:", "src=", "href=", "@import", "url(h"] {
         assert!(!page.contains(word), "{word}");
     }
-    assert_eq!(
-        elements.iter().filter(|name| *name == "svg").count(),
-        5,
-        "pictures of check, map, range, why and design"
-    );
+    // Pictures of check, map, range, why and design.
+    assert_eq!(elements.iter().filter(|name| *name == "svg").count(), 5);
     // Identifiers are unique.
     let mut names: Vec<&str> = page.split("id=\"").skip(1).map(|rest| rest.split('"').next().unwrap()).collect();
     let many = names.len();
     names.sort_unstable();
     names.dedup();
     assert_eq!(names.len(), many);
-
-    let lines: Vec<String> =
-        page.split("<code class=\"line\">").skip(1).map(|rest| plain(rest.split("</code>").next().unwrap())).collect();
+    let lines = page.split("<code class=\"line\">").skip(1).map(|rest| rest.split("</code>").next().unwrap());
+    let lines: Vec<String> = lines.map(unescape).collect();
     assert_eq!(lines.len(), 7);
     let mut pages = page.split("<section>").skip(1);
     for line in lines {
-        let section = plain(pages.next().unwrap());
+        let section = unescape(pages.next().unwrap());
         let words: Vec<&str> = line.split(' ').skip(1).collect();
         let words = match words.iter().position(|word| *word == "--svg") {
             Some(at) => &words[..at],
             None => &words[..],
         };
-        let said = output(words);
-        assert!(said.len() > 100 && section.contains(said.trim_end()), "{line}\n{said}");
+        let printed = output(words);
+        assert!(printed.len() > 100 && section.contains(printed.trim_end()), "{line}\n{printed}");
     }
-}
-
-#[test]
-fn an_existing_page_is_not_overwritten() {
-    let folder = Folder::new();
-    let path = folder.write("page.html", "mine");
-    type_lines(&format!("1: report devices/hapkit-paddle.toml --out {path}"), &[]);
-    assert_eq!(std::fs::read_to_string(path).unwrap(), "mine");
 }

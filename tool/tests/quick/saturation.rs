@@ -1,16 +1,15 @@
 //! Walls that need more torque than the motors have: the force keeps its direction and never falls with depth, gravity
 //! stays compensated, and no force jumps at a limit.
 
-use crate::common::shipped;
+use crate::common::shipped_device;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::render::scene::FeedForward;
 use haptic_bridge::safety::fault::State;
 use haptic_bridge::safety::limits::Limits;
 use haptic_sim::{Press, PressForces, PressedBoard, WIDE_LIMITS};
 
-/// A wall through the tip of a shipped device in the pose `q`, with a limit of the joint torques, N m, and of the tip
-/// force, N.
-struct Case {
+/// A wall through the tip of a device in the pose `q`, with limits of joint torques, N m, and of the tip force, N.
+struct SaturationCase {
     device: &'static str,
     q: [f64; 3],
     normal: [f64; 3],
@@ -24,10 +23,10 @@ struct Case {
     steps: u32,
 }
 
-impl Case {
+impl SaturationCase {
     /// Returns the forces at increasing depths in the wall.
-    fn felt(&self, depths: impl Iterator<Item = f64>) -> Vec<PressForces> {
-        let mut device = shipped(self.device).description;
+    fn forces_at_depths(&self, depths: impl Iterator<Item = f64>) -> Vec<PressForces> {
+        let mut device = shipped_device(self.device).description;
         for motor in device.joints.iter_mut().filter_map(|joint| joint.motor.as_mut()) {
             motor.max_current *= self.strength;
         }
@@ -39,21 +38,21 @@ impl Case {
             feed_forward: self.feed_forward,
             limits: Limits { torque: [self.torque; MAX_JOINTS], tip_force: self.tip_force, ..WIDE_LIMITS },
         };
-        let mut held = PressedBoard::new(&press).expect("nothing is in the way");
+        let mut board = PressedBoard::new(&press).expect("nothing is in the way");
         depths
             .map(|depth| {
-                let felt = held.forces_at(depth, self.steps);
-                assert_eq!(felt.state, State::Armed, "{felt:?}");
-                felt
+                let tip_state = board.forces_at(depth, self.steps);
+                assert_eq!(tip_state.state, State::Armed, "{tip_state:?}");
+                tip_state
             })
             .collect()
     }
 }
 
 /// Returns the demo's pose and normal with motors of 2 N m.
-fn demo(feed_forward: FeedForward) -> Case {
+fn demo_case(feed_forward: FeedForward) -> SaturationCase {
     let angle = 75_f64.to_radians();
-    Case {
+    SaturationCase {
         device: "coupled-five-bar",
         q: [2.6, 1.75, 0.0],
         normal: [angle.cos(), angle.sin(), 0.0],
@@ -74,8 +73,8 @@ fn depths() -> impl Iterator<Item = f64> {
 #[test]
 fn the_demo_uses_all_torque_and_pushes_only_along_the_normal() {
     // The motors' own limit (3 A at 0.667 N m/A) equals a torque limit of 2 N m.
-    for case in [demo(FeedForward::Off), Case { torque: 100.0, ..demo(FeedForward::Off) }] {
-        for point in case.felt([1.0e-3, 1.5e-3, 2.0e-3].into_iter()) {
+    for case in [demo_case(FeedForward::Off), SaturationCase { torque: 100.0, ..demo_case(FeedForward::Off) }] {
+        for point in case.forces_at_depths([1.0e-3, 1.5e-3, 2.0e-3].into_iter()) {
             // The path into the wall is straight in joint angles, so the depth is 0.3 % off at 2 mm.
             assert!((point.requested / (20_000.0 * point.depth) - 1.0).abs() < 0.005, "{point:?}");
             // 2 N m make 19.4 N at the surface, and a little more or less up to 2 mm deeper.
@@ -90,7 +89,7 @@ fn the_demo_uses_all_torque_and_pushes_only_along_the_normal() {
 #[test]
 fn the_force_along_the_normal_never_falls_and_nothing_jumps() {
     for feed_forward in [FeedForward::Off, FeedForward::Full, FeedForward::Washout] {
-        let points = demo(feed_forward).felt(depths());
+        let points = demo_case(feed_forward).forces_at_depths(depths());
         let mut cut = 0;
         for pair in points.windows(2) {
             let (a, b) = (pair[0], pair[1]);
@@ -117,7 +116,8 @@ fn the_force_along_the_normal_never_falls_and_nothing_jumps() {
 
 #[test]
 fn with_a_washout_a_resting_hand_feels_no_sideways_force() {
-    let points = Case { steps: 3_000, ..demo(FeedForward::Washout) }.felt([2.0e-3].into_iter());
+    let case = SaturationCase { steps: 3_000, ..demo_case(FeedForward::Washout) };
+    let points = case.forces_at_depths([2.0e-3].into_iter());
     assert!(points[0].across < 1.0e-3 && (points[0].along - 19.4).abs() < 0.4, "{points:?}");
 }
 
@@ -125,14 +125,14 @@ fn with_a_washout_a_resting_hand_feels_no_sideways_force() {
 fn gravity_stays_compensated_at_every_depth() {
     for device in ["phantom-premium-1.5", "woodenhaptics"] {
         let (q, normal) = ([0.3, 0.9, -0.3], [0.6, 0.0, 0.8]);
-        let weak = Case { stiffness: 5_000.0, torque: 0.6, steps: 50, ..demo(FeedForward::Off) };
-        let case = Case { device, q, normal, ..weak };
-        let points = case.felt((0..=40).map(|i| 1.0e-4 * f64::from(i)));
+        let weak = SaturationCase { stiffness: 5_000.0, torque: 0.6, steps: 50, ..demo_case(FeedForward::Off) };
+        let case = SaturationCase { device, q, normal, ..weak };
+        let points = case.forces_at_depths((0..=40).map(|i| 1.0e-4 * f64::from(i)));
         let last = points[points.len() - 1];
         assert!(last.share() < 0.9, "{device} is not at its limit: {last:?}");
         for pair in points.windows(2) {
             assert!(pair[1].along >= pair[0].along - 2.0e-2, "{device}: {pair:?}");
-            // No sideways force, after the torque against gravity is subtracted.
+            // Without the torque against gravity there is no sideways force.
             assert!(pair[1].across < 5.0e-3, "{device}: {pair:?}");
         }
     }
@@ -140,17 +140,15 @@ fn gravity_stays_compensated_at_every_depth() {
 
 #[test]
 fn walls_push_with_at_most_the_tip_force_limit_in_every_pose() {
-    let pressed = |device, q, normal, feed_forward| {
-        // Motors and torque limits so strong that only the tip force limit of 5 N acts.
-        let strong = Case { torque: 1.0e3, strength: 100.0, ..demo(feed_forward) };
-        let case = Case { device, q, normal, tip_force: 5.0, steps: 300, ..strong };
-        let points = case.felt((0..=20).map(|i| 5.0e-5 * f64::from(i)));
+    let press_points = |device, q, normal, feed_forward| {
+        // Motors and torque limits are so strong that only the tip force limit of 5 N acts.
+        let strong = SaturationCase { torque: 1.0e3, strength: 100.0, ..demo_case(feed_forward) };
+        let case = SaturationCase { device, q, normal, tip_force: 5.0, steps: 300, ..strong };
+        let points = case.forces_at_depths((0..=20).map(|i| 5.0e-5 * f64::from(i)));
         for point in &points {
             assert!(point.along <= 5.005, "{device} at {q:?}: {point:?}");
-            assert!(
-                (point.share() - point.along / point.requested.max(1.0e-9)).abs() < 2.0e-3 || point.requested < 0.1,
-                "{point:?}"
-            );
+            let share = point.along / point.requested.max(1.0e-9);
+            assert!((point.share() - share).abs() < 2.0e-3 || point.requested < 0.1, "{point:?}");
         }
         let last = points[points.len() - 1];
         assert!(last.requested > 19.0 && (last.along - 5.0).abs() < 5.0e-3, "{device} at {q:?}: {last:?}");
@@ -160,14 +158,14 @@ fn walls_push_with_at_most_the_tip_force_limit_in_every_pose() {
         let (sin, cos) = angle.sin_cos();
         for feed_forward in [FeedForward::Off, FeedForward::Full, FeedForward::Washout] {
             for q in [[2.6, 1.75, 0.0], [2.4, 1.6, 0.0], [2.8, 1.9, 0.0]] {
-                let across = pressed("coupled-five-bar", q, [cos, sin, 0.0], feed_forward);
+                let across = press_points("coupled-five-bar", q, [cos, sin, 0.0], feed_forward);
                 // Only the feed-forward pushes sideways.
                 assert!(feed_forward != FeedForward::Off || across < 1.0e-3, "{across} N sideways");
             }
         }
         for device in ["phantom-premium-1.5", "woodenhaptics"] {
             for q in [[0.3, 0.9, -0.3], [-0.2, 0.7, -0.5]] {
-                let across = pressed(device, q, [cos * 0.6, sin * 0.6, 0.8], FeedForward::Off);
+                let across = press_points(device, q, [cos * 0.6, sin * 0.6, 0.8], FeedForward::Off);
                 assert!(across < 5.0e-3, "{device}: {across} N sideways");
             }
         }

@@ -1,7 +1,7 @@
 //! Sessions of programs: replies, forces, and motors that go off when the session ends.
 
-use crate::common::strict::{Lossy, strict};
-use crate::common::{board, json, shipped, type_lines};
+use crate::common::strict::{LossyWire, strict_board};
+use crate::common::{board, json, shipped_device, type_lines};
 use haptic_bridge::board::protocol::{ForceDone, ForceRequest, HostContact};
 use haptic_bridge::render::scene::Scene;
 use haptic_bridge::safety::fault::{Fault, State};
@@ -13,28 +13,28 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::Duration;
 
 /// Returns a simulated board with a five-bar in free space, and a session on it.
-fn session() -> (SharedBoard, Session) {
-    let (shared, board) = board(&shipped("coupled-five-bar"), BoardOptions::default());
+fn board_and_session() -> (SharedBoard, Session) {
+    let (shared, board) = board(&shipped_device("coupled-five-bar"), BoardOptions::default());
     let mut session = Session::of(board);
     session.set_scene(&Scene { task: 2, ..Scene::default() }).unwrap();
     (shared, session)
 }
 
 /// Returns a session over a wire that loses messages, and the number of next messages to lose.
-fn lossy() -> (Session, Arc<AtomicU32>) {
-    Lossy::session(&board(&shipped("coupled-five-bar"), BoardOptions::default()).0)
+fn lossy_session() -> (Session, Arc<AtomicU32>) {
+    LossyWire::session(&board(&shipped_device("coupled-five-bar"), BoardOptions::default()).0)
 }
 
 #[test]
 fn a_lost_frame_delays_one_force_by_its_patience() {
-    let (mut session, loses) = lossy();
+    let (mut session, loses) = lossy_session();
     for patience in [FORCE_PATIENCE, Duration::from_millis(5)] {
         session.wait_for_forces(patience);
         loses.store(u32::MAX, Ordering::Relaxed);
-        let began = session.now();
+        let start = session.now();
         let error = session.read_state().unwrap_err();
         assert!(matches!(error, LinkError::Unanswered { waited } if waited == patience), "{error}");
-        let waited = session.now() - began;
+        let waited = session.now() - start;
         assert!(waited >= patience && waited < patience + Duration::from_millis(2), "{waited:?} of {patience:?}");
         loses.store(0, Ordering::Relaxed);
         assert_eq!(session.read_state().unwrap().done, ForceDone::Looked);
@@ -43,17 +43,17 @@ fn a_lost_frame_delays_one_force_by_its_patience() {
 
 #[test]
 fn damaged_frames_stop_no_motor_and_lost_rows_are_counted() {
-    let (shared, _session) = session();
+    let (shared, _session) = board_and_session();
     NoisyWire::follow(shared.wire(), 40_000);
 }
 
 #[test]
 fn a_request_survives_a_stall_but_not_a_silent_board() {
-    let (mut session, loses) = lossy();
+    let (mut session, loses) = lossy_session();
     loses.store(u32::MAX, Ordering::Relaxed);
-    let began = session.now();
+    let start = session.now();
     assert!(matches!(session.read_state(), Err(LinkError::Unanswered { waited }) if waited == PATIENCE));
-    assert!(session.now() - began < PATIENCE + FORCE_PATIENCE);
+    assert!(session.now() - start < PATIENCE + FORCE_PATIENCE);
     loses.store(0, Ordering::Relaxed);
     // A board that loses two messages replies after 0.2 s.
     loses.store(2, Ordering::Relaxed);
@@ -62,7 +62,7 @@ fn a_request_survives_a_stall_but_not_a_silent_board() {
 
 #[test]
 fn reading_the_state_keeps_a_watching_board_armed() {
-    let (shared, mut session) = strict();
+    let (shared, mut session) = strict_board();
     session.arm().unwrap();
     for _ in 0..8 {
         shared.lock().run(0.4);
@@ -79,7 +79,7 @@ fn reading_the_state_keeps_a_watching_board_armed() {
 
 #[test]
 fn overlapping_forces_are_replied_to_in_order() {
-    let (_shared, mut session) = armed();
+    let (_shared, mut session) = armed_session();
     let request = |sequence| ForceRequest { sequence, hold: 0.02, force: [0.1, 0.0, 0.0], ..ForceRequest::default() };
     let mut under_way = std::collections::VecDeque::new();
     for sequence in 1..=50 {
@@ -98,7 +98,7 @@ fn overlapping_forces_are_replied_to_in_order() {
 
 #[test]
 fn reading_telemetry_loses_no_replies_of_forces() {
-    let (_shared, mut session) = armed();
+    let (_shared, mut session) = armed_session();
     session.start_stream(fields("tip").unwrap(), 4).unwrap();
     for sequence in 1..=20 {
         let request = ForceRequest { sequence, hold: 0.02, force: [0.1, 0.0, 0.0], ..ForceRequest::default() };
@@ -111,21 +111,21 @@ fn reading_telemetry_loses_no_replies_of_forces() {
 
 #[test]
 fn a_lost_force_does_not_delay_overlapping_forces() {
-    let (mut session, loses) = lossy();
+    let (mut session, loses) = lossy_session();
     let request = |sequence| ForceRequest { sequence, ..ForceRequest::default() };
     loses.store(u32::MAX, Ordering::Relaxed);
-    let lost = session.send_force(&request(1)).unwrap();
+    let lost_force = session.send_force(&request(1)).unwrap();
     loses.store(0, Ordering::Relaxed);
-    let next = session.send_force(&request(2)).unwrap();
-    let began = session.now();
-    assert!(matches!(session.force_answer(lost), Err(LinkError::Unanswered { .. })));
-    assert_eq!(session.force_answer(next).unwrap().sequence, 2);
-    assert!(session.now() - began < Duration::from_millis(2), "{:?}", session.now() - began);
+    let next_force = session.send_force(&request(2)).unwrap();
+    let start = session.now();
+    assert!(matches!(session.force_answer(lost_force), Err(LinkError::Unanswered { .. })));
+    assert_eq!(session.force_answer(next_force).unwrap().sequence, 2);
+    assert!(session.now() - start < Duration::from_millis(2), "{:?}", session.now() - start);
 }
 
 /// Returns an armed session after the torque ramp.
-fn armed() -> (SharedBoard, Session) {
-    let (shared, mut session) = session();
+fn armed_session() -> (SharedBoard, Session) {
+    let (shared, mut session) = board_and_session();
     session.arm().unwrap();
     shared.lock().run(0.6);
     (shared, session)
@@ -133,7 +133,7 @@ fn armed() -> (SharedBoard, Session) {
 
 #[test]
 fn a_session_that_is_dropped_leaves_the_motors_off() {
-    let (shared, mut session) = armed();
+    let (shared, mut session) = armed_session();
     assert_eq!(session.force([0.1, 0.0, 0.0]).unwrap().done, ForceDone::Taken);
     assert_eq!(shared.lock().status().state, State::Armed);
     drop(session);
@@ -142,9 +142,9 @@ fn a_session_that_is_dropped_leaves_the_motors_off() {
 
 #[test]
 fn only_the_arming_tool_holds_the_key_and_a_late_press_fails() {
-    let (shared, mut session) = session();
+    let (shared, mut session) = board_and_session();
     session.set_scene(&Scene { task: 2, rate_hz: 1_000.0, cutoff_hz: 50.0, ..Scene::default() }).unwrap();
-    let mut other = Board::over(shared.wire(), "sim").unwrap();
+    let mut other_board = Board::over(shared.wire(), "sim").unwrap();
     let hold = |board: &mut Board| {
         for _ in 0..6 {
             board.rows(Duration::from_millis(100)).unwrap();
@@ -153,33 +153,33 @@ fn only_the_arming_tool_holds_the_key_and_a_late_press_fails() {
         shared.lock().status().state
     };
     session.keep_alive();
-    other.keep_alive();
+    other_board.keep_alive();
     session.rows(Duration::from_millis(60)).unwrap();
-    let seen = session.step();
-    session.arm_held(seen).unwrap();
+    let step = session.step();
+    session.arm_held(step).unwrap();
     assert_eq!(hold(&mut session), State::Armed);
-    assert_eq!(hold(&mut other), State::Fault);
+    assert_eq!(hold(&mut other_board), State::Fault);
     session.clear().unwrap();
-    let seen = session.step();
+    let step = session.step();
     shared.lock().run(0.6);
-    let refused = session.arm_held(seen).unwrap_err();
-    assert!(refused.to_string().contains("press it again"), "{refused}");
+    let error = session.arm_held(step).unwrap_err();
+    assert!(error.to_string().contains("press it again"), "{error}");
     assert!(!shared.lock().status().state.drives());
 }
 
 #[test]
 fn a_force_accelerates_the_tip_and_ends_with_its_lease() {
     for (x, y) in [(0.5, 0.0), (0.0, 0.5), (-0.4, -0.3)] {
-        let (shared, mut session) = armed();
+        let (shared, mut session) = armed_session();
         let from = session.read_state().unwrap().tip;
         session.force([x, y, 0.0]).unwrap();
-        shared.lock().run(f64::from(HOLD_S) / 2.0);
-        let now = session.read_state().unwrap();
-        assert_eq!((now.done, now.share, now.force), (ForceDone::Looked, 1.0, [x, y, 0.0]));
-        let along = (now.tip[0] - from[0]) * x + (now.tip[1] - from[1]) * y;
-        assert!(along > 0.0, "{now:?}, from {from:?}");
-        let held = f64::from(HOLD_S + FADE_S) * 1.1;
-        shared.lock().run(held);
+        shared.lock().run(f64::from(HOLD) / 2.0);
+        let tip_state = session.read_state().unwrap();
+        assert_eq!((tip_state.done, tip_state.share, tip_state.force), (ForceDone::Looked, 1.0, [x, y, 0.0]));
+        let along = (tip_state.tip[0] - from[0]) * x + (tip_state.tip[1] - from[1]) * y;
+        assert!(along > 0.0, "{tip_state:?}, from {from:?}");
+        let lease_s = f64::from(HOLD + FADE) * 1.1;
+        shared.lock().run(lease_s);
         let after = session.read_state().unwrap();
         assert_eq!((after.age, after.torque), (None, [0.0; 3]));
     }
@@ -187,18 +187,18 @@ fn a_force_accelerates_the_tip_and_ends_with_its_lease() {
 
 #[test]
 fn an_age_counts_from_the_state_that_was_sent() {
-    let (shared, mut session) = armed();
+    let (shared, mut session) = armed_session();
     session.read_state().unwrap();
     shared.lock().run(0.01);
     let answer = session.force([0.1, 0.0, 0.0]).unwrap();
-    // 0.01 s plus the two control periods of the request itself.
+    // The age is 0.01 s plus the two control periods of the request.
     let age = f64::from(answer.age.unwrap());
     assert!((age - 0.0101).abs() < 1.0e-4, "{age}");
 }
 
 #[test]
 fn a_contact_sent_every_millisecond_acts_like_a_wall() {
-    let (shared, mut session) = armed();
+    let (shared, mut session) = armed_session();
     let tip = session.read_state().unwrap().tip;
     let floor =
         HostContact { point: [tip[0], tip[1] - 0.005, 0.0], normal: [0.0, 1.0, 0.0], stiffness: 1000.0, damping: 5.0 };
@@ -224,7 +224,7 @@ fn a_contact_sent_every_millisecond_acts_like_a_wall() {
 
 #[test]
 fn an_exchange_with_a_simulated_board_takes_two_steps() {
-    let (_, mut session) = session();
+    let (_, mut session) = board_and_session();
     let latency = measure(&mut session, 100, || false).unwrap();
     // The board replies after two control periods at 20 kHz, by its own clock.
     for spread in [&latency.round_trip, &latency.age] {

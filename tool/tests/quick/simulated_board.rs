@@ -1,8 +1,8 @@
-//! Replies of the simulated board over its real protocol, and the motion of its device. The board's time advances only
-//! while it is read or run.
+//! Replies and motion of the simulated board over its real protocol. Its time advances only while it is read or run.
 
 use crate::common::prelude::*;
-use crate::common::{board, plane_wall, shipped};
+use crate::common::strict::verify_motors;
+use crate::common::{board, plane_wall, shipped_device};
 use haptic_bridge::model::mechanism::FiveBar;
 use haptic_bridge::render::controller::Gains;
 use haptic_bridge::safety::refusal::Refusal;
@@ -12,10 +12,10 @@ use nalgebra::Vector2;
 use std::time::Duration;
 
 fn device_file() -> DeviceFile {
-    shipped("coupled-five-bar")
+    shipped_device("coupled-five-bar")
 }
 
-fn connect(options: BoardOptions) -> (SharedBoard, Board) {
+fn connect_board(options: BoardOptions) -> (SharedBoard, Board) {
     board(&device_file(), options)
 }
 
@@ -37,7 +37,7 @@ fn push_down(shared: &SharedBoard, newtons: f64) {
     guard.device_mut().set_hand(Hand::new(HandSettings::default(), push, tip, now));
 }
 
-fn refusal(result: Result<(), BoardError>) -> Refusal {
+fn expect_refusal(result: Result<(), BoardError>) -> Refusal {
     match result {
         Err(BoardError::Refused(refusal)) => refusal,
         other => panic!("expected a refusal, got {other:?}"),
@@ -46,7 +46,7 @@ fn refusal(result: Result<(), BoardError>) -> Refusal {
 
 #[test]
 fn a_board_describes_itself() {
-    let (_, mut board) = connect(BoardOptions::default());
+    let (_, mut board) = connect_board(BoardOptions::default());
     assert_eq!(board.info().board.as_str(), "simulated");
     let details = board.details().unwrap();
     assert_eq!(details.device.as_deref(), Some("coupled-five-bar"));
@@ -56,7 +56,7 @@ fn a_board_describes_itself() {
 
 #[test]
 fn a_push_penetrates_a_wall_as_its_stiffness_predicts() {
-    let (shared, mut board) = connect(BoardOptions::default());
+    let (shared, mut board) = connect_board(BoardOptions::default());
     board.set_scene(&wall_below(&shared, 0.005, FeedForward::Off)).unwrap();
     board.arm().unwrap();
     push_down(&shared, 4.0);
@@ -78,7 +78,7 @@ fn a_push_penetrates_a_wall_as_its_stiffness_predicts() {
 
 #[test]
 fn a_disarmed_wall_has_no_force() {
-    let (shared, mut board) = connect(BoardOptions::default());
+    let (shared, mut board) = connect_board(BoardOptions::default());
     board.set_scene(&wall_below(&shared, 0.005, FeedForward::Off)).unwrap();
     push_down(&shared, 4.0);
     let before = shared.lock().device().tip()[1];
@@ -88,21 +88,8 @@ fn a_disarmed_wall_has_no_force() {
 }
 
 #[test]
-fn every_row_of_a_full_rate_stream_arrives_in_order() {
-    let (_, mut board) = connect(BoardOptions::default());
-    board.start_stream(fields("q,counts").unwrap(), 1).unwrap();
-    let mut rows = Vec::new();
-    while rows.len() < 5_000 {
-        rows.extend(board.rows(Duration::from_millis(100)).unwrap());
-    }
-    assert!(rows.windows(2).all(|pair| pair[1].step == pair[0].step + 1));
-    assert_eq!(board.losses().missing, 0);
-    assert_eq!(board.losses().received, rows.len() as u64);
-}
-
-#[test]
 fn requests_in_the_middle_of_a_stream_lose_no_rows() {
-    let (_, mut board) = connect(BoardOptions::default());
+    let (_, mut board) = connect_board(BoardOptions::default());
     board.keep_alive();
     board.start_stream(fields("q").unwrap(), 1).unwrap();
     let mut received = 0;
@@ -118,7 +105,7 @@ fn requests_in_the_middle_of_a_stream_lose_no_rows() {
 
 #[test]
 fn a_host_that_does_not_read_loses_a_counted_number_of_rows() {
-    let (shared, mut board) = connect(BoardOptions { send_buffer: 4_000, ..BoardOptions::default() });
+    let (shared, mut board) = connect_board(BoardOptions { send_buffer: 4_000, ..BoardOptions::default() });
     board.start_stream(fields("q,tip").unwrap(), 1).unwrap();
     shared.lock().run(1.0);
     let mut rows = Vec::new();
@@ -138,35 +125,29 @@ fn arming_is_refused_with_the_reason() {
     let options = BoardOptions { strict: true, ..BoardOptions::default() };
     let shared = SharedBoard::new(SimulatedBoard::new(&device_file().description, options).unwrap());
     let mut board = Board::over(shared.wire(), "sim").unwrap();
-    assert_eq!(refusal(board.arm()), Refusal::NoDevice);
-    assert_eq!(refusal(board.home()), Refusal::NoDevice);
-
+    assert_eq!(expect_refusal(board.arm()), Refusal::NoDevice);
+    assert_eq!(expect_refusal(board.home()), Refusal::NoDevice);
     let mut description = device_file().description;
     board.set_device(&Device::new("unverified", &description).unwrap()).unwrap();
-    assert_eq!(refusal(board.arm()), Refusal::NoScene);
+    assert_eq!(expect_refusal(board.arm()), Refusal::NoScene);
     board.set_scene(&wall_below(&shared, 0.01, FeedForward::Full)).unwrap();
-    assert_eq!(refusal(board.arm()), Refusal::MotorNotVerified(0));
-
-    for joint in &mut description.joints[..2] {
-        joint.motor.as_mut().unwrap().verified = true;
-        joint.limits = Some((-4.0, 4.0));
-    }
+    assert_eq!(expect_refusal(board.arm()), Refusal::MotorNotVerified(0));
+    verify_motors(&mut description);
     board.set_device(&Device::new("verified", &description).unwrap()).unwrap();
-    assert_eq!(refusal(board.arm()), Refusal::NotHomed);
+    assert_eq!(expect_refusal(board.arm()), Refusal::NotHomed);
     board.home().unwrap();
-    assert_eq!(refusal(board.arm()), Refusal::PolarityUnchecked);
+    assert_eq!(expect_refusal(board.arm()), Refusal::PolarityUnchecked);
     board.check_polarity().unwrap();
-    listening(&shared, &mut board, 20.0);
+    run_with_heartbeats(&shared, &mut board, 20.0);
     assert!(board.status().unwrap().polarity, "{:?}", board.status());
-
     // The polarity check moved the device, so put the wall around the tip's new place.
     let scene = wall_below(&shared, -0.01, FeedForward::Full);
     board.set_scene(&scene).unwrap();
-    assert_eq!(refusal(board.arm()), Refusal::InsideWall);
+    assert_eq!(expect_refusal(board.arm()), Refusal::InsideWall);
 }
 
 /// Runs the board for some seconds with a heartbeat every 0.1 s.
-fn listening(shared: &SharedBoard, board: &mut Board, seconds: f64) {
+fn run_with_heartbeats(shared: &SharedBoard, board: &mut Board, seconds: f64) {
     board.keep_alive();
     for _ in 0..(10.0 * seconds) as u32 {
         shared.lock().run(0.1);
@@ -180,10 +161,7 @@ fn a_reversed_motor_is_detected_before_arming() {
     let mut wired = file.description;
     wired.joints[1].motor.as_mut().unwrap().torque_constant *= -1.0;
     wired.joints[1].motor.as_mut().unwrap().back_emf *= -1.0;
-    for joint in &mut file.description.joints[..2] {
-        joint.motor.as_mut().unwrap().verified = true;
-        joint.limits = Some((-4.0, 4.0));
-    }
+    verify_motors(&mut file.description);
     let options = BoardOptions { strict: true, ..BoardOptions::default() };
     let mut simulated = SimulatedBoard::new(&wired, options).unwrap();
     simulated.load(&file.name, &file.description, None).unwrap();
@@ -191,7 +169,7 @@ fn a_reversed_motor_is_detected_before_arming() {
     let mut board = Board::over(shared.wire(), "sim").unwrap();
     board.home().unwrap();
     board.check_polarity().unwrap();
-    listening(&shared, &mut board, 20.0);
+    run_with_heartbeats(&shared, &mut board, 20.0);
     let fault = board.status().unwrap().fault.unwrap();
     assert_eq!((fault.fault, fault.axis), (Fault::PolarityWrong, Some(1)));
     assert_eq!(board.faults().unwrap().len(), 1);
@@ -199,7 +177,7 @@ fn a_reversed_motor_is_detected_before_arming() {
 
 #[test]
 fn gains_change_during_contact_and_invalid_gains_are_refused() {
-    let (shared, mut board) = connect(BoardOptions::default());
+    let (shared, mut board) = connect_board(BoardOptions::default());
     board.set_scene(&wall_below(&shared, 0.005, FeedForward::Washout)).unwrap();
     board.arm().unwrap();
     push_down(&shared, 4.0);
@@ -212,15 +190,15 @@ fn gains_change_during_contact_and_invalid_gains_are_refused() {
     let risen = shared.lock().device().tip()[1] - before;
     assert!((risen - 0.003).abs() < 0.0006, "4 N/1000 - 4 N/4000 = 3 mm, got {risen}");
     for bad in [f32::NAN, f32::INFINITY, -1.0] {
-        assert!(matches!(refusal(board.set_wall_gains(Gains { stiffness: bad, ..gains })), Refusal::Scene(_)));
+        assert!(matches!(expect_refusal(board.set_wall_gains(Gains { stiffness: bad, ..gains })), Refusal::Scene(_)));
     }
-    assert!(matches!(refusal(board.set_wall_gains(Gains { wall: 3, ..gains })), Refusal::Scene(_)));
+    assert!(matches!(expect_refusal(board.set_wall_gains(Gains { wall: 3, ..gains })), Refusal::Scene(_)));
     assert_eq!(board.scene().unwrap().unwrap().walls[0].stiffness, 4000.0);
 }
 
 #[test]
 fn a_silent_host_disarms_and_a_waiting_one_does_not() {
-    let (shared, mut board) = connect(BoardOptions::default());
+    let (shared, mut board) = connect_board(BoardOptions::default());
     board.set_scene(&wall_below(&shared, 0.05, FeedForward::Off)).unwrap();
     let rules = Rules { host_action: HostAction::Disarm, host_seconds: 0.3, ..board.rules().unwrap() };
     board.set_rules(&rules).unwrap();
@@ -234,14 +212,14 @@ fn a_silent_host_disarms_and_a_waiting_one_does_not() {
     let status = board.status().unwrap();
     assert_eq!(status.state, State::Fault);
     assert_eq!(status.fault.unwrap().fault, Fault::HostLost);
-    assert_eq!(refusal(board.arm()), Refusal::Faulted(Fault::HostLost));
+    assert_eq!(expect_refusal(board.arm()), Refusal::Faulted(Fault::HostLost));
     board.clear().unwrap();
     board.arm().unwrap();
 }
 
 #[test]
 fn settings_survive_a_restart_once_saved() {
-    let (shared, mut board) = connect(BoardOptions::default());
+    let (shared, mut board) = connect_board(BoardOptions::default());
     let scene = wall_below(&shared, 0.02, FeedForward::Full);
     board.set_scene(&scene).unwrap();
     board.restart().unwrap();
@@ -257,7 +235,7 @@ fn settings_survive_a_restart_once_saved() {
 #[test]
 fn two_runs_are_the_same_bit_for_bit() {
     let run = || {
-        let (shared, mut board) = connect(BoardOptions::default());
+        let (shared, mut board) = connect_board(BoardOptions::default());
         board.set_scene(&wall_below(&shared, 0.002, FeedForward::Washout)).unwrap();
         board.arm().unwrap();
         push_down(&shared, 3.0);
@@ -274,7 +252,7 @@ fn two_runs_are_the_same_bit_for_bit() {
 /// Simulates a second of contact with a wall too stiff for its rate. Returns from the telemetry the least energy (J),
 /// the largest added damping (N s/m), and the root mean square of the velocity (m/s) in the second half.
 fn unstable_contact(passivity: bool) -> (f64, f64, f64) {
-    let (shared, mut board) = connect(BoardOptions::default());
+    let (shared, mut board) = connect_board(BoardOptions::default());
     let mut scene = wall_below(&shared, 0.001, FeedForward::Off);
     scene.rate_hz = 1_000.0;
     scene.cutoff_hz = 100.0;
@@ -290,10 +268,10 @@ fn unstable_contact(passivity: bool) -> (f64, f64, f64) {
     while rows.len() < 1_000 {
         rows.extend(board.rows(Duration::from_millis(100)).unwrap());
     }
-    let least = rows.iter().map(|row| row.values[1]).fold(0.0, f64::min);
-    let most = rows.iter().map(|row| row.values[2]).fold(0.0, f64::max);
+    let lowest = rows.iter().map(|row| row.values[1]).fold(0.0, f64::min);
+    let highest = rows.iter().map(|row| row.values[2]).fold(0.0, f64::max);
     let squares: f64 = rows[500..1_000].iter().map(|row| row.values[0].powi(2)).sum();
-    (least, most, (squares / 500.0).sqrt())
+    (lowest, highest, (squares / 500.0).sqrt())
 }
 
 #[test]
@@ -311,22 +289,22 @@ fn energy_from_a_wall_is_reported_and_damped_by_the_rules() {
 }
 
 /// Oracle: a five-bar that renders a force straight up with at most `most` N m in each joint.
-struct Straight {
+struct StraightForce {
     mechanism: FiveBar<f64>,
     most: f64,
 }
 
-impl Straight {
-    fn asked(&self, q: &[f64], newtons: f64) -> Vector2<f64> {
+impl StraightForce {
+    fn requested_torques(&self, q: &[f64], newtons: f64) -> Vector2<f64> {
         let pose = self.mechanism.pose::<Libm>(&Vector2::new(q[0], q[1]));
         self.mechanism.transpose(&pose, &Vector2::new(0.0, newtons))
     }
 
-    fn share(&self, asked: &Vector2<f64>) -> f64 {
-        asked.iter().fold(1.0, |share, torque| share.min(self.most / torque.abs()))
+    fn limit_share(&self, torques: &Vector2<f64>) -> f64 {
+        torques.iter().fold(1.0, |share, torque| share.min(self.most / torque.abs()))
     }
 
-    fn at_the_tip(&self, q: &[f64], torque: &Vector2<f64>) -> Vector2<f64> {
+    fn tip_force(&self, q: &[f64], torque: &Vector2<f64>) -> Vector2<f64> {
         let pose = self.mechanism.pose::<Libm>(&Vector2::new(q[0], q[1]));
         self.mechanism.jacobian_inverse(&pose).tr_mul(torque)
     }
@@ -336,7 +314,8 @@ impl Straight {
 fn a_wall_beyond_the_motors_pushes_straight_with_full_torque() {
     const MOST: f64 = 0.3;
     let device = Options::frictionless();
-    let (shared, mut board) = connect(BoardOptions { device, drive: DriveModel::Ideal, ..BoardOptions::default() });
+    let options = BoardOptions { device, drive: DriveModel::Ideal, ..BoardOptions::default() };
+    let (shared, mut board) = connect_board(options);
     let mut rules = board.rules().unwrap();
     rules.limits.torque = [MOST as f32; 3];
     rules.limits.tip_force = 1.0e3;
@@ -347,7 +326,7 @@ fn a_wall_beyond_the_motors_pushes_straight_with_full_torque() {
     board.arm().unwrap();
     // Wait for the torque ramp after arming.
     shared.lock().run(0.6);
-    let began = {
+    let start_s = {
         let mut guard = shared.lock();
         let (tip, now) = (guard.device().tip(), guard.time());
         let slid = [tip[0] + 0.03, tip[1] - 0.04, 0.0];
@@ -357,41 +336,32 @@ fn a_wall_beyond_the_motors_pushes_straight_with_full_torque() {
     };
     board.start_stream(fields("q,torque,distance,force,rendered,saturated,state").unwrap(), 20).unwrap();
     let mut rows = Vec::new();
-    while shared.lock().time() < began + 1.0 {
+    while shared.lock().time() < start_s + 1.0 {
         rows.extend(board.rows(Duration::from_millis(50)).unwrap());
     }
     let Ok(AnyMechanism::FiveBar(mechanism)) = AnyMechanism::<f64>::new(&device_file().description) else {
         panic!("the shipped device is a five-bar")
     };
-    let straight = Straight { mechanism, most: MOST };
+    let straight = StraightForce { mechanism, most: MOST };
     let (mut beyond, mut flagged, mut deepest, mut aside) = (0, Vec::new(), 0.0_f64, 0.0_f64);
-    let mut last = None::<(f64, f64, f64)>;
     for row in rows.iter().filter(|row| row.values[5] > 0.05) {
-        let [q0, q1, torque0, torque1, distance, force, rendered, flag0, flag1, ..] = row.values[..] else {
-            panic!("{row:?}")
-        };
+        let [q0, q1, torque0, torque1, distance, force, rendered, flag0, flag1, ..] = row.values[..] else { panic!() };
         let q = [q0, q1];
-        let asked = straight.asked(&q, force);
-        let share = straight.share(&asked);
-        let most = straight.share(&(asked * 1.0e6)) * 1.0e6 * force;
+        let requested_torques = straight.requested_torques(&q, force);
+        let share = straight.limit_share(&requested_torques);
         // The rendered force is scaled by the factor `share` and has no sideways part.
-        let felt = straight.at_the_tip(&q, &Vector2::new(torque0, torque1));
-        assert!((felt[1] - share * force).abs() < 0.01, "{row:?}: {felt} is not {share} times {force}");
-        assert!(felt[0].abs() < 0.01, "{row:?}: {felt} pulls sideways");
-        assert!((rendered - felt[1]).abs() < 0.01, "{row:?}: {felt}");
+        let tip_force = straight.tip_force(&q, &Vector2::new(torque0, torque1));
+        assert!((tip_force[1] - share * force).abs() < 0.01, "{row:?}: {tip_force} is not {share} times {force}");
+        assert!(tip_force[0].abs() < 0.01, "{row:?}: {tip_force} pulls sideways");
+        assert!((rendered - tip_force[1]).abs() < 0.01, "{row:?}: {tip_force}");
         if !(0.999..1.0).contains(&share) {
             let flag = f64::from(u8::from(share < 1.0));
             assert_eq!([flag0, flag1], [flag; 2], "{row:?}: {share}");
             flagged.push(flag);
         }
-        // The force falls with depth at most as much as the largest force of the motors falls because of the new pose.
-        if let Some((depth, before, could)) = last.filter(|(depth, ..)| -distance > *depth) {
-            assert!(felt[1] > before + (most - could).min(0.0) - 0.01, "{row:?}: {before} at {depth}");
-        }
-        last = Some((-distance, felt[1], most));
         beyond += usize::from(share < 0.5);
         deepest = deepest.max(-distance);
-        aside = aside.max(straight.at_the_tip(&q, &asked.map(|torque| torque.clamp(-MOST, MOST)))[0].abs());
+        aside = aside.max(straight.tip_force(&q, &requested_torques.map(|torque| torque.clamp(-MOST, MOST)))[0].abs());
     }
     let changes = flagged.windows(2).filter(|pair| pair[0] != pair[1]).count();
     assert!(flagged.first() == Some(&0.0) && changes == 1, "{changes} changes of the flag");
@@ -402,7 +372,7 @@ fn a_wall_beyond_the_motors_pushes_straight_with_full_torque() {
 
 #[test]
 fn a_hand_loop_stays_outside_walls_until_the_board_is_armed() {
-    let (shared, mut board) = connect(BoardOptions::default());
+    let (shared, mut board) = connect_board(BoardOptions::default());
     let scene = wall_below(&shared, 0.01, FeedForward::Off);
     board.set_scene(&scene).unwrap();
     let tip = shared.lock().device().tip();

@@ -1,9 +1,8 @@
-//! `haptic tune` and `haptic tune estimators` on random devices (ten more in deep/tune/settings.rs), on compliant
-//! joints, and with Ctrl-C.
+//! `haptic tune` and `haptic tune estimators` on random devices (more in deep/tune/settings.rs) and compliant joints.
 
 use crate::common::prelude::*;
-use crate::common::tuned::{drawn, none_is_stiffer, question};
-use crate::common::{Folder, json, read, run, shipped, type_lines};
+use crate::common::tuned::{none_is_stiffer, question, random_device};
+use crate::common::{Folder, json, read, run, shipped_device, type_lines};
 use haptic_bridge::render::velocity::Estimator;
 use haptic_host::error::Failure;
 use haptic_predict::bench::estimators::{Comparison, compare, comparison_wall};
@@ -12,7 +11,7 @@ use haptic_predict::tune::{MAX_REBOUNDS, Margins, Question, Settings, accepted_w
 use std::collections::BTreeSet;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-fn usual(name: &str) -> Estimator {
+fn estimator_of(name: &str) -> Estimator {
     Estimator::ALL.iter().find(|(other, _)| *other == name).unwrap().1
 }
 
@@ -42,14 +41,11 @@ fn wall(kind: Estimator, cutoff_hz: f64, (stiffness, damping): (f64, f64)) -> Se
 fn a_wall_behind_cables_depends_on_the_encoders_side() {
     let of = |side: &str| {
         let file = DeviceFile::parse(&with_cables(side), side).unwrap();
-        ripple(&question(&file, 5_000.0), &wall(usual("butterworth"), 200.0, (5_000.0, 20.0))).unwrap().ripple_n
+        ripple(&question(&file, 5_000.0), &wall(estimator_of("butterworth"), 200.0, (5_000.0, 20.0))).unwrap().ripple_n
     };
     let (motor, joint) = (of("motor"), of("joint"));
     assert!(motor.is_some_and(|ripple| ripple < 0.5), "{motor:?}");
-    assert!(
-        joint.is_none_or(|ripple| ripple > 2.0),
-        "with encoders at the joints theory has no stable wall: {joint:?}"
-    );
+    assert!(joint.is_none_or(|ripple| ripple > 2.0), "theory has no stable wall for encoders at the joints: {joint:?}");
 }
 
 #[test]
@@ -61,27 +57,26 @@ fn estimators_are_compared_on_a_wall_that_range_finds_stable() {
     let (stiffness, damping) = comparison_wall(&file, &[2.6, 1.75], &[0.6, 0.8], 5_000.0, 200.0).unwrap();
     let words = ["--q", "2.6,1.75", "--normal", "0.6,0.8", "--rate", "5000", "--cutoff", "200", "--board", "odrive-v3"];
     let kd = damping.to_string();
-    let said = json(&[&["range", &path, "--kd", &kd], &words[..]].concat());
-    let most = said["off"]["boundary"][0]["kp"].as_f64().unwrap();
-    assert!((4.0 * stiffness / most - 1.0).abs() < 1e-9, "{stiffness} of {most} N/m");
-    assert!((2.0 * damping / said["off"]["kd_max"].as_f64().unwrap() - 1.0).abs() < 1e-9, "{damping} N s/m");
-
-    let soft = "stiffness = 40.0\ndamping = 0.0";
-    let text = with_cables("joint").replace("stiffness = 250.0\ndamping = 0.01", soft);
+    let report = json(&[&["range", &path, "--kd", &kd], &words[..]].concat());
+    let max_stiffness = report["off"]["boundary"][0]["kp"].as_f64().unwrap();
+    assert!((4.0 * stiffness / max_stiffness - 1.0).abs() < 1e-9, "{stiffness} of {max_stiffness} N/m");
+    assert!((2.0 * damping / report["off"]["kd_max"].as_f64().unwrap() - 1.0).abs() < 1e-9, "{damping} N s/m");
+    let soft_cable = "stiffness = 40.0\ndamping = 0.0";
+    let text = with_cables("joint").replace("stiffness = 250.0\ndamping = 0.01", soft_cable);
     folder.write("cables.toml", text.replace("viscous = 0.001", "viscous = 0.0"));
     let line = format!("tune estimators {path} --normal 0.6,0.8 --rate 5000 --cutoff 200");
     type_lines(&format!("1: {line} => no wall here is predicted stable | (--wall)"), &[]);
 }
 
-fn small(number: u64, estimator: &str, dampings: &[f64]) {
-    let file = drawn(number);
-    let question = Question { estimators: vec![usual(estimator)], ..question(&file, 5_000.0) };
+fn check_small_search(number: u64, estimator: &str, dampings: &[f64]) {
+    let file = random_device(number);
+    let question = Question { estimators: vec![estimator_of(estimator)], ..question(&file, 5_000.0) };
     let (found, tried) = none_is_stiffer(&question, dampings, &[1.06]);
     assert!(tried >= 5, "{tried}");
     // The result must also meet the ripple limit on devices that differ from their file by the margins.
     for (share, loose) in [(0.9, 0.97), (1.1, 1.03)] {
-        let mut other = file.clone();
-        for joint in &mut other.description.joints {
+        let mut other_file = file.clone();
+        for joint in &mut other_file.description.joints {
             joint.inertia *= share;
             joint.viscous *= 1.0 + 2.5 * (share - 1.0);
             joint.coulomb *= 1.0 + 2.5 * (share - 1.0);
@@ -92,27 +87,25 @@ fn small(number: u64, estimator: &str, dampings: &[f64]) {
                 transmission.motor_inertia *= share;
             }
         }
-        let off = Question { file: &other, margins: Margins::NONE, ..question.clone() };
+        let off = Question { file: &other_file, margins: Margins::NONE, ..question.clone() };
         let ripple_n = ripple(&off, &found.settings).unwrap().ripple_n;
-        assert!(
-            ripple_n.is_some_and(|ripple| ripple <= 1.0001 * found.ripple_n && ripple <= 0.1),
-            "{ripple_n:?} {found:?}"
-        );
+        let ripple_limit = 0.1_f64.min(1.0001 * found.ripple_n);
+        assert!(ripple_n.is_some_and(|ripple| ripple <= ripple_limit), "{ripple_n:?} {found:?}");
     }
 }
 
 #[test]
 fn no_wall_on_a_rigid_device_is_stiffer_than_the_result() {
-    small(0, "first-order", &[0.6, 1.0, 1.7]);
+    check_small_search(0, "first-order", &[0.6, 1.0, 1.7]);
 }
 
 #[test]
 fn no_wall_on_a_cable_device_is_stiffer_than_the_result() {
-    small(5, "backward-difference", &[0.5, 0.7, 1.0, 1.4, 2.0]);
+    check_small_search(5, "backward-difference", &[0.5, 0.7, 1.0, 1.4, 2.0]);
 }
 
 /// Counts how often a mass that a hand pushes leaves a wall, a spring and damper that cannot pull.
-fn rebounds(mass: f64, stiffness: f64, damping: f64) -> usize {
+fn count_rebounds(mass: f64, stiffness: f64, damping: f64) -> usize {
     let (mut x, mut v, mut inside, mut left) = (0.0, -0.2, false, 0);
     let h = 1e-6;
     for _ in 0..300_000 {
@@ -127,7 +120,7 @@ fn rebounds(mass: f64, stiffness: f64, damping: f64) -> usize {
 
 #[test]
 fn taps_rebound_like_a_mass_on_a_spring() {
-    let mut file = shipped("hapkit-paddle");
+    let mut file = shipped_device("hapkit-paddle");
     for joint in &mut file.description.joints {
         (joint.viscous, joint.coulomb) = (0.0, 0.0);
         joint.encoder.iter_mut().for_each(|encoder| encoder.counts_per_turn = 1e7);
@@ -135,30 +128,29 @@ fn taps_rebound_like_a_mass_on_a_spring() {
     let mass = 0.0008 / (0.07 * 0.07) + 0.05;
     let question = Question { speed: 0.01, ..question(&file, 20_000.0) };
     let simulation = WallSimulation::new(&file.description, &file.description, &[0.0], &[1.0], 20_000.0).unwrap();
-    let mut seen = BTreeSet::new();
+    let mut counts = BTreeSet::new();
     for stiffness in [2_000.0_f64, 10_000.0] {
         for ratio in [0.02, 0.06, 0.13, 0.3, 0.8] {
             let damping = 2.0 * ratio * (stiffness * mass).sqrt();
-            let wall =
-                Settings { rate_hz: 20_000.0, ..wall(usual("backward-difference"), 500.0, (stiffness, damping)) };
-            let (found, known) =
-                (simulation.rebounds(&rendered(&wall)).unwrap().unwrap(), rebounds(mass, stiffness, damping));
+            let kind = estimator_of("backward-difference");
+            let wall = Settings { rate_hz: 20_000.0, ..wall(kind, 500.0, (stiffness, damping)) };
+            let (found, known) = (
+                simulation.rebounds(&rendered_wall(&wall)).unwrap().unwrap(),
+                count_rebounds(mass, stiffness, damping),
+            );
             // The delay of half a carrier period reduces a small damping, so many rebounds may differ by one.
             let near = found.abs_diff(known) <= usize::from(known > 2);
             assert!(near, "{stiffness} N/m at {ratio} of critical damping: {found}, not {known}");
-            assert_eq!(
-                accepted_wall(&question, &wall).unwrap().is_some(),
-                known <= MAX_REBOUNDS,
-                "{known} rebounds: {wall:?}"
-            );
-            seen.insert(known);
+            let keeps = keeps(&question, &wall).unwrap().is_some();
+            assert_eq!(keeps, known <= MOST_REBOUNDS, "{known} rebounds: {wall:?}");
+            counts.insert(known);
         }
     }
-    assert!(seen.contains(&0) && seen.contains(&1) && seen.len() > 3, "{seen:?}");
+    assert!(counts.contains(&0) && counts.contains(&1) && counts.len() > 3, "{counts:?}");
 }
 
-fn rendered(wall: &Settings) -> RenderedWall {
-    RenderedWall {
+fn rendered_wall(wall: &Settings) -> Rendered {
+    Rendered {
         kind: wall.kind,
         cutoff_hz: wall.cutoff_hz,
         feed_forward: wall.feed_forward,
@@ -173,26 +165,26 @@ fn rendered(wall: &Settings) -> RenderedWall {
 /// The stop flag is checked after every press or curve, so a stopped search ends within its first candidates.
 #[test]
 fn long_searches_end_at_the_next_press_after_ctrl_c() {
-    let file = drawn(0);
-    let question = Question { estimators: vec![usual("first-order")], ..question(&file, 5_000.0) };
+    let file = random_device(0);
+    let question = Question { estimators: vec![estimator_of("first-order")], ..question(&file, 5_000.0) };
     let comparison =
         Comparison { file: &file, q: &[0.0], normal: &[1.0], rate_hz: 1_000.0, cutoff_hz: 50.0, wall: (100.0, 1.0) };
-    let ended = |work: &dyn Fn(&Sweep) -> Option<Failure>| {
+    let run_sweep = |work: &dyn Fn(&Sweep) -> Option<Failure>| {
         let looked = AtomicUsize::new(0);
         let stop = move || looked.fetch_add(1, Ordering::SeqCst) >= 75;
         work(&Sweep::new("test", "question", None, stop).unwrap()).unwrap().to_string()
     };
-    let failure = ended(&|sweep| tune(&question, sweep).err());
+    let failure = run_sweep(&|sweep| tune(&question, sweep).err());
     assert!(failure.contains("interrupted with 0 of 7 done (ripple, feed-forward off, round 1)"), "{failure}");
-    let failure = ended(&|sweep| compare(&comparison, sweep).err());
+    let failure = run_sweep(&|sweep| compare(&comparison, sweep).err());
     assert!(failure.contains("interrupted with 0 of"), "{failure}");
 }
 
 #[test]
 fn every_stage_is_reported_without_a_terminal() {
     let words = ["tune", "devices/hapkit-paddle.toml", "--normal", "1", "--rates", "1000", "--feed-forward", "off"];
-    let (_, _, told) = run(&[&words[..], &["--json"]].concat());
+    let (_, _, stages) = run(&[&words[..], &["--json"]].concat());
     for stage in ["walls, feed-forward off: ", "ripple, feed-forward off, round 1: ", "stiffer, round 1: "] {
-        assert!(told.lines().any(|line| line.starts_with(stage)), "{stage}\n{told}");
+        assert!(stages.lines().any(|line| line.starts_with(stage)), "{stage}\n{stages}");
     }
 }

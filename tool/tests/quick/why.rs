@@ -1,7 +1,7 @@
 //! The share that an effect takes from a boundary is computed from the same loop without the effect.
 
 use crate::common::prelude::*;
-use crate::common::{ideal_loop, rigid};
+use crate::common::{ideal_loop, rigid_device, svg_number};
 use haptic_show::plot::paper::Paper;
 use haptic_show::plot::why::draw;
 use haptic_stability::analysis::flexible::{Flexible, Hand};
@@ -10,7 +10,7 @@ use haptic_stability::cores;
 use std::hint::black_box;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-fn soft_and_held() -> Linearised {
+fn soft_device_in_hand() -> Linearised {
     let give = Transmission { stiffness: 3.0, damping: 5e-4, motor_inertia: 2e-5, encoder_at: EncoderAt::Motor };
     let flexible = Flexible {
         transmissions: vec![Some(give), None],
@@ -19,23 +19,22 @@ fn soft_and_held() -> Linearised {
         normal: DVector::from_vec(vec![1.0]),
         ..Flexible::default()
     };
-    Linearised { flexible, ..rigid(&[3.0e-4, 4.0e-5, 4.0e-5, 1.1e-4], &[1e-3, 4e-4], &[0.1, 0.06], &[7.0, 5.0]) }
+    Linearised { flexible, ..rigid_device(&[3.0e-4, 4.0e-5, 4.0e-5, 1.1e-4], &[1e-3, 4e-4], &[0.1, 0.06], &[7.0, 5.0]) }
 }
 
-fn around(bandwidth_hz: f64) -> Loop {
+fn control_loop(bandwidth_hz: f64) -> Loop {
     let ideal = ideal_loop(1000.0, 0.5, LinearEstimator::Butterworth(50.0).over(2));
     Loop { drive: Drive::Current { bandwidth_hz }, ..ideal }
 }
 
 #[test]
 fn every_effect_is_compared_with_the_loop_without_it() {
-    let device = soft_and_held();
-    let around = around(500.0);
+    let device = soft_device_in_hand();
+    let around = control_loop(500.0);
     let found = why(&device, &around, &Sweep::quiet()).unwrap();
     let names: Vec<&str> = found.effects.iter().map(|without| without.effect).collect();
     let all = ["sampling", "delay", "drive", "filter", "difference", "compliance", "hand", "joint damping"];
     assert_eq!(names, all);
-
     let alone = |device: &Linearised, around: &Loop| {
         let domain = domain(device, around, Mode::Off, None).unwrap();
         (domain.top.kp, domain.area)
@@ -64,7 +63,7 @@ fn every_effect_is_compared_with_the_loop_without_it() {
 
 #[test]
 fn a_rigid_ideal_loop_has_only_sampling_and_a_filter() {
-    let mut device = soft_and_held().undamped();
+    let mut device = soft_device_in_hand().undamped();
     device.flexible = Flexible::default();
     let around = ideal_loop(1000.0, 0.0, LinearEstimator::Butterworth(50.0));
     let found = why(&device, &around, &Sweep::quiet()).unwrap();
@@ -75,10 +74,10 @@ fn a_rigid_ideal_loop_has_only_sampling_and_a_filter() {
 #[test]
 fn results_of_several_cores_are_in_order() {
     let things: Vec<u64> = (0..50).collect();
-    let told = AtomicUsize::new(0);
+    let report_count = AtomicUsize::new(0);
     let progress = |_: usize, of: usize| {
         assert_eq!(of, 50);
-        told.fetch_add(1, Ordering::Relaxed);
+        report_count.fetch_add(1, Ordering::Relaxed);
     };
     let squares = cores::map(&things, &progress, |thing| {
         // The first items take the longest.
@@ -88,30 +87,27 @@ fn results_of_several_cores_are_in_order() {
         thing * thing
     });
     assert_eq!(squares, things.iter().map(|thing| thing * thing).collect::<Vec<_>>());
-    assert_eq!(told.into_inner(), 50);
+    assert_eq!(report_count.into_inner(), 50);
 }
 
 #[test]
 fn every_text_lies_within_the_picture() {
-    let around = around(6400.0);
-    let found = why(&soft_and_held(), &around, &Sweep::quiet()).unwrap();
+    let around = control_loop(6400.0);
+    let found = why(&soft_device_in_hand(), &around, &Sweep::quiet()).unwrap();
     let picture = draw("a device", &["pose".into(), "loop".into()], &found, Paper::default());
     let svg = picture.svg();
-    let value = |line: &str, key: &str| -> f64 {
-        let rest = line.split_once(&format!(" {key}=\"")).unwrap_or_else(|| panic!("{key}: {line}")).1;
-        rest.split('"').next().unwrap().parse().unwrap()
-    };
+    let value = |line: &str, key: &str| svg_number(line, key).unwrap_or_else(|| panic!("{key}: {line}"));
     let width = value(svg.lines().next().unwrap(), "width");
     let mut words = 0;
     for line in svg.lines().filter(|line| line.starts_with("<text")) {
         let text = line.split_once('>').unwrap().1.trim_end_matches("</text>");
         // A letter of the picture's font is on average a little wider than half of the font size.
-        let wide = 0.53 * value(line, "font-size") * text.chars().count() as f64;
+        let text_width = 0.53 * value(line, "font-size") * text.chars().count() as f64;
         let x = value(line, "x");
         let (left, right) = match line {
-            _ if line.contains("\"end\"") => (x - wide, x),
-            _ if line.contains("\"middle\"") => (x - wide / 2.0, x + wide / 2.0),
-            _ => (x, x + wide),
+            _ if line.contains("\"end\"") => (x - text_width, x),
+            _ if line.contains("\"middle\"") => (x - text_width / 2.0, x + text_width / 2.0),
+            _ => (x, x + text_width),
         };
         assert!(left >= 0.0 && right <= width, "{line}");
         words += 1;

@@ -4,36 +4,36 @@ pub use super::super::root;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Kind of a block, which decides how it is run.
+/// Kind of a fenced block, from its info string.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Kind {
-    /// `sh`: typed as written.
+    /// Info string `sh`: the quick tests run the commands.
     Quick,
-    /// `sh board`: typed with a strict simulated board.
+    /// Info string `sh board`: the quick tests run the commands with a strict simulated board.
     Board,
-    /// `sh slow: REASON`: typed as written, in the deep tests.
+    /// Info string `sh slow: REASON`: the deep tests run the commands.
     Slow,
-    /// `sh no-run: REASON`, or another language with `no-run: REASON`: not run.
+    /// Info string `LANGUAGE no-run: REASON`: no test runs the block.
     NoRun,
-    /// `toml device`: a file that passes `haptic check`.
+    /// Info string `toml device`: `haptic check` must accept the file.
     File,
-    /// `toml scene`: a scene of a planar device that passes `haptic check`.
+    /// Info string `toml scene`: `haptic check` must accept the file as a scene of the coupled five-bar.
     Scene,
-    /// `text`: nothing to run.
+    /// Info string `text`: no test runs the block.
     Text,
 }
 
-/// A fenced block.
+/// A fenced block of a document.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Block {
-    /// Document and line, for messages.
+    /// Document and line of the block, for messages.
     pub place: String,
     pub kind: Kind,
     pub lines: Vec<String>,
 }
 
 impl Block {
-    fn kind(info: &str) -> Result<Kind, String> {
+    fn parse_kind(info: &str) -> Result<Kind, String> {
         let reasoned = |kind: Kind, reason: &str| match reason.split_whitespace().count() {
             0..=2 => Err(format!("`{info}` has no reason: write one of at least three words")),
             _ => Ok(kind),
@@ -46,7 +46,7 @@ impl Block {
             ("toml device", "") => Ok(Kind::File),
             ("toml scene", "") => Ok(Kind::Scene),
             ("text", "") => Ok(Kind::Text),
-            _ => Err(format!("`{info}` does not say how to run this block; see tool/tests/common/documents")),
+            _ => Err(format!("unknown info string `{info}`; tool/tests/common/documents/mod.rs lists the valid ones")),
         }
     }
 
@@ -65,7 +65,7 @@ impl Block {
     }
 }
 
-/// Returns README.md and all documents in docs/, docs/learn/ and docs/results/.
+/// Returns the paths of README.md and of all documents in docs/, docs/learn/ and docs/results/.
 pub fn documents() -> Vec<PathBuf> {
     let folders = ["docs", "docs/learn", "docs/results"].map(|folder| fs::read_dir(root().join(folder)).unwrap());
     let mut paths: Vec<PathBuf> = folders.into_iter().flatten().map(|entry| entry.unwrap().path()).collect();
@@ -75,7 +75,7 @@ pub fn documents() -> Vec<PathBuf> {
     paths
 }
 
-/// Returns the blocks of a document. Fails if a block does not say how to run it or if a command is outside of a block.
+/// Returns the blocks of a document. Fails if an info string is unknown or if a command is outside of a block.
 pub fn blocks(path: &Path) -> Result<Vec<Block>, String> {
     let name = path.strip_prefix(root()).unwrap_or(path).display().to_string();
     parse(&name, &fs::read_to_string(path).unwrap())
@@ -89,7 +89,7 @@ fn parse(name: &str, text: &str) -> Result<Vec<Block>, String> {
         match (line.trim_start().strip_prefix("```"), open.take()) {
             (Some(""), Some(block)) => blocks.push(block),
             (Some(info), None) => {
-                let kind = Block::kind(info).map_err(|error| format!("{place}: {error}"))?;
+                let kind = Block::parse_kind(info).map_err(|error| format!("{place}: {error}"))?;
                 open = Some(Block { place, kind, lines: Vec::new() });
             }
             (None, Some(mut block)) => {
@@ -98,10 +98,8 @@ fn parse(name: &str, text: &str) -> Result<Vec<Block>, String> {
             }
             (None, None) => {
                 let indented = line.strip_prefix("    ").unwrap_or("");
-                if ["haptic ", "cargo ", "apt-get ", "dfu-util ", "rustup "]
-                    .iter()
-                    .any(|word| indented.starts_with(word))
-                {
+                let programs = ["haptic ", "cargo ", "apt-get ", "dfu-util ", "rustup "];
+                if programs.iter().any(|program| indented.starts_with(program)) {
                     return Err(format!("{place}: a command outside of a fenced block, move it into one: {line}"));
                 }
             }

@@ -1,8 +1,8 @@
-//! Types a block line by line, as a user does at a terminal.
+//! Runs the lines of a block one by one, as a user types them at a terminal.
 //!
 //! Every line is passed to a shell as written, in a new directory with a copy of devices/. `haptic` and
 //! `cargo run … --package haptic --` run the tool of this build; other cargo commands run in the repository. Servers
-//! (`haptic sim`, `cargo xtask board`) run while the rest of the block is typed, as in another terminal. Comments in a
+//! (`haptic sim`, `cargo xtask board`) keep running during the rest of the block, as in another terminal. Comments in a
 //! line are instructions: "Ctrl-C" interrupts the command once it handles interrupts, "asks" replies `y`, and the text
 //! quoted after "prints" must be in the output. The documents' TCP port 7710 is replaced by a free port.
 
@@ -17,19 +17,19 @@ use std::thread::{sleep, spawn};
 use std::time::{Duration, Instant};
 
 const TOOL: &str = env!("CARGO_BIN_EXE_haptic");
-/// The command by which the documents call the tool in a checkout.
-const IN_A_CHECKOUT: &str = "cargo run --release --package haptic --";
+/// Command that runs the tool in a checkout, as the documents write it.
+const TOOL_IN_CHECKOUT: &str = "cargo run --release --package haptic --";
 
-/// Types one block.
+/// Runs the commands of one block; each may take at most `patience`.
 pub fn run(block: &Block, patience: Duration) -> Result<(), String> {
     let mut session = Session::new(block.kind == Kind::Board, patience);
     for command in block.commands() {
-        session.enter(&command).map_err(|error| format!("{}: `{command}`: {error}", block.place))?;
+        session.run_line(&command).map_err(|error| format!("{}: `{command}`: {error}", block.place))?;
     }
     session.end().map_err(|error| format!("{}: {error}", block.place))
 }
 
-/// Runs `haptic check` on a block that is a file.
+/// Runs `haptic check` on a block that is a device or scene file.
 pub fn check(block: &Block) -> Result<(), String> {
     let place = tempfile::tempdir().unwrap();
     let file = place.path().join("file.toml");
@@ -40,10 +40,10 @@ pub fn check(block: &Block) -> Result<(), String> {
         check.arg(root().join("devices/coupled-five-bar.toml"));
     }
     let output = check.arg(&file).output().unwrap();
-    if output.status.success() { Ok(()) } else { Err(format!("{}: {}", block.place, text(&output.stderr))) }
+    if output.status.success() { Ok(()) } else { Err(format!("{}: {}", block.place, lossy_text(&output.stderr))) }
 }
 
-fn text(bytes: &[u8]) -> String {
+fn lossy_text(bytes: &[u8]) -> String {
     String::from_utf8_lossy(bytes).into_owned()
 }
 
@@ -51,7 +51,7 @@ struct Session {
     place: tempfile::TempDir,
     environment: Vec<(String, String)>,
     servers: Vec<(String, Child)>,
-    /// Port that replaces 7710, known once a server runs.
+    /// TCP port that replaces 7710: the newest server's.
     port: String,
     patience: Duration,
 }
@@ -59,22 +59,22 @@ struct Session {
 impl Session {
     fn new(board: bool, patience: Duration) -> Self {
         let place = tempfile::tempdir().unwrap();
-        copy(&root().join("devices"), &place.path().join("devices"));
+        copy_folder(&root().join("devices"), &place.path().join("devices"));
         fs::create_dir(place.path().join("bin")).unwrap();
         std::os::unix::fs::symlink(TOOL, place.path().join("bin/haptic")).unwrap();
         let path = format!("{}:{}", place.path().join("bin").display(), std::env::var("PATH").unwrap());
         let (environment, port) = (vec![("PATH".into(), path)], "7710".into());
         let mut session = Self { place, environment, servers: Vec::new(), port, patience };
         if board {
-            session.own_files();
-            session.serve("haptic sim --strict --tcp 7710 my-device.toml").unwrap();
+            session.write_own_files();
+            session.start_server("haptic sim --strict --tcp 7710 my-device.toml").unwrap();
             session.environment.push(("HAPTIC_PORT".into(), format!("tcp:127.0.0.1:{}", session.port)));
         }
         session
     }
 
     /// Writes my-device.toml, a verified shipped device, and my-scene.toml, a scene for it.
-    fn own_files(&self) {
+    fn write_own_files(&self) {
         let shipped = fs::read_to_string(self.place.path().join("devices/coupled-five-bar.toml")).unwrap();
         let own = shipped.replace("\n[joint.motor]\n", "\n[joint.motor]\nverified = true\n");
         let own = own.replace("\n[[joint]]\n", "\n[[joint]]\nlimits = [-3.14, 3.14]\n");
@@ -84,10 +84,10 @@ impl Session {
         fs::copy(scene, self.place.path().join("my-scene.toml")).unwrap();
     }
 
-    fn enter(&mut self, line: &str) -> Result<(), String> {
-        let line = line.replace(IN_A_CHECKOUT, "haptic");
+    fn run_line(&mut self, line: &str) -> Result<(), String> {
+        let line = line.replace(TOOL_IN_CHECKOUT, "haptic");
         if line.starts_with("haptic sim") || line.starts_with("cargo xtask board") {
-            return self.serve(line.split_once(" #").map_or(&line, |(command, _)| command));
+            return self.start_server(line.split_once(" #").map_or(&line, |(command, _)| command));
         }
         let line = line.replace("7710", &self.port);
         let (command, comment) = line.split_once(" #").unwrap_or((&line, ""));
@@ -105,34 +105,35 @@ impl Session {
         if let Some((master, _)) = &mut terminal {
             master.write_all(b"y\n").unwrap();
         }
-        let said = [listen(child.stdout.take().unwrap()), listen(child.stderr.take().unwrap())];
+        let output_readers =
+            [read_in_background(child.stdout.take().unwrap()), read_in_background(child.stderr.take().unwrap())];
         if comment.contains("Ctrl-C") {
-            let begun = Instant::now();
-            while !handles_interrupts(&mut child) && begun.elapsed() < self.patience {
+            let start = Instant::now();
+            while !handles_interrupts(&mut child) && start.elapsed() < self.patience {
                 sleep(Duration::from_millis(10));
             }
             sleep(Duration::from_secs(1));
-            interrupt(&child);
+            send_signal(&child, "INT");
         }
-        let status = wait(&mut child, self.patience)?;
-        let said = said.map(|said| said.join().unwrap()).concat();
+        let status = wait_for_exit(&mut child, self.patience)?;
+        let printed = output_readers.map(|reader| reader.join().unwrap()).concat();
         if status != Some(0) {
-            return Err(format!("exit code {status:?}, output:\n{said}"));
+            return Err(format!("exit code {status:?}, output:\n{printed}"));
         }
         let promised = comment.split_once("prints ").map_or("", |(_, promised)| promised);
-        match promised.split('"').skip(1).step_by(2).find(|words| !said.contains(words)) {
-            Some(words) => Err(format!("does not print \"{words}\", output:\n{said}")),
+        match promised.split('"').skip(1).step_by(2).find(|words| !printed.contains(words)) {
+            Some(words) => Err(format!("does not print \"{words}\", output:\n{printed}")),
             None => Ok(()),
         }
     }
 
     fn shell(&self, command: &str) -> Command {
         let mut shell = Command::new("sh");
-        // Background jobs of a shell ignore Ctrl-C and pass this on to their children; commands of a terminal do not.
-        let heard = if cfg!(target_os = "linux") { "env --default-signal=INT" } else { "" };
+        // A shell's background jobs and their children ignore Ctrl-C. Commands of a terminal do not.
+        let interruptible = if cfg!(target_os = "linux") { "env --default-signal=INT" } else { "" };
         // `exec` replaces the shell, so that signals reach the command itself.
         shell
-            .args(["-c", &format!("exec {heard} {command}")])
+            .args(["-c", &format!("exec {interruptible} {command}")])
             .envs(self.environment.iter().cloned())
             .stdin(Stdio::null())
             .process_group(0);
@@ -141,20 +142,20 @@ impl Session {
     }
 
     /// Starts a server and waits until it prints its port.
-    fn serve(&mut self, command: &str) -> Result<(), String> {
+    fn start_server(&mut self, command: &str) -> Result<(), String> {
         let mut child = self.shell(&command.replace("7710", "0")).stdout(Stdio::piped()).spawn().unwrap();
         let mut output = BufReader::new(child.stdout.take().unwrap());
-        let mut said = String::new();
-        while !said.contains("tcp:") && !said.contains("/dev/") {
-            if output.read_line(&mut said).unwrap_or(0) == 0 {
-                let status = wait(&mut child, self.patience)?;
-                return Err(format!("ended with exit code {status:?} before it printed its port, output:\n{said}"));
+        let mut printed = String::new();
+        while !printed.contains("tcp:") && !printed.contains("/dev/") {
+            if output.read_line(&mut printed).unwrap_or(0) == 0 {
+                let status = wait_for_exit(&mut child, self.patience)?;
+                return Err(format!("ended with exit code {status:?} before it printed its port, output:\n{printed}"));
             }
         }
-        if let Some((_, port)) = said.split_once("tcp:127.0.0.1:") {
+        if let Some((_, port)) = printed.split_once("tcp:127.0.0.1:") {
             self.port = port.chars().take_while(char::is_ascii_digit).collect();
         }
-        listen(output);
+        read_in_background(output);
         self.servers.push((command.into(), child));
         Ok(())
     }
@@ -162,8 +163,8 @@ impl Session {
     /// Interrupts all servers. A simulated board must end with exit code 0; an emulated board may fail.
     fn end(mut self) -> Result<(), String> {
         for (command, mut child) in std::mem::take(&mut self.servers) {
-            interrupt(&child);
-            let status = wait(&mut child, self.patience)?;
+            send_signal(&child, "INT");
+            let status = wait_for_exit(&mut child, self.patience)?;
             if status != Some(0) && command.starts_with("haptic") {
                 return Err(format!("`{command}` ended with exit code {status:?}"));
             }
@@ -175,58 +176,54 @@ impl Session {
 impl Drop for Session {
     fn drop(&mut self) {
         for (_, child) in &mut self.servers {
-            signal(child, "KILL");
+            send_signal(child, "KILL");
             let _ = child.wait();
         }
     }
 }
 
 /// Sends a signal to a command and its children, as a terminal does.
-fn signal(child: &Child, name: &str) {
+fn send_signal(child: &Child, name: &str) {
     let _ = Command::new("sh").args(["-c", &format!("kill -{name} -{}", child.id())]).status();
-}
-
-fn interrupt(child: &Child) {
-    signal(child, "INT");
 }
 
 /// Returns true if a command handles interrupts or has ended, or if the system has no such information.
 fn handles_interrupts(child: &mut Child) -> bool {
     let Ok(status) = fs::read_to_string(format!("/proc/{}/status", child.id())) else { return true };
-    let caught = status.lines().find_map(|line| line.strip_prefix("SigCgt:"));
-    let caught = caught.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok());
+    let caught_mask = status.lines().find_map(|line| line.strip_prefix("SigCgt:"));
+    let caught_mask = caught_mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok());
     // Bit 1 is SIGINT.
-    caught.is_none_or(|mask| mask & 2 != 0) || child.try_wait().unwrap().is_some()
+    caught_mask.is_none_or(|mask| mask & 2 != 0) || child.try_wait().unwrap().is_some()
 }
 
-fn wait(child: &mut Child, patience: Duration) -> Result<Option<i32>, String> {
-    let begun = Instant::now();
-    while begun.elapsed() < patience {
+fn wait_for_exit(child: &mut Child, patience: Duration) -> Result<Option<i32>, String> {
+    let start = Instant::now();
+    while start.elapsed() < patience {
         if let Some(status) = child.try_wait().unwrap() {
             return Ok(status.code());
         }
         sleep(Duration::from_millis(10));
     }
-    signal(child, "KILL");
+    send_signal(child, "KILL");
     let _ = child.wait();
     Err(format!("did not end within {} s", patience.as_secs()))
 }
 
 /// Reads all output in another thread, so that the writer never blocks.
-fn listen(mut output: impl Read + Send + 'static) -> std::thread::JoinHandle<String> {
+fn read_in_background(mut output: impl Read + Send + 'static) -> std::thread::JoinHandle<String> {
     spawn(move || {
         let mut bytes = Vec::new();
         let _ = output.read_to_end(&mut bytes);
-        text(&bytes)
+        lossy_text(&bytes)
     })
 }
 
-fn copy(from: &Path, to: &Path) {
+fn copy_folder(from: &Path, to: &Path) {
     fs::create_dir_all(to).unwrap();
     for entry in fs::read_dir(from).unwrap().map(Result::unwrap) {
         let target = to.join(entry.file_name());
         if entry.path().is_dir() {
-            copy(&entry.path(), &target);
+            copy_folder(&entry.path(), &target);
         } else {
             fs::copy(entry.path(), target).unwrap();
         }
@@ -238,8 +235,8 @@ fn a_failing_line_is_detected() {
     let block = |line: &str| Block { place: "x.md:1".into(), kind: Kind::Quick, lines: vec![line.into()] };
     let run = |line: &str| run(&block(line), Duration::from_secs(600));
     assert_eq!(run("haptic model devices/coupled-five-bar.toml --q 2.6,1.75   # a remark"), Ok(()));
-    let wrong = run("haptic model devices/coupled-five-bar.toml --no-such-option").unwrap_err();
-    assert!(wrong.contains("x.md:1") && wrong.contains("no-such-option"), "{wrong}");
+    let message = run("haptic model devices/coupled-five-bar.toml --no-such-option").unwrap_err();
+    assert!(message.contains("x.md:1") && message.contains("no-such-option"), "{message}");
     assert!(run("haptic sim no-such-file.toml").unwrap_err().contains("exit code Some(2)"));
     let line = "haptic model devices/haply-2diy.toml --normal 0,1 # prints";
     assert_eq!(run(&format!("{line} \"has almost no benefit\"")), Ok(()));

@@ -31,7 +31,7 @@ fn cells(line: &str) -> Vec<String> {
 }
 
 /// Returns the tables of a Markdown document with the emphasis removed.
-pub fn shown(text: &str) -> Vec<Table> {
+pub fn markdown_tables(text: &str) -> Vec<Table> {
     let (mut tables, mut open) = (Vec::new(), Table::new());
     for line in text.lines().chain([""]) {
         match line.strip_prefix('|').and_then(|line| line.trim_end().strip_suffix('|')) {
@@ -52,6 +52,6 @@ pub fn links(text: &str) -> impl Iterator<Item = &str> {
 #[test]
 fn cells_may_be_quoted_and_tables_end_at_other_lines() {
     assert_eq!(cells("a,\"b, \"\"c\"\"\",,d"), ["a", "b, \"c\"", "", "d"]);
-    let tables = shown("| a | **b** |\n|---|--:|\n| 1 |  |\n<!-- -->\n| c |\n");
+    let tables = markdown_tables("| a | **b** |\n|---|--:|\n| 1 |  |\n<!-- -->\n| c |\n");
     assert_eq!(tables, [vec![vec!["a", "b"], vec!["1", ""]], vec![vec!["c"]]]);
 }

@@ -1,24 +1,24 @@
 //! The sampled loop linearised about a motion: pose and speed are frozen at one instant, and each law's torque is
 //! differentiated by joint angles and by the *estimated* joint velocities.
 
-use super::unit;
+use super::unit_vector;
 use haptic_bridge::math::Libm;
 use haptic_bridge::model::mechanism::{FiveBar, Mechanism};
 use haptic_bridge::render::scene::VelocityTerms;
 use nalgebra::{DMatrix, DVector, Matrix2, Vector2};
 
 /// A rendering law at a pose with the wall's normal; the law `None` renders Jᵀ f.
-pub struct Moving {
+pub struct SlidingLoop {
     pub mechanism: FiveBar<f64>,
     pub q: [f64; 2],
     pub normal: f64,
     pub law: Option<VelocityTerms>,
 }
 
-impl Moving {
+impl SlidingLoop {
     fn torque(&self, q: &Vector2<f64>, qd: &Vector2<f64>, force: f64) -> Vector2<f64> {
         let (m, pose) = (&self.mechanism, self.mechanism.pose::<Libm>(q));
-        let n = unit(self.normal);
+        let n = unit_vector(self.normal);
         let Some(terms) = self.law else { return m.transpose(&pose, &n) * force };
         let e = m.inverse(&pose, &n);
         let me = m.mass(&pose) * e;
@@ -26,16 +26,16 @@ impl Moving {
             VelocityTerms::Off => Vector2::zeros(),
             _ => m.velocity_torque(&pose, qd),
         };
-        let met = if terms == VelocityTerms::Paper { e.dot(&b) } else { 0.0 };
-        me * ((force - met) / e.dot(&me)) + b
+        let rejected_force = if terms == VelocityTerms::Paper { e.dot(&b) } else { 0.0 };
+        me * ((force - rejected_force) / e.dot(&me)) + b
     }
 
     /// Returns the loop's matrix over one sample at a speed along the wall (m/s). States: joint angles and speeds,
     /// last angles, and two filter states each for the wall's and the joints' velocities.
-    fn matrix(&self, speed: f64, kp: f64, kd: f64, rate: f64, cutoff: f64) -> DMatrix<f64> {
+    fn loop_matrix(&self, speed: f64, kp: f64, kd: f64, rate: f64, cutoff: f64) -> DMatrix<f64> {
         const H: f64 = 1.0e-5;
         let m = &self.mechanism;
-        let (q0, n, t) = (Vector2::from(self.q), unit(self.normal), unit(self.normal + 90.0));
+        let (q0, n, t) = (Vector2::from(self.q), unit_vector(self.normal), unit_vector(self.normal + 90.0));
         let pose = m.pose::<Libm>(&q0);
         let qd0 = m.inverse(&pose, &(t * speed));
         let by = |f: &dyn Fn(&Vector2<f64>) -> Vector2<f64>, at: &Vector2<f64>| {
@@ -48,23 +48,21 @@ impl Moving {
         };
         let nominal = self.torque(&q0, &qd0, 0.0);
         let inverse = |pose: &_| m.mass(pose).try_inverse().expect("positive definite");
-        let moved = |q: &Vector2<f64>, qd: &Vector2<f64>| {
+        let acceleration = |q: &Vector2<f64>, qd: &Vector2<f64>| {
             let pose = m.pose::<Libm>(q);
             inverse(&pose) * (nominal - m.coriolis(&pose, qd))
         };
-        let (by_q, by_qd) = (by(&|q| moved(q, &qd0), &q0), by(&|qd| moved(&q0, qd), &qd0));
+        let (by_q, by_qd) = (by(&|q| acceleration(q, &qd0), &q0), by(&|qd| acceleration(&q0, qd), &qd0));
         let law_q = by(&|q| self.torque(q, &qd0, 0.0), &q0);
         let law_qd = by(&|qd| self.torque(&q0, qd, 0.0), &qd0);
         let newton = self.torque(&q0, &qd0, 1.0) - nominal;
-
         // The zero-order hold is computed by the series of the matrix exponential.
-        let mut joined = DMatrix::zeros(6, 6);
-        joined.view_mut((0, 2), (2, 2)).copy_from(&Matrix2::identity());
-        joined.view_mut((2, 0), (2, 2)).copy_from(&by_q);
-        joined.view_mut((2, 2), (2, 2)).copy_from(&by_qd);
-        joined.view_mut((2, 4), (2, 2)).copy_from(&inverse(&pose));
-        let held = (joined / rate).exp();
-
+        let mut augmented = DMatrix::zeros(6, 6);
+        augmented.view_mut((0, 2), (2, 2)).copy_from(&Matrix2::identity());
+        augmented.view_mut((2, 0), (2, 2)).copy_from(&by_q);
+        augmented.view_mut((2, 2), (2, 2)).copy_from(&by_qd);
+        augmented.view_mut((2, 4), (2, 2)).copy_from(&inverse(&pose));
+        let transition = (augmented / rate).exp();
         let g = (std::f64::consts::PI * cutoff / rate).tan();
         let a0 = 1.0 + std::f64::consts::SQRT_2 * g + g * g;
         let (b0, b1) = (g * g / a0, 2.0 * g * g / a0);
@@ -74,15 +72,15 @@ impl Moving {
             entries.iter().for_each(|(i, value)| row[*i] += value);
             row
         };
-        let mut next = DMatrix::zeros(12, 12);
+        let mut transition_matrix = DMatrix::zeros(12, 12);
         let jacobian_row = m.transpose(&pose, &n);
         let difference = [0, 1].map(|i| row(&[(i, rate), (4 + i, -rate)]));
         let along = &difference[0] * jacobian_row[0] + &difference[1] * jacobian_row[1];
-        // Direct form II transposed.
+        // The filter is in transposed direct form II.
         let mut filtered = |input: &DVector<f64>, first: usize| {
             let output = input * b0 + row(&[(first, 1.0)]);
-            next.set_row(first, &(input * b1 - &output * a1 + row(&[(first + 1, 1.0)])).transpose());
-            next.set_row(first + 1, &(input * b0 - &output * a2).transpose());
+            transition_matrix.set_row(first, &(input * b1 - &output * a1 + row(&[(first + 1, 1.0)])).transpose());
+            transition_matrix.set_row(first + 1, &(input * b0 - &output * a2).transpose());
             output
         };
         let velocity = filtered(&along, 6);
@@ -95,29 +93,30 @@ impl Moving {
                 + &force * newton[i]
         });
         for state in 0..4 {
-            let mut change = row(&[0, 1, 2, 3].map(|i| (i, held[(state, i)])));
-            change += &torque[0] * held[(state, 4)] + &torque[1] * held[(state, 5)];
-            next.set_row(state, &change.transpose());
+            let mut change = row(&[0, 1, 2, 3].map(|i| (i, transition[(state, i)])));
+            change += &torque[0] * transition[(state, 4)] + &torque[1] * transition[(state, 5)];
+            transition_matrix.set_row(state, &change.transpose());
         }
-        next.set_row(4, &row(&[(0, 1.0)]).transpose());
-        next.set_row(5, &row(&[(1, 1.0)]).transpose());
-        next
+        transition_matrix.set_row(4, &row(&[(0, 1.0)]).transpose());
+        transition_matrix.set_row(5, &row(&[(1, 1.0)]).transpose());
+        transition_matrix
     }
 
-    /// Returns true if an oscillation faster than 8 Hz grows. Slower modes describe how the linkage turns the motion.
-    fn grows(&self, speed: f64, kp: f64, kd: f64, rate: f64, cutoff: f64) -> bool {
+    /// Returns true if an oscillation faster than 8 Hz grows. Slower modes describe the turning direction of motion.
+    fn has_growing_mode(&self, speed: f64, kp: f64, kd: f64, rate: f64, cutoff: f64) -> bool {
         let fast = 8.0 * std::f64::consts::TAU / rate;
-        let modes = self.matrix(speed, kp, kd, rate, cutoff).complex_eigenvalues();
+        let modes = self.loop_matrix(speed, kp, kd, rate, cutoff).complex_eigenvalues();
         modes.iter().any(|z| z.arg().abs() > fast && z.norm() > 1.0)
     }
 
     /// Returns the stiffness at which an oscillation begins to grow, N/m. `low` must be stable and `high` must not.
-    pub fn stiffest(&self, speed: f64, kd: f64, (low, high): (f64, f64), rate: f64, cutoff: f64) -> f64 {
-        assert!(!self.grows(speed, low, kd, rate, cutoff) && self.grows(speed, high, kd, rate, cutoff));
+    pub fn stability_limit(&self, speed: f64, kd: f64, (low, high): (f64, f64), rate: f64, cutoff: f64) -> f64 {
+        let grows = |kp| self.has_growing_mode(speed, kp, kd, rate, cutoff);
+        assert!(!grows(low) && grows(high));
         let (mut low, mut high) = (low, high);
         for _ in 0..40 {
             let middle = 0.5 * (low + high);
-            if self.grows(speed, middle, kd, rate, cutoff) { high = middle } else { low = middle }
+            if grows(middle) { high = middle } else { low = middle }
         }
         low
     }

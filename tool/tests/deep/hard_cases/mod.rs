@@ -1,7 +1,7 @@
 //! Numerically hard cases: f32 against f64 and both against 106 bits.
 //!
-//! The rows are computed once, for the checks here and in tests/hard_cases/bounds.rs (which `cargo test` runs against f64
-//! alone) and for the tables in docs/hard-cases/.
+//! The rows are computed once, for the checks here and in tests/hard_cases/bounds.rs and for the tables in
+//! docs/hard-cases/. `cargo test` runs the checks of bounds.rs against f64 alone.
 
 #[path = "../../../../tests/hard_cases/bounds.rs"]
 mod bounds;
@@ -24,8 +24,8 @@ use rows::singular::{Random, Target};
 use rows::{FILTERS, SINGULAR};
 use std::sync::LazyLock;
 
-static SLIDING: LazyLock<Vec<sliding::Row>> = LazyLock::new(sliding::all);
-static SATURATED: LazyLock<Vec<saturated::Row>> = LazyLock::new(saturated::all);
+static SLIDING: LazyLock<Vec<sliding::Row>> = LazyLock::new(sliding::all_rows);
+static SATURATED: LazyLock<Vec<saturated::Row>> = LazyLock::new(saturated::all_rows);
 
 /// A shipped device of every mechanism with more than one direction.
 const MECHANISMS: [(&str, &str); 4] = [
@@ -35,9 +35,9 @@ const MECHANISMS: [(&str, &str); 4] = [
     ("serial-3r", "serial-3r"),
 ];
 
-/// Reads the shipped device of this name.
+/// Returns the description of a shipped device to the modules in tests/hard_cases.
 fn shipped(name: &str) -> Description {
-    crate::common::shipped(name).description
+    crate::common::shipped_device(name).description
 }
 
 /// The reference uses matrix inverses in 106 bits.
@@ -62,7 +62,7 @@ fn double_precision_keeps_five_digits_everywhere() {
 #[test]
 fn the_analysis_of_equation_4_keeps_five_digits_everywhere() {
     for row in &*SINGULAR {
-        // Ten digits wherever the feed-forward acts.
+        // Ten digits are correct where the feed-forward acts.
         let most = if matches!(row.target, Target::Sine(_)) { 1e-10 } else { 1e-5 };
         for error in row.whole.all() {
             assert!(error < most, "{row:?}");
@@ -73,7 +73,7 @@ fn the_analysis_of_equation_4_keeps_five_digits_everywhere() {
 }
 
 #[test]
-fn in_106_bits_all_routes_agree() {
+fn all_formulas_agree_in_106_bits() {
     // Closer than 1e-6 the closed form clamps its reciprocals on purpose.
     let rows: Vec<_> = SINGULAR.iter().filter(|row| row.regularity > 2e-6).collect();
     assert!(rows.len() >= 54, "all but the five-bar's last elbow rows: {}", rows.len());
@@ -90,19 +90,19 @@ fn in_106_bits_both_forms_of_a_filter_agree() {
 }
 
 #[test]
-fn encoder_steps_cost_velocity_terms_more_than_f32() {
+fn encoder_steps_cause_larger_errors_than_f32() {
     assert_eq!(SLIDING.len(), 12, "four mechanisms, three laws");
     for row in &*SLIDING {
         assert!(row.rounding < 1e-5, "{row:?}");
         let [coarse, fine] = row.estimated;
-        // Measured: up to 0.4 of the terms at 20 000 counts, mostly from slow joints, where the terms subtract the
-        // uncertainty of a count; with finer counts the error falls with the square. In addition the pose costs a count
+        // Measured errors are up to 0.4 of the terms at 20 000 counts, mostly from slow joints, because the terms
+        // subtract the uncertainty of a count. With finer counts the error falls with the square. The pose adds a count
         // (3e-4 rad) times the few units by which torques change per radian.
         let off = row.terms == VelocityTerms::Off;
         assert!(if off { row.size == 0.0 } else { row.size > 0.03 }, "{row:?}");
         assert!(coarse < 0.5 * row.size + 3e-3, "{row:?}");
         assert!(fine < 0.005 * row.size + 6e-5, "{row:?}");
-        // The ratios to the rounding error that docs/hard-cases.md states, with the same tolerance.
+        // docs/hard-cases.md states these ratios to the rounding error with the same bounds.
         let times = [coarse, fine].map(|error| error / row.rounding);
         assert!(off || (1e3..7e4).contains(&times[0]) && (5.0..1.3e3).contains(&times[1]), "{row:?}");
     }
@@ -113,7 +113,7 @@ fn motors_at_their_limit_push_along_the_normal_only() {
     assert_eq!(SATURATED.len(), 8, "four mechanisms, in the open and near an elbow's singularity");
     for row in &*SATURATED {
         assert!(row.beyond > 5.0, "{row:?}");
-        // A rounding of the torques (6e-8) becomes a force over the sine, and Jᵀ n has a few more.
+        // The rounding of a torque (6e-8) causes an error of the force of 6e-8/sine. Jᵀ n adds a few roundings.
         let most = 1e-6 / row.sines[0];
         for error in [row.along[0], row.along[1], row.across] {
             assert!(error < most, "{row:?}");
@@ -121,29 +121,29 @@ fn motors_at_their_limit_push_along_the_normal_only() {
     }
 }
 
-/// Largest ratio between a number in a table and the computed one. Errors are maxima over random poses in one digit; a
-/// change that only rounds differently moves them by less.
-const SAME: f64 = 4.0;
+/// Largest ratio between a number in a table and the computed number. Errors are maxima over random poses in one digit.
+/// A change that only rounds differently changes the errors by a smaller factor.
+const MAX_RATIO: f64 = 4.0;
 
-/// Returns true if two words of a table are equal, or numbers within a factor of [`SAME`] ("lost" is above a half).
-fn same(shown: &str, computed: &str) -> bool {
+/// Returns true if two words of a table are equal or are numbers within a factor of [`MAX_RATIO`] ("lost" counts as 1).
+fn is_same(shown: &str, computed: &str) -> bool {
     let number = |text: &str| if text == "lost" { Some(1.0) } else { text.parse::<f64>().ok() };
     match (number(shown), number(computed)) {
-        (Some(a), Some(b)) => a == b || (a > 0.0 && b > 0.0 && a < SAME * b && b < SAME * a),
+        (Some(a), Some(b)) => a == b || (a > 0.0 && b > 0.0 && a < MAX_RATIO * b && b < MAX_RATIO * a),
         _ => shown == computed,
     }
 }
 
-/// `UPDATE_DOCS=1 cargo xtask test --deep hard_cases` updates them.
+/// `UPDATE_DOCS=1 cargo xtask test --deep hard_cases` updates the tables in docs/hard-cases/.
 #[test]
 fn the_tables_hold_the_computed_errors() {
-    for (name, computed) in tables::all() {
+    for (name, computed) in tables::all_tables() {
         let path = format!("docs/hard-cases/{name}.csv");
-        let kept = document(&path, &computed);
-        assert_eq!(kept.lines().count(), computed.lines().count(), "{path}");
-        for (number, (shown, computed)) in kept.lines().zip(computed.lines()).enumerate() {
+        let published = document(&path, &computed);
+        assert_eq!(published.lines().count(), computed.lines().count(), "{path}");
+        for (number, (shown, computed)) in published.lines().zip(computed.lines()).enumerate() {
             let [a, b] = [shown, computed].map(|line| line.split([' ', ',']).collect::<Vec<_>>());
-            let agree = a.len() == b.len() && a.iter().zip(&b).all(|(a, b)| same(a, b));
+            let agree = a.len() == b.len() && a.iter().zip(&b).all(|(a, b)| is_same(a, b));
             assert!(agree, "line {} of {path}:\n{shown}\n{computed}", number + 1);
         }
     }

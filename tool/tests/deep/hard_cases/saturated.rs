@@ -1,5 +1,4 @@
-//! Motors that cannot make the requested wall force: the force along the normal and across it that remains of the
-//! control loop's f32 torques.
+//! Walls that request more force than the motors can make: errors of the forces along and across the normal, in f32.
 
 use super::rows::singular::Random;
 use super::shipped;
@@ -13,11 +12,11 @@ const POSES: usize = 12;
 /// Stiffness of the wall, N/m.
 const STIFFNESS: f64 = 20_000.0;
 
-/// One row of the table.
+/// A row of docs/hard-cases/motors-at-their-limit.csv.
 #[derive(Clone, Debug)]
 pub struct Row {
     pub device: &'static str,
-    /// Sines of the poses.
+    /// Smallest and largest sine of the angle between a pose and the elbow's singularity.
     pub sines: [f64; 2],
     /// Largest ratio of the requested force to the largest force of the motors.
     pub beyond: f64,
@@ -27,7 +26,12 @@ pub struct Row {
     pub across: f64,
 }
 
-fn row<M: Mechanism<f64, N>, const N: usize>(m: M, name: &'static str, device: &Description, sines: [f64; 2]) -> Row {
+fn row_of<M: Mechanism<f64, N>, const N: usize>(
+    m: M,
+    name: &'static str,
+    device: &Description,
+    sines: [f64; 2],
+) -> Row {
     let mut random = Random(23);
     let mut row = Row { device: name, sines, beyond: 0.0, along: [0.0; 2], across: 0.0 };
     let mut poses = 0;
@@ -39,11 +43,11 @@ fn row<M: Mechanism<f64, N>, const N: usize>(m: M, name: &'static str, device: &
         if !(sines[0]..sines[1]).contains(&r.serial) || r.parallel < 0.3 || n.norm() < 0.1 {
             continue;
         }
-        // Rounded as on the board.
+        // The board rounds the normal to f32.
         n = (n / n.norm()).map(|x| f64::from(x as f32));
         poses += 1;
         let three = |v: &SVector<f64, N>| core::array::from_fn(|i| if i < N { v[i] } else { 0.0 });
-        // Torque for the device's own weight and for 5 N.
+        // The limit is the torque for the device's weight and for 5 N.
         let lever = m.transpose(&pose, &n).amax();
         let torque = (m.gravity(&pose).amax() + 5.0 * lever) as f32;
         for (index, feed_forward) in [FeedForward::Off, FeedForward::Full].into_iter().enumerate() {
@@ -67,8 +71,8 @@ fn row<M: Mechanism<f64, N>, const N: usize>(m: M, name: &'static str, device: &
                 let fits = |most: f64| requested * (0..N).map(|i| room(i, most)).fold(1.0, f64::min);
                 let right = fits(torque.into());
                 // The feed-forward may need a 64th of a motor's torque.
-                let least =
-                    if feed_forward == FeedForward::Off { right } else { fits(f64::from(torque) * 63.0 / 64.0) };
+                let reduced = fits(f64::from(torque) * 63.0 / 64.0);
+                let least = if feed_forward == FeedForward::Off { right } else { reduced };
                 row.beyond = row.beyond.max(requested / right);
                 row.along[index] =
                     row.along[index].max((forces.along - forces.along.clamp(least, right)).abs() / right);
@@ -83,19 +87,19 @@ fn row<M: Mechanism<f64, N>, const N: usize>(m: M, name: &'static str, device: &
 
 /// Returns the rows of every mechanism with more than one direction: far from singularities, and near an elbow's
 /// singularity, where the feed-forward begins to fade.
-pub fn all() -> Vec<Row> {
+pub fn all_rows() -> Vec<Row> {
     super::MECHANISMS
     .into_iter()
     .flat_map(|(name, file)| {
         let mut device = shipped(file);
         for joint in &mut device.joints {
             if let Some(motor) = &mut joint.motor {
-                // Only the torque limit acts.
+                // The current limit is so large that only the torque limit acts.
                 motor.max_current = 1.0e3;
             }
         }
         let mechanism = AnyMechanism::<f64>::new(&device).expect("a shipped device is sound");
-        haptic_bridge::with_mechanism!(mechanism, m => [[0.3, 1.1], [0.05, 0.1]].map(|sines| row(m, name, &device, sines)))
+        haptic_bridge::with_mechanism!(mechanism, m => [[0.3, 1.1], [0.05, 0.1]].map(|sines| row_of(m, name, &device, sines)))
     })
     .collect()
 }

@@ -13,26 +13,26 @@ use haptic_bridge::control::compiled::BoardMath;
 use nalgebra::{SMatrix, SVector};
 
 /// Counts per turn: as on many shipped devices, and as in the other tables.
-pub const COUNTS: [f64; 2] = [20_000.0, 1_048_576.0];
+pub const COUNTS_PER_TURN: [f64; 2] = [20_000.0, 1_048_576.0];
 /// Speed of the tip along the wall, m/s.
-const SPEED: f64 = 0.5;
-/// Runs per row.
+const SLIDING_SPEED: f64 = 0.5;
+/// Number of slides per row.
 const RUNS: usize = 10;
 /// Control steps until the estimator has settled.
-const SETTLED: u32 = 600;
+const SETTLING_STEPS: u32 = 600;
 /// Control steps of a run. The last 20 ms are compared.
 const STEPS: u32 = 1_000;
 
-/// One row of the table.
+/// A row of docs/hard-cases/velocity-terms.csv.
 #[derive(Clone, Debug)]
 pub struct Row {
     pub device: &'static str,
     pub terms: VelocityTerms,
-    /// Largest torque of the terms, as a share of the largest torque; the errors are shares too.
+    /// Largest torque of the velocity terms, as a share of the largest torque.
     pub size: f64,
-    /// Error of f32 against f64 with the same counts.
+    /// Error of f32 against f64 with the same counts, as a share of the largest torque.
     pub rounding: f64,
-    /// Error of f32 against true angles and velocities, for each of [`COUNTS`].
+    /// Error of f32 against true angles and velocities, for each of [`COUNTS_PER_TURN`], as the same share.
     pub estimated: [f64; 2],
 }
 
@@ -71,7 +71,7 @@ fn exact_torques<M: Mechanism<DoubleDouble, N>, const N: usize>(
     }
 }
 
-fn row<A, B, C, const N: usize>(
+fn row_of<A, B, C, const N: usize>(
     (double, board, reference): (A, B, C),
     name: &'static str,
     device: &Description,
@@ -96,7 +96,7 @@ where
         }
         let n: SVector<f64, N> = cast(&cast::<f64, f32, N>(&(n / n.norm())));
         t -= n * n.dot(&t);
-        let qd = double.inverse(&pose, &(t / t.norm() * SPEED));
+        let qd = double.inverse(&pose, &(t / t.norm() * SLIDING_SPEED));
         // The feed-forward acts in full along the complete path.
         let regular = |k: u32| {
             let q = start + qd * (f64::from(STEPS) / RATE_HZ * f64::from(k) / 10.0);
@@ -109,27 +109,27 @@ where
         runs += 1;
         // 1 m deep in a wall of 5 N/m: the force hardly changes, and rounding hardly changes the depth.
         let surface = double.tip(&pose) + n;
-        for (index, counts_per_turn) in COUNTS.into_iter().enumerate() {
-            let mut device = with_encoders(device);
+        for (index, counts_per_turn) in COUNTS_PER_TURN.into_iter().enumerate() {
+            let mut device = encoded(device);
             for joint in &mut device.joints {
                 joint.encoder.as_mut().expect("every joint has an encoder").counts_per_turn = counts_per_turn;
                 joint.viscous = 0.0;
             }
             device.gravity = [0.0; 3];
-            let (p, normal) = (pad_to_three(&surface, task), pad_to_three(&n, task));
-            let mut wide = scene::<f64>(task, p, normal, 5.0, 0.0, FeedForward::Full);
-            wide.velocity_terms = terms;
-            let mut narrow = scene::<f32>(task, p, normal, 5.0, 0.0, FeedForward::Full);
-            narrow.velocity_terms = terms;
-            let mut exact = controller::<f64, Libm, _, N>(double, &device, &wide);
-            let mut found = controller::<f32, BoardMath, _, N>(board, &device, &narrow);
+            let (p, normal) = (three(&surface, task), three(&n, task));
+            let mut scene_f64 = scene::<f64>(task, p, normal, 5.0, 0.0, FeedForward::Full);
+            scene_f64.velocity_terms = terms;
+            let mut scene_f32 = scene::<f32>(task, p, normal, 5.0, 0.0, FeedForward::Full);
+            scene_f32.velocity_terms = terms;
+            let mut exact = controller::<f64, Libm, _, N>(double, &device, &scene_f64);
+            let mut found = controller::<f32, BoardMath, _, N>(board, &device, &scene_f32);
             let (mut largest, mut size, mut rounding, mut estimated) = (0.0_f64, 0.0_f64, 0.0_f64, 0.0_f64);
             for step in 0..STEPS {
                 let q = start + qd * (f64::from(step) / RATE_HZ);
                 let counts = q.map(|x| (x / std::f64::consts::TAU * counts_per_turn).round() as i32).into();
                 let (a, b) = (exact.step(&counts), found.step(&counts));
                 let torque: SVector<f64, N> = cast(&b.torque);
-                if step < SETTLED || step % 40 != 0 {
+                if step < SETTLING_STEPS || step % 40 != 0 {
                     continue;
                 }
                 let place = double.tip(&double.pose::<Libm>(&q));
@@ -150,14 +150,14 @@ where
 }
 
 /// Returns the rows of every mechanism with more than one direction, for every choice of velocity terms.
-pub fn all() -> Vec<Row> {
+pub fn all_rows() -> Vec<Row> {
     super::MECHANISMS
     .into_iter()
     .flat_map(|(name, file)| {
-        // The weight would add the same torque on both sides.
-        let mut device = with_encoders(&shipped(file));
+        // Leave out the weight, which would add the same torque to both results.
+        let mut device = encoded(&shipped(file));
         device.gravity = [0.0; 3];
-        in_three_precisions!(&device, (a, b, c) => VelocityTerms::ALL.map(|(_, terms)| row((a, b, c), name, &device, terms)))
+        in_three_precisions!(&device, (a, b, c) => VelocityTerms::ALL.map(|(_, terms)| row_of((a, b, c), name, &device, terms)))
     })
     .collect()
 }

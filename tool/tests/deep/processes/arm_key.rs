@@ -1,8 +1,8 @@
 //! `haptic arm --key` in a pseudo-terminal.
 #![cfg(unix)]
 
-use crate::common::file;
-use crate::common::sim::{HANG, Sim};
+use crate::common::shipped_path;
+use crate::common::sim::{HANG_TIMEOUT, Sim};
 
 use rustix::event::{PollFd, PollFlags, poll};
 use rustix::fs::{Mode, OFlags};
@@ -15,14 +15,13 @@ struct Terminal {
     master: OwnedFd,
     text: String,
     child: Child,
-    /// Time of the last Space while the key is held. Space repeats as in a terminal, so that the motors go on again if
-    /// they went off because this process was too slow.
+    /// Time of the last Space while the key is held. Space repeats, so that the motors go on again on a slow computer.
     held: Option<Instant>,
 }
 
 impl Terminal {
     /// Runs the tool in a new session and a new terminal.
-    fn run(arguments: &[&str]) -> Self {
+    fn start(arguments: &[&str]) -> Self {
         let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY).unwrap();
         grantpt(&master).unwrap();
         unlockpt(&master).unwrap();
@@ -35,15 +34,15 @@ impl Terminal {
         Self { master, text: String::new(), child, held: None }
     }
 
-    fn hold(&mut self) {
+    fn press_space(&mut self) {
         self.held = Some(Instant::now());
         rustix::io::write(&self.master, b" ").unwrap();
     }
 
     /// Reads the output so far. Returns false once the tool has closed the terminal.
-    fn read(&mut self) -> bool {
+    fn read_output(&mut self) -> bool {
         if self.held.is_some_and(|last| last.elapsed() > Duration::from_millis(40)) {
-            self.hold();
+            self.press_space();
         }
         let mut descriptors = [PollFd::new(&self.master, PollFlags::IN)];
         let time = rustix::event::Timespec { tv_sec: 0, tv_nsec: 20_000_000 };
@@ -61,11 +60,11 @@ impl Terminal {
     }
 
     /// Waits until the tool has printed these words, then discards the output so far.
-    fn expect(&mut self, words: &str) {
-        let began = Instant::now();
+    fn wait_for(&mut self, words: &str) {
+        let start = Instant::now();
         while !self.text.contains(words) {
-            assert!(began.elapsed() < HANG, "{words}:\n{}", self.text);
-            assert!(self.read(), "{words}: the tool has ended\n{}", self.text);
+            assert!(start.elapsed() < HANG_TIMEOUT, "{words}:\n{}", self.text);
+            assert!(self.read_output(), "{words}: the tool has ended\n{}", self.text);
         }
         self.text.clear();
     }
@@ -80,18 +79,18 @@ impl Drop for Terminal {
 
 #[test]
 fn the_motors_are_on_only_while_space_is_held() {
-    let sim = Sim::start(&["--scene", &file("scenes/coupled-five-bar/wall.toml")]);
-    let mut terminal = Terminal::run(&["arm", "--key", "--port", &sim.port]);
-    terminal.expect("hold Space");
+    let sim = Sim::start(&["--scene", &shipped_path("scenes/coupled-five-bar/wall.toml")]);
+    let mut terminal = Terminal::start(&["arm", "--key", "--port", &sim.port]);
+    terminal.wait_for("hold Space");
     for _ in 0..2 {
-        terminal.hold();
-        terminal.expect("motors on");
+        terminal.press_space();
+        terminal.wait_for("motors on");
         terminal.held = None;
-        terminal.expect("motors off");
+        terminal.wait_for("motors off");
     }
     rustix::io::write(&terminal.master, b"q").unwrap();
-    terminal.expect("disarmed");
-    while terminal.read() {}
+    terminal.wait_for("disarmed");
+    while terminal.read_output() {}
     assert!(terminal.child.wait().unwrap().success());
-    sim.until(|state| state == "Disarmed");
+    sim.wait_for_state(|state| state == "Disarmed");
 }

@@ -1,6 +1,6 @@
 //! `haptic demo` prints the results of its runs, which are the same on every machine.
 
-use crate::common::{Folder, json, output, type_lines};
+use crate::common::{Folder, json, output};
 use haptic_bridge::render::scene::FeedForward;
 use haptic_show::demo::{Demo, crossing, stiffness};
 
@@ -44,16 +44,11 @@ fn the_feed_forward_reduces_vibration_for_every_tremor() {
 fn the_command_prints_its_table_and_draws_its_picture() {
     let folder = Folder::new();
     let svg = folder.path("demo.svg");
-    let said = output(&["demo", "--svg", &svg]);
-    for line in ["penetration, mm", "peak force, N", "highest stable stiffness", "predicted", "coupling", "Benefit"] {
-        assert!(said.contains(line), "{line} is missing in\n{said}");
-    }
-    assert!(said.contains(&format!("picture: {svg}")));
+    let text = output(&["demo", "--svg", &svg]);
+    assert!(text.contains(&format!("picture: {svg}")));
     let picture = std::fs::read_to_string(&svg).unwrap();
     assert!(picture.starts_with("<svg") && picture.trim_end().ends_with("</svg>"));
     assert_eq!(picture.matches("<polyline").count(), 6, "three panels with two runs each");
-
-    type_lines(&format!("1: demo --svg {svg}"), &[]);
     let json = json(&["demo", "--svg", &svg, "--force"]);
     for (side, column) in [("without", 0), ("with", 1)] {
         let value = |pointer: &str| json[side].pointer(pointer).unwrap().as_f64().unwrap();
@@ -64,40 +59,37 @@ fn the_command_prints_its_table_and_draws_its_picture() {
             ("inertia that the wall meets, g", format!("{:.1}", 1e3 * value("/inertia_kg"))),
             ("measured", format!("{:.2}", 1e-3 * value("/highest_stable_stiffness_n_per_m/measured"))),
         ] {
-            let line = said.lines().find(|line| line.contains(row)).unwrap();
+            let line = text.lines().find(|line| line.contains(row)).unwrap();
             assert_eq!(line.split_whitespace().rev().nth(1 - column), Some(number.as_str()), "{line}");
         }
     }
-    for letter in 'a'..='f' {
-        assert!(picture.contains(&format!(">({letter}) ")), "panel {letter}");
-    }
     // Text and picture name benefit and cost.
     for sentence in ["Better with it: ", "Worse with it: "] {
-        let line = said.lines().find(|line| line.starts_with(sentence)).unwrap_or_else(|| panic!("{sentence}\n{said}"));
+        let line = text.lines().find(|line| line.starts_with(sentence)).unwrap_or_else(|| panic!("{sentence}\n{text}"));
         assert!(picture.contains(line), "{line}");
     }
     for (what, worse) in [("penetration, mm", "deeper penetration"), ("peak force, N", "higher peak force")] {
-        let [without, with] = *numbers(&said, what) else { panic!("{what}") };
-        assert_eq!(said.contains(worse), with > without * 1.005, "{worse}: {without}, {with}");
+        let [without, with] = *row_numbers(&text, what) else { panic!("{what}") };
+        assert_eq!(text.contains(worse), with > without * 1.005, "{worse}: {without}, {with}");
     }
 }
 
 /// Returns the numbers in the table's row that begins with `row`.
-fn numbers(said: &str, row: &str) -> Vec<f64> {
-    let line = said.lines().find_map(|line| line.trim_start().strip_prefix(row)).unwrap();
+fn row_numbers(text: &str, row: &str) -> Vec<f64> {
+    let line = text.lines().find_map(|line| line.trim_start().strip_prefix(row)).unwrap();
     line.split_whitespace().filter_map(|word| word.parse().ok()).collect()
 }
 
 #[test]
 fn the_printed_lines_compute_the_printed_numbers() {
-    let said = output(&["demo", "--svg", &Folder::new().path("demo.svg")]);
+    let text = output(&["demo", "--svg", &Folder::new().path("demo.svg")]);
     let run = |subcommand: &str| {
-        let line = said.lines().find_map(|line| line.strip_prefix(&format!("    haptic {subcommand} "))).unwrap();
+        let line = text.lines().find_map(|line| line.strip_prefix(&format!("    haptic {subcommand} "))).unwrap();
         json(&[subcommand].into_iter().chain(line.split_whitespace()).collect::<Vec<_>>())
     };
     // Numbers agree to the last printed digit.
     let agree = |row: &str, lines: [f64; 2], digits: f64| {
-        let printed = numbers(&said, row);
+        let printed = row_numbers(&text, row);
         for (printed, line) in printed.iter().zip(lines) {
             assert!((printed - line).abs() < 0.6 * digits, "{row}: {printed} is printed, the line computes {line}");
         }

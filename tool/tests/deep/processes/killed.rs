@@ -2,8 +2,8 @@
 //! the motors go off without the tool that turned them on.
 #![cfg(unix)]
 
-use crate::common::sim::{Sim, until};
-use crate::common::{file, haptic, signal};
+use crate::common::sim::{Sim, wait_until};
+use crate::common::{haptic, send_signal, shipped_path};
 use assert_cmd::cargo::cargo_bin;
 use haptic_host::link::{Board, SerialWire};
 use haptic_predict::measure::before::Before;
@@ -22,27 +22,23 @@ use tempfile::tempdir;
 
 /// Waits until a file has at least this size, bytes.
 fn wait_for_size(path: &Path, bytes: u64) {
-    until(&path.display().to_string(), || std::fs::metadata(path).is_ok_and(|about| about.len() >= bytes));
+    wait_until(&path.display().to_string(), || std::fs::metadata(path).is_ok_and(|about| about.len() >= bytes));
 }
 
 /// Waits until a tool ends. Returns its exit code and standard error.
-fn wait(mut child: Child) -> (Option<i32>, String) {
+fn wait_for_exit(mut child: Child) -> (Option<i32>, String) {
     let mut text = String::new();
     child.stderr.take().unwrap().read_to_string(&mut text).unwrap();
     (child.wait().unwrap().code(), text)
 }
 
-fn kill(mut child: Child) {
+fn kill_tool(mut child: Child) {
     child.kill().unwrap();
     child.wait().unwrap();
 }
 
-fn recording(path: &Path) -> Recording {
-    Recording::parse(&std::fs::read_to_string(path).unwrap()).unwrap()
-}
-
 /// Returns the number of missing rows in a recording of every step.
-fn gaps(recording: &Recording) -> u64 {
+fn missing_rows(recording: &Recording) -> u64 {
     recording.rows.windows(2).map(|pair| (pair[1][0] - pair[0][0]) as u64 - 1).sum()
 }
 
@@ -54,12 +50,12 @@ fn number_before(text: &str, word: &str) -> u64 {
 
 /// Waits until the board accepts another tool after the last one ended.
 fn wait_until_free(sim: &Sim) {
-    until("a free board", || haptic(&["info", "--port", &sim.port]).output().unwrap().status.success());
+    wait_until("a free board", || haptic(&["info", "--port", &sim.port]).output().unwrap().status.success());
 }
 
 /// Loads a scene and sets the rules for a silent host.
 fn set_host_rules(sim: &Sim, host: &str, seconds: &str) {
-    sim.run(&["scene", &file("scenes/coupled-five-bar/wall.toml")]).success();
+    sim.run(&["scene", &shipped_path("scenes/coupled-five-bar/wall.toml")]).success();
     sim.run(&["rules", "--host", host, "--host-seconds", seconds]).success();
 }
 
@@ -72,19 +68,19 @@ fn a_killed_recording_is_complete_and_leaves_no_rows_behind() {
             let to = csv.to_str().unwrap();
             let tool = sim.spawn(&["record", to, "--rate", "20000", "--fields", "counts"]);
             wait_for_size(&csv, bytes);
-            kill(tool);
-            let before = recording(&csv);
+            kill_tool(tool);
+            let before = Recording::load(&csv).unwrap();
             assert!(before.rows.len() > 50, "{}", before.rows.len());
-            assert_eq!(gaps(&before), 0);
+            assert_eq!(missing_rows(&before), 0);
             std::fs::remove_file(&csv).unwrap();
             wait_until_free(&sim);
-            let said = sim.run(&["record", to, "--seconds", "0.2", "--rate", "200", "--fields", "q,tip"]);
-            let said = String::from_utf8_lossy(&said.success().get_output().stderr).into_owned();
-            assert!(said.contains("none lost"), "{said}");
-            let next = recording(&csv);
-            assert_eq!(next.columns.len(), 6, "{:?}", next.columns);
-            assert!(next.rows.len() >= 30, "{} rows", next.rows.len());
-            for row in &next.rows {
+            let assert = sim.run(&["record", to, "--seconds", "0.2", "--rate", "200", "--fields", "q,tip"]);
+            let message = String::from_utf8_lossy(&assert.success().get_output().stderr).into_owned();
+            assert!(message.contains("none lost"), "{message}");
+            let next_recording = Recording::load(&csv).unwrap();
+            assert_eq!(next_recording.columns.len(), 6, "{:?}", next_recording.columns);
+            assert!(next_recording.rows.len() >= 30, "{} rows", next_recording.rows.len());
+            for row in &next_recording.rows {
                 assert!((0.0..0.2).contains(&row[1]), "a row of the killed recording: {row:?}");
                 assert!(row[2..].iter().all(|value| value.abs() < 7.0), "counts instead of angles: {row:?}");
             }
@@ -93,9 +89,8 @@ fn a_killed_recording_is_complete_and_leaves_no_rows_behind() {
     }
 }
 
-/// Runs the tool with files of at most `blocks` of 512 bytes. With its signal ignored, the limit acts like a full disk.
-/// The tool must fail; returns its message.
-fn limited(blocks: u64, arguments: &[&str]) -> String {
+/// Runs the tool with files of at most 512 times `blocks` bytes, as on a full disk. Returns the tool's error message.
+fn fail_on_full_disk(blocks: u64, arguments: &[&str]) -> String {
     let line = format!("trap '' XFSZ; ulimit -f {blocks}; exec \"$0\" \"$@\"");
     let output = Command::new("sh").args(["-c", &line]).arg(cargo_bin("haptic")).args(arguments).output().unwrap();
     let text = String::from_utf8_lossy(&output.stderr).into_owned();
@@ -114,14 +109,14 @@ fn no_file_is_left_on_a_disk_without_space() {
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
     };
     let csv = folder.path().join("a.csv");
-    nothing_is_left(limited(0, &["record", csv.to_str().unwrap(), "--port", &sim.port]));
+    nothing_is_left(fail_on_full_disk(0, &["record", csv.to_str().unwrap(), "--port", &sim.port]));
     // With this limit the tables of a report fit, but not its larger picture.
-    let (one, two) = (file("hapkit-paddle.toml"), file("haply-2diy.toml"));
+    let (one, two) = (shipped_path("hapkit-paddle.toml"), shipped_path("haply-2diy.toml"));
     haptic(&["bench", &one, &two, "--report", roomy.path().to_str().unwrap()]).assert().success();
     let blocks = |name: &str| std::fs::metadata(roomy.path().join(name)).unwrap().len().div_ceil(512);
     let (table, picture) = (blocks("speed-against-error.csv"), blocks("speed-against-error.svg"));
     assert!(table < picture, "{table} and {picture} blocks: choose a limit between table and picture");
-    nothing_is_left(limited(table, &["bench", &one, &two, "--report", folder.path().to_str().unwrap()]));
+    nothing_is_left(fail_on_full_disk(table, &["bench", &one, &two, "--report", folder.path().to_str().unwrap()]));
 }
 
 #[test]
@@ -132,22 +127,22 @@ fn rows_that_a_stopped_tool_missed_are_counted_exactly() {
     let tool = sim.spawn(&["record", csv.to_str().unwrap(), "--rate", "20000", "--fields", "all"]);
     wait_for_size(&csv, 100_000);
     // Stop the tool again and again until a stop is longer than the buffers last.
-    until("a gap", || {
-        signal(&tool, "STOP");
+    wait_until("a gap", || {
+        send_signal(&tool, "STOP");
         sleep(Duration::from_secs(1));
         let before = std::fs::metadata(&csv).unwrap().len();
-        signal(&tool, "CONT");
+        send_signal(&tool, "CONT");
         wait_for_size(&csv, before + 1_000_000);
-        gaps(&recording(&csv)) > 0
+        missing_rows(&Recording::load(&csv).unwrap()) > 0
     });
-    signal(&tool, "INT");
-    let (code, text) = wait(tool);
+    send_signal(&tool, "INT");
+    let (code, text) = wait_for_exit(tool);
     assert_eq!(code, Some(0), "{text}");
-    let recording = recording(&csv);
-    assert_eq!(number_before(&text, "lost ("), gaps(&recording), "{text}");
+    let recording = Recording::load(&csv).unwrap();
+    assert_eq!(number_before(&text, "lost ("), missing_rows(&recording), "{text}");
     assert_eq!(number_before(&text, "rows are in"), recording.rows.len() as u64, "{text}");
     let dropped = number_before(&text, "dropped by the board");
-    assert_eq!(dropped, gaps(&recording), "not all rows are reported as dropped by the board: {text}");
+    assert_eq!(dropped, missing_rows(&recording), "not all rows are reported as dropped by the board: {text}");
 }
 
 #[test]
@@ -169,18 +164,18 @@ fn an_interrupted_recording_is_complete_and_obeys_the_rules() {
         }
         let tool = sim.spawn(&stream);
         wait_for_size(&csv, 5_000);
-        signal(&tool, how);
-        let (code, text) = wait(tool);
+        send_signal(&tool, how);
+        let (code, text) = wait_for_exit(tool);
         if how == "INT" {
             assert_eq!(code, Some(0), "{text}");
-            assert!(!recording(&csv).torn && text.contains("rows are in"), "{text}");
+            assert!(!Recording::load(&csv).unwrap().torn && text.contains("rows are in"), "{text}");
         }
         if rule == "ignore" {
             // Wait for a second of the board's time, after which the board must still be armed.
             sim.run(&["record", path("later.csv").to_str().unwrap(), "--seconds", "1"]).success();
         }
         wait_until_free(&sim);
-        sim.until(|now| now == state);
+        sim.wait_for_state(|now| now == state);
     }
     sim.run(&["faults"]).success().stdout(contains("host"));
 }
@@ -198,11 +193,11 @@ fn arming_a_board_that_watches_its_host_lasts_until_ctrl_c() {
         assert!(armed.contains("Ctrl-C turns the motors off"), "{armed}");
         sim.run(&["info"]).code(1).stderr(contains("another tool"));
         assert_eq!(tool.try_wait().unwrap(), None, "the tool must run as long as the motors are on");
-        signal(&tool, how);
-        let (code, text) = wait(tool);
+        send_signal(&tool, how);
+        let (code, text) = wait_for_exit(tool);
         assert!(how == "KILL" || code == Some(0), "{text}");
         wait_until_free(&sim);
-        sim.until(|now| now == state);
+        sim.wait_for_state(|now| now == state);
         sim.run(&["faults", "--clear"]).success();
     }
 }
@@ -221,26 +216,25 @@ fn a_fault_while_armed_is_reported_with_its_remedy_once() {
 }
 
 /// Returns the command line of a measurement at these dampings.
-fn measurement<'a>(device: &'a str, kd: &'a str, progress: &'a Path) -> Vec<&'a str> {
+fn measurement_line<'a>(device: &'a str, kd: &'a str, progress: &'a Path) -> Vec<&'a str> {
     let to = progress.to_str().unwrap();
     let fixed = ["--normal=0.6,0.8", "--repeats=1", "--pull=2", "--feed-forward=off"];
     [&["measure-range", device, kd, "--progress", to][..], &fixed].concat()
 }
 
-/// Starts a measurement and waits for its first result. Starts again if the board turned the motors off because the
-/// tool was silent for too long on a busy computer.
-fn in_the_middle(sim: &Sim, line: &[&str], progress: &Path) -> Child {
+/// Starts a measurement and waits for its first result. Starts again if a busy computer made the tool silent too long.
+fn start_measurement(sim: &Sim, line: &[&str], progress: &Path) -> Child {
     let measured = || Progress::read(progress).is_ok_and(|found| found.is_some_and(|found| !found.is_empty()));
     loop {
         let _ = std::fs::remove_file(progress);
         let mut tool = sim.spawn(line);
-        until("a result", || measured() || tool.try_wait().unwrap().is_some());
+        wait_until("a result", || measured() || tool.try_wait().unwrap().is_some());
         if measured() && tool.try_wait().unwrap().is_none() {
             return tool;
         }
-        let said = wait(tool).1;
+        let errors = wait_for_exit(tool).1;
         wait_until_free(sim);
-        assert!(sim.output(&["faults"]).contains("latched  HostLost"), "{said}");
+        assert!(sim.output(&["faults"]).contains("latched  HostLost"), "{errors}");
         sim.run(&["faults", "--clear"]).success();
     }
 }
@@ -250,10 +244,10 @@ fn an_interrupted_measurement_turns_the_motors_off() {
     let sim = Sim::start(&["--fast"]);
     let before = sim.output(&["rules"]);
     let folder = tempdir().unwrap();
-    let (device, progress) = (file("coupled-five-bar.toml"), folder.path().join("progress.json"));
-    let tool = in_the_middle(&sim, &measurement(&device, "--kd=5,10,15,20,25", &progress), &progress);
-    signal(&tool, "INT");
-    let (code, text) = wait(tool);
+    let (device, progress) = (shipped_path("coupled-five-bar.toml"), folder.path().join("progress.json"));
+    let tool = start_measurement(&sim, &measurement_line(&device, "--kd=5,10,15,20,25", &progress), &progress);
+    send_signal(&tool, "INT");
+    let (code, text) = wait_for_exit(tool);
     assert_eq!(code, Some(1), "{text}");
     assert!(text.contains("motors are off") && text.contains("to go on where it stopped"), "{text}");
     sim.run(&["info", "--json"]).success().stdout(contains("\"Disarmed\""));
@@ -262,67 +256,67 @@ fn an_interrupted_measurement_turns_the_motors_off() {
 
 #[test]
 fn the_measurement_after_a_killed_one_restores_the_scene() {
-    let sim = Sim::start(&["--fast", "--scene", &file("scenes/coupled-five-bar/tracing.toml")]);
-    let held = || {
+    let sim = Sim::start(&["--fast", "--scene", &shipped_path("scenes/coupled-five-bar/tracing.toml")]);
+    let board_state = || {
         let info = sim.json(&["info"]);
         (["walls", "rate_hz", "device"].map(|key| info[key].clone()), sim.output(&["rules"]))
     };
-    let before = held();
+    let before = board_state();
     let folder = tempdir().unwrap();
     let (one, other) = (folder.path().join("one.json"), folder.path().join("other.json"));
-    let device = file("coupled-five-bar.toml");
-    let first = measurement(&device, "--kd=5,15,25", &one);
-    kill(in_the_middle(&sim, &first, &one));
+    let device = shipped_path("coupled-five-bar.toml");
+    let first = measurement_line(&device, "--kd=5,15,25", &one);
+    kill_tool(start_measurement(&sim, &first, &one));
     wait_until_free(&sim);
-    sim.until(|state| state != "Armed");
-    let now = held();
-    assert_ne!(now.0, before.0, "the killed measurement had not changed the scene");
-    assert_ne!(now.1, before.1, "the killed measurement had not changed the rules");
+    sim.wait_for_state(|state| state != "Armed");
+    let state_after_kill = board_state();
+    assert_ne!(state_after_kill.0, before.0, "the killed measurement had not changed the scene");
+    assert_ne!(state_after_kill.1, before.1, "the killed measurement had not changed the rules");
     sim.run(&["faults", "--clear"]).success();
     // A measurement with another file cannot restore the scene.
-    let (_, said) = wait(sim.spawn(&measurement(&device, "--kd=15", &other)));
-    assert!(said.contains("left by an interrupted measurement") && said.contains("load your scene again"), "{said}");
+    let (_, text) = wait_for_exit(sim.spawn(&measurement_line(&device, "--kd=15", &other)));
+    assert!(text.contains("left by an interrupted measurement") && text.contains("load your scene again"), "{text}");
     wait_until_free(&sim);
-    assert_ne!(held().0, before.0);
+    assert_ne!(board_state().0, before.0);
     // If the device has not moved, the same command line continues the measurement and restores the scene.
-    let (_, said) = wait(sim.spawn(&first));
-    assert!(said.contains("the earlier scene is restored") && !said.contains("are not restored"), "{said}");
-    assert!(said.contains("of 3 repeats are in"), "{said}");
+    let (_, text) = wait_for_exit(sim.spawn(&first));
+    assert!(text.contains("the earlier scene is restored") && !text.contains("are not restored"), "{text}");
+    assert!(text.contains("of 3 repeats are in"), "{text}");
     wait_until_free(&sim);
-    assert_eq!(held(), before);
+    assert_eq!(board_state(), before);
     assert!(!std::fs::read_to_string(&one).unwrap().contains("before"));
 }
 
 #[test]
 fn the_measurement_after_a_killed_one_restores_the_rules() {
-    let sim = Sim::start(&["--fast", "--scene", &file("scenes/coupled-five-bar/wall.toml")]);
+    let sim = Sim::start(&["--fast", "--scene", &shipped_path("scenes/coupled-five-bar/wall.toml")]);
     let before = sim.output(&["rules"]);
     let folder = tempdir().unwrap();
     let note = folder.path().join("note.json");
     {
         let mut board = Board::open(&sim.port.parse().unwrap()).unwrap();
-        let held = Before::of(&mut board).unwrap();
-        let measuring = rules_for(held.rules(), 1.0);
+        let saved_before = Before::of(&mut board).unwrap();
+        let measuring = rules_for(saved_before.rules(), 1.0);
         let mut progress = Progress::new("any");
-        progress.before = held.restore_point(&board.info().serial, &measuring);
+        progress.before = saved_before.keep(&board.info().serial, &measuring);
         progress.save(&note).unwrap();
         board.set_rules(&measuring).unwrap();
     }
     assert_ne!(sim.output(&["rules"]), before);
     // The next measurement fails, because this board holds another device.
-    let (device, note) = (file("haply-2diy.toml"), note.display().to_string());
-    let next = ["measure-range", &device, "--normal=0.6,0.8", "--anew", "--progress", &note];
-    sim.run(&next).code(1).stderr(contains("the rules on the board were left by an interrupted measurement"));
+    let (device, note) = (shipped_path("haply-2diy.toml"), note.display().to_string());
+    let words = ["measure-range", &device, "--normal=0.6,0.8", "--anew", "--progress", &note];
+    sim.run(&words).code(1).stderr(contains("the rules on the board were left by an interrupted measurement"));
     assert_eq!(sim.output(&["rules"]), before);
-    sim.run(&next).code(1).stderr(contains("were left").not());
+    sim.run(&words).code(1).stderr(contains("were left").not());
     // Rules that the user has set since then are kept.
     sim.run(&["rules", "--torque", "0.5,0.5"]).success();
-    sim.run(&next).code(1).stderr(contains("were left").not());
+    sim.run(&words).code(1).stderr(contains("were left").not());
     sim.run(&["rules"]).success().stdout(contains("0.5, 0.5 N m"));
 }
 
 #[test]
 fn damaged_frames_on_a_pseudo_terminal_stop_no_motor() {
-    let sim = Sim::on_pseudo_terminal(&["--fast", "--scene", &file("scenes/coupled-five-bar/wall.toml")]);
+    let sim = Sim::on_pseudo_terminal(&["--fast", "--scene", &shipped_path("scenes/coupled-five-bar/wall.toml")]);
     NoisyWire::follow(Box::new(SerialWire::open(&sim.port).unwrap()), 60 * 20_000);
 }

@@ -1,9 +1,9 @@
 //! `haptic view` on a board that is unplugged and plugged in again, with a WebSocket instead of a browser.
 
 use crate::common::page::{Received, View};
-use crate::common::sim::{HANG, until};
+use crate::common::sim::{HANG_TIMEOUT, wait_until};
 use crate::common::socket::Socket;
-use crate::common::{file, haptic, type_lines};
+use crate::common::{haptic, shipped_path};
 use serde_json::{Value, json};
 use std::io::ErrorKind;
 use std::net::TcpStream;
@@ -12,7 +12,7 @@ use tungstenite::{Message, WebSocket};
 
 struct Page {
     socket: WebSocket<TcpStream>,
-    heard: Received,
+    received: Received,
     /// True to report the key as down at every read.
     holding: bool,
 }
@@ -23,14 +23,14 @@ impl Page {
         let stream = TcpStream::connect(view.address()).unwrap();
         let (socket, _) = tungstenite::client(format!("ws://{}/live", view.address()), stream).unwrap();
         socket.get_ref().set_read_timeout(Some(Duration::from_millis(20))).unwrap();
-        let mut page = Self { socket, heard: Received::default(), holding: false };
-        page.take();
+        let mut page = Self { socket, received: Received::default(), holding: false };
+        page.take_command();
         page
     }
 
-    fn take(&mut self) {
+    fn take_command(&mut self) {
         self.send(json!({"do": "take"}));
-        self.until("command", |heard| heard.you > 0 && heard.picture["command"] == heard.you);
+        self.wait_until("command", |received| received.you > 0 && received.picture["command"] == received.you);
     }
 
     fn send(&mut self, message: Value) {
@@ -40,10 +40,10 @@ impl Page {
     /// Reads one message, if there is one.
     fn read(&mut self) {
         if self.holding {
-            self.send(json!({"do": "hold", "seen": self.heard.step()}));
+            self.send(json!({"do": "hold", "seen": self.received.step()}));
         }
         match self.socket.read() {
-            Ok(Message::Text(text)) => self.heard.text(&text),
+            Ok(Message::Text(text)) => self.received.receive_text(&text),
             Ok(_) => {}
             Err(tungstenite::Error::Io(error))
                 if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut | ErrorKind::Interrupted) => {}
@@ -51,10 +51,10 @@ impl Page {
         }
     }
 
-    fn until(&mut self, what: &str, is_so: impl Fn(&Received) -> bool) {
-        let began = Instant::now();
-        while !is_so(&self.heard) {
-            assert!(began.elapsed() < HANG, "{what}: {}\n{:?}", self.heard.picture, self.heard.refused);
+    fn wait_until(&mut self, what: &str, is_so: impl Fn(&Received) -> bool) {
+        let start = Instant::now();
+        while !is_so(&self.received) {
+            assert!(start.elapsed() < HANG_TIMEOUT, "{what}: {}\n{:?}", self.received.picture, self.received.refused);
             self.read();
         }
     }
@@ -62,11 +62,11 @@ impl Page {
     /// Presses the key and keeps it down. Presses again if this computer was too slow.
     fn arm(&mut self) {
         self.holding = true;
-        let began = Instant::now();
-        while self.heard.state() != "Armed" {
-            assert!(began.elapsed() < HANG, "{:?}", self.heard.refused);
-            if self.heard.picture["held"] == false {
-                self.send(json!({"do": "arm", "seen": self.heard.step()}));
+        let start = Instant::now();
+        while self.received.state() != "Armed" {
+            assert!(start.elapsed() < HANG_TIMEOUT, "{:?}", self.received.refused);
+            if self.received.picture["held"] == false {
+                self.send(json!({"do": "arm", "seen": self.received.step()}));
             }
             self.read();
         }
@@ -76,7 +76,7 @@ impl Page {
 /// A board that is switched off loses its scene unless it was saved.
 #[test]
 fn the_page_waits_for_a_lost_board_even_without_its_scene() {
-    let wall = file("scenes/coupled-five-bar/wall.toml");
+    let wall = shipped_path("scenes/coupled-five-bar/wall.toml");
     let socket = Socket::empty();
     socket.plug(&["--scene", &wall]);
     let view = View::start(&["--port", &socket.address]);
@@ -84,28 +84,24 @@ fn the_page_waits_for_a_lost_board_even_without_its_scene() {
     page.arm();
     for back in [&["--scene", &wall][..], &[]] {
         socket.unplug();
-        page.until("the loss of the board", |heard| heard.lost.is_some());
+        page.wait_until("the loss of the board", |received| received.lost.is_some());
         page.holding = false;
-        page.heard.hello = Value::Null;
+        page.received.hello = Value::Null;
         socket.plug(back);
         if back.is_empty() {
-            let told = |why: &String| why.contains("`haptic scene FILE`");
-            page.until("the remedy", |heard| heard.lost.as_ref().is_some_and(told));
+            let names_remedy = |why: &String| why.contains("`haptic scene FILE`");
+            page.wait_until("the remedy", |received| received.lost.as_ref().is_some_and(names_remedy));
             // Between two polls by the page the board is free for other tools.
             let scene = ["scene", &wall, "--port", &socket.address];
-            until("the scene", || haptic(&scene).output().unwrap().status.success());
+            wait_until("the scene", || haptic(&scene).output().unwrap().status.success());
         }
-        page.until("the return of the board", |heard| !heard.hello.is_null());
-        page.heard.picture = Value::Null;
-        page.until("no page in command", |heard| heard.state() == "Disarmed" && heard.picture["command"].is_null());
-        page.heard.lost = None;
-        page.take();
+        page.wait_until("the return of the board", |received| !received.hello.is_null());
+        page.received.picture = Value::Null;
+        page.wait_until("no page in command", |received| {
+            received.state() == "Disarmed" && received.picture["command"].is_null()
+        });
+        page.received.lost = None;
+        page.take_command();
         page.arm();
     }
-}
-
-#[test]
-fn a_missing_folder_for_recordings_is_refused_at_the_start() {
-    let missing = "/nonexistent is not there; make the folder first";
-    type_lines(&format!("1: view --port sim --listen 127.0.0.1:0 --record-to /nonexistent => {missing}"), &[]);
 }

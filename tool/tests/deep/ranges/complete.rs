@@ -9,56 +9,64 @@ use serde_json::Value;
 
 /// Natural frequency of each joint's motor on its cable, Hz, and damping ratio of the cable.
 type Cable = (f64, f64);
-const CABLE: Cable = (400.0, 0.05);
+const STIFF_CABLE: Cable = (400.0, 0.05);
 /// Cables so soft that two modes become unstable at similar stiffness.
-const SOFT: Cable = (120.0, 0.03);
+const SOFT_CABLE: Cable = (120.0, 0.03);
 /// Share of a turret's inertia on the motor side of the cable; the turret's body is on the link side.
-const TURRET_MOTOR: f64 = 0.3;
+const TURRET_MOTOR_SHARE: f64 = 0.3;
 
 /// Returns the file of a shipped device with a cable added at every joint.
 fn with_cables(device: &str, turret: bool, (hz, damped): Cable) -> String {
     let text = read(&format!("devices/{device}.toml"));
     let mut joint = 0;
-    let mut soft = String::new();
+    let mut changed_text = String::new();
     for line in text.lines() {
-        soft += line;
-        soft.push('\n');
-        if let Some(inertia) = line.strip_prefix("inertia = ").filter(|_| soft.contains("[[joint]]")) {
-            let whole: f64 = inertia.split_whitespace().next().unwrap().parse().unwrap();
-            let motor = if turret && joint == 0 { TURRET_MOTOR * whole } else { whole };
+        changed_text += line;
+        changed_text.push('\n');
+        if let Some(inertia) = line.strip_prefix("inertia = ").filter(|_| changed_text.contains("[[joint]]")) {
+            let inertia_kg_m2: f64 = inertia.split_whitespace().next().unwrap().parse().unwrap();
+            let motor = if turret && joint == 0 { TURRET_MOTOR_SHARE * inertia_kg_m2 } else { inertia_kg_m2 };
             let stiffness = motor * (std::f64::consts::TAU * hz).powi(2);
             let damping = 2.0 * damped * (stiffness * motor).sqrt();
-            soft += &format!(
-                "transmission = {{ stiffness = {stiffness}, damping = {damping}, motor_inertia = {motor} }}\n"
-            );
+            let gains = format!("stiffness = {stiffness}, damping = {damping}");
+            changed_text += &format!("transmission = {{ {gains}, motor_inertia = {motor} }}\n");
             joint += 1;
         }
     }
     assert!(joint >= 2, "{device}");
-    soft
+    changed_text
 }
 
-/// Mode, measured stiffness (`None` if the measurement failed), predicted stiffness, and felt stiffness behind the
-/// cables, N/m.
-type Row = (String, Option<f64>, f64, Option<f64>);
+/// Mode, measured stiffness (`None` without a result), predicted stiffness, and stiffness felt behind the cables, N/m.
+type MeasuredPoint = (String, Option<f64>, f64, Option<f64>);
 
 /// The board's drive, and encoders so fine that their steps have no effect up to 5 kHz.
-const REAL: &[&str] = &["--counts", "4194304"];
+const REAL_DRIVE: &[&str] = &["--counts", "4194304"];
 /// Ideal drive, and encoders so fine that their steps have no effect with cables at 20 kHz.
-const IDEAL: &[&str] = &["--ideal-drive", "--counts", "67108864"];
-/// Like [`REAL`] but without back-EMF, because the board compensates back-EMF with a delayed speed.
+const IDEAL_DRIVE: &[&str] = &["--ideal-drive", "--counts", "67108864"];
+/// Like [`REAL_DRIVE`] but without back-EMF, because the board compensates back-EMF with a delayed speed.
 const NO_EMF: &[&str] = &["--counts", "4194304", "--no-emf"];
-/// Device, rate (Hz) and tolerance (%) of the case in which the drive deviates more from its first-order model: without
-/// the feed-forward (docs/results/complete.csv), but not with [`NO_EMF`] or [`IDEAL`].
-const MISSED: (&str, u32, f64) = ("capstan-pantograph", 20_000, 16.0);
+/// Device, rate, Hz, and tolerance, %, of the one case beyond 10 %. Without the feed-forward its drive deviates from
+/// the first-order model (docs/results/complete.csv). With [`NO_EMF`] or [`IDEAL_DRIVE`] the case is within 10 %.
+const LARGER_TOLERANCE: (&str, u32, f64) = ("capstan-pantograph", 20_000, 16.0);
 
-fn measured(
-    device: &str,
-    normal: &str,
-    (rate, cutoff): (u32, u32),
-    cable: Cable,
-    world: &[&str],
-) -> Result<(f64, Vec<Row>), String> {
+/// Runs a command with `--json` on a wall with a washout of 2 Hz, at this rate and cutoff, Hz. Returns its document.
+fn run_json(arguments: &[&str], normal: &str, (rate, cutoff): (u32, u32)) -> Value {
+    let (rate, cutoff) = (rate.to_string(), cutoff.to_string());
+    let wall = ["--normal", normal, "--rate", &rate, "--cutoff", &cutoff, "--washout", "2", "--json"];
+    let done = haptic(arguments).args(wall).output().unwrap();
+    serde_json::from_slice(&done.stdout)
+        .unwrap_or_else(|_| panic!("{arguments:?}: {}", String::from_utf8_lossy(&done.stderr)))
+}
+
+/// Returns about a third of the largest damping, N s/m, that is stable without and with the feed-forward.
+fn moderate_damping(path: &str, normal: &str, loop_hz: (u32, u32)) -> String {
+    let range = run_json(&["range", path, "--board", "h-bridge-f405"], normal, loop_hz);
+    let [off, full] = ["off", "full"].map(|mode| range[mode]["kd_max"].as_f64().unwrap());
+    format!("{:.2e}", 0.35 * off.min(full))
+}
+
+fn measure(device: &str, normal: &str, loop_hz: (u32, u32), cable: Cable, world: &[&str]) -> (f64, Vec<MeasuredPoint>) {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("soft.toml");
     let mut text = with_cables(device, normal.matches(',').count() == 2, cable);
@@ -70,33 +78,21 @@ fn measured(
     let world: Vec<&str> = world.iter().copied().filter(|word| *word != "--no-emf").collect();
     std::fs::write(&path, text).unwrap();
     let path = path.to_str().unwrap();
-    let run = |arguments: &[&str]| {
-        let (rate, cutoff) = (rate.to_string(), cutoff.to_string());
-        let loop_ = ["--normal", normal, "--rate", &rate, "--cutoff", &cutoff, "--washout", "2", "--json"];
-        let done = haptic(arguments).args(loop_).output().unwrap();
-        serde_json::from_slice::<Value>(&done.stdout).map_err(|_| {
-            let told = String::from_utf8_lossy(&done.stderr).into_owned();
-            told.lines().rev().find(|line| line.starts_with("error")).unwrap_or_default().to_string()
-        })
-    };
-    let range = run(&["range", path, "--board", "h-bridge-f405"])?;
-    let limit = |mode: &str| range[mode]["kd_max"].as_f64().unwrap();
-    // About a third of the smaller largest damping, in three digits.
-    let kd = format!("{:.2e}", 0.35 * limit("off").min(limit("full")));
+    let kd = moderate_damping(path, normal, loop_hz);
     let progress = folder.path().join("progress.json");
     let measure = ["measure-range", path, "--port", "sim", "--kd", &kd, "--repeats", "1", "--feed-forward", "all"];
     let still = ["--friction", "viscous", "--yes", "--progress", progress.to_str().unwrap()];
-    let document = run(&[&measure[..], &still[..], &world].concat())?;
+    let document = run_json(&[&measure[..], &still[..], &world].concat(), normal, loop_hz);
     let rows = document["points"].as_array().unwrap().iter().map(|point| {
-        let [kp, theory, felt] = ["kp", "theory_kp", "felt"].map(|key| point[key].as_f64());
-        (point["mode"].as_str().unwrap().into(), kp, theory.unwrap(), felt)
+        let [kp, theory, static_stiffness] = ["kp", "theory_kp", "felt"].map(|key| point[key].as_f64());
+        (point["mode"].as_str().unwrap().into(), kp, theory.unwrap(), static_stiffness)
     });
-    Ok((kd.parse().unwrap(), rows.collect()))
+    (kd.parse().unwrap(), rows.collect())
 }
 
 #[test]
 fn a_pantograph_with_cables_is_as_stiff_as_predicted() {
-    let (_, rows) = measured("capstan-pantograph", "0.6,0.8", (1_000, 100), CABLE, REAL).unwrap();
+    let (_, rows) = measure("capstan-pantograph", "0.6,0.8", (1_000, 100), STIFF_CABLE, REAL_DRIVE);
     assert_eq!(rows.len(), 3);
     for (mode, found, predicted, _) in rows {
         let found = found.unwrap();
@@ -107,19 +103,23 @@ fn a_pantograph_with_cables_is_as_stiff_as_predicted() {
 /// Largest stable stiffness of the pantograph with soft cables at kd 5.41 N s/m, N/m. Computed from eigenvalues of a
 /// loop that shares no code with this one, not even the five-bar's geometry, at 400 stiffnesses up to 20 kN/m. None
 /// above the limit is stable again.
-const APART: [(&str, f64); 3] = [("off", 5715.25), ("full", 10022.44), ("washout", 271.97)];
+const INDEPENDENT_LIMITS: [(&str, f64); 3] = [("off", 5715.25), ("full", 10022.44), ("washout", 271.97)];
 
 #[test]
 fn a_pantograph_with_soft_cables_agrees_with_two_predictions() {
-    let (kd, rows) = measured("capstan-pantograph", "0.6,0.8", (1_000, 100), SOFT, REAL).unwrap();
+    let (kd, rows) = measure("capstan-pantograph", "0.6,0.8", (1_000, 100), SOFT_CABLE, REAL_DRIVE);
     assert_eq!((kd, rows.len()), (5.41, 3));
-    for ((mode, found, predicted, _), (known, apart)) in rows.into_iter().zip(APART) {
+    for ((mode, found, predicted, _), (known, apart)) in rows.into_iter().zip(INDEPENDENT_LIMITS) {
         assert_eq!(mode, known);
         assert!((predicted / apart - 1.0).abs() < 1e-4, "{mode}: {predicted} is not {apart}");
         let found = found.unwrap();
         assert!((found / apart - 1.0).abs() < 0.1, "{mode}: {found} is not {apart}");
     }
 }
+
+/// Devices of the tables, each with the normal of a wall.
+const DEVICES: [(&str, &str); 3] =
+    [("capstan-pantograph", "0.6,0.8"), ("phantom-premium-1.5", "0.6,0.8,0"), ("woodenhaptics", "0.6,0.8,0")];
 
 /// A table in docs/results/, printed row by row.
 struct Table(Vec<String>);
@@ -130,59 +130,61 @@ impl Table {
         self.0.push(row);
     }
 
-    fn update(self, name: &str) {
+    fn write(self, name: &str) {
         document(&format!("docs/results/{name}"), &csv(self.0));
     }
 }
 
 #[test]
 #[ignore = "takes minutes: measures docs/results/complete.csv"]
-fn three_devices_at_three_rates() {
+fn measure_three_devices_at_three_rates() {
     let mut table = Table(Vec::new());
     table.push(
         "device | cable (Hz) | rate (Hz) | cutoff (Hz) | drive | kd (N s/m) | feed-forward | measured (N/m) | felt (N/m) | \
          predicted (N/m) | off by (%)"
             .into(),
     );
-    let devices =
-        [("capstan-pantograph", "0.6,0.8"), ("phantom-premium-1.5", "0.6,0.8,0"), ("woodenhaptics", "0.6,0.8,0")];
-    let mut cases = vec![(devices[0], (1_000, 100), SOFT, REAL)];
+    let mut cases = vec![(DEVICES[0], (1_000, 100), SOFT_CABLE, REAL_DRIVE)];
     for loop_ in [(1_000, 100), (5_000, 200), (20_000, 500)] {
-        cases.extend(devices.map(|device| (device, loop_, CABLE, REAL)));
+        cases.extend(DEVICES.map(|device| (device, loop_, STIFF_CABLE, REAL_DRIVE)));
     }
-    cases.push((devices[0], (20_000, 500), CABLE, NO_EMF));
-    cases.extend([devices[0], devices[2]].map(|device| (device, (20_000, 500), CABLE, IDEAL)));
-    let mut far = Vec::new();
+    cases.push((DEVICES[0], (20_000, 500), STIFF_CABLE, NO_EMF));
+    cases.extend([DEVICES[0], DEVICES[2]].map(|device| (device, (20_000, 500), STIFF_CABLE, IDEAL_DRIVE)));
+    let mut deviating_rows = Vec::new();
     for ((device, normal), loop_, cable, world) in cases {
-        let (kd, rows) = measured(device, normal, loop_, cable, world).unwrap();
+        let (kd, rows) = measure(device, normal, loop_, cable, world);
         let drive = match world {
-            _ if world == IDEAL => "ideal drive",
+            _ if world == IDEAL_DRIVE => "ideal drive",
             _ if world == NO_EMF => "no back-EMF",
             _ => "",
         };
-        let most = if (device, loop_.0) == (MISSED.0, MISSED.1) && world == REAL { MISSED.2 } else { 10.0 };
-        for (mode, found, predicted, felt) in rows {
+        let most = if (device, loop_.0) == (LARGER_TOLERANCE.0, LARGER_TOLERANCE.1) && world == REAL_DRIVE {
+            LARGER_TOLERANCE.2
+        } else {
+            10.0
+        };
+        for (mode, found, predicted, static_stiffness) in rows {
             let number = |value: Option<f64>| value.map_or(String::new(), |value| format!("{value:.0}"));
             let off = found.map(|found| 100.0 * (found / predicted - 1.0));
             let ((hz, _), (rate, cutoff)) = (cable, loop_);
-            let (found, felt) = (number(found), number(felt));
+            let (found, static_stiffness) = (number(found), number(static_stiffness));
             let off_by = off.map_or(String::new(), |off| format!("{off:+.1}"));
             let row = format!(
-                "{device} | {hz} | {rate} | {cutoff} | {drive} | {kd} | {mode} | {found} | {felt} | {predicted:.0} | {off_by}"
+                "{device} | {hz} | {rate} | {cutoff} | {drive} | {kd} | {mode} | {found} | {static_stiffness} | {predicted:.0} | {off_by}"
             );
             if off.is_none_or(|off| off.abs() >= most) {
-                far.push(row.clone());
+                deviating_rows.push(row.clone());
             }
             table.push(row);
         }
     }
-    table.update("complete.csv");
-    assert!(far.is_empty(), "{far:#?}");
+    table.write("complete.csv");
+    assert!(deviating_rows.is_empty(), "{deviating_rows:#?}");
 }
 
 /// Adds to each joint a mode of 900 Hz with a tenth of the inertia, static friction of 1.5 times the Coulomb friction,
 /// and cogging of a tenth of the Coulomb friction.
-fn with_everything(soft: &str) -> String {
+fn with_all_effects(soft: &str) -> String {
     let value = |block: &str, key: &str| {
         let line =
             block.lines().find_map(|line| line.strip_prefix(key)).and_then(|line| line.split_whitespace().next());
@@ -202,7 +204,7 @@ fn with_everything(soft: &str) -> String {
 
 #[test]
 #[ignore = "takes minutes: measures docs/results/complete-friction.csv"]
-fn three_devices_with_everything_on() {
+fn measure_three_devices_with_all_effects() {
     let mut table = Table(Vec::new());
     table.push(
         "device | kd (N s/m) | feed-forward | predicted (N/m) | measured without dry friction (N/m) | with it (N/m) | \
@@ -211,29 +213,19 @@ fn three_devices_with_everything_on() {
     );
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("all.toml");
-    for (device, normal) in
-        [("capstan-pantograph", "0.6,0.8"), ("phantom-premium-1.5", "0.6,0.8,0"), ("woodenhaptics", "0.6,0.8,0")]
-    {
+    for (device, normal) in DEVICES {
         let turret = normal.matches(',').count() == 2;
-        std::fs::write(&path, with_everything(&with_cables(device, turret, CABLE))).unwrap();
-        let loop_ = ["--normal", normal, "--rate", "5000", "--cutoff", "200", "--washout", "2", "--json"];
-        let run = |arguments: &[&str]| {
-            let done = haptic(arguments).args(loop_).output().unwrap();
-            serde_json::from_slice::<Value>(&done.stdout)
-                .unwrap_or_else(|_| panic!("{arguments:?}: {}", String::from_utf8_lossy(&done.stderr)))
-        };
+        std::fs::write(&path, with_all_effects(&with_cables(device, turret, STIFF_CABLE))).unwrap();
         let path = path.to_str().unwrap();
-        let range = run(&["range", path, "--board", "h-bridge-f405"]);
-        let limit = |mode: &str| range[mode]["kd_max"].as_f64().unwrap();
-        let kd = format!("{:.2e}", 0.35 * limit("off").min(limit("full")));
+        let kd = moderate_damping(path, normal, (5_000, 200));
         let columns = [&["--friction", "viscous"][..], &["--friction", "all"], &["--friction", "all", "--grip"]];
         let found = columns.map(|world| {
             let progress = folder.path().join("progress.json");
             let measure =
                 ["measure-range", path, "--port", "sim", "--kd", &kd, "--repeats", "3", "--feed-forward", "all"];
-            let kept =
+            let other_options =
                 ["--anew", "--yes", "--counts", "4194304", "--pull", "2", "--progress", progress.to_str().unwrap()];
-            run(&[&measure[..], &kept, world].concat())
+            run_json(&[&measure[..], &other_options, world].concat(), normal, (5_000, 200))
         });
         let [alone, dry, held] = found.each_ref().map(|document| document["points"].as_array().unwrap());
         for ((alone, dry), held) in alone.iter().zip(dry).zip(held) {
@@ -244,5 +236,5 @@ fn three_devices_with_everything_on() {
             table.push(format!("{device} | {kd} | {mode} | {predicted:.0} | {alone} | {dry} | {held}"));
         }
     }
-    table.update("complete-friction.csv");
+    table.write("complete-friction.csv");
 }

@@ -2,22 +2,22 @@
 //! show (docs/published.md). Only orders and trends are checked, because friction and cables were not published.
 
 use crate::common::prelude::*;
-use crate::common::{ideal_loop, shipped};
+use crate::common::{ideal_loop, shipped_device};
 use haptic_predict::ripple::{LIGHT_HAND, PUSH_N, Pressed};
 use haptic_stability::analysis::flexible::Hand;
 use haptic_stability::analysis::line::DampingRule;
 
 /// Smallest ripple that a finger feels in a steady force of some newtons, N rms.
-const BOUND: f64 = 0.1;
+const RIPPLE_BOUND_N: f64 = 0.1;
 
-fn pressed<T>(
+fn with_pressed_wall<T>(
     device: &str,
     normal: &[f64],
     hand: Option<Hand>,
     (rate_hz, estimator): (f64, LinearEstimator),
     work: impl FnOnce(&Pressed<'_>) -> T,
 ) -> T {
-    let description = shipped(device).description;
+    let description = shipped_device(device).description;
     let q = description.home.unwrap()[..description.kind.spec().joints].to_vec();
     let device = Linearised::at(&description, &q, normal).unwrap().with_hand(hand.unwrap_or_default());
     let around = ideal_loop(rate_hz, 0.0, estimator);
@@ -28,20 +28,21 @@ fn pressed<T>(
 /// Returns the largest damping, in steps of 10 % from `least`, up to which a wall's ripple is within the bound, N s/m.
 fn clean_damping(pressed: &Pressed<'_>, kp: f64, least: f64) -> f64 {
     let dampings = (0..100).map(|i| least * 1.1_f64.powi(i));
-    let clean = |kd: &f64| pressed.ripple(Mode::Off, kp, *kd).unwrap().within(BOUND);
+    let clean = |kd: &f64| pressed.ripple(Mode::Off, kp, *kd).unwrap().within(RIPPLE_BOUND_N);
     dampings.take_while(clean).last().unwrap_or(0.0)
 }
 
 /// Returns the largest stiffness of an undamped spring that is quiet in a relaxed hand, and the largest stable, N/m.
 fn clean_spring(rate_hz: f64) -> (f64, f64) {
     let hand = Hand { mass: 0.12, damping: 6.0, stiffness: 250.0 };
-    pressed(
+    with_pressed_wall(
         "phantom-premium-1.5",
         &[0.0, 1.0, 0.0],
         Some(hand),
         (rate_hz, LinearEstimator::BackwardDifference),
         |pressed| {
-            let along = pressed.along(Mode::Off, DampingRule::Damping(0.0), BOUND, &Sweep::quiet()).unwrap().unwrap();
+            let along =
+                pressed.along(Mode::Off, DampingRule::Damping(0.0), RIPPLE_BOUND_N, &Sweep::quiet()).unwrap().unwrap();
             (along.kp_from.unwrap_or(along.kp_stable), along.kp_stable)
         },
     )
@@ -55,10 +56,7 @@ fn stiffness_grows_far_less_than_the_rate() {
     {
         let found = clean_spring(rate);
         let (gained, rigid) = (found.0 / slow.0, found.1 / slow.1);
-        assert!(
-            (rigid / (rate / from) - 1.0).abs() < 0.1,
-            "rigid theory is not proportional to the rate: {rate}: {rigid}"
-        );
+        assert!((rigid / (rate / from) - 1.0).abs() < 0.1, "rigid theory is not proportional to {rate} Hz: {rigid}");
         assert!((least..most).contains(&gained), "{rate}: {gained}");
     }
 }
@@ -67,7 +65,7 @@ fn stiffness_grows_far_less_than_the_rate() {
 fn a_higher_rate_is_stiffer_and_leaves_less_virtual_damping() {
     let of = |rate| {
         let estimator = LinearEstimator::BackwardDifference;
-        pressed("coupled-five-bar", &[0.0, 1.0], None, (rate, estimator), |pressed| {
+        with_pressed_wall("coupled-five-bar", &[0.0, 1.0], None, (rate, estimator), |pressed| {
             let theory = domain(pressed.device, pressed.around, Mode::Off, Some(&[])).unwrap().kd_max;
             (clean_damping(pressed, 1_000.0, 0.5), theory)
         })
@@ -80,7 +78,7 @@ fn a_higher_rate_is_stiffer_and_leaves_less_virtual_damping() {
 #[test]
 fn a_slower_velocity_keeps_the_damping_of_a_slow_loop() {
     let of = |rate, estimator| {
-        pressed("pantograph-mk2", &[0.0, 1.0], None, (rate, estimator), |pressed| {
+        with_pressed_wall("pantograph-mk2", &[0.0, 1.0], None, (rate, estimator), |pressed| {
             let area = domain(pressed.device, pressed.around, Mode::Off, Some(&[])).unwrap().area;
             (clean_damping(pressed, 1_000.0, 0.05), area)
         })

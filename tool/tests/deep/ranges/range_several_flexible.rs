@@ -1,35 +1,24 @@
 //! `haptic range` of several walls on a compliant device in a hand. One wall given twice equals the wall, infinitely
 //! stiff cables equal none, and sets of walls have the limits of loops of separate motors, links and a hand.
 
-use crate::common::bodies::{Bodies, CUTOFF, RATE};
-use crate::common::shipped;
-use haptic_bridge::model::admissible::Admissible;
-use haptic_bridge::model::description::{EncoderAt, Transmission};
-use haptic_host::device_file::DeviceFile;
+use crate::common::bodies::{Bodies, CUTOFF_HZ, RATE_HZ};
+use crate::common::prelude::*;
+use crate::common::{ideal_loop, shipped_device};
 use haptic_stability::analysis::control_loop::Mode;
 use haptic_stability::analysis::flexible::Hand;
-use haptic_stability::analysis::plant::{Drive, Linearised};
-use haptic_stability::analysis::range::{domain, domain_of_several};
-use haptic_stability::analysis::sampled::{LinearEstimator, Loop};
-use haptic_stability::analysis::several::{Member, WallSet};
-use nalgebra::{DMatrix, DVector};
+use haptic_stability::analysis::range::domain_of_several;
+use haptic_stability::analysis::several::WallSet;
 
 const HAND: Hand = Hand { mass: 0.1, damping: 4.0, stiffness: 250.0 };
 
-fn around() -> Loop {
-    Loop {
-        rate_hz: RATE,
-        delay_samples: 1.0,
-        estimator: LinearEstimator::Butterworth(CUTOFF),
-        drive: Drive::Ideal,
-        damping_compensation: false,
-    }
+fn control_loop() -> Loop {
+    ideal_loop(RATE_HZ, 1.0, LinearEstimator::Butterworth(CUTOFF_HZ))
 }
 
-/// Returns a shipped device, if requested with cables on which each joint's motor has this natural frequency, Hz. The
-/// motor has the joint's whole inertia, on a turret three tenths of it.
-fn device(name: &str, hz: Option<f64>) -> DeviceFile {
-    let mut file = shipped(name);
+/// Returns a shipped device. With `hz` every joint has a cable, on which its motor has this natural frequency, Hz. The
+/// motor has all of the joint's inertia, or 0.3 of the inertia of a turret.
+fn device_with_cables(name: &str, hz: Option<f64>) -> DeviceFile {
+    let mut file = shipped_device(name);
     let spec = file.spec();
     for (index, joint) in file.description.joints[..spec.joints].iter_mut().enumerate() {
         let share = if spec.task == 3 && index == 0 { 0.3 } else { 1.0 };
@@ -43,10 +32,10 @@ fn device(name: &str, hz: Option<f64>) -> DeviceFile {
     file
 }
 
-/// Device, pose, normals with their shares, damping (N s/m).
-type Set = (&'static str, &'static [f64], &'static [(&'static [f64], f64)], f64);
+/// Device, joint angles, rad, normals with their shares of the stiffness, damping, N s/m.
+type WallSetCase = (&'static str, &'static [f64], &'static [(&'static [f64], f64)], f64);
 
-const WALL_SETS: [Set; 3] = [
+const WALL_SETS: [WallSetCase; 3] = [
     ("coupled-five-bar", &[2.6, 1.75], &[(&[0.97, 0.24], 3.0), (&[0.24, -0.97], 1.0)], 10.0),
     ("coupled-five-bar", &[2.6, 1.75], &[(&[0.2419219, 0.9702957], 1.0), (&[0.3255682, 0.9455186], 1.0)], 10.0),
     (
@@ -63,7 +52,7 @@ fn members(walls: &[(&[f64], f64)]) -> Vec<Member> {
 
 /// Returns kp_max (N/m) at these dampings (N s/m).
 fn boundary(set: &WallSet, mode: Mode, kd: &[f64]) -> Vec<f64> {
-    let found = domain_of_several(set, &around(), mode, Some(kd)).unwrap();
+    let found = domain_of_several(set, &control_loop(), mode, Some(kd)).unwrap();
     found.boundary.iter().map(|point| point.kp).collect()
 }
 
@@ -74,13 +63,13 @@ fn one_wall_given_twice_equals_the_wall_with_cables_and_hand() {
         ("woodenhaptics", &[0.0, 1.3, -0.2], vec![0.6, 0.8, 0.1]),
     ] {
         for (hz, hand) in [(Some(150.0), Hand::default()), (None, HAND), (Some(150.0), HAND)] {
-            let file = device(name, hz);
+            let file = device_with_cables(name, hz);
             let walls = [Member::new(normal.clone(), 0.3), Member::new(normal.clone(), 0.7)];
             let set = WallSet::at(&file.description, q, &walls, Admissible::default()).unwrap().with_hand(hand);
             let alone = Linearised::at(&file.description, q, &normal).unwrap().with_hand(hand);
             for mode in [Mode::Off, Mode::Full, Mode::Washout(2.0)] {
                 let kd = [1.0, 6.0, 12.0];
-                let known = domain(&alone, &around(), mode, Some(&kd)).unwrap();
+                let known = domain(&alone, &control_loop(), mode, Some(&kd)).unwrap();
                 let largest = known.boundary.iter().map(|point| point.kp).fold(0.0, f64::max);
                 for (found, known) in boundary(&set, mode, &kd).into_iter().zip(known.boundary) {
                     // The limit is bisected to a growth of 1e-11 per sample.
@@ -96,17 +85,15 @@ fn one_wall_given_twice_equals_the_wall_with_cables_and_hand() {
 fn very_stiff_cables_equal_rigid_transmissions() {
     for (name, q, walls, kd) in WALL_SETS {
         let of = |hz| {
-            let set = WallSet::at(&device(name, hz).description, q, &members(walls), Admissible::default()).unwrap();
+            let set = WallSet::at(&device_with_cables(name, hz).description, q, &members(walls), Admissible::default())
+                .unwrap();
             [Mode::Off, Mode::Full].map(|mode| boundary(&set, mode, &[kd])[0])
         };
         let rigid = of(None);
         // The effect of a cable falls with the square of its frequency.
         for (hz, within) in [(2e4, 1e-2), (2e5, 1e-4), (1e9, 1e-9)] {
             for (found, rigid) in of(Some(hz)).into_iter().zip(rigid) {
-                assert!(
-                    (found / rigid - 1.0).abs() < within,
-                    "{name}: {found} with cables of {hz} Hz, {rigid} without"
-                );
+                assert!((found / rigid - 1.0).abs() < within, "{name}: {found} with cables of {hz} Hz, not {rigid}");
             }
         }
     }
@@ -116,7 +103,7 @@ fn very_stiff_cables_equal_rigid_transmissions() {
 fn sets_of_walls_have_the_limits_of_loops_of_bodies() {
     for (name, q, walls, kd) in WALL_SETS {
         for (hz, hand) in [(None, HAND), (Some(150.0), Hand::default()), (Some(150.0), HAND)] {
-            let file = device(name, hz);
+            let file = device_with_cables(name, hz);
             let set = WallSet::at(&file.description, q, &members(walls), Admissible::default()).unwrap();
             let task = file.spec().task;
             for (mode, feed_forward) in [(Mode::Off, false), (Mode::Full, true)] {

@@ -1,7 +1,6 @@
-//! Contact with sets of walls: the board's control step in single precision on the simulator's nonlinear linkage, with
-//! limited motors.
+//! Contact with sets of walls: the board's f32 control step, limited motors, and the simulator's nonlinear linkage.
 
-use crate::common::{plane_wall, shipped};
+use crate::common::{plane_wall, shipped_device};
 use haptic_bridge::control::compiled::BoardMath;
 use haptic_bridge::model::description::Encoder;
 use haptic_bridge::model::device::Device;
@@ -12,14 +11,14 @@ use haptic_host::device_file::DeviceFile;
 use haptic_sim::{Hand, HandSettings, Intent, MotorInput, Options, SimulatedDevice, Waypoint};
 use nalgebra::SVector;
 
-const RATE: f64 = 1_000.0;
+const RATE_HZ: f64 = 1_000.0;
 
 /// Returns the unit vector at this angle, rad.
-fn at(angle: f64) -> Vec<f64> {
+fn unit(angle: f64) -> Vec<f64> {
     vec![angle.cos(), angle.sin()]
 }
 
-fn scaled(v: &[f64]) -> Vec<f64> {
+fn normalised(v: &[f64]) -> Vec<f64> {
     let length = v.iter().map(|x| x * x).sum::<f64>().sqrt();
     v.iter().map(|x| x / length).collect()
 }
@@ -27,12 +26,12 @@ fn scaled(v: &[f64]) -> Vec<f64> {
 /// One wall: unit normal, and share of the total stiffness and damping.
 type Facet = (Vec<f64>, f64);
 
-fn around(middle: f64, facets: &[(f64, f64)]) -> Vec<Facet> {
-    facets.iter().map(|(degrees, share)| (at(middle + degrees.to_radians()), *share)).collect()
+fn facets_around(middle: f64, facets: &[(f64, f64)]) -> Vec<Facet> {
+    facets.iter().map(|(degrees, share)| (unit(middle + degrees.to_radians()), *share)).collect()
 }
 
 /// A run with walls through the tip, pressed by a hand or after an impact of 2 cm/s.
-struct Run<'a> {
+struct WallRun<'a> {
     file: &'a DeviceFile,
     q: [f64; 3],
     stiffness: f64,
@@ -49,17 +48,17 @@ struct Run<'a> {
     spring: Option<([f64; 3], [f64; 3], f64)>,
 }
 
-impl Run<'_> {
+impl WallRun<'_> {
     /// Returns the peak-to-peak torque in the last tenth of a second, N m.
-    fn swing(&self, walls: &[Facet]) -> f64 {
+    fn torque_swing(&self, walls: &[Facet]) -> f64 {
         match AnyMechanism::<f32>::new(&self.file.description).expect("a sound device") {
-            AnyMechanism::FiveBar(m) => self.with::<FiveBar<f32>, 2>(m, walls),
-            AnyMechanism::Parallelogram(m) => self.with::<Parallelogram<f32>, 3>(m, walls),
+            AnyMechanism::FiveBar(m) => self.swing_of::<FiveBar<f32>, 2>(m, walls),
+            AnyMechanism::Parallelogram(m) => self.swing_of::<Parallelogram<f32>, 3>(m, walls),
             other => panic!("no test of this file uses {other:?}"),
         }
     }
 
-    fn with<M: Mechanism<f32, N>, const N: usize>(&self, m: M, walls: &[Facet]) -> f64 {
+    fn swing_of<M: Mechanism<f32, N>, const N: usize>(&self, m: M, walls: &[Facet]) -> f64 {
         let mut description = self.file.description;
         description.gravity = [0.0; 3];
         for joint in &mut description.joints {
@@ -74,8 +73,8 @@ impl Run<'_> {
         let walls = walls.iter().map(|(normal, share)| {
             let n: [f64; 3] = core::array::from_fn(|i| normal.get(i).copied().unwrap_or(0.0));
             let gain = |total_gain: f64| (total_gain * share / total) as f32;
-            let plane =
-                plane_wall(tip.map(|x| x as f32), n.map(|x| x as f32), gain(self.stiffness), gain(self.damping));
+            let [point, n] = [tip, n].map(|v| v.map(|x| x as f32));
+            let plane = plane_wall(point, n, gain(self.stiffness), gain(self.damping));
             // There is no joint damping, so the compensation only turns the velocity estimates on.
             let (feed_forward, bilateral) = (self.feed_forward, self.bilateral);
             Wall { feed_forward, bilateral, damping_compensation: self.unfaded, ..plane }
@@ -88,7 +87,7 @@ impl Run<'_> {
         });
         let scene = Scene {
             task: M::SPEC.task as u8,
-            rate_hz: RATE as f32,
+            rate_hz: RATE_HZ as f32,
             cutoff_hz: 100.0,
             walls: walls.collect(),
             springs: springs.collect(),
@@ -105,9 +104,8 @@ impl Run<'_> {
             }
             None => plant.push([0.012, -0.016, 0.0]),
         }
-        let (mut low, mut high) =
-            (SVector::<f32, N>::repeat(f32::INFINITY), SVector::<f32, N>::repeat(f32::NEG_INFINITY));
-        let steps = (1.2 * RATE) as u32;
+        let [mut low, mut high] = [f32::INFINITY, f32::NEG_INFINITY].map(SVector::<f32, N>::repeat);
+        let steps = (1.2 * RATE_HZ) as u32;
         for k in 0..steps {
             let counts = plant.counts();
             let mut step = controller.step(&core::array::from_fn(|i| counts[i]));
@@ -117,8 +115,8 @@ impl Run<'_> {
             let drive = core::array::from_fn(|i| {
                 MotorInput::Torque(if i < N { f64::from(step.torque[i].clamp(-2.0, 2.0)) } else { 0.0 })
             });
-            plant.step(&drive, 1.0 / RATE);
-            if k >= steps - (0.1 * RATE) as u32 {
+            plant.step(&drive, 1.0 / RATE_HZ);
+            if k >= steps - (0.1 * RATE_HZ) as u32 {
                 low = low.inf(&step.torque);
                 high = high.sup(&step.torque);
             }
@@ -128,8 +126,8 @@ impl Run<'_> {
 }
 
 /// Returns a run in the demo's pose. At 40 N s/m its walls are stable up to 17.9 kN/m, with the feed-forward to 23.0.
-fn demo(file: &DeviceFile, feed_forward: FeedForward) -> Run<'_> {
-    Run {
+fn demo_run(file: &DeviceFile, feed_forward: FeedForward) -> WallRun<'_> {
+    WallRun {
         file,
         q: [2.6, 1.75, 0.0],
         stiffness: 20_000.0,
@@ -144,14 +142,14 @@ fn demo(file: &DeviceFile, feed_forward: FeedForward) -> Run<'_> {
     }
 }
 
-/// Largest torque swing of a quiet wall, N m (a few encoder steps times 20 kN/m), and smallest of an unstable wall,
-/// which uses all 2 N m of the motors.
-const QUIET: f64 = 0.05;
-const LOUD: f64 = 1.0;
+/// Largest torque swing of a quiet wall, N m: a few encoder steps times 20 kN/m.
+const QUIET_NM: f64 = 0.05;
+/// Smallest torque swing of an unstable wall, N m. An unstable wall uses all 2 N m of the motors.
+const LOUD_NM: f64 = 1.0;
 
 #[test]
 fn a_wall_cut_into_facets_is_as_quiet_as_one_wall() {
-    let file = shipped("coupled-five-bar");
+    let file = shipped_device("coupled-five-bar");
     let middle = 75_f64.to_radians();
     for feed_forward in [FeedForward::Full, FeedForward::Washout] {
         for facets in [
@@ -162,32 +160,32 @@ fn a_wall_cut_into_facets_is_as_quiet_as_one_wall() {
             vec![(-5.0, 1.0), (0.0, 2.0), (5.0, 1.0)],
             vec![(-1.0, 9.0), (8.0, 1.0)],
         ] {
-            let swing = demo(&file, feed_forward).swing(&around(middle, &facets));
-            assert!(swing < QUIET, "{facets:?}: {swing} N m");
+            let swing = demo_run(&file, feed_forward).torque_swing(&facets_around(middle, &facets));
+            assert!(swing < QUIET_NM, "{facets:?}: {swing} N m");
         }
     }
-    let swing = demo(&file, FeedForward::Off).swing(&around(middle, &[(0.0, 1.0)]));
-    assert!(swing > LOUD, "without the feed-forward this wall must swing: {swing} N m");
+    let swing = demo_run(&file, FeedForward::Off).torque_swing(&facets_around(middle, &[(0.0, 1.0)]));
+    assert!(swing > LOUD_NM, "without the feed-forward this wall must swing: {swing} N m");
 }
 
 /// The hand is so light that the same press swings without the feed-forward.
 #[test]
 fn pressed_unilateral_facets_are_quiet() {
-    let file = shipped("coupled-five-bar");
+    let file = shipped_device("coupled-five-bar");
     let middle = 75_f64.to_radians();
     let push = Some([-0.02 * middle.cos(), -0.02 * middle.sin(), 0.0]);
     let hand = HandSettings { mass: 0.01, grip_stiffness: 400.0, grip_damping: 0.5, ..HandSettings::default() };
     for facets in [vec![(0.0, 1.0)], vec![(-1.0, 1.0), (1.0, 1.0)], vec![(-5.0, 1.0), (5.0, 1.0)]] {
         let swing = |feed_forward| {
-            let run = Run { bilateral: false, push, hand, ..demo(&file, feed_forward) };
-            run.swing(&around(middle, &facets))
+            let run = WallRun { bilateral: false, push, hand, ..demo_run(&file, feed_forward) };
+            run.torque_swing(&facets_around(middle, &facets))
         };
         for feed_forward in [FeedForward::Full, FeedForward::Washout] {
             let swing = swing(feed_forward);
-            assert!(swing < QUIET, "{facets:?} {feed_forward:?}: {swing} N m");
+            assert!(swing < QUIET_NM, "{facets:?} {feed_forward:?}: {swing} N m");
         }
         let without = swing(FeedForward::Off);
-        assert!(without > 10.0 * QUIET, "{facets:?} without the feed-forward: {without} N m");
+        assert!(without > 10.0 * QUIET_NM, "{facets:?} without the feed-forward: {without} N m");
     }
 }
 
@@ -195,20 +193,20 @@ fn pressed_unilateral_facets_are_quiet() {
 /// the singularity, and the tip never settles.
 #[test]
 fn fading_velocity_terms_keep_a_press_at_a_stretched_arm_quiet() {
-    let file = shipped("coupled-five-bar");
+    let file = shipped_device("coupled-five-bar");
     let middle = 77_f64.to_radians();
     // At smaller depths the result depends on the last digit.
     for aim in [0.023, 0.024, 0.025] {
         let push = Some([-aim * middle.cos(), -aim * middle.sin(), 0.0]);
         let swing = |velocity_terms, unfaded| {
-            let run = Run { bilateral: false, push, velocity_terms, unfaded, ..demo(&file, FeedForward::Full) };
-            run.swing(&around(middle, &[(0.0, 1.0)]))
+            let run = WallRun { bilateral: false, push, velocity_terms, unfaded, ..demo_run(&file, FeedForward::Full) };
+            run.torque_swing(&facets_around(middle, &[(0.0, 1.0)]))
         };
         let in_full = swing(VelocityTerms::Off, true);
-        assert!(in_full > LOUD, "{aim} m, without fading: {in_full} N m");
+        assert!(in_full > LOUD_NM, "{aim} m, without fading: {in_full} N m");
         for terms in [VelocityTerms::Off, VelocityTerms::Rendered, VelocityTerms::Paper] {
             let faded = swing(terms, false);
-            assert!(faded < QUIET, "{aim} m, {terms:?}: {faded} N m");
+            assert!(faded < QUIET_NM, "{aim} m, {terms:?}: {faded} N m");
         }
     }
 }
@@ -217,26 +215,26 @@ fn fading_velocity_terms_keep_a_press_at_a_stretched_arm_quiet() {
 /// grows as 1/sin³ and its estimate is too late.
 #[test]
 fn velocity_terms_keep_quiet_presses_quiet() {
-    let file = shipped("coupled-five-bar");
+    let file = shipped_device("coupled-five-bar");
     let (mut pressed, mut quiet) = (0, 0);
     for stiffness in [2_000.0, 10_000.0, 15_000.0, 20_000.0] {
         for degrees in (0..12).map(|k| 15.0 + 30.0 * f64::from(k)) {
-            let normal = at(f64::to_radians(degrees));
+            let normal = unit(f64::to_radians(degrees));
             for aim in [0.005, 0.01, 0.015, 0.02] {
                 let swing = |velocity_terms| {
                     let push = Some([-aim * normal[0], -aim * normal[1], 0.0]);
                     let damping = if stiffness > 5_000.0 { 40.0 } else { 10.0 };
-                    let run = demo(&file, FeedForward::Full);
-                    let run = Run { stiffness, damping, bilateral: false, push, velocity_terms, ..run };
-                    run.swing(&[(normal.clone(), 1.0)])
+                    let run = demo_run(&file, FeedForward::Full);
+                    let run = WallRun { stiffness, damping, bilateral: false, push, velocity_terms, ..run };
+                    run.torque_swing(&[(normal.clone(), 1.0)])
                 };
                 pressed += 1;
-                if swing(VelocityTerms::Off) < QUIET {
+                if swing(VelocityTerms::Off) < QUIET_NM {
                     quiet += 1;
                     for terms in [VelocityTerms::default(), VelocityTerms::Paper] {
                         let swing = swing(terms);
                         let press = format!("{stiffness} N/m, normal at {degrees}°, aim {aim} m, {terms:?}");
-                        assert!(swing < QUIET, "{press}: {swing} N m");
+                        assert!(swing < QUIET_NM, "{press}: {swing} N m");
                     }
                 }
             }
@@ -247,7 +245,7 @@ fn velocity_terms_keep_quiet_presses_quiet() {
 
 #[test]
 fn the_feed_forward_keeps_stable_corners_quiet() {
-    let file = shipped("coupled-five-bar");
+    let file = shipped_device("coupled-five-bar");
     // A right-angled corner of 2 x 8 kN/m, an acute corner, and a stiff wall with a second wall of a hundredth of it.
     for (angles, stiffness) in [
         (vec![(75.0, 1.0), (-15.0, 1.0)], 12_000.0),
@@ -255,21 +253,20 @@ fn the_feed_forward_keeps_stable_corners_quiet() {
         (vec![(75.0, 1.0), (165.0, 0.01)], 15_000.0),
         (vec![(75.0, 1.0), (-15.0, 1.0), (30.0, 0.5)], 12_000.0),
     ] {
-        let walls: Vec<Facet> =
-            angles.iter().map(|(degrees, share): &(f64, f64)| (at(degrees.to_radians()), *share)).collect();
+        let walls = facets_around(0.0, &angles);
         for feed_forward in [FeedForward::Off, FeedForward::Full, FeedForward::Washout] {
-            let run = Run { stiffness, damping: 0.002 * stiffness, ..demo(&file, feed_forward) };
-            let swing = run.swing(&walls);
-            assert!(swing < QUIET, "{angles:?} {feed_forward:?}: {swing} N m");
+            let run = WallRun { stiffness, damping: 0.002 * stiffness, ..demo_run(&file, feed_forward) };
+            let swing = run.torque_swing(&walls);
+            assert!(swing < QUIET_NM, "{angles:?} {feed_forward:?}: {swing} N m");
         }
     }
 }
 
-/// The feed-forward of a firm press on one wall pushes onto another wall, which is touched lightly. As the other wall
-/// takes effect, the push falls. If the push fell within 0.1 mm, these touches would swing with 0.2 N m or more.
+/// The feed-forward of a firm press on one wall pushes the tip onto a second wall. The push falls with the depth in the
+/// second wall. If the push fell within 0.1 mm, these light touches would swing with 0.2 N m or more.
 #[test]
 fn a_light_touch_during_a_firm_press_is_quiet() {
-    let file = shipped("coupled-five-bar");
+    let file = shipped_device("coupled-five-bar");
     for (first, between, k1, k2) in [
         (165.0, 90.0, 8_000.0, 8_000.0),
         (75.0, -90.0, 8_000.0, 8_000.0),
@@ -277,15 +274,20 @@ fn a_light_touch_during_a_firm_press_is_quiet() {
         (165.0, 90.0, 2_000.0, 6_000.0),
         (75.0, -90.0, 2_000.0, 6_000.0),
     ] {
-        let [one, other] = [first, first + between].map(|degrees: f64| at(degrees.to_radians()));
+        let [one, other] = [first, first + between].map(|degrees: f64| unit(degrees.to_radians()));
         for light in [0.02, 0.1] {
             let push = Some([0, 1, 2].map(|i| if i < 2 { -0.02 * (one[i] + light * other[i]) } else { 0.0 }));
             for feed_forward in [FeedForward::Off, FeedForward::Full, FeedForward::Washout] {
                 let stiffness = k1 + k2;
-                let run =
-                    Run { stiffness, damping: 0.002 * stiffness, bilateral: false, push, ..demo(&file, feed_forward) };
-                let swing = run.swing(&[(one.clone(), k1), (other.clone(), k2)]);
-                assert!(swing < QUIET, "{first}° {between}° {k1} {k2} {light} {feed_forward:?}: {swing} N m");
+                let run = WallRun {
+                    stiffness,
+                    damping: 0.002 * stiffness,
+                    bilateral: false,
+                    push,
+                    ..demo_run(&file, feed_forward)
+                };
+                let swing = run.torque_swing(&[(one.clone(), k1), (other.clone(), k2)]);
+                assert!(swing < QUIET_NM, "{first}° {between}° {k1} {k2} {light} {feed_forward:?}: {swing} N m");
             }
         }
     }
@@ -295,16 +297,16 @@ fn a_light_touch_during_a_firm_press_is_quiet() {
 /// spring and wall would be unstable at any gain.
 #[test]
 fn the_feed_forward_keeps_a_spring_with_a_wall_quiet() {
-    let file = shipped("coupled-five-bar");
-    let normal = at(75_f64.to_radians());
+    let file = shipped_device("coupled-five-bar");
+    let normal = unit(75_f64.to_radians());
     for degrees in (0..12).map(|k| 15.0 * f64::from(k)) {
-        let line = at(f64::to_radians(degrees + 90.0));
+        let line = unit(f64::to_radians(degrees + 90.0));
         for stiffness in [1_000.0, 4_000.0] {
             for feed_forward in [FeedForward::Off, FeedForward::Full, FeedForward::Washout] {
                 let spring = Some(([0.0; 3], [line[0], line[1], 0.0], stiffness));
-                let run = Run { stiffness: 8_000.0, damping: 16.0, spring, ..demo(&file, feed_forward) };
-                let swing = run.swing(&[(normal.clone(), 1.0)]);
-                assert!(swing < QUIET, "{degrees}° {stiffness} {feed_forward:?}: {swing} N m");
+                let run = WallRun { stiffness: 8_000.0, damping: 16.0, spring, ..demo_run(&file, feed_forward) };
+                let swing = run.torque_swing(&[(normal.clone(), 1.0)]);
+                assert!(swing < QUIET_NM, "{degrees}° {stiffness} {feed_forward:?}: {swing} N m");
             }
         }
     }
@@ -313,21 +315,21 @@ fn the_feed_forward_keeps_a_spring_with_a_wall_quiet() {
 /// With the depth of contact, the shaped part of a spring's force rises so slowly that a light touch does not swing.
 #[test]
 fn a_light_touch_with_a_stretched_spring_is_quiet() {
-    let file = shipped("coupled-five-bar");
+    let file = shipped_device("coupled-five-bar");
     for degrees in (0..12).map(|k| 15.0 + 30.0 * f64::from(k)) {
-        let n = at(f64::to_radians(degrees));
+        let n = unit(f64::to_radians(degrees));
         let along = |far: f64| [far * n[0], far * n[1], 0.0];
         for far in [-0.02, 0.02] {
             for aim in [-0.021, -0.019, -0.01, 0.0, 0.015] {
                 let swing = |feed_forward| {
                     let (push, spring) = (Some(along(aim)), Some((along(far), [0.0; 3], 200.0)));
-                    let run = demo(&file, feed_forward);
-                    Run { stiffness: 6_000.0, damping: 12.0, bilateral: false, push, spring, ..run }
-                        .swing(&[(n.clone(), 1.0)])
+                    let run = demo_run(&file, feed_forward);
+                    WallRun { stiffness: 6_000.0, damping: 12.0, bilateral: false, push, spring, ..run }
+                        .torque_swing(&[(n.clone(), 1.0)])
                 };
                 for feed_forward in [FeedForward::Off, FeedForward::Full, FeedForward::Washout] {
                     let swing = swing(feed_forward);
-                    assert!(swing < QUIET, "{degrees}° {far} {aim} {feed_forward:?}: {swing} N m");
+                    assert!(swing < QUIET_NM, "{degrees}° {far} {aim} {feed_forward:?}: {swing} N m");
                 }
             }
         }
@@ -336,20 +338,24 @@ fn a_light_touch_with_a_stretched_spring_is_quiet() {
 
 #[test]
 fn the_feed_forward_keeps_edges_and_vertices_quiet() {
-    let file = shipped("phantom-premium-1.5");
+    let file = shipped_device("phantom-premium-1.5");
     let q = [0.3, 0.9, -0.3];
     for (walls, stiffness) in [
         (vec![(vec![0.6, 0.8, 0.0], 1.0), (vec![0.0, 0.6, 0.8], 1.0)], 2_000.0),
         (vec![(vec![1.0, 0.0, 0.0], 1.0), (vec![0.0, 1.0, 0.0], 0.3), (vec![0.0, 0.0, 1.0], 0.05)], 2_000.0),
         (
-            vec![(scaled(&[0.1, 1.0, 0.0]), 1.0), (scaled(&[-0.1, 1.0, 0.1]), 1.0), (scaled(&[0.0, 1.0, -0.1]), 1.0)],
+            vec![
+                (normalised(&[0.1, 1.0, 0.0]), 1.0),
+                (normalised(&[-0.1, 1.0, 0.1]), 1.0),
+                (normalised(&[0.0, 1.0, -0.1]), 1.0),
+            ],
             2_000.0,
         ),
     ] {
         for feed_forward in [FeedForward::Off, FeedForward::Full, FeedForward::Washout] {
-            let run = Run { q, stiffness, damping: 0.002 * stiffness, ..demo(&file, feed_forward) };
-            let swing = run.swing(&walls);
-            assert!(swing < QUIET, "{walls:?} {feed_forward:?}: {swing} N m");
+            let run = WallRun { q, stiffness, damping: 0.002 * stiffness, ..demo_run(&file, feed_forward) };
+            let swing = run.torque_swing(&walls);
+            assert!(swing < QUIET_NM, "{walls:?} {feed_forward:?}: {swing} N m");
         }
     }
 }

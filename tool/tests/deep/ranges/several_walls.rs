@@ -1,7 +1,7 @@
 //! `haptic measure-range` agrees with `haptic range` on sets of walls.
 
 use crate::common::domains::WALL_SETS;
-use crate::common::{file, json};
+use crate::common::{json, shipped_path};
 
 #[test]
 fn measured_sets_of_walls_agree_with_the_prediction() {
@@ -11,7 +11,7 @@ fn measured_sets_of_walls_agree_with_the_prediction() {
     for (index, (name, q, normals, shares, without, kd)) in measured.enumerate() {
         let progress = folder.path().join(format!("{index}.json"));
         let n: Vec<String> = normals.iter().map(|normal| format!("--normal={normal}")).collect();
-        let (path, q, kd) = (file(&format!("{name}.toml")), format!("--q={q}"), kd.to_string());
+        let (path, q, kd) = (shipped_path(&format!("{name}.toml")), format!("--q={q}"), kd.to_string());
         let mut all = vec!["measure-range", &path, "--port", "sim", &q, "--share", shares, "--kd", &kd];
         all.extend(n.iter().map(String::as_str));
         all.extend(without.iter().flat_map(|walls| ["--no-feed-forward", walls]));
@@ -20,7 +20,6 @@ fn measured_sets_of_walls_agree_with_the_prediction() {
         all.extend(["--progress", progress.to_str().unwrap()]);
         let found = json(&all);
         assert_eq!(found["walls"].as_array().unwrap().len(), normals.len());
-
         // The printed `haptic range` line has the same set of walls and the board's delay.
         let line = found["theory"].as_str().unwrap();
         let predicted = json(&line.split(' ').skip(1).collect::<Vec<_>>());

@@ -3,11 +3,12 @@
 //!
 //! Gains are raised through the protocol until the board oscillates; friction, hand and encoder steps are off.
 
+use crate::common::measurement;
 use crate::common::prelude::*;
-use haptic_predict::measure::{Law, MeasurementSetup, PreparedBoard};
+use haptic_predict::measure::{MeasurementSetup, PreparedBoard};
 
 /// A paddle of 0.16 kg at 0.1 m without friction, with an encoder so fine that its steps have no effect.
-const PADDLE: &str = r#"
+const PADDLE_TOML: &str = r#"
 name = "mass"
 mechanism = "paddle"
 gravity = [0.0]
@@ -26,51 +27,36 @@ max_current = 10.0
 [home]
 q = [0.0]
 "#;
-const MASS: f64 = 0.16;
+const MASS_KG: f64 = 0.16;
 
 /// Measures the largest kp T²/m, at `share` of the largest damping, and the largest kd T/m.
 fn measure(rate_hz: f64, cutoff_hz: f64, share: f64) -> (f64, f64) {
-    let file = DeviceFile::parse(PADDLE, "mass.toml").unwrap();
+    let file = DeviceFile::parse(PADDLE_TOML, "mass.toml").unwrap();
     // One integration step per sample is exact for a constant inertia under a constant torque.
     let device = Options { friction: false, substep: 1.0 / rate_hz, ..Options::default() };
     let options = BoardOptions { device, drive: DriveModel::Ideal, delay: 0.0, ..BoardOptions::default() };
     let (_, mut board) = crate::common::board(&file, options);
-    let setup = MeasurementSetup {
-        walls: vec![Member::new(vec![1.0], 1.0)],
-        rate_hz,
-        cutoff_hz,
-        washout_hz: 2.0,
-        law: Law::default(),
-        torque_limit: 5.0,
-        largest_pull: 1e-3,
-    };
+    let setup = MeasurementSetup { torque_limit: 5.0, largest_pull: 1e-3, ..measurement(&[1.0], rate_hz, cutoff_hz) };
     let mut prepared = PreparedBoard::new(&mut board, &file, setup, &|| false).unwrap();
     let end = prepared.damping_end(FeedForward::Off).unwrap().gain;
     let summit = prepared.boundary(FeedForward::Off, share * end, 1.0, None).unwrap().gain;
     prepared.finish().unwrap();
-    (summit / MASS / rate_hz.powi(2), end / MASS / rate_hz)
+    (summit / MASS_KG / rate_hz.powi(2), end / MASS_KG / rate_hz)
 }
 
-/// Tolerance: the search returns the middle of a bracket of half a percent, and growth may be too slow to be detected
-/// within a trial. The constants have four digits.
-const APART: f64 = 0.004;
-
-fn agree(measured: (f64, f64), known: (f64, f64)) {
-    assert!((measured.0 / known.0 - 1.0).abs() < APART, "largest kp T²/m: {} is not {}", measured.0, known.0);
-    assert!((measured.1 / known.1 - 1.0).abs() < APART, "kd_max T/m: {} is not {}", measured.1, known.1);
-}
+/// Largest relative difference: the search ends at a bracket of half a percent, and slow growth may be missed within a
+/// trial. The constants have four digits.
+const TOLERANCE: f64 = 0.004;
 
 #[test]
-fn constants_at_the_papers_setting() {
-    agree(measure(200.0, 20.0, 0.29), (0.08921, 0.5190));
-}
-
-#[test]
-fn constants_with_a_slow_filter() {
-    agree(measure(1000.0, 20.0, 0.18), (0.008215, 0.1520));
-}
-
-#[test]
-fn constants_at_the_boards_own_rate() {
-    agree(measure(20_000.0, 500.0, 0.2), (0.01184, 0.1838));
+fn measured_boundaries_have_the_known_constants() {
+    for (rate, cutoff, share, known) in [
+        (200.0, 20.0, 0.29, (0.08921, 0.5190)),
+        (1_000.0, 20.0, 0.18, (0.008215, 0.1520)),
+        (20_000.0, 500.0, 0.2, (0.01184, 0.1838)),
+    ] {
+        let (kp, kd) = measure(rate, cutoff, share);
+        assert!((kp / known.0 - 1.0).abs() < TOLERANCE, "{rate} Hz: largest kp T²/m is {kp}, not {}", known.0);
+        assert!((kd / known.1 - 1.0).abs() < TOLERANCE, "{rate} Hz: kd_max T/m is {kd}, not {}", known.1);
+    }
 }

@@ -1,7 +1,7 @@
 //! `haptic design` agrees with formulas and exhaustive searches.
 
 use crate::common::prelude::*;
-use crate::common::shipped;
+use crate::common::shipped_device;
 use haptic_predict::design::place::places;
 use haptic_predict::design::posture::postures;
 use haptic_predict::design::sensitivity::{CHANGE, buys_most, sensitivities};
@@ -10,24 +10,23 @@ use haptic_stability::analysis::control_loop::TorquePath;
 use haptic_stability::analysis::map::along;
 use haptic_stability::analysis::pose::{TaskPose, unit_normal};
 
-const PHI: Admissible = Admissible::Orientation;
+const ADMISSIBLE: Admissible = Admissible::Orientation;
 
-/// Returns the control loop of a board.
-fn around() -> Loop {
+fn control_loop() -> Loop {
     Loop::with_torque_path(&TorquePath::usual(20_000.0), 20_000.0, LinearEstimator::Butterworth(500.0))
 }
 
 #[test]
 fn the_stiffest_wall_is_proportional_to_its_inertia() {
-    let around = around();
-    let mut kilogram = Linearised::at(&shipped("hapkit-paddle").description, &[0.0], &[1.0]).unwrap().undamped();
+    let around = control_loop();
+    let mut kilogram = Linearised::at(&shipped_device("hapkit-paddle").description, &[0.0], &[1.0]).unwrap().undamped();
     kilogram.flexible = Default::default();
     let per_kilogram = domain(&kilogram, &around, Mode::Off, None).unwrap().top.kp / kilogram.w_rr();
     for (name, q, n) in [
         ("coupled-five-bar", vec![2.6, 1.75], vec![0.94, -0.34]),
         ("phantom-premium-1.5", vec![0.3, 0.9, -0.3], vec![0.6, 0.8, 0.0]),
     ] {
-        let device = Linearised::at(&shipped(name).description, &q, &n).unwrap().undamped();
+        let device = Linearised::at(&shipped_device(name).description, &q, &n).unwrap().undamped();
         for (mode, met) in [(Mode::Off, device.w_eff().unwrap()), (Mode::Full, device.w_rr())] {
             let range = domain(&device, &around, mode, None).unwrap();
             let top = range.top.kp;
@@ -36,8 +35,7 @@ fn the_stiffest_wall_is_proportional_to_its_inertia() {
     }
 }
 
-/// An inertia δ added to joint j raises Wrr = Eᵀ M E by δ Eⱼ². Weff = 1/(Jr M⁻¹ Jrᵀ) follows from the Sherman-Morrison
-/// formula.
+/// An inertia δ at joint j raises Wrr = Eᵀ M E by δ Eⱼ². Weff = 1/(Jr M⁻¹ Jrᵀ) follows from Sherman and Morrison.
 #[test]
 fn the_sensitivity_to_a_rotor_follows_its_formula() {
     for (name, q, n) in [
@@ -45,10 +43,10 @@ fn the_sensitivity_to_a_rotor_follows_its_formula() {
         ("phantom-premium-1.5", vec![0.3, 0.9, -0.3], vec![0.6, 0.5, 0.62]),
         ("serial-3r", vec![0.5, 0.8, 0.7], vec![0.6, 0.8]),
     ] {
-        let description = shipped(name).description;
+        let description = shipped_device(name).description;
         let device = Linearised::at(&description, &q, &n).unwrap();
         let mobility = device.mass.clone().try_inverse().unwrap();
-        let found = sensitivities(&description, &q, &n, PHI, &around()).unwrap();
+        let found = sensitivities(&description, &q, &n, ADMISSIBLE, &control_loop()).unwrap();
         for j in 0..q.len() {
             let change = CHANGE * description.joints[j].inertia;
             let pull = (&mobility * &device.row)[j];
@@ -63,18 +61,18 @@ fn the_sensitivity_to_a_rotor_follows_its_formula() {
             let squared = 1.0 + 2.1 * (w_rr - 1.0);
             assert!((gear.w_rr / squared - 1.0).abs() < 1e-9, "{name}, joint {j}: {gear:?}");
         }
-        let most = buys_most(&found, |effect| effect.w_rr).unwrap();
+        let best_change = buys_most(&found, |effect| effect.w_rr).unwrap();
         assert_eq!(buys_most(&found, |effect| 1.0 + 0.005 * effect.w_rr.signum()), None);
         let sides = found.iter().flat_map(|one| [one.more, one.less]).flatten();
-        assert!(sides.into_iter().all(|effect| effect.w_rr <= most.effect.w_rr));
+        assert!(sides.into_iter().all(|effect| effect.w_rr <= best_change.effect.w_rr));
     }
 }
 
 #[test]
 fn a_longer_link_leaves_the_tip_where_it_is() {
-    let description = shipped("haply-2diy").description;
+    let description = shipped_device("haply-2diy").description;
     let (q, n) = ([2.3, 0.84159265358979], [0.6, 0.8]);
-    let found = sensitivities(&description, &q, &n, PHI, &around()).unwrap();
+    let found = sensitivities(&description, &q, &n, ADMISSIBLE, &control_loop()).unwrap();
     let base = found.iter().find(|one| one.part == "length base").unwrap().more.unwrap();
     // The test's own inverse kinematics move the tip of the wider device to its former place.
     let mut wider = description;
@@ -85,15 +83,15 @@ fn a_longer_link_leaves_the_tip_where_it_is() {
         let [base, l1, l2, r1, r2, _] = wider.geometry;
         let (proximal, distal) = if side < 0.0 { (l1, r1) } else { (l2, r2) };
         let (dx, dy) = (x - side * base / 2.0, y);
-        let far = dx.hypot(dy);
-        let inside = ((proximal * proximal + far * far - distal * distal) / (2.0 * proximal * far)).acos();
+        let reach = dx.hypot(dy);
+        let inside = ((proximal * proximal + reach * reach - distal * distal) / (2.0 * proximal * reach)).acos();
         // The elbows point outwards.
         dy.atan2(dx) - side * inside
     };
-    let moved = TaskPose::at(&wider, &[elbow(-1.0), elbow(1.0)]).unwrap();
-    assert!((moved.position[0] - x).abs() < 1e-12 && (moved.position[1] - y).abs() < 1e-12);
+    let wider_pose = TaskPose::at(&wider, &[elbow(-1.0), elbow(1.0)]).unwrap();
+    assert!((wider_pose.position[0] - x).abs() < 1e-12 && (wider_pose.position[1] - y).abs() < 1e-12);
     let normal = unit_normal(&n, 2, 2).unwrap();
-    let ((a, b), (c, d)) = (along(&before, &normal).unwrap(), along(&moved, &normal).unwrap());
+    let ((a, b), (c, d)) = (along(&before, &normal).unwrap(), along(&wider_pose, &normal).unwrap());
     assert!((base.w_eff / (c / a) - 1.0).abs() < 1e-9 && (base.w_rr / (d / b) - 1.0).abs() < 1e-9, "{base:?}");
 }
 
@@ -101,9 +99,9 @@ fn a_longer_link_leaves_the_tip_where_it_is() {
 fn no_pose_of_a_random_search_is_better_than_the_best() {
     let normal = [0.6, 0.8];
     for name in ["haply-2diy", "coupled-five-bar"] {
-        let file = shipped(name);
+        let file = shipped_device(name);
         let clear = 0.4;
-        let found = places(&file.description, Some(&normal), 0.0, clear, 700, PHI, &Sweep::quiet()).unwrap();
+        let found = places(&file.description, Some(&normal), 0.0, clear, 700, ADMISSIBLE, &Sweep::quiet()).unwrap();
         let device = file.device::<f64>().unwrap();
         let n = unit_normal(&normal, 2, file.spec().joints).unwrap();
         let along_n = found.along.clone().unwrap();
@@ -125,8 +123,8 @@ fn no_pose_of_a_random_search_is_better_than_the_best() {
             assert!(w_rr <= along_n.full.w_rr * 1.01, "{name}: {w_rr} kg at {q:?}, {:?}", along_n.full);
             assert!(w_eff >= along_n.worst.w_eff * 0.99, "{name}: {w_eff} kg at {q:?}, {:?}", along_n.worst);
             for angle in [0.0_f64, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0] {
-                let other = unit_normal(&[angle.cos(), angle.sin()], 2, q.len()).unwrap();
-                let (w_eff, w_rr) = along(&pose, &other).unwrap();
+                let other_normal = unit_normal(&[angle.cos(), angle.sin()], 2, q.len()).unwrap();
+                let (w_eff, w_rr) = along(&pose, &other_normal).unwrap();
                 assert!(w_eff <= found.stiffest.w_eff * 1.01, "{name}: {w_eff} kg at {q:?}");
                 let ratio = found.feed_forward_buys_most.w_rr / found.feed_forward_buys_most.w_eff;
                 assert!(w_rr / w_eff <= ratio * 1.01, "{name}: {} at {q:?}, {ratio}", w_rr / w_eff);
@@ -139,8 +137,8 @@ fn no_pose_of_a_random_search_is_better_than_the_best() {
 #[test]
 fn a_coarse_grid_has_the_results_of_a_fine_grid() {
     for (name, coarse, fine) in [("coupled-five-bar", 300, 4000), ("haply-2diy", 300, 1000), ("serial-3r", 700, 1000)] {
-        let description = shipped(name).description;
-        let found = |points| places(&description, None, 0.0, 0.3, points, PHI, &Sweep::quiet()).unwrap();
+        let description = shipped_device(name).description;
+        let found = |points| places(&description, None, 0.0, 0.3, points, ADMISSIBLE, &Sweep::quiet()).unwrap();
         let (coarse, fine) = (found(coarse), found(fine));
         for found in [&coarse, &fine] {
             let others = [&found.every_direction, &found.feed_forward_buys_most];
@@ -160,24 +158,27 @@ fn a_coarse_grid_has_the_results_of_a_fine_grid() {
 
 #[test]
 fn a_wide_wall_is_placed_by_its_worst_point() {
-    let file = shipped("haply-2diy");
-    let placed = |patch: f64| {
-        places(&file.description, Some(&[0.6, 0.8]), patch, 0.4, 700, PHI, &Sweep::quiet()).unwrap().along.unwrap()
+    let file = shipped_device("haply-2diy");
+    let place_patch = |patch: f64| {
+        places(&file.description, Some(&[0.6, 0.8]), patch, 0.4, 700, ADMISSIBLE, &Sweep::quiet())
+            .unwrap()
+            .along
+            .unwrap()
     };
-    let (point, wide) = (placed(0.0), placed(0.02));
+    let (point, wide) = (place_patch(0.0), place_patch(0.02));
     assert!(wide.off.w_eff < 0.99 * point.off.w_eff && wide.full.w_rr < point.full.w_rr, "{point:?} {wide:?}");
 }
 
 /// The test's own inverse kinematics compute wrist and elbow (on the arm's side) for every orientation of the tip.
 #[test]
 fn the_best_posture_equals_the_best_of_all_orientations() {
-    let file = shipped("serial-3r");
+    let file = shipped_device("serial-3r");
     let (q, n, clear) = ([0.5_f64, 0.8, 0.7], [0.6, 0.8], 0.38);
-    let found = postures(&file.description, &q, &n, clear, PHI).unwrap().unwrap();
+    let found = postures(&file.description, &q, &n, clear, ADMISSIBLE).unwrap().unwrap();
     let [l1, l2, l3, ..] = file.description.geometry;
     let tip = TaskPose::at(&file.description, &q).unwrap().position;
     let normal = unit_normal(&n, 2, 3).unwrap();
-    let (mut heavy, mut light, mut held, mut loose) = (0.0_f64, f64::INFINITY, 0.0_f64, f64::INFINITY);
+    let (mut max_eff, mut min_eff, mut max_rr, mut min_rr) = (0.0_f64, f64::INFINITY, 0.0_f64, f64::INFINITY);
     for i in 0..20_000 {
         let phi = std::f64::consts::TAU * f64::from(i) / 20_000.0;
         let (x, y) = (tip[0] - l3 * phi.cos(), tip[1] - l3 * phi.sin());
@@ -193,20 +194,20 @@ fn the_best_posture_equals_the_best_of_all_orientations() {
             continue;
         }
         let (w_eff, w_rr) = along(&pose, &normal).unwrap();
-        (heavy, light) = (heavy.max(w_eff), light.min(w_eff));
-        (held, loose) = (held.max(w_rr), loose.min(w_rr));
+        (max_eff, min_eff) = (max_eff.max(w_eff), min_eff.min(w_eff));
+        (max_rr, min_rr) = (max_rr.max(w_rr), min_rr.min(w_rr));
     }
     for (one, other) in [
-        (found.heaviest.w_eff, heavy),
-        (found.lightest.w_eff, light),
-        (found.most_held.w_rr, held),
-        (found.least_held.w_rr, loose),
+        (found.heaviest.w_eff, max_eff),
+        (found.lightest.w_eff, min_eff),
+        (found.most_held.w_rr, max_rr),
+        (found.least_held.w_rr, min_rr),
     ] {
         assert!((one / other - 1.0).abs() < 0.02, "{one} kg, but {other} kg in the scan");
     }
     // An independent sweep at this tip in coarser steps, with its own limit on the sine at singularities, has Weff of
     // 0.0487 to 0.1139 kg and Wrr of 0.117 to 0.506 kg.
-    assert!((heavy / 0.1139 - 1.0).abs() < 0.01 && (light / 0.0487 - 1.0).abs() < 0.04, "{heavy} {light}");
-    assert!((loose / 0.117 - 1.0).abs() < 0.01 && (held / 0.506 - 1.0).abs() < 0.06, "{held} {loose}");
-    assert_eq!(postures(&shipped("haply-2diy").description, &[2.3, 0.84], &n, clear, PHI), Ok(None));
+    assert!((max_eff / 0.1139 - 1.0).abs() < 0.01 && (min_eff / 0.0487 - 1.0).abs() < 0.04, "{max_eff} {min_eff}");
+    assert!((min_rr / 0.117 - 1.0).abs() < 0.01 && (max_rr / 0.506 - 1.0).abs() < 0.06, "{max_rr} {min_rr}");
+    assert_eq!(postures(&shipped_device("haply-2diy").description, &[2.3, 0.84], &n, clear, ADMISSIBLE), Ok(None));
 }

@@ -1,22 +1,21 @@
-//! The planner chooses only the terms that a scene needs, simpler scenes cost less, and the planned error is kept at
-//! other poses.
+//! The planner chooses only terms that a scene needs. Simpler scenes cost less. Other poses keep the error budget.
 
 use crate::common::prelude::*;
-use crate::common::{file, shipped};
+use crate::common::{shipped_device, shipped_path};
 use haptic_predict::bench::error::{Law, Terms, TorqueVariant, Trigonometry, errors};
 use haptic_predict::bench::probe::HAND_SPEED;
 use haptic_predict::plan::{Budget, Plan, cost, plan, probes_on_walls};
 
 fn device(name: &str) -> Device<f64> {
-    shipped(name).device().unwrap()
+    shipped_device(name).device().unwrap()
 }
 
 fn scene(device: &Device<f64>, name: &str) -> SceneFile {
-    let path = file(&format!("scenes/{}/{name}.toml", device.name));
+    let path = shipped_path(&format!("scenes/{}/{name}.toml", device.name));
     SceneFile::load(path, device.mechanism.kind().spec().task).unwrap()
 }
 
-fn planned(device: &Device<f64>, file: &SceneFile) -> Plan {
+fn plan_of(device: &Device<f64>, file: &SceneFile) -> Plan {
     plan(device, &file.scene, Budget::Percent(1.0), file.hand_speed.unwrap_or(HAND_SPEED)).unwrap()
 }
 
@@ -31,7 +30,7 @@ fn shipped_scenes_have_the_expected_plans() {
     ];
     for (name, file, (model, terms)) in wanted {
         let device = device(name);
-        let plan = planned(&device, &scene(&device, file));
+        let plan = plan_of(&device, &scene(&device, file));
         assert_eq!((plan.mass.name(), plan.terms), (model, terms), "{name} {file}");
     }
 }
@@ -42,11 +41,11 @@ fn a_looser_budget_leaves_the_velocity_terms_out() {
     // Without the velocity terms the error is a twentieth of the force on this disc. A single mass matrix would have an
     // error of a quarter and take longer.
     let scene = scene(&device, "tracing").scene;
-    let loose = plan(&device, &scene, Budget::Percent(50.0), HAND_SPEED).unwrap();
-    assert_eq!((loose.mass.name(), loose.terms), ("exact", Terms::FeedForward));
-    let tight = plan(&device, &scene, Budget::OneDutyStep, HAND_SPEED).unwrap();
-    assert_eq!((tight.mass.name(), tight.terms), ("exact", Terms::FeedForwardZ));
-    assert!(loose.instructions < tight.instructions);
+    let loose_plan = plan(&device, &scene, Budget::Percent(50.0), HAND_SPEED).unwrap();
+    assert_eq!((loose_plan.mass.name(), loose_plan.terms), ("exact", Terms::FeedForward));
+    let tight_plan = plan(&device, &scene, Budget::OneDutyStep, HAND_SPEED).unwrap();
+    assert_eq!((tight_plan.mass.name(), tight_plan.terms), ("exact", Terms::FeedForwardZ));
+    assert!(loose_plan.instructions < tight_plan.instructions);
 }
 
 #[test]
@@ -57,12 +56,11 @@ fn instructions_fall_as_a_scene_gets_simpler() {
         let mut two = one.clone();
         two.walls.push(one.walls[0]).unwrap();
         let without_terms = Scene { velocity_terms: VelocityTerms::Off, ..one.clone() };
-        let mut plain = without_terms.clone();
-        plain.walls[0].feed_forward = FeedForward::Off;
-        let mut empty = plain.clone();
-        empty.walls.clear();
-        let costs: Vec<u32> =
-            [two, one, without_terms, plain, empty].iter().map(|scene| cost(&device, scene, "exact")).collect();
+        let mut plain_scene = without_terms.clone();
+        plain_scene.walls[0].feed_forward = FeedForward::Off;
+        let mut empty_scene = plain_scene.clone();
+        empty_scene.walls.clear();
+        let costs = [two, one, without_terms, plain_scene, empty_scene].map(|scene| cost(&device, &scene, "exact"));
         assert!(costs.windows(2).all(|pair| pair[0] > pair[1]), "{name}: {costs:?}");
         assert!(costs.iter().all(|cost| (50..5000).contains(cost)), "{name}: {costs:?}");
     }

@@ -1,13 +1,13 @@
 //! `haptic tune` agrees with derived results and with a plain scan of all settings.
 
 use crate::common::prelude::*;
-use crate::common::{Folder, ideal_loop, json, point_mass, root, shipped, tuned, type_lines};
+use crate::common::{Folder, ideal_loop, json, point_mass, root, shipped_device, tuned, type_lines};
 use haptic_bridge::render::velocity::{Chosen, Estimator};
-use haptic_predict::tune::{Margins, Question, Settings, accepted_wall, estimators, to_toml, tune, vertex};
+use haptic_predict::tune::{Margins, Question, Settings, keeps, to_toml, tune, vertex};
 use haptic_stability::analysis::control_loop::CURRENT_LOOP_HZ;
 use haptic_stability::analysis::range::stiffnesses;
 
-fn around(rate_hz: f64) -> Loop {
+fn control_loop(rate_hz: f64) -> Loop {
     ideal_loop(rate_hz, 0.5, LinearEstimator::Butterworth(0.025 * rate_hz))
 }
 
@@ -15,79 +15,66 @@ fn around(rate_hz: f64) -> Loop {
 /// then accelerates along n by Jr M⁻¹ t f, so the loop is that of a mass 1/(Jr M⁻¹ t).
 #[test]
 fn a_wrong_mass_matrix_changes_the_inertia_that_is_met() {
-    let file = shipped("coupled-five-bar");
+    let file = shipped_device("coupled-five-bar");
     let (q, n) = ([2.6, 1.75], [0.94, -0.34]);
     let believed = Linearised::at(&file.description, &q, &n).unwrap().undamped();
     let mut device = believed.clone();
     device.mass += DMatrix::from_row_slice(2, 2, &[8e-4, 2e-4, 2e-4, 0.0]);
     let torque = believed.shaped_torque();
-    let met = 1.0 / device.row.dot(&device.mass.clone().cholesky().unwrap().solve(&torque));
+    let inertia = 1.0 / device.row.dot(&device.mass.clone().cholesky().unwrap().solve(&torque));
     assert!(
-        (met / device.w_rr() - 1.0).abs() > 0.003 && (met / believed.w_rr() - 1.0).abs() > 0.01,
-        "the mass matrices differ too little for this test"
+        (inertia / device.w_rr() - 1.0).abs() > 0.003 && (inertia / believed.w_rr() - 1.0).abs() > 0.01,
+        "equal models"
     );
-    let around = around(5_000.0);
+    let around = control_loop(5_000.0);
     for damping in [20.0, 80.0, 200.0] {
         let of_one = domain(&point_mass(1.0), &around, Mode::Off, Some(&[damping])).unwrap().boundary[0].kp;
-        let found = stiffnesses(&device, &believed, &around, Mode::Full, &[met * damping]).unwrap()[0];
-        assert!((found / (met * of_one) - 1.0).abs() < 1e-6, "{damping}: {found}, {}", met * of_one);
+        let found = stiffnesses(&device, &believed, &around, Mode::Full, &[inertia * damping]).unwrap()[0];
+        assert!((found / (inertia * of_one) - 1.0).abs() < 1e-6, "{damping}: {found}, {}", inertia * of_one);
     }
 }
 
 #[test]
 fn no_other_signs_of_the_inertia_errors_are_worse() {
-    let file = shipped("coupled-five-bar");
+    let file = shipped_device("coupled-five-bar");
     let (q, n) = ([2.6, 1.75], [0.94, -0.34]);
     let at = |description: &Description| Linearised::at(description, &q, &n).unwrap();
     let believed = at(&file.description);
     for shaped in [false, true] {
         let torque = if shaped { believed.shaped_torque() } else { believed.row.clone() };
-        let met = |description: &Description| {
+        let inertia = |description: &Description| {
             let device = at(description);
             1.0 / device.row.dot(&device.mass.cholesky().unwrap().solve(&torque))
         };
-        let found = met(&vertex(&file.description, &q, &n, Admissible::Orientation, shaped, 0.1, false).unwrap());
-        let mut least = f64::INFINITY;
+        let found = inertia(&vertex(&file.description, &q, &n, Admissible::Orientation, shaped, 0.1, false).unwrap());
+        let mut smallest = f64::INFINITY;
         for signs in 0..1 << 7 {
             let factor = |part: usize| if signs >> part & 1 == 1 { 1.1 } else { 0.9 };
-            let mut other = file.description;
-            for (part, link) in other.links.iter_mut().enumerate() {
+            let mut changed_device = file.description;
+            for (part, link) in changed_device.links.iter_mut().enumerate() {
                 link.mass *= factor(part);
                 link.inertia *= factor(part);
             }
-            for (part, joint) in other.joints[..2].iter_mut().enumerate() {
+            for (part, joint) in changed_device.joints[..2].iter_mut().enumerate() {
                 joint.inertia *= factor(4 + part);
             }
-            other.handle_mass *= factor(6);
-            least = least.min(met(&other));
+            changed_device.handle_mass *= factor(6);
+            smallest = smallest.min(inertia(&changed_device));
         }
-        assert!((found / least - 1.0).abs() < 1e-3, "shaped {shaped}: {found} kg, but {least} kg is possible");
-        assert!(found < 0.95 * met(&file.description), "shaped {shaped}");
+        assert!((found / smallest - 1.0).abs() < 1e-3, "shaped {shaped}: {found} kg, but {smallest} kg is possible");
+        assert!(found < 0.95 * inertia(&file.description), "shaped {shaped}");
     }
 }
 
 fn question(file: &DeviceFile, margins: Margins) -> Question<'_> {
-    Question {
-        file,
-        q: vec![2.3, 0.84159265358979],
-        normal: vec![0.0, -1.0],
-        admissible: Admissible::Orientation,
-        margins,
-        ripple_n: 0.1,
-        board_ripple_n: Some(0.1),
-        counts: 1.0,
-        speed: 0.1,
-        rates_hz: vec![5_000.0],
-        estimators: estimators(),
-        feed_forwards: vec![FeedForward::Off],
-        known: None,
-    }
+    let (q, normal) = (vec![2.3, 0.84159265358979], vec![0.0, -1.0]);
+    Question { q, normal, margins, board_ripple_n: Some(0.1), ..tuned::question(file, 5_000.0) }
 }
 
 /// Without margins a wall is stable if it is in the range of `haptic range`, which is computed here for every wall.
 #[test]
 fn no_wall_of_a_plain_scan_is_much_stiffer() {
-    let file = shipped("haply-2diy");
+    let file = shipped_device("haply-2diy");
     let question = question(&file, Margins::NONE);
     let found = tune(&question, &Sweep::quiet()).unwrap();
     let best = found.best.settings;
@@ -110,11 +97,11 @@ fn no_wall_of_a_plain_scan_is_much_stiffer() {
             let around = Loop {
                 estimator: LinearEstimator::of(kind, cutoff_hz).unwrap(),
                 drive: Drive::Current { bandwidth_hz: CURRENT_LOOP_HZ },
-                ..around(5_000.0)
+                ..control_loop(5_000.0)
             };
             let around = Loop { delay_samples: 0.125, ..around };
-            let most = domain(&device, &around, Mode::Off, Some(&[damping])).unwrap().boundary[0].kp;
-            if most < settings.stiffness {
+            let max_stiffness = domain(&device, &around, Mode::Off, Some(&[damping])).unwrap().boundary[0].kp;
+            if max_stiffness < settings.stiffness {
                 continue;
             }
             let keeps = accepted_wall(&question, &settings).unwrap();
@@ -125,12 +112,10 @@ fn no_wall_of_a_plain_scan_is_much_stiffer() {
     assert!(tried > 10, "{tried}");
 }
 
-/// Rigid devices and devices with cables: no wall with another estimator, cutoff or damping is stiffer by more than a
-/// twentieth and meets the same limits.
 #[test]
 fn no_wall_of_a_grid_is_much_stiffer_on_ten_random_devices() {
     for number in 0..10 {
-        let file = tuned::drawn(number);
+        let file = tuned::random_device(number);
         let dampings = [0.2, 0.35, 0.6, 0.8, 1.0, 1.25, 1.7, 2.8, 5.0];
         let (best, tried) = tuned::none_is_stiffer(&tuned::question(&file, 5_000.0), &dampings, &[1.06, 1.25]);
         println!("{number} {}: {best:?}, {tried} walls", file.name);
@@ -141,7 +126,7 @@ fn no_wall_of_a_grid_is_much_stiffer_on_ten_random_devices() {
 /// limit the search; the limit is the ripple that the hands feel.
 #[test]
 fn the_result_is_the_stiffest_wall_and_names_its_limit() {
-    let file = shipped("haply-2diy");
+    let file = shipped_device("haply-2diy");
     let question = question(&file, Margins::default());
     let found = tune(&question, &Sweep::quiet()).unwrap();
     let top = found.others.iter().map(|other| other.settings.stiffness).fold(0.0, f64::max);
@@ -165,15 +150,15 @@ fn the_result_is_the_stiffest_wall_and_names_its_limit() {
 #[test]
 fn the_result_is_never_worse_than_the_scenes_settings() {
     let (device, scene) = ("devices/capstan-pantograph.toml", "devices/scenes/capstan-pantograph/wall.toml");
-    let said = json(&["tune", device, "--scene", scene, "--rates", "20000"]);
-    assert!(said["times"].as_f64().unwrap() >= 1.0, "{said}");
+    let report = json(&["tune", device, "--scene", scene, "--rates", "20000"]);
+    assert!(report["times"].as_f64().unwrap() >= 1.0, "{report}");
 }
 
 #[test]
 fn margins_cost_stiffness_where_stability_limits_it() {
-    let file = shipped("haply-2diy");
+    let file = shipped_device("haply-2diy");
     let most = |margins: Margins| {
-        // A ripple limit that is never reached.
+        // No wall reaches this ripple limit.
         let question =
             Question { ripple_n: 50.0, board_ripple_n: None, counts: 1e-6, speed: 1e-6, ..question(&file, margins) };
         tune(&question, &Sweep::quiet()).unwrap()
@@ -210,18 +195,18 @@ fn the_written_scene_has_the_settings_of_the_result() {
 #[test]
 fn a_shipped_wall_becomes_twice_as_stiff_at_the_same_ripple() {
     let folder = Folder::new();
-    let out = folder.path("tuned.toml");
+    let tuned_path = folder.path("tuned.toml");
     let (device, scene) = ("devices/haply-2diy.toml", "devices/scenes/haply-2diy/wall-stiff.toml");
-    let words = ["tune", device, "--scene", scene, "--rates", "5000", "--out", &out];
-    let said = json(&words);
-    assert!(said["times"].as_f64().unwrap() > 2.0, "{said}");
-    assert!(said["best"]["ripple_n"].as_f64() <= said["ripple_limit_n"].as_f64(), "{said}");
+    let words = ["tune", device, "--scene", scene, "--rates", "5000", "--out", &tuned_path];
+    let report = json(&words);
+    assert!(report["times"].as_f64().unwrap() > 2.0, "{report}");
+    assert!(report["best"]["ripple_n"].as_f64() <= report["ripple_limit_n"].as_f64(), "{report}");
     // The written scene passes `check`, and its wall is still at the same place.
-    type_lines(&format!("check {device} {out}"), &[]);
-    let tuned = SceneFile::load(&out, 2).unwrap().scene;
+    type_lines(&format!("check {device} {tuned_path}"), &[]);
+    let tuned = SceneFile::load(&tuned_path, 2).unwrap().scene;
     let plane = |scene: &haptic_bridge::render::scene::Scene<f64>| scene.walls[0].surface;
     assert_eq!(plane(&tuned), plane(&SceneFile::load(root().join(scene), 2).unwrap().scene));
-    assert_eq!(Some(tuned.walls[0].stiffness), said["best"]["stiffness"].as_f64());
+    assert_eq!(Some(tuned.walls[0].stiffness), report["best"]["stiffness"].as_f64());
 }
 
 #[test]
