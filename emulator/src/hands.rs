@@ -23,7 +23,7 @@ pub fn hold(device: &mut SimulatedDevice) {
 /// Suspends a device for the polarity check. Its weight is carried without inertia. A rubber band holds it lightly,
 /// because a free device drifts if a sensor has a zero offset.
 pub fn suspend_device(device: &mut SimulatedDevice) {
-    let band = HandSettings { grip_stiffness: 5.0, grip_damping: 0.5, ..firm() };
+    let band = HandSettings { grip_stiffness: 5.0, grip_damping: 0.5, ..firm_settings() };
     let path = vec![Waypoint { time: 0.0, value: device.tip() }];
     device.set_support(Support::Carried);
     device.set_hand(Hand::new(band, Intent::Follow(path), device.tip(), device.time()));

@@ -9,7 +9,7 @@ use haptic_bridge::safety::refusal::Refusal;
 use haptic_host::error::Failure;
 use haptic_host::link::{Board, BoardError};
 use haptic_predict::boards::torque_path;
-use haptic_predict::plausible::scene::{contact_limits_at, gain_warnings};
+use haptic_predict::plausible::scene::{self, contact_limits_at};
 use haptic_predict::plausible::{FileWarning, Warning, warn};
 use haptic_stability::analysis::prediction::Subject;
 use serde_json::json;
@@ -50,7 +50,7 @@ fn parse_gain(text: &str) -> Result<f32, String> {
 }
 
 /// Returns warnings about gains that the loop or the motors cannot render at the present pose; before homing, at home.
-fn gain_warnings(board: &mut Board, scene: &Scene<f32>, index: usize) -> Result<Vec<Warning>, Failure> {
+fn warnings_at_present_pose(board: &mut Board, scene: &Scene<f32>, index: usize) -> Result<Vec<Warning>, Failure> {
     let (Some(device), status, details) = (board.device()?, board.status()?, board.details()?) else {
         return Ok(Vec::new());
     };
@@ -64,7 +64,7 @@ fn gain_warnings(board: &mut Board, scene: &Scene<f32>, index: usize) -> Result<
     let Some(contact) = contact_limits_at(&subject, &scene, index, &q[..axes], &path) else {
         return Ok(Vec::new());
     };
-    Ok(gain_warnings(&scene.walls[index], &contact, false).into_iter().map(FileWarning::typed).collect())
+    Ok(scene::gain_warnings(&scene.walls[index], &contact, false).into_iter().map(FileWarning::typed).collect())
 }
 
 pub fn run(args: Args) -> Result<(), Failure> {
@@ -94,7 +94,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         return Err(BoardError::Refused(Refusal::NoScene).into());
     };
     let warnings = if is_changed || args.cutoff.is_some() {
-        gain_warnings(&mut board, &scene, usize::from(args.wall))?
+        warnings_at_present_pose(&mut board, &scene, usize::from(args.wall))?
     } else {
         Vec::new()
     };

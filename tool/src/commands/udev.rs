@@ -1,7 +1,7 @@
 //! `haptic udev`: the udev rule that lets a user open boards and boot loaders on Linux.
 
 use super::force::ForceOption;
-use haptic_flash::udev::{PLACE, rule};
+use haptic_flash::udev::{RULE_PATH, rule};
 use haptic_host::error::{Failure, print};
 use haptic_host::output;
 use std::path::{Path, PathBuf};

@@ -65,7 +65,7 @@ fn a_backup_of_another_version_is_translated() {
         setting.bytes = body.iter().map(|byte| format!("{byte:02x}")).collect();
     }
     let ready = Backup::parse(&backup.to_text()).unwrap().ready().unwrap();
-    assert!(ready.iter().all(|setting| setting.how == Restored::Translated));
+    assert!(ready.iter().all(|setting| setting.how == RestoreMethod::Translated));
     let mut target = empty_board("SIM0001");
     restore(&mut target, &ready).unwrap();
     assert_eq!(saved_entries(&mut target), saved);

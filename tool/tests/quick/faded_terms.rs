@@ -159,7 +159,7 @@ fn faded_velocity_terms_count_as_an_error() {
             assert!((found.whole.force.max / left - 1.0).abs() < 1e-3, "{name} {rate:?}: {found:?}, left {left} N");
             // Faded terms do not count against the planner's choice.
             assert!(found.given.force.max < 1e-3, "{name} {rate:?}: {found:?}");
-            let parts = parts(&device, &probes, &way);
+            let parts = error_sources(&device, &probes, &way);
             assert!((parts.dropped / left - 1.0).abs() < 1e-3, "{name} {rate:?}: {parts:?}, left {left} N");
         }
     }

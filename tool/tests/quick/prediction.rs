@@ -265,7 +265,7 @@ fn a_passive_wall_is_stable() {
                 let estimator = LinearEstimator::Butterworth(cutoff);
                 let prediction =
                     Prediction::new(Subject::new(&device.description).unwrap(), Loop::with_torque_path(&path, rate, estimator));
-                let model = prediction.seen(q, normal).unwrap();
+                let model = prediction.linearise(q, normal).unwrap();
                 let Some(passivity) = Passivity::new(&model, &device.description, &prediction.around) else {
                     panic!("{}: encoders sit on the motors", device.name)
                 };

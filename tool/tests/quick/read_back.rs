@@ -4,7 +4,7 @@
 use crate::common::prelude::*;
 use crate::common::sim::Sim;
 use crate::common::{all_shipped_devices, shipped_path, toml_files};
-use haptic_host::read_back::{differences, running, scene, to_toml};
+use haptic_host::read_back::{device_entries, differences, scene, to_toml};
 use predicates::prelude::*;
 use predicates::str::contains;
 

@@ -173,12 +173,12 @@ fn a_force_accelerates_the_tip_and_ends_with_its_lease() {
         let (shared, mut session) = armed_session();
         let from = session.read_state().unwrap().tip;
         session.force([x, y, 0.0]).unwrap();
-        shared.lock().run(f64::from(HOLD) / 2.0);
+        shared.lock().run(f64::from(HOLD_S) / 2.0);
         let tip_state = session.read_state().unwrap();
         assert_eq!((tip_state.done, tip_state.share, tip_state.force), (ForceDone::Looked, 1.0, [x, y, 0.0]));
         let along = (tip_state.tip[0] - from[0]) * x + (tip_state.tip[1] - from[1]) * y;
         assert!(along > 0.0, "{tip_state:?}, from {from:?}");
-        let lease_s = f64::from(HOLD + FADE) * 1.1;
+        let lease_s = f64::from(HOLD_S + FADE_S) * 1.1;
         shared.lock().run(lease_s);
         let after = session.read_state().unwrap();
         assert_eq!((after.age, after.torque), (None, [0.0; 3]));

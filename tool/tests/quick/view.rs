@@ -74,7 +74,7 @@ impl TestView {
 
     /// Connects a page and returns its number.
     fn add_page(&mut self) -> usize {
-        let (id, received) = (self.hub.come().unwrap(), Received::default());
+        let (id, received) = (self.hub.add_page().unwrap(), Received::default());
         self.pages.push(Page { id, received, repeated: Some(FromPage::Here {}) });
         self.play(0.02);
         self.pages.len() - 1
@@ -139,7 +139,7 @@ impl TestView {
         }
         while self.stage.turn(self.now).unwrap() == Turn::Played && self.simulated {}
         for Page { id, received, .. } in &mut self.pages {
-            for message in self.hub.take(*id).messages() {
+            for message in self.hub.take_outbox(*id).messages() {
                 match message {
                     Sent::Text(text) => received.receive_text(&text),
                     Sent::Bytes(bytes) => received.receive_bytes(&bytes),
@@ -789,7 +789,7 @@ fn the_feed_forward_button_makes_a_pressed_wall_buzz_or_quiet() {
             ripples.iter().filter(|ripple| **ripple > RED_RIPPLE_N).count() as f64 / 48.0
         });
         let plane = view.wait_for_boundary();
-        let [off, washout] = [FeedForward::Off, FeedForward::Washout].map(|kind| plane.stiffness_to(kind, damping));
+        let [off, washout] = [FeedForward::Off, FeedForward::Washout].map(|kind| plane.max_stiffness(kind, damping));
         rows += &format!("{depth} mm, {aside} mm aside: red {shares:.2?}, stable to {off:.0} or {washout:.0} N/m\n");
         as_it_should &= shares[0] < 0.05 && shares[1] > 0.7 && shares[2] < 0.05;
         as_it_should &= 1.1 * off < stiffness && stiffness < 0.95 * washout;

@@ -110,13 +110,13 @@ where
         // 1 m deep in a wall of 5 N/m: the force hardly changes, and rounding hardly changes the depth.
         let surface = double.tip(&pose) + n;
         for (index, counts_per_turn) in COUNTS_PER_TURN.into_iter().enumerate() {
-            let mut device = encoded(device);
+            let mut device = with_encoders(device);
             for joint in &mut device.joints {
                 joint.encoder.as_mut().expect("every joint has an encoder").counts_per_turn = counts_per_turn;
                 joint.viscous = 0.0;
             }
             device.gravity = [0.0; 3];
-            let (p, normal) = (three(&surface, task), three(&n, task));
+            let (p, normal) = (pad_to_three(&surface, task), pad_to_three(&n, task));
             let mut scene_f64 = scene::<f64>(task, p, normal, 5.0, 0.0, FeedForward::Full);
             scene_f64.velocity_terms = terms;
             let mut scene_f32 = scene::<f32>(task, p, normal, 5.0, 0.0, FeedForward::Full);
@@ -155,7 +155,7 @@ pub fn all_rows() -> Vec<Row> {
     .into_iter()
     .flat_map(|(name, file)| {
         // Leave out the weight, which would add the same torque to both results.
-        let mut device = encoded(&shipped(file));
+        let mut device = with_encoders(&shipped(file));
         device.gravity = [0.0; 3];
         in_three_precisions!(&device, (a, b, c) => VelocityTerms::ALL.map(|(_, terms)| row_of((a, b, c), name, &device, terms)))
     })

@@ -66,11 +66,11 @@ pub fn all_tables() -> [(&'static str, String); 10] {
     });
     let steps = "device | largest force of the hit, N | speed seen, m/s | hit, torque | press, N";
     let steps = table(steps, &STEPS, |row| {
-        format!("{} | {:.0} | {:.1} | {}", row.device, row.force, row.speed, one_digit([row.hit, row.press]))
+        format!("{} | {:.0} | {:.1} | {}", row.device, row.force, row.speed, one_digit([row.hit_error, row.rest_error]))
     });
     let several = "device | angle, rad | as stiff | 1e2 | 1e4 | changed by the feed-forward";
     let several = table(several, &SEVERAL, |row| {
-        let errors = [row.angle].into_iter().chain(row.torque).chain([row.shaped]);
+        let errors = [row.angle].into_iter().chain(row.torque).chain([row.smallest_shaping]);
         format!("{} | {}", row.device, one_digit(errors))
     });
     let double_header = "device | share | poses | Wrr, board | Jᵀ n | torque, board | moving, board | f64: moving";

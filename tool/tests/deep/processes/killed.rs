@@ -298,7 +298,7 @@ fn the_measurement_after_a_killed_one_restores_the_rules() {
         let saved_before = Before::of(&mut board).unwrap();
         let measuring = rules_for(saved_before.rules(), 1.0);
         let mut progress = Progress::new("any");
-        progress.before = saved_before.keep(&board.info().serial, &measuring);
+        progress.before = saved_before.restore_point(&board.info().serial, &measuring);
         progress.save(&note).unwrap();
         board.set_rules(&measuring).unwrap();
     }

@@ -173,7 +173,7 @@ fn boundaries_with_friction_are_found_at_the_papers_setting() {
         (phantom, FeedForward::Full, 5.76, -1.0),
         (five_bar, FeedForward::Off, 10.55, -1.0),
     ] {
-        let law = Law { farther: true, ..Law::default() };
+        let law = Law { may_lengthen_pull: true, ..Law::default() };
         let (file, setup, prediction) = paper_setting(name, &world, normal, law);
         let pose = world.q.or(file.description.home).unwrap();
         let joints = file.spec().joints;

@@ -3,7 +3,7 @@
 use crate::common::prelude::*;
 use crate::common::{Folder, ideal_loop, json, point_mass, root, shipped_device, tuned, type_lines};
 use haptic_bridge::render::velocity::{Chosen, Estimator};
-use haptic_predict::tune::{Margins, Question, Settings, keeps, to_toml, tune, vertex};
+use haptic_predict::tune::{Margins, Question, Settings, accepted_wall, to_toml, tune, vertex};
 use haptic_stability::analysis::control_loop::CURRENT_LOOP_HZ;
 use haptic_stability::analysis::range::stiffnesses;
 
