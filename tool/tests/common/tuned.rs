@@ -81,7 +81,8 @@ pub fn none_is_stiffer(question: &Question<'_>, dampings: &[f64], stiffer: &[f64
         .flat_map(|settings| dampings.iter().map(|share| Settings { damping: share * best.damping, ..*settings }))
         .flat_map(|wall| stiffer.iter().map(move |share| Settings { stiffness: share * best.stiffness, ..wall }))
         .collect();
-    let swept = Sweep::quiet().map("grid", &walls, |wall| Ok(accepted_wall(question, wall)?.map(|_| format!("{wall:?}"))));
+    let swept =
+        Sweep::quiet().map("grid", &walls, |wall| Ok(accepted_wall(question, wall)?.map(|_| format!("{wall:?}"))));
     let better_walls: Vec<String> = swept.unwrap().into_iter().flatten().collect();
     assert!(better_walls.is_empty(), "{}: {best:?} is softer than {}", question.file.name, better_walls.join("\n"));
     (found.best, walls.len())

@@ -263,8 +263,10 @@ fn a_passive_wall_is_stable() {
                 TorquePath { delay_samples: 1.3, drive: Drive::Current { bandwidth_hz: 500.0 } },
             ] {
                 let estimator = LinearEstimator::Butterworth(cutoff);
-                let prediction =
-                    Prediction::new(Subject::new(&device.description).unwrap(), Loop::with_torque_path(&path, rate, estimator));
+                let prediction = Prediction::new(
+                    Subject::new(&device.description).unwrap(),
+                    Loop::with_torque_path(&path, rate, estimator),
+                );
                 let model = prediction.linearise(q, normal).unwrap();
                 let Some(passivity) = Passivity::new(&model, &device.description, &prediction.around) else {
                     panic!("{}: encoders sit on the motors", device.name)

@@ -228,7 +228,8 @@ impl McapRecorder {
         let metadata = entries.map(|(name, value)| (name.to_string(), value)).into();
         self.writer.write_metadata(&Metadata { name: END_RECORD.into(), metadata }).map_err(record_error)?;
         self.writer.finish().map_err(record_error)?;
-        let result = self.write_pending().map_err(|error| RecordError::Failed(output::write_failure(&self.path, &error)));
+        let result =
+            self.write_pending().map_err(|error| RecordError::Failed(output::write_failure(&self.path, &error)));
         self.is_ended = true;
         result
     }

@@ -137,7 +137,8 @@ impl Report<'_> {
         let mut rows = Vec::new();
         for &mode in &self.plan.modes {
             let points = self.points_with_theory(mode)?.into_iter().filter(|(point, _)| !point.repeats.is_empty());
-            let far = points.filter(|(point, theory)| self.plan.stiffness_at_every_pull(point) < IMPLAUSIBLE_SHARE * theory.kp);
+            let far = points
+                .filter(|(point, theory)| self.plan.stiffness_at_every_pull(point) < IMPLAUSIBLE_SHARE * theory.kp);
             rows.extend(far.map(|(point, _)| format!("{} at kd {:.4}", mode.name(), point.kd)));
         }
         let text = format!(
@@ -316,7 +317,8 @@ impl Report<'_> {
             }
             let domain = range.of(mode);
             let top = domain.boundary.iter().map(|point| point.kp).fold(0.0, f64::max);
-            let apart = points.iter().map(|(point, theory)| (self.plan.stiffness_at_every_pull(point) - theory.kp).abs() / top);
+            let apart =
+                points.iter().map(|(point, theory)| (self.plan.stiffness_at_every_pull(point) - theory.kp).abs() / top);
             // Integrates with cells of equal width, because the dampings are the middles of cells.
             let cell = end / self.plan.points as f64;
             areas.push(Area {
