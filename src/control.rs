@@ -3,6 +3,21 @@
 //!
 //! The firmware's interrupt, the simulated board and the tests all run this code. A [`Program`] is built elsewhere and
 //! moved in between two steps; small changes are [`Command`]s. No function blocks, allocates or panics.
+//!
+//! The stages of a carrier period, in order; a crest without a due control step runs stages 2 and 6 only:
+//!
+//! | | stage | function | file |
+//! |--|--|--|--|
+//! | 1 | compute the scene's torques | [`ControlLoop::render`] | render/controller.rs |
+//! | 2 | check counts, currents and supply | `check_samples` | control/crest.rs |
+//! | 3 | check the host, the key and the torques | `watch` | control/watch.rs |
+//! | 4 | fade the scene in, or run the polarity check | `fade_in`, `check_polarity` | control/{fade,polarity}.rs |
+//! | 5 | limit and command the torques | `within`, `command` | control/saturation.rs |
+//! | 6 | run the current loops | [`Stage::drive`] | drive/brushed.rs |
+//! | 7 | at the valley, check force, motor model and heat | [`ControlLoop::check_slow_faults`] | control/budgets.rs |
+//! | 8 | at the valley, carry out a request | [`ControlLoop::execute`] | control/requests.rs |
+//!
+//! `crest_of` in control/crest.rs runs stages 2 to 6 of a usual crest in one pass.
 
 mod budgets;
 pub mod compiled;

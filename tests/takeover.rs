@@ -21,7 +21,7 @@ fn prepared_values(rig: &Rig) -> String {
         format!("{}\n", &all[begin..end])
     };
     part("crests: ", ", supplied")
-        + &part("fitting: ", ", now:")
+        + &part("unclamped_torque: ", ", now:")
         + &part(", joints: [", ", hardware")
         + &part(", period: ", ", rate_since")
         + &part("heat: [", ", first_index")

@@ -12,7 +12,7 @@ mod devices;
 use core::hint::black_box;
 use core::panic::PanicInfo;
 use core::ptr::{addr_of_mut, write_volatile};
-use haptic_bridge::math::{Math, Minimax, Tabulated};
+use haptic_bridge::math::{Math, Micromath, Minimax, Tabulated};
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::model::description::Description;
 use haptic_bridge::model::device::Device;
@@ -125,6 +125,7 @@ fn count_with_every_math(device: &Device<f32>, description: &Description) {
     with_mechanism!(&device.mechanism, mechanism => {
         count_variants::<_, Tabulated, _>(mechanism, device, description);
         count_variants::<_, Minimax, _>(mechanism, device, description);
+        count_variants::<_, Micromath, _>(mechanism, device, description);
     });
 }
 
@@ -147,6 +148,9 @@ fn count_variants<M: Mechanism<f32, N>, K: Math<f32>, const N: usize>(
         Grid::new(interpolation, [TABLE_POINTS; 2], low, high, entries)
     };
     for kind in ["exact", "bilinear", "bicubic", "frozen"] {
+        if K::NAME == Micromath::NAME && kind != "exact" {
+            continue;
+        }
         let interpolation = if kind == "bilinear" { Interpolation::Bilinear } else { Interpolation::Bicubic };
         let Some(grid) = grid(interpolation) else { panic!() };
         let mut values = Vec::<f32, TABLE_VALUES>::new();

@@ -89,12 +89,19 @@ pub(super) struct Flow {
     /// Valleys until leverage is recomputed. `every` is the number of valleys between two recomputations.
     until_weighed: u32,
     every: u32,
-    /// Leverage in work, because a valley has no time for all of it: one valley computes it, the next compares it with
-    /// the present leverage, and a third applies it. `compared` is true after the second.
-    next: Option<Leverage>,
-    compared: bool,
+    next: NextLeverage,
     /// Time for which the earlier, larger force may still flow after the limit was lowered, s.
     settling: f32,
+}
+
+/// Progress of the recomputation of the leverage. Each part takes a valley of its own, which has no time for all.
+#[derive(Clone, Copy, Debug, Default)]
+enum NextLeverage {
+    #[default]
+    Unknown,
+    Computed(Leverage),
+    /// Its change since the present leverage is recorded.
+    Compared(Leverage),
 }
 
 impl Flow {
@@ -177,8 +184,7 @@ where
     pub(super) fn refuse_stray_current(&mut self) -> Result<(), Refusal> {
         if let Some(leverage) = self.leverage_at(&{ self.now.counts }) {
             self.compare_leverage(&leverage);
-            self.leverage = leverage;
-            self.update_force_bounds();
+            self.set_leverage(leverage);
         }
         let most = MAX_STRAY_FORCE_SHARE * self.rules.limits.tip_force;
         if margin_bits(self.leverage.force_squared(&self.flow.torque), most * most) >= 0 {
@@ -236,19 +242,24 @@ where
     /// Runs the next part of the recomputation of the leverage, at these counts.
     #[inline(never)]
     fn advance_leverage(&mut self, counts: &Counts) {
-        let Some(leverage) = self.flow.next else {
-            self.flow.next = self.leverage_at(counts);
-            self.flow.compared = false;
-            return;
-        };
-        if !core::mem::replace(&mut self.flow.compared, true) {
-            self.compare_leverage(&leverage);
-            // A slow carrier has time to compute and compare in one valley.
-            if self.flow.every > 0 {
-                return;
+        match self.flow.next {
+            NextLeverage::Unknown => {
+                self.flow.next = self.leverage_at(counts).map_or(NextLeverage::Unknown, NextLeverage::Computed);
             }
+            NextLeverage::Computed(leverage) => {
+                self.compare_leverage(&leverage);
+                self.flow.next = NextLeverage::Compared(leverage);
+                // A slow carrier has time for both parts.
+                if self.flow.every == 0 {
+                    self.set_leverage(leverage);
+                }
+            }
+            NextLeverage::Compared(leverage) => self.set_leverage(leverage),
         }
-        self.flow.next = None;
+    }
+
+    fn set_leverage(&mut self, leverage: Leverage) {
+        self.flow.next = NextLeverage::Unknown;
         self.leverage = leverage;
         self.update_force_bounds();
     }

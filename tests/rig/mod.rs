@@ -345,8 +345,11 @@ impl Rig {
                     self.control_loop.mark(marks);
                 }
             }
-            self.duties = self.control_loop.crest(&crest, &measured, due).1.map(f32::from);
+            let (at_crest, duties) = self.control_loop.crest(&crest, &measured, due);
             self.outputs = self.control_loop.check_slow_faults(&crest);
+            // Bridges that are turned off at the valley never apply the duties of the crest.
+            let applied = self.outputs.bridges || !at_crest.bridges;
+            self.duties = if applied { duties.map(f32::from) } else { [0.0; MAX_JOINTS] };
             for (i, current) in self.currents.iter_mut().enumerate() {
                 let turned = self.samples.counts[i].wrapping_sub(before[i]) as f32 * core::f32::consts::TAU;
                 let voltage = self.duties[i] * 24.0 - 0.1 * turned / COUNTS_PER_TURN as f32 * self.rate;

@@ -38,8 +38,12 @@ mod tests {
     #[test]
     fn every_variant_of_every_mechanism_is_counted() {
         for mechanism in haptic_bridge::model::catalogue::Kind::ALL {
-            for trigonometry in ["table", "minimax"] {
-                for model in ["exact", "bilinear", "bicubic", "frozen"] {
+            for trigonometry in ["table", "minimax", "micromath"] {
+                let models: &[_] = match trigonometry {
+                    "micromath" => &["exact"],
+                    _ => &["exact", "bilinear", "bicubic", "frozen"],
+                };
+                for model in models {
                     for terms in ["none", "feed-forward", "feed-forward+z", "washout", "washout+z"] {
                         let name = mechanism.spec().name;
                         let result = instructions(name, trigonometry, model, terms);

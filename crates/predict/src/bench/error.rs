@@ -105,6 +105,8 @@ pub enum Trigonometry {
     Tabulated,
     /// Minimax polynomials.
     Minimax,
+    /// The `micromath` crate.
+    Micromath,
 }
 
 /// A variant of the torque computation.
@@ -210,6 +212,10 @@ macro_rules! with_trigonometry {
             }
             Trigonometry::Minimax => {
                 type $K = haptic_bridge::math::Minimax;
+                $run
+            }
+            Trigonometry::Micromath => {
+                type $K = haptic_bridge::math::Micromath;
                 $run
             }
         }

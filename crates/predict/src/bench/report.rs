@@ -95,10 +95,13 @@ pub fn variants(device: &Device<f64>, timed: bool) -> Result<Vec<Variant>, Failu
     models.extend(table(device, Interpolation::Bilinear, [points; 2], range));
     models.extend(table(device, Interpolation::Bicubic, [points; 2], range));
     let mut results = Vec::new();
-    for (trigonometry, name) in [(Trigonometry::Tabulated, "table"), (Trigonometry::Minimax, "minimax")] {
+    let trigonometries =
+        [(Trigonometry::Tabulated, "table"), (Trigonometry::Minimax, "minimax"), (Trigonometry::Micromath, "micromath")];
+    for (trigonometry, name) in trigonometries {
         for model in &models {
             for terms in Terms::ALL {
-                if terms == Terms::None && model.name() != "exact" {
+                let exact_only = terms == Terms::None || trigonometry == Trigonometry::Micromath;
+                if exact_only && model.name() != "exact" {
                     continue;
                 }
                 let way = TorqueVariant { model, terms, trigonometry, law };
