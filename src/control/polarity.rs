@@ -124,8 +124,9 @@ struct Swing {
     last: bool,
     /// True for a swing that measures only the winding.
     winding: bool,
-    /// Present amplitude of the torque, N m. `most` is the largest allowed amplitude.
+    /// Present amplitude of the torque, N m.
     torque: f32,
+    /// Largest allowed amplitude of the torque, N m.
     most: f32,
     /// Growth of the torque, N m/s.
     growth: f32,
@@ -133,22 +134,25 @@ struct Swing {
     rate: f32,
     /// Torque of the first detected motion, N m.
     moved_by: Option<f32>,
-    /// Angle to either side at which the torque stops growing, rad. `ends` are the joints' extremes in this turn, rad.
+    /// Swing of a joint to either side that limits the growth of the torque, rad.
     angle: f32,
+    /// Lowest and highest angle of each joint in this turn, relative to its initial angle, rad.
     ends: [(f32, f32); MAX_JOINTS],
     /// True if the torque has stopped growing.
     full: bool,
-    /// Stiffness (N m/rad) and `damping` (N m s/rad) that pull the joint back to its initial angle.
+    /// Stiffness that pulls the joint back to its initial angle, N m/rad.
     stiffness: f32,
+    /// Damping of the joint's return to its initial angle, N m s/rad.
     damping: f32,
     /// Mean distance of the joint from its initial angle over about a sixth of a turn, rad.
     mean: f32,
-    /// Work of the commanded torque on the joint, J, negative if the motor turns the wrong way. `was` is the joint's
-    /// last distance from its initial angle, rad.
+    /// Work of the commanded torque on the joint, J; negative if the motor turns the wrong way.
     work: f32,
+    /// Distance of the joint from its initial angle at the last step, rad.
     was: f32,
-    /// Time in this turn, s; it starts at a complete turn. `turns` is the number of turns with the full torque.
+    /// Time in this turn, s. The first value is a complete turn, so that a turn begins at once.
     seconds: f32,
+    /// Number of turns with the full torque.
     turns: f32,
     /// Sums of angles (rad), torque of the current (N m), current (A) and voltage (V).
     angles: [Phasor; MAX_JOINTS],
@@ -190,20 +194,23 @@ pub(super) struct PolarityCheck {
     swing: Option<Swing>,
     /// Time spent waiting for the joint to come to rest, s.
     waited: f32,
-    /// Lowest and highest angle of the joint at rest, rad. `rested` is its time at rest, s.
+    /// Lowest and highest angle of the joint at rest, rad.
     rests_at: (f32, f32),
+    /// Time that the joint has been at rest, s.
     rested: f32,
     /// Initial angles of all joints, rad.
     from: Option<[f32; MAX_JOINTS]>,
-    /// Number of neighbouring poses that were checked. `worth` is their largest tip force for 1 N m of the joint, N.
+    /// Number of neighbouring poses that were checked.
     poses: u32,
+    /// Largest tip force for 1 N m of the joint in the checked poses, N.
     worth: f32,
-    /// Mass matrix at the swing's pose, kg m², once it is known. `effective` is the ratio of the joint's torque to the
-    /// largest acceleration of any joint, kg m².
+    /// Mass matrix at the swing's pose, kg m², once it is known.
     inertia: Option<[[f32; MAX_JOINTS]; MAX_JOINTS]>,
+    /// Ratio of the joint's torque to the largest acceleration of any joint, kg m².
     effective: f32,
-    /// Time between two steps of the check, s. `left` is the number of control steps until the next one.
+    /// Time between two steps of the check, s.
     pace: f32,
+    /// Number of control steps until the next step of the check.
     left: u32,
     /// True if the next step waits for the valley.
     due: bool,

@@ -264,7 +264,7 @@ impl Trace {
         if !seen.is_multiple_of(SWINGS_PER_CHECK / 2) {
             return None;
         }
-        // Compare extents, because swings also grow when a ripple no longer divides them.
+        // Compare extents, because swings also become longer when a fast ripple decays and no longer splits them.
         let (earlier, later) = self.extents[IGNORED_TURNS..].split_at(seen + SWINGS_PER_CHECK / 2);
         let larger = size_of(later) > size_of(earlier);
         let lasted = (self.ends[count - 1] - self.ends[count - 1 - SWINGS_PER_CHECK]) as f64;
