@@ -48,19 +48,20 @@ pub const MAX_RESISTANCE_ERROR: f32 = 0.35;
 const MAX_HIDDEN_SHARE: f32 = 0.1;
 /// Relative error of the dead time's voltage after compensation.
 const DEAD_TIME_ERROR: f32 = 0.5;
-/// Tip force of the first torque by the file, N. The real force is 0.5 N if every constant is ten times wrong.
+/// Tip force that the file predicts for the first torque, N. The real force is 0.5 N if every constant is ten times
+/// wrong.
 const INITIAL_TIP_FORCE: f32 = 0.05;
-/// Tip force for inertia in the first swing by the file, N.
+/// Tip force that accelerates the file's inertia in the first swing, N.
 const FIRST_SWING_FORCE: f32 = 0.2;
-/// Largest tip force by the file on an unmoved joint whose friction the file omits, N.
+/// Largest tip force that the file predicts before a joint moves whose friction the file omits, N.
 const MAX_FORCE_WITHOUT_MOTION: f32 = 0.8;
 /// Largest ratio of static friction to the file's Coulomb friction.
 const MAX_STATIC_FRICTION_RATIO: f32 = 3.0;
-/// Largest share of the force limit at the tip for inertia in the second swing.
+/// Largest share of the tip-force limit that may accelerate the inertia in the second swing.
 const SECOND_SWING_FORCE_SHARE: f32 = 0.6;
-/// Largest share of the motor's torque for inertia in the second swing.
+/// Largest share of the motor's torque that may accelerate the inertia in the second swing.
 const SECOND_SWING_TORQUE_SHARE: f32 = 0.25;
-/// Largest torque beyond the torque that moved the joint, as a ratio to the file's torque for inertia.
+/// Largest torque above the torque that moved the joint, relative to the torque that the file's inertia needs.
 const MAX_SWING_TORQUE_RATIO: f32 = 1.2;
 /// Ratio of the second swing's torque to the torque that moved the joint.
 const SECOND_SWING_FRICTION_RATIO: f32 = 2.5;
@@ -86,7 +87,7 @@ const MAX_HOME_ERROR: f32 = 0.15;
 const MIN_HOME_ERROR_FACTOR: f32 = 0.4;
 /// Range of a swing's angular frequency, rad/s: above a hanging device's, up to a third of a soft cable's.
 const SWING_RATE_RANGE: (f32, f32) = (8.0, 50.0);
-/// Highest angular frequency if friction exceeds the torque for inertia, rad/s.
+/// Highest angular frequency if friction exceeds the torque that accelerates the inertia, rad/s.
 const MAX_SWING_RATE: f32 = 200.0;
 /// Largest back-EMF within the first counts of a joint, V. A larger one would count as a lost encoder.
 const MAX_INITIAL_BACK_EMF: f32 = 0.8;
@@ -96,7 +97,7 @@ const SWING_SPEED_SHARE: f32 = 0.5;
 const MIN_SWING_STEPS: f32 = 16.0;
 /// Largest factor of the torque from one turn to the next.
 const MAX_GROWTH: f32 = 1.95;
-/// Factor of the torque below which the torque stops growing.
+/// Growth factor from one turn to the next below which the torque stops growing.
 const MIN_GROWTH: f32 = 1.1;
 /// Largest factor of the angular frequency after a turn that swung a joint too far.
 const MAX_RATE_FACTOR: f32 = 1.5;
