@@ -71,7 +71,8 @@ pub struct ControlLoop<P, S = Axis> {
     usual: u8,
     /// True if the scene has faded in and no index pulse waits for its check.
     in_force: bool,
-    /// Zero if `in_force` and the last step commanded the full requested torques; otherwise negative.
+    /// Zero if the scene is `in_force` and the last step limited no torque. Otherwise negative, so that one test covers
+    /// it together with other signs.
     steady: i32,
     program: Option<P>,
     crests: crest::Crests,

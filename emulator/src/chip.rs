@@ -83,7 +83,7 @@ impl Chip {
         let part = Stm32f427::new()?;
         let bus = map::bus(part.bus())?;
         let bus_slot = bus.slot(OTG_BLOCKS[0])?;
-        let own_models = bus.slots().iter().map(|slot| own_model_of(slot.peripheral().name)).collect();
+        let own_models = bus.slots().iter().map(|slot| find_own_model(slot.peripheral().name)).collect();
         let mut chip = Self {
             part,
             parked: bus,
@@ -181,7 +181,8 @@ impl Chip {
     }
 }
 
-fn own_model_of(instance: &str) -> OwnModel {
+/// Returns our model for an instance of the part, by its name.
+fn find_own_model(instance: &str) -> OwnModel {
     if let Some(block) = OTG_BLOCKS.iter().position(|&name| name == instance) {
         return OwnModel::Otg(block);
     }
@@ -209,7 +210,7 @@ impl Mcu for Chip {
 
     fn reset(&mut self, at: VirtualNanos, cause: ResetCause) {
         self.swap_buses();
-        // The previous bus of ours, with the count of events for which models may still wait.
+        // Our previous bus, with the count of events for which models may still wait.
         let before = std::mem::replace(&mut self.parked, map::bus(self.part.bus()).expect("a valid description"));
         self.part.reset(at, cause);
         self.parked.keep_added(&before).expect("the same description");

@@ -1,5 +1,5 @@
 //! The ends of a run. A panic, a hard fault, a stopped crystal or a falling supply turns the bridges off, records the
-//! cause in memory that survives a reset, and resets. The next start reports the cause ([`Previous`]). A request for
+//! cause in memory that survives a reset, and resets. The next start reports the cause ([`RunEnd`]). A request for
 //! the USB boot loader is passed on in the same memory.
 
 use core::mem::MaybeUninit;
@@ -24,14 +24,17 @@ struct EndRecord {
     mark: u32,
     /// 1 panic, 2 hard fault, 3 unexpected interrupt, 4 stack overflow, 5 stopped crystal, 6 falling supply.
     kind: u32,
-    /// Program counter at a fault, line of a panic, or number of an interrupt. `lr` is the link register at a fault.
+    /// Program counter at a fault, line of a panic, or number of an interrupt.
     pc: u32,
+    /// Link register at a fault.
     lr: u32,
-    /// Configurable fault status. `address` is the address that it names (RM0090 / ARMv7-M B3.2.15).
+    /// Configurable fault status register (RM0090 / ARMv7-M B3.2.15).
     status: u32,
+    /// Bus fault address register.
     address: u32,
-    /// Address in flash of the name of a panic's file. `file_len` is its length, bytes.
+    /// Address in flash of the name of a panic's file.
     file: u32,
+    /// Length of the name of a panic's file, bytes.
     file_len: u32,
     check: u32,
 }
@@ -57,7 +60,7 @@ pub enum ResetCause {
 
 /// The end of the previous run.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, defmt::Format)]
-pub enum Previous {
+pub enum RunEnd {
     /// No record was left.
     Clean,
     /// A panic in the file `file`, at the line `pc`.
@@ -80,7 +83,7 @@ pub struct Start {
     /// Cause of the reset.
     pub cause: ResetCause,
     /// The end of the previous run.
-    pub previous: Previous,
+    pub previous: RunEnd,
     /// Program counter of a fault, line of a panic, or 0 if unknown.
     pub pc: u32,
     /// Fault status register of a hard fault.
@@ -93,13 +96,13 @@ impl Start {
     /// Returns the fault that the end of the previous run leaves latched for this run.
     pub fn fault(&self) -> Option<FaultRecord> {
         let (fault, value) = match (self.previous, self.cause) {
-            (Previous::Panic, _) => (Fault::Panic, self.pc as f32),
-            (Previous::StackOverflow, _) => (Fault::StackOverflow, 0.0),
-            (Previous::HardFault | Previous::UnexpectedInterrupt, _) => (Fault::HardFault, self.pc as f32),
-            (Previous::ClockFailure, _) => (Fault::ClockFailure, 0.0),
-            (Previous::SupplyDip, _) => (Fault::SupplyDip, 0.0),
-            (Previous::Clean, ResetCause::Watchdog) => (Fault::Watchdog, 0.0),
-            (Previous::Clean, _) => return None,
+            (RunEnd::Panic, _) => (Fault::Panic, self.pc as f32),
+            (RunEnd::StackOverflow, _) => (Fault::StackOverflow, 0.0),
+            (RunEnd::HardFault | RunEnd::UnexpectedInterrupt, _) => (Fault::HardFault, self.pc as f32),
+            (RunEnd::ClockFailure, _) => (Fault::ClockFailure, 0.0),
+            (RunEnd::SupplyDip, _) => (Fault::SupplyDip, 0.0),
+            (RunEnd::Clean, ResetCause::Watchdog) => (Fault::Watchdog, 0.0),
+            (RunEnd::Clean, _) => return None,
         };
         Some(FaultRecord { fault, axis: None, value, step: 0 })
     }
@@ -145,21 +148,21 @@ pub fn take_record() -> Start {
     };
     let valid = words.mark == RECORD_MARK && words.check == words.sum() && cause != ResetCause::Power;
     let previous = match (valid, words.kind) {
-        (true, 1) => Previous::Panic,
-        (true, 2) => Previous::HardFault,
-        (true, 3) => Previous::UnexpectedInterrupt,
-        (true, 4) => Previous::StackOverflow,
-        (true, 5) => Previous::ClockFailure,
-        (true, 6) => Previous::SupplyDip,
-        _ => Previous::Clean,
+        (true, 1) => RunEnd::Panic,
+        (true, 2) => RunEnd::HardFault,
+        (true, 3) => RunEnd::UnexpectedInterrupt,
+        (true, 4) => RunEnd::StackOverflow,
+        (true, 5) => RunEnd::ClockFailure,
+        (true, 6) => RunEnd::SupplyDip,
+        _ => RunEnd::Clean,
     };
-    let known = previous != Previous::Clean;
+    let known = previous != RunEnd::Clean;
     Start {
         cause,
         previous,
         pc: if known { words.pc } else { 0 },
         status: if known { words.status } else { 0 },
-        file: if previous == Previous::Panic { words.file() } else { "" },
+        file: if previous == RunEnd::Panic { words.file() } else { "" },
     }
 }
 

@@ -185,8 +185,8 @@ impl Service {
     }
 
     /// Loads a scene for the device, with the closed form of the mass matrix, because a prepared matrix is valid only
-    /// for its walls. While the motors are on, the scene must have the present control rate, and the tip must touch
-    /// none.
+    /// for the walls that it was made for. While the motors are on, the scene must have the present control rate, and
+    /// the tip must touch none of its walls.
     pub fn set_scene(&mut self, machine: &mut impl Machine, scene: Scene<f32>) -> Result<(), Refusal> {
         self.set_scene_and_mass(machine, scene, MassModelData::Exact)
     }
@@ -260,7 +260,7 @@ impl Service {
             machine.execute(Command::Rules(next.rules)).0?;
         }
         // A scene that is loaded while the motors are on keeps the rate. Checked here, because a fault may have turned
-        // them off.
+        // the motors off.
         if let Some(rate_hz) = rate_hz.filter(|_| check_motors_off(machine).is_ok()) {
             machine.retime(rate_hz);
         }

@@ -34,9 +34,9 @@ pub fn render(control_loop: &mut BoardControlLoop, counts: &Counts) {
 #[inline(always)]
 pub fn crest(control_loop: &mut BoardControlLoop, seen: &Samples, ticks: &Ticks, legs: &mut Legs) -> bool {
     match control_loop.usual {
-        2 => crest_of_two(control_loop, seen, ticks, legs),
-        3 => crest_of_three(control_loop, seen, ticks, legs),
-        1 => crest_of_one(control_loop, seen, ticks, legs),
+        2 => crest_of_two_joints(control_loop, seen, ticks, legs),
+        3 => crest_of_three_joints(control_loop, seen, ticks, legs),
+        1 => crest_of_one_joint(control_loop, seen, ticks, legs),
         _ => crest_of_any_kind(control_loop, seen, true, ticks, legs),
     }
 }
@@ -44,17 +44,17 @@ pub fn crest(control_loop: &mut BoardControlLoop, seen: &Samples, ticks: &Ticks,
 // One function per number of joints, so that each saves only the registers it needs.
 
 #[inline(never)]
-fn crest_of_one(control_loop: &mut BoardControlLoop, seen: &Samples, ticks: &Ticks, legs: &mut Legs) -> bool {
+fn crest_of_one_joint(control_loop: &mut BoardControlLoop, seen: &Samples, ticks: &Ticks, legs: &mut Legs) -> bool {
     control_loop.crest_of::<1, _>(seen, &seen.currents, &|duty| ticks.legs(duty), legs)
 }
 
 #[inline(never)]
-fn crest_of_two(control_loop: &mut BoardControlLoop, seen: &Samples, ticks: &Ticks, legs: &mut Legs) -> bool {
+fn crest_of_two_joints(control_loop: &mut BoardControlLoop, seen: &Samples, ticks: &Ticks, legs: &mut Legs) -> bool {
     control_loop.crest_of::<2, _>(seen, &seen.currents, &|duty| ticks.legs(duty), legs)
 }
 
 #[inline(never)]
-fn crest_of_three(control_loop: &mut BoardControlLoop, seen: &Samples, ticks: &Ticks, legs: &mut Legs) -> bool {
+fn crest_of_three_joints(control_loop: &mut BoardControlLoop, seen: &Samples, ticks: &Ticks, legs: &mut Legs) -> bool {
     control_loop.crest_of::<3, _>(seen, &seen.currents, &|duty| ticks.legs(duty), legs)
 }
 

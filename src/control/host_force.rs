@@ -76,7 +76,7 @@ pub struct HostContact {
 /// Outcome of a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub enum ForceDone {
-    /// Accepted: it acts from the next control step on.
+    /// Accepted: the request acts from the next control step on.
     Taken,
     /// No force, because `hold` and `fade` are 0: the request only reads the device's state.
     Looked,
@@ -84,9 +84,9 @@ pub enum ForceDone {
     NotArmed,
     /// Rejected: a request with the same or a later number still acts.
     NotNewer,
-    /// Rejected: its age exceeds hold and fade.
+    /// Rejected: the request is older than its hold and fade together.
     TooOld,
-    /// Rejected: a value in it cannot be used.
+    /// Rejected: a value in the request cannot be used.
     Bad(BadForce),
 }
 
@@ -224,8 +224,9 @@ impl HostContact {
 struct MovingPlane {
     from: PushedPlane<f32>,
     to: PushedPlane<f32>,
-    /// Time since the host moved the plane, s. `duration` is the time of the board's move, s.
+    /// Time since the host moved the plane, s.
     elapsed: f32,
+    /// Time that the board's move of the plane takes, s.
     duration: f32,
 }
 
@@ -276,17 +277,20 @@ pub(super) struct HostForce {
     request: ForceRequest,
     /// Time since the state that the request was computed from, s.
     age: f32,
-    /// Share of the request that acts in this step, with its joint `torque` (N m) and the time left, `life` (s).
+    /// Share of the request that acts in this step.
     lease: f32,
+    /// Joint torques of the request in this step, N m.
     torque: Torques,
+    /// Time until the request expires, s.
     life: f32,
     /// Share that ramp and limits left in a step that was cut.
     pub granted: f32,
     contact: MovingPlane,
-    /// Share of the contact that acted in the last step. `beside` is its difference from the present request's lease,
-    /// because that request replaced another; `closing` is the rate at which the difference shrinks, 1/s.
+    /// Share of the contact that acted in the last step.
     contact_lease: f32,
+    /// Difference of the contact's share from the request's lease; nonzero after the request replaced another.
     beside: f32,
+    /// Rate at which `beside` shrinks to zero, 1/s.
     closing: f32,
 }
 

@@ -48,19 +48,20 @@ pub const MAX_RESISTANCE_ERROR: f32 = 0.35;
 const MAX_HIDDEN_SHARE: f32 = 0.1;
 /// Relative error of the dead time's voltage after compensation.
 const DEAD_TIME_ERROR: f32 = 0.5;
-/// Tip force of the first torque by the file, N. The real force is 0.5 N if every constant is ten times wrong.
+/// Tip force that the file predicts for the first torque, N. The real force is 0.5 N if every constant is ten times
+/// wrong.
 const INITIAL_TIP_FORCE: f32 = 0.05;
-/// Tip force for inertia in the first swing by the file, N.
+/// Tip force that accelerates the file's inertia in the first swing, N.
 const FIRST_SWING_FORCE: f32 = 0.2;
-/// Largest tip force by the file on an unmoved joint whose friction the file omits, N.
+/// Largest tip force that the file predicts before a joint moves whose friction the file omits, N.
 const MAX_FORCE_WITHOUT_MOTION: f32 = 0.8;
 /// Largest ratio of static friction to the file's Coulomb friction.
 const MAX_STATIC_FRICTION_RATIO: f32 = 3.0;
-/// Largest share of the force limit at the tip for inertia in the second swing.
+/// Largest share of the tip-force limit that may accelerate the inertia in the second swing.
 const SECOND_SWING_FORCE_SHARE: f32 = 0.6;
-/// Largest share of the motor's torque for inertia in the second swing.
+/// Largest share of the motor's torque that may accelerate the inertia in the second swing.
 const SECOND_SWING_TORQUE_SHARE: f32 = 0.25;
-/// Largest torque beyond the torque that moved the joint, as a ratio to the file's torque for inertia.
+/// Largest torque above the torque that moved the joint, relative to the torque that the file's inertia needs.
 const MAX_SWING_TORQUE_RATIO: f32 = 1.2;
 /// Ratio of the second swing's torque to the torque that moved the joint.
 const SECOND_SWING_FRICTION_RATIO: f32 = 2.5;
@@ -86,7 +87,7 @@ const MAX_HOME_ERROR: f32 = 0.15;
 const MIN_HOME_ERROR_FACTOR: f32 = 0.4;
 /// Range of a swing's angular frequency, rad/s: above a hanging device's, up to a third of a soft cable's.
 const SWING_RATE_RANGE: (f32, f32) = (8.0, 50.0);
-/// Highest angular frequency if friction exceeds the torque for inertia, rad/s.
+/// Highest angular frequency if friction exceeds the torque that accelerates the inertia, rad/s.
 const MAX_SWING_RATE: f32 = 200.0;
 /// Largest back-EMF within the first counts of a joint, V. A larger one would count as a lost encoder.
 const MAX_INITIAL_BACK_EMF: f32 = 0.8;
@@ -96,7 +97,7 @@ const SWING_SPEED_SHARE: f32 = 0.5;
 const MIN_SWING_STEPS: f32 = 16.0;
 /// Largest factor of the torque from one turn to the next.
 const MAX_GROWTH: f32 = 1.95;
-/// Factor of the torque below which the torque stops growing.
+/// Growth factor from one turn to the next below which the torque stops growing.
 const MIN_GROWTH: f32 = 1.1;
 /// Largest factor of the angular frequency after a turn that swung a joint too far.
 const MAX_RATE_FACTOR: f32 = 1.5;
@@ -124,8 +125,9 @@ struct Swing {
     last: bool,
     /// True for a swing that measures only the winding.
     winding: bool,
-    /// Present amplitude of the torque, N m. `most` is the largest allowed amplitude.
+    /// Present amplitude of the torque, N m.
     torque: f32,
+    /// Largest allowed amplitude of the torque, N m.
     most: f32,
     /// Growth of the torque, N m/s.
     growth: f32,
@@ -133,22 +135,25 @@ struct Swing {
     rate: f32,
     /// Torque of the first detected motion, N m.
     moved_by: Option<f32>,
-    /// Angle to either side at which the torque stops growing, rad. `ends` are the joints' extremes in this turn, rad.
+    /// Swing of a joint to either side that limits the growth of the torque, rad.
     angle: f32,
+    /// Lowest and highest angle of each joint in this turn, relative to its initial angle, rad.
     ends: [(f32, f32); MAX_JOINTS],
     /// True if the torque has stopped growing.
     full: bool,
-    /// Stiffness (N m/rad) and `damping` (N m s/rad) that pull the joint back to its initial angle.
+    /// Stiffness that pulls the joint back to its initial angle, N m/rad.
     stiffness: f32,
+    /// Damping of the joint's return to its initial angle, N m s/rad.
     damping: f32,
     /// Mean distance of the joint from its initial angle over about a sixth of a turn, rad.
     mean: f32,
-    /// Work of the commanded torque on the joint, J, negative if the motor turns the wrong way. `was` is the joint's
-    /// last distance from its initial angle, rad.
+    /// Work of the commanded torque on the joint, J; negative if the motor turns the wrong way.
     work: f32,
+    /// Distance of the joint from its initial angle at the last step, rad.
     was: f32,
-    /// Time in this turn, s; it starts at a complete turn. `turns` is the number of turns with the full torque.
+    /// Time in this turn, s. The first value is a complete turn, so that a turn begins at once.
     seconds: f32,
+    /// Number of turns with the full torque.
     turns: f32,
     /// Sums of angles (rad), torque of the current (N m), current (A) and voltage (V).
     angles: [Phasor; MAX_JOINTS],
@@ -190,20 +195,23 @@ pub(super) struct PolarityCheck {
     swing: Option<Swing>,
     /// Time spent waiting for the joint to come to rest, s.
     waited: f32,
-    /// Lowest and highest angle of the joint at rest, rad. `rested` is its time at rest, s.
+    /// Lowest and highest angle of the joint at rest, rad.
     rests_at: (f32, f32),
+    /// Time that the joint has been at rest, s.
     rested: f32,
     /// Initial angles of all joints, rad.
     from: Option<[f32; MAX_JOINTS]>,
-    /// Number of neighbouring poses that were checked. `worth` is their largest tip force for 1 N m of the joint, N.
+    /// Number of neighbouring poses that were checked.
     poses: u32,
+    /// Largest tip force for 1 N m of the joint in the checked poses, N.
     worth: f32,
-    /// Mass matrix at the swing's pose, kg m², once it is known. `effective` is the ratio of the joint's torque to the
-    /// largest acceleration of any joint, kg m².
+    /// Mass matrix at the swing's pose, kg m², once it is known.
     inertia: Option<[[f32; MAX_JOINTS]; MAX_JOINTS]>,
+    /// Ratio of the joint's torque to the largest acceleration of any joint, kg m².
     effective: f32,
-    /// Time between two steps of the check, s. `left` is the number of control steps until the next one.
+    /// Time between two steps of the check, s.
     pace: f32,
+    /// Number of control steps until the next step of the check.
     left: u32,
     /// True if the next step waits for the valley.
     due: bool,

@@ -238,16 +238,15 @@ fn frame<T: Real, K: Math<T>, const N: usize>(
                 let part = part - axes[0] * axes[0].dot(&part);
                 part / K::sqrt(part.dot(&part))
             }
-            None => across::<T, K, N>(&axes[0]),
+            None => perpendicular_to::<T, K, N>(&axes[0]),
         };
         axes[2] = cross(&axes[0], &axes[1]);
     }
     axes
 }
 
-/// Returns a unit vector across the unit vector `n` in space: the normalised part across `n` of the axis farthest from
-/// `n`.
-fn across<T: Real, K: Math<T>, const N: usize>(n: &SVector<T, N>) -> SVector<T, N> {
+/// Returns a unit vector perpendicular to the unit vector `n` in space, from the coordinate axis farthest from `n`.
+fn perpendicular_to<T: Real, K: Math<T>, const N: usize>(n: &SVector<T, N>) -> SVector<T, N> {
     let smallest = (1..N.min(3)).fold(0, |smallest, i| if n[i].abs() < n[smallest].abs() { i } else { smallest });
     let part = unit::<T, N>(smallest) - n * n[smallest];
     part / K::sqrt(part.dot(&part))

@@ -98,8 +98,8 @@ fn a_million_times_the_effective_inertia_keeps_five_digits() {
         let requested: f64 = row.case.rsplit(' ').next().and_then(|text| text.parse().ok()).expect("a ratio");
         assert!((row.ratio / requested - 1.0).abs() < 0.05, "{row:?}");
         assert!(row.board.w_eff_joint < 1e-5 && row.board.w_rr_kernel < 1e-5 && row.board.torque < 1e-5, "{row:?}");
-        // In motion the velocity terms of the heavy joint cancel, and the rounding error grows with the root of the
-        // ratio.
+        // In motion the velocity terms of the heavy joint cancel, and the rounding error grows with the root of
+        // Wrr/Weff.
         assert!(row.board.torque_moving < 3e-6 * requested.sqrt(), "{row:?}");
     }
 }

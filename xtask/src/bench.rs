@@ -47,7 +47,7 @@ fn count() -> Result<Vec<(String, u64)>> {
     counted.filter(|counted| !counted.is_empty()).context("the counter printed no counts")
 }
 
-/// Counts all variants, stores the counts, and writes the report.
+/// Counts the instructions of all variants, stores the counts, and writes the report.
 pub fn refresh() -> Result<()> {
     let counted = count()?;
     let variants: Vec<String> = counted
@@ -73,7 +73,7 @@ pub fn refresh() -> Result<()> {
     ]))
 }
 
-/// Counts all variants. Fails if a variant has over 1 % more instructions than the stored count.
+/// Counts the instructions of all variants. Fails if a count is over 1 % above the stored one, or if variants changed.
 pub fn check() -> Result<()> {
     let stored: Value =
         serde_json::from_str(&fs::read_to_string(counts_file()).context("counts.json cannot be read")?)?;

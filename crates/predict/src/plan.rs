@@ -28,7 +28,8 @@ const FIRMWARE_TRIGONOMETRY: &str = "table";
 /// Largest error that a plan may have.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Budget {
-    /// Percentage of the motors' torque at the worst joint, which is also that of the motors' largest tip force.
+    /// Torque error of the worst joint, as a percentage of its motor's torque. The error of the tip force is the same
+    /// percentage of the motors' largest tip force.
     Percent(f64),
     /// One duty step, because the duty has no finer resolution.
     OneDutyStep,

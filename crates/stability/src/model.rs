@@ -84,7 +84,7 @@ pub struct Report {
     pub w_eff: Rows,
     /// Wrr - Weff, kg (R x R).
     pub coupling: Rows,
-    /// fa of (4) (N-R).
+    /// fa of equation (4), N-R entries.
     pub f_a: Vec<f64>,
     /// Torques τ of (4) with g in z, N m (N); for several walls by the levels of docs/model.md section 2.
     pub torque: Vec<f64>,
@@ -102,9 +102,9 @@ pub struct Report {
 /// Condition numbers in the 2-norm.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Condition {
-    /// Condition of the tip Jacobian (d x N).
+    /// Condition number of the tip Jacobian (d x N).
     pub jacobian: f64,
-    /// Condition of M.
+    /// Condition number of the mass matrix M.
     pub mass: f64,
 }
 

@@ -181,7 +181,7 @@ impl Sweep {
         let missing: Vec<usize> = (0..items.len()).filter(|index| !results.contains_key(index)).collect();
         let before = results.len();
         let progress = |done: usize, _: usize| {
-            // After an interruption skipped items count as done, which clears the line in place.
+            // After an interruption count skipped items too, because only a complete count clears the line in place.
             if self.display == Display::InPlace || !(self.interrupted)() {
                 self.show(stage, before + done, items.len());
             }

@@ -14,7 +14,7 @@ struct Encoding<T> {
     /// Angular velocity of one count per control period, rad/s.
     speed_per_count: T,
     binary: Binary,
-    /// Counts after which the angle repeats. `turns` is the number of turns in them.
+    /// Number of counts after which the angle repeats: `turns` complete turns.
     period: i32,
     turns: i32,
     /// Joint angle of one part, rad. A turn has `period` parts, a count has `turns` parts.
@@ -90,7 +90,8 @@ impl<T: Real> Encoding<T> {
         }
     }
 
-    /// Removes complete turns of p/q counts exactly, because n counts are n q parts of 1/q count.
+    /// Does the work of [`Encoding::within_a_turn`] for turns of p/q counts. Exact, because the counts are converted to
+    /// parts of 1/q count, which are integers: p parts are a turn.
     #[cold]
     #[inline(never)]
     fn within_a_fractional_turn(&self, relative: i32) -> T {

@@ -88,22 +88,22 @@ pub fn millimetres(metres: f64) -> String {
 mod tests {
     use super::*;
 
-    const COARSE: Excitation = Excitation { quantum: 30e-6, force: 1.6, friction: 0.0, largest: 5e-4 };
+    const COARSE_ENCODERS: Excitation = Excitation { quantum: 30e-6, force: 1.6, friction: 0.0, largest: 5e-4 };
 
     #[test]
     fn pulls_fit_the_motors_and_exceed_encoder_steps() {
-        assert_eq!(COARSE.pull(100.0, "a wall").unwrap(), 5e-4);
-        assert!((COARSE.pull(1200.0, "a wall").unwrap() - 0.15 * 1.6 / 1200.0).abs() < 1e-15);
-        assert_eq!(COARSE.pull(5_000.0, "a wall").unwrap(), 6.0 * 30e-6);
+        assert_eq!(COARSE_ENCODERS.pull(100.0, "a wall").unwrap(), 5e-4);
+        assert!((COARSE_ENCODERS.pull(1200.0, "a wall").unwrap() - 0.15 * 1.6 / 1200.0).abs() < 1e-15);
+        assert_eq!(COARSE_ENCODERS.pull(5_000.0, "a wall").unwrap(), 6.0 * 30e-6);
         // 6 · 30 µm · 10 kN/m = 1.8 N, more than the motors' 1.6 N.
-        assert!(matches!(COARSE.pull(10_000.0, "a wall"), Err(MeasureError::Saturates { .. })));
+        assert!(matches!(COARSE_ENCODERS.pull(10_000.0, "a wall"), Err(MeasureError::Saturates { .. })));
     }
 
     #[test]
     fn friction_lengthens_pulls() {
-        let dry = Excitation { friction: 0.01, ..COARSE };
+        let dry = Excitation { friction: 0.01, ..COARSE_ENCODERS };
         assert!((dry.pull(1200.0, "a wall").unwrap() - 0.4 / 1200.0).abs() < 1e-15);
-        let dryer = Excitation { friction: 1.0, ..COARSE };
+        let dryer = Excitation { friction: 1.0, ..COARSE_ENCODERS };
         assert!((dryer.pull(4_000.0, "a wall").unwrap() - 0.6 * 1.6 / 4_000.0).abs() < 1e-15);
     }
 

@@ -34,7 +34,7 @@ const IGNORED_TURNS: usize = 8;
 const SWINGS_PER_CHECK: usize = 22;
 /// Number of checks after which a motion of constant size is a vibration, for position and acceleration.
 const CHECKS_BEFORE_VIBRATION: (usize, usize) = (4, 16);
-/// Minimum number of swings in a stretch. It is longer than the beat of two modes.
+/// Minimum number of swings in a stretch. A stretch is longer than the beat of two modes.
 const MIN_STRETCH_SWINGS: usize = 6;
 /// Minimum duration of a stretch, and of a check that judges a motion as decaying, in periods of the slowest mode.
 const MIN_STRETCH_PERIODS: f64 = 3.0;
@@ -48,15 +48,15 @@ const RIPPLE_SHARE: f64 = 0.4;
 const SIGNIFICANT_STANDARD_ERRORS: f64 = 4.0;
 /// Largest slope per swing of a motion with constant size, 0.4 % over one check.
 const FLAT_SLOPE: f64 = 2e-4;
-/// Growth relative to the first swings and the pull at which a motion counts as growing without a trend.
+/// Ratio of a swing to the first swings and the pull above which a motion counts as growing, whatever its trend.
 const RUNAWAY_GROWTH: f64 = 4.0;
 /// Distance from the wall at which a motion counts as growing, in pulls.
 const FARTHEST_PULLS: f64 = 12.0;
-/// Distance that is added to two pulls and limits [`FARTHEST_PULLS`] for long pulls, m.
+/// Distance from the wall, beyond two pulls, at which a motion counts as growing, m; the nearer bound for long pulls.
 const FARTHEST_OFFSET_M: f64 = 0.005;
 /// Share of the largest swing below which a motion has decayed.
 const DIED_OUT_SHARE: f64 = 0.02;
-/// Shortest and longest time without a turning point before a motion has ended, in periods of the cutoff.
+/// Shortest and longest time without a turning point after which a motion has ended, in periods of the cutoff.
 const SILENT_PERIODS: (f64, f64) = (10.0, 200.0);
 
 /// Judgement of a motion.
@@ -82,8 +82,9 @@ pub struct Swing {
 }
 
 impl Swing {
-    /// Creates a judge for positions every `row_seconds` in steps of `quantum` (m) after a pull of `pull` (m). The
-    /// velocity filter has the cutoff `cutoff_hz`; the slowest mode has about this `period` (s) if it `oscillates`.
+    /// Starts to judge the motion after a pull of `pull` (m). A position follows every `row_seconds` and is a multiple
+    /// of `quantum` (m). The velocity filter has the cutoff `cutoff_hz`. The slowest mode has a period of about
+    /// `period` (s) and oscillates if `oscillates`.
     pub fn new(row_seconds: f64, cutoff_hz: f64, (period, oscillates): (f64, bool), quantum: f64, pull: f64) -> Self {
         let rows_a_period = 1.0 / (row_seconds * cutoff_hz);
         let slowest = period / row_seconds;
@@ -264,7 +265,7 @@ impl Trace {
         if !seen.is_multiple_of(SWINGS_PER_CHECK / 2) {
             return None;
         }
-        // Compare extents, because swings also grow when a ripple no longer divides them.
+        // Compare extents, because swings also become longer when a fast ripple decays and no longer splits them.
         let (earlier, later) = self.extents[IGNORED_TURNS..].split_at(seen + SWINGS_PER_CHECK / 2);
         let larger = size_of(later) > size_of(earlier);
         let lasted = (self.ends[count - 1] - self.ends[count - 1 - SWINGS_PER_CHECK]) as f64;

@@ -51,7 +51,7 @@ pub struct Contact {
     pub stiffness: f64,
     /// Largest stiffness that is predicted stable with the wall's damping and feed-forward, N/m.
     pub stable_to: f64,
-    /// Largest stiffness that is predicted stable without the feed-forward, N/m; `None` if the wall has none.
+    /// Largest stiffness that is predicted stable without feed-forward, N/m; `None` if the wall has none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub off_to: Option<f64>,
     /// Stiffness that a hand feels at rest at `stable_to`, N/m; `None` if no transmission is compliant.
@@ -65,7 +65,7 @@ pub struct Contact {
     /// Limits in a hand; `None` if they are not predicted, for example with compensated damping.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub in_hand: Option<InHand>,
-    /// Frequency at which the wall, or a stiffer one if it is stable, oscillates in the hand, Hz.
+    /// Frequency at which the wall, or a stiffer wall if this one is stable, oscillates in the hand, Hz.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub hz: Option<f64>,
     /// Growing oscillation of the wall in the hand; `None` if no oscillation grows.
@@ -540,9 +540,9 @@ fn two_digits(ratio: f64) -> String {
 }
 
 enum FirstTouch {
-    /// At these joint angles, with this normal.
+    /// The tip touches the surface at these joint angles (rad), where the surface has this normal.
     At(Vec<f64>, Vec<f64>),
-    /// Out of reach: smallest distance of the tip outside, m, or `None` if the tip is always inside.
+    /// The tip cannot touch the surface. It stays outside by at least this distance, m; `None` if it stays inside.
     Never(Option<f64>),
     /// The workspace has no grid.
     Unknown,

@@ -18,7 +18,7 @@ const MARGINS_LIMIT: &str = "all margins together";
 const MOTORS_LIMIT: &str = "motors and encoder counts";
 /// Factors on the wall's stiffness at which the simulated limits are checked.
 const CHECKED_FACTORS: [f64; 7] = [STIFFNESS_RATIO, 1.06, RAISE_FACTOR, 1.25, 1.5, 2.0, 4.0];
-/// Factors on the wall's stiffness at which the simulated board is checked. They are few because it takes longest.
+/// Factors on the wall's stiffness at which the simulated board is checked. They are few because the board is slow.
 const CHECKED_ON_BOARD: [f64; 2] = [STIFFNESS_RATIO, RAISE_FACTOR];
 /// Name of a value that is listed for reference and is not a limit.
 pub const RULE_OF_THUMB: &str = "rule of thumb, encoder steps";
@@ -30,7 +30,7 @@ pub struct Limit {
     pub limit: &'static str,
     /// Largest stiffness, N/m; `None` if the limit sets no bound in the checked range.
     pub stiffness: Option<f64>,
-    /// Stiffness that a hand feels at the largest stiffness, N/m; `None` if no transmission is compliant.
+    /// Stiffness that a hand feels at a wall of the largest stiffness, N/m; `None` if no transmission is compliant.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub felt: Option<f64>,
 }

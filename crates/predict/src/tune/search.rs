@@ -43,7 +43,7 @@ const WINDOW_FACTORS: [f64; 3] = [1.0, 0.75, 1.5];
 const DAMPING_FACTORS: [f64; 7] = [1.0, 0.87, 1.15, 0.74, 1.35, 0.55, 1.8];
 /// Number of walls that are pressed on the board at once.
 const PRESSED_AT_ONCE: usize = 4;
-const MAX_PRESSED: usize = 12;
+const MAX_WALLS_PRESSED: usize = 12;
 /// Ratio of stiffness from one press on the board to the next.
 const SOFTEN_FACTOR: f64 = 1.12;
 /// Corners of the washout, Hz, in descending order.
@@ -109,7 +109,7 @@ impl SearchContext<'_> {
         waiting.sort_by(|a, b| b.settings.stiffness.total_cmp(&a.settings.stiffness));
         let mut seen = BTreeSet::new();
         waiting.retain(|tuned| seen.insert((tuned.settings.estimator, tuned.settings.feed_forward.name())));
-        waiting.truncate(MAX_PRESSED);
+        waiting.truncate(MAX_WALLS_PRESSED);
         for (round, some) in waiting.chunks(PRESSED_AT_ONCE).enumerate() {
             // A result well below the stiffest one so far need not be exact.
             let floor = COMPARED_SHARE * stiffest(&done).map_or(0.0, |tuned| tuned.settings.stiffness);

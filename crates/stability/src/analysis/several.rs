@@ -302,7 +302,7 @@ impl WallLoops {
             false => {
                 let WallSet { mass: m, viscous, flexible, directions, .. } = set;
                 let observed = ObservedDevice { mass: m, viscous, flexible, rows: &rows, directions };
-                // Torques are in units of m/T² times metres.
+                // Torques are divided by m/T².
                 let reduced = reduce_observed(&observed, &lags, &DMatrix::identity(joints, joints), t, mass);
                 let ReducedDevice { a, b, rendered_rows } = reduced.ok_or(AnalysisError::Singular)?;
                 let joint_velocities = DMatrix::zeros(0, a.nrows());
@@ -483,8 +483,9 @@ impl WallLoops {
     }
 }
 
-/// The continuous plant ẋ = a x + b τ per sample, for all joint torques τ (m/T² times metres), with rows of rendered
-/// positions and of the velocities of joints with compensated damping (rad per sample).
+/// The continuous plant ẋ = a x + b τ per sample, with rows of rendered positions and of the velocities of joints with
+/// compensated damping (rad per sample). τ are all joint torques divided by m/T², m is the effective inertia and T the
+/// sample period.
 struct RenderedPlant {
     a: DMatrix<f64>,
     b: DMatrix<f64>,
@@ -512,7 +513,7 @@ fn rigid_plant(
         for j in 0..joints {
             let direct = if lag[j].is_none() { emf[j] } else { 0.0 };
             a[(i, j)] -= t * inverse[(i, j)] * (set.viscous[j] + direct);
-            // Torque in units of m/T² times metres.
+            // Torques are divided by m/T².
             if lag[j].is_none() {
                 b[(i, j)] = mass * inverse[(i, j)];
             }

@@ -27,7 +27,7 @@ type StiffContacts<T, const N: usize> = Vec<StiffContact<T, N>, { MAX_WALLS + 1 
 struct SharedPull<T: Real, const N: usize> {
     /// Force, N.
     force: SVector<T, N>,
-    /// Depth for [`TOUCH_SHARE`], m.
+    /// Largest depth at which one stiffness alone makes its shaped force, m, see [`TOUCH_SHARE`].
     reach: T,
     /// Stiffness of the springs, N/m.
     springs: Option<Stiffness<T>>,
@@ -39,7 +39,8 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
     /// Implements [`Controller::render`] for several walls in the plane, by the closed form and with α = 1.
     ///
     /// [`crate::model::principal`] has one level in the plane. With the stiffest direction e of the walls, the level's
-    /// share s, the force F and its shaped part G, τ = s (4)(e, e·G) + Jᵀ(F - e s e·G).
+    /// share s, the force F and its shaped part G, the torques are τ = s τ₄(e, e·G) + Jᵀ(F - e s e·G), τ₄ being
+    /// equation (4).
     #[inline(never)]
     pub(in super::super) fn render_several(&mut self, counts: &[i32; N], result: &mut StepResult<T>) {
         let Some(start) = self.start(counts, result) else {
@@ -145,8 +146,9 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
     }
 }
 
-/// Returns the stiffest direction of these contacts and its level's share; `None` if no contact has the feed-forward or
-/// no direction is stiffer than another. `reach` is the depth for [`TOUCH_SHARE`], m.
+/// Returns the stiffest direction of the contacts and springs, and the share of the force along it that is shaped.
+/// Returns `None` if no contact has the feed-forward or all directions are equally stiff. `reach` is the largest depth
+/// (m) at which one stiffness alone makes its shaped force, see [`TOUCH_SHARE`].
 #[inline(always)]
 fn stiffest_direction<T: Real, K: Math<T>, const N: usize>(
     contacts: &[StiffContact<T, N>],
