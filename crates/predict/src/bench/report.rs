@@ -95,8 +95,11 @@ pub fn variants(device: &Device<f64>, timed: bool) -> Result<Vec<Variant>, Failu
     models.extend(table(device, Interpolation::Bilinear, [points; 2], range));
     models.extend(table(device, Interpolation::Bicubic, [points; 2], range));
     let mut results = Vec::new();
-    let trigonometries =
-        [(Trigonometry::Tabulated, "table"), (Trigonometry::Minimax, "minimax"), (Trigonometry::Micromath, "micromath")];
+    let trigonometries = [
+        (Trigonometry::Tabulated, "table"),
+        (Trigonometry::Minimax, "minimax"),
+        (Trigonometry::Micromath, "micromath"),
+    ];
     for (trigonometry, name) in trigonometries {
         for model in &models {
             for terms in Terms::ALL {
