@@ -128,19 +128,19 @@ struct Swing {
     /// Present amplitude of the torque, N m.
     torque: f32,
     /// Largest allowed amplitude of the torque, N m.
-    most: f32,
+    max_torque: f32,
     /// Growth of the torque, N m/s.
     growth: f32,
     /// Angular frequency, rad/s.
     rate: f32,
     /// Torque of the first detected motion, N m.
-    moved_by: Option<f32>,
+    breakaway_torque: Option<f32>,
     /// Swing of a joint to either side that limits the growth of the torque, rad.
     angle: f32,
     /// Lowest and highest angle of each joint in this turn, relative to its initial angle, rad.
-    ends: [(f32, f32); MAX_JOINTS],
+    motion_range: [(f32, f32); MAX_JOINTS],
     /// True if the torque has stopped growing.
-    full: bool,
+    has_full_torque: bool,
     /// Stiffness that pulls the joint back to its initial angle, N m/rad.
     stiffness: f32,
     /// Damping of the joint's return to its initial angle, N m s/rad.
@@ -150,7 +150,7 @@ struct Swing {
     /// Work of the commanded torque on the joint, J; negative if the motor turns the wrong way.
     work: f32,
     /// Distance of the joint from its initial angle at the last step, rad.
-    was: f32,
+    last_moved: f32,
     /// Time in this turn, s. The first value is a complete turn, so that a turn begins at once.
     seconds: f32,
     /// Number of turns with the full torque.
@@ -167,7 +167,7 @@ impl Swing {
     #[inline(always)]
     fn largest_motion_share(&self, axis: usize, joints: usize) -> f32 {
         let mut most = 0.0;
-        for (j, (low, high)) in self.ends.iter().enumerate().take(joints) {
+        for (j, (low, high)) in self.motion_range.iter().enumerate().take(joints) {
             let share = (high - low) / (if self.last && j == axis { 4.0 } else { 2.0 } * self.angle);
             most = share.greater(most);
         }
@@ -178,14 +178,14 @@ impl Swing {
 #[derive(Clone, Copy, Debug, Default)]
 struct Results {
     /// Ratio of the torque that acted to the file's torque.
-    found: f32,
+    torque_ratio: f32,
     /// Joint in which too much torque appeared without a command, and that torque as a share of the driven joint's.
-    astray: Option<(usize, f32)>,
+    stray_torque: Option<(usize, f32)>,
     /// Measured resistance that differs too much from the file's, Ω.
-    strange: Option<f32>,
+    wrong_resistance: Option<f32>,
     /// Measured and expected resistance (Ω), if the dead time hides little of it; otherwise `unclear` is true.
-    clear: Option<(f32, f32)>,
-    unclear: bool,
+    resistance: Option<(f32, f32)>,
+    hidden_by_dead_time: bool,
 }
 
 #[derive(Clone, Copy, Debug, Default)]
@@ -194,25 +194,25 @@ pub(super) struct PolarityCheck {
     axis: usize,
     swing: Option<Swing>,
     /// Time spent waiting for the joint to come to rest, s.
-    waited: f32,
+    wait_seconds: f32,
     /// Lowest and highest angle of the joint at rest, rad.
-    rests_at: (f32, f32),
+    rest_range: (f32, f32),
     /// Time that the joint has been at rest, s.
-    rested: f32,
+    rest_seconds: f32,
     /// Initial angles of all joints, rad.
-    from: Option<[f32; MAX_JOINTS]>,
+    initial: Option<[f32; MAX_JOINTS]>,
     /// Number of neighbouring poses that were checked.
-    poses: u32,
+    poses_checked: u32,
     /// Largest tip force for 1 N m of the joint in the checked poses, N.
-    worth: f32,
+    force_per_torque: f32,
     /// Mass matrix at the swing's pose, kg m², once it is known.
     inertia: Option<[[f32; MAX_JOINTS]; MAX_JOINTS]>,
     /// Ratio of the joint's torque to the largest acceleration of any joint, kg m².
-    effective: f32,
+    effective_inertia: f32,
     /// Time between two steps of the check, s.
-    pace: f32,
+    step_period: f32,
     /// Number of control steps until the next step of the check.
-    left: u32,
+    steps_left: u32,
     /// True if the next step waits for the valley.
     due: bool,
     /// Part of the comparison that the next step runs; 0 while the joint swings.
@@ -245,14 +245,14 @@ where
     /// Returns the motors' torques in a control step, and samples the joints if a step of the check is due. The rest of
     /// that step runs at the valley, because a crest has no time for it at high rates.
     pub(super) fn check_polarity(&mut self) -> Torques {
-        if let Some(left) = self.polarity.left.checked_sub(1) {
-            self.polarity.left = left;
+        if let Some(left) = self.polarity.steps_left.checked_sub(1) {
+            self.polarity.steps_left = left;
             return self.polarity.commanded;
         }
         let steps = ((CHECK_PERIOD / self.period + 0.5) as u32).max(1);
         let (motors, i) = (&self.now.motors, self.axis());
         let polarity = &mut self.polarity;
-        (polarity.left, polarity.pace) = (steps - 1, steps as f32 * self.period);
+        (polarity.steps_left, polarity.step_period) = (steps - 1, steps as f32 * self.period);
         (polarity.current, polarity.voltage) = (motors.current[i], motors.duty[i] * motors.bus_voltage);
         polarity.q = self.now.found.at.q;
         polarity.due = true;
@@ -290,7 +290,7 @@ where
         let none = Torques::default();
         let i = self.axis();
         let q = self.polarity.q;
-        let from = *self.polarity.from.get_or_insert(q);
+        let from = *self.polarity.initial.get_or_insert(q);
         let moved: [f32; MAX_JOINTS] = core::array::from_fn(|j| q[j] - from[j]);
         let Some(counts) = self.program.as_ref().map(|program| program.radians_per_count) else { return none };
         let swung = self.polarity.swing.is_some();
@@ -313,19 +313,19 @@ where
         match (self.polarity.swing, self.polarity.inertia) {
             (Some(swing), _) => self.check_swings(&swing),
             (None, Some(inertia)) => {
-                self.polarity.effective = effective_inertia(i, inertia, self.count());
+                self.polarity.effective_inertia = effective_inertia(i, inertia, self.count());
                 self.begin_first_swing();
             }
             (None, None) if self.at_rest() => {
-                if self.polarity.poses < 1 << self.count {
+                if self.polarity.poses_checked < 1 << self.count {
                     self.check_next_pose();
                     return none;
                 }
-                self.polarity.from = Some(q);
+                self.polarity.initial = Some(q);
                 self.polarity.inertia = self.program.as_ref().map(|program| program.mechanism.inertia::<K>(&q));
             }
-            (None, None) if self.polarity.waited >= MAX_WAIT_FOR_REST => {
-                self.trip(Fault::PolarityUnrest, Some(i as u8), q[i] - self.polarity.rests_at.0);
+            (None, None) if self.polarity.wait_seconds >= MAX_WAIT_FOR_REST => {
+                self.trip(Fault::PolarityUnrest, Some(i as u8), q[i] - self.polarity.rest_range.0);
             }
             (None, None) => {}
         }
@@ -336,22 +336,23 @@ where
     /// Leverage between corners is lower, because it grows towards singular poses.
     fn check_next_pose(&mut self) {
         let Some(program) = self.program.as_ref() else { return };
-        let corner = self.polarity.poses;
+        let corner = self.polarity.poses_checked;
         let mut unit = Torques::default();
         unit[self.axis()] = 1.0;
         let off = |j: usize| if corner >> j & 1 == 0 { MAX_HOME_ERROR } else { -MAX_HOME_ERROR };
         let leverage = program.mechanism.leverage::<K>(&core::array::from_fn(|j| self.polarity.q[j] + off(j)));
         let [there, here] = [&leverage, &self.leverage].map(|leverage| sqrt(leverage.force_squared(&unit)));
         // `min` also drops the NaN of an impossible pose.
-        self.polarity.worth = self.polarity.worth.max(there.max(here).min(here / MIN_HOME_ERROR_FACTOR));
-        self.polarity.poses = corner + 1;
+        self.polarity.force_per_torque =
+            self.polarity.force_per_torque.max(there.max(here).min(here / MIN_HOME_ERROR_FACTOR));
+        self.polarity.poses_checked = corner + 1;
     }
 
     /// Returns a torque (N m) of the joint under test, reduced to the tip's force limit here and in nearby poses.
     fn within_tip_force(&self, wanted: f32) -> Torques {
         let i = self.axis();
         let tip_force = self.rules.limits.tip_force;
-        let most = (tip_force / self.polarity.worth).lesser(self.joints[i].stage.max_torque());
+        let most = (tip_force / self.polarity.force_per_torque).lesser(self.joints[i].stage.max_torque());
         let mut torque = Torques::default();
         torque[i] = limited(wanted, most.lesser(self.max_joint_torque[i]));
         torque[i] *= share_within(self.leverage.force_squared(&torque), tip_force);
@@ -391,9 +392,9 @@ where
 
     /// Chooses the first swing of the joint.
     fn begin_first_swing(&mut self) {
-        let (i, inertia) = (self.axis(), self.polarity.effective);
+        let (i, inertia) = (self.axis(), self.polarity.effective_inertia);
         let Some(program) = self.program.as_ref() else { return };
-        let (worth, friction) = (self.polarity.worth, program.coulomb[i].abs());
+        let (worth, friction) = (self.polarity.force_per_torque, program.coulomb[i].abs());
         let angle = swing_angle(program.radians_per_count[i]);
         let rate = self.swing_rate(FIRST_SWING_FORCE / worth, inertia * angle, angle, SWING_RATE_RANGE.1);
         let inert = inertia * angle * rate * rate;
@@ -403,28 +404,37 @@ where
         let torque = (INITIAL_TIP_FORCE / worth).min(0.25 * inert);
         let (stiffness, damping) = spring_and_damper(inertia, 0.4 * rate);
         let seconds = core::f32::consts::TAU / rate;
-        let swing = Swing { torque, most, rate, seconds, angle, stiffness, damping, ..Swing::default() };
+        let swing = Swing { torque, max_torque: most, rate, seconds, angle, stiffness, damping, ..Swing::default() };
         self.polarity.swing = Some(swing);
     }
 
     /// Returns the swing after one that roughly agreed with the file; `None` if it would not be harder. A swing for the
     /// winding may be faster than cables allow, because speed takes more current.
     fn next_swing(&self, before: &Swing, winding: bool) -> Option<Swing> {
-        let (i, inertia) = (self.axis(), self.polarity.effective);
+        let (i, inertia) = (self.axis(), self.polarity.effective_inertia);
         let angle = before.angle;
-        let most = (SECOND_SWING_FORCE_SHARE * self.rules.limits.tip_force / self.polarity.worth)
+        let most = (SECOND_SWING_FORCE_SHARE * self.rules.limits.tip_force / self.polarity.force_per_torque)
             .min(SECOND_SWING_TORQUE_SHARE * self.joints[i].stage.max_torque());
         let fastest = if winding { MAX_SWING_RATE } else { SWING_RATE_RANGE.1 };
         let rate = self.swing_rate(most, inertia * angle, angle, fastest);
         let inert = (inertia * angle * rate * rate).min(most);
         // The torque must exceed the static friction, which would otherwise hold the joint at either end.
-        let held = SECOND_SWING_FRICTION_RATIO * before.moved_by.unwrap_or(0.0);
+        let held = SECOND_SWING_FRICTION_RATIO * before.breakaway_torque.unwrap_or(0.0);
         let most = if winding { inert } else { inert.max(held) };
         let (stiffness, damping) = spring_and_damper(inertia, 0.25 * rate);
         let torque = 0.25 * before.torque.min(inert);
         let seconds = core::f32::consts::TAU / rate;
-        let known = Swing { last: true, winding, moved_by: Some(torque), angle, mean: before.mean, ..Swing::default() };
-        (most > 1.2 * before.torque).then_some(Swing { torque, most, rate, seconds, stiffness, damping, ..known })
+        let known =
+            Swing { last: true, winding, breakaway_torque: Some(torque), angle, mean: before.mean, ..Swing::default() };
+        (most > 1.2 * before.torque).then_some(Swing {
+            torque,
+            max_torque: most,
+            rate,
+            seconds,
+            stiffness,
+            damping,
+            ..known
+        })
     }
 
     /// Returns the angular frequency (rad/s) at which a torque (N m) swings the joint by an angle (rad), given inertia
@@ -438,7 +448,7 @@ where
         let between_counts = MIN_SWING_COUNTS * program.radians_per_count[i].abs();
         let fastest = (SWING_SPEED_SHARE * self.rules.limits.speed[i] / angle)
             .min(self.joints[i].stage.speed_of_back_emf(MAX_INITIAL_BACK_EMF).abs() / between_counts)
-            .min(core::f32::consts::TAU / (MIN_SWING_STEPS * self.polarity.pace));
+            .min(core::f32::consts::TAU / (MIN_SWING_STEPS * self.polarity.step_period));
         wanted.min(fastest).max(SWING_RATE_RANGE.0)
     }
 
@@ -449,7 +459,7 @@ where
         let (i, joints) = (self.axis(), self.count());
         let stage = &self.joints[i].stage;
         let polarity = &mut self.polarity;
-        let (pace, current, voltage) = (polarity.pace, polarity.current, polarity.voltage);
+        let (pace, current, voltage) = (polarity.step_period, polarity.current, polarity.voltage);
         let Some(swing) = polarity.swing.as_mut() else { return Torques::default() };
         let turn = core::f32::consts::TAU / swing.rate;
         if swing.seconds >= turn {
@@ -458,12 +468,12 @@ where
             let swung = swing.largest_motion_share(i, joints);
             if swing.turns < TURNS_BEFORE_SUMS && swung > STOPPING_SWING_SHARE && swing.rate < SWING_RATE_RANGE.1 {
                 // The same torque swings joints less far at a higher frequency.
-                (swing.full, swing.turns) = (false, 0.0);
+                (swing.has_full_torque, swing.turns) = (false, 0.0);
                 swing.rate =
                     (swing.rate * sqrt(swung / AIMED_SWING_SHARE).lesser(MAX_RATE_FACTOR)).lesser(SWING_RATE_RANGE.1);
             }
-            swing.turns += if swing.full { 1.0 } else { 0.0 };
-            swing.ends = moved.map(|moved| (moved, moved));
+            swing.turns += if swing.has_full_torque { 1.0 } else { 0.0 };
+            swing.motion_range = moved.map(|moved| (moved, moved));
         }
         let turns = swing.turns + swing.seconds / turn;
         if turns >= TURNS_BEFORE_SUMS + TURNS_SUMMED + TURNS_BEFORE_FADING + TURNS_FADING {
@@ -490,39 +500,43 @@ where
         let now_at = was_at + pace / turn;
         let passes = |phase: f32| was_at <= phase && phase < now_at;
         swing.seconds += pace;
-        if swing.moved_by.is_none() && moved[i].abs() > MIN_MOTION_ANGLE.greater(MIN_MOTION_COUNTS * counts[i].abs()) {
+        if swing.breakaway_torque.is_none()
+            && moved[i].abs() > MIN_MOTION_ANGLE.greater(MIN_MOTION_COUNTS * counts[i].abs())
+        {
             // From here on the joint needs at most this torque plus the file's torque for inertia.
-            swing.moved_by = Some(swing.torque);
-            let inert = polarity.effective * swing.angle * swing.rate * swing.rate;
-            swing.most = swing.torque + MAX_SWING_TORQUE_RATIO * inert;
-            (swing.full, swing.turns) = (false, 0.0);
+            swing.breakaway_torque = Some(swing.torque);
+            let inert = polarity.effective_inertia * swing.angle * swing.rate * swing.rate;
+            swing.max_torque = swing.torque + MAX_SWING_TORQUE_RATIO * inert;
+            (swing.has_full_torque, swing.turns) = (false, 0.0);
         }
-        for ((low, high), moved) in swing.ends.iter_mut().zip(moved) {
+        for ((low, high), moved) in swing.motion_range.iter_mut().zip(moved) {
             (*low, *high) = (moved.lesser(*low), moved.greater(*high));
         }
         let swung = swing.largest_motion_share(i, joints);
-        swing.work += polarity.commanded[i] * (moved[i] - swing.was);
-        swing.was = moved[i];
+        swing.work += polarity.commanded[i] * (moved[i] - swing.last_moved);
+        swing.last_moved = moved[i];
         // A faster filter would turn a single count of a coarse encoder into a blow.
         let speed = swing.rate * (moved[i] - swing.mean);
         swing.mean += (pace * swing.rate).lesser(1.0) * (moved[i] - swing.mean);
-        if !swing.full {
+        if !swing.has_full_torque {
             if passes(ZERO_TORQUE_PHASE) {
-                let ratio = MAX_GROWTH.lesser(swing.most / swing.torque).lesser(AIMED_SWING_SHARE / swung).greater(1.0);
-                swing.full = ratio < MIN_GROWTH && (swung < STOPPING_SWING_SHARE || swing.rate >= SWING_RATE_RANGE.1);
+                let ratio =
+                    MAX_GROWTH.lesser(swing.max_torque / swing.torque).lesser(AIMED_SWING_SHARE / swung).greater(1.0);
+                swing.has_full_torque =
+                    ratio < MIN_GROWTH && (swung < STOPPING_SWING_SHARE || swing.rate >= SWING_RATE_RANGE.1);
                 swing.growth = (ratio - 1.0) * swing.torque / turn;
             } else if swung >= STOPPING_SWING_SHARE || swung >= 1.0 && passes(ZERO_TORQUE_PHASE - 0.5) {
                 swing.growth = 0.0;
             }
-            swing.torque = (swing.torque + swing.growth * pace).lesser(swing.most);
-        } else if swing.moved_by.is_none() && swing.turns > 1.0 {
+            swing.torque = (swing.torque + swing.growth * pace).lesser(swing.max_torque);
+        } else if swing.breakaway_torque.is_none() && swing.turns > 1.0 {
             self.trip(Fault::PolarityNoMotion, Some(i as u8), moved[i]);
             return Torques::default();
         }
         let back = -swing.stiffness * moved[i] - swing.damping * speed;
         let fading =
             (1.0 - (turns - TURNS_BEFORE_SUMS - TURNS_SUMMED - TURNS_BEFORE_FADING) / TURNS_FADING).clamp(0.0, 1.0);
-        let wanted = limited(fading * swing.torque * cosine + back, swing.most);
+        let wanted = limited(fading * swing.torque * cosine + back, swing.max_torque);
         self.within_tip_force(wanted)
     }
 
@@ -554,18 +568,19 @@ where
             })
         });
         // A current sampled just before the torque changes belongs to the middle of the previous step.
-        let (sine, cosine) = K::sin_cos(0.5 * self.polarity.pace * swing.rate);
+        let (sine, cosine) = K::sin_cos(0.5 * self.polarity.step_period * swing.rate);
         let [along, across] = swing.driven;
         let driven = [along * cosine + across * sine, across * cosine - along * sine];
         let share = |row: &Phasor| dot(*row, driven) / dot(driven, driven).max(f32::MIN_POSITIVE);
         let mut others = acted.iter().map(share).enumerate().take(self.count()).filter(|(row, _)| *row != i);
         // Friction of an undriven joint may take a torque without a motor.
-        let size = sqrt(dot(driven, driven)) * self.polarity.pace * swing.rate / (core::f32::consts::PI * TURNS_SUMMED);
+        let size =
+            sqrt(dot(driven, driven)) * self.polarity.step_period * swing.rate / (core::f32::consts::PI * TURNS_SUMMED);
         let held = |row: usize| 1.5 * program.coulomb[row].abs() / size.max(f32::MIN_POSITIVE);
         let results = &mut self.polarity.results;
-        results.astray = others.find(|(row, aside)| margin_bits(*aside, MAX_CROSS_TORQUE_SHARE + held(*row)) < 0);
+        results.stray_torque = others.find(|(row, aside)| margin_bits(*aside, MAX_CROSS_TORQUE_SHARE + held(*row)) < 0);
         // Uses the part in phase with the acceleration, because friction is in phase with the speed.
-        results.found = dot(acted[i], acted[i]) / dot(acted[i], driven);
+        results.torque_ratio = dot(acted[i], acted[i]) / dot(acted[i], driven);
     }
 
     #[inline(never)]
@@ -578,21 +593,21 @@ where
             .flatten();
         let dead = DEAD_TIME_ERROR * 2.0 * bridge.dead_time * program.carrier_hz * self.now.motors.bus_voltage;
         // Amplitude of the current, and the first harmonic of the dead time's voltage divided by it.
-        let amperes = sqrt(dot(swing.current, swing.current)) * self.polarity.pace * swing.rate
+        let amperes = sqrt(dot(swing.current, swing.current)) * self.polarity.step_period * swing.rate
             / (core::f32::consts::PI * TURNS_SUMMED);
         let doubt = 4.0 / core::f32::consts::PI * dead / amperes;
         let strange = measured
             .filter(|(found, expected)| margin_bits(found - expected, MAX_RESISTANCE_ERROR * expected + doubt) < 0);
         let results = &mut self.polarity.results;
-        results.strange = strange.map(|(found, _)| found);
-        results.clear = measured.filter(|(_, expected)| doubt < MAX_HIDDEN_SHARE * expected);
-        results.unclear = measured.is_some() && results.clear.is_none() && !swing.winding;
+        results.wrong_resistance = strange.map(|(found, _)| found);
+        results.resistance = measured.filter(|(_, expected)| doubt < MAX_HIDDEN_SHARE * expected);
+        results.hidden_by_dead_time = measured.is_some() && results.resistance.is_none() && !swing.winding;
     }
 
     /// Judges the torque of the driven joint. A second swing follows if the first one roughly agrees.
     #[inline(never)]
     fn judge_torque(&mut self, swing: &Swing) {
-        let (axis, found) = (Some(self.axis() as u8), self.polarity.results.found);
+        let (axis, found) = (Some(self.axis() as u8), self.polarity.results.torque_ratio);
         let second = if swing.last { None } else { self.next_swing(swing, false) };
         let accepted_ratio = if second.is_some() { FIRST_ACCEPTED_RATIO } else { ACCEPTED_TORQUE_RATIO };
         if !swing.winding && found < -FIRST_ACCEPTED_RATIO.0 {
@@ -609,17 +624,17 @@ where
     #[inline(never)]
     fn judge_undriven(&mut self, swing: &Swing) {
         let i = self.axis();
-        let Results { astray, strange, clear, unclear, .. } = self.polarity.results;
+        let Results { stray_torque, wrong_resistance, resistance, hidden_by_dead_time, .. } = self.polarity.results;
         if !swing.winding
-            && let Some((row, aside)) = astray
+            && let Some((row, aside)) = stray_torque
         {
             self.trip(Fault::TorqueMismatch, Some(row as u8), aside);
-        } else if let Some(found) = strange {
+        } else if let Some(found) = wrong_resistance {
             self.trip(Fault::ResistanceMismatch, Some(i as u8), found);
-        } else if unclear && let Some(third) = self.next_swing(swing, true) {
+        } else if hidden_by_dead_time && let Some(third) = self.next_swing(swing, true) {
             (self.polarity.swing, self.polarity.part) = (Some(third), 0);
         } else {
-            if let Some((found, expected)) = clear {
+            if let Some((found, expected)) = resistance {
                 self.joints[i].stage.set_measured_resistance(found.max((1.0 - MAX_RESISTANCE_ERROR) * expected));
             }
             self.continue_with_next_joint();
@@ -630,15 +645,15 @@ where
     fn at_rest(&mut self) -> bool {
         let q = self.polarity.q[self.axis()];
         let polarity = &mut self.polarity;
-        polarity.waited += polarity.pace;
-        polarity.rested += polarity.pace;
+        polarity.wait_seconds += polarity.step_period;
+        polarity.rest_seconds += polarity.step_period;
         // Lowest and highest angle both count, so a joint that a hand moves to and fro is not at rest.
-        let (low, high) = (polarity.rests_at.0.min(q), polarity.rests_at.1.max(q));
-        (polarity.rests_at, polarity.rested) = match high - low <= MAX_REST_MOTION {
-            true => ((low, high), polarity.rested),
+        let (low, high) = (polarity.rest_range.0.min(q), polarity.rest_range.1.max(q));
+        (polarity.rest_range, polarity.rest_seconds) = match high - low <= MAX_REST_MOTION {
+            true => ((low, high), polarity.rest_seconds),
             false => ((q, q), 0.0),
         };
-        polarity.rested >= MIN_REST_SECONDS
+        polarity.rest_seconds >= MIN_REST_SECONDS
     }
 }
 
