@@ -1,6 +1,6 @@
 //! Injected errors: wrong device files, wires and sensors, the board's reactions, and the effects on a hand.
 
-use super::forces::Push;
+use super::forces::MotorTipForce;
 use super::plane_wall;
 use super::prelude::*;
 use haptic_bridge::model::description::Joint;
@@ -9,8 +9,8 @@ use haptic_bridge::safety::fault::FaultRecord;
 use haptic_sim::{BoardFaults, Hand, SimulatedBoard};
 use std::f64::consts::TAU;
 
-/// Time at which an injected error begins, and the function that injects the error.
-pub enum When {
+/// Function that injects an error, and the time at which the error begins.
+pub enum Injection {
     /// The error exists from power-on. The function changes the true device and wires, not the board's device file.
     Always(fn(&mut Description, &mut BoardFaults)),
     /// The error begins while a hand presses against a wall.
@@ -20,15 +20,15 @@ pub enum When {
 /// An injected error, as the tables of docs/results/lies.csv name it.
 pub struct InjectedError {
     pub what: &'static str,
-    pub when: When,
+    pub injection: Injection,
 }
 
 const fn permanent_error(what: &'static str, error: fn(&mut Description, &mut BoardFaults)) -> InjectedError {
-    InjectedError { what, when: When::Always(error) }
+    InjectedError { what, injection: Injection::Always(error) }
 }
 
 const fn contact_error(what: &'static str, error: fn(&mut SimulatedBoard, &Description)) -> InjectedError {
-    InjectedError { what, when: When::InContact(error) }
+    InjectedError { what, injection: Injection::InContact(error) }
 }
 
 pub const INJECTED_ERRORS: [InjectedError; 37] = [
@@ -127,9 +127,8 @@ fn counts_per_radian(device: &Description) -> f64 {
 pub enum Outcome {
     /// The polarity check ended with this fault.
     Refused(FaultRecord),
-    /// The motors went off with this fault, this time, s, after the error began or, for a permanent error, after
-    /// arming.
-    Seen(FaultRecord, f64, Harm),
+    /// Fault that turned the motors off, and time, s, since the error began (since arming for a permanent error).
+    Detected(FaultRecord, f64, Harm),
     /// The board reported no fault.
     Missed(Harm),
 }
@@ -148,7 +147,7 @@ pub struct Harm {
 /// Returns a homed strict board with the correct `file`, and the true device, which has the injected error.
 fn homed_board(file: &DeviceFile, error: &InjectedError) -> (SharedBoard, Board, Description) {
     homed_board_as(&file.name, &file.description, Options::default(), |wired, broken| {
-        if let When::Always(error) = error.when {
+        if let Injection::Always(error) = error.injection {
             error(wired, broken);
         }
     })
@@ -236,7 +235,7 @@ pub fn measure_check_of(
 fn check_motion(
     (shared, mut board, wired): (SharedBoard, Board, Description),
 ) -> (Result<(), FaultRecord>, CheckMotion) {
-    let mut push = Push::of(&wired, &shared.lock());
+    let mut push = MotorTipForce::new(&wired, &shared.lock());
     let start = shared.lock().device().q();
     let mut motion = CheckMotion::default();
     let result = run_check(&shared, &mut board, |board| {
@@ -281,13 +280,13 @@ pub fn outcome(file: &DeviceFile, error: &InjectedError) -> Outcome {
         value: at(-0.022, if nth % 2 == 0 { 8e-3 } else { -8e-3 }),
     }));
     board.device_mut().set_hand(Hand::new(HandSettings::default(), Intent::Follow(path), tip, now));
-    if let When::InContact(error) = error.when {
+    if let Injection::InContact(error) = error.injection {
         board.run(1.25);
         assert_eq!(board.status().state, State::Armed, "{}: {:?}", file.name, board.status());
         error(&mut board, &wired);
     }
     let start_s = board.time();
-    let (mut push, mut harm) = (Push::of(&wired, &board), Harm::default());
+    let (mut push, mut harm) = (MotorTipForce::new(&wired, &board), Harm::default());
     while board.time() < start_s + 2.0 {
         board.carrier();
         let device = board.device();
@@ -296,7 +295,7 @@ pub fn outcome(file: &DeviceFile, error: &InjectedError) -> Outcome {
         harm.speed = harm.speed.max(most(device.qd()));
         harm.push = harm.push.max(push.add_period(&board).unwrap_or(0.0));
         if let Some(record) = board.status().fault {
-            return Outcome::Seen(record, board.time() - start_s, harm);
+            return Outcome::Detected(record, board.time() - start_s, harm);
         }
     }
     Outcome::Missed(harm)

@@ -1,4 +1,4 @@
-//! A backup restores all saved settings of a board or none, byte for byte, also from another firmware version.
+//! A backup restores all saved settings, byte for byte, or no setting at all, also from another firmware version.
 
 use crate::common::prelude::*;
 use crate::common::{board, plane_wall, shipped_device};

@@ -116,8 +116,8 @@ fn the_default_pose_is_home() {
 }
 
 #[test]
-fn whole_turns_change_nothing_on_the_board_either() {
-    // The board's trigonometry is accurate within a turn, so angles are wrapped before they are rounded to f32.
+fn whole_turns_change_no_torque_of_the_board() {
+    // The board's trigonometry is accurate within a turn, so angles are reduced to one turn before rounding to f32.
     let turn = core::f64::consts::TAU;
     let wall = ["--normal=0.7,0.7", "--force=2", "--precision=f32"];
     let near = model_json("coupled-five-bar", &[&wall[..], &[&angles_option(&[2.6, 1.75])]].concat());

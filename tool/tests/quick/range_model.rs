@@ -79,7 +79,7 @@ fn the_boundary_is_where_a_simulation_starts_to_grow() {
             assert_eq!(growth > 0.0, grows, "{mode:?}: {growth}");
             let expected = oscillation(&device, &around, mode, gain, kd).unwrap().unwrap();
             assert!((hz / expected.hz - 1.0).abs() < 2e-3, "{mode:?}: {hz} Hz is not {expected:?}");
-            // The largest sample is up to 2 % below the peak, an error of the growth of 0.02/s over the 1.2 s.
+            // The largest sample is up to 2 % below the peak. Over 1.2 s this causes an error of 0.02/s.
             assert!((growth - expected.growth_per_s).abs() < 0.02, "{mode:?}: {growth}/s is not {expected:?}");
         }
     }

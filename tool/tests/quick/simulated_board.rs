@@ -1,4 +1,4 @@
-//! Replies and motion of the simulated board over its real protocol. Its time advances only while it is read or run.
+//! Replies and motion of the simulated board over its real protocol. Time advances only while a test reads or runs it.
 
 use crate::common::prelude::*;
 use crate::common::strict::verify_motors;
@@ -312,12 +312,12 @@ impl StraightForce {
 
 #[test]
 fn a_wall_beyond_the_motors_pushes_straight_with_full_torque() {
-    const MOST: f64 = 0.3;
+    const LIMIT_NM: f64 = 0.3;
     let device = Options::frictionless();
     let options = BoardOptions { device, drive: DriveModel::Ideal, ..BoardOptions::default() };
     let (shared, mut board) = connect_board(options);
     let mut rules = board.rules().unwrap();
-    rules.limits.torque = [MOST as f32; 3];
+    rules.limits.torque = [LIMIT_NM as f32; 3];
     rules.limits.tip_force = 1.0e3;
     board.set_rules(&rules).unwrap();
     let mut scene = wall_below(&shared, 0.002, FeedForward::Off);
@@ -342,7 +342,7 @@ fn a_wall_beyond_the_motors_pushes_straight_with_full_torque() {
     let Ok(AnyMechanism::FiveBar(mechanism)) = AnyMechanism::<f64>::new(&device_file().description) else {
         panic!("the shipped device is a five-bar")
     };
-    let straight = StraightForce { mechanism, most: MOST };
+    let straight = StraightForce { mechanism, most: LIMIT_NM };
     let (mut beyond, mut flagged, mut deepest, mut aside) = (0, Vec::new(), 0.0_f64, 0.0_f64);
     for row in rows.iter().filter(|row| row.values[5] > 0.05) {
         let [q0, q1, torque0, torque1, distance, force, rendered, flag0, flag1, ..] = row.values[..] else { panic!() };
@@ -361,7 +361,7 @@ fn a_wall_beyond_the_motors_pushes_straight_with_full_torque() {
         }
         beyond += usize::from(share < 0.5);
         deepest = deepest.max(-distance);
-        aside = aside.max(straight.tip_force(&q, &requested_torques.map(|torque| torque.clamp(-MOST, MOST)))[0].abs());
+        aside = aside.max(straight.tip_force(&q, &requested_torques.map(|t| t.clamp(-LIMIT_NM, LIMIT_NM)))[0].abs());
     }
     let changes = flagged.windows(2).filter(|pair| pair[0] != pair[1]).count();
     assert!(flagged.first() == Some(&0.0) && changes == 1, "{changes} changes of the flag");
@@ -381,7 +381,7 @@ fn a_hand_loop_stays_outside_walls_until_the_board_is_armed() {
     assert!(around.on_a_wall);
     shared.lock().set_hand_loop(HandSettings { tremor: 2e-4, ..HandSettings::default() }, around);
     for _ in 0..3 {
-        // Arm at many times of the loop, which takes four seconds and, once armed, is in the wall for half of them.
+        // Arm at many times of the loop, which lasts 4 s. If the board is armed, the hand is in the wall for 2 s.
         for _ in 0..10 {
             shared.lock().run(0.41);
             board.arm().expect("the hand waits outside of the wall");

@@ -123,7 +123,7 @@ fn check_colours(file: &DeviceFile, normal: &[f64], admissible: Admissible, char
             continue;
         }
         let Some(found) = evaluate_share(file, &q, normal, admissible) else { continue };
-        if found.regular < 0.2 || !is_reachable_straight(file, &q, normal, home.side) {
+        if found.regular < 0.2 || !is_straight_path_regular(file, &q, normal, home.side) {
             continue;
         }
         compared += 1;
@@ -194,7 +194,7 @@ fn evaluate_share(file: &DeviceFile, q: &[f64], normal: &[f64], admissible: Admi
 }
 
 /// Returns true if the straight path from home in joint angles stays regular, so that the pose is reachable.
-fn is_reachable_straight(file: &DeviceFile, q: &[f64], normal: &[f64], side: bool) -> bool {
+fn is_straight_path_regular(file: &DeviceFile, q: &[f64], normal: &[f64], side: bool) -> bool {
     let mut home = file.description.home.unwrap()[..q.len()].to_vec();
     if matches!(file.description.kind, Kind::FiveBarTurret | Kind::Parallelogram) {
         home[0] = 0.0;

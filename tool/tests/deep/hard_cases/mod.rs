@@ -74,7 +74,7 @@ fn the_analysis_of_equation_4_keeps_five_digits_everywhere() {
 
 #[test]
 fn all_formulas_agree_in_106_bits() {
-    // Closer than 1e-6 the closed form clamps its reciprocals on purpose.
+    // Closer than 1e-6 to a singularity the closed form clamps its reciprocals on purpose.
     let rows: Vec<_> = SINGULAR.iter().filter(|row| row.regularity > 2e-6).collect();
     assert!(rows.len() >= 54, "all but the five-bar's last elbow rows: {}", rows.len());
     for row in rows {
@@ -96,8 +96,8 @@ fn encoder_steps_cause_larger_errors_than_f32() {
         assert!(row.rounding < 1e-5, "{row:?}");
         let [coarse, fine] = row.estimated;
         // Measured errors are up to 0.4 of the terms at 20 000 counts, mostly from slow joints, because the terms
-        // subtract the uncertainty of a count. With finer counts the error falls with the square. The pose adds a count
-        // (3e-4 rad) times the few units by which torques change per radian.
+        // subtract the uncertainty of a count. The error falls with the square of the size of a count. The error of the
+        // pose, one count (3e-4 rad), changes torques by a few times 3e-4.
         let off = row.terms == VelocityTerms::Off;
         assert!(if off { row.size == 0.0 } else { row.size > 0.03 }, "{row:?}");
         assert!(coarse < 0.5 * row.size + 3e-3, "{row:?}");

@@ -45,7 +45,7 @@ fn a_measurement_is_reported_kept_and_continued() {
     let dampings: Vec<f64> = report["points"].as_array().unwrap().iter().map(|p| p["kd"].as_f64().unwrap()).collect();
     assert_eq!((dampings, report["theory"].as_str().unwrap().contains("--kd 15")), (vec![16.0], false));
     let date = report["date"].as_str().unwrap().to_string();
-    // Results at one rate are not mixed with another rate.
+    // Results at different rates are not mixed.
     measure(&progress, &["--rate", "10000", "--cutoff", "200"], &["--feed-forward", "off", "--pull", "2"])
         .code(2)
         .stderr(contains("holds another measurement").and(contains("--anew")).and(contains(&*date)))
@@ -183,7 +183,7 @@ fn coarse_encoders_are_reported_with_the_stable_part() {
         .code(1)
         .stdout(contains("> ").and(contains("times the counts")))
         .stderr(contains("saturate").and(contains("--counts")));
-    // If even the soft hold cannot be measured, the device is not moved.
+    // If encoder steps would saturate even the hold before a trial, the device is not moved.
     let line = format!("haptic measure-range {DEVICE} --port sim --normal 0,1 --rate 20000 --cutoff 500");
     run_line(&line, &[]).code(1).stdout("").stderr(contains("saturate"));
 }
