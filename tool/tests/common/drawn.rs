@@ -1,7 +1,7 @@
 //! Random devices, similar to the shipped ones: some correct, some with a wrong file, wrong wires or wrong sensors.
 
 use super::forces::pick_one;
-use super::injected::{CheckMotion, measure_check_of, scale_motor_constants};
+use super::injected::{CheckMotion, measure_any_check, scale_motor_constants};
 use super::{all_shipped_devices, shipped_device};
 use haptic_bridge::math::Libm;
 use haptic_bridge::model::description::{Cogging, Description, Stribeck, StructuralMode, Transmission};
@@ -183,6 +183,6 @@ pub fn check_mismatched_device(seed: u64) -> CheckResult {
 }
 
 fn check(seed: u64, device: String, description: &Description, mismatch: Mismatch) -> CheckResult {
-    let (result, motion) = measure_check_of(&device, description, |wired, broken| mismatch.inject(wired, broken));
+    let (result, motion) = measure_any_check(&device, description, |wired, broken| mismatch.inject(wired, broken));
     CheckResult { seed, device, mismatch, result, motion }
 }

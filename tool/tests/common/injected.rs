@@ -128,14 +128,14 @@ pub enum Outcome {
     /// The polarity check ended with this fault.
     Refused(FaultRecord),
     /// Fault that turned the motors off, and time, s, since the error began (since arming for a permanent error).
-    Detected(FaultRecord, f64, Harm),
+    Detected(FaultRecord, f64, EffectsOnHand),
     /// The board reported no fault.
-    Missed(Harm),
+    Missed(EffectsOnHand),
 }
 
 /// Largest effects of an error on a hand.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Harm {
+pub struct EffectsOnHand {
     /// Largest force of the motors at the tip, as a mean over 2 ms, N.
     pub push: f64,
     /// Largest current of a motor, A.
@@ -146,7 +146,7 @@ pub struct Harm {
 
 /// Returns a homed strict board with the correct `file`, and the true device, which has the injected error.
 fn homed_board(file: &DeviceFile, error: &InjectedError) -> (SharedBoard, Board, Description) {
-    homed_board_as(&file.name, &file.description, Options::default(), |wired, broken| {
+    board_with_error(&file.name, &file.description, Options::default(), |wired, broken| {
         if let Injection::Always(error) = error.injection {
             error(wired, broken);
         }
@@ -154,7 +154,7 @@ fn homed_board(file: &DeviceFile, error: &InjectedError) -> (SharedBoard, Board,
 }
 
 /// Like [`homed_board`] with any description and error.
-fn homed_board_as(
+fn board_with_error(
     name: &str,
     description: &Description,
     device: Options,
@@ -220,19 +220,19 @@ pub struct CheckMotion {
 
 /// Runs the polarity check and measures its effects.
 pub fn measure_check(file: &DeviceFile, error: &InjectedError) -> (Result<(), FaultRecord>, CheckMotion) {
-    check_motion(homed_board(file, error))
+    measure_motion(homed_board(file, error))
 }
 
 /// Like [`measure_check`] with any description and error, and with only two integration steps per carrier period.
-pub fn measure_check_of(
+pub fn measure_any_check(
     name: &str,
     description: &Description,
     error: impl FnOnce(&mut Description, &mut BoardFaults),
 ) -> (Result<(), FaultRecord>, CheckMotion) {
-    check_motion(homed_board_as(name, description, Options { substep: 25e-6, ..Options::default() }, error))
+    measure_motion(board_with_error(name, description, Options { substep: 25e-6, ..Options::default() }, error))
 }
 
-fn check_motion(
+fn measure_motion(
     (shared, mut board, wired): (SharedBoard, Board, Description),
 ) -> (Result<(), FaultRecord>, CheckMotion) {
     let mut push = MotorTipForce::new(&wired, &shared.lock());
@@ -286,7 +286,7 @@ pub fn outcome(file: &DeviceFile, error: &InjectedError) -> Outcome {
         error(&mut board, &wired);
     }
     let start_s = board.time();
-    let (mut push, mut harm) = (MotorTipForce::new(&wired, &board), Harm::default());
+    let (mut push, mut harm) = (MotorTipForce::new(&wired, &board), EffectsOnHand::default());
     while board.time() < start_s + 2.0 {
         board.carrier();
         let device = board.device();

@@ -27,7 +27,7 @@ impl RandomNumbers {
     }
 }
 
-/// Returns a script that arms the board again and again, with random requests, of which one in eight has changed bytes.
+/// Returns a script that arms the board again and again, with random requests. One request in eight has changed bytes.
 fn script(numbers: &mut RandomNumbers) -> Vec<u8> {
     let place = |key: postcard_rpc::Key| {
         TEMPLATES.iter().position(|(known, _)| *known == key).expect("every endpoint has a template") as u8

@@ -113,7 +113,7 @@ fn a_polarity_check_is_never_restored() {
 }
 
 #[test]
-fn a_backup_without_a_mass_model_resets_it() {
+fn a_backup_without_a_mass_model_resets_the_boards_model() {
     let mut backup = Backup::read(&mut board_with_all_settings()).unwrap();
     backup.settings.remove("mass-model");
     let mut target = board_with_all_settings();

@@ -395,7 +395,7 @@ fn the_tip_force_limit_has_the_documented_maximum() {
     }
 }
 
-/// A board with another protocol version, which understands only the requests that never change.
+/// A board with another protocol version. The board understands only the requests that never change.
 struct OtherVersionBoard {
     port: String,
     stopped: std::sync::mpsc::Receiver<()>,

@@ -232,7 +232,7 @@ fn inertias_along_wall(document: &Value, torque: &DVector<f64>, normal: &[f64]) 
 }
 
 #[test]
-fn a_hand_feels_less_along_a_wall_with_the_feed_forward() {
+fn a_hand_feels_less_inertia_along_a_wall_with_the_feed_forward() {
     for (name, pose, normal) in [
         ("coupled-five-bar", "--q=2.6,1.75", vec![0.6, 0.8]),
         ("phantom-premium-1.5", "--q=0.3,0.9,-0.3", vec![-0.6, 0.0, 0.8]),

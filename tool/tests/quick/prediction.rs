@@ -113,7 +113,7 @@ fn lines_of_range_and_measure_range_repeat_their_predictions() {
 }
 
 #[test]
-fn design_and_range_agree_with_cables_too() {
+fn design_and_range_agree_on_devices_with_cables() {
     let device = shipped_path("cable-five-bar.toml");
     let q = ["--q=2.6,1.75", "--normal=0.94,-0.34", "--points", "40"];
     let found = json(&[&["design", &device], &q[..]].concat());

@@ -13,8 +13,8 @@ use resvg::tiny_skia::Pixmap;
 
 /// Pixels of the PNG per unit of the drawing.
 const PIXELS_PER_UNIT: f64 = 2.0;
-/// Largest difference between drawn and computed share, relative to the scale: one colour level from rounding, two
-/// within a tile, and three for changes within the searched pixels.
+/// Largest error of the coupling's share that a colour shows, relative to the scale: one colour step from rounding, two
+/// within a tile, and three within the searched pixels.
 const TOLERANCE: f64 = 0.06;
 /// Largest distance of the expected colour from a pose's place, pixels: half the width of a drawn ellipse or link.
 const SEARCH_PIXELS: i32 = 6;

@@ -126,7 +126,7 @@ fn motors_at_their_limit_push_along_the_normal_only() {
 const MAX_RATIO: f64 = 4.0;
 
 /// Returns true if two words of a table are equal or are numbers within a factor of [`MAX_RATIO`] ("lost" counts as 1).
-fn is_same(shown: &str, computed: &str) -> bool {
+fn words_agree(shown: &str, computed: &str) -> bool {
     let number = |text: &str| if text == "lost" { Some(1.0) } else { text.parse::<f64>().ok() };
     match (number(shown), number(computed)) {
         (Some(a), Some(b)) => a == b || (a > 0.0 && b > 0.0 && a < MAX_RATIO * b && b < MAX_RATIO * a),
@@ -143,7 +143,7 @@ fn the_tables_hold_the_computed_errors() {
         assert_eq!(published.lines().count(), computed.lines().count(), "{path}");
         for (number, (shown, computed)) in published.lines().zip(computed.lines()).enumerate() {
             let [a, b] = [shown, computed].map(|line| line.split([' ', ',']).collect::<Vec<_>>());
-            let agree = a.len() == b.len() && a.iter().zip(&b).all(|(a, b)| is_same(a, b));
+            let agree = a.len() == b.len() && a.iter().zip(&b).all(|(a, b)| words_agree(a, b));
             assert!(agree, "line {} of {path}:\n{shown}\n{computed}", number + 1);
         }
     }

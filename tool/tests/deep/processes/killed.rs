@@ -43,7 +43,7 @@ fn missing_rows(recording: &Recording) -> u64 {
 }
 
 /// Returns the number before this word.
-fn number_before(text: &str, word: &str) -> u64 {
+fn number_before_word(text: &str, word: &str) -> u64 {
     let before = text.split(word).next().unwrap().trim_end();
     before.rsplit(|c: char| !c.is_ascii_digit()).next().unwrap().parse().unwrap_or_else(|_| panic!("{word} in {text}"))
 }
@@ -139,9 +139,9 @@ fn rows_that_a_stopped_tool_missed_are_counted_exactly() {
     let (code, text) = wait_for_exit(tool);
     assert_eq!(code, Some(0), "{text}");
     let recording = Recording::load(&csv).unwrap();
-    assert_eq!(number_before(&text, "lost ("), missing_rows(&recording), "{text}");
-    assert_eq!(number_before(&text, "rows are in"), recording.rows.len() as u64, "{text}");
-    let dropped = number_before(&text, "dropped by the board");
+    assert_eq!(number_before_word(&text, "lost ("), missing_rows(&recording), "{text}");
+    assert_eq!(number_before_word(&text, "rows are in"), recording.rows.len() as u64, "{text}");
+    let dropped = number_before_word(&text, "dropped by the board");
     assert_eq!(dropped, missing_rows(&recording), "not all rows are reported as dropped by the board: {text}");
 }
 
@@ -222,7 +222,7 @@ fn measurement_line<'a>(device: &'a str, kd: &'a str, progress: &'a Path) -> Vec
     [&["measure-range", device, kd, "--progress", to][..], &fixed].concat()
 }
 
-/// Starts a measurement and waits for its first result. Starts again if a busy computer made the tool silent too long.
+/// Starts a measurement and waits for its first result. Starts again if the tool was silent too long.
 fn start_measurement(sim: &Sim, line: &[&str], progress: &Path) -> Child {
     let measured = || Progress::read(progress).is_ok_and(|found| found.is_some_and(|found| !found.is_empty()));
     loop {

@@ -189,7 +189,7 @@ fn coarse_encoders_are_reported_with_the_stable_part() {
 }
 
 #[test]
-fn options_of_simulations_are_refused_elsewhere() {
+fn simulation_options_are_refused_for_other_ports() {
     run_line(&format!("haptic measure-range {DEVICE} --port tcp:127.0.0.1:1 --normal 0,1 --frictionless"), &[])
         .code(2)
         .stderr(contains("--port sim"));

@@ -25,14 +25,14 @@ fn with_pressed_wall<T>(
     work(&Pressed { device: &device, description, q, normal, around: &around, hand, push_n: PUSH_N })
 }
 
-/// Returns the largest damping, in steps of 10 % from `least`, up to which a wall's ripple is within the bound, N s/m.
+/// Returns the largest damping, N s/m, up to which a wall's ripple is within the bound, in steps of 10 % from `least`.
 fn max_quiet_damping(pressed: &Pressed<'_>, kp: f64, least: f64) -> f64 {
     let dampings = (0..100).map(|i| least * 1.1_f64.powi(i));
     let clean = |kd: &f64| pressed.ripple(Mode::Off, kp, *kd).unwrap().within(RIPPLE_BOUND_N);
     dampings.take_while(clean).last().unwrap_or(0.0)
 }
 
-/// Returns the largest stiffness of an undamped spring that is quiet in a relaxed hand, and the largest stable, N/m.
+/// Returns the largest stiffness, N/m, of a quiet and of a stable undamped spring in a relaxed hand.
 fn spring_limits(rate_hz: f64) -> (f64, f64) {
     let hand = Hand { mass: 0.12, damping: 6.0, stiffness: 250.0 };
     with_pressed_wall(
