@@ -64,7 +64,7 @@ fn http_get(address: &str, path: &str, origin: &str) -> (String, Value) {
 struct LocalServer {
     address: String,
     board: SharedBoard,
-    /// Number of the next messages to the board that are lost.
+    /// Number of next messages to the board that the wire loses.
     loses: Arc<AtomicU32>,
     stop: Arc<AtomicBool>,
     server: Option<JoinHandle<()>>,

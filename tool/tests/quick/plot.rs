@@ -10,7 +10,7 @@ use std::path::Path;
 
 /// Rows per second of the recordings.
 const ROWS_PER_SECOND: f64 = 1000.0;
-/// Number of rows of [`write_recording`], with the missing rows.
+/// Number of rows of [`write_recording`], including the missing rows.
 const ROW_COUNT: usize = 2000;
 /// Rows that are missing in [`write_recording`].
 const MISSING_ROWS: std::ops::Range<usize> = 600..700;

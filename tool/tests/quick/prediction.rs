@@ -309,7 +309,7 @@ fn no_passive_bound_is_named_for_encoders_behind_cables() {
 }
 
 #[test]
-fn without_a_stable_range_islands_are_reported() {
+fn stable_islands_are_reported_without_a_stable_range() {
     let folder = Folder::new();
     let soft_cable = "stiffness = 40.0\ndamping = 0.0\nencoder_at = \"joint\"";
     let soft_changes = [("stiffness = 1280.0\ndamping = 0.0372", soft_cable), ("viscous = 0.001", "viscous = 0.0")];

@@ -202,7 +202,7 @@ fn damping_compensation_stabilises_a_creeping_feed_forward() {
 }
 
 #[test]
-fn a_fast_loop_with_a_low_cutoff_scales_with_the_mass() {
+fn the_area_of_a_fast_loop_scales_with_the_square_of_the_mass() {
     let loop_ = control_loop(50_000.0, 20.0);
     let ratio = area(&point_mass(7.0), &loop_, Mode::Off) / area(&point_mass(0.007), &loop_, Mode::Off);
     assert!((ratio / 1e6 - 1.0).abs() < 1e-6, "{ratio}");

@@ -36,7 +36,7 @@ pub struct Row {
     pub estimated: [f64; 2],
 }
 
-/// Computes the torques for the wall force f along n with true velocities, and without the velocity terms.
+/// Computes the torques for the wall force f along n with and without the velocity terms, from true velocities.
 fn exact_torques<M: Mechanism<DoubleDouble, N>, const N: usize>(
     m: &M,
     q: &SVector<DoubleDouble, N>,

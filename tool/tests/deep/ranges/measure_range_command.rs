@@ -182,10 +182,10 @@ fn coarse_encoders_are_reported_with_the_stable_part() {
     run_line(&line, &[])
         .code(1)
         .stdout(contains("> ").and(contains("times the counts")))
-        .stderr(contains("saturate").and(contains("--counts")));
-    // If encoder steps would saturate even the hold before a trial, the device is not moved.
+        .stderr(contains("too weak for these encoders").and(contains("--counts")));
+    // If the motors are too weak even for a soft hold, the device is not moved.
     let line = format!("haptic measure-range {DEVICE} --port sim --normal 0,1 --rate 20000 --cutoff 500");
-    run_line(&line, &[]).code(1).stdout("").stderr(contains("saturate"));
+    run_line(&line, &[]).code(1).stdout("").stderr(contains("too weak for these encoders"));
 }
 
 #[test]
