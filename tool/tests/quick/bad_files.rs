@@ -1,5 +1,5 @@
-//! A wrong file is refused with exit code 2 and one message per mistake, which has file name, line and remedy. Tables
-//! list likely mistakes. In addition, every line of every shipped file is damaged.
+//! A wrong file is refused with exit code 2 and one message per mistake with file name, line and remedy. Tables list
+//! likely mistakes. In addition, the tests damage every line of every shipped file.
 
 use crate::common::{Folder, refusal, run, toml_files, type_lines};
 use haptic_host::device_file::DeviceFile;

@@ -74,7 +74,7 @@ fn the_analysis_of_equation_4_keeps_five_digits_everywhere() {
 
 #[test]
 fn all_formulas_agree_in_106_bits() {
-    // Closer than 1e-6 the closed form clamps its reciprocals on purpose.
+    // Closer than 1e-6 to a singularity the closed form clamps its reciprocals on purpose.
     let rows: Vec<_> = SINGULAR.iter().filter(|row| row.regularity > 2e-6).collect();
     assert!(rows.len() >= 54, "all but the five-bar's last elbow rows: {}", rows.len());
     for row in rows {
@@ -96,8 +96,8 @@ fn encoder_steps_cause_larger_errors_than_f32() {
         assert!(row.rounding < 1e-5, "{row:?}");
         let [coarse, fine] = row.estimated;
         // Measured errors are up to 0.4 of the terms at 20 000 counts, mostly from slow joints, because the terms
-        // subtract the uncertainty of a count. With finer counts the error falls with the square. The pose adds a count
-        // (3e-4 rad) times the few units by which torques change per radian.
+        // subtract the uncertainty of a count. The error falls with the square of the size of a count. The error of the
+        // pose, one count (3e-4 rad), changes torques by a few times 3e-4.
         let off = row.terms == VelocityTerms::Off;
         assert!(if off { row.size == 0.0 } else { row.size > 0.03 }, "{row:?}");
         assert!(coarse < 0.5 * row.size + 3e-3, "{row:?}");
@@ -126,7 +126,7 @@ fn motors_at_their_limit_push_along_the_normal_only() {
 const MAX_RATIO: f64 = 4.0;
 
 /// Returns true if two words of a table are equal or are numbers within a factor of [`MAX_RATIO`] ("lost" counts as 1).
-fn is_same(shown: &str, computed: &str) -> bool {
+fn words_agree(shown: &str, computed: &str) -> bool {
     let number = |text: &str| if text == "lost" { Some(1.0) } else { text.parse::<f64>().ok() };
     match (number(shown), number(computed)) {
         (Some(a), Some(b)) => a == b || (a > 0.0 && b > 0.0 && a < MAX_RATIO * b && b < MAX_RATIO * a),
@@ -143,7 +143,7 @@ fn the_tables_hold_the_computed_errors() {
         assert_eq!(published.lines().count(), computed.lines().count(), "{path}");
         for (number, (shown, computed)) in published.lines().zip(computed.lines()).enumerate() {
             let [a, b] = [shown, computed].map(|line| line.split([' ', ',']).collect::<Vec<_>>());
-            let agree = a.len() == b.len() && a.iter().zip(&b).all(|(a, b)| is_same(a, b));
+            let agree = a.len() == b.len() && a.iter().zip(&b).all(|(a, b)| words_agree(a, b));
             assert!(agree, "line {} of {path}:\n{shown}\n{computed}", number + 1);
         }
     }
