@@ -92,10 +92,10 @@ const TERMS: &[(&str, Walls, FeedForward, VelocityTerms)] = &[
 const TABLE_POINTS: u8 = 10;
 /// Half the width of a table around home, rad.
 const TABLE_HALF_WIDTH: f32 = 0.6;
-/// Steps before the counted step. They start a few counts away, so velocities are not zero.
-const RUN_UP: i32 = 3;
-/// Steps before the counted step that also fill an estimator's longest window.
-const LONG_RUN_UP: i32 = MAX_WINDOW as i32 + RUN_UP;
+/// Steps before the counted step. The first starts a few counts away, so velocities are not zero.
+const RUN_UP_STEPS: i32 = 3;
+/// Steps before the counted step, enough to fill the longest window of an estimator.
+const LONG_RUN_UP_STEPS: i32 = MAX_WINDOW as i32 + RUN_UP_STEPS;
 
 #[cortex_m_rt::entry]
 fn main() -> ! {
@@ -168,7 +168,7 @@ fn count_variants<M: Mechanism<f32, N>, K: Math<f32>, const N: usize>(
                 continue;
             }
             let scene = scene::<M, N>(&tip, *walls, *feed_forward, *velocity_terms);
-            count::<M, K, N>(mechanism, device, &scene, &mass, &home, &[kind, "/", term], RUN_UP);
+            count::<M, K, N>(mechanism, device, &scene, &mass, &home, &[kind, "/", term], RUN_UP_STEPS);
         }
     }
     // Velocity estimators are counted with the board's own trigonometry and the longest windows.
@@ -181,7 +181,7 @@ fn count_variants<M: Mechanism<f32, N>, K: Math<f32>, const N: usize>(
             let mut scene = scene::<M, N>(&tip, Walls::One, FeedForward::Full, VelocityTerms::Off);
             scene.estimator = usual.chosen().map_or(*usual, |chosen| usual.with_options(longest(chosen)));
             let name = ["exact/feed-forward, ", estimator];
-            count::<M, K, N>(mechanism, device, &scene, &MassModel::Exact, &home, &name, LONG_RUN_UP);
+            count::<M, K, N>(mechanism, device, &scene, &MassModel::Exact, &home, &name, LONG_RUN_UP_STEPS);
         }
     }
 }

@@ -9,7 +9,7 @@ use haptic_sim::BoardFaults;
 use rigless::device::Level;
 
 use crate::boards::BoardKind;
-use crate::contact::{WallAt, scene};
+use crate::contact::{NearWall, scene};
 use crate::hands::{hold, push};
 use crate::hardware::Hardware;
 use crate::inject::bridges_off;
@@ -42,7 +42,7 @@ pub const CASES: &[Case] = &[
     Case { name: "current sensors 4 A too low", cause: |board| add_to_shunts(board, 2, -4.0), must_detect: true },
     Case { name: "current sensors stuck at 0 A", cause: |board| scale_shunts(board, 2, 0.0), must_detect: true },
     Case { name: "current sensors show a quarter", cause: |board| scale_shunts(board, 2, 0.25), must_detect: true },
-    // At rest a frozen current equals the requested current, so the board cannot detect it.
+    // At rest a frozen reading equals the requested current, so the board cannot detect the error.
     Case { name: "current sensors frozen, hand at rest", cause: freeze_current_sensor, must_detect: false },
     Case {
         name: "current sensors frozen, hand moves",
@@ -53,9 +53,9 @@ pub const CASES: &[Case] = &[
         must_detect: false,
     },
     Case { name: "one of two shunts 4 A too high", cause: |board| add_to_shunts(board, 1, 4.0), must_detect: true },
-    // The current of this contact is 0.4 A. The loop doubles it because the sensors report half. The difference between
-    // the two sensors stays within the tolerance for correct sensors. In a contact of 2.5 N the board detects the error
-    // (src/inject.rs, CurrentSensor).
+    // The current of this contact is 0.4 A. The loop doubles the current because the sensors report half. The
+    // difference between the two sensors stays within the tolerance for correct sensors. In a contact of 2.5 N the
+    // board detects the error (src/inject.rs, CurrentSensor).
     Case { name: "one of two shunts shows nothing", cause: |board| scale_shunts(board, 1, 0.0), must_detect: false },
     Case { name: "a winding open", cause: |board| board.faults.open[0] = true, must_detect: true },
     Case { name: "a bridge stuck at 40 %", cause: |board| board.faults.stuck_on[0] = Some(0.4), must_detect: true },
@@ -170,7 +170,7 @@ impl Campaign {
         let (home, tip) = rig.with_simulated(|device| (device.q(), device.tip()));
         let head = format!("rate_hz = {rate}.0\ncutoff_hz = {:?}\n", f64::from(rate) * 0.025);
         rig.prepare(&head);
-        let soft = WallAt { stiffness: 100.0, feed_forward: "off", ..WallAt::facing([0.0, -1.0, 0.0]) };
+        let soft = NearWall { stiffness: 100.0, feed_forward: "off", ..NearWall::facing([0.0, -1.0, 0.0]) };
         let scene = scene(&head, tip, 2, &[soft]);
         Self { rig, home, scene, rate }
     }
@@ -237,7 +237,7 @@ impl Campaign {
     }
 }
 
-/// Returns true if the power stages are disabled. A stuck bridge does not count.
+/// Returns true if the power stages are disabled. A stuck bridge is ignored.
 fn is_power_disabled(stopped: &mut crate::run::StoppedBoard<'_>) -> bool {
     let board = stopped.hardware();
     board.wiring.is_some_and(|wiring| board.level(wiring.enable) == Level::Low)

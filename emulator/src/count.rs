@@ -13,9 +13,9 @@
 //! Inputs and outputs between the markers must pass through `core::hint::black_box`, because the compiler may move
 //! other work outside: `bench_begin(); let y = black_box(f(black_box(x))); bench_end();`.
 //!
-//! For each call of a variant, the instructions from entering `bench_begin` to entering `bench_end` count. The variant
-//! `empty` has nothing between the markers, so its count is the cost of the markers, which is subtracted from the other
-//! variants. Variants are reported in the order of their first call, each with its longest call.
+//! The count of a call goes from the entry of `bench_begin` to the entry of `bench_end`. The variant `empty` has
+//! nothing between the markers. Its count, the cost of the markers, is subtracted from the other variants. Variants are
+//! reported in the order of their first call, each with its longest call.
 
 use std::fmt::Display;
 
@@ -36,7 +36,7 @@ pub fn count(firmware: &Firmware, seconds: u64) -> Result<Vec<(String, u64)>, St
         end: firmware.symbol("bench_end")?.address,
         done: firmware.symbol("bench_done")?.address,
         name: firmware.symbol("BENCH_NAME")?,
-        until: VirtualNanos(seconds * 1_000_000_000),
+        deadline: VirtualNanos(seconds * 1_000_000_000),
         watches_are_set: false,
         open_call: None,
         finished: false,
@@ -44,7 +44,7 @@ pub fn count(firmware: &Firmware, seconds: u64) -> Result<Vec<(String, u64)>, St
         variants: Vec::new(),
     };
     let emulator = |error: &dyn Display| format!("the emulator stopped: {error}");
-    let hardware = Hardware::bare().map_err(|error| emulator(&error))?;
+    let hardware = Hardware::without_board().map_err(|error| emulator(&error))?;
     // Watches can be set only while the emulator is stopped, so the first stop is after 1 ns.
     let session = Session::new(Box::new(hardware), 0, VirtualNanos(1)).map_err(|error| emulator(&error))?;
     let images = [firmware.image().map_err(|error| emulator(&error))?];
@@ -68,7 +68,7 @@ struct Counter {
     end: u64,
     done: u64,
     name: Symbol,
-    until: VirtualNanos,
+    deadline: VirtualNanos,
     watches_are_set: bool,
     open_call: Option<(String, u64)>,
     finished: bool,
@@ -117,8 +117,8 @@ impl Driver<Hardware> for Counter {
                 session.watch(Watch::Instruction(address));
             }
         }
-        let over = self.finished || self.violation.is_some() || stop.at >= self.until;
-        (!over).then_some(self.until)
+        let over = self.finished || self.violation.is_some() || stop.at >= self.deadline;
+        (!over).then_some(self.deadline)
     }
 }
 

@@ -7,8 +7,8 @@
 //!
 //! The flash has five wait states per line of 16 bytes, which an accelerator hides (RM0090 sections 3.5.1 and 3.5.2).
 //! The accelerator has a cache of 64 instruction lines, a cache of 8 constant lines, and a prefetch of the next line. A
-//! running fetch ends before the next begins. The caches are empty at the first instruction. SRAM and registers reply
-//! at once. The bus load of DMA and USB is not included.
+//! running fetch ends before the next begins. The caches are empty at the first instruction. SRAM and registers have no
+//! wait states. The bus load of DMA and USB is not included.
 
 use std::collections::VecDeque;
 
@@ -18,16 +18,16 @@ use crate::trace::Code;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Flash {
     /// No wait states, so that only the core needs time.
-    AtOnce,
+    NoWaitStates,
     /// Wait states with both caches and prefetch.
-    Accelerated,
+    WithCaches,
     /// Wait states for every line, as after a reset.
-    Bare,
+    WithoutCaches,
 }
 
 impl Flash {
     /// All models, fastest first.
-    pub const ALL: [Self; 3] = [Self::AtOnce, Self::Accelerated, Self::Bare];
+    pub const ALL: [Self; 3] = [Self::NoWaitStates, Self::WithCaches, Self::WithoutCaches];
 }
 
 /// Wait states at 168 MHz and 2.7 to 3.6 V (RM0090 table 10).
@@ -135,9 +135,9 @@ fn fpu_cost(first: u16, second: u16) -> Cost {
 
 /// Cached lines, the most recently used line first.
 #[derive(Debug, Default)]
-struct Lines(VecDeque<u32>);
+struct CachedLines(VecDeque<u32>);
 
-impl Lines {
+impl CachedLines {
     /// Makes `line` the newest of at most `capacity` cached lines. Returns true if it was cached before.
     fn use_line(&mut self, line: u32, capacity: usize) -> bool {
         let place = self.0.iter().position(|&kept| kept == line);
@@ -159,8 +159,8 @@ struct FlashState {
     free_at: u64,
     line: Option<u32>,
     prefetched_line: Option<u32>,
-    instructions: Lines,
-    constants: Lines,
+    instructions: CachedLines,
+    constants: CachedLines,
 }
 
 impl FlashState {
@@ -170,12 +170,12 @@ impl FlashState {
         self.free_at = self.now;
     }
 
-    fn instruction(&mut self, at: u32) {
+    fn fetch_instruction(&mut self, at: u32) {
         let line = at / LINE_BYTES;
-        if self.flash == Flash::AtOnce || self.line.replace(line) == Some(line) {
+        if self.flash == Flash::NoWaitStates || self.line.replace(line) == Some(line) {
             return;
         }
-        if self.flash == Flash::Bare {
+        if self.flash == Flash::WithoutCaches {
             return self.read();
         }
         if !self.instructions.use_line(line, INSTRUCTION_LINES) {
@@ -192,8 +192,8 @@ impl FlashState {
     }
 
     fn load_constant(&mut self, at: u32) {
-        let is_cached = self.constants.use_line(at / LINE_BYTES, DATA_LINES) && self.flash == Flash::Accelerated;
-        if self.flash != Flash::AtOnce && !is_cached {
+        let is_cached = self.constants.use_line(at / LINE_BYTES, DATA_LINES) && self.flash == Flash::WithCaches;
+        if self.flash != Flash::NoWaitStates && !is_cached {
             self.read();
         }
     }
@@ -208,14 +208,14 @@ pub fn estimate(code: &Code, path: &[u32], flash: Flash) -> u64 {
         free_at: 0,
         line: None,
         prefetched_line: None,
-        instructions: Lines::default(),
-        constants: Lines::default(),
+        instructions: CachedLines::default(),
+        constants: CachedLines::default(),
     };
     let mut before = Cost::of(0, 0);
     for (nth, &at) in path.iter().enumerate() {
         let cost = cost(code, at);
-        state.instruction(at);
-        state.instruction(at + cost.length - 1);
+        state.fetch_instruction(at);
+        state.fetch_instruction(at + cost.length - 1);
         if let Some(constant) = cost.constant {
             state.load_constant(constant);
         }
@@ -242,11 +242,11 @@ mod tests {
     fn prefetch_hides_all_lines_but_the_first() {
         let path: Vec<u32> = (0..24).map(|nth| 0x1000 + 2 * nth).collect();
         let code = [NOP; 24];
-        assert_eq!(cycles_of(&code, &path, Flash::AtOnce), 24);
+        assert_eq!(cycles_of(&code, &path, Flash::NoWaitStates), 24);
         // All three lines have their wait states.
-        assert_eq!(cycles_of(&code, &path, Flash::Bare), 24 + 3 * 5);
+        assert_eq!(cycles_of(&code, &path, Flash::WithoutCaches), 24 + 3 * 5);
         // Only the first line is late. A fetch takes six cycles, and executing the line before it takes eight.
-        assert_eq!(cycles_of(&code, &path, Flash::Accelerated), 24 + 5);
+        assert_eq!(cycles_of(&code, &path, Flash::WithCaches), 24 + 5);
     }
 
     #[test]
@@ -254,7 +254,7 @@ mod tests {
         // With four `movw r0, #0` per line, each further line arrives two cycles late.
         let code = [[0xF240, 0x0000]; 12].concat();
         let path: Vec<u32> = (0..12).map(|nth| 0x1000 + 4 * nth).collect();
-        assert_eq!(cycles_of(&code, &path, Flash::Accelerated), 12 + 5 + 2 * 2);
+        assert_eq!(cycles_of(&code, &path, Flash::WithCaches), 12 + 5 + 2 * 2);
     }
 
     #[test]
@@ -263,13 +263,13 @@ mod tests {
         let code = [NOP, 0xE7FD];
         let path: Vec<u32> = [0x1000, 0x1002].repeat(10);
         let core = 20 + 9 * REFILL_CYCLES;
-        assert_eq!(cycles_of(&code, &path, Flash::AtOnce), core);
-        assert_eq!(cycles_of(&code, &path, Flash::Accelerated), core + 5);
+        assert_eq!(cycles_of(&code, &path, Flash::NoWaitStates), core);
+        assert_eq!(cycles_of(&code, &path, Flash::WithCaches), core + 5);
     }
 
     #[test]
     fn instructions_have_the_costs_of_the_manual() {
-        let alone = |halves: &[u16]| cycles_of(halves, &[0x1000], Flash::AtOnce);
+        let alone = |halves: &[u16]| cycles_of(halves, &[0x1000], Flash::NoWaitStates);
         assert_eq!(alone(&[0x6808]), 2, "ldr r0, [r1]");
         assert_eq!(alone(&[0x6008]), 1, "str r0, [r1]");
         assert_eq!(alone(&[0xB5F0]), 6, "push {{r4-r7, lr}}");

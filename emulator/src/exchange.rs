@@ -42,8 +42,7 @@ pub struct Exchanges {
 }
 
 /// Sends a small force, different in every exchange, together with `contact` for `milliseconds`. Meanwhile the board
-/// streams `fields` of every `divider`th step (0: no stream). At most `ahead` requests wait for a reply, so 1 waits for
-/// each reply.
+/// streams `fields` of every `divider`th step (0: no stream). At most `ahead` requests wait for a reply at a time.
 pub fn run(
     rig: &mut Rig,
     (fields, divider): (Fields, u32),
@@ -54,7 +53,7 @@ pub fn run(
 ) -> Exchanges {
     start(rig, (fields, divider));
     let (before, began) = (rig.steps(), rig.now());
-    let (mut times, rejected) = push(rig, milliseconds, contact, ahead);
+    let (mut times, rejected) = send_requests(rig, milliseconds, contact, ahead);
     let (after, ended) = (rig.steps(), rig.now());
     let losses = rig.tool.losses();
     rig.tool.stop_stream().expect("the stream stops");
@@ -86,7 +85,7 @@ fn start(rig: &mut Rig, (fields, divider): (Fields, u32)) {
 }
 
 /// Sends requests. Returns the duration of each exchange (ns), and the number of rejected requests.
-fn push(rig: &mut Rig, milliseconds: u64, contact: Option<HostContact>, ahead: usize) -> (Vec<u64>, usize) {
+fn send_requests(rig: &mut Rig, milliseconds: u64, contact: Option<HostContact>, ahead: usize) -> (Vec<u64>, usize) {
     let began = rig.now();
     let end = began + milliseconds * MILLISECOND;
     let (mut times, mut seen, mut rejected) = (Vec::new(), None, 0);

@@ -1,5 +1,5 @@
-//! Injects all faults into the unmodified image on the emulated chip. provoke.rs checks their effect, and report.rs
-//! describes it.
+//! Injects every fault into the unmodified image on the emulated chip. provoke.rs checks the board's reaction, and
+//! report.rs writes the table of the results.
 //!
 //! The match over all faults is exhaustive, so a fault without an injection does not compile. Faults that the boards
 //! cannot detect are marked.
@@ -15,7 +15,7 @@ use haptic_sim::{Hand, Intent, SimulatedDevice, Waypoint};
 use rigless::time::VirtualNanos;
 
 use crate::boards::BoardKind;
-use crate::contact::WallAt;
+use crate::contact::NearWall;
 use crate::hands::{firm_settings, hold, move_to_and_fro, push};
 use crate::image::{CODE_RANGE, SETTINGS_RANGE};
 use crate::rig::{Rig, device_file, firmware};
@@ -27,12 +27,12 @@ mod stub;
 
 pub use provoke::{Outcome, bridges_off, provoke};
 pub use report::{describe, row, table};
-pub use stub::run_instead;
+pub use stub::replace_task;
 use stub::{NMI_FLAG, SUPERVISOR, wire_to_nmi};
 
 /// The way to cause a fault.
 pub enum Injection {
-    /// Caused on the emulated chip.
+    /// The fault is caused on the emulated chip.
     Chip {
         /// Description of the cause.
         description: &'static str,
@@ -43,7 +43,7 @@ pub enum Injection {
         /// Longest time until the fault is detected, ms.
         within_ms: u64,
     },
-    /// Not detectable on the boards, for this reason.
+    /// The boards cannot detect the fault, for this reason.
     Undetectable(&'static str),
 }
 
@@ -59,12 +59,12 @@ fn rig_in_contact() -> Rig {
 
 /// Returns a rig whose tip a hand presses into a wall with `newtons`.
 fn pressed_rig(newtons: f64) -> Rig {
-    Rig::in_contact(BoardKind::OdriveV3, FIVE_BAR, "", &[WallAt::facing([0.0, -1.0, 0.0])], newtons)
+    Rig::in_contact(BoardKind::OdriveV3, FIVE_BAR, "", &[NearWall::facing([0.0, -1.0, 0.0])], newtons)
 }
 
 fn free_rig_on(kind: BoardKind) -> Rig {
     let mut rig = Rig::with_device(kind, FIVE_BAR, |_| ());
-    rig.arm_before("", &[WallAt { gap: 0.2, ..WallAt::facing([0.0, -1.0, 0.0]) }]);
+    rig.arm_before("", &[NearWall { gap: 0.2, ..NearWall::facing([0.0, -1.0, 0.0]) }]);
     rig.with_simulated(|device| device.set_hand(Hand::none()));
     rig
 }
@@ -263,19 +263,19 @@ pub fn injection(fault: Fault) -> Injection {
         Fault::Watchdog => chip(
             "a task that never returns",
             rig_in_contact,
-            |rig| run_instead(rig, SUPERVISOR, |_| vec![0xE7FE_E7FE]),
+            |rig| replace_task(rig, SUPERVISOR, |_| vec![0xE7FE_E7FE]),
             500,
         ),
         Fault::StackOverflow => chip(
             "a task that pushes registers in an infinite loop",
             rig_in_contact,
-            |rig| run_instead(rig, SUPERVISOR, |_| vec![0xE7FD_B4FF]),
+            |rig| replace_task(rig, SUPERVISOR, |_| vec![0xE7FD_B4FF]),
             500,
         ),
         Fault::HardFault => chip(
             "a task that runs into an undefined instruction",
             rig_in_contact,
-            |rig| run_instead(rig, SUPERVISOR, |_| vec![0xDE00_DE00]),
+            |rig| replace_task(rig, SUPERVISOR, |_| vec![0xDE00_DE00]),
             500,
         ),
         Fault::Panic => chip(
@@ -285,7 +285,7 @@ pub fn injection(fault: Fault) -> Injection {
                 let handler =
                     firmware(rig.kind).find_ending("5reset12record_panic").expect("the panic handler").address as u32;
                 // The code is `ldr.w pc, [pc, #0]`, then the address.
-                run_instead(rig, SUPERVISOR, |_| vec![0xF000_F8DF, handler | 1]);
+                replace_task(rig, SUPERVISOR, |_| vec![0xF000_F8DF, handler | 1]);
             },
             500,
         ),
@@ -298,7 +298,7 @@ pub fn injection(fault: Fault) -> Injection {
                     rig.tool.set_name(&name.try_into().expect("a short name")).expect("the board takes a name");
                     rig.tool.save().expect("the settings are written");
                 }
-                rig.ready();
+                rig.home_and_arm();
                 rig
             },
             |rig| {
@@ -384,7 +384,7 @@ pub fn injection(fault: Fault) -> Injection {
             "a converter that is no longer triggered",
             rig_in_contact,
             |rig| {
-                rig.with(|stopped| stopped.hardware().chip.converters[0].hook.stopped = true);
+                rig.with(|stopped| stopped.hardware().chip.converters[0].hook.ignores_triggers = true);
             },
             5,
         ),
@@ -505,7 +505,7 @@ fn free_rig_within(angle: f64) -> Rig {
         joint.limits = Some((home - angle, home + angle));
     }
     let mut rig = Rig::with_file(BoardKind::OdriveV3, file, |_| ());
-    rig.arm_before("", &[WallAt { gap: 0.2, ..WallAt::facing([0.0, -1.0, 0.0]) }]);
+    rig.arm_before("", &[NearWall { gap: 0.2, ..NearWall::facing([0.0, -1.0, 0.0]) }]);
     rig.with_simulated(|device| device.set_hand(Hand::none()));
     rig
 }
@@ -532,7 +532,7 @@ fn rig_with_index() -> Rig {
         }
     }
     let mut rig = Rig::with_file(BoardKind::OdriveV3, file, |_| ());
-    rig.arm_before("", &[WallAt { gap: 0.2, ..WallAt::facing([0.0, -1.0, 0.0]) }]);
+    rig.arm_before("", &[NearWall { gap: 0.2, ..NearWall::facing([0.0, -1.0, 0.0]) }]);
     change_rules(&mut rig, |rules| rules.index_period = [period, period, 0]);
     rig.with_simulated(|device| sweep(device, 0.0, HALF_SWEEP_METRES));
     rig.run(SECOND);

@@ -13,7 +13,7 @@ use haptic_host::link::Losses;
 use haptic_sim::TIMER_HZ;
 
 use crate::cases::Case;
-use crate::contact::{WallAt, scene};
+use crate::contact::{NearWall, scene};
 use crate::exchange;
 use crate::rig::Rig;
 use crate::run::MILLISECOND;
@@ -122,7 +122,7 @@ pub fn set_free_scene(rig: &mut Rig, rate_hz: u32, nth: usize) {
     let task = rig.file.as_ref().map_or(2, |file| file.spec().task);
     let tip = rig.with_simulated(|device| device.tip());
     let walls = [([0.0, -1.0, 0.0], 0.02), ([-1.0, 0.0, 0.0], 0.05)]
-        .map(|(normal, gap)| WallAt { gap, ..WallAt::facing(normal) });
+        .map(|(normal, gap)| NearWall { gap, ..NearWall::facing(normal) });
     let head = format!("rate_hz = {rate_hz}\ngravity_compensation = true\n");
     rig.set_scene(&scene(&head, tip, task, &walls[..1 + nth % 2]));
 }

@@ -160,7 +160,7 @@ impl Rig {
     }
 
     /// Homes the device in place, checks its polarity, arms, and waits until torque has ramped up.
-    pub fn ready(&mut self) {
+    pub fn home_and_arm(&mut self) {
         self.tool.home().expect("the device can be homed");
         self.check_polarity();
         self.arm();

@@ -65,7 +65,7 @@ impl StoppedBoard<'_> {
 
     /// Returns the words in a range of the flash.
     pub fn flash(&mut self, place: Range<u64>) -> Vec<u32> {
-        place.step_by(4).map(|at| self.word(at).expect("there is flash")).collect()
+        place.step_by(4).map(|at| self.word(at).expect("flash at this address")).collect()
     }
 
     /// Writes `words` to the flash from `start` on, like a programming tool. Takes effect when the run continues.
@@ -83,7 +83,7 @@ impl StoppedBoard<'_> {
         let bytes: Vec<u8> = self.flash(place.clone()).into_iter().flat_map(u32::to_le_bytes).collect();
         let offset = bytes.windows(text.len()).rposition(|window| window == text).expect("the text is in flash");
         let word = place.start + offset as u64 / 4 * 4;
-        let flipped = self.word(word).expect("there is flash") ^ 1 << (8 * (offset % 4));
+        let flipped = self.word(word).expect("flash at this address") ^ 1 << (8 * (offset % 4));
         let at = VirtualNanos(self.at);
         self.hardware().chip.corrupt_flash(at, word, flipped);
     }
@@ -91,7 +91,7 @@ impl StoppedBoard<'_> {
     /// Sets the chip's supply voltage and passes the supply monitor's request to the core (line 1, RM0090 table 61).
     pub fn set_supply(&mut self, millivolts: u32) {
         let at = VirtualNanos(self.at);
-        let asks = self.hardware().chip.supply(at, millivolts);
+        let asks = self.hardware().chip.set_supply_voltage(at, millivolts);
         self.memory.set_interrupt(SUPPLY_MONITOR, Level::from(asks));
     }
 

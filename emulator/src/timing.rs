@@ -11,7 +11,7 @@ use haptic_host::output::csv_line;
 
 use crate::boards::BoardKind;
 use crate::cases::{CASES, Case, SCENES, SceneKind};
-use crate::contact::{WallAt, scene};
+use crate::contact::{NearWall, scene};
 use crate::cycles::{Flash, estimate};
 use crate::image::CONTROL_INTERRUPT;
 use crate::load::{
@@ -141,7 +141,7 @@ const STEPS: [(&str, SceneKind); 6] = [
 /// Returns timing-steps.csv, the instructions of the control step by device and scene. The image is a release image,
 /// the motors are off and the encoder counts constant.
 #[must_use]
-pub fn steps() -> String {
+pub fn step_table() -> String {
     let mut text = csv_line(["device", "the tip meets", "instructions"]);
     let mut rig = Rig::empty(BoardKind::HBridgeF405);
     let render = firmware(rig.kind).find_ending("8compiled6render").expect("the control step").address;
@@ -153,7 +153,7 @@ pub fn steps() -> String {
         let tip = rig.tool.status().expect("the board replies").tip.map(f64::from);
         let task = rig.file.as_ref().map_or(2, |file| file.spec().task);
         let toward = if task == 1 { [1.0, 0.0, 0.0] } else { [0.0, -1.0, 0.0] };
-        let wall = WallAt { gap: -0.003, ..WallAt::facing(toward) };
+        let wall = NearWall { gap: -0.003, ..NearWall::facing(toward) };
         let walls = if scene_kind == SceneKind::Wall { &[wall][..] } else { &[] };
         rig.set_scene(&scene("", tip, task, walls));
         rig.run(MILLISECOND);
@@ -201,7 +201,7 @@ pub fn table(timings: &[Timing]) -> String {
 
 /// Returns timing-scenes.csv, the table of the timings of [`SCENES`] on a five-bar.
 #[must_use]
-pub fn scenes(timings: &[Timing]) -> String {
+pub fn scene_table(timings: &[Timing]) -> String {
     let mut text = csv_line([
         "the tip meets",
         "mean",
@@ -232,7 +232,7 @@ impl Case {
 
 /// Returns timing-new-scenes.csv. Each measurement takes 5 ms from the request for a new scene while the motors are on.
 #[must_use]
-pub fn replacements() -> String {
+pub fn new_scene_table() -> String {
     let mut text = csv_line(["case", "longest at a valley", "longest step", "median step"]);
     for case in [&CASES[0], &CASES[2], &CASES[4]] {
         let mut rig = case.rig(case.rate_hz);
@@ -257,7 +257,7 @@ pub fn replacements() -> String {
 
 /// Returns timing-rates.csv, the rates that a five-bar and two three-joint devices sustain.
 #[must_use]
-pub fn rates() -> String {
+pub fn rate_table() -> String {
     let mut text = csv_line([
         "case",
         "highest control rate (Hz)",

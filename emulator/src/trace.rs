@@ -1,9 +1,9 @@
 //! Records every instruction of an interrupt handler, run by run, from the first instruction to the exception return.
 //!
-//! All code is watched, and the handler's part is kept. A run ends where a return at call depth zero goes to an
-//! unexpected address. This also covers a handler whose last instructions the compiler moved into a shared function.
-//! Instructions of an interrupt that preempts the handler would be counted too, but nothing preempts the control
-//! interrupt.
+//! The tracer watches all code and keeps the instructions of the handler. A run ends where a return at call depth zero
+//! goes to an unexpected address. This also covers a handler whose last instructions the compiler moved into a shared
+//! function. Instructions of an interrupt that preempts the handler would be counted too, but nothing preempts the
+//! control interrupt.
 
 use std::sync::Arc;
 

@@ -38,13 +38,13 @@ impl Shared {
     /// interval late.
     #[must_use]
     pub fn wire_polled_every(&self, interval: u64) -> Box<dyn Wire> {
-        Box::new(UsbWire { shared: self.clone(), waiting: Vec::new(), interval })
+        Box::new(UsbWire { shared: self.clone(), unread: Vec::new(), interval })
     }
 }
 
 struct UsbWire {
     shared: Shared,
-    waiting: Vec<u8>,
+    unread: Vec<u8>,
     interval: u64,
 }
 
@@ -59,7 +59,7 @@ impl Wire for UsbWire {
             }
             ready
         });
-        if sent { Ok(()) } else { Err(io::Error::new(io::ErrorKind::NotConnected, "the port is not there")) }
+        if sent { Ok(()) } else { Err(io::Error::new(io::ErrorKind::NotConnected, "the board's USB port is not open")) }
     }
 
     fn receive(&mut self, buffer: &mut [u8], timeout: Duration) -> io::Result<usize> {
@@ -67,13 +67,13 @@ impl Wire for UsbWire {
         let span = u64::try_from(timeout.as_nanos()).unwrap_or(u64::MAX / 4);
         let until = board.now() + span;
         loop {
-            if self.waiting.is_empty() {
-                self.waiting = board.with(|stopped| stopped.usb().take());
+            if self.unread.is_empty() {
+                self.unread = board.with(|stopped| stopped.usb().take());
             }
-            if !self.waiting.is_empty() {
-                let count = self.waiting.len().min(buffer.len());
-                buffer[..count].copy_from_slice(&self.waiting[..count]);
-                self.waiting.drain(..count);
+            if !self.unread.is_empty() {
+                let count = self.unread.len().min(buffer.len());
+                buffer[..count].copy_from_slice(&self.unread[..count]);
+                self.unread.drain(..count);
                 return Ok(count);
             }
             if board.now() >= until {

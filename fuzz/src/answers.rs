@@ -50,7 +50,7 @@ struct RandomBoard {
 
 impl RandomBoard {
     /// Returns the next piece as bytes on the wire.
-    fn piece(&mut self) -> Option<Vec<u8>> {
+    fn next_piece(&mut self) -> Option<Vec<u8>> {
         let operation = self.rest.pop_front()?;
         let length = usize::from(self.rest.pop_front().unwrap_or(0)) * if operation & 0x80 == 0 { 1 } else { 4 };
         let body: Vec<u8> = self.rest.drain(..length.min(self.rest.len())).collect();
@@ -102,7 +102,7 @@ impl Wire for RandomBoard {
                 };
                 encode(&header, &postcard::to_stdvec(&info).unwrap_or_default())
             }
-            None => self.piece().ok_or(io::ErrorKind::UnexpectedEof)?,
+            None => self.next_piece().ok_or(io::ErrorKind::UnexpectedEof)?,
         };
         let count = bytes.len().min(buffer.len());
         buffer[..count].copy_from_slice(&bytes[..count]);

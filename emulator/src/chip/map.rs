@@ -142,14 +142,14 @@ pub mod exti {
     use super::{RegisterSpec, WriteModify};
 
     /// Offset of IMR, the lines whose interrupt request is enabled.
-    pub const MASK: u32 = 0x00;
+    pub const IMR: u32 = 0x00;
     /// Offset of RTSR, the lines that react to a rising edge.
-    pub const RISING: u32 = 0x08;
+    pub const RTSR: u32 = 0x08;
 
     pub(super) static TABLE: [RegisterSpec; 6] = [
-        register("IMR", MASK, WriteModify::None),
+        register("IMR", IMR, WriteModify::None),
         register("EMR", 0x04, WriteModify::None),
-        register("RTSR", RISING, WriteModify::None),
+        register("RTSR", RTSR, WriteModify::None),
         register("FTSR", 0x0C, WriteModify::None),
         register("SWIER", 0x10, WriteModify::None),
         register("PR", 0x14, WriteModify::OneToClear),

@@ -38,7 +38,7 @@ pub fn timer(nth: usize) -> MasterTimer {
 pub fn converter(nth: usize) -> Converter {
     let mut inner = Adc::with_clock(HSI_HZ / 2);
     inner.set_reference(REFERENCE_UV);
-    Hooked { inner, hook: ExternalTrigger { instance: CONVERTERS[nth], stopped: false } }
+    Hooked { inner, hook: ExternalTrigger { instance: CONVERTERS[nth], ignores_triggers: false } }
 }
 
 /// Latest outputs of a timer, and their durations.
@@ -148,7 +148,7 @@ impl Hook<Tim<Advanced>> for Outputs {
 pub struct ExternalTrigger {
     instance: &'static str,
     /// True if triggers have no effect.
-    pub stopped: bool,
+    pub ignores_triggers: bool,
 }
 
 /// Bit that starts the injected group like a trigger.
@@ -164,7 +164,7 @@ impl Hook<Adc> for ExternalTrigger {
         registers: &mut RegisterFile,
         context: &mut DeviceContext<'_>,
     ) {
-        if change.instance == self.instance || self.stopped {
+        if change.instance == self.instance || self.ignores_triggers {
             return;
         }
         let control = registers.get(Register::Cr2);

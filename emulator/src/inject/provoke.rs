@@ -52,7 +52,7 @@ pub fn provoke(fault: Fault) -> Option<Outcome> {
     rig.run(20 * MILLISECOND);
     // After a restart the host must enumerate the chip again.
     let ready_again = rig.shared.board().run_until(2 * SECOND, MILLISECOND, |stopped| stopped.usb().is_ready());
-    assert!(ready_again, "{name}: the port is gone");
+    assert!(ready_again, "{name}: the USB port did not return");
     let restarted = rig.with(|stopped| stopped.resets().len()) > resets;
     if restarted {
         rig.tool = Board::over(rig.shared.wire(), "again").unwrap_or_else(|error| panic!("{name}: {error}"));

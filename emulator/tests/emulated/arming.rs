@@ -5,7 +5,7 @@
 use haptic_bridge::board::telemetry::Fields;
 use haptic_bridge::safety::fault::Fault;
 use haptic_emulator::cases::CASES;
-use haptic_emulator::contact::{WallAt, scene};
+use haptic_emulator::contact::{NearWall, scene};
 use haptic_emulator::range::{BOARD, rigid_device};
 use haptic_emulator::rig::Rig;
 use haptic_emulator::run::{MILLISECOND, SECOND};
@@ -44,7 +44,7 @@ fn no_current_flows_when_the_bridges_begin_to_drive() {
     }
 }
 
-/// The rate is above the documented limit for three joints, because steps take longer while torque ramps up.
+/// The rate is above the documented limit for three joints. Steps take longer while torque ramps up.
 #[test]
 fn arming_at_too_high_a_rate_causes_an_overrun() {
     let case = CASES[2];
@@ -71,7 +71,7 @@ fn boards_arm_at_their_highest_rates_while_streaming() {
         let tip = rig.with_simulated(|device| device.tip());
         let task = rig.file.as_ref().map_or(2, |file| file.spec().task);
         let head = format!("rate_hz = {rate_hz}\ngravity_compensation = true\n");
-        rig.set_scene(&scene(&head, tip, task, &[WallAt::facing([0.0, -1.0, 0.0])]));
+        rig.set_scene(&scene(&head, tip, task, &[NearWall::facing([0.0, -1.0, 0.0])]));
         rig.tool.start_stream(Fields::USUAL, 1).expect("a stream starts");
         rig.run(20 * MILLISECOND);
         rig.arm();

@@ -21,7 +21,7 @@ fn check_serial_port(rig: &Rig) {
     let (descriptors, log) = rig.with(|stopped| (stopped.usb().descriptors().clone(), stopped.usb().log().to_vec()));
     assert_eq!(descriptors.ids(), (USB_VENDOR, USB_PRODUCT));
     assert!(descriptors.strings.iter().any(|text| text == USB_PRODUCT_NAME), "{:?}", descriptors.strings);
-    assert!(!log.iter().any(|(_, event)| matches!(event, Event::Stalled(_) | Event::Left)), "{log:?}");
+    assert!(!log.iter().any(|(_, event)| matches!(event, Event::Stalled(_) | Event::Disconnected)), "{log:?}");
     let at = |wanted: &Event| log.iter().find(|(_, event)| event == wanted).map(|(at, _)| at.0);
     let connected = at(&Event::Connected).expect("a pull-up");
     let opened = at(&Event::Opened).expect("an open port");

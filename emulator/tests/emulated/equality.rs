@@ -82,7 +82,7 @@ fn torques_on_the_chip_equal_the_librarys_bit_for_bit() {
             timer_hz: 168_000_000,
         };
         let device = Device::new(&file.name, &file.description).expect("a device");
-        let scene = SceneFile::parse(&scene, "scene", task).expect("a scene").scene().expect("it fits f32");
+        let scene = SceneFile::parse(&scene, "scene", task).expect("a scene").scene().expect("the scene fits f32");
         let program: Program<BoardMath> =
             Program::new(&hardware, &rules.limits, &device, &scene, false).expect("a program");
         let mut control_loop = ControlLoop::new(hardware, rules);

@@ -14,7 +14,7 @@ use crate::session::WALL;
 fn the_fault_line_of_one_gate_driver_stops_both_axes() {
     let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |_| ());
     rig.load(WALL);
-    rig.ready();
+    rig.home_and_arm();
     rig.with(|stopped| stopped.hardware().driver(1).latch_fault(1 << 2));
     rig.run(50 * MILLISECOND);
     let status = rig.tool.status().expect("the board replies");

@@ -9,13 +9,13 @@ use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::safety::refusal::Refusal;
 use haptic_emulator::boards::{BoardKind, Wiring};
 use haptic_emulator::cases::{CASES, SceneKind};
-use haptic_emulator::contact::{WallAt, scene};
+use haptic_emulator::contact::{NearWall, scene};
 use haptic_emulator::hands::push;
 use haptic_emulator::inject::bridges_off;
 use haptic_emulator::results;
 use haptic_emulator::rig::Rig;
 use haptic_emulator::run::{MICROSECOND, MILLISECOND, SECOND};
-use haptic_emulator::timing::{recorded_lengths, steps};
+use haptic_emulator::timing::{recorded_lengths, step_table};
 use haptic_host::link::{BoardError, Row};
 use haptic_sim::MotorInput;
 
@@ -47,7 +47,7 @@ fn session(kind: BoardKind, device: &str, fault: Fault) {
         [Field::State, Field::Distance, Field::WallForce, Field::Torque].iter().fold(0, |set, field| set | field.bit());
     rig.tool.start_stream(Fields(fields), ROW_DIVIDER).expect("a stream starts");
     let start = rig.with_simulated(|device| device.tip());
-    let wall = WallAt { damping: 3.0, ..WallAt::facing([0.0, -1.0, 0.0]) };
+    let wall = NearWall { damping: 3.0, ..NearWall::facing([0.0, -1.0, 0.0]) };
     rig.set_scene(&scene(head, start, rig.file.as_ref().map_or(2, |file| file.spec().task), &[wall]));
     rig.arm();
     rig.with_simulated(|device| push(device, [0.0, PUSH_N, 0.0], 0.2));
@@ -57,7 +57,7 @@ fn session(kind: BoardKind, device: &str, fault: Fault) {
     {
         let mut runs: Vec<u64> = rig.trace_control(MILLISECOND).iter().map(|run| run.path.len() as u64).collect();
         runs.sort_unstable();
-        // The longer half of the interrupts are crests. Their median is no crest that checks the host (twice a second).
+        // The longer half of the interrupts are crests. Their median ignores the rare crests that check the host.
         let crest = runs.get(runs.len() * 3 / 4).copied();
         let (limit, _) = recorded_lengths(&recorded_table("timing"), case).expect("the case is in the table");
         assert!(
@@ -122,7 +122,7 @@ fn is_within_record(now: u64, recorded: u64) -> bool {
 /// With `UPDATE_DOCS=1` this test writes the table again, like `cargo xtask timing`.
 #[test]
 fn control_steps_stay_within_the_recorded_instructions() {
-    let now = steps();
+    let now = step_table();
     if std::env::var_os("UPDATE_DOCS").is_some() {
         return std::fs::write(results("timing-steps"), now).expect("the table can be written");
     }

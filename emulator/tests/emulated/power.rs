@@ -44,11 +44,11 @@ fn restart_with(words: &[u32], rig: Rig) -> Rig {
 
 /// Cuts the power within the flash operation number `operation`, counted from now.
 fn cut_power_at(rig: &Rig, operation: u64) {
-    rig.with(move |stopped| stopped.hardware().chip.flash.hook.cut = Some(operation));
+    rig.with(move |stopped| stopped.hardware().chip.flash.hook.operations_until_cut = Some(operation));
 }
 
 fn operations_left(rig: &Rig) -> Option<u64> {
-    rig.with(|stopped| stopped.hardware().chip.flash.hook.cut)
+    rig.with(|stopped| stopped.hardware().chip.flash.hook.operations_until_cut)
 }
 
 /// Cuts the power within every `step`th operation of a save that changes the scene. Returns the number of operations.
@@ -57,7 +57,7 @@ fn check_cuts(step: usize, mut rig: Rig) -> u64 {
     let old = scene(&mut rig);
     cut_power_at(&rig, MANY_OPERATIONS);
     assert!(save(&mut rig, 600));
-    let operations = MANY_OPERATIONS - operations_left(&rig).expect("it was set");
+    let operations = MANY_OPERATIONS - operations_left(&rig).expect("a power cut is set");
     let new = scene(&mut rig);
     assert_ne!(old, new);
     let mut found_new = 0;

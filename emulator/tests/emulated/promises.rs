@@ -9,7 +9,7 @@ use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::safety::refusal::Refusal;
 use haptic_emulator::boards::{BoardKind, Pin, Wiring};
 use haptic_emulator::hardware::Hardware;
-use haptic_emulator::inject::{after_crest, bridges_off, run_instead};
+use haptic_emulator::inject::{after_crest, bridges_off, replace_task};
 use haptic_emulator::plant::{Dummy, Peaks};
 use haptic_emulator::rig::{Rig, firmware};
 use haptic_emulator::run::{MICROSECOND, MILLISECOND, SECOND, VirtualBoard};
@@ -20,7 +20,7 @@ use crate::session::WALL;
 fn armed_rig(kind: BoardKind) -> Rig {
     let mut rig = Rig::with_device(kind, "pantograph-mk2", |_| ());
     rig.load(WALL);
-    rig.ready();
+    rig.home_and_arm();
     rig
 }
 
@@ -49,7 +49,7 @@ fn an_armed_board_drives_from_the_next_crest_at_every_rate() {
     for rate in [200, 1_000] {
         let mut rig = Rig::with_device(BoardKind::HBridgeF405, "pantograph-mk2", |_| ());
         rig.load(&format!("rate_hz = {rate}\ncutoff_hz = 50\n{WALL}"));
-        rig.ready();
+        rig.home_and_arm();
         for _ in 0..5 {
             rig.tool.disarm().expect("the board disarms");
             rig.run(7 * MILLISECOND + 300 * MICROSECOND);
@@ -254,7 +254,7 @@ fn no_code_can_change_how_gates_are_driven() {
                 (value, *address)
             })
             .collect();
-        run_instead(&rig, "10supervisor9supervise4POOL", move |task| store_code(&changed, task));
+        replace_task(&rig, "10supervisor9supervise4POOL", move |task| store_code(&changed, task));
         rig.run(50 * MILLISECOND);
         assert_eq!(read_registers(&rig), before, "{}", kind.name());
     }
@@ -270,8 +270,8 @@ fn check_watchdog(task: &'static str, code: impl FnOnce(u32) -> Vec<u32>, least:
 fn check_watchdog_at(rate: u32, task: &'static str, code: impl FnOnce(u32) -> Vec<u32>, least: u64, most: u64) {
     let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |_| ());
     rig.load(&format!("rate_hz = {rate}\ncutoff_hz = 50\n{WALL}"));
-    rig.ready();
-    run_instead(&rig, task, code);
+    rig.home_and_arm();
+    replace_task(&rig, task, code);
     let began = rig.now();
     let resets = rig.with(|stopped| stopped.resets().len());
     while rig.with(|stopped| stopped.resets().len()) == resets {
@@ -282,7 +282,7 @@ fn check_watchdog_at(rate: u32, task: &'static str, code: impl FnOnce(u32) -> Ve
     rig.run(MILLISECOND);
     assert!(rig.with(bridges_off), "bridges are on after the reset");
     let ready = rig.shared.board().run_until(2 * SECOND, MILLISECOND, |stopped| stopped.usb().is_ready());
-    assert!(ready, "the port is gone");
+    assert!(ready, "the USB port did not return");
     rig.tool = haptic_host::link::Board::over(rig.shared.wire(), "again").expect("the board replies");
     let status = rig.tool.status().expect("the board replies");
     assert_eq!((status.state, status.fault.map(|record| record.fault)), (State::Fault, Some(Fault::Watchdog)));
@@ -336,7 +336,7 @@ fn a_board_with_a_low_supply_stays_off_and_reports_it() {
     rig.with(|stopped| stopped.set_supply(3300));
     assert!(
         rig.shared.board().run_until(2 * SECOND, MILLISECOND, |stopped| stopped.usb().is_ready()),
-        "the port is gone"
+        "the USB port did not return"
     );
     rig.tool = haptic_host::link::Board::over(rig.shared.wire(), "again").expect("the board replies");
     let status = rig.tool.status().expect("the board replies");
@@ -359,7 +359,7 @@ fn a_request_for_the_slowest_velocities_is_fast_enough() {
     let slow = |window| Estimator::Difference(Chosen { value: window, filtered: true });
     let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |_| ());
     rig.load(&format!("rate_hz = 10000\nestimator = \"difference\"\ndifference_over = 32\ncutoff_hz = 1\n{WALL}"));
-    rig.ready();
+    rig.home_and_arm();
     rig.tool.start_stream(Fields::USUAL, 10).expect("a stream starts");
     for (estimator, cutoff) in [(slow(32), 1.0), (slow(31), 0.5), (Estimator::Butterworth, 0.5), (slow(32), 2.0)] {
         rig.tool.set_estimator(estimator, cutoff).expect("the estimator changes while armed");

@@ -9,7 +9,7 @@ use haptic_bridge::render::controller::Gains;
 use haptic_bridge::render::scene::FeedForward;
 use haptic_bridge::safety::fault::{Fault, State};
 use haptic_emulator::boards::BoardKind;
-use haptic_emulator::contact::WallAt;
+use haptic_emulator::contact::NearWall;
 use haptic_emulator::rig::Rig;
 use haptic_emulator::run::{MICROSECOND, MILLISECOND, SECOND};
 use haptic_emulator::usb::Event;
@@ -72,7 +72,7 @@ fn usb_requests_unknown_to_serial_ports_are_stalled() {
 fn a_board_keeps_running_if_its_computer_stops_reading() {
     let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |_| ());
     rig.load(WALL);
-    rig.ready();
+    rig.home_and_arm();
     rig.tool.start_stream(Fields::ALL, 1).expect("a stream starts");
     let before = rig.tool.rows(Duration::from_millis(50)).expect("rows come").last().expect("a row").step;
     rig.with(|stopped| stopped.usb().read_port(false));
@@ -83,7 +83,7 @@ fn a_board_keeps_running_if_its_computer_stops_reading() {
     // 24,000 steps are 1.2 s at 20 kHz, so the control step did not wait.
     assert!(status.step - before > 24_000, "{} steps", status.step - before);
     assert_eq!(status.fault, None);
-    assert_eq!(rig.tool.details().expect("it replies").overruns, 0);
+    assert_eq!(rig.tool.details().expect("the board replies").overruns, 0);
     rig.tool.rows(Duration::from_millis(100)).expect("rows come again");
     rig.tool.stop_stream().expect("the stream stops");
     let losses = rig.tool.losses();
@@ -96,7 +96,7 @@ fn a_board_keeps_running_if_its_computer_stops_reading() {
 fn a_board_keeps_running_if_its_computer_reads_slowly() {
     let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |_| ());
     rig.load(WALL);
-    rig.ready();
+    rig.home_and_arm();
     rig.tool.start_stream(Fields::ALL, 1).expect("a stream starts");
     rig.tool.rows(Duration::from_millis(50)).expect("rows come");
     for _ in 0..40 {
@@ -104,13 +104,13 @@ fn a_board_keeps_running_if_its_computer_reads_slowly() {
         rig.run(60 * MICROSECOND);
         rig.with(|stopped| stopped.usb().read_port(false));
         rig.run(90 * MILLISECOND);
-        assert_eq!(rig.with(|stopped| stopped.resets().len()), 0, "the watchdog bit");
+        assert_eq!(rig.with(|stopped| stopped.resets().len()), 0, "the watchdog reset the board");
     }
     rig.with(|stopped| stopped.usb().read_port(true));
     rig.run(200 * MILLISECOND);
     let status = rig.tool.status().expect("the board replies");
     assert_eq!((status.state, status.fault), (State::Armed, None));
-    assert_eq!(rig.tool.details().expect("it replies").overruns, 0);
+    assert_eq!(rig.tool.details().expect("the board replies").overruns, 0);
 }
 
 /// Requests that arrive faster than their replies leave time for the other tasks, which feed the watchdog.
@@ -118,18 +118,18 @@ fn a_board_keeps_running_if_its_computer_reads_slowly() {
 fn a_flood_of_requests_leaves_time_for_every_task() {
     let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |_| ());
     rig.load(WALL);
-    rig.ready();
+    rig.home_and_arm();
     let frames = frames_sent_during(&mut rig, |rig| {
-        rig.tool.status().expect("it replies");
+        rig.tool.status().expect("the board replies");
     });
     let flood = frames.last().expect("a request was sent").repeat(3000);
-    rig.shared.wire().send(&flood).expect("the port takes it");
+    rig.shared.wire().send(&flood).expect("the port accepts the bytes");
     rig.run(SECOND / 2);
     let resets = rig.with(|stopped| stopped.resets().len());
-    assert_eq!(resets, 0, "the watchdog bit");
+    assert_eq!(resets, 0, "the watchdog reset the board");
     rig.with(|stopped| stopped.usb().take());
     rig.tool = Board::over(rig.shared.wire(), "again").expect("the board replies again");
-    let status = rig.tool.status().expect("it replies");
+    let status = rig.tool.status().expect("the board replies");
     assert_eq!((status.state, status.fault), (State::Armed, None));
 }
 
@@ -139,7 +139,7 @@ fn a_flood_of_requests_leaves_time_for_every_task() {
 fn every_arming_makes_the_drivers_ready_again() {
     let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |_| ());
     rig.load(&format!("rate_hz = 200\n{WALL}"));
-    rig.ready();
+    rig.home_and_arm();
     rig.tool.disarm().expect("the board disarms");
     let frames = frames_sent_during(&mut rig, |rig| {
         rig.tool.arm().expect("the board arms");
@@ -147,7 +147,7 @@ fn every_arming_makes_the_drivers_ready_again() {
     });
     let both = frames[frames.len() - 2..].concat();
     for pause in [0, 100 * MILLISECOND] {
-        rig.shared.wire().send(&both).expect("the port takes it");
+        rig.shared.wire().send(&both).expect("the port accepts the bytes");
         rig.run(40 * MILLISECOND + pause);
         rig.with(|stopped| stopped.usb().take());
         rig.tool = Board::over(rig.shared.wire(), "again").expect("the board replies again");
@@ -269,7 +269,7 @@ fn a_minute_of_random_bytes_has_no_effect() {
     rig.tool.set_rules(&rules).expect("rules change");
     rig.load(WALL);
     rig.tool.clear().expect("a latched fault can be cleared");
-    rig.ready();
+    rig.home_and_arm();
     rig.tool.disarm().expect("the board disarms");
 }
 
@@ -277,7 +277,7 @@ fn a_minute_of_random_bytes_has_no_effect() {
 fn a_board_survives_repeated_arming_and_replugging() {
     let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |_| ());
     rig.load(WALL);
-    rig.ready();
+    rig.home_and_arm();
     for cycle in 0..24 {
         rig.tool.disarm().expect("the board disarms");
         rig.tool.arm().expect("the board arms");
@@ -290,12 +290,12 @@ fn a_board_survives_repeated_arming_and_replugging() {
             rig.with(|stopped| stopped.usb().take());
             rig.tool = Board::over(rig.shared.wire(), "again").expect("the board replies again");
             // The rules ignore a silent host, so the wall is still rendered.
-            assert_eq!(rig.tool.status().expect("it replies").state, State::Armed, "cycle {cycle}");
+            assert_eq!(rig.tool.status().expect("the board replies").state, State::Armed, "cycle {cycle}");
         }
     }
-    let status = rig.tool.status().expect("it replies");
+    let status = rig.tool.status().expect("the board replies");
     assert_eq!((status.state, status.fault), (State::Armed, None));
-    assert_eq!(rig.tool.details().expect("it replies").overruns, 0);
+    assert_eq!(rig.tool.details().expect("the board replies").overruns, 0);
     rig.tool.disarm().expect("the board disarms");
     rig.run(MILLISECOND);
     let (motor_inputs, resets) = rig.with(|stopped| (stopped.hardware().motor_inputs(), stopped.resets().len()));
@@ -305,7 +305,7 @@ fn a_board_survives_repeated_arming_and_replugging() {
 #[test]
 fn damaged_frames_do_not_turn_motors_off_for_a_minute() {
     let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |options| options.substep = 25e-6);
-    rig.arm_before("rate_hz = 1000\ncutoff_hz = 100\n", &[WallAt::facing([0.0, -1.0, 0.0])]);
+    rig.arm_before("rate_hz = 1000\ncutoff_hz = 100\n", &[NearWall::facing([0.0, -1.0, 0.0])]);
     rig.tool.disarm().expect("it disarms");
     NoisyWire::follow(rig.shared.wire(), 60_000);
 }

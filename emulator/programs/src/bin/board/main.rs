@@ -124,7 +124,7 @@ fn run(arguments: &Arguments) -> Result<(), Box<dyn std::error::Error>> {
         board.run(MILLISECOND);
         let mut written = Vec::new();
         for outlet in &mut outlets {
-            if outlet.open() {
+            if outlet.is_open() {
                 written.extend(outlet.read());
             }
         }
