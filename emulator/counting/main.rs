@@ -161,8 +161,8 @@ fn count_variants<M: Mechanism<f32, N>, K: Math<f32>, const N: usize>(
             _ => MassModel::table::<M>(&grid, &values).unwrap_or_default(),
         };
         for (term, walls, feed_forward, velocity_terms) in TERMS {
-            // Only the board's own trigonometry is counted for scenes other than one plane, and except for the ball
-            // only the exact mass matrix.
+            // Scenes other than one plane are counted with the board's trigonometry, and except the ball with the exact
+            // mass.
             let shipped = K::NAME == Tabulated::NAME && (kind == "exact" || *walls == Walls::Ball);
             if *walls != Walls::One && !shipped {
                 continue;

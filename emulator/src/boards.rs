@@ -233,7 +233,7 @@ impl Wiring {
 
     /// Returns the wiring of a board.
     #[must_use]
-    pub fn of(kind: BoardKind) -> &'static Self {
+    pub fn of_board(kind: BoardKind) -> &'static Self {
         match kind {
             BoardKind::OdriveV3 => &ODRIVE_V3,
             BoardKind::HBridgeF405 => &H_BRIDGE_F405,
@@ -244,6 +244,6 @@ impl Wiring {
 
 impl From<BoardKind> for &'static Wiring {
     fn from(kind: BoardKind) -> Self {
-        Wiring::of(kind)
+        Wiring::of_board(kind)
     }
 }

@@ -12,7 +12,7 @@ use crate::boards::BoardKind;
 use crate::contact::{NearWall, scene};
 use crate::hands::{hold, push};
 use crate::hardware::Hardware;
-use crate::inject::bridges_off;
+use crate::inject::bridges_are_off;
 use crate::plant::Peaks;
 use crate::rig::Rig;
 use crate::run::{MICROSECOND, MILLISECOND};
@@ -165,12 +165,12 @@ pub struct Campaign {
 impl Campaign {
     /// Returns a board with the control rate `rate`, Hz.
     #[must_use]
-    pub fn at(rate: u32) -> Self {
+    pub fn new(rate: u32) -> Self {
         let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |_| ());
         let (home, tip) = rig.with_simulated(|device| (device.q(), device.tip()));
         let head = format!("rate_hz = {rate}.0\ncutoff_hz = {:?}\n", f64::from(rate) * 0.025);
         rig.prepare(&head);
-        let soft = NearWall { stiffness: 100.0, feed_forward: "off", ..NearWall::facing([0.0, -1.0, 0.0]) };
+        let soft = NearWall { stiffness: 100.0, feed_forward: "off", ..NearWall::with_normal([0.0, -1.0, 0.0]) };
         let scene = scene(&head, tip, 2, &[soft]);
         Self { rig, home, scene, rate }
     }
@@ -213,8 +213,7 @@ impl Campaign {
     pub fn run(&mut self, case: &Case, phase: u64) -> Outcome {
         self.prepare();
         let rig = &mut self.rig;
-        // Wait for a step first, because steps are a whole number of control periods after the first step, not after
-        // time 0.
+        // Wait for a step, because control periods are counted from the first step and not from time 0.
         let period = 1_000_000_000 / u64::from(self.rate);
         let steps = rig.steps();
         while rig.steps() == steps {
@@ -232,7 +231,7 @@ impl Campaign {
         let peaks = rig.with(|stopped| stopped.hardware().peaks);
         let status = rig.tool.status().expect("the board replies");
         assert_eq!(floats, status.state == State::Fault, "{}: {status:?}", case.name);
-        assert!(!floats || rig.with(bridges_off), "{}: the bridges drive: {status:?}", case.name);
+        assert!(!floats || rig.with(bridges_are_off), "{}: the bridges drive: {status:?}", case.name);
         Outcome { fault: status.fault.map(|record| record.fault), off_after_ns, peaks }
     }
 }
@@ -269,7 +268,7 @@ pub fn row(case: &Case, rate: u32, outcomes: &[Outcome]) -> String {
 #[must_use]
 pub fn table() -> String {
     let at_rate = |rate| {
-        let mut campaign = Campaign::at(rate);
+        let mut campaign = Campaign::new(rate);
         let rows = CASES.iter().map(|case| {
             let outcomes: Vec<_> = (0..PHASES).map(|phase| campaign.run(case, phase)).collect();
             let row = row(case, rate, &outcomes);

@@ -42,7 +42,7 @@ impl SceneKind {
     }
 
     fn walls(self) -> Vec<NearWall> {
-        let one = NearWall::facing([0.0, -1.0, 0.0]);
+        let one = NearWall::with_normal([0.0, -1.0, 0.0]);
         match self {
             Self::Nothing | Self::Spring => vec![],
             Self::Wall | Self::WallAndSpring => vec![one],
@@ -50,7 +50,7 @@ impl SceneKind {
             Self::WallWithWashout => vec![NearWall { feed_forward: "washout", ..one }],
             Self::Ball => vec![NearWall { radius: Some(0.03), ..one }],
             Self::Corner => {
-                let other = NearWall::facing([-1.0, 0.0, 0.0]);
+                let other = NearWall::with_normal([-1.0, 0.0, 0.0]);
                 // Walls of equal stiffness need no shaping, so the stiffness differs.
                 vec![one, NearWall { stiffness: 0.5 * other.stiffness, ..other }]
             }

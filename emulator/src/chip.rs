@@ -124,9 +124,8 @@ impl Chip {
         (self.part.bus_mut(), &mut self.advanced)
     }
 
-    /// Applies a rising edge to pin `line` of port `port` (0 for A). rigless has no model for this. The edge is latched
-    /// if the firmware selected the port for the line (SYSCFG) and enabled rising edges and the request (RM0090 section
-    /// 12.3).
+    /// Applies a rising edge to pin `line` of port `port` (0 for A). rigless does not model the edge. It is latched if
+    /// the firmware selected the port for the line (SYSCFG) and enabled rising edges and the request (RM0090 12.3).
     pub fn apply_rising_edge(&mut self, at: VirtualNanos, port: usize, line: u32) {
         let selected = self.register("SYSCFG", 0x08 + 4 * (line / 4)) >> (4 * (line % 4)) & 0xF;
         let enabled = self.register("EXTI", map::exti::RTSR) & self.register("EXTI", map::exti::IMR) & (1 << line);
@@ -145,8 +144,7 @@ impl Chip {
     }
 
     /// Sets the chip's supply voltage. Returns true if the supply monitor requests its interrupt, which rigless does
-    /// not model. The monitor's output must have risen on line 16, with rising edges and requests enabled (RM0090
-    /// sections 5.2.2 and 12.2.5).
+    /// not model. The request needs a rising edge on line 16 that is enabled (RM0090 5.2.2 and 12.2.5).
     pub fn set_supply_voltage(&mut self, at: VirtualNanos, millivolts: u32) -> bool {
         let low = |chip: &Self| chip.register("PWR", map::power::STATUS) & map::power::SUPPLY_LOW != 0;
         let before = low(self);
@@ -220,7 +218,7 @@ impl Mcu for Chip {
         self.flash = flash::unit();
         for (nth, timer) in self.advanced.iter_mut().enumerate() {
             *timer = trigger::timer(nth);
-            timer.hook.begin(at);
+            timer.hook.start_counting(at);
         }
         for (nth, converter) in self.converters.iter_mut().enumerate() {
             let mut fresh = trigger::converter(nth);

@@ -31,13 +31,12 @@ pub struct NearWall {
 impl NearWall {
     /// Returns a wall of 500 N/m with the full feed-forward, 3 mm from the tip.
     #[must_use]
-    pub fn facing(normal: [f64; 3]) -> Self {
+    pub fn with_normal(normal: [f64; 3]) -> Self {
         Self { normal, radius: None, gap: 0.003, stiffness: 500.0, damping: 1.0, feed_forward: "full" }
     }
 }
 
-/// Returns the text of a scene file with `head` and with `walls` in front of a tip at `tip`. `task` is the task
-/// dimension.
+/// Returns the text of a scene file with `head` and with `walls` in front of `tip` (m), in `task` dimensions.
 #[must_use]
 pub fn scene(head: &str, tip: [f64; 3], task: usize, walls: &[NearWall]) -> String {
     let list = |values: [f64; 3]| values.iter().take(task).map(|x| format!("{x:?}")).collect::<Vec<_>>().join(", ");
@@ -67,7 +66,7 @@ impl Rig {
         newtons: f64,
     ) -> Self {
         let mut rig = Self::with_device(kind, name, |_| ());
-        rig.arm_before(head, walls);
+        rig.arm_near_walls(head, walls);
         let force = std::array::from_fn(|i| walls.iter().map(|wall| -newtons * wall.normal[i]).sum());
         rig.with_simulated(move |device| push(device, force, 0.3));
         rig.run(SECOND / 2);
@@ -106,9 +105,8 @@ impl Rig {
         std::array::from_fn(|i| counts.get(i).map_or(0, |count| *count as i32))
     }
 
-    /// Prepares the device, checks the polarity, loads `walls` in front of the tip, and arms. Returns the text of the
-    /// scene.
-    pub fn arm_before(&mut self, head: &str, walls: &[NearWall]) -> String {
+    /// Prepares the device, loads `walls` in front of the tip, and arms. Returns the text of the scene.
+    pub fn arm_near_walls(&mut self, head: &str, walls: &[NearWall]) -> String {
         self.prepare(head);
         let tip = self.with_simulated(|device| device.tip());
         let task = self.file.as_ref().map_or(2, |file: &DeviceFile| file.spec().task);

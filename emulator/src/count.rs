@@ -1,5 +1,5 @@
-//! Counts the instructions between the markers of a counting image on the emulated chip. The counts are exact and equal
-//! in every run.
+//! Counts the instructions between the markers of a counting image on the emulated chip, exactly and equally in each
+//! run.
 //!
 //! The image is any ELF file for the chip with these symbols. They need `#[unsafe(no_mangle)]`, `#[inline(never)]` and
 //! different bodies, because the linker merges equal functions.

@@ -1,5 +1,4 @@
-//! Estimates (does not measure) the cycles of a path of instructions on a Cortex-M4F that runs from the flash of an
-//! STM32F405 at 168 MHz.
+//! Estimates the cycles of a path of instructions that a Cortex-M4F runs from the flash of an STM32F405 at 168 MHz.
 //!
 //! The core follows the instruction timings of ARM's Cortex-M4 technical reference manual (r0p1, sections 3.3 and
 //! 7.2.3). A load after a load is pipelined. A taken branch refills the pipeline in two cycles (one to three in the
@@ -57,12 +56,12 @@ struct Cost {
 }
 
 impl Cost {
-    fn of(length: u32, cycles: u64) -> Self {
+    fn new(length: u32, cycles: u64) -> Self {
         Self { length, cycles, is_load: false, constant: None, writes: None, reads: [None; 2] }
     }
 
     fn load(length: u32, constant: Option<u32>) -> Self {
-        Self { is_load: true, constant, ..Self::of(length, 2) }
+        Self { is_load: true, constant, ..Self::new(length, 2) }
     }
 }
 
@@ -73,18 +72,18 @@ fn literal_address(at: u32, words: u16) -> Option<u32> {
 
 /// Returns the cost of the instruction at `at`, decoded as in the ARMv7-M Architecture Reference Manual (A5, A6).
 fn cost(code: &Code, at: u32) -> Cost {
-    let first = code.half(at);
+    let first = code.half_word(at);
     if first >> 11 >= 0b11101 {
-        return wide_cost(first, code.half(at + 2), at);
+        return wide_cost(first, code.half_word(at + 2), at);
     }
     match first {
         0x4800..0x5000 => Cost::load(2, literal_address(at, first & 0xFF)),
         0x5600..0x6000 => Cost::load(2, None),
         0x6000..0xA000 if first & 0x0800 != 0 => Cost::load(2, None),
         // PUSH and POP, then STM and LDM.
-        0xB400..0xB600 | 0xBC00..0xBE00 => Cost::of(2, 1 + u64::from((first & 0x1FF).count_ones())),
-        0xC000..0xD000 => Cost::of(2, 1 + u64::from((first & 0xFF).count_ones())),
-        _ => Cost::of(2, 1),
+        0xB400..0xB600 | 0xBC00..0xBE00 => Cost::new(2, 1 + u64::from((first & 0x1FF).count_ones())),
+        0xC000..0xD000 => Cost::new(2, 1 + u64::from((first & 0xFF).count_ones())),
+        _ => Cost::new(2, 1),
     }
 }
 
@@ -92,17 +91,17 @@ fn wide_cost(first: u16, second: u16, at: u32) -> Cost {
     let loads = first & 0x10 != 0;
     match first {
         // LDM and STM, then TBB, then LDRD, STRD and the exclusive variants.
-        _ if first & 0xFE40 == 0xE800 => Cost::of(4, 1 + u64::from(second.count_ones())),
-        0xE8D0..=0xE8DF if second & 0xFFE0 == 0xF000 => Cost::of(4, 2),
-        _ if first & 0xFE40 == 0xE840 => Cost::of(4, 3),
+        _ if first & 0xFE40 == 0xE800 => Cost::new(4, 1 + u64::from(second.count_ones())),
+        0xE8D0..=0xE8DF if second & 0xFFE0 == 0xF000 => Cost::new(4, 2),
+        _ if first & 0xFE40 == 0xE840 => Cost::new(4, 3),
         // VLDR and VSTR, then VMOV of two registers, then VLDM and VSTM.
         _ if first & 0xFF20 == 0xED00 => match (loads, first & 0xF) {
             (true, 0xF) => Cost::load(4, literal_address(at, second & 0xFF)),
             (true, _) => Cost::load(4, None),
-            (false, _) => Cost::of(4, 2),
+            (false, _) => Cost::new(4, 2),
         },
-        _ if first & 0xFFE0 == 0xEC40 => Cost::of(4, 2),
-        _ if first & 0xFE00 == 0xEC00 => Cost::of(4, 1 + u64::from(second & 0xFF)),
+        _ if first & 0xFFE0 == 0xEC40 => Cost::new(4, 2),
+        _ if first & 0xFE00 == 0xEC00 => Cost::new(4, 1 + u64::from(second & 0xFF)),
         _ if first & 0xFF00 == 0xEE00 && second & 0x10 == 0 => fpu_cost(first, second),
         // LDR, also of a constant.
         _ if first & 0xFE00 == 0xF800 && loads => {
@@ -110,8 +109,8 @@ fn wide_cost(first: u16, second: u16, at: u32) -> Cost {
             Cost::load(4, relative.then(|| (at & !3).wrapping_add(4 + u32::from(second & 0xFFF))))
         }
         // SDIV and UDIV in their longest time.
-        _ if first & 0xFFD0 == 0xFB90 => Cost::of(4, 12),
-        _ => Cost::of(4, 1),
+        _ if first & 0xFFD0 == 0xFB90 => Cost::new(4, 12),
+        _ => Cost::new(4, 1),
     }
 }
 
@@ -129,7 +128,7 @@ fn fpu_cost(first: u16, second: u16) -> Cost {
     Cost {
         writes: register(second >> 12, first >> 6),
         reads: [if unary { None } else { register(first, second >> 7) }, register(second, second >> 5)],
-        ..Cost::of(4, cycles)
+        ..Cost::new(4, cycles)
     }
 }
 
@@ -211,7 +210,7 @@ pub fn estimate(code: &Code, path: &[u32], flash: Flash) -> u64 {
         instructions: CachedLines::default(),
         constants: CachedLines::default(),
     };
-    let mut before = Cost::of(0, 0);
+    let mut before = Cost::new(0, 0);
     for (nth, &at) in path.iter().enumerate() {
         let cost = cost(code, at);
         state.fetch_instruction(at);
@@ -235,7 +234,7 @@ mod tests {
     const NOP: u16 = 0xBF00;
 
     fn cycles_of(halves: &[u16], path: &[u32], flash: Flash) -> u64 {
-        estimate(&Code::at(0x1000, halves), path, flash) - EXCEPTION_CYCLES
+        estimate(&Code::new(0x1000, halves), path, flash) - EXCEPTION_CYCLES
     }
 
     #[test]

@@ -57,8 +57,7 @@ impl Drv8301 {
         self.control = [0; 2];
     }
 
-    /// Returns the gain of the shunt amplifiers, which is 0 while their inputs are shorted, or `None` while they are
-    /// off.
+    /// Returns the gain of the shunt amplifiers (0 while their inputs are shorted), or `None` while the driver is off.
     #[must_use]
     pub fn gain(&self) -> Option<f64> {
         let shorted = self.control[1] & SHORTED_INPUTS != 0;

@@ -145,8 +145,7 @@ impl Hardware {
         self.motor_inputs
     }
 
-    /// Returns true if no bridge drives its motor now, because the main outputs are disabled and the enable line is
-    /// low.
+    /// Returns true if no bridge drives its motor: all main outputs are disabled and the enable line is low.
     pub fn bridges_float(&mut self) -> bool {
         let driven =
             ["TIM1", "TIM8"].iter().any(|timer| self.chip.register(timer, BREAK_AND_DEAD_TIME) & MAIN_OUTPUT != 0);

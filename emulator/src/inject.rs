@@ -1,8 +1,7 @@
 //! Injects every fault into the unmodified image on the emulated chip. provoke.rs checks the board's reaction, and
 //! report.rs writes the table of the results.
 //!
-//! The match over all faults is exhaustive, so a fault without an injection does not compile. Faults that the boards
-//! cannot detect are marked.
+//! The match over all faults is exhaustive, so a fault without an injection does not compile.
 
 use std::f64::consts::PI;
 
@@ -25,7 +24,7 @@ mod provoke;
 mod report;
 mod stub;
 
-pub use provoke::{Outcome, bridges_off, provoke};
+pub use provoke::{Outcome, bridges_are_off, provoke};
 pub use report::{describe, row, table};
 pub use stub::replace_task;
 use stub::{NMI_FLAG, SUPERVISOR, wire_to_nmi};
@@ -59,12 +58,12 @@ fn rig_in_contact() -> Rig {
 
 /// Returns a rig whose tip a hand presses into a wall with `newtons`.
 fn pressed_rig(newtons: f64) -> Rig {
-    Rig::in_contact(BoardKind::OdriveV3, FIVE_BAR, "", &[NearWall::facing([0.0, -1.0, 0.0])], newtons)
+    Rig::in_contact(BoardKind::OdriveV3, FIVE_BAR, "", &[NearWall::with_normal([0.0, -1.0, 0.0])], newtons)
 }
 
 fn free_rig_on(kind: BoardKind) -> Rig {
     let mut rig = Rig::with_device(kind, FIVE_BAR, |_| ());
-    rig.arm_before("", &[NearWall { gap: 0.2, ..NearWall::facing([0.0, -1.0, 0.0]) }]);
+    rig.arm_near_walls("", &[NearWall { gap: 0.2, ..NearWall::with_normal([0.0, -1.0, 0.0]) }]);
     rig.with_simulated(|device| device.set_hand(Hand::none()));
     rig
 }
@@ -505,7 +504,7 @@ fn free_rig_within(angle: f64) -> Rig {
         joint.limits = Some((home - angle, home + angle));
     }
     let mut rig = Rig::with_file(BoardKind::OdriveV3, file, |_| ());
-    rig.arm_before("", &[NearWall { gap: 0.2, ..NearWall::facing([0.0, -1.0, 0.0]) }]);
+    rig.arm_near_walls("", &[NearWall { gap: 0.2, ..NearWall::with_normal([0.0, -1.0, 0.0]) }]);
     rig.with_simulated(|device| device.set_hand(Hand::none()));
     rig
 }
@@ -532,7 +531,7 @@ fn rig_with_index() -> Rig {
         }
     }
     let mut rig = Rig::with_file(BoardKind::OdriveV3, file, |_| ());
-    rig.arm_before("", &[NearWall { gap: 0.2, ..NearWall::facing([0.0, -1.0, 0.0]) }]);
+    rig.arm_near_walls("", &[NearWall { gap: 0.2, ..NearWall::with_normal([0.0, -1.0, 0.0]) }]);
     change_rules(&mut rig, |rules| rules.index_period = [period, period, 0]);
     rig.with_simulated(|device| sweep(device, 0.0, HALF_SWEEP_METRES));
     rig.run(SECOND);

@@ -122,7 +122,7 @@ pub fn set_free_scene(rig: &mut Rig, rate_hz: u32, nth: usize) {
     let task = rig.file.as_ref().map_or(2, |file| file.spec().task);
     let tip = rig.with_simulated(|device| device.tip());
     let walls = [([0.0, -1.0, 0.0], 0.02), ([-1.0, 0.0, 0.0], 0.05)]
-        .map(|(normal, gap)| NearWall { gap, ..NearWall::facing(normal) });
+        .map(|(normal, gap)| NearWall { gap, ..NearWall::with_normal(normal) });
     let head = format!("rate_hz = {rate_hz}\ngravity_compensation = true\n");
     rig.set_scene(&scene(&head, tip, task, &walls[..1 + nth % 2]));
 }
@@ -157,8 +157,7 @@ pub fn sustains_plane(case: &Case, rate_hz: u32) -> bool {
     exchanges.armed && exchanges.rejected == 0 && exchanges.overruns == before
 }
 
-/// Returns true if `case` sustains a rate (Hz) while the tip-force limit, a quarter of the hand's force, reduces the
-/// force in every step.
+/// Returns true if `case` sustains a rate (Hz) while a low tip-force limit reduces the force in every step.
 #[must_use]
 pub fn sustains_force_limit(case: &Case, rate_hz: u32) -> bool {
     let mut rig = case.rig(rate_hz);
@@ -192,8 +191,7 @@ fn attempt(case: &Case, rate_hz: u32, divider: u32, milliseconds: u64) -> Option
     ran.join().ok().filter(Load::is_in_time)
 }
 
-/// Returns the highest tested rate (Hz) at which `case` misses no period in 200 ms while it streams the default
-/// telemetry of every step.
+/// Returns the highest tested rate (Hz) at which `case` misses no period in 200 ms with default telemetry.
 #[must_use]
 pub fn highest_rate(case: &Case) -> Option<u32> {
     RATES_HZ.into_iter().find(|rate_hz| attempt(case, *rate_hz, 1, 200).is_some())

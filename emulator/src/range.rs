@@ -92,8 +92,7 @@ pub fn rigid_device() -> TestDevice {
     TestDevice { file, normal }
 }
 
-/// Returns the board with the device, homed at the pose, with checked polarity, and with a hand that holds the device
-/// at the pose.
+/// Returns the board with the device at the pose, homed, with checked polarity, and with a hand that holds the device.
 #[must_use]
 pub fn rig(test_device: &TestDevice) -> Rig {
     let mut rig = Rig::with_file(BOARD, test_device.file.clone(), |options| {

@@ -28,7 +28,7 @@ pub fn firmware(board: impl Into<&'static Wiring>) -> &'static Firmware {
     let mut images = IMAGES.lock().unwrap_or_else(PoisonError::into_inner);
     images
         .entry(name)
-        .or_insert_with(|| Box::leak(Box::new(Firmware::of(name).unwrap_or_else(|error| panic!("{error}")))))
+        .or_insert_with(|| Box::leak(Box::new(Firmware::build(name).unwrap_or_else(|error| panic!("{error}")))))
 }
 
 /// Returns the folder of the shipped device files.
@@ -37,8 +37,7 @@ pub fn devices() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../devices")
 }
 
-/// Returns the device file `name` as if a person had checked it, with verified motors, and with wide joint limits where
-/// the file has none.
+/// Returns the device file `name` with verified motors, and with wide joint limits where the file has none.
 #[must_use]
 pub fn device_file(name: &str) -> DeviceFile {
     let path = devices().join(format!("{name}.toml"));

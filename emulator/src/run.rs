@@ -130,8 +130,7 @@ impl StoppedBoard<'_> {
         self.session.reset_by_pin(at, count, self.memory);
     }
 
-    /// Returns the firmware's accesses for which the virtual chip has no model, one per line. The list is empty if a
-    /// model handled every access.
+    /// Returns the firmware's accesses for which the virtual chip has no model, one per line.
     #[must_use]
     pub fn unmodelled_accesses(&self) -> Vec<String> {
         let unmapped = self.session.unmapped().into_iter().map(|gap| gap.to_string());
@@ -218,8 +217,7 @@ impl VirtualBoard {
         outcome.recv().expect("the job was done")
     }
 
-    /// Runs for at most `span` (ns) until `done` returns true, which is checked every `step` (ns). Returns true if
-    /// `done` returned true.
+    /// Runs for at most `span` (ns) and calls `done` every `step` (ns) until it returns true. Returns the last result.
     pub fn run_until(
         &mut self,
         span: u64,

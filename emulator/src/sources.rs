@@ -38,7 +38,7 @@ pub struct Sources<'a> {
 impl<'a> Sources<'a> {
     /// Reads the debug information of `firmware`. Returns `None` if there is none or it cannot be read.
     #[must_use]
-    pub fn of(firmware: &'a Firmware) -> Option<Self> {
+    pub fn new(firmware: &'a Firmware) -> Option<Self> {
         let elf = object::File::parse(firmware.bytes()).ok()?;
         let load = |id: addr2line::gimli::SectionId| -> Result<Reader<'a>, addr2line::gimli::Error> {
             let data = elf.section_by_name(id.name()).and_then(|section| section.data().ok());

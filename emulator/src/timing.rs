@@ -1,8 +1,6 @@
-//! Duration of the control interrupt from entry to exit, in instructions of the unmodified image, with the share of
-//! each source file.
+//! Duration of the control interrupt from entry to exit, in instructions of the unmodified image, also by source file.
 //!
-//! `cargo xtask timing` measures every [`Case`] and writes the tables of docs/results/timing.md. A test repeats some
-//! measurements and compares.
+//! `cargo xtask timing` measures every [`Case`] for the tables of docs/results/timing.md. Tests repeat some cases.
 
 use std::collections::BTreeMap;
 
@@ -23,7 +21,7 @@ use crate::sources::Sources;
 use crate::trace::{Code, Run};
 
 /// Value of the state in a row of telemetry while the board is armed.
-const ARMED: f64 = 1.0;
+const ARMED_STATE: f64 = 1.0;
 /// Traced time of each case, ns: 500 periods at 20 kHz, with a request of the tasks every 20 ms.
 pub const TRACED_NS: u64 = 25 * MILLISECOND;
 
@@ -59,17 +57,17 @@ impl Case {
         let rows = rig.tool.rows(std::time::Duration::from_millis(10)).expect("rows come");
         // The last two columns are the state and the number of touched walls.
         let in_contact =
-            |row: &haptic_host::link::Row| row.values.ends_with(&[ARMED, self.scene_kind.contacts() as f64]);
+            |row: &haptic_host::link::Row| row.values.ends_with(&[ARMED_STATE, self.scene_kind.contacts() as f64]);
         let status = rig.tool.status();
         assert!(!rows.is_empty() && rows.iter().all(in_contact), "{} is not in contact: {status:?}", self.name());
         let image = firmware(self.board);
-        let code = Code::of(image).expect("an image with code");
-        Timing::of(&runs, &code, &mut Sources::of(image).expect("debug information"))
+        let code = Code::from_firmware(image).expect("an image with code");
+        Timing::from_runs(&runs, &code, &mut Sources::new(image).expect("debug information"))
     }
 }
 
 impl Timing {
-    fn of(runs: &[Run], code: &Code, sources: &mut Sources<'_>) -> Self {
+    fn from_runs(runs: &[Run], code: &Code, sources: &mut Sources<'_>) -> Self {
         let (mut works, mut files) = (Vec::new(), BTreeMap::new());
         let (mut longest_valley, mut quiet, mut quiet_sum) = (0, 0_u32, 0);
         for run in runs {
@@ -120,7 +118,7 @@ impl Rig {
 
     /// Returns all complete runs of the function at `entry` during `work`. The function must not be interrupted.
     fn trace_function_during(&mut self, entry: u64, work: impl FnOnce(&mut Self)) -> Vec<Run> {
-        let code = Code::of(firmware(self.kind)).expect("an image with code");
+        let code = Code::from_firmware(firmware(self.kind)).expect("an image with code");
         let watched = code.clone();
         self.with(move |stopped| stopped.trace(&watched, entry));
         work(self);
@@ -153,7 +151,7 @@ pub fn step_table() -> String {
         let tip = rig.tool.status().expect("the board replies").tip.map(f64::from);
         let task = rig.file.as_ref().map_or(2, |file| file.spec().task);
         let toward = if task == 1 { [1.0, 0.0, 0.0] } else { [0.0, -1.0, 0.0] };
-        let wall = NearWall { gap: -0.003, ..NearWall::facing(toward) };
+        let wall = NearWall { gap: -0.003, ..NearWall::with_normal(toward) };
         let walls = if scene_kind == SceneKind::Wall { &[wall][..] } else { &[] };
         rig.set_scene(&scene("", tip, task, walls));
         rig.run(MILLISECOND);
@@ -240,7 +238,7 @@ pub fn new_scene_table() -> String {
             set_free_scene(rig, case.rate_hz, 0);
             rig.run(5 * MILLISECOND);
         });
-        let mut sources = Sources::of(firmware(case.board)).expect("debug information");
+        let mut sources = Sources::new(firmware(case.board)).expect("debug information");
         let (mut steps, mut valleys) = (Vec::new(), Vec::new());
         for run in &runs {
             let kind = if sources.is_crest(run) { &mut steps } else { &mut valleys };

@@ -1,5 +1,5 @@
 //! The computer at the other end of the USB cable. It enumerates a device like a PC, opens its serial port, and
-//! transfers bytes in both directions. Tests can use it like a user: unplug, suspend, close, stop reading, and write
+//! transfers bytes in both directions. Tests can unplug the cable, suspend, close or not read the port, and write
 //! garbage.
 //!
 //! Sources: USB 2.0 chapters 5, 8 and 9, and CDC PSTN 1.2 section 6.3 (line coding, control line state).
@@ -26,8 +26,7 @@ const DEVICE_ADDRESS: u8 = 5;
 /// Maximum length of a full-speed bulk packet, bytes.
 const PACKET_BYTES: usize = 64;
 
-/// Returns the duration on the bus of a packet of `bytes` bytes at 12 Mbit/s, ns. Token, data and handshake packets and
-/// the gaps add about 13 bytes.
+/// Returns the duration of a packet of `bytes` bytes on the bus at 12 Mbit/s, with about 13 bytes of overhead, ns.
 fn bus_time(bytes: usize) -> u64 {
     (bytes as u64 + 13) * 8 * 1000 / 12
 }

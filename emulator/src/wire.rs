@@ -34,8 +34,7 @@ impl Shared {
         self.wire_polled_every(POLL_INTERVAL_NS)
     }
 
-    /// Returns a wire to the board's USB port, for a computer that polls every `interval` (ns) and reacts up to one
-    /// interval late.
+    /// Returns a wire to the board's USB port, for a computer that polls the port every `interval` (ns).
     #[must_use]
     pub fn wire_polled_every(&self, interval: u64) -> Box<dyn Wire> {
         Box::new(UsbWire { shared: self.clone(), unread: Vec::new(), interval })

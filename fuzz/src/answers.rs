@@ -11,8 +11,7 @@ use std::collections::VecDeque;
 use std::io;
 use std::time::Duration;
 
-/// Calls the functions of the link with a board that sends `data`, which consists of pieces: an operation, a length and
-/// bytes.
+/// Calls the functions of the link with a board that sends `data`, in pieces of an operation, a length and bytes.
 pub fn answers(data: &[u8]) {
     let wire =
         RandomBoard { rest: data.to_vec().into(), requests: VecDeque::new(), deframer: Deframer::default(), clock: 0 };

@@ -18,8 +18,7 @@ use serde::Serialize;
 /// Number of control steps after which an input ends, so that long inputs stay fast.
 const MAX_TICKS: u32 = 2_000;
 
-/// Passes bytes to a board, whose device the first byte selects, and to the tool's decoder, which must find the same
-/// frames.
+/// Passes bytes to a board and to the tool's decoder, which must find the same frames. The first byte selects a device.
 pub fn bytes(data: &[u8]) {
     let [which, data @ ..] = data else { return };
     let mut board = board_with_device(*which);

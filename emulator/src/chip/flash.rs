@@ -1,5 +1,4 @@
-//! The flash array behind rigless' flash interface. Programming clears bits, and a sector erase sets them (RM0090
-//! chapter 3).
+//! The flash array behind rigless' flash interface. Programming clears bits, and erasing sets bits (RM0090 chapter 3).
 //!
 //! On silicon, code that runs from flash stalls during a sector erase and while a word is programmed. Here the code
 //! runs on, and only the busy flag stays set for that time.

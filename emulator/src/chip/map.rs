@@ -1,5 +1,4 @@
-//! Memory map of the STM32F405, and the bus that connects its peripherals (RM0090 rev 22, section 2.3, tables 5, 43 and
-//! 63).
+//! Memory map of the STM32F405, and the bus of its peripherals (RM0090 rev 22, section 2.3, tables 5, 43 and 63).
 
 use std::num::{NonZeroU32, NonZeroU64};
 
@@ -98,8 +97,7 @@ fn with_our_tables(stock: &Peripheral) -> Peripheral {
 /// Interrupt number of the USB core (table 63).
 const OTG_LINE: u16 = 67;
 
-/// Returns the register table of a block of the USB core, with a plain word at every offset. [`super::otg`] implements
-/// the registers.
+/// Returns the register table of a block of the USB core from plain words, which [`super::otg`] implements.
 #[must_use]
 pub fn otg_table(block: usize) -> &'static [RegisterSpec] {
     static GLOBAL: [RegisterSpec; 256] = words();

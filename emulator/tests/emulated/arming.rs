@@ -1,6 +1,5 @@
-//! The bridges begin to drive at an extreme of the carrier. If they began between two extremes, a bridge with one
-//! channel and its complement would apply the rest of the half period to the motor. The current would rise by almost 1
-//! A/µs.
+//! The bridges begin to drive at an extreme of the carrier. Between two extremes, a bridge with one channel and its
+//! complement would apply the rest of the half period to the motor, and the current would rise by almost 1 A/µs.
 
 use haptic_bridge::board::telemetry::Fields;
 use haptic_bridge::safety::fault::Fault;
@@ -11,8 +10,7 @@ use haptic_emulator::rig::Rig;
 use haptic_emulator::run::{MILLISECOND, SECOND};
 use haptic_sim::Support;
 
-/// Largest current before any torque is commanded, A. It is not 0 because the interrupt switches the bridges on some
-/// ticks after the extreme.
+/// Largest current before any torque is commanded, A. The bridges switch on some ticks after the extreme.
 const MAX_CURRENT_AMPERES: f64 = 0.2;
 
 #[test]
@@ -71,7 +69,7 @@ fn boards_arm_at_their_highest_rates_while_streaming() {
         let tip = rig.with_simulated(|device| device.tip());
         let task = rig.file.as_ref().map_or(2, |file| file.spec().task);
         let head = format!("rate_hz = {rate_hz}\ngravity_compensation = true\n");
-        rig.set_scene(&scene(&head, tip, task, &[NearWall::facing([0.0, -1.0, 0.0])]));
+        rig.set_scene(&scene(&head, tip, task, &[NearWall::with_normal([0.0, -1.0, 0.0])]));
         rig.tool.start_stream(Fields::USUAL, 1).expect("a stream starts");
         rig.run(20 * MILLISECOND);
         rig.arm();

@@ -19,10 +19,10 @@ use haptic_host::scene_file::SceneFile;
 use haptic_sim::{Hand, HandSettings, Intent, Waypoint};
 
 /// Armed state, as in the first column of [`Field::State`].
-const ARMED: f64 = 1.0;
+const ARMED_STATE: f64 = 1.0;
 
 fn is_armed(row: &Row) -> bool {
-    row.get(Field::State).first() == Some(&ARMED)
+    row.get(Field::State).first() == Some(&ARMED_STATE)
 }
 
 #[test]
@@ -75,7 +75,7 @@ fn torques_on_the_chip_equal_the_librarys_bit_for_bit() {
         let rules = rig.tool.rules().expect("it replies");
         let bridge = Bridge { carrier_hz: 20_000.0, dead_time: 0.0, bandwidth_hz: 1000.0, current_sensed: true };
         let hardware = Hardware {
-            axes: Wiring::of(kind).motors.len(),
+            axes: Wiring::of_board(kind).motors.len(),
             real: true,
             bus_sensed: true,
             bridge,

@@ -11,7 +11,7 @@ use haptic_emulator::boards::{BoardKind, Wiring};
 use haptic_emulator::cases::{CASES, SceneKind};
 use haptic_emulator::contact::{NearWall, scene};
 use haptic_emulator::hands::push;
-use haptic_emulator::inject::bridges_off;
+use haptic_emulator::inject::bridges_are_off;
 use haptic_emulator::results;
 use haptic_emulator::rig::Rig;
 use haptic_emulator::run::{MICROSECOND, MILLISECOND, SECOND};
@@ -32,7 +32,7 @@ fn session(kind: BoardKind, device: &str, fault: Fault) {
     });
     assert_eq!((rig.tool.info().protocol, rig.tool.info().board.as_str()), (PROTOCOL, kind.name()));
     let details = rig.tool.details().expect("the board replies");
-    assert_eq!(usize::from(details.axes), Wiring::of(kind).motors.len());
+    assert_eq!(usize::from(details.axes), Wiring::of_board(kind).motors.len());
     assert!(details.real && details.device.is_none(), "{details:?}");
 
     assert_eq!(refusal_of(rig.tool.arm()), Refusal::NoDevice);
@@ -47,7 +47,7 @@ fn session(kind: BoardKind, device: &str, fault: Fault) {
         [Field::State, Field::Distance, Field::WallForce, Field::Torque].iter().fold(0, |set, field| set | field.bit());
     rig.tool.start_stream(Fields(fields), ROW_DIVIDER).expect("a stream starts");
     let start = rig.with_simulated(|device| device.tip());
-    let wall = NearWall { damping: 3.0, ..NearWall::facing([0.0, -1.0, 0.0]) };
+    let wall = NearWall { damping: 3.0, ..NearWall::with_normal([0.0, -1.0, 0.0]) };
     rig.set_scene(&scene(head, start, rig.file.as_ref().map_or(2, |file| file.spec().task), &[wall]));
     rig.arm();
     rig.with_simulated(|device| push(device, [0.0, PUSH_N, 0.0], 0.2));
@@ -71,7 +71,7 @@ fn session(kind: BoardKind, device: &str, fault: Fault) {
 
     rig.with(|stopped| stopped.hardware().fault_line_shorted = true);
     rig.run(100 * MICROSECOND);
-    assert!(rig.with(bridges_off), "the bridges are on");
+    assert!(rig.with(bridges_are_off), "the bridges are on");
     rig.run(10 * MILLISECOND);
     assert_eq!(rig.with(|stopped| stopped.hardware().motor_inputs()), [MotorInput::Floating; 3]);
     assert_eq!(refusal_of(rig.tool.arm()), Refusal::Faulted(fault));

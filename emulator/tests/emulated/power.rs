@@ -81,7 +81,7 @@ fn check_cuts(step: usize, mut rig: Rig) -> u64 {
 }
 
 /// Cuts every fifth operation, because no pattern of the entries has the period 5. tests/power_cut.rs cuts every
-/// operation on a PC.
+/// operation.
 #[test]
 fn a_power_cut_in_a_save_leaves_the_old_or_the_new_scene() {
     assert!(check_cuts(5, saved_rig()) > 20);

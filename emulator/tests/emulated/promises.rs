@@ -9,7 +9,7 @@ use haptic_bridge::safety::fault::{Fault, State};
 use haptic_bridge::safety::refusal::Refusal;
 use haptic_emulator::boards::{BoardKind, Pin, Wiring};
 use haptic_emulator::hardware::Hardware;
-use haptic_emulator::inject::{after_crest, bridges_off, replace_task};
+use haptic_emulator::inject::{after_crest, bridges_are_off, replace_task};
 use haptic_emulator::plant::{Dummy, Peaks};
 use haptic_emulator::rig::{Rig, firmware};
 use haptic_emulator::run::{MICROSECOND, MILLISECOND, SECOND, VirtualBoard};
@@ -28,10 +28,10 @@ fn armed_rig(kind: BoardKind) -> Rig {
 fn a_reset_of_an_armed_board_leaves_the_bridges_off() {
     for kind in BoardKind::ALL {
         let rig = armed_rig(kind);
-        assert!(!rig.with(bridges_off), "the bridges float before the reset");
+        assert!(!rig.with(bridges_are_off), "the bridges float before the reset");
         rig.with(|stopped| stopped.reset());
         rig.run(20 * MICROSECOND);
-        assert!(rig.with(bridges_off), "{}", kind.name());
+        assert!(rig.with(bridges_are_off), "{}", kind.name());
         rig.with(|stopped| stopped.hardware().peaks = Peaks::default());
         rig.run(40 * MILLISECOND);
         assert!(
@@ -53,10 +53,10 @@ fn an_armed_board_drives_from_the_next_crest_at_every_rate() {
         for _ in 0..5 {
             rig.tool.disarm().expect("the board disarms");
             rig.run(7 * MILLISECOND + 300 * MICROSECOND);
-            assert!(rig.with(bridges_off), "disarmed");
+            assert!(rig.with(bridges_are_off), "disarmed");
             rig.tool.arm().expect("the board arms");
             rig.run(60 * MICROSECOND);
-            assert!(!rig.with(bridges_off), "{rate} Hz: the board is armed, but the bridges float");
+            assert!(!rig.with(bridges_are_off), "{rate} Hz: the board is armed, but the bridges float");
         }
     }
 }
@@ -110,7 +110,7 @@ fn the_break_input_works_without_the_processor() {
 #[test]
 fn an_image_on_the_wrong_board_does_not_touch_its_power_stage() {
     let [odrive, module, discovery] = [BoardKind::OdriveV3, BoardKind::HBridgeF405, BoardKind::HBridgeF407Disc1];
-    let [odrive_wires, module_wires, discovery_wires] = [odrive, module, discovery].map(Wiring::of);
+    let [odrive_wires, module_wires, discovery_wires] = [odrive, module, discovery].map(Wiring::of_board);
     let with = |pins_held_high| -> &'static Wiring {
         Box::leak(Box::new(Wiring { pins_held_high, supply_mv: 3300, ..*discovery_wires }))
     };
@@ -126,7 +126,7 @@ fn an_image_on_the_wrong_board_does_not_touch_its_power_stage() {
     ] {
         let mut rig = Rig::on_other_board(kind, board, "pantograph-mk2");
         let untouched =
-            |rig: &Rig| rig.with(|stopped| !stopped.hardware().peaks.power_pin_was_driven && bridges_off(stopped));
+            |rig: &Rig| rig.with(|stopped| !stopped.hardware().peaks.power_pin_was_driven && bridges_are_off(stopped));
         assert!(untouched(&rig), "{} on {}", kind.name(), board.name);
         let fault_of = |rig: &mut Rig| {
             let status = rig.tool.status().expect("the board replies");
@@ -136,8 +136,7 @@ fn an_image_on_the_wrong_board_does_not_touch_its_power_stage() {
         assert_eq!(rig.tool.info().board.as_str(), kind.name());
         rig.load("");
         assert_eq!(refusal_of(rig.tool.arm()), Refusal::Faulted(Fault::WrongBoard));
-        // The board is still wrong after clearing. An image that reads the bus voltage from the wrong pin may refuse
-        // for that reason.
+        // After clearing, the board is still wrong. The refusal may name the bus voltage, read from the wrong pin.
         rig.tool.clear().expect("the fault clears");
         rig.tool.home().expect("homed");
         let again = refusal_of(rig.tool.check_polarity());
@@ -152,7 +151,7 @@ fn an_image_on_the_wrong_board_does_not_touch_its_power_stage() {
 /// Images for 3.3 V boards wait for a higher supply voltage than the 3 V of a Discovery board.
 #[test]
 fn images_of_other_boards_do_not_start_at_three_volts() {
-    let wires = Wiring::of(BoardKind::HBridgeF407Disc1);
+    let wires = Wiring::of_board(BoardKind::HBridgeF407Disc1);
     for kind in [BoardKind::OdriveV3, BoardKind::HBridgeF405] {
         let hardware = Hardware::new(wires, Box::new(Dummy::default())).expect("the board's description is sound");
         let mut board = VirtualBoard::start(firmware(kind), hardware).expect("the image starts");
@@ -171,7 +170,7 @@ fn a_falling_supply_floats_the_bridges_within_a_control_step() {
         after_crest(&rig, 3);
         rig.with(|stopped| stopped.set_supply(2_600));
         let fell = rig.now();
-        while !rig.with(bridges_off) {
+        while !rig.with(bridges_are_off) {
             rig.run(MICROSECOND / 10);
         }
         let took = rig.now() - fell;
@@ -187,7 +186,7 @@ fn a_halted_core_is_reset_within_twenty_milliseconds() {
         rig.with(|stopped| stopped.hold_core(true));
         rig.run(20 * MILLISECOND);
         assert_eq!(rig.with(|stopped| stopped.resets().len()), 1, "{}", kind.name());
-        assert!(rig.with(bridges_off), "{}", kind.name());
+        assert!(rig.with(bridges_are_off), "{}", kind.name());
     }
 }
 
@@ -280,7 +279,7 @@ fn check_watchdog_at(rate: u32, task: &'static str, code: impl FnOnce(u32) -> Ve
     }
     assert!(rig.now() > began + least * MILLISECOND, "a reset after {} ns", rig.now() - began);
     rig.run(MILLISECOND);
-    assert!(rig.with(bridges_off), "bridges are on after the reset");
+    assert!(rig.with(bridges_are_off), "bridges are on after the reset");
     let ready = rig.shared.board().run_until(2 * SECOND, MILLISECOND, |stopped| stopped.usb().is_ready());
     assert!(ready, "the USB port did not return");
     rig.tool = haptic_host::link::Board::over(rig.shared.wire(), "again").expect("the board replies");
@@ -328,7 +327,7 @@ fn a_board_with_a_low_supply_stays_off_and_reports_it() {
     rig.run(100 * MICROSECOND);
     let steps = rig.with(|stopped| stopped.resets().len());
     for _ in 0..1_000 {
-        assert!(rig.with(bridges_off), "bridges are on after {} ns", rig.now());
+        assert!(rig.with(bridges_are_off), "bridges are on after {} ns", rig.now());
         rig.run(100 * MICROSECOND);
     }
     let (resets, ready) = rig.with(|stopped| (stopped.resets().len(), stopped.usb().is_ready()));
@@ -352,8 +351,7 @@ fn an_idle_board_has_no_watchdog_reset() {
     assert_eq!(rig.tool.status().expect("the board replies").state, State::Armed);
 }
 
-/// When the request arrives, the board simulates the effect of a single count on a velocity. It does not feed the
-/// watchdog meanwhile.
+/// The request makes the board simulate the effect of a single count on a velocity, without feeding the watchdog.
 #[test]
 fn a_request_for_the_slowest_velocities_is_fast_enough() {
     let slow = |window| Estimator::Difference(Chosen { value: window, filtered: true });

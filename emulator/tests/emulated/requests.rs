@@ -9,7 +9,7 @@ use haptic_bridge::render::controller::Gains;
 use haptic_bridge::render::scene::FeedForward;
 use haptic_bridge::safety::fault::State;
 use haptic_emulator::boards::BoardKind;
-use haptic_emulator::inject::bridges_off;
+use haptic_emulator::inject::bridges_are_off;
 use haptic_emulator::rig::Rig;
 use haptic_emulator::run::{MICROSECOND, MILLISECOND};
 use haptic_host::link::{Board, BoardError};
@@ -101,7 +101,7 @@ fn check_refused(rig: &mut Rig, state: State, requests: &[Request]) {
         let before = contents(&mut rig.tool);
         let outcome = request(&mut rig.tool);
         for _ in 0..40 {
-            assert_eq!(!rig.with(bridges_off), driving, "{name} while {state:?}");
+            assert_eq!(!rig.with(bridges_are_off), driving, "{name} while {state:?}");
             rig.run(25 * MICROSECOND);
         }
         assert!(matches!(outcome, Err(BoardError::Refused(_))), "{name} while {state:?}: {outcome:?}");

@@ -4,8 +4,7 @@ use haptic_emulator::cases::CASES;
 use haptic_emulator::results;
 use haptic_emulator::timing::recorded_lengths;
 
-/// Largest permitted ratio to the recorded instructions. If it is exceeded, find the cause and run `cargo xtask
-/// timing`.
+/// Largest ratio to the recorded instructions. If a test exceeds it, find the cause and run `cargo xtask timing`.
 const MAX_INSTRUCTION_RATIO: f64 = 1.03;
 
 fn stays_within_record(nth: usize) {

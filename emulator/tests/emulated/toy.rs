@@ -30,7 +30,7 @@ static TOY: Wiring = Wiring {
 
 #[test]
 fn a_toy_board_is_one_file_and_renders_a_wall() {
-    let wall = NearWall { feed_forward: "off", ..NearWall::facing([-1.0, 0.0, 0.0]) };
+    let wall = NearWall { feed_forward: "off", ..NearWall::with_normal([-1.0, 0.0, 0.0]) };
     let pressed = 2.0;
     let mut rig = Rig::in_contact(&TOY, "hapkit-paddle", "", &[wall], pressed);
     assert_eq!(rig.tool.info().board.as_str(), TOY.name);

@@ -190,8 +190,7 @@ fn frames_sent_during(rig: &mut Rig, work: impl FnOnce(&mut Rig)) -> Vec<Vec<u8>
     sent.split_inclusive(|byte| *byte == 0).filter(|frame| frame.len() > 1).map(<[u8]>::to_vec).collect()
 }
 
-/// Returns a burst of one of five kinds: silence, noise, random frames, changed requests, or a mixture of changed and
-/// unchanged requests.
+/// Returns a burst of one of five kinds: silence, noise, random frames, changed requests, or a mixture of requests.
 fn burst(random: &mut Random, requests: &[Vec<u8>]) -> Vec<u8> {
     let mut below = |end: usize| random.bits() as usize % end;
     // The longest burst is longer than the port can transfer until the next burst.
@@ -305,7 +304,7 @@ fn a_board_survives_repeated_arming_and_replugging() {
 #[test]
 fn damaged_frames_do_not_turn_motors_off_for_a_minute() {
     let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |options| options.substep = 25e-6);
-    rig.arm_before("rate_hz = 1000\ncutoff_hz = 100\n", &[NearWall::facing([0.0, -1.0, 0.0])]);
+    rig.arm_near_walls("rate_hz = 1000\ncutoff_hz = 100\n", &[NearWall::with_normal([0.0, -1.0, 0.0])]);
     rig.tool.disarm().expect("it disarms");
     NoisyWire::follow(rig.shared.wire(), 60_000);
 }

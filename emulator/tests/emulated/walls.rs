@@ -18,8 +18,7 @@ use haptic_sim::{BoardOptions, Options, SharedBoard, SimulatedBoard};
 use haptic_sim::{Hand, HandSettings, Intent, Waypoint};
 use haptic_stability::analysis::plant::Linearised;
 
-/// Returns a rig that is armed in front of a wall at `distance` (m), and the wall's y coordinate (m). Without friction,
-/// only the wall holds the hand.
+/// Returns an armed rig without friction, `distance` (m) in front of a wall, and the wall's y coordinate (m).
 fn armed_near_wall(feed_forward: &str, distance: f64) -> (Rig, f64) {
     let mut rig = Rig::with_device(BoardKind::OdriveV3, "pantograph-mk2", |options| options.friction = false);
     let tip = rig.with_simulated(|device| device.tip());
@@ -88,13 +87,12 @@ fn depths(walls: &[NearWall], start: [f64; 3], tip: [f64; 3]) -> Vec<f64> {
     walls.iter().map(depth).collect()
 }
 
-/// Returns the depths every 10 ms while the same hand pushes the same device into the same walls, on the emulated chip
-/// and in the PC's simulation.
+/// Returns the depths every 10 ms while a hand pushes a device into walls, on the emulated chip and in the simulation.
 fn depths_when_pushed(kind: BoardKind, name: &str, walls: &[NearWall], newtons: f64) -> [Vec<Vec<f64>>; 2] {
     const SAMPLES: usize = 120;
     let force: [f64; 3] = std::array::from_fn(|i| walls.iter().map(|wall| -newtons * wall.normal[i]).sum());
     let mut rig = Rig::with_device(kind, name, |options| options.friction = false);
-    let scene = rig.arm_before("gravity_compensation = true\n", walls);
+    let scene = rig.arm_near_walls("gravity_compensation = true\n", walls);
     let (start, q) = rig.with_simulated(move |device| (device.tip(), device.q()));
     // A firm hand still holds the tip where it was when the walls were placed.
     rig.with_simulated(move |device| push_into(device, force, 0.3));
@@ -143,7 +141,7 @@ fn check_depths(kind: BoardKind, name: &str, walls: &[NearWall], newtons: f64, s
 #[test]
 fn a_wall_before_three_joints_has_the_simulated_depth() {
     for feed_forward in ["off", "full"] {
-        let wall = NearWall { feed_forward, damping: 3.0, ..NearWall::facing([0.0, -1.0, 0.0]) };
+        let wall = NearWall { feed_forward, damping: 3.0, ..NearWall::with_normal([0.0, -1.0, 0.0]) };
         check_depths(BoardKind::HBridgeF405, "phantom-premium-1.5", &[wall], 0.8, 0.05);
     }
 }
@@ -151,13 +149,13 @@ fn a_wall_before_three_joints_has_the_simulated_depth() {
 #[test]
 fn a_corner_with_feed_forward_has_the_simulated_depth() {
     let walls =
-        [[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0]].map(|normal| NearWall { damping: 3.0, ..NearWall::facing(normal) });
+        [[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0]].map(|normal| NearWall { damping: 3.0, ..NearWall::with_normal(normal) });
     check_depths(BoardKind::OdriveV3, "pantograph-mk2", &walls, 0.8, 0.08);
 }
 
 #[test]
 fn gains_changed_in_contact_change_the_torque_in_proportion() {
-    let wall = NearWall { feed_forward: "full", ..NearWall::facing([0.0, -1.0, 0.0]) };
+    let wall = NearWall { feed_forward: "full", ..NearWall::with_normal([0.0, -1.0, 0.0]) };
     let mut rig = Rig::in_contact(BoardKind::OdriveV3, "pantograph-mk2", "", &[wall], 0.8);
     let fields =
         Fields(Field::Torque.bit() | Field::Distance.bit() | Field::NormalVelocity.bit() | Field::WallForce.bit());
@@ -192,7 +190,8 @@ fn the_chips_feed_forward_equals_the_analysis() {
     for (kind, name) in [(BoardKind::OdriveV3, "pantograph-mk2"), (BoardKind::HBridgeF405, "phantom-premium-1.5")] {
         let normal = [-0.6, -0.8, 0.0];
         // Without gravity compensation the hand also carries the weight.
-        let mut rig = Rig::in_contact(kind, name, "gravity_compensation = false\n", &[NearWall::facing(normal)], 1.6);
+        let mut rig =
+            Rig::in_contact(kind, name, "gravity_compensation = false\n", &[NearWall::with_normal(normal)], 1.6);
         let file = rig.file.clone().expect("a device");
         let (joints, task) = (file.spec().joints, file.spec().task);
         rig.tool
@@ -243,8 +242,7 @@ struct Sample {
     saturated: Vec<(f64, f64)>,
 }
 
-/// Measures samples while a firm hand slowly leads the tip 6 mm into a wall of 2 kN/m. The motors are limited to
-/// `torque` (N m).
+/// Measures samples while a firm hand slowly leads the tip 6 mm into a wall of 2 kN/m, with motors limited to `torque`.
 fn measure_pressed(
     kind: BoardKind,
     name: &str,
@@ -261,7 +259,7 @@ fn measure_pressed(
     let limits = Limits { torque: [torque; 3], ..rules.limits };
     rig.tool.set_rules(&Rules { limits, ..rules }).expect("the motors are off");
     let start = rig.with_simulated(|device| device.tip());
-    let wall = NearWall { stiffness: 2000.0, gap: 0.001, damping: 0.0, feed_forward, ..NearWall::facing(normal) };
+    let wall = NearWall { stiffness: 2000.0, gap: 0.001, damping: 0.0, feed_forward, ..NearWall::with_normal(normal) };
     let task = rig.file.as_ref().expect("a device").spec().task;
     rig.set_scene(&scene("gravity_compensation = true\n", start, task, &[wall]));
     rig.arm();

@@ -33,7 +33,7 @@ fn each_encoder_counts_its_own_axis_up_and_down() {
     for kind in BoardKind::ALL {
         let mut rig = Rig::with_device(kind, device_of(kind), |_| ());
         rig.load(if kind == BoardKind::OdriveV3 { WALL } else { "" });
-        let axes = Wiring::of(kind).encoders.len();
+        let axes = Wiring::of_board(kind).encoders.len();
         let mut expected = vec![0.0; axes];
         rig.with(|stopped| stopped.hardware().plant = Box::new(Dummy::default()));
         for (axis, moved) in (0..axes).map(|axis| (axis, 137 - 200 * (axis as i32 % 2))) {
@@ -53,7 +53,7 @@ fn each_index_pulse_reaches_its_own_axis() {
     for kind in BoardKind::ALL {
         let mut rig = Rig::with_device(kind, device_of(kind), |_| ());
         rig.load(if kind == BoardKind::OdriveV3 { WALL } else { "" });
-        for axis in 0..Wiring::of(kind).encoders.len() {
+        for axis in 0..Wiring::of_board(kind).encoders.len() {
             let mut rules = rig.tool.rules().expect("the board replies");
             rules.index_period = [4_096; 3];
             rig.tool.set_rules(&rules).expect("rules change");
@@ -84,7 +84,7 @@ fn each_index_pulse_reaches_its_own_axis() {
 fn the_bus_voltage_is_exact_within_a_converter_step() {
     for kind in BoardKind::ALL {
         let mut rig = Rig::empty(kind);
-        let step = 1e-3 * f64::from(Wiring::of(kind).supply_mv) / 4096.0 * Wiring::of(kind).bus.1;
+        let step = 1e-3 * f64::from(Wiring::of_board(kind).supply_mv) / 4096.0 * Wiring::of_board(kind).bus.1;
         for volts in [12.0, 24.0, 27.5] {
             rig.with(move |stopped| {
                 stopped.hardware().plant = Box::new(Dummy { bus_voltage: volts, ..Dummy::default() });
@@ -102,7 +102,7 @@ fn each_wiring_page_and_drawing_contains_every_pin() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs");
     let drawing = read_to_string(folder.join("drawings/h-bridge-f407-disc1.svg")).expect("a drawing");
     for kind in BoardKind::ALL {
-        let wiring = Wiring::of(kind);
+        let wiring = Wiring::of_board(kind);
         let page = read_to_string(folder.join(format!("wiring-{}.md", wiring.name))).expect("a page");
         let table = page.lines().filter(|line| line.starts_with('|'));
         let words: Vec<&str> = table.flat_map(|line| line.split(|c: char| !c.is_alphanumeric())).collect();
