@@ -16,7 +16,7 @@ fn an_indefinite_mass_matrix_is_refused_or_pushes_outwards() {
     let device = rig::device(&five_bar());
     for direction in 0..24 {
         let a = direction as f32 * 0.2618;
-        let mut probe = Board::ready(false, &device, &scene(2, &[]));
+        let mut probe = Board::with_device(false, &device, &scene(2, &[]));
         probe.ask::<Home>(&()).unwrap().unwrap();
         probe.tick();
         let at = probe.machine.control_loop.status();
@@ -28,7 +28,7 @@ fn an_indefinite_mass_matrix_is_refused_or_pushes_outwards() {
             feed_forward: FeedForward::Full,
             ..rig::wall(0.0, 1_000.0)
         });
-        let mut board = Board::ready(false, &device, &scene(2, &walls));
+        let mut board = Board::with_device(false, &device, &scene(2, &walls));
         let limits = Limits { torque: [0.3; 3], current: [3.0; 3], tip_force: 5.0, ..Limits::default() };
         let gentle = Rules { limits, host_action: HostAction::Ignore, ..Rules::default() };
         board.ask::<SetRules>(&gentle).unwrap().unwrap();
@@ -80,7 +80,7 @@ fn restart(board: &mut Board) -> Board {
 
 #[test]
 fn limits_restored_alone_do_not_move_to_another_device() {
-    let mut board = Board::ready(false, &rig::device(&five_bar()), &scene(2, &[]));
+    let mut board = Board::with_device(false, &rig::device(&five_bar()), &scene(2, &[]));
     board
         .ask::<SetRules>(&Rules {
             limits: Limits { torque: [0.1; 3], tip_force: 5.0, ..Limits::default() },
@@ -107,7 +107,7 @@ fn limits_restored_alone_do_not_move_to_another_device() {
 
 #[test]
 fn a_scene_restored_alone_loses_the_frozen_mass_matrix() {
-    let mut board = Board::ready(false, &rig::device(&five_bar()), &scene(2, &[]));
+    let mut board = Board::with_device(false, &rig::device(&five_bar()), &scene(2, &[]));
     board.ask::<SetMassModel>(&MassModelData::Frozen([1e-3, 5e-4, 1e-3, 0.0, 0.0, 0.0])).unwrap().unwrap();
     board.ask::<Save>(&()).unwrap().unwrap();
     stage(&mut board, &scene(2, &[rig::wall(0.0, 1_000.0)]));
@@ -119,7 +119,7 @@ fn a_scene_restored_alone_loses_the_frozen_mass_matrix() {
 
 #[test]
 fn a_device_restored_alone_is_the_same_after_a_restart() {
-    let mut board = Board::ready(false, &rig::device(&five_bar()), &scene(2, &[]));
+    let mut board = Board::with_device(false, &rig::device(&five_bar()), &scene(2, &[]));
     board.ask::<SetMassModel>(&MassModelData::Frozen([1e-3, 5e-4, 1e-3, 0.0, 0.0, 0.0])).unwrap().unwrap();
     board.ask::<Save>(&()).unwrap().unwrap();
     let mut other = five_bar();
@@ -135,7 +135,7 @@ fn a_device_restored_alone_is_the_same_after_a_restart() {
 fn armed_rig(rate: f32, tip_force: f32) -> Rig {
     let mut rules = rules();
     rules.limits.tip_force = tip_force;
-    let mut rig = Rig::with(&five_bar(), &at_rate(rate, scene(2, &[])), hardware(), rules);
+    let mut rig = Rig::new(&five_bar(), &at_rate(rate, scene(2, &[])), hardware(), rules);
     rig.arm();
     rig
 }
@@ -248,13 +248,13 @@ fn a_device_loads_although_the_present_scene_does_not_fit_it() {
     let joints = [five_bar().joints[0]; 3];
     let arm = Description { kind: Kind::Serial3r, geometry, joints, home: Some([0.3, 0.6, 0.5]), ..five_bar() };
     let posture = Some(Posture { orientation: 0.5, stiffness: 0.1, damping: 0.0 });
-    let mut board = Board::ready(false, &rig::device(&arm), &Scene { posture, ..scene(2, &[]) });
+    let mut board = Board::with_device(false, &rig::device(&arm), &Scene { posture, ..scene(2, &[]) });
     assert_eq!(board.ask::<SetDevice>(&rig::device(&five_bar())).unwrap(), Ok(()));
 }
 
 #[test]
 fn a_fault_is_published_although_a_save_precedes_the_next_poll() {
-    let mut board = Board::ready(false, &rig::device(&five_bar()), &scene(2, &[]));
+    let mut board = Board::with_device(false, &rig::device(&five_bar()), &scene(2, &[]));
     board.reported_fault = Some((Fault::GateDriver, None, 1.0));
     board.tick();
     board.ask::<Save>(&()).unwrap().unwrap();

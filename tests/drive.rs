@@ -242,8 +242,8 @@ fn a_winding_of_unknown_inductance_overshoots_as_documented() {
         winding.run(&mut axis, 1_000, |_, current| peak = peak.max(current));
         let found = f64::from(peak) / 2.0 - 1.0;
         let expected = overshoot(f64::from(inductance / file.resistance), bandwidth);
-        // The loop is up to 3/4 of a carrier period late. 314 rad/s · 37.5 µs are 1.2 % of the integral's share, which
-        // is at most 0.31.
+        // The loop is up to 3/4 of a carrier period late: 314 rad/s · 37.5 µs are 1.2 % of the integral's share (up to
+        // 0.31).
         assert!((found - expected).abs() < 0.004, "{inductance} H: {found}, not {expected}");
         assert!((found - documented).abs() < 0.005, "{inductance} H: {found}, documented {documented}");
     }

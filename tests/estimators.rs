@@ -22,7 +22,7 @@ fn prewarped_cutoff(cutoff: f64) -> f64 {
     (std::f64::consts::PI * cutoff / RATE_HZ).tan()
 }
 
-fn motion_only<T: Real>(moved: T) -> JointSample<T> {
+fn motion_sample<T: Real>(moved: T) -> JointSample<T> {
     JointSample { moved, pushed: T::zero(), unit: T::one() }
 }
 
@@ -62,7 +62,7 @@ fn run_estimator<E: JointEstimator<f64>>(
 ) -> Vec<f64> {
     let design = E::design(&chosen, prewarped_cutoff(cutoff));
     let mut memory = E::moving_at(0.0);
-    moved.into_iter().map(|moved| memory.step::<Libm>(&design, &motion_only(moved))).collect()
+    moved.into_iter().map(|moved| memory.step::<Libm>(&design, &motion_sample(moved))).collect()
 }
 
 #[test]
@@ -91,9 +91,9 @@ fn the_predicting_observer_has_three_equal_poles() {
     let design = Predicted::<f64>::design(&NO_OPTIONS, g);
     let mut memory = Predicted::moving_at(0.0);
     for n in 0..50 {
-        memory.step::<Libm>(&design, &motion_only(noise(n)));
+        memory.step::<Libm>(&design, &motion_sample(noise(n)));
     }
-    let errors: Vec<f64> = (0..600).map(|_| memory.step::<Libm>(&design, &motion_only(0.0))).collect();
+    let errors: Vec<f64> = (0..600).map(|_| memory.step::<Libm>(&design, &motion_sample(0.0))).collect();
     assert!(errors[0].abs() > 1e-3 && errors[599].abs() < 1e-6 * errors[0].abs(), "{} to {}", errors[0], errors[599]);
     for w in errors.windows(4) {
         let left = w[3] - 3.0 * p * w[2] + 3.0 * p * p * w[1] - p * p * p * w[0];
@@ -136,7 +136,7 @@ fn the_lag_at_constant_acceleration_is_as_reported() {
             let x = |n: f64| 0.5 * growth * n * n;
             let found = (1..=5_000)
                 .map(f64::from)
-                .map(|n| joint.step::<Libm>(&coefficients, &motion_only(x(n) - x(n - 1.0)), 0.0))
+                .map(|n| joint.step::<Libm>(&coefficients, &motion_sample(x(n) - x(n - 1.0)), 0.0))
                 .last()
                 .unwrap();
             let late = (growth * 5_000.0 - found) / growth;

@@ -1,6 +1,6 @@
 //! A motor's thermal budget holds across changes of the device and the rules, and across restarts.
 
-use crate::common::cases;
+use crate::common::property_config;
 use crate::rig::{self, Rig, hardware, paddle, rules, scene, wall};
 use core::sync::atomic::{AtomicU32, Ordering};
 use haptic_bridge::control::{Command, Rules};
@@ -230,10 +230,9 @@ fn event() -> impl Strategy<Value = Event> {
 }
 
 proptest! {
-    #![proptest_config(cases(500))]
+    #![proptest_config(property_config(500))]
 
-    /// The oracle is a lower bound of the heat: the integral of i² - c², where c is the largest continuous current
-    /// allowed so far.
+    /// The oracle is a lower bound of the heat: the integral of i² - c² with the largest continuous current c so far.
     #[test]
     fn no_request_cools_a_motor_sooner(events in proptest::collection::vec(event(), 1..60)) {
         let (mut heat, mut rules, mut motor) = (Heat::default(), (3.0_f32, 1.0_f32), Some(3.0_f32));
@@ -266,8 +265,7 @@ proptest! {
         heat.limit(3.0, 1.0);
         let rest = |heat: &mut Heat, seconds: f32| (0..(seconds / dt) as u32).for_each(|_| _ = heat.warm(0.0, dt));
         rest(&mut heat, 61.0);
-        // The heat falls by 1 A² s per second, times (3² - 2.9²) / (3² - 1²) if 2.9 A were allowed when the heat was
-        // added.
+        // The heat falls by 1 A² s per second, times (3² - 2.9²) / (3² - 1²) if it was added at a limit of 2.9 A.
         let seconds = heat.held() / 0.0737 + 1.0;
         rest(&mut heat, seconds);
         prop_assert_eq!(heat.held(), 0.0);
@@ -277,7 +275,7 @@ proptest! {
 
 /// Presses a paddle into a wall at 2.9 A until the thermal budget trips. 3 A are allowed, 1 A continuously.
 fn tripped_rig() -> Rig {
-    let mut rig = Rig::pressing(290.0);
+    let mut rig = Rig::pressed_paddle(290.0);
     rig.hold_in_place(10.0);
     assert_eq!(rig.fault(), Some(Fault::ThermalBudget));
     rig
@@ -295,7 +293,7 @@ fn a_motor_does_not_cool_faster_after_a_restart() {
     let heat = *rig.control_loop.heat();
     rig.execute(Command::Clear).unwrap();
     rig.execute(Command::Rules(raised_rules())).unwrap();
-    let mut again = Rig::bare(hardware(), raised_rules());
+    let mut again = Rig::without_device(hardware(), raised_rules());
     again.control_loop.start_heat(heat);
     again.load(&paddle(), &scene(1, &[wall(-0.05, 100.0)]), false).unwrap();
     for rig in [&mut rig, &mut again] {
@@ -308,7 +306,7 @@ fn a_motor_does_not_cool_faster_after_a_restart() {
 
 #[test]
 fn sensor_noise_without_a_motor_does_not_count_as_heat() {
-    let mut rig = Rig::bare(hardware(), rules());
+    let mut rig = Rig::without_device(hardware(), rules());
     rig.control_loop.start_heat([Heat::UNKNOWN; 3]);
     let mut bare = paddle();
     bare.joints[0].motor = None;
@@ -326,14 +324,14 @@ fn a_tighter_continuous_current_while_armed_prolongs_no_peak() {
     let lasts = |tighten: bool| {
         let mut rules = rules();
         rules.limits.continuous_current = [2.7; 3];
-        let mut rig = Rig::with(&paddle(), &scene(1, &[wall(-0.005, 290.0)]), hardware(), rules);
+        let mut rig = Rig::new(&paddle(), &scene(1, &[wall(-0.005, 290.0)]), hardware(), rules);
         rig.press_wall();
         let began = rig.control_loop.steps();
         while rig.fault().is_none() {
             rig.hold_in_place(0.05);
             if tighten && rules.limits.continuous_current[0] > 0.3 {
                 rules.limits.continuous_current[0] -= 0.05;
-                rig.execute(Command::Rules(rules)).expect("tightening is allowed while armed");
+                rig.execute(Command::Rules(rules)).expect("rules are tightened while armed");
             }
         }
         assert_eq!(rig.fault(), Some(Fault::ThermalBudget));
@@ -350,7 +348,7 @@ fn unknown_heat_stays_unknown_over_a_restart() {
     let boot = |heat, current: f32| {
         let mut rules = rules();
         rules.limits.current = [current; 3];
-        let mut rig = Rig::bare(hardware(), rules);
+        let mut rig = Rig::without_device(hardware(), rules);
         rig.control_loop.start_heat(heat);
         rig.load(&strong, &scene(1, &[wall(-0.05, 100.0)]), false).unwrap();
         rig
@@ -384,10 +382,10 @@ fn a_hot_motor_cools_while_off_and_stays_hot_through_a_load() {
     assert_eq!(rig.fault(), None, "the motor has cooled");
 }
 
-/// Returns the seconds until a paddle at 2.9 A trips, on a board that starts with this heat in its motors. 3 A are
-/// allowed, 1 A continuously.
+/// Returns the seconds until a paddle at 2.9 A trips (3 A allowed, 1 A continuously) on a board that starts with
+/// `heat`.
 fn pressing_time(heat: Heat) -> f32 {
-    let mut rig = Rig::bare(hardware(), rules());
+    let mut rig = Rig::without_device(hardware(), rules());
     rig.control_loop.start_heat([heat; 3]);
     rig.prepare(&paddle(), &scene(1, &[wall(-0.005, 290.0)]));
     rig.press_wall();

@@ -18,7 +18,7 @@ use nalgebra::Vector2;
 const ROUNDING_NM: f32 = 1.0e-5;
 
 fn armed_rig() -> Rig {
-    let mut rig = Rig::with(&five_bar(), &scene(2, &[]), hardware(), rules());
+    let mut rig = Rig::new(&five_bar(), &scene(2, &[]), hardware(), rules());
     rig.arm();
     rig
 }
@@ -48,7 +48,7 @@ fn a_host_force_is_scaled_to_the_tip_force_limit() {
     for (walls, push, size) in
         [(&[][..], 0.0, 0.25), (&[], 0.0, 0.02), (&[], 0.7, 0.2), (&[bilateral], 0.0, 0.2), (&[bilateral], 0.5, 0.1)]
     {
-        let mut rig = Rig::with(&five_bar(), &scene(2, walls), hardware(), gentle);
+        let mut rig = Rig::new(&five_bar(), &scene(2, walls), hardware(), gentle);
         rig.arm();
         let wall = if walls.is_empty() { 0.0 } else { 0.6 };
         for nth in 0..12_u32 {
@@ -82,7 +82,7 @@ fn a_lowered_tip_force_limit_acts_at_the_next_step_and_in_fades() {
     for (nth, limit) in [1.5_f32, 0.5].into_iter().enumerate() {
         let mut lower = rules();
         lower.limits.tip_force = limit;
-        rig.execute(Command::Rules(lower)).expect("lowered while armed");
+        rig.execute(Command::Rules(lower)).expect("limits are lowered while armed");
         rig.step();
         assert!((force(&rig) - f64::from(limit)).abs() < 1.0e-3, "limit {nth}: {} N", force(&rig));
     }
@@ -246,7 +246,7 @@ fn the_largest_accepted_numbers_are_harmless() {
 
 #[test]
 fn only_armed_motors_accept_force_and_disarming_ends_it() {
-    let mut rig = Rig::with(&five_bar(), &scene(2, &[]), hardware(), rules());
+    let mut rig = Rig::new(&five_bar(), &scene(2, &[]), hardware(), rules());
     let answer = rig.control_loop.force(&torque_request(1, 0.1));
     assert_eq!((answer.done, answer.state), (ForceDone::NotArmed, State::Disarmed));
     assert_eq!(poll(&mut rig).done, ForceDone::Looked);
@@ -264,7 +264,7 @@ fn only_armed_motors_accept_force_and_disarming_ends_it() {
         let answer = poll(&mut rig);
         assert_eq!((answer.age, answer.force, answer.share), (None, [0.0; 3], 0.0));
         rig.step();
-        assert!(rig.motors_off());
+        assert!(rig.motors_are_off());
         // The motors are armed again at once, within the lease of the request.
         rig.execute(Command::Clear).unwrap();
         rig.execute(Command::Arm).unwrap();
@@ -278,7 +278,7 @@ fn only_armed_motors_accept_force_and_disarming_ends_it() {
 
 #[test]
 fn a_force_grows_with_the_ramp_after_arming() {
-    let mut rig = Rig::with(&five_bar(), &scene(2, &[]), hardware(), rules());
+    let mut rig = Rig::new(&five_bar(), &scene(2, &[]), hardware(), rules());
     rig.execute(Command::Arm).unwrap();
     assert_eq!(rig.control_loop.force(&force_request(1, 1.0, 0.0)).done, ForceDone::Taken);
     // 0.1 s are a fifth of the 0.5 s ramp.
@@ -309,7 +309,7 @@ fn walls_and_host_are_scaled_by_the_same_share_at_a_limit() {
     let mut rig = armed_rig();
     let tip = poll(&mut rig).tip;
     let bilateral = Wall { bilateral: true, ..wall(tip[0] + 1.0e-3, 2_000.0) };
-    let mut rig = Rig::with(&five_bar(), &scene(2, &[bilateral]), hardware(), rules());
+    let mut rig = Rig::new(&five_bar(), &scene(2, &[bilateral]), hardware(), rules());
     rig.arm();
     rig.control_loop.force(&force_request(1, 0.0, 12.0));
     rig.step();
@@ -443,8 +443,7 @@ fn a_repeated_contact_continues_its_move() {
     };
     rig.control_loop.force(&ForceRequest { sequence: 1, ..plane(1.0e-3) });
     rig.run(0.01);
-    // The second contact comes 10 ms after the first, so the move takes 10 ms. Repeated requests must not restart the
-    // move.
+    // The second contact comes 10 ms after the first, so the move takes 10 ms. Repeated requests must not restart it.
     for sequence in 2..22 {
         rig.control_loop.force(&ForceRequest { sequence, ..plane(3.0e-3) });
         rig.step();
@@ -455,7 +454,7 @@ fn a_repeated_contact_continues_its_move() {
 #[test]
 fn force_requests_count_as_signs_of_life() {
     let watched = Rules { host_action: HostAction::Disarm, host_seconds: 0.1, ..rules() };
-    let mut rig = Rig::with(&five_bar(), &scene(2, &[]), hardware(), watched);
+    let mut rig = Rig::new(&five_bar(), &scene(2, &[]), hardware(), watched);
     rig.arm();
     for sequence in 1..100 {
         assert_eq!(rig.control_loop.force(&torque_request(sequence, 0.01)).done, ForceDone::Taken);
@@ -512,7 +511,7 @@ fn only_taken_requests_and_following_polls_are_signs_of_life() {
         (torque_request(2, f32::NAN), ForceDone::Bad(BadForce::Torque)),
         (ForceRequest { hold: 0.0, fade: 0.001, seen: Some(0), ..request(2) }, ForceDone::TooOld),
     ] {
-        let mut rig = Rig::with(&five_bar(), &scene, hardware(), watched);
+        let mut rig = Rig::new(&five_bar(), &scene, hardware(), watched);
         rig.arm();
         for _ in 0..4 {
             assert_eq!(rig.control_loop.force(&force_request(1, 0.0, 0.0)).done, ForceDone::Taken);
@@ -528,7 +527,7 @@ fn only_taken_requests_and_following_polls_are_signs_of_life() {
         }
         assert_eq!((rig.state(), rig.fault()), (State::Fault, Some(Fault::HostLost)), "{why:?}");
     }
-    let mut rig = Rig::with(&five_bar(), &scene, hardware(), watched);
+    let mut rig = Rig::new(&five_bar(), &scene, hardware(), watched);
     rig.arm();
     for _ in 0..4 {
         let follows = ForceRequest { hold: 0.0, fade: 0.0, seen: Some(rig.control_loop.steps()), ..request(2) };

@@ -1,6 +1,6 @@
 //! Tests the check of the control loop's pace (every 20 ms, as in the firmware) with loops of known rate.
 
-use crate::common::cases;
+use crate::common::property_config;
 use haptic_bridge::safety::pace::{Pace, Verdict};
 use proptest::prelude::*;
 
@@ -106,7 +106,7 @@ fn no_number_makes_the_check_panic() {
 }
 
 proptest! {
-    #![proptest_config(cases(256))]
+    #![proptest_config(property_config(256))]
 
     /// Checks come up to a fifth of their interval late, like checks in a task.
     #[test]

@@ -1,6 +1,6 @@
 //! Frozen and tabulated mass matrices are accurate against the closed form, and damaged ones are refused.
 
-use crate::common::device_file::shipped;
+use crate::common::device_file::shipped_device;
 use haptic_bridge::control::compiled::BoardMath;
 use haptic_bridge::math::Libm;
 use haptic_bridge::model::mechanism::{AnyMechanism, FiveBar, Mechanism};
@@ -13,7 +13,7 @@ use nalgebra::SVector;
 const DEVICES: [&str; 4] = ["haply-2diy", "fictive-five-bar-turret", "phantom-premium-1.5", "serial-3r"];
 
 fn mechanism(name: &str) -> AnyMechanism<f64> {
-    AnyMechanism::new(&shipped(name)).expect("a sound device")
+    AnyMechanism::new(&shipped_device(name)).expect("a sound device")
 }
 
 /// Returns the largest difference of M E between a table and the closed form, as a share of the largest entry, on a
@@ -60,7 +60,7 @@ fn worst_errors(interpolation: Interpolation, points: u8) -> Vec<f64> {
     DEVICES
         .iter()
         .map(|name| {
-            let home = shipped(name).home.expect("a shipped device has a home");
+            let home = shipped_device(name).home.expect("a shipped device has a home");
             with_mechanism!(&mechanism(name), m => worst_error(m, &home, interpolation, points))
         })
         .collect()
@@ -189,7 +189,7 @@ fn a_table_needs_all_chunks_in_order_and_unchanged() {
 
 #[test]
 fn a_table_is_accurate_in_the_boards_precision() {
-    let Ok(AnyMechanism::FiveBar(m)) = AnyMechanism::<f32>::new(&shipped("haply-2diy")) else { panic!() };
+    let Ok(AnyMechanism::FiveBar(m)) = AnyMechanism::<f32>::new(&shipped_device("haply-2diy")) else { panic!() };
     let AnyMechanism::FiveBar(exact) = mechanism("haply-2diy") else { panic!() };
     let grid = Grid::<f32>::new(Interpolation::Bicubic, [15, 15], [2.0, 0.5], [2.6, 1.1], 3).unwrap();
     let mut values = vec![0.0; grid.values(3)];

@@ -1,5 +1,4 @@
-//! The energy that a hand gains while it slides along a wall, derived from Λ, computed from the torques, and reported
-//! as `energy`.
+//! The energy that a hand gains as it slides along a wall: derived from Λ, computed from torques, reported as `energy`.
 //!
 //! At rest a wall with the full feed-forward is the force field f(x) Λn/(nᵀΛn). Its normal part has a potential. Its
 //! other part is f γ along the wall, with γ = tᵀΛn/(nᵀΛn). A loop that presses to the depth d, slides, releases and
@@ -68,7 +67,7 @@ struct LoopEnergies {
 
 impl Case {
     fn run_loops(&self, feed_forward: FeedForward, passivity: bool, times: usize) -> LoopEnergies {
-        let shipped = device_file::shipped(self.device);
+        let shipped = device_file::shipped_device(self.device);
         let description = Description { gravity: [0.0; 3], ..with_fine_encoders(shipped) };
         let mechanism = AnyMechanism::<f64>::new(&description).expect("a sound device");
         with_mechanism!(&mechanism, m => self.run(*m, &description, feed_forward, passivity, times))
