@@ -33,7 +33,7 @@ fn an_indefinite_mass_matrix_is_refused_or_pushes_outwards() {
         let gentle = Rules { limits, host_action: HostAction::Ignore, ..Rules::default() };
         board.ask::<SetRules>(&gentle).unwrap().unwrap();
         board.ask::<Home>(&()).unwrap().unwrap();
-        // 1e-3 kg m² on the diagonal and -3e-3 off it: the determinant is -8e-6.
+        // The matrix has 1e-3 kg m² on the diagonal and -3e-3 kg m² beside it, so its determinant is negative.
         let mass = MassModelData::Frozen([1e-3, -3e-3, 1e-3, 0.0, 0.0, 0.0]);
         if board.ask::<SetMassModel>(&mass).unwrap().is_err() {
             return;
@@ -205,7 +205,7 @@ fn a_late_renewal_causes_no_jump_of_a_contact_force() {
 #[test]
 fn a_contact_between_two_planes_pushes_no_more_than_either() {
     let mut rig = armed_rig(20_000.0, 5.0);
-    // 1 mm outside a stiff plane, then 100 mm inside a soft one: 0 N, then 1 N.
+    // The tip is 1 mm outside a stiff plane (0 N), then 100 mm inside a soft plane (1 N).
     let stiff = contact_request(&rig, 1, -1.0e-3, 1.0e4, [0.1, 0.1]);
     let soft = contact_request(&rig, 2, 0.1, 10.0, [0.1, 0.1]);
     rig.control_loop.force(&stiff);

@@ -202,7 +202,7 @@ fn a_step_beyond_the_bus_voltage_takes_longer_and_settles() {
     // 2 A in 50 µs would need 43 V. The available 22 V need two periods.
     let (peak, arrived) = step(motor());
     assert!(peak < 1.01 && arrived == 2, "{peak} of the step, {arrived} periods");
-    // If the inductance is below the file's by a share, the current overshoots by this share until it is corrected.
+    // If the inductance is lower than in the file, the current overshoots by the same share until it is corrected.
     for (resistance, inductance) in [(1.4, 1.0), (0.7, 1.0), (1.0, 1.3), (1.0, 0.7), (1.4, 0.7)] {
         let expected = motor();
         let actual = Motor {
@@ -308,7 +308,7 @@ fn a_motor_without_a_torque_constant_gets_no_current() {
 
 #[test]
 fn the_integrator_does_not_wind_up_at_a_saturated_bus() {
-    // 4 A need 6 V, and 480 rad/s induce 24 V, so the current is far out of reach. Once the motor has stopped, the
+    // 4 A need 6 V, and 480 rad/s induce 24 V, so 24 V cannot make this current. Once the motor has stopped, the
     // current must be right within 2 ms.
     let mut axis = Axis::new(&motor(), &bridge(true), 10.0);
     let mut winding = Winding { measured_speed: 480.0, ..Winding::new(motor(), 480.0) };

@@ -274,7 +274,7 @@ fn an_index_may_lag_by_the_joints_motion_and_is_set_at_rest() {
         }
         rig.fault()
     };
-    // Two pulses are 8 counts wide. The joint moves another 20 counts after the pulse.
+    // Two index positions may differ by the pulse's width of 8 counts, plus the 20 counts that the joint moves.
     assert_eq!(fault((0, 1_000), (0, 1_008)), None);
     assert_eq!(fault((0, 1_000), (0, 1_009)), Some(Fault::IndexMismatch));
     assert_eq!(fault((0, 1_000), (20, 1_028)), None);

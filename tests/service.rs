@@ -270,8 +270,8 @@ fn the_tests_of_requests_cover_every_endpoint() {
 
 #[test]
 fn limits_beyond_the_boards_own_and_invalid_numbers_are_refused() {
-    type Set = fn(&mut Limits, usize, f32);
-    let sets: [(Limit, f32, Set); 6] = [
+    type LimitSetter = fn(&mut Limits, usize, f32);
+    let sets: [(Limit, f32, LimitSetter); 6] = [
         (Limit::Torque, 5.0, |limits, axis, to| limits.torque[axis] = to),
         (Limit::Current, 10.0, |limits, axis, to| limits.current[axis] = to),
         (Limit::ContinuousCurrent, 10.0, |limits, axis, to| limits.continuous_current[axis] = to),

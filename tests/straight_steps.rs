@@ -49,9 +49,9 @@ struct Coverage {
     turning_normal: usize,
     shaped_with_spring: usize,
     shaped_with_plane: usize,
-    partly_shaped: usize,
-    unshaped: usize,
-    passivity_damped: usize,
+    partly_shaped_steps: usize,
+    unshaped_steps: usize,
+    passivity_damped_steps: usize,
     energy_debt: usize,
     straight_steps: usize,
     largest_difference: f64,
@@ -267,9 +267,9 @@ fn compare_steps<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize>(
         coverage.shaped_with_spring +=
             usize::from(shaped && scene.springs.iter().any(|spring| spring.stiffness > T::zero()));
         coverage.shaped_with_plane += usize::from(shaped && push.is_some_and(|push| push.plane.stiffness > T::zero()));
-        coverage.partly_shaped += usize::from(slow.shaping > T::zero() && slow.shaping < T::one());
-        coverage.unshaped += usize::from(slow.shaping == T::zero());
-        coverage.passivity_damped += usize::from(slow.passivity_damping > T::zero());
+        coverage.partly_shaped_steps += usize::from(slow.shaping > T::zero() && slow.shaping < T::one());
+        coverage.unshaped_steps += usize::from(slow.shaping == T::zero());
+        coverage.passivity_damped_steps += usize::from(slow.passivity_damping > T::zero());
         coverage.energy_debt += usize::from(slow.energy < T::zero() && scene.walls.iter().all(|wall| !wall.bilateral));
     }
 }
@@ -305,13 +305,16 @@ fn a_straight_step_equals_the_general_step_up_to_roundings() {
             coverage.several_contacts,
             coverage.only_round_walls,
             coverage.springs,
-            coverage.passivity_damped,
+            coverage.passivity_damped_steps,
             coverage.energy_debt,
         ];
         assert!(ways.iter().all(|times| *times > 100), "{kind:?}: {coverage:?}");
         let planar = [coverage.turning_normal, coverage.shaped_with_spring, coverage.shaped_with_plane];
         assert!(kind != Kind::FiveBar || planar.iter().all(|times| *times > 100), "{kind:?}: {coverage:?}");
         assert!(coverage.straight_steps > 2000, "{kind:?}: {coverage:?}");
-        assert!(!fade_reached || (coverage.partly_shaped > 10 && coverage.unshaped > 10), "{kind:?}: {coverage:?}");
+        assert!(
+            !fade_reached || (coverage.partly_shaped_steps > 10 && coverage.unshaped_steps > 10),
+            "{kind:?}: {coverage:?}"
+        );
     }
 }

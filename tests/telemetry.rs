@@ -47,7 +47,7 @@ fn a_row_holds_its_fields_in_their_order() {
     // IEEE 754: 9 = 1.125 · 2^3, 0.5 = 1 · 2^-1.
     assert_eq!(batch.rows[..8], [0, 0, 0x10, 0x41, 0, 0, 0, 0x3F]);
     assert_eq!(batch.rows[8..12], [0xF9, 0xFF, 0xFF, 0xFF], "-7");
-    assert_eq!(batch.rows[12..16], [1, 0, 0, 1], "16777217, more than a float could hold");
+    assert_eq!(batch.rows[12..16], [1, 0, 0, 1], "16777217, which f32 cannot represent");
     assert_eq!(batch.rows[16..], [0x21], "armed, two walls");
 }
 

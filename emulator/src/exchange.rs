@@ -38,7 +38,7 @@ pub struct Exchanges {
     /// Losses of telemetry.
     pub losses: Losses,
     /// True if the motors were on at the end and no fault is latched.
-    pub armed: bool,
+    pub is_armed: bool,
 }
 
 /// Sends a small force, different in every exchange, together with `contact` for `milliseconds`. Meanwhile the board
@@ -70,7 +70,7 @@ pub fn run(
         periods: ((ended - began) * u64::from(rate_hz) / 1_000_000_000) as u32,
         overruns: details.overruns,
         losses,
-        armed: status.state == State::Armed && status.fault.is_none(),
+        is_armed: status.state == State::Armed && status.fault.is_none(),
     }
 }
 

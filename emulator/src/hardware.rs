@@ -26,8 +26,8 @@ use crate::chip::trigger::{REFERENCE_UV, Span};
 use crate::drv8301::Drv8301;
 use crate::plant::{Dummy, Peaks, Plant};
 
-/// Instructions per second of virtual time, from 168 MHz and two cycles per instruction. A cycle estimate of a control
-/// step on a Cortex-M4F with hidden flash wait states gives 1.9 to 2.3 cycles.
+/// Instructions per second of virtual time, from 168 MHz and two cycles per instruction. The cycle estimate of a
+/// control step with hidden wait states gives 1.9 to 2.3 cycles per instruction.
 pub const INSTRUCTIONS_PER_SECOND: NonZeroU64 = NonZeroU64::new(84_000_000).expect("not zero");
 
 /// Time between two steps of the plant without a carrier, which is half a period of the slowest carrier, ns.
@@ -71,7 +71,7 @@ pub struct Hardware {
     /// Number of edges of each encoder that its timer will miss.
     pub edges_lost: [u32; 3],
     /// True if the wire from the bus divider to the chip's pin is cut. Takes effect at the next start.
-    pub bus_cut: bool,
+    pub is_bus_cut: bool,
     /// Other injected errors.
     pub faults: BoardFaults,
     /// Largest values since the last reset of this field.
@@ -108,7 +108,7 @@ impl Hardware {
             fault_line_shorted: false,
             encoders_unplugged: [false; 3],
             edges_lost: [0; 3],
-            bus_cut: false,
+            is_bus_cut: false,
             faults: BoardFaults::default(),
             peaks: Peaks::default(),
             encoders: [EncoderDrive::default(); 3],
@@ -171,7 +171,7 @@ impl Hardware {
                 self.set_encoder_phase(at, axis, wires);
             }
             let bus_level = Level::from(self.plant.bus_voltage() / wiring.bus.1 > wiring.zero_current_volts());
-            self.drive_pin(wiring.bus_pin(), (!self.bus_cut).then_some(bus_level), at);
+            self.drive_pin(wiring.bus_pin(), (!self.is_bus_cut).then_some(bus_level), at);
             wiring.pins_held_high.iter().for_each(|&pin| self.set_pin(pin, Level::High, at));
         }
         if at.0 >= self.next_step {

@@ -468,7 +468,7 @@ pub fn injection(fault: Fault) -> Injection {
         Fault::WrongBoard => chip(
             "the wire from the bus divider to the chip's pin cut, then a reset",
             disarmed_rig,
-            |rig| change_and_reset(rig, |stopped| stopped.hardware().bus_cut = true),
+            |rig| change_and_reset(rig, |stopped| stopped.hardware().is_bus_cut = true),
             500,
         ),
         Fault::RamDamaged => chip(

@@ -32,7 +32,7 @@ pub struct Load {
     /// Number of telemetry rows that were due.
     pub due_rows: u64,
     /// True if the walls were still rendered at the end.
-    pub armed: bool,
+    pub is_armed: bool,
     /// The latched fault.
     pub fault: Option<FaultRecord>,
     /// Stack that was never used since the start, bytes.
@@ -43,7 +43,7 @@ impl Load {
     /// Returns true if every period had its step.
     #[must_use]
     pub fn is_in_time(&self) -> bool {
-        self.armed && self.overruns == 0 && self.steps.abs_diff(self.periods) <= 1
+        self.is_armed && self.overruns == 0 && self.steps.abs_diff(self.periods) <= 1
     }
 }
 
@@ -106,7 +106,7 @@ pub fn run(rig: &mut Rig, (fields, divider): (Fields, u32), rate_hz: u32, millis
         overruns: details.overruns.wrapping_sub(overruns),
         losses,
         due_rows: u64::from(last.wrapping_sub(first) / divider) + 1,
-        armed: status.state == State::Armed,
+        is_armed: status.state == State::Armed,
         fault: status.fault,
         stack_free: details.stack_free,
     }
@@ -154,7 +154,7 @@ pub fn sustains_plane(case: &Case, rate_hz: u32) -> bool {
     let mut rig = case.rig(rate_hz);
     let before = rig.tool.details().expect("the board replies").overruns;
     let exchanges = exchange::run(&mut rig, (Fields::USUAL, rate_hz / 1000), rate_hz, 200, Some(plane), 1);
-    exchanges.armed && exchanges.rejected == 0 && exchanges.overruns == before
+    exchanges.is_armed && exchanges.rejected == 0 && exchanges.overruns == before
 }
 
 /// Returns true if `case` sustains a rate (Hz) while a low tip-force limit reduces the force in every step.
@@ -172,7 +172,7 @@ pub fn sustains_force_limit(case: &Case, rate_hz: u32) -> bool {
 
 /// Returns the highest rate (Hz) at which `case` passes the test `sustains`.
 #[must_use]
-pub fn highest_for(case: &Case, sustains: fn(&Case, u32) -> bool) -> Option<u32> {
+pub fn highest_sustained_rate(case: &Case, sustains: fn(&Case, u32) -> bool) -> Option<u32> {
     RATES_HZ.into_iter().find(|&rate_hz| {
         let case = *case;
         std::thread::spawn(move || sustains(&case, rate_hz)).join().unwrap_or(false)

@@ -197,7 +197,7 @@ impl Core {
         let packets = (self.get(endpoint(OUT_ENDPOINTS, number, TSIZ)) >> 19) & 0x3FF;
         // A queued packet needs its words and a status word (RM0090 section 34.13).
         let full = self.receive_fifo.len() + self.received.len() + 18 > (self.get(GRXFSIZ) & 0xFFFF) as usize;
-        // The driver arms an endpoint again by clearing NAK only, endpoint 0 even without a packet count.
+        // The driver arms endpoint 0 again by clearing NAK, without a packet count.
         let armed = if number == 0 { control & NAKSTS == 0 } else { packets > 0 };
         if control & STALL != 0 {
             Handshake::Stall

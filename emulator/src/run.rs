@@ -178,7 +178,7 @@ impl VirtualBoard {
         let rtt = Rtt::new(firmware.find("_SEGGER_RTT").map(|symbol| symbol.address));
         let (commands, requests) = channel();
         let (replies_out, replies) = channel();
-        let runner = Runner { requests, replies_out, until: 0, waiting: false, tracer: None, rtt };
+        let runner = Runner { requests, replies_out, stop_time: 0, is_waiting: false, tracer: None, rtt };
         let thread = std::thread::spawn(move || {
             emulator::run(session, &Start::new(&[image]), runner).map(|_| ()).map_err(|error| error.to_string())
         });
@@ -269,8 +269,8 @@ impl Drop for VirtualBoard {
 struct Runner {
     requests: Receiver<Command>,
     replies_out: Sender<Reply>,
-    until: u64,
-    waiting: bool,
+    stop_time: u64,
+    is_waiting: bool,
     tracer: Option<Tracer>,
     rtt: Rtt,
 }
@@ -278,7 +278,7 @@ struct Runner {
 impl Runner {
     /// Serves commands at a requested stop until a command continues the run. Returns `None` if the owner is gone.
     fn serve(&mut self, session: &mut Session<Hardware>, memory: &mut dyn emulator::Host, stop: Stop) -> Option<()> {
-        if std::mem::take(&mut self.waiting) {
+        if std::mem::take(&mut self.is_waiting) {
             let (at, instructions) = (stop.at.0, stop.instruction_count);
             self.replies_out.send(Reply::Stopped { at, instructions }).ok()?;
         }
@@ -291,12 +291,12 @@ impl Runner {
                     self.replies_out.send(Reply::Done).ok()?;
                 }
                 Command::RunUntil(until) => {
-                    self.until = until;
-                    self.waiting = true;
+                    self.stop_time = until;
+                    self.is_waiting = true;
                     if until > stop.at.0 {
                         return Some(());
                     }
-                    self.waiting = false;
+                    self.is_waiting = false;
                     let (at, instructions) = (stop.at.0, stop.instruction_count);
                     self.replies_out.send(Reply::Stopped { at, instructions }).ok()?;
                 }
@@ -319,9 +319,9 @@ impl Driver<Hardware> for Runner {
         memory: &mut dyn emulator::Host,
     ) -> Option<VirtualNanos> {
         let next = session.board_mut().step(stop.at);
-        if stop.at.0 >= self.until {
+        if stop.at.0 >= self.stop_time {
             self.serve(session, memory, stop)?;
         }
-        Some(VirtualNanos(next.map_or(self.until, |next| next.0.min(self.until))))
+        Some(VirtualNanos(next.map_or(self.stop_time, |next| next.0.min(self.stop_time))))
     }
 }

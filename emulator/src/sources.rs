@@ -32,7 +32,7 @@ struct Source {
 /// Finds the source of instructions.
 pub struct Sources<'a> {
     context: Context<Reader<'a>>,
-    known: HashMap<u32, Source>,
+    cache: HashMap<u32, Source>,
 }
 
 impl<'a> Sources<'a> {
@@ -45,11 +45,11 @@ impl<'a> Sources<'a> {
             Ok(Reader::new(data.unwrap_or(&[]), LittleEndian))
         };
         let context = Context::from_dwarf(Dwarf::load(load).ok()?).ok()?;
-        Some(Self { context, known: HashMap::new() })
+        Some(Self { context, cache: HashMap::new() })
     }
 
     fn source(&mut self, address: u32) -> &Source {
-        self.known.entry(address).or_insert_with(|| {
+        self.cache.entry(address).or_insert_with(|| {
             let mut source = Source::default();
             if let Ok(mut frames) = self.context.find_frames(u64::from(address)).skip_all_loads() {
                 while let Ok(Some(frame)) = frames.next() {

@@ -13,7 +13,8 @@ use crate::contact::{NearWall, scene};
 use crate::cycles::{Flash, estimate};
 use crate::image::CONTROL_INTERRUPT;
 use crate::load::{
-    highest_for, highest_rate, rows_without_loss, set_free_scene, sustains_force_limit, sustains_plane, sustains_scenes,
+    highest_rate, highest_sustained_rate, rows_without_loss, set_free_scene, sustains_force_limit, sustains_plane,
+    sustains_scenes,
 };
 use crate::rig::{Rig, device_file, firmware};
 use crate::run::MILLISECOND;
@@ -269,8 +270,9 @@ pub fn rate_table() -> String {
     for (case, rate, rows) in [(&CASES[0], "50000", "20000"), (&CASES[2], "35000", ""), (&CASES[4], "35000", "")] {
         let cell = |found: Option<u32>| found.map_or("none".to_owned(), |found| found.to_string());
         let (highest, lossless) = (cell(highest_rate(case)), cell(rows_without_loss(case)));
-        let (scenes, plane) = (cell(highest_for(case, sustains_scenes)), cell(highest_for(case, sustains_plane)));
-        let cuts = cell(highest_for(case, sustains_force_limit));
+        let (scenes, plane) =
+            (cell(highest_sustained_rate(case, sustains_scenes)), cell(highest_sustained_rate(case, sustains_plane)));
+        let cuts = cell(highest_sustained_rate(case, sustains_force_limit));
         text += &csv_line([&case.name(), &highest, rate, &scenes, &plane, &cuts, &lossless, rows]);
     }
     text

@@ -167,7 +167,7 @@ enum Transaction {
 /// The host computer.
 #[derive(Debug)]
 pub struct Host {
-    plugged: bool,
+    is_plugged: bool,
     open_requested: bool,
     reads_port: bool,
     suspend_requested: bool,
@@ -192,7 +192,7 @@ pub struct Host {
 impl Default for Host {
     fn default() -> Self {
         Self {
-            plugged: true,
+            is_plugged: true,
             open_requested: true,
             reads_port: true,
             suspend_requested: false,
@@ -218,7 +218,7 @@ impl Default for Host {
 impl Host {
     /// Plugs or unplugs the cable.
     pub fn plug(&mut self, plugged: bool) {
-        self.plugged = plugged;
+        self.is_plugged = plugged;
     }
 
     /// Opens or closes the serial port, like a program on a PC.
@@ -345,7 +345,7 @@ impl Host {
     }
 
     fn follow_cable(&mut self, core: &mut Core, now: VirtualNanos) {
-        let is_present = self.plugged && core.is_connected();
+        let is_present = self.is_plugged && core.is_connected();
         match self.bus {
             Bus::Detached if is_present => {
                 self.log.push((now, Event::Connected));

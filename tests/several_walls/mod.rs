@@ -104,11 +104,11 @@ fn largest_norm(modes: &[Complex<f64>]) -> f64 {
 }
 
 /// A function from the tip position (m) to a scene and a push of the host.
-type SceneAt<'a> = &'a dyn Fn([f64; 3]) -> (Scene<f64>, Option<Push<f64>>);
+type SceneBuilder<'a> = &'a dyn Fn([f64; 3]) -> (Scene<f64>, Option<Push<f64>>);
 
 /// Computes the torques of the board's first step in the scene for the tip position.
-fn first_step(file: &Linkage, q: &[f64], scene: SceneAt<'_>) -> Vec<f64> {
-    fn run<M: Mechanism<f64, N>, const N: usize>(m: M, file: &Linkage, q: &[f64], scene: SceneAt<'_>) -> Vec<f64> {
+fn first_step(file: &Linkage, q: &[f64], scene: SceneBuilder<'_>) -> Vec<f64> {
+    fn run<M: Mechanism<f64, N>, const N: usize>(m: M, file: &Linkage, q: &[f64], scene: SceneBuilder<'_>) -> Vec<f64> {
         let counts = fine_counts(&SVector::<f64, N>::from_column_slice(q));
         let q = SVector::from_fn(|i, _| f64::from(counts[i]) * std::f64::consts::TAU / FINE_COUNTS);
         let tip = m.tip(&m.pose::<Libm>(&q));

@@ -89,7 +89,8 @@ fn resize_device(device: &Description, length: f64, mass: f64) -> Description {
     let lengths = device.kind.spec().joints.max(2) + 2;
     let longest = device.geometry[..lengths.min(5)].iter().fold(0.0_f64, |most, l| most.max(*l));
     let heaviest = device.links.iter().fold(device.handle_mass, |most, link| most.max(link.mass));
-    // The mass of a paddle is lumped into its joint, so it is the inertia over the square of the length.
+    // The mass of a paddle is lumped into its joint, so the equivalent mass is the inertia over the square of the
+    // length.
     let heaviest = if heaviest > 0.0 { heaviest } else { device.joints[0].inertia / (longest * longest) };
     scale_device(device, length / longest, mass / heaviest)
 }

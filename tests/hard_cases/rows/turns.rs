@@ -1,5 +1,5 @@
 //! Encoders with fractional counts per turn, over thousands of turns. The tip position of the f32 step is compared with
-//! the tip at the angles n 2π/C, which only the sine function reduces to one turn.
+//! the tip at the angles n 2π/C, which are not reduced to one turn.
 
 use super::shipped_device;
 use super::singular::{Random, cast};
