@@ -164,7 +164,7 @@ fn a_contact_renewed_twice_between_two_steps_returns_smoothly() {
     rig.control_loop.force(&ForceRequest { sequence: 3, ..renewed });
     rig.step();
     let now = force_x(&mut rig);
-    assert!(now >= before && now - before <= 0.4, "from {before} to {now} N");
+    assert!(now >= before && now - before <= 0.4, "the force jumps from {before} to {now} N");
 }
 
 #[test]
@@ -199,7 +199,7 @@ fn a_late_renewal_causes_no_jump_of_a_contact_force() {
     assert_eq!(rig.control_loop.force(&ForceRequest { sequence: 2, seen, ..request }).done, ForceDone::Taken);
     rig.step();
     let now = force_x(&mut rig);
-    assert!((now - before).abs() < 0.3, "from {before} to {now} N in 50 us");
+    assert!((now - before).abs() < 0.3, "the force jumps from {before} to {now} N in 50 us");
 }
 
 #[test]
@@ -214,7 +214,7 @@ fn a_contact_between_two_planes_pushes_no_more_than_either() {
     for step in 0..600 {
         rig.step();
         let now = force_x(&mut rig);
-        assert!(now <= 1.05, "{now} N at step {step}");
+        assert!(now <= 1.05, "a force of {now} N at step {step}");
     }
 }
 
@@ -236,7 +236,7 @@ fn the_age_of_a_force_is_right_after_a_change_of_rate() {
         ..ForceRequest::default()
     };
     let answer = rig.control_loop.force(&request);
-    assert_eq!(answer.done, ForceDone::TooOld, "one second old, but its age is {:?} s", answer.age);
+    assert_eq!(answer.done, ForceDone::TooOld, "the force is one second old, but its age is {:?} s", answer.age);
 }
 
 #[test]

@@ -170,7 +170,7 @@ fn torque_rises_from_zero_after_arming() {
         rig.step();
         let torque = rig.torques()[0];
         let expected = full_torque * step as f32 / (ARM_SECONDS * RATE_HZ);
-        assert!((torque - expected).abs() < 1.0e-3 * full_torque, "step {step}: {torque} for {expected}");
+        assert!((torque - expected).abs() < 1.0e-3 * full_torque, "step {step}: torque {torque}, not {expected}");
         assert!(torque >= last);
         last = torque;
     }
@@ -187,10 +187,10 @@ fn a_new_scene_while_armed_fades_in_and_keeps_homing() {
     rig.load(&paddle(), &spring_at(-0.02), true).unwrap();
     rig.step();
     let after = rig.torques()[0];
-    assert!((after - before).abs() < 0.01 * before.abs(), "{before} to {after}");
+    assert!((after - before).abs() < 0.01 * before.abs(), "the torque jumps from {before} to {after} N m");
     rig.run(0.6);
     let settled = rig.torques()[0];
-    assert!((settled + before).abs() < 1.0e-4, "{settled}");
+    assert!((settled + before).abs() < 1.0e-4, "the settled torque is {settled} N m");
     let status = rig.control_loop.status();
     assert_eq!((status.state, status.homed, status.polarity), (State::Armed, true, true));
 }
@@ -234,7 +234,7 @@ fn limits_are_raised_only_while_off_and_lowered_at_any_time() {
         let mut rig = Rig::armed_paddle();
         assert_eq!(rig.execute(changed(1.01)), Err(Refusal::Armed), "{name}");
         assert_eq!(rig.execute(changed(0.99)), Ok(()), "{name}");
-        assert_eq!(rig.execute(changed(1.0)), Err(Refusal::Armed), "{name}: raised again");
+        assert_eq!(rig.execute(changed(1.0)), Err(Refusal::Armed), "{name}: the limit was raised again");
         rig.execute(Command::Disarm).unwrap();
         assert_eq!(rig.execute(changed(1.0)), Ok(()), "{name}");
     }
@@ -293,7 +293,7 @@ fn limits_can_be_lowered_below_the_continuous_current() {
     let mut lower = rules();
     lower.limits.current[0] = 0.5 * lower.limits.continuous_current[0];
     rig.execute(Command::Rules(lower)).unwrap();
-    assert_eq!(rig.execute(Command::Rules(lower)), Ok(()), "the same rules again");
+    assert_eq!(rig.execute(Command::Rules(lower)), Ok(()), "the same rules are refused");
     lower.limits.power *= 0.5;
     assert_eq!(rig.execute(Command::Rules(lower)), Ok(()));
     lower.limits.continuous_current[0] *= 1.01;
@@ -354,7 +354,7 @@ fn gains_changed_in_contact_cause_no_other_change_of_torque() {
         rig.step();
         let expected = stiffness * 0.005 * 0.1;
         let torque = rig.torques()[0];
-        assert!((torque - expected).abs() < 2.0e-3 * expected.max(0.01), "{stiffness}: {torque} for {expected}");
+        assert!((torque - expected).abs() < 2.0e-3 * expected.max(0.01), "{stiffness}: {torque}, not {expected} N m");
     }
     // Damping makes no force at rest.
     let before = rig.torques()[0];
@@ -404,8 +404,8 @@ fn the_polarity_check_moves_each_joint_and_ends_disarmed() {
     while rig.state() == State::CheckingPolarity {
         body.step(&mut rig, 1.0);
         let torque = rig.torques();
-        assert!(torque[0] == 0.0 || torque[1] == 0.0, "one joint at a time: {torque:?}");
-        assert!(torque[0].max(torque[1]) <= 0.5 * 0.3, "a small torque: {torque:?}");
+        assert!(torque[0] == 0.0 || torque[1] == 0.0, "two joints have a torque: {torque:?}");
+        assert!(torque[0].max(torque[1]) <= 0.5 * 0.3, "the torque is too large: {torque:?}");
         pushed[usize::from(torque[1] != 0.0)] = true;
     }
     assert_eq!((rig.state(), rig.fault(), pushed), (State::Disarmed, None, [true; 2]));

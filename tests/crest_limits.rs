@@ -83,7 +83,7 @@ fn no_scene_filter_delays_or_disables_the_speed_limit() {
         rig.turn(0, 0.5, 30.0);
         assert_eq!(rig.fault(), Some(Fault::SpeedLimit), "{kind:?} {cutoff} Hz");
         let travel = rig.control_loop.status().q[0];
-        assert!(travel < 0.1, "{kind:?} {cutoff} Hz: {travel} rad");
+        assert!(travel < 0.1, "{kind:?} {cutoff} Hz: a travel of {travel} rad");
     }
 }
 
@@ -106,7 +106,7 @@ fn a_coarse_encoder_moves_a_few_counts_before_a_speed_limit() {
     assert_eq!(run(15.0), (None, None));
     let (travel, fault) = run(40.0);
     assert_eq!(fault, Some(Fault::SpeedLimit));
-    assert!(travel.is_some_and(|counts| counts <= 6), "{travel:?} counts");
+    assert!(travel.is_some_and(|counts| counts <= 6), "a travel of {travel:?} counts");
 }
 
 #[test]
@@ -184,9 +184,9 @@ fn a_coarse_count_neither_trips_nor_exceeds_the_force_limit() {
         largest_force = largest_force.max(mechanism.leverage::<Libm>(&edge).force_squared(&torque).sqrt());
         rig.samples.counts = now;
         rig.run(0.02);
-        assert_eq!(rig.fault(), None, "after {moved} counts");
+        assert_eq!(rig.fault(), None, "a fault after {moved} counts");
     }
-    assert!(largest_force > 4.8 && largest_force < 5.05, "{largest_force} N");
+    assert!(largest_force > 4.8 && largest_force < 5.05, "the largest force is {largest_force} N");
 }
 
 #[test]

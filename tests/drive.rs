@@ -152,11 +152,11 @@ fn late_duties_agree_with_the_model_of_a_motor_like_its_file() {
                 assert!(strain.abs() < 0.01, "{name}, {inductance} H, {target} A: strain {strain} V");
                 assert!(
                     (winding.current - target).abs() < 0.001,
-                    "{name}, {inductance} H: {} A of {target} A",
+                    "{name}, {inductance} H: a current of {} A, not {target} A",
                     winding.current
                 );
                 let allowed = if name == "always" { 0.01 } else { 0.51 };
-                assert!(overshoot < allowed, "{name}, {inductance} H, {target} A: overshoots by {overshoot}");
+                assert!(overshoot < allowed, "{name}, {inductance} H, {target} A: an overshoot of {overshoot}");
             }
         }
     }
@@ -178,9 +178,9 @@ fn no_pattern_of_late_duties_causes_an_over_current() {
                     axis.command(if nth.is_multiple_of(2) { 0.2 } else { -0.2 });
                     winding.run_late(&mut axis, every, |period| late(nth * every + period), |_, _| {});
                     let case = format!("{name}, {resistance} ohm, {inductance} H, every {every}, reversal {nth}");
-                    assert!(winding.current.abs() < 1.5 * limit + 1.0, "{case}: {} A", winding.current);
+                    assert!(winding.current.abs() < 1.5 * limit + 1.0, "{case}: a current of {} A", winding.current);
                     let (strain, _, tolerance) = axis.strain();
-                    assert!(strain.abs() < tolerance, "{case}: {strain} V of {tolerance} V");
+                    assert!(strain.abs() < tolerance, "{case}: a strain of {strain} V, tolerance {tolerance} V");
                 }
             }
         }
@@ -211,7 +211,7 @@ fn a_step_beyond_the_bus_voltage_takes_longer_and_settles() {
             ..expected
         };
         let (peak, arrived) = step(actual);
-        assert!(peak < 1.4 && arrived <= 5, "R x {resistance}, L x {inductance}: {peak}, {arrived} periods");
+        assert!(peak < 1.4 && arrived <= 5, "R x {resistance}, L x {inductance}: peak {peak}, {arrived} periods");
     }
 }
 
@@ -244,8 +244,8 @@ fn a_winding_of_unknown_inductance_overshoots_as_documented() {
         let expected = overshoot(f64::from(inductance / file.resistance), bandwidth);
         // The loop is up to 3/4 of a carrier period late: 314 rad/s · 37.5 µs are 1.2 % of the integral's share (up to
         // 0.31).
-        assert!((found - expected).abs() < 0.004, "{inductance} H: {found}, not {expected}");
-        assert!((found - documented).abs() < 0.005, "{inductance} H: {found}, documented {documented}");
+        assert!((found - expected).abs() < 0.004, "{inductance} H: overshoot {found}, not {expected}");
+        assert!((found - documented).abs() < 0.005, "{inductance} H: overshoot {found}, documented {documented}");
     }
 }
 
@@ -262,8 +262,8 @@ fn a_winding_of_unknown_inductance_does_not_ring() {
             least = if over { least.min(current) } else { least };
         });
         // At x = 0.31 the solution in `overshoot` swings back by exp(-π/2 / √(x - 1/4)) = 0.2 % of the change.
-        assert!(least > 0.99 * 2.0, "{inductance} H: falls back to {least} A");
-        assert!((winding.current - 2.0).abs() < 0.01, "{inductance} H: {} A", winding.current);
+        assert!(least > 0.99 * 2.0, "{inductance} H: the current falls back to {least} A");
+        assert!((winding.current - 2.0).abs() < 0.01, "{inductance} H: a current of {} A", winding.current);
     }
 }
 

@@ -46,7 +46,7 @@ fn rig_with_pull(rules: Rules, pull: [f32; 2]) -> Rig {
 fn the_limit_holds_for_a_fade_while_the_elbow_stretches() {
     for pull in [[1.9, 0.0], [-1.3, 1.3], [1.3, 1.3]] {
         let mut rig = rig_with_pull(force_limited_rules(2.0), pull);
-        assert!((rig.tip_force().norm() - 1.9).abs() < 0.1, "{} N", rig.tip_force().norm());
+        assert!((rig.tip_force().norm() - 1.9).abs() < 0.1, "a tip force of {} N", rig.tip_force().norm());
         rig.load(&five_bar(), &scene(2, &[]), true).expect("free space");
         let before = torques(&rig);
         let mut alone = 0.0_f64;
@@ -65,7 +65,7 @@ fn the_limit_holds_for_a_fade_while_the_elbow_stretches() {
             alone = alone.max(old.norm());
             assert!(
                 rig.tip_force().norm() <= 2.0 + 5.0 * ROUNDING_N,
-                "{} N, {:?}",
+                "a tip force of {} N, {:?}",
                 rig.tip_force().norm(),
                 rig.control_loop.frame()
             );
@@ -86,7 +86,7 @@ fn a_lowered_torque_limit_scales_a_fading_force() {
         rig.execute(Command::Rules(lower)).expect("limits are lowered while armed");
         rig.step();
         let remaining_force = rig.tip_force();
-        assert!(remaining_force.norm() < 0.11 * before.norm(), "{remaining_force} of {before}");
+        assert!(remaining_force.norm() < 0.11 * before.norm(), "a force of {remaining_force} N is left of {before} N");
         let aside = (remaining_force.x * before.y - remaining_force.y * before.x).abs() / before.norm();
         assert!(aside < 0.01 * before.norm(), "the direction changed: {remaining_force} of {before}");
         let mut raised = rig_with_pull(force_limited_rules(5.0), [4.0, 2.0]);
@@ -179,7 +179,7 @@ fn no_force_outlives_its_lease_or_reverses_after_a_new_scene() {
         for _ in 0..80 {
             rig.step();
             let now = torques(&rig)[0];
-            assert!(now >= -1.0e-6 && now <= before.max(0.2), "{first} and {second} N m: {before} to {now}");
+            assert!(now >= -1.0e-6 && now <= before.max(0.2), "{first} and {second} N m: torque {before} to {now}");
         }
         assert!(torques(&rig)[0].abs() < 1.0e-6, "{first} and {second} N m: {:?} after both leases", torques(&rig));
     }
@@ -235,7 +235,7 @@ fn compensated_weight_does_not_count_against_the_limit() {
             let held = weight(&frame.at.q) * share;
             let rest = Vector2::new(frame.motors.torque[0], frame.motors.torque[1]).map(f64::from) - held;
             let force = force_at_tip(&frame.at.q, rest).norm();
-            assert!(force <= 2.0 + 0.02, "{force} N at step {step}, {before} to {after}: {frame:?}");
+            assert!(force <= 2.0 + 0.02, "force {force} N at step {step}, {before} to {after}: {frame:?}");
         }
     }
 }

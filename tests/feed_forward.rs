@@ -118,12 +118,12 @@ fn check_one_wall<M: Mechanism<f64, N>, const N: usize>(m: M, device: &Descripti
         let (p, v) = (task_part(&o.position, task), task_part(&o.velocity, task));
         let n = surface.contact::<Libm, N>(&p).normal;
         let n_rate = surface.normal_rate::<Libm, N>(&p, &v);
-        assert!(o.force.abs() > 0.1 && v.norm() > 0.1, "{} N at {} m/s", o.force, v.norm());
+        assert!(o.force.abs() > 0.1 && v.norm() > 0.1, "no contact in motion: {} N at {} m/s", o.force, v.norm());
         assert!(shape == 0 || n_rate.norm() > 0.5, "the normal turns: {n_rate}");
         for t in perpendicular_units(&n) {
             // π̇a = t·p̈ + ṫ·ṗ, where t turns with n without spinning about n.
             let admissible = t.dot(&o.acceleration) - t.dot(&n_rate) * n.dot(&v);
-            assert!(admissible.abs() < 2e-3, "{} shape {shape}: {admissible} m/s²", M::SPEC.name);
+            assert!(admissible.abs() < 2e-3, "{} shape {shape}: {admissible} m/s² along the wall", M::SPEC.name);
         }
         assert!(n.dot(&o.acceleration).abs() > 0.5, "the wall accelerates the tip");
     }
@@ -248,9 +248,9 @@ fn with_the_washout_a_resting_hand_gets_no_sideways_force() {
         let (early, rested) = (force(FeedForward::Washout, 0.01), force(FeedForward::Washout, 3.0));
         worst_full = worst_full.max(full);
         // The washout acts like the full feed-forward at contact, almost the same after 10 ms, and finally not at all.
-        assert!((fresh - full).abs() <= 0.02 * full + 1e-4, "{fresh} at contact, {full} in full");
-        assert!(early <= full + 1e-4 && early >= 0.8 * full - 1e-4, "{early} after 10 ms, {full} in full");
-        assert!(rested < 1e-4, "{rested} N per N at rest");
+        assert!((fresh - full).abs() <= 0.02 * full + 1e-4, "sideways force {fresh} at contact, {full} in full");
+        assert!(early <= full + 1e-4 && early >= 0.8 * full - 1e-4, "sideways {early} after 10 ms, {full} in full");
+        assert!(rested < 1e-4, "a sideways force of {rested} N per N at rest");
         assert!(force(FeedForward::Off, 0.0) < 1e-4);
     }
     assert!(worst_full > 0.2, "the full feed-forward must push sideways at rest: {worst_full}");

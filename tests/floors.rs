@@ -174,7 +174,7 @@ fn modules_in_circles(sources: &[Source], name: impl Fn(&Source) -> String) -> B
 fn floors_import_lower_floors_only() {
     let library = modules("src");
     for floor in LEVELS.iter().copied().flatten() {
-        assert!(library.iter().any(|source| source.floor() == *floor), "no floor {floor}");
+        assert!(library.iter().any(|source| source.floor() == *floor), "no module is on the floor {floor}");
     }
     let uses: usize = library.iter().map(|source| source.uses.len()).sum();
     assert!(uses > 500, "only {uses} uses found");
@@ -206,7 +206,7 @@ fn no_module_is_in_a_circle() {
 #[test]
 fn the_library_names_no_board_and_no_chip() {
     let sources = sources("src");
-    assert!(sources.len() > 60, "only {} sources", sources.len());
+    assert!(sources.len() > 60, "only {} sources found", sources.len());
     for (file, code) in sources {
         let code = code.to_lowercase().replace('_', "-");
         let words: Vec<&str> = BOARD_WORDS.into_iter().filter(|word| code.contains(word)).collect();
@@ -230,6 +230,6 @@ fn no_crate_below_the_tool_names_an_option_of_the_tool() {
             }
         }
     }
-    assert!(read > 100, "only {read} sources");
+    assert!(read > 100, "only {read} sources found");
     assert_eq!(violations, Vec::<String>::new(), "let main.rs name the option that makes a `Choice`");
 }

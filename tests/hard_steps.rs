@@ -76,8 +76,8 @@ fn a_pose_many_turns_away_is_the_same_pose() {
             assert_eq!((a.torque, a.tip, a.qd), (b.torque, b.tip, b.qd));
             // Negative angles round differently.
             let b = behind.step(&c.map(|c| c - turns * COUNTS_PER_TURN));
-            assert!((a.tip - b.tip).amax() < 1e-7, "{turns} turns");
-            assert!((a.torque - b.torque).amax() < 1e-3, "{turns} turns: {} against {}", a.torque, b.torque);
+            assert!((a.tip - b.tip).amax() < 1e-7, "the tip differs after {turns} turns");
+            assert!((a.torque - b.torque).amax() < 1e-3, "after {turns} turns: torque {} and {}", a.torque, b.torque);
         }
     }
 }
@@ -104,7 +104,7 @@ fn ten_hours_at_1_khz_do_not_change_a_step() {
         }
     }
     assert!(largest > 0.01, "the tip must touch the wall: {largest}");
-    assert!(worst <= 1e-6 * largest, "{worst} of {largest}");
+    assert!(worst <= 1e-6 * largest, "torques differ by {worst} of {largest} N m");
 }
 
 /// Moves a device along a path of joint angles with a constant force of about 1 N on its tip. Returns the result of
@@ -132,15 +132,15 @@ fn assert_fades<const N: usize>(name: &str, steps: &[(Step<f32, N>, f32)]) {
     let largest = steps.iter().fold(0.0_f32, |most, (step, _)| most.max(step.torque.amax()));
     for (step, sine) in steps {
         assert!(step.torque.iter().all(|t| t.is_finite()), "{name}: {step:?}");
-        assert!(*sine < FULL_REGULARITY as f32 || step.shaping == 1.0, "{name} at {sine}: {}", step.shaping);
-        assert!(*sine > NO_REGULARITY as f32 || step.shaping == 0.0, "{name} at {sine}: {}", step.shaping);
+        assert!(*sine < FULL_REGULARITY as f32 || step.shaping == 1.0, "{name} at {sine}: share {}", step.shaping);
+        assert!(*sine > NO_REGULARITY as f32 || step.shaping == 0.0, "{name} at {sine}: share {}", step.shaping);
     }
     assert_eq!(steps[0].0.shaping, 1.0, "{name}");
     assert_eq!(steps[steps.len() - 1].0.shaping, 0.0, "{name}");
     for pair in steps.windows(2).skip(200) {
         let ((before, _), (after, sine)) = (&pair[0], &pair[1]);
         let jump = (after.torque - before.torque).amax();
-        assert!(jump < 0.02 * largest, "{name} at a sine of {sine}: {jump} of {largest}");
+        assert!(jump < 0.02 * largest, "{name} at a sine of {sine}: the torque jumps by {jump} of {largest}");
         assert!((after.shaping - before.shaping).abs() < 0.01, "{name}");
     }
 }
@@ -285,7 +285,7 @@ fn a_device_with_an_invalid_number_is_refused_or_harmless() {
             for k in 0..200 {
                 rig.samples.counts = Counts([40 * (k % 50), -30 * (k % 50), 0]);
                 rig.step();
-                assert!(rig.duties.iter().all(|duty| duty.abs() <= MAX_DUTY), "byte {place}: {:?}", rig.duties);
+                assert!(rig.duties.iter().all(|duty| duty.abs() <= MAX_DUTY), "byte {place}: duties {:?}", rig.duties);
             }
         }
     }

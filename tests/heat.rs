@@ -95,7 +95,7 @@ fn a_smaller_continuous_current_does_not_prolong_a_peak() {
     for heat in [&mut heat, &mut next] {
         heat.limit(3.0, 0.01);
         let more = time_to_trip(heat, 3.0, 20.0).unwrap();
-        assert!((more - 2.0).abs() < 0.01, "{more} s more");
+        assert!((more - 2.0).abs() < 0.01, "the peak may last another {more} s");
     }
     // Many small reductions must not prolong the peak either.
     let (mut heat, mut current, mut seconds) = (cold_motor(3.0, 2.99), 2.99_f32, 0.0_f32);
@@ -190,7 +190,7 @@ fn invalid_words_are_unknown_heat() {
         for bits in [f32::NAN.to_bits(), u32::MAX] {
             let mut words = sound.words();
             words[place] = bits;
-            assert_eq!(Heat::from_words(words), Heat::UNKNOWN, "word {place}");
+            assert_eq!(Heat::from_words(words), Heat::UNKNOWN, "a wrong word {place} is not noticed");
         }
     }
 }
@@ -206,7 +206,7 @@ fn heat_is_kept_over_a_restart_completely_or_not_at_all() {
     // A restart during the next write leaves one wrong word.
     for place in 0..STORED_WORDS {
         let before = memory[place].fetch_xor(1 << (place % 32), Ordering::Relaxed);
-        assert_eq!(stored_heat(&memory), [Heat::UNKNOWN; 3], "word {place}");
+        assert_eq!(stored_heat(&memory), [Heat::UNKNOWN; 3], "a wrong word {place} is not noticed");
         memory[place].store(before, Ordering::Relaxed);
     }
 }
@@ -250,7 +250,7 @@ proptest! {
                         let is_tripped = heat.warm(current * current * dt, dt);
                         least = (least + (f64::from(current).powi(2) - largest * largest) * f64::from(dt)).max(0.0);
                         let held = f64::from(heat.held());
-                        prop_assert!(held >= least - 0.02 - 1.0e-3 * least, "{held} A² s, at least {least}");
+                        prop_assert!(held >= least - 0.02 - 1.0e-3 * least, "a heat of {held} A² s, expected at least {least}");
                         if is_tripped {
                             break;
                         }
@@ -300,7 +300,7 @@ fn a_motor_does_not_cool_faster_after_a_restart() {
         let before = rig.control_loop.heat()[0].held();
         rig.run(4.0);
         let held = rig.control_loop.heat()[0].held();
-        assert!((before - held - 4.0).abs() < 0.1, "1 A² s per second: {before} to {held}");
+        assert!((before - held - 4.0).abs() < 0.1, "1 A² s per second: the heat falls from {before} to {held} A² s");
     }
 }
 
@@ -338,7 +338,7 @@ fn a_tighter_continuous_current_while_armed_prolongs_no_peak() {
         (rig.control_loop.steps() - began) as f32 / rig::RATE_HZ
     };
     let (plain, tightened) = (lasts(false), lasts(true));
-    assert!(tightened <= plain, "{plain} s, tightened {tightened} s");
+    assert!(tightened <= plain, "a peak of {plain} s, tightened {tightened} s");
 }
 
 #[test]
@@ -405,5 +405,5 @@ fn a_reset_keeps_the_heat_and_unknown_heat_is_half_the_budget() {
     let after = pressing_time(hot);
     assert!(after < 0.3, "{after} s");
     let warm = pressing_time(Heat::UNKNOWN);
-    assert!((0.45 * cold..0.65 * cold).contains(&warm), "{warm} s of {cold} s");
+    assert!((0.45 * cold..0.65 * cold).contains(&warm), "{warm} s, cold {cold} s");
 }

@@ -193,7 +193,7 @@ fn motors_are_off_half_a_second_after_a_release_on_any_link() {
         let case = format!("{at_first} s, {later} s");
         assert_eq!(armed.is_some(), 2.0 * at_first < KEY_SECONDS, "{case}");
         if let Some(off) = off {
-            assert!(off <= released + steps(KEY_SECONDS) + 1, "{case}: {} steps late", off - released);
+            assert!(off <= released + steps(KEY_SECONDS) + 1, "{case}: motors off {} steps late", off - released);
             assert_eq!(off > released, 2.0 * later < KEY_SECONDS, "{case}: a fast link must keep the motors on");
         }
         assert_eq!((armed.is_some(), rig.motors_are_off()), (off.is_some(), true), "{case}");

@@ -63,7 +63,7 @@ fn check_equal<const R: usize, const C: usize>(
     floor: f64,
 ) -> TestResult {
     let error = (a - b).amax() / b.amax().max(floor);
-    prop_assert!(error <= tolerance, "{name}: {a} against {b}, error {error:e}");
+    prop_assert!(error <= tolerance, "{name}: {a} differs from {b} by {error:e}");
     Ok(())
 }
 
@@ -163,7 +163,7 @@ fn free_motion_keeps_its_energy<M: Mechanism<f64, N>, const N: usize>(case: &Cas
         qd += (k1 + k2 * 2.0 + k3 * 2.0 + k4) * (h / 6.0);
     }
     let drift = (energy(&q, &qd) / before - 1.0).abs();
-    prop_assert!(drift < 1e-7, "energy changed by {drift:e}");
+    prop_assert!(drift < 1e-7, "the energy changes by {drift:e}");
     Ok(())
 }
 

@@ -46,7 +46,7 @@ fn the_posture_spring_is_a_moment_on_the_last_link() {
         let (q, qd) = (Vector3::from(q), Vector3::from(qd));
         let moment = 0.4 * (2.6_f64 - q.sum()).sin() - 0.03 * qd.sum();
         let error = settled_torque(&scene(Some(posture)), &q, &qd) - Vector3::repeat(moment);
-        assert!(error.norm() < 1e-4 * moment.abs(), "{error} of {moment}");
+        assert!(error.norm() < 1e-4 * moment.abs(), "torque error {error} at a moment of {moment} N m");
     }
 }
 
@@ -66,7 +66,7 @@ fn a_free_arm_comes_to_rest() {
             qd += inverse(&arm.mass(&pose)) * moving / RATE_HZ;
             q += qd / RATE_HZ;
         }
-        assert!(qd.norm() < 0.03, "damping {damping}: {qd:?}");
+        assert!(qd.norm() < 0.03, "the arm moves at damping {damping}: {qd:?}");
     }
 }
 
@@ -105,7 +105,7 @@ fn an_arm_that_presses_a_wall_reaches_and_keeps_its_posture() {
         let depth = (tip - arm.tip(&pose)).dot(&Vector3::from(normal));
         assert!((q.sum() - 2.2).abs() < 0.002, "{feed_forward:?}: the orientation is {}", q.sum());
         // The penetration is the hand's force over the stiffness, whatever the posture spring does.
-        assert!((depth - 0.002).abs() < 4e-5, "{feed_forward:?}: {depth} m");
+        assert!((depth - 0.002).abs() < 4e-5, "{feed_forward:?}: the penetration is {depth} m");
         assert!(qd.norm() < 1e-2, "{feed_forward:?}: the arm moves, {qd:?}");
     }
 }

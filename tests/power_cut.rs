@@ -202,7 +202,7 @@ fn check_every_cut(flash: &Sectors, old: &Values, new: &Values) -> (usize, usize
             }
             if cut == Cut::Halfway {
                 let (saved, _) = read(save(after.reboot(), new).reboot());
-                assert_eq!(saved, *new, "operation {operation}: the next save");
+                assert_eq!(saved, *new, "operation {operation}: the next save failed");
             }
         }
     }
@@ -212,7 +212,7 @@ fn check_every_cut(flash: &Sectors, old: &Values, new: &Values) -> (usize, usize
 #[test]
 fn a_cut_in_the_first_save_of_a_new_board_is_harmless() {
     let (operations, _) = check_every_cut(&Sectors::new(), &Values::new(), &values_of(1));
-    assert!(operations > 300, "{operations}");
+    assert!(operations > 300, "only {operations} operations");
 }
 
 #[test]
@@ -340,8 +340,8 @@ fn check_all_or_none(flash: &Sectors, old: &Values, new: &Values) -> (usize, usi
                 let mut buffer = [0; LONGEST_STORED];
                 let mut storage = Storage::new(&mut again, FLASH_RANGE, &mut buffer);
                 let _ = storage.read(1);
-                assert_eq!(read(again.reboot()).0, found, "operation {operation}: a second cut");
-                assert_eq!(read(save_together(after.reboot(), new).reboot()).0, *new, "the next save");
+                assert_eq!(read(again.reboot()).0, found, "operation {operation}: a second cut changed the settings");
+                assert_eq!(read(save_together(after.reboot(), new).reboot()).0, *new, "the next save failed");
             }
         }
     }
@@ -352,7 +352,7 @@ fn check_all_or_none(flash: &Sectors, old: &Values, new: &Values) -> (usize, usi
 fn settings_committed_together_are_all_old_or_all_new() {
     for (flash, old) in [(Sectors::new(), Values::new()), (flash_after_saves(3), values_of(2))] {
         let (operations, decided) = check_all_or_none(&flash, &old, &values_of(9));
-        assert!(operations > 700, "{operations}");
+        assert!(operations > 700, "only {operations} operations");
         assert!(
             decided > operations / 4 && decided < 2 * operations,
             "the new values were read after {decided} cuts of {operations} operations"

@@ -73,7 +73,7 @@ fn the_error_of_a_bilinear_table_is_of_second_order() {
     {
         // Half the spacing divides a second-order error by four. Measured are 3.38 to 3.81, because of the fourth
         // derivatives. A first-order error would give 2, a third-order error 8.
-        assert!(fine > 0.0 && (3.3..4.0).contains(&(coarse / fine)), "{coarse} against {fine}");
+        assert!(fine > 0.0 && (3.3..4.0).contains(&(coarse / fine)), "errors {coarse} (coarse) and {fine} (fine)");
     }
 }
 
@@ -82,7 +82,7 @@ fn a_bicubic_table_is_better_than_a_bilinear_table() {
     for (linear, cubic) in
         worst_errors(Interpolation::Bilinear, 8).into_iter().zip(worst_errors(Interpolation::Bicubic, 10))
     {
-        assert!(cubic < 0.2 * linear, "{cubic} against {linear}");
+        assert!(cubic < 0.2 * linear, "errors {cubic} (bicubic) and {linear} (bilinear)");
     }
 }
 
@@ -90,7 +90,7 @@ fn a_bicubic_table_is_better_than_a_bilinear_table() {
 fn a_table_that_fits_the_memory_has_an_error_below_a_thousandth() {
     // A table of 10 x 10 points fits even for a mechanism with six distinct entries.
     for error in worst_errors(Interpolation::Bicubic, 10) {
-        assert!(error < 1.0e-3, "{error}");
+        assert!(error < 1.0e-3, "an error of {error}");
     }
 }
 
@@ -105,7 +105,7 @@ fn outside_its_grid_a_table_is_the_closed_form() {
         let q = SVector::from(q);
         let pose = m.pose::<Libm>(&q);
         let (found, exact) = (table.shaping(&m, &q, &pose, &n).me, m.shaping(&pose, &n).me);
-        assert!((found - exact).amax() < 1.0e-12 * exact.amax(), "{found} against {exact}");
+        assert!((found - exact).amax() < 1.0e-12 * exact.amax(), "{found}, but the closed form is {exact}");
     }
     // NaN and infinite angles must not cause a panic.
     let pose = m.pose::<Libm>(&SVector::from([2.3, 0.8]));
@@ -201,6 +201,6 @@ fn a_table_is_accurate_in_the_boards_precision() {
         let q = SVector::from([a, b]);
         let right = exact.shaping(&exact.pose::<Libm>(&q), &SVector::from([0.6, 0.8])).me;
         let error = (found.map(f64::from) - right).amax() / right.amax();
-        assert!(error < 1.0e-4, "{error}");
+        assert!(error < 1.0e-4, "an error of {error}");
     }
 }

@@ -29,8 +29,8 @@ fn a_wall_within_the_torque_limit_is_rendered_completely() {
 #[test]
 fn a_wall_beyond_the_torque_limit_is_recorded_as_reduced() {
     let frame = pressed_paddle(0.008).control_loop.frame();
-    assert!((frame.at.walls.wall_force - 8.0).abs() < 0.02, "requested: {frame:?}");
-    assert!((frame.motors.rendered_force - 3.0).abs() < 1e-4, "0.3 N m at 0.1 m: {frame:?}");
+    assert!((frame.at.walls.wall_force - 8.0).abs() < 0.02, "the requested force is not 8 N: {frame:?}");
+    assert!((frame.motors.rendered_force - 3.0).abs() < 1e-4, "0.3 N m at 0.1 m are not 3 N: {frame:?}");
     assert_eq!(frame.saturation(0), 1, "the motor is marked");
     assert_eq!((frame.saturation(1), frame.saturation(2)), (0, 0), "no other motor is marked");
 }
@@ -94,7 +94,7 @@ fn the_rendered_force_is_the_static_force_of_the_torques() {
             // 1e-4 covers the f32 rounding of the step (2e-5 of the torque) and of the differences (1e-7).
             assert!(
                 (rendered - expected).abs() < 1e-4 * (1.0 + expected.abs()),
-                "{rendered} for {expected}: {frame:?}"
+                "rendered {rendered} N, expected {expected} N: {frame:?}"
             );
             if frame.saturation(0) + frame.saturation(1) > 0 {
                 saturated += 1;

@@ -132,7 +132,7 @@ fn only_the_rendered_force_accelerates_a_moving_tip() {
             };
             // The bound of 2e-3 N allows for the joint filters, which the tip's acceleration disturbs.
             let (error, _) = force_error(VelocityTerms::Rendered);
-            assert!(error.abs() < 2e-3, "{name}, round {round}: {error} N");
+            assert!(error.abs() < 2e-3, "{name}, round {round}: a force error of {error} N");
             if !round {
                 let (error, z_r) = force_error(VelocityTerms::Paper);
                 assert!((error + z_r).abs() < 2e-3, "{name}: (4) leaves {error} N, zr is {z_r} N");
@@ -172,7 +172,7 @@ fn the_demos_wall_has_the_documented_inertias() {
         o.force / o.rendered_acceleration
     };
     for (gain, kilograms) in [(0.0, 0.211), (1.0, 0.265), (2.0, 0.357)] {
-        assert!((inertia(gain) - kilograms).abs() < 1e-3, "gain {gain}: {} kg", inertia(gain));
+        assert!((inertia(gain) - kilograms).abs() < 1e-3, "gain {gain}: an inertia of {} kg", inertia(gain));
     }
 }
 
@@ -188,7 +188,7 @@ fn a_gain_beyond_its_limits_is_refused() {
     assert_eq!(scene(3.0, 1), Ok(()));
     assert_eq!(scene(1.0, 2), Ok(()));
     for (gain, walls) in [(3.01, 1), (-0.1, 1), (f64::NAN, 1), (1.5, 2)] {
-        assert_eq!(scene(gain, walls), Err(SceneError::FeedForwardGain), "{gain} with {walls} walls");
+        assert_eq!(scene(gain, walls), Err(SceneError::FeedForwardGain), "gain {gain} with {walls} walls");
     }
 }
 
@@ -243,6 +243,6 @@ fn a_joint_without_null_motion_is_released_smoothly() {
         };
         let (coarse, at) = steepest(-2.5, 0.01, 500);
         let (fine, _) = steepest(at, 0.0002, 50);
-        assert!(fine < 0.1 * coarse.max(0.5), "{admissible:?} near {at}: jumps by {fine} of {coarse}");
+        assert!(fine < 0.1 * coarse.max(0.5), "{admissible:?} near {at}: the share jumps by {fine} of {coarse}");
     }
 }

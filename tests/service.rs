@@ -392,7 +392,7 @@ fn a_force_with_an_invalid_number_is_refused_or_harmless() {
         }
     }
     for done in [ForceDone::Taken, ForceDone::Bad(BadForce::Lease), ForceDone::Bad(BadForce::Gains)] {
-        assert!(seen.contains(&Some(done)), "no request was {done:?}");
+        assert!(seen.contains(&Some(done)), "no request had the reply {done:?}");
     }
 }
 
@@ -538,14 +538,14 @@ fn a_device_with_a_forged_checksum_does_not_count_as_checked() {
     let mut board = Board::with_device(true, &device, &far_wall());
     polarity_check(&mut board, 1.0);
     board.ask::<SetDevice>(&inverted).unwrap().unwrap();
-    assert!(!known(&mut board), "loaded as {:?}", inverted.name);
+    assert!(!known(&mut board), "the polarity is known after loading {:?}", inverted.name);
     board.ask::<SetDevice>(&device).unwrap().unwrap();
     assert!(known(&mut board));
     let restored = commit_request(&[Key::Device]);
     for (device, expected) in [(&inverted, false), (&device, true)] {
         stage_setting(&mut board, device).unwrap();
         board.ask::<CommitEntries>(&restored).unwrap().unwrap();
-        assert_eq!(known(&mut board), expected, "restored as {:?}", device.name);
+        assert_eq!(known(&mut board), expected, "the polarity is wrong after restoring {:?}", device.name);
     }
     board.ask::<SetDevice>(&inverted).unwrap().unwrap();
     (0..200).for_each(|_| board.tick());

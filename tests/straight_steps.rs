@@ -246,7 +246,7 @@ fn compare_steps<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize>(
         }
         let other = other_forces::<T, M, K, N>(mechanism, &scene, push.as_ref(), &slow);
         let apart = difference_in_roundings::<T, M, K, N>(mechanism, &fast, &slow, other);
-        assert!(apart <= MAX_ROUNDINGS, "{}: {apart} roundings at {at:?} of {scene:?}", M::SPEC.name);
+        assert!(apart <= MAX_ROUNDINGS, "{}: {apart} roundings of difference at {at:?} of {scene:?}", M::SPEC.name);
         coverage.largest_difference = coverage.largest_difference.max(apart);
         // The straight step may sum the forces of several walls in another order too.
         let fast = Step { torque: slow.torque, rendered: slow.rendered, force_squared: slow.force_squared, ..fast };

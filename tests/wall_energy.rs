@@ -151,7 +151,7 @@ fn the_energy_gain_of_a_slide_is_as_derived_and_reported() {
         let LoopEnergies { work, reported, derived } = case.run_loops(FeedForward::Full, false, 2);
         assert!((derived / case.energy_gain - 1.0).abs() < 0.1, "{}: {derived} J derived", case.device);
         // Torques are constant during a step, so they lag by half a step.
-        assert!(work.iter().all(|work| (work / derived - 1.0).abs() < 0.005), "{}: {work:?} J done", case.device);
+        assert!(work.iter().all(|work| (work / derived - 1.0).abs() < 0.005), "{}: work {work:?} J", case.device);
         // The debt of the first loop remains in the second loop.
         assert!((reported[0] + work[0]).abs() < 1e-2 * work[0], "{}: {reported:?} reported for {work:?}", case.device);
         assert!(
@@ -167,7 +167,7 @@ fn a_slide_gains_nothing_without_feed_forward_or_with_a_washout() {
     for case in &CASES {
         for (feed_forward, share) in [(FeedForward::Off, 0.005), (FeedForward::Washout, 0.02)] {
             let LoopEnergies { work, derived, .. } = case.run_loops(feed_forward, false, 1);
-            assert!(work[0].abs() < share * derived, "{} {feed_forward:?}: {work:?} J of {derived}", case.device);
+            assert!(work[0].abs() < share * derived, "{} {feed_forward:?}: work {work:?} of {derived}", case.device);
         }
     }
 }

@@ -25,7 +25,7 @@ fn every_singularity_is_reached_up_to_cond_1e4() {
             let met = SINGULAR_ROWS
                 .iter()
                 .any(|row| row.device == name && condition_number(row) == condition && is_serial(&row));
-            assert!(met, "{name} at cond J {condition:e}");
+            assert!(met, "{name} has no row at cond J {condition:e}");
         }
     }
     for condition in [1e1, 1e2, 1e3, 1e4] {

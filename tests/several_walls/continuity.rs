@@ -271,7 +271,7 @@ fn coplanar_walls_are_one_wall_and_the_order_does_not_matter() {
         let forth = torque(&device, &q, &walls, Precision::F64);
         walls.reverse();
         let back = torque(&device, &q, &walls, Precision::F64);
-        assert!(distance(&forth, &back) < 1.0e-10, "{}: {forth:?}, reversed {back:?}", device.name);
+        assert!(distance(&forth, &back) < 1.0e-10, "{}: torques {forth:?}, in reversed order {back:?}", device.name);
         // Torques are linear in the forces.
         let doubled: Vec<_> = walls.iter().map(|(n, k, f)| (n.clone(), *k, 2.0 * f)).collect();
         let twice: Vec<f64> = back.iter().map(|t| 2.0 * t).collect();
@@ -312,7 +312,7 @@ fn the_feed_forward_of_several_walls_fades_near_a_singularity() {
             assert!((full.torque - off.torque).amax() <= 1.0e-5, "the torques differ: {} {}", full.torque, off.torque);
         }
         if let Some(last) = last {
-            assert!((full.torque - last).amax() < 0.25, "{k}: {} after {last}", full.torque);
+            assert!((full.torque - last).amax() < 0.25, "pose {k}: torque {} after {last}", full.torque);
         }
         last = Some(full.torque);
     }

@@ -191,7 +191,7 @@ fn the_feed_forward_makes_no_set_of_walls_less_stable() {
                 assert!(mode.re <= bound * (1.0 + 1.0e-9), "{} {q:?} {walls:?}: {mode} > {bound}", device.name);
             }
             let (without, with) = (stability_limit(&plain, critical), stability_limit(&shaped, critical));
-            assert!(with >= without * (1.0 - 1.0e-9), "{} {q:?} {walls:?}: {without} to {with}", device.name);
+            assert!(with >= without * (1.0 - 1.0e-9), "{} {q:?} {walls:?}: limit {without} to {with}", device.name);
             largest_ratio = largest_ratio.max(with / without);
             cases += 1;
         }
@@ -286,7 +286,7 @@ fn one_wall_with_feed_forward_does_not_destabilise_the_other() {
         let mode = ratio(&board);
         assert!(mode <= 1.0 + 1.0e-6, "feed-forward {with:?}: ratio {mode}");
         // Every further wall with the feed-forward adds mass.
-        assert!(mode <= previous * (1.0 + 1.0e-6), "{with:?}: {mode}, {previous} before");
+        assert!(mode <= previous * (1.0 + 1.0e-6), "{with:?}: ratio {mode}, {previous} with fewer feed-forwards");
         previous = mode;
     }
     assert!(previous < 0.9995, "the feed-forward has too little effect: {previous}");

@@ -86,7 +86,7 @@ fn mass_ratio(file: &Linkage, q: &[f64], set: &ForceSet) -> f64 {
     for mode in &board {
         let real = mode.im.abs() <= 1.0e-5 * without && mode.re >= -1.0e-6 * without;
         assert!(real, "{} {q:?} {set:?}: {mode} is not the inverse of a mass, {without}", file.name);
-        assert!(mode.re <= without * (1.0 + 1.0e-6), "{} {q:?} {set:?}: {mode}, {without} plain", file.name);
+        assert!(mode.re <= without * (1.0 + 1.0e-6), "{} {q:?} {set:?}: mode {mode}, {without} plain", file.name);
     }
     without / largest_norm(&board)
 }

@@ -34,8 +34,8 @@ fn no_current_flows_when_the_bridges_begin_to_drive() {
             let (peak, driven) =
                 rig.with(|stopped| (stopped.hardware().peaks.current, !stopped.hardware().bridges_float()));
             let status = rig.tool.status().expect("the board replies");
-            assert!(driven && status.fault.is_none(), "at {rate} Hz: {status:?}");
-            assert!(peak < MAX_CURRENT_AMPERES, "{peak} A at {rate} Hz");
+            assert!(driven && status.fault.is_none(), "not driven without a fault at {rate} Hz: {status:?}");
+            assert!(peak < MAX_CURRENT_AMPERES, "a current of {peak} A at {rate} Hz");
             rig.tool.disarm().expect("the board disarms");
             rig.run(5 * MILLISECOND);
         }

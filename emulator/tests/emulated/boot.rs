@@ -27,7 +27,7 @@ fn check_serial_port(rig: &Rig) {
     let opened = at(&Event::Opened).expect("an open port");
     // RAM and the image are tested first, which takes 81 ms as compiled by Rust 1.95.
     assert!(connected < 100 * MILLISECOND, "the pull-up comes {connected} ns after power-on");
-    assert!(opened - connected < 200 * MILLISECOND, "enumeration takes {} ns", opened - connected);
+    assert!(opened - connected < 200 * MILLISECOND, "the enumeration takes {} ns", opened - connected);
 }
 
 fn check_register_models(rig: &Rig) {

@@ -139,7 +139,7 @@ fn torques_on_the_chip_equal_the_librarys_bit_for_bit() {
                 let settled = |value: f32| if value.abs() < f32::MIN_POSITIVE { 0 } else { value.to_bits() };
                 let chip = three(of(row, field)).map(|value| settled(value as f32));
                 let pc = library_values(field).map(settled);
-                assert_eq!(chip, pc, "{name}: {field:?} at step {} ({:?} here)", row.step, library_values(field));
+                assert_eq!(chip, pc, "{name}: {field:?} at step {} (PC: {:?})", row.step, library_values(field));
             }
             compared += 1;
             touched += usize::from(frame.at.walls.wall_force > 0.0);

@@ -67,7 +67,7 @@ fn session(kind: BoardKind, device: &str, fault: Fault) {
     }
     let depth = rig.with_simulated(|device| device.tip())[1] - start[1] - wall.gap;
     // The tolerance covers current sensors, encoder steps and a trembling hand.
-    assert!((depth * wall.stiffness - PUSH_N).abs() < 0.08 * PUSH_N, "{depth} m deep");
+    assert!((depth * wall.stiffness - PUSH_N).abs() < 0.08 * PUSH_N, "the tip is {depth} m deep in the wall");
 
     rig.with(|stopped| stopped.hardware().fault_line_shorted = true);
     rig.run(100 * MICROSECOND);
@@ -100,7 +100,7 @@ fn check_rows(rows: &[Row], stiffness: f64) {
     let (force, depth) = (mean(Field::WallForce), -mean(Field::Distance));
     assert!(
         (force - PUSH_N).abs() < 0.08 * PUSH_N && (depth * stiffness - force).abs() < 0.02 * PUSH_N,
-        "{force} N, {depth} m"
+        "a force of {force} N at a depth of {depth} m"
     );
     for row in rows {
         assert!(row.get(Field::WallForce)[0] == 0.0 || row.get(Field::Distance)[0] < 0.0, "{row:?}");

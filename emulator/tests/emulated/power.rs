@@ -95,7 +95,7 @@ fn a_power_cut_in_a_save_with_an_erase_leaves_old_or_new() {
     let mut before = Vec::new();
     for nth in 0..400 {
         before = rig.with(|stopped| stopped.flash(SETTINGS_RANGE));
-        assert!(save(&mut rig, 500 + nth % 2), "save {nth}");
+        assert!(save(&mut rig, 500 + nth % 2), "save {nth} failed");
         if erased(&rig) > 0 {
             break;
         }

@@ -401,7 +401,7 @@ fn torque_rises_over_half_a_second_after_arming() {
     let torques: Vec<f64> = rows.iter().map(|row| row.values[0].abs()).collect();
     let armed = torques.iter().position(|torque| *torque > 0.0).expect("torque after arming");
     let full = torques[armed + 600];
-    assert!(full > 1e-3, "{full} N m");
+    assert!(full > 1e-3, "the full torque is {full} N m");
     // There is one row per millisecond.
     for (after, share) in [(5, 0.01), (50, 0.1), (250, 0.5), (450, 0.9), (550, 1.0)] {
         let risen = torques[armed + after] / full;

@@ -15,8 +15,8 @@ fn stays_within_record(nth: usize) {
     println!("{}: {timing:?}", case.name());
     assert!(timing.steps > 200, "{timing:?}");
     let allowed = |recorded: u64| (recorded as f64 * MAX_INSTRUCTION_RATIO) as u64;
-    assert!(timing.longest_step <= allowed(longest), "{}: {longest} recorded, {timing:?}", case.name());
-    assert!(timing.longest_valley <= allowed(valley), "{}: {valley} recorded, {timing:?}", case.name());
+    assert!(timing.longest_step <= allowed(longest), "{}: longest step {longest} recorded: {timing:?}", case.name());
+    assert!(timing.longest_valley <= allowed(valley), "{}: longest valley {valley} recorded: {timing:?}", case.name());
 }
 
 #[test]

@@ -81,7 +81,7 @@ fn a_board_keeps_running_if_its_computer_stops_reading() {
     rig.run(200 * MILLISECOND);
     let status = rig.tool.status().expect("the board replies");
     // 24,000 steps are 1.2 s at 20 kHz, so the control step did not wait.
-    assert!(status.step - before > 24_000, "{} steps", status.step - before);
+    assert!(status.step - before > 24_000, "{} steps while the computer did not read", status.step - before);
     assert_eq!(status.fault, None);
     assert_eq!(rig.tool.details().expect("the board replies").overruns, 0);
     rig.tool.rows(Duration::from_millis(100)).expect("rows come again");

@@ -179,7 +179,7 @@ fn gains_changed_in_contact_change_the_torque_in_proportion() {
         for joint in 0..2 {
             let explained = a[joint] * after / before;
             let error = (b[joint] - explained).abs();
-            assert!(error < 0.02 * b[joint].abs() + 2e-5, "step {}: {a:?} then {b:?}", pair[1].step);
+            assert!(error < 0.02 * b[joint].abs() + 2e-5, "torques at step {}: {a:?} then {b:?}", pair[1].step);
         }
     }
     assert_eq!(steps, 3, "the force does not show three changes of the gains");
@@ -212,13 +212,13 @@ fn the_chips_feed_forward_equals_the_analysis() {
             for joint in 0..joints {
                 let error = (torque[joint] / force - expected[joint]).abs();
                 println!(
-                    "{name}, {feed_forward:?}, joint {joint}: {} N m/N, {} expected",
+                    "{name}, {feed_forward:?}, joint {joint}: torque per force {} N m/N, {} expected",
                     torque[joint] / force,
                     expected[joint]
                 );
                 assert!(
                     force > 0.2 && error < 0.02 * difference,
-                    "{name}, {feed_forward:?}, joint {joint}: {row:?}, {expected:?}"
+                    "{name}, {feed_forward:?}, joint {joint}: torques {row:?}, expected {expected:?}"
                 );
             }
         }
@@ -322,7 +322,7 @@ fn a_wall_force_above_the_motors_limits_keeps_its_direction() {
             );
             assert!(sample.sideways_force < uncertain, "{name}: a force across the normal: {sample:?}");
             let before = samples[index.saturating_sub(1)].normal_force;
-            assert!(sample.normal_force > before - 0.3 * uncertain, "{name}: {before} N, then {sample:?}");
+            assert!(sample.normal_force > before - 0.3 * uncertain, "{name}: a fall from {before} N: {sample:?}");
             let all_are = |value: f64| sample.saturated.iter().all(|seen| *seen == (value, value));
             assert!(
                 sample.rendered_force < sample.unlimited_force * 0.999 || all_are(0.0),

@@ -91,7 +91,7 @@ fn the_bus_voltage_is_exact_within_a_converter_step() {
             });
             rig.run(2 * MILLISECOND);
             let shown = f64::from(rig.tool.status().expect("it replies").bus_voltage);
-            assert!((shown - volts).abs() <= 1.5 * step, "{}: {shown} V for {volts} V", kind.name());
+            assert!((shown - volts).abs() <= 1.5 * step, "{}: the board reports {shown} V for {volts} V", kind.name());
         }
     }
 }
