@@ -179,7 +179,7 @@ impl Campaign {
     fn prepare(&mut self) {
         let (rig, home) = (&mut self.rig, self.home);
         rig.tool.disarm().expect("the board disarms");
-        rig.with(move |stopped| {
+        rig.while_stopped(move |stopped| {
             let board = stopped.hardware();
             board.faults = BoardFaults::default();
             board.encoders_unplugged = [false; 3];
@@ -222,16 +222,16 @@ impl Campaign {
         rig.run(phase * period / PHASES);
         let cause = case.cause;
         let began = rig.now();
-        rig.with(move |stopped| {
+        rig.while_stopped(move |stopped| {
             stopped.hardware().peaks = Peaks::default();
             cause(stopped.hardware());
         });
         let floats = rig.shared.board().run_until(MAX_WAIT_NS, 25 * MICROSECOND, is_power_disabled);
         let off_after_ns = rig.now() - began;
-        let peaks = rig.with(|stopped| stopped.hardware().peaks);
+        let peaks = rig.while_stopped(|stopped| stopped.hardware().peaks);
         let status = rig.tool.status().expect("the board replies");
         assert_eq!(floats, status.state == State::Fault, "{}: {status:?}", case.name);
-        assert!(!floats || rig.with(bridges_are_off), "{}: the bridges drive: {status:?}", case.name);
+        assert!(!floats || rig.while_stopped(bridges_are_off), "{}: the bridges drive: {status:?}", case.name);
         Outcome { fault: status.fault.map(|record| record.fault), off_after_ns, peaks }
     }
 }

@@ -97,9 +97,9 @@ fn rig_with_nmi_wire() -> Rig {
 }
 
 fn change_and_reset(rig: &mut Rig, cause: impl FnOnce(&mut StoppedBoard<'_>) + Send + 'static) {
-    rig.with(cause);
+    rig.while_stopped(cause);
     rig.run(MICROSECOND);
-    rig.with(|stopped| stopped.reset());
+    rig.while_stopped(|stopped| stopped.reset());
 }
 
 /// Returns the way to cause `fault`.
@@ -113,9 +113,9 @@ pub fn injection(fault: Fault) -> Injection {
             rig_in_contact,
             |rig| {
                 after_crest(rig, 5);
-                rig.with(|stopped| stopped.hold_core(true));
+                rig.while_stopped(|stopped| stopped.hold_core(true));
                 rig.run(55 * MICROSECOND);
-                rig.with(|stopped| stopped.hold_core(false));
+                rig.while_stopped(|stopped| stopped.hold_core(false));
             },
             5,
         ),
@@ -139,7 +139,7 @@ pub fn injection(fault: Fault) -> Injection {
             "encoders unplugged while a motor pushes at its limit",
             rig_in_contact,
             |rig| {
-                rig.with(|stopped| stopped.hardware().encoders_unplugged = [true; 3]);
+                rig.while_stopped(|stopped| stopped.hardware().encoders_unplugged = [true; 3]);
                 change_rules(rig, |rules| rules.limits.current = [0.15; 3]);
             },
             6_000,
@@ -149,7 +149,7 @@ pub fn injection(fault: Fault) -> Injection {
             free_rig,
             |rig| {
                 change_rules(rig, |rules| rules.limits.speed = [4.0; 3]);
-                rig.with(|stopped| stopped.hardware().encoders_unplugged = [true; 3]);
+                rig.while_stopped(|stopped| stopped.hardware().encoders_unplugged = [true; 3]);
                 push_tip(rig, [3.0, 3.0, 0.0]);
             },
             2_000,
@@ -159,7 +159,7 @@ pub fn injection(fault: Fault) -> Injection {
             "20 encoder edges lost between two passes of the index mark",
             rig_with_index,
             |rig| {
-                rig.with(|stopped| stopped.hardware().edges_lost[0] = 20);
+                rig.while_stopped(|stopped| stopped.hardware().edges_lost[0] = 20);
                 rig.with_simulated(|device| sweep(device, -HALF_SWEEP_METRES, HALF_SWEEP_METRES));
             },
             2_000,
@@ -183,7 +183,7 @@ pub fn injection(fault: Fault) -> Injection {
             "a current sensor shows 8 A too much",
             rig_in_contact,
             |rig| {
-                rig.with(|stopped| stopped.hardware().faults.sensor_offset[..2].fill(8.0));
+                rig.while_stopped(|stopped| stopped.hardware().faults.sensor_offset[..2].fill(8.0));
             },
             5,
         ),
@@ -221,7 +221,7 @@ pub fn injection(fault: Fault) -> Injection {
             "a gate driver pulls its fault line",
             rig_in_contact,
             |rig| {
-                rig.with(|stopped| stopped.hardware().driver(1).latch_fault(1 << 2));
+                rig.while_stopped(|stopped| stopped.hardware().driver(1).latch_fault(1 << 2));
             },
             5,
         ),
@@ -235,7 +235,7 @@ pub fn injection(fault: Fault) -> Injection {
                 rig
             },
             |rig| {
-                rig.with(|stopped| {
+                rig.while_stopped(|stopped| {
                     for at in (0x2000_0000..0x2002_0000).step_by(4) {
                         if stopped.word(at) == Some(MARKER_STIFFNESS.to_bits()) {
                             stopped.poke(at, f32::NAN.to_bits());
@@ -309,7 +309,7 @@ pub fn injection(fault: Fault) -> Injection {
             "the break line pulled down",
             || free_rig_on(BoardKind::HBridgeF405),
             |rig| {
-                rig.with(|stopped| stopped.hardware().fault_line_shorted = true);
+                rig.while_stopped(|stopped| stopped.hardware().fault_line_shorted = true);
             },
             5,
         ),
@@ -358,7 +358,7 @@ pub fn injection(fault: Fault) -> Injection {
             "current sensors that show two thirds of the current, in the polarity check",
             disarmed_rig,
             |rig| {
-                rig.with(|stopped| stopped.hardware().faults.sensor_gain[..2].fill(0.67));
+                rig.while_stopped(|stopped| stopped.hardware().faults.sensor_gain[..2].fill(0.67));
                 rig.tool.check_polarity().expect("the check starts");
             },
             30_000,
@@ -383,7 +383,7 @@ pub fn injection(fault: Fault) -> Injection {
             "a converter that is no longer triggered",
             rig_in_contact,
             |rig| {
-                rig.with(|stopped| stopped.hardware().chip.converters[0].hook.ignores_triggers = true);
+                rig.while_stopped(|stopped| stopped.hardware().chip.converters[0].hook.ignores_triggers = true);
             },
             5,
         ),
@@ -396,7 +396,7 @@ pub fn injection(fault: Fault) -> Injection {
                 rig
             },
             |rig| {
-                rig.with(|stopped| stopped.hardware().faults.sensor_offset[..2].fill(0.5));
+                rig.while_stopped(|stopped| stopped.hardware().faults.sensor_offset[..2].fill(0.5));
             },
             5,
         ),
@@ -404,7 +404,7 @@ pub fn injection(fault: Fault) -> Injection {
             "one of a motor's two shunts shows nothing while a hand pushes with 2.5 N",
             || pressed_rig(2.5),
             |rig| {
-                rig.with(|stopped| stopped.hardware().faults.sensor_gain[0] = 0.0);
+                rig.while_stopped(|stopped| stopped.hardware().faults.sensor_gain[0] = 0.0);
             },
             5,
         ),
@@ -412,7 +412,7 @@ pub fn injection(fault: Fault) -> Injection {
             "both current sensors of a motor show nothing",
             rig_in_contact,
             |rig| {
-                rig.with(|stopped| {
+                rig.while_stopped(|stopped| {
                     stopped.hardware().faults.sensor_gain[0] = 0.0;
                     stopped.hardware().faults.sensor_gain[1] = 0.0;
                 });
@@ -423,7 +423,7 @@ pub fn injection(fault: Fault) -> Injection {
             "a gate driver that loses its settings while nothing pushes",
             free_rig,
             |rig| {
-                rig.with(|stopped| stopped.hardware().driver(0).reset_control_registers());
+                rig.while_stopped(|stopped| stopped.hardware().driver(0).reset_control_registers());
             },
             50,
         ),
@@ -431,7 +431,7 @@ pub fn injection(fault: Fault) -> Injection {
             "a bridge stuck at a duty of 20 % before arming",
             disarmed_rig,
             |rig| {
-                rig.with(|stopped| stopped.hardware().faults.stuck_on[0] = Some(0.2));
+                rig.while_stopped(|stopped| stopped.hardware().faults.stuck_on[0] = Some(0.2));
                 let _ = rig.tool.check_polarity();
             },
             500,
@@ -440,7 +440,7 @@ pub fn injection(fault: Fault) -> Injection {
             "the crystal stops",
             rig_with_nmi_wire,
             |rig| {
-                rig.with(|stopped| {
+                rig.while_stopped(|stopped| {
                     let at = VirtualNanos(stopped.at);
                     if stopped.hardware().chip.stop_crystal(at) {
                         stopped.poke(NMI_FLAG, 1 << 31);
@@ -453,9 +453,9 @@ pub fn injection(fault: Fault) -> Injection {
             "the chip's 3.3 V fall to 2.7 V for 100 µs",
             rig_in_contact,
             |rig| {
-                rig.with(|stopped| stopped.set_supply(2700));
+                rig.while_stopped(|stopped| stopped.set_supply(2700));
                 rig.run(100 * MICROSECOND);
-                rig.with(|stopped| stopped.set_supply(3300));
+                rig.while_stopped(|stopped| stopped.set_supply(3300));
             },
             5,
         ),
@@ -477,7 +477,7 @@ pub fn injection(fault: Fault) -> Injection {
             |rig| {
                 change_and_reset(rig, |_| ());
                 rig.run(MILLISECOND);
-                rig.with(|stopped| {
+                rig.while_stopped(|stopped| {
                     let word = stopped.word(STACK_WORD).expect("there is RAM");
                     stopped.poke(STACK_WORD, word ^ 1 << 7);
                 });
@@ -563,7 +563,8 @@ fn rig_with_other_motor(change: impl FnOnce(&mut Motor<f64>)) -> Rig {
 /// Runs until `microseconds` after a crest.
 pub fn after_crest(rig: &Rig, microseconds: u64) {
     let now = rig.now();
-    let crest = rig.with(|stopped| stopped.hardware().chip.advanced[0].hook.crest()).expect("the carrier runs");
+    let crest =
+        rig.while_stopped(|stopped| stopped.hardware().chip.advanced[0].hook.crest()).expect("the carrier runs");
     let period = 50 * MICROSECOND;
     let next = crest + ((now - crest) / period + 1) * period + microseconds * MICROSECOND;
     rig.run(next - now);

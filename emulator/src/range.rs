@@ -132,7 +132,7 @@ pub fn measure_on<T>(
     };
     let shared = rig.shared.clone();
     let mut prepared = PreparedBoard::new(&mut rig.tool, &test_device.file, setup, &|| false)?;
-    shared.board().with(|stopped| {
+    shared.board().while_stopped(|stopped| {
         stopped.hardware().plant.device().expect("a simulated device").set_hand(Hand::none());
     });
     let outcome = job(&mut prepared)?;

@@ -149,7 +149,7 @@ impl StoppedBoard<'_> {
 type Job = Box<dyn FnOnce(&mut StoppedBoard<'_>) + Send>;
 
 enum Command {
-    With(Job),
+    RunJob(Job),
     RunUntil(u64),
 }
 
@@ -208,9 +208,12 @@ impl VirtualBoard {
     }
 
     /// Runs `job` while the board stands still, and returns its result.
-    pub fn with<T: Send + 'static>(&mut self, job: impl FnOnce(&mut StoppedBoard<'_>) -> T + Send + 'static) -> T {
+    pub fn while_stopped<T: Send + 'static>(
+        &mut self,
+        job: impl FnOnce(&mut StoppedBoard<'_>) -> T + Send + 'static,
+    ) -> T {
         let (result, outcome) = channel();
-        self.send_command(Command::With(Box::new(move |stopped| {
+        self.send_command(Command::RunJob(Box::new(move |stopped| {
             // The receiver below outlives the job.
             let _ = result.send(job(stopped));
         })));
@@ -228,7 +231,7 @@ impl VirtualBoard {
         while self.at < last {
             self.run(step.min(last - self.at));
             let mut check = done.clone();
-            let (is_done, returned) = self.with(move |stopped| (check(stopped), check));
+            let (is_done, returned) = self.while_stopped(move |stopped| (check(stopped), check));
             done = returned;
             if is_done {
                 return true;
@@ -284,7 +287,7 @@ impl Runner {
         }
         loop {
             match self.requests.recv().ok()? {
-                Command::With(job) => {
+                Command::RunJob(job) => {
                     let Self { tracer, rtt, .. } = self;
                     let (at, instructions) = (stop.at.0, stop.instruction_count);
                     job(&mut StoppedBoard { session, memory, at, instructions, tracer, rtt });

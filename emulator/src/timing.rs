@@ -121,9 +121,9 @@ impl Rig {
     fn trace_function_during(&mut self, entry: u64, work: impl FnOnce(&mut Self)) -> Vec<Run> {
         let code = Code::from_firmware(firmware(self.kind)).expect("an image with code");
         let watched = code.clone();
-        self.with(move |stopped| stopped.trace(&watched, entry));
+        self.while_stopped(move |stopped| stopped.trace(&watched, entry));
         work(self);
-        self.with(move |stopped| stopped.take_trace(&code))
+        self.while_stopped(move |stopped| stopped.take_trace(&code))
     }
 }
 

@@ -50,7 +50,7 @@ struct UsbWire {
 impl Wire for UsbWire {
     fn send(&mut self, bytes: &[u8]) -> io::Result<()> {
         let bytes = bytes.to_vec();
-        let sent = self.shared.board().with(move |stopped| {
+        let sent = self.shared.board().while_stopped(move |stopped| {
             let usb = stopped.usb();
             let ready = usb.is_ready();
             if ready {
@@ -67,7 +67,7 @@ impl Wire for UsbWire {
         let until = board.now() + span;
         loop {
             if self.unread.is_empty() {
-                self.unread = board.with(|stopped| stopped.usb().take());
+                self.unread = board.while_stopped(|stopped| stopped.usb().take());
             }
             if !self.unread.is_empty() {
                 let count = self.unread.len().min(buffer.len());

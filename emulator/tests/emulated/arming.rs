@@ -27,12 +27,12 @@ fn no_current_flows_when_the_bridges_begin_to_drive() {
         // The pauses arm the board at different phases of carrier and step.
         for pause in [0, 3, 11] {
             rig.run(pause * MILLISECOND / 100);
-            rig.with(|stopped| stopped.hardware().peaks = haptic_emulator::plant::Peaks::default());
+            rig.while_stopped(|stopped| stopped.hardware().peaks = haptic_emulator::plant::Peaks::default());
             rig.tool.check_polarity().expect("the polarity check starts");
             // The torque ramps up only after the joint has rested.
             rig.run(20 * MILLISECOND);
             let (peak, driven) =
-                rig.with(|stopped| (stopped.hardware().peaks.current, !stopped.hardware().bridges_float()));
+                rig.while_stopped(|stopped| (stopped.hardware().peaks.current, !stopped.hardware().bridges_float()));
             let status = rig.tool.status().expect("the board replies");
             assert!(driven && status.fault.is_none(), "not driven without a fault at {rate} Hz: {status:?}");
             assert!(peak < MAX_CURRENT_AMPERES, "a current of {peak} A at {rate} Hz");
@@ -52,7 +52,7 @@ fn arming_at_too_high_a_rate_causes_an_overrun() {
         rig.set_scene(&format!("rate_hz = 45000\ngravity_compensation = {gravity}\n"));
         rig.tool.arm().expect("the board arms");
         rig.run(SECOND);
-        let floats = rig.with(|stopped| stopped.hardware().bridges_float());
+        let floats = rig.while_stopped(|stopped| stopped.hardware().bridges_float());
         let status = rig.tool.status().expect("the board replies");
         let fault = status.fault.map(|record| record.fault);
         let expected = if floats { Some(Fault::ControlOverrun) } else { None };
@@ -73,6 +73,6 @@ fn boards_arm_at_their_highest_rates_while_streaming() {
         rig.tool.start_stream(Fields::USUAL, 1).expect("a stream starts");
         rig.run(20 * MILLISECOND);
         rig.arm();
-        assert!(rig.with(|stopped| !stopped.hardware().bridges_float()), "{} at {rate_hz} Hz", case.name());
+        assert!(rig.while_stopped(|stopped| !stopped.hardware().bridges_float()), "{} at {rate_hz} Hz", case.name());
     }
 }

@@ -69,11 +69,11 @@ fn session(kind: BoardKind, device: &str, fault: Fault) {
     // The tolerance covers current sensors, encoder steps and a trembling hand.
     assert!((depth * wall.stiffness - PUSH_N).abs() < 0.08 * PUSH_N, "the tip is {depth} m deep in the wall");
 
-    rig.with(|stopped| stopped.hardware().fault_line_shorted = true);
+    rig.while_stopped(|stopped| stopped.hardware().fault_line_shorted = true);
     rig.run(100 * MICROSECOND);
-    assert!(rig.with(bridges_are_off), "the bridges are on");
+    assert!(rig.while_stopped(bridges_are_off), "the bridges are on");
     rig.run(10 * MILLISECOND);
-    assert_eq!(rig.with(|stopped| stopped.hardware().motor_inputs()), [MotorInput::Floating; 3]);
+    assert_eq!(rig.while_stopped(|stopped| stopped.hardware().motor_inputs()), [MotorInput::Floating; 3]);
     assert_eq!(refusal_of(rig.tool.arm()), Refusal::Faulted(fault));
     let status = rig.tool.status().expect("the board replies");
     assert_eq!((status.state, status.fault.map(|record| record.fault)), (State::Fault, Some(fault)));
@@ -85,7 +85,7 @@ fn session(kind: BoardKind, device: &str, fault: Fault) {
     let (losses, details) = (rig.tool.losses(), rig.tool.details().expect("the board replies"));
     assert_eq!((losses.received, losses.missing, losses.garbled), (rows.len() as u64, 0, 0), "{losses:?}");
     assert_eq!(details.overruns, 0);
-    assert!(rig.with(|stopped| stopped.resets().is_empty()), "{}", rig.post_mortem());
+    assert!(rig.while_stopped(|stopped| stopped.resets().is_empty()), "{}", rig.post_mortem());
 }
 
 /// Checks the telemetry of the entire session. The states are off, armed, off. Outside the wall there is no force, and

@@ -68,5 +68,5 @@ fn a_restored_backup_of_three_joints_leaves_stack_free() {
     let details = rig.tool.details().expect("the board replies");
     assert_eq!(details.walls, 3);
     assert!(details.stack_free >= 8 * 1024, "{} of 52 KB were never used", details.stack_free);
-    assert!(rig.with(|stopped| stopped.resets().is_empty()), "{}", rig.post_mortem());
+    assert!(rig.while_stopped(|stopped| stopped.resets().is_empty()), "{}", rig.post_mortem());
 }

@@ -35,10 +35,10 @@ fn each_encoder_counts_its_own_axis_up_and_down() {
         rig.load(if kind == BoardKind::OdriveV3 { WALL } else { "" });
         let axes = Wiring::of_board(kind).encoders.len();
         let mut expected = vec![0.0; axes];
-        rig.with(|stopped| stopped.hardware().plant = Box::new(Dummy::default()));
+        rig.while_stopped(|stopped| stopped.hardware().plant = Box::new(Dummy::default()));
         for (axis, moved) in (0..axes).map(|axis| (axis, 137 - 200 * (axis as i32 % 2))) {
             let counts: [i32; 3] = std::array::from_fn(|i| if i <= axis { 137 - 200 * (i as i32 % 2) } else { 0 });
-            rig.with(move |stopped| {
+            rig.while_stopped(move |stopped| {
                 stopped.hardware().plant = Box::new(Dummy { counts, ..Dummy::default() });
             });
             expected[axis] = f64::from(moved);
@@ -63,7 +63,7 @@ fn each_index_pulse_reaches_its_own_axis() {
                     let mut dummy = Dummy::default();
                     dummy.counts[axis] = count;
                     dummy.index[axis] = index;
-                    rig.with(move |stopped| stopped.hardware().plant = Box::new(dummy));
+                    rig.while_stopped(move |stopped| stopped.hardware().plant = Box::new(dummy));
                     rig.run(MILLISECOND);
                 }
                 let record = rig.tool.status().expect("it replies").fault;
@@ -73,7 +73,7 @@ fn each_index_pulse_reaches_its_own_axis() {
             assert_eq!(pass(0), None, "{place}: the first index pulse caused a fault");
             assert_eq!(pass(40), Some((Fault::IndexMismatch, Some(axis as u8), 40.0)), "{place}");
             rig.tool.clear().expect("the fault clears");
-            rig.with(|stopped| stopped.hardware().plant = Box::new(Dummy::default()));
+            rig.while_stopped(|stopped| stopped.hardware().plant = Box::new(Dummy::default()));
             // The device must be at rest to be homed.
             rig.run(100 * MILLISECOND);
         }
@@ -86,7 +86,7 @@ fn the_bus_voltage_is_exact_within_a_converter_step() {
         let mut rig = Rig::empty(kind);
         let step = 1e-3 * f64::from(Wiring::of_board(kind).supply_mv) / 4096.0 * Wiring::of_board(kind).bus.1;
         for volts in [12.0, 24.0, 27.5] {
-            rig.with(move |stopped| {
+            rig.while_stopped(move |stopped| {
                 stopped.hardware().plant = Box::new(Dummy { bus_voltage: volts, ..Dummy::default() });
             });
             rig.run(2 * MILLISECOND);

@@ -128,7 +128,7 @@ fn run(arguments: &Arguments) -> Result<(), Box<dyn std::error::Error>> {
                 written.extend(outlet.read());
             }
         }
-        let (sent, raw) = board.with(move |stopped| {
+        let (sent, raw) = board.while_stopped(move |stopped| {
             stopped.usb().write(&written);
             (stopped.usb().take(), stopped.take_log())
         });
