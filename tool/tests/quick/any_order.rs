@@ -36,7 +36,7 @@ fn script(numbers: &mut RandomNumbers) -> Vec<u8> {
     let wait = TEMPLATES.len() as u8 + 1;
     let endpoint_id = numbers.byte() & 0x7F;
     // The scene belongs to the board's device and has 200 Hz, 1 kHz, 20 kHz or its own rate.
-    let own = endpoint_id % shipped::shipped().len() as u8;
+    let own = endpoint_id % shipped::shipped_devices().len() as u8;
     let mut script = vec![endpoint_id, place(SetScene::REQ_KEY), numbers.byte() & 0xC0 | own, 0];
     for round in 0..40 {
         if round % 4 == 0 {

@@ -1,7 +1,7 @@
 //! Walls that request more force than the motors can make: errors of the forces along and across the normal, in f32.
 
 use super::rows::singular::Random;
-use super::shipped;
+use super::shipped_device;
 use crate::common::prelude::*;
 use haptic_bridge::model::catalogue::MAX_JOINTS;
 use haptic_bridge::safety::limits::Limits;
@@ -91,7 +91,7 @@ pub fn all_rows() -> Vec<Row> {
     super::MECHANISMS
     .into_iter()
     .flat_map(|(name, file)| {
-        let mut device = shipped(file);
+        let mut device = shipped_device(file);
         for joint in &mut device.joints {
             if let Some(motor) = &mut joint.motor {
                 // The current limit is so large that only the torque limit acts.

@@ -7,7 +7,7 @@ use super::double_double::{DoubleDouble, Series};
 use super::rows::routes::inverse;
 use super::rows::singular::{Random, cast};
 use super::rows::steps::{RATE_HZ, controller, pad_to_three, scene, with_encoders};
-use super::shipped;
+use super::shipped_device;
 use crate::common::prelude::*;
 use haptic_bridge::control::compiled::BoardMath;
 use nalgebra::{SMatrix, SVector};
@@ -155,7 +155,7 @@ pub fn all_rows() -> Vec<Row> {
     .into_iter()
     .flat_map(|(name, file)| {
         // Leave out the weight, which would add the same torque to both results.
-        let mut device = with_encoders(&shipped(file));
+        let mut device = with_encoders(&shipped_device(file));
         device.gravity = [0.0; 3];
         in_three_precisions!(&device, (a, b, c) => VelocityTerms::ALL.map(|(_, terms)| row_of((a, b, c), name, &device, terms)))
     })
