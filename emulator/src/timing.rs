@@ -267,14 +267,16 @@ pub fn rate_table() -> String {
         "rows a second without loss",
         "rows aimed at",
     ]);
-    for (case, rate, rows) in [(&CASES[0], "50000", "20000"), (&CASES[2], "35000", ""), (&CASES[4], "35000", "")] {
+    let targets = [(&CASES[0], "50000", "20000"), (&CASES[2], "35000", ""), (&CASES[4], "35000", "")];
+    let lines = haptic_stability::cores::map(&targets, &|_, _| (), |(case, rate, rows)| {
         let cell = |found: Option<u32>| found.map_or("none".to_owned(), |found| found.to_string());
         let (highest, lossless) = (cell(highest_rate(case)), cell(rows_without_loss(case)));
         let (scenes, plane) =
             (cell(highest_sustained_rate(case, sustains_scenes)), cell(highest_sustained_rate(case, sustains_plane)));
         let cuts = cell(highest_sustained_rate(case, sustains_force_limit));
-        text += &csv_line([&case.name(), &highest, rate, &scenes, &plane, &cuts, &lossless, rows]);
-    }
+        csv_line([&case.name(), &highest, *rate, &scenes, &plane, &cuts, &lossless, *rows])
+    });
+    lines.into_iter().for_each(|line| text += &line);
     text
 }
 

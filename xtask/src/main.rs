@@ -95,8 +95,11 @@ enum Command {
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
         rest: Vec<String>,
     },
-    /// Count the control interrupt's instructions into the tables of docs/results/timing.md (ten minutes)
-    Timing,
+    /// Count the control interrupt's instructions into the tables of docs/results/timing.md (half an hour)
+    Timing {
+        /// Names of tables, for example timing-rates [default: all]
+        tables: Vec<String>,
+    },
     /// Fuzz everything that reads input, guided by coverage
     Fuzz(fuzz::Options),
     /// Run the library's tests with the address sanitizer
@@ -174,7 +177,7 @@ fn run(command: Command) -> Result<()> {
         Command::Dynamics { pinocchio } => dynamics::compare(&pinocchio),
         Command::Test { deep: None, rest } => tests::gate(&rest),
         Command::Test { deep: Some(part), rest } => tests::deep(part.as_deref(), &rest),
-        Command::Timing => tests::measure("timing", &[]),
+        Command::Timing { tables } => tests::measure("timing", &tables),
         Command::Fuzz(options) => fuzz::run(&options),
         Command::Sanitize { rest } => undefined::sanitize(&rest),
         Command::Miri => undefined::miri(),

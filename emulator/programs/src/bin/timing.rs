@@ -1,6 +1,8 @@
 //! `timing` measures the control interrupt of two boards, prints its instructions in each source file, and writes each
 //! table of docs/results/timing.md as soon as the table is measured. `cargo xtask timing` runs this program.
 //!
+//! Arguments: names of tables, for example `timing-rates` [default: all tables].
+//!
 //! Exit code: 1 if a table could not be written.
 
 use std::process::ExitCode;
@@ -13,13 +15,12 @@ use haptic_emulator::timing::{Timing, new_scene_table, rate_table, scene_table, 
 type Table = (&'static str, fn() -> String);
 
 fn measure_cases(cases: &[Case]) -> Vec<Timing> {
-    let measured = cases.iter().map(|case| {
-        let timing = case.measure();
+    let measured = haptic_stability::cores::map(cases, &|_, _| (), Case::measure);
+    for (case, timing) in cases.iter().zip(&measured) {
         println!("{}: longest {}, at a valley {}", case.name(), timing.longest_step, timing.longest_valley);
         timing.files.iter().for_each(|(file, instructions)| println!("{instructions:8.0} {file}"));
-        timing
-    });
-    measured.collect()
+    }
+    measured
 }
 
 fn main() -> ExitCode {
@@ -34,7 +35,10 @@ fn main() -> ExitCode {
             rate_table()
         }),
     ];
-    for (name, measure) in tables {
+    let chosen: Vec<String> = std::env::args().skip(1).collect();
+    for (name, measure) in
+        tables.into_iter().filter(|(name, _)| chosen.is_empty() || chosen.iter().any(|one| one == name))
+    {
         if let Err(error) = std::fs::write(results(name), measure()) {
             eprintln!("timing: {}: {error}", results(name).display());
             return ExitCode::from(1);
