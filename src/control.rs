@@ -12,7 +12,7 @@
 //! | 2 | check counts, currents and supply | `check_samples` | control/crest.rs |
 //! | 3 | check the host, the key and the torques | `watch` | control/watch.rs |
 //! | 4 | fade the scene in, or run the polarity check | `fade_in`, `check_polarity` | control/{fade,polarity}.rs |
-//! | 5 | limit and command the torques | `within`, `command` | control/saturation.rs |
+//! | 5 | limit and command the torques | `granted_torques`, `command` | control/saturation.rs |
 //! | 6 | run the current loops | [`Stage::drive`] | drive/brushed.rs |
 //! | 7 | at the valley, check force, motor model and heat | [`ControlLoop::check_slow_faults`] | control/budgets.rs |
 //! | 8 | at the valley, carry out a request | [`ControlLoop::execute`] | control/requests.rs |
@@ -64,24 +64,24 @@ pub struct ControlLoop<P, S = Axis> {
     state: State,
     homed: bool,
     polarity_known: bool,
-    /// Number of joints of the loaded device. `weighs` is true if its weight is compensated.
-    count: u8,
-    weighs: bool,
-    /// `count` if the motors are on and every joint has a range, so that a crest takes a single pass; otherwise 0.
-    usual: u8,
+    /// Number of joints of the loaded device.
+    joint_count: u8,
+    compensates_weight: bool,
+    /// `joint_count` while a crest takes a single pass: the motors are on and every joint has a range. Otherwise 0.
+    one_pass_joints: u8,
     /// True if the scene has faded in and no index pulse waits for its check.
     in_force: bool,
-    /// Zero if the scene is `in_force` and the last step limited no torque. Otherwise negative, so that one test covers
-    /// it together with other signs.
+    /// Zero if the scene is `in_force` and the last step limited no torque; otherwise negative.
     steady: i32,
     program: Option<P>,
     crests: crest::Crests,
     /// Bus voltage of the drives since the last valley, V; 0 if the voltage was not usable.
-    supplied: f32,
+    drive_voltage: f32,
     /// Last step at which the host may still be silent.
     host_expected: u32,
-    /// Joint torques up to which no clamp is needed, N m. `max_tip_force` is the force limit at the tip, N.
+    /// Joint torques up to which no clamp is needed, N m.
     unclamped_torque: [f32; MAX_JOINTS],
+    /// Force limit at the tip, N.
     max_tip_force: f32,
     max_tip_force_squared: f32,
     /// Tip force per joint torque, recomputed at 2 kHz.
@@ -105,13 +105,14 @@ pub struct ControlLoop<P, S = Axis> {
     host: host_force::HostForce,
     /// Torques of the previous scene while they fade out.
     fade: fade::Fade,
-    /// Torques of the last step that commanded less than was requested. `cut_at` is the number of that step.
-    cut: fade::CommandedTorques,
-    cut_at: u32,
+    /// Torques of the last step that commanded less than was requested.
+    cut_torques: fade::CommandedTorques,
+    /// Number of the last step that commanded less than was requested.
+    cut_step: u32,
     /// Number of the joint that the next valley checks.
-    turn: usize,
+    next_joint: usize,
     /// Number of joints for which new rules are not in force yet, see [`ControlLoop::settle_next`].
-    unsettled: u8,
+    unsettled_joints: u8,
     /// Heat of the motors, kept when the device changes.
     heat: [Heat; MAX_JOINTS],
     first_index: [Option<i32>; MAX_JOINTS],
@@ -139,9 +140,9 @@ where
             state: State::Disarmed,
             homed: false,
             polarity_known: false,
-            count: 0,
-            weighs: false,
-            usual: 0,
+            joint_count: 0,
+            compensates_weight: false,
+            one_pass_joints: 0,
             in_force: false,
             steady: -1,
             marks: None,
@@ -153,23 +154,23 @@ where
             period: 1.0 / DEFAULT_RATE_HZ as f32,
             rate_since: 0,
             fade: fade::Fade::default(),
-            cut: fade::CommandedTorques::default(),
-            cut_at: 0,
+            cut_torques: fade::CommandedTorques::default(),
+            cut_step: 0,
             max_joint_torque: Torques::default(),
             unclamped_torque: [0.0; MAX_JOINTS],
             max_tip_force: 0.0,
             max_tip_force_squared: 0.0,
             leverage: Leverage::default(),
             flow: budgets::Flow::default(),
-            supplied: 0.0,
+            drive_voltage: 0.0,
             host_seen_at: 0,
             host_expected: 0,
             key: None,
             first_index: [None; MAX_JOINTS],
             crests: crest::Crests::default(),
             host: host_force::HostForce::default(),
-            turn: 0,
-            unsettled: 0,
+            next_joint: 0,
+            unsettled_joints: 0,
             heat: [Heat::default(); MAX_JOINTS],
         }
     }
@@ -241,7 +242,7 @@ where
     /// Returns the number of joints of the loaded program, at most [`MAX_JOINTS`].
     #[inline(always)]
     fn count(&self) -> usize {
-        self.count.into()
+        self.joint_count.into()
     }
 
     /// Writes the next drive of each axis, converted by `into`, to `legs`. Returns false if the motors are off.
@@ -256,7 +257,7 @@ where
     ) -> bool {
         let (supply, active, joints) = (Supply::of(bus_voltage), self.state.drives(), self.count());
         let usable = supply.is_usable();
-        self.supplied = if usable { bus_voltage } else { 0.0 };
+        self.drive_voltage = if usable { bus_voltage } else { 0.0 };
         let motors = self.joints.iter_mut().zip(self.now.motors.duty.iter_mut()).zip(samples).zip(legs);
         for (i, (((joint, duty), sample), legs)) in motors.enumerate() {
             let drive = match active && i < joints {
@@ -289,8 +290,8 @@ where
         self.clear_host_force();
         self.key = None;
         self.fade = fade::Fade::default();
-        self.cut = fade::CommandedTorques::default();
-        self.cut_at = self.now.step;
+        self.cut_torques = fade::CommandedTorques::default();
+        self.cut_step = self.now.step;
         self.now.motors.torque = Torques::default();
         self.now.motors.current = Currents::default();
         for joint in &mut self.joints {
@@ -306,7 +307,7 @@ where
     /// Records the samples of a control step for later readers.
     #[inline(always)]
     fn note(&mut self, seen: &Samples) {
-        self.now.noted = self.now.step;
+        self.now.recorded_step = self.now.step;
         self.now.motors.bus_voltage = seen.bus_voltage;
         self.now.motors.current = seen.currents;
         self.now.counts = seen.counts;
@@ -318,7 +319,7 @@ where
     /// Records the samples of the last control step if the fast path left this to the valley.
     #[inline(always)]
     fn note_late(&mut self, seen: &Samples) {
-        if self.now.noted != self.now.step {
+        if self.now.recorded_step != self.now.step {
             self.note(seen);
         }
     }
@@ -372,13 +373,13 @@ where
 
     fn update_fast_path(&mut self) {
         let limited = self.joints.iter().take(self.count()).all(Joint::is_limited);
-        self.usual = if self.state.drives() && limited { self.count } else { 0 };
+        self.one_pass_joints = if self.state.drives() && limited { self.joint_count } else { 0 };
         let faded_in = self.fade.ramp >= 1.0 && self.fade.share >= 1.0;
         self.in_force = self.state == State::Armed && faded_in && self.marks.is_none();
         self.update_steady();
     }
 
-    /// Updates `steady` after a step in which only `limited` may have changed.
+    /// Updates `steady` after a step that can change only `limited`.
     #[inline(always)]
     fn update_steady(&mut self) {
         self.steady = if self.in_force && self.now.motors.limited == 0 { 0 } else { -1 };
@@ -386,7 +387,7 @@ where
 
     /// Returns true if the last step commanded other torques than requested.
     fn was_cut(&self) -> bool {
-        self.cut_at == self.now.step
+        self.cut_step == self.now.step
     }
 
     /// Commands the requested torques, which are within the limits.
@@ -431,10 +432,10 @@ where
     /// Commands the requested torques of J joints, see [`ControlLoop::command`].
     #[inline(always)]
     fn command_of<const J: usize>(&mut self, asked: &TorqueDemand<f32>, wanted: &[f32; MAX_JOINTS]) {
-        let granted = asked.within::<J>(&self.max_joint_torque, self.max_tip_force, &self.leverage);
+        let granted = asked.granted_torques::<J>(&self.max_joint_torque, self.max_tip_force, &self.leverage);
         let rendered = Torques(asked.rendered.map(|r| granted.share * r));
-        self.cut = fade::CommandedTorques { gravity: granted.gravity, rendered, share: granted.share };
-        self.cut_at = self.now.step;
+        self.cut_torques = fade::CommandedTorques { gravity: granted.gravity, rendered, share: granted.share };
+        self.cut_step = self.now.step;
         if self.host.acts {
             self.host.granted = granted.share * self.fade.share;
         }

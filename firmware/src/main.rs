@@ -81,7 +81,7 @@ async fn main(spawner: Spawner) {
     let machine = BoardMachine::new(control_loop, gate, storage, serial_number, carrier);
     let (usb, serial) = link::device(common.usb, serial_number);
 
-    // Started before any task, because `watchdog::patient` needs a running watchdog.
+    // Started before any task, because `watchdog::with_longest_time` needs a running watchdog.
     let watchdog = Watchdog::start(common.watchdog);
     spawner.must_spawn(supervisor::supervise(watchdog));
     spawner.must_spawn(link::usb(usb));

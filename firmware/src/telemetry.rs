@@ -31,7 +31,6 @@ impl TelemetryStream {
         self.last = (request.divider > 0).then(Instant::now);
     }
 
-    /// Stops the stream.
     pub fn stop(&mut self) {
         interrupt::shared().stream_divider.store(0, Ordering::Relaxed);
         self.packer.stop();

@@ -23,11 +23,11 @@ const MIN_SPEED_FILTER_HZ: f32 = 5.0;
 /// Largest share of the speed limit that a single count may appear as. A coarse encoder is filtered for longer, until
 /// the joint has moved by a few counts.
 const MAX_COUNT_SPEED_SHARE: f32 = 0.25;
-/// Largest share of the torque limit that a single count may change the torque by when back-EMF is fed forward.
+/// Largest change of the torque by a single count when back-EMF is fed forward, as a share of the torque limit.
 const MAX_COUNT_TORQUE_SHARE: f32 = 1.0 / 32.0;
-/// Largest difference of two current sensors as a share of the current limit: gains, settling at the duty's edge.
+/// Largest difference of two current sensors as a share of the current limit, from their gains and settling times.
 const IMBALANCE_SHARE: f32 = 0.15;
-/// Largest difference of two current sensors at zero current, A: zeros and noise.
+/// Largest difference of two current sensors at zero current, A, from their zeros and noise.
 const IMBALANCE_FLOOR: f32 = 0.5;
 /// Speed below which an encoder stands still, in counts per carrier period: one count in 1000 periods.
 const STANDSTILL_SPEED: f32 = 1.0e-3;
@@ -41,9 +41,9 @@ pub(super) struct Joint<S> {
     /// Filtered speed, counts per carrier period.
     speed: f32,
     /// Speed for the back-EMF's feed-forward, with a slower filter, counts per carrier period.
-    steady: f32,
+    steady_speed: f32,
     /// Unfiltered speed of the last carrier period, counts per carrier period.
-    raw: f32,
+    unfiltered_speed: f32,
     bounds: Bounds,
     pub(super) stage: S,
     pub(super) sums: Sums,
@@ -66,14 +66,14 @@ struct Bounds {
     first: i32,
     last: i32,
     limited: bool,
-    /// Largest measured current, A, above any overshoot of the current loop.
+    /// Largest accepted measured current, A, above any overshoot of the current loop.
     current: f32,
     /// Largest difference of two current sensors, A.
     imbalance: f32,
 }
 
 impl Bounds {
-    /// Returns a negative number outside the joint's range.
+    /// Returns a negative number if `count` is outside the joint's range.
     #[inline(always)]
     fn range_margin(&self, count: i32) -> i32 {
         count.wrapping_sub(self.first) | self.last.wrapping_sub(count)
@@ -85,9 +85,9 @@ impl<S: Stage> Joint<S> {
     #[inline(always)]
     fn update_count(&mut self, count: i32) -> i32 {
         let moved = count.wrapping_sub(self.count);
-        self.raw = moved as f32;
-        self.speed += self.bounds.gain * (self.raw - self.speed);
-        self.steady += self.bounds.steady_gain * (self.raw - self.steady);
+        self.unfiltered_speed = moved as f32;
+        self.speed += self.bounds.gain * (self.unfiltered_speed - self.speed);
+        self.steady_speed += self.bounds.steady_gain * (self.unfiltered_speed - self.steady_speed);
         margin_counts(moved, self.bounds.jump)
     }
 
@@ -118,13 +118,13 @@ impl<S: Stage> Joint<S> {
     /// Returns the speed for the back-EMF's feed-forward, rad/s.
     #[inline(always)]
     pub(super) fn steady_speed(&self) -> f32 {
-        self.steady * self.bounds.radians
+        self.steady_speed * self.bounds.radians
     }
 
     /// Updates the motor model with the last drive and the bus voltage (V), and returns [`Stage::strain`].
     #[inline(always)]
     pub(super) fn settle(&mut self, bus_voltage: f32) -> (f32, f32, f32) {
-        let (speed, raw) = (self.speed(), self.raw * self.bounds.radians);
+        let (speed, raw) = (self.speed(), self.unfiltered_speed * self.bounds.radians);
         self.stage.settle(bus_voltage, self.steady_speed(), speed, raw);
         self.stage.strain()
     }
@@ -180,7 +180,7 @@ where
     K: Math<f32>,
     S: Stage,
 {
-    /// Sets the bounds that all joints share. Call after a change of anything that they depend on.
+    /// Sets the bounds that all joints share. Call after a change of device, rules or rate.
     pub(super) fn set_crest_bounds(&mut self) {
         let Some(program) = self.program.as_ref() else { return };
         let limits = &self.rules.limits;
@@ -238,8 +238,7 @@ where
     /// Checks the samples, commands the torques that [`ControlLoop::render`] computed, and writes the next drives
     /// `into` `legs`. Returns false if the motors are off now.
     ///
-    /// Call if [`ControlLoop::usual`] is J. Computes the same as [`ControlLoop::crest_of_any_kind`], which unusual
-    /// crests use.
+    /// Call if [`ControlLoop::one_pass_joints`] is J. Computes the same as [`ControlLoop::crest_of_any_kind`].
     #[inline(always)]
     pub(super) fn crest_of<const J: usize, L>(
         &mut self,
@@ -279,7 +278,7 @@ where
         legs: &mut [L; MAX_JOINTS],
     ) -> bool {
         match unusual {
-            UnusualCrest::Torques if self.in_force && self.not_finite::<J>() >= 0 => self.command_limited::<J>(),
+            UnusualCrest::Torques if self.in_force && self.finite_margin::<J>() >= 0 => self.command_limited::<J>(),
             UnusualCrest::Torques | UnusualCrest::Step => self.slow_step(seen),
             UnusualCrest::Crest => {
                 self.find_at_crest(seen);
@@ -289,7 +288,7 @@ where
         }
         let supply = Supply::of(seen.bus_voltage);
         if self.state.drives() && supply.is_usable() {
-            self.supplied = seen.bus_voltage;
+            self.drive_voltage = seen.bus_voltage;
             return self.drive_unusually::<J, L>(&supply, seen.late, samples, into, legs);
         }
         self.drive(seen.bus_voltage, samples, seen.late, into, legs)
@@ -330,7 +329,7 @@ where
         true
     }
 
-    /// Drives the legs from joint `from` on, if at least that joint needs the slower path.
+    /// Drives the legs of joint `from` and later joints, if joint `from` needs the slower path.
     #[cold]
     #[inline(never)]
     fn drive_rest<L>(

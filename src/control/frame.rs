@@ -43,17 +43,18 @@ pub struct Motors {
     pub bus_voltage: f32,
     /// Force of the walls along the normal of the deepest wall, after limits, N (docs/telemetry.md). 0 unless armed.
     pub rendered_force: f32,
-    /// One bit per joint, set if a limit changed the requested torque. The limit may be the joint's own, another
-    /// joint's, or the force limit at the tip, because all torques are cut by one factor.
+    /// One bit per joint, set if a limit changed the requested torque. The limit may belong to any joint or to the tip,
+    /// because all torques are cut by one factor.
     pub limited: u8,
 }
 
 /// State after the last step.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Now {
-    /// Control steps since boot. `noted` is the last step whose samples were recorded.
+    /// Control steps since boot.
     pub step: u32,
-    pub noted: u32,
+    /// Last step whose samples were recorded.
+    pub recorded_step: u32,
     pub counts: Counts,
     pub motors: Motors,
     /// Result of the scene's step.

@@ -27,7 +27,7 @@ pub const MAX_LEASE: f32 = 0.2;
 pub const MAX_HELD_FORCE: f32 = 1.0e3;
 /// Largest joint torque that a request may contain, N m.
 pub const MAX_HELD_TORQUE: f32 = 1.0e2;
-/// Largest distance of a contact's point from the origin, m.
+/// Largest distance of a contact's point from the origin of the task frame, m.
 pub const MAX_CONTACT_DISTANCE: f32 = 10.0;
 /// Largest stiffness of a contact, N/m.
 pub const MAX_CONTACT_STIFFNESS: f32 = 1.0e5;
@@ -240,7 +240,7 @@ impl MovingPlane {
         let between = |from: f32, to: f32| from + (to - from) * part;
         let stiffness = between(from.stiffness, to.stiffness);
         // Each plane's position is weighted by its share of the stiffness. The force is then the mean of the two
-        // planes' forces, so it exceeds neither. With separate means of stiffness and depth it could.
+        // planes' forces, so it exceeds neither force.
         let weight = if stiffness > 0.0 { part * to.stiffness / stiffness } else { part };
         let placed = |from: f32, to: f32| from + (to - from) * weight;
         PushedPlane {
@@ -282,13 +282,13 @@ pub(super) struct HostForce {
     /// Joint torques of the request in this step, N m.
     torque: Torques,
     /// Time until the request expires, s.
-    life: f32,
-    /// Share that ramp and limits left in a step that was cut.
+    remaining_seconds: f32,
+    /// Share of the host's force that ramp and limits left in the last step that was cut.
     pub granted: f32,
     contact: MovingPlane,
     /// Share of the contact that acted in the last step.
     contact_lease: f32,
-    /// Difference of the contact's share from the request's lease; nonzero after the request replaced another.
+    /// Contact's share less the request's share; nonzero after the request replaced another request.
     beside: f32,
     /// Rate at which `beside` shrinks to zero, 1/s.
     closing: f32,
@@ -318,7 +318,7 @@ impl HostForce {
             return None;
         }
         self.torque = Torques(self.request.torque.map(|torque| torque * self.lease));
-        self.life = self.request.hold + self.request.fade - self.age;
+        self.remaining_seconds = self.request.hold + self.request.fade - self.age;
         let closed = self.closing * period;
         self.beside -= if self.beside.abs() > closed { closed.copysign(self.beside) } else { self.beside };
         self.contact_lease = self.lease + self.beside;
@@ -359,7 +359,7 @@ where
             share: 0.0,
         };
         if let Some(program) = self.program.as_ref() {
-            let (velocity, pushed) = program.controller.pushed(&self.now);
+            let (velocity, pushed) = program.controller.velocity_and_push(&self.now);
             answer.velocity = velocity;
             let granted = self.host_granted();
             answer.share = self.host.lease * granted;
@@ -375,9 +375,9 @@ where
         let Some(program) = self.program.as_ref().filter(|_| self.host.acts && granted > 0.0) else {
             return (Torques::default(), 0.0);
         };
-        let (_, force) = program.controller.pushed(&self.now);
+        let (_, force) = program.controller.velocity_and_push(&self.now);
         let pushed = program.mechanism.torque::<K>(&self.now.found.at.q, &force);
-        (Torques::from_fn(|i| granted * (pushed[i] + self.host.torque[i])), self.host.life)
+        (Torques::from_fn(|i| granted * (pushed[i] + self.host.torque[i])), self.host.remaining_seconds)
     }
 
     /// Returns the share of the host's force that ramp and limits left.

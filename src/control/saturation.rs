@@ -42,18 +42,18 @@ where
     K: Math<f32>,
     S: Stage,
 {
-    /// Returns a value that is not negative if the demand on the J joints is within the limits after every stage, by
-    /// more than rounding errors. Checks joint torques and tip forces. Negative otherwise, and for NaN.
+    /// Returns a negative number unless joint torques and tip forces of the demand on J joints are within the limits by
+    /// more than rounding errors. Returns a negative number for NaN.
     #[inline(always)]
     pub(super) fn fits<const J: usize>(&self) -> i32 {
         let TorqueDemand { total, gravity, rendered, force_squared } = &self.now.found.asked;
         let mut margin = margin_bits(*force_squared, self.max_tip_force_squared);
         let mut pushing = *total;
-        if self.weighs {
+        if self.compensates_weight {
             pushing.iter_mut().zip(gravity).take(J).for_each(|(total, gravity)| *total -= gravity);
         }
         margin |= margin_bits(squared(&self.leverage.force::<J>(&pushing)), self.max_tip_force_squared);
-        if self.weighs {
+        if self.compensates_weight {
             for (i, fitting) in self.unclamped_torque.iter().enumerate().take(J) {
                 // If weight and force fit together with any signs, each of them and their sum fit.
                 let both = gravity[i].abs() + rendered[i].abs();
@@ -72,7 +72,7 @@ impl TorqueDemand<f32> {
     /// Returns the torques within ±`limit` (not negative) of each of the J joints, and within `tip_force` (N, not
     /// negative). `leverage` is the tip force per joint torque.
     #[inline(always)]
-    pub(super) fn within<const J: usize>(
+    pub(super) fn granted_torques<const J: usize>(
         &self,
         limit: &Torques,
         tip_force: f32,
@@ -201,7 +201,7 @@ mod tests {
     fn cut(gravity: [f32; 3], rendered: [f32; 3], rest: [f32; 3], limit: [f32; 3]) -> [f32; 3] {
         let total = core::array::from_fn(|i| gravity[i] + rendered[i] + rest[i]);
         *TorqueDemand { total, gravity, rendered, force_squared: 0.0 }
-            .within::<3>(&Torques(limit), 5.0, &Leverage::default())
+            .granted_torques::<3>(&Torques(limit), 5.0, &Leverage::default())
             .torque
     }
 
@@ -215,15 +215,15 @@ mod tests {
             force_squared: 100.0,
         };
         assert_eq!(
-            *asked.within::<3>(&Torques([50.0; 3]), 5.0, &Leverage::default()).torque,
+            *asked.granted_torques::<3>(&Torques([50.0; 3]), 5.0, &Leverage::default()).torque,
             [1.0, 3.0 + 1.0, 4.0 + 0.5]
         );
         assert_eq!(
-            *asked.within::<3>(&Torques([50.0; 3]), 10.0, &Leverage::default()).torque,
+            *asked.granted_torques::<3>(&Torques([50.0; 3]), 10.0, &Leverage::default()).torque,
             asked.total,
             "a force of 10 N is within a limit of 10 N"
         );
-        let less = asked.within::<3>(&Torques([50.0, 50.0, 2.0]), 5.0, &Leverage::default()).torque;
+        let less = asked.granted_torques::<3>(&Torques([50.0, 50.0, 2.0]), 5.0, &Leverage::default()).torque;
         // The limit of 2 N m, less a 64th for the joint's feed-forward, over the demand of 8 N m.
         let share = (2.0 - 2.0 / 64.0) / 8.0;
         assert_eq!(
@@ -234,7 +234,7 @@ mod tests {
         for no_number in [f32::NAN, f32::INFINITY] {
             let asked = TorqueDemand { force_squared: no_number, ..asked };
             assert_eq!(
-                *asked.within::<3>(&Torques([50.0; 3]), 5.0, &Leverage::default()).torque,
+                *asked.granted_torques::<3>(&Torques([50.0; 3]), 5.0, &Leverage::default()).torque,
                 [1.0, 0.0, 0.0],
                 "only the weight is carried"
             );

@@ -48,14 +48,17 @@ pub struct Heat {
     held: f32,
     /// Rounding error of `held`, because the change in one step can be less than the last digit of `held`.
     rest: f32,
-    /// Guessed part of `held`. `guessed_from` is the budget of which the guess is half, infinite if the heat is known.
+    /// Guessed part of `held`, A² s.
     guessed: f32,
+    /// Budget of which the guess is half, A² s; infinite if the heat is known.
     guessed_from: f32,
-    /// Square of the allowed continuous current, A². `warmed_squared` is its value when the motor was last cold.
+    /// Square of the allowed continuous current, A².
     allowed_squared: f32,
+    /// Value of `allowed_squared` when the motor was last cold, A².
     warmed_squared: f32,
-    /// The smaller of `allowed_squared` and `warmed_squared`, A². `weight` is the weight of i² above it.
+    /// The smaller of `allowed_squared` and `warmed_squared`, A².
     continuous_squared: f32,
+    /// Factor of i² above `continuous_squared` in the accumulator.
     weight: f32,
     /// Time until a raised limit applies while the motor is warm, s.
     wait: f32,
@@ -88,9 +91,8 @@ impl Heat {
     };
 
     /// Sets the allowed currents, A. Without an allowed current there is no motor, and the heat stays unchanged. A
-    /// higher limit does not make a motor cool faster, so a larger continuous current applies once the motor is cold or
-    /// after [`WAIT_SECONDS`]. A lower limit does not extend the time at the peak: the rest lasts as long at the
-    /// maximum current.
+    /// larger continuous current applies once the motor is cold or after [`WAIT_SECONDS`], because a higher limit does
+    /// not make a motor cool faster. A lower limit does not extend the remaining time at the maximum current.
     pub fn limit(&mut self, max_current: f32, continuous_current: f32) {
         if max_current <= 0.0 {
             return;
@@ -115,7 +117,7 @@ impl Heat {
         self.update_guess();
     }
 
-    /// Updates the guess while the heat is unknown: half of the budget less the cooling since.
+    /// Updates the guess while the heat is unknown: half of the budget, less the cooling since the start.
     fn update_guess(&mut self) {
         if !self.budget.is_finite() || self.guessed_from == f32::INFINITY {
             return;

@@ -5,7 +5,7 @@ use crate::model::catalogue::MAX_JOINTS;
 use crate::model::description::{Description, DescriptionError};
 use crate::model::mechanism::{AnyMechanism, Mechanism, shared_pose};
 use crate::model::motor::Motor;
-use crate::model::padding::{head, padded};
+use crate::model::padding::{padded, to_joints};
 use crate::model::precomputed::MassModel;
 use crate::model::solve::solve_symmetric;
 use heapless::String;
@@ -36,8 +36,8 @@ pub struct Device<T: Real> {
 pub struct Joint<T> {
     /// Joint angle per encoder count, rad; negative if the encoder is inverted.
     pub radians_per_count: T,
-    /// Counts after which the angle repeats; 0 if it never does. They are one turn if the counts per turn are an
-    /// integer, and q turns if they are a fraction p/q.
+    /// Counts after which the angle repeats: one turn, or q turns if the counts per turn are a fraction p/q; 0 if the
+    /// angle never repeats.
     pub counts_per_turn: i32,
     /// Joint angle at count 0, rad, moved by up to half a count so that home is at an integer count.
     pub offset: T,
@@ -121,8 +121,8 @@ impl<T: Real> Joint<T> {
     }
 }
 
-/// Maximum number of turns after which an angle repeats. The board computes the turns by division of f32 numbers, and
-/// the five rounding errors stay below half a turn up to this number.
+/// Maximum number of turns after which an angle repeats, because rounding errors of the board's f32 division stay below
+/// half a turn up to this number.
 const MAX_TURNS: f64 = 1_048_576.0;
 
 /// Returns the integer number of counts p in q complete turns, where p/q is the first convergent of the continued
@@ -192,15 +192,15 @@ crate::mechanisms!(define);
 
 fn finite_at<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(mechanism: &M, q: &[f32; MAX_JOINTS]) -> bool {
     let pose = shared_pose::<f32, K, M, N>(mechanism, &angles(q));
-    // Every coefficient of M contributes in this direction. The image contains `MassModel::shaping` anyway.
+    // Every coefficient of M contributes in this direction.
     let direction = SVector::from_fn(|i, _| 0.5 + 0.1 * i as f32);
-    let shaping = MassModel::Exact.shaping(mechanism, &head(q).into(), &pose, &direction);
+    let shaping = MassModel::Exact.shaping(mechanism, &to_joints(q).into(), &pose, &direction);
     let results = [mechanism.tip(&pose), mechanism.gravity(&pose), shaping.e, shaping.me];
     results.iter().all(|v| v.iter().all(|x| x.is_finite())) && shaping.w_rr.is_finite()
 }
 
 fn angles<const N: usize>(q: &[f32; MAX_JOINTS]) -> [Angle<f32>; N] {
-    head(q).map(Angle::from_radians)
+    to_joints(q).map(Angle::from_radians)
 }
 
 fn gravity_at<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(
@@ -224,7 +224,7 @@ fn torque_at<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(
     force: &[f32; 3],
 ) -> [f32; MAX_JOINTS] {
     let pose = shared_pose::<f32, K, M, N>(mechanism, &angles(q));
-    let torque = mechanism.transpose(&pose, &head(force).into());
+    let torque = mechanism.transpose(&pose, &to_joints(force).into());
     padded(&torque.data.0[0])
 }
 
@@ -245,7 +245,7 @@ impl Leverage {
         squared(&self.force::<MAX_JOINTS>(torque))
     }
 
-    /// Returns the largest relative change of a joint's tip force per torque since `was`; 0 if the change is unknown.
+    /// Returns the largest relative change of a joint's tip force per torque from `was`; 0 if the change is unknown.
     pub fn relative_change_from(&self, was: &Self) -> f32 {
         let squared_force = |of: &Self, joint: usize| squared(&of.0.map(|direction| direction[joint]));
         let (mut more, mut less) = (1.0, 1.0);

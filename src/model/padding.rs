@@ -2,15 +2,15 @@
 
 use crate::model::catalogue::MAX_JOINTS;
 
-/// Borrows the entries of the first N joints; `None` if there are fewer.
+/// Borrows the entries of the first N joints; `None` if the array has fewer.
 #[inline(always)]
-pub(crate) fn first<V, const N: usize>(values: &[V; MAX_JOINTS]) -> Option<&[V; N]> {
+pub(crate) fn as_joints<V, const N: usize>(values: &[V; MAX_JOINTS]) -> Option<&[V; N]> {
     values.first_chunk()
 }
 
 /// Returns the entries of the first N joints.
 #[inline(always)]
-pub(crate) fn head<V: Copy, const N: usize>(values: &[V; MAX_JOINTS]) -> [V; N] {
+pub(crate) fn to_joints<V: Copy, const N: usize>(values: &[V; MAX_JOINTS]) -> [V; N] {
     core::array::from_fn(|i| values[i.min(MAX_JOINTS - 1)])
 }
 

@@ -7,14 +7,14 @@ const MAX_RATE_PERCENT: u64 = 110;
 const MIN_RATE_PERCENT: u64 = 90;
 /// Largest error of a count of steps, because the interval does not begin and end with a step.
 const END_STEPS: u64 = 4;
-/// Number of due steps until which checks are accumulated, so that [`END_STEPS`] is a twentieth of them at any rate.
+/// Number of due steps over which checks are accumulated, so that [`END_STEPS`] is only a twentieth of these steps.
 const MIN_STEPS: u64 = 80;
 
 /// Result of a check of the loop's rate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Verdict {
-    /// The rate is right, as far as known.
-    Kept,
+    /// The rate is right as far as the steps show.
+    RightRate,
     /// The loop runs too often.
     TooFast,
     /// The loop runs too rarely.
@@ -24,19 +24,20 @@ pub enum Verdict {
 /// Compares the number of steps with the elapsed time.
 #[derive(Clone, Copy, Debug)]
 pub struct Pace {
-    /// Steps since the accumulation began. `elapsed` is the time since then, µs.
+    /// Steps since the accumulation began.
     taken: u64,
+    /// Time since the accumulation began, µs.
     elapsed: u64,
     /// Rate at the last check, Hz.
     rate: u64,
-    /// Last result. A faulty loop stays faulty until enough steps have shown that it is right again.
+    /// Last result. [`Verdict::TooFast`] and [`Verdict::TooSlow`] stay until enough steps have shown the right rate.
     found: Verdict,
 }
 
 impl Pace {
     /// Returns the state for a loop that starts at `rate_hz`.
     pub fn new(rate_hz: u32) -> Self {
-        Self { taken: 0, elapsed: 0, rate: rate_hz.into(), found: Verdict::Kept }
+        Self { taken: 0, elapsed: 0, rate: rate_hz.into(), found: Verdict::RightRate }
     }
 
     /// Checks `steps` taken in the `elapsed_us` (µs) since the last check at the present rate `rate_hz`. `excused` is
@@ -49,8 +50,11 @@ impl Pace {
         let rates = (before.min(self.rate), before.max(self.rate));
         let [alone, together] = [(u64::from(steps), elapsed_us), (self.taken, self.elapsed)]
             .map(|(taken, elapsed)| verdict(taken, elapsed, rates, excused));
-        let now = if alone == Verdict::Kept { together } else { alone };
-        if now != Verdict::Kept || excused || before != self.rate || expected(self.elapsed, self.rate, 100) >= MIN_STEPS
+        let now = if alone == Verdict::RightRate { together } else { alone };
+        if now != Verdict::RightRate
+            || excused
+            || before != self.rate
+            || expected(self.elapsed, self.rate, 100) >= MIN_STEPS
         {
             self.found = now;
             (self.taken, self.elapsed) = (0, 0);
@@ -70,6 +74,6 @@ fn verdict(taken: u64, elapsed: u64, (slower, faster): (u64, u64), excused: bool
     } else if !excused && taken.saturating_add(END_STEPS) < expected(elapsed, slower, MIN_RATE_PERCENT) {
         Verdict::TooSlow
     } else {
-        Verdict::Kept
+        Verdict::RightRate
     }
 }

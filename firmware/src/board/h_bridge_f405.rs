@@ -9,7 +9,6 @@ use super::{Common, IdentityPins, Pin};
 use crate::adc;
 use crate::board::MONITOR_2V9;
 
-/// The wires of this board.
 pub struct HBridgeF405;
 
 impl Wires for HBridgeF405 {

@@ -10,13 +10,11 @@ use embassy_stm32::pac::{GPIOA, GPIOE};
 use super::h_bridges::{Pins, Wires};
 use super::{Common, IdentityPins, Pin};
 
-/// The converters' reference, V.
 const REFERENCE_V: f32 = 3.0;
 /// Level of the supply monitor: 2.66 V for a falling, at most 2.82 V for a rising supply (STM32F407 datasheet, table
 /// 19). The next level may need 2.99 V, which the board may not reach. The flash is fast enough down to 2.7 V.
 const MONITOR_2V7: u8 = 4;
 
-/// The wires of this board.
 pub struct HBridgeF407Disc1;
 
 impl Wires for HBridgeF407Disc1 {

@@ -39,7 +39,7 @@ impl Service {
             Key::Polarity => decode_setting::<Polarity>(entry).map(drop)?,
             Key::Name => decode_setting::<BoardName>(entry).map(drop)?,
         }
-        // A tool must not commit settings that another tool staged before it ended.
+        // A tool must not commit the settings that another tool staged.
         if self.staged.0 != write.session {
             self.staged = (write.session, KeyList::new());
         }
@@ -50,9 +50,9 @@ impl Service {
         Ok(())
     }
 
-    /// Applies the settings staged under these keys and writes them to flash: all of them, or none. Other settings
-    /// stay, except that another device drops the mass model and a scene that does not fit, and another scene drops the
-    /// mass model. Flash then holds the same configuration, so that limits never apply to another device than theirs.
+    /// Applies the settings staged under these keys and writes all of them to flash, or none. Other settings stay,
+    /// except that another device drops the mass model and a scene that does not fit, and another scene drops the mass
+    /// model. Flash then holds the same configuration, so that limits apply only to their own device.
     pub fn commit_entries<Mc: Machine>(&mut self, machine: &mut Mc, commit: &Commit) -> Result<(), Refusal> {
         check_motors_off(machine)?;
         let keys = &commit.keys;

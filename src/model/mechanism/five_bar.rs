@@ -19,7 +19,9 @@ pub use pose::Pose;
 pub(super) use pose::UnitMotion;
 use pose::left;
 
-use super::{Mechanism, Regularity, SINE_FLOOR, Shaped, Shaping, WallTerms, effective, reciprocal, symmetric};
+use super::{
+    Mechanism, Regularity, SINE_FLOOR, ShapedTorque, Shaping, WallTerms, effective_inertia, reciprocal, symmetric,
+};
 use crate::math::{Angle, Math, Real, cast};
 use crate::model::catalogue::{Kind, Spec};
 use crate::model::description::{Description, DescriptionError};
@@ -96,7 +98,7 @@ impl<T: Real> FiveBar<T> {
         if assembly != 1.0 && assembly != -1.0 {
             return Err(DescriptionError::Assembly);
         }
-        // The elbows' distance is between these two values. The linkage closes if this range overlaps the rods' range.
+        // The linkage closes if the range of the elbows' distance overlaps the range that the rods can bridge.
         let farthest = base + l1 + l2;
         let nearest = (base - l1 - l2).max(0.0).max(l1 - base - l2).max(l2 - base - l1);
         if nearest >= r1 + r2 || farthest <= (r1 - r2).abs() {
@@ -394,7 +396,7 @@ impl<T: Real> Mechanism<T, 2> for FiveBar<T> {
     }
 
     #[inline(always)]
-    fn shaped(&self, pose: &Pose<T>, n: &Vector2<T>, force: T, qd: Option<&Vector2<T>>) -> Shaped<T, 2> {
+    fn shaped_torque(&self, pose: &Pose<T>, n: &Vector2<T>, force: T, qd: Option<&Vector2<T>>) -> ShapedTorque<T, 2> {
         let UnitMotion { e, momentum, arms } = self.unit_motion(pose, n);
         // Acceleration of the tip along n.
         let s = force / (self.tip_mass + arms);
@@ -406,23 +408,23 @@ impl<T: Real> Mechanism<T, 2> for FiveBar<T> {
             at_joints += Vector2::new(self.arm_inertia[0] * qdd_bias[0], self.arm_inertia[1] * qdd_bias[1]);
         }
         let at_tip = self.with_rods(pose, n * (self.tip_mass * s), qd, &qdd);
-        Shaped { e, torque: at_joints + Self::transposed(pose, &at_tip) }
+        ShapedTorque { e, torque: at_joints + Self::transposed(pose, &at_tip) }
     }
 
     #[inline(always)]
-    fn shaped_turning(
+    fn shaped_torque_of_turning_wall(
         &self,
         pose: &Pose<T>,
         n: &Vector2<T>,
         force: T,
         qd: &Vector2<T>,
         turning: &Vector2<T>,
-    ) -> Shaped<T, 2> {
+    ) -> ShapedTorque<T, 2> {
         let UnitMotion { e, arms, .. } = self.unit_motion(pose, n);
         // Total acceleration of the tip.
         let a = n * (force / (self.tip_mass + arms)) + turning;
         let qdd = Self::joint_acceleration(pose, qd, &self.velocity(pose, qd), Some(&a));
-        Shaped { e, torque: self.inertial_torque(pose, qd, &qdd, Some(&a)) }
+        ShapedTorque { e, torque: self.inertial_torque(pose, qd, &qdd, Some(&a)) }
     }
 
     #[inline(always)]
@@ -459,7 +461,7 @@ impl<T: Real> Mechanism<T, 2> for FiveBar<T> {
             }),
             b: levers.bias(qd, &qdd_bias, Vector2::zeros(), &Vector2::from(self.gravity)),
             row,
-            w_eff: effective(&levers.mass(), &row),
+            w_eff: effective_inertia(&levers.mass(), &row),
         }
     }
 

@@ -7,7 +7,7 @@
 //! the angle between the two links (less the reflected rotor between neighbours). Joint torques are sums of the moments
 //! on the absolute angles, τᵢ = Σ_{j≥i}.
 
-use super::{Mechanism, Regularity, SINE_FLOOR, Shaping, WallTerms, effective, reciprocal};
+use super::{Mechanism, Regularity, SINE_FLOOR, Shaping, WallTerms, effective_inertia, reciprocal};
 use crate::math::{Angle, Math, Real, cast};
 use crate::model::catalogue::{Kind, Spec};
 use crate::model::description::{Description, DescriptionError};
@@ -18,7 +18,6 @@ use nalgebra::{Matrix3, Vector2, Vector3};
 pub struct Serial3r<T> {
     /// l₁, l₂, l₃, m.
     lengths: [T; 3],
-    /// 1/l₁ and 1/l₂, 1/m.
     inverse_lengths: [T; 2],
     /// Diagonal of the mass matrix in absolute rates, kg m².
     inertia: [T; 3],
@@ -312,7 +311,7 @@ impl<T: Real> Mechanism<T, 3> for Serial3r<T> {
             w: Matrix3::new(nn, nt, nf, nt, tt, tf, nf, tf, ff),
             b: self.velocity_torque(pose, qd) + self.gravity(pose),
             row: joint_torques(&moments),
-            w_eff: effective(&mass, &moments),
+            w_eff: effective_inertia(&mass, &moments),
         }
     }
 

@@ -14,8 +14,9 @@ struct Encoding<T> {
     /// Angular velocity of one count per control period, rad/s.
     speed_per_count: T,
     binary: Binary,
-    /// Number of counts after which the angle repeats: `turns` complete turns.
+    /// Number of counts after which the angle repeats.
     period: i32,
+    /// Number of complete turns in `period`.
     turns: i32,
     /// Joint angle of one part, rad. A turn has `period` parts, a count has `turns` parts.
     radians_per_part: T,
@@ -26,9 +27,9 @@ struct Encoding<T> {
 /// Conversion of counts to binary angles.
 #[derive(Clone, Copy, Debug)]
 struct Binary {
-    /// Binary angle units per count, without the fraction. `rest` is the fraction in units of 2⁻³², rounded to nearest,
-    /// so that the error over the full range of the counter is less than one binary angle unit.
+    /// Binary angle units per count, without the fraction.
     whole: u32,
+    /// Fraction of the binary angle units per count, in units of 2⁻³².
     rest: i32,
     /// Angle at count zero.
     offset: BinaryAngle,

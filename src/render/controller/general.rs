@@ -139,7 +139,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         gravity
     }
 
-    /// Adds the force `other` (N) to the resultant `force` (N). Adds and returns its torques (N m).
+    /// Adds the force `other` (N) to the resultant `force` (N). Adds and returns the torques of `other` (N m).
     #[inline(never)]
     pub(super) fn add_force(
         &self,
@@ -205,8 +205,8 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         (limit / gain).lesser(T::one())
     }
 
-    /// Applies `share` of the feed-forward to the active walls and the stiff guidance that acts together with them.
-    /// `force` is their resultant, N. Returns the torques without gravity (N m), and the force that is left for Jᵀ (N).
+    /// Applies `share` of the feed-forward to the resultant `force` (N) of the active walls and the stiff guidance.
+    /// Returns the torques without gravity (N m), and the force that is left for Jᵀ (N).
     #[inline(never)]
     pub(super) fn feed_forward(
         &self,
@@ -244,7 +244,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
                 (T::one() + (limit - T::one()) * single_wall_weight(&group.principal)) / gain
             };
             let part = share * self.gain.map_or(T::one(), share_of_gain);
-            group.principal.shaped(&shapings, force, part, bias)
+            group.principal.feed_forward(&shapings, force, part, bias)
         }
     }
 
@@ -295,10 +295,10 @@ fn radians<T: Real, const N: usize>(angles: &[Angle<T>; N]) -> SVector<T, N> {
 }
 
 /// Returns the similarity of several walls to a single wall: a smooth step from 1 for coinciding walls to 0 if the
-/// second direction has a hundredth of the first one's stiffness (two equal facets 11° apart). A feed-forward gain
-/// above 1 is meant for a single wall, because the stability proof for several walls needs a gain of 1.
+/// second direction has a hundredth of the stiffness of the first (two equal facets 11° apart). A feed-forward gain
+/// above 1 is only for a single wall, because the stability proof for several walls needs a gain of 1.
 fn single_wall_weight<T: Real, const N: usize>(principal: &Principal<T, N>) -> T {
-    let second = principal.along(1) * T::from_f64(100.0);
-    let s = (T::one() - second / principal.along(0).greater(T::EPSILON)).greater(T::zero());
+    let second = principal.stiffness_along(1) * T::from_f64(100.0);
+    let s = (T::one() - second / principal.stiffness_along(0).greater(T::EPSILON)).greater(T::zero());
     s * s * (T::from_f64(3.0) - s - s)
 }

@@ -19,11 +19,11 @@ mod contact_group;
 #[derive(Clone, Copy, Debug)]
 pub(super) struct RunningWall<T: Real> {
     wall: Wall<T>,
-    /// Distance below which the wall acts, m, and `least_force`, the smallest force that it may make, N. Both are 0;
-    /// for a bilateral wall they are +∞ and -∞.
+    /// Distance below which the wall acts, m: 0, or +∞ for a bilateral wall.
     acts_below: T,
+    /// Smallest force that the wall may make, N: 0, or -∞ for a bilateral wall.
     least_force: T,
-    /// Feed-forward of a wall that acts together with others: its own, or the others' if it has none.
+    /// Feed-forward among several walls: the wall's own, or the shared feed-forward if the wall has none.
     effective_feed_forward: FeedForward,
     /// True if the wall has a feed-forward of its own.
     has_feed_forward: bool,
@@ -38,7 +38,7 @@ pub(super) struct RunningWall<T: Real> {
 pub(super) struct ContactPull<T> {
     /// Stiffness, N/m.
     pub stiffness: T,
-    /// True if it has a feed-forward of its own.
+    /// True if the wall has a feed-forward of its own.
     pub has_feed_forward: bool,
     /// Depth of the tip in the wall, m.
     pub depth: T,
@@ -52,8 +52,9 @@ pub(super) struct WallEffect<T> {
     pub velocity: T,
     /// True if the wall acts.
     pub touched: bool,
-    /// Force along the normal, N. `shaped` is the part for the feed-forward. Both are zero if the wall does not act.
+    /// Force along the normal, N; zero if the wall does not act.
     pub force: T,
+    /// Part of the force for the feed-forward, N; zero if the wall does not act.
     pub shaped: T,
     /// Damping added by the passivity controller, N s/m.
     pub passivity_damping: T,
@@ -235,7 +236,7 @@ pub(super) struct WallContacts<T: Real, const N: usize> {
     pub normal: SVector<T, N>,
     /// Force through Jᵀ without feed-forward, N.
     pub plain: SVector<T, N>,
-    /// The first wall with the feed-forward. Separate, because a single wall is usual and need not go through memory.
+    /// The first wall with the feed-forward, separate because a usual scene has only one wall.
     pub first: Option<ShapedContact<T, N>>,
 }
 
@@ -275,8 +276,8 @@ impl<T: Real> Walls<T> {
         Ok(walls)
     }
 
-    /// Returns the feed-forward of springs and of walls without their own, when they act together with walls that have
-    /// one. It has a washout if any of those walls has, because a wall with a washout does not push sideways at rest.
+    /// Returns the feed-forward that walls share with springs and with walls without a feed-forward. It has a washout
+    /// if any wall has a washout, because such a wall must not push sideways at rest.
     pub fn shared_feed_forward(&self) -> (FeedForward, Option<Washout<T>>) {
         let with = |feed_forward| self.running.iter().find(move |other| other.wall.feed_forward == feed_forward);
         match with(FeedForward::Washout).map(|other| other.washout) {
@@ -286,7 +287,7 @@ impl<T: Real> Walls<T> {
         }
     }
 
-    /// Sets the feed-forward of walls without their own to [`Walls::shared_feed_forward`].
+    /// Gives [`Walls::shared_feed_forward`] to the walls without a feed-forward.
     fn update_shared_feed_forward(&mut self) {
         let (others, washout) = self.shared_feed_forward();
         for running in &mut self.running {

@@ -3,7 +3,7 @@
 use super::cutoff::{BadCutoff, prewarped_gain};
 use crate::math::Real;
 
-/// The washout: a first-order high-pass of the wall force. The feed-forward shapes its output.
+/// The washout: a first-order high-pass of the wall force. The feed-forward acts on the output.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Washout<T> {
     gain: T,

@@ -28,7 +28,7 @@ pub struct TipMotion<T: Real> {
     pub e: Vector2<T>,
     /// Cᵀ n, kg m.
     rods: Vector2<T>,
-    /// The part of M E that acts at the joints directly, Aᵢ eᵢ + Cᵀ n, kg m. The rest acts through the tip.
+    /// Part of M E that acts at the joints directly, Aᵢ eᵢ + Cᵀ n, kg m. The rest of M E acts through the tip.
     momentum: Vector2<T>,
 }
 

@@ -27,7 +27,7 @@ pub struct Pose<T: Real> {
 pub(in super::super) struct UnitMotion<T: Real> {
     /// E, rad/m.
     pub e: Vector2<T>,
-    /// The part of M E that acts at the joints directly, Iᵢ eᵢ + βᵢ cᵢ·n, kg m. The rest acts through the tip.
+    /// Part of M E that acts at the joints directly, Iᵢ eᵢ + βᵢ cᵢ·n, kg m. The rest of M E acts through the tip.
     pub momentum: Vector2<T>,
     /// The arms' part of the mass at the tip, kg, computed in task space without J: Λ = Γ 1 + Σ Aᵢ aᵢaᵢᵀ + βᵢ(aᵢcᵢᵀ +
     /// cᵢaᵢᵀ) with aᵢ = uᵢ/kᵢ.

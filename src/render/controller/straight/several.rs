@@ -138,7 +138,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         };
         if let Some((normal, depth, stiffness)) = self.guidance.touched_plane::<N>(place) {
             plain.force += normal * shared.plane;
-            // The reach is 0 here, because `shared_depth` already covers the plane.
+            // The plane adds no depth here, because `shared_depth` already includes the plane.
             let pull = ContactPull { stiffness, has_feed_forward: false, depth, reach: T::zero() };
             plain.plane = Some(StiffContact { normal, pull });
         }
@@ -156,7 +156,7 @@ fn stiffest_direction<T: Real, K: Math<T>, const N: usize>(
     reach: T,
 ) -> Option<(SVector<T, N>, T)> {
     let full = T::one() / (reach * T::from_f64(TOUCH_SHARE)).greater(T::from_f64(TOUCH_DEPTH));
-    // Total stiffness, and the stiffness of the parts without a feed-forward of their own, which are rare.
+    // Total stiffness, and the stiffness of the contacts and springs without a feed-forward of their own.
     let mut all = springs.unwrap_or(Stiffness::none());
     let (mut plain, mut mixed) = (all, springs.is_some());
     for StiffContact { normal, pull } in contacts {

@@ -3,7 +3,7 @@
 use super::super::Controller;
 use super::Start;
 use crate::math::{Math, Real};
-use crate::model::mechanism::{Mechanism, Shaped};
+use crate::model::mechanism::{Mechanism, ShapedTorque};
 use crate::render::scene::FeedForward;
 use crate::render::step_result::{AtWalls, StepResult, clear, put};
 use nalgebra::SVector;
@@ -24,7 +24,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
             return self.render_generally(counts, result);
         };
         if self.guidance.adds_force {
-            // Passes a copy, so that the usual case need not keep it in memory.
+            // Passes a copy, so that the usual case can keep the value in registers.
             self.write_guidance(&{ start }, &mut result.guidance);
         }
         let Start { pose, place, .. } = start;
@@ -63,12 +63,12 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
             self.record_wall_torques(&rendered, result);
             return self.write_total(&rendered, || contact.normal * force, result);
         }
-        let Shaped { e, mut torque } = if ROUND {
-            self.shaped_round(&start, &contact.normal, effect.shaped, curvature)
+        let ShapedTorque { e, mut torque } = if ROUND {
+            self.shaped_torque_of_round_wall(&start, &contact.normal, effect.shaped, curvature)
         } else {
             self.shaped_torque(&start, &contact.normal, effect.shaped, Some(0))
         };
-        // Adds zero if the complete force is shaped.
+        // The rest of the force is zero if the complete force is shaped.
         torque += row * (force - effect.shaped);
         self.record_wall_torques(&torque, result);
         put(&e, &mut result.motion);
