@@ -41,7 +41,7 @@ use crate::control::program::Program;
 use crate::drive::brushed::Axis;
 use crate::drive::heat::Heat;
 use crate::drive::stage::{Stage, Supply};
-use crate::math::{Math, limited};
+use crate::math::{Math, clamp};
 use crate::model::catalogue::MAX_JOINTS;
 use crate::model::device::Leverage;
 use crate::render::scene::DEFAULT_RATE_HZ;
@@ -222,7 +222,7 @@ where
     #[inline(always)]
     fn render_scene(&mut self, counts: &Counts) {
         if let Some(program) = self.program.as_mut() {
-            program.controller.render(counts, &self.now.motors.torque, &mut self.now.found);
+            program.controller.render(counts, &self.now.motors.torque, &mut self.now.result);
         }
     }
 
@@ -312,7 +312,7 @@ where
         self.now.motors.current = seen.currents;
         self.now.counts = seen.counts;
         if let Some(program) = self.program.as_ref() {
-            program.controller.angles(&seen.counts, &mut self.now.found);
+            program.controller.angles(&seen.counts, &mut self.now.result);
         }
     }
 
@@ -351,7 +351,7 @@ where
             }
             State::Armed => {
                 self.fade.share = 1.0;
-                let asked = self.now.found.asked;
+                let asked = self.now.result.asked;
                 self.command(&asked, &asked.total);
             }
             State::CheckingPolarity => {
@@ -393,7 +393,7 @@ where
     /// Commands the requested torques, which are within the limits.
     #[inline(always)]
     fn command_unlimited<const J: usize>(&mut self) {
-        let (motors, found) = (&mut self.now.motors, &self.now.found);
+        let (motors, found) = (&mut self.now.motors, &self.now.result);
         motors.rendered_force = found.at.walls.wall_force;
         for (i, joint) in self.joints.iter_mut().enumerate().take(J) {
             joint.stage.command_within(found.asked.total[i]);
@@ -405,9 +405,9 @@ where
     fn command_test(&mut self, torque: &Torques) {
         let joints = self.count();
         for (i, joint) in self.joints.iter_mut().enumerate().take(joints) {
-            let torque = limited(torque[i], self.max_joint_torque[i]);
+            let torque = clamp(torque[i], self.max_joint_torque[i]);
             joint.stage.command(torque);
-            self.now.motors.torque[i] = limited(torque, joint.stage.max_torque());
+            self.now.motors.torque[i] = clamp(torque, joint.stage.max_torque());
         }
         self.now.motors.limited = 0;
     }
@@ -415,7 +415,7 @@ where
     /// Commands the torques of a fully faded-in scene on J joints, cut to the limits.
     #[inline(always)]
     fn command_limited<const J: usize>(&mut self) {
-        let asked = self.now.found.asked;
+        let asked = self.now.result.asked;
         self.command_of::<J>(&asked, &asked.total);
         self.update_steady();
     }
@@ -437,13 +437,13 @@ where
         self.cut_torques = fade::CommandedTorques { gravity: granted.gravity, rendered, share: granted.share };
         self.cut_step = self.now.step;
         if self.host.acts {
-            self.host.granted = granted.share * self.fade.share;
+            self.host.granted_share = granted.share * self.fade.share;
         }
         let motors = &mut self.now.motors;
         motors.limited = 0;
         for (i, joint) in self.joints.iter_mut().enumerate().take(J) {
             joint.stage.command(granted.torque[i]);
-            motors.torque[i] = limited(granted.torque[i], joint.stage.max_torque());
+            motors.torque[i] = clamp(granted.torque[i], joint.stage.max_torque());
             // True if the torque is as requested up to the rounding of its conversion to a current; false for NaN.
             let is_kept = (wanted[i] - motors.torque[i]).abs() <= 1.0e-5 * wanted[i].abs();
             motors.limited |= u8::from(!is_kept) << i;
@@ -452,13 +452,12 @@ where
     }
 
     /// Returns the force of the walls that remains after limits, N.
-    ///
     /// If the tip moves by one unit along the deepest wall's normal n only, the joints move by E = J⁻¹ n. By virtual
     /// work, a joint torque τ acts like the force E·τ along n (τ = Jᵀ F gives E·τ = n·F). Limits therefore removed the
     /// force E·(asked - commanded). Weight and springs cancel in the difference.
     #[inline(always)]
     fn limited_wall_force<const J: usize>(&self) -> f32 {
-        let Now { motors, found, .. } = &self.now;
+        let Now { motors, result: found, .. } = &self.now;
         let mut force = found.at.walls.wall_force;
         for (i, asked) in found.asked.total.iter().enumerate().take(J) {
             force -= found.motion[i] * (asked - motors.torque[i]);

@@ -17,7 +17,7 @@ pub trait Real:
     /// Returns the representable number nearest to `value`.
     fn from_i32(value: i32) -> Self;
     /// Returns the integer part, clamped to the range of `i32`; 0 for NaN.
-    fn whole(self) -> i32;
+    fn integer_part(self) -> i32;
     /// Returns the absolute value.
     fn abs(self) -> Self;
     /// Returns true if the number is neither infinite nor NaN.
@@ -44,7 +44,7 @@ pub(crate) fn cast<T: Real, U: Real>(value: T) -> U {
 
 /// Clamps `value` to ±`bound`, which is not negative; returns 0 if `value` is not finite.
 #[inline(always)]
-pub(crate) fn limited(value: f32, bound: f32) -> f32 {
+pub(crate) fn clamp(value: f32, bound: f32) -> f32 {
     if value.abs() <= bound {
         value
     } else if value.is_finite() {
@@ -72,7 +72,7 @@ macro_rules! real {
                 value as $float
             }
             #[inline(always)]
-            fn whole(self) -> i32 {
+            fn integer_part(self) -> i32 {
                 self as i32
             }
             #[inline(always)]

@@ -89,9 +89,9 @@ impl Pin {
 /// because the pull could switch a bridge on. For example, the pull would raise EN_GATE of an ODrive to 1.8 V.
 pub struct IdentityPins {
     /// Pins that the board holds at a level.
-    pub held: &'static [Pin],
+    pub held_pins: &'static [Pin],
     /// Pins that the board leaves open.
-    pub open: &'static [Pin],
+    pub open_pins: &'static [Pin],
 }
 
 /// A motor-driver board.

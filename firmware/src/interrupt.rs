@@ -65,7 +65,7 @@ struct InterruptState {
     /// True if late duties wait for the valley.
     duties_pending: bool,
     /// True while the bridges are connected to the carrier.
-    driving: bool,
+    is_driving: bool,
     /// Number of crests and valleys at which the interrupt was too late to connect the bridges.
     missed_connections: u8,
     control_loop: BoardControlLoop,
@@ -113,7 +113,7 @@ pub fn start(mut io: <This as Board>::Io, hardware: Hardware, rules: Rules, heat
         late_crests: 0,
         duties_pending: false,
         legs: [[0; 2]; MAX_JOINTS],
-        driving: false,
+        is_driving: false,
         missed_connections: 0,
         io,
     };
@@ -187,7 +187,7 @@ impl InterruptState {
             self.valley_missed();
         }
         if self.step_countdown & OVERRAN != 0 {
-            if self.driving {
+            if self.is_driving {
                 self.trip_overrun();
                 self.float_bridges();
             } else if self.control_loop.status().state.drives() {
@@ -235,7 +235,7 @@ impl InterruptState {
     #[inline(always)]
     fn write(&mut self, drives: bool) {
         self.io.write(&self.legs);
-        if self.driving && !drives {
+        if self.is_driving && !drives {
             self.float_bridges();
         }
     }
@@ -253,7 +253,7 @@ impl InterruptState {
 
     /// Writes late duties, which wait for the valley if it has not passed. See [`InterruptState::write`].
     fn write_late(&mut self, drives: bool) {
-        if self.driving && !drives {
+        if self.is_driving && !drives {
             self.float_bridges();
         }
         self.duties_pending = !is_past_valley();
@@ -293,7 +293,7 @@ impl InterruptState {
     #[inline(never)]
     fn check_missed_crest(&mut self) {
         self.late_crests = LATE_CRESTS;
-        if self.driving && self.outlasts_crest() {
+        if self.is_driving && self.outlasts_crest() {
             self.trip_overrun();
         }
     }
@@ -311,7 +311,7 @@ impl InterruptState {
     #[cold]
     #[inline(never)]
     fn trip_driving(&mut self, fault: Fault) {
-        if self.driving {
+        if self.is_driving {
             self.control_loop.trip(fault, None, 0.0);
         }
     }
@@ -332,7 +332,7 @@ impl InterruptState {
 
     fn connect(&mut self) {
         self.io.drive(true);
-        self.driving = true;
+        self.is_driving = true;
         // An overrun while the bridges floated has no effect.
         self.step_countdown &= !OVERRAN;
     }
@@ -343,7 +343,7 @@ impl InterruptState {
     fn float_bridges(&mut self) {
         self.io.drive(false);
         CONTROL.shared.gate_ready.store(false, Ordering::Relaxed);
-        self.driving = false;
+        self.is_driving = false;
     }
 
     /// Records the duration of a crest that is the longest so far or lasted past the valley.

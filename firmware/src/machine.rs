@@ -86,7 +86,7 @@ impl BoardMachine {
 
     /// Enables the gate drivers. A driver that does not respond latches a fault.
     fn raise_gate(&mut self) -> Result<(), Refusal> {
-        if let Some(record) = self_test::failed() {
+        if let Some(record) = self_test::failed_test() {
             let _ = self.requests.send(Request::Command(Command::Fault(record)));
             return Err(Refusal::Faulted(record.fault));
         }

@@ -96,7 +96,7 @@ const MAX_WAITING: usize = 2;
 /// Frames to the host.
 pub struct Outgoing {
     frame: &'static mut Frame,
-    stalled: bool,
+    is_stalled: bool,
 }
 
 impl Outgoing {
@@ -107,7 +107,7 @@ impl Outgoing {
         let [frame, free @ ..] = FRAMES.take();
         let (waiting, free, waker) = (Deque::new(), Vec::from_iter(free), WakerRegistration::new());
         SEND_QUEUE.lock(|queue| queue.replace(Some(SendQueue { sender, waiting, sent_bytes: 0, free, waker })));
-        Self { frame, stalled: false }
+        Self { frame, is_stalled: false }
     }
 
     /// Returns the buffer for the next frame, before encoding.
@@ -121,10 +121,10 @@ impl Outgoing {
         self.frame.length = 1 + length;
         let mut free = with_queue(|queue| queue.free.pop()).flatten();
         // Does not wait for a host that did not read during an earlier wait.
-        if free.is_none() && !self.stalled {
+        if free.is_none() && !self.is_stalled {
             free = with_timeout(MAX_READ_WAIT, poll_fn(poll_free)).await.ok();
         }
-        self.stalled = free.is_none();
+        self.is_stalled = free.is_none();
         let Some(free) = free else { return };
         let frame = core::mem::replace(&mut self.frame, free);
         with_queue(|queue| {

@@ -71,7 +71,7 @@ struct Request<'f> {
 }
 
 impl Request<'_> {
-    fn is<E: Endpoint>(&self) -> bool {
+    fn is_for<E: Endpoint>(&self) -> bool {
         self.header.key == VarKey::Key8(E::REQ_KEY)
     }
 
@@ -130,7 +130,7 @@ fn encode(header: &VarHeader, message: &impl Serialize, out: &mut [u8]) -> Optio
 /// Runs the arm of the request's endpoint and replies. Continues if no arm matches.
 macro_rules! serve {
     ($request:ident, $out:ident; $($Endpoint:ident: |$message:pat_param| $work:expr;)*) => {
-        $(if $request.is::<$Endpoint>() {
+        $(if $request.is_for::<$Endpoint>() {
             return $request.serve::<$Endpoint>($out, |$message| $work);
         })*
     };
@@ -147,7 +147,7 @@ fn route<M: Described>(
     if matches!(request.header.key, VarKey::Key1(_) | VarKey::Key2(_)) {
         return request.fail(WireError::KeyTooSmall, out);
     }
-    if request.is::<Force>() {
+    if request.is_for::<Force>() {
         return request.serve_force(out, |force| machine.force(force));
     }
     serve! { request, out;

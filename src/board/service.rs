@@ -38,7 +38,7 @@ pub struct Service {
     faults: FaultList,
     last_fault: Option<FaultRecord>,
     /// Last session that staged entries, with the keys of these entries.
-    staged: (u32, KeyList),
+    staged_entries: (u32, KeyList),
 }
 
 impl Service {
@@ -65,7 +65,7 @@ impl Service {
             damage: Vec::new(),
             faults: FaultList::new(),
             last_fault: None,
-            staged: (0, KeyList::new()),
+            staged_entries: (0, KeyList::new()),
         }
     }
 

@@ -133,7 +133,7 @@ type KeyCache = Cache<Uncached, Uncached, ArrayKeyPointers<u8, KEYS>, u8>;
 /// A flash that can be written only while unlocked. Without the lock, reads would erase and write to repair damage.
 struct LockableFlash<F> {
     flash: F,
-    writable: bool,
+    is_writable: bool,
 }
 
 #[derive(Debug)]
@@ -172,14 +172,14 @@ impl<F: NorFlash> NorFlash for LockableFlash<F> {
     const ERASE_SIZE: usize = F::ERASE_SIZE;
 
     async fn erase(&mut self, from: u32, to: u32) -> Result<(), Self::Error> {
-        if !self.writable {
+        if !self.is_writable {
             return Err(Failure::Locked);
         }
         self.flash.erase(from, to).await.map_err(Failure::Flash)
     }
 
     async fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), Self::Error> {
-        if !self.writable {
+        if !self.is_writable {
             return Err(Failure::Locked);
         }
         self.flash.write(offset, bytes).await.map_err(Failure::Flash)
@@ -206,7 +206,7 @@ impl<'b, F: NorFlash> Storage<'b, F> {
     pub fn new(flash: F, range: Range<u32>, buffer: &'b mut [u8; LONGEST_STORED]) -> Self {
         let known = Cache::new(Uncached, Uncached, ArrayKeyPointers::new());
         Self {
-            map: MapStorage::new(LockableFlash { flash, writable: false }, MapConfig::new(range), known),
+            map: MapStorage::new(LockableFlash { flash, is_writable: false }, MapConfig::new(range), known),
             absent_keys: 0,
             unreadable_settings: 0,
             staged_generations: [0; SETTINGS],
@@ -229,7 +229,7 @@ impl<'b, F: NorFlash> Storage<'b, F> {
     /// Runs an operation that may write, then locates every entry again, because writes and flash errors move entries.
     fn with_writing<T>(&mut self, work: impl FnOnce(&mut Self) -> Result<T, StorageError>) -> Result<T, StorageError> {
         self.unreadable_settings = 0;
-        self.map.flash().writable = true;
+        self.map.flash().is_writable = true;
         let result = work(self);
         // An unreadable entry makes the map lose all places, so the other entries are located again without it.
         loop {
@@ -243,7 +243,7 @@ impl<'b, F: NorFlash> Storage<'b, F> {
                 break;
             }
         }
-        self.map.flash().writable = false;
+        self.map.flash().is_writable = false;
         result
     }
 

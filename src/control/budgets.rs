@@ -8,7 +8,7 @@ use crate::control::joints::{Counts, Torques};
 use crate::control::program::Program;
 use crate::drive::bits::margin_bits;
 use crate::drive::stage::Stage;
-use crate::math::{Math, Real, limited, sqrt};
+use crate::math::{Math, Real, clamp, sqrt};
 use crate::model::device::{Leverage, squared};
 use crate::safety::fault::{Fault, State};
 use crate::safety::limits::VOLTS_MARGIN;
@@ -230,7 +230,7 @@ where
         match self.state {
             // The torque that carried the weight may still fade in a scene without gravity compensation.
             State::Armed if self.was_cut() => self.cut_torques.gravity,
-            State::Armed if self.compensates_weight => Torques(self.now.found.asked.gravity),
+            State::Armed if self.compensates_weight => Torques(self.now.result.asked.gravity),
             _ => Torques::default(),
         }
     }
@@ -348,7 +348,7 @@ where
         let (count, current) = (seen.counts[i], seen.currents[i]);
         let mut spent = None;
         let moved = core::mem::replace(&mut sums.count, count) != count;
-        let heat = limited(core::mem::take(&mut sums.current_squares) * period, f32::MAX);
+        let heat = clamp(core::mem::take(&mut sums.current_squares) * period, f32::MAX);
         // The heat is also updated while the motors are off, because they cool.
         if motor.warm(heat, elapsed) {
             spent = Some((Fault::ThermalBudget, current));

@@ -54,7 +54,7 @@ pub(super) struct Joint<S> {
 #[repr(C)]
 struct Bounds {
     /// Largest motion in a carrier period, counts.
-    jump: i32,
+    max_jump: i32,
     gain: f32,
     /// Gain of the filter for back-EMF.
     steady_gain: f32,
@@ -62,10 +62,10 @@ struct Bounds {
     speed: f32,
     /// Speed of one count per carrier period, rad/s, with its sign.
     radians: f32,
-    /// First and last count of the joint's range. They apply if `limited`.
+    /// First and last count of the joint's range. They apply if `has_range`.
     first: i32,
     last: i32,
-    limited: bool,
+    has_range: bool,
     /// Largest accepted measured current, A, above any overshoot of the current loop.
     current: f32,
     /// Largest difference of two current sensors, A.
@@ -88,7 +88,7 @@ impl<S: Stage> Joint<S> {
         self.unfiltered_speed = moved as f32;
         self.speed += self.bounds.gain * (self.unfiltered_speed - self.speed);
         self.steady_speed += self.bounds.steady_gain * (self.unfiltered_speed - self.steady_speed);
-        margin_counts(moved, self.bounds.jump)
+        margin_counts(moved, self.bounds.max_jump)
     }
 
     /// Returns a negative number if speed or current is beyond its bound.
@@ -101,12 +101,11 @@ impl<S: Stage> Joint<S> {
 
     /// Returns a negative number if the joint has a range and the count is outside.
     fn range_margin(&self, count: i32) -> i32 {
-        if self.bounds.limited { self.bounds.range_margin(count) } else { 0 }
+        if self.bounds.has_range { self.bounds.range_margin(count) } else { 0 }
     }
 
-    /// Returns true if the joint has a range.
     pub(super) fn is_limited(&self) -> bool {
-        self.bounds.limited
+        self.bounds.has_range
     }
 
     /// Returns the speed, rad/s.
@@ -149,12 +148,12 @@ enum UnusualCrest {
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Crests {
     /// True after the first crest.
-    primed: bool,
+    has_run: bool,
     /// Lowest and highest bus voltage, V.
     bus: (f32, f32),
     /// Mean power into the hand and its limit, W.
     power: f32,
-    most_power: f32,
+    max_power: f32,
     power_gain: f32,
     /// Carrier period, s.
     pub(super) period: f32,
@@ -170,7 +169,7 @@ impl Crests {
     #[inline(always)]
     fn allows_power(&mut self, power: f32) -> bool {
         self.power += (power - self.power) * self.power_gain;
-        self.power <= self.most_power
+        self.power <= self.max_power
     }
 }
 
@@ -188,7 +187,7 @@ where
         self.crests.period = period;
         self.flow.set_period(period);
         self.crests.power_gain = period / POWER_SECONDS;
-        self.crests.most_power = limits.power;
+        self.crests.max_power = limits.power;
         self.crests.bus = if self.hardware.bus_sensed {
             (limits.bus_min.max(BUS_VOLTAGE.0), limits.bus_max.min(BUS_VOLTAGE.1))
         } else {
@@ -202,7 +201,7 @@ where
         let zero = program.controller.zero();
         for (i, (joint, zero)) in self.joints.iter_mut().zip(*zero).enumerate() {
             let range = range(program.limits[i], program.radians_per_count[i], program.offsets[i], zero);
-            joint.bounds.limited = range.is_some();
+            joint.bounds.has_range = range.is_some();
             (joint.bounds.first, joint.bounds.last) = range.unwrap_or_default();
         }
     }
@@ -221,7 +220,7 @@ where
         let kick = joint.stage.torque_of(joint.stage.back_emf_current(size / period)).abs();
         joint.bounds = Bounds {
             // A real motion is slower than five times the speed limit, and noise is less than four counts.
-            jump: ((5.0 * speed) as i32).max(4),
+            max_jump: ((5.0 * speed) as i32).max(4),
             gain,
             // The current loop removes the back-EMF that a slower filter leaves.
             steady_gain: gain.min(MAX_COUNT_TORQUE_SHARE * self.max_joint_torque[i] / kick),
@@ -386,7 +385,7 @@ where
 
     /// Checks the samples of a crest. While the motors are off, only encoders are checked, and only for jumps.
     pub(super) fn check_samples(&mut self, seen: &Samples) {
-        if !core::mem::replace(&mut self.crests.primed, true) {
+        if !core::mem::replace(&mut self.crests.has_run, true) {
             self.store_counts(seen);
         }
         let joints = self.count();
@@ -432,7 +431,7 @@ where
         for (i, joint) in joints() {
             let (bounds, count, current) = (&joint.bounds, seen.counts[i], seen.currents[i]);
             let moved = count.wrapping_sub(joint.count);
-            note(margin_counts(moved, bounds.jump) < 0, Fault::EncoderJump, Some(i), moved as f32);
+            note(margin_counts(moved, bounds.max_jump) < 0, Fault::EncoderJump, Some(i), moved as f32);
             if active {
                 note(margin_bits(joint.speed, bounds.speed) < 0, Fault::SpeedLimit, Some(i), joint.speed());
                 note(joint.range_margin(count) < 0, Fault::JointLimit, Some(i), self.angle(i, count));
@@ -443,7 +442,7 @@ where
         }
         if active {
             let power = crests.power;
-            note(power > crests.most_power || power.is_nan(), Fault::PowerLimit, None, power);
+            note(power > crests.max_power || power.is_nan(), Fault::PowerLimit, None, power);
             note(bus < crests.bus.0, Fault::BusUnderVoltage, None, bus);
             note(bus > crests.bus.1, Fault::BusOverVoltage, None, bus);
         }
@@ -487,7 +486,7 @@ fn floor_to_i32(value: f32) -> i32 {
 }
 
 #[test]
-fn limits_beyond_a_quarter_of_the_counter_hold_there() {
+fn joint_limits_hold_beyond_a_quarter_of_the_counter() {
     for zero in [0, 12_345, i32::MAX, i32::MIN] {
         let (first, last) = range(Some((-1.0e9, 1.0e9)), 1.0e-3, 0.0, zero).expect("limits");
         let bounds = Bounds { first, last, ..Bounds::default() };

@@ -96,7 +96,7 @@ where
         if !self.fade.has_begun {
             return;
         }
-        let asked = &self.now.found.asked;
+        let asked = &self.now.result.asked;
         let CommandedTorques { gravity, rendered, share } = if self.was_cut() {
             self.cut_torques
         } else {
@@ -135,7 +135,7 @@ where
     /// Runs one step of the fade. Returns the demand to command, and its total torques without the tip's force limit.
     #[inline(never)]
     pub(super) fn fade_in(&mut self) -> (TorqueDemand<f32>, [f32; MAX_JOINTS]) {
-        let asked = &{ self.now.found.asked };
+        let asked = &{ self.now.result.asked };
         self.fade.has_begun = true;
         self.fade.ramp = (self.fade.ramp + self.period * (1.0 / ARM_SECONDS)).min(1.0);
         // The force limit at the tip applies separately to the present demand and to the fading torques.
@@ -167,7 +167,7 @@ where
         let share = self.carried_share();
         let full_weight = match &self.program {
             Some(program) if !self.compensates_weight && share > 0.0 => {
-                program.mechanism.gravity::<K>(&self.now.found.at.q)
+                program.mechanism.gravity::<K>(&self.now.result.at.q)
             }
             _ => asked.gravity,
         };
@@ -200,7 +200,7 @@ where
             return;
         }
         // Leverage from half a millisecond ago would allow 4 % too much, because fading torques do not follow the pose.
-        let leverage = program.mechanism.leverage::<K>(&self.now.found.at.q);
+        let leverage = program.mechanism.leverage::<K>(&self.now.result.at.q);
         let share = share_within(leverage.force_squared(&rendered), self.max_tip_force);
         for part in fade.scene.iter_mut().chain(fade.host.torque.iter_mut()).chain(fade.feed_forward.iter_mut()) {
             *part *= share;

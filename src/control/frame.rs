@@ -58,7 +58,7 @@ pub(crate) struct Now {
     pub counts: Counts,
     pub motors: Motors,
     /// Result of the scene's step.
-    pub found: StepResult<f32>,
+    pub result: StepResult<f32>,
 }
 
 /// One step as telemetry records it. Vectors are padded with zeros to three entries.
@@ -81,7 +81,7 @@ impl StepRecord {
     /// memcpy.
     #[inline(always)]
     pub(crate) fn of(now: &Now, state: State) -> Self {
-        Self { step: now.step, state, counts: now.counts, at: now.found.at, motors: now.motors }
+        Self { step: now.step, state, counts: now.counts, at: now.result.at, motors: now.motors }
     }
 
     /// Returns the saturation of joint `i`: 0 for none, 1 if a limit changed its torque ([`Motors::limited`]), 2 if its

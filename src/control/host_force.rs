@@ -284,14 +284,14 @@ pub(super) struct HostForce {
     /// Time until the request expires, s.
     remaining_seconds: f32,
     /// Share of the host's force that ramp and limits left in the last step that was cut.
-    pub granted: f32,
+    pub granted_share: f32,
     contact: MovingPlane,
     /// Share of the contact that acted in the last step.
     contact_lease: f32,
     /// Contact's share less the request's share; nonzero after the request replaced another request.
     beside: f32,
     /// Rate at which `beside` shrinks to zero, 1/s.
-    closing: f32,
+    offset_rate: f32,
 }
 
 impl HostForce {
@@ -301,7 +301,7 @@ impl HostForce {
         let was_there =
             self.acts && self.contact.present_plane().stiffness + self.contact.present_plane().damping > 0.0;
         self.beside = if was_there { self.contact_lease - request.lease(age) } else { 0.0 };
-        self.closing = self.beside.abs() / BLEND_SECONDS.0;
+        self.offset_rate = self.beside.abs() / BLEND_SECONDS.0;
         // The blend keeps the rest of the earlier contact.
         (self.request, self.age, self.acts) = (ForceRequest { contact: None, ..*request }, age, true);
         self.contact.move_to(request.contact.as_ref());
@@ -319,7 +319,7 @@ impl HostForce {
         }
         self.torque = Torques(self.request.torque.map(|torque| torque * self.lease));
         self.remaining_seconds = self.request.hold + self.request.fade - self.age;
-        let closed = self.closing * period;
+        let closed = self.offset_rate * period;
         self.beside -= if self.beside.abs() > closed { closed.copysign(self.beside) } else { self.beside };
         self.contact_lease = self.lease + self.beside;
         let plane = self.contact.present_plane();
@@ -350,10 +350,10 @@ where
             step: self.now.step,
             period: self.period,
             age: self.host.acts.then_some(self.host.age),
-            tip: self.now.found.at.tip,
+            tip: self.now.result.at.tip,
             velocity: [0.0; 3],
-            q: self.now.found.at.q,
-            qd: self.now.found.at.qd,
+            q: self.now.result.at.q,
+            qd: self.now.result.at.qd,
             torque: self.now.motors.torque.0,
             force: [0.0; 3],
             share: 0.0,
@@ -376,13 +376,13 @@ where
             return (Torques::default(), 0.0);
         };
         let (_, force) = program.controller.velocity_and_push(&self.now);
-        let pushed = program.mechanism.torque::<K>(&self.now.found.at.q, &force);
+        let pushed = program.mechanism.torque::<K>(&self.now.result.at.q, &force);
         (Torques::from_fn(|i| granted * (pushed[i] + self.host.torque[i])), self.host.remaining_seconds)
     }
 
     /// Returns the share of the host's force that ramp and limits left.
     fn host_granted(&self) -> f32 {
-        if self.was_cut() { self.host.granted } else { 1.0 }
+        if self.was_cut() { self.host.granted_share } else { 1.0 }
     }
 
     fn take_force(&mut self, request: &ForceRequest) -> ForceDone {
@@ -437,8 +437,8 @@ where
         if torque != Torques::default()
             && let Some(program) = self.program.as_ref()
         {
-            program.controller.angles(counts, &mut self.now.found);
-            let StepResult { at, asked, .. } = &mut self.now.found;
+            program.controller.angles(counts, &mut self.now.result);
+            let StepResult { at, asked, .. } = &mut self.now.result;
             for (i, torque) in torque.iter().enumerate() {
                 asked.rendered[i] += torque;
                 asked.total[i] += torque;

@@ -20,7 +20,7 @@ use crate::control::program::Program;
 use crate::control::saturation::share_within;
 use crate::drive::bits::margin_bits;
 use crate::drive::stage::Stage;
-use crate::math::{Math, Real, limited, sqrt};
+use crate::math::{Math, Real, clamp, sqrt};
 use crate::model::catalogue::MAX_JOINTS;
 use crate::safety::fault::{Fault, State};
 use crate::safety::refusal::Refusal;
@@ -157,7 +157,7 @@ struct Swing {
     /// Sums of the joint angles, rad.
     angles: [Phasor; MAX_JOINTS],
     /// Sum of the torque of the measured current, N m.
-    driven: Phasor,
+    driven_torque: Phasor,
     current: Phasor,
     voltage: Phasor,
 }
@@ -225,7 +225,7 @@ pub(super) struct PolarityCheck {
     current: f32,
     voltage: f32,
     /// Commanded torques until the next step.
-    commanded: Torques,
+    commanded_torques: Torques,
 }
 
 impl<P, K, S> ControlLoop<P, S>
@@ -249,16 +249,16 @@ where
     pub(super) fn check_polarity(&mut self) -> Torques {
         if let Some(left) = self.polarity.steps_left.checked_sub(1) {
             self.polarity.steps_left = left;
-            return self.polarity.commanded;
+            return self.polarity.commanded_torques;
         }
         let steps = ((CHECK_PERIOD / self.period + 0.5) as u32).max(1);
         let (motors, i) = (&self.now.motors, self.axis());
         let polarity = &mut self.polarity;
         (polarity.steps_left, polarity.step_period) = (steps - 1, steps as f32 * self.period);
         (polarity.current, polarity.voltage) = (motors.current[i], motors.duty[i] * motors.bus_voltage);
-        polarity.q = self.now.found.at.q;
+        polarity.q = self.now.result.at.q;
         polarity.due = true;
-        polarity.commanded
+        polarity.commanded_torques
     }
 
     /// Runs the rest of a due step of the check. Returns false if none is due.
@@ -281,7 +281,7 @@ where
     fn advance_check(&mut self) {
         self.polarity.due = false;
         let torque = self.check_step();
-        self.polarity.commanded = torque;
+        self.polarity.commanded_torques = torque;
         if self.state == State::CheckingPolarity {
             self.command_test(&torque);
         }
@@ -351,12 +351,12 @@ where
     }
 
     /// Returns a torque (N m) of the joint under test, reduced to the tip's force limit here and in nearby poses.
-    fn within_tip_force(&self, wanted: f32) -> Torques {
+    fn torques_within_tip_force(&self, wanted: f32) -> Torques {
         let i = self.axis();
         let tip_force = self.rules.limits.tip_force;
         let most = (tip_force / self.polarity.force_per_torque).lesser(self.joints[i].stage.max_torque());
         let mut torque = Torques::default();
-        torque[i] = limited(wanted, most.lesser(self.max_joint_torque[i]));
+        torque[i] = clamp(wanted, most.lesser(self.max_joint_torque[i]));
         torque[i] *= share_within(self.leverage.force_squared(&torque), tip_force);
         torque
     }
@@ -494,7 +494,7 @@ where
             for (sum, moved) in swing.angles.iter_mut().zip(moved) {
                 add(sum, *moved);
             }
-            add(&mut swing.driven, stage.torque_of(current));
+            add(&mut swing.driven_torque, stage.torque_of(current));
             add(&mut swing.current, current);
             add(&mut swing.voltage, voltage);
         }
@@ -515,7 +515,7 @@ where
             (*low, *high) = (moved.lesser(*low), moved.greater(*high));
         }
         let swung = swing.largest_motion_share(i, joints);
-        swing.work += polarity.commanded[i] * (moved[i] - swing.last_moved);
+        swing.work += polarity.commanded_torques[i] * (moved[i] - swing.last_moved);
         swing.last_moved = moved[i];
         // A faster filter would turn a single count of a coarse encoder into a blow.
         let speed = swing.rate * (moved[i] - swing.mean);
@@ -538,8 +538,8 @@ where
         let back = -swing.stiffness * moved[i] - swing.damping * speed;
         let fading =
             (1.0 - (turns - TURNS_BEFORE_SUMS - TURNS_SUMMED - TURNS_BEFORE_FADING) / TURNS_FADING).clamp(0.0, 1.0);
-        let wanted = limited(fading * swing.torque * cosine + back, swing.max_torque);
-        self.within_tip_force(wanted)
+        let wanted = clamp(fading * swing.torque * cosine + back, swing.max_torque);
+        self.torques_within_tip_force(wanted)
     }
 
     /// Compares a finished swing with the device file, one part in each step, because steps at high rates have little
@@ -571,7 +571,7 @@ where
         });
         // A current sampled just before the torque changes belongs to the middle of the previous step.
         let (sine, cosine) = K::sin_cos(0.5 * self.polarity.step_period * swing.rate);
-        let [along, across] = swing.driven;
+        let [along, across] = swing.driven_torque;
         let driven = [along * cosine + across * sine, across * cosine - along * sine];
         let share = |row: &Phasor| dot(*row, driven) / dot(driven, driven).max(f32::MIN_POSITIVE);
         let mut others = acted.iter().map(share).enumerate().take(self.count()).filter(|(row, _)| *row != i);

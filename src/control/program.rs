@@ -119,7 +119,7 @@ macro_rules! define {
             pub(crate) fn velocity_and_push(&self, now: &Now) -> ([f32; MAX_JOINTS], [f32; MAX_JOINTS]) {
                 match self {
                     $(Self::$Variant(controller) => {
-                        let (velocity, force) = controller.velocity_and_push(&to_joints(&now.counts), &to_joints(&now.found.at.qd).into());
+                        let (velocity, force) = controller.velocity_and_push(&to_joints(&now.counts), &to_joints(&now.result.at.qd).into());
                         (padded(&velocity.data.0[0]), padded(&force.data.0[0]))
                     })*
                 }

@@ -116,8 +116,8 @@ where
             fault: self.fault,
             step: self.now.step,
             bus_voltage: self.now.motors.bus_voltage,
-            q: self.now.found.at.q,
-            tip: self.now.found.at.tip,
+            q: self.now.result.at.q,
+            tip: self.now.result.at.tip,
         }
     }
 
@@ -247,8 +247,8 @@ where
                 self.polarity_known = false;
                 (self.first_index, self.marks) = ([None; MAX_JOINTS], None);
                 // A device with fewer joints would not overwrite all results of the previous device.
-                self.now.found = StepResult::default();
-                self.now.found.parallel = 1.0;
+                self.now.result = StepResult::default();
+                self.now.result.parallel = 1.0;
             }
         }
         self.begin_fade();
@@ -325,12 +325,12 @@ where
         if self.hardware.bus_sensed && !(self.rules.limits.bus_min..=self.rules.limits.bus_max).contains(&bus) {
             return Err(Refusal::BusVoltage);
         }
-        if self.now.found.parallel < watch::MIN_PARALLEL_SINE {
+        if self.now.result.parallel < watch::MIN_PARALLEL_SINE {
             return Err(Refusal::Singular);
         }
         for (i, limits) in program.limits.iter().enumerate().take(program.joints) {
             if let Some((low, high)) = limits
-                && !(*low..=*high).contains(&self.now.found.at.q[i])
+                && !(*low..=*high).contains(&self.now.result.at.q[i])
             {
                 return Err(Refusal::OutsideLimits(i as u8));
             }

@@ -16,7 +16,7 @@ use crate::control::joints::Torques;
 use crate::control::program::Program;
 use crate::drive::bits::margin_bits;
 use crate::drive::stage::Stage;
-use crate::math::{Math, limited, sqrt};
+use crate::math::{Math, clamp, sqrt};
 use crate::model::catalogue::MAX_JOINTS;
 use crate::model::device::{Leverage, squared};
 use crate::render::step_result::TorqueDemand;
@@ -46,7 +46,7 @@ where
     /// more than rounding errors. Returns a negative number for NaN.
     #[inline(always)]
     pub(super) fn fits<const J: usize>(&self) -> i32 {
-        let TorqueDemand { total, gravity, rendered, force_squared } = &self.now.found.asked;
+        let TorqueDemand { total, gravity, rendered, force_squared } = &self.now.result.asked;
         let mut margin = margin_bits(*force_squared, self.max_tip_force_squared);
         let mut pushing = *total;
         if self.compensates_weight {
@@ -107,7 +107,7 @@ impl TorqueDemand<f32> {
     /// with gravity and the room of its feed-forward.
     #[inline(always)]
     fn room_for_rendered(&self, i: usize, limit: f32, most: f32) -> f32 {
-        let (base, part) = (limited(self.gravity[i], limit), self.rendered[i]);
+        let (base, part) = (clamp(self.gravity[i], limit), self.rendered[i]);
         let along = if part > 0.0 { self.feed_forward(i) } else { -self.feed_forward(i) };
         if along > 0.0 {
             // Either force and feed-forward both fit, or the force leaves the feed-forward its room.
@@ -135,7 +135,7 @@ impl TorqueDemand<f32> {
         let share = self.share::<J>(limit, tip_force);
         let (mut torque, mut gravity) = (Torques::default(), Torques::default());
         for i in 0..J {
-            gravity[i] = limited(self.gravity[i], limit[i]);
+            gravity[i] = clamp(self.gravity[i], limit[i]);
             torque[i] = gravity[i] + share * self.rendered[i];
         }
         let (force, aside) = (leverage.force::<J>(&self.rendered), leverage.force::<J>(&self.feed_forwards()));
@@ -145,7 +145,7 @@ impl TorqueDemand<f32> {
         }
         for i in 0..J {
             // Limits each torque again, because rounding may exceed the limit. A torque that is not finite becomes 0.
-            torque[i] = limited(torque[i] + rest_share * self.feed_forward(i), limit[i]);
+            torque[i] = clamp(torque[i] + rest_share * self.feed_forward(i), limit[i]);
         }
         GrantedTorques { torque, gravity, share }
     }

@@ -153,7 +153,7 @@ where
     /// [`ControlLoop::fits`] detects torques that are NaN.
     #[inline(always)]
     pub(super) fn watch<const J: usize>(&self) -> i32 {
-        let found = &self.now.found;
+        let found = &self.now.result;
         let mut sum = found.at.walls.wall_force + found.at.walls.normal_velocity;
         for qd in found.at.qd.iter().take(J) {
             sum += qd;
@@ -176,7 +176,7 @@ where
     /// Returns a negative number if a requested torque of the J joints is NaN or infinite.
     #[inline(always)]
     pub(super) fn finite_margin<const J: usize>(&self) -> i32 {
-        self.now.found.asked.total.iter().take(J).fold(0, |least, torque| least | margin_bits(*torque, f32::MAX))
+        self.now.result.asked.total.iter().take(J).fold(0, |least, torque| least | margin_bits(*torque, f32::MAX))
     }
 
     /// Finds the first fault of an unusual step, and turns the motors off if the fault requires it. `before` are the
@@ -193,7 +193,7 @@ where
             }
         };
         // NaN is checked first because it makes every comparison below meaningless.
-        let found = &self.now.found;
+        let found = &self.now.result;
         let mut sum = found.at.walls.wall_force + found.at.walls.normal_velocity;
         for (qd, torque) in found.at.qd.iter().zip(&found.asked.total).take(joints) {
             sum += qd + torque;
@@ -216,7 +216,7 @@ where
             }
         }
         if active {
-            let parallel = self.now.found.parallel;
+            let parallel = self.now.result.parallel;
             note(parallel_margin(parallel) < 0, Fault::Singularity, None, parallel);
             let seconds = self.host_silence();
             let silent = seconds > self.rules.host_seconds;

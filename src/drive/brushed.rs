@@ -13,7 +13,7 @@
 
 use super::bits::margin_bits;
 use super::stage::{Bridge, Duty, MAX_DUTY, Stage, Supply};
-use crate::math::{Real, limited};
+use crate::math::{Real, clamp};
 use crate::model::motor::Motor;
 
 /// [`MAX_DUTY`] less the largest rounding error.
@@ -44,7 +44,7 @@ const SLOW_ERROR_WEIGHT: f32 = 1.0 / 64.0;
 const CURRENT_DECAY: f32 = 15.0 / 16.0;
 /// Share of the largest recent difference of fed-forward and measured speed that remains after a carrier period.
 const SPEED_ERROR_DECAY: f32 = 255.0 / 256.0;
-/// Largest voltage error while the current lags during a reversal, as a share of the voltage R i at the largest current.
+/// Largest voltage error while the current lags in a reversal, as a share of the voltage R i at the largest current.
 const LAG_TOLERANCE: f32 = 1.3;
 
 /// Effect of a duty, as shares of the current change that the duty makes in a full carrier period.
@@ -166,9 +166,8 @@ impl Axis {
         let integrates = if duty.abs() <= USABLE_DUTY {
             true
         } else {
-            duty = limited(duty, USABLE_DUTY);
-            rise =
-                limited(((duty - dead_time_duty) * supply.volts - hold) * self.amps_per_volt, 2.0 * self.peak_current);
+            duty = clamp(duty, USABLE_DUTY);
+            rise = clamp(((duty - dead_time_duty) * supply.volts - hold) * self.amps_per_volt, 2.0 * self.peak_current);
             duty * error < 0.0
         };
         self.expected = begin + timing.sample * rise;
@@ -226,7 +225,7 @@ impl Stage for Axis {
     fn limit(&mut self, max_current: f32) {
         self.max_current = self.motor_current.min(max_current).max(0.0);
         // The last command acts until the next control step.
-        self.target = limited(self.target, self.max_current);
+        self.target = clamp(self.target, self.max_current);
         self.peak_current = OVERSHOOT_FACTOR * self.max_current + OVERSHOOT_FLOOR;
         // Change from any current within the limit to the largest current with overshoot.
         self.safe_rise = USABLE_RISE_SHARE * ((self.peak_current - self.max_current) * self.timing[0].request).max(0.0);
@@ -257,7 +256,7 @@ impl Stage for Axis {
 
     #[inline(always)]
     fn command(&mut self, torque: f32) {
-        self.target = limited(torque * self.amps_per_torque, self.max_current);
+        self.target = clamp(torque * self.amps_per_torque, self.max_current);
     }
 
     #[inline(always)]
@@ -300,7 +299,7 @@ impl Stage for Axis {
 
     #[inline(always)]
     fn settle(&mut self, bus_voltage: f32, given: f32, speed: f32, raw: f32) {
-        self.integrator = limited(self.integrator, USABLE_DUTY * bus_voltage);
+        self.integrator = clamp(self.integrator, USABLE_DUTY * bus_voltage);
         self.mean_error += self.error_weight * (self.error - self.mean_error);
         let (at_valley, fading) = (self.at_valley.abs(), CURRENT_DECAY * self.recent_current);
         self.recent_current = if at_valley > fading { at_valley } else { fading };
@@ -349,7 +348,7 @@ impl Stage for Axis {
 
     fn current_from_voltage(&self) -> f32 {
         let strain = self.integrator + self.resistance * self.mean_error;
-        let beyond = strain - limited(strain, self.emf_tolerance);
+        let beyond = strain - clamp(strain, self.emf_tolerance);
         self.at_valley + if self.resistance > 0.0 { beyond / self.resistance } else { 0.0 }
     }
 

@@ -5,7 +5,7 @@
 //! sample per phase and one duty per leg (tests/stages.rs).
 
 use super::bits::margin_bits_between;
-use crate::math::limited;
+use crate::math::clamp;
 use crate::model::motor::Motor;
 use core::fmt::Debug;
 use postcard_schema::Schema;
@@ -35,7 +35,7 @@ pub struct Duty(pub(super) f32);
 impl Duty {
     /// Returns the duty nearest to `share`; zero if `share` is not finite.
     pub fn nearest(share: f32) -> Self {
-        Self(limited(share, MAX_DUTY))
+        Self(clamp(share, MAX_DUTY))
     }
 }
 

@@ -272,7 +272,7 @@ pub(crate) fn squared<const N: usize>(force: &[f32; N]) -> f32 {
 }
 
 #[inline(always)]
-fn unit<const N: usize>(direction: usize) -> SVector<f32, N> {
+fn unit_vector<const N: usize>(direction: usize) -> SVector<f32, N> {
     SVector::from_fn(|i, _| if i == direction { 1.0 } else { 0.0 })
 }
 
@@ -283,13 +283,14 @@ fn leverage_at<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(mechanism: &M
     if task == N {
         // The rows of J⁻ᵀ.
         for (direction, row) in rows.iter_mut().enumerate().take(N) {
-            *row = padded(&mechanism.inverse(&pose, &unit(direction)).data.0[0]);
+            *row = padded(&mechanism.inverse(&pose, &unit_vector(direction)).data.0[0]);
         }
         return Leverage(rows);
     }
     // Joint motion M⁻¹ Jᵀ and tip motion J M⁻¹ Jᵀ per unit of a hand's force in each direction.
     let mass = mechanism.mass(&pose);
-    let torques: [SVector<f32, N>; N] = core::array::from_fn(|direction| mechanism.transpose(&pose, &unit(direction)));
+    let torques: [SVector<f32, N>; N] =
+        core::array::from_fn(|direction| mechanism.transpose(&pose, &unit_vector(direction)));
     let moved: [SVector<f32, N>; N] = core::array::from_fn(|direction| solve_symmetric(&mass, &torques[direction]));
     let tip = SMatrix::<f32, N, N>::from_fn(|i, j| match (i < task, j < task) {
         (true, true) => torques[i].dot(&moved[j]),

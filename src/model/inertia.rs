@@ -212,7 +212,7 @@ impl<T: Real, const N: usize> Inertia<T, N> {
             }
         };
         let f_a = SVector::from_fn(|i, _| shapings.get(i + rank).map_or(T::zero(), |shaping| shaping.e.dot(&torque)));
-        let (w_eff, torque_without_feed_forward) = without_feed_forward(mechanism, pose, &tip, rank, &in_span);
+        let (w_eff, torque_without_feed_forward) = terms_without_feed_forward(mechanism, pose, &tip, rank, &in_span);
         Self { split, w, z, w_eff, torque, torque_without_feed_forward, f_a }
     }
 }
@@ -220,7 +220,7 @@ impl<T: Real, const N: usize> Inertia<T, N> {
 /// Returns Weff (kg) in the leading block of a matrix, and the joint torques without feed-forward (N m), along the
 /// first `rank` columns of `tip`. `in_span` is the force along the columns, N.
 #[inline(always)]
-fn without_feed_forward<T: Real, M: Mechanism<T, N>, const N: usize>(
+fn terms_without_feed_forward<T: Real, M: Mechanism<T, N>, const N: usize>(
     mechanism: &M,
     pose: &M::Pose,
     tip: &SMatrix<T, N, N>,

@@ -59,7 +59,7 @@ pub struct WallTerms<T: Real, const N: usize> {
 
 /// Returns the symmetric matrix with this upper triangle.
 #[inline(always)]
-fn symmetric<T: Real, const N: usize>(upper: impl Fn(usize, usize) -> T) -> SMatrix<T, N, N> {
+fn symmetric_matrix<T: Real, const N: usize>(upper: impl Fn(usize, usize) -> T) -> SMatrix<T, N, N> {
     let mut matrix = SMatrix::zeros();
     for j in 0..N {
         for i in 0..=j {
@@ -93,7 +93,7 @@ pub(crate) fn in_basis<T: Real, const N: usize>(
     basis: &SMatrix<T, N, N>,
 ) -> SMatrix<T, N, N> {
     let moved = inertia * basis;
-    symmetric(|i, j| basis.column(i).dot(&moved.column(j)))
+    symmetric_matrix(|i, j| basis.column(i).dot(&moved.column(j)))
 }
 
 /// Joint torques by equation (4) for one wall.

@@ -170,7 +170,7 @@ impl<T: Real> Table<T> {
         let mut within = [T::zero(); 2];
         for k in 0..2 {
             let u = (shape[k] - self.low[k]) * self.inverse_spacing[k];
-            let whole = u.whole();
+            let whole = u.integer_part();
             // The far edge belongs to the last cell.
             let last = self.last[k];
             let whole = if whole == last + 1 && u == T::from_i32(whole) { last } else { whole };

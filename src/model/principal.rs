@@ -195,7 +195,7 @@ impl<T: Real, const N: usize> Principal<T, N> {
     }
 }
 
-fn unit<T: Real, const N: usize>(i: usize) -> SVector<T, N> {
+fn unit_vector<T: Real, const N: usize>(i: usize) -> SVector<T, N> {
     SVector::from_fn(|row, _| if row == i { T::one() } else { T::zero() })
 }
 
@@ -206,7 +206,7 @@ fn frame<T: Real, K: Math<T>, const N: usize>(
     weight: impl Fn(&Pull<T, N>) -> T,
     task: usize,
 ) -> [SVector<T, N>; N] {
-    let mut axes: [SVector<T, N>; N] = core::array::from_fn(|i| unit(i));
+    let mut axes: [SVector<T, N>; N] = core::array::from_fn(|i| unit_vector(i));
     let walls = || pulls.iter().filter(|pull| !pull.across);
     let mut largest = T::zero();
     for pull in walls() {
@@ -248,7 +248,7 @@ fn frame<T: Real, K: Math<T>, const N: usize>(
 /// Returns a unit vector perpendicular to the unit vector `n` in space, from the coordinate axis farthest from `n`.
 fn perpendicular_to<T: Real, K: Math<T>, const N: usize>(n: &SVector<T, N>) -> SVector<T, N> {
     let smallest = (1..N.min(3)).fold(0, |smallest, i| if n[i].abs() < n[smallest].abs() { i } else { smallest });
-    let part = unit::<T, N>(smallest) - n * n[smallest];
+    let part = unit_vector::<T, N>(smallest) - n * n[smallest];
     part / K::sqrt(part.dot(&part))
 }
 

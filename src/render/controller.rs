@@ -109,9 +109,9 @@ pub struct Controller<T: Real, M, K, const N: usize> {
     /// True if b of the shaped torque can be nonzero.
     has_bias: bool,
     /// True if b is c - M J⁻¹ J̇ q̇ only, and no part of b is subtracted from a wall's force.
-    usual_terms: bool,
+    has_usual_terms: bool,
     /// True if b also contains the rotation of normals.
-    turning_terms: bool,
+    has_turning_terms: bool,
     /// True if the walls' energy is counted, for the passivity controller or for display.
     is_counting_energy: bool,
     is_passivity_on: bool,
@@ -163,10 +163,10 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         if scene.posture.is_some() && M::SPEC.task == N {
             return Err(SceneError::Posture);
         }
-        let has_bias = scene.velocity_terms != VelocityTerms::Off || walls.damped;
+        let has_bias = scene.velocity_terms != VelocityTerms::Off || walls.compensates_damping;
         // True if no part of b is subtracted from a wall's force.
-        let rendered = scene.velocity_terms == VelocityTerms::Rendered && !walls.damped;
-        let turns = walls.curved && M::SPEC.task > 1;
+        let rendered = scene.velocity_terms == VelocityTerms::Rendered && !walls.compensates_damping;
+        let turns = walls.has_curved_wall && M::SPEC.task > 1;
         let moving = has_bias || guidance.is_active || scene.posture.is_some();
         Ok(Self {
             mechanism,
@@ -184,8 +184,8 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
             admissible: scene.admissible,
             posture: scene.posture,
             has_bias,
-            usual_terms: rendered && !turns,
-            turning_terms: rendered && turns,
+            has_usual_terms: rendered && !turns,
+            has_turning_terms: rendered && turns,
             is_counting_energy: false,
             is_passivity_on: false,
             variant: StepVariant::Restart,

@@ -382,7 +382,7 @@ impl<T: Real> Scene<T> {
             let length = squared(&spring.direction);
             gain(spring.stiffness)
                 && gain(spring.damping)
-                && finite(&spring.point)
+                && is_finite_point(&spring.point)
                 && (length == T::zero() || is_unit(length))
         });
         if !springs || !gain(self.field_damping) {
@@ -397,7 +397,7 @@ impl<T: Real> Scene<T> {
     }
 }
 
-fn finite<T: Real>(v: &[T; 3]) -> bool {
+fn is_finite_point<T: Real>(v: &[T; 3]) -> bool {
     v.iter().all(|entry| entry.is_finite())
 }
 

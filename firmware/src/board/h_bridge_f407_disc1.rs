@@ -21,7 +21,7 @@ impl Wires for HBridgeF407Disc1 {
     const NAME: &'static str = "h-bridge-f407-disc1";
     /// The bus divider holds PC4, with the supply on or off, and the board pulls PB9 up for its audio chip. Both pins
     /// are open on an STM32F405 module, and PC4 is a free connector pin on an ODrive.
-    const IDENTITY: IdentityPins = IdentityPins { held: &[Pin::new('C', 4), Pin::new('B', 9)], open: &[] };
+    const IDENTITY: IdentityPins = IdentityPins { held_pins: &[Pin::new('C', 4), Pin::new('B', 9)], open_pins: &[] };
     const SUPPLY_LEVEL: u8 = MONITOR_2V7;
     const ENABLE_PIN: (Gpio, usize) = (GPIOE, 14);
     const BREAK_PIN: (Gpio, usize) = (GPIOE, 15);

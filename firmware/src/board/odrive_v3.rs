@@ -58,7 +58,7 @@ impl Board for OdriveV3 {
     /// The bus divider holds PA6 with 0.9 kohm, with the supply on or off, and a thermistor with 3.3 kohm to the supply
     /// holds PC5. On a Discovery board PA6 is an output of its accelerometer, and PC5 is free. The two DRV8301 can be
     /// identified only while EN_GATE is high, so arming reads their registers back.
-    const IDENTITY: IdentityPins = IdentityPins { held: &[Pin::new('A', 6), Pin::new('C', 5)], open: &[] };
+    const IDENTITY: IdentityPins = IdentityPins { held_pins: &[Pin::new('A', 6), Pin::new('C', 5)], open_pins: &[] };
     const AXES: usize = AXES;
     /// Data of the bridges. The current loop has a phase margin of 60 degrees with half a carrier period of delay,
     /// because its bandwidth is the lowest carrier frequency / (10 * 2 pi), rounded down.

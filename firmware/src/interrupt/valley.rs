@@ -16,7 +16,7 @@ impl InterruptState {
     #[inline(always)]
     pub(super) fn valley(&mut self) {
         self.cycles_at_valley = DWT::cycle_count();
-        if !self.driving {
+        if !self.is_driving {
             self.valley_floating();
         }
         self.io.clear_flags();
@@ -31,7 +31,7 @@ impl InterruptState {
             self.check_crest_between();
         }
         let drives = compiled::check_slow_faults(&mut self.control_loop, &self.samples).bridges;
-        if !drives && self.driving {
+        if !drives && self.is_driving {
             self.float_bridges();
         }
         let request = CONTROL.request.load(Ordering::Acquire);
@@ -41,7 +41,7 @@ impl InterruptState {
             if self.carry_out(unsafe { &mut *request }) {
                 CONTROL.request.store(core::ptr::null_mut(), Ordering::Release);
             }
-            if self.driving && self.cycles_since_valley() > 2 * u32::from(self.io.carrier().top) {
+            if self.is_driving && self.cycles_since_valley() > 2 * u32::from(self.io.carrier().top) {
                 self.crest_missed();
             }
         }
@@ -51,7 +51,7 @@ impl InterruptState {
     #[cold]
     #[inline(never)]
     fn check_crest_between(&mut self) {
-        if self.step_countdown & NO_STEP == 0 && self.driving {
+        if self.step_countdown & NO_STEP == 0 && self.is_driving {
             self.crest_missed();
         }
         self.step_countdown &= !NO_STEP;
@@ -71,7 +71,7 @@ impl InterruptState {
         if self.step_countdown & UNRECORDED != 0 {
             self.record();
         }
-        if self.step_countdown & OVERRAN == 0 && self.driving {
+        if self.step_countdown & OVERRAN == 0 && self.is_driving {
             self.step_countdown |= OVERRAN;
             increment(&CONTROL.shared.overruns);
         }
@@ -133,7 +133,7 @@ impl InterruptState {
             }
             Request::Settle => more = self.control_loop.settle_next(),
             Request::Retime(carrier) => {
-                if !self.driving {
+                if !self.is_driving {
                     self.io.set_carrier(*carrier);
                     self.ticks = carrier.ticks();
                     (self.initial_countdown, self.step_countdown) = (initial_countdown(carrier), 0);
@@ -150,7 +150,7 @@ impl InterruptState {
             warmth::store(self.control_loop.heat());
         }
         let status = self.control_loop.status();
-        if !status.state.drives() && self.driving {
+        if !status.state.drives() && self.is_driving {
             self.float_bridges();
         }
         if more {

@@ -40,13 +40,13 @@ impl Service {
             Key::Name => decode_setting::<BoardName>(entry).map(drop)?,
         }
         // A tool must not commit the settings that another tool staged.
-        if self.staged.0 != write.session {
-            self.staged = (write.session, KeyList::new());
+        if self.staged_entries.0 != write.session {
+            self.staged_entries = (write.session, KeyList::new());
         }
-        self.staged.1.retain(|key| *key != write.key);
+        self.staged_entries.1.retain(|key| *key != write.key);
         machine.stage(write.key, entry)?;
         // The list has room for every key.
-        let _ = self.staged.1.push(write.key);
+        let _ = self.staged_entries.1.push(write.key);
         Ok(())
     }
 
@@ -56,7 +56,7 @@ impl Service {
     pub fn commit_entries<Mc: Machine>(&mut self, machine: &mut Mc, commit: &Commit) -> Result<(), Refusal> {
         check_motors_off(machine)?;
         let keys = &commit.keys;
-        if keys.iter().any(|key| commit.session != self.staged.0 || !self.staged.1.contains(key)) {
+        if keys.iter().any(|key| commit.session != self.staged_entries.0 || !self.staged_entries.1.contains(key)) {
             return Err(Refusal::BadEntry);
         }
         let name: Option<BoardName> = self.staged_value(machine, keys)?;

@@ -11,7 +11,8 @@
 
 use super::five_bar::{self, FiveBar, Levers, UnitMotion};
 use super::{
-    Mechanism, Regularity, SINE_FLOOR, ShapedTorque, Shaping, WallTerms, inertia_with_turret, reciprocal, symmetric,
+    Mechanism, Regularity, SINE_FLOOR, ShapedTorque, Shaping, WallTerms, inertia_with_turret, reciprocal,
+    symmetric_matrix,
 };
 use crate::math::{Angle, Math, Real, cast};
 use crate::model::catalogue::{Kind, Spec};
@@ -360,7 +361,7 @@ impl<T: Real> Mechanism<T, 3> for FiveBarTurret<T> {
                 twice * (spin.elbow[0] * (x1 * of_arms[0]) + spin.elbow[1] * (x2 * of_arms[1]) + spin.tip * tip[1]);
             joints = Some(of_arms);
         }
-        let at_tip = self.plane.with_rods(plane, at_tip, joints.as_ref(), &qdd);
+        let at_tip = self.plane.with_rod_forces(plane, at_tip, joints.as_ref(), &qdd);
         let linkage = at_joints + FiveBar::transposed(plane, &at_tip);
         ShapedTorque {
             e: Vector3::new(e0, e[0], e[1]),
@@ -424,7 +425,7 @@ impl<T: Real> Mechanism<T, 3> for FiveBarTurret<T> {
         WallTerms {
             e: Matrix3::from_columns(&[e(0), e(1), e(2)]),
             me: Vector3::new(spin.inertia * (*normal * pose.inverse_y), me[0], me[1]),
-            w: symmetric(w),
+            w: symmetric_matrix(w),
             b,
             row: Vector3::new(lever, row[0], row[1]),
             w_eff: inertia_with_turret(spin.inertia, lever, &levers.mass(), &row),

@@ -10,7 +10,7 @@
 //! The sines and cosines of q₁ and δ are computed; those of q₂ follow by the addition theorem. The divisor sin δ of J⁻¹
 //! therefore keeps full precision when the arm is nearly stretched.
 
-use super::{Mechanism, Regularity, SINE_FLOOR, Shaping, WallTerms, inertia_with_turret, reciprocal, symmetric};
+use super::{Mechanism, Regularity, SINE_FLOOR, Shaping, WallTerms, inertia_with_turret, reciprocal, symmetric_matrix};
 use crate::math::{Angle, Math, Real, cast};
 use crate::model::catalogue::{Kind, Spec};
 use crate::model::description::{Description, DescriptionError};
@@ -359,7 +359,7 @@ impl<T: Real> Mechanism<T, 3> for Parallelogram<T> {
         WallTerms {
             e: Matrix3::from_columns(&e),
             me: momenta[0],
-            w: symmetric(|i, j| e[i].dot(&momenta[j])),
+            w: symmetric_matrix(|i, j| e[i].dot(&momenta[j])),
             b: self.velocity_torque(pose, qd) + self.gravity(pose),
             row,
             w_eff: inertia_with_turret(turret, row[0], &arms, &Vector2::new(row[1], row[2])),

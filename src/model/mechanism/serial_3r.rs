@@ -46,7 +46,7 @@ pub struct Pose<T: Real> {
 
 /// Returns `v` rotated left by 90°.
 #[inline(always)]
-fn left<T: Real>(v: &Vector2<T>) -> Vector2<T> {
+fn rotated_left<T: Real>(v: &Vector2<T>) -> Vector2<T> {
     Vector2::new(-v[1], v[0])
 }
 
@@ -86,7 +86,8 @@ impl<T: Real> Serial3r<T> {
     /// Returns the absolute rates of the links for a task velocity.
     #[inline(always)]
     fn rates(&self, pose: &Pose<T>, point: &Vector2<T>, turning: T) -> Vector3<T> {
-        let [first, second] = self.arm_rates(pose, &(point - left(&pose.link[2]) * (self.lengths[2] * turning)));
+        let [first, second] =
+            self.arm_rates(pose, &(point - rotated_left(&pose.link[2]) * (self.lengths[2] * turning)));
         Vector3::new(first, second, turning)
     }
 
@@ -209,9 +210,9 @@ impl<T: Real> Mechanism<T, 3> for Serial3r<T> {
 
     fn jacobian(&self, pose: &Pose<T>) -> Matrix3<T> {
         let [l1, l2, l3] = self.lengths;
-        let third = left(&pose.link[2]) * l3;
-        let second = third + left(&pose.link[1]) * l2;
-        let first = second + left(&pose.link[0]) * l1;
+        let third = rotated_left(&pose.link[2]) * l3;
+        let second = third + rotated_left(&pose.link[1]) * l2;
+        let first = second + rotated_left(&pose.link[0]) * l1;
         let one = T::one();
         Matrix3::new(first[0], second[0], third[0], first[1], second[1], third[1], one, one, one)
     }
@@ -293,7 +294,8 @@ impl<T: Real> Mechanism<T, 3> for Serial3r<T> {
         let arms = |v: Vector2<T>| [first.dot(&v), second.dot(&v)];
         // The third link does not rotate along the wall's normal or across it. For φ it rotates about the tip.
         let (n, one, zero) = (Vector2::new(basis[(0, 0)], basis[(1, 0)]), T::one(), T::zero());
-        let (along, across, about) = (arms(n), arms(left(&n)), arms(left(&pose.link[2]) * -self.lengths[2]));
+        let (along, across, about) =
+            (arms(n), arms(rotated_left(&n)), arms(rotated_left(&pose.link[2]) * -self.lengths[2]));
         let momentum = |rates: [T; 2], third| self.momentum(pose, rates, third);
         let (pn, pt, pf) = (momentum(along, None), momentum(across, None), momentum(about, Some(one)));
         let product = |p: &Vector3<T>, rates: [T; 2]| p[0] * rates[0] + p[1] * rates[1];

@@ -236,7 +236,8 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
             let shapings = core::array::from_fn(|i| if i + 1 < N { along(i) } else { unused });
             let of_level = |level| self.bias(pose, place, qd, &BiasScope::Level(&group, level));
             // The bias of the levels differs only if normals turn or walls compensate damping.
-            let same = (self.has_bias && !self.walls.curved && !self.walls.damped).then(|| of_level(1));
+            let same =
+                (self.has_bias && !self.walls.has_curved_wall && !self.walls.compensates_damping).then(|| of_level(1));
             let bias = |level| self.has_bias.then(|| same.unwrap_or_else(|| of_level(level)));
             let first = &group.principal.direction(0);
             let share_of_gain = |gain| {
@@ -262,9 +263,9 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
     ) -> (SVector<T, N>, SVector<T, N>) {
         let mut b = SVector::zeros();
         if self.velocity_terms != VelocityTerms::Off {
-            let qd = &self.encoders.beyond_one_count(qd);
+            let qd = &self.encoders.velocities_beyond_one_count(qd);
             b = self.mechanism.velocity_torque(pose, qd);
-            if M::SPEC.task > 1 && self.walls.curved {
+            if M::SPEC.task > 1 && self.walls.has_curved_wall {
                 let velocity = task_part::<T, M, N>(&self.mechanism.velocity(pose, qd));
                 let acceleration = self.walls.normal_turn_acceleration::<K, N>(place, &velocity, scope);
                 b += MassModel::Exact.shaping(&self.mechanism, qd, pose, &acceleration).me;

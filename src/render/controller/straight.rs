@@ -100,7 +100,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         if !self.has_bias {
             return self.mechanism.shaped_torque(pose, normal, force, None);
         }
-        if let Some(certain) = self.certain_velocities(start).filter(|_| self.usual_terms) {
+        if let Some(certain) = self.certain_velocities(start).filter(|_| self.has_usual_terms) {
             return self.mechanism.shaped_torque(pose, normal, force, Some(&certain));
         }
         self.shaped_torque_with_partial_terms(start, normal, force, wall)
@@ -110,7 +110,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
     #[inline(always)]
     fn certain_velocities(&self, start: &Start<T, M::Pose, N>) -> Option<SVector<T, N>> {
         let Start { pose, qd, .. } = start;
-        let certain = self.encoders.beyond_one_count(qd);
+        let certain = self.encoders.velocities_beyond_one_count(qd);
         let known = self.encoders.are_velocity_terms_full(qd) || self.velocity_term_share(pose, &certain) >= T::one();
         known.then_some(certain)
     }
@@ -191,12 +191,12 @@ impl StepVariant {
         let shares_feed_forward = guidance.is_active && guidance.shares_feed_forward();
         let planar = N == 2 && M::SPEC.task == 2;
         // Each wall contributes to the bias if normals of several walls turn or walls compensate damping.
-        let flat = !walls.damped && (*velocity_terms == VelocityTerms::Off || !walls.curved);
+        let flat = !walls.compensates_damping && (*velocity_terms == VelocityTerms::Off || !walls.has_curved_wall);
         let usual = closed_form && posture.is_none() && walls.gain() == T::one() && coefficients.is_low_pass();
         if !usual {
             Self::General
         } else if walls.has_at_most_one_wall() && !shares_feed_forward {
-            if planar && controller.turning_terms && walls.is_single_ball() { Self::Round } else { Self::Wall }
+            if planar && controller.has_turning_terms && walls.is_single_ball() { Self::Round } else { Self::Wall }
         } else if planar && walls.are_stiff() && flat {
             Self::Several
         } else {

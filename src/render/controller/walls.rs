@@ -51,7 +51,7 @@ pub(super) struct WallEffect<T> {
     /// Velocity along the normal, m/s.
     pub velocity: T,
     /// True if the wall acts.
-    pub touched: bool,
+    pub is_touched: bool,
     /// Force along the normal, N; zero if the wall does not act.
     pub force: T,
     /// Part of the force for the feed-forward, N; zero if the wall does not act.
@@ -81,7 +81,8 @@ impl<T: Real> RunningWall<T> {
     pub fn effect_at(&mut self, distance: T, v: T, debt: Option<&Debt<T>>, gain: T) -> WallEffect<T> {
         let wall = &self.wall;
         let zero = T::zero();
-        let mut effect = WallEffect { velocity: v, touched: false, force: zero, shaped: zero, passivity_damping: zero };
+        let mut effect =
+            WallEffect { velocity: v, is_touched: false, force: zero, shaped: zero, passivity_damping: zero };
         // The comparisons below are written so that NaN propagates and is detected.
         let inside = distance < self.acts_below;
         if !inside {
@@ -99,7 +100,7 @@ impl<T: Real> RunningWall<T> {
         if force < self.least_force {
             force = self.least_force;
         }
-        effect.touched = true;
+        effect.is_touched = true;
         effect.force = force;
         effect.shaped = match self.effective_feed_forward {
             FeedForward::Off => zero,
@@ -223,9 +224,9 @@ pub(super) struct Walls<T: Real> {
     /// α: factor on the feed-forward of equation (4).
     gain: T,
     /// True if some wall is curved.
-    pub curved: bool,
+    pub has_curved_wall: bool,
     /// True if some wall compensates joint damping.
-    pub damped: bool,
+    pub compensates_damping: bool,
 }
 
 /// The effect of the walls at one tip position.
@@ -269,8 +270,8 @@ impl<T: Real> Walls<T> {
         let mut walls = Self {
             running,
             gain: scene.feed_forward_gain,
-            curved: scene.walls.iter().any(|wall| wall.surface.is_curved()),
-            damped: scene.walls.iter().any(|wall| wall.damping_compensation),
+            has_curved_wall: scene.walls.iter().any(|wall| wall.surface.is_curved()),
+            compensates_damping: scene.walls.iter().any(|wall| wall.damping_compensation),
         };
         walls.update_shared_feed_forward();
         Ok(walls)
@@ -332,7 +333,7 @@ impl<T: Real> Walls<T> {
                 touch.at_walls.normal_velocity = effect.velocity;
                 touch.normal = contact.normal;
             }
-            if !effect.touched {
+            if !effect.is_touched {
                 continue;
             }
             touch.at_walls.contacts += 1;
@@ -361,7 +362,7 @@ impl<T: Real> Walls<T> {
     pub fn damping_share<const N: usize>(&self, scope: &BiasScope<'_, T, N>) -> T {
         let compensates =
             |a: &ShapedContact<T, N>| self.running.get(a.wall).is_some_and(|r| r.wall.damping_compensation);
-        if !self.damped {
+        if !self.compensates_damping {
             return T::zero();
         }
         match scope {

@@ -36,6 +36,6 @@ pub(in super::super) struct UnitMotion<T: Real> {
 
 /// Returns `v` rotated left by 90°.
 #[inline(always)]
-pub(super) fn left<T: Real>(v: &Vector2<T>) -> Vector2<T> {
+pub(super) fn rotated_left<T: Real>(v: &Vector2<T>) -> Vector2<T> {
     Vector2::new(-v[1], v[0])
 }

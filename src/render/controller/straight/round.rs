@@ -8,10 +8,8 @@ use crate::render::step_result::StepResult;
 use nalgebra::SVector;
 
 impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K, N> {
-    /// Implements [`Controller::render`] for one ball with the feed-forward and [`VelocityTerms::Rendered`], in the
+    /// Implements [`Controller::render`] for one ball with the feed-forward and `VelocityTerms::Rendered`, in the
     /// plane. Adds the rotation of the normal to [`Controller::render_wall`].
-    ///
-    /// [`VelocityTerms::Rendered`]: crate::render::scene::VelocityTerms::Rendered
     #[inline(never)]
     pub(in super::super) fn render_round(&mut self, counts: &[i32; N], result: &mut StepResult<T>) {
         self.render_single::<true>(counts, result);

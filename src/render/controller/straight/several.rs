@@ -37,7 +37,6 @@ struct SharedPull<T: Real, const N: usize> {
 
 impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K, N> {
     /// Implements [`Controller::render`] for several walls in the plane, by the closed form and with α = 1.
-    ///
     /// [`crate::model::principal`] has one level in the plane. With the stiffest direction e of the walls, the level's
     /// share s, the force F and its shaped part G, the torques are τ = s τ₄(e, e·G) + Jᵀ(F - e s e·G), τ₄ being
     /// equation (4).
@@ -70,7 +69,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
             if !shallower {
                 (at.distance, at.normal_velocity, deepest) = (contact.distance, effect.velocity, contact.normal);
             }
-            if !effect.touched {
+            if !effect.is_touched {
                 continue;
             }
             at.contacts += 1;

@@ -10,7 +10,6 @@ use nalgebra::SVector;
 
 impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K, N> {
     /// Implements [`Controller::render`] for one wall, by the closed form and with α = 1, or for no wall.
-    ///
     /// Writes values as soon as they are known and computes equation (4) last, so that few values are live at a time.
     #[inline(never)]
     pub(in super::super) fn render_wall(&mut self, counts: &[i32; N], result: &mut StepResult<T>) {
@@ -41,7 +40,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         let velocity = running.step_low_pass(&self.coefficients, contact.distance);
         let effect = running.effect_at(contact.distance, velocity, debt.as_ref(), T::one());
         result.at.walls = AtWalls {
-            contacts: u8::from(effect.touched),
+            contacts: u8::from(effect.is_touched),
             distance: contact.distance,
             normal_velocity: effect.velocity,
             wall_force: effect.force,
@@ -49,7 +48,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
             energy: T::zero(),
             passivity_damping: effect.passivity_damping,
         };
-        if !effect.touched {
+        if !effect.is_touched {
             return self.write_untouched(result);
         }
         let (feed_forward, force) = (running.feed_forward(), effect.force);

@@ -12,7 +12,6 @@ use nalgebra::SVector;
 /// does not change the first wall's feed-forward abruptly. It is three encoder steps of a shipped device.
 pub const TOUCH_DEPTH: f64 = 1.0e-4;
 /// [`TOUCH_DEPTH`] as a share of the largest depth at which a contact's stiffness alone would make its shaped force.
-///
 /// While a second contact gains weight, the sideways push of the first contact changes. With this share, the change
 /// is at most three times the second contact's own stiffness times the coupling; over a tenth of a millimetre it would
 /// be tens of times as much (docs/model.md section 2).
