@@ -212,7 +212,7 @@ where
     #[inline(always)]
     pub fn render(&mut self, counts: &Counts) {
         if self.host.acts {
-            self.render_pushed(counts);
+            self.render_with_push(counts);
         } else {
             self.render_scene(counts);
         }

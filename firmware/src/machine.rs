@@ -142,7 +142,7 @@ impl Machine for BoardMachine {
             // Checks first whether the request will be refused, because a refused request must not power the gate
             // drivers, nor latch a fault if they have no supply.
             let refused = self.requests.send(Request::Command(question)).reply.0;
-            // Refused while the motors are on, and right after a polarity check, because the gate drivers then go off.
+            // Refuses to arm while the motors are on, and right after a polarity check, when the gate drivers go off.
             let refused = if status.state.drives() { refused.and(Err(Refusal::Armed)) } else { refused };
             if let Err(refusal) = refused.and_then(|()| self.raise_gate()) {
                 return (Err(refusal), None);
@@ -216,9 +216,9 @@ impl Described for BoardMachine {
     fn info(&self) -> Info {
         Info {
             protocol: PROTOCOL,
-            firmware: truncated(env!("CARGO_PKG_VERSION")),
-            board: truncated(This::NAME),
-            serial: truncated(self.serial),
+            firmware: truncate(env!("CARGO_PKG_VERSION")),
+            board: truncate(This::NAME),
+            serial: truncate(self.serial),
         }
     }
 
@@ -252,7 +252,7 @@ fn lower_gate() {
 }
 
 /// Returns the part of `text` that fits into `N` bytes.
-fn truncated<const N: usize>(text: &str) -> String<N> {
+fn truncate<const N: usize>(text: &str) -> String<N> {
     let mut short = String::new();
     for character in text.chars() {
         if short.push(character).is_err() {

@@ -49,7 +49,7 @@ pub fn answer<'o, M: Described>(
     (length.and_then(|length| out.get(..length)), after)
 }
 
-/// Writes a topic message as a frame (without COBS) to `out`; `None` if it does not fit.
+/// Writes a topic message as a frame (without COBS) to `out`. Returns `None` if the frame does not fit.
 pub fn publish<'o, T: Topic>(sequence: u16, message: &T::Message, out: &'o mut [u8]) -> Option<&'o [u8]>
 where
     T::Message: Serialize + Sized,

@@ -88,7 +88,7 @@ impl Setting for Scene<f32> {
     /// Version 2 added the feed-forward gain and the held coordinate, and `velocity_terms` is no longer a flag. Version
     /// 3 added joint estimators with their options, version 4 the posture.
     const VERSION: u8 = 4;
-    /// Defaults: a gain of 1, the orientation, no posture. The encoding of earlier estimators is unchanged.
+    /// Inserts the defaults: a gain of 1, a held orientation, no posture. Earlier estimators keep their encoding.
     const EARLIER_VERSIONS: &'static [(u8, usize, &'static [u8])] = &[
         (1, END_POSITION, &[0x00, 0x00, 0x80, 0x3f, 0x00, 0x00]),
         (2, END_POSITION, &[0x00]),

@@ -58,7 +58,7 @@ pub(super) struct Fade {
     has_previous_torques: bool,
     /// Share of the device's weight that the motors carried before the fade.
     carried_weight: f32,
-    scene: Torques,
+    scene_torques: Torques,
     host: Lease,
     /// Feed-forward torques, N m.
     feed_forward: Torques,
@@ -76,7 +76,7 @@ impl Fade {
     /// Returns the previous torques that rendered forces, before the ramp.
     fn rendered(&self) -> Torques {
         let host = self.host.remaining_torques();
-        Torques::from_fn(|i| self.scene[i] + host[i])
+        Torques::from_fn(|i| self.scene_torques[i] + host[i])
     }
 
     fn interpolate(&self, from: f32, to: f32) -> f32 {
@@ -125,7 +125,7 @@ where
             has_begun: false,
             has_previous_torques: true,
             carried_weight,
-            scene: Torques::from_fn(|i| rendered[i] - host.torque[i]),
+            scene_torques: Torques::from_fn(|i| rendered[i] - host.torque[i]),
             host,
             feed_forward,
             initial_force_squared: None,
@@ -202,7 +202,8 @@ where
         // Leverage from half a millisecond ago would allow 4 % too much, because fading torques do not follow the pose.
         let leverage = program.mechanism.leverage::<K>(&self.now.result.at.q);
         let share = share_within(leverage.force_squared(&rendered), self.max_tip_force);
-        for part in fade.scene.iter_mut().chain(fade.host.torque.iter_mut()).chain(fade.feed_forward.iter_mut()) {
+        for part in fade.scene_torques.iter_mut().chain(fade.host.torque.iter_mut()).chain(fade.feed_forward.iter_mut())
+        {
             *part *= share;
         }
         let force_squared = leverage.force_squared(&fade.feed_forward);

@@ -420,7 +420,7 @@ where
     }
 
     #[inline(never)]
-    pub(super) fn render_pushed(&mut self, counts: &Counts) {
+    pub(super) fn render_with_push(&mut self, counts: &Counts) {
         let push = self.host.step(self.period);
         if let Some(program) = self.program.as_mut() {
             program.controller.set_push(push.as_ref());

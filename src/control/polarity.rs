@@ -84,7 +84,7 @@ const MAX_UNDRIVEN_ANGLE: f32 = 0.14;
 const MAX_HOME_ERROR: f32 = 0.15;
 /// Smallest factor by which possible home errors reduce the torque. Near a stretched pose the factor would be 0.
 const MIN_HOME_ERROR_FACTOR: f32 = 0.4;
-/// Range of a swing's angular frequency, rad/s: above a hanging device's own, up to a third of a soft cable's own.
+/// Range of a swing's angular frequency, rad/s, between the natural frequencies of a hanging device and a soft cable.
 const SWING_RATE_RANGE: (f32, f32) = (8.0, 50.0);
 /// Highest angular frequency if friction exceeds the torque that accelerates the inertia, rad/s.
 const MAX_SWING_RATE: f32 = 200.0;

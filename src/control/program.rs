@@ -9,7 +9,7 @@ use crate::math::Math;
 use crate::model::catalogue::{Kind, MAX_JOINTS};
 use crate::model::device::Device;
 use crate::model::mechanism::AnyMechanism;
-use crate::model::padding::{as_joints, padded, to_joints};
+use crate::model::padding::{as_joints, pad, to_joints};
 use crate::model::precomputed::{MassModel, MassModelData};
 use crate::render::controller::{Controller, Gains, Push};
 use crate::render::scene::Scene;
@@ -94,7 +94,7 @@ macro_rules! define {
 
             /// Returns the counts that homing subtracts.
             pub fn zero(&self) -> Counts {
-                match self { $(Self::$Variant(controller) => Counts(padded(&controller.zero())),)* }
+                match self { $(Self::$Variant(controller) => Counts(pad(&controller.zero())),)* }
             }
 
             /// Sets the counts that homing subtracts.
@@ -120,7 +120,7 @@ macro_rules! define {
                 match self {
                     $(Self::$Variant(controller) => {
                         let (velocity, force) = controller.velocity_and_push(&to_joints(&now.counts), &to_joints(&now.result.at.qd).into());
-                        (padded(&velocity.data.0[0]), padded(&force.data.0[0]))
+                        (pad(&velocity.data.0[0]), pad(&force.data.0[0]))
                     })*
                 }
             }

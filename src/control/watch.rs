@@ -143,9 +143,9 @@ where
     /// Keeps `rate_since` at most half of the step counter's range behind, so that the wrapping counter never reaches
     /// it. Steps in a host's request are never older.
     fn forget_old_rates(&mut self) {
-        const HALF: u32 = 1 << 31;
-        if self.now.step.wrapping_sub(self.rate_since) > HALF {
-            self.rate_since = self.now.step.wrapping_sub(HALF);
+        const HALF_RANGE: u32 = 1 << 31;
+        if self.now.step.wrapping_sub(self.rate_since) > HALF_RANGE {
+            self.rate_since = self.now.step.wrapping_sub(HALF_RANGE);
         }
     }
 

@@ -5,7 +5,7 @@ use crate::model::catalogue::MAX_JOINTS;
 use crate::model::description::{Description, DescriptionError};
 use crate::model::mechanism::{AnyMechanism, Mechanism, shared_pose};
 use crate::model::motor::Motor;
-use crate::model::padding::{padded, to_joints};
+use crate::model::padding::{pad, to_joints};
 use crate::model::precomputed::MassModel;
 use crate::model::solve::solve_symmetric;
 use heapless::String;
@@ -207,7 +207,7 @@ fn gravity_at<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(
     mechanism: &M,
     q: &[f32; MAX_JOINTS],
 ) -> [f32; MAX_JOINTS] {
-    padded(&mechanism.gravity(&shared_pose::<f32, K, M, N>(mechanism, &angles(q))).data.0[0])
+    pad(&mechanism.gravity(&shared_pose::<f32, K, M, N>(mechanism, &angles(q))).data.0[0])
 }
 
 fn inertia_at<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(
@@ -225,7 +225,7 @@ fn torque_at<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(
 ) -> [f32; MAX_JOINTS] {
     let pose = shared_pose::<f32, K, M, N>(mechanism, &angles(q));
     let torque = mechanism.transpose(&pose, &to_joints(force).into());
-    padded(&torque.data.0[0])
+    pad(&torque.data.0[0])
 }
 
 /// The tip force per joint torque, 1/m: a row for each task direction, zeros beyond the task. A hand that holds the tip
@@ -283,7 +283,7 @@ fn leverage_at<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(mechanism: &M
     if task == N {
         // The rows of J⁻ᵀ.
         for (direction, row) in rows.iter_mut().enumerate().take(N) {
-            *row = padded(&mechanism.inverse(&pose, &unit_vector(direction)).data.0[0]);
+            *row = pad(&mechanism.inverse(&pose, &unit_vector(direction)).data.0[0]);
         }
         return Leverage(rows);
     }

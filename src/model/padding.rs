@@ -16,6 +16,6 @@ pub(crate) fn to_joints<V: Copy, const N: usize>(values: &[V; MAX_JOINTS]) -> [V
 
 /// Returns the entries of N joints, followed by zeros.
 #[inline(always)]
-pub(crate) fn padded<V: Copy + Default, const N: usize>(values: &[V; N]) -> [V; MAX_JOINTS] {
+pub(crate) fn pad<V: Copy + Default, const N: usize>(values: &[V; N]) -> [V; MAX_JOINTS] {
     core::array::from_fn(|i| if i < N { values[i.min(N - 1)] } else { V::default() })
 }

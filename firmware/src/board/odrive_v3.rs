@@ -35,8 +35,8 @@ const DEAD_TIME_TICKS: u8 = 20;
 /// Resistance of the low-side shunts under phases B and C, ohm.
 const SHUNT_OHM: f32 = 500e-6;
 const AMPERES_PER_COUNT: f32 = adc::REFERENCE_V / adc::FULL_SCALE / drv8301::AMPLIFIER_GAIN / SHUNT_OHM;
-/// Largest distance of a zero from the middle of the converter's range, counts: 1.5 times the amplifier's gain times
-/// its 4 mV of input offset (SLOS719F section 6.5). No current adds to a zero, because the inputs are shorted.
+/// Largest distance of a zero from the middle of the converter's range, counts: 1.5 times the amplifier's input offset
+/// of 4 mV times the gain (SLOS719F section 6.5). No current adds to a zero, because the inputs are shorted.
 const MAX_ZERO_DISTANCE: u16 = 600;
 /// Largest apparent current with learned zeros and the bridges off, A: noise, and the effect of connecting the inputs.
 const MAX_STRAY_CURRENT: f32 = 0.5;

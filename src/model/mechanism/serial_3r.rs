@@ -102,7 +102,7 @@ impl<T: Real> Serial3r<T> {
 
     /// Returns the off-diagonal entries (12, 23, 13) of the mass matrix in absolute rates.
     #[inline(always)]
-    fn off_diagonal(&self, pose: &Pose<T>) -> [T; 3] {
+    fn off_diagonal_entries(&self, pose: &Pose<T>) -> [T; 3] {
         let [c12, c23, c13] = pose.cosine;
         [self.coupling[0] * c12 - self.rotor[0], self.coupling[1] * c23 - self.rotor[1], self.coupling[2] * c13]
     }
@@ -110,7 +110,7 @@ impl<T: Real> Serial3r<T> {
     /// Multiplies the mass matrix in absolute rates by the rates of the first two links and of the third link, if any.
     #[inline(always)]
     fn momentum(&self, pose: &Pose<T>, [first, second]: [T; 2], third: Option<T>) -> Vector3<T> {
-        let [m12, m23, m13] = self.off_diagonal(pose);
+        let [m12, m23, m13] = self.off_diagonal_entries(pose);
         let [m11, m22, m33] = self.inertia;
         let momentum = Vector3::new(m11 * first + m12 * second, m12 * first + m22 * second, m13 * first + m23 * second);
         third.map_or(momentum, |third| momentum + Vector3::new(m13, m23, m33) * third)
@@ -118,7 +118,7 @@ impl<T: Real> Serial3r<T> {
 
     /// Returns the centrifugal moments on the absolute angles, from the squares of their rates.
     #[inline(always)]
-    fn centrifugal(&self, pose: &Pose<T>, squares: &Vector3<T>) -> Vector3<T> {
+    fn centrifugal_moments(&self, pose: &Pose<T>, squares: &Vector3<T>) -> Vector3<T> {
         let [k12, k23, k13] = self.coupling;
         let [s12, s23, s13] = pose.sine;
         let (a, b, c) = (k12 * s12, k23 * s23, k13 * s13);
@@ -228,7 +228,7 @@ impl<T: Real> Mechanism<T, 3> for Serial3r<T> {
     }
 
     fn mass(&self, pose: &Pose<T>) -> Matrix3<T> {
-        let [m12, m23, m13] = self.off_diagonal(pose);
+        let [m12, m23, m13] = self.off_diagonal_entries(pose);
         let [m11, m22, m33] = self.inertia;
         let two = T::from_f64(2.0);
         let last = [m13 + m23 + m33, m23 + m33, m33];
@@ -239,7 +239,7 @@ impl<T: Real> Mechanism<T, 3> for Serial3r<T> {
 
     fn coriolis(&self, pose: &Pose<T>, qd: &Vector3<T>) -> Vector3<T> {
         let rates = absolute_rates(qd);
-        joint_torques(&self.centrifugal(pose, &rates.component_mul(&rates)))
+        joint_torques(&self.centrifugal_moments(pose, &rates.component_mul(&rates)))
     }
 
     #[inline(always)]
@@ -283,7 +283,7 @@ impl<T: Real> Mechanism<T, 3> for Serial3r<T> {
         let [e1, e2, e3] = &pose.link;
         let point = e1 * (l1 * squares[0]) + e2 * (l2 * squares[1]) + e3 * (l3 * squares[2]);
         let momentum = self.momentum(pose, self.arm_rates(pose, &point), None);
-        joint_torques(&(momentum + self.centrifugal(pose, &squares)))
+        joint_torques(&(momentum + self.centrifugal_moments(pose, &squares)))
     }
 
     #[inline(always)]
@@ -305,7 +305,7 @@ impl<T: Real> Mechanism<T, 3> for Serial3r<T> {
         // Weff in absolute rates, because the mass matrix then has the fewest terms.
         let moment = |i: usize| self.lengths[i] * (pose.link[i][0] * n[1] - pose.link[i][1] * n[0]);
         let moments = Vector3::new(moment(0), moment(1), moment(2));
-        let ([m11, m22, m33], [m12, m23, m13]) = (self.inertia, self.off_diagonal(pose));
+        let ([m11, m22, m33], [m12, m23, m13]) = (self.inertia, self.off_diagonal_entries(pose));
         let mass = Matrix3::new(m11, m12, m13, m12, m22, m23, m13, m23, m33);
         WallTerms {
             e: Matrix3::from_columns(&[e(along, zero), e(across, zero), e(about, one)]),

@@ -215,7 +215,7 @@ impl<T: Real> Guidance<T> {
 
     /// Returns the springs' total stiffness in the plane; `None` without springs.
     #[inline(always)]
-    pub fn in_plane(&self) -> Option<Stiffness<T>> {
+    pub fn stiffness_in_plane(&self) -> Option<Stiffness<T>> {
         (self.stiffness > T::zero()).then_some(self.in_plane)
     }
 

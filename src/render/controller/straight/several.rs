@@ -132,7 +132,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         let mut plain = SharedPull {
             force: shared.springs,
             reach: self.guidance.shared_depth(shared),
-            springs: self.guidance.in_plane(),
+            springs: self.guidance.stiffness_in_plane(),
             plane: None,
         };
         if let Some((normal, depth, stiffness)) = self.guidance.touched_plane::<N>(place) {
