@@ -12,7 +12,7 @@
 //! | 2 | check counts, currents and supply | `check_samples` | control/crest.rs |
 //! | 3 | check the host, the key and the torques | `watch` | control/watch.rs |
 //! | 4 | fade the scene in, or run the polarity check | `fade_in`, `check_polarity` | control/{fade,polarity}.rs |
-//! | 5 | limit and command the torques | `within`, `command` | control/saturation.rs |
+//! | 5 | limit and command the torques | `granted_torques`, `command` | control/saturation.rs |
 //! | 6 | run the current loops | [`Stage::drive`] | drive/brushed.rs |
 //! | 7 | at the valley, check force, motor model and heat | [`ControlLoop::check_slow_faults`] | control/budgets.rs |
 //! | 8 | at the valley, carry out a request | [`ControlLoop::execute`] | control/requests.rs |
@@ -41,7 +41,7 @@ use crate::control::program::Program;
 use crate::drive::brushed::Axis;
 use crate::drive::heat::Heat;
 use crate::drive::stage::{Stage, Supply};
-use crate::math::{Math, limited};
+use crate::math::{Math, clamp};
 use crate::model::catalogue::MAX_JOINTS;
 use crate::model::device::Leverage;
 use crate::render::scene::DEFAULT_RATE_HZ;
@@ -64,24 +64,24 @@ pub struct ControlLoop<P, S = Axis> {
     state: State,
     homed: bool,
     polarity_known: bool,
-    /// Number of joints of the loaded device. `weighs` is true if its weight is compensated.
-    count: u8,
-    weighs: bool,
-    /// `count` if the motors are on and every joint has a range, so that a crest takes a single pass; otherwise 0.
-    usual: u8,
+    /// Number of joints of the loaded device.
+    joint_count: u8,
+    compensates_weight: bool,
+    /// `joint_count` while a crest takes a single pass: the motors are on and every joint has a range. Otherwise 0.
+    one_pass_joints: u8,
     /// True if the scene has faded in and no index pulse waits for its check.
     in_force: bool,
-    /// Zero if the scene is `in_force` and the last step limited no torque. Otherwise negative, so that one test covers
-    /// it together with other signs.
+    /// Zero if the scene is `in_force` and the last step limited no torque; otherwise negative.
     steady: i32,
     program: Option<P>,
     crests: crest::Crests,
     /// Bus voltage of the drives since the last valley, V; 0 if the voltage was not usable.
-    supplied: f32,
+    drive_voltage: f32,
     /// Last step at which the host may still be silent.
     host_expected: u32,
-    /// Joint torques up to which no clamp is needed, N m. `max_tip_force` is the force limit at the tip, N.
+    /// Joint torques up to which no clamp is needed, N m.
     unclamped_torque: [f32; MAX_JOINTS],
+    /// Force limit at the tip, N.
     max_tip_force: f32,
     max_tip_force_squared: f32,
     /// Tip force per joint torque, recomputed at 2 kHz.
@@ -105,13 +105,14 @@ pub struct ControlLoop<P, S = Axis> {
     host: host_force::HostForce,
     /// Torques of the previous scene while they fade out.
     fade: fade::Fade,
-    /// Torques of the last step that commanded less than was requested. `cut_at` is the number of that step.
-    cut: fade::CommandedTorques,
-    cut_at: u32,
+    /// Torques of the last step that commanded less than was requested.
+    cut_torques: fade::CommandedTorques,
+    /// Number of the last step that commanded less than was requested.
+    cut_step: u32,
     /// Number of the joint that the next valley checks.
-    turn: usize,
+    next_joint: usize,
     /// Number of joints for which new rules are not in force yet, see [`ControlLoop::settle_next`].
-    unsettled: u8,
+    unsettled_joints: u8,
     /// Heat of the motors, kept when the device changes.
     heat: [Heat; MAX_JOINTS],
     first_index: [Option<i32>; MAX_JOINTS],
@@ -139,9 +140,9 @@ where
             state: State::Disarmed,
             homed: false,
             polarity_known: false,
-            count: 0,
-            weighs: false,
-            usual: 0,
+            joint_count: 0,
+            compensates_weight: false,
+            one_pass_joints: 0,
             in_force: false,
             steady: -1,
             marks: None,
@@ -153,23 +154,23 @@ where
             period: 1.0 / DEFAULT_RATE_HZ as f32,
             rate_since: 0,
             fade: fade::Fade::default(),
-            cut: fade::CommandedTorques::default(),
-            cut_at: 0,
+            cut_torques: fade::CommandedTorques::default(),
+            cut_step: 0,
             max_joint_torque: Torques::default(),
             unclamped_torque: [0.0; MAX_JOINTS],
             max_tip_force: 0.0,
             max_tip_force_squared: 0.0,
             leverage: Leverage::default(),
             flow: budgets::Flow::default(),
-            supplied: 0.0,
+            drive_voltage: 0.0,
             host_seen_at: 0,
             host_expected: 0,
             key: None,
             first_index: [None; MAX_JOINTS],
             crests: crest::Crests::default(),
             host: host_force::HostForce::default(),
-            turn: 0,
-            unsettled: 0,
+            next_joint: 0,
+            unsettled_joints: 0,
             heat: [Heat::default(); MAX_JOINTS],
         }
     }
@@ -211,7 +212,7 @@ where
     #[inline(always)]
     pub fn render(&mut self, counts: &Counts) {
         if self.host.acts {
-            self.render_pushed(counts);
+            self.render_with_push(counts);
         } else {
             self.render_scene(counts);
         }
@@ -221,7 +222,7 @@ where
     #[inline(always)]
     fn render_scene(&mut self, counts: &Counts) {
         if let Some(program) = self.program.as_mut() {
-            program.controller.render(counts, &self.now.motors.torque, &mut self.now.found);
+            program.controller.render(counts, &self.now.motors.torque, &mut self.now.result);
         }
     }
 
@@ -241,7 +242,7 @@ where
     /// Returns the number of joints of the loaded program, at most [`MAX_JOINTS`].
     #[inline(always)]
     fn count(&self) -> usize {
-        self.count.into()
+        self.joint_count.into()
     }
 
     /// Writes the next drive of each axis, converted by `into`, to `legs`. Returns false if the motors are off.
@@ -256,7 +257,7 @@ where
     ) -> bool {
         let (supply, active, joints) = (Supply::of(bus_voltage), self.state.drives(), self.count());
         let usable = supply.is_usable();
-        self.supplied = if usable { bus_voltage } else { 0.0 };
+        self.drive_voltage = if usable { bus_voltage } else { 0.0 };
         let motors = self.joints.iter_mut().zip(self.now.motors.duty.iter_mut()).zip(samples).zip(legs);
         for (i, (((joint, duty), sample), legs)) in motors.enumerate() {
             let drive = match active && i < joints {
@@ -289,8 +290,8 @@ where
         self.clear_host_force();
         self.key = None;
         self.fade = fade::Fade::default();
-        self.cut = fade::CommandedTorques::default();
-        self.cut_at = self.now.step;
+        self.cut_torques = fade::CommandedTorques::default();
+        self.cut_step = self.now.step;
         self.now.motors.torque = Torques::default();
         self.now.motors.current = Currents::default();
         for joint in &mut self.joints {
@@ -306,19 +307,19 @@ where
     /// Records the samples of a control step for later readers.
     #[inline(always)]
     fn note(&mut self, seen: &Samples) {
-        self.now.noted = self.now.step;
+        self.now.recorded_step = self.now.step;
         self.now.motors.bus_voltage = seen.bus_voltage;
         self.now.motors.current = seen.currents;
         self.now.counts = seen.counts;
         if let Some(program) = self.program.as_ref() {
-            program.controller.angles(&seen.counts, &mut self.now.found);
+            program.controller.angles(&seen.counts, &mut self.now.result);
         }
     }
 
     /// Records the samples of the last control step if the fast path left this to the valley.
     #[inline(always)]
     fn note_late(&mut self, seen: &Samples) {
-        if self.now.noted != self.now.step {
+        if self.now.recorded_step != self.now.step {
             self.note(seen);
         }
     }
@@ -350,7 +351,7 @@ where
             }
             State::Armed => {
                 self.fade.share = 1.0;
-                let asked = self.now.found.asked;
+                let asked = self.now.result.asked;
                 self.command(&asked, &asked.total);
             }
             State::CheckingPolarity => {
@@ -372,13 +373,13 @@ where
 
     fn update_fast_path(&mut self) {
         let limited = self.joints.iter().take(self.count()).all(Joint::is_limited);
-        self.usual = if self.state.drives() && limited { self.count } else { 0 };
+        self.one_pass_joints = if self.state.drives() && limited { self.joint_count } else { 0 };
         let faded_in = self.fade.ramp >= 1.0 && self.fade.share >= 1.0;
         self.in_force = self.state == State::Armed && faded_in && self.marks.is_none();
         self.update_steady();
     }
 
-    /// Updates `steady` after a step in which only `limited` may have changed.
+    /// Updates `steady` after a step that can change only `limited`.
     #[inline(always)]
     fn update_steady(&mut self) {
         self.steady = if self.in_force && self.now.motors.limited == 0 { 0 } else { -1 };
@@ -386,13 +387,13 @@ where
 
     /// Returns true if the last step commanded other torques than requested.
     fn was_cut(&self) -> bool {
-        self.cut_at == self.now.step
+        self.cut_step == self.now.step
     }
 
     /// Commands the requested torques, which are within the limits.
     #[inline(always)]
     fn command_unlimited<const J: usize>(&mut self) {
-        let (motors, found) = (&mut self.now.motors, &self.now.found);
+        let (motors, found) = (&mut self.now.motors, &self.now.result);
         motors.rendered_force = found.at.walls.wall_force;
         for (i, joint) in self.joints.iter_mut().enumerate().take(J) {
             joint.stage.command_within(found.asked.total[i]);
@@ -404,9 +405,9 @@ where
     fn command_test(&mut self, torque: &Torques) {
         let joints = self.count();
         for (i, joint) in self.joints.iter_mut().enumerate().take(joints) {
-            let torque = limited(torque[i], self.max_joint_torque[i]);
+            let torque = clamp(torque[i], self.max_joint_torque[i]);
             joint.stage.command(torque);
-            self.now.motors.torque[i] = limited(torque, joint.stage.max_torque());
+            self.now.motors.torque[i] = clamp(torque, joint.stage.max_torque());
         }
         self.now.motors.limited = 0;
     }
@@ -414,7 +415,7 @@ where
     /// Commands the torques of a fully faded-in scene on J joints, cut to the limits.
     #[inline(always)]
     fn command_limited<const J: usize>(&mut self) {
-        let asked = self.now.found.asked;
+        let asked = self.now.result.asked;
         self.command_of::<J>(&asked, &asked.total);
         self.update_steady();
     }
@@ -431,18 +432,18 @@ where
     /// Commands the requested torques of J joints, see [`ControlLoop::command`].
     #[inline(always)]
     fn command_of<const J: usize>(&mut self, asked: &TorqueDemand<f32>, wanted: &[f32; MAX_JOINTS]) {
-        let granted = asked.within::<J>(&self.max_joint_torque, self.max_tip_force, &self.leverage);
+        let granted = asked.granted_torques::<J>(&self.max_joint_torque, self.max_tip_force, &self.leverage);
         let rendered = Torques(asked.rendered.map(|r| granted.share * r));
-        self.cut = fade::CommandedTorques { gravity: granted.gravity, rendered, share: granted.share };
-        self.cut_at = self.now.step;
+        self.cut_torques = fade::CommandedTorques { gravity: granted.gravity, rendered, share: granted.share };
+        self.cut_step = self.now.step;
         if self.host.acts {
-            self.host.granted = granted.share * self.fade.share;
+            self.host.granted_share = granted.share * self.fade.share;
         }
         let motors = &mut self.now.motors;
         motors.limited = 0;
         for (i, joint) in self.joints.iter_mut().enumerate().take(J) {
             joint.stage.command(granted.torque[i]);
-            motors.torque[i] = limited(granted.torque[i], joint.stage.max_torque());
+            motors.torque[i] = clamp(granted.torque[i], joint.stage.max_torque());
             // True if the torque is as requested up to the rounding of its conversion to a current; false for NaN.
             let is_kept = (wanted[i] - motors.torque[i]).abs() <= 1.0e-5 * wanted[i].abs();
             motors.limited |= u8::from(!is_kept) << i;
@@ -451,13 +452,12 @@ where
     }
 
     /// Returns the force of the walls that remains after limits, N.
-    ///
     /// If the tip moves by one unit along the deepest wall's normal n only, the joints move by E = J⁻¹ n. By virtual
     /// work, a joint torque τ acts like the force E·τ along n (τ = Jᵀ F gives E·τ = n·F). Limits therefore removed the
     /// force E·(asked - commanded). Weight and springs cancel in the difference.
     #[inline(always)]
     fn limited_wall_force<const J: usize>(&self) -> f32 {
-        let Now { motors, found, .. } = &self.now;
+        let Now { motors, result: found, .. } = &self.now;
         let mut force = found.at.walls.wall_force;
         for (i, asked) in found.asked.total.iter().enumerate().take(J) {
             force -= found.motion[i] * (asked - motors.torque[i]);

@@ -17,7 +17,7 @@ pub trait Real:
     /// Returns the representable number nearest to `value`.
     fn from_i32(value: i32) -> Self;
     /// Returns the integer part, clamped to the range of `i32`; 0 for NaN.
-    fn whole(self) -> i32;
+    fn integer_part(self) -> i32;
     /// Returns the absolute value.
     fn abs(self) -> Self;
     /// Returns true if the number is neither infinite nor NaN.
@@ -44,7 +44,7 @@ pub(crate) fn cast<T: Real, U: Real>(value: T) -> U {
 
 /// Clamps `value` to ±`bound`, which is not negative; returns 0 if `value` is not finite.
 #[inline(always)]
-pub(crate) fn limited(value: f32, bound: f32) -> f32 {
+pub(crate) fn clamp(value: f32, bound: f32) -> f32 {
     if value.abs() <= bound {
         value
     } else if value.is_finite() {
@@ -72,7 +72,7 @@ macro_rules! real {
                 value as $float
             }
             #[inline(always)]
-            fn whole(self) -> i32 {
+            fn integer_part(self) -> i32 {
                 self as i32
             }
             #[inline(always)]
@@ -238,7 +238,7 @@ static SIN_COS_TABLE: [(f32, f32); 256] = {
     let mut all = [(0.0, 0.0); 256];
     let mut i = 0;
     while i < 256 {
-        let (sine, cosine) = place(i);
+        let (sine, cosine) = sin_cos_of_place(i);
         all[i] = (sine as f32, cosine as f32);
         i += 1;
     }
@@ -250,7 +250,7 @@ static FINE_SIN_COS_TABLE: [(f64, f64); 256] = {
     let mut all = [(0.0, 0.0); 256];
     let mut i = 0;
     while i < 256 {
-        all[i] = place(i);
+        all[i] = sin_cos_of_place(i);
         i += 1;
     }
     all
@@ -260,11 +260,11 @@ static FINE_SIN_COS_TABLE: [(f64, f64); 256] = {
 const TABLE_STEP: [f64; 2] = [1.570_796_326_792_333_3 / 64.0, 2.563_344_151_594_519e-12 / 64.0];
 
 /// Returns (sine, cosine) of `place` 256ths of a turn.
-const fn place(place: usize) -> (f64, f64) {
+const fn sin_cos_of_place(place: usize) -> (f64, f64) {
     // Measures from the nearest quarter turn, which is at most π/4 away.
     let quarter = (place + 32) / 64;
     let parts = place as f64 - 64.0 * quarter as f64;
-    let (sine, cosine) = series(parts * TABLE_STEP[0], parts * TABLE_STEP[1]);
+    let (sine, cosine) = sin_cos_series(parts * TABLE_STEP[0], parts * TABLE_STEP[1]);
     match quarter % 4 {
         0 => (sine, cosine),
         1 => (cosine, -sine),
@@ -275,7 +275,7 @@ const fn place(place: usize) -> (f64, f64) {
 
 /// Returns (sine, cosine) of `x` + `rest` by their Taylor series, exact to the last digit. |`x`| ≤ π/4 rad; `rest` is
 /// its rounding error.
-const fn series(x: f64, rest: f64) -> (f64, f64) {
+const fn sin_cos_series(x: f64, rest: f64) -> (f64, f64) {
     // (sin x)/x - 1 and cos x - 1 by Horner's rule: -x²/(2·3) (1 - x²/(4·5) (1 - ...)).
     let (mut sine, mut cosine, mut n) = (0.0, 0.0, 20.0);
     while n > 0.0 {

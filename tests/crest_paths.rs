@@ -214,7 +214,7 @@ impl BoardPair {
     /// the crest takes one pass although a limit reduced the last torques.
     fn one_pass_flags(&self) -> [bool; 2] {
         let text = as_text(&self.control_loops[0]);
-        let usual = !text.contains(" usual: 0,");
+        let usual = !text.contains(" one_pass_joints: 0,");
         let steady = text.contains(" steady: 0,");
         [usual && steady, usual && !steady && text.contains(" in_force: true,")]
     }

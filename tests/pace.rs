@@ -7,7 +7,7 @@ use proptest::prelude::*;
 const RATES_HZ: [u32; 4] = [200, 1_000, 5_000, 20_000];
 const CHECK_INTERVAL_US: u64 = 20_000;
 
-/// Runs a loop at `share` of its rate (Hz) for at most 500 checks (10 s). Returns the first verdict other than `Kept`
+/// Runs a loop at `share` of its rate (Hz) for at most 500 checks (10 s). Returns the first verdict other than `RightRate`
 /// and the number of checks until then.
 fn first_failure(rate: u32, share: f64, excused: bool, jitter: impl Fn(u64) -> u64) -> Option<(Verdict, u64)> {
     let mut pace = Pace::new(rate);
@@ -17,7 +17,7 @@ fn first_failure(rate: u32, share: f64, excused: bool, jitter: impl Fn(u64) -> u
         let steps = (now as f64 * 1.0e-6 * f64::from(rate) * share) as u64;
         let found = pace.check_rate((steps - before) as u32, now - time, rate, excused);
         (before, time) = (steps, now);
-        if found != Verdict::Kept {
+        if found != Verdict::RightRate {
             return Some((found, check));
         }
     }
@@ -49,7 +49,8 @@ fn a_loop_at_a_wrong_pace_lets_the_watchdog_reset_the_board() {
             let (mut before, mut unfed, mut longest) = (0, 0, 0);
             for check in 1..=200 {
                 let steps = ((check * CHECK_INTERVAL_US) as f64 * 1.0e-6 * f64::from(rate) * share) as u64;
-                let kept = pace.check_rate((steps - before) as u32, CHECK_INTERVAL_US, rate, false) == Verdict::Kept;
+                let kept =
+                    pace.check_rate((steps - before) as u32, CHECK_INTERVAL_US, rate, false) == Verdict::RightRate;
                 before = steps;
                 unfed = if kept { 0 } else { unfed + CHECK_INTERVAL_US };
                 longest = longest.max(unfed);
@@ -64,7 +65,7 @@ fn a_loop_at_a_wrong_pace_lets_the_watchdog_reset_the_board() {
 fn an_irregular_loop_is_found() {
     let mut pace = Pace::new(1_000);
     let found = [28, 12, 28, 12].map(|steps| pace.check_rate(steps, CHECK_INTERVAL_US, 1_000, false));
-    assert!(found.iter().all(|verdict| *verdict != Verdict::Kept), "{found:?}");
+    assert!(found.iter().all(|verdict| *verdict != Verdict::RightRate), "{found:?}");
 }
 
 #[test]
@@ -72,28 +73,28 @@ fn a_loop_that_recovers_its_pace_is_fed_again() {
     let mut pace = Pace::new(1_000);
     assert_eq!(pace.check_rate(60, CHECK_INTERVAL_US, 1_000, false), Verdict::TooFast);
     let found = [20; 4].map(|steps| pace.check_rate(steps, CHECK_INTERVAL_US, 1_000, false));
-    assert_eq!(found, [Verdict::TooFast, Verdict::TooFast, Verdict::TooFast, Verdict::Kept]);
+    assert_eq!(found, [Verdict::TooFast, Verdict::TooFast, Verdict::TooFast, Verdict::RightRate]);
 }
 
 #[test]
 fn a_change_of_rate_is_not_a_wrong_pace() {
     let mut pace = Pace::new(20_000);
-    assert_eq!(pace.check_rate(400, CHECK_INTERVAL_US, 20_000, false), Verdict::Kept);
+    assert_eq!(pace.check_rate(400, CHECK_INTERVAL_US, 20_000, false), Verdict::RightRate);
     // The interval has 15 ms at the old rate and 5 ms at the new rate.
-    assert_eq!(pace.check_rate(301, CHECK_INTERVAL_US, 200, false), Verdict::Kept);
+    assert_eq!(pace.check_rate(301, CHECK_INTERVAL_US, 200, false), Verdict::RightRate);
     for _ in 0..100 {
-        assert_eq!(pace.check_rate(4, CHECK_INTERVAL_US, 200, false), Verdict::Kept);
+        assert_eq!(pace.check_rate(4, CHECK_INTERVAL_US, 200, false), Verdict::RightRate);
     }
-    assert_eq!(pace.check_rate(100, CHECK_INTERVAL_US, 20_000, false), Verdict::Kept);
+    assert_eq!(pace.check_rate(100, CHECK_INTERVAL_US, 20_000, false), Verdict::RightRate);
     assert_eq!(pace.check_rate(800, CHECK_INTERVAL_US, 20_000, false), Verdict::TooFast);
 }
 
 #[test]
 fn an_excused_stall_has_no_later_effect() {
     let mut pace = Pace::new(1_000);
-    assert_eq!(pace.check_rate(1, 10 * CHECK_INTERVAL_US, 1_000, true), Verdict::Kept);
+    assert_eq!(pace.check_rate(1, 10 * CHECK_INTERVAL_US, 1_000, true), Verdict::RightRate);
     for _ in 0..50 {
-        assert_eq!(pace.check_rate(20, CHECK_INTERVAL_US, 1_000, false), Verdict::Kept);
+        assert_eq!(pace.check_rate(20, CHECK_INTERVAL_US, 1_000, false), Verdict::RightRate);
     }
 }
 

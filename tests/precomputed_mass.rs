@@ -131,7 +131,7 @@ fn the_edges_of_a_grid_belong_to_the_table() {
         let table = MassModel::table::<FiveBar<f64>>(&grid, &increased).unwrap();
         let margin = if interpolation == Interpolation::Bicubic { 1 } else { 0 };
         for corner in [[margin, margin], [5 - margin, 5 - margin], [margin, 5 - margin]] {
-            let at = grid.at(corner[0], corner[1]);
+            let at = grid.coordinates(corner[0], corner[1]);
             let pose = m.pose::<Libm>(&SVector::from(at));
             let n = SVector::from([0.6, 0.8]);
             let exact = m.shaping(&pose, &n).me;

@@ -10,7 +10,6 @@ use embassy_stm32::pac::adc::{Adc, vals};
 
 /// Counts of a full-scale reading.
 pub const FULL_SCALE: f32 = 4096.0;
-/// Reference voltage, V.
 pub const REFERENCE_V: f32 = 3.3;
 /// Number of TIM1's trigger output among the F405's injected triggers.
 const TIM1_TRIGGER: u8 = 1;

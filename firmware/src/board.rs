@@ -69,9 +69,8 @@ impl Pin {
         Self((port as u8 - b'A') << 4 | number)
     }
 
-    /// Returns true if nothing outside the chip holds the pin: it follows the chip's pull down and pull up, twice. A
-    /// pin held between the two levels may read as either level, but does not change. The pin must be an input, and
-    /// stays one.
+    /// Returns true if the pin, an input, follows the chip's pull-down and pull-up twice. A pin that the board holds
+    /// does not change its level.
     pub fn is_open(self) -> bool {
         let (port, number) = (PORTS[usize::from(self.0 >> 4 & 3)], usize::from(self.0 & 15));
         let pulls = [(Pupdr::PULL_DOWN, Idr::LOW), (Pupdr::PULL_UP, Idr::HIGH)];
@@ -85,15 +84,14 @@ impl Pin {
     }
 }
 
-/// Pins that identify a board before any pin is driven. The chip pulls each pin with its own 40 kohm: an open pin
-/// follows, a held pin does not. No identifying pin may lead to a gate, an enable line or a bridge input on any board,
-/// because the pull could switch it on. For example, EN_GATE of an ODrive would rest at 1.8 V between the chip's 40
-/// kohm and the 50 kohm inside its two drivers.
+/// Pins that identify a board before any pin is driven. The chip pulls each pin with 40 kohm. An open pin follows the
+/// pull, a held pin does not. No identifying pin may lead to a gate, an enable line or a bridge input of any board,
+/// because the pull could switch a bridge on. For example, the pull would raise EN_GATE of an ODrive to 1.8 V.
 pub struct IdentityPins {
     /// Pins that the board holds at a level.
-    pub held: &'static [Pin],
+    pub held_pins: &'static [Pin],
     /// Pins that the board leaves open.
-    pub open: &'static [Pin],
+    pub open_pins: &'static [Pin],
 }
 
 /// A motor-driver board.
@@ -166,6 +164,5 @@ pub struct Common {
     pub usb: (Peri<'static, USB_OTG_FS>, Peri<'static, PA12>, Peri<'static, PA11>),
     /// Flash, for the settings.
     pub flash: Peri<'static, FLASH>,
-    /// The watchdog.
     pub watchdog: Peri<'static, IWDG>,
 }

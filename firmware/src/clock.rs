@@ -35,7 +35,7 @@ fn monitor_supply(level: u8) {
     });
 }
 
-/// Returns the brown-out level in the option bytes, 0 (off) to 3 (2.7 V). Never written (RM0090 section 3.9.10).
+/// Returns the brown-out level in the option bytes, 0 (off) to 3 (2.7 V), which no code writes (RM0090 section 3.9.10).
 pub fn brown_out_level() -> u8 {
     3 - pac::FLASH.optcr().read().bor_lev()
 }

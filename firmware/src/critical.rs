@@ -2,17 +2,15 @@
 //!
 //! The usual implementation masks every interrupt. This one raises `BASEPRI` instead, which masks only the tasks'
 //! interrupts ([`OTHERS`]). Three interrupts have a higher priority and run inside critical sections, so they use no
-//! data that a critical section protects, and never log. The supply monitor's ([`SUPPLY`]) turns the bridges off and
-//! resets. The control interrupt ([`CONTROL`]) uses atomics, a ring with one writer and one reader, and one request at
-//! a time. The watchdog's ([`WATCHDOG`]) uses atomics.
+//! data that a critical section protects, and never log. The interrupt of the supply monitor ([`SUPPLY`]) turns the
+//! bridges off and resets. The control interrupt ([`CONTROL`]) uses atomics, a ring with one writer and one reader, and
+//! one request at a time. The interrupt that feeds the watchdog ([`WATCHDOG`]) uses atomics.
 
 use cortex_m::register::{basepri, basepri_max};
 use embassy_stm32::interrupt::Priority;
 
-/// Priority of the supply monitor's interrupt, which does not wait for the end of a control step. Hard faults and the
-/// non-maskable interrupt, above all priorities, do not wait either; all three turn the bridges off.
+/// Priority of the supply monitor's interrupt, which turns the bridges off without waiting for a control step.
 pub const SUPPLY: Priority = Priority::P0;
-/// Priority of the control interrupt.
 pub const CONTROL: Priority = Priority::P1;
 /// Priority of the interrupt that feeds the watchdog. Tasks cannot delay it; an endless control interrupt stops it.
 pub const WATCHDOG: Priority = Priority::P2;

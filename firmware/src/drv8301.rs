@@ -20,8 +20,8 @@ const CONTROL_2: u16 = 3;
 const CONTROL_1_VALUE: u16 = (21 << 6) | (1 << 4);
 /// Amplifier gain 80 V/V, inputs connected, over-temperature and over-current both reported.
 const CONTROL_2_VALUE: u16 = 3 << 2;
-/// Disconnects both amplifiers' inputs from the shunts and shorts them.
-const CALIBRATE: u16 = 0b11 << 4;
+/// Bits that disconnect both amplifiers' inputs from the shunts and short the inputs.
+const SHORTED_INPUTS: u16 = 0b11 << 4;
 
 /// The connection of the shunt amplifiers' inputs.
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -34,7 +34,7 @@ pub enum Inputs {
 
 impl Inputs {
     fn control_2(self) -> u16 {
-        CONTROL_2_VALUE | if self == Self::Shorted { CALIBRATE } else { 0 }
+        CONTROL_2_VALUE | if self == Self::Shorted { SHORTED_INPUTS } else { 0 }
     }
 }
 
@@ -101,7 +101,6 @@ impl Drv8301 {
         if is_kept { Ok(()) } else { Err(GateError::Readback) }
     }
 
-    /// Reads the two status registers.
     pub fn status(&mut self, bus: &mut Bus) -> Result<(u16, u16), GateError> {
         Ok((self.read(bus, STATUS_1)?, self.read(bus, STATUS_2)?))
     }

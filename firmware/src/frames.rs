@@ -26,7 +26,6 @@ pub struct Frames {
 unsafe impl Sync for Frames {}
 
 impl Frames {
-    /// Creates an empty ring.
     pub const fn new() -> Self {
         Self {
             first: AtomicUsize::new(0),

@@ -4,14 +4,13 @@ use haptic_bridge::safety::fault::Fault;
 
 /// The power stage of a board: gate drivers with registers, or only an enable line.
 pub trait Gate {
-    /// Enables the power stage and learns the current sensors' zeros while no current flows. Takes 10 to 40 ms. After
-    /// an error it is off.
+    /// Enables the power stage and learns the current sensors' zeros while no current flows. Takes 10 to 40 ms. Turns
+    /// the power stage off after an error.
     fn raise(&mut self) -> Result<(), GateError>;
     /// Checks that the power stage is still configured as [`Gate::raise`] left it.
     fn check(&mut self) -> Result<(), GateError>;
 }
 
-/// Errors of the power stage.
 #[derive(Clone, Copy, PartialEq, Debug, defmt::Format)]
 #[allow(dead_code, reason = "a board without gate drivers has fewer ways to fail")]
 pub enum GateError {

@@ -43,9 +43,7 @@ use shared::increment;
 
 /// The tasks' ends of the channels to the control interrupt.
 pub struct TaskChannels {
-    /// Requests to the control interrupt.
     pub requests: Requests,
-    /// Frames of the telemetry stream.
     pub frames: FrameReader,
 }
 
@@ -53,25 +51,23 @@ pub struct TaskChannels {
 #[repr(C)]
 struct InterruptState {
     io: <This as Board>::Io,
-    /// Samples of the last crest.
     samples: Samples,
-    /// Compare values of the legs.
     legs: [[u16; 2]; MAX_JOINTS],
     ticks: Ticks,
     /// Number of crests before the next control step, with flags for unfinished work of the last step, see [`OVERRAN`].
-    before_step: u32,
-    /// Value of `before_step` at the end of a step.
-    after_step: u32,
-    /// Core's cycle count at the last valley.
-    valley_at: u32,
+    step_countdown: u32,
+    /// Value of `step_countdown` at the end of a step.
+    initial_countdown: u32,
+    /// Cycle count of the core at the last valley.
+    cycles_at_valley: u32,
     /// Number of crests until duties no longer count as late.
-    late: u8,
-    /// True if the last duties wait for the valley.
-    pending: bool,
+    late_crests: u8,
+    /// True if late duties wait for the valley.
+    duties_pending: bool,
     /// True while the bridges are connected to the carrier.
-    driving: bool,
-    /// Number of valleys at which the bridges should have been connected and were not.
-    unconnected: u8,
+    is_driving: bool,
+    /// Number of crests and valleys at which the interrupt was too late to connect the bridges.
+    missed_connections: u8,
     control_loop: BoardControlLoop,
 }
 
@@ -110,18 +106,18 @@ pub fn start(mut io: <This as Board>::Io, hardware: Hardware, rules: Rules, heat
     let state = InterruptState {
         ticks: io.carrier().ticks(),
         control_loop,
-        after_step: after_step(io.carrier()),
-        before_step: 0,
-        valley_at: DWT::cycle_count(),
+        initial_countdown: initial_countdown(io.carrier()),
+        step_countdown: 0,
+        cycles_at_valley: DWT::cycle_count(),
         samples: Samples::default(),
-        late: 0,
-        pending: false,
+        late_crests: 0,
+        duties_pending: false,
         legs: [[0; 2]; MAX_JOINTS],
-        driving: false,
-        unconnected: 0,
+        is_driving: false,
+        missed_connections: 0,
         io,
     };
-    CONTROL.shared.least_left.store(u32::MAX, Ordering::Relaxed);
+    CONTROL.shared.least_margin.store(u32::MAX, Ordering::Relaxed);
     // SAFETY: the interrupt is not enabled yet.
     unsafe { (*CONTROL.state.get()).write(state) };
     interrupt::TIM1_UP_TIM10.set_priority(critical::CONTROL);
@@ -151,7 +147,7 @@ fn TIM1_UP_TIM10() {
 impl InterruptState {
     #[inline(always)]
     fn crest(&mut self) {
-        if self.before_step != 0 && self.crest_before_step() {
+        if self.step_countdown != 0 && self.crest_before_step() {
             return;
         }
         self.io.update_counts(&mut self.samples.counts);
@@ -172,7 +168,7 @@ impl InterruptState {
             self.write(drives);
         }
         // The valley does the work that is not urgent.
-        self.before_step = self.after_step;
+        self.step_countdown = self.initial_countdown;
         self.record_long_crest();
     }
 
@@ -180,35 +176,35 @@ impl InterruptState {
     #[cold]
     #[inline(never)]
     fn crest_before_step(&mut self) -> bool {
-        if self.before_step & UNCONNECTED != 0 {
-            self.before_step &= !UNCONNECTED;
+        if self.step_countdown & UNCONNECTED != 0 {
+            self.step_countdown &= !UNCONNECTED;
             let top = u32::from(self.io.carrier().top);
             if self.may_connect() && pac::TIM1.cnt().read().0 > top.saturating_sub(EXTREME_CYCLES) {
                 self.connect();
             }
         }
-        if self.before_step & (UNRECORDED | NO_STEP) != 0 {
+        if self.step_countdown & (UNRECORDED | NO_STEP) != 0 {
             self.valley_missed();
         }
-        if self.before_step & OVERRAN != 0 {
-            if self.driving {
+        if self.step_countdown & OVERRAN != 0 {
+            if self.is_driving {
                 self.trip_overrun();
                 self.float_bridges();
             } else if self.control_loop.status().state.drives() {
-                self.count_unconnected();
+                self.count_missed_connection();
             }
         }
-        self.before_step &= !(OVERRAN | NO_STEP);
-        let between = self.before_step > 0;
+        self.step_countdown &= !(OVERRAN | NO_STEP);
+        let between = self.step_countdown > 0;
         if between {
-            self.before_step = (self.before_step - 1) | NO_STEP;
-            self.crest_between();
+            self.step_countdown = (self.step_countdown - 1) | NO_STEP;
+            self.crest_between_steps();
         }
         between
     }
 
     /// Does the work of a crest between two control steps.
-    fn crest_between(&mut self) {
+    fn crest_between_steps(&mut self) {
         self.io.update_counts(&mut self.samples.counts);
         self.sample();
         self.samples.late = self.is_late();
@@ -239,7 +235,7 @@ impl InterruptState {
     #[inline(always)]
     fn write(&mut self, drives: bool) {
         self.io.write(&self.legs);
-        if self.driving && !drives {
+        if self.is_driving && !drives {
             self.float_bridges();
         }
     }
@@ -257,11 +253,11 @@ impl InterruptState {
 
     /// Writes late duties, which wait for the valley if it has not passed. See [`InterruptState::write`].
     fn write_late(&mut self, drives: bool) {
-        if self.driving && !drives {
+        if self.is_driving && !drives {
             self.float_bridges();
         }
-        self.pending = !is_past_valley();
-        if !self.pending {
+        self.duties_pending = !is_past_valley();
+        if !self.duties_pending {
             self.io.write(&self.legs);
         }
     }
@@ -272,17 +268,17 @@ impl InterruptState {
         self.control_loop.mark(self.io.marks(&self.samples.counts));
     }
 
-    /// Returns true if the duties of this crest are late: at one of the last [`LATE_CRESTS`] crests the valley was too
-    /// near or past.
+    /// Returns true if the duties of this crest are late, because the valley came too soon at one of the last
+    /// [`LATE_CRESTS`] crests.
     #[inline(always)]
     fn is_late(&mut self) -> bool {
         // Core and timer count at the same frequency. The timer counts down to its valley and then up.
         if pac::TIM1.cnt().read().0 < LEGS_CYCLES {
-            self.late = LATE_CRESTS;
-        } else if self.late > 0 {
-            self.late -= 1;
+            self.late_crests = LATE_CRESTS;
+        } else if self.late_crests > 0 {
+            self.late_crests -= 1;
         }
-        self.late > 0
+        self.late_crests > 0
     }
 
     /// Trips [`Fault::ControlOverrun`]. Call while the motors are on.
@@ -296,8 +292,8 @@ impl InterruptState {
     #[cold]
     #[inline(never)]
     fn check_missed_crest(&mut self) {
-        self.late = LATE_CRESTS;
-        if self.driving && self.outlasts_crest() {
+        self.late_crests = LATE_CRESTS;
+        if self.is_driving && self.outlasts_crest() {
             self.trip_overrun();
         }
     }
@@ -315,16 +311,16 @@ impl InterruptState {
     #[cold]
     #[inline(never)]
     fn trip_driving(&mut self, fault: Fault) {
-        if self.driving {
+        if self.is_driving {
             self.control_loop.trip(fault, None, 0.0);
         }
     }
 
-    /// Counts an extreme at which the bridges could not be connected, because the interrupt was late. Trips a fault
-    /// after too many of them, so that arming does not wait forever.
-    fn count_unconnected(&mut self) {
-        self.unconnected = self.unconnected.saturating_add(1);
-        if self.unconnected > LATE_CRESTS {
+    /// Counts a crest or valley at which the interrupt was too late to connect the bridges. Trips a fault after
+    /// [`LATE_CRESTS`], so that arming does not wait forever.
+    fn count_missed_connection(&mut self) {
+        self.missed_connections = self.missed_connections.saturating_add(1);
+        if self.missed_connections > LATE_CRESTS {
             self.trip_overrun();
         }
     }
@@ -336,9 +332,9 @@ impl InterruptState {
 
     fn connect(&mut self) {
         self.io.drive(true);
-        self.driving = true;
+        self.is_driving = true;
         // An overrun while the bridges floated has no effect.
-        self.before_step &= !OVERRAN;
+        self.step_countdown &= !OVERRAN;
     }
 
     /// Lets driving bridges float, and disables the gate drivers.
@@ -347,53 +343,53 @@ impl InterruptState {
     fn float_bridges(&mut self) {
         self.io.drive(false);
         CONTROL.shared.gate_ready.store(false, Ordering::Relaxed);
-        self.driving = false;
+        self.is_driving = false;
     }
 
     /// Records the duration of a crest that is the longest so far or lasted past the valley.
     #[inline(always)]
     fn record_long_crest(&mut self) {
-        if has_passed_an_extreme() || pac::TIM1.cnt().read().0 < CONTROL.shared.least_left.load(Ordering::Relaxed) {
+        if has_passed_an_extreme() || pac::TIM1.cnt().read().0 < CONTROL.shared.least_margin.load(Ordering::Relaxed) {
             self.record_time();
         }
     }
 
-    /// Records the duration of this crest. Past the valley, the duties of the next crests count as late; past the next
-    /// crest, the overrun is counted.
+    /// Records the duration of this crest. If it ends past the valley, the duties of the next crests count as late. If
+    /// it ends past the next crest, an overrun is counted.
     #[cold]
     #[inline(never)]
     fn record_time(&mut self) {
         if has_passed_an_extreme() {
-            self.late = LATE_CRESTS;
+            self.late_crests = LATE_CRESTS;
         }
-        let Shared { stall_expected, longest_cycles, least_left, overruns, .. } = &CONTROL.shared;
+        let Shared { stall_expected, longest_cycles, least_margin, overruns, .. } = &CONTROL.shared;
         if stall_expected.load(Ordering::Relaxed) {
             return;
         }
         let top = u32::from(self.io.carrier().top);
-        let cycles = self.since_valley().saturating_sub(top);
+        let cycles = self.cycles_since_valley().saturating_sub(top);
         if cycles > longest_cycles.load(Ordering::Relaxed) {
             longest_cycles.store(cycles, Ordering::Relaxed);
-            least_left.store(top.saturating_sub(cycles), Ordering::Relaxed);
+            least_margin.store(top.saturating_sub(cycles), Ordering::Relaxed);
         }
         if has_passed_an_extreme() && self.outlasts_crest() {
-            self.before_step |= OVERRAN;
+            self.step_countdown |= OVERRAN;
             increment(overruns);
         }
     }
 
     /// Returns the core cycles since the last valley. Core and timer count at the same frequency.
-    fn since_valley(&self) -> u32 {
-        DWT::cycle_count().wrapping_sub(self.valley_at)
+    fn cycles_since_valley(&self) -> u32 {
+        DWT::cycle_count().wrapping_sub(self.cycles_at_valley)
     }
 
     /// Returns true if the interrupt lasted past the crest after its valley.
     fn outlasts_crest(&self) -> bool {
-        !is_past_valley() || self.since_valley() > 3 * u32::from(self.io.carrier().top)
+        !is_past_valley() || self.cycles_since_valley() > 3 * u32::from(self.io.carrier().top)
     }
 }
 
-/// Flag in `before_step`, above the count of crests: the last crest had no step.
+/// Flag in `step_countdown`: the last crest had no step.
 const NO_STEP: u32 = 1 << 28;
 /// Flag: the bridges should drive and are not connected yet.
 const UNCONNECTED: u32 = 1 << 29;
@@ -402,13 +398,13 @@ const OVERRAN: u32 = 1 << 30;
 /// Flag: the last step is not recorded yet.
 const UNRECORDED: u32 = 1 << 31;
 
-/// Returns the value of `before_step` at the end of a step.
-fn after_step(carrier: &Carrier) -> u32 {
+/// Returns the value of `step_countdown` at the end of a step.
+fn initial_countdown(carrier: &Carrier) -> u32 {
     UNRECORDED | (u32::from(carrier.divider) - 1)
 }
 
-/// Number of crests for which duties stay late after a step that missed its valley. If some steps are late, most are,
-/// and a duty in time before a late one acts for half a carrier period too long.
+/// Number of crests for which duties stay late after a step that missed its valley. A duty in time before a late duty
+/// would act for half a carrier period too long.
 const LATE_CRESTS: u8 = 64;
 /// Core cycles from the lateness check to the write of the duties. Limits, torques and current loops take at most 350
 /// instructions for two motors and 460 for three, at up to 2.4 cycles each.

@@ -8,7 +8,7 @@ use embassy_stm32::{Peri, bind_interrupts};
 use embassy_time::{Duration, Instant, Timer};
 use embassy_usb::class::cdc_acm::{CdcAcmClass, State};
 use embassy_usb::{Builder, UsbDevice};
-use haptic_bridge::board::dispatch::{self, After};
+use haptic_bridge::board::dispatch::{self, AfterReply};
 use haptic_bridge::board::machine::Machine as _;
 use haptic_bridge::board::protocol::FaultSeen;
 use haptic_bridge::board::service::Service;
@@ -102,8 +102,8 @@ pub async fn serve(mut machine: BoardMachine, hardware: Hardware, previous: Opti
     let mut more = false;
     loop {
         supervisor::report_alive(supervisor::Task::Link);
-        // Each turn handles one request or one batch. The yield lets the other tasks run, even if requests or rows
-        // arrive faster than they leave and no other await ever waits.
+        // Each turn handles one request or one batch. The yield lets the other tasks run even if requests or rows
+        // arrive so fast that no other `await` waits.
         yield_now().await;
         let wake = match (more, stream.is_running()) {
             (true, _) => Instant::now(),
@@ -117,10 +117,10 @@ pub async fn serve(mut machine: BoardMachine, hardware: Hardware, previous: Opti
                     outgoing.send(length).await;
                 }
                 match after {
-                    After::Nothing => {}
-                    After::Stream(request, axes) => stream.start(&request, axes, &mut machine),
-                    After::BootLoader => restart(reset::reboot_to_boot_loader).await,
-                    After::Restart => restart(reset::reboot).await,
+                    AfterReply::Nothing => {}
+                    AfterReply::Stream(request, axes) => stream.start(&request, axes, &mut machine),
+                    AfterReply::BootLoader => restart(reset::reboot_to_boot_loader).await,
+                    AfterReply::Restart => restart(reset::reboot).await,
                 }
             }
             Either::First(Event::Disconnected) => {

@@ -4,7 +4,7 @@
 use core::sync::atomic::Ordering;
 
 use haptic_bridge::board::dispatch::Described;
-use haptic_bridge::board::machine::{Machine, Measured};
+use haptic_bridge::board::machine::{Machine, Measurements};
 use haptic_bridge::board::protocol::{ForceAnswer, ForceRequest, Info, PROTOCOL};
 use haptic_bridge::board::service::Service;
 use haptic_bridge::board::settings::{Entry, Key};
@@ -35,21 +35,20 @@ const PROGRAMS: usize = 2;
 /// The part of the board that the tasks own.
 pub struct BoardMachine {
     requests: Requests,
-    /// Frames of the telemetry stream.
     pub frames: FrameReader,
     /// `None` if the image does not belong to this board.
     gate: Option<<This as Board>::Gate>,
     storage: Storage,
     serial: &'static str,
-    unused: Vec<&'static StaticCell<Program<BoardMath>>, PROGRAMS>,
-    spare: Vec<BoardProgram, PROGRAMS>,
+    unused_buffers: Vec<&'static StaticCell<Program<BoardMath>>, PROGRAMS>,
+    spare_programs: Vec<BoardProgram, PROGRAMS>,
     carrier: Carrier,
 }
 
 impl BoardMachine {
     /// Creates the machine. Call once.
     pub fn new(
-        ends: interrupt::TaskChannels,
+        channels: interrupt::TaskChannels,
         gate: Option<<This as Board>::Gate>,
         storage: Storage,
         serial: &'static str,
@@ -57,13 +56,13 @@ impl BoardMachine {
     ) -> Self {
         static BUFFERS: [StaticCell<Program<BoardMath>>; PROGRAMS] = [const { StaticCell::new() }; PROGRAMS];
         Self {
-            requests: ends.requests,
-            frames: ends.frames,
+            requests: channels.requests,
+            frames: channels.frames,
             gate,
             storage,
             serial,
-            unused: BUFFERS.iter().collect(),
-            spare: Vec::new(),
+            unused_buffers: BUFFERS.iter().collect(),
+            spare_programs: Vec::new(),
             carrier,
         }
     }
@@ -87,7 +86,7 @@ impl BoardMachine {
 
     /// Enables the gate drivers. A driver that does not respond latches a fault.
     fn raise_gate(&mut self) -> Result<(), Refusal> {
-        if let Some(record) = self_test::failed() {
+        if let Some(record) = self_test::failed_test() {
             let _ = self.requests.send(Request::Command(Command::Fault(record)));
             return Err(Refusal::Faulted(record.fault));
         }
@@ -128,7 +127,7 @@ impl BoardMachine {
 
 impl Machine for BoardMachine {
     type Math = BoardMath;
-    type Held = BoardProgram;
+    type StoredProgram = BoardProgram;
 
     fn execute(&mut self, command: Command<BoardProgram>) -> Reply<BoardProgram> {
         let status = self.status();
@@ -143,7 +142,7 @@ impl Machine for BoardMachine {
             // Checks first whether the request will be refused, because a refused request must not power the gate
             // drivers, nor latch a fault if they have no supply.
             let refused = self.requests.send(Request::Command(question)).reply.0;
-            // Refused while the motors are on, and right after a polarity check, because the gate drivers then go off.
+            // Refuses to arm while the motors are on, and right after a polarity check, when the gate drivers go off.
             let refused = if status.state.drives() { refused.and(Err(Refusal::Armed)) } else { refused };
             if let Err(refusal) = refused.and_then(|()| self.raise_gate()) {
                 return (Err(refusal), None);
@@ -165,11 +164,11 @@ impl Machine for BoardMachine {
     }
 
     fn place(&mut self, program: Program<BoardMath>) -> Result<BoardProgram, Refusal> {
-        if let Some(held) = self.spare.pop() {
+        if let Some(held) = self.spare_programs.pop() {
             *held = program;
             return Ok(held);
         }
-        match self.unused.pop() {
+        match self.unused_buffers.pop() {
             Some(buffer) => Ok(buffer.init(program)),
             None => Err(Refusal::Busy),
         }
@@ -177,7 +176,7 @@ impl Machine for BoardMachine {
 
     fn release(&mut self, held: BoardProgram) {
         // The list has as many places as there are buffers.
-        let _ = self.spare.push(held);
+        let _ = self.spare_programs.push(held);
     }
 
     fn retime(&mut self, rate_hz: f32) {
@@ -217,23 +216,23 @@ impl Described for BoardMachine {
     fn info(&self) -> Info {
         Info {
             protocol: PROTOCOL,
-            firmware: truncated(env!("CARGO_PKG_VERSION")),
-            board: truncated(This::NAME),
-            serial: truncated(self.serial),
+            firmware: truncate(env!("CARGO_PKG_VERSION")),
+            board: truncate(This::NAME),
+            serial: truncate(self.serial),
         }
     }
 
-    fn measured(&mut self) -> Measured {
+    fn measurements(&mut self) -> Measurements {
         // A few late steps (after a new program or a change of gains) do not change the delay, but many do.
         let late = supervisor::late_share() > 0.25;
         let delay = self.carrier.delay_samples();
-        Measured {
+        Measurements {
             carrier_hz: self.carrier.carrier_hz(),
             delay_samples: if late { 2.0 * delay } else { delay },
             unsensed: This::UNSENSED.iter().map(|fault| fault.code()).collect(),
             overruns: interrupt::shared().overruns.load(Ordering::Relaxed),
             longest_cycles: interrupt::shared().longest_cycles.load(Ordering::Relaxed),
-            stack_free: stack::never_used(),
+            stack_free: stack::unused_bytes(),
         }
     }
 }
@@ -241,7 +240,7 @@ impl Described for BoardMachine {
 /// Runs `work`, which may stall the program by writing flash. The watchdog waits, and overruns do not count.
 fn while_flash_stalls<R>(work: impl FnOnce() -> R) -> R {
     interrupt::shared().stall_expected.store(true, Ordering::Relaxed);
-    let result = watchdog::patient(work);
+    let result = watchdog::with_longest_time(work);
     interrupt::shared().stall_expected.store(false, Ordering::Relaxed);
     result
 }
@@ -253,7 +252,7 @@ fn lower_gate() {
 }
 
 /// Returns the part of `text` that fits into `N` bytes.
-fn truncated<const N: usize>(text: &str) -> String<N> {
+fn truncate<const N: usize>(text: &str) -> String<N> {
     let mut short = String::new();
     for character in text.chars() {
         if short.push(character).is_err() {

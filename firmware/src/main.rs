@@ -76,12 +76,12 @@ async fn main(spawner: Spawner) {
     let (io, gate, common) = This::split(chip, carrier, self_test::check_board());
     let control_loop = interrupt::start(io, hardware, rules, warmth::take());
     let storage = storage::open(common.flash);
-    let fault = self_test::failed().or_else(|| start.fault());
+    let fault = self_test::failed_test().or_else(|| start.fault());
     let serial_number = link::serial_number();
     let machine = BoardMachine::new(control_loop, gate, storage, serial_number, carrier);
     let (usb, serial) = link::device(common.usb, serial_number);
 
-    // Started before any task, because `watchdog::patient` needs a running watchdog.
+    // Started before any task, because `watchdog::with_longest_time` needs a running watchdog.
     let watchdog = Watchdog::start(common.watchdog);
     spawner.must_spawn(supervisor::supervise(watchdog));
     spawner.must_spawn(link::usb(usb));

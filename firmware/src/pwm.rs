@@ -77,7 +77,7 @@ pub fn configure(timer: TimAdv, config: &PwmConfig, carrier: Carrier) {
         w.set_ossr(vals::Ossr::IDLE_LEVEL);
         w.set_bkp(0, vals::Bkp::ACTIVE_LOW);
         w.set_bke(0, config.break_input);
-        // Only the first write of this register can lock it (RM0090 section 17.4.18).
+        // Only the first write of this register can set the lock (RM0090 section 17.4.18).
         w.set_lock(vals::Lock::LEVEL3);
     });
     set_carrier(timer, carrier);

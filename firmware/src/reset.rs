@@ -1,5 +1,5 @@
-//! The ends of a run. A panic, a hard fault, a stopped crystal or a falling supply turns the bridges off, records the
-//! cause in memory that survives a reset, and resets. The next start reports the cause ([`RunEnd`]). A request for
+//! Resets and their causes. A panic, a hard fault, a stopped crystal or a falling supply turns the bridges off, records
+//! the cause in memory that survives a reset, and resets. The next start reports the cause ([`RunEnd`]). A request for
 //! the USB boot loader is passed on in the same memory.
 
 use core::mem::MaybeUninit;
@@ -32,9 +32,9 @@ struct EndRecord {
     status: u32,
     /// Bus fault address register.
     address: u32,
-    /// Address in flash of the name of a panic's file.
+    /// Address in flash of the file name of a panic.
     file: u32,
-    /// Length of the name of a panic's file, bytes.
+    /// Length of the file name of a panic, bytes.
     file_len: u32,
     check: u32,
 }
@@ -80,7 +80,6 @@ pub enum RunEnd {
 /// Facts about the start of this run.
 #[derive(Clone, Copy)]
 pub struct Start {
-    /// Cause of the reset.
     pub cause: ResetCause,
     /// The end of the previous run.
     pub previous: RunEnd,

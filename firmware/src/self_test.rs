@@ -2,7 +2,7 @@
 //! any pin is driven.
 //!
 //! After a failed test the board still runs and reports the failure, but never arms, because arming and polarity check
-//! call [`failed`].
+//! call [`failed_test`].
 
 use core::arch::global_asm;
 use core::ptr::addr_of;
@@ -116,8 +116,8 @@ const NO_PIN: u8 = 0xFE;
 /// Returns true if the chip is on the board of this image. Call once, while all pins are in their reset state and the
 /// tasks' clock runs. Takes at most 4 ms.
 pub fn check_board() -> bool {
-    let IdentityPins { held, open } = This::IDENTITY;
-    let wrong = held.iter().find(|pin| pin.is_open()).or_else(|| open.iter().find(|pin| !pin.is_open()));
+    let IdentityPins { held_pins, open_pins } = This::IDENTITY;
+    let wrong = held_pins.iter().find(|pin| pin.is_open()).or_else(|| open_pins.iter().find(|pin| !pin.is_open()));
     WRONG_PIN.store(wrong.map_or(NO_PIN, |pin| pin.0), Ordering::Relaxed);
     if let Some(Pin(pin)) = wrong {
         let port = char::from(b'A' + (pin >> 4));
@@ -132,7 +132,7 @@ pub fn check_board() -> bool {
 }
 
 /// Returns the fault of the test that failed; `None` if all passed.
-pub fn failed() -> Option<FaultRecord> {
+pub fn failed_test() -> Option<FaultRecord> {
     let address = RAM_FAILED.load(Ordering::Relaxed);
     let pin = WRONG_PIN.load(Ordering::Relaxed);
     let (fault, value) = match IS_IMAGE_SOUND.load(Ordering::Relaxed) {

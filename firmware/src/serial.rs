@@ -24,7 +24,6 @@ use static_cell::ConstStaticCell;
 
 /// The USB driver of this chip.
 pub type UsbDriver = Driver<'static, USB_OTG_FS>;
-/// The serial port.
 pub type Serial = CdcAcmClass<'static, UsbDriver>;
 /// Largest packet of a full-speed bulk endpoint.
 pub const PACKET: usize = 64;
@@ -47,32 +46,32 @@ pub enum Event<'f> {
 pub struct Incoming {
     receiver: Receiver<'static, UsbDriver>,
     packet: Aligned<PACKET>,
-    taken: usize,
-    filled: usize,
+    position: usize,
+    length: usize,
     decoder: Decoder,
 }
 
 impl Incoming {
     /// Creates the receiving half of a serial port.
     pub fn new(receiver: Receiver<'static, UsbDriver>) -> Self {
-        Self { receiver, packet: Aligned([0; PACKET]), taken: 0, filled: 0, decoder: Decoder::default() }
+        Self { receiver, packet: Aligned([0; PACKET]), position: 0, length: 0, decoder: Decoder::default() }
     }
 
     /// Waits for the next frame. Dropping the future while it waits loses nothing.
     pub async fn next(&mut self) -> Event<'_> {
         loop {
-            while let Some(left) = self.packet.0.get(self.taken..self.filled).filter(|left| !left.is_empty()) {
+            while let Some(left) = self.packet.0.get(self.position..self.length).filter(|left| !left.is_empty()) {
                 let (taken, completed) = self.decoder.take(left);
-                self.taken += taken;
+                self.position += taken;
                 if completed {
                     return Event::Frame(self.decoder.frame());
                 }
             }
             match self.receiver.read_packet(&mut self.packet.0).await {
-                Ok(filled) => (self.taken, self.filled) = (0, filled),
+                Ok(filled) => (self.position, self.length) = (0, filled),
                 Err(_) => {
                     self.receiver.wait_connection().await;
-                    (self.taken, self.filled) = (0, 0);
+                    (self.position, self.length) = (0, 0);
                     self.decoder.forget();
                     return Event::Disconnected;
                 }
@@ -97,7 +96,7 @@ const MAX_WAITING: usize = 2;
 /// Frames to the host.
 pub struct Outgoing {
     frame: &'static mut Frame,
-    stalled: bool,
+    is_stalled: bool,
 }
 
 impl Outgoing {
@@ -107,8 +106,8 @@ impl Outgoing {
             ConstStaticCell::new([Frame::EMPTY; 1 + MAX_WAITING]);
         let [frame, free @ ..] = FRAMES.take();
         let (waiting, free, waker) = (Deque::new(), Vec::from_iter(free), WakerRegistration::new());
-        SEND_QUEUE.lock(|queue| queue.replace(Some(SendQueue { sender, waiting, begun: 0, free, waker })));
-        Self { frame, stalled: false }
+        SEND_QUEUE.lock(|queue| queue.replace(Some(SendQueue { sender, waiting, sent_bytes: 0, free, waker })));
+        Self { frame, is_stalled: false }
     }
 
     /// Returns the buffer for the next frame, before encoding.
@@ -120,15 +119,15 @@ impl Outgoing {
     pub async fn send(&mut self, length: usize) {
         let Some(length) = framing::encode(&mut self.frame.bytes[1..], length) else { return };
         self.frame.length = 1 + length;
-        let mut free = with(|queue| queue.free.pop()).flatten();
-        // Does not wait for a host that has already made the board wait.
-        if free.is_none() && !self.stalled {
+        let mut free = with_queue(|queue| queue.free.pop()).flatten();
+        // Does not wait for a host that did not read during an earlier wait.
+        if free.is_none() && !self.is_stalled {
             free = with_timeout(MAX_READ_WAIT, poll_fn(poll_free)).await.ok();
         }
-        self.stalled = free.is_none();
+        self.is_stalled = free.is_none();
         let Some(free) = free else { return };
         let frame = core::mem::replace(&mut self.frame, free);
-        with(|queue| {
+        with_queue(|queue| {
             // The queue has room for all frames except the frame that is being written.
             let _ = queue.waiting.push_back(frame);
             queue.send_next_packet();
@@ -137,7 +136,7 @@ impl Outgoing {
 
     /// Discards the frames that have not left, because their host has gone.
     pub fn discard(&mut self) {
-        with(SendQueue::discard);
+        with_queue(SendQueue::discard);
     }
 }
 
@@ -145,9 +144,9 @@ impl Outgoing {
 struct SendQueue {
     sender: Sender<'static, UsbDriver>,
     waiting: Deque<&'static mut Frame, MAX_WAITING>,
-    /// Number of bytes of the first frame that have been passed on. The leading delimiter of a frame is sent only if
-    /// the host may hold a partial frame.
-    begun: usize,
+    /// Number of bytes of the first frame that were passed to the USB core. Begins at 1 if the host holds no partial
+    /// frame, because the frame's leading delimiter is then not needed.
+    sent_bytes: usize,
     free: Vec<&'static mut Frame, MAX_WAITING>,
     /// The task that waits for a free frame.
     waker: WakerRegistration,
@@ -160,12 +159,12 @@ unsafe impl Send for SendQueue {}
 static SEND_QUEUE: CriticalSectionMutex<RefCell<Option<SendQueue>>> = CriticalSectionMutex::new(RefCell::new(None));
 
 /// Runs `work` on the queue while the USB core's interrupt is masked.
-fn with<R>(work: impl FnOnce(&mut SendQueue) -> R) -> Option<R> {
+fn with_queue<R>(work: impl FnOnce(&mut SendQueue) -> R) -> Option<R> {
     SEND_QUEUE.lock(|queue| queue.borrow_mut().as_mut().map(work))
 }
 
 fn poll_free(context: &mut Context) -> Poll<&'static mut Frame> {
-    let free = with(|queue| {
+    let free = with_queue(|queue| {
         queue.waker.register(context.waker());
         queue.free.pop()
     });
@@ -177,14 +176,14 @@ impl SendQueue {
     #[inline(never)]
     fn send_next_packet(&mut self) {
         let Some(frame) = self.waiting.front() else { return };
-        let left = &frame.bytes[self.begun..frame.length];
+        let left = &frame.bytes[self.sent_bytes..frame.length];
         // The last packet of a frame is always short, so that the host delivers the frame at once.
         let packet = if left.len() == PACKET { &left[..PACKET - 1] } else { &left[..left.len().min(PACKET)] };
         match poll_once(self.sender.write_packet(packet)) {
             Poll::Pending => {}
-            Poll::Ready(Ok(())) if packet.len() < left.len() => self.begun += packet.len(),
+            Poll::Ready(Ok(())) if packet.len() < left.len() => self.sent_bytes += packet.len(),
             Poll::Ready(Ok(())) => {
-                self.begun = 1;
+                self.sent_bytes = 1;
                 self.free_first();
             }
             Poll::Ready(Err(_)) => self.discard(),
@@ -193,7 +192,7 @@ impl SendQueue {
 
     /// Frees all frames, because the host has gone.
     fn discard(&mut self) {
-        self.begun = 0;
+        self.sent_bytes = 0;
         while self.free_first() {}
     }
 
@@ -211,6 +210,6 @@ pub struct SendNextPacket;
 
 impl typelevel::Handler<typelevel::OTG_FS> for SendNextPacket {
     unsafe fn on_interrupt() {
-        with(SendQueue::send_next_packet);
+        with_queue(SendQueue::send_next_packet);
     }
 }

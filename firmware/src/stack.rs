@@ -1,5 +1,5 @@
-//! Measures the unused part of the stack. Start-up fills the stack with a pattern (cortex-m-rt's `paint-stack`), which
-//! is left at the bottom where it was never overwritten. An overflow is a bus fault, see memory.x.
+//! Measures the unused part of the stack. Start-up fills the stack with a pattern (cortex-m-rt's `paint-stack`), and
+//! the unused part keeps the pattern. An overflow is a bus fault, see memory.x.
 
 use core::ptr::addr_of;
 
@@ -12,7 +12,7 @@ unsafe extern "C" {
 }
 
 /// Returns the number of bytes at the bottom of the stack that were never written.
-pub fn never_used() -> u32 {
+pub fn unused_bytes() -> u32 {
     let (bottom, top) = (addr_of!(_stack_end), addr_of!(_stack_start));
     let mut word = bottom;
     // SAFETY: all words read lie between the two ends of the stack, which the linker script aligns. The stack in use is

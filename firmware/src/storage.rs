@@ -13,7 +13,6 @@ use crate::clock;
 
 /// Sectors 1 and 2, as offsets into the region of 16 KB sectors (memory.x reserves them).
 const SETTINGS_RANGE: core::ops::Range<u32> = 0x4000..0xC000;
-/// The settings in the chip's flash.
 pub type Storage = storage::Storage<'static, Sectors>;
 
 /// The flash sectors behind the storage's asynchronous interface. Every operation blocks.

@@ -1,5 +1,5 @@
-//! Feeds the watchdog while all checks pass. The control interrupt must have run since the last check, not above its
-//! rate and, while the motors are on, not below it. Every task must have reported in time.
+//! Feeds the watchdog while all checks pass. The control interrupt must have run since the last check, must not run
+//! too often and, while the motors are on, not too rarely. Every task must have reported in time.
 
 use core::sync::atomic::{AtomicU32, Ordering};
 
@@ -68,7 +68,7 @@ pub async fn supervise(mut watchdog: Watchdog) -> ! {
     let mut late_steps = interrupt::shared().late_steps.load(Ordering::Relaxed);
     let mut pace = Pace::new(RATE_HZ.load(Ordering::Relaxed));
     let mut checked = Instant::now();
-    let mut stalls = watchdog::patient_calls();
+    let mut stalls = watchdog::longest_time_calls();
     let mut up = false;
     for task in TASKS {
         report_alive(task);
@@ -80,8 +80,8 @@ pub async fn supervise(mut watchdog: Watchdog) -> ! {
         add_late(late_steps.wrapping_sub(late_before), steps.wrapping_sub(before));
         let elapsed = core::mem::replace(&mut checked, Instant::now()).elapsed().as_micros();
         // No steps run while flash is written. With the motors off, a scene that is too slow for the chip must not
-        // restart the board, which would load it again. A power stage that was just enabled is checked next time.
-        let stalled = core::mem::replace(&mut stalls, watchdog::patient_calls()) != stalls;
+        // restart the board, because the board would load the same scene again.
+        let stalled = core::mem::replace(&mut stalls, watchdog::longest_time_calls()) != stalls;
         let up_before = core::mem::replace(&mut up, interrupt::shared().gate_ready.load(Ordering::Relaxed));
         let excused = stalled || !(up && up_before);
         let verdict = pace.check_rate(steps.wrapping_sub(before), elapsed, RATE_HZ.load(Ordering::Relaxed), excused);
@@ -90,11 +90,11 @@ pub async fn supervise(mut watchdog: Watchdog) -> ! {
             .into_iter()
             .find(|task| now.wrapping_sub(LAST_REPORT_MS[*task as usize].load(Ordering::Relaxed)) > MAX_SILENCE_MS);
         match (steps != before, verdict, silent) {
-            (true, Verdict::Kept, None) => watchdog.feed(),
+            (true, Verdict::RightRate, None) => watchdog.feed(),
             (false, ..) => defmt::error!("the control step has stopped"),
             (true, Verdict::TooFast, _) => defmt::error!("the control step runs too often"),
             (true, Verdict::TooSlow, _) => defmt::error!("the control step runs too rarely"),
-            (true, Verdict::Kept, Some(task)) => defmt::error!("task {} is silent", task),
+            (true, Verdict::RightRate, Some(task)) => defmt::error!("task {} is silent", task),
         }
     }
 }

@@ -15,7 +15,7 @@ const MAX_ROW_WAIT: Duration = Duration::from_millis(5);
 #[derive(Default)]
 pub struct TelemetryStream {
     packer: Packer,
-    last: Option<Instant>,
+    last_batch: Option<Instant>,
 }
 
 impl TelemetryStream {
@@ -28,27 +28,26 @@ impl TelemetryStream {
         self.packer.start(request, axes);
         interrupt::shared().frames_dropped.store(0, Ordering::Relaxed);
         interrupt::shared().stream_divider.store(request.divider, Ordering::Relaxed);
-        self.last = (request.divider > 0).then(Instant::now);
+        self.last_batch = (request.divider > 0).then(Instant::now);
     }
 
-    /// Stops the stream.
     pub fn stop(&mut self) {
         interrupt::shared().stream_divider.store(0, Ordering::Relaxed);
         self.packer.stop();
-        self.last = None;
+        self.last_batch = None;
     }
 
     /// Returns true while the stream runs.
     pub fn is_running(&self) -> bool {
-        self.last.is_some()
+        self.last_batch.is_some()
     }
 
     /// Packs the waiting frames. Returns a batch if one is full or has waited for [`MAX_ROW_WAIT`].
     pub fn batch(&mut self, machine: &mut BoardMachine) -> Option<&Batch> {
-        let late = Instant::now().saturating_duration_since(self.last?) > MAX_ROW_WAIT;
+        let late = Instant::now().saturating_duration_since(self.last_batch?) > MAX_ROW_WAIT;
         let dropped = interrupt::shared().frames_dropped.load(Ordering::Relaxed);
         let batch = self.packer.drain(&mut machine.frames, dropped, late)?;
-        self.last = Some(Instant::now());
+        self.last_batch = Some(Instant::now());
         Some(batch)
     }
 }

@@ -1,13 +1,12 @@
 //! The independent watchdog, which resets the chip and so turns the bridges off if it is not fed in time.
 //!
-//! An interrupt ([`SysTick`]) feeds it every millisecond while the supervisor's credit lasts ([`Watchdog::feed`]) and
-//! the control interrupt is served. A stopped core, or a control interrupt that does not come or does not end, leads to
-//! a reset within 4 to 17 ms; a task that blocks the supervisor, to a reset after another 100 ms. The watchdog counts
-//! the chip's slow oscillator, 17 to 47 kHz (STM32F405 datasheet, table 35), so its times vary by that factor.
+//! An interrupt ([`SysTick`]) feeds the watchdog every millisecond while the supervisor's credit lasts
+//! ([`Watchdog::feed`]) and the control interrupt is served. A stopped core, or a control interrupt that does not come
+//! or does not end, leads to a reset within 4 to 17 ms. A task that blocks the supervisor leads to a reset after
+//! another 100 ms. The watchdog counts a slow oscillator of 17 to 47 kHz (STM32F405 datasheet, table 35).
 //!
-//! A sector erase stalls the program for up to 0.5 s, and a search of a full sector takes tens of milliseconds. The
-//! time is therefore at least 2.7 s during a write of a setting and the read of all settings at start ([`patient`]).
-//! The bridges are off in both cases.
+//! A sector erase stalls the program for up to 0.5 s, and a search of a full sector takes tens of milliseconds. During
+//! both, the watchdog waits for at least 2.7 s ([`with_longest_time`]), and the bridges are off.
 
 use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
@@ -20,17 +19,17 @@ use embassy_stm32::{Peri, peripherals::IWDG};
 use crate::clock::TIMER_HZ;
 use crate::critical;
 
-/// Ticks of the prescaled oscillator (32 kHz / 32 = 1 kHz nominal) until the reset. At the fast end they last at least
-/// 5.4 ms, several times the longest delay of the feeding interrupt; at the slow end at most 17 ms (one tick more).
+/// Ticks of the prescaled oscillator (32 kHz / 32 = 1 kHz nominal) until the reset. They last at least 5.4 ms, several
+/// times the longest delay of the feeding interrupt, and at most 17 ms (one tick more).
 const NORMAL_TICKS: u16 = 8;
 /// Ticks during a write of flash: the maximum of the register.
-const PATIENT_TICKS: u16 = 0xFFF;
-/// Number of feedings, one per millisecond, for each passed check of the supervisor. It checks every 20 ms, but an
-/// arming delays a check by 35 ms.
+const LONGEST_TICKS: u16 = 0xFFF;
+/// Number of feedings, one per millisecond, for each passed check of the supervisor. The supervisor checks every 20 ms,
+/// but an arming delays a check by 35 ms.
 const FEEDINGS_PER_CHECK: u32 = 100;
 /// Number of feedings left.
 static FEEDINGS_LEFT: AtomicU32 = AtomicU32::new(0);
-/// True while the registers are being set, because a feeding in between would lock them.
+/// True while the watchdog's registers are being set, because a feeding in between would lock the registers.
 static IS_BEING_SET: AtomicBool = AtomicBool::new(false);
 
 /// Feeds the watchdog while credit is left and the control interrupt is served. A control step that does not end has
@@ -74,19 +73,19 @@ impl Watchdog {
     }
 }
 
-/// Number of calls of [`patient`].
-static PATIENT_CALLS: AtomicU32 = AtomicU32::new(0);
+/// Number of calls of [`with_longest_time`].
+static LONGEST_TIME_CALLS: AtomicU32 = AtomicU32::new(0);
 
-/// Returns the number of calls of [`patient`], wrapping.
-pub fn patient_calls() -> u32 {
-    PATIENT_CALLS.load(Ordering::Relaxed)
+/// Returns the number of calls of [`with_longest_time`], wrapping.
+pub fn longest_time_calls() -> u32 {
+    LONGEST_TIME_CALLS.load(Ordering::Relaxed)
 }
 
 /// Runs `work`, which may stall the program, with the watchdog's longest time. The watchdog must be running, because a
 /// write before its oscillator runs is lost and blocks every later write.
-pub fn patient<R>(work: impl FnOnce() -> R) -> R {
-    PATIENT_CALLS.store(patient_calls().wrapping_add(1), Ordering::Relaxed);
-    set_ticks(PATIENT_TICKS);
+pub fn with_longest_time<R>(work: impl FnOnce() -> R) -> R {
+    LONGEST_TIME_CALLS.store(longest_time_calls().wrapping_add(1), Ordering::Relaxed);
+    set_ticks(LONGEST_TICKS);
     let result = work();
     set_ticks(NORMAL_TICKS);
     result

@@ -44,7 +44,7 @@ impl<const N: usize> Zeros<N> {
 
     /// Learns or checks the zeros with readings while the bridges are off, as the waiting task requests.
     #[inline(never)]
-    pub fn take(&mut self, raw: [i32; N]) {
+    pub fn update(&mut self, raw: [i32; N]) {
         let how = ZEROING.load(Ordering::Relaxed);
         if how == Zeroing::No as u8 {
             return;

@@ -4,7 +4,7 @@
 //! A frame is a postcard-rpc header (key, sequence number) and a postcard body. The reply to an invalid request is
 //! postcard-rpc's error message. An invalid frame has no other effect.
 
-use crate::board::machine::{Machine, Measured};
+use crate::board::machine::{Machine, Measurements};
 use crate::board::protocol::*;
 use crate::board::service::Service;
 use crate::board::telemetry::{Batch, Field, StreamRequest};
@@ -19,12 +19,12 @@ pub trait Described: Machine {
     /// Returns the board's identity.
     fn info(&self) -> Info;
     /// Returns measurements of the machine.
-    fn measured(&mut self) -> Measured;
+    fn measurements(&mut self) -> Measurements;
 }
 
 /// Work for the caller after the reply has been sent.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum After {
+pub enum AfterReply {
     /// No work.
     Nothing,
     /// Start, change or stop the telemetry stream, for a device with this number of axes.
@@ -42,14 +42,14 @@ pub fn answer<'o, M: Described>(
     machine: &mut M,
     frame: &[u8],
     out: &'o mut [u8],
-) -> (Option<&'o [u8]>, After) {
-    let Some((header, body)) = VarHeader::take_from_slice(frame) else { return (None, After::Nothing) };
-    let mut after = After::Nothing;
+) -> (Option<&'o [u8]>, AfterReply) {
+    let Some((header, body)) = VarHeader::take_from_slice(frame) else { return (None, AfterReply::Nothing) };
+    let mut after = AfterReply::Nothing;
     let length = route(service, machine, &Request { header, body }, out, &mut after);
     (length.and_then(|length| out.get(..length)), after)
 }
 
-/// Writes a topic message as a frame (without COBS) to `out`; `None` if it does not fit.
+/// Writes a topic message as a frame (without COBS) to `out`. Returns `None` if the frame does not fit.
 pub fn publish<'o, T: Topic>(sequence: u16, message: &T::Message, out: &'o mut [u8]) -> Option<&'o [u8]>
 where
     T::Message: Serialize + Sized,
@@ -71,7 +71,7 @@ struct Request<'f> {
 }
 
 impl Request<'_> {
-    fn is<E: Endpoint>(&self) -> bool {
+    fn is_for<E: Endpoint>(&self) -> bool {
         self.header.key == VarKey::Key8(E::REQ_KEY)
     }
 
@@ -130,7 +130,7 @@ fn encode(header: &VarHeader, message: &impl Serialize, out: &mut [u8]) -> Optio
 /// Runs the arm of the request's endpoint and replies. Continues if no arm matches.
 macro_rules! serve {
     ($request:ident, $out:ident; $($Endpoint:ident: |$message:pat_param| $work:expr;)*) => {
-        $(if $request.is::<$Endpoint>() {
+        $(if $request.is_for::<$Endpoint>() {
             return $request.serve::<$Endpoint>($out, |$message| $work);
         })*
     };
@@ -141,13 +141,13 @@ fn route<M: Described>(
     machine: &mut M,
     request: &Request,
     out: &mut [u8],
-    after: &mut After,
+    after: &mut AfterReply,
 ) -> Option<usize> {
     // Short keys collide, so a tool that uses short keys receives an error.
     if matches!(request.header.key, VarKey::Key1(_) | VarKey::Key2(_)) {
         return request.fail(WireError::KeyTooSmall, out);
     }
-    if request.is::<Force>() {
+    if request.is_for::<Force>() {
         return request.serve_force(out, |force| machine.force(force));
     }
     serve! { request, out;
@@ -160,7 +160,7 @@ fn route<M: Described>(
         SetScene: |scene| service.set_scene(machine, scene);
         SetDevice: |device| service.set_device(machine, device);
         GetInfo: |()| machine.info();
-        GetDetails: |()| service.details(machine.measured());
+        GetDetails: |()| service.details(machine.measurements());
         GetDevice: |()| service.device().cloned();
         GetScene: |()| service.scene().cloned();
         SetMassModel: |mass| service.set_mass_model(machine, mass);
@@ -174,7 +174,7 @@ fn route<M: Described>(
         Stream: |stream| {
             let energy = stream.divider > 0 && stream.fields.0 & Field::Energy.bit() != 0;
             machine.execute(Command::ShowEnergy(energy)).0?;
-            *after = After::Stream(stream, service.device().map_or(0, |device| device.axes()));
+            *after = AfterReply::Stream(stream, service.device().map_or(0, |device| device.axes()));
             Ok(())
         };
         Save: |()| service.save(machine);
@@ -186,11 +186,11 @@ fn route<M: Described>(
             Ok(())
         };
         EnterDfu: |()| {
-            *after = After::BootLoader;
+            *after = AfterReply::BootLoader;
             service.disarm(machine)
         };
         Restart: |()| {
-            *after = After::Restart;
+            *after = AfterReply::Restart;
             service.disarm(machine)
         };
     }

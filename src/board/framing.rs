@@ -95,16 +95,16 @@ pub struct Decoder {
     /// Length of the last completed frame.
     completed: usize,
     /// Number of bytes missing in the present block.
-    left: usize,
+    missing: usize,
     /// True if a zero follows the present block.
-    zero: bool,
+    zero_follows: bool,
     /// True if the present frame is longer than any valid frame.
     overlong: bool,
 }
 
 impl Default for Decoder {
     fn default() -> Self {
-        Self { bytes: [0; MAX_FRAME], length: 0, completed: 0, left: 0, zero: false, overlong: false }
+        Self { bytes: [0; MAX_FRAME], length: 0, completed: 0, missing: 0, zero_follows: false, overlong: false }
     }
 }
 
@@ -112,7 +112,7 @@ impl Decoder {
     /// Consumes bytes up to the end of the first frame. Returns the number of consumed bytes, and true after a frame.
     #[inline(never)]
     pub fn take(&mut self, bytes: &[u8]) -> (usize, bool) {
-        let (mut length, mut left, mut zero) = (self.length, self.left, self.zero);
+        let (mut length, mut left, mut zero) = (self.length, self.missing, self.zero_follows);
         let mut rest = bytes;
         loop {
             // Four bytes are handled together if all are data, or all are codes of single zeros.
@@ -159,7 +159,7 @@ impl Decoder {
                 None => self.overlong = true,
             }
         }
-        (self.length, self.left, self.zero) = (length, left, zero);
+        (self.length, self.missing, self.zero_follows) = (length, left, zero);
         (bytes.len(), false)
     }
 
@@ -170,6 +170,6 @@ impl Decoder {
 
     /// Drops the unfinished frame.
     pub fn forget(&mut self) {
-        (self.length, self.left, self.zero, self.overlong) = (0, 0, false, false);
+        (self.length, self.missing, self.zero_follows, self.overlong) = (0, 0, false, false);
     }
 }

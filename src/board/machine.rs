@@ -14,18 +14,18 @@ pub trait Machine {
     /// Trigonometry of the control loop.
     type Math: Math<f32>;
     /// Storage of a program on this machine: a box, or a static buffer.
-    type Held: DerefMut<Target = Program<Self::Math>>;
+    type StoredProgram: DerefMut<Target = Program<Self::Math>>;
     /// Carries out a command between two control steps and waits for the reply.
-    fn execute(&mut self, command: Command<Self::Held>) -> Reply<Self::Held>;
+    fn execute(&mut self, command: Command<Self::StoredProgram>) -> Reply<Self::StoredProgram>;
     /// Returns the control loop's state.
     fn status(&mut self) -> Status;
     /// Carries out a host's force request between two control steps, see
     /// [`ControlLoop::force`](crate::control::ControlLoop::force).
     fn force(&mut self, request: &ForceRequest) -> ForceAnswer;
     /// Stores a program for the control loop. Refused while the spare place is in use.
-    fn place(&mut self, program: Program<Self::Math>) -> Result<Self::Held, Refusal>;
+    fn place(&mut self, program: Program<Self::Math>) -> Result<Self::StoredProgram, Refusal>;
     /// Takes back a program that the control loop no longer uses.
-    fn release(&mut self, held: Self::Held);
+    fn release(&mut self, held: Self::StoredProgram);
     /// Sets carrier and divider for a control rate (Hz). Called with the motors off.
     fn retime(&mut self, rate_hz: f32);
     /// Stages the next entry of a setting, which becomes valid with [`Machine::commit`].
@@ -40,7 +40,7 @@ pub trait Machine {
 
 /// Parts of [`Details`](crate::board::protocol::Details) that only the machine can measure.
 #[derive(Clone, Debug, Default)]
-pub struct Measured {
+pub struct Measurements {
     /// Carrier frequency at the present control rate, Hz.
     pub carrier_hz: f32,
     /// Computation delay from sampling to duty, in control periods.

@@ -8,7 +8,7 @@ mod backup;
 
 use crate::board::configuration::{Configuration, empty_scene, task};
 use crate::board::flash::commit_configuration;
-use crate::board::machine::{Machine, Measured, check_motors_off};
+use crate::board::machine::{Machine, Measurements, check_motors_off};
 use crate::board::protocol::{Beat, Details, FaultList, GainsRequest, KeyList, Name, Press, Step};
 use crate::board::settings::{self, BoardName, Damage, Key, Setting};
 use crate::control::program::{Hardware, Program};
@@ -29,16 +29,16 @@ pub struct Service {
     hardware: Hardware,
     max_limits: Limits,
     configuration: Configuration,
-    receiving: TableReceiver,
+    table_receiver: TableReceiver,
     name: Name,
-    /// Device whose polarity check succeeded since the board started. Checks in flash do not count, because wires may
-    /// change while a board has no power. The entire device is stored, because checksums may coincide.
-    polarity: Option<Device<f32>>,
+    /// Device whose polarity check succeeded since the board started. The entire device is stored, because checksums
+    /// may coincide.
+    checked_device: Option<Device<f32>>,
     damage: Vec<(Key, Damage), { Key::ALL.len() }>,
     faults: FaultList,
     last_fault: Option<FaultRecord>,
     /// Last session that staged entries, with the keys of these entries.
-    staged: (u32, KeyList),
+    staged_entries: (u32, KeyList),
 }
 
 impl Service {
@@ -59,13 +59,13 @@ impl Service {
                 mass: MassModelData::Exact,
                 rules: Rules { limits: Limits { tip_force, ..max_limits }, host_action, ..Rules::default() },
             },
-            receiving: TableReceiver::default(),
+            table_receiver: TableReceiver::default(),
             name: Name::new(),
-            polarity: None,
+            checked_device: None,
             damage: Vec::new(),
             faults: FaultList::new(),
             last_fault: None,
-            staged: (0, KeyList::new()),
+            staged_entries: (0, KeyList::new()),
         }
     }
 
@@ -120,9 +120,9 @@ impl Service {
     }
 
     /// Returns the board's description.
-    pub fn details(&self, measured: Measured) -> Details {
+    pub fn details(&self, measurements: Measurements) -> Details {
         let Configuration { device, scene, .. } = &self.configuration;
-        let Measured { carrier_hz, delay_samples, unsensed, overruns, longest_cycles, stack_free } = measured;
+        let Measurements { carrier_hz, delay_samples, unsensed, overruns, longest_cycles, stack_free } = measurements;
         Details {
             name: self.name.clone(),
             axes: self.hardware.axes as u8,
@@ -177,16 +177,16 @@ impl Service {
     /// Drops a partly received table of the previous device. Informs the control loop if this device passed the
     /// polarity check before. A device with a NaN equals no device, so it counts as unchecked.
     fn finish_device_change(&mut self, machine: &mut impl Machine) -> Result<(), Refusal> {
-        self.receiving = TableReceiver::default();
-        match &self.polarity {
-            Some(_) if self.polarity == self.configuration.device => machine.execute(Command::PolarityKnown).0,
+        self.table_receiver = TableReceiver::default();
+        match &self.checked_device {
+            Some(_) if self.checked_device == self.configuration.device => machine.execute(Command::PolarityKnown).0,
             _ => Ok(()),
         }
     }
 
     /// Loads a scene for the device, with the closed form of the mass matrix, because a prepared matrix is valid only
-    /// for the walls that it was made for. While the motors are on, the scene must have the present control rate, and
-    /// the tip must touch none of its walls.
+    /// for the walls of its own scene. While the motors are on, the scene must have the present control rate, and the
+    /// tip must not touch a wall of the scene.
     pub fn set_scene(&mut self, machine: &mut impl Machine, scene: Scene<f32>) -> Result<(), Refusal> {
         self.set_scene_and_mass(machine, scene, MassModelData::Exact)
     }
@@ -208,7 +208,7 @@ impl Service {
         check_motors_off(machine)?;
         if let MassModelData::Table(grid, crc) = &mass {
             let device = self.configuration.device.as_ref().ok_or(Refusal::NoDevice)?;
-            if !self.receiving.is_complete(grid.values(device.mechanism.mass_entries().len()), *crc) {
+            if !self.table_receiver.is_complete(grid.values(device.mechanism.mass_entries().len()), *crc) {
                 return Err(Refusal::BadTable);
             }
         }
@@ -222,13 +222,13 @@ impl Service {
     pub fn receive_table(&mut self, machine: &mut impl Machine, chunk: &TableChunk) -> Result<(), Refusal> {
         check_motors_off(machine)?;
         let offset = usize::from(chunk.offset);
-        if !self.receiving.fits(offset, &chunk.values) {
+        if !self.table_receiver.fits(offset, &chunk.values) {
             return Err(Refusal::BadTable);
         }
         if matches!(self.configuration.mass, MassModelData::Table(..)) {
             self.set_mass_model(machine, MassModelData::Exact)?;
         }
-        self.receiving.take(offset, &chunk.values);
+        self.table_receiver.take(offset, &chunk.values);
         Ok(())
     }
 
@@ -276,13 +276,13 @@ impl Service {
         machine: &mut Mc,
         next: &Configuration,
         same_device: bool,
-    ) -> Result<Option<(Mc::Held, f32)>, Refusal> {
+    ) -> Result<Option<(Mc::StoredProgram, f32)>, Refusal> {
         let Configuration { device, scene, mass, rules } = next;
         let Some(device) = device else { return Ok(None) };
         let empty = empty_scene(device);
         let scene = scene.as_ref().unwrap_or(&empty);
         let mut program = Program::<Mc::Math>::new(&self.hardware, &rules.limits, device, scene, same_device)?;
-        program.set_mass(mass, self.receiving.values())?;
+        program.set_mass(mass, self.table_receiver.values())?;
         Ok(Some((machine.place(program)?, scene.rate_hz)))
     }
 
@@ -351,7 +351,7 @@ impl Service {
             most: f32::INFINITY,
         });
         let silence = (!(least..=most).contains(&rules.host_seconds)).then_some(silence);
-        match rules.limits.wrong(&self.max_limits).or(silence).or(period) {
+        match rules.limits.first_wrong_limit(&self.max_limits).or(silence).or(period) {
             Some(bad) => Err(Refusal::BadLimit(bad)),
             None => Ok(()),
         }
@@ -365,7 +365,7 @@ impl Service {
     /// Starts the polarity check and drops earlier results. [`Service::poll`] records success.
     pub fn check_polarity(&mut self, machine: &mut impl Machine) -> Result<(), Refusal> {
         machine.execute(Command::CheckPolarity).0?;
-        self.polarity = None;
+        self.checked_device = None;
         Ok(())
     }
 
@@ -407,8 +407,8 @@ impl Service {
     pub fn poll(&mut self, machine: &mut impl Machine) -> Option<FaultRecord> {
         let status = machine.status();
         // A device that is already recorded is not copied again.
-        if status.polarity && self.polarity != self.configuration.device {
-            self.polarity.clone_from(&self.configuration.device);
+        if status.polarity && self.checked_device != self.configuration.device {
+            self.checked_device.clone_from(&self.configuration.device);
         }
         let fault = status.fault?;
         // Values are not compared, because NaN differs from itself and its fault would be reported repeatedly.
@@ -419,7 +419,7 @@ impl Service {
         Some(fault)
     }
 
-    /// Adds a fault to the history, which may also be a fault from before a reset.
+    /// Adds a fault to the history. A fault may also be from before a reset.
     pub fn record_fault(&mut self, fault: FaultRecord) {
         self.last_fault = Some(fault);
         if self.faults.is_full() {

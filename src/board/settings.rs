@@ -31,13 +31,13 @@ pub enum Key {
     Rules = 3,
     /// The mass model.
     MassModel = 4,
-    /// Checksum of a device that once passed the polarity check. Found on old boards and in old backups; unused.
+    /// Checksum of a device that once passed the polarity check. Unused, but contained in old flash and backups.
     Polarity = 5,
     /// The board's name.
     Name = 6,
 }
 
-// The settings' keys lie between the catalogue's and the decision's, and `ALL` is in the order of the keys.
+// The settings' keys lie between `CATALOGUE_KEY` and `DECISION_KEY`, and `ALL` is in the order of the keys.
 const _: () = {
     let mut place = 0;
     while place < Key::ALL.len() {
@@ -88,7 +88,7 @@ impl Setting for Scene<f32> {
     /// Version 2 added the feed-forward gain and the held coordinate, and `velocity_terms` is no longer a flag. Version
     /// 3 added joint estimators with their options, version 4 the posture.
     const VERSION: u8 = 4;
-    /// Defaults: a gain of 1, the orientation, no posture. The encoding of earlier estimators is unchanged.
+    /// Inserts the defaults: a gain of 1, a held orientation, no posture. Earlier estimators keep their encoding.
     const EARLIER_VERSIONS: &'static [(u8, usize, &'static [u8])] = &[
         (1, END_POSITION, &[0x00, 0x00, 0x80, 0x3f, 0x00, 0x00]),
         (2, END_POSITION, &[0x00]),
@@ -99,7 +99,7 @@ impl Setting for Rules {
     const KEY: Key = Key::Rules;
     /// Version 2 added the force limit at the tip.
     const VERSION: u8 = 2;
-    /// Inserts the gentle force limit after the other limits, the first fifteen numbers of four bytes.
+    /// Inserts [`GENTLE_FORCE`] after the other limits, which are the first fifteen numbers of four bytes.
     const EARLIER_VERSIONS: &'static [(u8, usize, &'static [u8])] = &[(1, 60, &GENTLE_FORCE.to_le_bytes())];
 }
 impl Setting for MassModelData {
@@ -107,8 +107,8 @@ impl Setting for MassModelData {
     const VERSION: u8 = 1;
 }
 
-/// Checksum of a device that once passed the polarity check. Still read, so that old flash and backups stay valid, but
-/// without effect, because wires may change while a board has no power.
+/// Checksum of a device that once passed the polarity check. Old flash and backups may contain it. The checksum has no
+/// effect, because wires may change while a board has no power.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Polarity(pub u32);
 impl Setting for Polarity {

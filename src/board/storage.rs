@@ -3,8 +3,8 @@
 //! `sequential-storage` appends entries with checksums and moves to the next page when a page is full. After a power
 //! cut at any point, either the old or the new value is left; tests/power_cut.rs cuts the power at every flash
 //! operation. The map skips a damaged entry silently and returns the earlier entry. Every entry therefore carries a
-//! generation, and a catalogue of the newest generations is written after each entry. An entry that is older than its
-//! generation in the catalogue is not the saved entry. A newer entry than the catalogue's, after a power cut, is valid.
+//! generation, and a catalogue of the newest generations is written after each entry. An entry with an older generation
+//! than in the catalogue is not the saved entry. An entry with a newer generation, after a power cut, is valid.
 //!
 //! Several settings change together or not at all. They are staged first ([`Storage::stage`]), then a single entry, the
 //! decision, makes them valid ([`Storage::commit`]), and only then are they moved to their settings' keys. A power cut
@@ -26,12 +26,12 @@ use sequential_storage::map::{MapConfig, MapStorage, SerializationError, Value};
 pub const LONGEST_STORED: usize = 2048;
 
 const CATALOGUE_KEY: u8 = 0;
-/// Key of the decision, which holds the generations of the valid staged entries, or zeros. Settings' keys are lower.
+/// Key of the decision, which holds the generations of the valid staged entries, or zeros. Keys of settings are lower.
 pub(super) const DECISION_KEY: u8 = 7;
 /// Bit that marks the key of a staged entry.
 const STAGED_BIT: u8 = 8;
 const _: () = assert!(DECISION_KEY < STAGED_BIT && (DECISION_KEY as usize) < SETTINGS && 2 * SETTINGS <= KEYS);
-/// Number of places in the catalogue and in the decision: the keys up to the decision's.
+/// Number of places in the catalogue and in the decision: one for each key up to [`DECISION_KEY`].
 const SETTINGS: usize = 8;
 const KEYS: usize = 16;
 /// A generation: the seven lower bits count and wrap. 0 for a missing entry and for an entry without generation.
@@ -133,7 +133,7 @@ type KeyCache = Cache<Uncached, Uncached, ArrayKeyPointers<u8, KEYS>, u8>;
 /// A flash that can be written only while unlocked. Without the lock, reads would erase and write to repair damage.
 struct LockableFlash<F> {
     flash: F,
-    writable: bool,
+    is_writable: bool,
 }
 
 #[derive(Debug)]
@@ -172,14 +172,14 @@ impl<F: NorFlash> NorFlash for LockableFlash<F> {
     const ERASE_SIZE: usize = F::ERASE_SIZE;
 
     async fn erase(&mut self, from: u32, to: u32) -> Result<(), Self::Error> {
-        if !self.writable {
+        if !self.is_writable {
             return Err(Failure::Locked);
         }
         self.flash.erase(from, to).await.map_err(Failure::Flash)
     }
 
     async fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), Self::Error> {
-        if !self.writable {
+        if !self.is_writable {
             return Err(Failure::Locked);
         }
         self.flash.write(offset, bytes).await.map_err(Failure::Flash)
@@ -190,13 +190,13 @@ impl<F: NorFlash> NorFlash for LockableFlash<F> {
 pub struct Storage<'b, F: NorFlash> {
     map: MapStorage<u8, LockableFlash<F>, KeyCache>,
     /// Bits of the keys that a search did not find.
-    absent: u16,
-    /// Bits of the settings that the last search could not read; they are not searched again.
-    lost: u16,
+    absent_keys: u16,
+    /// Bits of the settings that the last search could not read. These settings are not searched again.
+    unreadable_settings: u16,
     /// Generations of the entries staged since the start or the last decision.
-    staged: [Generation; SETTINGS],
-    /// True after a decision that a power cut interrupted was searched for and carried out.
-    recovered: bool,
+    staged_generations: [Generation; SETTINGS],
+    /// True if no decision waits to be carried out.
+    is_recovered: bool,
     buffer: &'b mut [u8; LONGEST_STORED],
 }
 
@@ -206,11 +206,11 @@ impl<'b, F: NorFlash> Storage<'b, F> {
     pub fn new(flash: F, range: Range<u32>, buffer: &'b mut [u8; LONGEST_STORED]) -> Self {
         let known = Cache::new(Uncached, Uncached, ArrayKeyPointers::new());
         Self {
-            map: MapStorage::new(LockableFlash { flash, writable: false }, MapConfig::new(range), known),
-            absent: 0,
-            lost: 0,
-            staged: [0; SETTINGS],
-            recovered: false,
+            map: MapStorage::new(LockableFlash { flash, is_writable: false }, MapConfig::new(range), known),
+            absent_keys: 0,
+            unreadable_settings: 0,
+            staged_generations: [0; SETTINGS],
+            is_recovered: false,
             buffer,
         }
     }
@@ -228,38 +228,38 @@ impl<'b, F: NorFlash> Storage<'b, F> {
 
     /// Runs an operation that may write, then locates every entry again, because writes and flash errors move entries.
     fn with_writing<T>(&mut self, work: impl FnOnce(&mut Self) -> Result<T, StorageError>) -> Result<T, StorageError> {
-        self.lost = 0;
-        self.map.flash().writable = true;
+        self.unreadable_settings = 0;
+        self.map.flash().is_writable = true;
         let result = work(self);
         // An unreadable entry makes the map lose all places, so the other entries are located again without it.
         loop {
-            let before = self.lost;
+            let before = self.unreadable_settings;
             for key in 1..DECISION_KEY {
                 if self.read(key).is_err() {
-                    self.lost |= key_bit(key);
+                    self.unreadable_settings |= key_bit(key);
                 }
             }
-            if self.lost == before {
+            if self.unreadable_settings == before {
                 break;
             }
         }
-        self.map.flash().writable = false;
+        self.map.flash().is_writable = false;
         result
     }
 
     fn fetch(&mut self, key: u8) -> Result<Option<StampedEntry<'_>>, StorageError> {
-        if self.absent & key_bit(key) != 0 {
+        if self.absent_keys & key_bit(key) != 0 {
             return Ok(None);
         }
         let entry = block_on(self.map.fetch_item(self.buffer, &key))?;
         if entry.is_none() {
-            self.absent |= key_bit(key);
+            self.absent_keys |= key_bit(key);
         }
         Ok(entry)
     }
 
     fn store(&mut self, key: u8, item: &StampedEntry<'_>) -> Result<(), StorageError> {
-        self.absent &= !key_bit(key);
+        self.absent_keys &= !key_bit(key);
         Ok(block_on(self.map.store_item(self.buffer, &key, item))?)
     }
 
@@ -268,14 +268,14 @@ impl<'b, F: NorFlash> Storage<'b, F> {
         Ok(entry.and_then(|StampedEntry(_, known)| known.try_into().ok()).unwrap_or_default())
     }
 
-    /// Returns the entry of a setting, or its staged entry if the decision has not been carried out yet; `None` if it
-    /// was never stored. Writes nothing, so it may be called at any time. Returns [`StorageError::Damaged`] if no entry
-    /// or only an older one is left, or if the start could not read it.
+    /// Returns the entry of a setting, or its staged entry if the decision has not been carried out yet; `None` if the
+    /// setting was never stored. Writes nothing, so call it at any time. Returns [`StorageError::Damaged`] if no entry
+    /// or only an older entry is left, or if the start could not read the entry.
     pub fn read(&mut self, key: u8) -> Result<Option<&[u8]>, StorageError> {
-        if self.lost & key_bit(key) != 0 {
+        if self.unreadable_settings & key_bit(key) != 0 {
             return Err(StorageError::Damaged);
         }
-        let decided = if self.recovered { 0 } else { self.generations(DECISION_KEY)?[catalogue_place(key)] };
+        let decided = if self.is_recovered { 0 } else { self.generations(DECISION_KEY)?[catalogue_place(key)] };
         if decided == 0 {
             return self.current_entry(key);
         }
@@ -332,7 +332,7 @@ impl<'b, F: NorFlash> Storage<'b, F> {
         self.store(staged_key, &StampedEntry(generation, value))?;
         match self.fetch(staged_key)? {
             Some(StampedEntry(found, entry)) if found == generation && entry == value => {
-                self.staged[catalogue_place(key)] = generation;
+                self.staged_generations[catalogue_place(key)] = generation;
                 Ok(())
             }
             _ => Err(StorageError::NotKept),
@@ -341,7 +341,7 @@ impl<'b, F: NorFlash> Storage<'b, F> {
 
     /// Returns the staged entry of a setting.
     pub fn staged(&mut self, key: u8) -> Result<Option<&[u8]>, StorageError> {
-        let known = self.staged[catalogue_place(key)];
+        let known = self.staged_generations[catalogue_place(key)];
         if known == 0 {
             return Ok(None);
         }
@@ -359,14 +359,14 @@ impl<'b, F: NorFlash> Storage<'b, F> {
         self.recover()?;
         let mut decision = [0; SETTINGS];
         for key in keys {
-            decision[catalogue_place(*key)] = self.staged[catalogue_place(*key)];
+            decision[catalogue_place(*key)] = self.staged_generations[catalogue_place(*key)];
             if decision[catalogue_place(*key)] == 0 {
                 return Err(StorageError::NotKept);
             }
         }
-        self.staged = [0; SETTINGS];
+        self.staged_generations = [0; SETTINGS];
         // A pending decision must be carried out before any other read or write.
-        self.recovered = false;
+        self.is_recovered = false;
         if let Err(error) = self.store(DECISION_KEY, &StampedEntry(GENERATION_BIT, &decision)) {
             // The decision may be stored in spite of the error.
             let taken_back = self.store(DECISION_KEY, &StampedEntry(GENERATION_BIT, &[0; SETTINGS]));
@@ -377,7 +377,7 @@ impl<'b, F: NorFlash> Storage<'b, F> {
 
     /// Carries out a pending decision, if any.
     fn recover(&mut self) -> Result<(), StorageError> {
-        if self.recovered {
+        if self.is_recovered {
             return Ok(());
         }
         let decision = self.generations(DECISION_KEY)?;
@@ -387,12 +387,12 @@ impl<'b, F: NorFlash> Storage<'b, F> {
         if decision != [0; SETTINGS] {
             self.store(DECISION_KEY, &StampedEntry(GENERATION_BIT, &[0; SETTINGS]))?;
         }
-        self.recovered = true;
+        self.is_recovered = true;
         Ok(())
     }
 
-    /// Moves the staged entry of this generation to its setting's key. The setting counts as damaged if the staged
-    /// entry is, because the decision made the earlier value invalid.
+    /// Moves the staged entry of this generation to its setting's key. If the staged entry is damaged, the setting is
+    /// damaged too, because the decision made the earlier value invalid.
     #[inline(never)]
     fn move_to_setting(&mut self, key: u8, generation: Generation) -> Result<(), StorageError> {
         let mut copy = [0; LONGEST_STORED / 2];

@@ -1,9 +1,8 @@
 //! Telemetry: the quantities of a step that can be streamed, and their packing into batches.
 //!
 //! A batch holds consecutive rows (every `divider`-th step) of the selected fields, each number in as many bytes as it
-//! needs. A gap starts a new batch, so a reader knows the step of every row. It counts losses exactly by missing steps
-//! and by the board's own count of dropped rows. Every batch carries its stream's number, so that a tool can ignore an
-//! earlier tool's batches.
+//! needs. A gap starts a new batch, so a reader knows the step of every row, and counts losses by missing steps and by
+//! the board's count of dropped rows. Every batch carries its stream's number, so that a tool can ignore other streams.
 
 use crate::control::frame::StepRecord;
 use crate::model::catalogue::MAX_JOINTS;
@@ -12,8 +11,7 @@ use heapless::Vec;
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize, Serializer};
 
-/// Maximum length of a batch's rows, bytes: twelve USB packets, 0.6 ms. Shorter batches cost bytes, longer ones delay
-/// replies.
+/// Maximum length of a batch's rows, bytes: twelve USB packets, 0.6 ms. Longer batches would delay replies.
 pub const BATCH_BYTES: usize = 728;
 
 /// Encoding of a number, least significant byte first.
@@ -221,12 +219,12 @@ pub struct Batch {
     /// Bits of [`Fields`].
     pub fields: u32,
     /// Rows in sequence, each in the order of [`Field::ALL`], each number encoded as its [`Field::kind`].
-    #[serde(serialize_with = "in_one_piece")]
+    #[serde(serialize_with = "serialize_bytes")]
     pub rows: Vec<u8, BATCH_BYTES>,
 }
 
-/// Serializes bytes like postcard's sequence of bytes, but in one piece.
-fn in_one_piece<S: Serializer>(bytes: &Vec<u8, BATCH_BYTES>, serializer: S) -> Result<S::Ok, S::Error> {
+/// Serializes bytes as postcard does, but in one piece.
+fn serialize_bytes<S: Serializer>(bytes: &Vec<u8, BATCH_BYTES>, serializer: S) -> Result<S::Ok, S::Error> {
     serializer.serialize_bytes(bytes)
 }
 
@@ -242,8 +240,8 @@ pub trait Frames {
 #[derive(Clone, Debug, Default)]
 pub struct Packer {
     batches: [Batch; 2],
-    filling: usize,
-    sent: u32,
+    open_batch: usize,
+    finished_batches: u32,
     /// Length of a row, bytes; 0 without a stream.
     width: usize,
 }
@@ -260,7 +258,7 @@ impl Packer {
             batch.axes = axes as u8;
             batch.rows.clear();
         }
-        self.sent = 0;
+        self.finished_batches = 0;
         self.width = Fields(fields).bytes(axes);
     }
 
@@ -279,14 +277,14 @@ impl Packer {
     /// Adds a frame for which [`Packer::wants`] is true. `dropped` is the number of rows lost on the board so far.
     /// Returns a batch if the frame fills it or does not continue it.
     pub fn push(&mut self, frame: &StepRecord, dropped: u32) -> Option<&Batch> {
-        let batch = &self.batches[self.filling & 1];
+        let batch = &self.batches[self.open_batch & 1];
         let rows = batch.rows.len().checked_div(self.width).unwrap_or(0) as u32;
         let due = batch.first_step.wrapping_add(rows.wrapping_mul(batch.divider));
         let mut full = None;
         if rows > 0 && frame.step != due {
             full = Some(self.finish_batch());
         }
-        let batch = &mut self.batches[self.filling & 1];
+        let batch = &mut self.batches[self.open_batch & 1];
         if batch.rows.is_empty() {
             batch.first_step = frame.step;
         }
@@ -302,7 +300,7 @@ impl Packer {
     }
 
     /// Packs the frames of a queue up to the first full batch and returns this batch. Returns the unfinished batch if
-    /// no batch is full and rows have waited too long (`late`).
+    /// no batch is full and `late` is true because rows have waited too long.
     pub fn drain(&mut self, frames: &mut impl Frames, dropped: u32, late: bool) -> Option<&Batch> {
         let mut full = false;
         while !full && let Some(frame) = frames.first() {
@@ -312,12 +310,12 @@ impl Packer {
         if late && !full {
             return self.flush();
         }
-        full.then(|| &self.batches[!self.filling & 1])
+        full.then(|| &self.batches[!self.open_batch & 1])
     }
 
     /// Returns the unfinished batch if it holds a row. Call on a slow stream, so that rows do not wait.
     pub fn flush(&mut self) -> Option<&Batch> {
-        if self.batches[self.filling & 1].rows.is_empty() {
+        if self.batches[self.open_batch & 1].rows.is_empty() {
             return None;
         }
         let full = self.finish_batch();
@@ -326,10 +324,10 @@ impl Packer {
 
     /// Finishes and numbers the present batch, and continues with the other. Returns the index of the finished batch.
     fn finish_batch(&mut self) -> usize {
-        let full = self.filling & 1;
-        self.batches[full].number = self.sent;
-        self.sent = self.sent.wrapping_add(1);
-        self.filling = full ^ 1;
+        let full = self.open_batch & 1;
+        self.batches[full].number = self.finished_batches;
+        self.finished_batches = self.finished_batches.wrapping_add(1);
+        self.open_batch = full ^ 1;
         self.batches[full ^ 1].rows.clear();
         full
     }

@@ -8,7 +8,7 @@ use crate::control::joints::{Counts, Torques};
 use crate::control::program::Program;
 use crate::drive::bits::margin_bits;
 use crate::drive::stage::Stage;
-use crate::math::{Math, Real, limited, sqrt};
+use crate::math::{Math, Real, clamp, sqrt};
 use crate::model::device::{Leverage, squared};
 use crate::safety::fault::{Fault, State};
 use crate::safety::limits::VOLTS_MARGIN;
@@ -26,36 +26,38 @@ pub(super) struct Sums {
     /// Encoder count when the joint was last checked.
     count: i32,
     /// Sum of the squared motor current since the last check, A².
-    squares: f32,
-    /// Time without a count in spite of torque, s. `stall` is the torque that moves any unblocked joint, N m.
-    still: f32,
-    stall: f32,
-    /// Time without a count in spite of back-EMF, s. From the speed `suspicious` (rad/s) on, counts must change.
-    lost: f32,
-    suspicious: f32,
+    current_squares: f32,
+    /// Time without a count in spite of torque, s.
+    still_seconds: f32,
+    /// Torque that moves any unblocked joint, N m.
+    stall_torque: f32,
+    /// Time without a count in spite of back-EMF, s.
+    lost_seconds: f32,
+    /// Speed by back-EMF above which counts must change, rad/s.
+    suspicious_speed: f32,
 }
 
 impl Sums {
     /// Clears the times without a count; the heat is kept.
     pub(super) fn reset(&mut self) {
-        (self.still, self.lost) = (0.0, 0.0);
+        (self.still_seconds, self.lost_seconds) = (0.0, 0.0);
     }
 
     /// Sets the thresholds from the motor's largest torque (N m) and the joint's speed limit (rad/s).
     pub(super) fn set_limits(&mut self, torque: f32, speed: f32) {
-        self.stall = if torque > 0.0 { 0.8 * torque } else { f32::INFINITY };
-        self.suspicious = 0.25 * speed;
+        self.stall_torque = if torque > 0.0 { 0.8 * torque } else { f32::INFINITY };
+        self.suspicious_speed = 0.25 * speed;
     }
 }
 
 /// Averaging time of the tip force that is compared with the limit, s. A few carrier periods far above the limit trip.
 const FORCE_AVERAGING_SECONDS: f32 = 5.0e-4;
-/// Factor of the averaging time for the force that voltages show, so that the force of measured currents trips first.
+/// Factor by which the force that voltages show is averaged for longer, so that the measured currents trip first.
 const VOLTAGE_AVERAGING_FACTOR: f32 = 4.0;
 /// Ratio by which measured currents may exceed the largest commanded force, because the current loop overshoots.
 const CURRENT_FORCE_MARGIN: f32 = 1.05;
-/// Largest share of the force limit that the sensors' error may hide. Near a singular pose, a torque too small to be
-/// measured is a large force.
+/// Largest share of the force limit that the sensors' error may hide, because even a small torque is a large force near
+/// a singular pose.
 const MAX_HIDDEN_FORCE_SHARE: f32 = 0.05;
 /// Error of the mean reading of a current sensor over [`FORCE_AVERAGING_SECONDS`], A: its zero and its noise.
 const CURRENT_SENSOR_ERROR: f32 = 0.05;
@@ -65,7 +67,7 @@ const MAX_STRAY_FORCE_SHARE: f32 = 0.5;
 const SETTLING_SECONDS: f32 = 5.0e-3;
 /// Rate at which the leverage is recomputed, Hz. A tip at 1 m/s moves by half a millimetre between two computations.
 const LEVERAGE_HZ: f32 = 2.0e3;
-/// Relative change of leverage that does not reduce the commanded force, because [`CURRENT_FORCE_MARGIN`] covers it.
+/// Relative change of leverage that [`CURRENT_FORCE_MARGIN`] covers, so that the commanded force is not reduced.
 const FREE_LEVERAGE_CHANGE: f32 = 0.02;
 /// Share of the largest recent change that is kept at the next recomputation.
 const LEVERAGE_CHANGE_DECAY: f32 = 0.75;
@@ -73,53 +75,53 @@ const LEVERAGE_CHANGE_DECAY: f32 = 0.75;
 /// Forces at the tip that the measured currents make.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Flow {
-    /// Mean torques that the sensors show while no bridge drives, N m. `gain` is the weight of a new sample.
+    /// Mean torques that the sensors show while no bridge drives, N m.
     torque: Torques,
-    gain: f32,
-    /// Mean force of the measured currents beyond the device's weight, N. `most` is its limit.
+    sample_weight: f32,
+    /// Mean force of the measured currents beyond the device's weight, N.
     force: f32,
-    most: f32,
-    /// Mean force that the motors' voltages show while a motor is inspected, N. `inspected` counts the valleys with an
-    /// inspection since leverage was recomputed.
-    shown: f32,
-    inspected: u32,
-    /// Relative change of leverage in recent recomputations. Where links are nearly in line, one count of a coarse
-    /// encoder changes leverage by a tenth.
-    change: f32,
-    /// Valleys until leverage is recomputed. `every` is the number of valleys between two recomputations.
-    until_weighed: u32,
-    every: u32,
+    /// Limit of `force`, N.
+    max_force: f32,
+    /// Mean force that the motors' voltages show while a motor is inspected, N.
+    voltage_force: f32,
+    /// Number of inspections since the leverage was recomputed.
+    inspections: u32,
+    /// Largest relative change of the leverage in recent recomputations.
+    leverage_change: f32,
+    /// Number of valleys until the leverage is recomputed.
+    valleys_left: u32,
+    /// Number of valleys between two recomputations of the leverage.
+    leverage_valleys: u32,
     next: NextLeverage,
     /// Time for which the earlier, larger force may still flow after the limit was lowered, s.
-    settling: f32,
+    settling_seconds: f32,
 }
 
-/// Progress of the recomputation of the leverage. Each part takes a valley of its own, which has no time for all.
+/// Progress of the recomputation of the leverage, one part in each valley because a valley has no time for all.
 #[derive(Clone, Copy, Debug, Default)]
 enum NextLeverage {
     #[default]
     Unknown,
     Computed(Leverage),
-    /// Its change since the present leverage is recorded.
+    /// Leverage whose change from the present leverage is already recorded.
     Compared(Leverage),
 }
 
 impl Flow {
     /// Clears the state of the previous armed time.
     pub(super) fn reset(&mut self) {
-        *self = Self { gain: self.gain, every: self.every, ..Self::default() };
+        *self = Self { sample_weight: self.sample_weight, leverage_valleys: self.leverage_valleys, ..Self::default() };
     }
 
-    /// Allows the earlier force until a lowered limit takes effect: one control `period` (s) plus the currents'
-    /// settling.
+    /// Allows the earlier force for one control `period` (s) and the currents' settling after a limit was lowered.
     pub(super) fn settle(&mut self, period: f32) {
-        self.settling = period + SETTLING_SECONDS;
+        self.settling_seconds = period + SETTLING_SECONDS;
     }
 
     /// Sets the carrier period, s.
     pub(super) fn set_period(&mut self, period: f32) {
-        self.gain = (period / FORCE_AVERAGING_SECONDS).min(1.0);
-        self.every = (1.0 / (period * LEVERAGE_HZ)) as u32;
+        self.sample_weight = (period / FORCE_AVERAGING_SECONDS).min(1.0);
+        self.leverage_valleys = (1.0 / (period * LEVERAGE_HZ)) as u32;
     }
 }
 
@@ -133,14 +135,14 @@ where
     /// returns the state of the bridges. Call at every valley, after [`ControlLoop::duties`].
     pub fn check_slow_faults(&mut self, seen: &Samples) -> Outputs {
         let seen = &self.complete_samples(seen);
-        let supplied = core::mem::take(&mut self.supplied);
+        let supplied = core::mem::take(&mut self.drive_voltage);
         let sensed = self.hardware.bridge.current_sensed && self.hardware.bus_sensed;
         self.check_slow_faults_of(seen, (supplied > 0.0).then_some(supplied), sensed);
         self.outputs()
     }
 
-    /// [`ControlLoop::check_slow_faults`] with the bus voltage `supplied` to the drives since the last valley, V;
-    /// `None` without drives. `sensed` is true if currents and bus voltage are measured.
+    /// Implements [`ControlLoop::check_slow_faults`]. `supplied` is the bus voltage of the drives since the last valley
+    /// (V), `None` without drives. `sensed` is true if currents and bus voltage are measured.
     #[inline(always)]
     pub(super) fn check_slow_faults_of(&mut self, seen: &Samples, supplied: Option<f32>, sensed: bool) {
         let active = self.state.drives();
@@ -151,9 +153,9 @@ where
                 _ => self.check_motors_and_force::<1>(seen, supplied),
             }
             // Only a slow carrier has time for both.
-            if !self.check_polarity_at_valley() || self.flow.every == 0 {
-                match self.flow.until_weighed.checked_sub(1) {
-                    Some(valleys) => self.flow.until_weighed = valleys,
+            if !self.check_polarity_at_valley() || self.flow.leverage_valleys == 0 {
+                match self.flow.valleys_left.checked_sub(1) {
+                    Some(valleys) => self.flow.valleys_left = valleys,
                     None => self.advance_leverage(&seen.counts),
                 }
             }
@@ -161,8 +163,8 @@ where
             self.average_readings(seen, sensed);
         }
         let joints = self.count();
-        let i = if self.turn < joints { self.turn } else { 0 };
-        self.turn = i + 1;
+        let i = if self.next_joint < joints { self.next_joint } else { 0 };
+        self.next_joint = i + 1;
         if joints > 0
             && let Some((fault, value)) = self.spent_budget(i, seen, sensed, active)
             && active
@@ -175,12 +177,12 @@ where
     fn average_readings(&mut self, seen: &Samples, sensed: bool) {
         for ((joint, current), mean) in self.joints.iter().zip(seen.currents.iter()).zip(self.flow.torque.iter_mut()) {
             let shown = if sensed { joint.stage.torque_of(*current) } else { 0.0 };
-            *mean += self.flow.gain * (shown - *mean);
+            *mean += self.flow.sample_weight * (shown - *mean);
         }
     }
 
-    /// Returns an error if the currents that the sensors show while the bridges are off make half of the limit's tip
-    /// force. Such a current flows through a broken bridge, or is a sensor error that hides a force as large.
+    /// Returns an error if the sensors show currents of half the force limit while the bridges are off, because a
+    /// bridge is broken, or a sensor error would hide a force as large.
     pub(super) fn refuse_stray_current(&mut self) -> Result<(), Refusal> {
         if let Some(leverage) = self.leverage_at(&{ self.now.counts }) {
             self.compare_leverage(&leverage);
@@ -206,7 +208,7 @@ where
         let mut acting = Torques::default();
         let motors = self.joints.iter_mut().zip(seen.currents.iter()).zip(acting.iter_mut().zip(held.iter()));
         for ((joint, current), (acting, held)) in motors.take(J) {
-            joint.sums.squares += current * current;
+            joint.sums.current_squares += current * current;
             *acting = joint.stage.torque_of(*current) - held;
             if let Some(bus_voltage) = supplied {
                 let (strain, doubt, _) = joint.settle(bus_voltage);
@@ -215,10 +217,10 @@ where
         }
         // The mean of the magnitude, because a force that alternates within a millisecond acts on a hand, too.
         let force = sqrt(squared(&self.leverage.force::<J>(&acting)));
-        self.flow.force += self.flow.gain * (force - self.flow.force);
-        least |= margin_bits(self.flow.force, self.flow.most);
+        self.flow.force += self.flow.sample_weight * (force - self.flow.force);
+        least |= margin_bits(self.flow.force, self.flow.max_force);
         if least < 0 {
-            self.find_strained(&held);
+            self.find_strained_motor(&held);
         }
     }
 
@@ -227,8 +229,8 @@ where
     fn gravity_torques(&self) -> Torques {
         match self.state {
             // The torque that carried the weight may still fade in a scene without gravity compensation.
-            State::Armed if self.was_cut() => self.cut.gravity,
-            State::Armed if self.weighs => Torques(self.now.found.asked.gravity),
+            State::Armed if self.was_cut() => self.cut_torques.gravity,
+            State::Armed if self.compensates_weight => Torques(self.now.result.asked.gravity),
             _ => Torques::default(),
         }
     }
@@ -250,7 +252,7 @@ where
                 self.compare_leverage(&leverage);
                 self.flow.next = NextLeverage::Compared(leverage);
                 // A slow carrier has time for both parts.
-                if self.flow.every == 0 {
+                if self.flow.leverage_valleys == 0 {
                     self.set_leverage(leverage);
                 }
             }
@@ -268,7 +270,7 @@ where
     fn compare_leverage(&mut self, leverage: &Leverage) {
         let change = leverage.relative_change_from(&self.leverage).lesser(1.0);
         if change > 0.0 {
-            self.flow.change = change.greater(LEVERAGE_CHANGE_DECAY * self.flow.change);
+            self.flow.leverage_change = change.greater(LEVERAGE_CHANGE_DECAY * self.flow.leverage_change);
         }
     }
 
@@ -283,29 +285,29 @@ where
             // Smaller torques of all motors make at most the force that the voltages may show without an inspection.
             joint.stage.inspect_above(free / leverage);
         }
-        self.set_max_tip_force(limit / (1.0 + (self.flow.change - FREE_LEVERAGE_CHANGE).greater(0.0)));
+        self.set_max_tip_force(limit / (1.0 + (self.flow.leverage_change - FREE_LEVERAGE_CHANGE).greater(0.0)));
         let most = CURRENT_FORCE_MARGIN * limit + error.lesser(MAX_HIDDEN_FORCE_SHARE * limit);
         let flow = &mut self.flow;
         // One of the valleys was used for the comparison.
-        flow.until_weighed = flow.every.saturating_sub(1);
-        if core::mem::take(&mut flow.inspected) == 0 {
-            flow.shown = 0.0;
+        flow.valleys_left = flow.leverage_valleys.saturating_sub(1);
+        if core::mem::take(&mut flow.inspections) == 0 {
+            flow.voltage_force = 0.0;
         }
-        if flow.settling > 0.0 {
-            flow.settling -= (flow.every + 1) as f32 * self.crests.period;
-            flow.most = flow.most.greater(most);
+        if flow.settling_seconds > 0.0 {
+            flow.settling_seconds -= (flow.leverage_valleys + 1) as f32 * self.crests.period;
+            flow.max_force = flow.max_force.greater(most);
         } else {
-            flow.most = most;
+            flow.max_force = most;
         }
     }
 
     /// Finds the motor that differs from the device file and turns the motors off. Does nothing if all agree.
     #[cold]
     #[inline(never)]
-    fn find_strained(&mut self, held: &Torques) {
+    fn find_strained_motor(&mut self, held: &Torques) {
         let joints = self.count();
         let flowing = self.flow.force;
-        if margin_bits(flowing, self.flow.most) < 0 {
+        if margin_bits(flowing, self.flow.max_force) < 0 {
             self.trip(Fault::ForceLimit, None, flowing);
             return;
         }
@@ -313,10 +315,12 @@ where
             Torques::from_fn(|i| self.joints[i].stage.torque_of(self.joints[i].stage.current_from_voltage()) - held[i]);
         let force = sqrt(self.leverage.force_squared(&shown));
         let flow = &mut self.flow;
-        flow.shown += flow.gain / VOLTAGE_AVERAGING_FACTOR * (force - flow.shown);
-        flow.inspected += 1;
-        let hard =
-            margin_bits(flow.shown, VOLTS_MARGIN / (CURRENT_FORCE_MARGIN + MAX_HIDDEN_FORCE_SHARE) * flow.most) < 0;
+        flow.voltage_force += flow.sample_weight / VOLTAGE_AVERAGING_FACTOR * (force - flow.voltage_force);
+        flow.inspections += 1;
+        let hard = margin_bits(
+            flow.voltage_force,
+            VOLTS_MARGIN / (CURRENT_FORCE_MARGIN + MAX_HIDDEN_FORCE_SHARE) * flow.max_force,
+        ) < 0;
         let strained = self.joints.iter().enumerate().take(joints).filter_map(|(i, joint)| {
             let (strain, doubt, most) = joint.stage.strain();
             let bound = if hard { doubt } else { most };
@@ -344,7 +348,7 @@ where
         let (count, current) = (seen.counts[i], seen.currents[i]);
         let mut spent = None;
         let moved = core::mem::replace(&mut sums.count, count) != count;
-        let heat = limited(core::mem::take(&mut sums.squares) * period, f32::MAX);
+        let heat = clamp(core::mem::take(&mut sums.current_squares) * period, f32::MAX);
         // The heat is also updated while the motors are off, because they cool.
         if motor.warm(heat, elapsed) {
             spent = Some((Fault::ThermalBudget, current));
@@ -352,17 +356,18 @@ where
         if moved {
             sums.reset();
         } else if active {
-            if motors.torque[i].abs() > sums.stall {
-                sums.still += elapsed;
-                if sums.still > STALL_SECONDS {
-                    spent = Some((Fault::EncoderStall, sums.still));
+            if motors.torque[i].abs() > sums.stall_torque {
+                sums.still_seconds += elapsed;
+                if sums.still_seconds > STALL_SECONDS {
+                    spent = Some((Fault::EncoderStall, sums.still_seconds));
                 }
             }
             // The motor's voltage less R i is its back-EMF. If it corresponds to several rad/s, counts must change.
             if sensed {
                 let turning = joint.stage.least_speed(motors.duty[i], seen.bus_voltage, current);
-                sums.lost = if turning.abs() > sums.suspicious { sums.lost + elapsed } else { 0.0 };
-                if sums.lost > LOSS_SECONDS {
+                sums.lost_seconds =
+                    if turning.abs() > sums.suspicious_speed { sums.lost_seconds + elapsed } else { 0.0 };
+                if sums.lost_seconds > LOSS_SECONDS {
                     spent = Some((Fault::EncoderLoss, turning));
                 }
             }

@@ -33,7 +33,7 @@ pub fn render(control_loop: &mut BoardControlLoop, counts: &Counts) {
 /// `seen` holds a value for every sensor. A board that lacks a sensor fills in commanded values.
 #[inline(always)]
 pub fn crest(control_loop: &mut BoardControlLoop, seen: &Samples, ticks: &Ticks, legs: &mut Legs) -> bool {
-    match control_loop.usual {
+    match control_loop.one_pass_joints {
         2 => crest_of_two_joints(control_loop, seen, ticks, legs),
         3 => crest_of_three_joints(control_loop, seen, ticks, legs),
         1 => crest_of_one_joint(control_loop, seen, ticks, legs),

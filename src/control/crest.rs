@@ -23,11 +23,11 @@ const MIN_SPEED_FILTER_HZ: f32 = 5.0;
 /// Largest share of the speed limit that a single count may appear as. A coarse encoder is filtered for longer, until
 /// the joint has moved by a few counts.
 const MAX_COUNT_SPEED_SHARE: f32 = 0.25;
-/// Largest share of the torque limit that a single count may change the torque by when back-EMF is fed forward.
+/// Largest change of the torque by a single count when back-EMF is fed forward, as a share of the torque limit.
 const MAX_COUNT_TORQUE_SHARE: f32 = 1.0 / 32.0;
-/// Largest difference of two current sensors as a share of the current limit: gains, settling at the duty's edge.
+/// Largest difference of two current sensors as a share of the current limit, from their gains and settling times.
 const IMBALANCE_SHARE: f32 = 0.15;
-/// Largest difference of two current sensors at zero current, A: zeros and noise.
+/// Largest difference of two current sensors at zero current, A, from their zeros and noise.
 const IMBALANCE_FLOOR: f32 = 0.5;
 /// Speed below which an encoder stands still, in counts per carrier period: one count in 1000 periods.
 const STANDSTILL_SPEED: f32 = 1.0e-3;
@@ -41,9 +41,9 @@ pub(super) struct Joint<S> {
     /// Filtered speed, counts per carrier period.
     speed: f32,
     /// Speed for the back-EMF's feed-forward, with a slower filter, counts per carrier period.
-    steady: f32,
+    steady_speed: f32,
     /// Unfiltered speed of the last carrier period, counts per carrier period.
-    raw: f32,
+    unfiltered_speed: f32,
     bounds: Bounds,
     pub(super) stage: S,
     pub(super) sums: Sums,
@@ -54,7 +54,7 @@ pub(super) struct Joint<S> {
 #[repr(C)]
 struct Bounds {
     /// Largest motion in a carrier period, counts.
-    jump: i32,
+    max_jump: i32,
     gain: f32,
     /// Gain of the filter for back-EMF.
     steady_gain: f32,
@@ -62,18 +62,18 @@ struct Bounds {
     speed: f32,
     /// Speed of one count per carrier period, rad/s, with its sign.
     radians: f32,
-    /// First and last count of the joint's range. They apply if `limited`.
+    /// First and last count of the joint's range. They apply if `has_range`.
     first: i32,
     last: i32,
-    limited: bool,
-    /// Largest measured current, A, above any overshoot of the current loop.
+    has_range: bool,
+    /// Largest accepted measured current, A, above any overshoot of the current loop.
     current: f32,
     /// Largest difference of two current sensors, A.
     imbalance: f32,
 }
 
 impl Bounds {
-    /// Returns a negative number outside the joint's range.
+    /// Returns a negative number if `count` is outside the joint's range.
     #[inline(always)]
     fn range_margin(&self, count: i32) -> i32 {
         count.wrapping_sub(self.first) | self.last.wrapping_sub(count)
@@ -85,10 +85,10 @@ impl<S: Stage> Joint<S> {
     #[inline(always)]
     fn update_count(&mut self, count: i32) -> i32 {
         let moved = count.wrapping_sub(self.count);
-        self.raw = moved as f32;
-        self.speed += self.bounds.gain * (self.raw - self.speed);
-        self.steady += self.bounds.steady_gain * (self.raw - self.steady);
-        margin_counts(moved, self.bounds.jump)
+        self.unfiltered_speed = moved as f32;
+        self.speed += self.bounds.gain * (self.unfiltered_speed - self.speed);
+        self.steady_speed += self.bounds.steady_gain * (self.unfiltered_speed - self.steady_speed);
+        margin_counts(moved, self.bounds.max_jump)
     }
 
     /// Returns a negative number if speed or current is beyond its bound.
@@ -101,12 +101,11 @@ impl<S: Stage> Joint<S> {
 
     /// Returns a negative number if the joint has a range and the count is outside.
     fn range_margin(&self, count: i32) -> i32 {
-        if self.bounds.limited { self.bounds.range_margin(count) } else { 0 }
+        if self.bounds.has_range { self.bounds.range_margin(count) } else { 0 }
     }
 
-    /// Returns true if the joint has a range.
     pub(super) fn is_limited(&self) -> bool {
-        self.bounds.limited
+        self.bounds.has_range
     }
 
     /// Returns the speed, rad/s.
@@ -118,13 +117,13 @@ impl<S: Stage> Joint<S> {
     /// Returns the speed for the back-EMF's feed-forward, rad/s.
     #[inline(always)]
     pub(super) fn steady_speed(&self) -> f32 {
-        self.steady * self.bounds.radians
+        self.steady_speed * self.bounds.radians
     }
 
     /// Updates the motor model with the last drive and the bus voltage (V), and returns [`Stage::strain`].
     #[inline(always)]
     pub(super) fn settle(&mut self, bus_voltage: f32) -> (f32, f32, f32) {
-        let (speed, raw) = (self.speed(), self.raw * self.bounds.radians);
+        let (speed, raw) = (self.speed(), self.unfiltered_speed * self.bounds.radians);
         self.stage.settle(bus_voltage, self.steady_speed(), speed, raw);
         self.stage.strain()
     }
@@ -149,12 +148,12 @@ enum UnusualCrest {
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Crests {
     /// True after the first crest.
-    primed: bool,
+    has_run: bool,
     /// Lowest and highest bus voltage, V.
     bus: (f32, f32),
     /// Mean power into the hand and its limit, W.
     power: f32,
-    most_power: f32,
+    max_power: f32,
     power_gain: f32,
     /// Carrier period, s.
     pub(super) period: f32,
@@ -170,7 +169,7 @@ impl Crests {
     #[inline(always)]
     fn allows_power(&mut self, power: f32) -> bool {
         self.power += (power - self.power) * self.power_gain;
-        self.power <= self.most_power
+        self.power <= self.max_power
     }
 }
 
@@ -180,7 +179,7 @@ where
     K: Math<f32>,
     S: Stage,
 {
-    /// Sets the bounds that all joints share. Call after a change of anything that they depend on.
+    /// Sets the bounds that all joints share. Call after a change of device, rules or rate.
     pub(super) fn set_crest_bounds(&mut self) {
         let Some(program) = self.program.as_ref() else { return };
         let limits = &self.rules.limits;
@@ -188,7 +187,7 @@ where
         self.crests.period = period;
         self.flow.set_period(period);
         self.crests.power_gain = period / POWER_SECONDS;
-        self.crests.most_power = limits.power;
+        self.crests.max_power = limits.power;
         self.crests.bus = if self.hardware.bus_sensed {
             (limits.bus_min.max(BUS_VOLTAGE.0), limits.bus_max.min(BUS_VOLTAGE.1))
         } else {
@@ -202,7 +201,7 @@ where
         let zero = program.controller.zero();
         for (i, (joint, zero)) in self.joints.iter_mut().zip(*zero).enumerate() {
             let range = range(program.limits[i], program.radians_per_count[i], program.offsets[i], zero);
-            joint.bounds.limited = range.is_some();
+            joint.bounds.has_range = range.is_some();
             (joint.bounds.first, joint.bounds.last) = range.unwrap_or_default();
         }
     }
@@ -221,7 +220,7 @@ where
         let kick = joint.stage.torque_of(joint.stage.back_emf_current(size / period)).abs();
         joint.bounds = Bounds {
             // A real motion is slower than five times the speed limit, and noise is less than four counts.
-            jump: ((5.0 * speed) as i32).max(4),
+            max_jump: ((5.0 * speed) as i32).max(4),
             gain,
             // The current loop removes the back-EMF that a slower filter leaves.
             steady_gain: gain.min(MAX_COUNT_TORQUE_SHARE * self.max_joint_torque[i] / kick),
@@ -238,8 +237,7 @@ where
     /// Checks the samples, commands the torques that [`ControlLoop::render`] computed, and writes the next drives
     /// `into` `legs`. Returns false if the motors are off now.
     ///
-    /// Call if [`ControlLoop::usual`] is J. Computes the same as [`ControlLoop::crest_of_any_kind`], which unusual
-    /// crests use.
+    /// Call if [`ControlLoop::one_pass_joints`] is J. Computes the same as [`ControlLoop::crest_of_any_kind`].
     #[inline(always)]
     pub(super) fn crest_of<const J: usize, L>(
         &mut self,
@@ -279,7 +277,7 @@ where
         legs: &mut [L; MAX_JOINTS],
     ) -> bool {
         match unusual {
-            UnusualCrest::Torques if self.in_force && self.not_finite::<J>() >= 0 => self.command_limited::<J>(),
+            UnusualCrest::Torques if self.in_force && self.finite_margin::<J>() >= 0 => self.command_limited::<J>(),
             UnusualCrest::Torques | UnusualCrest::Step => self.slow_step(seen),
             UnusualCrest::Crest => {
                 self.find_at_crest(seen);
@@ -289,7 +287,7 @@ where
         }
         let supply = Supply::of(seen.bus_voltage);
         if self.state.drives() && supply.is_usable() {
-            self.supplied = seen.bus_voltage;
+            self.drive_voltage = seen.bus_voltage;
             return self.drive_unusually::<J, L>(&supply, seen.late, samples, into, legs);
         }
         self.drive(seen.bus_voltage, samples, seen.late, into, legs)
@@ -330,7 +328,7 @@ where
         true
     }
 
-    /// Drives the legs from joint `from` on, if at least that joint needs the slower path.
+    /// Drives the legs of joint `from` and later joints, if joint `from` needs the slower path.
     #[cold]
     #[inline(never)]
     fn drive_rest<L>(
@@ -387,7 +385,7 @@ where
 
     /// Checks the samples of a crest. While the motors are off, only encoders are checked, and only for jumps.
     pub(super) fn check_samples(&mut self, seen: &Samples) {
-        if !core::mem::replace(&mut self.crests.primed, true) {
+        if !core::mem::replace(&mut self.crests.has_run, true) {
             self.store_counts(seen);
         }
         let joints = self.count();
@@ -433,7 +431,7 @@ where
         for (i, joint) in joints() {
             let (bounds, count, current) = (&joint.bounds, seen.counts[i], seen.currents[i]);
             let moved = count.wrapping_sub(joint.count);
-            note(margin_counts(moved, bounds.jump) < 0, Fault::EncoderJump, Some(i), moved as f32);
+            note(margin_counts(moved, bounds.max_jump) < 0, Fault::EncoderJump, Some(i), moved as f32);
             if active {
                 note(margin_bits(joint.speed, bounds.speed) < 0, Fault::SpeedLimit, Some(i), joint.speed());
                 note(joint.range_margin(count) < 0, Fault::JointLimit, Some(i), self.angle(i, count));
@@ -444,7 +442,7 @@ where
         }
         if active {
             let power = crests.power;
-            note(power > crests.most_power || power.is_nan(), Fault::PowerLimit, None, power);
+            note(power > crests.max_power || power.is_nan(), Fault::PowerLimit, None, power);
             note(bus < crests.bus.0, Fault::BusUnderVoltage, None, bus);
             note(bus > crests.bus.1, Fault::BusOverVoltage, None, bus);
         }
@@ -488,7 +486,7 @@ fn floor_to_i32(value: f32) -> i32 {
 }
 
 #[test]
-fn limits_beyond_a_quarter_of_the_counter_hold_there() {
+fn joint_limits_hold_beyond_a_quarter_of_the_counter() {
     for zero in [0, 12_345, i32::MAX, i32::MIN] {
         let (first, last) = range(Some((-1.0e9, 1.0e9)), 1.0e-3, 0.0, zero).expect("limits");
         let bounds = Bounds { first, last, ..Bounds::default() };

@@ -31,15 +31,16 @@ pub(super) struct CommandedTorques {
 /// Torques of a host while they fade out.
 #[derive(Clone, Copy, Debug, Default)]
 struct Lease {
-    /// Torques at the lease's start, N m. They fall in proportion to `remaining` (s), which is `life` (s) at the start.
+    /// Torques at the lease's start, N m; they fall in proportion to the remaining time.
     torque: Torques,
-    life: f32,
+    /// Time from the lease's start to its end, s.
+    duration: f32,
     remaining: f32,
 }
 
 impl Lease {
     fn remaining_torques(&self) -> Torques {
-        let part = if self.remaining > 0.0 { self.remaining / self.life } else { 0.0 };
+        let part = if self.remaining > 0.0 { self.remaining / self.duration } else { 0.0 };
         Torques(self.torque.map(|torque| part * torque))
     }
 }
@@ -49,34 +50,33 @@ impl Lease {
 pub(super) struct Fade {
     /// Progress of the new scene from 0 to 1.
     pub ramp: f32,
-    /// Factor of the requested forces in the last step, before torques were limited: ramp times the share within the
-    /// tip's limit.
+    /// Share of the requested forces in the last step after the ramp and the force limit at the tip.
     pub share: f32,
     /// True after the first step of the fade.
-    begun: bool,
+    has_begun: bool,
     /// True if torques acted before the fade.
-    from_something: bool,
-    /// Share of the device's weight that was carried. The weight torques are computed for the present pose, because
-    /// torques of another pose could exceed all limits.
-    carried: f32,
-    scene: Torques,
+    has_previous_torques: bool,
+    /// Share of the device's weight that the motors carried before the fade.
+    carried_weight: f32,
+    scene_torques: Torques,
     host: Lease,
-    /// Feed-forward torques. `aside_squared` is the square of their tip force in the first step, N².
-    aside: Torques,
-    aside_squared: Option<f32>,
+    /// Feed-forward torques, N m.
+    feed_forward: Torques,
+    /// Square of the feed-forward's tip force in the first step, N².
+    initial_force_squared: Option<f32>,
 }
 
 impl Fade {
     /// Starts from zero and drops the rest of an earlier fade.
-    pub fn start_from_nothing(&mut self) {
+    pub fn start_from_zero(&mut self) {
         (self.ramp, self.share, self.host.remaining) = (0.0, 0.0, 0.0);
-        (self.begun, self.from_something) = (false, false);
+        (self.has_begun, self.has_previous_torques) = (false, false);
     }
 
     /// Returns the previous torques that rendered forces, before the ramp.
     fn rendered(&self) -> Torques {
         let host = self.host.remaining_torques();
-        Torques::from_fn(|i| self.scene[i] + host[i])
+        Torques::from_fn(|i| self.scene_torques[i] + host[i])
     }
 
     fn interpolate(&self, from: f32, to: f32) -> f32 {
@@ -93,55 +93,55 @@ where
     /// Starts to fade from the last step's torques to those of a new program. Call before the new program is installed.
     pub(super) fn begin_fade(&mut self) {
         // If no step ran between two programs, the earlier torques already fade.
-        if !self.fade.begun {
+        if !self.fade.has_begun {
             return;
         }
-        let asked = &self.now.found.asked;
+        let asked = &self.now.result.asked;
         let CommandedTorques { gravity, rendered, share } = if self.was_cut() {
-            self.cut
+            self.cut_torques
         } else {
             CommandedTorques { gravity: Torques(asked.gravity), rendered: Torques(asked.rendered), share: 1.0 }
         };
         let (torque, life) = self.host_torque();
-        let mut host = Lease { torque, life, remaining: life };
+        let mut host = Lease { torque, duration: life, remaining: life };
         if self.fade.host.remaining > 0.0 {
             // If host torques of an earlier scene still fade, both fades end at the earlier end.
-            host.life = if torque == Torques::default() {
+            host.duration = if torque == Torques::default() {
                 self.fade.host.remaining
             } else {
                 life.min(self.fade.host.remaining)
             };
-            host.remaining = host.life;
+            host.remaining = host.duration;
             let part = (1.0 - self.fade.ramp) * share;
             for (host, earlier) in host.torque.iter_mut().zip(self.fade.host.remaining_torques().iter()) {
                 *host += part * earlier;
             }
         }
-        let aside = Torques::from_fn(|i| self.now.motors.torque[i] - gravity[i] - rendered[i]);
-        let carried = self.carried_share();
+        let feed_forward = Torques::from_fn(|i| self.now.motors.torque[i] - gravity[i] - rendered[i]);
+        let carried_weight = self.carried_share();
         self.fade = Fade {
             ramp: 0.0,
             share: 0.0,
-            begun: false,
-            from_something: true,
-            carried,
-            scene: Torques::from_fn(|i| rendered[i] - host.torque[i]),
+            has_begun: false,
+            has_previous_torques: true,
+            carried_weight,
+            scene_torques: Torques::from_fn(|i| rendered[i] - host.torque[i]),
             host,
-            aside,
-            aside_squared: None,
+            feed_forward,
+            initial_force_squared: None,
         };
     }
 
     /// Runs one step of the fade. Returns the demand to command, and its total torques without the tip's force limit.
     #[inline(never)]
     pub(super) fn fade_in(&mut self) -> (TorqueDemand<f32>, [f32; MAX_JOINTS]) {
-        let asked = &{ self.now.found.asked };
-        self.fade.begun = true;
+        let asked = &{ self.now.result.asked };
+        self.fade.has_begun = true;
         self.fade.ramp = (self.fade.ramp + self.period * (1.0 / ARM_SECONDS)).min(1.0);
         // The force limit at the tip applies separately to the present demand and to the fading torques.
         let share = share_within(asked.force_squared, self.max_tip_force);
         self.fade.share = self.fade.ramp * share;
-        if !self.fade.from_something {
+        if !self.fade.has_previous_torques {
             return self.fade_in_from_zero(asked, share);
         }
         self.fade.host.remaining -= self.period;
@@ -158,15 +158,17 @@ where
 
     /// Returns the share of the device's weight that this step carries.
     fn carried_share(&self) -> f32 {
-        let before = if self.fade.from_something { self.fade.carried } else { 0.0 };
-        self.fade.interpolate(before, if self.weighs { 1.0 } else { 0.0 })
+        let before = if self.fade.has_previous_torques { self.fade.carried_weight } else { 0.0 };
+        self.fade.interpolate(before, if self.compensates_weight { 1.0 } else { 0.0 })
     }
 
     /// Returns the torques that carry the weight now, N m. A scene without gravity compensation does not compute them.
     fn weight(&self, asked: &TorqueDemand<f32>) -> [f32; MAX_JOINTS] {
         let share = self.carried_share();
         let full_weight = match &self.program {
-            Some(program) if !self.weighs && share > 0.0 => program.mechanism.gravity::<K>(&self.now.found.at.q),
+            Some(program) if !self.compensates_weight && share > 0.0 => {
+                program.mechanism.gravity::<K>(&self.now.result.at.q)
+            }
             _ => asked.gravity,
         };
         full_weight.map(|torque| share * torque)
@@ -194,21 +196,21 @@ where
         let fade = &mut self.fade;
         let Some(program) = self.program.as_ref() else { return };
         let rendered = fade.rendered();
-        if rendered == Torques::default() && fade.aside == Torques::default() {
+        if rendered == Torques::default() && fade.feed_forward == Torques::default() {
             return;
         }
-        // Leverage from half a millisecond ago would let 4 % too much through, because fading torques do not follow the
-        // pose.
-        let leverage = program.mechanism.leverage::<K>(&self.now.found.at.q);
+        // Leverage from half a millisecond ago would allow 4 % too much, because fading torques do not follow the pose.
+        let leverage = program.mechanism.leverage::<K>(&self.now.result.at.q);
         let share = share_within(leverage.force_squared(&rendered), self.max_tip_force);
-        for part in fade.scene.iter_mut().chain(fade.host.torque.iter_mut()).chain(fade.aside.iter_mut()) {
+        for part in fade.scene_torques.iter_mut().chain(fade.host.torque.iter_mut()).chain(fade.feed_forward.iter_mut())
+        {
             *part *= share;
         }
-        let aside = leverage.force_squared(&fade.aside);
-        let max_squared = *fade.aside_squared.get_or_insert(aside);
-        if aside > max_squared {
-            let share = K::sqrt(max_squared / aside);
-            fade.aside = Torques(fade.aside.map(|torque| share * torque));
+        let force_squared = leverage.force_squared(&fade.feed_forward);
+        let max_squared = *fade.initial_force_squared.get_or_insert(force_squared);
+        if force_squared > max_squared {
+            let share = K::sqrt(max_squared / force_squared);
+            fade.feed_forward = Torques(fade.feed_forward.map(|torque| share * torque));
         }
     }
 
@@ -217,7 +219,7 @@ where
         let (fade, rendered) = (&self.fade, self.fade.rendered());
         core::array::from_fn(|i| {
             let beyond = share * (asked.total[i] - asked.gravity[i]);
-            weight[i] + fade.interpolate(rendered[i] + fade.aside[i], beyond)
+            weight[i] + fade.interpolate(rendered[i] + fade.feed_forward[i], beyond)
         })
     }
 }

@@ -43,21 +43,22 @@ pub struct Motors {
     pub bus_voltage: f32,
     /// Force of the walls along the normal of the deepest wall, after limits, N (docs/telemetry.md). 0 unless armed.
     pub rendered_force: f32,
-    /// One bit per joint, set if a limit changed the requested torque. The limit may be the joint's own, another
-    /// joint's, or the force limit at the tip, because all torques are cut by one factor.
+    /// One bit per joint, set if a limit changed the requested torque. The limit may belong to any joint or to the tip,
+    /// because all torques are cut by one factor.
     pub limited: u8,
 }
 
 /// State after the last step.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Now {
-    /// Control steps since boot. `noted` is the last step whose samples were recorded.
+    /// Control steps since boot.
     pub step: u32,
-    pub noted: u32,
+    /// Last step whose samples were recorded.
+    pub recorded_step: u32,
     pub counts: Counts,
     pub motors: Motors,
     /// Result of the scene's step.
-    pub found: StepResult<f32>,
+    pub result: StepResult<f32>,
 }
 
 /// One step as telemetry records it. Vectors are padded with zeros to three entries.
@@ -80,7 +81,7 @@ impl StepRecord {
     /// memcpy.
     #[inline(always)]
     pub(crate) fn of(now: &Now, state: State) -> Self {
-        Self { step: now.step, state, counts: now.counts, at: now.found.at, motors: now.motors }
+        Self { step: now.step, state, counts: now.counts, at: now.result.at, motors: now.motors }
     }
 
     /// Returns the saturation of joint `i`: 0 for none, 1 if a limit changed its torque ([`Motors::limited`]), 2 if its

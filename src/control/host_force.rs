@@ -27,7 +27,7 @@ pub const MAX_LEASE: f32 = 0.2;
 pub const MAX_HELD_FORCE: f32 = 1.0e3;
 /// Largest joint torque that a request may contain, N m.
 pub const MAX_HELD_TORQUE: f32 = 1.0e2;
-/// Largest distance of a contact's point from the origin, m.
+/// Largest distance of a contact's point from the origin of the task frame, m.
 pub const MAX_CONTACT_DISTANCE: f32 = 10.0;
 /// Largest stiffness of a contact, N/m.
 pub const MAX_CONTACT_STIFFNESS: f32 = 1.0e5;
@@ -240,7 +240,7 @@ impl MovingPlane {
         let between = |from: f32, to: f32| from + (to - from) * part;
         let stiffness = between(from.stiffness, to.stiffness);
         // Each plane's position is weighted by its share of the stiffness. The force is then the mean of the two
-        // planes' forces, so it exceeds neither. With separate means of stiffness and depth it could.
+        // planes' forces, so it exceeds neither force.
         let weight = if stiffness > 0.0 { part * to.stiffness / stiffness } else { part };
         let placed = |from: f32, to: f32| from + (to - from) * weight;
         PushedPlane {
@@ -282,16 +282,16 @@ pub(super) struct HostForce {
     /// Joint torques of the request in this step, N m.
     torque: Torques,
     /// Time until the request expires, s.
-    life: f32,
-    /// Share that ramp and limits left in a step that was cut.
-    pub granted: f32,
+    remaining_seconds: f32,
+    /// Share of the host's force that ramp and limits left in the last step that was cut.
+    pub granted_share: f32,
     contact: MovingPlane,
     /// Share of the contact that acted in the last step.
     contact_lease: f32,
-    /// Difference of the contact's share from the request's lease; nonzero after the request replaced another.
+    /// Contact's share less the request's share; nonzero after the request replaced another request.
     beside: f32,
     /// Rate at which `beside` shrinks to zero, 1/s.
-    closing: f32,
+    offset_rate: f32,
 }
 
 impl HostForce {
@@ -301,7 +301,7 @@ impl HostForce {
         let was_there =
             self.acts && self.contact.present_plane().stiffness + self.contact.present_plane().damping > 0.0;
         self.beside = if was_there { self.contact_lease - request.lease(age) } else { 0.0 };
-        self.closing = self.beside.abs() / BLEND_SECONDS.0;
+        self.offset_rate = self.beside.abs() / BLEND_SECONDS.0;
         // The blend keeps the rest of the earlier contact.
         (self.request, self.age, self.acts) = (ForceRequest { contact: None, ..*request }, age, true);
         self.contact.move_to(request.contact.as_ref());
@@ -318,8 +318,8 @@ impl HostForce {
             return None;
         }
         self.torque = Torques(self.request.torque.map(|torque| torque * self.lease));
-        self.life = self.request.hold + self.request.fade - self.age;
-        let closed = self.closing * period;
+        self.remaining_seconds = self.request.hold + self.request.fade - self.age;
+        let closed = self.offset_rate * period;
         self.beside -= if self.beside.abs() > closed { closed.copysign(self.beside) } else { self.beside };
         self.contact_lease = self.lease + self.beside;
         let plane = self.contact.present_plane();
@@ -350,16 +350,16 @@ where
             step: self.now.step,
             period: self.period,
             age: self.host.acts.then_some(self.host.age),
-            tip: self.now.found.at.tip,
+            tip: self.now.result.at.tip,
             velocity: [0.0; 3],
-            q: self.now.found.at.q,
-            qd: self.now.found.at.qd,
+            q: self.now.result.at.q,
+            qd: self.now.result.at.qd,
             torque: self.now.motors.torque.0,
             force: [0.0; 3],
             share: 0.0,
         };
         if let Some(program) = self.program.as_ref() {
-            let (velocity, pushed) = program.controller.pushed(&self.now);
+            let (velocity, pushed) = program.controller.velocity_and_push(&self.now);
             answer.velocity = velocity;
             let granted = self.host_granted();
             answer.share = self.host.lease * granted;
@@ -375,14 +375,14 @@ where
         let Some(program) = self.program.as_ref().filter(|_| self.host.acts && granted > 0.0) else {
             return (Torques::default(), 0.0);
         };
-        let (_, force) = program.controller.pushed(&self.now);
-        let pushed = program.mechanism.torque::<K>(&self.now.found.at.q, &force);
-        (Torques::from_fn(|i| granted * (pushed[i] + self.host.torque[i])), self.host.life)
+        let (_, force) = program.controller.velocity_and_push(&self.now);
+        let pushed = program.mechanism.torque::<K>(&self.now.result.at.q, &force);
+        (Torques::from_fn(|i| granted * (pushed[i] + self.host.torque[i])), self.host.remaining_seconds)
     }
 
     /// Returns the share of the host's force that ramp and limits left.
     fn host_granted(&self) -> f32 {
-        if self.was_cut() { self.host.granted } else { 1.0 }
+        if self.was_cut() { self.host.granted_share } else { 1.0 }
     }
 
     fn take_force(&mut self, request: &ForceRequest) -> ForceDone {
@@ -420,7 +420,7 @@ where
     }
 
     #[inline(never)]
-    pub(super) fn render_pushed(&mut self, counts: &Counts) {
+    pub(super) fn render_with_push(&mut self, counts: &Counts) {
         let push = self.host.step(self.period);
         if let Some(program) = self.program.as_mut() {
             program.controller.set_push(push.as_ref());
@@ -437,8 +437,8 @@ where
         if torque != Torques::default()
             && let Some(program) = self.program.as_ref()
         {
-            program.controller.angles(counts, &mut self.now.found);
-            let StepResult { at, asked, .. } = &mut self.now.found;
+            program.controller.angles(counts, &mut self.now.result);
+            let StepResult { at, asked, .. } = &mut self.now.result;
             for (i, torque) in torque.iter().enumerate() {
                 asked.rendered[i] += torque;
                 asked.total[i] += torque;

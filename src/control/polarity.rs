@@ -20,25 +20,25 @@ use crate::control::program::Program;
 use crate::control::saturation::share_within;
 use crate::drive::bits::margin_bits;
 use crate::drive::stage::Stage;
-use crate::math::{Math, Real, limited, sqrt};
+use crate::math::{Math, Real, clamp, sqrt};
 use crate::model::catalogue::MAX_JOINTS;
 use crate::safety::fault::{Fault, State};
 use crate::safety::refusal::Refusal;
 use core::ops::DerefMut;
 
-/// Longest time that the check waits for a joint to come to rest before its swing, s. A device almost without friction
-/// glides for seconds, and such motion would spoil the measurement.
+/// Longest time that the check waits for a joint to come to rest before its swing, s, because a device almost without
+/// friction glides for seconds.
 pub const MAX_WAIT_FOR_REST: f32 = 5.0;
 /// Shortest time between two steps of the check, s, because a step with the check's sums is long and the motion slow.
 const CHECK_PERIOD: f32 = 1.0e-4;
-/// Angle within which a joint at rest stays for [`MIN_REST_SECONDS`], rad. Speed is no measure of rest, because it is
-/// zero between two counts of a coarse encoder and where a joint turns back.
+/// Angle within which a joint at rest stays for [`MIN_REST_SECONDS`], rad. Speed does not show rest, because it is zero
+/// between two counts of a coarse encoder.
 const MAX_REST_MOTION: f32 = 2.0e-3;
 const MIN_REST_SECONDS: f32 = 0.2;
 /// Accepted ratio (lowest, highest) of the torque that acted to the file's torque, as measured on sound devices.
 /// Static friction lowers the ratio.
 const ACCEPTED_TORQUE_RATIO: (f32, f32) = (1.0 / 1.4, 1.2);
-/// Accepted ratio (lowest, highest) in the first swing; within it, a second and harder swing follows.
+/// Accepted torque ratio (lowest, highest) in the first swing, which a second and harder swing follows.
 const FIRST_ACCEPTED_RATIO: (f32, f32) = (0.5, 1.6);
 /// Largest torque that may appear in a joint without a command, as a share of the driven joint's torque.
 pub const MAX_CROSS_TORQUE_SHARE: f32 = 0.5;
@@ -48,12 +48,11 @@ pub const MAX_RESISTANCE_ERROR: f32 = 0.35;
 const MAX_HIDDEN_SHARE: f32 = 0.1;
 /// Relative error of the dead time's voltage after compensation.
 const DEAD_TIME_ERROR: f32 = 0.5;
-/// Tip force that the file predicts for the first torque, N. The real force is 0.5 N if every constant is ten times
-/// wrong.
+/// Tip force that the file predicts for the first torque, N; 0.5 N if the file's constants are ten times wrong.
 const INITIAL_TIP_FORCE: f32 = 0.05;
 /// Tip force that accelerates the file's inertia in the first swing, N.
 const FIRST_SWING_FORCE: f32 = 0.2;
-/// Largest tip force that the file predicts before a joint moves whose friction the file omits, N.
+/// Largest predicted tip force before a joint moves, N, if the device file omits the joint's friction.
 const MAX_FORCE_WITHOUT_MOTION: f32 = 0.8;
 /// Largest ratio of static friction to the file's Coulomb friction.
 const MAX_STATIC_FRICTION_RATIO: f32 = 3.0;
@@ -61,7 +60,7 @@ const MAX_STATIC_FRICTION_RATIO: f32 = 3.0;
 const SECOND_SWING_FORCE_SHARE: f32 = 0.6;
 /// Largest share of the motor's torque that may accelerate the inertia in the second swing.
 const SECOND_SWING_TORQUE_SHARE: f32 = 0.25;
-/// Largest torque above the torque that moved the joint, relative to the torque that the file's inertia needs.
+/// Largest excess over the torque that moved the joint, as a share of the torque that accelerates the file's inertia.
 const MAX_SWING_TORQUE_RATIO: f32 = 1.2;
 /// Ratio of the second swing's torque to the torque that moved the joint.
 const SECOND_SWING_FRICTION_RATIO: f32 = 2.5;
@@ -81,25 +80,25 @@ const MAX_STRAY_ANGLE: f32 = 0.1;
 const MAX_STRAY_COUNTS: f32 = 8.0;
 /// Largest distance of an undriven joint from its initial angle during a swing, rad.
 const MAX_UNDRIVEN_ANGLE: f32 = 0.14;
-/// Largest error of each joint's home up to which the check keeps its tip forces, rad.
+/// Largest error of each joint's home angle with which the tip forces stay within their limits, rad.
 const MAX_HOME_ERROR: f32 = 0.15;
-/// Smallest factor by which possible home errors reduce the torque; near a stretched pose it would be 0.
+/// Smallest factor by which possible home errors reduce the torque. Near a stretched pose the factor would be 0.
 const MIN_HOME_ERROR_FACTOR: f32 = 0.4;
-/// Range of a swing's angular frequency, rad/s: above a hanging device's, up to a third of a soft cable's.
+/// Range of a swing's angular frequency, rad/s, between the natural frequencies of a hanging device and a soft cable.
 const SWING_RATE_RANGE: (f32, f32) = (8.0, 50.0);
 /// Highest angular frequency if friction exceeds the torque that accelerates the inertia, rad/s.
 const MAX_SWING_RATE: f32 = 200.0;
-/// Largest back-EMF within the first counts of a joint, V. A larger one would count as a lost encoder.
+/// Largest back-EMF within the first counts of a joint, V. A larger back-EMF would count as a lost encoder.
 const MAX_INITIAL_BACK_EMF: f32 = 0.8;
 /// Largest share of the speed limit in a swing.
 const SWING_SPEED_SHARE: f32 = 0.5;
 /// Fewest steps of the check in a turn.
 const MIN_SWING_STEPS: f32 = 16.0;
-/// Largest factor of the torque from one turn to the next.
+/// Largest factor by which the torque grows from one turn to the next.
 const MAX_GROWTH: f32 = 1.95;
-/// Growth factor from one turn to the next below which the torque stops growing.
+/// Factor of growth from one turn to the next below which the torque stops growing.
 const MIN_GROWTH: f32 = 1.1;
-/// Largest factor of the angular frequency after a turn that swung a joint too far.
+/// Largest factor by which the angular frequency grows after a turn that swung a joint too far.
 const MAX_RATE_FACTOR: f32 = 1.5;
 /// Share of the largest swing that the growth of the torque aims at.
 const AIMED_SWING_SHARE: f32 = 0.8;
@@ -155,9 +154,10 @@ struct Swing {
     seconds: f32,
     /// Number of turns with the full torque.
     turns: f32,
-    /// Sums of angles (rad), torque of the current (N m), current (A) and voltage (V).
+    /// Sums of the joint angles, rad.
     angles: [Phasor; MAX_JOINTS],
-    driven: Phasor,
+    /// Sum of the torque of the measured current, N m.
+    driven_torque: Phasor,
     current: Phasor,
     voltage: Phasor,
 }
@@ -183,8 +183,9 @@ struct Results {
     stray_torque: Option<(usize, f32)>,
     /// Measured resistance that differs too much from the file's, Ω.
     wrong_resistance: Option<f32>,
-    /// Measured and expected resistance (Ω), if the dead time hides little of it; otherwise `unclear` is true.
+    /// Measured and expected resistance, Ω, if the dead time hides little of the measured resistance.
     resistance: Option<(f32, f32)>,
+    /// True if the dead time hides too much of the resistance.
     hidden_by_dead_time: bool,
 }
 
@@ -218,12 +219,13 @@ pub(super) struct PolarityCheck {
     /// Part of the comparison that the next step runs; 0 while the joint swings.
     part: u8,
     results: Results,
-    /// Angles of all joints (rad), and current (A) and voltage (V) of the joint's motor, at the last sampled control step.
+    /// Angles of all joints at the last sample, rad.
     q: [f32; MAX_JOINTS],
+    /// Current of the joint's motor at the last sample, A.
     current: f32,
     voltage: f32,
     /// Commanded torques until the next step.
-    commanded: Torques,
+    commanded_torques: Torques,
 }
 
 impl<P, K, S> ControlLoop<P, S>
@@ -247,16 +249,16 @@ where
     pub(super) fn check_polarity(&mut self) -> Torques {
         if let Some(left) = self.polarity.steps_left.checked_sub(1) {
             self.polarity.steps_left = left;
-            return self.polarity.commanded;
+            return self.polarity.commanded_torques;
         }
         let steps = ((CHECK_PERIOD / self.period + 0.5) as u32).max(1);
         let (motors, i) = (&self.now.motors, self.axis());
         let polarity = &mut self.polarity;
         (polarity.steps_left, polarity.step_period) = (steps - 1, steps as f32 * self.period);
         (polarity.current, polarity.voltage) = (motors.current[i], motors.duty[i] * motors.bus_voltage);
-        polarity.q = self.now.found.at.q;
+        polarity.q = self.now.result.at.q;
         polarity.due = true;
-        polarity.commanded
+        polarity.commanded_torques
     }
 
     /// Runs the rest of a due step of the check. Returns false if none is due.
@@ -279,7 +281,7 @@ where
     fn advance_check(&mut self) {
         self.polarity.due = false;
         let torque = self.check_step();
-        self.polarity.commanded = torque;
+        self.polarity.commanded_torques = torque;
         if self.state == State::CheckingPolarity {
             self.command_test(&torque);
         }
@@ -316,8 +318,8 @@ where
                 self.polarity.effective_inertia = effective_inertia(i, inertia, self.count());
                 self.begin_first_swing();
             }
-            (None, None) if self.at_rest() => {
-                if self.polarity.poses_checked < 1 << self.count {
+            (None, None) if self.is_at_rest() => {
+                if self.polarity.poses_checked < 1 << self.joint_count {
                     self.check_next_pose();
                     return none;
                 }
@@ -332,8 +334,8 @@ where
         none
     }
 
-    /// Computes the joint's leverage at the next corner of the range of home errors, where the device may really stand.
-    /// Leverage between corners is lower, because it grows towards singular poses.
+    /// Computes the joint's leverage at the next corner of the range of home errors. Leverage is highest at a corner,
+    /// because it grows towards singular poses.
     fn check_next_pose(&mut self) {
         let Some(program) = self.program.as_ref() else { return };
         let corner = self.polarity.poses_checked;
@@ -349,12 +351,12 @@ where
     }
 
     /// Returns a torque (N m) of the joint under test, reduced to the tip's force limit here and in nearby poses.
-    fn within_tip_force(&self, wanted: f32) -> Torques {
+    fn torques_within_tip_force(&self, wanted: f32) -> Torques {
         let i = self.axis();
         let tip_force = self.rules.limits.tip_force;
         let most = (tip_force / self.polarity.force_per_torque).lesser(self.joints[i].stage.max_torque());
         let mut torque = Torques::default();
-        torque[i] = limited(wanted, most.lesser(self.max_joint_torque[i]));
+        torque[i] = clamp(wanted, most.lesser(self.max_joint_torque[i]));
         torque[i] *= share_within(self.leverage.force_squared(&torque), tip_force);
         torque
     }
@@ -380,7 +382,7 @@ where
     }
 
     /// Keeps the result of the check after homing if the new home is within one swing of the checked home, because the
-    /// torques were computed with the mass matrix of that pose.
+    /// mass matrix of the check is valid only there.
     pub(super) fn keep_polarity_near_its_home(&mut self) {
         let Some(program) = self.program.as_ref() else { return };
         let zero = program.controller.zero();
@@ -408,8 +410,8 @@ where
         self.polarity.swing = Some(swing);
     }
 
-    /// Returns the swing after one that roughly agreed with the file; `None` if it would not be harder. A swing for the
-    /// winding may be faster than cables allow, because speed takes more current.
+    /// Returns the swing after a swing that roughly agreed with the file; `None` if the next swing would not be harder.
+    /// A swing for the winding may be faster than cables allow, because speed takes more current.
     fn next_swing(&self, before: &Swing, winding: bool) -> Option<Swing> {
         let (i, inertia) = (self.axis(), self.polarity.effective_inertia);
         let angle = before.angle;
@@ -443,7 +445,7 @@ where
         let i = self.axis();
         let Some(program) = self.program.as_ref() else { return SWING_RATE_RANGE.0 };
         let of = |torque: f32| sqrt(torque / inertia_angle.max(f32::MIN_POSITIVE));
-        // Friction above the torque for inertia would hide the inertia.
+        // Friction above the torque that accelerates the inertia would hide the inertia.
         let wanted = of(torque).min(most).max(of(1.5 * program.coulomb[i].abs()).min(MAX_SWING_RATE));
         let between_counts = MIN_SWING_COUNTS * program.radians_per_count[i].abs();
         let fastest = (SWING_SPEED_SHARE * self.rules.limits.speed[i] / angle)
@@ -492,7 +494,7 @@ where
             for (sum, moved) in swing.angles.iter_mut().zip(moved) {
                 add(sum, *moved);
             }
-            add(&mut swing.driven, stage.torque_of(current));
+            add(&mut swing.driven_torque, stage.torque_of(current));
             add(&mut swing.current, current);
             add(&mut swing.voltage, voltage);
         }
@@ -503,7 +505,7 @@ where
         if swing.breakaway_torque.is_none()
             && moved[i].abs() > MIN_MOTION_ANGLE.greater(MIN_MOTION_COUNTS * counts[i].abs())
         {
-            // From here on the joint needs at most this torque plus the file's torque for inertia.
+            // From here on the joint needs at most this torque plus the torque that accelerates the file's inertia.
             swing.breakaway_torque = Some(swing.torque);
             let inert = polarity.effective_inertia * swing.angle * swing.rate * swing.rate;
             swing.max_torque = swing.torque + MAX_SWING_TORQUE_RATIO * inert;
@@ -513,7 +515,7 @@ where
             (*low, *high) = (moved.lesser(*low), moved.greater(*high));
         }
         let swung = swing.largest_motion_share(i, joints);
-        swing.work += polarity.commanded[i] * (moved[i] - swing.last_moved);
+        swing.work += polarity.commanded_torques[i] * (moved[i] - swing.last_moved);
         swing.last_moved = moved[i];
         // A faster filter would turn a single count of a coarse encoder into a blow.
         let speed = swing.rate * (moved[i] - swing.mean);
@@ -536,8 +538,8 @@ where
         let back = -swing.stiffness * moved[i] - swing.damping * speed;
         let fading =
             (1.0 - (turns - TURNS_BEFORE_SUMS - TURNS_SUMMED - TURNS_BEFORE_FADING) / TURNS_FADING).clamp(0.0, 1.0);
-        let wanted = limited(fading * swing.torque * cosine + back, swing.max_torque);
-        self.within_tip_force(wanted)
+        let wanted = clamp(fading * swing.torque * cosine + back, swing.max_torque);
+        self.torques_within_tip_force(wanted)
     }
 
     /// Compares a finished swing with the device file, one part in each step, because steps at high rates have little
@@ -569,7 +571,7 @@ where
         });
         // A current sampled just before the torque changes belongs to the middle of the previous step.
         let (sine, cosine) = K::sin_cos(0.5 * self.polarity.step_period * swing.rate);
-        let [along, across] = swing.driven;
+        let [along, across] = swing.driven_torque;
         let driven = [along * cosine + across * sine, across * cosine - along * sine];
         let share = |row: &Phasor| dot(*row, driven) / dot(driven, driven).max(f32::MIN_POSITIVE);
         let mut others = acted.iter().map(share).enumerate().take(self.count()).filter(|(row, _)| *row != i);
@@ -642,7 +644,7 @@ where
     }
 
     /// Returns true if the joint has come to rest.
-    fn at_rest(&mut self) -> bool {
+    fn is_at_rest(&mut self) -> bool {
         let q = self.polarity.q[self.axis()];
         let polarity = &mut self.polarity;
         polarity.wait_seconds += polarity.step_period;

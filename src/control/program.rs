@@ -9,7 +9,7 @@ use crate::math::Math;
 use crate::model::catalogue::{Kind, MAX_JOINTS};
 use crate::model::device::Device;
 use crate::model::mechanism::AnyMechanism;
-use crate::model::padding::{first, head, padded};
+use crate::model::padding::{as_joints, pad, to_joints};
 use crate::model::precomputed::{MassModel, MassModelData};
 use crate::render::controller::{Controller, Gains, Push};
 use crate::render::scene::Scene;
@@ -77,35 +77,35 @@ macro_rules! define {
                 match self {
                     // No device has more joints than `counts` has entries.
                     $(Self::$Variant(controller) => {
-                        controller.render(first(counts).unwrap_or(&[0; $n]), acted, found);
+                        controller.render(as_joints(counts).unwrap_or(&[0; $n]), acted, found);
                     })*
                 }
             }
 
             /// Writes the joint angles, see [`Controller::angles`].
             pub(crate) fn angles(&self, counts: &Counts, found: &mut StepResult<f32>) {
-                match self { $(Self::$Variant(controller) => controller.angles(first(counts).unwrap_or(&[0; $n]), found),)* }
+                match self { $(Self::$Variant(controller) => controller.angles(as_joints(counts).unwrap_or(&[0; $n]), found),)* }
             }
 
             /// Sets the home pose, see [`Controller::home`].
             pub fn home(&mut self, counts: &Counts, q: &[f32; MAX_JOINTS]) {
-                match self { $(Self::$Variant(controller) => controller.home(&head(counts), &head(q)),)* }
+                match self { $(Self::$Variant(controller) => controller.home(&to_joints(counts), &to_joints(q)),)* }
             }
 
             /// Returns the counts that homing subtracts.
             pub fn zero(&self) -> Counts {
-                match self { $(Self::$Variant(controller) => Counts(padded(&controller.zero())),)* }
+                match self { $(Self::$Variant(controller) => Counts(pad(&controller.zero())),)* }
             }
 
             /// Sets the counts that homing subtracts.
             pub fn set_zero(&mut self, zero: &Counts) {
-                match self { $(Self::$Variant(controller) => controller.set_zero(head(zero)),)* }
+                match self { $(Self::$Variant(controller) => controller.set_zero(to_joints(zero)),)* }
             }
 
             /// Returns true if the tip is inside a wall, see [`Controller::is_inside_wall`].
             pub fn is_inside_wall(&self, counts: &Counts) -> bool {
                 match self {
-                    $(Self::$Variant(controller) => controller.is_inside_wall(&head(counts)),)*
+                    $(Self::$Variant(controller) => controller.is_inside_wall(&to_joints(counts)),)*
                 }
             }
 
@@ -115,12 +115,12 @@ macro_rules! define {
             }
 
             /// Returns the tip velocity (m/s) and the force of the host's push (N) at the last step, see
-            /// [`Controller::pushed`].
-            pub(crate) fn pushed(&self, now: &Now) -> ([f32; MAX_JOINTS], [f32; MAX_JOINTS]) {
+            /// [`Controller::velocity_and_push`].
+            pub(crate) fn velocity_and_push(&self, now: &Now) -> ([f32; MAX_JOINTS], [f32; MAX_JOINTS]) {
                 match self {
                     $(Self::$Variant(controller) => {
-                        let (velocity, force) = controller.pushed(&head(&now.counts), &head(&now.found.at.qd).into());
-                        (padded(&velocity.data.0[0]), padded(&force.data.0[0]))
+                        let (velocity, force) = controller.velocity_and_push(&to_joints(&now.counts), &to_joints(&now.result.at.qd).into());
+                        (pad(&velocity.data.0[0]), pad(&force.data.0[0]))
                     })*
                 }
             }
@@ -152,7 +152,7 @@ pub struct Program<K, S = Axis> {
     /// Initial state of the motor stages.
     pub(crate) axes: [S; MAX_JOINTS],
     /// True if gravity is compensated.
-    pub(crate) weighs: bool,
+    pub(crate) compensates_weight: bool,
     pub(crate) joints: usize,
     pub(crate) limits: [Option<(f32, f32)>; MAX_JOINTS],
     pub(crate) home: Option<[f32; MAX_JOINTS]>,
@@ -214,7 +214,7 @@ impl<K: Math<f32>, S: Stage> Program<K, S> {
             controller,
             mechanism: device.mechanism,
             axes,
-            weighs: scene.gravity_compensation && device.weight,
+            compensates_weight: scene.gravity_compensation && device.weight,
             joints,
             limits: core::array::from_fn(|i| device.joints[i].limits),
             home: device.home,

@@ -116,8 +116,8 @@ where
             fault: self.fault,
             step: self.now.step,
             bus_voltage: self.now.motors.bus_voltage,
-            q: self.now.found.at.q,
-            tip: self.now.found.at.tip,
+            q: self.now.result.at.q,
+            tip: self.now.result.at.tip,
         }
     }
 
@@ -227,8 +227,8 @@ where
         Ok(())
     }
 
-    /// Installs an accepted program and returns the previous one. Another device or rate takes longer, because bounds
-    /// and stages are prepared again; neither changes while the motors are on.
+    /// Installs an accepted program and returns the previous one. Takes longer for another device or rate, which are
+    /// accepted only while the motors are off.
     pub fn install(&mut self, mut program: P) -> Option<P> {
         let period = 1.0 / program.rate_hz.max(1.0);
         // Rates that differ by a rounding error may have the same period but different carriers.
@@ -247,12 +247,13 @@ where
                 self.polarity_known = false;
                 (self.first_index, self.marks) = ([None; MAX_JOINTS], None);
                 // A device with fewer joints would not overwrite all results of the previous device.
-                self.now.found = StepResult::default();
-                self.now.found.parallel = 1.0;
+                self.now.result = StepResult::default();
+                self.now.result.parallel = 1.0;
             }
         }
         self.begin_fade();
-        (self.count, self.weighs) = (program.joints.min(MAX_JOINTS) as u8, program.weighs);
+        (self.joint_count, self.compensates_weight) =
+            (program.joints.min(MAX_JOINTS) as u8, program.compensates_weight);
         if !(same_device && same_rate) {
             // The present currents continue.
             for (axis, joint) in program.axes.iter().zip(&mut self.joints) {
@@ -269,7 +270,7 @@ where
     }
 
     fn set_rules(&mut self, rules: &Rules) -> Result<(), Refusal> {
-        if self.state.drives() && !rules.no_looser_than(&self.rules) {
+        if self.state.drives() && !rules.is_no_looser_than(&self.rules) {
             return Err(Refusal::Armed);
         }
         self.rules = *rules;
@@ -324,12 +325,12 @@ where
         if self.hardware.bus_sensed && !(self.rules.limits.bus_min..=self.rules.limits.bus_max).contains(&bus) {
             return Err(Refusal::BusVoltage);
         }
-        if self.now.found.parallel < watch::MIN_PARALLEL_SINE {
+        if self.now.result.parallel < watch::MIN_PARALLEL_SINE {
             return Err(Refusal::Singular);
         }
         for (i, limits) in program.limits.iter().enumerate().take(program.joints) {
             if let Some((low, high)) = limits
-                && !(*low..=*high).contains(&self.now.found.at.q[i])
+                && !(*low..=*high).contains(&self.now.result.at.q[i])
             {
                 return Err(Refusal::OutsideLimits(i as u8));
             }
@@ -361,7 +362,7 @@ where
     fn arm(&mut self, key: Option<Press>) -> Result<(), Refusal> {
         self.may_arm(key)?;
         self.refuse_stray_current()?;
-        self.fade.start_from_nothing();
+        self.fade.start_from_zero();
         self.key = key;
         self.restart_checks();
         self.state = State::Armed;

@@ -55,11 +55,11 @@ impl Rules {
     pub const HOST_SECONDS: (f32, f32) = (0.01, 60.0);
 
     /// Returns true if every protective setting is at least as strict as in `other`, which is safe at any time.
-    pub fn no_looser_than(&self, other: &Self) -> bool {
+    pub fn is_no_looser_than(&self, other: &Self) -> bool {
         let watched = self.host_action >= other.host_action
             && (other.host_action == HostAction::Ignore || self.host_seconds <= other.host_seconds);
         let mut index = self.index_period.iter().zip(&other.index_period);
-        self.limits.no_higher_than(&other.limits)
+        self.limits.is_no_higher_than(&other.limits)
             && watched
             && (self.passivity || !other.passivity)
             && index.all(|(period, before)| *before == 0 || period == before)

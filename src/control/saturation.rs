@@ -16,7 +16,7 @@ use crate::control::joints::Torques;
 use crate::control::program::Program;
 use crate::drive::bits::margin_bits;
 use crate::drive::stage::Stage;
-use crate::math::{Math, limited, sqrt};
+use crate::math::{Math, clamp, sqrt};
 use crate::model::catalogue::MAX_JOINTS;
 use crate::model::device::{Leverage, squared};
 use crate::render::step_result::TorqueDemand;
@@ -42,18 +42,18 @@ where
     K: Math<f32>,
     S: Stage,
 {
-    /// Returns a value that is not negative if the demand on the J joints is within the limits after every stage, by
-    /// more than rounding errors. Checks joint torques and tip forces. Negative otherwise, and for NaN.
+    /// Returns a negative number unless joint torques and tip forces of the demand on J joints are within the limits by
+    /// more than rounding errors. Returns a negative number for NaN.
     #[inline(always)]
     pub(super) fn fits<const J: usize>(&self) -> i32 {
-        let TorqueDemand { total, gravity, rendered, force_squared } = &self.now.found.asked;
+        let TorqueDemand { total, gravity, rendered, force_squared } = &self.now.result.asked;
         let mut margin = margin_bits(*force_squared, self.max_tip_force_squared);
         let mut pushing = *total;
-        if self.weighs {
+        if self.compensates_weight {
             pushing.iter_mut().zip(gravity).take(J).for_each(|(total, gravity)| *total -= gravity);
         }
         margin |= margin_bits(squared(&self.leverage.force::<J>(&pushing)), self.max_tip_force_squared);
-        if self.weighs {
+        if self.compensates_weight {
             for (i, fitting) in self.unclamped_torque.iter().enumerate().take(J) {
                 // If weight and force fit together with any signs, each of them and their sum fit.
                 let both = gravity[i].abs() + rendered[i].abs();
@@ -72,7 +72,7 @@ impl TorqueDemand<f32> {
     /// Returns the torques within ±`limit` (not negative) of each of the J joints, and within `tip_force` (N, not
     /// negative). `leverage` is the tip force per joint torque.
     #[inline(always)]
-    pub(super) fn within<const J: usize>(
+    pub(super) fn granted_torques<const J: usize>(
         &self,
         limit: &Torques,
         tip_force: f32,
@@ -107,7 +107,7 @@ impl TorqueDemand<f32> {
     /// with gravity and the room of its feed-forward.
     #[inline(always)]
     fn room_for_rendered(&self, i: usize, limit: f32, most: f32) -> f32 {
-        let (base, part) = (limited(self.gravity[i], limit), self.rendered[i]);
+        let (base, part) = (clamp(self.gravity[i], limit), self.rendered[i]);
         let along = if part > 0.0 { self.feed_forward(i) } else { -self.feed_forward(i) };
         if along > 0.0 {
             // Either force and feed-forward both fit, or the force leaves the feed-forward its room.
@@ -135,7 +135,7 @@ impl TorqueDemand<f32> {
         let share = self.share::<J>(limit, tip_force);
         let (mut torque, mut gravity) = (Torques::default(), Torques::default());
         for i in 0..J {
-            gravity[i] = limited(self.gravity[i], limit[i]);
+            gravity[i] = clamp(self.gravity[i], limit[i]);
             torque[i] = gravity[i] + share * self.rendered[i];
         }
         let (force, aside) = (leverage.force::<J>(&self.rendered), leverage.force::<J>(&self.feed_forwards()));
@@ -145,7 +145,7 @@ impl TorqueDemand<f32> {
         }
         for i in 0..J {
             // Limits each torque again, because rounding may exceed the limit. A torque that is not finite becomes 0.
-            torque[i] = limited(torque[i] + rest_share * self.feed_forward(i), limit[i]);
+            torque[i] = clamp(torque[i] + rest_share * self.feed_forward(i), limit[i]);
         }
         GrantedTorques { torque, gravity, share }
     }
@@ -201,7 +201,7 @@ mod tests {
     fn cut(gravity: [f32; 3], rendered: [f32; 3], rest: [f32; 3], limit: [f32; 3]) -> [f32; 3] {
         let total = core::array::from_fn(|i| gravity[i] + rendered[i] + rest[i]);
         *TorqueDemand { total, gravity, rendered, force_squared: 0.0 }
-            .within::<3>(&Torques(limit), 5.0, &Leverage::default())
+            .granted_torques::<3>(&Torques(limit), 5.0, &Leverage::default())
             .torque
     }
 
@@ -215,15 +215,15 @@ mod tests {
             force_squared: 100.0,
         };
         assert_eq!(
-            *asked.within::<3>(&Torques([50.0; 3]), 5.0, &Leverage::default()).torque,
+            *asked.granted_torques::<3>(&Torques([50.0; 3]), 5.0, &Leverage::default()).torque,
             [1.0, 3.0 + 1.0, 4.0 + 0.5]
         );
         assert_eq!(
-            *asked.within::<3>(&Torques([50.0; 3]), 10.0, &Leverage::default()).torque,
+            *asked.granted_torques::<3>(&Torques([50.0; 3]), 10.0, &Leverage::default()).torque,
             asked.total,
             "a force of 10 N is within a limit of 10 N"
         );
-        let less = asked.within::<3>(&Torques([50.0, 50.0, 2.0]), 5.0, &Leverage::default()).torque;
+        let less = asked.granted_torques::<3>(&Torques([50.0, 50.0, 2.0]), 5.0, &Leverage::default()).torque;
         // The limit of 2 N m, less a 64th for the joint's feed-forward, over the demand of 8 N m.
         let share = (2.0 - 2.0 / 64.0) / 8.0;
         assert_eq!(
@@ -234,7 +234,7 @@ mod tests {
         for no_number in [f32::NAN, f32::INFINITY] {
             let asked = TorqueDemand { force_squared: no_number, ..asked };
             assert_eq!(
-                *asked.within::<3>(&Torques([50.0; 3]), 5.0, &Leverage::default()).torque,
+                *asked.granted_torques::<3>(&Torques([50.0; 3]), 5.0, &Leverage::default()).torque,
                 [1.0, 0.0, 0.0],
                 "only the weight is carried"
             );

@@ -11,13 +11,12 @@ use crate::model::catalogue::MAX_JOINTS;
 use crate::safety::fault::{Fault, FaultRecord};
 use core::ops::DerefMut;
 
-/// Regularity of a closed loop below which its tip force is too poorly defined to act (sine, no unit).
+/// Lowest regularity of a closed loop (a sine, no unit) at which its tip force is defined well enough to act.
 pub const MIN_PARALLEL_SINE: f32 = 2.0e-3;
 /// Width of an index pulse, counts. The first pulse is used only if the joint moved by at most this width in the step.
 pub const INDEX_WIDTH: u32 = 4;
 /// Largest age of the last press of the dead man's key while the motors stay on, s; `host_seconds` if that is shorter.
-/// Applies even if the rules ignore a silent host. A page uses up to 0.17 s of it: it receives a step every 50 ms,
-/// shows it every 17 ms, and reports the key every 80 ms and at every picture.
+/// Applies even if the rules ignore a silent host. A browser page takes up to 0.17 s to report the key.
 pub const KEY_SECONDS: f32 = 0.5;
 /// Share of a real motor's maximum current that may flow continuously if the rules set no continuous current. Half of
 /// the current makes a quarter of the heat.
@@ -42,13 +41,13 @@ where
     pub(super) fn begin_bounds(&mut self) {
         self.expect_host();
         let tip_force = self.rules.limits.tip_force;
-        // Setting the same limit again must not restart the time that the present currents have to fall.
+        // Setting the same limit again must not give the present currents more time to fall.
         if tip_force * tip_force < self.max_tip_force_squared || !self.state.drives() {
             self.flow.settle(self.period);
         }
         self.set_max_tip_force(tip_force);
         self.set_crest_bounds();
-        self.unsettled = MAX_JOINTS as u8;
+        self.unsettled_joints = MAX_JOINTS as u8;
     }
 
     /// Sets the largest force at the tip, N.
@@ -60,8 +59,8 @@ where
     /// are on, a control interrupt has no time for all joints.
     #[inline(never)]
     pub fn settle_next(&mut self) -> bool {
-        let Some(joint) = self.unsettled.checked_sub(1) else { return false };
-        self.unsettled = joint;
+        let Some(joint) = self.unsettled_joints.checked_sub(1) else { return false };
+        self.unsettled_joints = joint;
         let (i, limits) = (usize::from(joint), &self.rules.limits);
         if let (Some(joint), Some(heat)) = (self.joints.get_mut(i), self.heat.get_mut(i)) {
             joint.stage.limit(limits.current[i]);
@@ -89,7 +88,7 @@ where
     }
 
     /// Returns the time since the last heartbeat, the start, a change of rules or arming, s.
-    pub fn host_silent(&self) -> f32 {
+    pub fn host_silence(&self) -> f32 {
         self.now.step.wrapping_sub(self.host_seen_at) as f32 * self.period
     }
 
@@ -134,7 +133,7 @@ where
             // The silence is already listed as a fault.
             HostAction::Hold if self.fault.is_some() => MAX_UNCHECKED_STEPS,
             HostAction::Hold | HostAction::Disarm => {
-                (((self.rules.host_seconds - self.host_silent()) / self.period) as u32).min(MAX_UNCHECKED_STEPS)
+                (((self.rules.host_seconds - self.host_silence()) / self.period) as u32).min(MAX_UNCHECKED_STEPS)
             }
         };
         self.host_expected = self.now.step.wrapping_add(steps.min(key));
@@ -142,11 +141,11 @@ where
     }
 
     /// Keeps `rate_since` at most half of the step counter's range behind, so that the wrapping counter never reaches
-    /// it. No step in a host's request is older. The host is checked four times in that range.
+    /// it. Steps in a host's request are never older.
     fn forget_old_rates(&mut self) {
-        const HALF: u32 = 1 << 31;
-        if self.now.step.wrapping_sub(self.rate_since) > HALF {
-            self.rate_since = self.now.step.wrapping_sub(HALF);
+        const HALF_RANGE: u32 = 1 << 31;
+        if self.now.step.wrapping_sub(self.rate_since) > HALF_RANGE {
+            self.rate_since = self.now.step.wrapping_sub(HALF_RANGE);
         }
     }
 
@@ -154,7 +153,7 @@ where
     /// [`ControlLoop::fits`] detects torques that are NaN.
     #[inline(always)]
     pub(super) fn watch<const J: usize>(&self) -> i32 {
-        let found = &self.now.found;
+        let found = &self.now.result;
         let mut sum = found.at.walls.wall_force + found.at.walls.normal_velocity;
         for qd in found.at.qd.iter().take(J) {
             sum += qd;
@@ -165,19 +164,19 @@ where
             | self.host_expected.wrapping_sub(self.now.step) as i32
     }
 
-    /// [`ControlLoop::watch`] of all joints and their torques.
+    /// Runs [`ControlLoop::watch`] for all joints, and checks that their torques are finite.
     pub(super) fn watch_all(&self) -> i32 {
         match self.count() {
-            2 => self.watch::<2>() | self.not_finite::<2>(),
-            3 => self.watch::<3>() | self.not_finite::<3>(),
-            _ => self.watch::<1>() | self.not_finite::<1>(),
+            2 => self.watch::<2>() | self.finite_margin::<2>(),
+            3 => self.watch::<3>() | self.finite_margin::<3>(),
+            _ => self.watch::<1>() | self.finite_margin::<1>(),
         }
     }
 
     /// Returns a negative number if a requested torque of the J joints is NaN or infinite.
     #[inline(always)]
-    pub(super) fn not_finite<const J: usize>(&self) -> i32 {
-        self.now.found.asked.total.iter().take(J).fold(0, |least, torque| least | margin_bits(*torque, f32::MAX))
+    pub(super) fn finite_margin<const J: usize>(&self) -> i32 {
+        self.now.result.asked.total.iter().take(J).fold(0, |least, torque| least | margin_bits(*torque, f32::MAX))
     }
 
     /// Finds the first fault of an unusual step, and turns the motors off if the fault requires it. `before` are the
@@ -194,7 +193,7 @@ where
             }
         };
         // NaN is checked first because it makes every comparison below meaningless.
-        let found = &self.now.found;
+        let found = &self.now.result;
         let mut sum = found.at.walls.wall_force + found.at.walls.normal_velocity;
         for (qd, torque) in found.at.qd.iter().zip(&found.asked.total).take(joints) {
             sum += qd + torque;
@@ -217,9 +216,9 @@ where
             }
         }
         if active {
-            let parallel = self.now.found.parallel;
+            let parallel = self.now.result.parallel;
             note(parallel_margin(parallel) < 0, Fault::Singularity, None, parallel);
-            let seconds = self.host_silent();
+            let seconds = self.host_silence();
             let silent = seconds > self.rules.host_seconds;
             match self.rules.host_action {
                 HostAction::Disarm => note(silent, Fault::HostLost, None, seconds),

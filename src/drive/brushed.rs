@@ -13,26 +13,26 @@
 
 use super::bits::margin_bits;
 use super::stage::{Bridge, Duty, MAX_DUTY, Stage, Supply};
-use crate::math::{Real, limited};
+use crate::math::{Real, clamp};
 use crate::model::motor::Motor;
 
 /// [`MAX_DUTY`] less the largest rounding error.
 const USABLE_DUTY: f32 = MAX_DUTY * (1.0 - 2.0 * f32::EPSILON);
 /// Share of the loop's bandwidth that is used if the device file gives the inductance as 0. If the real winding has
-/// inductance, the current rises with L/R and overshoots by the error that the loop integrates meanwhile. At the
-/// boards' bandwidth of 1 kHz this is 7 % at L/R = 0.3 ms, 14 % at 0.8 ms and 16 % at 1 ms (tests/drive.rs).
+/// inductance, the current overshoots. At the boards' bandwidth of 1 kHz the overshoot is 7 % at L/R = 0.3 ms, 14 % at
+/// 0.8 ms and 16 % at 1 ms (tests/drive.rs).
 pub const UNKNOWN_INDUCTANCE_SHARE: f32 = 0.05;
 /// Factor of the current limit in the largest current with overshoot.
 const OVERSHOOT_FACTOR: f32 = 1.3;
 /// Part of the largest current with overshoot that does not depend on the limit, A.
 const OVERSHOOT_FLOOR: f32 = 0.6;
-/// Share of the available change of current that is used, because of rounding.
+/// Share of the available change of current that is used, so that rounding does not exceed the available change.
 const USABLE_RISE_SHARE: f32 = 1.0 - 8.0 * f32::EPSILON;
 /// Current below which dead-time compensation fades, A, because near zero the sign of the current is noise.
 const DEAD_TIME_KNEE: f32 = 0.1;
-/// Relative excess of a winding's resistance over the device file's that is accepted: copper gains 40 % per 100 K.
+/// Accepted relative excess of a winding's resistance over the device file's value: copper gains 40 % per 100 K.
 const RESISTANCE_TOLERANCE: f32 = 0.5;
-/// Voltage that the model of a sound motor leaves unexplained, V: brushes, ripple, errors of the sensors' zeros.
+/// Largest difference of a sound motor's voltage from its model, V, caused by brushes, ripple and the sensors' zeros.
 const VOLTAGE_TOLERANCE: f32 = 1.0;
 /// Accepted relative error of the data sheet's back-EMF.
 const EMF_TOLERANCE: f32 = 0.2;
@@ -44,17 +44,18 @@ const SLOW_ERROR_WEIGHT: f32 = 1.0 / 64.0;
 const CURRENT_DECAY: f32 = 15.0 / 16.0;
 /// Share of the largest recent difference of fed-forward and measured speed that remains after a carrier period.
 const SPEED_ERROR_DECAY: f32 = 255.0 / 256.0;
-/// Largest error by a lagging current during a reversal, as a share of the voltage R i at the largest current.
+/// Largest voltage error while the current lags in a reversal, as a share of the voltage R i at the largest current.
 const LAG_TOLERANCE: f32 = 1.3;
 
 /// Effect of a duty, as shares of the current change that the duty makes in a full carrier period.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 struct Timing {
-    /// Share of the change at the next sample. `valley` is the share at the next valley.
+    /// Share of the change at the next sample.
     sample: f32,
+    /// Share of the change at the next valley.
     valley: f32,
     /// Share of a change to request, so that a duty that lasts half a period too long completes the change.
-    part: f32,
+    request: f32,
 }
 
 /// The drive of one motor: constants that are computed when a device is loaded, and the state of the loop. The fields
@@ -67,8 +68,9 @@ pub struct Axis {
     dead_time_share: f32,
     /// Target current, A.
     target: f32,
-    /// Current that the next sample should show, A. `at_valley` is the current that the duties so far produce there, A.
+    /// Current that the next sample should show, A.
     expected: f32,
+    /// Current that the duties so far produce at the next valley, A.
     at_valley: f32,
     /// Expected current less measured current at the last sample, A.
     error: f32,
@@ -78,37 +80,39 @@ pub struct Axis {
     integral: f32,
     resistance: f32,
     /// Voltage that changes the current by 1 A within a carrier period, V/A.
-    surge: f32,
+    volts_per_amp: f32,
     /// Change of current that a duty in time can make at any current within the limit, A.
     safe_rise: f32,
     /// Share of a change at the next sample if the duty applies in time, see [`Timing::sample`].
-    half: f32,
-    /// Timing of a duty in time and of a late duty. `free_share` of a free current remains after half a carrier period.
+    next_sample_share: f32,
+    /// Timing of a duty in time and of a late duty.
     timing: [Timing; 2],
+    /// Share of a free current that remains after half a carrier period.
     free_share: f32,
-    /// Inverse of `surge`, A/V.
-    inverse_surge: f32,
+    amps_per_volt: f32,
     torque_per_amp: f32,
     /// Maximum current of the motor itself, A; 0 without a torque constant.
     motor_current: f32,
     max_current: f32,
     /// Largest current including overshoot, A.
-    bound: f32,
-    /// Mean of expected less measured current, A. `error_weight` is the weight of one sample.
+    peak_current: f32,
+    /// Mean of expected less measured current, A.
     mean_error: f32,
+    /// Weight of one sample in `mean_error`.
     error_weight: f32,
     /// Possible error of the back-EMF at the last sample's speed, V.
     emf_tolerance: f32,
     /// Largest recent difference between the fed-forward and the measured speed, rad/s.
-    swing: f32,
+    speed_error: f32,
     /// Largest recent current, A, because the integrator's voltage for a hot winding outlasts the current.
     recent_current: f32,
     /// Largest difference of a sound motor's voltage from the model at rest without current, V.
     tolerance: f32,
     /// Difference from the model above which the motor is inspected, V.
     inspection_voltage: f32,
-    /// Part of `tolerance` without current, V. `lag_resistance` is the part per ampere, Ω, for an unknown inductance.
+    /// Part of `tolerance` without current, V.
     base_tolerance: f32,
+    /// Part of `tolerance` per ampere if the inductance is unknown, Ω.
     lag_resistance: f32,
     /// Additional tolerance per ampere of the largest recent current, Ω, because the winding may be hot.
     tolerance_resistance: f32,
@@ -125,10 +129,10 @@ impl Axis {
     fn set_timing(&mut self, free_share: f32) {
         let half = 1.0 / (1.0 + free_share);
         self.timing = [
-            Timing { sample: half, valley: 1.0, part: 1.0 / (1.0 + half * free_share * free_share) },
-            Timing { sample: 0.0, valley: half, part: 1.0 },
+            Timing { sample: half, valley: 1.0, request: 1.0 / (1.0 + half * free_share * free_share) },
+            Timing { sample: 0.0, valley: half, request: 1.0 },
         ];
-        (self.free_share, self.half) = (free_share, half);
+        (self.free_share, self.next_sample_share) = (free_share, half);
     }
 
     /// Returns the duty that compensates the dead time. It fades where the sign of the current is uncertain.
@@ -152,18 +156,18 @@ impl Axis {
         let begin =
             if late { self.at_valley + self.free_share * (self.at_valley - self.expected) } else { self.at_valley };
         // If the next duty is late, this duty acts for longer, so the change stays below an over-current.
-        let (up, down) = ((self.bound - begin) * timing.part, (self.bound + begin) * -timing.part);
+        let (up, down) = ((self.peak_current - begin) * timing.request, (self.peak_current + begin) * -timing.request);
         let change = self.target - begin;
         let mut rise = if change > up { up } else { change };
         rise = if rise < down { down } else { rise };
         let (hold, dead_time_duty) = (self.holding_voltage(begin, error, speed), self.dead_time_duty());
-        let mut duty = dead_time_duty + supply.inverse * (hold + self.surge * rise);
+        let mut duty = dead_time_duty + supply.inverse * (hold + self.volts_per_amp * rise);
         // A voltage that the bus cannot supply is not integrated further.
         let integrates = if duty.abs() <= USABLE_DUTY {
             true
         } else {
-            duty = limited(duty, USABLE_DUTY);
-            rise = limited(((duty - dead_time_duty) * supply.volts - hold) * self.inverse_surge, 2.0 * self.bound);
+            duty = clamp(duty, USABLE_DUTY);
+            rise = clamp(((duty - dead_time_duty) * supply.volts - hold) * self.amps_per_volt, 2.0 * self.peak_current);
             duty * error < 0.0
         };
         self.expected = begin + timing.sample * rise;
@@ -203,8 +207,8 @@ impl Stage for Axis {
             resistance: motor.resistance,
             tolerance_resistance: RESISTANCE_TOLERANCE * motor.resistance,
             back_emf: motor.back_emf,
-            surge,
-            inverse_surge: if surge > 0.0 { 1.0 / surge } else { 0.0 },
+            volts_per_amp: surge,
+            amps_per_volt: if surge > 0.0 { 1.0 / surge } else { 0.0 },
             proportional: bandwidth * inductance,
             integral: bandwidth * motor.resistance / carrier_hz,
             dead_time_share: 2.0 * bridge.dead_time * bridge.carrier_hz,
@@ -221,10 +225,10 @@ impl Stage for Axis {
     fn limit(&mut self, max_current: f32) {
         self.max_current = self.motor_current.min(max_current).max(0.0);
         // The last command acts until the next control step.
-        self.target = limited(self.target, self.max_current);
-        self.bound = OVERSHOOT_FACTOR * self.max_current + OVERSHOOT_FLOOR;
+        self.target = clamp(self.target, self.max_current);
+        self.peak_current = OVERSHOOT_FACTOR * self.max_current + OVERSHOOT_FLOOR;
         // Change from any current within the limit to the largest current with overshoot.
-        self.safe_rise = USABLE_RISE_SHARE * ((self.bound - self.max_current) * self.timing[0].part).max(0.0);
+        self.safe_rise = USABLE_RISE_SHARE * ((self.peak_current - self.max_current) * self.timing[0].request).max(0.0);
         self.tolerance = self.base_tolerance + self.lag_resistance * self.max_current;
         self.inspection_voltage = self.tolerance;
     }
@@ -252,7 +256,7 @@ impl Stage for Axis {
 
     #[inline(always)]
     fn command(&mut self, torque: f32) {
-        self.target = limited(torque * self.amps_per_torque, self.max_current);
+        self.target = clamp(torque * self.amps_per_torque, self.max_current);
     }
 
     #[inline(always)]
@@ -270,23 +274,23 @@ impl Stage for Axis {
         Duty(self.drive_at_limits(supply, current, speed, late))
     }
 
-    /// A late drive makes at most the requested change, so only its voltage can be out of range.
+    /// A late drive makes at most the requested change of current, so only its voltage can be out of range.
     #[inline(always)]
     fn drive_in_range(&mut self, supply: &Supply, current: f32, speed: f32, late: bool) -> Option<Duty> {
         let begin =
             if late { self.at_valley + self.free_share * (self.at_valley - self.expected) } else { self.at_valley };
         let error = self.expected - current;
         let rise = self.target - begin;
-        let duty =
-            self.dead_time_duty() + supply.inverse * (self.holding_voltage(begin, error, speed) + self.surge * rise);
-        let room = margin_bits(self.target, self.bound) | margin_bits(begin, f32::MAX);
+        let duty = self.dead_time_duty()
+            + supply.inverse * (self.holding_voltage(begin, error, speed) + self.volts_per_amp * rise);
+        let room = margin_bits(self.target, self.peak_current) | margin_bits(begin, f32::MAX);
         if if late { room } else { margin_bits(rise, self.safe_rise) } | margin_bits(duty, USABLE_DUTY) < 0 {
             return None;
         }
         (self.expected, self.at_valley) = if late {
             (begin + self.timing[1].sample * rise, self.target - (rise - self.timing[1].valley * rise))
         } else {
-            (begin + self.half * rise, self.target)
+            (begin + self.next_sample_share * rise, self.target)
         };
         self.error = error;
         self.integrator += self.integral * error;
@@ -295,22 +299,23 @@ impl Stage for Axis {
 
     #[inline(always)]
     fn settle(&mut self, bus_voltage: f32, given: f32, speed: f32, raw: f32) {
-        self.integrator = limited(self.integrator, USABLE_DUTY * bus_voltage);
+        self.integrator = clamp(self.integrator, USABLE_DUTY * bus_voltage);
         self.mean_error += self.error_weight * (self.error - self.mean_error);
         let (at_valley, fading) = (self.at_valley.abs(), CURRENT_DECAY * self.recent_current);
         self.recent_current = if at_valley > fading { at_valley } else { fading };
         // After a jump the speed leads its filtered value; between the counts of a coarse encoder it seems to lag.
-        let (ahead, fading) = ((speed - given).abs(), SPEED_ERROR_DECAY * self.swing);
-        self.swing = if ahead > fading { ahead } else { fading };
-        self.emf_tolerance = (EMF_TOLERANCE * speed.abs() + self.swing + (raw - speed).abs()) * self.back_emf.abs();
+        let (ahead, fading) = ((speed - given).abs(), SPEED_ERROR_DECAY * self.speed_error);
+        self.speed_error = if ahead > fading { ahead } else { fading };
+        self.emf_tolerance =
+            (EMF_TOLERANCE * speed.abs() + self.speed_error + (raw - speed).abs()) * self.back_emf.abs();
     }
 
     fn back_emf_current(&self, speed: f32) -> f32 {
         if self.resistance > 0.0 { self.back_emf * speed / self.resistance } else { 0.0 }
     }
 
-    /// Uses only the voltage in phase with the current, because the inductance's is a quarter period off. Subtracts the
-    /// back-EMF.
+    /// Uses only the voltage in phase with the current, because the inductance's voltage is a quarter period off.
+    /// Subtracts the back-EMF.
     fn resistance_of(&self, voltage: [f32; 2], current: [f32; 2], angle: [f32; 2], rate: f32) -> Option<(f32, f32)> {
         // The derivative of a cos + b sin is rate (b cos - a sin).
         let turning = [rate * angle[1], -rate * angle[0]];
@@ -343,7 +348,7 @@ impl Stage for Axis {
 
     fn current_from_voltage(&self) -> f32 {
         let strain = self.integrator + self.resistance * self.mean_error;
-        let beyond = strain - limited(strain, self.emf_tolerance);
+        let beyond = strain - clamp(strain, self.emf_tolerance);
         self.at_valley + if self.resistance > 0.0 { beyond / self.resistance } else { 0.0 }
     }
 
@@ -370,7 +375,7 @@ impl Stage for Axis {
         self.recent_current = 0.0;
         self.target = 0.0;
         self.emf_tolerance = 0.0;
-        self.swing = 0.0;
+        self.speed_error = 0.0;
     }
 
     fn inherit(&mut self, other: &Self) {

@@ -23,8 +23,8 @@ pub struct Carrier {
 
 impl Carrier {
     /// Returns the carrier of a timer that counts at `timer_hz` (at most 2.6 GHz) for a control rate in Hz, which is
-    /// clamped to [`RATE_HZ`]. NaN becomes the lowest rate. The carrier is the smallest multiple of the rate from 20
-    /// kHz up, so it is between 20 and 50 kHz, and a duty has at least `timer_hz` / 100 kHz ticks.
+    /// clamped to [`RATE_HZ`]. NaN becomes the lowest rate. The carrier is the smallest multiple of the rate that is at
+    /// least 20 kHz, so it is between 20 and 50 kHz.
     pub fn for_rate(timer_hz: u32, rate_hz: f32) -> Self {
         let rate_hz = (rate_hz as u32).clamp(RATE_HZ.0, RATE_HZ.1);
         let divider = CARRIER_MIN_HZ.div_ceil(rate_hz);

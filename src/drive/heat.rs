@@ -47,15 +47,18 @@ pub struct Heat {
     /// I²t accumulator above the continuous current, A² s.
     held: f32,
     /// Rounding error of `held`, because the change in one step can be less than the last digit of `held`.
-    rest: f32,
-    /// Guessed part of `held`. `guessed_from` is the budget of which the guess is half, infinite if the heat is known.
-    guessed: f32,
-    guessed_from: f32,
-    /// Square of the allowed continuous current, A². `warmed_squared` is its value when the motor was last cold.
+    rounding: f32,
+    /// Guessed part of `held`, A² s.
+    guess: f32,
+    /// Budget of which the guess is half, A² s; infinite if the heat is known.
+    guess_budget: f32,
+    /// Square of the allowed continuous current, A².
     allowed_squared: f32,
+    /// Value of `allowed_squared` when the motor was last cold, A².
     warmed_squared: f32,
-    /// The smaller of `allowed_squared` and `warmed_squared`, A². `weight` is the weight of i² above it.
+    /// The smaller of `allowed_squared` and `warmed_squared`, A².
     continuous_squared: f32,
+    /// Factor of i² above `continuous_squared` in the accumulator.
     weight: f32,
     /// Time until a raised limit applies while the motor is warm, s.
     wait: f32,
@@ -67,7 +70,7 @@ pub struct Heat {
 
 impl Default for Heat {
     fn default() -> Self {
-        Self { guessed_from: f32::INFINITY, ..Self::UNKNOWN }
+        Self { guess_budget: f32::INFINITY, ..Self::UNKNOWN }
     }
 }
 
@@ -75,9 +78,9 @@ impl Heat {
     /// Unknown heat: half of the budget, as soon as a budget is known.
     pub const UNKNOWN: Self = Self {
         held: 0.0,
-        rest: 0.0,
-        guessed: 0.0,
-        guessed_from: 0.0,
+        rounding: 0.0,
+        guess: 0.0,
+        guess_budget: 0.0,
         allowed_squared: 0.0,
         warmed_squared: 0.0,
         continuous_squared: 0.0,
@@ -88,9 +91,8 @@ impl Heat {
     };
 
     /// Sets the allowed currents, A. Without an allowed current there is no motor, and the heat stays unchanged. A
-    /// higher limit does not make a motor cool faster, so a larger continuous current applies once the motor is cold or
-    /// after [`WAIT_SECONDS`]. A lower limit does not extend the time at the peak: the rest lasts as long at the
-    /// maximum current.
+    /// larger continuous current applies once the motor is cold or after [`WAIT_SECONDS`], because a higher limit does
+    /// not make a motor cool faster. A lower limit does not extend the remaining time at the maximum current.
     pub fn limit(&mut self, max_current: f32, continuous_current: f32) {
         if max_current <= 0.0 {
             return;
@@ -115,32 +117,32 @@ impl Heat {
         self.update_guess();
     }
 
-    /// Updates the guess while the heat is unknown: half of the budget less the cooling since.
+    /// Updates the guess while the heat is unknown: half of the budget, less the cooling since the start.
     fn update_guess(&mut self) {
-        if !self.budget.is_finite() || self.guessed_from == f32::INFINITY {
+        if !self.budget.is_finite() || self.guess_budget == f32::INFINITY {
             return;
         }
         let half = 0.5 * self.budget;
-        let guessed = (self.guessed + (half - 0.5 * self.guessed_from).max(0.0)).min(half);
-        self.held += guessed - self.guessed;
-        (self.guessed, self.guessed_from) = (guessed, self.budget);
+        let guessed = (self.guess + (half - 0.5 * self.guess_budget).max(0.0)).min(half);
+        self.held += guessed - self.guess;
+        (self.guess, self.guess_budget) = (guessed, self.budget);
     }
 
     /// Warms the motor by `squares`, the integral of i² (A² s) over the last `dt` (s). Returns true if the heat above
     /// the continuous current exceeds the heat of [`PEAK_SECONDS`] at the maximum current.
     #[inline(always)]
     pub fn warm(&mut self, squares: f32, dt: f32) -> bool {
-        let share = (squares - self.continuous_squared * dt) * self.weight + self.rest;
+        let share = (squares - self.continuous_squared * dt) * self.weight + self.rounding;
         let held = self.held + share;
         if held > 0.0 && self.max_squared > 0.0 {
-            self.rest = share - (held - self.held);
+            self.rounding = share - (held - self.held);
             self.held = held;
             // Cooling below the guess reduces the guess.
-            if held < self.guessed {
-                self.guessed = held;
+            if held < self.guess {
+                self.guess = held;
             }
         } else {
-            (self.held, self.rest, self.guessed) = (0.0, 0.0, 0.0);
+            (self.held, self.rounding, self.guess) = (0.0, 0.0, 0.0);
         }
         if self.warmed_squared != self.allowed_squared {
             self.apply_raised_limit(dt);
@@ -162,16 +164,16 @@ impl Heat {
 
     /// Returns the heat above the continuous level, A² s; NaN if unknown.
     pub fn held(&self) -> f32 {
-        if self.guessed_from == 0.0 { f32::NAN } else { self.held }
+        if self.guess_budget == 0.0 { f32::NAN } else { self.held }
     }
 
     /// Returns the complete state as words, for storage across a restart.
     pub fn words(&self) -> [u32; WORDS] {
         [
             self.held,
-            self.rest,
-            self.guessed,
-            self.guessed_from,
+            self.rounding,
+            self.guess,
+            self.guess_budget,
             self.allowed_squared,
             self.warmed_squared,
             self.max_squared,
@@ -182,14 +184,14 @@ impl Heat {
     /// Returns the state from stored [`Heat::words`]; unknown heat if the words are not valid.
     pub fn from_words(words: [u32; WORDS]) -> Self {
         let values = words.map(f32::from_bits);
-        let [held, rest, guessed, guessed_from, allowed_squared, warmed_squared, max_squared] = values;
-        let finite = [held, guessed, allowed_squared, warmed_squared, max_squared];
+        let [held, rounding, guess, guess_budget, allowed_squared, warmed_squared, max_squared] = values;
+        let finite = [held, guess, allowed_squared, warmed_squared, max_squared];
         let is_valid = finite.iter().all(|value| value.is_finite() && *value >= 0.0);
-        if !is_valid || !rest.is_finite() || guessed_from.is_nan() {
+        if !is_valid || !rounding.is_finite() || guess_budget.is_nan() {
             return Self::UNKNOWN;
         }
         let mut heat =
-            Self { held, rest, guessed, guessed_from, allowed_squared, warmed_squared, max_squared, ..Self::UNKNOWN };
+            Self { held, rounding, guess, guess_budget, allowed_squared, warmed_squared, max_squared, ..Self::UNKNOWN };
         heat.update_budget();
         heat
     }

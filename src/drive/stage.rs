@@ -5,7 +5,7 @@
 //! sample per phase and one duty per leg (tests/stages.rs).
 
 use super::bits::margin_bits_between;
-use crate::math::limited;
+use crate::math::clamp;
 use crate::model::motor::Motor;
 use core::fmt::Debug;
 use postcard_schema::Schema;
@@ -35,7 +35,7 @@ pub struct Duty(pub(super) f32);
 impl Duty {
     /// Returns the duty nearest to `share`; zero if `share` is not finite.
     pub fn nearest(share: f32) -> Self {
-        Self(limited(share, MAX_DUTY))
+        Self(clamp(share, MAX_DUTY))
     }
 }
 
@@ -115,8 +115,8 @@ pub trait Stage: Copy + Debug + Default {
         Some(self.drive(supply, sample, speed, late))
     }
 
-    /// Updates the motor model after a drive at this bus voltage (V). The speeds in rad/s are the one that the drive
-    /// used, the joint's filtered speed and its unfiltered speed. Call at the valley after the drive.
+    /// Updates the motor model after a drive at this bus voltage (V), with the speed that the drive used, the joint's
+    /// filtered speed and its unfiltered speed (rad/s). Call at the valley after the drive.
     fn settle(&mut self, _bus_voltage: f32, _given: f32, _speed: f32, _raw: f32) {}
 
     /// Returns the current (A) that the back-EMF at a speed (rad/s) drives through a short-circuited motor.
@@ -152,7 +152,7 @@ pub trait Stage: Copy + Debug + Default {
         (0.0, f32::INFINITY, f32::INFINITY)
     }
 
-    /// Sets the difference of the torques by voltage and by current above which the motor is inspected, N m.
+    /// Sets the difference between voltage and current, expressed as torque, above which the motor is inspected, N m.
     fn inspect_above(&mut self, _torque: f32) {}
 
     /// Returns the motor's current as computed from its voltage, A.

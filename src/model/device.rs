@@ -5,7 +5,7 @@ use crate::model::catalogue::MAX_JOINTS;
 use crate::model::description::{Description, DescriptionError};
 use crate::model::mechanism::{AnyMechanism, Mechanism, shared_pose};
 use crate::model::motor::Motor;
-use crate::model::padding::{head, padded};
+use crate::model::padding::{pad, to_joints};
 use crate::model::precomputed::MassModel;
 use crate::model::solve::solve_symmetric;
 use heapless::String;
@@ -36,8 +36,8 @@ pub struct Device<T: Real> {
 pub struct Joint<T> {
     /// Joint angle per encoder count, rad; negative if the encoder is inverted.
     pub radians_per_count: T,
-    /// Counts after which the angle repeats; 0 if it never does. They are one turn if the counts per turn are an
-    /// integer, and q turns if they are a fraction p/q.
+    /// Counts after which the angle repeats: one turn, or q turns if the counts per turn are a fraction p/q; 0 if the
+    /// angle never repeats.
     pub counts_per_turn: i32,
     /// Joint angle at count 0, rad, moved by up to half a count so that home is at an integer count.
     pub offset: T,
@@ -121,8 +121,8 @@ impl<T: Real> Joint<T> {
     }
 }
 
-/// Maximum number of turns after which an angle repeats. The board computes the turns by division of f32 numbers, and
-/// the five rounding errors stay below half a turn up to this number.
+/// Maximum number of turns after which an angle repeats, because rounding errors of the board's f32 division stay below
+/// half a turn up to this number.
 const MAX_TURNS: f64 = 1_048_576.0;
 
 /// Returns the integer number of counts p in q complete turns, where p/q is the first convergent of the continued
@@ -192,22 +192,22 @@ crate::mechanisms!(define);
 
 fn finite_at<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(mechanism: &M, q: &[f32; MAX_JOINTS]) -> bool {
     let pose = shared_pose::<f32, K, M, N>(mechanism, &angles(q));
-    // Every coefficient of M contributes in this direction. The image contains `MassModel::shaping` anyway.
+    // Every coefficient of M contributes in this direction.
     let direction = SVector::from_fn(|i, _| 0.5 + 0.1 * i as f32);
-    let shaping = MassModel::Exact.shaping(mechanism, &head(q).into(), &pose, &direction);
+    let shaping = MassModel::Exact.shaping(mechanism, &to_joints(q).into(), &pose, &direction);
     let results = [mechanism.tip(&pose), mechanism.gravity(&pose), shaping.e, shaping.me];
     results.iter().all(|v| v.iter().all(|x| x.is_finite())) && shaping.w_rr.is_finite()
 }
 
 fn angles<const N: usize>(q: &[f32; MAX_JOINTS]) -> [Angle<f32>; N] {
-    head(q).map(Angle::from_radians)
+    to_joints(q).map(Angle::from_radians)
 }
 
 fn gravity_at<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(
     mechanism: &M,
     q: &[f32; MAX_JOINTS],
 ) -> [f32; MAX_JOINTS] {
-    padded(&mechanism.gravity(&shared_pose::<f32, K, M, N>(mechanism, &angles(q))).data.0[0])
+    pad(&mechanism.gravity(&shared_pose::<f32, K, M, N>(mechanism, &angles(q))).data.0[0])
 }
 
 fn inertia_at<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(
@@ -224,8 +224,8 @@ fn torque_at<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(
     force: &[f32; 3],
 ) -> [f32; MAX_JOINTS] {
     let pose = shared_pose::<f32, K, M, N>(mechanism, &angles(q));
-    let torque = mechanism.transpose(&pose, &head(force).into());
-    padded(&torque.data.0[0])
+    let torque = mechanism.transpose(&pose, &to_joints(force).into());
+    pad(&torque.data.0[0])
 }
 
 /// The tip force per joint torque, 1/m: a row for each task direction, zeros beyond the task. A hand that holds the tip
@@ -245,7 +245,7 @@ impl Leverage {
         squared(&self.force::<MAX_JOINTS>(torque))
     }
 
-    /// Returns the largest relative change of a joint's tip force per torque since `was`; 0 if the change is unknown.
+    /// Returns the largest relative change of a joint's tip force per torque from `was`; 0 if the change is unknown.
     pub fn relative_change_from(&self, was: &Self) -> f32 {
         let squared_force = |of: &Self, joint: usize| squared(&of.0.map(|direction| direction[joint]));
         let (mut more, mut less) = (1.0, 1.0);
@@ -272,7 +272,7 @@ pub(crate) fn squared<const N: usize>(force: &[f32; N]) -> f32 {
 }
 
 #[inline(always)]
-fn unit<const N: usize>(direction: usize) -> SVector<f32, N> {
+fn unit_vector<const N: usize>(direction: usize) -> SVector<f32, N> {
     SVector::from_fn(|i, _| if i == direction { 1.0 } else { 0.0 })
 }
 
@@ -283,13 +283,14 @@ fn leverage_at<K: Math<f32>, M: Mechanism<f32, N>, const N: usize>(mechanism: &M
     if task == N {
         // The rows of J⁻ᵀ.
         for (direction, row) in rows.iter_mut().enumerate().take(N) {
-            *row = padded(&mechanism.inverse(&pose, &unit(direction)).data.0[0]);
+            *row = pad(&mechanism.inverse(&pose, &unit_vector(direction)).data.0[0]);
         }
         return Leverage(rows);
     }
     // Joint motion M⁻¹ Jᵀ and tip motion J M⁻¹ Jᵀ per unit of a hand's force in each direction.
     let mass = mechanism.mass(&pose);
-    let torques: [SVector<f32, N>; N] = core::array::from_fn(|direction| mechanism.transpose(&pose, &unit(direction)));
+    let torques: [SVector<f32, N>; N] =
+        core::array::from_fn(|direction| mechanism.transpose(&pose, &unit_vector(direction)));
     let moved: [SVector<f32, N>; N] = core::array::from_fn(|direction| solve_symmetric(&mass, &torques[direction]));
     let tip = SMatrix::<f32, N, N>::from_fn(|i, j| match (i < task, j < task) {
         (true, true) => torques[i].dot(&moved[j]),

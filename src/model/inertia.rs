@@ -15,8 +15,8 @@ use crate::model::principal::{Principal, Pull};
 use crate::model::solve::solve_symmetric;
 use nalgebra::{SMatrix, SVector};
 
-/// Share of the walls' largest stiffness below which a direction does not count as rendered: a hundred times the square
-/// of the angle by which f32 rounding separates two equal normals.
+/// Share of the largest stiffness of any direction below which a direction does not count as rendered: a hundred times
+/// the square of the angle by which f32 rounding separates two equal normals.
 pub const MIN_STIFFNESS_SHARE: f64 = 1.0e-12;
 
 /// An orthonormal basis of the task space whose first columns span the rendered directions.
@@ -42,7 +42,7 @@ impl<T: Real, const N: usize> Split<T, N> {
             basis[(0, 1)] = -n[1];
             basis[(1, 1)] = n[0];
         } else if task == 3 && N >= 3 {
-            // Column 1 is the normalised part of e_k across n, column 2 its cross product with n; (k, i, j) is cyclic.
+            // Column 1 is the normalised part of e_k across n, column 2 the cross product with n; (k, i, j) is cyclic.
             let mut complete = |k: usize, i: usize, j: usize| {
                 let s = K::sqrt(n[i] * n[i] + n[j] * n[j]);
                 let inverse = T::one() / s;
@@ -69,7 +69,7 @@ impl<T: Real, const N: usize> Split<T, N> {
             [only] => Self::new::<K>(&only.normal, task),
             several => {
                 let principal = Principal::new::<K>(several, task);
-                let least = principal.along(0) * T::from_f64(MIN_STIFFNESS_SHARE);
+                let least = principal.stiffness_along(0) * T::from_f64(MIN_STIFFNESS_SHARE);
                 let rendered = principal.stiffness.iter().filter(|along| **along > least).count();
                 Self { basis: principal.basis, rendered }
             }
@@ -207,12 +207,12 @@ impl<T: Real, const N: usize> Inertia<T, N> {
             [_] => shapings[0].torque(in_span[0], &b, &b),
             several => {
                 let principal = Principal::new::<K>(several, M::SPEC.task);
-                let (shaped, plain) = principal.shaped(&shapings, force, T::one(), |_| Some((b, b)));
+                let (shaped, plain) = principal.feed_forward(&shapings, force, T::one(), |_| Some((b, b)));
                 shaped + mechanism.transpose(pose, &plain)
             }
         };
         let f_a = SVector::from_fn(|i, _| shapings.get(i + rank).map_or(T::zero(), |shaping| shaping.e.dot(&torque)));
-        let (w_eff, torque_without_feed_forward) = without_feed_forward(mechanism, pose, &tip, rank, &in_span);
+        let (w_eff, torque_without_feed_forward) = terms_without_feed_forward(mechanism, pose, &tip, rank, &in_span);
         Self { split, w, z, w_eff, torque, torque_without_feed_forward, f_a }
     }
 }
@@ -220,7 +220,7 @@ impl<T: Real, const N: usize> Inertia<T, N> {
 /// Returns Weff (kg) in the leading block of a matrix, and the joint torques without feed-forward (N m), along the
 /// first `rank` columns of `tip`. `in_span` is the force along the columns, N.
 #[inline(always)]
-fn without_feed_forward<T: Real, M: Mechanism<T, N>, const N: usize>(
+fn terms_without_feed_forward<T: Real, M: Mechanism<T, N>, const N: usize>(
     mechanism: &M,
     pose: &M::Pose,
     tip: &SMatrix<T, N, N>,

@@ -59,7 +59,7 @@ pub struct WallTerms<T: Real, const N: usize> {
 
 /// Returns the symmetric matrix with this upper triangle.
 #[inline(always)]
-fn symmetric<T: Real, const N: usize>(upper: impl Fn(usize, usize) -> T) -> SMatrix<T, N, N> {
+fn symmetric_matrix<T: Real, const N: usize>(upper: impl Fn(usize, usize) -> T) -> SMatrix<T, N, N> {
     let mut matrix = SMatrix::zeros();
     for j in 0..N {
         for i in 0..=j {
@@ -73,14 +73,14 @@ fn symmetric<T: Real, const N: usize>(upper: impl Fn(usize, usize) -> T) -> SMat
 
 /// Returns 1/(yᵀ M⁻¹ y): the effective inertia of M along y.
 #[inline(always)]
-fn effective<T: Real, const N: usize>(mass: &SMatrix<T, N, N>, y: &SVector<T, N>) -> T {
+fn effective_inertia<T: Real, const N: usize>(mass: &SMatrix<T, N, N>, y: &SVector<T, N>) -> T {
     let (above, below) = quotient(mass, y);
     below / above
 }
 
-/// Returns [`effective`] for a turret's inertia and the mass matrix of its arms, along (`lever`, `y`).
+/// Returns the effective inertia along (`lever`, `y`) of a turret with the mass matrix `arms` of its linkage.
 #[inline(always)]
-fn effective_turned<T: Real>(turret: T, lever: T, arms: &Matrix2<T>, y: &Vector2<T>) -> T {
+fn inertia_with_turret<T: Real>(turret: T, lever: T, arms: &Matrix2<T>, y: &Vector2<T>) -> T {
     // If the wall faces across the arms' plane, y is zero and the effective inertia is the turret's alone.
     let (above, below) = quotient(arms, y);
     turret * below / (lever * lever * below + turret * above)
@@ -93,12 +93,12 @@ pub(crate) fn in_basis<T: Real, const N: usize>(
     basis: &SMatrix<T, N, N>,
 ) -> SMatrix<T, N, N> {
     let moved = inertia * basis;
-    symmetric(|i, j| basis.column(i).dot(&moved.column(j)))
+    symmetric_matrix(|i, j| basis.column(i).dot(&moved.column(j)))
 }
 
-/// The result of equation (4) for one wall.
+/// Joint torques by equation (4) for one wall.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Shaped<T: Real, const N: usize> {
+pub struct ShapedTorque<T: Real, const N: usize> {
     /// E = J⁻¹ n, rad/m.
     pub e: SVector<T, N>,
     /// Joint torques, N m.
@@ -124,7 +124,7 @@ impl<T: Real, const N: usize> Shaping<T, N> {
 
 /// The equations of motion of one mechanism with N joints, M q̈ + c(q, q̇) + g(q) = τ (without friction).
 ///
-/// All methods accept any finite input. Near a singularity results grow; they stay finite if a clamp is documented.
+/// All methods accept any finite input. Near a singularity, results grow but stay finite if a clamp is documented.
 pub trait Mechanism<T: Real, const N: usize>: Copy + core::fmt::Debug {
     /// Contents of its device files.
     const SPEC: Spec;
@@ -197,25 +197,31 @@ pub trait Mechanism<T: Real, const N: usize>: Copy + core::fmt::Debug {
     /// (rad/m) and the joint torques τ = M E Wrr⁻¹ f + b (N m). b is zero without joint velocities `qd` (rad/s). The
     /// tip accelerates by f/Wrr along n and not across n. A closed form needs one pass of inverse dynamics.
     #[inline(always)]
-    fn shaped(&self, pose: &Self::Pose, n: &SVector<T, N>, force: T, qd: Option<&SVector<T, N>>) -> Shaped<T, N> {
+    fn shaped_torque(
+        &self,
+        pose: &Self::Pose,
+        n: &SVector<T, N>,
+        force: T,
+        qd: Option<&SVector<T, N>>,
+    ) -> ShapedTorque<T, N> {
         let shaping = self.shaping(pose, n);
         let torque = shaping.me * (force / shaping.w_rr);
-        Shaped { e: shaping.e, torque: qd.map_or(torque, |qd| torque + self.velocity_torque(pose, qd)) }
+        ShapedTorque { e: shaping.e, torque: qd.map_or(torque, |qd| torque + self.velocity_torque(pose, qd)) }
     }
-    /// Computes [`Mechanism::shaped`] for a wall whose normal turns. `turning` is the resulting tip acceleration
+    /// Computes [`Mechanism::shaped_torque`] for a wall whose normal turns. `turning` is the resulting tip acceleration
     /// (m/s²), -κ of [`frame_rate`](crate::model::inertia::frame_rate).
     #[inline(always)]
-    fn shaped_turning(
+    fn shaped_torque_of_turning_wall(
         &self,
         pose: &Self::Pose,
         n: &SVector<T, N>,
         force: T,
         qd: &SVector<T, N>,
         turning: &SVector<T, N>,
-    ) -> Shaped<T, N> {
+    ) -> ShapedTorque<T, N> {
         let Shaping { e, w_rr, .. } = self.shaping(pose, n);
         let accelerated = self.shaping(pose, &(n * (force / w_rr) + turning)).me;
-        Shaped { e, torque: self.velocity_torque(pose, qd) + accelerated }
+        ShapedTorque { e, torque: self.velocity_torque(pose, qd) + accelerated }
     }
     /// Returns the terms of equation (4) for one wall at joint velocities `qd` (rad/s). The columns of `basis` are
     /// orthonormal: the wall's normal, the directions across the wall and, on the redundant arm, φ.
@@ -229,7 +235,7 @@ pub trait Mechanism<T: Real, const N: usize>: Copy + core::fmt::Debug {
             w: in_basis(&self.operational_inertia(pose), basis),
             b: self.velocity_torque(pose, qd) + self.gravity(pose),
             row,
-            w_eff: effective(&self.mass(pose), &row),
+            w_eff: effective_inertia(&self.mass(pose), &row),
         }
     }
     /// Returns Λ = J⁻ᵀ M J⁻¹ (N x N): the inertia in task coordinates.
@@ -311,8 +317,7 @@ macro_rules! define {
 
 crate::mechanisms!(define);
 
-/// Sine below which a pose counts as singular: of the angle between the rods, or at an elbow. Reciprocals are clamped
-/// there, so that every number stays finite.
+/// Sine of the angle between the rods or at an elbow below which reciprocals are clamped, so that numbers stay finite.
 const SINE_FLOOR: f64 = 1.0e-6;
 
 /// Returns `1 / x` with |x| clamped to at least `floor`, so that the result is finite for any finite `x`.

@@ -27,8 +27,8 @@ const MAX_ENTRIES: usize = 6;
 pub enum Interpolation {
     /// Linear in both coordinates: continuous, error of second order in the spacing.
     Bilinear,
-    /// Catmull-Rom in both coordinates: continuous with continuous slope, error of third order. Outermost points only
-    /// give slopes.
+    /// Catmull-Rom in both coordinates: continuous with continuous slope, error of third order. The outermost points
+    /// only determine slopes.
     Bicubic,
 }
 
@@ -88,7 +88,7 @@ impl<T: Real> Grid<T> {
     }
 
     /// Returns the joint coordinates of a grid point, rad.
-    pub fn at(&self, i: usize, j: usize) -> [T; 2] {
+    pub fn coordinates(&self, i: usize, j: usize) -> [T; 2] {
         let along = |k: usize, index: usize| self.low[k] + self.spacing[k] * T::from_i32(index as i32);
         [along(0, i), along(1, j)]
     }
@@ -111,7 +111,7 @@ pub fn tabulate<T: Real, K: Math<T>, M: Mechanism<T, N>, const N: usize>(
     let mut index = 0;
     for i in 0..usize::from(grid.points[0]) {
         for j in 0..usize::from(grid.points[1]) {
-            let mass = mechanism.mass(&mechanism.pose::<K>(&joints(mechanism, &grid.at(i, j))));
+            let mass = mechanism.mass(&mechanism.pose::<K>(&joints(mechanism, &grid.coordinates(i, j))));
             for (row, column) in M::MASS_ENTRIES {
                 put(index, mass[(*row, *column)]);
                 index += 1;
@@ -135,7 +135,6 @@ pub fn joints<T: Real, M: Mechanism<T, N>, const N: usize>(mechanism: &M, shape:
 pub struct Table<T> {
     interpolation: Interpolation,
     low: [T; 2],
-    /// Inverse of the spacing, 1/rad.
     inverse_spacing: [T; 2],
     /// First and last usable cell.
     first: i32,
@@ -171,7 +170,7 @@ impl<T: Real> Table<T> {
         let mut within = [T::zero(); 2];
         for k in 0..2 {
             let u = (shape[k] - self.low[k]) * self.inverse_spacing[k];
-            let whole = u.whole();
+            let whole = u.integer_part();
             // The far edge belongs to the last cell.
             let last = self.last[k];
             let whole = if whole == last + 1 && u == T::from_i32(whole) { last } else { whole };
@@ -324,8 +323,8 @@ pub struct TableReceiver {
 }
 
 impl TableReceiver {
-    /// Appends a chunk that begins at value `offset`; 0 restarts the transfer. Returns false if another offset does not
-    /// continue it, if the table would be too long, or if a value is not finite.
+    /// Appends a chunk that begins at value `offset`; 0 restarts the transfer. Returns false if the offset does not
+    /// continue the transfer, if the table would be too long, or if a value is not finite.
     pub fn take(&mut self, offset: usize, chunk: &[f32]) -> bool {
         if !self.fits(offset, chunk) {
             return false;

@@ -29,8 +29,8 @@ use nalgebra::{SMatrix, SVector};
 
 /// Maximum number of sweeps of Jacobi rotations. Two directions need one; three are exact to rounding after four.
 const MAX_SWEEPS: usize = 6;
-/// Largest error of a normal's squared length that is ignored, to save a root. The normals of a scene are within it;
-/// the normal of the host's plane is shorter while the plane moves.
+/// Largest error of a normal's squared length that is ignored, to save a square root. Only the normal of a moving plane
+/// of the host has a larger error.
 const UNIT_TOLERANCE: f64 = 1.0e-5;
 
 /// The stiffness of one wall or spring, as used to select the rendered directions.
@@ -70,18 +70,18 @@ pub struct Principal<T: Real, const N: usize> {
     pub basis: SMatrix<T, N, N>,
     /// k₁ ≥ k₂ ≥ …, divided by the stiffness of the stiffest wall; zero beyond the task.
     pub stiffness: SVector<T, N>,
-    /// Part of `stiffness` from springs and from walls without the feed-forward.
+    /// Part of `stiffness` that springs and walls without the feed-forward contribute.
     pub plain: SVector<T, N>,
 }
 
 impl<T: Real, const N: usize> Principal<T, N> {
-    /// Computes the principal directions of walls in a task of `task` dimensions. If no wall has stiffness, all count
-    /// equally. Uses Jacobi rotations of K in a frame that begins with the stiffest wall's normal, in which that wall
-    /// is a single entry whose rounding does not hide a soft wall.
+    /// Computes the principal directions of walls in a task of `task` dimensions. If no wall has stiffness, all walls
+    /// count equally. Uses Jacobi rotations of K in a frame that begins with the stiffest wall's normal, so that
+    /// rounding errors of the stiffest wall do not hide a soft wall.
     #[inline(never)]
     pub fn new<K: Math<T>>(pulls: &[Pull<T, N>], task: usize) -> Self {
         let largest = pulls.iter().fold(T::zero(), |largest, pull| pull.stiffness.greater(largest));
-        // A smaller value counts as zero, because its inverse would overflow.
+        // A smaller stiffness counts as zero, because its inverse would overflow.
         let inverse = (largest > T::EPSILON * T::EPSILON).then(|| T::one() / largest);
         let weight = |pull: &Pull<T, N>| inverse.map_or(T::one(), |inverse| pull.stiffness * inverse);
         let task = task.min(N);
@@ -124,7 +124,7 @@ impl<T: Real, const N: usize> Principal<T, N> {
 
     /// Returns the stiffness of direction `i`, counted from 0; zero beyond the last direction.
     #[inline(always)]
-    pub fn along(&self, i: usize) -> T {
+    pub fn stiffness_along(&self, i: usize) -> T {
         self.stiffness.get(i).copied().unwrap_or_default()
     }
 
@@ -133,13 +133,13 @@ impl<T: Real, const N: usize> Principal<T, N> {
     /// feed-forward.
     #[inline(always)]
     pub fn share(&self, rendered: usize) -> T {
-        let (stiffer, softer) = (self.along(rendered.wrapping_sub(1)), self.along(rendered));
+        let (stiffer, softer) = (self.stiffness_along(rendered.wrapping_sub(1)), self.stiffness_along(rendered));
         if stiffer > T::zero() {
             let ratio = (softer / stiffer).lesser(T::one());
             let sum = |of: &SVector<T, N>| of.iter().take(rendered).fold(T::zero(), |sum, along| sum + *along);
             let without = sum(&self.plain);
             let with = (sum(&self.stiffness) - without) * stiffer;
-            (T::one() - ratio) * (T::one() + ratio) * (with / (with + without * self.along(0)))
+            (T::one() - ratio) * (T::one() + ratio) * (with / (with + without * self.stiffness_along(0)))
         } else {
             T::zero()
         }
@@ -151,7 +151,7 @@ impl<T: Real, const N: usize> Principal<T, N> {
     /// subtracted from the walls' force (N m, see [`Shaping::torque`]). Returns the joint torques of all levels (N m)
     /// and the force that is left for Jᵀ (N).
     #[inline(always)]
-    pub fn shaped(
+    pub fn feed_forward(
         &self,
         shapings: &[Shaping<T, N>; N],
         force: &SVector<T, N>,
@@ -195,7 +195,7 @@ impl<T: Real, const N: usize> Principal<T, N> {
     }
 }
 
-fn unit<T: Real, const N: usize>(i: usize) -> SVector<T, N> {
+fn unit_vector<T: Real, const N: usize>(i: usize) -> SVector<T, N> {
     SVector::from_fn(|row, _| if row == i { T::one() } else { T::zero() })
 }
 
@@ -206,7 +206,7 @@ fn frame<T: Real, K: Math<T>, const N: usize>(
     weight: impl Fn(&Pull<T, N>) -> T,
     task: usize,
 ) -> [SVector<T, N>; N] {
-    let mut axes: [SVector<T, N>; N] = core::array::from_fn(|i| unit(i));
+    let mut axes: [SVector<T, N>; N] = core::array::from_fn(|i| unit_vector(i));
     let walls = || pulls.iter().filter(|pull| !pull.across);
     let mut largest = T::zero();
     for pull in walls() {
@@ -248,7 +248,7 @@ fn frame<T: Real, K: Math<T>, const N: usize>(
 /// Returns a unit vector perpendicular to the unit vector `n` in space, from the coordinate axis farthest from `n`.
 fn perpendicular_to<T: Real, K: Math<T>, const N: usize>(n: &SVector<T, N>) -> SVector<T, N> {
     let smallest = (1..N.min(3)).fold(0, |smallest, i| if n[i].abs() < n[smallest].abs() { i } else { smallest });
-    let part = unit::<T, N>(smallest) - n * n[smallest];
+    let part = unit_vector::<T, N>(smallest) - n * n[smallest];
     part / K::sqrt(part.dot(&part))
 }
 

@@ -1,5 +1,4 @@
-//! The shipped device files, as text for `haptic-host`. devices/ is in this package, because a crate can only include
-//! its own files.
+//! The shipped device files, as text for `haptic-host`.
 
 /// A five-bar with strong coupling: the device of the demo and of a simulated board.
 pub const COUPLED_FIVE_BAR: &str = include_str!("../../devices/coupled-five-bar.toml");

@@ -87,7 +87,7 @@ pub fn quotient<T: Real, const N: usize>(a: &SMatrix<T, N, N>, y: &SVector<T, N>
     (above, below)
 }
 
-/// Returns `pivot`, but at least the smallest usable positive number for a remainder of the diagonal entry `of`.
+/// Returns `pivot`, or the smallest usable positive number if `pivot` is only rounding of the diagonal entry `of`.
 #[inline(always)]
 fn clamped_pivot<T: Real>(pivot: T, of: T) -> T {
     pivot.greater(T::EPSILON * T::EPSILON * T::EPSILON * of.abs().greater(T::EPSILON))

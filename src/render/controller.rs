@@ -99,7 +99,7 @@ impl<T: Real, const N: usize> core::ops::Deref for Step<T, N> {
 
 /// The control step of one mechanism with N joints, its scene, and its state between steps.
 ///
-/// The field order keeps the fields of a usual step within the 1 KB that the FPU's loads reach.
+/// The field order keeps the fields of a usual step within the 1 KB that FPU loads can address.
 #[derive(Clone, Debug)]
 #[repr(C)]
 pub struct Controller<T: Real, M, K, const N: usize> {
@@ -109,9 +109,9 @@ pub struct Controller<T: Real, M, K, const N: usize> {
     /// True if b of the shaped torque can be nonzero.
     has_bias: bool,
     /// True if b is c - M J⁻¹ J̇ q̇ only, and no part of b is subtracted from a wall's force.
-    usual_terms: bool,
+    has_usual_terms: bool,
     /// True if b also contains the rotation of normals.
-    turning_terms: bool,
+    has_turning_terms: bool,
     /// True if the walls' energy is counted, for the passivity controller or for display.
     is_counting_energy: bool,
     is_passivity_on: bool,
@@ -121,13 +121,13 @@ pub struct Controller<T: Real, M, K, const N: usize> {
     walls: Walls<T>,
     observers: Observers<T, N>,
     viscous: SVector<T, N>,
-    /// α of the feed-forward, if it exceeds 1: only then is the pole of the inertia within reach.
+    /// α of the feed-forward if α exceeds 1, because only a larger α can reach the pole of the inertia.
     gain: Option<T>,
     admissible: Admissible,
     posture: Option<Posture<T>>,
     guidance: Guidance<T>,
     mass: MassModel<T, N>,
-    /// Placed beyond the reach of the FPU's loads, because it needs an address of its own in any case.
+    /// Placed last, because other fields need to be near for the FPU's loads.
     passivity: Passivity<T, N>,
     math: PhantomData<K>,
 }
@@ -156,17 +156,17 @@ fn prepare<T: Real, K: Math<T>>(
 
 impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K, N> {
     /// Makes the run-time form of `scene` on this mechanism, or returns an error of [`Scene::check`]. Designs filters,
-    /// so do not call it in the control step.
+    /// so do not call this function in the control step.
     #[inline(never)]
     pub fn new(mechanism: M, device: &Device<T>, scene: &Scene<T>) -> Result<Self, SceneError> {
         let PreparedScene { coefficients, walls, guidance } = prepare::<T, K>(device, scene, M::SPEC.task)?;
         if scene.posture.is_some() && M::SPEC.task == N {
             return Err(SceneError::Posture);
         }
-        let has_bias = scene.velocity_terms != VelocityTerms::Off || walls.damped;
+        let has_bias = scene.velocity_terms != VelocityTerms::Off || walls.compensates_damping;
         // True if no part of b is subtracted from a wall's force.
-        let rendered = scene.velocity_terms == VelocityTerms::Rendered && !walls.damped;
-        let turns = walls.curved && M::SPEC.task > 1;
+        let rendered = scene.velocity_terms == VelocityTerms::Rendered && !walls.compensates_damping;
+        let turns = walls.has_curved_wall && M::SPEC.task > 1;
         let moving = has_bias || guidance.is_active || scene.posture.is_some();
         Ok(Self {
             mechanism,
@@ -184,8 +184,8 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
             admissible: scene.admissible,
             posture: scene.posture,
             has_bias,
-            usual_terms: rendered && !turns,
-            turning_terms: rendered && turns,
+            has_usual_terms: rendered && !turns,
+            has_turning_terms: rendered && turns,
             is_counting_energy: false,
             is_passivity_on: false,
             variant: StepVariant::Restart,
@@ -336,8 +336,8 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         self.guidance.forget();
     }
 
-    /// Turns the passivity controller on or off. If it is off, the walls' energy is counted only if `shown`. A change
-    /// clears the count.
+    /// Turns the passivity controller on or off. The walls' energy is counted if the controller is on or the energy is
+    /// `shown`. A change clears the count.
     pub fn set_passivity(&mut self, on: bool, shown: bool) {
         let counts = on || shown;
         if (self.is_counting_energy, self.is_passivity_on) != (counts, on) {
@@ -359,14 +359,14 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         self.select_variant();
     }
 
-    /// Returns the tip velocity (m/s) at these counts and joint velocities (rad/s), and the force of the host's push
-    /// there (N). Computes a pose, so do not call it inside the control step.
-    pub fn pushed(&self, counts: &[i32; N], qd: &SVector<T, N>) -> (SVector<T, N>, SVector<T, N>) {
+    /// Returns the tip velocity (m/s) and the force of the host's push (N) for these counts and joint velocities
+    /// (rad/s). Computes a pose, so do not call this function inside the control step.
+    pub fn velocity_and_push(&self, counts: &[i32; N], qd: &SVector<T, N>) -> (SVector<T, N>, SVector<T, N>) {
         let (_, angles) = self.encoders.angles(counts);
         let pose = shared_pose::<T, K, M, N>(&self.mechanism, &angles);
         let place = task_part::<T, M, N>(&self.mechanism.tip(&pose));
         let velocity = task_part::<T, M, N>(&self.mechanism.velocity(&pose, qd));
-        let force = self.guidance.push().map_or(SVector::zeros(), |push| push.at(&place, &velocity));
+        let force = self.guidance.push().map_or(SVector::zeros(), |push| push.force_at(&place, &velocity));
         (velocity, force)
     }
 

@@ -161,7 +161,7 @@ pub struct Spring<T> {
 pub struct Posture<T> {
     /// Orientation φ to hold, rad.
     pub orientation: T,
-    /// Stiffness at `orientation`, N m/rad. Also the largest moment, N m, because it grows as the sine.
+    /// Stiffness at `orientation`, N m/rad. Also the largest moment (N m), because the moment grows as the sine.
     pub stiffness: T,
     /// Damping, N m s/rad.
     pub damping: T,
@@ -355,7 +355,7 @@ impl<T: Real> Scene<T> {
         if !below_half(self.cutoff_hz) {
             return Err(SceneError::Cutoff);
         }
-        if !self.estimator.valid() {
+        if !self.estimator.is_valid() {
             return Err(SceneError::Estimator);
         }
         let shaped = self.walls.iter().filter(|wall| wall.feed_forward != FeedForward::Off).count();
@@ -374,7 +374,7 @@ impl<T: Real> Scene<T> {
             if task < wall.surface.spec().least_task {
                 return Err(SceneError::Shape(index));
             }
-            if !wall.surface.valid(task) {
+            if !wall.surface.is_valid(task) {
                 return Err(SceneError::Surface(index));
             }
         }
@@ -382,7 +382,7 @@ impl<T: Real> Scene<T> {
             let length = squared(&spring.direction);
             gain(spring.stiffness)
                 && gain(spring.damping)
-                && finite(&spring.point)
+                && is_finite_point(&spring.point)
                 && (length == T::zero() || is_unit(length))
         });
         if !springs || !gain(self.field_damping) {
@@ -397,7 +397,7 @@ impl<T: Real> Scene<T> {
     }
 }
 
-fn finite<T: Real>(v: &[T; 3]) -> bool {
+fn is_finite_point<T: Real>(v: &[T; 3]) -> bool {
     v.iter().all(|entry| entry.is_finite())
 }
 

@@ -216,7 +216,7 @@ const fn default_options(spec: &EstimatorSpec) -> Chosen {
 }
 
 impl Estimator {
-    /// Returns its name in scene files and on the command line.
+    /// Returns the estimator's name in scene files and on the command line.
     pub fn name(&self) -> &'static str {
         match self {
             Self::Butterworth => "butterworth",
@@ -227,7 +227,7 @@ impl Estimator {
     }
 
     /// Returns true if the additional value is in its range.
-    pub fn valid(&self) -> bool {
+    pub fn is_valid(&self) -> bool {
         let (Some(spec), Some(chosen)) = (self.spec(), self.chosen()) else { return true };
         let (smallest, largest) = spec.key.map_or((0, 0), |key| key.range);
         (smallest..=largest).contains(&chosen.value)
@@ -240,8 +240,8 @@ pub struct Coefficients<T: Real> {
     /// Control rate, Hz.
     rate: T,
     kind: Estimator,
-    /// 1 - a₁: the share of the low-pass's band-pass state that is lost in half a step, zero for a first-order
-    /// low-pass. a₁ itself would lose the small share of a low cutoff to rounding.
+    /// 1 - a₁: the share of the low-pass's band-pass state that is lost in half a step. Stored instead of a₁, whose
+    /// rounding would hide the small share of a low cutoff. Zero for a first-order low-pass.
     loss: T,
     a2: T,
     a3: T,
@@ -305,7 +305,7 @@ impl<T: Real> Coefficients<T> {
     }
 
     /// Makes [`Coefficients::new`] with the joint velocities that single counts of the device's encoders cause.
-    /// Simulates these counts step by step, so do not call it inside the control step.
+    /// Simulates these counts step by step, so do not call this function inside the control step.
     #[inline(never)]
     pub fn of_device<K: Math<T>>(
         (kind, rate_hz, cutoff_hz): (Estimator, T, T),

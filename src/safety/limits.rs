@@ -30,8 +30,8 @@ pub struct Limits {
 pub const GENTLE_FORCE: f32 = 5.0;
 /// Highest force limit at the tip that a board with real motors accepts, N.
 pub const MAX_TIP_FORCE: f32 = 100.0;
-/// Largest tip force of the currents computed from the motors' voltages, as a multiple of the force limit at the tip.
-/// Bounds the force that a wrong current sensor can hide.
+/// Largest tip force of the currents computed from the motors' voltages, as a multiple of the force limit at the tip,
+/// because a wrong current sensor can hide a force.
 pub const VOLTS_MARGIN: f32 = 1.5;
 
 /// Returns the force limit at the tip for a backup whose limits contain none.
@@ -133,12 +133,12 @@ impl core::fmt::Display for BadLimit {
 
 impl Limits {
     /// Returns true if every number is finite, positive and not larger than in `most`.
-    pub fn within(&self, most: &Self) -> bool {
-        self.wrong(most).is_none()
+    pub fn is_within(&self, most: &Self) -> bool {
+        self.first_wrong_limit(most).is_none()
     }
 
     /// Returns the first number that is not positive, or larger than in `most`.
-    pub fn wrong(&self, most: &Self) -> Option<BadLimit> {
+    pub fn first_wrong_limit(&self, most: &Self) -> Option<BadLimit> {
         let each = [
             (Limit::Torque, &self.torque, &most.torque),
             (Limit::Current, &self.current, &most.current),
@@ -169,10 +169,10 @@ impl Limits {
     }
 
     /// Returns true if no limit is higher than in `other`, so that the change is safe at any time.
-    pub fn no_higher_than(&self, other: &Self) -> bool {
+    pub fn is_no_higher_than(&self, other: &Self) -> bool {
         let mut steady = self.continuous_current.iter().zip(&other.continuous_current);
-        // Compared only with the new current limit, because that limit may be below the old continuous current.
+        // Compared with the new current limit only, because the new limit may be below the old continuous current.
         let rest = Self { continuous_current: self.current, ..*self };
-        steady.all(|(value, bound)| *value > 0.0 && value <= bound) && rest.within(other)
+        steady.all(|(value, bound)| *value > 0.0 && value <= bound) && rest.is_within(other)
     }
 }

@@ -2,8 +2,8 @@
 //! replies are frames. After every step and every request the board asserts the safety invariants.
 #![allow(dead_code, reason = "the library's tests, the tool's tests and the fuzzer each use a part")]
 
-use haptic_bridge::board::dispatch::{self, After, Described};
-use haptic_bridge::board::machine::{Machine, Measured};
+use haptic_bridge::board::dispatch::{self, AfterReply, Described};
+use haptic_bridge::board::machine::{Machine, Measurements};
 use haptic_bridge::board::protocol::{ForceAnswer, ForceRequest, Info, MAX_FRAME, PROTOCOL};
 use haptic_bridge::board::service::Service;
 use haptic_bridge::board::settings::{Entry, Key};
@@ -51,9 +51,9 @@ impl RigMachine {
 
 impl Machine for RigMachine {
     type Math = BoardMath;
-    type Held = Box<Program<BoardMath>>;
+    type StoredProgram = Box<Program<BoardMath>>;
 
-    fn execute(&mut self, command: Command<Self::Held>) -> Reply<Self::Held> {
+    fn execute(&mut self, command: Command<Self::StoredProgram>) -> Reply<Self::StoredProgram> {
         self.control_loop.execute(command)
     }
     fn status(&mut self) -> Status {
@@ -62,10 +62,10 @@ impl Machine for RigMachine {
     fn force(&mut self, request: &ForceRequest) -> ForceAnswer {
         self.control_loop.force(request)
     }
-    fn place(&mut self, program: Program<BoardMath>) -> Result<Self::Held, Refusal> {
+    fn place(&mut self, program: Program<BoardMath>) -> Result<Self::StoredProgram, Refusal> {
         Ok(Box::new(program))
     }
-    fn release(&mut self, _held: Self::Held) {}
+    fn release(&mut self, _held: Self::StoredProgram) {}
     fn retime(&mut self, _rate_hz: f32) {
         assert!(!self.control_loop.status().state.drives(), "the timer is set while the motors are on");
         self.carrier_sets += 1;
@@ -99,8 +99,8 @@ impl Described for RigMachine {
             serial: "B1".chars().collect(),
         }
     }
-    fn measured(&mut self) -> Measured {
-        Measured::default()
+    fn measurements(&mut self) -> Measurements {
+        Measurements::default()
     }
 }
 
@@ -255,7 +255,7 @@ impl Board {
     pub fn check_invariants(&self) {
         let state = self.state();
         let limits = self.service.rules().limits;
-        assert!(limits.within(&self.board_limits), "limits above the board's own: {limits:?}");
+        assert!(limits.is_within(&self.board_limits), "limits above the board's own: {limits:?}");
         let duties = self.duties;
         assert!(duties.iter().all(|duty| duty.abs() <= MAX_DUTY), "{duties:?} with {:?}", self.samples);
         if !state.drives() {
@@ -283,9 +283,9 @@ impl Board {
         self.check_invariants();
         self.check_slow_faults(&samples);
         match after {
-            After::Nothing => {}
-            After::Stream(request, axes) => self.packer.start(&request, axes),
-            After::BootLoader | After::Restart => {
+            AfterReply::Nothing => {}
+            AfterReply::Stream(request, axes) => self.packer.start(&request, axes),
+            AfterReply::BootLoader | AfterReply::Restart => {
                 assert!(!self.state().drives(), "the board restarts with its motors on");
                 *self = Self::with_flash(self.hardware.real, core::mem::take(&mut self.machine.flash.committed));
             }

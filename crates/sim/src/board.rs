@@ -11,7 +11,7 @@ use super::hand_loop::HandLoop;
 use super::machine::LocalMachine;
 use super::motor::{MotorInput, PowerStage};
 use super::port::Port;
-use haptic_bridge::board::dispatch::{self, After};
+use haptic_bridge::board::dispatch::{self, AfterReply};
 use haptic_bridge::board::protocol::{FaultSeen, Info, MAX_FRAME, PROTOCOL, Telemetry};
 use haptic_bridge::board::service::Service;
 use haptic_bridge::board::telemetry::Packer;
@@ -438,7 +438,7 @@ impl SimulatedBoard {
     /// after which the board acts, s. Returns `None` while the board would not act.
     pub fn host_silence(&self) -> Option<(f64, f64)> {
         let (rules, control_loop) = (self.service.rules(), &self.machine.control_loop);
-        let host = (rules.host_action != HostAction::Ignore).then(|| (control_loop.host_silent(), rules.host_seconds));
+        let host = (rules.host_action != HostAction::Ignore).then(|| (control_loop.host_silence(), rules.host_seconds));
         let (silent, allowed) = control_loop.key_age().or(host).filter(|_| self.status().state.drives())?;
         Some((f64::from(silent), f64::from(allowed)))
     }
@@ -471,7 +471,7 @@ impl SimulatedBoard {
         let mut out = [0; MAX_FRAME];
         let (reply, after) = dispatch::answer(&mut self.service, &mut self.machine, frame, &mut out);
         // Sends the last rows of the present stream before the reply that ends the stream.
-        if matches!(after, After::Stream(..))
+        if matches!(after, AfterReply::Stream(..))
             && let Some(batch) = self.packer.flush()
         {
             self.link.publish::<Telemetry>(batch);
@@ -480,13 +480,13 @@ impl SimulatedBoard {
             self.link.send(reply);
         }
         match after {
-            After::Nothing => {}
-            After::Stream(request, axes) => {
+            AfterReply::Nothing => {}
+            AfterReply::Stream(request, axes) => {
                 self.packer.start(&request, axes);
                 self.dropped = 0;
             }
             // There is no boot loader to enter; a real boot loader would end with a restart.
-            After::BootLoader | After::Restart => self.restart(),
+            AfterReply::BootLoader | AfterReply::Restart => self.restart(),
         }
     }
 

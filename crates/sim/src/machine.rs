@@ -2,7 +2,7 @@
 
 use super::flash::SettingsFlash;
 use haptic_bridge::board::dispatch::Described;
-use haptic_bridge::board::machine::{Machine, Measured};
+use haptic_bridge::board::machine::{Machine, Measurements};
 use haptic_bridge::board::protocol::{ForceAnswer, ForceRequest, Info};
 use haptic_bridge::board::settings::{Entry, Key};
 use haptic_bridge::control::compiled::BoardMath;
@@ -48,9 +48,9 @@ impl LocalMachine {
 
 impl Machine for LocalMachine {
     type Math = BoardMath;
-    type Held = Box<Program<BoardMath>>;
+    type StoredProgram = Box<Program<BoardMath>>;
 
-    fn execute(&mut self, command: Command<Self::Held>) -> Reply<Self::Held> {
+    fn execute(&mut self, command: Command<Self::StoredProgram>) -> Reply<Self::StoredProgram> {
         self.control_loop.execute(command)
     }
     fn status(&mut self) -> Status {
@@ -59,10 +59,10 @@ impl Machine for LocalMachine {
     fn force(&mut self, request: &ForceRequest) -> ForceAnswer {
         self.control_loop.force(request)
     }
-    fn place(&mut self, program: Program<BoardMath>) -> Result<Self::Held, Refusal> {
+    fn place(&mut self, program: Program<BoardMath>) -> Result<Self::StoredProgram, Refusal> {
         Ok(Box::new(program))
     }
-    fn release(&mut self, _held: Self::Held) {}
+    fn release(&mut self, _held: Self::StoredProgram) {}
     fn retime(&mut self, rate_hz: f32) {
         debug_assert!(self.motors_are_off(), "the timer is set while the motors are on");
         self.carrier = Carrier::for_rate(self.carrier.timer_hz, rate_hz);
@@ -88,8 +88,8 @@ impl Described for LocalMachine {
     fn info(&self) -> Info {
         self.info.clone()
     }
-    fn measured(&mut self) -> Measured {
+    fn measurements(&mut self) -> Measurements {
         let delay = self.delay / f64::from(self.carrier.divider);
-        Measured { carrier_hz: self.carrier.carrier_hz(), delay_samples: delay as f32, ..Measured::default() }
+        Measurements { carrier_hz: self.carrier.carrier_hz(), delay_samples: delay as f32, ..Measurements::default() }
     }
 }

@@ -318,7 +318,7 @@ fn directions<T: Real, const N: usize>(principal: &Principal<T, N>, task: usize)
     (0..task)
         .map(|i| Direction {
             along: list(&principal.direction(i), 0..task),
-            stiffness: principal.along(i).to_f64(),
+            stiffness: principal.stiffness_along(i).to_f64(),
             share: (i + 1 < N).then(|| principal.share(i + 1).to_f64()),
         })
         .collect()

@@ -40,7 +40,7 @@ pub struct ToyBoard;
 impl Board for ToyBoard {
     const NAME: &'static str = "toy-board";
     /// The pin of the bus divider identifies the board.
-    const IDENTITY: IdentityPins = IdentityPins { held: &[Pin::new('C', 3)], open: &[] };
+    const IDENTITY: IdentityPins = IdentityPins { held_pins: &[Pin::new('C', 3)], open_pins: &[] };
     const AXES: usize = 1;
     const BRIDGE: Bridge =
         Bridge { carrier_hz: CARRIER_MIN_HZ as f32, dead_time: 0.0, bandwidth_hz: 1000.0, current_sensed: true };

@@ -9,7 +9,6 @@ use super::{Common, IdentityPins, Pin};
 use crate::adc;
 use crate::board::MONITOR_2V9;
 
-/// The wires of this board.
 pub struct HBridgeF405;
 
 impl Wires for HBridgeF405 {
@@ -17,7 +16,7 @@ impl Wires for HBridgeF405 {
     /// The bus divider holds PC3 with 0.9 kohm, with the supply on or off. PA6 and PB9 are open, but an ODrive has its
     /// bus divider at PA6, and a Discovery board pulls PB9 up.
     const IDENTITY: IdentityPins =
-        IdentityPins { held: &[Pin::new('C', 3)], open: &[Pin::new('A', 6), Pin::new('B', 9)] };
+        IdentityPins { held_pins: &[Pin::new('C', 3)], open_pins: &[Pin::new('A', 6), Pin::new('B', 9)] };
     const SUPPLY_LEVEL: u8 = MONITOR_2V9;
     const ENABLE_PIN: (Gpio, usize) = (GPIOC, 6);
     const BREAK_PIN: (Gpio, usize) = (GPIOB, 12);

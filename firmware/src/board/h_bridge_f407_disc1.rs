@@ -10,20 +10,18 @@ use embassy_stm32::pac::{GPIOA, GPIOE};
 use super::h_bridges::{Pins, Wires};
 use super::{Common, IdentityPins, Pin};
 
-/// The converters' reference, V.
 const REFERENCE_V: f32 = 3.0;
 /// Level of the supply monitor: 2.66 V for a falling, at most 2.82 V for a rising supply (STM32F407 datasheet, table
 /// 19). The next level may need 2.99 V, which the board may not reach. The flash is fast enough down to 2.7 V.
 const MONITOR_2V7: u8 = 4;
 
-/// The wires of this board.
 pub struct HBridgeF407Disc1;
 
 impl Wires for HBridgeF407Disc1 {
     const NAME: &'static str = "h-bridge-f407-disc1";
     /// The bus divider holds PC4, with the supply on or off, and the board pulls PB9 up for its audio chip. Both pins
     /// are open on an STM32F405 module, and PC4 is a free connector pin on an ODrive.
-    const IDENTITY: IdentityPins = IdentityPins { held: &[Pin::new('C', 4), Pin::new('B', 9)], open: &[] };
+    const IDENTITY: IdentityPins = IdentityPins { held_pins: &[Pin::new('C', 4), Pin::new('B', 9)], open_pins: &[] };
     const SUPPLY_LEVEL: u8 = MONITOR_2V7;
     const ENABLE_PIN: (Gpio, usize) = (GPIOE, 14);
     const BREAK_PIN: (Gpio, usize) = (GPIOE, 15);

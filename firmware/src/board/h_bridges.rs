@@ -34,7 +34,6 @@ const DEAD_TIME_TICKS: u8 = 17;
 /// Amperes per volt at a current input: a 185 mV/A Hall sensor behind a divider from 5 V to 3.3 V. A board with another
 /// reference divides to its reference, so that a count is the same current.
 const AMPERES_PER_VOLT: f32 = 1.0 / (0.185 * 0.66);
-/// Amperes per count of the converter.
 const AMPERES_PER_COUNT: f32 = adc::REFERENCE_V / adc::FULL_SCALE * AMPERES_PER_VOLT;
 /// Largest distance of a zero from the middle of the converter's range, counts: 40 mV of the sensor's own offset and 5
 /// % of the halved supply, behind the divider. A larger distance means at least 0.9 A through a bridge that is off.
@@ -48,9 +47,7 @@ const TIM2: TimGp16 = unsafe { TimGp16::from_ptr(pac::TIM2.as_ptr()) };
 pub trait Wires {
     const NAME: &'static str;
     const IDENTITY: IdentityPins;
-    /// The level of the supply monitor.
     const SUPPLY_LEVEL: u8;
-    /// The bridges' enable line.
     const ENABLE_PIN: (Gpio, usize);
     const BREAK_PIN: (Gpio, usize);
     /// Masks of the index inputs in port C.
@@ -67,11 +64,8 @@ pub trait Wires {
 
 type AnyPeri = Peri<'static, AnyPin>;
 
-/// A board's pins.
 pub struct Pins {
-    /// The pin of [`Wires::ENABLE_PIN`].
     pub enable: AnyPeri,
-    /// The pin of [`Wires::BREAK_PIN`].
     pub break_input: AnyPeri,
     /// TIM1's channels and their complements.
     pub gates: [AnyPeri; 2 * AXES],
@@ -214,7 +208,7 @@ impl<W: Wires> Io for BridgeIo<W> {
     }
 
     fn learn_zeros(&mut self) {
-        self.zeros.take(Self::raw_readings());
+        self.zeros.update(Self::raw_readings());
         self.offsets = self.zeros.get().map(|zero| -AMPERES_PER_COUNT * zero);
     }
 

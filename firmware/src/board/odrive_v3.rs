@@ -34,10 +34,9 @@ const AXES: usize = 2;
 const DEAD_TIME_TICKS: u8 = 20;
 /// Resistance of the low-side shunts under phases B and C, ohm.
 const SHUNT_OHM: f32 = 500e-6;
-/// Amperes per count of the converter.
 const AMPERES_PER_COUNT: f32 = adc::REFERENCE_V / adc::FULL_SCALE / drv8301::AMPLIFIER_GAIN / SHUNT_OHM;
-/// Largest distance of a zero from the middle of the converter's range, counts: 1.5 times the amplifier's gain times
-/// its 4 mV of input offset (SLOS719F section 6.5). No current adds to a zero, because the inputs are shorted.
+/// Largest distance of a zero from the middle of the converter's range, counts: 1.5 times the amplifier's input offset
+/// of 4 mV times the gain (SLOS719F section 6.5). No current adds to a zero, because the inputs are shorted.
 const MAX_ZERO_DISTANCE: u16 = 600;
 /// Largest apparent current with learned zeros and the bridges off, A: noise, and the effect of connecting the inputs.
 const MAX_STRAY_CURRENT: f32 = 0.5;
@@ -52,7 +51,6 @@ const EN_GATE: usize = 12;
 /// Bit of nFAULT in port D.
 const N_FAULT: usize = 2;
 
-/// The ODrive v3.6 board.
 pub struct OdriveV3;
 
 impl Board for OdriveV3 {
@@ -60,10 +58,10 @@ impl Board for OdriveV3 {
     /// The bus divider holds PA6 with 0.9 kohm, with the supply on or off, and a thermistor with 3.3 kohm to the supply
     /// holds PC5. On a Discovery board PA6 is an output of its accelerometer, and PC5 is free. The two DRV8301 can be
     /// identified only while EN_GATE is high, so arming reads their registers back.
-    const IDENTITY: IdentityPins = IdentityPins { held: &[Pin::new('A', 6), Pin::new('C', 5)], open: &[] };
+    const IDENTITY: IdentityPins = IdentityPins { held_pins: &[Pin::new('A', 6), Pin::new('C', 5)], open_pins: &[] };
     const AXES: usize = AXES;
-    /// Data of the bridges. The current loop's bandwidth is the lowest carrier frequency / (10 * 2 pi), rounded down.
-    /// With half a period of delay it has a phase margin of 60 degrees at any carrier.
+    /// Data of the bridges. The current loop has a phase margin of 60 degrees with half a carrier period of delay,
+    /// because its bandwidth is the lowest carrier frequency / (10 * 2 pi), rounded down.
     const BRIDGE: Bridge = Bridge {
         carrier_hz: CARRIER_MIN_HZ as f32,
         dead_time: DEAD_TIME_TICKS as f32 / TIMER_HZ as f32,
@@ -222,7 +220,7 @@ impl Io for Pins {
     }
 
     fn learn_zeros(&mut self) {
-        self.zeros.take(Self::raw_readings());
+        self.zeros.update(Self::raw_readings());
         let zero = self.zeros.get().map(|zero| AMPERES_PER_COUNT * zero);
         for (axis, off) in self.offsets.iter_mut().enumerate() {
             let (b, c) = (zero[2 * axis], zero[2 * axis + 1]);

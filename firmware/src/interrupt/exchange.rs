@@ -23,9 +23,7 @@ pub enum Request {
     None,
 }
 
-/// The outcome of a request.
 pub struct Outcome {
-    /// Reply to a command.
     pub reply: Reply<BoardProgram>,
     /// Status of the control loop after the request.
     pub status: Status,

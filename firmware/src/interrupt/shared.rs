@@ -17,8 +17,8 @@ pub struct Shared {
     pub overruns: AtomicU32,
     /// Longest time from a crest to the end of its interrupt, core cycles.
     pub longest_cycles: AtomicU32,
-    /// Time from the end of this crest's work to the valley, core cycles.
-    pub(super) least_left: AtomicU32,
+    /// Shortest time so far from the end of a crest's work to the valley, core cycles.
+    pub(super) least_margin: AtomicU32,
     /// True if the gate drivers are enabled and configured, so that the bridges may be connected.
     pub gate_ready: AtomicBool,
     /// True while a flash operation may stall the program, so that missed crests do not count as overruns.
@@ -34,7 +34,7 @@ impl Shared {
             frames_dropped: AtomicU32::new(0),
             overruns: AtomicU32::new(0),
             longest_cycles: AtomicU32::new(0),
-            least_left: AtomicU32::new(0),
+            least_margin: AtomicU32::new(0),
             gate_ready: AtomicBool::new(false),
             stall_expected: AtomicBool::new(false),
         }

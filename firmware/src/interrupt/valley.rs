@@ -8,30 +8,30 @@ use haptic_bridge::control::{Command, compiled};
 
 use super::exchange::{Exchange, Outcome, Request};
 use super::shared::increment;
-use super::{CONTROL, EXTREME_CYCLES, InterruptState, NO_STEP, OVERRAN, UNCONNECTED, UNRECORDED, after_step};
+use super::{CONTROL, EXTREME_CYCLES, InterruptState, NO_STEP, OVERRAN, UNCONNECTED, UNRECORDED, initial_countdown};
 use crate::board::Io as _;
 use crate::warmth;
 
 impl InterruptState {
     #[inline(always)]
     pub(super) fn valley(&mut self) {
-        self.valley_at = DWT::cycle_count();
-        if !self.driving {
+        self.cycles_at_valley = DWT::cycle_count();
+        if !self.is_driving {
             self.valley_floating();
         }
         self.io.clear_flags();
         // The timer has just loaded the duties of the last step, unless the duties are late.
-        if self.pending {
-            self.pending = false;
+        if self.duties_pending {
+            self.duties_pending = false;
             self.io.write(&self.legs);
         }
-        if self.before_step & UNRECORDED != 0 {
+        if self.step_countdown & UNRECORDED != 0 {
             self.record();
         } else {
             self.check_crest_between();
         }
         let drives = compiled::check_slow_faults(&mut self.control_loop, &self.samples).bridges;
-        if !drives && self.driving {
+        if !drives && self.is_driving {
             self.float_bridges();
         }
         let request = CONTROL.request.load(Ordering::Acquire);
@@ -41,7 +41,7 @@ impl InterruptState {
             if self.carry_out(unsafe { &mut *request }) {
                 CONTROL.request.store(core::ptr::null_mut(), Ordering::Release);
             }
-            if self.driving && self.since_valley() > 2 * u32::from(self.io.carrier().top) {
+            if self.is_driving && self.cycles_since_valley() > 2 * u32::from(self.io.carrier().top) {
                 self.crest_missed();
             }
         }
@@ -51,10 +51,10 @@ impl InterruptState {
     #[cold]
     #[inline(never)]
     fn check_crest_between(&mut self) {
-        if self.before_step & NO_STEP == 0 && self.driving {
+        if self.step_countdown & NO_STEP == 0 && self.is_driving {
             self.crest_missed();
         }
-        self.before_step &= !NO_STEP;
+        self.step_countdown &= !NO_STEP;
     }
 
     /// Turns the motors off because a crest passed without its interrupt.
@@ -68,11 +68,11 @@ impl InterruptState {
 
     /// Handles a missed valley: the valley, and perhaps crests, passed while the core was busy.
     pub(super) fn valley_missed(&mut self) {
-        if self.before_step & UNRECORDED != 0 {
+        if self.step_countdown & UNRECORDED != 0 {
             self.record();
         }
-        if self.before_step & OVERRAN == 0 && self.driving {
-            self.before_step |= OVERRAN;
+        if self.step_countdown & OVERRAN == 0 && self.is_driving {
+            self.step_countdown |= OVERRAN;
             increment(&CONTROL.shared.overruns);
         }
     }
@@ -85,7 +85,7 @@ impl InterruptState {
     fn valley_floating(&mut self) {
         if !self.may_connect() {
             if !self.control_loop.status().state.drives() {
-                self.unconnected = 0;
+                self.missed_connections = 0;
             }
             if self.io.has_sampled() {
                 self.io.learn_zeros();
@@ -93,8 +93,8 @@ impl InterruptState {
         } else if pac::TIM1.cnt().read().0 < EXTREME_CYCLES {
             self.connect();
         } else {
-            self.before_step |= UNCONNECTED;
-            self.count_unconnected();
+            self.step_countdown |= UNCONNECTED;
+            self.count_missed_connection();
         }
     }
 
@@ -133,12 +133,15 @@ impl InterruptState {
             }
             Request::Settle => more = self.control_loop.settle_next(),
             Request::Retime(carrier) => {
-                if !self.driving {
+                if !self.is_driving {
                     self.io.set_carrier(*carrier);
                     self.ticks = carrier.ticks();
-                    (self.after_step, self.before_step) = (after_step(carrier), 0);
+                    (self.initial_countdown, self.step_countdown) = (initial_countdown(carrier), 0);
                     let longest = CONTROL.shared.longest_cycles.load(Ordering::Relaxed);
-                    CONTROL.shared.least_left.store(u32::from(carrier.top).saturating_sub(longest), Ordering::Relaxed);
+                    CONTROL
+                        .shared
+                        .least_margin
+                        .store(u32::from(carrier.top).saturating_sub(longest), Ordering::Relaxed);
                 }
             }
         }
@@ -147,7 +150,7 @@ impl InterruptState {
             warmth::store(self.control_loop.heat());
         }
         let status = self.control_loop.status();
-        if !status.state.drives() && self.driving {
+        if !status.state.drives() && self.is_driving {
             self.float_bridges();
         }
         if more {
@@ -160,7 +163,7 @@ impl InterruptState {
     /// Records the last step, into a frame if one is due.
     #[inline(never)]
     fn record(&mut self) {
-        self.before_step &= !UNRECORDED;
+        self.step_countdown &= !UNRECORDED;
         let steps = self.control_loop.steps();
         CONTROL.shared.steps.store(steps, Ordering::Relaxed);
         let due = steps.checked_rem(CONTROL.shared.stream_divider.load(Ordering::Relaxed)) == Some(0);

@@ -39,24 +39,24 @@ impl Service {
             Key::Polarity => decode_setting::<Polarity>(entry).map(drop)?,
             Key::Name => decode_setting::<BoardName>(entry).map(drop)?,
         }
-        // A tool must not commit settings that another tool staged before it ended.
-        if self.staged.0 != write.session {
-            self.staged = (write.session, KeyList::new());
+        // A tool must not commit the settings that another tool staged.
+        if self.staged_entries.0 != write.session {
+            self.staged_entries = (write.session, KeyList::new());
         }
-        self.staged.1.retain(|key| *key != write.key);
+        self.staged_entries.1.retain(|key| *key != write.key);
         machine.stage(write.key, entry)?;
         // The list has room for every key.
-        let _ = self.staged.1.push(write.key);
+        let _ = self.staged_entries.1.push(write.key);
         Ok(())
     }
 
-    /// Applies the settings staged under these keys and writes them to flash: all of them, or none. Other settings
-    /// stay, except that another device drops the mass model and a scene that does not fit, and another scene drops the
-    /// mass model. Flash then holds the same configuration, so that limits never apply to another device than theirs.
+    /// Applies the settings staged under these keys and writes all of them to flash, or none. Other settings stay,
+    /// except that another device drops the mass model and a scene that does not fit, and another scene drops the mass
+    /// model. Flash then holds the same configuration, so that limits apply only to their own device.
     pub fn commit_entries<Mc: Machine>(&mut self, machine: &mut Mc, commit: &Commit) -> Result<(), Refusal> {
         check_motors_off(machine)?;
         let keys = &commit.keys;
-        if keys.iter().any(|key| commit.session != self.staged.0 || !self.staged.1.contains(key)) {
+        if keys.iter().any(|key| commit.session != self.staged_entries.0 || !self.staged_entries.1.contains(key)) {
             return Err(Refusal::BadEntry);
         }
         let name: Option<BoardName> = self.staged_value(machine, keys)?;

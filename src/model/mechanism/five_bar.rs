@@ -17,9 +17,12 @@ mod pose;
 pub(super) use levers::Levers;
 pub use pose::Pose;
 pub(super) use pose::UnitMotion;
-use pose::left;
+use pose::rotated_left;
 
-use super::{Mechanism, Regularity, SINE_FLOOR, Shaped, Shaping, WallTerms, effective, reciprocal, symmetric};
+use super::{
+    Mechanism, Regularity, SINE_FLOOR, ShapedTorque, Shaping, WallTerms, effective_inertia, reciprocal,
+    symmetric_matrix,
+};
 use crate::math::{Angle, Math, Real, cast};
 use crate::model::catalogue::{Kind, Spec};
 use crate::model::description::{Description, DescriptionError};
@@ -96,7 +99,7 @@ impl<T: Real> FiveBar<T> {
         if assembly != 1.0 && assembly != -1.0 {
             return Err(DescriptionError::Assembly);
         }
-        // The elbows' distance is between these two values. The linkage closes if this range overlaps the rods' range.
+        // The linkage closes if the range of the elbows' distance overlaps the range that the rods can bridge.
         let farthest = base + l1 + l2;
         let nearest = (base - l1 - l2).max(0.0).max(l1 - base - l2).max(l2 - base - l1);
         if nearest >= r1 + r2 || farthest <= (r1 - r2).abs() {
@@ -165,10 +168,10 @@ impl<T: Real> FiveBar<T> {
         let det =
             half * self.assembly * K::sqrt(positive((self.reach[0] - span_squared) * (span_squared - self.reach[1])));
         let along = half + half * self.distal_difference * inverse_span;
-        let rod1 = span * along + left(&span) * (det * inverse_span);
+        let rod1 = span * along + rotated_left(&span) * (det * inverse_span);
         let rod2 = rod1 - span;
-        let k1 = rod1.dot(&left(&arm1));
-        let k2 = rod2.dot(&left(&arm2));
+        let k1 = rod1.dot(&rotated_left(&arm1));
+        let k2 = rod2.dot(&rotated_left(&arm2));
         Pose {
             tip: Vector2::new(arm1[0] + rod1[0] - half * self.base, arm1[1] + rod1[1]),
             arm: [arm1, arm2],
@@ -204,7 +207,7 @@ impl<T: Real> FiveBar<T> {
     /// Returns the joint acceleration of one arm by the rigidity of its rod: uᵢ·(a - p̈_elbow) + |u̇ᵢ|² = 0.
     #[inline(always)]
     fn arm_acceleration(pose: &Pose<T>, qd: &Vector2<T>, tip: &Vector2<T>, a: Option<&Vector2<T>>, i: usize) -> T {
-        let rod_rate = tip - left(&pose.arm[i]) * qd[i];
+        let rod_rate = tip - rotated_left(&pose.arm[i]) * qd[i];
         let outward = pose.arm[i] * (qd[i] * qd[i]);
         let along = match a {
             Some(a) => a + outward,
@@ -223,9 +226,9 @@ impl<T: Real> FiveBar<T> {
         qdd: &Vector2<T>,
         a: Option<&Vector2<T>>,
     ) -> (Vector2<T>, Vector2<T>) {
-        let [c1, c2] = pose.arm.map(|arm| left(&arm));
+        let [c1, c2] = pose.arm.map(|arm| rotated_left(&arm));
         let of_tip = a.map_or(Vector2::zeros(), |a| a * self.tip_mass);
-        let at_tip = self.with_rods(pose, of_tip, Some(qd), qdd);
+        let at_tip = self.with_rod_forces(pose, of_tip, Some(qd), qdd);
         let at_joints = Vector2::new(self.arm_inertia[0] * qdd[0], self.arm_inertia[1] * qdd[1]);
         let Some(a) = a else { return (at_tip, at_joints) };
         let with_tip = Vector2::new(self.rod_coupling[0] * c1.dot(a), self.rod_coupling[1] * c2.dot(a));
@@ -236,7 +239,7 @@ impl<T: Real> FiveBar<T> {
     #[inline(always)]
     pub(super) fn unit_motion(&self, pose: &Pose<T>, n: &Vector2<T>) -> UnitMotion<T> {
         let e = self.inverse(pose, n);
-        let with_tip = |i: usize| self.rod_coupling[i] * left(&pose.arm[i]).dot(n);
+        let with_tip = |i: usize| self.rod_coupling[i] * rotated_left(&pose.arm[i]).dot(n);
         let (with1, with2) = (with_tip(0), with_tip(1));
         let momentum = Vector2::new(self.arm_inertia[0] * e[0] + with1, self.arm_inertia[1] * e[1] + with2);
         UnitMotion { e, momentum, arms: e[0] * (momentum[0] + with1) + e[1] * (momentum[1] + with2) }
@@ -244,7 +247,7 @@ impl<T: Real> FiveBar<T> {
 
     /// Adds to `force` (N) the rods' force on the tip for joint accelerations `qdd`, at velocities `qd` or at rest.
     #[inline(always)]
-    pub(super) fn with_rods(
+    pub(super) fn with_rod_forces(
         &self,
         pose: &Pose<T>,
         mut force: Vector2<T>,
@@ -252,7 +255,7 @@ impl<T: Real> FiveBar<T> {
         qdd: &Vector2<T>,
     ) -> Vector2<T> {
         for i in 0..2 {
-            force += left(&pose.arm[i]) * (self.rod_coupling[i] * qdd[i]);
+            force += rotated_left(&pose.arm[i]) * (self.rod_coupling[i] * qdd[i]);
             if let Some(qd) = qd {
                 force -= pose.arm[i] * (self.rod_coupling[i] * (qd[i] * qd[i]));
             }
@@ -271,7 +274,7 @@ impl<T: Real> FiveBar<T> {
     #[inline(always)]
     pub(super) fn gravity_torque(&self, pose: &Pose<T>, g: &Vector2<T>) -> Vector2<T> {
         let through_tip = Self::transposed(pose, &(g * self.tip_load));
-        let elbow = |i: usize| left(&pose.arm[i]).dot(g) * self.elbow_load[i];
+        let elbow = |i: usize| rotated_left(&pose.arm[i]).dot(g) * self.elbow_load[i];
         -Vector2::new(elbow(0) + through_tip[0], elbow(1) + through_tip[1])
     }
 }
@@ -333,7 +336,7 @@ impl<T: Real> Mechanism<T, 2> for FiveBar<T> {
         let jacobian = self.jacobian(pose);
         let tip = jacobian * qd;
         let [u1, u2] = &pose.rod;
-        let [c1, c2] = pose.arm.map(|arm| left(&arm));
+        let [c1, c2] = pose.arm.map(|arm| rotated_left(&arm));
         let du1 = tip - c1 * qd[0];
         let du2 = tip - c2 * qd[1];
         let dk1 = du1.dot(&c1) - u1.dot(&pose.arm[0]) * qd[0];
@@ -347,7 +350,7 @@ impl<T: Real> Mechanism<T, 2> for FiveBar<T> {
     fn mass(&self, pose: &Pose<T>) -> Matrix2<T> {
         let j = self.jacobian(pose);
         let [b1, b2] = self.rod_coupling;
-        let [c1, c2] = pose.arm.map(|arm| left(&arm));
+        let [c1, c2] = pose.arm.map(|arm| rotated_left(&arm));
         let (j1, j2) = (j.column(0), j.column(1));
         let off = self.tip_mass * j1.dot(&j2) + b1 * c1.dot(&j2) + b2 * c2.dot(&j1);
         let two = T::from_f64(2.0);
@@ -389,12 +392,12 @@ impl<T: Real> Mechanism<T, 2> for FiveBar<T> {
     #[inline(always)]
     fn shaping(&self, pose: &Pose<T>, n: &Vector2<T>) -> Shaping<T, 2> {
         let UnitMotion { e, momentum, arms } = self.unit_motion(pose, n);
-        let me = momentum + Self::transposed(pose, &self.with_rods(pose, n * self.tip_mass, None, &e));
+        let me = momentum + Self::transposed(pose, &self.with_rod_forces(pose, n * self.tip_mass, None, &e));
         Shaping { e, me, w_rr: self.tip_mass * n.dot(n) + arms }
     }
 
     #[inline(always)]
-    fn shaped(&self, pose: &Pose<T>, n: &Vector2<T>, force: T, qd: Option<&Vector2<T>>) -> Shaped<T, 2> {
+    fn shaped_torque(&self, pose: &Pose<T>, n: &Vector2<T>, force: T, qd: Option<&Vector2<T>>) -> ShapedTorque<T, 2> {
         let UnitMotion { e, momentum, arms } = self.unit_motion(pose, n);
         // Acceleration of the tip along n.
         let s = force / (self.tip_mass + arms);
@@ -405,24 +408,24 @@ impl<T: Real> Mechanism<T, 2> for FiveBar<T> {
             qdd += qdd_bias;
             at_joints += Vector2::new(self.arm_inertia[0] * qdd_bias[0], self.arm_inertia[1] * qdd_bias[1]);
         }
-        let at_tip = self.with_rods(pose, n * (self.tip_mass * s), qd, &qdd);
-        Shaped { e, torque: at_joints + Self::transposed(pose, &at_tip) }
+        let at_tip = self.with_rod_forces(pose, n * (self.tip_mass * s), qd, &qdd);
+        ShapedTorque { e, torque: at_joints + Self::transposed(pose, &at_tip) }
     }
 
     #[inline(always)]
-    fn shaped_turning(
+    fn shaped_torque_of_turning_wall(
         &self,
         pose: &Pose<T>,
         n: &Vector2<T>,
         force: T,
         qd: &Vector2<T>,
         turning: &Vector2<T>,
-    ) -> Shaped<T, 2> {
+    ) -> ShapedTorque<T, 2> {
         let UnitMotion { e, arms, .. } = self.unit_motion(pose, n);
         // Total acceleration of the tip.
         let a = n * (force / (self.tip_mass + arms)) + turning;
         let qdd = Self::joint_acceleration(pose, qd, &self.velocity(pose, qd), Some(&a));
-        Shaped { e, torque: self.inertial_torque(pose, qd, &qdd, Some(&a)) }
+        ShapedTorque { e, torque: self.inertial_torque(pose, qd, &qdd, Some(&a)) }
     }
 
     #[inline(always)]
@@ -436,7 +439,7 @@ impl<T: Real> Mechanism<T, 2> for FiveBar<T> {
         let mut inertia = Matrix2::from_diagonal_element(self.tip_mass);
         for i in 0..2 {
             let a = pose.rod[i] * pose.inverse_k[i];
-            let c = left(&pose.arm[i]) * self.rod_coupling[i];
+            let c = rotated_left(&pose.arm[i]) * self.rod_coupling[i];
             inertia += a * a.transpose() * self.arm_inertia[i] + a * c.transpose() + c * a.transpose();
         }
         inertia
@@ -453,13 +456,13 @@ impl<T: Real> Mechanism<T, 2> for FiveBar<T> {
             e: Matrix2::from_columns(&[motion[0].e, motion[1].e]),
             me: levers.momentum(&motion[0]),
             // Λ contains the tip's mass in every direction.
-            w: symmetric(|i, j| {
+            w: symmetric_matrix(|i, j| {
                 let arms = motion[i].arms(&motion[j]);
                 if i == j { self.tip_mass + arms } else { arms }
             }),
             b: levers.bias(qd, &qdd_bias, Vector2::zeros(), &Vector2::from(self.gravity)),
             row,
-            w_eff: effective(&levers.mass(), &row),
+            w_eff: effective_inertia(&levers.mass(), &row),
         }
     }
 

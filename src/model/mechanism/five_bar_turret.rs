@@ -10,7 +10,10 @@
 //! y_P(b₁ y_C + b₂ y_D) + c y_P². Half its gradient times q̇₀² gives the centrifugal forces on elbows and tip.
 
 use super::five_bar::{self, FiveBar, Levers, UnitMotion};
-use super::{Mechanism, Regularity, SINE_FLOOR, Shaped, Shaping, WallTerms, effective_turned, reciprocal, symmetric};
+use super::{
+    Mechanism, Regularity, SINE_FLOOR, ShapedTorque, Shaping, WallTerms, inertia_with_turret, reciprocal,
+    symmetric_matrix,
+};
 use crate::math::{Angle, Math, Real, cast};
 use crate::model::catalogue::{Kind, Spec};
 use crate::model::description::{Description, DescriptionError};
@@ -324,7 +327,7 @@ impl<T: Real> Mechanism<T, 3> for FiveBarTurret<T> {
     }
 
     #[inline(always)]
-    fn shaped(&self, pose: &Pose<T>, n: &Vector3<T>, force: T, qd: Option<&Vector3<T>>) -> Shaped<T, 3> {
+    fn shaped_torque(&self, pose: &Pose<T>, n: &Vector3<T>, force: T, qd: Option<&Vector3<T>>) -> ShapedTorque<T, 3> {
         let (plane, two) = (&pose.plane, T::from_f64(2.0));
         let (in_plane, normal) = pose.to_plane(n);
         let UnitMotion { e, momentum, arms } = self.plane.unit_motion(plane, &in_plane);
@@ -358,9 +361,9 @@ impl<T: Real> Mechanism<T, 3> for FiveBarTurret<T> {
                 twice * (spin.elbow[0] * (x1 * of_arms[0]) + spin.elbow[1] * (x2 * of_arms[1]) + spin.tip * tip[1]);
             joints = Some(of_arms);
         }
-        let at_tip = self.plane.with_rods(plane, at_tip, joints.as_ref(), &qdd);
+        let at_tip = self.plane.with_rod_forces(plane, at_tip, joints.as_ref(), &qdd);
         let linkage = at_joints + FiveBar::transposed(plane, &at_tip);
-        Shaped {
+        ShapedTorque {
             e: Vector3::new(e0, e[0], e[1]),
             torque: Vector3::new(spin.inertia * q0dd + turret, linkage[0], linkage[1]),
         }
@@ -422,10 +425,10 @@ impl<T: Real> Mechanism<T, 3> for FiveBarTurret<T> {
         WallTerms {
             e: Matrix3::from_columns(&[e(0), e(1), e(2)]),
             me: Vector3::new(spin.inertia * (*normal * pose.inverse_y), me[0], me[1]),
-            w: symmetric(w),
+            w: symmetric_matrix(w),
             b,
             row: Vector3::new(lever, row[0], row[1]),
-            w_eff: effective_turned(spin.inertia, lever, &levers.mass(), &row),
+            w_eff: inertia_with_turret(spin.inertia, lever, &levers.mass(), &row),
         }
     }
 

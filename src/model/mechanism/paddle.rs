@@ -11,7 +11,6 @@ use nalgebra::{SMatrix, SVector};
 pub struct Paddle<T> {
     /// Distance from the pivot to the handle, m.
     length: T,
-    /// 1 / length, 1/m.
     inverse_length: T,
     /// Inertia of body, rotor and handle about the pivot, kg m².
     inertia: T,

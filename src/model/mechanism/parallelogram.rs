@@ -10,7 +10,7 @@
 //! The sines and cosines of q₁ and δ are computed; those of q₂ follow by the addition theorem. The divisor sin δ of J⁻¹
 //! therefore keeps full precision when the arm is nearly stretched.
 
-use super::{Mechanism, Regularity, SINE_FLOOR, Shaping, WallTerms, effective_turned, reciprocal, symmetric};
+use super::{Mechanism, Regularity, SINE_FLOOR, Shaping, WallTerms, inertia_with_turret, reciprocal, symmetric_matrix};
 use crate::math::{Angle, Math, Real, cast};
 use crate::model::catalogue::{Kind, Spec};
 use crate::model::description::{Description, DescriptionError};
@@ -21,7 +21,6 @@ use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
 pub struct Parallelogram<T> {
     /// U and F, m.
     lengths: [T; 2],
-    /// 1/U and 1/F, 1/m.
     inverse_lengths: [T; 2],
     /// a and c: diagonal of the mass matrix, kg m².
     arm_inertia: [T; 2],
@@ -360,10 +359,10 @@ impl<T: Real> Mechanism<T, 3> for Parallelogram<T> {
         WallTerms {
             e: Matrix3::from_columns(&e),
             me: momenta[0],
-            w: symmetric(|i, j| e[i].dot(&momenta[j])),
+            w: symmetric_matrix(|i, j| e[i].dot(&momenta[j])),
             b: self.velocity_torque(pose, qd) + self.gravity(pose),
             row,
-            w_eff: effective_turned(turret, row[0], &arms, &Vector2::new(row[1], row[2])),
+            w_eff: inertia_with_turret(turret, row[0], &arms, &Vector2::new(row[1], row[2])),
         }
     }
 

@@ -7,7 +7,7 @@
 //! the angle between the two links (less the reflected rotor between neighbours). Joint torques are sums of the moments
 //! on the absolute angles, τᵢ = Σ_{j≥i}.
 
-use super::{Mechanism, Regularity, SINE_FLOOR, Shaping, WallTerms, effective, reciprocal};
+use super::{Mechanism, Regularity, SINE_FLOOR, Shaping, WallTerms, effective_inertia, reciprocal};
 use crate::math::{Angle, Math, Real, cast};
 use crate::model::catalogue::{Kind, Spec};
 use crate::model::description::{Description, DescriptionError};
@@ -18,7 +18,6 @@ use nalgebra::{Matrix3, Vector2, Vector3};
 pub struct Serial3r<T> {
     /// l₁, l₂, l₃, m.
     lengths: [T; 3],
-    /// 1/l₁ and 1/l₂, 1/m.
     inverse_lengths: [T; 2],
     /// Diagonal of the mass matrix in absolute rates, kg m².
     inertia: [T; 3],
@@ -47,7 +46,7 @@ pub struct Pose<T: Real> {
 
 /// Returns `v` rotated left by 90°.
 #[inline(always)]
-fn left<T: Real>(v: &Vector2<T>) -> Vector2<T> {
+fn rotated_left<T: Real>(v: &Vector2<T>) -> Vector2<T> {
     Vector2::new(-v[1], v[0])
 }
 
@@ -87,7 +86,8 @@ impl<T: Real> Serial3r<T> {
     /// Returns the absolute rates of the links for a task velocity.
     #[inline(always)]
     fn rates(&self, pose: &Pose<T>, point: &Vector2<T>, turning: T) -> Vector3<T> {
-        let [first, second] = self.arm_rates(pose, &(point - left(&pose.link[2]) * (self.lengths[2] * turning)));
+        let [first, second] =
+            self.arm_rates(pose, &(point - rotated_left(&pose.link[2]) * (self.lengths[2] * turning)));
         Vector3::new(first, second, turning)
     }
 
@@ -102,7 +102,7 @@ impl<T: Real> Serial3r<T> {
 
     /// Returns the off-diagonal entries (12, 23, 13) of the mass matrix in absolute rates.
     #[inline(always)]
-    fn off_diagonal(&self, pose: &Pose<T>) -> [T; 3] {
+    fn off_diagonal_entries(&self, pose: &Pose<T>) -> [T; 3] {
         let [c12, c23, c13] = pose.cosine;
         [self.coupling[0] * c12 - self.rotor[0], self.coupling[1] * c23 - self.rotor[1], self.coupling[2] * c13]
     }
@@ -110,7 +110,7 @@ impl<T: Real> Serial3r<T> {
     /// Multiplies the mass matrix in absolute rates by the rates of the first two links and of the third link, if any.
     #[inline(always)]
     fn momentum(&self, pose: &Pose<T>, [first, second]: [T; 2], third: Option<T>) -> Vector3<T> {
-        let [m12, m23, m13] = self.off_diagonal(pose);
+        let [m12, m23, m13] = self.off_diagonal_entries(pose);
         let [m11, m22, m33] = self.inertia;
         let momentum = Vector3::new(m11 * first + m12 * second, m12 * first + m22 * second, m13 * first + m23 * second);
         third.map_or(momentum, |third| momentum + Vector3::new(m13, m23, m33) * third)
@@ -118,7 +118,7 @@ impl<T: Real> Serial3r<T> {
 
     /// Returns the centrifugal moments on the absolute angles, from the squares of their rates.
     #[inline(always)]
-    fn centrifugal(&self, pose: &Pose<T>, squares: &Vector3<T>) -> Vector3<T> {
+    fn centrifugal_moments(&self, pose: &Pose<T>, squares: &Vector3<T>) -> Vector3<T> {
         let [k12, k23, k13] = self.coupling;
         let [s12, s23, s13] = pose.sine;
         let (a, b, c) = (k12 * s12, k23 * s23, k13 * s13);
@@ -210,9 +210,9 @@ impl<T: Real> Mechanism<T, 3> for Serial3r<T> {
 
     fn jacobian(&self, pose: &Pose<T>) -> Matrix3<T> {
         let [l1, l2, l3] = self.lengths;
-        let third = left(&pose.link[2]) * l3;
-        let second = third + left(&pose.link[1]) * l2;
-        let first = second + left(&pose.link[0]) * l1;
+        let third = rotated_left(&pose.link[2]) * l3;
+        let second = third + rotated_left(&pose.link[1]) * l2;
+        let first = second + rotated_left(&pose.link[0]) * l1;
         let one = T::one();
         Matrix3::new(first[0], second[0], third[0], first[1], second[1], third[1], one, one, one)
     }
@@ -228,7 +228,7 @@ impl<T: Real> Mechanism<T, 3> for Serial3r<T> {
     }
 
     fn mass(&self, pose: &Pose<T>) -> Matrix3<T> {
-        let [m12, m23, m13] = self.off_diagonal(pose);
+        let [m12, m23, m13] = self.off_diagonal_entries(pose);
         let [m11, m22, m33] = self.inertia;
         let two = T::from_f64(2.0);
         let last = [m13 + m23 + m33, m23 + m33, m33];
@@ -239,7 +239,7 @@ impl<T: Real> Mechanism<T, 3> for Serial3r<T> {
 
     fn coriolis(&self, pose: &Pose<T>, qd: &Vector3<T>) -> Vector3<T> {
         let rates = absolute_rates(qd);
-        joint_torques(&self.centrifugal(pose, &rates.component_mul(&rates)))
+        joint_torques(&self.centrifugal_moments(pose, &rates.component_mul(&rates)))
     }
 
     #[inline(always)]
@@ -283,7 +283,7 @@ impl<T: Real> Mechanism<T, 3> for Serial3r<T> {
         let [e1, e2, e3] = &pose.link;
         let point = e1 * (l1 * squares[0]) + e2 * (l2 * squares[1]) + e3 * (l3 * squares[2]);
         let momentum = self.momentum(pose, self.arm_rates(pose, &point), None);
-        joint_torques(&(momentum + self.centrifugal(pose, &squares)))
+        joint_torques(&(momentum + self.centrifugal_moments(pose, &squares)))
     }
 
     #[inline(always)]
@@ -294,7 +294,8 @@ impl<T: Real> Mechanism<T, 3> for Serial3r<T> {
         let arms = |v: Vector2<T>| [first.dot(&v), second.dot(&v)];
         // The third link does not rotate along the wall's normal or across it. For φ it rotates about the tip.
         let (n, one, zero) = (Vector2::new(basis[(0, 0)], basis[(1, 0)]), T::one(), T::zero());
-        let (along, across, about) = (arms(n), arms(left(&n)), arms(left(&pose.link[2]) * -self.lengths[2]));
+        let (along, across, about) =
+            (arms(n), arms(rotated_left(&n)), arms(rotated_left(&pose.link[2]) * -self.lengths[2]));
         let momentum = |rates: [T; 2], third| self.momentum(pose, rates, third);
         let (pn, pt, pf) = (momentum(along, None), momentum(across, None), momentum(about, Some(one)));
         let product = |p: &Vector3<T>, rates: [T; 2]| p[0] * rates[0] + p[1] * rates[1];
@@ -304,7 +305,7 @@ impl<T: Real> Mechanism<T, 3> for Serial3r<T> {
         // Weff in absolute rates, because the mass matrix then has the fewest terms.
         let moment = |i: usize| self.lengths[i] * (pose.link[i][0] * n[1] - pose.link[i][1] * n[0]);
         let moments = Vector3::new(moment(0), moment(1), moment(2));
-        let ([m11, m22, m33], [m12, m23, m13]) = (self.inertia, self.off_diagonal(pose));
+        let ([m11, m22, m33], [m12, m23, m13]) = (self.inertia, self.off_diagonal_entries(pose));
         let mass = Matrix3::new(m11, m12, m13, m12, m22, m23, m13, m23, m33);
         WallTerms {
             e: Matrix3::from_columns(&[e(along, zero), e(across, zero), e(about, one)]),
@@ -312,7 +313,7 @@ impl<T: Real> Mechanism<T, 3> for Serial3r<T> {
             w: Matrix3::new(nn, nt, nf, nt, tt, tf, nf, tf, ff),
             b: self.velocity_torque(pose, qd) + self.gravity(pose),
             row: joint_torques(&moments),
-            w_eff: effective(&mass, &moments),
+            w_eff: effective_inertia(&mass, &moments),
         }
     }
 

@@ -14,8 +14,9 @@ struct Encoding<T> {
     /// Angular velocity of one count per control period, rad/s.
     speed_per_count: T,
     binary: Binary,
-    /// Number of counts after which the angle repeats: `turns` complete turns.
+    /// Number of counts after which the angle repeats.
     period: i32,
+    /// Number of complete turns in `period`.
     turns: i32,
     /// Joint angle of one part, rad. A turn has `period` parts, a count has `turns` parts.
     radians_per_part: T,
@@ -26,9 +27,9 @@ struct Encoding<T> {
 /// Conversion of counts to binary angles.
 #[derive(Clone, Copy, Debug)]
 struct Binary {
-    /// Binary angle units per count, without the fraction. `rest` is the fraction in units of 2⁻³², rounded to nearest,
-    /// so that the error over the full range of the counter is less than one binary angle unit.
+    /// Binary angle units per count, without the fraction.
     whole: u32,
+    /// Fraction of the binary angle units per count, in units of 2⁻³².
     rest: i32,
     /// Angle at count zero.
     offset: BinaryAngle,
@@ -65,7 +66,7 @@ impl<T: Real> Encoding<T> {
         let scale = joint.radians_per_count;
         let period = joint.counts_per_turn;
         let turns = T::from_i32(period) * scale.abs() * T::from_f64(1.0 / core::f64::consts::TAU) + T::from_f64(0.5);
-        let turns = turns.whole();
+        let turns = turns.integer_part();
         let repeats = periodic && period > 0 && turns > 0;
         Self {
             radians_per_count: scale,
@@ -107,7 +108,7 @@ impl<T: Real> Encoding<T> {
 pub(super) struct Encoders<T: Real, const N: usize> {
     joints: [Encoding<T>; N],
     zero: [i32; N],
-    last: [i32; N],
+    last_counts: [i32; N],
     filters: [LowPass<T>; N],
     /// Gain of the filters if only the guard and telemetry use the velocities.
     monitor_gain: T,
@@ -126,7 +127,7 @@ impl<T: Real, const N: usize> Encoders<T, N> {
         let mut encoders = Self {
             joints: core::array::from_fn(|i| Encoding::new(&device.joints[i], coefficients.rate(), periodic)),
             zero: [0; N],
-            last: [0; N],
+            last_counts: [0; N],
             filters: [LowPass::default(); N],
             monitor_gain: T::zero(),
             one_count: [T::zero(); N],
@@ -161,7 +162,7 @@ impl<T: Real, const N: usize> Encoders<T, N> {
     pub fn raw_velocities(&self, counts: &[i32; N]) -> SVector<T, N> {
         let mut raw = SVector::<T, N>::zeros();
         for i in 0..N {
-            raw[i] = T::from_i32(counts[i].wrapping_sub(self.last[i])) * self.joints[i].speed_per_count;
+            raw[i] = T::from_i32(counts[i].wrapping_sub(self.last_counts[i])) * self.joints[i].speed_per_count;
         }
         raw
     }
@@ -170,7 +171,7 @@ impl<T: Real, const N: usize> Encoders<T, N> {
     #[inline(always)]
     pub fn velocities(&mut self, counts: &[i32; N], filter: impl Fn(&mut LowPass<T>, T) -> T) -> SVector<T, N> {
         let raw = self.raw_velocities(counts);
-        self.last = *counts;
+        self.last_counts = *counts;
         if self.moving {
             SVector::from_fn(|i, _| filter(&mut self.filters[i], raw[i]))
         } else {
@@ -180,7 +181,7 @@ impl<T: Real, const N: usize> Encoders<T, N> {
 
     /// Sets the initial positions of the joints.
     pub fn begin(&mut self, counts: &[i32; N]) {
-        self.last = *counts;
+        self.last_counts = *counts;
         self.filters = [LowPass::default(); N];
     }
 
@@ -196,7 +197,7 @@ impl<T: Real, const N: usize> Encoders<T, N> {
 
     /// Returns the part of the joint velocities `qd` (rad/s) beyond single counts, see [`beyond_uncertainty`].
     #[inline(always)]
-    pub fn beyond_one_count(&self, qd: &SVector<T, N>) -> SVector<T, N> {
+    pub fn velocities_beyond_one_count(&self, qd: &SVector<T, N>) -> SVector<T, N> {
         SVector::from_fn(|i, _| beyond_uncertainty(qd[i], self.one_count[i]))
     }
 
@@ -245,7 +246,7 @@ fn counts_of<T: Real>(angle: T, radians_per_count: T) -> i32 {
     }
     let counts = angle / radians_per_count;
     let half = T::from_f64(0.5);
-    (if counts < T::zero() { counts - half } else { counts + half }).whole()
+    (if counts < T::zero() { counts - half } else { counts + half }).integer_part()
 }
 
 #[cfg(test)]

@@ -139,7 +139,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         gravity
     }
 
-    /// Adds the force `other` (N) to the resultant `force` (N). Adds and returns its torques (N m).
+    /// Adds the force `other` (N) to the resultant `force` (N). Adds and returns the torques of `other` (N m).
     #[inline(never)]
     pub(super) fn add_force(
         &self,
@@ -205,8 +205,8 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         (limit / gain).lesser(T::one())
     }
 
-    /// Applies `share` of the feed-forward to the active walls and the stiff guidance that acts together with them.
-    /// `force` is their resultant, N. Returns the torques without gravity (N m), and the force that is left for Jᵀ (N).
+    /// Applies `share` of the feed-forward to the resultant `force` (N) of the active walls and the stiff guidance.
+    /// Returns the torques without gravity (N m), and the force that is left for Jᵀ (N).
     #[inline(never)]
     pub(super) fn feed_forward(
         &self,
@@ -236,7 +236,8 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
             let shapings = core::array::from_fn(|i| if i + 1 < N { along(i) } else { unused });
             let of_level = |level| self.bias(pose, place, qd, &BiasScope::Level(&group, level));
             // The bias of the levels differs only if normals turn or walls compensate damping.
-            let same = (self.has_bias && !self.walls.curved && !self.walls.damped).then(|| of_level(1));
+            let same =
+                (self.has_bias && !self.walls.has_curved_wall && !self.walls.compensates_damping).then(|| of_level(1));
             let bias = |level| self.has_bias.then(|| same.unwrap_or_else(|| of_level(level)));
             let first = &group.principal.direction(0);
             let share_of_gain = |gain| {
@@ -244,7 +245,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
                 (T::one() + (limit - T::one()) * single_wall_weight(&group.principal)) / gain
             };
             let part = share * self.gain.map_or(T::one(), share_of_gain);
-            group.principal.shaped(&shapings, force, part, bias)
+            group.principal.feed_forward(&shapings, force, part, bias)
         }
     }
 
@@ -262,9 +263,9 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
     ) -> (SVector<T, N>, SVector<T, N>) {
         let mut b = SVector::zeros();
         if self.velocity_terms != VelocityTerms::Off {
-            let qd = &self.encoders.beyond_one_count(qd);
+            let qd = &self.encoders.velocities_beyond_one_count(qd);
             b = self.mechanism.velocity_torque(pose, qd);
-            if M::SPEC.task > 1 && self.walls.curved {
+            if M::SPEC.task > 1 && self.walls.has_curved_wall {
                 let velocity = task_part::<T, M, N>(&self.mechanism.velocity(pose, qd));
                 let acceleration = self.walls.normal_turn_acceleration::<K, N>(place, &velocity, scope);
                 b += MassModel::Exact.shaping(&self.mechanism, qd, pose, &acceleration).me;
@@ -295,10 +296,10 @@ fn radians<T: Real, const N: usize>(angles: &[Angle<T>; N]) -> SVector<T, N> {
 }
 
 /// Returns the similarity of several walls to a single wall: a smooth step from 1 for coinciding walls to 0 if the
-/// second direction has a hundredth of the first one's stiffness (two equal facets 11° apart). A feed-forward gain
-/// above 1 is meant for a single wall, because the stability proof for several walls needs a gain of 1.
+/// second direction has a hundredth of the stiffness of the first (two equal facets 11° apart). A feed-forward gain
+/// above 1 is only for a single wall, because the stability proof for several walls needs a gain of 1.
 fn single_wall_weight<T: Real, const N: usize>(principal: &Principal<T, N>) -> T {
-    let second = principal.along(1) * T::from_f64(100.0);
-    let s = (T::one() - second / principal.along(0).greater(T::EPSILON)).greater(T::zero());
+    let second = principal.stiffness_along(1) * T::from_f64(100.0);
+    let s = (T::one() - second / principal.stiffness_along(0).greater(T::EPSILON)).greater(T::zero());
     s * s * (T::from_f64(3.0) - s - s)
 }

@@ -1,8 +1,8 @@
 //! Springs, fields, and the host's force and plane.
 //!
-//! The forces go through Jᵀ, except for stiff parts that act together with walls with the feed-forward. Springs and the
-//! host's plane then go through the levels of [`crate::model::principal`] together with these walls, like walls without
-//! the feed-forward (docs/model.md section 2).
+//! The forces go through Jᵀ. If a wall with the feed-forward is touched, springs and the host's plane go through the
+//! levels of [`crate::model::principal`] together with the wall, like walls without the feed-forward (docs/model.md
+//! section 2).
 
 use super::push::{Push, PushedPlane};
 use super::stiffness::Stiffness;
@@ -26,10 +26,11 @@ pub(super) struct Guidance<T: Real> {
     pub is_pushed: bool,
     /// True if `is_active` or `is_pushed`.
     pub adds_force: bool,
-    /// Feed-forward of the stiff parts together with walls; [`FeedForward::Off`] if no wall of the scene has one.
+    /// Feed-forward of springs and plane together with walls; [`FeedForward::Off`] if no wall has a feed-forward.
     shared_feed_forward: FeedForward,
-    /// Total stiffness of the springs in the plane. `stiffness` is the sum of their stiffnesses, N/m.
+    /// Total stiffness matrix of the springs in the plane, N/m.
     in_plane: Stiffness<T>,
+    /// Sum of the springs' stiffnesses, N/m.
     stiffness: T,
     /// Washouts of the plane's force and of the springs' force.
     washouts: [Washout<T>; 4],
@@ -47,7 +48,7 @@ pub(super) struct SharedGuidance<T, const N: usize> {
 }
 
 impl<T: Real, const N: usize> SharedGuidance<T, N> {
-    /// Returns no force.
+    /// Returns the state without any force.
     pub fn none() -> Self {
         Self { acts: false, springs: SVector::zeros(), plane: T::zero() }
     }
@@ -164,8 +165,8 @@ impl<T: Real> Guidance<T> {
         self.push.as_ref().map(|push| &push.plane).filter(|plane| plane.stiffness > T::zero())
     }
 
-    /// Reduces the stiff forces to the part that is shaped together with walls with the feed-forward, for α = `gain`.
-    /// `touched` is true if the plane is touched.
+    /// Reduces the forces to the part that is shaped together with walls, for α = `gain`. `touched` is true if the
+    /// plane is touched.
     #[inline(always)]
     fn keep_shaped_part<const N: usize>(&mut self, shared: &mut SharedGuidance<T, N>, touched: bool, gain: T) {
         shared.acts |= touched;
@@ -214,7 +215,7 @@ impl<T: Real> Guidance<T> {
 
     /// Returns the springs' total stiffness in the plane; `None` without springs.
     #[inline(always)]
-    pub fn in_plane(&self) -> Option<Stiffness<T>> {
+    pub fn stiffness_in_plane(&self) -> Option<Stiffness<T>> {
         (self.stiffness > T::zero()).then_some(self.in_plane)
     }
 

@@ -10,8 +10,9 @@ struct Joint<T: Real> {
     velocity: JointVelocity<T>,
     /// Angular velocity of one count per control period, rad/s.
     speed_per_count: T,
-    /// Inverse of `speed_per_count`. `unit` is counts per period² for 1 rad/s². Both are 0 without encoder.
+    /// Inverse of `speed_per_count`, s/rad; 0 without encoder.
     counts_per_speed: T,
+    /// Counts per period² for 1 rad/s²; 0 without encoder.
     unit: T,
 }
 

@@ -32,7 +32,7 @@ pub struct PushedPlane<T> {
 impl<T: Real> Push<T> {
     /// Returns the force (N) at the tip position `place` (m) and velocity (m/s).
     #[inline(never)]
-    pub fn at<const N: usize>(&self, place: &SVector<T, N>, velocity: &SVector<T, N>) -> SVector<T, N> {
+    pub fn force_at<const N: usize>(&self, place: &SVector<T, N>, velocity: &SVector<T, N>) -> SVector<T, N> {
         task_vector::<T, N>(&self.force) + self.plane.force(place, velocity)
     }
 }

@@ -18,9 +18,9 @@ pub const PARALLEL_REGULARITY: f64 = 3.0;
 /// Rotation of the fastest joint during the lag of its velocity estimate (rad), divided by the sine of the nearest
 /// singularity, up to which velocity terms act in full.
 ///
-/// b grows as 1/sin³ at constant tip speed, so it changes by three times this share within the lag: by 15 % here, by 30
-/// % at [`NO_TERMS_TURN`]. Beyond, b mostly reflects past motion, and pushes a tip that slides towards a stretched arm
-/// further into the singularity (docs/model.md).
+/// b grows as 1/sin³ at constant tip speed, so b changes by three times this quotient within the lag: by 15 % here, by
+/// 30 % at [`NO_TERMS_TURN`]. Beyond, b mostly reflects past motion, and would push a tip that slides towards a
+/// stretched arm further into the singularity (docs/model.md).
 pub const FULL_TERMS_TURN: f64 = 0.05;
 /// Value of the quotient in [`FULL_TERMS_TURN`] from which velocity terms are off. They fade between the two values.
 pub const NO_TERMS_TURN: f64 = 0.1;
@@ -47,7 +47,7 @@ pub(super) fn clearance<T: Real>(regularity: &Regularity<T>) -> T {
     regularity.serial.lesser(regularity.parallel * T::from_f64(1.0 / PARALLEL_REGULARITY))
 }
 
-/// Returns the share of the feed-forward at [`clearance`]: a smooth step from [`NO_REGULARITY`] to [`FULL_REGULARITY`].
+/// Returns the share of the feed-forward at this sine, a smooth step from [`NO_REGULARITY`] to [`FULL_REGULARITY`].
 #[inline(always)]
 pub(super) fn fade<T: Real>(regularity: T) -> T {
     let (low, high) = (T::from_f64(NO_REGULARITY), T::from_f64(FULL_REGULARITY));

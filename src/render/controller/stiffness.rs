@@ -5,11 +5,8 @@ use crate::math::Real;
 /// A stiffness matrix Σ k n nᵀ in the plane, N/m.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Stiffness<T> {
-    /// Entry of x and x.
     pub xx: T,
-    /// Entry of x and y.
     pub xy: T,
-    /// Entry of y and y.
     pub yy: T,
 }
 

@@ -15,7 +15,7 @@ use super::regularity::{FULL_REGULARITY, PARALLEL_REGULARITY};
 use super::{Controller, task_part};
 use crate::math::{Math, Real};
 use crate::model::catalogue::MAX_JOINTS;
-use crate::model::mechanism::{Mechanism, Regularity, Shaped};
+use crate::model::mechanism::{Mechanism, Regularity, ShapedTorque};
 use crate::model::precomputed::MassModel;
 use crate::render::controller::walls::{BiasScope, ShapedContact};
 use crate::render::scene::{Admissible, VelocityTerms};
@@ -95,45 +95,45 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         normal: &SVector<T, N>,
         force: T,
         wall: Option<usize>,
-    ) -> Shaped<T, N> {
+    ) -> ShapedTorque<T, N> {
         let Start { pose, .. } = start;
         if !self.has_bias {
-            return self.mechanism.shaped(pose, normal, force, None);
+            return self.mechanism.shaped_torque(pose, normal, force, None);
         }
-        if let Some(certain) = self.certain_velocities(start).filter(|_| self.usual_terms) {
-            return self.mechanism.shaped(pose, normal, force, Some(&certain));
+        if let Some(certain) = self.certain_velocities(start).filter(|_| self.has_usual_terms) {
+            return self.mechanism.shaped_torque(pose, normal, force, Some(&certain));
         }
-        self.shaped_with_partial_terms(start, normal, force, wall)
+        self.shaped_torque_with_partial_terms(start, normal, force, wall)
     }
 
     /// Returns the joint velocities beyond single counts (rad/s); `None` unless velocity terms act in full.
     #[inline(always)]
     fn certain_velocities(&self, start: &Start<T, M::Pose, N>) -> Option<SVector<T, N>> {
         let Start { pose, qd, .. } = start;
-        let certain = self.encoders.beyond_one_count(qd);
+        let certain = self.encoders.velocities_beyond_one_count(qd);
         let known = self.encoders.are_velocity_terms_full(qd) || self.velocity_term_share(pose, &certain) >= T::one();
         known.then_some(certain)
     }
 
-    /// Implements [`Controller::shaped_torque`] for partial velocity terms.
+    /// Implements [`Controller::shaped_torque`] if the velocity terms act only in part.
     #[inline(always)]
-    fn shaped_with_partial_terms(
+    fn shaped_torque_with_partial_terms(
         &self,
         start: &Start<T, M::Pose, N>,
         normal: &SVector<T, N>,
         force: T,
         wall: Option<usize>,
-    ) -> Shaped<T, N> {
+    ) -> ShapedTorque<T, N> {
         let Start { pose, place, qd } = start;
-        // Copies of the values, so that the usual case need not keep them in memory.
+        // Passes copies, so that the usual case can keep the values in registers.
         let (pose, place, qd, normal) = (*pose, *place, *qd, *normal);
-        let Shaped { e, torque } = self.shaped_with_any_terms(&pose, &place, &qd, &normal, force, wall);
-        Shaped { e: e.map(|e| e), torque: torque.map(|torque| torque) }
+        let ShapedTorque { e, torque } = self.shaped_torque_with_any_terms(&pose, &place, &qd, &normal, force, wall);
+        ShapedTorque { e: e.map(|e| e), torque: torque.map(|torque| torque) }
     }
 
     /// Computes [`Controller::shaped_torque`] for any velocity terms, normals and damping compensation.
     #[inline(never)]
-    fn shaped_with_any_terms(
+    fn shaped_torque_with_any_terms(
         &self,
         pose: &M::Pose,
         place: &SVector<T, N>,
@@ -141,11 +141,11 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         normal: &SVector<T, N>,
         force: T,
         wall: Option<usize>,
-    ) -> Shaped<T, N> {
+    ) -> ShapedTorque<T, N> {
         let contact = ShapedContact::along(normal, force, wall);
         let shaping = self.mechanism.shaping(pose, normal);
         let (b, subtracted) = self.bias(pose, place, qd, &BiasScope::One(&contact));
-        Shaped { e: shaping.e, torque: shaping.torque(force, &b, &subtracted) }
+        ShapedTorque { e: shaping.e, torque: shaping.torque(force, &b, &subtracted) }
     }
 }
 
@@ -183,7 +183,7 @@ pub(super) enum StepVariant {
 
 impl StepVariant {
     /// Returns the variant of the controller's scene. Straight steps use the closed form, a low-pass after the backward
-    /// difference and α = 1. Only those in the plane combine guidance with walls that have the feed-forward.
+    /// difference and α = 1. Only straight steps in the plane combine guidance with walls that have the feed-forward.
     pub fn of<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize>(controller: &Controller<T, M, K, N>) -> Self {
         let Controller { walls, velocity_terms, mass, admissible, posture, coefficients, guidance, .. } = controller;
         let closed_form =
@@ -191,12 +191,12 @@ impl StepVariant {
         let shares_feed_forward = guidance.is_active && guidance.shares_feed_forward();
         let planar = N == 2 && M::SPEC.task == 2;
         // Each wall contributes to the bias if normals of several walls turn or walls compensate damping.
-        let flat = !walls.damped && (*velocity_terms == VelocityTerms::Off || !walls.curved);
+        let flat = !walls.compensates_damping && (*velocity_terms == VelocityTerms::Off || !walls.has_curved_wall);
         let usual = closed_form && posture.is_none() && walls.gain() == T::one() && coefficients.is_low_pass();
         if !usual {
             Self::General
         } else if walls.has_at_most_one_wall() && !shares_feed_forward {
-            if planar && controller.turning_terms && walls.is_single_ball() { Self::Round } else { Self::Wall }
+            if planar && controller.has_turning_terms && walls.is_single_ball() { Self::Round } else { Self::Wall }
         } else if planar && walls.are_stiff() && flat {
             Self::Several
         } else {

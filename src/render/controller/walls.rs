@@ -19,11 +19,11 @@ mod contact_group;
 #[derive(Clone, Copy, Debug)]
 pub(super) struct RunningWall<T: Real> {
     wall: Wall<T>,
-    /// Distance below which the wall acts, m, and `least_force`, the smallest force that it may make, N. Both are 0;
-    /// for a bilateral wall they are +∞ and -∞.
+    /// Distance below which the wall acts, m: 0, or +∞ for a bilateral wall.
     acts_below: T,
+    /// Smallest force that the wall may make, N: 0, or -∞ for a bilateral wall.
     least_force: T,
-    /// Feed-forward of a wall that acts together with others: its own, or the others' if it has none.
+    /// Feed-forward among several walls: the wall's own, or the shared feed-forward if the wall has none.
     effective_feed_forward: FeedForward,
     /// True if the wall has a feed-forward of its own.
     has_feed_forward: bool,
@@ -38,7 +38,7 @@ pub(super) struct RunningWall<T: Real> {
 pub(super) struct ContactPull<T> {
     /// Stiffness, N/m.
     pub stiffness: T,
-    /// True if it has a feed-forward of its own.
+    /// True if the wall has a feed-forward of its own.
     pub has_feed_forward: bool,
     /// Depth of the tip in the wall, m.
     pub depth: T,
@@ -51,9 +51,10 @@ pub(super) struct WallEffect<T> {
     /// Velocity along the normal, m/s.
     pub velocity: T,
     /// True if the wall acts.
-    pub touched: bool,
-    /// Force along the normal, N. `shaped` is the part for the feed-forward. Both are zero if the wall does not act.
+    pub is_touched: bool,
+    /// Force along the normal, N; zero if the wall does not act.
     pub force: T,
+    /// Part of the force for the feed-forward, N; zero if the wall does not act.
     pub shaped: T,
     /// Damping added by the passivity controller, N s/m.
     pub passivity_damping: T,
@@ -80,7 +81,8 @@ impl<T: Real> RunningWall<T> {
     pub fn effect_at(&mut self, distance: T, v: T, debt: Option<&Debt<T>>, gain: T) -> WallEffect<T> {
         let wall = &self.wall;
         let zero = T::zero();
-        let mut effect = WallEffect { velocity: v, touched: false, force: zero, shaped: zero, passivity_damping: zero };
+        let mut effect =
+            WallEffect { velocity: v, is_touched: false, force: zero, shaped: zero, passivity_damping: zero };
         // The comparisons below are written so that NaN propagates and is detected.
         let inside = distance < self.acts_below;
         if !inside {
@@ -98,7 +100,7 @@ impl<T: Real> RunningWall<T> {
         if force < self.least_force {
             force = self.least_force;
         }
-        effect.touched = true;
+        effect.is_touched = true;
         effect.force = force;
         effect.shaped = match self.effective_feed_forward {
             FeedForward::Off => zero,
@@ -222,9 +224,9 @@ pub(super) struct Walls<T: Real> {
     /// α: factor on the feed-forward of equation (4).
     gain: T,
     /// True if some wall is curved.
-    pub curved: bool,
+    pub has_curved_wall: bool,
     /// True if some wall compensates joint damping.
-    pub damped: bool,
+    pub compensates_damping: bool,
 }
 
 /// The effect of the walls at one tip position.
@@ -235,7 +237,7 @@ pub(super) struct WallContacts<T: Real, const N: usize> {
     pub normal: SVector<T, N>,
     /// Force through Jᵀ without feed-forward, N.
     pub plain: SVector<T, N>,
-    /// The first wall with the feed-forward. Separate, because a single wall is usual and need not go through memory.
+    /// The first wall with the feed-forward, separate because a usual scene has only one wall.
     pub first: Option<ShapedContact<T, N>>,
 }
 
@@ -268,15 +270,15 @@ impl<T: Real> Walls<T> {
         let mut walls = Self {
             running,
             gain: scene.feed_forward_gain,
-            curved: scene.walls.iter().any(|wall| wall.surface.is_curved()),
-            damped: scene.walls.iter().any(|wall| wall.damping_compensation),
+            has_curved_wall: scene.walls.iter().any(|wall| wall.surface.is_curved()),
+            compensates_damping: scene.walls.iter().any(|wall| wall.damping_compensation),
         };
         walls.update_shared_feed_forward();
         Ok(walls)
     }
 
-    /// Returns the feed-forward of springs and of walls without their own, when they act together with walls that have
-    /// one. It has a washout if any of those walls has, because a wall with a washout does not push sideways at rest.
+    /// Returns the feed-forward that walls share with springs and with walls without a feed-forward. It has a washout
+    /// if any wall has a washout, because such a wall must not push sideways at rest.
     pub fn shared_feed_forward(&self) -> (FeedForward, Option<Washout<T>>) {
         let with = |feed_forward| self.running.iter().find(move |other| other.wall.feed_forward == feed_forward);
         match with(FeedForward::Washout).map(|other| other.washout) {
@@ -286,7 +288,7 @@ impl<T: Real> Walls<T> {
         }
     }
 
-    /// Sets the feed-forward of walls without their own to [`Walls::shared_feed_forward`].
+    /// Gives [`Walls::shared_feed_forward`] to the walls without a feed-forward.
     fn update_shared_feed_forward(&mut self) {
         let (others, washout) = self.shared_feed_forward();
         for running in &mut self.running {
@@ -331,7 +333,7 @@ impl<T: Real> Walls<T> {
                 touch.at_walls.normal_velocity = effect.velocity;
                 touch.normal = contact.normal;
             }
-            if !effect.touched {
+            if !effect.is_touched {
                 continue;
             }
             touch.at_walls.contacts += 1;
@@ -360,7 +362,7 @@ impl<T: Real> Walls<T> {
     pub fn damping_share<const N: usize>(&self, scope: &BiasScope<'_, T, N>) -> T {
         let compensates =
             |a: &ShapedContact<T, N>| self.running.get(a.wall).is_some_and(|r| r.wall.damping_compensation);
-        if !self.damped {
+        if !self.compensates_damping {
             return T::zero();
         }
         match scope {

@@ -43,20 +43,20 @@ impl<T: Real> Shape<T> for Cylinder<T> {
     /// Returns the distance to the surface and the normal across the axis.
     #[inline(always)]
     fn contact<K: Math<T>, const N: usize>(&self, p: &SVector<T, N>) -> Contact<T, N> {
-        round_contact::<T, K, N>(&self.across(&(p - task_vector::<T, N>(&self.point))), self.radius, self.inside)
+        round_contact::<T, K, N>(&self.radial_part(&(p - task_vector::<T, N>(&self.point))), self.radius, self.inside)
     }
 
     #[inline(always)]
     fn normal_rate<K: Math<T>, const N: usize>(&self, p: &SVector<T, N>, velocity: &SVector<T, N>) -> SVector<T, N> {
-        let arm = self.across(&(p - task_vector::<T, N>(&self.point)));
-        round_normal_rate::<T, K, N>(&arm, &self.across(velocity), self.inside)
+        let arm = self.radial_part(&(p - task_vector::<T, N>(&self.point)));
+        round_normal_rate::<T, K, N>(&arm, &self.radial_part(velocity), self.inside)
     }
 }
 
 impl<T: Real> Cylinder<T> {
     /// Returns the part of `v` perpendicular to the axis.
     #[inline(always)]
-    fn across<const N: usize>(&self, v: &SVector<T, N>) -> SVector<T, N> {
+    fn radial_part<const N: usize>(&self, v: &SVector<T, N>) -> SVector<T, N> {
         let axis = task_vector::<T, N>(&self.axis);
         v - axis * axis.dot(v)
     }

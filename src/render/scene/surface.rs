@@ -55,7 +55,7 @@ macro_rules! shapes {
                 match self { $(Self::$Shape(shape) => shape.contact::<K, N>(p),)* }
             }
 
-            /// Returns ṅ (1/s) at the tip position `p` moving at `velocity` (m/s). Not inlined: it is zero for planes.
+            /// Returns ṅ (1/s) at the tip position `p` moving at `velocity` (m/s). Not inlined, as planes return zero.
             #[inline(never)]
             pub fn normal_rate<K: Math<T>, const N: usize>(
                 &self,
@@ -87,7 +87,7 @@ impl<T: Real> Surface<T> {
                 (distance, normal.map(|n| n))
             }
             curved => {
-                // Copies `p`, because an argument passed to another function would be kept in memory for planes, too.
+                // Copies `p`, so that `p` can stay in registers for planes.
                 let p = *p;
                 let Contact { distance, normal } = curved.curved_contact::<K, N>(&p);
                 (distance, normal.map(|n| n))
@@ -112,7 +112,7 @@ impl<T: Real> Surface<T> {
     }
 
     /// Returns true if every value is valid for its meaning, for a device of task dimension `task`.
-    pub(super) fn valid(&self, task: usize) -> bool {
+    pub(super) fn is_valid(&self, task: usize) -> bool {
         let values = self.values();
         let mut rest = values.as_slice();
         self.spec().keys.iter().all(|(_, meaning)| {

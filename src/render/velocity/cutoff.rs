@@ -21,8 +21,8 @@ pub(super) fn prewarped_gain<T: Real>(cutoff_hz: T, rate_hz: T) -> Result<T, Bad
     if valid { Ok(tangent(ratio)) } else { Err(BadCutoff) }
 }
 
-/// Returns the tangent of π times a ratio from 0 to 1/2, to a few units in the last place. It is the quotient of two
-/// power series, or above π/4 the inverse of the complement's tangent. Small, because boards use it.
+/// Returns the tangent of π times a ratio from 0 to 1/2, to a few units in the last place. Uses the quotient of two
+/// power series, or above π/4 the inverse of the complement's tangent.
 fn tangent<T: Real>(ratio: T) -> T {
     let complement = T::from_f64(0.5) - ratio;
     if ratio > complement {

@@ -1,8 +1,8 @@
 //! Difference over several samples: (x[n] - x[n-k])/(k T).
 //!
-//! An encoder step changes the velocity by 1/k of its change in the backward difference, with a lag of k/2 samples.
-//! This equals fast sampling of position and slow sampling of velocity (Koul, Khosa and Ahmad 2024, Int. J. of
-//! Mechanical System Dynamics 4(2):171), without the jumps. The filter has zeros at every multiple of rate/k.
+//! An encoder step changes the velocity k times less than in the backward difference, with a lag of k/2 samples. The
+//! filter equals fast sampling of position and slow sampling of velocity without the jumps (Koul, Khosa and Ahmad 2024,
+//! Int. J. of Mechanical System Dynamics 4(2):171). It has zeros at every multiple of rate/k.
 
 use super::{Chosen, CutoffMeaning, EstimatorKey, EstimatorSpec, JointEstimator, JointSample, MAX_WINDOW};
 use crate::math::{Math, Real};
@@ -17,7 +17,7 @@ pub struct Difference<T> {
     sum: T,
 }
 
-/// Number of samples of the window. `inverse` is 1/`samples`.
+/// Number of samples of the window, and its inverse.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Window<T> {
     samples: usize,
@@ -49,7 +49,7 @@ impl<T: Real> JointEstimator<T> for Difference<T> {
 
     fn step<K: Math<T>>(&mut self, window: &Window<T>, seen: &JointSample<T>) -> T {
         if self.next >= window.samples {
-            // Computes the sum again at the start of each pass through the ring, and after a change to a shorter ring.
+            // Sums up again at the start of each pass through the ring, and after a change to a shorter ring.
             let ring = self.moved.iter().take(window.samples);
             self.sum = ring.fold(T::zero(), |sum, moved| sum + *moved);
             self.next = 0;

@@ -52,21 +52,21 @@ impl<T: Real> LowPass<T> {
 /// A velocity estimator for one position signal.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Velocity<T> {
-    last: T,
+    last_position: T,
     filter: LowPass<T>,
 }
 
 impl<T: Real> Velocity<T> {
     /// Makes an estimator at rest at this position.
     pub fn resting_at(position: T) -> Self {
-        Self { last: position, filter: LowPass::default() }
+        Self { last_position: position, filter: LowPass::default() }
     }
 
     /// Returns the velocity (per second) after this sample of the position.
     #[inline(always)]
     pub fn step(&mut self, coefficients: &Coefficients<T>, position: T) -> T {
         let difference = self.moved(position);
-        self.last = position;
+        self.last_position = position;
         self.filter.step(coefficients, difference * coefficients.rate)
     }
 
@@ -74,13 +74,13 @@ impl<T: Real> Velocity<T> {
     #[inline(always)]
     pub fn step_low_pass(&mut self, coefficients: &Coefficients<T>, position: T) -> T {
         let difference = self.moved(position);
-        self.last = position;
+        self.last_position = position;
         self.filter.step_low_pass(coefficients, difference * coefficients.rate)
     }
 
     /// Sets the state to a position and a velocity (per second) from another estimator, and returns the velocity.
     pub fn follow(&mut self, position: T, velocity: T) -> T {
-        self.last = position;
+        self.last_position = position;
         self.filter = LowPass { band: T::zero(), low: velocity };
         velocity
     }
@@ -88,6 +88,6 @@ impl<T: Real> Velocity<T> {
     /// Returns the distance of `position` from the last sample.
     #[inline(always)]
     fn moved(&self, position: T) -> T {
-        position - self.last
+        position - self.last_position
     }
 }

@@ -17,11 +17,11 @@ use crate::math::{Math, Real};
 #[derive(Clone, Copy, Debug)]
 pub struct Predicted<T> {
     /// Distance of the count from the estimated position, counts.
-    ahead: T,
+    count_offset: T,
     /// Velocity, counts per period.
     velocity: T,
     /// Acceleration that no motor torque explains, counts per period².
-    unknown: T,
+    unknown_acceleration: T,
 }
 
 /// 1 - α, β, γ, and the lag in periods.
@@ -57,15 +57,15 @@ impl<T: Real> JointEstimator<T> for Predicted<T> {
     }
 
     fn moving_at(velocity: T) -> Self {
-        Self { ahead: T::zero(), velocity, unknown: T::zero() }
+        Self { count_offset: T::zero(), velocity, unknown_acceleration: T::zero() }
     }
 
     fn step<K: Math<T>>(&mut self, gains: &Gains<T>, seen: &JointSample<T>) -> T {
-        let acceleration = self.unknown + seen.pushed;
-        let innovation = self.ahead + (seen.moved - self.velocity - T::from_f64(0.5) * acceleration);
-        self.ahead = gains.remaining * innovation;
+        let acceleration = self.unknown_acceleration + seen.pushed;
+        let innovation = self.count_offset + (seen.moved - self.velocity - T::from_f64(0.5) * acceleration);
+        self.count_offset = gains.remaining * innovation;
         self.velocity += acceleration + gains.beta * innovation;
-        self.unknown += gains.gamma * innovation;
+        self.unknown_acceleration += gains.gamma * innovation;
         self.velocity
     }
 }

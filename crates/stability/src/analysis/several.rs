@@ -206,7 +206,7 @@ fn linearised<const N: usize, M: Mechanism<f64, N>>(
     let principal = Principal::new::<FineTable>(&pulls, M::SPEC.task);
     let most = pulls.iter().map(|pull| pull.stiffness).fold(0.0, f64::max);
     let rendered_indices: Vec<usize> =
-        (0..N).filter(|i| principal.along(*i) > MIN_STIFFNESS_SHARE * principal.along(0)).collect();
+        (0..N).filter(|i| principal.stiffness_along(*i) > MIN_STIFFNESS_SHARE * principal.stiffness_along(0)).collect();
     let null = m.shaping(&pose, &SVector::from_fn(|i, _| f64::from(u8::from(i == N - 1))));
     let shapings: [Shaping<f64, N>; N] = core::array::from_fn(|i| {
         let along = m.shaping(&pose, &principal.direction(i));
@@ -214,7 +214,7 @@ fn linearised<const N: usize, M: Mechanism<f64, N>>(
         if holds { admissible.hold(&along, &null) } else { along }
     });
     let torque = |force: &SVector<f64, N>, b: Option<SVector<f64, N>>| {
-        let (torque, plain) = principal.shaped(&shapings, force, 1.0, |_| b.map(|b| (b, b)));
+        let (torque, plain) = principal.feed_forward(&shapings, force, 1.0, |_| b.map(|b| (b, b)));
         let torque = torque + m.transpose(&pose, &plain);
         DVector::from_iterator(N, torque.iter().copied())
     };
@@ -240,7 +240,7 @@ fn linearised<const N: usize, M: Mechanism<f64, N>>(
         rows: DMatrix::from_columns(&rows).transpose(),
         stiffness: DVector::from_iterator(
             rendered_indices.len(),
-            rendered_indices.iter().map(|i| principal.along(*i) * most),
+            rendered_indices.iter().map(|i| principal.stiffness_along(*i) * most),
         ),
         shaped: DMatrix::from_columns(&shaped),
         bias: DMatrix::from_columns(&bias),

@@ -2,7 +2,7 @@
 //! once. The control step needs fewer terms and has its own kernels.
 
 use super::FiveBar;
-use super::pose::{Pose, left};
+use super::pose::{Pose, rotated_left};
 use crate::math::Real;
 use nalgebra::{Matrix2, Vector2};
 
@@ -28,7 +28,7 @@ pub struct TipMotion<T: Real> {
     pub e: Vector2<T>,
     /// Cᵀ n, kg m.
     rods: Vector2<T>,
-    /// The part of M E that acts at the joints directly, Aᵢ eᵢ + Cᵀ n, kg m. The rest acts through the tip.
+    /// Part of M E that acts at the joints directly, Aᵢ eᵢ + Cᵀ n, kg m. The rest of M E acts through the tip.
     momentum: Vector2<T>,
 }
 
@@ -49,7 +49,10 @@ impl<'a, T: Real> Levers<'a, T> {
             pose,
             jacobian: [Vector2::new(k1 * u2[1], -k1 * u2[0]), Vector2::new(-k2 * u1[1], k2 * u1[0])],
             inverse: [u1 * pose.inverse_k[0], u2 * pose.inverse_k[1]],
-            rods: [left(&pose.arm[0]) * linkage.rod_coupling[0], left(&pose.arm[1]) * linkage.rod_coupling[1]],
+            rods: [
+                rotated_left(&pose.arm[0]) * linkage.rod_coupling[0],
+                rotated_left(&pose.arm[1]) * linkage.rod_coupling[1],
+            ],
         }
     }
 
@@ -95,8 +98,8 @@ impl<'a, T: Real> Levers<'a, T> {
     pub fn bias(&self, qd: &Vector2<T>, qdd: &Vector2<T>, at_tip: Vector2<T>, g: &Vector2<T>) -> Vector2<T> {
         let FiveBar { arm_inertia, elbow_load, tip_load, .. } = self.linkage;
         // An elbow accelerates along its circle with the joint, and inwards with the square of the joint's velocity.
-        let rod = |i: usize| self.rods[i] * qdd[i] + left(&self.rods[i]) * (qd[i] * qd[i]);
-        let at_joint = |i: usize| arm_inertia[i] * qdd[i] - left(&self.pose.arm[i]).dot(g) * elbow_load[i];
+        let rod = |i: usize| self.rods[i] * qdd[i] + rotated_left(&self.rods[i]) * (qd[i] * qd[i]);
+        let at_joint = |i: usize| arm_inertia[i] * qdd[i] - rotated_left(&self.pose.arm[i]).dot(g) * elbow_load[i];
         let through_tip = at_tip - g * *tip_load + rod(0) + rod(1);
         Vector2::new(at_joint(0), at_joint(1)) + self.transposed(&through_tip)
     }

@@ -27,7 +27,7 @@ pub struct Pose<T: Real> {
 pub(in super::super) struct UnitMotion<T: Real> {
     /// E, rad/m.
     pub e: Vector2<T>,
-    /// The part of M E that acts at the joints directly, Iᵢ eᵢ + βᵢ cᵢ·n, kg m. The rest acts through the tip.
+    /// Part of M E that acts at the joints directly, Iᵢ eᵢ + βᵢ cᵢ·n, kg m. The rest of M E acts through the tip.
     pub momentum: Vector2<T>,
     /// The arms' part of the mass at the tip, kg, computed in task space without J: Λ = Γ 1 + Σ Aᵢ aᵢaᵢᵀ + βᵢ(aᵢcᵢᵀ +
     /// cᵢaᵢᵀ) with aᵢ = uᵢ/kᵢ.
@@ -36,6 +36,6 @@ pub(in super::super) struct UnitMotion<T: Real> {
 
 /// Returns `v` rotated left by 90°.
 #[inline(always)]
-pub(super) fn left<T: Real>(v: &Vector2<T>) -> Vector2<T> {
+pub(super) fn rotated_left<T: Real>(v: &Vector2<T>) -> Vector2<T> {
     Vector2::new(-v[1], v[0])
 }

@@ -3,15 +3,13 @@
 use super::super::Controller;
 use super::Start;
 use crate::math::{Math, Real};
-use crate::model::mechanism::{Mechanism, Shaped};
+use crate::model::mechanism::{Mechanism, ShapedTorque};
 use crate::render::step_result::StepResult;
 use nalgebra::SVector;
 
 impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K, N> {
-    /// Implements [`Controller::render`] for one ball with the feed-forward and [`VelocityTerms::Rendered`], in the
+    /// Implements [`Controller::render`] for one ball with the feed-forward and `VelocityTerms::Rendered`, in the
     /// plane. Adds the rotation of the normal to [`Controller::render_wall`].
-    ///
-    /// [`VelocityTerms::Rendered`]: crate::render::scene::VelocityTerms::Rendered
     #[inline(never)]
     pub(in super::super) fn render_round(&mut self, counts: &[i32; N], result: &mut StepResult<T>) {
         self.render_single::<true>(counts, result);
@@ -19,18 +17,18 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
 
     /// Computes equation (4) for `force` (N) of the only wall, whose normal is `normal`, with this curvature (1/m).
     #[inline(always)]
-    pub(super) fn shaped_round(
+    pub(super) fn shaped_torque_of_round_wall(
         &self,
         start: &Start<T, M::Pose, N>,
         normal: &SVector<T, N>,
         force: T,
         curvature: T,
-    ) -> Shaped<T, N> {
+    ) -> ShapedTorque<T, N> {
         let Some(certain) = self.certain_velocities(start) else {
-            return self.shaped_with_partial_terms(start, normal, force, Some(0));
+            return self.shaped_torque_with_partial_terms(start, normal, force, Some(0));
         };
         let turning = normal_turn_acceleration(normal, &self.mechanism.velocity(&start.pose, &certain), curvature);
-        self.mechanism.shaped_turning(&start.pose, normal, force, &certain, &turning)
+        self.mechanism.shaped_torque_of_turning_wall(&start.pose, normal, force, &certain, &turning)
     }
 }
 

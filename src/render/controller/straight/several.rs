@@ -37,7 +37,6 @@ struct SharedPull<T: Real, const N: usize> {
 
 impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K, N> {
     /// Implements [`Controller::render`] for several walls in the plane, by the closed form and with α = 1.
-    ///
     /// [`crate::model::principal`] has one level in the plane. With the stiffest direction e of the walls, the level's
     /// share s, the force F and its shaped part G, the torques are τ = s τ₄(e, e·G) + Jᵀ(F - e s e·G), τ₄ being
     /// equation (4).
@@ -70,7 +69,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
             if !shallower {
                 (at.distance, at.normal_velocity, deepest) = (contact.distance, effect.velocity, contact.normal);
             }
-            if !effect.touched {
+            if !effect.is_touched {
                 continue;
             }
             at.contacts += 1;
@@ -133,12 +132,12 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         let mut plain = SharedPull {
             force: shared.springs,
             reach: self.guidance.shared_depth(shared),
-            springs: self.guidance.in_plane(),
+            springs: self.guidance.stiffness_in_plane(),
             plane: None,
         };
         if let Some((normal, depth, stiffness)) = self.guidance.touched_plane::<N>(place) {
             plain.force += normal * shared.plane;
-            // The reach is 0 here, because `shared_depth` already covers the plane.
+            // The plane adds no depth here, because `shared_depth` already includes the plane.
             let pull = ContactPull { stiffness, has_feed_forward: false, depth, reach: T::zero() };
             plain.plane = Some(StiffContact { normal, pull });
         }
@@ -156,7 +155,7 @@ fn stiffest_direction<T: Real, K: Math<T>, const N: usize>(
     reach: T,
 ) -> Option<(SVector<T, N>, T)> {
     let full = T::one() / (reach * T::from_f64(TOUCH_SHARE)).greater(T::from_f64(TOUCH_DEPTH));
-    // Total stiffness, and the stiffness of the parts without a feed-forward of their own, which are rare.
+    // Total stiffness, and the stiffness of the contacts and springs without a feed-forward of their own.
     let mut all = springs.unwrap_or(Stiffness::none());
     let (mut plain, mut mixed) = (all, springs.is_some());
     for StiffContact { normal, pull } in contacts {

@@ -3,14 +3,13 @@
 use super::super::Controller;
 use super::Start;
 use crate::math::{Math, Real};
-use crate::model::mechanism::{Mechanism, Shaped};
+use crate::model::mechanism::{Mechanism, ShapedTorque};
 use crate::render::scene::FeedForward;
 use crate::render::step_result::{AtWalls, StepResult, clear, put};
 use nalgebra::SVector;
 
 impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K, N> {
     /// Implements [`Controller::render`] for one wall, by the closed form and with α = 1, or for no wall.
-    ///
     /// Writes values as soon as they are known and computes equation (4) last, so that few values are live at a time.
     #[inline(never)]
     pub(in super::super) fn render_wall(&mut self, counts: &[i32; N], result: &mut StepResult<T>) {
@@ -24,7 +23,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
             return self.render_generally(counts, result);
         };
         if self.guidance.adds_force {
-            // Passes a copy, so that the usual case need not keep it in memory.
+            // Passes a copy, so that the usual case can keep the value in registers.
             self.write_guidance(&{ start }, &mut result.guidance);
         }
         let Start { pose, place, .. } = start;
@@ -41,7 +40,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
         let velocity = running.step_low_pass(&self.coefficients, contact.distance);
         let effect = running.effect_at(contact.distance, velocity, debt.as_ref(), T::one());
         result.at.walls = AtWalls {
-            contacts: u8::from(effect.touched),
+            contacts: u8::from(effect.is_touched),
             distance: contact.distance,
             normal_velocity: effect.velocity,
             wall_force: effect.force,
@@ -49,7 +48,7 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
             energy: T::zero(),
             passivity_damping: effect.passivity_damping,
         };
-        if !effect.touched {
+        if !effect.is_touched {
             return self.write_untouched(result);
         }
         let (feed_forward, force) = (running.feed_forward(), effect.force);
@@ -63,12 +62,12 @@ impl<T: Real, M: Mechanism<T, N>, K: Math<T>, const N: usize> Controller<T, M, K
             self.record_wall_torques(&rendered, result);
             return self.write_total(&rendered, || contact.normal * force, result);
         }
-        let Shaped { e, mut torque } = if ROUND {
-            self.shaped_round(&start, &contact.normal, effect.shaped, curvature)
+        let ShapedTorque { e, mut torque } = if ROUND {
+            self.shaped_torque_of_round_wall(&start, &contact.normal, effect.shaped, curvature)
         } else {
             self.shaped_torque(&start, &contact.normal, effect.shaped, Some(0))
         };
-        // Adds zero if the complete force is shaped.
+        // The rest of the force is zero if the complete force is shaped.
         torque += row * (force - effect.shaped);
         self.record_wall_torques(&torque, result);
         put(&e, &mut result.motion);

@@ -9,11 +9,9 @@ use heapless::Vec;
 use nalgebra::SVector;
 
 /// Depth over which a contact's stiffness fades in when the rendered directions are selected, m, so that a second wall
-/// does not change the first wall's feed-forward abruptly. It is three steps of a shipped encoder, and the depth of a
-/// few newtons in the stiffest walls of the shipped devices.
+/// does not change the first wall's feed-forward abruptly. It is three encoder steps of a shipped device.
 pub const TOUCH_DEPTH: f64 = 1.0e-4;
 /// [`TOUCH_DEPTH`] as a share of the largest depth at which a contact's stiffness alone would make its shaped force.
-///
 /// While a second contact gains weight, the sideways push of the first contact changes. With this share, the change
 /// is at most three times the second contact's own stiffness times the coupling; over a tenth of a millimetre it would
 /// be tens of times as much (docs/model.md section 2).
@@ -27,7 +25,7 @@ pub(in super::super) type Pulls<T, const N: usize> = Vec<Pull<T, N>, { MAX_WALLS
 pub(in super::super) struct ContactGroup<'a, T: Real, const N: usize> {
     first: &'a ShapedContact<T, N>,
     more: &'a [ShapedContact<T, N>],
-    /// Stiffnesses of the group, those of the walls first.
+    /// Stiffnesses of the group, with the walls first.
     pub pulls: &'a [Pull<T, N>],
     pub principal: Principal<T, N>,
 }
