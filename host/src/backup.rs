@@ -4,7 +4,7 @@
 //! the same version gets the bytes unchanged; a board whose firmware stores the setting in another version gets the
 //! value, encoded again. Nothing is sent before the complete file has been decoded.
 
-use crate::digits::shortest;
+use crate::digits::shorten_all;
 use crate::link::{Board, BoardError};
 use haptic_bridge::board::protocol::KeyList;
 use haptic_bridge::board::settings::{BoardName, Damage, Entry, Key, Polarity, Setting, decode, encode};
@@ -134,7 +134,7 @@ impl Backup {
         match value.get("haptic-backup").and_then(Value::as_u64) {
             Some(format) if format == u64::from(FORMAT) => {}
             Some(format) => return Err(BackupError::Format(format as u32)),
-            None => return Err(BackupError::NotABackup("it has no \"haptic-backup\"".into())),
+            None => return Err(BackupError::NotABackup("the key \"haptic-backup\" is missing".into())),
         }
         serde_json::from_value(value).map_err(|error| BackupError::NotABackup(error.to_string()))
     }
@@ -179,7 +179,7 @@ pub fn restore(board: &mut Board, ready: &[PreparedSetting]) -> Result<(), Board
 }
 
 /// Returns the names of the settings that a board would lose in a restart, because they differ from the saved settings.
-pub fn unsaved(board: &mut Board) -> Result<Vec<&'static str>, BoardError> {
+pub fn unsaved_settings(board: &mut Board) -> Result<Vec<&'static str>, BoardError> {
     fn differs<S: Setting + PartialEq>(board: &mut Board, now: &S) -> Result<bool, BoardError> {
         let saved = board.read_entry(S::KEY)?.and_then(|entry| decode::<S>(&entry).ok());
         Ok(saved.as_ref() != Some(now))
@@ -209,16 +209,16 @@ pub fn unsaved(board: &mut Board) -> Result<Vec<&'static str>, BoardError> {
 fn damage_error(key: Key, damage: Damage) -> BackupError {
     let reason = match damage {
         Damage::Corrupt => "its checksum or encoding is wrong".to_string(),
-        Damage::UnknownVersion(version) => format!("it is of version {version}, and its value is missing"),
-        Damage::OtherKey => "it belongs to another setting".to_string(),
-        Damage::TooLong => "it is too long".to_string(),
+        Damage::UnknownVersion(version) => format!("its bytes have version {version}, and its value is missing"),
+        Damage::OtherKey => "its bytes belong to another setting".to_string(),
+        Damage::TooLong => "its bytes are too long".to_string(),
     };
     BackupError::Damaged(key.name(), reason)
 }
 
 fn saved_setting(key: Key, entry: &[u8]) -> SavedSetting {
     fn value<S: Setting>(entry: &[u8]) -> Option<Value> {
-        serde_json::to_value(decode::<S>(entry).ok()?).ok().map(shortest)
+        serde_json::to_value(decode::<S>(entry).ok()?).ok().map(shorten_all)
     }
     let value = match key {
         Key::Device => value::<Device<f32>>(entry),
@@ -248,8 +248,8 @@ fn usable_entry_as<S: Setting>(saved: &SavedSetting) -> Result<(Entry, RestoreMe
     let bytes = from_hex(&saved.bytes).ok_or_else(|| damage_error(S::KEY, Damage::Corrupt))?;
     match decode::<S>(&bytes) {
         Ok(value) => {
-            let decoded = serde_json::to_value(&value).ok().map(shortest);
-            if saved.value.clone().is_some_and(|written| Some(shortest(written)) != decoded) {
+            let decoded = serde_json::to_value(&value).ok().map(shorten_all);
+            if saved.value.clone().is_some_and(|written| Some(shorten_all(written)) != decoded) {
                 return Err(BackupError::ValueAndBytesDiffer(S::KEY.name()));
             }
             let entry = Entry::from_slice(&bytes).map_err(|_| damage_error(S::KEY, Damage::TooLong))?;

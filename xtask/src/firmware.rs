@@ -20,7 +20,6 @@ pub const TOY: &str = "toy-board";
 const BINARY: &str = "haptic-firmware";
 const CHIP: &str = "STM32F405RGTx";
 
-/// Adds the arguments of a board's image to a cargo call.
 fn for_board(mut command: Command, board: &str) -> Command {
     command.current_dir(root().join("firmware")).arg("--target-dir").arg(target_directory());
     command.args(["--locked", "--package", BINARY, "--profile", "firmware", "--features", board]);
@@ -88,7 +87,6 @@ pub fn flash(board: &str) -> Result<()> {
         .context("flashing needs probe-rs; `cargo install probe-rs-tools --locked` installs it, see docs/flashing.md")
 }
 
-/// Builds and writes an update file for the chip's USB boot loader.
 pub fn dfu(board: &str) -> Result<()> {
     let elf = build(board)?;
     let image = Image::read(&elf)?;

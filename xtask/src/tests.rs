@@ -21,9 +21,7 @@ const FUZZ_SECONDS: u32 = 20;
 
 /// A named part of the deep tests.
 pub struct Part {
-    /// Name on the command line.
     pub name: &'static str,
-    /// Description for the help text.
     pub description: &'static str,
     /// Runs the part with further arguments for its program.
     run: fn(&[String]) -> Result<()>,
@@ -108,7 +106,6 @@ pub fn deep(part: Option<&str>, arguments: &[String]) -> Result<()> {
     Ok(())
 }
 
-/// Runs a stage and prints its duration.
 fn stage(name: &str, work: impl FnOnce() -> Result<()>) -> Result<()> {
     println!("== {name}");
     let began = Instant::now();
@@ -117,7 +114,6 @@ fn stage(name: &str, work: impl FnOnce() -> Result<()>) -> Result<()> {
     outcome
 }
 
-/// Runs a module of tool/tests/deep.
 fn tool(module: &str, arguments: &[String]) -> Result<()> {
     run(tests(&["--test", "deep", "--", module]).args(arguments).env("HAPTIC_FRESH_SEEDS", "1"))
 }

@@ -18,7 +18,7 @@ use haptic_bridge::model::device::Device;
 use haptic_bridge::model::mechanism::Mechanism;
 use haptic_bridge::with_mechanism;
 use haptic_host::error::{Choice, Failure};
-use haptic_stability::analysis::pose::{TaskPose, angles, regular};
+use haptic_stability::analysis::pose::{TaskPose, check_angles, check_regular};
 use haptic_stability::analysis::range::BoundaryPoint;
 use nalgebra::{DVector, SVector};
 use serde::Serialize;
@@ -58,12 +58,12 @@ pub fn angles_at(device: &Device<f64>, from: &[f64], place: &DVector<f64>) -> Op
 }
 
 fn newton<M: Mechanism<f64, N>, const N: usize>(m: &M, from: &[f64], place: &DVector<f64>) -> Option<Vec<f64>> {
-    angles(from, N).ok()?;
+    check_angles(from, N).ok()?;
     let place = SVector::<f64, N>::from_fn(|i, _| place[i]);
     let mut q = SVector::<f64, N>::from_column_slice(from);
     for _ in 0..40 {
         let pose = m.pose::<FineTable>(&q);
-        regular(&m.regularity(&pose)).ok()?;
+        check_regular(&m.regularity(&pose)).ok()?;
         let off = place - m.tip(&pose);
         if off.norm() < 1e-12 {
             return Some(q.as_slice().to_vec());

@@ -20,9 +20,9 @@
 //! A pull must be longer than the motion that encoder steps cause ([`excitation`]). If the motors cannot make the force
 //! of the shortest such pull, there is no result.
 
-pub mod before;
 pub mod board_measurement;
 pub mod campaign;
+pub mod earlier_settings;
 pub mod excitation;
 pub mod prepared;
 pub mod progress;
@@ -41,7 +41,7 @@ use haptic_stability::analysis::several::Member;
 pub use prepared::{PreparedBoard, rules_for};
 pub use search::Boundary;
 use thiserror::Error;
-pub use walls::{LONGEST_PULL, complement, most_tested};
+pub use walls::{LONGEST_PULL, complement, max_tested_walls};
 
 /// Reason why a measurement, or its part at one damping, ended early. The motors are then off: the measurement turned
 /// them off, or the board does so because it no longer receives heartbeats.

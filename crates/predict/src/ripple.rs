@@ -55,7 +55,7 @@ pub struct Ripple {
 
 impl Ripple {
     /// Returns true if the root mean square is at most `bound_n` (N).
-    pub fn within(&self, bound_n: f64) -> bool {
+    pub fn is_within(&self, bound_n: f64) -> bool {
         self.rms_n.is_some_and(|rms| rms <= bound_n)
     }
 }
@@ -73,7 +73,7 @@ pub struct RippleLine {
 
 /// A device and the hand that presses its wall.
 #[derive(Clone, Debug)]
-pub struct Pressed<'a> {
+pub struct PressedWall<'a> {
     /// The linearised device.
     pub device: &'a Linearised,
     /// Description of the device, with its nonlinear effects.
@@ -90,7 +90,7 @@ pub struct Pressed<'a> {
     pub push_n: f64,
 }
 
-impl Pressed<'_> {
+impl PressedWall<'_> {
     /// Returns the tip motion along the normal per count of the coarsest joint, m; `None` if a joint has no encoder.
     pub fn count_m(&self) -> Option<f64> {
         let steps = self.encoder_steps()?;
@@ -130,7 +130,7 @@ impl Pressed<'_> {
     }
 
     /// Simulates walls along `line` and finds the stiffness at which the ripple exceeds `bound_n` (N).
-    pub fn along(
+    pub fn ripple_line(
         &self,
         mode: Mode,
         line: DampingRule,
@@ -148,7 +148,7 @@ impl Pressed<'_> {
         let wall = |kp: &f64| self.ripple(mode, *kp, line.damping(*kp, mass));
         let stage = format!("ripple of walls, {mode:?}, {line:?}");
         let mut points: Vec<Ripple> = sweep.map(&stage, &tried, |kp| Ok(wall(kp)))?.into_iter().flatten().collect();
-        let over = points.iter().position(|point| !point.within(bound_n));
+        let over = points.iter().position(|point| !point.is_within(bound_n));
         let kp_from = over.map(|at| {
             let mut high = points[at].kp;
             let Some(before) = at.checked_sub(1) else { return high };
@@ -156,7 +156,7 @@ impl Pressed<'_> {
             while high / low > STIFFNESS_RATIO {
                 let middle = (low * high).sqrt();
                 let Some(point) = wall(&middle) else { break };
-                if point.within(bound_n) {
+                if point.is_within(bound_n) {
                     low = middle
                 } else {
                     high = middle
@@ -275,7 +275,7 @@ impl EstimatedMotion {
 
 impl<'a> LinearLaw<'a> {
     fn new(
-        pressed: &'a Pressed<'_>,
+        pressed: &'a PressedWall<'_>,
         steps: &'a [f64],
         mode: Mode,
         (kp, kd): (f64, f64),

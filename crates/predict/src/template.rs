@@ -242,7 +242,7 @@ pub fn scene_file(device: &DeviceFile) -> Result<String, Failure> {
     let FirstWall { scene, ripple } = first_wall(device)?;
     let task = device.spec().task;
     let list = |values: &[f32]| {
-        // Round to tenths of a millimetre, without a negative zero.
+        // Rounds to tenths of a millimetre, without a negative zero.
         let tenths = values.iter().take(task).map(|value| (1e4 * f64::from(*value)).round() / 1e4 + 0.0);
         let values: Vec<String> = tenths.map(|value| format!("{value:?}")).collect();
         format!("[{}]", values.join(", "))

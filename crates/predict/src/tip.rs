@@ -146,7 +146,7 @@ mod tests {
             let inverse = &tip.pose.inverse;
             assert_eq!(limits.len(), file.spec().joints);
             let mut most = 0.0_f64;
-            // Check torques throughout the box, not only at its corners.
+            // Checks torques throughout the box, not only at its corners.
             for nth in 0..1000_u32 {
                 let share = |i: u32| f64::from((nth / 10_u32.pow(i)) % 10) / 4.5 - 1.0;
                 let torque = DVector::from_fn(limits.len(), |i, _| share(i as u32) * limits[i]);

@@ -34,7 +34,7 @@ use haptic_stability::analysis::sampled::{LinearEstimator, Loop, Mode};
 use haptic_stability::sweep::Sweep;
 use limits::limits;
 pub use limits::{Limit, NeighbourWall};
-pub use margins::{Margins, vertex};
+pub use margins::{Margins, extreme_device};
 pub use scene::to_toml;
 use serde::Serialize;
 use std::collections::BTreeSet;
@@ -122,7 +122,7 @@ impl Settings {
         })
     }
 
-    pub(crate) fn rendered(&self, admissible: Admissible) -> RenderedWall {
+    pub(crate) fn rendered_wall(&self, admissible: Admissible) -> RenderedWall {
         RenderedWall {
             kind: self.kind,
             cutoff_hz: self.cutoff_hz,
@@ -227,7 +227,7 @@ fn check(question: &Question<'_>) -> Result<(), Failure> {
 pub fn tune(question: &Question<'_>, sweep: &Sweep) -> Result<TuneResult, Failure> {
     let context = SearchContext::new(question, sweep)?;
     let (mut all, looked_at) = context.search_all()?;
-    all.iter_mut().for_each(|candidate| candidate.felt = context.felt(&candidate.settings));
+    all.iter_mut().for_each(|candidate| candidate.felt = context.felt_stiffness(&candidate.settings));
     let Some((best, passed_over)) = choose_wall(&all) else {
         return Err(Failure::impossible(format!(
             "no wall here is stable within the margins and ripples by at most {} N",

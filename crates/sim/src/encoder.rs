@@ -33,7 +33,7 @@ impl EncoderModel {
         ((turns - turns.round()) * TAU * self.counts_per_rad).abs() <= 0.5
     }
     /// Returns the encoder with its edges shifted by `share` of one count.
-    pub fn shifted(&self, share: f64) -> Self {
+    pub fn with_shifted_edges(&self, share: f64) -> Self {
         Self { origin: self.origin + share * self.resolution(), ..*self }
     }
     /// Returns the angle of one count, rad.

@@ -2,7 +2,7 @@
 
 use crate::{BoardOptions, SHIPPED_DEVICE, SharedBoard, ready_board};
 use haptic_host::device_file::DeviceFile;
-use haptic_host::link::{Board, BoardError, LinkError, PortSpec, Stopped, Wire};
+use haptic_host::link::{Board, BoardError, LinkError, PortSpec, StopOutcome, Wire};
 use std::path::Path;
 
 /// Finds and opens the real or simulated board at `port`, and checks its protocol version.
@@ -14,7 +14,7 @@ pub fn open(port: &PortSpec) -> Result<Board, LinkError> {
 }
 
 /// Turns the motors of the board at `port` off, see [`Board::stop`].
-pub fn stop(port: &PortSpec) -> Result<Stopped, BoardError> {
+pub fn stop(port: &PortSpec) -> Result<StopOutcome, BoardError> {
     match port {
         PortSpec::Sim(device) => Board::stop_over(simulated(device.as_deref())?, NAME),
         _ => Board::stop(port),

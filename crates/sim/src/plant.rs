@@ -40,7 +40,7 @@ pub struct Plant {
     joints: usize,
     task: usize,
     viscous: [f64; 3],
-    /// The joints whose dry friction acts; default joints without friction.
+    /// Joints with their dry friction; default joints if friction is disabled.
     dry: [Joint; 3],
     cogging: [Option<Cogging>; 3],
     stops: [(f64, f64); 3],
@@ -86,11 +86,11 @@ impl ModeState {
     }
 }
 
-/// Maximum number of sweeps of the friction solver. It starts from the previous step's result, so that two sweeps
+/// Maximum number of sweeps of the friction solver, which starts from the previous step's result, so that two sweeps
 /// suffice except in steps in which a joint starts or stops.
 const MAX_SWEEPS: usize = 20;
 
-/// A stop at the distance `nearest` from singularities. It limits the speed of the approach to the distance from the
+/// A stop at the distance `nearest` from singularities, which limits the speed of the approach to the distance from the
 /// stop divided by `softness` (s), and moves a linkage beyond the stop back at the same rate. The stop only absorbs
 /// energy.
 #[derive(Clone, Copy, Debug)]
@@ -103,7 +103,7 @@ struct SingularityStop {
 
 impl SingularityStop {
     /// The stop of every linkage before a parallel singularity, at which the inertia is unbounded. It is closer to the
-    /// singularity than the pose in which a board turns its motors off. Its time constant of 1 ms is long beside a step
+    /// singularity than the pose in which a board turns its motors off. The time constant of 1 ms is long beside a step
     /// of 5 µs.
     const HARD: Self =
         Self { nearest: 0.5 * MIN_PARALLEL_SINE as f64 / PARALLEL_REGULARITY, softness: 1e-3, serial: false };
@@ -117,7 +117,7 @@ impl SingularityStop {
     }
 }
 
-/// Step of the finite difference of the distance from singularities, rad. It is a tenth of the angle from
+/// Step of the finite difference of the distance from singularities, rad: a tenth of the angle from
 /// [`SingularityStop::HARD`] to the singularity.
 const DIFFERENCE_STEP_RAD: f64 = 1e-7;
 

@@ -4,7 +4,9 @@
 //! that no tool can exhaust memory.
 
 use super::board::SimulatedBoard;
-use super::door::{BLOCK_BYTES, DISARM_REPLY_TIME, Event, MAX_STOPS, Outgoing, Stop, ToolListener};
+use super::door::{
+    BLOCK_BYTES, DISARM_REPLY_TIME, DisarmRequest, Event, MAX_DISARM_REQUESTS, OutgoingBlocks, ToolListener,
+};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{RecvTimeoutError, TryRecvError, TrySendError};
 use std::time::{Duration, Instant};
@@ -137,11 +139,11 @@ impl<'a> Server<'a> {
     }
 
     /// Disarms the board for a tool that does not hold it.
-    fn disarm_for_guest(&mut self, now: f64, (request, answers): Stop) {
+    fn disarm_for_guest(&mut self, now: f64, (request, answers): DisarmRequest) {
         // Ends a partial frame of the holder.
         self.board.receive(&[0]);
         self.board.receive(&request);
-        if self.tools.guests.len() >= MAX_STOPS {
+        if self.tools.guests.len() >= MAX_DISARM_REQUESTS {
             self.tools.guests.remove(0);
         }
         self.tools.guests.push((answers, now));
@@ -152,11 +154,11 @@ impl<'a> Server<'a> {
 /// The tools that receive the board's bytes.
 #[derive(Default)]
 struct Tools {
-    holder: Option<Outgoing>,
+    holder: Option<OutgoingBlocks>,
     /// The block that the holder has not accepted yet.
     waiting: Option<Vec<u8>>,
     /// Tools that disarmed the board without holding it, and the times of their requests, s.
-    guests: Vec<(Outgoing, f64)>,
+    guests: Vec<(OutgoingBlocks, f64)>,
 }
 
 impl Tools {

@@ -101,11 +101,11 @@ impl Sweep {
                         earlier.version
                     );
                     return Err(Failure::wrong(reason)
-                        .remedy("delete it, or name another file")
+                        .remedy("delete the file, or name another")
                         .choose(Choice::ResultsFile));
                 }
             }
-            // Write now, so that an error is reported before the work.
+            // Writes now, so that an error is reported before the work.
             write(path, &checkpoint)?;
         }
         let display = if std::io::stderr().is_terminal() { Display::InPlace } else { Display::Never };
@@ -170,7 +170,7 @@ impl Sweep {
         }
     }
 
-    /// Applies `work` to items without a stored result of this `stage`. Returns the failure of the first that fails.
+    /// Applies `work` to items without a stored result of this `stage`. Returns the failure of the first failed item.
     pub fn map<T: Sync, R: Serialize + DeserializeOwned + Send>(
         &self,
         stage: &str,
@@ -222,7 +222,7 @@ impl Sweep {
     /// Removes the stored results; call it after printing the final result.
     pub fn finish(self) {
         if let Some(file) = self.file {
-            // Ignore the error because the file may already be removed.
+            // Ignores the error because the file may already be removed.
             let _ = std::fs::remove_file(file);
         }
     }
@@ -246,7 +246,7 @@ impl Sweep {
     fn keep<R: Serialize + DeserializeOwned>(&self, stage: &str, index: usize, result: &R) -> Result<(), Failure> {
         let Some(file) = &self.file else { return Ok(()) };
         let bytes = postcard::to_allocvec(result).map_err(Failure::impossible)?;
-        // Reject types that do not read back equal, because a resumed run would use other values.
+        // Rejects types that do not read back equal, because a resumed run would use other values.
         let back = postcard::take_from_bytes::<R>(&bytes).ok().filter(|(_, rest)| rest.is_empty());
         if back.and_then(|(back, _)| postcard::to_allocvec(&back).ok()).as_ref() != Some(&bytes) {
             return Err(Failure::impossible(format!("a result of stage \"{stage}\" changes when it is stored"))
@@ -258,7 +258,7 @@ impl Sweep {
         state.checkpoint.stages.entry(stage.into()).or_default().done.insert(index, text);
         if Instant::now() > state.due {
             let begun = Instant::now();
-            // Ignore a write error here; it is reported when the work is interrupted.
+            // Ignores a write error, which is reported when the work is interrupted.
             let _ = write(file, &state.checkpoint);
             state.due = Instant::now() + WRITE_INTERVAL.max(begun.elapsed() * MIN_PAUSE_FACTOR);
         }

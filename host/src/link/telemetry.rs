@@ -140,7 +140,7 @@ pub(super) struct Rows {
 
 /// Number of consecutive rejected batches after which the next batch is accepted, because the batch before the rejected
 /// batches was corrupted.
-const ACCEPT_AFTER: u32 = 3;
+const ACCEPT_AFTER_BATCHES: u32 = 3;
 
 impl Rows {
     /// Creates the unpacker of a stream of `fields` at every `divider`-th step.
@@ -173,7 +173,7 @@ impl Rows {
             let ahead = u64::from(behind / batch.divider);
             let lost = u64::from(batch.number.wrapping_sub(number));
             let most = u64::from(batch.dropped) + lost * (BATCH_BYTES / width) as u64;
-            let restarted = batch.number == 0 || self.corrupted >= ACCEPT_AFTER;
+            let restarted = batch.number == 0 || self.corrupted >= ACCEPT_AFTER_BATCHES;
             fits &= restarted || (behind.is_multiple_of(batch.divider) && (lost..=most).contains(&ahead));
             // If the step counter went back, the board has restarted, and the losses in between are unknown.
             if fits && behind < u32::MAX / 2 {

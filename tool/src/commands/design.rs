@@ -10,7 +10,7 @@ use haptic_predict::design::place::{Directions, Places, WallPlace, directions, p
 use haptic_predict::design::posture::{Posture, Postures, postures};
 use haptic_predict::design::sensitivity::{BestChange, CHANGE, Effect, Sensitivity, buys_most, sensitivities};
 use haptic_predict::design::{Stiffest, singular_pose};
-use haptic_predict::plausible::{Warned, warn};
+use haptic_predict::plausible::{WithWarnings, warn};
 use haptic_show::plot::coupling::draw;
 use haptic_stability::analysis::control_loop::{Loop, TorquePath};
 use haptic_stability::analysis::estimator::LinearEstimator;
@@ -121,7 +121,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let sensitivities = sensitivities(description, &q, &normal, args.holding.admissible, &prediction.around)?;
     let pose = TaskPose::at(description, &q)?.regular()?.holding(args.holding.admissible);
     let unit = haptic_stability::analysis::pose::unit_normal(&normal, spec.task, spec.joints)?;
-    let (w_eff, w_rr) = haptic_stability::analysis::map::along(&pose, &unit).ok_or_else(singular_pose)?;
+    let (w_eff, w_rr) = haptic_stability::analysis::map::effective_inertias(&pose, &unit).ok_or_else(singular_pose)?;
     let mut here = WallPlace {
         q: q.clone(),
         position: pose.position.clone(),
@@ -163,7 +163,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         let picture = drawn.ok_or_else(|| Failure::impossible("the linkage does not close at this pose"))?;
         args.pictures.save(&picture)?;
     }
-    let result = Warned { result: &document, warnings: &warnings };
+    let result = WithWarnings { result: &document, warnings: &warnings };
     args.json.answer(result, &readable(&document, requested.is_some(), &args))?;
     sweep.finish();
     Ok(())

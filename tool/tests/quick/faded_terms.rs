@@ -158,7 +158,7 @@ fn faded_velocity_terms_count_as_an_error() {
             let found = errors(&device, &probes, &way);
             assert!((found.whole.force.max / left - 1.0).abs() < 1e-3, "{name} {rate:?}: {found:?}, left {left} N");
             // Faded terms do not count against the planner's choice.
-            assert!(found.given.force.max < 1e-3, "{name} {rate:?}: {found:?}");
+            assert!(found.unfaded_errors.force.max < 1e-3, "{name} {rate:?}: {found:?}");
             let parts = error_sources(&device, &probes, &way);
             assert!((parts.dropped / left - 1.0).abs() < 1e-3, "{name} {rate:?}: {parts:?}, left {left} N");
         }

@@ -23,7 +23,7 @@ fn soft_device_in_hand() -> Linearised {
 }
 
 fn control_loop(bandwidth_hz: f64) -> Loop {
-    let ideal = ideal_loop(1000.0, 0.5, LinearEstimator::Butterworth(50.0).over(2));
+    let ideal = ideal_loop(1000.0, 0.5, LinearEstimator::Butterworth(50.0).with_window(2));
     Loop { drive: Drive::Current { bandwidth_hz }, ..ideal }
 }
 
@@ -54,7 +54,7 @@ fn every_effect_is_compared_with_the_loop_without_it() {
     let faster = Loop {
         rate_hz: 10_000.0,
         delay_samples: 5.0,
-        estimator: LinearEstimator::Butterworth(50.0).over(20),
+        estimator: LinearEstimator::Butterworth(50.0).with_window(20),
         ..around.clone()
     };
     same(found.effects[0].limits.off, alone(&device, &faster));

@@ -87,7 +87,6 @@ fn linked_crates(manifest: &str, packages: &[&str], target: &str) -> Result<BTre
         .collect()
 }
 
-/// Reads the license files in the folder of a manifest.
 fn texts(manifest: &Path) -> Result<Vec<String>> {
     let folder = manifest.parent().context("the manifest's path has no folder")?;
     let mut found = Vec::new();

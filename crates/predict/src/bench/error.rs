@@ -82,7 +82,7 @@ impl Law {
     }
 
     /// Returns the shares of `probes` at which the velocity terms are faded and at which they are off.
-    pub fn fading(self, device: &Device<f64>, probes: &[Probe]) -> [f64; 2] {
+    pub fn fading_shares(self, device: &Device<f64>, probes: &[Probe]) -> [f64; 2] {
         let shares: Vec<f64> =
             with_mechanism!(&device.mechanism, m => probes.iter().map(|probe| self.share(m, probe)).collect());
         [1.0, f64::MIN_POSITIVE].map(|below| {
@@ -165,7 +165,7 @@ pub struct VariantErrors {
     /// Errors relative to the complete law.
     pub whole: Errors,
     /// Errors relative to a board that computes exactly but fades its velocity terms.
-    pub given: Errors,
+    pub unfaded_errors: Errors,
 }
 
 /// Computes the joint torques (N m) of `probe` with a mass model and terms, in the precision `T`.
@@ -247,7 +247,7 @@ fn compare<K: Math<f32>, E: Mechanism<f64, N>, B: Mechanism<f32, N>, const N: us
     let Some(mass) = MassModel::<f32, N>::new::<B>(&model.data, &model.values) else { return VariantErrors::default() };
     let torques: Vec<_> = probes.iter().map(|probe| torque::<f32, K, B, N>(board, &mass, terms, law, probe)).collect();
     let against = |law: Law| errors_against::<E, N>(device, exact, probes, &torques, law);
-    VariantErrors { whole: against(law.without_fading()), given: against(law) }
+    VariantErrors { whole: against(law.without_fading()), unfaded_errors: against(law) }
 }
 
 /// Computes the errors of the torques `actual` against a law.

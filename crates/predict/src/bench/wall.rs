@@ -77,7 +77,7 @@ pub(super) enum Trial {
 pub struct SlideResult {
     /// Root mean square of the force above 20 Hz, N; `None` if the tip flies off.
     pub ripple_n: Option<f64>,
-    /// True if the mean force differs from the hand's expected push by at most a tenth of it plus friction.
+    /// True if the mean force differs from the hand's expected push by at most a tenth of this push plus friction.
     pub holds: bool,
 }
 
@@ -94,7 +94,7 @@ pub struct WallSimulation {
     normal: [f64; MAX_JOINTS],
     tip: [f64; MAX_JOINTS],
     /// Unit vector along the wall; zero if the task has one direction.
-    across: [f64; MAX_JOINTS],
+    tangent: [f64; MAX_JOINTS],
     /// Joint motion per metre of tip motion along the normal, rad/m.
     pub(super) motion: [f64; MAX_JOINTS],
     /// Tip motion along the normal per count of the coarsest joint, m.
@@ -103,15 +103,15 @@ pub struct WallSimulation {
 
 impl WallSimulation {
     /// Prepares a simulation at a pose (rad) with a wall across the unit normal `normal` and a control rate (Hz). The
-    /// board models the device `believed`, and the device `moving` moves.
+    /// board uses `model`, and `device` is the simulated device.
     pub fn new(
-        believed: &Description,
-        moving: &Description,
+        model: &Description,
+        device: &Description,
         q: &[f64],
         normal: &[f64],
         rate_hz: f64,
     ) -> Result<Self, Failure> {
-        let encoders = believed.joints[..q.len()]
+        let encoders = model.joints[..q.len()]
             .iter()
             .map(|joint| joint.encoder.map(|encoder| EncoderModel::new(&encoder, encoder.offset)))
             .collect::<Option<Vec<_>>>()
@@ -119,15 +119,15 @@ impl WallSimulation {
                 Failure::wrong("the device has joints without [joint.encoder]")
                     .remedy("add the encoders: walls are simulated with their steps")
             })?;
-        let pose = TaskPose::at(believed, q)?.regular()?;
-        // Remove the device's home, because counts start at the encoders' offset in this simulation.
-        let board = Device::<f32>::new("tried", &Description { home: None, ..*believed }).map_err(Failure::wrong)?;
-        let alone = *moving;
+        let pose = TaskPose::at(model, q)?.regular()?;
+        // Removes the device's home, because counts start at the encoders' offset in this simulation.
+        let board = Device::<f32>::new("tried", &Description { home: None, ..*model }).map_err(Failure::wrong)?;
+        let alone = *device;
         let mut held = alone;
         held.handle_mass += LIGHT_HAND.mass;
         let row = pose.jacobian.tr_mul(&padded_to(pose.jacobian.nrows(), normal));
         let per_count = row.iter().zip(&encoders).map(|(lever, encoder)| (lever * encoder.resolution()).abs());
-        let across = complement(&nalgebra::DVector::from_column_slice(normal));
+        let tangents = complement(&nalgebra::DVector::from_column_slice(normal));
         let count = per_count.fold(0.0, f64::max);
         let mut pushed = plant(&alone, padded(q))?;
         let tip = pushed.tip();
@@ -146,7 +146,7 @@ impl WallSimulation {
             q: padded(q),
             normal: padded(normal),
             tip,
-            across: across.first().map_or([0.0; MAX_JOINTS], |across| padded(across.as_slice())),
+            tangent: tangents.first().map_or([0.0; MAX_JOINTS], |tangent| padded(tangent.as_slice())),
             motion: pushed.qd(),
             count,
         })
@@ -154,7 +154,7 @@ impl WallSimulation {
 
     /// Returns this simulation with each encoder shifted by a share of one count.
     pub(super) fn with_count_offsets(&self, share: impl Fn(usize) -> f64) -> Self {
-        let moved = self.encoders.iter().enumerate().map(|(j, encoder)| encoder.shifted(share(j))).collect();
+        let moved = self.encoders.iter().enumerate().map(|(j, encoder)| encoder.with_shifted_edges(share(j))).collect();
         Self { encoders: moved, ..self.clone() }
     }
 
@@ -223,7 +223,7 @@ impl WallSimulation {
         let grip = |time: f64| {
             let along = if trial == Trial::SlidAlong { SLIDE_SPEED * time } else { 0.0 };
             (!alone).then(|| Grip {
-                goal: core::array::from_fn(|i| self.tip[i] + along * self.across[i]),
+                goal: core::array::from_fn(|i| self.tip[i] + along * self.tangent[i]),
                 // A hand carries its own weight.
                 push: core::array::from_fn(|i| -hand_push(trial, time) * self.normal[i] - mass * self.alone.gravity[i]),
             })

@@ -15,7 +15,7 @@ pub struct Boundary {
     /// Largest stable gain, N/m or N s/m.
     pub gain: f64,
     /// Motion of the tip just beyond the boundary: it grows, or continues as a vibration.
-    pub beyond: Verdict,
+    pub verdict_beyond: Verdict,
 }
 
 /// Returns the largest gain for which `judge` returns [`Verdict::Decays`], or 0 if a thousandth of `start` oscillates.
@@ -75,13 +75,13 @@ impl PreparedBoard<'_> {
         strength: f64,
         guess: Option<f64>,
     ) -> Result<Boundary, MeasureError> {
-        let start = self.gentle_stiffness();
+        let start = self.soft_hold_stiffness();
         find_boundary(start, guess.filter(|g| *g > 0.0), |kp| self.judge(feed_forward, kp, kd, strength))
     }
 
     /// Measures the damping at which even a soft wall oscillates, N s/m.
     pub fn damping_end(&mut self, feed_forward: FeedForward) -> Result<Boundary, MeasureError> {
-        let (kp, start) = (0.02 * self.gentle_stiffness(), self.gentle_damping());
+        let (kp, start) = (0.02 * self.soft_hold_stiffness(), self.soft_hold_damping());
         find_boundary(start, None, |kd| self.judge(feed_forward, kp, kd, 1.0))
     }
 }
@@ -101,7 +101,7 @@ mod tests {
             for guess in [None, Some(edge * 1.2), Some(edge * 0.9)] {
                 let found = find_boundary(1.0, guess, vibrating(edge)).unwrap();
                 assert!((found.gain / edge - 1.0).abs() < RESOLUTION - 1.0, "{edge}: {found:?}");
-                assert_eq!(found.beyond, Verdict::Vibrates(1e-4));
+                assert_eq!(found.verdict_beyond, Verdict::Vibrates(1e-4));
             }
         }
         assert_eq!(find_boundary(1.0, None, |_| Ok(Verdict::Grows)).unwrap().gain, 0.0);

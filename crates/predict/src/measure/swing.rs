@@ -119,7 +119,7 @@ impl Swing {
         if self.verdicts[0].is_none() {
             self.verdicts[0] = self.position.add_position(position);
         }
-        // A decaying mode of the acceleration may hide a growing mode, so follow both signals to the end.
+        // Follows both signals to the end, because a decaying mode of one signal may hide a growing mode.
         if let [Some(first), Some(second)] = self.previous {
             self.verdicts[1] = self.acceleration.add_position(position - 2.0 * second + first).or(self.verdicts[1]);
         }
@@ -260,12 +260,12 @@ impl Trace {
         if count > SWINGS_PER_CHECK / 2 && small(&self.swings[count - SWINGS_PER_CHECK / 2..]) {
             return Some(Verdict::Decays);
         }
-        // Check the trend whenever half of its swings are new.
+        // Checks the trend whenever half of its swings are new.
         let seen = count.checked_sub(IGNORED_TURNS + SWINGS_PER_CHECK)?;
         if !seen.is_multiple_of(SWINGS_PER_CHECK / 2) {
             return None;
         }
-        // Compare extents, because swings also become longer when a fast ripple decays and no longer splits them.
+        // Compares extents, because swings also become longer when a fast ripple decays and no longer splits them.
         let (earlier, later) = self.extents[IGNORED_TURNS..].split_at(seen + SWINGS_PER_CHECK / 2);
         let larger = size_of(later) > size_of(earlier);
         let lasted = (self.ends[count - 1] - self.ends[count - 1 - SWINGS_PER_CHECK]) as f64;
@@ -287,7 +287,7 @@ impl Trace {
         let larger = largest(&latest[latest.len() / 2..]) >= largest(&stretches);
         // A motion whose trend bends, or that rises in a beat, has no constant size.
         self.verdict_of_trend(latest, larger)
-            .or_else(|| (!patient || !is_sure(trend(latest))).then(|| self.verdict_of_size()))
+            .or_else(|| (!patient || !is_significant(trend(latest))).then(|| self.verdict_of_size()))
     }
 
     /// Returns the size of the motion in each stretch, m. A stretch has at least [`MIN_STRETCH_SWINGS`] swings and lasts
@@ -307,7 +307,7 @@ impl Trace {
     /// Returns the verdict if the trend is clear. The beat of two modes grows too, but is not `larger` than before.
     fn verdict_of_trend(&self, swings: &[f64], larger: bool) -> Option<Verdict> {
         let (slope, error) = trend(swings);
-        let sure = is_sure((slope, error));
+        let sure = is_significant((slope, error));
         let (earlier, later) = swings.split_at(swings.len() / 2);
         if sure && slope > 0.0 && larger && self.size() > self.encoder_motion {
             return Some(Verdict::Grows);
@@ -344,7 +344,7 @@ fn largest(swings: &[f64]) -> f64 {
 }
 
 /// Returns true if a slope with this standard error differs from zero.
-fn is_sure((slope, error): (f64, f64)) -> bool {
+fn is_significant((slope, error): (f64, f64)) -> bool {
     slope.abs() > FLAT_SLOPE.max(SIGNIFICANT_STANDARD_ERRORS * error)
 }
 

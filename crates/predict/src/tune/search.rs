@@ -26,14 +26,14 @@ const WINDOWS: [u32; 4] = [4, 8, 16, 32];
 const CANDIDATES_PER_ROUND: usize = 8;
 /// Share of the best stiffness down to which candidates are simulated, because they may beat the best.
 const NEAR_SHARE: f64 = 0.85;
-/// Share of the best stiffness for another feed-forward and on the board, lower so that there is a result to compare.
+/// Like [`NEAR_SHARE`], for other feed-forwards and on the board; lower, so that there is a result to compare.
 const COMPARED_SHARE: f64 = 0.7;
 /// Share of the encoders' rule of thumb at which stiffness starts without an earlier result.
 const FIRST_SHARE: f64 = 0.1;
 /// Ratio of successive stiffnesses without an earlier result.
 const STIFFNESS_STEP: f64 = 1.5;
-/// Factors by which the best wall is made stiffer until none meets all criteria. They exceed the limit found earlier,
-/// because friction or a limit cycle may make a stiffer wall quieter.
+/// Factors by which the best wall is made stiffer until no stiffer wall meets all criteria. The steps also exceed the
+/// limit found earlier, because friction or a limit cycle may make a stiffer wall quieter.
 const STIFFER_FACTORS: [f64; 5] = [1.5, 1.25, RAISE_FACTOR, 1.06, STIFFNESS_RATIO];
 /// Maximum number of estimators around whose best wall the search continues.
 const REFINED_ESTIMATORS: usize = 4;
@@ -251,19 +251,14 @@ impl SearchContext<'_> {
                 break;
             }
             let stage = format!("ripple, feed-forward {feed_forward}, round {}", round + 1);
-            tuned.extend(self.best_of_each(some, floor, &stage)?);
+            tuned.extend(self.best_walls(some, floor, &stage)?);
             *count += some.len();
         }
         Ok(tuned)
     }
 
     /// Returns the best wall of each candidate that is stiffer than `floor` (N/m).
-    fn best_of_each(
-        &self,
-        candidates: &[(Settings, Curve)],
-        floor: f64,
-        stage: &str,
-    ) -> Result<Vec<TunedWall>, Failure> {
+    fn best_walls(&self, candidates: &[(Settings, Curve)], floor: f64, stage: &str) -> Result<Vec<TunedWall>, Failure> {
         let results = self.sweep.map(stage, candidates, |(settings, curve)| {
             Ok(self.best_of_candidate(settings, curve, floor)?.map(to_gains))
         })?;
@@ -276,9 +271,9 @@ impl SearchContext<'_> {
         let mut best = tuned;
         for round in 0..REFINEMENT_ROUNDS {
             let Settings { stiffness, damping, .. } = best.settings;
-            let candidates = self.around_damping(neighbours(&best.settings), damping)?;
+            let candidates = self.curves_near_damping(neighbours(&best.settings), damping)?;
             let there =
-                self.best_of_each(&candidates, stiffness, &format!("between grid values, {stage}, {}", round + 1))?;
+                self.best_walls(&candidates, stiffness, &format!("between grid values, {stage}, {}", round + 1))?;
             best = stiffest([&best].into_iter().chain(&there)).unwrap_or(best);
             if best.settings.stiffness <= STIFFNESS_RATIO * stiffness {
                 break;
@@ -286,8 +281,8 @@ impl SearchContext<'_> {
         }
         if best.settings.feed_forward == FeedForward::Washout {
             let corners = WASHOUTS_HZ.map(|washout_hz| Settings { washout_hz, ..best.settings });
-            let candidates = self.around_damping(corners.to_vec(), best.settings.damping)?;
-            let there = self.best_of_each(&candidates, 0.8 * best.settings.stiffness, &format!("washouts, {stage}"))?;
+            let candidates = self.curves_near_damping(corners.to_vec(), best.settings.damping)?;
+            let there = self.best_walls(&candidates, 0.8 * best.settings.stiffness, &format!("washouts, {stage}"))?;
             let most = stiffest([&best].into_iter().chain(&there)).map_or(0.0, |tuned| tuned.settings.stiffness);
             best = there.into_iter().find(|tuned| tuned.settings.stiffness >= KEPT_SHARE * most).unwrap_or(best);
         }
@@ -295,7 +290,7 @@ impl SearchContext<'_> {
     }
 
     /// Returns these settings with their curves near a damping (N s/m).
-    fn around_damping(&self, settings: Vec<Settings>, damping: f64) -> Result<Vec<(Settings, Curve)>, Failure> {
+    fn curves_near_damping(&self, settings: Vec<Settings>, damping: f64) -> Result<Vec<(Settings, Curve)>, Failure> {
         let dampings = DAMPING_FACTORS.map(|factor| three_digits(damping * factor, false));
         let each = settings.into_iter().map(|settings| {
             let most = self.allowed_stiffnesses(&settings, &dampings)?;

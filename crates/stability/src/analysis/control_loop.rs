@@ -124,7 +124,7 @@ impl Linearised {
 
     /// Returns the stiffness that a hand feels at rest, N/m; `None` if no transmission is compliant.
     #[must_use]
-    pub fn felt(&self, mode: Mode, stiffness: f64) -> Option<f64> {
+    pub fn felt_stiffness(&self, mode: Mode, stiffness: f64) -> Option<f64> {
         felt_stiffness(stiffness, self.compliance(mode)?)
     }
 }

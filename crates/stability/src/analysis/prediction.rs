@@ -67,7 +67,7 @@ impl Prediction {
 
     /// Linearises the device for one wall at `q` (rad) along `normal` (d entries, any length but zero).
     pub fn linearise(&self, q: &[f64], normal: &[f64]) -> Result<Linearised, PoseError> {
-        let mut linearised = self.subject.along(q, normal, self.admissible)?.with_hand(self.hand);
+        let mut linearised = self.subject.linearise_along(q, normal, self.admissible)?.with_hand(self.hand);
         linearised.gain = self.gain.min(linearised.largest_gain().unwrap_or(1.0));
         linearised.flexible.posture = self.posture_with_jacobian(q)?;
         Ok(linearised)
@@ -112,7 +112,7 @@ impl Prediction {
         Ok(self.walls(q, members)?.range(&self.around, kd, washout_hz)?)
     }
 
-    /// Returns the largest stable stiffness with damping `kd`, N/m, zero if none, and the largest stable damping.
+    /// Returns the largest stable stiffness with damping `kd`, N/m (zero if none is stable), and the largest stable damping.
     pub fn stiffness_at(&self, q: &[f64], normal: &[f64], mode: Mode, kd: f64) -> Result<(f64, f64), Failure> {
         Ok(stiffness_at(&self.linearise(q, normal)?, &self.around, mode, kd)?)
     }

@@ -90,7 +90,8 @@ fn cases(device: &Linearised, around: &Loop) -> Vec<(&'static str, &'static str,
     let delay_samples = around.delay_samples * RATE_FACTOR as f64;
     if delay_samples <= LONGEST_DELAY && (samples == 1 || samples * RATE_FACTOR <= LONGEST_DIFFERENCE) {
         // Delay, filter and window keep their lengths in seconds.
-        let estimator = if samples > 1 { around.estimator.over(samples * RATE_FACTOR) } else { around.estimator };
+        let estimator =
+            if samples > 1 { around.estimator.with_window(samples * RATE_FACTOR) } else { around.estimator };
         let faster = Loop { rate_hz: around.rate_hz * RATE_FACTOR as f64, delay_samples, estimator, ..around.clone() };
         add("sampling", "ten times the rate", device.clone(), faster);
     }
@@ -102,11 +103,11 @@ fn cases(device: &Linearised, around: &Loop) -> Vec<(&'static str, &'static str,
     }
     if around.estimator.cutoff_hz().is_some() {
         let bare = LinearEstimator::BackwardDifference;
-        let estimator = if samples > 1 { bare.over(samples) } else { bare };
+        let estimator = if samples > 1 { bare.with_window(samples) } else { bare };
         add("filter", "no filter", device.clone(), Loop { estimator, ..around.clone() });
     }
     if samples > 1 {
-        let estimator = around.estimator.over(1);
+        let estimator = around.estimator.with_window(1);
         add("difference", "over one sample", device.clone(), Loop { estimator, ..around.clone() });
     }
     if device.flexible.transmissions.iter().any(Option::is_some) {

@@ -166,10 +166,10 @@ pub fn readable(
     if let Some(passivity) = passivity {
         line(format!(
             "  passive without feed-forward (Colgate and Schenkel 1997): kp < {:.2} N/m at kd = 0, kd < {:.4} N s/m",
-            passivity.sampled(0.0),
+            passivity.largest_stiffness(0.0),
             passivity.largest_damping()
         ));
-        if let Some(limit) = passivity.quantised() {
+        if let Some(limit) = passivity.largest_undamped_stiffness() {
             line(format!(
                 "  passive with quantisation and friction (Abbott and Okamura 2005): kp <= {limit:.2} N/m at kd = 0"
             ));

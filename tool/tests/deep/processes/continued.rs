@@ -7,7 +7,7 @@ use crate::common::{haptic, ideal_loop, send_signal, shipped_device, shipped_pat
 use haptic_host::error::Failure;
 use haptic_predict::bench::estimators::{Comparison, compare};
 use haptic_predict::design::place::places;
-use haptic_predict::ripple::{LIGHT_HAND, PUSH_N, Pressed};
+use haptic_predict::ripple::{LIGHT_HAND, PUSH_N, PressedWall};
 use haptic_predict::tune::{Question, tune};
 use haptic_stability::analysis::flexible::Hand;
 use haptic_stability::analysis::line::DampingRule;
@@ -78,8 +78,8 @@ fn an_interrupted_range_continues() {
     check_interrupted(2, 12, |sweep| why(&device, &around, sweep));
     let description = file.description;
     let (hand, push_n) = (LIGHT_HAND, PUSH_N);
-    let press = Pressed { device: &device, description, q, normal, around: &around, hand, push_n };
-    check_interrupted(2, 12, |sweep| press.along(Mode::Full, DampingRule::Ratio(0.7), 0.1, sweep));
+    let press = PressedWall { device: &device, description, q, normal, around: &around, hand, push_n };
+    check_interrupted(2, 12, |sweep| press.ripple_line(Mode::Full, DampingRule::Ratio(0.7), 0.1, sweep));
 }
 
 #[cfg(unix)]
