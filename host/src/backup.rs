@@ -97,7 +97,7 @@ pub struct PreparedSetting {
     /// The setting in this tool's encoding.
     pub entry: Entry,
     /// The way in which the setting is restored.
-    pub how: RestoreMethod,
+    pub method: RestoreMethod,
 }
 
 /// The order in which settings are restored, because a new device resets the settings that depend on it.
@@ -140,7 +140,7 @@ impl Backup {
     }
 
     /// Returns every setting in this version's encoding, in the order to send them.
-    pub fn ready(&self) -> Result<Vec<PreparedSetting>, BackupError> {
+    pub fn prepared_settings(&self) -> Result<Vec<PreparedSetting>, BackupError> {
         if let Some(unknown) = self.settings.keys().find(|name| Key::ALL.iter().all(|key| key.name() != **name)) {
             return Err(BackupError::UnknownSetting(unknown.clone()));
         }
@@ -157,7 +157,7 @@ impl Backup {
                 // Prevents a restored device from using the mass model that the board keeps for another device.
                 None if key == Key::MassModel && self.settings.contains_key(Key::Device.name()) => {
                     let entry = encode(&MassModelData::Exact).map_err(|error| damage_error(key, error))?;
-                    ready.push(PreparedSetting { key, entry, how: RestoreMethod::Unchanged });
+                    ready.push(PreparedSetting { key, entry, method: RestoreMethod::Unchanged });
                 }
                 None => {}
             }
@@ -170,7 +170,7 @@ impl Backup {
 /// board has all of the settings or none. The motors must be off.
 pub fn restore(board: &mut Board, ready: &[PreparedSetting]) -> Result<(), BoardError> {
     let mut keys = KeyList::new();
-    for setting in ready.iter().filter(|setting| setting.how != RestoreMethod::NotRestored) {
+    for setting in ready.iter().filter(|setting| setting.method != RestoreMethod::NotRestored) {
         board.stage_entry(setting.key, setting.entry.clone())?;
         // The list has room for every key, and a backup contains each key once.
         let _ = keys.push(setting.key);

@@ -431,7 +431,7 @@ fn home(top: &Table<'_>, spec: &Spec, joints: &[Joint]) -> Result<Option<[f64; M
 /// Returns the first joint whose modes, together with the modes of the joints before this joint, leave the links no
 /// inertia at the angles `q`, rad.
 fn joint_without_remaining_inertia(description: &Description, q: &[f64; MAX_JOINTS]) -> Option<usize> {
-    fn first<const N: usize, M: Mechanism<f64, N>>(
+    fn first_joint<const N: usize, M: Mechanism<f64, N>>(
         mechanism: &M,
         description: &Description,
         q: &[f64; MAX_JOINTS],
@@ -452,7 +452,7 @@ fn joint_without_remaining_inertia(description: &Description, q: &[f64; MAX_JOIN
         return None;
     }
     let links = AnyMechanism::new(&description.link_side()).ok()?;
-    with_mechanism!(&links, m => first(m, description, q))
+    with_mechanism!(&links, m => first_joint(m, description, q))
 }
 
 /// Returns true if the linkage closes at these joint angles.

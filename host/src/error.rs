@@ -117,15 +117,15 @@ impl std::error::Error for Failure {}
 /// Makes a text safe for a terminal: escapes control characters, such as an ESC in a board's name, as in JSON. Keeps
 /// newlines and tabs.
 pub fn visible(text: &str) -> Cow<'_, str> {
-    escaped(text, &['\n', '\t'])
+    escape(text, &['\n', '\t'])
 }
 
 /// Like [`visible`], but also escapes newlines and tabs, for a name within a line.
 pub fn on_one_line(name: &str) -> Cow<'_, str> {
-    escaped(name, &[])
+    escape(name, &[])
 }
 
-fn escaped<'t>(text: &'t str, allowed: &[char]) -> Cow<'t, str> {
+fn escape<'t>(text: &'t str, allowed: &[char]) -> Cow<'t, str> {
     // Direction marks and line separators.
     let marks = |c: char| matches!(c, '\u{200e}' | '\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}');
     let is_unsafe = |c: char| (c.is_control() || marks(c)) && !allowed.contains(&c);

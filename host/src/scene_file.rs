@@ -63,7 +63,7 @@ impl SceneFile {
     }
     /// Returns the indices of the one-sided walls that contain the tip at joint angles `q` (rad).
     pub fn walls_entered(&self, device: &DeviceFile, q: &[f64; MAX_JOINTS]) -> Vec<usize> {
-        fn entered<const N: usize, M: Mechanism<f64, N>>(
+        fn entered_walls<const N: usize, M: Mechanism<f64, N>>(
             m: &M,
             scene: &Scene<f64>,
             q: &[f64; MAX_JOINTS],
@@ -74,7 +74,7 @@ impl SceneFile {
             let inside = walls.filter(|(_, wall)| wall.surface.contact::<Libm, N>(&tip).distance < 0.0);
             inside.map(|(index, _)| index).collect()
         }
-        with_mechanism!(&device.mechanism, m => entered(m, &self.scene, q))
+        with_mechanism!(&device.mechanism, m => entered_walls(m, &self.scene, q))
     }
 
     /// Checks a document.

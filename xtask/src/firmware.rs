@@ -15,7 +15,7 @@ use crate::tools::{self, Tool};
 pub const BOARDS: [&str; 3] = ["odrive-v3", "h-bridge-f405", "h-bridge-f407-disc1"];
 
 /// Name of a toy board, whose image only a test on the emulated chip uses.
-pub const TOY: &str = "toy-board";
+pub const TOY_BOARD: &str = "toy-board";
 
 const BINARY: &str = "haptic-firmware";
 const CHIP: &str = "STM32F405RGTx";
@@ -70,10 +70,9 @@ pub fn size() -> Result<()> {
     Ok(())
 }
 
-/// Lints the code for the chip: the library, the firmware and the image that counts instructions.
 pub fn clippy() -> Result<()> {
     tools::check(&[Tool::Chip])?;
-    for board in BOARDS.into_iter().chain([TOY]) {
+    for board in BOARDS.into_iter().chain([TOY_BOARD]) {
         let packages = ["--package", "haptic-bridge", "--package", "haptic-counting"];
         run(for_board(cargo_for("clippy", TARGET), board).args(packages).args(["--", "-D", "warnings"]))?;
     }

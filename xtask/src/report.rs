@@ -16,7 +16,6 @@ pub fn write(name: &str, text: &str) -> Result<()> {
     Ok(())
 }
 
-/// Draws the figures of docs/results.md with the program in xtask/figures.
 pub fn figures(cases: &[String]) -> Result<()> {
     let program = ["run", "--quiet", "--locked", "--release", "--package", "figures", "--"];
     run(cargo().current_dir(root()).args(program).args(cases))?;

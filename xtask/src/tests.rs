@@ -161,7 +161,7 @@ fn fuzzing(_: &[String]) -> Result<()> {
 /// Runs all tests of the release images and of an image with a toy board. Further arguments go to `cargo test`.
 fn emulated_suite(arguments: &[String]) -> Result<()> {
     firmware::build_all()?;
-    firmware::build(firmware::TOY)?;
+    firmware::build(firmware::TOY_BOARD)?;
     run(tests(&["--test", "emulated"]).args(arguments).env(IMAGES_VARIABLE, firmware::directory()))
 }
 

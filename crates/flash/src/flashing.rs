@@ -357,9 +357,9 @@ pub fn flash<S: Surroundings>(
     let settings = dfuse.read(SETTINGS.start, settings_size).map_err(|error| opening(error.into()))?;
 
     let (sectors, bytes) =
-        (sequence.erase.len(), sequence.code.iter().chain(&sequence.vectors).map(|it| it.bytes.len()).sum());
+        (sequence.sectors.len(), sequence.code.iter().chain(&sequence.vectors).map(|it| it.bytes.len()).sum());
     tell(Progress::Begins(Phase::Erase));
-    for (index, sector) in sequence.erase.iter().enumerate() {
+    for (index, sector) in sequence.sectors.iter().enumerate() {
         dfuse.erase(sector.start).map_err(|error| at(Phase::Erase, Flash::Erased)(error.into()))?;
         tell(Progress::Done(Phase::Erase, index + 1, sectors));
     }

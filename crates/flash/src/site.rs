@@ -129,8 +129,8 @@ pub fn restore_lost_settings(board: &mut Board, saved: &Backup) -> Result<Vec<St
         return Ok(Vec::new());
     }
     // Restores all settings, because a restored device resets the settings that depend on it.
-    let ready = saved.ready().map_err(to_text)?;
+    let ready = saved.prepared_settings().map_err(to_text)?;
     restore(board, &ready).map_err(to_text)?;
-    let back = ready.iter().filter(|setting| setting.how != RestoreMethod::NotRestored);
+    let back = ready.iter().filter(|setting| setting.method != RestoreMethod::NotRestored);
     Ok(back.map(|setting| setting.key.name().to_string()).collect())
 }

@@ -25,7 +25,7 @@ use serde::Serialize;
 
 /// The stiffest stable walls at a place over all dampings, as predicted by `haptic range`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Stiffest {
+pub struct StiffestWalls {
     /// Wall without the feed-forward.
     pub off: BoundaryPoint,
     /// Wall with the feed-forward.

@@ -10,7 +10,7 @@
 
 use crate::bench::counts;
 use crate::bench::error::{Errors, Law, Terms, TorqueVariant, Trigonometry, VariantErrors, errors};
-use crate::bench::precompute::{Precomputed, frozen, most_points, range, table};
+use crate::bench::precompute::{PrecomputedModel, frozen_model, max_grid_points, range, table};
 use crate::bench::probe::{Probe, on_surface};
 use haptic_bridge::model::device::Device;
 use haptic_bridge::model::precomputed::Interpolation;
@@ -69,7 +69,7 @@ pub struct Plan {
     /// The scene with the chosen feed-forward and velocity terms.
     pub scene: Scene<f64>,
     /// The chosen mass model.
-    pub mass: Precomputed,
+    pub mass: PrecomputedModel,
     /// Terms of the walls' feed-forward.
     pub terms: Terms,
     /// Instructions of the slowest control step on the Cortex-M4F.
@@ -132,7 +132,7 @@ fn plan_on(
         scene.walls.iter_mut().for_each(|wall| wall.feed_forward = FeedForward::Off);
         scene.velocity_terms = VelocityTerms::Off;
         let instructions = cost(device, &scene, "exact");
-        let (mass, errors) = (Precomputed::default(), Errors::default());
+        let (mass, errors) = (PrecomputedModel::default(), Errors::default());
         return Ok(Plan { scene, mass, terms: Terms::None, instructions, errors, candidates: Vec::new(), reasons });
     }
 
@@ -198,9 +198,9 @@ pub fn probes_on_walls(
     Ok(probes)
 }
 
-fn models(device: &Device<f64>, probes: &[Probe]) -> Vec<Precomputed> {
-    let (points, range) = (most_points(device), range(device, probes));
-    let mut models = vec![Precomputed::default(), frozen(device, probes)];
+fn models(device: &Device<f64>, probes: &[Probe]) -> Vec<PrecomputedModel> {
+    let (points, range) = (max_grid_points(device), range(device, probes));
+    let mut models = vec![PrecomputedModel::default(), frozen_model(device, probes)];
     models.extend(table(device, Interpolation::Bilinear, [points; 2], range));
     models.extend(table(device, Interpolation::Bicubic, [points; 2], range));
     models
@@ -239,7 +239,7 @@ pub fn cost(device: &Device<f64>, scene: &Scene<f64>, model: &str) -> u32 {
 fn explain(
     candidates: &[Candidate],
     terms: Terms,
-    mass: &Precomputed,
+    mass: &PrecomputedModel,
     budget: Budget,
     speed: f64,
     fading: Option<(f64, f64)>,

@@ -180,10 +180,10 @@ impl PressedWall<'_> {
         let shaped = self.device.shaped_torque();
         let holding: [f64; MAX_JOINTS] = padded(self.holding_force(mode, &mobility, &shaped)?.as_slice());
         let mut law = LinearLaw::new(self, steps, mode, (kp, kd), offset, &mobility, &shaped);
-        let before = padded((&self.device.row * self.push_n).as_slice());
+        let initial_torque = padded((&self.device.row * self.push_n).as_slice());
         let contact = Contact {
             weight_torque: weight,
-            before,
+            initial_torque,
             ..Contact::new(plant, padded(&self.normal), self.around, self.hand)
         };
         let settle = (SETTLE_S * self.around.rate_hz).round() as usize;
@@ -234,7 +234,7 @@ struct LinearLaw<'a> {
     compensated: Option<(Vec<EstimatedMotion>, DMatrix<f64>)>,
     mode: Mode,
     /// Slow part of the force, for a washout, N.
-    slow: f64,
+    slow_force: f64,
     kp: f64,
     kd: f64,
     /// Position of the wall's surface along the normal, m.
@@ -247,7 +247,7 @@ struct LinearLaw<'a> {
 /// A motion of the joints, with its velocity estimator.
 struct EstimatedMotion {
     row: DVector<f64>,
-    before: f64,
+    last_position: f64,
     /// States of the estimator, then the motion in the last period, then the motion that the last command predicts.
     memory: DVector<f64>,
 }
@@ -255,16 +255,16 @@ struct EstimatedMotion {
 impl EstimatedMotion {
     /// Creates the motion at rest at these angles (rad).
     fn new(row: DVector<f64>, estimator: &DMatrix<f64>, angles: &DVector<f64>) -> Self {
-        Self { before: row.dot(angles), row, memory: DVector::zeros(estimator.nrows() + 1) }
+        Self { last_position: row.dot(angles), row, memory: DVector::zeros(estimator.nrows() + 1) }
     }
 
     /// Returns position and velocity per sample. `given` is each joint's velocity from the last command, rad.
     fn estimate(&mut self, angles: &DVector<f64>, estimator: &DMatrix<f64>, given: &DVector<f64>) -> (f64, f64) {
         let x = self.row.dot(angles);
         let states = estimator.nrows() - 1;
-        self.memory[states] = x - self.before;
+        self.memory[states] = x - self.last_position;
         self.memory[states + 1] = self.row.dot(given);
-        self.before = x;
+        self.last_position = x;
         let change = estimator * &self.memory;
         for state in 0..states {
             self.memory[state] += change[state];
@@ -306,7 +306,7 @@ impl<'a> LinearLaw<'a> {
             compensated,
             estimator,
             mode,
-            slow: pressed.push_n,
+            slow_force: pressed.push_n,
             kp,
             kd,
             // At the start the wall carries the push of the hand.
@@ -338,9 +338,9 @@ impl Law for LinearLaw<'_> {
             Mode::Full => [0.0, force],
             Mode::Washout(hz) => {
                 let g = (std::f64::consts::PI * hz * period).tan();
-                let step = (force - self.slow) * g / (1.0 + g);
-                let washed = force - (self.slow + step);
-                self.slow += 2.0 * step;
+                let step = (force - self.slow_force) * g / (1.0 + g);
+                let washed = force - (self.slow_force + step);
+                self.slow_force += 2.0 * step;
                 [force - washed, washed]
             }
         };

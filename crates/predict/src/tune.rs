@@ -236,8 +236,8 @@ pub fn tune(question: &Question<'_>, sweep: &Sweep) -> Result<TuneResult, Failur
         .remedy("choose another pose or normal (`haptic design`), or allow more ripple")
         .choose(Choice::Ripple));
     };
-    let (active, limits, beside) = sweep.during("limits of the wall", || limits(&context, &best))?;
-    let feed_forwards = sweep.during("other feed-forwards", || alternatives::alternatives(&context, &best, &all))?;
+    let (active, limits, beside) = sweep.run_stage("limits of the wall", || limits(&context, &best))?;
+    let feed_forwards = sweep.run_stage("other feed-forwards", || alternatives::alternatives(&context, &best, &all))?;
     Ok(TuneResult {
         best,
         passed_over,
@@ -251,7 +251,7 @@ pub fn tune(question: &Question<'_>, sweep: &Sweep) -> Result<TuneResult, Failur
 }
 
 /// Returns the stiffest wall; the first of equally stiff walls.
-fn stiffest<'a>(walls: impl IntoIterator<Item = &'a TunedWall>) -> Option<TunedWall> {
+fn stiffest_wall<'a>(walls: impl IntoIterator<Item = &'a TunedWall>) -> Option<TunedWall> {
     let stiffer = |other: &TunedWall, best: &TunedWall| other.settings.stiffness > best.settings.stiffness;
     walls.into_iter().copied().reduce(|best, other| if stiffer(&other, &best) { other } else { best })
 }
@@ -259,8 +259,8 @@ fn stiffest<'a>(walls: impl IntoIterator<Item = &'a TunedWall>) -> Option<TunedW
 /// Returns the chosen wall, and the stiffest wall if that is not the chosen one. A feed-forward needs a correct model
 /// and pushes along the wall, so a wall without it is chosen if it is equally stiff.
 fn choose_wall(all: &[TunedWall]) -> Option<(TunedWall, Option<TunedWall>)> {
-    let top = stiffest(all)?;
-    let plain = stiffest(all.iter().filter(|candidate| candidate.settings.feed_forward == FeedForward::Off));
+    let top = stiffest_wall(all)?;
+    let plain = stiffest_wall(all.iter().filter(|candidate| candidate.settings.feed_forward == FeedForward::Off));
     match plain {
         Some(plain) if plain.settings.stiffness * STIFFNESS_RATIO >= top.settings.stiffness => {
             Some((plain, (plain != top).then_some(top)))

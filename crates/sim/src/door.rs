@@ -211,7 +211,7 @@ impl Holder {
     /// Gives the board to this connection if the board becomes free in time. A connection that sends bytes also takes
     /// the board of a silent holder.
     fn admit(&self, stream: &TcpStream, place: &Place, patience: Patience) -> Admission {
-        static SEATS: AtomicU64 = AtomicU64::new(0);
+        static NEXT_SEAT: AtomicU64 = AtomicU64::new(0);
         let began = Instant::now();
         let mut is_active = false;
         loop {
@@ -221,7 +221,7 @@ impl Holder {
                     None => {
                         let _ = stream.set_read_timeout(None);
                         let Ok(stream) = stream.try_clone() else { return Admission::Refused };
-                        let seat = SEATS.fetch_add(1, Ordering::SeqCst);
+                        let seat = NEXT_SEAT.fetch_add(1, Ordering::SeqCst);
                         *holder = Some(Connection { seat, stream, last_received: Instant::now() });
                         return Admission::Holds(seat);
                     }

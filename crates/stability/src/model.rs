@@ -207,7 +207,7 @@ pub fn evaluate_holding(
     precision: Precision,
     admissible: Admissible,
 ) -> Result<Report, ModelError> {
-    with_mechanism!(&device.mechanism, m => regular(m, q))?;
+    with_mechanism!(&device.mechanism, m => check_regular(m, q))?;
     let report = match precision {
         Precision::F64 => {
             with_mechanism!(&device.mechanism, m => report::<f64, FineTable, _, _>(m, q, qd, walls, admissible))
@@ -226,7 +226,7 @@ pub fn evaluate_holding(
 }
 
 /// Rejects a singular pose with an error that names the singularity.
-fn regular<const N: usize, M: Mechanism<f64, N>>(mechanism: &M, q: &[f64]) -> Result<(), ModelError> {
+fn check_regular<const N: usize, M: Mechanism<f64, N>>(mechanism: &M, q: &[f64]) -> Result<(), ModelError> {
     let pose = mechanism.pose::<FineTable>(&vector_of(q));
     let regularity = mechanism.regularity(&pose);
     if regularity.parallel == 0.0 {

@@ -85,7 +85,7 @@ pub fn skeleton(description: &Description, q: &[f64]) -> Option<Skeleton> {
         Kind::FiveBar => five_bar(description, [q[0], q[1]], 0),
         Kind::FiveBarTurret => five_bar(description, [q[1], q[2]], 1),
         Kind::Parallelogram => Some(parallelogram(description, q[1], q[2])),
-        Kind::Serial3r => Some(serial(description, q)),
+        Kind::Serial3r => Some(serial_arm(description, q)),
     }
 }
 
@@ -152,7 +152,7 @@ fn parallelogram(description: &Description, q1: f64, q2: f64) -> Skeleton {
     }
 }
 
-fn serial(description: &Description, q: &[f64]) -> Skeleton {
+fn serial_arm(description: &Description, q: &[f64]) -> Skeleton {
     let names = ["link-1", "link-2", "link-3"];
     let (mut at, mut heading) = ((0.0, 0.0), 0.0);
     let (mut bars, mut angles) = (Vec::new(), Vec::new());

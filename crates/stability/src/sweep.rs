@@ -65,7 +65,7 @@ enum Display {
 }
 
 /// Environment variable that suppresses progress lines, for programs that show the standard error of their commands.
-pub const QUIET: &str = "HAPTIC_NO_PROGRESS";
+pub const QUIET_VARIABLE: &str = "HAPTIC_NO_PROGRESS";
 
 struct State {
     checkpoint: Checkpoint,
@@ -123,7 +123,7 @@ impl Sweep {
     /// Prints progress lines if standard error is not a terminal.
     #[must_use]
     pub fn in_lines(mut self) -> Self {
-        if self.display == Display::Never && std::env::var_os(QUIET).is_none() {
+        if self.display == Display::Never && std::env::var_os(QUIET_VARIABLE).is_none() {
             self.display = Display::Lines;
         }
         self
@@ -135,7 +135,7 @@ impl Sweep {
     }
 
     /// Displays the name of a stage while work runs that is not divided into items.
-    pub fn during<R>(&self, stage: &str, work: impl FnOnce() -> R) -> R {
+    pub fn run_stage<R>(&self, stage: &str, work: impl FnOnce() -> R) -> R {
         match self.display {
             Display::InPlace => haptic_host::error::overwrite_line(format_args!("{stage}"), false),
             Display::Lines => haptic_host::error::say(format_args!("{stage}\n")),

@@ -379,7 +379,7 @@ impl Board {
         // A random number distinguishes this stream from a stream of an earlier tool.
         let stream = self.client.draw();
         self.rows = Rows::of(stream, fields, divider);
-        self.garbled_before = self.client.garbled();
+        self.garbled_before = self.client.garbled_sequences();
         self.change::<p::Stream>(&StreamRequest { fields, divider, stream })
     }
 
@@ -418,7 +418,7 @@ impl Board {
     /// Returns the losses of the stream so far.
     pub fn losses(&self) -> Losses {
         let losses = self.rows.losses();
-        Losses { garbled: losses.garbled + self.client.garbled() - self.garbled_before, ..losses }
+        Losses { garbled: losses.garbled + self.client.garbled_sequences() - self.garbled_before, ..losses }
     }
     fn heartbeat_if_due(&mut self) -> Result<(), LinkError> {
         let now = self.client.now();

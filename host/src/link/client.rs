@@ -37,7 +37,7 @@ pub struct Client {
     wire: Box<dyn Wire>,
     deframer: Deframer,
     /// Sequence numbers and reply keys of the pending requests.
-    pending: VecDeque<(VarSeq, VarKey)>,
+    pending_requests: VecDeque<(VarSeq, VarKey)>,
     replies: VecDeque<Packet>,
     topics: VecDeque<TopicFrame>,
     sequence: u16,
@@ -47,7 +47,7 @@ pub struct Client {
     /// Number of retries in the last [`Client::call`]. The board may have carried out an earlier copy of the request.
     pub(super) repeats: u32,
     /// Buffers of earlier replies, reused so that an exchange of forces allocates no memory.
-    spare: Vec<Vec<u8>>,
+    spare_buffers: Vec<Vec<u8>>,
 }
 
 /// Retry interval of a request, and longest wait for its reply.
@@ -96,13 +96,13 @@ impl Client {
             sequence: wire.draw() as u16,
             wire,
             deframer: Deframer::default(),
-            pending: VecDeque::new(),
+            pending_requests: VecDeque::new(),
             replies: VecDeque::new(),
             topics: VecDeque::new(),
             buffer: vec![0; 16 * 1024],
             sends_heartbeats: false,
             repeats: 0,
-            spare: Vec::new(),
+            spare_buffers: Vec::new(),
         }
     }
 
@@ -119,7 +119,7 @@ impl Client {
         self.wire.draw()
     }
     /// Returns the number of byte sequences between delimiters that were not valid frames.
-    pub fn garbled(&self) -> u64 {
+    pub fn garbled_sequences(&self) -> u64 {
         self.deframer.garbled
     }
     /// Sends a delimiter, which ends a partial frame that an earlier tool may have sent.
@@ -191,9 +191,9 @@ impl Client {
         };
         let count = write(&mut frame).ok_or(LinkError::Unreadable { what: E::PATH })?;
         self.wire.send(&frame[..count]).map_err(LinkError::Lost)?;
-        self.pending.push_back((sent.0, VarKey::Key8(E::RESP_KEY)));
-        if self.pending.len() > MAX_PENDING_REQUESTS {
-            let given_up = self.pending.pop_front();
+        self.pending_requests.push_back((sent.0, VarKey::Key8(E::RESP_KEY)));
+        if self.pending_requests.len() > MAX_PENDING_REQUESTS {
+            let given_up = self.pending_requests.pop_front();
             self.replies.retain(|frame| given_up.is_none_or(|(number, _)| frame.header.seq_no != number));
         }
         Ok((sent, frame, count))
@@ -211,7 +211,7 @@ impl Client {
     }
 
     fn forget(&mut self, sent: SentRequest) {
-        self.pending.retain(|(number, _)| *number != sent.0);
+        self.pending_requests.retain(|(number, _)| *number != sent.0);
         self.replies.retain(|frame| frame.header.seq_no != sent.0);
     }
     fn read<E: Endpoint<Response: DeserializeOwned>>(
@@ -227,14 +227,14 @@ impl Client {
             decode_all::<WireError>(&body, E::PATH)
                 .and_then(|error| Err(LinkError::Rejected { what: E::PATH, error: error.to_string() }))
         };
-        if self.spare.len() < MAX_PENDING_REQUESTS {
-            self.spare.push(body);
+        if self.spare_buffers.len() < MAX_PENDING_REQUESTS {
+            self.spare_buffers.push(body);
         }
         reply
     }
 
     fn index_of(&self, number: VarSeq) -> Option<usize> {
-        self.pending.iter().position(|(other, _)| *other == number)
+        self.pending_requests.iter().position(|(other, _)| *other == number)
     }
     /// Waits for the reply to a request, or the error in its place.
     fn wait_for_reply(
@@ -279,8 +279,8 @@ impl Client {
     /// topics, except replies to heartbeats that were sent during a request.
     fn pump(&mut self, timeout: Duration) -> Result<(), LinkError> {
         let count = self.wire.receive(&mut self.buffer, timeout).map_err(LinkError::Lost)?;
-        let (pending, waiting, topics) = (&self.pending, &mut self.replies, &mut self.topics);
-        let (spare, mut headless) = (&mut self.spare, 0);
+        let (pending, waiting, topics) = (&self.pending_requests, &mut self.replies, &mut self.topics);
+        let (spare, mut headless) = (&mut self.spare_buffers, 0);
         self.deframer.feed_plain(&self.buffer[..count], |plain| {
             let Some((header, remaining)) = VarHeader::take_from_slice(plain) else {
                 headless += 1;

@@ -9,7 +9,7 @@ use haptic_host::words::percent;
 use haptic_predict::design::place::{Directions, Places, WallPlace, directions, places};
 use haptic_predict::design::posture::{Posture, Postures, postures};
 use haptic_predict::design::sensitivity::{BestChange, CHANGE, Effect, Sensitivity, buys_most, sensitivities};
-use haptic_predict::design::{Stiffest, singular_pose};
+use haptic_predict::design::{StiffestWalls, singular_pose};
 use haptic_predict::plausible::{WithWarnings, warn};
 use haptic_show::plot::coupling::draw;
 use haptic_stability::analysis::control_loop::{Loop, TorquePath};
@@ -190,7 +190,7 @@ fn readable(document: &Document, has_normal: bool, args: &Args) -> String {
         line("  felt: at the tip, behind the transmissions".into());
     }
     let wall = |name: &str, at: &WallPlace| {
-        let stiffest = |pick: fn(&Stiffest) -> BoundaryPoint| {
+        let stiffest = |pick: fn(&StiffestWalls) -> BoundaryPoint| {
             let point = at.walls.as_ref().map(pick);
             let felt = point.and_then(|point| point.felt).map_or(String::new(), |felt| format!("{felt:>11.0}"));
             format!("{:>11.0}{felt}", point.map_or(f64::NAN, |point| point.kp))

@@ -25,7 +25,7 @@ use haptic_stability::analysis::prediction::{Prediction, Subject, Walls};
 use haptic_stability::analysis::range::Range;
 use haptic_stability::analysis::sampled::{AnalysisError, LinearEstimator, Loop};
 use haptic_stability::analysis::several::Member;
-use haptic_stability::analysis::why::{Why, why};
+use haptic_stability::analysis::why::{EffectShares, explain_boundary};
 use haptic_stability::sweep::Sweep;
 use ripple::{EncoderRipple, simulate_ripple};
 use words::{costly_warnings, describe_why, readable, subtitle};
@@ -286,7 +286,7 @@ struct Document<'a> {
     #[serde(skip_serializing_if = "Option::is_none")]
     passive: Option<PassiveBounds>,
     #[serde(skip_serializing_if = "Option::is_none")]
-    why: Option<&'a Why>,
+    why: Option<&'a EffectShares>,
     #[serde(skip_serializing_if = "Option::is_none")]
     ripple: Option<&'a EncoderRipple>,
 }
@@ -358,12 +358,17 @@ impl Request {
 }
 
 /// Computes the effect of each part of the loop on the boundary of one wall; several walls are an error.
-fn limiting_effects(prediction: &Prediction, q: &[f64], normals: &[Vec<f64>], sweep: &Sweep) -> Result<Why, Failure> {
+fn limiting_effects(
+    prediction: &Prediction,
+    q: &[f64],
+    normals: &[Vec<f64>],
+    sweep: &Sweep,
+) -> Result<EffectShares, Failure> {
     let [normal] = normals else {
         let reason = "--why applies to one wall, and there are several --normal";
         return Err(Failure::wrong(reason).remedy("give one --normal"));
     };
-    why(&prediction.linearise(q, normal)?, &prediction.around, sweep)
+    explain_boundary(&prediction.linearise(q, normal)?, &prediction.around, sweep)
 }
 
 fn requested_estimator(args: &Args) -> Result<LinearEstimator, Failure> {

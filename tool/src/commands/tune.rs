@@ -179,8 +179,9 @@ fn search(args: Search) -> Result<(), Failure> {
         let (ripple_n, board_ripple_n) = ripple_like(&question, settings, &sweep)?;
         (question.ripple_n, question.board_ripple_n) = (ripple_n, Some(board_ripple_n));
     }
-    let before =
-        place.written.map(|settings| sweep.during("the wall of the scene", || baseline(&question, &settings, &sweep)));
+    let before = place
+        .written
+        .map(|settings| sweep.run_stage("the wall of the scene", || baseline(&question, &settings, &sweep)));
     let before = before.transpose()?;
     question.known = before.map(|before| before.settings);
     let answer = tune(&question, &sweep)?;
@@ -188,8 +189,9 @@ fn search(args: Search) -> Result<(), Failure> {
     if args.measure {
         let stages: Vec<Option<Settings>> = vec![before.map(|before| before.settings), Some(answer.best.settings)];
         let measure = |settings: &Option<Settings>| settings.map(|s| measured::measure(&question, &s, &sweep));
-        let mut results = sweep
-            .during("measured on the simulated board", || haptic_stability::cores::map(&stages, &|_, _| {}, measure));
+        let mut results = sweep.run_stage("measured on the simulated board", || {
+            haptic_stability::cores::map(&stages, &|_, _| {}, measure)
+        });
         best_measured = results.pop().flatten().transpose()?;
         scene_measured = results.pop().flatten().transpose()?;
     }

@@ -84,10 +84,8 @@ const WASHOUTS: [Case; 3] = [
 /// Corner frequencies of the washouts for which the theory is evaluated, Hz.
 const CORNERS_HZ: [&str; 6] = ["0.5", "1", "2", "5", "10", "20"];
 
-/// Devices and normals of the maps.
 const MAPS: [(&str, &str); 2] = [("coupled-five-bar", "1,0"), ("phantom-premium-1.5", "1,1,0")];
 
-/// Number of processes that run in parallel.
 const PARALLEL_RUNS: usize = 2;
 
 /// Returns the command line of a case, which stores the measurement in the file `progress` and replaces the published

@@ -19,7 +19,6 @@ pub fn write_into(folder: &Path) -> Result<()> {
     write(&folder.join("LICENSES-OTHERS.txt"), dependency_licenses()?.as_bytes())
 }
 
-/// Returns the license texts, each with the names of its crates.
 fn dependency_licenses() -> Result<String> {
     let mut crates = linked_crates("Cargo.toml", &["haptic", "haptic-python"], &host()?)?;
     crates.extend(linked_crates("Cargo.toml", &["haptic-page"], BROWSERS)?);

@@ -66,7 +66,7 @@ pub struct BootLoader {
     pointer: u32,
     pending: Option<PendingOperation>,
     /// Time before which a status request is an error.
-    busy: Duration,
+    busy_until: Duration,
     outcome: Status,
     /// Number of status replies of an operation that each announce 5 ms more.
     pub late: u32,
@@ -86,7 +86,7 @@ impl BootLoader {
             status: Status::Ok,
             pointer: FLASH.start,
             pending: None,
-            busy: Duration::ZERO,
+            busy_until: Duration::ZERO,
             outcome: Status::Ok,
             late: 0,
             late_left: 0,
@@ -108,7 +108,7 @@ impl BootLoader {
         now: Duration,
         share: f32,
     ) -> Reply {
-        if self.state == State::Dnbusy && now < self.busy {
+        if self.state == State::Dnbusy && now < self.busy_until {
             return self.stall(Status::StalledPacket);
         }
         match (request, self.state) {
@@ -196,14 +196,14 @@ impl BootLoader {
                     if self.failing_operation == Some(self.operations) {
                         self.outcome = Status::Prog;
                     }
-                    (self.state, self.busy) = (State::Dnbusy, now + Duration::from_millis(pause.into()));
+                    (self.state, self.busy_until) = (State::Dnbusy, now + Duration::from_millis(pause.into()));
                     self.late_left = self.late;
                 }
             }
             State::Dnbusy if self.late_left > 0 => {
                 self.late_left -= 1;
                 pause = 5;
-                self.busy = now + Duration::from_millis(5);
+                self.busy_until = now + Duration::from_millis(5);
             }
             State::Dnbusy if self.outcome == Status::Ok => self.state = State::DnloadIdle,
             State::Dnbusy => (self.state, self.status) = (State::Error, self.outcome),

@@ -12,7 +12,7 @@ fn every_embedded_image_is_valid_and_has_board_and_version() {
         assert!(image_file.version.is_some() && image_file.protocol.is_some());
         assert!(image_file.size() > 100_000, "{} bytes", image_file.size());
         let sequence = flash_sequence(&image_file, &Layout::parse(MEMORY).unwrap(), 2048).unwrap();
-        assert!(sequence.erase.iter().all(|sector| sector.end() <= SETTINGS.start || SETTINGS.end <= sector.start));
+        assert!(sequence.sectors.iter().all(|sector| sector.end() <= SETTINGS.start || SETTINGS.end <= sector.start));
         assert_eq!(sequence.vectors.len(), 1, "one block with the checksum behind the vectors");
     }
 }

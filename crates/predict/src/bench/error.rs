@@ -4,7 +4,7 @@
 //! variant omits them, or if the board fades them because its velocity estimates lag. A torque error is expressed as
 //! the force J⁻ᵀ Δτ at the tip, which a hand would have to hold.
 
-use crate::bench::precompute::Precomputed;
+use crate::bench::precompute::PrecomputedModel;
 use crate::bench::probe::Probe;
 use crate::boards::torque_at_rest;
 use haptic_bridge::math::{Angle, BinaryAngle, Libm, Math, Real};
@@ -113,7 +113,7 @@ pub enum Trigonometry {
 #[derive(Clone, Copy, Debug)]
 pub struct TorqueVariant<'a> {
     /// Mass model.
-    pub model: &'a Precomputed,
+    pub model: &'a PrecomputedModel,
     /// Terms of equation (4).
     pub terms: Terms,
     /// Implementation of sines, cosines and square roots.
@@ -262,14 +262,14 @@ fn errors_against<E: Mechanism<f64, N>, const N: usize>(
     let (mut torques, mut forces, mut shares, mut duties) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
     for (probe, actual) in probes.iter().zip(actual) {
         let off = difference(*actual, reference::<E, N>(exact, Terms::FeedForwardZ, law, probe));
-        let whole = largest(reference::<E, N>(exact, Terms::None, law, probe));
+        let whole = largest_entry(reference::<E, N>(exact, Terms::None, law, probe));
         let share = |i: usize| {
             off[i].abs() / device.joints[i].motor.map_or(whole, |motor| torque_at_rest(&motor, device.axes()))
         };
-        torques.push(largest(off));
+        torques.push(largest_entry(off));
         forces.push(force_at_tip::<E, N>(exact, probe, off));
         shares.push((0..N).map(share).fold(0.0, f64::max));
-        duties.push(largest(std::array::from_fn(|i| off[i] * steps[i])));
+        duties.push(largest_entry(std::array::from_fn(|i| off[i] * steps[i])));
     }
     Errors {
         torque: ErrorStatistics::of(torques),
@@ -296,7 +296,7 @@ fn difference(actual: [f64; MAX_JOINTS], right: [f64; MAX_JOINTS]) -> [f64; MAX_
     })
 }
 
-fn largest(values: [f64; MAX_JOINTS]) -> f64 {
+fn largest_entry(values: [f64; MAX_JOINTS]) -> f64 {
     values.into_iter().fold(0.0, |most, value| most.max(value.abs()))
 }
 

@@ -85,8 +85,8 @@ pub struct SlideResult {
 #[derive(Clone)]
 pub struct WallSimulation {
     /// The device with the mass of a light hand at its tip.
-    held: Description,
-    alone: Description,
+    held_device: Description,
+    free_device: Description,
     board: Device<f32>,
     pub(super) encoders: Vec<EncoderModel>,
     around: Loop,
@@ -122,19 +122,19 @@ impl WallSimulation {
         let pose = TaskPose::at(model, q)?.regular()?;
         // Removes the device's home, because counts start at the encoders' offset in this simulation.
         let board = Device::<f32>::new("tried", &Description { home: None, ..*model }).map_err(Failure::wrong)?;
-        let alone = *device;
-        let mut held = alone;
-        held.handle_mass += LIGHT_HAND.mass;
+        let free_device = *device;
+        let mut held_device = free_device;
+        held_device.handle_mass += LIGHT_HAND.mass;
         let row = pose.jacobian.tr_mul(&padded_to(pose.jacobian.nrows(), normal));
         let per_count = row.iter().zip(&encoders).map(|(lever, encoder)| (lever * encoder.resolution()).abs());
         let tangents = complement(&nalgebra::DVector::from_column_slice(normal));
         let count = per_count.fold(0.0, f64::max);
-        let mut pushed = plant(&alone, padded(q))?;
+        let mut pushed = plant(&free_device, padded(q))?;
         let tip = pushed.tip();
         pushed.push(padded(normal));
         Ok(Self {
-            held,
-            alone,
+            held_device,
+            free_device,
             board,
             encoders,
             // The loop has no estimator because the board's step estimates velocities.
@@ -160,7 +160,7 @@ impl WallSimulation {
 
     /// Returns the largest force along the normal that dry friction holds, N.
     pub(super) fn friction(&self) -> f64 {
-        let joints = self.alone.joints;
+        let joints = self.free_device.joints;
         joints.iter().zip(self.motion).map(|(joint, motion)| joint.dry_friction(0.0) * motion.abs()).sum()
     }
 
@@ -214,7 +214,7 @@ impl WallSimulation {
         seen: impl FnMut(f64, f64) -> bool,
     ) -> Result<bool, Failure> {
         let alone = matches!(trial, Trial::Struck(_));
-        let mut plant = plant(if alone { &self.alone } else { &self.held }, self.q)?;
+        let mut plant = plant(if alone { &self.free_device } else { &self.held_device }, self.q)?;
         if let Trial::Struck(speed) | Trial::Tapped(speed) = trial {
             plant.push(self.normal.map(|n| -n * speed));
         }
@@ -225,7 +225,9 @@ impl WallSimulation {
             (!alone).then(|| Grip {
                 goal: core::array::from_fn(|i| self.tip[i] + along * self.tangent[i]),
                 // A hand carries its own weight.
-                push: core::array::from_fn(|i| -hand_push(trial, time) * self.normal[i] - mass * self.alone.gravity[i]),
+                push: core::array::from_fn(|i| {
+                    -hand_push(trial, time) * self.normal[i] - mass * self.free_device.gravity[i]
+                }),
             })
         };
         let contact = Contact::new(plant, self.normal, &self.around, LIGHT_HAND);
@@ -239,7 +241,7 @@ impl WallSimulation {
         let surface =
             Surface::Plane(Plane { point: self.tip.map(|v| v as f32), normal: self.normal.map(|v| v as f32) });
         Scene {
-            task: self.alone.kind.spec().task as u8,
+            task: self.free_device.kind.spec().task as u8,
             rate_hz: self.around.rate_hz as f32,
             cutoff_hz: wall.cutoff_hz as f32,
             estimator: wall.kind,
@@ -297,13 +299,13 @@ fn plant(description: &Description, q: [f64; MAX_JOINTS]) -> Result<Plant, Failu
 struct BoardLaw<'a, M: Mechanism<f32, N>, const N: usize> {
     controller: Controller<f32, M, BoardMath, N>,
     encoders: &'a [EncoderModel],
-    before: [f32; MAX_JOINTS],
+    last_torque: [f32; MAX_JOINTS],
 }
 
 impl<'a, M: Mechanism<f32, N>, const N: usize> BoardLaw<'a, M, N> {
     fn new(simulation: &'a WallSimulation, mechanism: M, scene: &Scene<f32>) -> Result<Self, Failure> {
         let controller = Controller::new(mechanism, &simulation.board, scene).map_err(Failure::wrong)?;
-        Ok(Self { controller, encoders: &simulation.encoders, before: [0.0; MAX_JOINTS] })
+        Ok(Self { controller, encoders: &simulation.encoders, last_torque: [0.0; MAX_JOINTS] })
     }
 
     fn counts(&self, q: &[f64; MAX_JOINTS]) -> [i32; N] {
@@ -313,8 +315,8 @@ impl<'a, M: Mechanism<f32, N>, const N: usize> BoardLaw<'a, M, N> {
 
 impl<M: Mechanism<f32, N>, const N: usize> Law for BoardLaw<'_, M, N> {
     fn evaluate(&mut self, measured: &[f64; MAX_JOINTS]) -> LawOutput {
-        let step = self.controller.step_with_torque(&self.before, &self.counts(measured));
-        self.before = core::array::from_fn(|i| if i < N { step.torque[i] } else { 0.0 });
-        LawOutput { force: f64::from(step.wall_force), torque: self.before.map(f64::from) }
+        let step = self.controller.step_with_torque(&self.last_torque, &self.counts(measured));
+        self.last_torque = core::array::from_fn(|i| if i < N { step.torque[i] } else { 0.0 });
+        LawOutput { force: f64::from(step.wall_force), torque: self.last_torque.map(f64::from) }
     }
 }

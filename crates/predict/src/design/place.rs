@@ -1,6 +1,6 @@
 //! Best directions at a pose, and best places in the workspace.
 
-use super::{Stiffest, angles_at, build_device, clearance, singular_pose, task_position, within_limits};
+use super::{StiffestWalls, angles_at, build_device, clearance, singular_pose, task_position, within_limits};
 use haptic_bridge::model::admissible::Admissible;
 use haptic_bridge::model::description::Description;
 use haptic_bridge::model::device::Device;
@@ -32,7 +32,7 @@ pub struct WallPlace {
     pub clearance: f64,
     /// The stiffest walls that are predicted stable at this place, if requested. For a patch they are in its middle.
     #[serde(flatten)]
-    pub walls: Option<Stiffest>,
+    pub walls: Option<StiffestWalls>,
 }
 
 /// The most notable directions at a pose.
@@ -80,7 +80,7 @@ impl WallPlace {
     /// Predicts the stiffest walls at this place.
     pub fn predict(&mut self, prediction: &Prediction) -> Result<Range, Failure> {
         let range = prediction.range(&self.q, &[Member::new(self.normal.clone(), 1.0)], None, None)?;
-        self.walls = Some(Stiffest { off: range.off.top, full: range.full.top });
+        self.walls = Some(StiffestWalls { off: range.off.top, full: range.full.top });
         Ok(range)
     }
 }

@@ -1,6 +1,6 @@
 //! A measurement campaign over feed-forwards, dampings and repeats.
 
-use super::progress::{Open, Point, Progress, median, same_damping};
+use super::progress::{Point, Progress, UnfinishedSearch, median, same_damping};
 use super::swing::Verdict;
 use super::{MeasureError, PreparedBoard};
 use haptic_bridge::render::scene::FeedForward;
@@ -116,7 +116,7 @@ pub fn run(
                             }
                         }
                         Err(MeasureError::Open { stable, why }) => {
-                            point.open = Some(Open { stable_up_to: stable, reason: why.to_string() });
+                            point.open = Some(UnfinishedSearch { stable_up_to: stable, reason: why.to_string() });
                         }
                         Err(error) => return Err(error),
                     }

@@ -72,7 +72,7 @@ pub struct PreparedBoard<'a> {
     /// Share of each tested wall in the gains, and true if the wall has the feed-forward.
     shares: Vec<(f64, bool)>,
     /// Force along the pull per newton of total stiffness times pull; 1 for one wall.
-    along: f64,
+    force_ratio: f64,
     /// Effective inertia along the pull, then along each direction across the pull, kg.
     inertia: Vec<f64>,
     /// Largest effective inertia at the tested walls, kg.
@@ -150,7 +150,7 @@ impl<'a> PreparedBoard<'a> {
             interrupted,
             q,
             tip,
-            along: set.force(&direction).dot(&direction),
+            force_ratio: set.force(&direction).dot(&direction),
             direction,
             layout,
             shares,
@@ -494,7 +494,7 @@ impl<'a> PreparedBoard<'a> {
     ) -> Result<(), MeasureError> {
         let (kp, _) = self.hold_gains();
         self.release()?;
-        self.set_tested_gains(kp / self.along, 0.0, feed_forward)?;
+        self.set_tested_gains(kp / self.force_ratio, 0.0, feed_forward)?;
         let started = self.board.now();
         let quarter = 0.5 * PI / self.hold_frequency;
         // Friction takes much of the soft pull's force, so a stiffer wall takes over almost at once and pulls the tip.

@@ -22,12 +22,12 @@ pub struct Point {
     pub vibration_m: Option<f64>,
     /// Reason why the search ended early; `None` if the search found the boundary.
     #[serde(default)]
-    pub open: Option<Open>,
+    pub open: Option<UnfinishedSearch>,
 }
 
 /// A search that ended without a boundary.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Open {
+pub struct UnfinishedSearch {
     /// Largest stable stiffness, N/m.
     pub stable_up_to: f64,
     /// Text of the error that ended the search.

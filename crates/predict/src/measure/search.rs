@@ -5,7 +5,7 @@ use super::{MeasureError, PreparedBoard};
 use haptic_bridge::render::scene::FeedForward;
 
 /// Ratio of unstable to stable gain at which the search ends.
-pub const RESOLUTION: f64 = 1.005;
+pub const GAIN_RESOLUTION: f64 = 1.005;
 const RAISE_FACTOR: f64 = 1.3;
 const MAX_RAISES: usize = 60;
 
@@ -59,7 +59,7 @@ fn find_boundary(
             return Err(MeasureError::Open { stable: low, why: Box::new(MeasureError::Unbounded) });
         }
     }
-    while high > low * RESOLUTION {
+    while high > low * GAIN_RESOLUTION {
         let middle = (low * high).sqrt();
         if oscillates(middle)? { high = middle } else { low = middle }
     }
@@ -100,7 +100,7 @@ mod tests {
         for edge in [0.4, 1.0, 7.3, 900.0] {
             for guess in [None, Some(edge * 1.2), Some(edge * 0.9)] {
                 let found = find_boundary(1.0, guess, vibrating(edge)).unwrap();
-                assert!((found.gain / edge - 1.0).abs() < RESOLUTION - 1.0, "{edge}: {found:?}");
+                assert!((found.gain / edge - 1.0).abs() < GAIN_RESOLUTION - 1.0, "{edge}: {found:?}");
                 assert_eq!(found.verdict_beyond, Verdict::Vibrates(1e-4));
             }
         }

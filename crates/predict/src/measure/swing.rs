@@ -76,7 +76,7 @@ pub struct Swing {
     position: Trace,
     /// Second difference of the position, m.
     acceleration: Trace,
-    previous: [Option<f64>; 2],
+    previous_positions: [Option<f64>; 2],
     /// Verdicts on the position and on the acceleration.
     verdicts: [Option<Verdict>; 2],
 }
@@ -101,7 +101,7 @@ impl Swing {
                 f64::INFINITY,
                 CHECKS_BEFORE_VIBRATION.1,
             ),
-            previous: [None; 2],
+            previous_positions: [None; 2],
             verdicts: [None; 2],
         }
     }
@@ -120,10 +120,10 @@ impl Swing {
             self.verdicts[0] = self.position.add_position(position);
         }
         // Follows both signals to the end, because a decaying mode of one signal may hide a growing mode.
-        if let [Some(first), Some(second)] = self.previous {
+        if let [Some(first), Some(second)] = self.previous_positions {
             self.verdicts[1] = self.acceleration.add_position(position - 2.0 * second + first).or(self.verdicts[1]);
         }
-        self.previous = [self.previous[1], Some(position)];
+        self.previous_positions = [self.previous_positions[1], Some(position)];
         match self.verdicts {
             [Some(Verdict::Grows), _] | [_, Some(Verdict::Grows)] => Some(Verdict::Grows),
             // A vibration has the size of the position, not of the acceleration.
@@ -138,7 +138,7 @@ impl Swing {
 struct Trace {
     /// Coefficient per row of the high-pass's two low-passes.
     share: f64,
-    slow: Option<[f64; 2]>,
+    low_passes: Option<[f64; 2]>,
     /// Largest reversal that encoder steps can cause, m. A smaller reversal is no turning point.
     noise: f64,
     /// Largest motion from peak to peak that encoder steps can sustain, m.
@@ -173,7 +173,7 @@ impl Trace {
             checks,
             slowest,
             share: 1.0 - (-TAU * HIGH_PASS_SHARE / rows_a_period).exp(),
-            slow: None,
+            low_passes: None,
             noise: 1.5 * quantum,
             encoder_motion: ENCODER_STEPS * quantum,
             pull,
@@ -197,7 +197,7 @@ impl Trace {
         if position.abs() > (FARTHEST_PULLS * self.pull).min(2.0 * self.pull + FARTHEST_OFFSET_M) {
             return Some(Verdict::Grows);
         }
-        let [first, second] = self.slow.get_or_insert([position, 0.0]);
+        let [first, second] = self.low_passes.get_or_insert([position, 0.0]);
         *first += self.share * (position - *first);
         let fast = position - *first;
         *second += self.share * (fast - *second);

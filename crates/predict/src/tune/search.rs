@@ -11,7 +11,7 @@
 
 use super::criteria::{Curve, SearchContext};
 use super::limits::RAISE_FACTOR;
-use super::{STIFFNESS_RATIO, Settings, TunedWall, choose_wall, stiffest, three_digits};
+use super::{STIFFNESS_RATIO, Settings, TunedWall, choose_wall, stiffest_wall, three_digits};
 use haptic_bridge::render::scene::FeedForward;
 use haptic_bridge::render::velocity::{Chosen, CutoffMeaning, Estimator};
 use haptic_host::error::Failure;
@@ -84,7 +84,7 @@ impl SearchContext<'_> {
                     .total_cmp(&a.largest_stiffness())
                     .then_with(|| other.rate_hz.total_cmp(&one.rate_hz))
             });
-            let floor = stiffest(&all).map_or(0.0, |tuned| tuned.settings.stiffness);
+            let floor = stiffest_wall(&all).map_or(0.0, |tuned| tuned.settings.stiffness);
             let share = if feed_forward == FeedForward::Off { NEAR_SHARE } else { COMPARED_SHARE };
             let mut tuned = self.simulate(&candidates, name, share * floor, &mut looked_at.1)?;
             for (place, one) in promising_walls(&tuned).into_iter().enumerate() {
@@ -112,7 +112,7 @@ impl SearchContext<'_> {
         waiting.truncate(MAX_WALLS_PRESSED);
         for (round, some) in waiting.chunks(PRESSED_AT_ONCE).enumerate() {
             // A result well below the stiffest one so far need not be exact.
-            let floor = COMPARED_SHARE * stiffest(&done).map_or(0.0, |tuned| tuned.settings.stiffness);
+            let floor = COMPARED_SHARE * stiffest_wall(&done).map_or(0.0, |tuned| tuned.settings.stiffness);
             let results = self.sweep.map(&format!("on the board, round {}", round + 1), some, |tuned| {
                 let top = tuned.settings.stiffness;
                 let softer = (0..24).map(|i| three_digits(top / SOFTEN_FACTOR.powi(i), true));
@@ -246,7 +246,7 @@ impl SearchContext<'_> {
     ) -> Result<Vec<TunedWall>, Failure> {
         let mut tuned: Vec<TunedWall> = Vec::new();
         for (round, some) in candidates.chunks(CANDIDATES_PER_ROUND).enumerate() {
-            let floor = stiffest(&tuned).map_or(floor, |best| floor.max(NEAR_SHARE * best.settings.stiffness));
+            let floor = stiffest_wall(&tuned).map_or(floor, |best| floor.max(NEAR_SHARE * best.settings.stiffness));
             if some[0].1.largest_stiffness() <= floor {
                 break;
             }
@@ -274,7 +274,7 @@ impl SearchContext<'_> {
             let candidates = self.curves_near_damping(neighbours(&best.settings), damping)?;
             let there =
                 self.best_walls(&candidates, stiffness, &format!("between grid values, {stage}, {}", round + 1))?;
-            best = stiffest([&best].into_iter().chain(&there)).unwrap_or(best);
+            best = stiffest_wall([&best].into_iter().chain(&there)).unwrap_or(best);
             if best.settings.stiffness <= STIFFNESS_RATIO * stiffness {
                 break;
             }
@@ -283,7 +283,7 @@ impl SearchContext<'_> {
             let corners = WASHOUTS_HZ.map(|washout_hz| Settings { washout_hz, ..best.settings });
             let candidates = self.curves_near_damping(corners.to_vec(), best.settings.damping)?;
             let there = self.best_walls(&candidates, 0.8 * best.settings.stiffness, &format!("washouts, {stage}"))?;
-            let most = stiffest([&best].into_iter().chain(&there)).map_or(0.0, |tuned| tuned.settings.stiffness);
+            let most = stiffest_wall([&best].into_iter().chain(&there)).map_or(0.0, |tuned| tuned.settings.stiffness);
             best = there.into_iter().find(|tuned| tuned.settings.stiffness >= KEPT_SHARE * most).unwrap_or(best);
         }
         Ok(best)
@@ -320,7 +320,7 @@ fn neighbours(settings: &Settings) -> Vec<Settings> {
 
 /// Returns the best walls of the estimators that are near the best of all, in descending order of stiffness.
 fn promising_walls(tuned: &[TunedWall]) -> Vec<TunedWall> {
-    let best = stiffest(tuned).map_or(0.0, |best| best.settings.stiffness);
+    let best = stiffest_wall(tuned).map_or(0.0, |best| best.settings.stiffness);
     let mut nearby = super::best_of_each_estimator(tuned.to_vec());
     nearby.retain(|tuned| tuned.settings.stiffness >= NEAR_SHARE * best);
     nearby.truncate(REFINED_ESTIMATORS);

@@ -220,10 +220,10 @@ impl<'a> CircleResponses<'a> {
         let sign = middle.signum();
         let (mut low, mut high) = (self.samples[from].angle, self.samples[to].angle);
         let (edge_low, edge_high) = (low, high);
-        const GOLDEN: f64 = 0.618_033_988_749_894_8;
+        const GOLDEN_SECTION: f64 = 0.618_033_988_749_894_8;
         for _ in 0..40 {
-            let left = high - GOLDEN * (high - low);
-            let right = low + GOLDEN * (high - low);
+            let left = high - GOLDEN_SECTION * (high - low);
+            let right = low + GOLDEN_SECTION * (high - low);
             let at_left = sign * self.respond(left).mismatch(searched, held);
             let at_right = sign * self.respond(right).mismatch(searched, held);
             let (angle, value) = if at_left < at_right { (left, at_left) } else { (right, at_right) };

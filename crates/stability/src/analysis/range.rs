@@ -19,11 +19,11 @@ pub const WORTHWHILE_RATIO: f64 = 1.05;
 pub const COSTLY_RATIO: f64 = 0.99;
 
 /// Maximum number of halvings in the search for a washout corner.
-const HALVINGS: i32 = 10;
+const MAX_HALVINGS: i32 = 10;
 
 /// Halves `corner` (Hz) repeatedly and returns the first corner for which `is_harmless` returns true.
 pub fn lower_corner<E>(corner: f64, is_harmless: impl Fn(f64) -> Result<bool, E>) -> Result<Option<f64>, E> {
-    for lower in (1..=HALVINGS).map(|halvings| corner / 2.0_f64.powi(halvings)) {
+    for lower in (1..=MAX_HALVINGS).map(|halvings| corner / 2.0_f64.powi(halvings)) {
         if is_harmless(lower)? {
             return Ok(Some(lower));
         }

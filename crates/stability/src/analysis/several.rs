@@ -96,7 +96,7 @@ impl WallSet {
     pub fn of(subject: &Subject, q: &[f64], walls: &[Member], admissible: Admissible) -> Result<Self, PoseError> {
         let mechanism = &subject.device.mechanism;
         TaskPose::of(mechanism, q)?.regular()?;
-        with_mechanism!(mechanism, m => linearised(m, subject, q, walls, admissible))
+        with_mechanism!(mechanism, m => linearise_walls(m, subject, q, walls, admissible))
     }
 
     /// Creates a set of one wall on a device whose controller has this `model`.
@@ -184,7 +184,7 @@ impl WallSet {
     }
 }
 
-fn linearised<const N: usize, M: Mechanism<f64, N>>(
+fn linearise_walls<const N: usize, M: Mechanism<f64, N>>(
     m: &M,
     subject: &Subject,
     q: &[f64],

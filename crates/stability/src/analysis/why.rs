@@ -73,7 +73,7 @@ pub struct Shares {
 
 /// The result of `haptic range --why`.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Why {
+pub struct EffectShares {
     /// Limits with all effects.
     pub limits: LimitPair,
     /// Shares of the effects.
@@ -151,7 +151,7 @@ pub fn limits_without(
 }
 
 /// Computes the share of each effect in the boundary of `device` in `around`, always in the same order.
-pub fn why(device: &Linearised, around: &Loop, sweep: &Sweep) -> Result<Why, Failure> {
+pub fn explain_boundary(device: &Linearised, around: &Loop, sweep: &Sweep) -> Result<EffectShares, Failure> {
     let mut all = vec![("", "", (device.clone(), around.clone()))];
     all.extend(cases(device, around));
     let jobs: Vec<(&Case, Mode)> =
@@ -179,5 +179,5 @@ pub fn why(device: &Linearised, around: &Loop, sweep: &Sweep) -> Result<Why, Fai
             takes_area: shares(|limits| limits.area),
         }
     });
-    Ok(Why { limits, effects: effects.collect() })
+    Ok(EffectShares { limits, effects: effects.collect() })
 }

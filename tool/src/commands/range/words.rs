@@ -12,7 +12,7 @@ use haptic_stability::analysis::range::{
     BoundaryPoint, COSTLY_RATIO, Domain, Island, Range, WORTHWHILE_RATIO, lower_corner,
 };
 use haptic_stability::analysis::sampled::LinearEstimator;
-use haptic_stability::analysis::why::{LimitPair, Limits, Why};
+use haptic_stability::analysis::why::{EffectShares, LimitPair, Limits};
 use std::fmt::Write;
 
 /// Returns two lines for titles: pose and walls, and the loop.

@@ -12,7 +12,7 @@ use haptic_predict::tune::{Question, tune};
 use haptic_stability::analysis::flexible::Hand;
 use haptic_stability::analysis::line::DampingRule;
 use haptic_stability::analysis::map::map_swept;
-use haptic_stability::analysis::why::why;
+use haptic_stability::analysis::why::explain_boundary;
 use std::fmt::Debug;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -75,7 +75,7 @@ fn an_interrupted_range_continues() {
     let device = Linearised::at(&file.description, &q, &normal).unwrap().with_hand(hand);
     let ideal = ideal_loop(1_000.0, 0.5, LinearEstimator::Butterworth(100.0));
     let around = Loop { drive: Drive::Current { bandwidth_hz: 500.0 }, ..ideal };
-    check_interrupted(2, 12, |sweep| why(&device, &around, sweep));
+    check_interrupted(2, 12, |sweep| explain_boundary(&device, &around, sweep));
     let description = file.description;
     let (hand, push_n) = (LIGHT_HAND, PUSH_N);
     let press = PressedWall { device: &device, description, q, normal, around: &around, hand, push_n };
