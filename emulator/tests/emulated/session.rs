@@ -62,7 +62,7 @@ fn a_restored_backup_of_three_joints_leaves_stack_free() {
     send_largest_table(&mut rig);
     rig.tool.save().expect("the board saves");
     let backup = Backup::read(&mut rig.tool).expect("the board replies");
-    let ready = backup.ready().expect("everything is readable");
+    let ready = backup.prepared_settings().expect("everything is readable");
     restore(&mut rig.tool, &ready).expect("the board takes its own backup");
     let details = rig.tool.details().expect("the board replies");
     assert_eq!(details.walls, 3);

@@ -171,7 +171,7 @@ impl Report<'_> {
 
     /// Returns the longest pull of this strength, mm.
     fn pull_mm(&self, strength: f64) -> f64 {
-        (self.theory.excitation.largest * strength * 1e6).round() / 1e3
+        (self.theory.excitation.longest_pull * strength * 1e6).round() / 1e3
     }
 
     fn drive(&self) -> String {
@@ -295,7 +295,7 @@ impl Report<'_> {
     /// Describes the encoders that a measurement up to `stiffness` (N/m) needs, if the present ones are too coarse.
     fn encoder_advice(&self, stiffness: f64) -> String {
         let Excitation { force, .. } = self.theory.excitation;
-        let factor = 2.0 * self.theory.excitation.smallest() * stiffness / force;
+        let factor = 2.0 * self.theory.excitation.shortest_pull() * stiffness / force;
         if factor <= 1.0 {
             return String::new();
         }
