@@ -148,11 +148,11 @@ impl Backup {
         for key in RESTORE_ORDER {
             match self.settings.get(key.name()) {
                 Some(saved) => {
-                    let (entry, mut how) = usable_entry(key, saved)?;
+                    let (entry, mut method) = usable_entry(key, saved)?;
                     if key == Key::Polarity {
-                        how = RestoreMethod::NotRestored;
+                        method = RestoreMethod::NotRestored;
                     }
-                    ready.push(PreparedSetting { key, entry, how });
+                    ready.push(PreparedSetting { key, entry, method });
                 }
                 // Prevents a restored device from using the mass model that the board keeps for another device.
                 None if key == Key::MassModel && self.settings.contains_key(Key::Device.name()) => {

@@ -26,14 +26,14 @@ fn find_boundary(
     guess: Option<f64>,
     mut judge: impl FnMut(f64) -> Result<Verdict, MeasureError>,
 ) -> Result<Boundary, MeasureError> {
-    let (mut stable, mut beyond) = (0.0_f64, Verdict::Grows);
+    let (mut stable, mut verdict_beyond) = (0.0_f64, Verdict::Grows);
     let mut oscillates = |gain: f64| match judge(gain) {
         Ok(Verdict::Decays) => {
             stable = stable.max(gain);
             Ok(false)
         }
         Ok(verdict) => {
-            beyond = verdict;
+            verdict_beyond = verdict;
             Ok(true)
         }
         Err(why) if why.is_local() => Err(MeasureError::Open { stable, why: Box::new(why) }),
@@ -46,7 +46,7 @@ fn find_boundary(
         low /= step;
         step = (step * step).min(2.0);
         if low < start * 1e-3 {
-            return Ok(Boundary { gain: 0.0, beyond });
+            return Ok(Boundary { gain: 0.0, verdict_beyond });
         }
     }
     let mut high = low * raise;
@@ -63,7 +63,7 @@ fn find_boundary(
         let middle = (low * high).sqrt();
         if oscillates(middle)? { high = middle } else { low = middle }
     }
-    Ok(Boundary { gain: (low * high).sqrt(), beyond })
+    Ok(Boundary { gain: (low * high).sqrt(), verdict_beyond })
 }
 
 impl PreparedBoard<'_> {
