@@ -47,7 +47,7 @@ pub struct SavedSetting {
 }
 
 impl SavedSetting {
-    /// Encodes a value as the board stores it; `None` if it is too long.
+    /// Encodes a value as the board stores it; `None` if the encoding is too long.
     pub fn of<S: Setting>(value: &S) -> Option<Self> {
         Some(saved_setting(S::KEY, &encode(value).ok()?))
     }

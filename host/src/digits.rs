@@ -7,7 +7,7 @@ use serde_json::{Number, Value};
 use std::io;
 
 /// Returns the number with the fewest digits that rounds to the same `f32`, because an `f32` widened to `f64` has
-/// digits without meaning. Returns `number` unchanged if it is not an `f32` or is shorter in double precision.
+/// digits without meaning. Returns a `number` that is no `f32`, or shorter in double precision, unchanged.
 pub(crate) fn shorten(number: f64) -> f64 {
     let single = number as f32;
     if f64::from(single) != number {

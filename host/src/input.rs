@@ -9,8 +9,8 @@ pub const MAX_FILE_BYTES: u64 = 1 << 20;
 /// Size limit of a recording, bytes: 15 minutes of all fields at 20 kHz.
 pub const MAX_RECORDING_BYTES: u64 = 2 << 30;
 
-/// Reads a regular file (following links) of at most [`MAX_FILE_BYTES`] bytes. Refuses a pipe or a device before opening it,
-/// because reading it might block or never end.
+/// Reads a regular file (following links) of at most [`MAX_FILE_BYTES`] bytes. Refuses a pipe or a device before
+/// opening it, because reading it might block or never end.
 pub fn read(path: &Path) -> Result<Vec<u8>, Error> {
     let bytes = read_limited(path, MAX_FILE_BYTES + 1)?;
     if bytes.len() as u64 > MAX_FILE_BYTES {

@@ -1,6 +1,6 @@
 //! The link to a board: finds and opens the port, calls the endpoints, receives telemetry.
 //!
-//! The frames have the format of `postcard-rpc` (docs/protocol.md). They are sent over a USB serial port, a
+//! The frames have the format of `postcard-rpc` (docs/protocol.md), and are sent over a USB serial port, a
 //! pseudo-terminal, TCP, or in memory to a simulated board. Unlike postcard-rpc's own client, this client is
 //! synchronous and has no threads. A simulated board therefore runs in lock step with its caller, and tests do not
 //! depend on a scheduler.

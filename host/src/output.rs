@@ -93,7 +93,7 @@ pub fn write_together(files: &[(&Path, &[u8])], overwrite: Overwrite) -> Result<
     Ok(())
 }
 
-/// Opens a file for appending rows. Returns the file, and true if it can be truncated to its last complete row.
+/// Opens a file for appending rows. Returns the file, and true if the file can be truncated to its last complete row.
 pub fn open(path: &Path, overwrite: Overwrite) -> Result<(File, bool), Failure> {
     let opened = match place(path, overwrite)? {
         Place::Special => OpenOptions::new().write(true).open(path).map(|file| (file, false)),

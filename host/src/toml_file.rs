@@ -219,15 +219,15 @@ impl<'a> Table<'a> {
         })
     }
 
-    /// Reads a required number. Returns NaN if it is missing or wrong (see [`Table::keep`]).
+    /// Reads a required number. Returns NaN if the number is missing or wrong (see [`Table::keep`]).
     pub fn required_number(&self, key: &str, must: Must, example: impl Into<String>) -> f64 {
         self.keep(self.number(key, must).and_then(|value| self.require(key, value, example)), f64::NAN)
     }
-    /// Reads a number. Returns `usual` if it is missing or wrong (see [`Table::keep`]).
+    /// Reads a number. Returns `usual` if the number is missing or wrong (see [`Table::keep`]).
     pub fn number_or(&self, key: &str, must: Must, usual: f64) -> f64 {
         self.keep(self.number(key, must), None).unwrap_or(usual)
     }
-    /// Reads `true` or `false`. Returns `usual` if it is missing or wrong (see [`Table::keep`]).
+    /// Reads `true` or `false`. Returns `usual` if the value is missing or wrong (see [`Table::keep`]).
     pub fn flag_or(&self, key: &str, usual: bool) -> bool {
         self.keep(self.flag(key), None).unwrap_or(usual)
     }

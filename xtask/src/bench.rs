@@ -71,7 +71,7 @@ pub fn refresh() -> Result<()> {
     ]))
 }
 
-/// Counts the instructions of all variants. Fails if a count is over 1 % above the stored count, or if variants changed.
+/// Counts the instructions of all variants. Fails if a count is over 1 % above the stored count, or if variants change.
 pub fn check() -> Result<()> {
     let stored: Value =
         serde_json::from_str(&fs::read_to_string(counts_file()).context("counts.json cannot be read")?)?;

@@ -213,7 +213,7 @@ const CALLS: [(&str, &str); 6] = [
 const BUFFER_SIZE: usize = 1024;
 
 thread_local! {
-    /// Buffer for `hb_error`. It never moves, so that a pointer to it always shows the latest message.
+    /// Buffer for `hb_error`, which never moves, so that a pointer to it always shows the latest message.
     static ERROR: UnsafeCell<[u8; BUFFER_SIZE]> = const { UnsafeCell::new([0; BUFFER_SIZE]) };
 }
 

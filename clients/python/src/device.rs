@@ -63,8 +63,8 @@ fn unwrap_poses<T>(found: Vec<Result<T, Failure>>, keep: bool) -> PyResult<Vec<O
 /// microseconds, less than the start of a thread.
 const MAX_POSES_IN_CALLER: usize = 64;
 
-/// Computes the results of `count` poses with the interpreter's lock released. Up to `max_in_caller` poses are computed in
-/// this thread, more poses on all cores, where Ctrl-C ends the computation.
+/// Computes the results of `count` poses with the interpreter's lock released. Up to `max_in_caller` poses are computed
+/// in this thread, more poses on all cores, where Ctrl-C ends the computation.
 fn compute_poses<T: Send>(
     py: Python<'_>,
     count: usize,

@@ -1,7 +1,7 @@
 //! Finds the best walls of a device: direction, place, posture, and changes of links, rotors and gears.
 //!
 //! Places, directions and postures are rated by inertia: Weff without the feed-forward and Wrr with it. Without joint
-//! damping the stable boundary of a rigid device is that of a single mass, so the largest stiffness is proportional to
+//! damping a rigid device has the stable boundary of a single mass, so the largest stiffness is proportional to
 //! the inertia (docs/model.md). The stiffness at each place, and its change with each number of the device, is the
 //! prediction of `haptic range` with joint damping and transmissions. `haptic tune` includes friction and ripple.
 //!

@@ -27,7 +27,7 @@ use serde::{Deserialize, Serialize};
 pub const LIGHT_HAND: Hand = Hand { mass: 0.05, damping: 3.0, stiffness: 200.0 };
 /// Force with which the hand presses, N.
 pub const PUSH_N: f64 = 3.0;
-/// Rate at which the push of the hand grows, N/s. It moves a tip that friction would hold at rest.
+/// Rate at which the push of the hand grows, N/s. The growth moves a tip that friction would hold at rest.
 pub(crate) const PUSH_RISE: f64 = 1.0;
 pub(crate) const SETTLE_S: f64 = 0.5;
 pub(crate) const RECORD_S: f64 = 0.3;

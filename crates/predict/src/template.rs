@@ -123,7 +123,7 @@ fn example(kind: Kind) -> Example {
 pub const MOTORS_AND_ENCODERS: &str = "boards drive brushed motors and read incremental encoders (A and B): two of each at 10 to 50 V (odrive-v3), three at 6 to \
      34 V (H-bridges)";
 
-/// Returns a device file of this mechanism. It passes every check except the confirmation of its motors.
+/// Returns a device file of this mechanism that passes every check except the confirmation of its motors.
 pub fn device_file(kind: Kind, name: &str) -> String {
     let spec = kind.spec();
     let example = example(kind);

@@ -37,7 +37,7 @@ impl Tip {
         self.largest_at_corners(speed, |speed| 0.5 * speed.dot(&(&self.pose.mass * &speed)))
     }
 
-    /// Returns torque limits that bound the tip force to `newtons`, N m per joint. They are proportional to the torque
+    /// Returns torque limits that bound the tip force to `newtons`, N m per joint, in proportion to the torque
     /// that each joint needs for this force in its own direction.
     pub fn torques_for(&self, newtons: f64) -> Vec<f64> {
         let jacobian = self.pose.jacobian.rows(0, self.pose.task);

@@ -87,7 +87,7 @@ pub struct Settings {
     pub kind: Estimator,
     /// Name of the estimator.
     pub estimator: &'static str,
-    /// Parameter of the estimator; 0 if it has none.
+    /// Parameter of the estimator; 0 without a parameter.
     pub value: u32,
     /// Cutoff of the estimator, Hz.
     pub cutoff_hz: f64,
@@ -175,9 +175,9 @@ pub struct TunedWall {
 /// The result of a search.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct TuneResult {
-    /// The stiffest wall, or the stiffest without feed-forward if it is within 3 %.
+    /// The stiffest wall, or the stiffest wall without feed-forward if that is within 3 %.
     pub best: TunedWall,
-    /// The stiffest wall if it is not `best`.
+    /// The stiffest wall if `best` is another wall.
     pub passed_over: Option<TunedWall>,
     /// Name of the limit that a stiffer wall exceeds first.
     pub active: &'static str,
@@ -256,8 +256,8 @@ fn stiffest_wall<'a>(walls: impl IntoIterator<Item = &'a TunedWall>) -> Option<T
     walls.into_iter().copied().reduce(|best, other| if stiffer(&other, &best) { other } else { best })
 }
 
-/// Returns the chosen wall, and the stiffest wall if that is not the chosen one. A feed-forward needs a correct model
-/// and pushes along the wall, so a wall without it is chosen if it is equally stiff.
+/// Returns the chosen wall, and the stiffest wall if that is another wall. A feed-forward needs a correct model
+/// and pushes along the wall, so a wall without feed-forward is chosen if it is equally stiff.
 fn choose_wall(all: &[TunedWall]) -> Option<(TunedWall, Option<TunedWall>)> {
     let top = stiffest_wall(all)?;
     let plain = stiffest_wall(all.iter().filter(|candidate| candidate.settings.feed_forward == FeedForward::Off));

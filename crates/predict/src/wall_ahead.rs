@@ -47,7 +47,7 @@ pub fn first_wall(file: &DeviceFile) -> Result<FirstWall, Failure> {
     Ok(if is_touched(file, &other.scene) { other } else { first })
 }
 
-/// Returns true if a hand that moves like that of `haptic sim` reaches a wall of the scene from home.
+/// Returns true if a hand that moves like the hand of `haptic sim` reaches a wall of the scene from home.
 fn is_touched(file: &DeviceFile, scene: &Scene<f32>) -> bool {
     let home = file.description.home.unwrap_or_default();
     let pose = TaskPose::at(&file.description, &home[..file.spec().joints]);

@@ -4,7 +4,7 @@
 use haptic_bridge::model::description::Encoder;
 use std::f64::consts::TAU;
 
-/// The encoder of a joint. It counts from the angle at which the counter was zero, usually the joint angle at power-on.
+/// The encoder of a joint, which counts from the angle of count 0, usually the joint angle at power-on.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EncoderModel {
     /// Counts per radian; negative for an inverted encoder.

@@ -168,7 +168,7 @@ impl Plant {
     }
 
     /// Adds a soft stop before every singularity, at the smallest distance at which a board's feed-forward acts in
-    /// full, or at the present distance if it is smaller.
+    /// full, or at the present distance if that is smaller.
     pub fn add_soft_stop(&mut self) {
         self.add_stop(SingularityStop::SOFT_STOP);
     }

@@ -52,7 +52,7 @@ pub struct Direction {
     pub along: Vec<f64>,
     /// Stiffness along the unit vector, relative to the stiffest wall.
     pub stiffness: f64,
-    /// Share of the level that renders this direction and the stiffer ones; `None` for the last direction.
+    /// Share of the force for the level of this direction and the stiffer directions; `None` for the last direction.
     pub share: Option<f64>,
 }
 

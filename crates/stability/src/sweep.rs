@@ -1,7 +1,7 @@
 //! Long computations on many items, on all cores, with progress display. Ctrl-C interrupts a computation, and the same
 //! command resumes it. A terminal shows the progress in one line; otherwise each stage prints lines.
 //!
-//! Results are in the order of the items, and stored results equal recomputed ones to the bit. The result therefore
+//! Results are in the order of the items, and stored results equal recomputed results to the bit. The result therefore
 //! does not depend on the number of cores, the order of the work or interruptions.
 
 use haptic_host::error::{Choice, Failure};

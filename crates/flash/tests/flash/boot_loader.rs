@@ -1,6 +1,6 @@
-//! A scripted copy of the boot loader in the chip's ROM, from the USB forum's DFU 1.1 and ST's AN2662. It is stricter
-//! than the ROM: a request that the documents do not allow, such as a status request before the reported time, is an
-//! error.
+//! A scripted copy of the boot loader in the chip's ROM, from the USB forum's DFU 1.1 and ST's AN2662. The copy is
+//! stricter than the ROM: a request that the documents do not allow, such as a status request before the reported time,
+//! is an error.
 
 use std::time::Duration;
 

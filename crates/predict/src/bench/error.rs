@@ -288,7 +288,7 @@ fn reference<E: Mechanism<f64, N>, const N: usize>(
     torque::<f64, Libm, E, N>(exact, &MassModel::Exact, terms, law, probe)
 }
 
-/// Returns the error of each joint torque, N m; infinity if it is not finite.
+/// Returns the error of each joint torque, N m; infinity for a torque that is not finite.
 fn difference(actual: [f64; MAX_JOINTS], right: [f64; MAX_JOINTS]) -> [f64; MAX_JOINTS] {
     std::array::from_fn(|i| {
         let off = actual[i] - right[i];

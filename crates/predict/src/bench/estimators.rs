@@ -70,7 +70,7 @@ impl Comparison<'_> {
 pub struct Row {
     /// Name of the estimator in scene files.
     pub estimator: String,
-    /// Parameter of the estimator; `None` if it has none.
+    /// Parameter of the estimator; `None` without a parameter.
     pub value: Option<u32>,
     /// Cutoff, Hz; `None` if the estimator has none.
     pub cutoff_hz: Option<f64>,
@@ -227,7 +227,7 @@ impl<'a> Trials<'a> {
         Ok(area)
     }
 
-    /// Returns the largest stiffness up to which every wall with this damping comes to rest, N/m; 0 without such a wall.
+    /// Returns the stiffness up to which every wall with this damping comes to rest, N/m; 0 if no wall comes to rest.
     fn largest_quiet_stiffness(&self, wall: &RenderedWall) -> Result<f64, Failure> {
         // The smallest stiffness is large enough for the tip to swing back within the allowed time.
         let comes_to_rest = |stiffness: f64| self.is_quiet_when_struck(&RenderedWall { stiffness, ..*wall });
@@ -255,7 +255,7 @@ impl<'a> Trials<'a> {
         self.sweep.check_interrupted()?;
         let mass = self.linearised.w_eff().ok_or_else(|| Failure::impossible("the device has no inertia here"))?;
         let count = self.simulation.count;
-        // Initial speed of the wall's own oscillation with this amplitude, at most that of a hand's strike.
+        // Initial speed of the wall's own oscillation with this amplitude, at most the speed of a hand's strike.
         let speed = (STRIKE_COUNTS * count * (wall.stiffness / mass).sqrt()).min(0.5);
         let late = (REST_S * self.rate_hz) as usize * 3 / 4;
         let (mut n, mut low, mut high) = (0, f64::INFINITY, f64::NEG_INFINITY);

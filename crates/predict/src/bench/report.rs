@@ -135,7 +135,7 @@ pub fn variants(device: &Device<f64>, timed: bool) -> Result<Vec<Variant>, Failu
 }
 
 impl Variant {
-    /// Returns the tip force error without common fading plus that of the tip's position at 20 kN/m, N.
+    /// Returns the tip force error without common fading, plus the error of the tip's position at 20 kN/m, N.
     pub fn tip_force_error(&self) -> f64 {
         self.unfaded_errors.force.max + self.parts.tip
     }

@@ -1,6 +1,6 @@
 //! Simulates one wall, rendered by the board's own control step, with a hand, a tap or a strike.
 //!
-//! Torques act half a carrier period late. They are not limited, because motors and limits are the same for all
+//! Torques act half a carrier period late, without limits, because motors and limits are the same for all
 //! estimators. [`super::estimators`] compares estimators by this simulation, and [`mod@crate::tune`] searches with it.
 
 use crate::contact::{Contact, Grip, Law, LawOutput, RippleFilter};

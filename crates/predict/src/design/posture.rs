@@ -1,9 +1,9 @@
 //! Postures of a redundant arm at one tip position, with the inertia of each.
 //!
 //! The arm moves along its null motion, a joint motion that keeps the tip in place, in both directions from the given
-//! posture. It stops near a joint limit or a singularity, or after a full turn. Weff depends on the posture. Wrr also
-//! depends on the held coordinate ([`Admissible`]), and grows without bound towards postures in which this coordinate
-//! cannot be held; `min_sine` is the smallest allowed sine of the singular angle.
+//! posture. The motion ends near a joint limit or a singularity, or after a full turn. Weff depends on the posture. Wrr
+//! also depends on the held coordinate ([`Admissible`]), and grows without bound towards postures in which this
+//! coordinate cannot be held; `min_sine` is the smallest allowed sine of the singular angle.
 
 use super::{angles_at, build_device, clearance, singular_pose, task_position, within_limits};
 use haptic_bridge::model::admissible::Admissible;

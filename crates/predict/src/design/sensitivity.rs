@@ -15,7 +15,7 @@ use serde::Serialize;
 /// Relative change of each number, up and down.
 pub const CHANGE: f64 = 0.1;
 
-/// Properties of a changed device at the wall, relative to those of the unchanged device.
+/// Properties of a changed device at the wall, relative to the properties of the unchanged device.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Effect {
     /// Weff, the inertia without the feed-forward and in free motion.
@@ -167,7 +167,7 @@ fn changes(description: &Description) -> Vec<(String, Change, bool)> {
     all
 }
 
-/// Number of dampings on a boundary. They are evenly spaced shares of the largest damping, before and after a change.
+/// Number of dampings on a boundary, evenly spaced shares of the largest damping, before and after a change.
 const DAMPING_COUNT: usize = 40;
 
 /// Computes the absolute properties of a device at a pose.

@@ -90,8 +90,8 @@ fn save(progress: &Progress, path: Option<&Path>) -> Result<(), ProgressError> {
     path.map_or(Ok(()), |path| progress.save(path))
 }
 
-/// Returns the settings to restore after a measurement: the present ones or, if an earlier measurement was killed,
-/// those from before it. In the second case prints on standard error which settings are restored.
+/// Returns the settings to restore after a measurement: the present settings or, if an earlier measurement was killed,
+/// the settings from before that. In the second case prints on standard error which settings are restored.
 pub fn settings_to_restore(board: &mut Board, progress: &Progress) -> Result<EarlierSettings, BoardError> {
     let now = EarlierSettings::of(board)?;
     let serial = board.info().serial.clone();

@@ -57,8 +57,8 @@ impl EarlierSettings {
         Some(RestorePoint { serial: serial.into(), scene, rules, measuring })
     }
 
-    /// Returns the settings from before an interrupted measurement, and true if their rules are those of the file. Rules
-    /// that the measurement did not set stay, because a user has set them since.
+    /// Returns the settings from before an interrupted measurement, and true if their rules are those of the file.
+    /// Rules that the measurement did not set stay, because a user has set them since.
     pub fn restored_from(&self, restore_point: &RestorePoint) -> Result<(Self, bool), BackupError> {
         let scene = restore_point.scene.as_ref().map(backup::SavedSetting::read::<Scene<f32>>).transpose()?;
         let then = restore_point.rules.read::<Rules>()?;

@@ -1,4 +1,4 @@
-//! Results of a measurement so far. They are saved after every repeat, so an interrupted measurement can continue.
+//! Results of a measurement so far, saved after every repeat, so that an interrupted measurement can continue.
 
 use super::earlier_settings::RestorePoint;
 use haptic_bridge::render::scene::FeedForward;
@@ -140,7 +140,7 @@ impl Progress {
         Self { before: self.before, ..Self::new(what) }
     }
 
-    /// Reads the file of any measurement at `path`; returns `None` if it does not exist.
+    /// Reads the file of any measurement at `path`; returns `None` if the file does not exist.
     pub fn read(path: &Path) -> Result<Option<Self>, ProgressError> {
         let file = |reason: String| ProgressError::File { path: path.display().to_string(), reason };
         match haptic_host::input::read_to_string(path) {

@@ -43,7 +43,7 @@ const MIN_STRETCHES: usize = 8;
 const BENDING_TREND_FACTOR: usize = 16;
 /// Share of the recent swings below which a swing is the ripple of a faster mode.
 const RIPPLE_SHARE: f64 = 0.4;
-/// Number of standard errors by which a slope must differ from zero. It is large because encoder steps disturb
+/// Number of standard errors by which a slope must differ from zero; large because encoder steps disturb
 /// neighbouring swings alike, which the standard error does not include.
 const SIGNIFICANT_STANDARD_ERRORS: f64 = 4.0;
 /// Largest slope per swing of a motion with constant size, 0.4 % over one check.
@@ -209,7 +209,7 @@ impl Trace {
         {
             return Some(verdict);
         }
-        // The motion has ended if it has not turned for much longer than the average time between turns.
+        // The motion has ended if it has no turning point for much longer than the average time between turns.
         (self.since_turn as f64 > self.silent.max(6.0 * self.rows_per_turn())).then_some(Verdict::Decays)
     }
 
@@ -238,7 +238,7 @@ impl Trace {
     }
 
     /// Returns the size below which a reversal is the ripple of a faster mode, m. The size falls over the time without
-    /// a turning point, so that a small mode is found after a large one has decayed.
+    /// a turning point, so that a small mode is found after a large mode has decayed.
     fn ripple(&self) -> f64 {
         let recent = largest(&self.swings[self.swings.len().saturating_sub(4)..]);
         RIPPLE_SHARE * recent * (-(self.since_turn as f64) / (2.0 * self.rows_per_turn())).exp2()
@@ -290,8 +290,8 @@ impl Trace {
             .or_else(|| (!patient || !is_significant(trend(latest))).then(|| self.verdict_of_size()))
     }
 
-    /// Returns the size of the motion in each stretch, m. A stretch has at least [`MIN_STRETCH_SWINGS`] swings and lasts
-    /// at least [`MIN_STRETCH_PERIODS`] of the slowest mode.
+    /// Returns the size of the motion in each stretch, m. A stretch has at least [`MIN_STRETCH_SWINGS`] swings and
+    /// lasts at least [`MIN_STRETCH_PERIODS`] of the slowest mode.
     fn stretches(&self) -> Vec<f64> {
         let (mut stretches, mut first) = (Vec::new(), IGNORED_TURNS);
         for at in IGNORED_TURNS..self.swings.len() {

@@ -7,7 +7,7 @@ use haptic_host::vectors::padded;
 use haptic_stability::analysis::pose::unit_normal;
 use nalgebra::DVector;
 
-/// Distance from the wall that holds the tip to each wall that pulls the tip aside, m. It exceeds every pull.
+/// Distance from the wall that holds the tip to each wall that pulls the tip aside, m; longer than every pull.
 pub const ASIDE_DISTANCE: f64 = 0.01;
 /// Longest pull, m.
 pub const LONGEST_PULL: f64 = 0.5 * ASIDE_DISTANCE;
@@ -30,7 +30,7 @@ impl Layout {
     }
 }
 
-/// Returns the maximum number of walls that can be tested together: those of a scene minus the holding walls.
+/// Returns the maximum number of walls that can be tested together: the walls of a scene minus the holding walls.
 #[must_use]
 pub fn max_tested_walls(task: usize) -> usize {
     MAX_WALLS - 2 - task

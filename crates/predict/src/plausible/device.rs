@@ -20,10 +20,10 @@ use nalgebra::{DMatrix, DVector, SVector};
 const STEEL_DENSITY: f64 = 7850.0;
 /// Plausible lengths of links, m, from desktop devices to exoskeletons.
 const LINK_LENGTHS_M: (f64, f64) = (1e-3, 3.0);
-/// Smallest implausible joint inertia, kg m²: that of 20 kg at 10 cm, typical of machine tools.
+/// Smallest implausible joint inertia, kg m²: the inertia of 20 kg at 10 cm, typical of machine tools.
 const IMPLAUSIBLE_JOINT_INERTIA: f64 = 0.2;
-/// Fewest plausible counts per turn at the joint. A smaller number is probably a count of lines without x4 decoding and gear
-/// ratio; encoders of devices that render walls have at least 700 counts.
+/// Fewest plausible counts per turn at the joint. A smaller number is probably a count of lines without x4 decoding and
+/// gear ratio; encoders of devices that render walls have at least 700 counts.
 const LEAST_COUNTS: f64 = 600.0;
 /// Largest plausible resistance times inertia over the torque constant squared, s. Motors have 2 to 30 ms whatever the
 /// gear. The value is too large by the ratio squared if only the torque constant lacks the gear ratio.

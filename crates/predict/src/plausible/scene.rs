@@ -447,7 +447,7 @@ fn buzz_warning(scene: &Scene<f64>, contact: &Contact) -> Option<FileWarning> {
     Some(FileWarning::new(Key { table: "wall", index: Some(contact.wall), part: "", name: "damping" }, text))
 }
 
-/// Stiffness of the softest useful wall, that of a light hand, N/m.
+/// Stiffness of the softest useful wall, the stiffness of a light hand, N/m.
 pub const SOFTEST_WALL: f64 = LIGHT_HAND.stiffness;
 
 /// Ripple of a wall under a hand, by the simulation that `haptic tune` uses.
@@ -542,7 +542,7 @@ fn two_digits(ratio: f64) -> String {
 enum FirstTouch {
     /// The tip touches the surface at these joint angles (rad), where the surface has this normal.
     At(Vec<f64>, Vec<f64>),
-    /// The tip cannot touch the surface. It stays outside by at least this distance, m; `None` if it stays inside.
+    /// The tip stays outside the surface by at least this distance, m; `None` if the tip stays inside.
     Never(Option<f64>),
     /// The workspace has no grid.
     Unknown,

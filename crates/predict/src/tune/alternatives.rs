@@ -11,7 +11,7 @@ use serde::Serialize;
 pub struct Alternative {
     /// The feed-forward.
     pub feed_forward: FeedForward,
-    /// The stiffest wall with this feed-forward; `None` if it is much softer or breaks a limit.
+    /// The stiffest wall with this feed-forward; `None` if that wall is much softer or breaks a limit.
     pub best: Option<TunedWall>,
     /// Largest stiffness within margins and motors with the chosen wall's rate, estimator, cutoff and damping, N/m.
     pub allowed: f64,

@@ -18,7 +18,7 @@ const MARGINS_LIMIT: &str = "all margins together";
 const MOTORS_LIMIT: &str = "motors and encoder counts";
 /// Factors on the wall's stiffness at which the simulated limits are checked.
 const CHECKED_FACTORS: [f64; 7] = [STIFFNESS_RATIO, 1.06, RAISE_FACTOR, 1.25, 1.5, 2.0, 4.0];
-/// Factors on the wall's stiffness at which the simulated board is checked. They are few because the board is slow.
+/// Factors on the wall's stiffness at which the simulated board is checked; few because the board is slow.
 const CHECKED_FACTORS_ON_BOARD: [f64; 2] = [STIFFNESS_RATIO, RAISE_FACTOR];
 /// Name of a value that is listed for reference and is not a limit.
 pub const RULE_OF_THUMB: &str = "rule of thumb, encoder steps";
@@ -35,7 +35,7 @@ pub struct Limit {
     pub felt: Option<f64>,
 }
 
-/// A wall with slightly different gains than the chosen one.
+/// A wall with slightly different gains than the chosen wall.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct NeighbourWall {
     /// Stiffness, N/m.

@@ -36,7 +36,7 @@ const HOLD_HZ: f64 = 40.0;
 pub struct MeasuredWall {
     /// Largest stiffness at which the tip came to rest after a pull, N/m, at the settings' damping.
     pub stiffness: f64,
-    /// Reason why the boundary may be higher; `None` if it was found.
+    /// Reason why the boundary may be higher; `None` if the boundary was found.
     pub open: Option<String>,
     /// Root mean square of the force above 20 Hz under a sliding hand, N; `None` if the hand is not held.
     pub ripple_n: Option<f64>,

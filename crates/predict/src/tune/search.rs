@@ -19,7 +19,7 @@ use std::collections::BTreeSet;
 
 /// Cutoffs of the low-passes, Hz.
 const CUTOFFS_HZ: [f64; 8] = [20.0, 50.0, 100.0, 200.0, 500.0, 1000.0, 2000.0, 4000.0];
-/// Bandwidths of estimators that have one, Hz.
+/// Bandwidths of the estimators with a bandwidth, Hz.
 const BANDWIDTHS_HZ: [f64; 8] = [10.0, 20.0, 50.0, 100.0, 200.0, 500.0, 1000.0, 3000.0];
 /// Windows of the difference estimators, samples.
 const WINDOWS: [u32; 4] = [4, 8, 16, 32];
@@ -111,7 +111,7 @@ impl SearchContext<'_> {
         waiting.retain(|tuned| seen.insert((tuned.settings.estimator, tuned.settings.feed_forward.name())));
         waiting.truncate(MAX_WALLS_PRESSED);
         for (round, some) in waiting.chunks(PRESSED_AT_ONCE).enumerate() {
-            // A result well below the stiffest one so far need not be exact.
+            // A result well below the stiffest wall so far need not be exact.
             let floor = COMPARED_SHARE * stiffest_wall(&done).map_or(0.0, |tuned| tuned.settings.stiffness);
             let results = self.sweep.map(&format!("on the board, round {}", round + 1), some, |tuned| {
                 let top = tuned.settings.stiffness;

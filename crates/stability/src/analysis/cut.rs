@@ -1,7 +1,7 @@
 //! The plane of the workspace that a map shows, divided into tiles with the quantities of [`super::map`].
 //!
-//! The angles of two joints span the plane. They start at home and end at joint limits and singularities, as in the
-//! map's grid. Every corner of a tile is an evaluated pose; values are not interpolated.
+//! The angles of two joints span the plane. The angles start at home and end at joint limits and singularities, as in
+//! the map's grid. Every corner of a tile is an evaluated pose; values are not interpolated.
 //!
 //! A device on a turret is cut at joint 0 = 0, or at its home angle if its limits exclude 0, and is drawn in the plane
 //! of its linkage. The redundant arm keeps the orientation that it has at home.

@@ -45,7 +45,7 @@ impl BoundaryPoint {
     }
 }
 
-/// A stable interval of stiffness above an unstable one at the same damping.
+/// A stable interval of stiffness above an unstable interval at the same damping.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Island {
     /// Damping, N s/m.
@@ -108,7 +108,7 @@ pub fn domain_of_several(
     domain_from_intervals(&mut loops, mass, sample_s, kd)
 }
 
-/// Computes the stable intervals of one gain while the other is constant, in sample units.
+/// Computes the stable intervals of one gain while the other gain is constant, in sample units.
 pub(super) trait StableIntervals {
     fn stiffness_intervals(&mut self, kd: f64) -> Result<Vec<Interval>, AnalysisError>;
     fn damping_intervals(&mut self) -> Result<Vec<Interval>, AnalysisError>;
@@ -232,7 +232,7 @@ fn in_sample_units(kp: f64, kd: f64, mass: f64, sample_s: f64) -> Result<(f64, f
     refused.map_or(Ok((kp * sample_s * sample_s / mass, kd * sample_s / mass)), |gain| Err(AnalysisError::Gain(gain)))
 }
 
-/// Returns the largest stable stiffness (N/m) at damping `kd` (zero if no stiffness is stable), and the largest stable damping.
+/// Returns the largest stable stiffness at damping `kd`, N/m (0 if no stiffness is stable), and the largest damping.
 pub fn stiffness_at(device: &Linearised, around: &Loop, mode: Mode, kd: f64) -> Result<(f64, f64), AnalysisError> {
     let open = open_loop(device, device, around, mode)?;
     let damping_unit = open.mass / open.sample_s;
@@ -304,7 +304,7 @@ fn supported_stiffness(support: &[Interval], kd_hat: f64, stable: &[Interval]) -
     }
 }
 
-/// Number of golden-section steps. They narrow two grid intervals to 0.3 %; at a kink the stiffness is within 1e-5.
+/// Number of golden-section steps, which narrow two grid intervals to 0.3 %; at a kink the stiffness is within 1e-5.
 const GOLDEN_SECTION_STEPS: usize = 12;
 
 /// Searches the largest value in a bracket by golden section. The caller keeps the largest value.

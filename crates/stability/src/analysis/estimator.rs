@@ -26,7 +26,7 @@ pub enum LinearEstimator {
         /// Low-pass that follows the difference.
         low_pass: LowPass,
     },
-    /// α-β-γ filter with its poles at this frequency (Hz). It uses the acceleration that the last command causes.
+    /// α-β-γ filter with its poles at this frequency (Hz), which uses the acceleration that the last command causes.
     Predicted(f64),
 }
 
@@ -48,7 +48,7 @@ struct FilterOutput {
 }
 
 impl LinearEstimator {
-    /// Returns this estimator with its difference taken over `samples` samples, or unchanged if it takes no difference.
+    /// Returns this estimator with its difference over `samples` samples, or unchanged if it takes no difference.
     pub fn with_window(self, samples: usize) -> Self {
         let low_pass = match self {
             Self::BackwardDifference => LowPass::None,

@@ -36,7 +36,7 @@ const EVEN_ANGLES: usize = 400;
 const SLOWEST_ANGLE_RAD: f64 = 1e-3;
 /// Angle at which evenly spaced angles begin, rad.
 const EVEN_FROM_RAD: f64 = 0.1;
-/// Number of aliases on each side with exact lag. The remaining aliases count as without lag, which makes the radius r larger.
+/// Number of aliases on each side with exact lag. The remaining aliases count as without lag, which makes r larger.
 const ALIASES: i32 = 60;
 
 /// Dissipation of the device along the rendered direction, and the condition for a passive wall.

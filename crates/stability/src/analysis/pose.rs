@@ -120,7 +120,7 @@ impl TaskPose {
         self
     }
 
-    /// Returns the pose, or an error if it is singular.
+    /// Returns the pose, or an error if the pose is singular.
     pub fn regular(self) -> Result<Self, PoseError> {
         check_regular(&self.regularity)?;
         Ok(self)

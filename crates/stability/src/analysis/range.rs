@@ -63,7 +63,7 @@ pub struct Range {
 }
 
 impl Range {
-    /// Returns the domain with this feed-forward. For a washout that was not requested, returns that of equation (4).
+    /// Returns the domain with this feed-forward; the domain of equation (4) for a washout that was not requested.
     #[must_use]
     pub fn of(&self, feed_forward: FeedForward) -> &Domain {
         match feed_forward {

@@ -137,7 +137,7 @@ fn cases(device: &Linearised, around: &Loop) -> Vec<(&'static str, &'static str,
 /// Name of an effect, the replacing condition, and the limits without the effect.
 pub type LimitsWithout = (&'static str, &'static str, Option<Limits>);
 
-/// Returns the limits for one feed-forward with all effects and without each effect, in the order of [`why`].
+/// Returns the limits for one feed-forward, with all effects and without each, in the order of [`explain_boundary`].
 pub fn limits_without(
     device: &Linearised,
     around: &Loop,
